@@ -1,0 +1,95 @@
+"""Frames on the host, in NumPy: unit quaternions, rotations, and a rod as a chain of them (§III-A).
+
+Quaternions are (..., 4) with the scalar first; the columns of a rotation matrix are t, m1, m2.
+"""
+
+import numpy as np
+
+
+def matrix_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
+    """(..., 4) unit quaternions to (..., 3, 3) rotation matrices."""
+    w, x, y, z = np.moveaxis(np.asarray(quaternion, dtype=np.float64), -1, 0)
+    matrix = np.empty((*w.shape, 3, 3))
+    matrix[..., 0, 0], matrix[..., 1, 1], matrix[..., 2, 2] = (
+        1 - 2 * (y * y + z * z), 1 - 2 * (x * x + z * z), 1 - 2 * (x * x + y * y))
+    matrix[..., 1, 0], matrix[..., 0, 1] = 2 * (x * y + w * z), 2 * (x * y - w * z)
+    matrix[..., 2, 0], matrix[..., 0, 2] = 2 * (x * z - w * y), 2 * (x * z + w * y)
+    matrix[..., 2, 1], matrix[..., 1, 2] = 2 * (y * z + w * x), 2 * (y * z - w * x)
+    return matrix
+
+
+def quaternion_from_matrix(matrix: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) rotation matrices to (..., 4) unit quaternions, the largest component positive."""
+    m = np.asarray(matrix, dtype=np.float64)
+    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    # The outer product q qᵀ times four; its row with the largest diagonal entry is q up to length, without cancellation.
+    outer = np.empty((*m.shape[:-2], 4, 4))
+    outer[..., 0, 0], outer[..., 1, 1] = 1 + xx + yy + zz, 1 + xx - yy - zz
+    outer[..., 2, 2], outer[..., 3, 3] = 1 - xx + yy - zz, 1 - xx - yy + zz
+    off = {(0, 1): m[..., 2, 1] - m[..., 1, 2], (0, 2): m[..., 0, 2] - m[..., 2, 0], (0, 3): m[..., 1, 0] - m[..., 0, 1],
+           (1, 2): m[..., 0, 1] + m[..., 1, 0], (1, 3): m[..., 0, 2] + m[..., 2, 0], (2, 3): m[..., 1, 2] + m[..., 2, 1]}
+    for (i, j), value in off.items():
+        outer[..., i, j] = outer[..., j, i] = value
+    best = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    row = np.take_along_axis(outer, best[..., None, None], axis=-2)[..., 0, :]
+    return row / np.linalg.norm(row, axis=-1, keepdims=True)
+
+
+def quaternion_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Hamilton product of (..., 4) quaternions."""
+    a, b = np.asarray(left), np.asarray(right)
+    scalar = a[..., :1] * b[..., :1] - np.sum(a[..., 1:] * b[..., 1:], axis=-1, keepdims=True)
+    vector = a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + np.cross(a[..., 1:], b[..., 1:])
+    return np.concatenate([scalar, vector], axis=-1)
+
+
+def quaternion_about(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Rotation by ``angle`` (rad) about the unit ``axis`` (..., 3)."""
+    half = 0.5 * np.asarray(angle)[..., None]
+    return np.concatenate([np.cos(half) * np.ones_like(axis[..., :1]), np.sin(half) * axis], axis=-1)
+
+
+def smallest_rotation(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Quaternion of the parallel transport P with P(source) = target, about source × target (§III-C).
+
+    Unit vectors (..., 3). Opposite vectors have no unique one: then a half turn about some perpendicular axis.
+    """
+    source, target = np.broadcast_arrays(np.asarray(source, float), np.asarray(target, float))
+    scalar = 1 + np.sum(source * target, axis=-1, keepdims=True)
+    vector = np.cross(source, target)
+    opposite = scalar[..., 0] < 1e-14
+    if opposite.any():
+        helper = np.where(np.abs(source[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+        scalar = np.where(opposite[..., None], 0.0, scalar)
+        vector = np.where(opposite[..., None], np.cross(source, helper), vector)
+    quaternion = np.concatenate([scalar, vector], axis=-1)
+    return quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+
+
+def vertices_from_quaternions(start: np.ndarray, quaternions: np.ndarray, rest_length: np.ndarray) -> np.ndarray:
+    """x_{i+1} = x_i + l_i t_i: (R, V, 3) vertices of the chain."""
+    w, x, y, z = np.moveaxis(np.asarray(quaternions, dtype=np.float64), -1, 0)
+    tangent = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=-1)
+    steps = np.asarray(rest_length)[..., None] * tangent
+    return start[..., None, :] + np.concatenate([np.zeros_like(steps[..., :1, :]), np.cumsum(steps, axis=-2)], axis=-2)
+
+
+def bishop_frames(tangents: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Bishop frames of §III-C: ``first`` (..., 3) is u⁰ ⟂ t⁰; returns (..., E, 3, 3), columns t, u, v."""
+    tangents = np.asarray(tangents, dtype=np.float64)
+    frames = np.empty((*tangents.shape, 3))
+    u = first / np.linalg.norm(first, axis=-1, keepdims=True)
+    for j in range(tangents.shape[-2]):
+        t = tangents[..., j, :]
+        if j:
+            u = np.einsum("...ij,...j->...i", matrix_from_quaternion(smallest_rotation(tangents[..., j - 1, :], t)), u)
+        u = u - np.sum(u * t, axis=-1, keepdims=True) * t
+        u = u / np.linalg.norm(u, axis=-1, keepdims=True)
+        frames[..., j, :, 0], frames[..., j, :, 1], frames[..., j, :, 2] = t, u, np.cross(t, u)
+    return frames
+
+
+def angle_about(tangent: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Angle in (−π, π] that turns ``source`` into ``target`` about ``tangent``, all unit (..., 3), rad."""
+    sine = np.sum(np.cross(source, target) * tangent, axis=-1)
+    return np.arctan2(sine, np.sum(source * target, axis=-1))

@@ -1,0 +1,84 @@
+"""The error landscape of a sweep over at most two axes, its minimum and its valley (§III-E).
+
+Axes of a grid are (name, values, is_log, unit); a landscape holds one mean distance (Eq. 1) per cell of the grid.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A landscape over at most two free axes, A × B cells (B = 1 where there is one).
+
+    axes        one or two (name, values, is_log, unit)
+    values      (A, B) mean distance in mm, NaN where not evaluated
+    minimum     (a, b) cell of the minimum, None where no cell was evaluated
+    valley      (A, B) bool: within 5 % of the minimum
+    unfinished  (A, B) number of rods that did not converge
+    hidden      names of further free axes, over which the values are the minimum
+    best        (name, value, unit) of every free axis at the minimum
+    at_border   the minimum lies at an end of a free axis: the true one may lie outside the grid
+    """
+
+    axes: tuple
+    values: np.ndarray
+    minimum: tuple[int, int] | None
+    valley: np.ndarray
+    unfinished: np.ndarray
+    hidden: tuple[str, ...]
+    best: tuple[tuple[str, float, str], ...]
+    at_border: bool
+
+
+def valley_cells(values: np.ndarray, minimum: tuple | None) -> np.ndarray:
+    """(grid) bool: cells whose mean distance is at most 5 % above that of the cell ``minimum``; the data tell them apart
+    no better."""
+    values = np.asarray(values, float)
+    if minimum is None:
+        return np.zeros(values.shape, bool)
+    with np.errstate(invalid="ignore"):
+        return values <= 1.05 * values[tuple(minimum)]
+
+
+def plane(axes, values, minimum=None, valley=None, unfinished=None) -> Plane:
+    """The landscape over its first two free axes; the minimum over the others. Arguments as `report.landscape_picture`."""
+    values = np.asarray(values, float)
+    minimum = None if minimum is None else tuple(int(i) for i in minimum)
+    valley = valley_cells(values, minimum) if valley is None else np.asarray(valley, bool)
+    unfinished = np.zeros(values.shape, int) if unfinished is None else np.asarray(unfinished, int)
+    free = [k for k, axis in enumerate(axes) if len(axis[1]) > 1] or [0]
+    shown = free[:2]
+    order = shown + [k for k in range(len(axes)) if k not in shown]
+    columns = (len(axes[shown[1]][1]) if len(shown) == 2 else 1)
+    shape = (len(axes[shown[0]][1]), columns, -1)
+    flat, unfinished, valley = (np.transpose(a, order).reshape(shape) for a in (values, unfinished, valley))
+    least = np.argmin(np.where(np.isnan(flat), np.inf, flat), axis=-1)[..., None]
+    cell, best, at_border = None, (), False
+    if minimum is not None:
+        cell = (minimum[shown[0]], minimum[shown[1]] if len(shown) == 2 else 0)
+        best = tuple((axes[k][0], axes[k][1][minimum[k]], axes[k][3]) for k in free)
+        at_border = any(minimum[k] in (0, len(axes[k][1]) - 1) for k in free if len(axes[k][1]) > 1)
+    return Plane(
+        axes=tuple(axes[k] for k in shown),
+        values=np.take_along_axis(flat, least, -1)[..., 0],
+        minimum=cell,
+        valley=valley.any(axis=-1),
+        unfinished=np.take_along_axis(unfinished, least, -1)[..., 0],
+        hidden=tuple(axes[k][0] for k in free[2:]),
+        best=best,
+        at_border=at_border,
+    )
+
+
+def cell_edges(axis) -> np.ndarray:
+    """Borders of the cells around the values of an axis: midpoints, on a log axis of the logarithms."""
+    _, values, is_log, _ = axis
+    values = np.log(np.asarray(values, float)) if is_log else np.asarray(values, float)
+    if len(values) == 1:
+        edges = values[0] + np.array([-0.5, 0.5])
+    else:
+        inner = 0.5 * (values[1:] + values[:-1])
+        edges = np.concatenate([[2 * values[0] - inner[0]], inner, [2 * values[-1] - inner[-1]]])
+    return np.exp(edges) if is_log else edges

@@ -1,0 +1,103 @@
+"""3-vectors and 3×3 matrices as tuples of numbers."""
+
+import taichi as ti
+
+
+@ti.func
+def dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@ti.func
+def cross(a, b):
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+@ti.func
+def absolute(a):
+    return ti.max(a, 0.0 - a)
+
+
+@ti.func
+def largest_component(a):
+    return ti.max(absolute(a[0]), ti.max(absolute(a[1]), absolute(a[2])))
+
+
+@ti.func
+def solve_symmetric(m, b):
+    """x with M x = b for a symmetric 3×3 M = (11, 12, 13, 22, 23, 33), by Cramer's rule, and M's leading minors."""
+    c11 = m[3] * m[5] - m[4] * m[4]
+    c12 = m[2] * m[4] - m[1] * m[5]
+    c13 = m[1] * m[4] - m[2] * m[3]
+    c22 = m[0] * m[5] - m[2] * m[2]
+    c23 = m[1] * m[2] - m[0] * m[4]
+    second = m[0] * m[3] - m[1] * m[1]
+    third = m[0] * c11 + m[1] * c12 + m[2] * c13
+    scale = 1.0 / third
+    x = (
+        (c11 * b[0] + c12 * b[1] + c13 * b[2]) * scale,
+        (c12 * b[0] + c22 * b[1] + c23 * b[2]) * scale,
+        (c13 * b[0] + c23 * b[1] + second * b[2]) * scale,
+    )
+    return x, (m[0], second, third)
+
+
+@ti.func
+def factor(m):
+    """M = L D Lᵀ of a symmetric 3×3: (1/d1, 1/d2, 1/d3, l21, l31, l32, negative pivots)."""
+    tiny = 1e-30
+    d1 = ti.select(absolute(m[0]) > tiny, m[0], tiny + 0.0 * m[0])
+    i1 = 1.0 / d1
+    l21 = m[1] * i1
+    l31 = m[2] * i1
+    d2_raw = m[3] - l21 * m[1]
+    d2 = ti.select(absolute(d2_raw) > tiny, d2_raw, tiny + 0.0 * m[0])
+    i2 = 1.0 / d2
+    rest = m[4] - l31 * m[1]
+    l32 = rest * i2
+    d3_raw = m[5] - l31 * m[2] - l32 * rest
+    d3 = ti.select(absolute(d3_raw) > tiny, d3_raw, tiny + 0.0 * m[0])
+    one = 0.0 * m[0] + 1.0
+    none = 0.0 * m[0]
+    negative = ti.select(d1 < 0.0, one, none) + ti.select(d2 < 0.0, one, none) + ti.select(d3 < 0.0, one, none)
+    return (i1, i2, 1.0 / d3, l21, l31, l32, negative)
+
+
+@ti.func
+def forward(f, b):
+    """L⁻¹ b with the factors of :func:`factor`."""
+    y1 = b[1] - f[3] * b[0]
+    return (b[0], y1, b[2] - f[4] * b[0] - f[5] * y1)
+
+
+@ti.func
+def backward(f, y):
+    """L⁻ᵀ D⁻¹ y."""
+    x2 = y[2] * f[2]
+    x1 = y[1] * f[1] - f[5] * x2
+    return (y[0] * f[0] - f[3] * x1 - f[4] * x2, x1, x2)
+
+
+@ti.func
+def weighted(f, a, b):
+    """aᵀ D⁻¹ b."""
+    return a[0] * f[0] * b[0] + a[1] * f[1] * b[1] + a[2] * f[2] * b[2]
+
+
+@ti.func
+def larger(a, b):
+    """The larger of two numbers; not a number if the second is not one."""
+    return ti.select(b <= a, a, b)
+
+
+@ti.func
+def _same_sign(a, b):
+    one = 0.0 * a + 1.0
+    return ti.select(((a > 0.0) & (b > 0.0)) | ((a < 0.0) & (b < 0.0)), one, 0.0 * a)
+
+
+@ti.func
+def positive_eigenvalues(minors):
+    """How many eigenvalues of a symmetric 3×3 are positive: equal signs of neighbours among 1 and the leading minors."""
+    one = 0.0 * minors[0] + 1.0
+    return _same_sign(one, minors[0]) + _same_sign(minors[0], minors[1]) + _same_sign(minors[1], minors[2])

@@ -1,0 +1,41 @@
+"""Linear potentials c·t·l of an edge: gravity, and the multiplier λ that holds the far end (§III-B).
+
+The one constraint a chain of frames does not keep by itself is closure, Σ_j l_j t_j = d: three numbers per rod.
+"""
+
+import taichi as ti
+
+from doo_ti.physics.algebra import cross, dot
+
+
+@ti.func
+def linear_gradient(c, length, m1, m2):
+    """∂(l c·t)/∂w: (0, −l c·m2, l c·m1), given as its last two numbers. Its Jacobian rows in c are A = l (0; −m2ᵀ; m1ᵀ)."""
+    return (0.0 - length * dot(c, m2), length * dot(c, m1))
+
+
+@ti.func
+def linear_hessian(c, length, t, m1, m2):
+    """∂²(l c·t)/∂w² = [[0, c1/2, c2/2], [c1/2, −ct, 0], [c2/2, 0, −ct]]: given as (c1/2, c2/2, −ct)."""
+    return (0.5 * length * dot(c, m1), 0.5 * length * dot(c, m2), 0.0 - length * dot(c, t))
+
+
+@ti.func
+def normal_matrix(length, t):
+    """AᵀA = l² (I − t tᵀ), symmetric 6-tuple."""
+    s = length * length
+    return (
+        s - s * t[0] * t[0],
+        0.0 - s * t[0] * t[1],
+        0.0 - s * t[0] * t[2],
+        s - s * t[1] * t[1],
+        0.0 - s * t[1] * t[2],
+        s - s * t[2] * t[2],
+    )
+
+
+@ti.func
+def closing_rotation(length, t, x):
+    """World rotation −l t × x that moves the end of the edge by −AᵀA x: the minimum norm for a shift of the far end."""
+    v = cross(t, x)
+    return (0.0 - length * v[0], 0.0 - length * v[1], 0.0 - length * v[2])

@@ -1,0 +1,92 @@
+"""A number per rod: the one place that knows how many rods a value holds.
+
+On a CPU a value is a pack of lanes, one rod in each, so that the vector unit works on all of them at once; on a GPU, and as
+the fallback, it is a scalar and every thread has a rod of its own. Everything else in the kernels is written without
+knowing which.
+"""
+
+from dataclasses import dataclass
+
+import taichi as ti
+
+
+@dataclass(frozen=True)
+class Number:
+    """``width`` rods in a value of ``bits``-bit floating point."""
+
+    width: int
+    bits: int
+
+    @property
+    def scalar(self):
+        """The Taichi type of one lane."""
+        return ti.f32 if self.bits == 32 else ti.f64
+
+    @property
+    def type(self):
+        """The Taichi type of a value."""
+        return self.scalar if self.width == 1 else ti.types.vector(self.width, self.scalar)
+
+    @property
+    def epsilon(self) -> float:
+        """Relative rounding of one operation."""
+        return 2.0**-24 if self.bits == 32 else 2.0**-53
+
+    def lanes(self):
+        """(largest, lane, with_lane, constant, put) as Taichi functions: see :func:`_pack_lanes`."""
+        return _scalar_lanes(self.scalar) if self.width == 1 else _pack_lanes(self.type, self.scalar)
+
+
+def _scalar_lanes(scalar):
+    @ti.func
+    def largest(value):
+        return value
+
+    @ti.func
+    def lane(value, index):
+        return value
+
+    @ti.func
+    def with_lane(value, index, new):
+        return ti.cast(new, scalar)
+
+    @ti.func
+    def constant(value):
+        return ti.cast(value, scalar)
+
+    @ti.func
+    def put(array: ti.template(), at, index, new):
+        array[at] = ti.cast(new, scalar)
+
+    return largest, lane, with_lane, constant, put
+
+
+def _pack_lanes(pack, scalar):
+    @ti.func
+    def largest(value):
+        """The largest lane. Lanes that are not a number are passed over: ask it about flags only."""
+        return value.max()
+
+    @ti.func
+    def lane(value, index):
+        """Read one lane."""
+        return value[index]
+
+    @ti.func
+    def with_lane(value, index, new):
+        """The value with one lane replaced."""
+        changed = value
+        changed[index] = ti.cast(new, scalar)
+        return changed
+
+    @ti.func
+    def constant(value):
+        """The same number in every lane."""
+        return pack(value)
+
+    @ti.func
+    def put(array: ti.template(), at, index, new):
+        """Set one lane of an array's entry."""
+        array[at][index] = ti.cast(new, scalar)
+
+    return largest, lane, with_lane, constant, put

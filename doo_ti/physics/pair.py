@@ -1,0 +1,301 @@
+"""Bend and twist energy of two neighbouring edges, with gradient and Hessian (§III-C E_bend, E_twist).
+
+The relative rotation q = conj(Q_left) Q_right = (q0, q1, q2, q3) of the two material frames says everything. With
+z = q0 + i q1, ζ = q2 + i q3 and s = |z|² two complex numbers X = ζ/z̄, Y = ζ/z hold the curvature as each frame sees it,
+
+    ω^left = −2i X,   ω^right = −2i Y   (real part: κb·m2, imaginary part: −κb·m1),
+
+and m = 2 atan2(q1, q0) is the twist. With l̄ = l_left + l_right and u = ω − ω̄ l̄/2,
+
+    E = (½/l̄) Σ_{left, right} uᵀ B u + β m²/l̄.
+
+Derivatives are with respect to body rotations (a, Ω = w2 + i w3) of the two frames; c = e^{im}/s. The twist enters the
+first and second variations through Im and Re of X Ω̄ and Y Ω̄, because a frame that tilts carries its twist along.
+
+Two variants of the same energy: isotropic (B = αI, ω̄ = 0), and any symmetric positive definite B per edge with rest
+curvature. Stiffness is passed as a tuple: isotropic (α/l̄, β/l̄), general (B_left, B_right, 1/l̄, β/l̄, u̅) with
+B = (11, 22, 12) and u̅ = ω̄ l̄/2 as (real, imaginary). The derivatives come as
+(g_left, g_right, H_left, H_right, H_across): two 3-tuples, two symmetric 6-tuples and a 9-tuple [left row, right column].
+"""
+
+import numpy as np
+import taichi as ti
+
+from doo_ti.physics.quaternion import relative_rotation
+
+
+def _arctangent_coefficients(terms: int) -> tuple[float, ...]:
+    """c_k of atan(t) = t Σ c_k t^{2k} on [−1, 1]: Chebyshev interpolation of atan(√s)/√s on s in [0, 1]."""
+
+    def ratio(s):
+        root = np.sqrt(np.maximum(s, 1e-300))
+        return np.where(s < 1e-12, 1.0, np.arctan(root) / root)
+
+    chebyshev = np.polynomial.Chebyshev.interpolate(ratio, terms - 1, domain=[0.0, 1.0])
+    return tuple(chebyshev.convert(kind=np.polynomial.Polynomial).coef)
+
+
+ARCTANGENT_32 = _arctangent_coefficients(10)
+ARCTANGENT_64 = _arctangent_coefficients(22)
+
+
+def twist_angle_function(number):
+    """m = 2 atan2(q1, q0) = 4 atan(q1/(√s + q0)) by an odd polynomial, to the rounding of ``number``."""
+    coefficients = ARCTANGENT_32 if number.bits == 32 else ARCTANGENT_64
+    reversed_coefficients = tuple(reversed(coefficients))
+    scalar = number.scalar
+
+    @ti.func
+    def twist_angle(q, root):
+        t = q[1] / (root + q[0])
+        square = t * t
+        total = 0.0 * square
+        for k in ti.static(range(len(reversed_coefficients))):
+            total = total * square + scalar(reversed_coefficients[k])
+        return 4.0 * t * total
+
+    return twist_angle
+
+
+@ti.func
+def curvature(p, q):
+    """(X, Y, 1/s, e^{im}, relative rotation, √s) of neighbouring frames p and q."""
+    r = relative_rotation(p, q)
+    s = r[0] * r[0] + r[1] * r[1]
+    inverse = 1.0 / s
+    x = ((r[0] * r[2] - r[1] * r[3]) * inverse, (r[0] * r[3] + r[1] * r[2]) * inverse)
+    y = ((r[0] * r[2] + r[1] * r[3]) * inverse, (r[0] * r[3] - r[1] * r[2]) * inverse)
+    turn = ((r[0] * r[0] - r[1] * r[1]) * inverse, 2.0 * r[0] * r[1] * inverse)
+    return x, y, inverse, turn, r, ti.sqrt(s)
+
+
+# --- isotropic: E = 4 α̂ |X|² + b m² with α̂ = α/l̄, b = β/l̄ -----------------------------------------------------------
+
+
+@ti.func
+def isotropic_energy(x, m, stiffness):
+    return 4.0 * stiffness[0] * (x[0] * x[0] + x[1] * x[1]) + stiffness[1] * m * m
+
+
+@ti.func
+def isotropic_gradient(x, y, inverse, m, stiffness):
+    """(g_left, g_right): N = 4 α̂/s, M = 2 b m."""
+    n = 4.0 * stiffness[0] * inverse
+    t = 2.0 * stiffness[1] * m
+    left = (0.0 - t, 0.0 - n * x[0] - t * x[1], t * x[0] - n * x[1])
+    right = (t, n * y[0] - t * y[1], n * y[1] + t * y[0])
+    return left, right
+
+
+@ti.func
+def isotropic_hessian(x, y, inverse, turn, m, stiffness):
+    """(H_left, H_right, H_across): K = 2b − N/2, N = 4 α̂/s, M = 2 b m."""
+    n = 4.0 * stiffness[0] * inverse
+    b2 = 2.0 * stiffness[1]
+    t = b2 * m
+    k = b2 - 0.5 * n
+    h = 1.5 * n
+    ht = 0.5 * t
+    hn = 0.5 * n
+    xrr = x[0] * x[0]
+    xri = x[0] * x[1]
+    xii = x[1] * x[1]
+    yrr = y[0] * y[0]
+    yri = y[0] * y[1]
+    yii = y[1] * y[1]
+    left = (
+        b2,
+        ht * x[0] + k * x[1],
+        ht * x[1] - k * x[0],
+        h * xrr + t * xri + k * xii + hn,
+        (h - k) * xri - ht * (xrr - xii),
+        h * xii - t * xri + k * xrr + hn,
+    )
+    right = (
+        b2,
+        ht * y[0] - k * y[1],
+        ht * y[1] + k * y[0],
+        h * yrr - t * yri + k * yii + hn,
+        (h - k) * yri + ht * (yrr - yii),
+        h * yii + t * yri + k * yrr + hn,
+    )
+    p = hn * turn[0] + ht * turn[1]
+    v = hn * turn[1] - ht * turn[0]
+    rr = x[0] * y[0]
+    ri = x[0] * y[1]
+    ir = x[1] * y[0]
+    ii = x[1] * y[1]
+    across = (
+        0.0 - b2,
+        b2 * y[1],
+        0.0 - b2 * y[0],
+        0.0 - b2 * x[1],
+        ht * (ri - ir) + k * ii - h * rr - p,
+        v - h * ri - ht * (rr + ii) - k * ir,
+        b2 * x[0],
+        ht * (rr + ii) - h * ir - k * ri - v,
+        k * rr - h * ii - ht * (ir - ri) - p,
+    )
+    return left, right, across
+
+
+# --- general: any symmetric positive definite B per edge, rest curvature ---------------------------------------------
+
+
+@ti.func
+def _applied(b, u):
+    """B u for B = (11, 22, 12)."""
+    return (b[0] * u[0] + b[2] * u[1], b[2] * u[0] + b[1] * u[1])
+
+
+@ti.func
+def _strain(x, rest):
+    """u = ω − u̅ with ω = −2i X."""
+    return (2.0 * x[1] - rest[0], 0.0 - 2.0 * x[0] - rest[1])
+
+
+@ti.func
+def general_energy(x, y, m, stiffness):
+    left = _strain(x, stiffness[4])
+    right = _strain(y, stiffness[4])
+    f = _applied(stiffness[0], left)
+    g = _applied(stiffness[1], right)
+    bend = left[0] * f[0] + left[1] * f[1] + right[0] * g[0] + right[1] * g[1]
+    return 0.5 * stiffness[2] * bend + stiffness[3] * m * m
+
+
+@ti.func
+def _times(a, b):
+    """Complex product."""
+    return (a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0])
+
+
+@ti.func
+def _inner(a, b):
+    """⟨a, b⟩ = Re(ā b)."""
+    return a[0] * b[0] + a[1] * b[1]
+
+
+@ti.func
+def _inner_i(a, b):
+    """⟨a, i b⟩."""
+    return a[1] * b[0] - a[0] * b[1]
+
+
+@ti.func
+def _moment(b, u, inverse_length):
+    """μ = 2i (B u)/l̄, so that the energy varies by ⟨μ, δX⟩."""
+    f = _applied(b, u)
+    return (0.0 - 2.0 * inverse_length * f[1], 2.0 * inverse_length * f[0])
+
+
+@ti.func
+def _bend_form(b, factor, p, q):
+    """(B δu)·δu'/l̄ for δu = −2i p, δu' = −2i q, with factor = 4/l̄."""
+    return factor * (b[1] * p[0] * q[0] - b[2] * (p[0] * q[1] + p[1] * q[0]) + b[0] * p[1] * q[1])
+
+
+@ti.func
+def _first_variation(x, y, inverse, turn):
+    """Columns of δX over (a_left, r_left, s_left, r_right, s_right) and of δY over (r_left, s_left, a_right, r_right,
+    s_right), Ω = r + i s; the missing columns are zero. And X², Y², c."""
+    xx = _times(x, x)
+    yy = _times(y, y)
+    c = (turn[0] * inverse, turn[1] * inverse)
+    of_x = (
+        (x[1], 0.0 - x[0]),
+        (0.0 - 0.5 - 0.5 * xx[0], 0.0 - 0.5 * xx[1]),
+        (0.0 - 0.5 * xx[1], 0.5 * xx[0] - 0.5),
+        (0.5 * c[0], 0.5 * c[1]),
+        (0.0 - 0.5 * c[1], 0.5 * c[0]),
+    )
+    of_y = (
+        (0.0 - 0.5 * c[0], 0.5 * c[1]),
+        (0.0 - 0.5 * c[1], 0.0 - 0.5 * c[0]),
+        (y[1], 0.0 - y[0]),
+        (0.5 + 0.5 * yy[0], 0.5 * yy[1]),
+        (0.5 * yy[1], 0.5 - 0.5 * yy[0]),
+    )
+    return of_x, of_y, xx, yy, c
+
+
+@ti.func
+def general_gradient(x, y, inverse, turn, m, stiffness):
+    """⟨μ, δX⟩ + ⟨ν, δY⟩ + M δm with μ, ν the moments of the left and right frame and M = 2 b m."""
+    mu = _moment(stiffness[0], _strain(x, stiffness[4]), stiffness[2])
+    nu = _moment(stiffness[1], _strain(y, stiffness[4]), stiffness[2])
+    t = 2.0 * stiffness[3] * m
+    dx, dy, xx, yy, c = _first_variation(x, y, inverse, turn)
+    left = (
+        _inner(mu, dx[0]) - t,
+        _inner(mu, dx[1]) + _inner(nu, dy[0]) - t * x[1],
+        _inner(mu, dx[2]) + _inner(nu, dy[1]) + t * x[0],
+    )
+    right = (
+        _inner(nu, dy[2]) + t,
+        _inner(mu, dx[3]) + _inner(nu, dy[3]) - t * y[1],
+        _inner(mu, dx[4]) + _inner(nu, dy[4]) + t * y[0],
+    )
+    return left, right
+
+
+@ti.func
+def general_hessian(x, y, inverse, turn, m, stiffness):
+    """Σ (δu)ᵀB(δu)/l̄ + 2b δm² + ⟨μ, δ²X⟩ + ⟨ν, δ²Y⟩ + M δ²m."""
+    b_left = stiffness[0]
+    b_right = stiffness[1]
+    mu = _moment(b_left, _strain(x, stiffness[4]), stiffness[2])
+    nu = _moment(b_right, _strain(y, stiffness[4]), stiffness[2])
+    f = 4.0 * stiffness[2]
+    b2 = 2.0 * stiffness[3]
+    h = 0.5 * b2 * m  # M/2
+    dx, dy, xx, yy, c = _first_variation(x, y, inverse, turn)
+    xxx = _times(xx, x)
+    yyy = _times(yy, y)
+    c_bar = (c[0], 0.0 - c[1])
+    cx_bar = _times(c_bar, (x[0], 0.0 - x[1]))
+    cy_bar = _times(c, (y[0], 0.0 - y[1]))
+    cx = _times(c, x)
+    cy = _times(c_bar, y)
+    left = (
+        _bend_form(b_left, f, dx[0], dx[0]) + b2 - _inner(mu, x),
+        _bend_form(b_left, f, dx[0], dx[1]) + b2 * x[1] + 0.75 * _inner_i(mu, xx) + 0.25 * mu[1]
+        - 0.25 * _inner_i(nu, c_bar) + h * x[0],
+        _bend_form(b_left, f, dx[0], dx[2]) - b2 * x[0] + 0.75 * _inner(mu, xx) - 0.25 * mu[0]
+        + 0.25 * _inner(nu, c_bar) + h * x[1],
+        _bend_form(b_left, f, dx[1], dx[1]) + _bend_form(b_right, f, dy[0], dy[0]) + b2 * x[1] * x[1]
+        + 0.5 * (_inner(mu, x) + _inner(mu, xxx) + _inner(nu, cx_bar)) + h * xx[1],
+        _bend_form(b_left, f, dx[1], dx[2]) + _bend_form(b_right, f, dy[0], dy[1]) - b2 * x[0] * x[1]
+        + 0.5 * (_inner_i(nu, cx_bar) - _inner_i(mu, xxx)) - h * xx[0],
+        _bend_form(b_left, f, dx[2], dx[2]) + _bend_form(b_right, f, dy[1], dy[1]) + b2 * x[0] * x[0]
+        + 0.5 * (_inner(mu, x) - _inner(mu, xxx) - _inner(nu, cx_bar)) - h * xx[1],
+    )
+    right = (
+        _bend_form(b_right, f, dy[2], dy[2]) + b2 - _inner(nu, y),
+        _bend_form(b_right, f, dy[2], dy[3]) - b2 * y[1] - 0.75 * _inner_i(nu, yy) - 0.25 * nu[1]
+        + 0.25 * _inner_i(mu, c) + h * y[0],
+        _bend_form(b_right, f, dy[2], dy[4]) + b2 * y[0] - 0.75 * _inner(nu, yy) + 0.25 * nu[0]
+        - 0.25 * _inner(mu, c) + h * y[1],
+        _bend_form(b_left, f, dx[3], dx[3]) + _bend_form(b_right, f, dy[3], dy[3]) + b2 * y[1] * y[1]
+        + 0.5 * (_inner(nu, y) + _inner(nu, yyy) + _inner(mu, cy_bar)) - h * yy[1],
+        _bend_form(b_left, f, dx[3], dx[4]) + _bend_form(b_right, f, dy[3], dy[4]) - b2 * y[0] * y[1]
+        + 0.5 * (_inner_i(mu, cy_bar) - _inner_i(nu, yyy)) + h * yy[0],
+        _bend_form(b_left, f, dx[4], dx[4]) + _bend_form(b_right, f, dy[4], dy[4]) + b2 * y[0] * y[0]
+        + 0.5 * (_inner(nu, y) - _inner(nu, yyy) - _inner(mu, cy_bar)) + h * yy[1],
+    )
+    across = (
+        0.0 - b2,
+        _bend_form(b_left, f, dx[0], dx[3]) + b2 * y[1] - 0.5 * _inner_i(mu, c),
+        _bend_form(b_left, f, dx[0], dx[4]) - b2 * y[0] + 0.5 * _inner(mu, c),
+        _bend_form(b_right, f, dy[0], dy[2]) - b2 * x[1] + 0.5 * _inner_i(nu, c_bar),
+        _bend_form(b_left, f, dx[1], dx[3]) + _bend_form(b_right, f, dy[0], dy[3]) + b2 * x[1] * y[1]
+        - 0.5 * (_inner(mu, cx) + _inner(nu, cy)) - h * c[1],
+        _bend_form(b_left, f, dx[1], dx[4]) + _bend_form(b_right, f, dy[0], dy[4]) - b2 * x[1] * y[0]
+        + 0.5 * (_inner_i(nu, cy) - _inner_i(mu, cx)) - h * c[0],
+        _bend_form(b_right, f, dy[1], dy[2]) + b2 * x[0] - 0.5 * _inner(nu, c_bar),
+        _bend_form(b_left, f, dx[2], dx[3]) + _bend_form(b_right, f, dy[1], dy[3]) - b2 * x[0] * y[1]
+        + 0.5 * (_inner_i(mu, cx) - _inner_i(nu, cy)) + h * c[0],
+        _bend_form(b_left, f, dx[2], dx[4]) + _bend_form(b_right, f, dy[1], dy[4]) + b2 * x[0] * y[0]
+        - 0.5 * (_inner(mu, cx) + _inner(nu, cy)) - h * c[1],
+    )
+    return left, right, across

@@ -1,0 +1,293 @@
+"""The recording of a run for the rerun viewer: rods over solver iterations, landscape, curves, summary.
+
+Only this module imports rerun; import it where it is used, not at a module's top: that takes half a second.
+Entities, timelines and counts: docs/recording.md. Axes: T iterations, D observations (one rod each), V vertices.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow
+import rerun
+import rerun.blueprint as blueprint
+
+from doo_ti import report
+from doo_ti.contact_sheet import Sheet, contact_sheet, observation_names
+from doo_ti.errors import InputError
+from doo_ti.grid import UNITS, Interval
+from doo_ti.landscape import Plane, plane as landscape_plane
+from doo_ti.types import Status
+
+FILE = "run.rrd"
+LABEL = "mean distance (Eq. 1) [mm]"
+BLOCK = 10
+"""Iterations sent at once."""
+SURFACE_HEIGHT = 0.6
+"""Height of the surface's highest cell over its base, the unit square."""
+OBSERVED, FAILED, TEXT, MINIMUM = (235, 235, 235), (255, 46, 99), (175, 175, 175), (255, 46, 99)
+
+
+def record_sweep(path, *, run_id: str, name: str, observations_vertices, labels, trajectory, energy, residual, status,
+                 distance, properties: dict, axes=(), landscape=None, minimum=None, valley=None, unfinished=None,
+                 intervals: tuple[Interval, ...] = (), order=None, up=(0, 0, 1)) -> None:
+    """Write the recording ``path``, its layout inside.
+
+    observations_vertices  (D, V, 3) mm, NaN where a mark is missing
+    labels                 {"end_distance_mm": (D,), "end_rotation_deg": (D,)}: the first makes the columns of the contact
+                           sheet, the second its rows; None or empty: reading order
+    trajectory             (T, D, V, 3) mm, the rods of the best cell; a rod with a NaN in it is not drawn
+    energy, residual       (T, D): relative to weight, mm²; scaled residual, 1/mm. NaN after a rod's end: its last stands
+    status, distance       (D,): Status; Eq. 1, mm
+    properties             {name: number, text or list of them}: in the summary and as properties of the recording
+    axes, landscape, minimum, valley, unfinished
+                           as `report.landscape_picture` takes them; left out for a single relaxation
+    intervals              of the parameters, as `grid.valley` finds them, for the summary
+    order                  (N,) flat grid index of the cell each trial evaluated; default: grid order
+    up                     direction against gravity
+    """
+    vertices, trajectory = np.asarray(observations_vertices, float), np.asarray(trajectory, float)
+    status, distance = np.asarray(status), np.asarray(distance, float)
+    sheet, names = contact_sheet(vertices, labels, up), observation_names(labels, len(vertices))
+    plane = None if landscape is None else landscape_plane(axes, landscape, minimum, valley, unfinished)
+    stream = rerun.RecordingStream("doo_ti", recording_id=run_id)
+    stream.set_log_time_enabled(False)
+    stream.set_log_tick_enabled(False)
+    part = Path(path).with_name(Path(path).name + ".part")  # nobody meets a file that is still being written
+    stream.save(part, default_blueprint=_layout(sheet, plane))
+    stream.send_recording_name(name)
+    if properties:
+        stream.send_property("run", rerun.AnyValues(**properties))
+    _log_observations(stream, sheet, vertices, names)
+    _log_rods(stream, sheet, trajectory, names, status, distance)
+    _log_curves(stream, np.asarray(energy, float), np.asarray(residual, float))
+    if plane is not None:
+        picture = report.landscape_image(axes, landscape, minimum=minimum, valley=valley, title=name, label=LABEL,
+                                         unfinished=unfinished)
+        stream.log("landscape/picture", rerun.Image(picture), static=True)
+        _log_surface(stream, plane)
+        _log_cells(stream, plane, np.asarray(landscape, float), axes, order)
+    text = _summary(name, intervals, names, status, distance, properties)
+    stream.log("summary", rerun.TextDocument(text, media_type="text/markdown"), static=True)
+    stream.flush(timeout_sec=60)
+    stream.disconnect()
+    os.replace(part, path)
+
+
+def record_relaxation(path, **run) -> None:
+    """The recording of ``doo-ti relax``: `record_sweep` without axes, landscape and what goes with them."""
+    record_sweep(path, **run)
+
+
+def open_viewer(path) -> int:
+    """Open a run's recording (the run's folder or the .rrd file) in the rerun viewer; returns the viewer's exit code.
+
+    Raises InputError where there is no recording.
+    """
+    return _viewer(path)
+
+
+def save_screenshot(path, picture, size=(1600, 900)) -> int:
+    """Write what the viewer shows as a PNG, without a display (needs a Vulkan driver; mesa's in software will do)."""
+    return _viewer(path, "--headless", "--screenshot-to", str(picture), "--window-size", "{}x{}".format(*size))
+
+
+def _viewer(path, *options: str) -> int:
+    file = Path(path) / FILE if Path(path).is_dir() else Path(path)
+    if not file.is_file():
+        raise InputError(path, FILE, "there is no recording", "name a folder that doo-ti sweep has written")
+    # Left alone the viewer listens on every network interface and reports its use; CI=true stops the reports.
+    command = [sys.executable, "-m", "rerun_cli", "--bind", "127.0.0.1", "--port", "auto", *options, str(file)]
+    return subprocess.run(command, env=os.environ | {"CI": "true"}, check=False).returncode
+
+
+def _log_observations(stream, sheet: Sheet, vertices: np.ndarray, names: list[str]) -> None:
+    """Observed marks and the lines through them; a missing mark is left out."""
+    present = np.isfinite(vertices).all(axis=-1)
+    placed = (vertices + sheet.offset[:, None]).astype(np.float32)
+    directions = {2: "Z", 1: "Y", 0: "X"}
+    axis = int(np.argmax(np.abs(sheet.basis[2])))
+    up = f"RIGHT_HAND_{directions[axis]}_{'UP' if sheet.basis[2][axis] > 0 else 'DOWN'}"
+    stream.log("world", getattr(rerun.ViewCoordinates, up), static=True)
+    strips = [rod[mask] for rod, mask in zip(placed, present, strict=True)]
+    stream.log("world/observations", rerun.LineStrips3D(
+        strips, colors=OBSERVED, radii=rerun.Radius.ui_points(0.6), labels=names, show_labels=False),
+        rerun.AnyValues(offset_mm=_vectors(sheet.offset)), static=True)
+    stream.log("world/observations/marks", rerun.Points3D(
+        placed[present], colors=OBSERVED, radii=rerun.Radius.ui_points(1.6)), static=True)
+    if sheet.headings:
+        texts, places = zip(*sheet.headings, strict=True)
+        stream.log("world/headings", rerun.Points3D(
+            np.stack(places), labels=texts, show_labels=True, colors=TEXT, radii=rerun.Radius.ui_points(0.0)), static=True)
+
+
+def _log_rods(stream, sheet: Sheet, trajectory: np.ndarray, names: list[str], status, distance) -> None:
+    """One entity for all rods, one instance per rod: a rod per entity makes files and viewer slow."""
+    colors = np.where((status == Status.CONVERGED)[:, None], report.distance_colors(distance), FAILED)
+    labels = [f"{name}: {report.quantity(d, 'mm')}, {Status(s).name.lower().replace('_', ' ')}"
+              for name, d, s in zip(names, distance, status, strict=True)]
+    stream.log("world/rods", rerun.LineStrips3D.from_fields(
+        colors=colors.astype(np.uint8), radii=rerun.Radius.ui_points(1.5), labels=labels, show_labels=False),
+        rerun.AnyValues(offset_mm=_vectors(sheet.offset)), static=True)
+    for start in range(0, len(trajectory), BLOCK):
+        rods = (trajectory[start:start + BLOCK] + sheet.offset[:, None]).astype(np.float32)
+        steps, count, marks, _ = rods.shape
+        strips = rods.reshape(-1, marks, 3)
+        if not np.isfinite(strips).all():  # an empty strip keeps the rod's instance index and draws nothing
+            strips = [rod if np.isfinite(rod).all() else rod[:0] for rod in strips]
+        stream.send_columns("world/rods", [rerun.TimeColumn("iteration", sequence=np.arange(start, start + steps))],
+                            rerun.LineStrips3D.columns(strips=strips).partition([count] * steps))
+
+
+def _log_curves(stream, energy: np.ndarray, residual: np.ndarray) -> None:
+    """Statistics over the rods: curves of single rods would hide the one that matters among many."""
+    energy, residual = _held(energy), _held(residual)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        residual = np.where(residual > 0, np.log10(residual), np.nan)
+    curves = {
+        "energy/mean": ("mean energy [mm²]", np.nanmean, energy, (45, 212, 191)),
+        "energy/median": ("median energy [mm²]", np.nanmedian, energy, (125, 170, 255)),
+        "residual/median": ("median log10 residual [1/mm]", np.nanmedian, residual, (125, 170, 255)),
+        "residual/largest": ("largest log10 residual [1/mm]", np.nanmax, residual, FAILED),
+    }
+    for entity, (name, statistic, values, color) in curves.items():
+        some = np.isfinite(values).any(axis=1)
+        if some.any():
+            stream.log(f"curves/{entity}", rerun.SeriesLines(names=name, colors=color, widths=2), static=True)
+            stream.send_columns(f"curves/{entity}", [rerun.TimeColumn("iteration", sequence=np.flatnonzero(some))],
+                                rerun.Scalars.columns(scalars=statistic(values[some], axis=1)))
+
+
+def _log_surface(stream, plane: Plane) -> None:
+    """The landscape as a surface over the unit square (on log axes, of the logarithms), height in proportion to mm."""
+    height = _height(plane, plane.values)
+    points = np.stack([*np.meshgrid(*_unit_axes(plane), indexing="ij"), height], axis=-1)
+    colors = report.landscape_colors(plane.values, plane.values)
+    inside = np.isfinite(height)
+    quads = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]
+    index = np.full(height.shape, -1)
+    index[inside] = np.arange(inside.sum())
+    corner = index[:-1, :-1][quads], index[1:, :-1][quads], index[1:, 1:][quads], index[:-1, 1:][quads]
+    if quads.any():
+        triangles = np.concatenate([np.stack([corner[0], corner[1], corner[2]], -1),
+                                    np.stack([corner[0], corner[2], corner[3]], -1)])
+        stream.log("landscape/surface", rerun.Mesh3D(
+            vertex_positions=points[inside], triangle_indices=triangles, vertex_colors=colors[inside]), static=True)
+    _log_surface_axes(stream, plane)
+    if plane.minimum is not None:
+        stream.log("landscape/surface/minimum", rerun.Points3D(
+            [points[plane.minimum]], labels=[report.quantity(plane.values[plane.minimum], "mm")], show_labels=True,
+            colors=MINIMUM, radii=rerun.Radius.ui_points(6)), static=True)
+
+
+def _log_surface_axes(stream, plane: Plane) -> None:
+    """A frame around the surface's base, with the ends of the axes and the height written to it."""
+    top = SURFACE_HEIGHT
+    strips = [np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 0)]), np.array([(0, 1, 0), (0, 1, top)])]
+    texts, places = [], []
+    ends = (((0.0, -0.06, 0), (0.5, -0.16, 0), (1.0, -0.06, 0)), ((1.06, 0.0, 0), (1.16, 0.5, 0), (1.06, 1.0, 0)))
+    for axis, (first, middle, last) in zip(plane.axes, ends, strict=False):
+        low, *_, high = (axis[1][0], axis[1][-1])
+        texts += [report.quantity(low), report.axis_label(axis), report.quantity(high)]
+        places += [first, middle, last]
+    if np.isfinite(plane.values).any():
+        texts += ["0 mm", report.quantity(np.nanmax(plane.values), "mm"), "mean distance"]
+        places += [(-0.06, 1, 0), (-0.06, 1, top), (0, 1, top + 0.08)]
+    stream.log("landscape/surface/axes", rerun.LineStrips3D(
+        strips, colors=TEXT, radii=rerun.Radius.ui_points(0.7)), static=True)
+    stream.log("landscape/surface/axes/labels", rerun.Points3D(
+        places, labels=texts, show_labels=True, colors=TEXT, radii=rerun.Radius.ui_points(0)), static=True)
+
+
+def _log_cells(stream, plane: Plane, landscape: np.ndarray, axes, order) -> None:
+    """One point per evaluated cell, on the trial that evaluated it; cells without a value have none."""
+    order = np.arange(landscape.size) if order is None else np.asarray(order).reshape(-1)
+    values = landscape.reshape(-1)[order]
+    trial = np.flatnonzero(np.isfinite(values))
+    if not trial.size:
+        return
+    index = dict(zip((axis[0] for axis in axes), np.unravel_index(order[trial], landscape.shape), strict=True))
+    x, y = _unit_axes(plane)
+    first, *rest = (index[axis[0]] for axis in plane.axes)
+    points = np.stack([x[first], y[rest[0]] if rest else 0 * x[first], _height(plane, values[trial])], axis=-1)
+    stream.log("landscape/cells", rerun.Points3D.from_fields(radii=rerun.Radius.ui_points(3.5)), static=True)
+    stream.send_columns("landscape/cells", [rerun.TimeColumn("trial", sequence=trial)], rerun.Points3D.columns(
+        positions=points.astype(np.float32), colors=report.landscape_colors(values[trial], plane.values),
+        labels=[report.quantity(value, "mm") for value in values[trial]], show_labels=np.zeros(len(trial), bool)))
+
+
+def _layout(sheet: Sheet, plane: Plane | None) -> blueprint.Blueprint:
+    """Rods and curves on the left, landscape and summary on the right."""
+    width, height = sheet.extent
+    away = 0.5 * max(height, width / 1.35) / np.tan(np.radians(27.5))
+    rods = blueprint.Spatial3DView(
+        name="Rods (coloured) on observed marks (white), mm", origin="world", line_grid=False, background=[16, 18, 22],
+        eye_controls=blueprint.EyeControls3D(
+            kind=blueprint.Eye3DKind.Orbital, look_target=sheet.centre, eye_up=sheet.basis[2],
+            position=sheet.centre - away * sheet.basis[1]))
+    plots = [blueprint.TimeSeriesView(name=name, origin=f"curves/{entity}", plot_legend=blueprint.Corner2D.RightTop)
+             for entity, name in (("energy", "Energy [mm²]"), ("residual", "log10 scaled residual [1/mm]"))]
+    left = blueprint.Vertical(rods, blueprint.Horizontal(*plots), row_shares=[3, 1.3])
+    summary = blueprint.TextDocumentView(name="Summary", origin="summary")
+    time = blueprint.TimePanel(state="collapsed", timeline="iteration", play_state="paused")
+    panels = (blueprint.BlueprintPanel(state="collapsed"), blueprint.SelectionPanel(state="collapsed"), time)
+    if plane is None:
+        return blueprint.Blueprint(blueprint.Horizontal(left, summary, column_shares=[2.4, 1]), *panels)
+    surface = blueprint.Spatial3DView(
+        name="Surface and trials", origin="landscape", contents=["$origin/surface/**", "$origin/cells"],
+        line_grid=False, background=[16, 18, 22],
+        eye_controls=blueprint.EyeControls3D(
+            kind=blueprint.Eye3DKind.Orbital, position=(1.6, -1.5, 1.3), look_target=(0.5, 0.5, 0.15), eye_up=(0, 0, 1)),
+        time_ranges=blueprint.VisibleTimeRange("trial", start=blueprint.TimeRangeBoundary.infinite(),
+                                               end=blueprint.TimeRangeBoundary.cursor_relative()))
+    picture = blueprint.Spatial2DView(name="Landscape", origin="landscape/picture")
+    right = blueprint.Vertical(blueprint.Tabs(picture, surface), summary, row_shares=[3, 2])
+    return blueprint.Blueprint(blueprint.Horizontal(left, right, column_shares=[1.25, 1]), *panels)
+
+
+def _summary(name: str, intervals: tuple[Interval, ...], names, status, distance, properties: dict) -> str:
+    """Best Θ with its interval, how the rods ended, and the properties, in Markdown."""
+    lines = [f"# {name}", ""]
+    if intervals:
+        lines += ["| Θ | best | within 5 % of the minimum |", "|---|---|---|"]
+        lines += [f"| {report.SYMBOLS[i.name]} | **{report.quantity(i.best, UNITS[i.name])}** "
+                  f"| {'≤ ' * i.low_is_open}{report.quantity(i.low)} … {'≥ ' * i.high_is_open}{report.quantity(i.high)} |"
+                  for i in intervals]
+    finite = np.isfinite(distance)
+    if finite.any():
+        worst = int(np.nanargmax(distance))
+        lines += ["", f"Distance (Eq. 1) over {finite.sum()} rods: mean **{report.quantity(np.mean(distance[finite]), 'mm')}**, "
+                      f"median {report.quantity(np.median(distance[finite]), 'mm')}, "
+                      f"largest {report.quantity(distance[worst], 'mm')} ({names[worst]})."]
+    counts = [f"{np.sum(status == kind)} {kind.name.lower().replace('_', ' ')}" for kind in Status if (status == kind).any()]
+    lines += ["", f"Rods at this Θ: {', '.join(counts)}.", "", "Rod colour: distance, from teal (smallest) to yellow "
+              "(largest); red did not converge. Timelines: `iteration` (solver), `trial` (cells of the grid).", ""]
+    if properties:
+        lines += ["| property | |", "|---|---|", *(f"| {key} | {value} |" for key, value in properties.items())]
+    return "\n".join(lines)
+
+
+def _held(values: np.ndarray) -> np.ndarray:
+    """(T, D) with each NaN replaced by the rod's last finite value before it."""
+    last = np.where(np.isfinite(values), np.arange(len(values))[:, None], 0)
+    return np.take_along_axis(values, np.maximum.accumulate(last, axis=0), axis=0)
+
+
+def _vectors(array: np.ndarray) -> pyarrow.Array:
+    return pyarrow.FixedSizeListArray.from_arrays(pyarrow.array(array.astype(np.float32).reshape(-1)), 3)
+
+
+def _unit_axes(plane: Plane) -> list[np.ndarray]:
+    """The axes' values on [0, 1]; an axis of one value, and the missing one of a line, at 0."""
+    units = []
+    for _, values, is_log, _ in plane.axes:
+        values = np.log(values) if is_log else np.asarray(values, float)
+        units.append((values - values[0]) / ((values[-1] - values[0]) or 1.0))
+    return units + [np.zeros(1)] * (2 - len(units))
+
+
+def _height(plane: Plane, values: np.ndarray) -> np.ndarray:
+    finite = plane.values[np.isfinite(plane.values)]
+    return SURFACE_HEIGHT * values / (finite.max() if finite.size and finite.max() > 0 else 1.0)

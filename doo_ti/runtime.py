@@ -1,0 +1,40 @@
+"""The one place that starts Taichi.
+
+Started on first use, on the calling thread, so that importing the package costs nothing and worker processes (spawned, never
+forked) start their own. The settings are measured ones: packs stay vectors in the generated code, and the loop over
+threads is not cut into blocks.
+"""
+
+import os
+
+_architecture: str | None = None
+
+
+def start(architecture: str = "cpu", threads: int | None = None) -> str:
+    """Start Taichi once; later calls return the architecture that runs. ``threads`` defaults to all processors."""
+    global _architecture
+    if _architecture is None:
+        os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+        import taichi as ti
+
+        count = {} if threads is None else {"cpu_max_num_threads": threads}
+        ti.init(
+            arch={"cpu": ti.cpu, "cuda": ti.cuda}[architecture],
+            default_fp=ti.f32,
+            fast_math=False,
+            real_matrix_scalarize=False,
+            make_cpu_multithreading_loop=False,
+            cpu_block_dim_adaptive=False,
+            offline_cache=True,
+            log_level=ti.ERROR,
+            **count,
+        )
+        _architecture = architecture
+    return _architecture
+
+
+def thread_count() -> int:
+    """How many threads the kernels use on a CPU."""
+    import taichi as ti
+
+    return ti.lang.impl.current_cfg().cpu_max_num_threads

@@ -1,0 +1,254 @@
+"""Scenes: an experiment in one TOML file, its observations, the grid to search and how (§V-A).
+
+    name = "silk"                 # the rod's material
+    frame_weight_mm = 0.0         # w_m of Eq. 1
+    clamp_start = "frame"         # position, tangent, frame or free; left out: the frame where it is given, else the tangent
+    clamp_end = "frame"
+    objective = "static"          # Eq. 2
+    precision = "f32"             # f32, f64 or mixed
+
+    [observations]                # a file, its path relative to the scene …
+    file = "silk.npz"
+
+    [synthesis]                   # … or the virtual lab: the fields of Synthesis
+    bend = 1.5e5
+    twist = 5e4
+
+    [grid]                        # axes as the command line writes them
+    bend = "5e4:1e7:25"
+    twist_ratio = "0.1:6:25"
+"""
+
+import hashlib
+import math
+import os
+import tomllib
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.grid import UNITS, Grid, parse_axis, parse_bend
+from doo_ti.types import Clamp, Material
+
+OBJECTIVES = ("static",)
+PRECISIONS = ("f32", "f64", "mixed")
+CLAMPS = tuple(kind.name.lower() for kind in Clamp)
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """What the virtual lab makes: one rod, its ends held at each distance and turned to each rotation.
+
+    bend, twist, weight    Θ of the rod, mm³ and relative; bend is α or a 2×2 matrix B
+    name                   what the rod is called
+    seed                   of rest curvature and label noise
+    length_mm, marks       the rod and the number V of marks on it, evenly spaced, ends included
+    fine_edge_mm           edge length of the mesh that is relaxed; marks and clips lie on its vertices
+    end_distances_mm, end_rotations_deg   every distance with every rotation
+    rest_curvature_rms_per_mm             of the random curvature of the rod at rest
+    clip_mm                length of rod held at each end
+    label_noise_mm         standard deviation of each coordinate of the marks that no clip holds
+    start_direction, end_direction        where the clips point along the rod; clips on one line would hide Θ
+    frames                 whether the material frames are labelled too (ribbons)
+
+    Raises InputError for values out of range.
+    """
+
+    bend: float | tuple
+    twist: float
+    weight: float = 1.0
+    name: str = "rod"
+    seed: int = 0
+    length_mm: float = 99.0
+    marks: int = 34
+    fine_edge_mm: float = 1.0
+    end_distances_mm: tuple[float, ...] = (30.0, 42.0, 54.0, 66.0, 78.0, 90.0)
+    end_rotations_deg: tuple[float, ...] = tuple(30.0 * k for k in range(10))
+    rest_curvature_rms_per_mm: float = 1 / 900
+    clip_mm: float = 3.0
+    label_noise_mm: float = 0.12
+    start_direction: tuple[float, float, float] = (0.94, 0.0, 0.34)
+    end_direction: tuple[float, float, float] = (0.85, 0.22, -0.48)
+    frames: bool = False
+    source: str = "synthesis"
+
+    def __post_init__(self):
+        for field in fields(self):
+            value = _convert(self.source, field.name, getattr(self, field.name))
+            object.__setattr__(self, field.name, value)
+        self._require("seed", self.seed >= 0, "0 or more")
+        self._require("marks", self.marks >= 3, "3 or more")
+        for name in ("length_mm", "fine_edge_mm", "clip_mm", "twist"):
+            self._require(name, getattr(self, name) > 0, "a positive number")
+        for name in ("weight", "rest_curvature_rms_per_mm", "label_noise_mm"):
+            self._require(name, getattr(self, name) >= 0, "zero or a positive number")
+        for name, length in (("marks", self.length_mm / (self.marks - 1)), ("clip_mm", self.clip_mm)):
+            count = length / self.fine_edge_mm
+            self._require(name, round(count) >= 1 and math.isclose(count, round(count), rel_tol=1e-6),
+                          f"a spacing of marks and a clip that are multiples of fine_edge_mm = {self.fine_edge_mm:g}")
+        self._require("clip_mm", 2 * self.clip_mm < self.length_mm, "clips shorter than half the rod")
+        for name in ("end_distances_mm", "end_rotations_deg"):
+            values = getattr(self, name)
+            self._require(name, len(values) > 0 and len(set(values)) == len(values), "different numbers, at least one")
+        distances = self.end_distances_mm
+        self._require("end_distances_mm", 0 < min(distances) and max(distances) < self.length_mm,
+                      f"distances between 0 and length_mm = {self.length_mm:g}")
+        for name in ("start_direction", "end_direction"):
+            direction = getattr(self, name)
+            self._require(name, len(direction) == 3 and 0 < np.linalg.norm(direction) < np.inf, "a vector X, Y, Z")
+        first, mixed, same, second = np.ravel(np.array(self.bend) * np.eye(2) if np.ndim(self.bend) == 0 else self.bend)
+        self._require("bend", mixed == same and first > 0 and first * second > mixed**2, "a positive definite B")
+
+    def material(self) -> Material:
+        """Θ, straight at rest: the table of one material."""
+        return Material(np.array(self.bend), self.twist, self.weight)
+
+    def _require(self, name: str, holds: bool, remedy: str) -> None:
+        if not holds:
+            raise InputError(self.source, f"synthesis.{name}", f"{getattr(self, name)!r} is out of range", f"give {remedy}")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One experiment: what was observed, or how to synthesise it, and the search over Θ.
+
+    observations  the file, or the recipe
+    frame_weight  w_m of Eq. 1, mm
+    clamp_start, clamp_end  Clamp, or None: the frame where it is given, else the tangent
+    """
+
+    name: str
+    observations: Path | Synthesis
+    grid: Grid
+    frame_weight: float = 0.0
+    clamp_start: Clamp | None = None
+    clamp_end: Clamp | None = None
+    objective: str = "static"
+    precision: str = "f32"
+    source: str = "scene"
+    sha256: str = ""
+
+
+def load_scene(path: str | os.PathLike) -> Scene:
+    """The scene of a TOML file. Raises InputError for unreadable files, unknown keys, wrong types and values."""
+    path = Path(path)
+    try:
+        content = path.read_bytes()
+        table = tomllib.loads(content.decode())
+    except OSError as error:
+        raise InputError(path, "file", (error.strerror or str(error)).lower(), "name a readable scene") from None
+    except ValueError as error:
+        raise InputError(path, "file", f"not TOML ({error})", "correct the scene") from None
+    known = ("name", "frame_weight_mm", "clamp_start", "clamp_end", "objective", "precision", "observations", "synthesis",
+             "grid")
+    _check_keys(path, "", table, known)
+    if ("observations" in table) == ("synthesis" in table):
+        raise InputError(path, "observations", "neither or both of [observations] and [synthesis]", "give one of them")
+    name = _text(path, "name", table.get("name", path.stem))
+    return Scene(
+        name=name,
+        observations=_observations(path, table) if "observations" in table else _synthesis(path, name, table),
+        grid=_grid(path, _section(path, table, "grid")),
+        frame_weight=_weight(path, table.get("frame_weight_mm", 0.0)),
+        clamp_start=_clamp(path, table, "clamp_start"),
+        clamp_end=_clamp(path, table, "clamp_end"),
+        objective=_choice(path, "objective", table.get("objective", "static"), OBJECTIVES),
+        precision=_choice(path, "precision", table.get("precision", "f32"), PRECISIONS),
+        source=str(path),
+        sha256=hashlib.sha256(content).hexdigest(),
+    )
+
+
+def _check_keys(path, section: str, table: dict, known) -> None:
+    unknown = [key for key in table if key not in known]
+    if unknown:
+        where = f"{section}.{unknown[0]}" if section else unknown[0]
+        raise InputError(path, where, "unknown scene key", f"the keys are {', '.join(known)}")
+
+
+def _section(path, table: dict, key: str) -> dict:
+    if not isinstance(table.get(key), dict):
+        problem = "missing" if key not in table else f"{table[key]!r} is no table"
+        raise InputError(path, key, problem, f"add the table [{key}]")
+    return table[key]
+
+
+def _observations(path: Path, table: dict) -> Path:
+    section = _section(path, table, "observations")
+    _check_keys(path, "observations", section, ("file",))
+    if "file" not in section:
+        raise InputError(path, "observations.file", "missing", 'give file = "…", relative to the scene')
+    return path.parent / _text(path, "observations.file", section["file"])
+
+
+def _synthesis(path: Path, name: str, table: dict) -> Synthesis:
+    section = _section(path, table, "synthesis")
+    known = [field.name for field in fields(Synthesis) if field.name not in ("name", "source")]
+    _check_keys(path, "synthesis", section, known)
+    for needed in ("bend", "twist"):
+        if needed not in section:
+            raise InputError(path, f"synthesis.{needed}", "missing", f"give the rod's {needed} in mm³")
+    return Synthesis(**section, name=name, source=str(path))
+
+
+def _grid(path: Path, section: dict) -> Grid:
+    _check_keys(path, "grid", section, tuple(UNITS))
+    axes, bend_12 = [], 0.0
+    for name, value in section.items():
+        if isinstance(value, bool) or not isinstance(value, (str, int, float)):
+            raise InputError(path, f"grid.{name}", f"{value!r} is no axis", 'give a number or "LO:HI:N[:log|:lin]"')
+        if name == "bend":
+            found, bend_12 = parse_bend(str(value), name, str(path))
+            axes += found
+        else:
+            axes.append(parse_axis(name, str(value), str(path)))
+    return Grid(tuple(axes), bend_12, str(path))
+
+
+def _weight(path: Path, value) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < math.inf:
+        raise InputError(path, "frame_weight_mm", f"{value!r} is no length", "give zero or a positive number of mm")
+    return float(value)
+
+
+def _clamp(path: Path, table: dict, key: str) -> Clamp | None:
+    return Clamp[_choice(path, key, table[key], CLAMPS).upper()] if key in table else None
+
+
+def _choice(path: Path, key: str, value, choices: tuple[str, ...]) -> str:
+    if value not in choices:
+        raise InputError(path, key, f"{value!r} is none of the choices", f"give one of {', '.join(choices)}")
+    return value
+
+
+def _text(path: Path, key: str, value) -> str:
+    if not isinstance(value, str) or not value:
+        raise InputError(path, key, f"{value!r} is no text", "give text in quotes")
+    return value
+
+
+def _convert(source: str, name: str, value):
+    """A field of Synthesis in its type. Raises InputError where it has another."""
+    kind = {field.name: field.type for field in fields(Synthesis)}[name]
+    what = {str: "text", int: "a whole number", bool: "true or false", float: "a finite number"}.get(
+        kind, "a positive number or a matrix [[A1, A12], [A12, A2]]" if name == "bend" else "a list of finite numbers")
+    try:
+        if kind in (str, int, bool):
+            if type(value) is not kind:
+                raise TypeError
+            return value
+        return _finite(value, matrix=name == "bend", scalar=kind is float)
+    except (TypeError, ValueError):
+        raise InputError(source, f"synthesis.{name}", f"{value!r} has the wrong type", f"give {what}") from None
+
+
+def _finite(value, matrix: bool, scalar: bool):
+    """A float, a tuple of floats, or for a matrix a 2×2 tuple of tuples, as the arguments allow; else TypeError."""
+    array = np.asarray(value)
+    shapes = ((), (2, 2)) if matrix else ((),) if scalar else ((len(array),),) if array.ndim else ()
+    if array.dtype.kind not in "iuf" or array.shape not in shapes or not np.isfinite(array).all():
+        raise TypeError
+    values = array.astype(float).tolist()
+    return values if array.ndim == 0 else tuple(map(tuple, values)) if array.ndim == 2 else tuple(values)

@@ -1,0 +1,241 @@
+"""From an observation to what F needs: its clamps C, the start Γ, and the whole turns it may hold (§III-B, §III-D)."""
+
+import numpy as np
+
+from doo_ti.dataset import Observations
+from doo_ti.errors import InputError
+from doo_ti.frames import (
+    angle_about,
+    bishop_frames,
+    matrix_from_quaternion,
+    quaternion_about,
+    quaternion_from_matrix,
+    quaternion_product,
+    smallest_rotation,
+)
+from doo_ti.types import Clamp, Clamps, Configuration
+
+
+def observation_clamps(observations: Observations, start: Clamp | None = None, end: Clamp | None = None) -> Clamps:
+    """The clamps of D observations; by default the whole frame where it is given, else the tangent.
+
+    Positions are the observed vertices 0 and E, tangents those of the given frame, else of the observed edge; a rest
+    length other than the observed one moves no clamp. A frame asked for may also come from the measured ``frames``.
+
+    Raises InputError for a frame nobody gave, and for a missing mark that the clamp rests on.
+    """
+    kinds, positions, frames = [], [], []
+    for end_name, kind, given in (("start", start, observations.start_frame), ("end", end, observations.end_frame)):
+        kind = (Clamp.TANGENT if given is None else Clamp.FRAME) if kind is None else Clamp(kind)
+        if given is None and kind == Clamp.FRAME and observations.frames is not None:
+            given = observations.frames[:, 0 if end_name == "start" else -1]
+        _check_clamp(observations, end_name, kind, given is not None)
+        kinds.append(kind)
+        positions.append(_end_positions(observations, end_name))
+        frames.append(_end_frames(observations, end_name, given))
+    return Clamps(*kinds, *positions, *frames)
+
+
+def check_feasible(observations: Observations, clamps: Clamps) -> None:
+    """Raise InputError, naming the observation and by how much, where the clamps are further apart than the rod is long."""
+    excess = span_excess(clamps, observations.rest_length)
+    # A taut rod has no slack at all: rounding must not decide about it.
+    bad = np.flatnonzero(excess > 1e-9 * observations.rest_length.sum())
+    if len(bad):
+        worst = bad[np.argmax(excess[bad])]
+        others = f" (and {len(bad) - 1} more observations)" if len(bad) > 1 else ""
+        raise InputError(
+            observations.source, "vertices_mm",
+            f"the clamps of observation {worst} are {excess[worst]:.4g} mm further apart than the rod between them "
+            f"reaches{others}", "correct the end vertices or frames, or rest_length_mm",
+        )
+
+
+def span_excess(clamps: Clamps, rest_length: np.ndarray) -> np.ndarray:
+    """(R,) mm by which the span, clamped edges taken off, exceeds the sum of the free rest lengths; −inf at a free end.
+
+    rest_length is (E,) or (R, E).
+    """
+    near, near_length = _free_tip(clamps.start, clamps.start_position, clamps.start_frame, rest_length[..., 0], 1.0)
+    far, far_length = _free_tip(clamps.end, clamps.end_position, clamps.end_frame, rest_length[..., -1], -1.0)
+    free = np.sum(rest_length, axis=-1) - near_length - far_length
+    loose = (np.asarray(clamps.start) == Clamp.FREE) | (np.asarray(clamps.end) == Clamp.FREE)
+    return np.where(loose, -np.inf, np.linalg.norm(far - near, axis=-1) - free)
+
+
+def turn_hypotheses(observations: Observations, clamps: Clamps) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) observation_index and (N,) whole turns: the rods to start for D observations.
+
+    The turns are added to the angle in (−π, π] that the clamped frames leave. Between two whole frames without a hint
+    they may be −1, 0 or +1, one rod each; a hint (``total_twist``) gives the one turn nearest to it; measured
+    ``frames`` carry their own turns and a spin-free end has none, so there it is 0.
+    """
+    both = np.broadcast_to(_holds_spin(clamps.start) & _holds_spin(clamps.end), observations.count)
+    turns = np.zeros(observations.count, dtype=np.int64)
+    if observations.frames is not None:
+        return np.arange(observations.count), turns
+    if observations.total_twist is not None:
+        angle = _closing_angle(_bishop(observations, clamps), clamps)
+        nearest = np.round((observations.total_twist - angle) / (2 * np.pi)).astype(np.int64)
+        return np.arange(observations.count), np.where(both, nearest, turns)
+    copies = np.where(both, 3, 1)
+    index = np.repeat(np.arange(observations.count), copies)
+    rank = np.arange(len(index)) - np.repeat(np.cumsum(copies) - copies, copies)
+    return index, np.where(both[index], rank - 1, 0)
+
+
+def choose_hypothesis(observation_index: np.ndarray, score: np.ndarray) -> np.ndarray:
+    """(D,) rows of the (N,) hypotheses with the smallest score of each observation; NaN counts as the largest.
+
+    Equal scores go to the first row.
+    """
+    order = np.lexsort((np.where(np.isnan(score), np.inf, score), observation_index))
+    first = np.concatenate([[True], np.diff(observation_index[order]) != 0])
+    return order[first]
+
+
+def start_configuration(
+    observations: Observations, clamps: Clamps, turns: np.ndarray | None = None
+) -> Configuration:
+    """The start Γ of D rods: observed edge directions, rest lengths, and frames that meet the clamped ones.
+
+    Between two whole frames the total twist is the angle that the parallel-transported m1 of the first edge lacks to
+    the last edge's, plus ``turns`` (D,) whole turns, spread in proportion to l̄_i; a spin-free end leaves no twist.
+    Without ``turns`` the turn is the one nearest to the hint, and 0 without one. Measured ``frames`` are started from
+    as they are. Missing marks are interpolated along the rod. The chain keeps the rest lengths, so its far end need
+    not meet the clamp: F closes it. For several hypotheses per observation take the rows first:
+
+        index, turns = turn_hypotheses(observations, clamps)
+        start_configuration(observations.take(index), clamps.take(index), turns)
+    """
+    if observations.frames is not None:
+        quaternions = quaternion_from_matrix(observations.frames)
+        ends = ((0, clamps.start, clamps.start_frame), (-1, clamps.end, clamps.end_frame))
+        for edge, kind, frame in ends:
+            quaternions[:, edge] = _clamped(quaternions[:, edge], kind, frame)
+    else:
+        bishop = _bishop(observations, clamps)
+        if turns is None:
+            turns = np.zeros(observations.count)
+            if observations.total_twist is not None:
+                turns = turn_hypotheses(observations, clamps)[1]
+        angle = _twist_angles(bishop, clamps, observations.rest_length, np.asarray(turns))
+        quaternions = quaternion_product(quaternion_about(bishop[..., 0], angle), quaternion_from_matrix(bishop))
+    return Configuration(_anchor(observations, clamps, quaternions), quaternions, observations.rest_length)
+
+
+def fill_missing(observations: Observations) -> np.ndarray:
+    """(D, V, 3) vertices in mm, those without a valid mark on the line, by arc length, through the two nearest ones
+    around them, or beyond the outermost two."""
+    valid, count = observations.valid, observations.vertices.shape[1]
+    if valid.all():
+        return observations.vertices
+    position = np.concatenate([[0.0], np.cumsum(observations.rest_length)])
+    marks = np.arange(count)
+    ranks = np.argsort(~valid, axis=1, kind="stable")
+    # The valid mark at or before each vertex, by its rank among the valid ones, held inside the range that has a next one.
+    rank = np.clip(np.cumsum(valid, axis=1) - 1, 0, valid.sum(axis=1, keepdims=True) - 2)
+    before, after = np.take_along_axis(ranks, rank, axis=1), np.take_along_axis(ranks, rank + 1, axis=1)
+    share = ((position[marks] - position[before]) / (position[after] - position[before]))[..., None]
+    low = np.take_along_axis(observations.vertices, before[..., None], axis=1)
+    high = np.take_along_axis(observations.vertices, after[..., None], axis=1)
+    return np.where(valid[..., None], observations.vertices, low + share * (high - low))
+
+
+def _check_clamp(observations: Observations, end: str, kind: Clamp, has_frame: bool) -> None:
+    if kind == Clamp.FRAME and not has_frame:
+        raise InputError(observations.source, f"{end}_frame", f"missing, but --clamp-{end} frame needs it",
+                         f"add {end}_frame (D, 3, 3), or clamp that end's tangent or position")
+    needed = 0 if kind == Clamp.FREE else 1 if kind == Clamp.POSITION or has_frame else 2
+    for step in range(needed):
+        vertex = step if end == "start" else observations.edges - step
+        missing = np.flatnonzero(~observations.valid[:, vertex])
+        if len(missing):
+            raise InputError(observations.source, "valid",
+                             f"vertex {vertex} of observation {missing[0]} is missing, but the {end} clamp rests on it",
+                             f"leave the observation out, or use --clamp-{end} free")
+
+
+def _end_positions(observations: Observations, end: str) -> np.ndarray:
+    return fill_missing(observations)[:, 0 if end == "start" else -1]
+
+
+def _end_frames(observations: Observations, end: str, given: np.ndarray | None) -> np.ndarray:
+    """(D, 3, 3): the given frames, exactly orthonormal; else the observed tangent with some m1 across it."""
+    if given is not None:
+        return matrix_from_quaternion(quaternion_from_matrix(given))
+    tangent = _directions(observations)[:, 0 if end == "start" else -1]
+    return bishop_frames(tangent[:, None], _across(tangent))[:, 0]
+
+
+def _across(tangent: np.ndarray) -> np.ndarray:
+    """(..., 3) unit vectors across unit tangents: the coordinate axis least along each, made orthogonal."""
+    axis = np.eye(3)[np.argmin(np.abs(tangent), axis=-1)]
+    across = axis - np.sum(axis * tangent, axis=-1, keepdims=True) * tangent
+    return across / np.linalg.norm(across, axis=-1, keepdims=True)
+
+
+def _directions(observations: Observations) -> np.ndarray:
+    """(D, E, 3) unit directions of the observed edges."""
+    edges = np.diff(fill_missing(observations), axis=1)
+    return edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+
+
+def _holds_spin(kind) -> np.ndarray:
+    return np.asarray(kind) == Clamp.FRAME
+
+
+def _bishop(observations: Observations, clamps: Clamps) -> np.ndarray:
+    """(D, E, 3, 3) twist-free frames: clamped tangents at the ends, observed ones between, the first m1 from its clamp."""
+    tangents = _directions(observations).copy()
+    for edge, kind, frame in ((0, clamps.start, clamps.start_frame), (-1, clamps.end, clamps.end_frame)):
+        held = np.broadcast_to(np.asarray(kind) >= Clamp.TANGENT, observations.count)[:, None]
+        tangents[:, edge] = np.where(held, frame[..., 0], tangents[:, edge])
+    # Where the first tangent is not held, the given m1 need not be across it: transport it there.
+    transport = matrix_from_quaternion(smallest_rotation(clamps.start_frame[..., 0], tangents[:, 0]))
+    return bishop_frames(tangents, np.einsum("dij,dj->di", transport, clamps.start_frame[..., 1]))
+
+
+def _closing_angle(bishop: np.ndarray, clamps: Clamps) -> np.ndarray:
+    """(D,) angle in (−π, π] from the last twist-free m1 to the last clamped m1; 0 where its spin is free."""
+    angle = angle_about(bishop[:, -1, :, 0], bishop[:, -1, :, 1], clamps.end_frame[..., 1])
+    return np.where(_holds_spin(clamps.end), angle, 0.0)
+
+
+def _twist_angles(bishop: np.ndarray, clamps: Clamps, rest_length: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """(D, E) angles θ^j from the twist-free frames to the start's material frames (§III-C)."""
+    closing = _closing_angle(bishop, clamps)
+    spread = rest_length[:-1] + rest_length[1:]
+    share = np.concatenate([[0.0], np.cumsum(spread) / spread.sum()])
+    both = _holds_spin(clamps.start) & _holds_spin(clamps.end)
+    # With the start's spin free the whole rod turns to meet the end's frame, without twist.
+    total = np.where(both, closing + 2 * np.pi * turns, 0.0)
+    offset = np.where(both, 0.0, closing)
+    return offset[:, None] + total[:, None] * share
+
+
+def _clamped(quaternions: np.ndarray, kind, frame: np.ndarray) -> np.ndarray:
+    """(D, 4) with the whole frame, or the tangent by the smallest rotation, put in where the clamp holds it."""
+    kind = np.broadcast_to(kind, len(quaternions))[:, None]
+    tangent = matrix_from_quaternion(quaternions)[..., 0]
+    turned = quaternion_product(smallest_rotation(tangent, frame[..., 0]), quaternions)
+    quaternions = np.where(kind == Clamp.TANGENT, turned, quaternions)
+    return np.where(kind == Clamp.FRAME, quaternion_from_matrix(frame), quaternions)
+
+
+def _anchor(observations: Observations, clamps: Clamps, quaternions: np.ndarray) -> np.ndarray:
+    """(D, 3) position of vertex 0: its clamp, else what puts the last vertex on its clamp, else where it was observed."""
+    count = observations.count
+    loose = np.broadcast_to(np.asarray(clamps.start) == Clamp.FREE, count)
+    held_end = np.broadcast_to(np.asarray(clamps.end) != Clamp.FREE, count)
+    if not loose.any():
+        return clamps.start_position.copy()
+    reach = Configuration(np.zeros((count, 3)), quaternions, observations.rest_length).vertices[:, -1]
+    return np.where((loose & held_end)[:, None], clamps.end_position - reach, clamps.start_position)
+
+
+def _free_tip(kind, position, frame, length, sign):
+    """Where the free part begins, seen from a clamp, and the length (R,) of the edge that the clamp holds."""
+    held = np.asarray(kind) >= Clamp.TANGENT
+    taken = np.where(held, length, 0.0) * np.ones(len(position))
+    return position + sign * taken[:, None] * frame[..., 0], taken

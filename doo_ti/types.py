@@ -1,0 +1,226 @@
+"""What goes into F and comes out of it, as NumPy arrays (§III-A, §III-B).
+
+Axes, one letter each throughout the package:
+
+    R rods   E edges   V = E + 1 vertices   D observations   G grid cells
+
+Units are millimetres and radians; energies are relative to weight, so that with ``weight = 1``
+bend and twist come out in mm³ (footnote 6: only ratios of the parameters matter).
+"""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.frames import matrix_from_quaternion, vertices_from_quaternions
+
+
+class Status(IntEnum):
+    """How a relaxation ended, one per rod."""
+
+    CONVERGED = 0
+    ITERATION_LIMIT = 1
+    STALLED = 2
+    NOT_FINITE = 3
+    INFEASIBLE = 4
+
+
+class Clamp(IntEnum):
+    """What holds one end of a rod (§III-B). Each kind holds what the kinds before it hold."""
+
+    FREE = 0
+    POSITION = 1
+    TANGENT = 2
+    FRAME = 3
+
+
+@dataclass(frozen=True)
+class Material:
+    """Θ = (B, β, μ) of §III-C for a table of materials; scalars broadcast.
+
+    bend            B in mm³: a scalar α (isotropic, B = αI) or (R,) of them; or symmetric positive
+                    definite matrices (2, 2), (R, 2, 2) or, edge by edge, (R, E, 2, 2)
+    twist           β in mm³: scalar, (R,), or per inner vertex (R, E−1)
+    weight          μ: scalar or (R,); the weight per length of the rod is 2 μ
+    rest_curvature  ω̄ in 1/mm, about m2 and −m1 as ω is: None, (2,), (R, 2) or, per inner vertex, (R, E−1, 2)
+
+    After construction the arrays have the shapes (R, 1 or E, 2, 2), (R, 1 or E−1), (R,) and
+    None or (R, 1 or E−1, 2), R being 1 where everything broadcasts.
+
+    Raises InputError for a B that is not symmetric positive definite, negative β or μ, or shapes that do not match.
+    """
+
+    bend: np.ndarray
+    twist: np.ndarray
+    weight: np.ndarray = 1.0
+    rest_curvature: np.ndarray | None = None
+
+    def __post_init__(self):
+        bend = _finite("bend", self.bend)
+        if bend.ndim <= 1:
+            bend = bend.reshape(-1, 1, 1, 1) * np.eye(2)
+        elif bend.ndim == 2:
+            bend = bend[None, None]
+        elif bend.ndim == 3:
+            bend = bend[:, None]
+        twist = _finite("twist", self.twist)
+        twist = twist.reshape(-1, 1) if twist.ndim <= 1 else twist
+        weight = _finite("weight", self.weight).reshape(-1)
+        rest = self.rest_curvature
+        if rest is not None:
+            rest = _finite("rest_curvature", rest)
+            rest = {1: rest[None, None] if rest.ndim == 1 else None, 2: rest[:, None] if rest.ndim == 2 else None}.get(
+                rest.ndim, rest
+            )
+            if rest.ndim != 3 or rest.shape[-1] != 2:
+                raise InputError("material", "rest_curvature", f"shape {rest.shape}", "give (2,), (R, 2) or (R, E-1, 2)")
+        _check_bend(bend)
+        if (twist <= 0).any():
+            raise InputError("material", "twist", f"{twist.min():g} is not positive", "give a positive twist in mm³")
+        if (weight < 0).any():
+            raise InputError("material", "weight", f"{weight.min():g} is negative", "give zero or a positive weight")
+        count = max(len(a) for a in (bend, twist, weight, rest) if a is not None)
+        if any(len(a) not in (1, count) for a in (bend, twist, weight, rest) if a is not None):
+            raise InputError("material", "bend, twist, weight", "leading lengths differ", "give one value or one per rod")
+        for name, value in (("bend", bend), ("twist", twist), ("weight", weight), ("rest_curvature", rest)):
+            if value is not None:
+                value = np.ascontiguousarray(np.broadcast_to(value, (count, *value.shape[1:])))
+                value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def diagonal(cls, bend_1, bend_2, twist, weight=1.0) -> "Material":
+        """B = diag(bend_1, bend_2) along the material frame: bend_1 weighs bending about m2, bend_2 about m1."""
+        first, second = np.broadcast_arrays(np.atleast_1d(_finite("bend_1", bend_1)), _finite("bend_2", bend_2))
+        return cls(first[:, None, None] * np.diag([1.0, 0.0]) + second[:, None, None] * np.diag([0.0, 1.0]), twist, weight)
+
+    @property
+    def count(self) -> int:
+        return len(self.weight)
+
+    @property
+    def is_isotropic(self) -> bool:
+        """Uniform B = αI and β along every rod, straight at rest: the case with the shorter formulas."""
+        b = self.bend
+        return bool(
+            self.rest_curvature is None
+            and b.shape[1] == 1
+            and self.twist.shape[1] == 1
+            and (b[..., 0, 1] == 0).all()
+            and (b[..., 0, 0] == b[..., 1, 1]).all()
+        )
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """Γ = (V, E, M) of §III-A for R rods, kept as a chain of frames so that edge lengths hold exactly.
+
+    start        (R, 3) position of vertex 0, mm
+    quaternions  (R, E, 4) material frame of each edge, scalar first: t, m1, m2 are the columns of its rotation
+    rest_length  (E,) or (R, E), mm
+    """
+
+    start: np.ndarray
+    quaternions: np.ndarray
+    rest_length: np.ndarray
+
+    @property
+    def count(self) -> int:
+        return len(self.quaternions)
+
+    @property
+    def edges(self) -> int:
+        return self.quaternions.shape[1]
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """(R, V, 3) vertex positions, mm."""
+        return vertices_from_quaternions(self.start, self.quaternions, self.rest_length)
+
+    @property
+    def frames(self) -> np.ndarray:
+        """(R, E, 3, 3) material frames, columns t, m1, m2."""
+        return matrix_from_quaternion(self.quaternions)
+
+    def take(self, index) -> "Configuration":
+        """The rods named by ``index``, in that order."""
+        lengths = self.rest_length if self.rest_length.ndim == 1 else self.rest_length[index]
+        return Configuration(self.start[index], self.quaternions[index], lengths)
+
+
+@dataclass(frozen=True)
+class Clamps:
+    """C of §III-B: what holds the two ends of R rods. Inextensibility needs no entry, the chain keeps it.
+
+    start, end                    Clamp, one for all rods or (R,) of them
+    start_position, end_position  (R, 3) mm; unused where the end is free
+    start_frame, end_frame        (R, 3, 3) columns t, m1, m2; only t counts for a tangent clamp; unused below that
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    start_position: np.ndarray
+    end_position: np.ndarray
+    start_frame: np.ndarray
+    end_frame: np.ndarray
+
+    def take(self, index) -> "Clamps":
+        """The clamps of the rods named by ``index``, in that order."""
+        def pick(kind):
+            kind = np.asarray(kind)
+            return kind if kind.ndim == 0 else kind[index]
+        return Clamps(
+            pick(self.start), pick(self.end), self.start_position[index], self.end_position[index],
+            self.start_frame[index], self.end_frame[index],
+        )
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What F returns: one entry per rod, nothing averaged.
+
+    configuration  the relaxed rods
+    energy         (R,) E(Γ) of §III-C, gravity measured from z = 0
+    residual       (R,) scaled residual, 1/mm: the largest moment left on a free edge over the largest eigenvalue of B
+    closure        (R,) distance by which the far end misses its clamp over the rod's length
+    iterations     (R,) steps taken
+    status         (R,) Status
+    stable         (R,) True where the equilibrium is certified a strict minimum by the inertia of its KKT matrix
+    precision      (R,) 32 or 64: the arithmetic that finished the rod
+    """
+
+    configuration: Configuration
+    energy: np.ndarray
+    residual: np.ndarray
+    closure: np.ndarray
+    iterations: np.ndarray
+    status: np.ndarray
+    stable: np.ndarray
+    precision: np.ndarray = field(default=None)
+
+    @property
+    def converged(self) -> np.ndarray:
+        """(R,) bool."""
+        return self.status == Status.CONVERGED
+
+
+def _finite(name: str, value) -> np.ndarray:
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("material", name, f"{value!r} is not a number", "give numbers") from None
+    if not np.isfinite(array).all():
+        raise InputError("material", name, "not finite", "give finite numbers")
+    return array
+
+
+def _check_bend(bend: np.ndarray) -> None:
+    if bend.ndim != 4 or bend.shape[-2:] != (2, 2):
+        raise InputError("material", "bend", f"shape {bend.shape}", "give α, (R,), (2, 2), (R, 2, 2) or (R, E, 2, 2)")
+    symmetric = np.abs(bend[..., 0, 1] - bend[..., 1, 0]) <= 1e-12 * np.abs(bend).max()
+    definite = (bend[..., 0, 0] > 0) & (bend[..., 0, 0] * bend[..., 1, 1] > bend[..., 0, 1] * bend[..., 1, 0])
+    if not (symmetric & definite).all():
+        worst = bend[~(symmetric & definite)][0].tolist()
+        raise InputError("material", "bend", f"{worst} is not positive definite", "give A1 > 0, A2 > 0, |A12| < sqrt(A1*A2)")

@@ -1,0 +1,28 @@
+"""Shared by all tests: where the development data lies, and one printed seed for everything random."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+SEED = 2011
+
+
+def pytest_report_header() -> str:
+    return f"seed: {SEED}"
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A fresh generator for every test; its seed is in the header of each run and beside each failure."""
+    print(f"seed: {SEED}")
+    return np.random.default_rng(SEED)
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of development data, which is not part of the project: tests that need it skip without it."""
+    folder = Path(__file__).resolve().parents[2] / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip(f"development data absent: {folder}")
+    return folder

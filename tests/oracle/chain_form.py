@@ -1,0 +1,93 @@
+"""A whole rod as a chain of frames: energy, and dense gradient and Hessian in body rotations (`method.md` §2)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti.types import Configuration, Material
+from tests.oracle.algebra import add, directors, scale
+from tests.oracle.pair import linear_gradient_hessian, pair_gradient_hessian, pair_parts
+
+
+@dataclass(frozen=True)
+class Rod:
+    """What stays fixed while one rod moves: rest_length (E,), bend (E, 2, 2), twist (E−1,), weight, rest (E−1, 2), up (3,)."""
+
+    rest_length: np.ndarray
+    bend: np.ndarray
+    twist: np.ndarray
+    weight: float
+    rest_curvature: np.ndarray
+    up: np.ndarray
+
+    @property
+    def edges(self) -> int:
+        return len(self.rest_length)
+
+    @property
+    def vertex_length(self) -> np.ndarray:
+        """l̄_i of all V vertices, the ends with their one edge (§III-A)."""
+        return np.append(self.rest_length, 0.0) + np.append(0.0, self.rest_length)
+
+    @property
+    def gravity_force(self) -> np.ndarray:
+        """(E, 3) c_j = μ up Σ_{i>j} l̄_i, so that gravity is Σ_j c_j·t_j l_j + μ up·x_0 Σ l̄_i."""
+        above = np.cumsum(self.vertex_length[::-1])[::-1][1:]
+        return self.weight * above[:, None] * self.up
+
+
+def rod_of(configuration: Configuration, material: Material, index=0, material_index=None, up=(0.0, 0.0, 1.0)) -> Rod:
+    """Row ``index`` of a configuration table with row ``material_index`` (the same, or the only one) of a material table."""
+    row = (index if material.count > 1 else 0) if material_index is None else material_index
+    edges, lengths = configuration.edges, configuration.rest_length
+    rest = np.zeros((1, 2)) if material.rest_curvature is None else material.rest_curvature[row]
+    return Rod(
+        rest_length=np.array(lengths if lengths.ndim == 1 else lengths[index]),
+        bend=np.broadcast_to(material.bend[row], (edges, 2, 2)),
+        twist=np.broadcast_to(material.twist[row], (edges - 1,)),
+        weight=float(material.weight[row]),
+        rest_curvature=np.broadcast_to(rest, (edges - 1, 2)),
+        up=np.asarray(up, dtype=np.float64),
+    )
+
+
+def chain_energy(rod: Rod, start, quaternions):
+    """Bend, twist and gravity energy; start (3,) and quaternions (E, 4) as sequences of numbers of any kind."""
+    bending = twisting = 0.0
+    for i in range(1, rod.edges):
+        parts = pair_parts(
+            quaternions[i - 1], quaternions[i], rod.rest_length[i - 1], rod.rest_length[i],
+            rod.bend[i - 1], rod.bend[i], rod.twist[i - 1], rod.rest_curvature[i - 1],
+        )
+        bending, twisting = bending + parts[0], twisting + parts[1]
+    gravity, vertex = 0.0, list(start)
+    for i, length in enumerate(rod.vertex_length):
+        gravity = gravity + rod.weight * length * sum(up * x for up, x in zip(rod.up, vertex, strict=True))
+        if i < rod.edges:
+            vertex = add(vertex, scale(rod.rest_length[i], directors(quaternions[i])[0]))
+    return bending, twisting, gravity
+
+
+def chain_derivatives(rod: Rod, quaternions: np.ndarray, force=(0.0, 0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
+    """(3E,) gradient and (3E, 3E) Hessian of E + force·Σ l t in the body rotations of all edges, start held."""
+    gradient, hessian = np.zeros(3 * rod.edges), np.zeros((3 * rod.edges, 3 * rod.edges))
+    pairs = pair_gradient_hessian(
+        quaternions[:-1], quaternions[1:], rod.rest_length[:-1], rod.rest_length[1:],
+        rod.bend[:-1], rod.bend[1:], rod.twist, rod.rest_curvature,
+    )
+    for i in range(rod.edges - 1):
+        block = slice(3 * i, 3 * i + 6)
+        gradient[block] += pairs[0][i]
+        hessian[block, block] += pairs[1][i]
+    linear = linear_gradient_hessian(rod.gravity_force + np.asarray(force), quaternions, rod.rest_length)
+    for j in range(rod.edges):
+        block = slice(3 * j, 3 * j + 3)
+        gradient[block] += linear[0][j]
+        hessian[block, block] += linear[1][j]
+    return gradient, hessian
+
+
+def closure_gradient(rod: Rod, quaternions: np.ndarray) -> np.ndarray:
+    """(3, 3E) derivative of Σ l t in the body rotations: row k from the linear potential with force e_k."""
+    rows = [linear_gradient_hessian(axis, quaternions, rod.rest_length)[0].ravel() for axis in np.eye(3)]
+    return np.array(rows)

@@ -1,0 +1,78 @@
+"""One pair of neighbouring edges and one edge under a dead force, with exact derivatives in body rotations.
+
+Arrays come and go with any batch axes in front, written `...`; quaternions are (..., 4), scalar first.
+"""
+
+import numpy as np
+
+from tests.oracle.algebra import body_rotated, conjugate, directors, dot, product
+from tests.oracle.hyper_dual import angle, choose, gradient_and_hessian, real, seeds
+
+
+def pair_parts(q0, q1, l0, l1, bend0, bend1, twist, rest):
+    """Bend and twist energy of a pair, from two quaternions given as lists of four numbers (`method.md` §2).
+
+    q = conj(Q0) ⊗ Q1 with q0 ≥ 0, s = q0² + q1²:
+    ω^0 = 2/s (q1q2 + q0q3, q1q3 − q0q2),  ω^1 = 2/s (q0q3 − q1q2, −q0q2 − q1q3),  m = 2 atan2(q1, q0).
+    l0, l1, twist (...,); bend0, bend1 (..., 2, 2); rest (..., 2) in 1/mm.
+    """
+    q = product(conjugate(q0), q1)
+    q = [choose(real(q[0]) < 0, -part, part) for part in q]
+    length = l0 + l1
+    factor = 2.0 / (q[0] * q[0] + q[1] * q[1])
+    omega0 = [factor * (q[1] * q[2] + q[0] * q[3]), factor * (q[1] * q[3] - q[0] * q[2])]
+    omega1 = [factor * (q[0] * q[3] - q[1] * q[2]), factor * (-(q[0] * q[2]) - q[1] * q[3])]
+    bending = 0.0
+    for omega, bend in ((omega0, bend0), (omega1, bend1)):
+        offset = [omega[k] - rest[..., k] * length / 2.0 for k in range(2)]
+        for a in range(2):
+            for b in range(2):
+                bending = bending + bend[..., a, b] * offset[a] * offset[b] / (2.0 * length)
+    turn = 2.0 * angle(q[1], q[0])
+    return bending, twist * turn * turn / length
+
+
+def _components(quaternion):
+    return [np.asarray(quaternion)[..., k] for k in range(4)]
+
+
+def pair_energy(q0, q1, l0, l1, bend0, bend1, twist, rest=None):
+    """Bend plus twist energy of a pair (...,): real, or complex for a complex step."""
+    rest = np.zeros(2) if rest is None else np.asarray(rest)
+    return sum(pair_parts(_components(q0), _components(q1), l0, l1, np.asarray(bend0), np.asarray(bend1), twist, rest))
+
+
+def pair_gradient_hessian(q0, q1, l0, l1, bend0, bend1, twist, rest=None):
+    """(..., 6) gradient and (..., 6, 6) Hessian of :func:`pair_energy` in the body rotations (w0, w1)."""
+    rest = np.zeros(2) if rest is None else np.asarray(rest)
+    values = [np.asarray(a, dtype=np.float64) for a in (l0, l1, twist)]
+    shape = np.broadcast_shapes(
+        np.shape(q0)[:-1], np.shape(q1)[:-1], np.shape(bend0)[:-2], np.shape(bend1)[:-2], rest.shape[:-1],
+        *(a.shape for a in values),
+    )
+    widen = [np.broadcast_to(a, shape)[..., None, None] for a in values]
+    matrices = [np.broadcast_to(b, (*shape, 2, 2))[..., None, None, :, :] for b in (bend0, bend1)]
+    rests = np.broadcast_to(rest, (*shape, 2))[..., None, None, :]
+    w = seeds(6, like=len(shape))
+    frames = []
+    for quaternion, rotation in ((q0, w[:3]), (q1, w[3:])):
+        parts = [np.broadcast_to(part, shape)[..., None, None] for part in _components(quaternion)]
+        frames.append(body_rotated(parts, rotation))
+    energy = sum(pair_parts(*frames, widen[0], widen[1], *matrices, widen[2], rests))
+    return gradient_and_hessian(energy, shape, 6)
+
+
+def linear_gradient_hessian(force, quaternion, length):
+    """(..., 3) gradient and (..., 3, 3) Hessian of c·t·l in the body rotation: force c (..., 3), Q (..., 4), l (...,)."""
+    force, length = np.asarray(force, dtype=np.float64), np.asarray(length, dtype=np.float64)
+    shape = np.broadcast_shapes(force.shape[:-1], np.shape(quaternion)[:-1], length.shape)
+    c = [np.broadcast_to(force[..., k], shape)[..., None, None] for k in range(3)]
+    parts = [np.broadcast_to(part, shape)[..., None, None] for part in _components(quaternion)]
+    tangent = directors(body_rotated(parts, seeds(3, like=len(shape))))[0]
+    energy = dot(c, tangent) * np.broadcast_to(length, shape)[..., None, None]
+    return gradient_and_hessian(energy, shape, 3)
+
+
+def linear_hessian(force, quaternion, length):
+    """(..., 3, 3) Hessian of c·t·l in the body rotation of Q."""
+    return linear_gradient_hessian(force, quaternion, length)[1]

@@ -1,0 +1,52 @@
+"""Rods to start from, the clamps that hold them, and measured orders of convergence."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from doo_ti.frames import bishop_frames, quaternion_from_matrix
+from doo_ti.types import Clamp, Clamps, Configuration
+
+
+def chain(tangents, m1, rest_length, start=(0.0, 0.0, 0.0), spin=None) -> Configuration:
+    """One rod from tangents (E, 3): Bishop frames from ``m1``, edge j turned on about its tangent by ``spin`` (E,), rad."""
+    tangents = np.asarray(tangents, dtype=float)
+    tangents = tangents / np.linalg.norm(tangents, axis=1, keepdims=True)
+    frames = bishop_frames(tangents, np.asarray(m1, dtype=float))
+    if spin is not None:
+        frames = frames @ Rotation.from_rotvec(np.outer(spin, [1.0, 0.0, 0.0])).as_matrix()
+    lengths = np.broadcast_to(np.asarray(rest_length, dtype=float), (len(tangents),)).copy()
+    return Configuration(np.array([start], dtype=float), quaternion_from_matrix(frames)[None], lengths)
+
+
+def stacked(rods: list[Configuration]) -> Configuration:
+    """Single rods of equal edge count as one table."""
+    return Configuration(
+        np.concatenate([rod.start for rod in rods]), np.concatenate([rod.quaternions for rod in rods]),
+        np.stack([np.broadcast_to(rod.rest_length, (rod.edges,)) for rod in rods]),
+    )
+
+
+def clamps_at(configuration: Configuration, start=Clamp.FRAME, end=Clamp.FRAME) -> Clamps:
+    """Clamps that hold the ends where they are."""
+    vertices, frames = configuration.vertices, configuration.frames
+    return Clamps(start, end, vertices[:, 0], vertices[:, -1], frames[:, 0], frames[:, -1])
+
+
+def jiggled(configuration: Configuration, rng: np.random.Generator, size: float) -> Configuration:
+    """Every frame turned by a random rotation of about ``size`` rad: a start that is not the answer."""
+    turns = Rotation.from_rotvec(size * rng.normal(size=(configuration.count * configuration.edges, 3)))
+    old = Rotation.from_quat(configuration.quaternions.reshape(-1, 4), scalar_first=True)
+    quaternions = (old * turns).as_quat(scalar_first=True).reshape(configuration.quaternions.shape)
+    return Configuration(configuration.start, quaternions, configuration.rest_length)
+
+
+def orders(edges, errors) -> np.ndarray:
+    """Orders p of errors ~ edges^−p between successive refinements."""
+    return -np.diff(np.log(np.asarray(errors))) / np.diff(np.log(np.asarray(edges, dtype=float)))
+
+
+def show(title: str, edges, errors) -> None:
+    """The table of a convergence test, on standard output (pytest -s)."""
+    rates = ["", *(f"{rate:.2f}" for rate in orders(edges, errors))]
+    rows = "".join(f"\n  {e:5d} edges  error {error:.3e}  order {rate}" for e, error, rate in zip(edges, errors, rates, strict=True))
+    print(f"\n{title}{rows}")
