@@ -4,13 +4,19 @@ A rod is a pair (configuration, material) of rows in two tables, so a sweep of D
 and G materials, not D·G of each. Device scratch is allocated once per thread and reused, whatever the number of rods.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti import chain, newton, runtime
+from doo_ti import chain, descent, newton, runtime
 from doo_ti.errors import InputError
-from doo_ti.frames import matrix_from_quaternion, quaternion_from_matrix, quaternion_product, smallest_rotation
+from doo_ti.frames import (
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    quaternion_product,
+    smallest_rotation,
+    vertices_from_quaternions,
+)
 from doo_ti.physics.number import Number
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Status
 
@@ -24,7 +30,8 @@ class Tables:
     start (S, E, 4) frames with the clamps imposed; rest_length (1 or S, E); clamp (S, CLAMP_COLUMNS);
     bend (G, 1 or E, 3) as (11, 22, 12); twist (G, 1 or E−1); rest (G, 1 or E−1, 2); weight (G,);
     rods (R, 3) int32: configuration, material and row of the results; feasible (S,) bool; anchor (S, 3) mm, the point the
-    chain hangs from: vertex 0, or the far end where vertex 0 is free.
+    chain hangs from: vertex 0, or the far end where vertex 0 is free (released, (S,) bool); configuration_index and
+    material_index (R,), infeasible rods included.
     """
 
     start: np.ndarray
@@ -38,13 +45,52 @@ class Tables:
     feasible: np.ndarray
     anchor: np.ndarray
     isotropic: bool
+    configuration_index: np.ndarray
+    material_index: np.ndarray
 
     @property
     def edges(self) -> int:
         return self.start.shape[1]
 
+    @property
+    def count(self) -> int:
+        """R."""
+        return len(self.configuration_index)
 
-def tables(configuration: Configuration, material: Material, clamps: Clamps, configuration_index, material_index) -> Tables:
+    @property
+    def released(self) -> np.ndarray:
+        return self.clamp[:, newton.RELEASED] > 0
+
+    def restarted(self, frames: np.ndarray, usable: np.ndarray) -> "Tables":
+        """The same rods, each from ``frames`` (R, E, 4) where ``usable`` (R,), else from its old start; clamps exact."""
+        old = self.start[self.configuration_index]
+        start = np.where(usable[:, None, None], frames, old).astype(np.float64)
+        start /= np.linalg.norm(start, axis=-1, keepdims=True)
+        clamp = self.clamp[self.configuration_index]
+        for edge, spin, tilt in ((0, newton.SPIN_START, newton.TILT_START), (-1, newton.SPIN_END, newton.TILT_END)):
+            turn = smallest_rotation(
+                matrix_from_quaternion(start[:, edge])[..., 0], matrix_from_quaternion(old[:, edge])[..., 0]
+            )
+            tangent_held = quaternion_product(turn, start[:, edge])
+            held = np.where(clamp[:, spin, None] > 0, tangent_held, old[:, edge])
+            start[:, edge] = np.where(clamp[:, tilt, None] > 0, start[:, edge], held)
+        rows = np.arange(len(old))
+        lengths = self.rest_length
+        return replace(
+            self,
+            start=np.ascontiguousarray(start),
+            rest_length=lengths if len(lengths) == 1 else np.ascontiguousarray(lengths[self.configuration_index]),
+            clamp=np.ascontiguousarray(clamp),
+            rods=np.ascontiguousarray(np.stack([rows, self.material_index, rows], axis=-1)[self.rods[:, 2]].astype(np.int32)),
+            feasible=self.feasible[self.configuration_index],
+            anchor=self.anchor[self.configuration_index],
+            configuration_index=rows,
+        )
+
+
+def tables(
+    configuration: Configuration, material: Material, clamps: Clamps, configuration_index=None, material_index=None
+) -> Tables:
     """Check what goes into F and lay it out for the kernels.
 
     Raises InputError where shapes do not match, an index is out of range, or both ends of a rod with weight are free.
@@ -87,7 +133,9 @@ def tables(configuration: Configuration, material: Material, clamps: Clamps, con
         feasible=feasible,
         anchor=anchor,
         isotropic=material.is_isotropic,
-    ), index_c, index_m
+        configuration_index=index_c,
+        material_index=index_m,
+    )
 
 
 def _pairs(configurations: int, materials: int, configuration_index, material_index) -> tuple[np.ndarray, np.ndarray]:
@@ -150,32 +198,100 @@ def _clamp_table(start, quaternions, lengths, start_kind, end_kind, clamps):
     return table, feasible, anchor
 
 
-def run_newton(table: Tables, up: np.ndarray, options: newton.Newton, bits: int) -> tuple[np.ndarray, np.ndarray]:
-    """Relax every feasible rod: (R, E, 4) frames and (R, RESULTS); infeasible rows hold NaN."""
+def run_newton(table: Tables, up: np.ndarray, options: newton.Newton, bits: int, moving: bool = True):
+    """Relax every feasible rod: (R, E, 4) frames and (R, RESULTS), NaN in infeasible rows.
+
+    With ``moving`` false only the projection runs, which brings a start onto closure.
+    """
     import taichi as ti
 
-    count = len(table.rods)
-    on_cpu = runtime.start() == "cpu"
-    number = Number((16 if bits == 32 else 8) if on_cpu else 1, bits)
-    threads = runtime.thread_count() if on_cpu else min(max(count, 1), 1 << 16)
+    number, threads, stride, block = _machine(len(table.rods), bits)
     items = chain.ISOTROPIC_ITEMS if table.isotropic else chain.GENERAL_ITEMS
-    kernel = newton.newton_kernel(number, table.isotropic, 1 if on_cpu else threads, 1 if on_cpu else 64)
+    kernel = newton.newton_kernel(number, table.isotropic, stride, block)
     scratch, lane_rod, queue = _buffers(number, threads, items * table.edges)
-    total = int(table.rods[:, 2].max(initial=-1)) + 1
-    frames = np.full((total, table.edges, 4), np.nan, dtype=np.float32 if bits == 32 else np.float64)
-    results = np.full((total, newton.RESULTS), np.nan)
-    queue.fill(0)
-    tolerance = options.tolerance or (1e-6 if bits == 32 else 1e-9)
+    frames = np.full((table.count, table.edges, 4), np.nan, dtype=np.float32 if bits == 32 else np.float64)
+    results = np.full((table.count, newton.RESULTS), np.nan)
     kernel(
         table.start, table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.weight, table.rods,
-        ti.math.vec3(*up), tolerance, options.max_iterations, options.first_shift, options.max_rotation,
-        options.max_escapes, threads, items * table.edges if on_cpu else 1, scratch, lane_rod, queue, frames, results,
+        ti.math.vec3(*up), options.tolerance or (1e-6 if bits == 32 else 1e-9), options.max_iterations,
+        options.first_shift, options.max_rotation, options.max_escapes,
+        newton.CLOSING_DISTANCE if moving else -1.0,
+        threads, items * table.edges if stride == 1 else 1, scratch, lane_rod, queue, frames, results,
     )
     return frames, results
 
 
+def run_descent(table: Tables, up: np.ndarray, options: descent.Descent, bits: int):
+    """Relax every feasible rod by the paper's scheme, from its start projected onto closure; as :func:`run_newton`.
+
+    The residual, the status and the certificate are those of the chain of frames, so that they mean the same for both
+    solvers: a rod has converged if its moments say so there.
+    """
+    import taichi as ti
+
+    projection = newton.Newton(max_iterations=12)
+    closed, _ = run_newton(table, up, projection, 64, moving=False)
+    table = table.restarted(closed, np.isfinite(closed[:, 0, 0]))
+    vertices, directors = _vertex_form(table)
+    number, threads, stride, block = _machine(len(table.rods), bits)
+    items = descent.ITEMS * (table.edges + 1)
+    scratch, lane_rod, queue = _buffers(number, threads, items)
+    positions = np.full((table.count, table.edges + 1, 3), np.nan)
+    axes = np.full((table.count, table.edges, 3), np.nan)
+    results = np.full((table.count, newton.RESULTS), np.nan)
+    descent.descent_kernel(number, stride, block)(
+        vertices, directors, table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.weight,
+        table.rods, _divisors(table), ti.math.vec3(*up), options.tolerance, options.max_iterations,
+        options.largest_move, threads, items if stride == 1 else 1, scratch, lane_rod, queue, positions, axes, results,
+    )
+    frames = _chain_form(positions, axes)
+    certificate = newton.Newton(tolerance=options.tolerance, max_iterations=1, first_shift=0.0, max_escapes=0)
+    frames, certified = run_newton(table.restarted(frames, np.isfinite(frames[:, 0, 0])), up, certificate, 64)
+    good = certified[:, newton.STATUS] == Status.CONVERGED
+    certified[:, newton.STATUS] = np.where(good, Status.CONVERGED, results[:, newton.STATUS])
+    certified[:, newton.ITERATIONS] = results[:, newton.ITERATIONS]
+    return frames, certified
+
+
+def _vertex_form(table: Tables) -> tuple[np.ndarray, np.ndarray]:
+    """Starts as vertices from the anchor (S, V, 3) and m1 (S, E, 3)."""
+    vertices = vertices_from_quaternions(np.zeros((len(table.start), 3)), table.start, table.rest_length)
+    vertices = np.where(table.released[:, None, None], vertices - vertices[:, -1:], vertices)
+    return np.ascontiguousarray(vertices), np.ascontiguousarray(matrix_from_quaternion(table.start)[..., 1])
+
+
+def _chain_form(vertices: np.ndarray, first_directors: np.ndarray) -> np.ndarray:
+    """(R, E, 4) frames from vertices and m1."""
+    edges = np.diff(vertices, axis=1)
+    tangents = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+    m1 = first_directors - np.sum(first_directors * tangents, axis=-1, keepdims=True) * tangents
+    m1 /= np.linalg.norm(m1, axis=-1, keepdims=True)
+    return quaternion_from_matrix(np.stack([tangents, m1, np.cross(tangents, m1)], axis=-1))
+
+
+def _divisors(table: Tables) -> np.ndarray:
+    """(R,) divisor of the scaled residual: the largest eigenvalue of B, or the largest gravity moment where that is more."""
+    b = table.bend
+    half, apart = 0.5 * (b[..., 0] + b[..., 1]), 0.5 * (b[..., 0] - b[..., 1])
+    stiffest = (half + np.hypot(apart, b[..., 2])).max(axis=1)
+    length = table.rest_length
+    beyond = length.sum(axis=1, keepdims=True) - np.cumsum(length, axis=1)
+    hanging = np.broadcast_to(length + 2 * beyond, (len(table.start), table.edges))
+    hanging = hanging - 2 * length.sum(axis=1)[:, None] * table.released[:, None]
+    moment = np.abs(length * hanging).max(axis=1)[table.configuration_index] * table.weight[table.material_index]
+    return np.maximum(stiffest[table.material_index], moment)
+
+
+def _machine(rods: int, bits: int) -> tuple[Number, int, int, int]:
+    """(kind of number, threads, item stride, block) that suit the architecture Taichi runs on."""
+    if runtime.start() == "cpu":
+        return Number(16 if bits == 32 else 8, bits), runtime.thread_count(), 1, 1
+    threads = min(max(rods, 1), 1 << 16)
+    return Number(1, bits), threads, threads, 64
+
+
 def _buffers(number: Number, threads: int, items: int):
-    """Scratch for every thread, grown when needed and never shrunk."""
+    """(scratch for every thread, rod of every lane, queue set to zero); scratch grows when needed and never shrinks."""
     import taichi as ti
 
     key = (number, threads)
@@ -185,4 +301,5 @@ def _buffers(number: Number, threads: int, items: int):
             ti.ndarray(ti.i32, threads * number.width),
             ti.ndarray(ti.i32, 1),
         )
+    _scratch[key][2].fill(0)
     return _scratch[key]

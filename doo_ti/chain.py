@@ -22,6 +22,7 @@ from doo_ti.physics.algebra import (
     solve_symmetric,
     weighted,
 )
+from doo_ti.physics.angle import twist_angle_function
 from doo_ti.physics.closure import closing_rotation, linear_gradient, linear_hessian, normal_matrix
 from doo_ti.physics.quaternion import first_director, second_director, tangent, turned_in_body, turned_in_world
 
@@ -49,7 +50,7 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
     (α, β) for isotropic rods and unused otherwise; ``gravity`` is μ times the unit vector up, ``released`` one where
     vertex 0 is free and the far end holds the rod.
     """
-    twist_angle = pair.twist_angle_function(number)
+    twist_angle = twist_angle_function(number)
     items = ISOTROPIC_ITEMS if isotropic else GENERAL_ITEMS
 
     @ti.func

@@ -15,19 +15,21 @@ class Sheet:
     """A contact sheet: each observation and its rod in a place of its own on an upright wall, gravity down it.
 
     offset         (D, 3) mm, added to rod and observation alike: subtract it for true coordinates. The first is zero
-    headings       [(text, (3,) mm)]
+    headings       [(text, (3,) mm)] of columns and rows
+    meaning        what columns and rows stand for
     centre, extent (3,) mm, and (width, height) mm
     basis          (3, 3) rows right, into the wall, up
     """
 
     offset: np.ndarray
     headings: list
+    meaning: str
     centre: np.ndarray
     extent: np.ndarray
     basis: np.ndarray
 
 
-def contact_sheet(vertices: np.ndarray, labels: dict | None, up=(0, 0, 1)) -> Sheet:
+def contact_sheet(vertices: np.ndarray, labels: dict, up=(0, 0, 1)) -> Sheet:
     """Lay (D, V, 3) observations out on a wall along their main horizontal direction.
 
     Two labels that name every observation apart make columns and rows, ascending to the right and down; else reading
@@ -38,16 +40,17 @@ def contact_sheet(vertices: np.ndarray, labels: dict | None, up=(0, 0, 1)) -> Sh
     low, high = np.nanmin(local, axis=1), np.nanmax(local, axis=1)
     size = (high - low).max(axis=0)
     pitch = np.array([1.12 * size[0], 0.0, -1.1 * size[2] - 0.1 * size[0]])
-    column, row, titles = _places(labels, len(vertices), abs(pitch[2]) / pitch[0])
+    column, row, titles, meaning = _places(labels, len(vertices), abs(pitch[2]) / pitch[0])
     # Centred in its column, astride the wall, standing on its row's floor.
     anchor = np.stack([0.5 * (low + high)[:, 0], 0.5 * (low + high)[:, 1], low[:, 2]], axis=-1)
     target = np.stack([column, 0 * column, row], axis=-1) * pitch
     shift = anchor[0] - target[0]
-    above, left = np.array([0.0, 0.0, size[2] - 0.45 * pitch[2]]), np.array([-0.75 * pitch[0], 0.0, 0.4 * size[2]])
+    above, left = np.array([0.0, 0.0, size[2] - 0.55 * pitch[2]]), np.array([-0.75 * pitch[0], 0.0, 0.4 * size[2]])
     headings = [(text, (shift + (above if on_top else left) + k * pitch * ([1, 0, 0] if on_top else [0, 0, 1])) @ basis)
                 for on_top, k, text in titles]
-    corners = np.array([(-1.1, 0, -0.9), (column.max() + 0.6, 0, row.max() + 0.2)]) * pitch
-    return Sheet((target + shift - anchor) @ basis, headings, (corners.mean(axis=0) + shift) @ basis,
+    margin = (-1.1 if titles else -0.6, 0, -1.7 if any(on_top for on_top, _, _ in titles) else -1.1)
+    corners = np.array([margin, (column.max() + 0.6, 0, row.max() + 0.2)]) * pitch
+    return Sheet((target + shift - anchor) @ basis, headings, meaning, (corners.mean(axis=0) + shift) @ basis,
                  np.abs(corners[1] - corners[0])[[0, 2]], basis)
 
 
@@ -63,26 +66,32 @@ def _wall(vertices: np.ndarray, up: np.ndarray) -> np.ndarray:
     return np.stack([right, np.cross(up, right), up])
 
 
-def _places(labels: dict | None, count: int, aspect: float) -> tuple[np.ndarray, np.ndarray, list]:
-    """Column and row (D,) of each observation, and the titles (above a column or left of a row, which one, text)."""
-    if labels and len(labels) >= 2:
+def _places(labels: dict, count: int, aspect: float) -> tuple[np.ndarray, np.ndarray, list, str]:
+    """Column and row (D,) of each observation, and the titles (above a column or left of a row, which one, text),
+    and what columns and rows mean."""
+    if len(labels) >= 2:
         (across, first), (down, second) = list(labels.items())[:2]
         columns, column = np.unique(np.asarray(first, float), return_inverse=True)
         rows, row = np.unique(np.asarray(second, float), return_inverse=True)
         if len(np.unique(row * len(columns) + column)) == count:
-            return column, row, ([(True, k, _quantity(across, value)) for k, value in enumerate(columns)]
-                                 + [(False, k, _quantity(down, value)) for k, value in enumerate(rows)])
+            return (column, row, [(True, k, _quantity(across, value)) for k, value in enumerate(columns)]
+                    + [(False, k, _quantity(down, value)) for k, value in enumerate(rows)],
+                    f"columns: {_spoken(across)}, rows: {_spoken(down)}")
     width = min(count, int(np.ceil(np.sqrt(1.2 * count * aspect))))
     index = np.arange(count)
     titles = [(False, k, f"from {k * width}") for k in range(-(-count // width))] if count > 1 else []
-    return index % width, index // width, titles
+    return index % width, index // width, titles, "observations in reading order" if count > 1 else ""
 
 
-def observation_names(labels: dict | None, count: int) -> list[str]:
-    values = [[_quantity(label, value) for value in column] for label, column in (labels or {}).items()]
+def observation_names(labels: dict, count: int) -> list[str]:
+    values = [[_quantity(label, value) for value in column] for label, column in labels.items()]
     return [" ".join([f"observation {d}:", *parts]) if parts else f"observation {d}"
             for d, parts in enumerate(zip(*values, strict=True) if values else [()] * count)]
 
 
 def _quantity(label: str, value: float) -> str:
     return f"{value:g}{UNITS.get(label.rpartition('_')[2], '')}"
+
+
+def _spoken(label: str) -> str:
+    return label.rpartition("_")[0].replace("_", " ")

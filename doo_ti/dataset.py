@@ -5,16 +5,16 @@ mm and rad. Axes: D observations, V vertices, E = V − 1 edges.
 """
 
 import hashlib
-import io
 import os
-import zipfile
-import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from doo_ti.errors import InputError
+from doo_ti.importers import read_npz, read_table, write_table
 
 # Field of Observations: key of the file.
 KEYS = {
@@ -24,8 +24,6 @@ KEYS = {
 }
 TABLES = (".csv", ".parquet")
 FRAME_TOLERANCE = 1e-3
-_UNREADABLE = (ValueError, OSError, EOFError, KeyError, RuntimeError, MemoryError, OverflowError, SyntaxError, TypeError,
-               zipfile.BadZipFile, zlib.error, NotImplementedError)
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class Observations:
     vertices     (D, V, 3) mm; anything, NaN too, at a mark that is not valid
     valid        (D, V) bool: marks that were seen; all of them by default
     rest_length  (E,) mm; by default the median over D of the observed edge lengths
-    start_frame  (D, 3, 3) columns t, m1, m2 of the first edge, or None: its tangent is the observed edge, its spin unknown
+    start_frame  (D, 3, 3) columns t, m1, m2 of the first edge, or None: tangent as observed, spin unknown
     end_frame    the same for the last edge
     frames       (D, E, 3, 3) measured material frames (ribbons), or None
     total_twist  (D,) rad, Σ m_i with its whole turns, or None; only picks the whole turn
@@ -70,7 +68,7 @@ class Observations:
         vertices = self._numbers("vertices", ("D", "V", 3))
         count, marks = vertices.shape[:2]
         if count < 1 or marks < 3:
-            raise self._error("vertices", f"shape {vertices.shape} holds no rod", "give D >= 1 observations of V >= 3 marks")
+            raise self._error("vertices", f"shape {vertices.shape} holds no rod", "give D >= 1 rods of V >= 3 marks")
         size = {"D": count, "V": marks, "E": marks - 1}
         self._set(vertices=vertices, valid=self._checked_valid(vertices))
         self._check_neighbours()
@@ -166,7 +164,7 @@ class Observations:
             seen = self.valid[:, 1:] & self.valid[:, :-1]
             if not seen.any(axis=0).all():
                 edge = np.flatnonzero(~seen.any(axis=0))[0]
-                raise self._error("rest_length", f"missing, and no observation shows edge {edge}", "give rest_length_mm (E,)")
+                raise self._error("rest_length", f"missing, and edge {edge} is seen nowhere", "give rest_length_mm (E,)")
             length = np.linalg.norm(np.diff(self.vertices, axis=1), axis=-1)
             return np.nanmedian(np.where(seen, length, np.nan), axis=0)
         array = np.asarray(self.rest_length)
@@ -182,7 +180,7 @@ class Observations:
         up = self._finite("up", self._numbers("up", (3,)))
         length = np.linalg.norm(up)
         if not 0 < length < np.inf:
-            raise self._error("up", f"{up.tolist()} has no direction", "give the vector against gravity, such as 0, 0, 1")
+            raise self._error("up", f"{up.tolist()} has no direction", "give the vector against gravity")
         # A unit vector stays as it is, so that copies of observations agree bit for bit.
         return up if abs(length - 1) < 1e-12 else up / length
 
@@ -194,7 +192,8 @@ class Observations:
         needed = True if scalar else self.valid
         self._finite("sigma", sigma, needed)
         if (needed & (sigma <= 0)).any():
-            raise self._error("sigma", f"{sigma[needed & (sigma <= 0)].flat[0]:g} mm", "give positive uncertainties in mm")
+            worst = sigma[needed & (sigma <= 0)].min()
+            raise self._error("sigma", f"{worst:g} mm", "give positive uncertainties in mm")
         return sigma
 
     def _checked_frames(self, name: str, axes: tuple, size: dict[str, int]) -> np.ndarray:
@@ -209,18 +208,13 @@ class Observations:
 
 
 def load_observations(path: str | os.PathLike, up=None) -> Observations:
-    """The observations of an ``.npz``, ``.csv`` or ``.parquet`` file; ``up`` (3,) overrides its direction against gravity.
+    """The observations of an ``.npz``, ``.csv`` or ``.parquet`` file; ``up`` (3,) overrides the file's.
 
     Raises InputError for a file that cannot be read and for whatever :class:`Observations` refuses.
     """
     path = Path(path)
     content = _read_bytes(path)
-    if path.suffix in TABLES:
-        from doo_ti.importers import read_table
-
-        keys = read_table(path, content)
-    else:
-        keys = _read_npz(path, content)
+    keys = read_table(path, content) if path.suffix in TABLES else read_npz(path, content)
     if "vertices_mm" not in keys:
         raise InputError(path, "vertices_mm", "the key is missing", "store the vertices as vertices_mm (D, V, 3)")
     values = {name: keys[key] for name, key in KEYS.items() if key in keys}
@@ -244,15 +238,18 @@ def save_observations(path: str | os.PathLike, observations: Observations) -> No
     if observations.total_twist is not None:
         keys["total_twist_deg"] = np.degrees(observations.total_twist)
     keys = {key: value for key, value in keys.items() if value is not None}
+    if path.suffix in TABLES:
+        write_whole(path, lambda file: write_table(file, path.suffix, keys))
+    else:
+        write_whole(path, lambda file: np.savez_compressed(file, **keys))
+
+
+def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    """Let ``write`` fill the file ``path``; a file that is already there stays until the new one is whole."""
     partial = path.with_name(f".{path.name}.part")
     try:
         with open(partial, "wb") as file:
-            if path.suffix in TABLES:
-                from doo_ti.importers import write_table
-
-                write_table(file, path.suffix, keys)
-            else:
-                np.savez_compressed(file, **keys)
+            write(file)
         os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)
@@ -274,32 +271,3 @@ def _read_bytes(path: Path) -> bytes:
     if not content:
         raise InputError(path, "file", "0 bytes, the file is empty", "write the observations again")
     return content
-
-
-def _read_npz(path: Path, content: bytes) -> dict[str, np.ndarray]:
-    """The arrays of the keys we know; never unpickles. Raises InputError."""
-    remedy = "write it with numpy.savez from plain numeric arrays"
-    try:
-        archive = np.load(io.BytesIO(content), allow_pickle=False)
-    except _UNREADABLE as error:
-        kind = "pickled" if "pickle" in str(error) else "truncated or not an npz"
-        raise InputError(path, "file", f"{kind} file ({_first_line(error)})", remedy) from None
-    if not isinstance(archive, np.lib.npyio.NpzFile):
-        raise InputError(path, "file", "holds one bare array, not named ones", remedy)
-    keys = {}
-    with archive:
-        for key in KEYS.values():
-            if key not in archive:
-                continue
-            try:
-                value = archive[key]
-            except _UNREADABLE as error:
-                raise InputError(path, key, f"cannot be read ({_first_line(error)})", remedy) from None
-            if not isinstance(value, np.ndarray):
-                raise InputError(path, key, "is not an array", remedy)
-            keys[key] = value
-    return keys
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error) or type(error).__name__).strip().splitlines()[0]

@@ -1,4 +1,4 @@
-"""Grids over Θ = (B, β, μ) for the exhaustive search of §III-E, and the interval of each parameter that fits nearly as well.
+"""Grids over Θ = (B, β, μ) for the exhaustive search of §III-E, and the range of each parameter that fits nearly as well.
 
 Axes: G grid cells. Bend and twist in mm³, weight relative (footnote 6).
 """
@@ -18,7 +18,7 @@ _FORM = "give a number or LO:HI:N[:log|:lin], such as 5e4:1e7:25"
 
 @dataclass(frozen=True)
 class Axis:
-    """One parameter's values: ``name`` from UNITS, ``values`` (n,) increasing, ``log`` where they are spaced by factors."""
+    """One parameter's values: ``name`` from UNITS, ``values`` (n,) increasing, ``log`` if spaced by factors."""
 
     name: str
     values: np.ndarray
@@ -52,7 +52,7 @@ class Grid:
              the rod is anisotropic.
     bend_12  the off-diagonal entry of B in mm³, one for all cells
 
-    Raises InputError for unknown, contradicting or missing axes, values out of range and B that is not positive definite.
+    Raises InputError for unknown, contradicting or missing axes, values out of range, and B not positive definite.
     """
 
     axes: tuple[Axis, ...]
@@ -71,8 +71,7 @@ class Grid:
         # The smallest entries make the least definite B of the grid.
         first, second = self.axes[0].values[0], self.axes[0 if "bend" in axes else 1].values[0]
         if self.bend_12**2 >= first * second:
-            raise InputError(self.source, "bend", f"[[{first:g}, {self.bend_12:g}], [{self.bend_12:g}, {second:g}]] is not "
-                             "positive definite", "give A1 > 0, A2 > 0 and |A12| < sqrt(A1 A2)")
+            raise _indefinite(self.source, "bend", first, second, self.bend_12)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -116,6 +115,20 @@ class Grid:
         bend = np.full((len(values["weight"]), 2, 2), self.bend_12)
         bend[:, 0, 0], bend[:, 1, 1] = values["bend_1"], values["bend_2"]
         return Material(bend, values["twist"], values["weight"])
+
+    def with_axes(self, axes: tuple[Axis, ...], bend_12: float = 0.0) -> "Grid":
+        """This grid with ``axes`` in place of its own of the same parameters, and ``bend_12`` where they give bend.
+
+        ``bend`` displaces ``bend_1`` and ``bend_2``, ``twist`` displaces ``twist_ratio``, and the other way round.
+        """
+        names = {axis.name for axis in axes}
+        replaced = set(names)
+        for one, others in (("bend", {"bend_1", "bend_2"}), ("twist", {"twist_ratio"})):
+            replaced |= others if one in names else set()
+            replaced |= {one} if names & others else set()
+        kept = tuple(axis for axis in self.axes if axis.name not in replaced)
+        bends = names & {"bend", "bend_1", "bend_2"}
+        return Grid((*kept, *axes), bend_12 if bends else self.bend_12, self.source)
 
     def as_dict(self) -> dict:
         """The grid as JSON holds it; :meth:`from_dict` reads it back exactly."""
@@ -172,7 +185,7 @@ def valley(grid: Grid, mean_distance: np.ndarray, fraction: float = 0.05) -> tup
 
 
 def parse_axis(option: str, text: str, source: str = "command line") -> Axis:
-    """``LO:HI:N[:log|:lin]`` or one number to an axis; the option's name is the axis's (``--twist-ratio``: twist_ratio).
+    """``LO:HI:N[:log|:lin]`` or one number to the axis that ``option`` names (``--twist-ratio``: twist_ratio).
 
     Raises InputError for anything that is no such text, and for grids of no cells.
     """
@@ -198,9 +211,13 @@ def parse_bend(text: str, option: str = "--bend", source: str = "command line") 
         raise InputError(source, option, f"{text!r} has {len(parts)} entries", "give A, A1,A2 or A1,A2,A12")
     first, second, mixed = [_number(source, option, text, part) for part in [*parts, "0"][:3]]
     if not (first > 0 and second > 0 and mixed**2 < first * second):
-        raise InputError(source, option, f"[[{first:g}, {mixed:g}], [{mixed:g}, {second:g}]] is not positive definite",
-                         "give A1 > 0, A2 > 0 and |A12| < sqrt(A1 A2)")
+        raise _indefinite(source, option, first, second, mixed)
     return (Axis("bend_1", first), Axis("bend_2", second)), mixed
+
+
+def _indefinite(source: str, option: str, first: float, second: float, mixed: float) -> InputError:
+    return InputError(source, option, f"[[{first:g}, {mixed:g}], [{mixed:g}, {second:g}]] is not positive definite",
+                      "give A1 > 0, A2 > 0 and |A12| < sqrt(A1 A2)")
 
 
 def _number(source: str, option: str, text: str, part: str) -> float:

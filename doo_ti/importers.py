@@ -1,4 +1,6 @@
-"""Observations as a table, CSV or Parquet: one row per vertex, the same keys as the npz format, losslessly.
+"""Files of observations to and from the keys of the npz format: npz itself, and tables, CSV or Parquet, losslessly.
+
+A table has one row per vertex:
 
     observation, vertex        whole numbers, vertices 0 … E of each observation once, rows in any order
     x_mm, y_mm, z_mm           the vertex; empty where it is missing
@@ -12,6 +14,10 @@ The nine columns of a frame end in t_x, t_y, t_z, m1_x, …, m2_z. All but the f
 are ignored.
 """
 
+import io
+import zipfile
+import zlib
+from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
@@ -36,10 +42,41 @@ _COLUMNS = {
 }
 # Keys that hold one value for all observations.
 _SHARED = ("rest_length_mm", "up")
+# What reading a damaged npz may raise.
+_UNREADABLE = (ValueError, OSError, EOFError, KeyError, RuntimeError, MemoryError, OverflowError, SyntaxError,
+               TypeError, zipfile.BadZipFile, zlib.error)
+
+
+def read_npz(path: Path, content: bytes) -> dict[str, np.ndarray]:
+    """The arrays of the known keys from the bytes of an npz file, never unpickled; ``path`` names it in errors.
+
+    Raises InputError for whatever is no npz of plain arrays.
+    """
+    remedy = "write it with numpy.savez from plain numeric arrays"
+    try:
+        archive = np.load(io.BytesIO(content), allow_pickle=False)
+    except _UNREADABLE as error:
+        kind = "truncated" if content[:2] == b"PK" else "pickled" if content[:1] == b"\x80" else "not an npz"
+        raise InputError(path, "file", f"{kind} file ({_first_line(error)})", remedy) from None
+    if not isinstance(archive, np.lib.npyio.NpzFile):
+        raise InputError(path, "file", "holds one bare array, not named ones", remedy)
+    keys = {}
+    with archive:
+        for key in _COLUMNS:
+            if key not in archive:
+                continue
+            try:
+                value = archive[key]
+            except _UNREADABLE as error:
+                raise InputError(path, key, f"cannot be read ({_first_line(error)})", remedy) from None
+            if not isinstance(value, np.ndarray):
+                raise InputError(path, key, "is not an array", remedy)
+            keys[key] = value
+    return keys
 
 
 def read_table(path, content: bytes) -> dict[str, np.ndarray]:
-    """The keys of the npz format from the bytes of a CSV or Parquet file; ``path`` gives the kind and names it in errors.
+    """The keys of the npz format from the bytes of a CSV or Parquet file; ``path`` tells which.
 
     Raises InputError for what is no table, for missing or repeated rows and columns, and for values that are not
     numbers or differ where they must agree.
@@ -105,9 +142,13 @@ def _parse(path, content: bytes):
     reader = pyarrow.csv.read_csv if kind == "CSV" else pyarrow.parquet.read_table
     try:
         table = reader(pyarrow.BufferReader(content))
+        names = table.column_names
     except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
-        reason = (str(error) or type(error).__name__).strip().splitlines()[0]
-        raise InputError(path, "file", f"is not a {kind} table ({reason})", "write one row per vertex under a header") from None
+        raise InputError(path, "file", f"is not a {kind} table ({_first_line(error)})",
+                         "write one row per vertex under a header") from None
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(path, twice, "the column is there twice", "keep one of them")
     if table.num_rows == 0:
         raise InputError(path, "file", "holds no rows", "write one row per vertex")
     return table
@@ -141,7 +182,8 @@ def _whole(path, table, name: str) -> np.ndarray:
     values = _numbers(path, table, name)
     bad = np.flatnonzero(~(np.isfinite(values) & (values == np.round(values)) & (np.abs(values) < 2**53)))
     if len(bad):
-        raise InputError(path, name, f"{values[bad[0]]:g} in row {bad[0] + 1} is not a whole number", "give whole numbers")
+        row = int(bad[0])
+        raise InputError(path, name, f"{values[row]:g} in row {row + 1} is not a whole number", "give whole numbers")
     return values.astype(np.int64)
 
 
@@ -187,3 +229,7 @@ def _agreed(path, key: str, values: np.ndarray) -> np.ndarray:
         raise InputError(path, key, f"observation number {differs[0]} has another value than observation 0",
                          "give the same value in all observations of a file")
     return values[0]
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error) or type(error).__name__).strip().splitlines()[0]

@@ -155,6 +155,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
         first_shift: ti.f64,
         max_rotation: ti.f64,
         max_escapes: ti.i32,
+        closing_distance: ti.f64,
         threads: ti.i32,
         origin_stride: ti.i32,
         scratch: ti.types.ndarray(dtype=number.type, ndim=1),
@@ -297,7 +298,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                     certify = calm & (shift > 0.0)
                     escaping = ti.select(leaving, one, escaping)
                     escapes = ti.select(leaving, escapes + 1.0, escapes)
-                    closing = ti.select(gap > CLOSING_DISTANCE * edge, one, zero)
+                    closing = ti.select(gap > ti.cast(closing_distance, scalar) * edge, one, zero)
                     held = ti.select(certify | leaving | wrong | (closing > 0.5), one, zero)
                     trying = 1.0 - held
                     floor = ti.select(escaping > 0.5, SHIFT_NEGLIGIBLE * scale, SHIFT_WRONG_INERTIA * scale)

@@ -5,8 +5,10 @@ Entities, timelines and counts: docs/recording.md. Axes: T iterations, D observa
 """
 
 import os
+import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +29,7 @@ BLOCK = 10
 """Iterations sent at once."""
 SURFACE_HEIGHT = 0.6
 """Height of the surface's highest cell over its base, the unit square."""
-OBSERVED, FAILED, TEXT, MINIMUM = (235, 235, 235), (255, 46, 99), (175, 175, 175), (255, 46, 99)
+OBSERVED, FAILED, TEXT, MINIMUM = (235, 235, 235), (255, 46, 99), (175, 175, 175), (255, 255, 255)
 
 
 def record_sweep(path, *, run_id: str, name: str, observations_vertices, labels, trajectory, energy, residual, status,
@@ -37,7 +39,7 @@ def record_sweep(path, *, run_id: str, name: str, observations_vertices, labels,
 
     observations_vertices  (D, V, 3) mm, NaN where a mark is missing
     labels                 {"end_distance_mm": (D,), "end_rotation_deg": (D,)}: the first makes the columns of the contact
-                           sheet, the second its rows; None or empty: reading order
+                           sheet, the second its rows; None where unknown: reading order
     trajectory             (T, D, V, 3) mm, the rods of the best cell; a rod with a NaN in it is not drawn
     energy, residual       (T, D): relative to weight, mm²; scaled residual, 1/mm. NaN after a rod's end: its last stands
     status, distance       (D,): Status; Eq. 1, mm
@@ -50,6 +52,7 @@ def record_sweep(path, *, run_id: str, name: str, observations_vertices, labels,
     """
     vertices, trajectory = np.asarray(observations_vertices, float), np.asarray(trajectory, float)
     status, distance = np.asarray(status), np.asarray(distance, float)
+    labels = {label: values for label, values in (labels or {}).items() if values is not None}
     sheet, names = contact_sheet(vertices, labels, up), observation_names(labels, len(vertices))
     plane = None if landscape is None else landscape_plane(axes, landscape, minimum, valley, unfinished)
     stream = rerun.RecordingStream("doo_ti", recording_id=run_id)
@@ -61,7 +64,7 @@ def record_sweep(path, *, run_id: str, name: str, observations_vertices, labels,
     if properties:
         stream.send_property("run", rerun.AnyValues(**properties))
     _log_observations(stream, sheet, vertices, names)
-    _log_rods(stream, sheet, trajectory, names, status, distance)
+    _log_rods(stream, sheet, trajectory, names, status, distance, plane is not None)
     _log_curves(stream, np.asarray(energy, float), np.asarray(residual, float))
     if plane is not None:
         picture = report.landscape_image(axes, landscape, minimum=minimum, valley=valley, title=name, label=LABEL,
@@ -86,21 +89,44 @@ def open_viewer(path) -> int:
 
     Raises InputError where there is no recording.
     """
-    return _viewer(path)
+    return _viewer(path, "--port", "auto").wait()
 
 
-def save_screenshot(path, picture, size=(1600, 900)) -> int:
-    """Write what the viewer shows as a PNG, without a display (needs a Vulkan driver; mesa's in software will do)."""
-    return _viewer(path, "--headless", "--screenshot-to", str(picture), "--window-size", "{}x{}".format(*size))
+def save_screenshot(path, picture, size=(1600, 900)) -> None:
+    """Write what the viewer shows as a PNG, without a display (needs a Vulkan driver; mesa's in software will do).
+
+    Raises InputError where there is no recording, RuntimeError where the viewer does not start.
+    """
+    from rerun.experimental import ViewerClient
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    viewer = _viewer(path, "--headless", "--port", str(port), "--window-size", "{}x{}".format(*size))
+    try:
+        while viewer.poll() is None:
+            try:
+                client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+                break
+            except ConnectionError:
+                time.sleep(0.2)
+        else:
+            raise RuntimeError(f"the rerun viewer ended with exit code {viewer.returncode}: is a Vulkan driver installed?")
+        client.run_command("ui.toggle_top_panel")
+        time.sleep(12)  # the viewer's notices fade and its plots fill
+        client.save_screenshot(str(Path(picture).resolve()))
+    finally:
+        viewer.terminate()
+        viewer.wait()
 
 
-def _viewer(path, *options: str) -> int:
+def _viewer(path, *options: str) -> subprocess.Popen:
     file = Path(path) / FILE if Path(path).is_dir() else Path(path)
     if not file.is_file():
         raise InputError(path, FILE, "there is no recording", "name a folder that doo-ti sweep has written")
     # Left alone the viewer listens on every network interface and reports its use; CI=true stops the reports.
-    command = [sys.executable, "-m", "rerun_cli", "--bind", "127.0.0.1", "--port", "auto", *options, str(file)]
-    return subprocess.run(command, env=os.environ | {"CI": "true"}, check=False).returncode
+    command = [sys.executable, "-m", "rerun_cli", "--bind", "127.0.0.1", *options, str(file)]
+    return subprocess.Popen(command, env=os.environ | {"CI": "true"})
 
 
 def _log_observations(stream, sheet: Sheet, vertices: np.ndarray, names: list[str]) -> None:
@@ -113,23 +139,24 @@ def _log_observations(stream, sheet: Sheet, vertices: np.ndarray, names: list[st
     stream.log("world", getattr(rerun.ViewCoordinates, up), static=True)
     strips = [rod[mask] for rod, mask in zip(placed, present, strict=True)]
     stream.log("world/observations", rerun.LineStrips3D(
-        strips, colors=OBSERVED, radii=rerun.Radius.ui_points(0.6), labels=names, show_labels=False),
+        strips, colors=OBSERVED, radii=rerun.Radius.ui_points(0.5), labels=names, show_labels=False),
         rerun.AnyValues(offset_mm=_vectors(sheet.offset)), static=True)
     stream.log("world/observations/marks", rerun.Points3D(
-        placed[present], colors=OBSERVED, radii=rerun.Radius.ui_points(1.6)), static=True)
+        placed[present], colors=OBSERVED, radii=rerun.Radius.ui_points(1.0)), static=True)
     if sheet.headings:
         texts, places = zip(*sheet.headings, strict=True)
         stream.log("world/headings", rerun.Points3D(
             np.stack(places), labels=texts, show_labels=True, colors=TEXT, radii=rerun.Radius.ui_points(0.0)), static=True)
 
 
-def _log_rods(stream, sheet: Sheet, trajectory: np.ndarray, names: list[str], status, distance) -> None:
+def _log_rods(stream, sheet: Sheet, trajectory: np.ndarray, names: list[str], status, distance,
+              with_trials: bool) -> None:
     """One entity for all rods, one instance per rod: a rod per entity makes files and viewer slow."""
     colors = np.where((status == Status.CONVERGED)[:, None], report.distance_colors(distance), FAILED)
     labels = [f"{name}: {report.quantity(d, 'mm')}, {Status(s).name.lower().replace('_', ' ')}"
               for name, d, s in zip(names, distance, status, strict=True)]
     stream.log("world/rods", rerun.LineStrips3D.from_fields(
-        colors=colors.astype(np.uint8), radii=rerun.Radius.ui_points(1.5), labels=labels, show_labels=False),
+        colors=colors.astype(np.uint8), radii=rerun.Radius.ui_points(1.7), labels=labels, show_labels=False),
         rerun.AnyValues(offset_mm=_vectors(sheet.offset)), static=True)
     for start in range(0, len(trajectory), BLOCK):
         rods = (trajectory[start:start + BLOCK] + sheet.offset[:, None]).astype(np.float32)
@@ -139,6 +166,9 @@ def _log_rods(stream, sheet: Sheet, trajectory: np.ndarray, names: list[str], st
             strips = [rod if np.isfinite(rod).all() else rod[:0] for rod in strips]
         stream.send_columns("world/rods", [rerun.TimeColumn("iteration", sequence=np.arange(start, start + steps))],
                             rerun.LineStrips3D.columns(strips=strips).partition([count] * steps))
+    if with_trials:  # where the cells appear, the relaxed rods stay in sight
+        stream.send_columns("world/rods", [rerun.TimeColumn("trial", sequence=[0])],
+                            rerun.LineStrips3D.columns(strips=strips[-count:]).partition([count]))
 
 
 def _log_curves(stream, energy: np.ndarray, residual: np.ndarray) -> None:
@@ -147,10 +177,10 @@ def _log_curves(stream, energy: np.ndarray, residual: np.ndarray) -> None:
     with np.errstate(divide="ignore", invalid="ignore"):
         residual = np.where(residual > 0, np.log10(residual), np.nan)
     curves = {
-        "energy/mean": ("mean energy [mm²]", np.nanmean, energy, (45, 212, 191)),
-        "energy/median": ("median energy [mm²]", np.nanmedian, energy, (125, 170, 255)),
-        "residual/median": ("median log10 residual [1/mm]", np.nanmedian, residual, (125, 170, 255)),
-        "residual/largest": ("largest log10 residual [1/mm]", np.nanmax, residual, FAILED),
+        "energy/mean": ("mean [mm²]", np.nanmean, energy, (45, 212, 191)),
+        "energy/median": ("median [mm²]", np.nanmedian, energy, (125, 170, 255)),
+        "residual/median": ("median [log10 1/mm]", np.nanmedian, residual, (125, 170, 255)),
+        "residual/largest": ("largest [log10 1/mm]", np.nanmax, residual, FAILED),
     }
     for entity, (name, statistic, values, color) in curves.items():
         some = np.isfinite(values).any(axis=1)
@@ -184,17 +214,15 @@ def _log_surface(stream, plane: Plane) -> None:
 
 def _log_surface_axes(stream, plane: Plane) -> None:
     """A frame around the surface's base, with the ends of the axes and the height written to it."""
-    top = SURFACE_HEIGHT
-    strips = [np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 0)]), np.array([(0, 1, 0), (0, 1, top)])]
+    strips = [np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 0), (0, 0, SURFACE_HEIGHT)])]
     texts, places = [], []
-    ends = (((0.0, -0.06, 0), (0.5, -0.16, 0), (1.0, -0.06, 0)), ((1.06, 0.0, 0), (1.16, 0.5, 0), (1.06, 1.0, 0)))
-    for axis, (first, middle, last) in zip(plane.axes, ends, strict=False):
-        low, *_, high = (axis[1][0], axis[1][-1])
-        texts += [report.quantity(low), report.axis_label(axis), report.quantity(high)]
-        places += [first, middle, last]
+    ends = (((0.08, -0.1, 0), (0.5, -0.16, 0), (0.9, -0.1, 0)), ((1.1, 0.1, 0), (1.2, 0.5, 0), (1.1, 0.92, 0)))
+    for axis, three_places in zip(plane.axes, ends, strict=False):
+        texts += [report.quantity(axis[1][0]), report.axis_label(axis), report.quantity(axis[1][-1])]
+        places += three_places
     if np.isfinite(plane.values).any():
-        texts += ["0 mm", report.quantity(np.nanmax(plane.values), "mm"), "mean distance"]
-        places += [(-0.06, 1, 0), (-0.06, 1, top), (0, 1, top + 0.08)]
+        texts += ["0 mm", "mean distance " + report.quantity(np.nanmax(plane.values), "mm")]
+        places += [(-0.08, -0.04, 0), (0, 0, SURFACE_HEIGHT + 0.05)]
     stream.log("landscape/surface/axes", rerun.LineStrips3D(
         strips, colors=TEXT, radii=rerun.Radius.ui_points(0.7)), static=True)
     stream.log("landscape/surface/axes/labels", rerun.Points3D(
@@ -212,58 +240,57 @@ def _log_cells(stream, plane: Plane, landscape: np.ndarray, axes, order) -> None
     x, y = _unit_axes(plane)
     first, *rest = (index[axis[0]] for axis in plane.axes)
     points = np.stack([x[first], y[rest[0]] if rest else 0 * x[first], _height(plane, values[trial])], axis=-1)
-    stream.log("landscape/cells", rerun.Points3D.from_fields(radii=rerun.Radius.ui_points(3.5)), static=True)
+    stream.log("landscape/cells", rerun.Points3D.from_fields(radii=rerun.Radius.ui_points(2.5)), static=True)
     stream.send_columns("landscape/cells", [rerun.TimeColumn("trial", sequence=trial)], rerun.Points3D.columns(
         positions=points.astype(np.float32), colors=report.landscape_colors(values[trial], plane.values),
         labels=[report.quantity(value, "mm") for value in values[trial]], show_labels=np.zeros(len(trial), bool)))
 
 
 def _layout(sheet: Sheet, plane: Plane | None) -> blueprint.Blueprint:
-    """Rods and curves on the left, landscape and summary on the right."""
+    """Rods and summary on the left, landscape and curves on the right; on the last iteration when opened."""
     width, height = sheet.extent
     away = 0.5 * max(height, width / 1.35) / np.tan(np.radians(27.5))
     rods = blueprint.Spatial3DView(
-        name="Rods (coloured) on observed marks (white), mm", origin="world", line_grid=False, background=[16, 18, 22],
+        name=f"Rods on observed marks (white), mm; {sheet.meaning}".removesuffix("; "), origin="world", line_grid=False, background=[16, 18, 22],
         eye_controls=blueprint.EyeControls3D(
             kind=blueprint.Eye3DKind.Orbital, look_target=sheet.centre, eye_up=sheet.basis[2],
             position=sheet.centre - away * sheet.basis[1]))
     plots = [blueprint.TimeSeriesView(name=name, origin=f"curves/{entity}", plot_legend=blueprint.Corner2D.RightTop)
              for entity, name in (("energy", "Energy [mm²]"), ("residual", "log10 scaled residual [1/mm]"))]
-    left = blueprint.Vertical(rods, blueprint.Horizontal(*plots), row_shares=[3, 1.3])
     summary = blueprint.TextDocumentView(name="Summary", origin="summary")
-    time = blueprint.TimePanel(state="collapsed", timeline="iteration", play_state="paused")
+    left = blueprint.Vertical(rods, summary, row_shares=[3, 1.25])
+    time = blueprint.TimePanel(state="collapsed", timeline="iteration", play_state="following")
     panels = (blueprint.BlueprintPanel(state="collapsed"), blueprint.SelectionPanel(state="collapsed"), time)
     if plane is None:
-        return blueprint.Blueprint(blueprint.Horizontal(left, summary, column_shares=[2.4, 1]), *panels)
+        return blueprint.Blueprint(blueprint.Horizontal(left, blueprint.Vertical(*plots), column_shares=[1.25, 1]), *panels)
     surface = blueprint.Spatial3DView(
-        name="Surface and trials", origin="landscape", contents=["$origin/surface/**", "$origin/cells"],
+        name="Surface (timeline: trial)", origin="landscape", contents=["$origin/surface/**", "$origin/cells"],
         line_grid=False, background=[16, 18, 22],
         eye_controls=blueprint.EyeControls3D(
-            kind=blueprint.Eye3DKind.Orbital, position=(1.6, -1.5, 1.3), look_target=(0.5, 0.5, 0.15), eye_up=(0, 0, 1)),
+            kind=blueprint.Eye3DKind.Orbital, position=(1.25, -0.95, 0.95), look_target=(0.55, 0.42, 0.15), eye_up=(0, 0, 1)),
         time_ranges=blueprint.VisibleTimeRange("trial", start=blueprint.TimeRangeBoundary.infinite(),
                                                end=blueprint.TimeRangeBoundary.cursor_relative()))
     picture = blueprint.Spatial2DView(name="Landscape", origin="landscape/picture")
-    right = blueprint.Vertical(blueprint.Tabs(picture, surface), summary, row_shares=[3, 2])
+    right = blueprint.Vertical(blueprint.Tabs(picture, surface), blueprint.Horizontal(*plots), row_shares=[3, 2])
     return blueprint.Blueprint(blueprint.Horizontal(left, right, column_shares=[1.25, 1]), *panels)
 
 
 def _summary(name: str, intervals: tuple[Interval, ...], names, status, distance, properties: dict) -> str:
     """Best Θ with its interval, how the rods ended, and the properties, in Markdown."""
-    lines = [f"# {name}", ""]
+    lines, finite = [f"**{name}**"], np.isfinite(distance)
+    if finite.any():
+        worst = int(np.nanargmax(distance))
+        lines[0] += (f": mean distance (Eq. 1) **{report.quantity(np.mean(distance[finite]), 'mm')}** over {finite.sum()} "
+                     f"of {len(distance)} rods, median {report.quantity(np.median(distance[finite]), 'mm')}, largest "
+                     f"{report.quantity(distance[worst], 'mm')} ({names[worst]})")
     if intervals:
-        lines += ["| Θ | best | within 5 % of the minimum |", "|---|---|---|"]
+        lines += ["", "| Θ | best | within 5 % of the minimum |", "|---|---|---|"]
         lines += [f"| {report.SYMBOLS[i.name]} | **{report.quantity(i.best, UNITS[i.name])}** "
                   f"| {'≤ ' * i.low_is_open}{report.quantity(i.low)} … {'≥ ' * i.high_is_open}{report.quantity(i.high)} |"
                   for i in intervals]
-    finite = np.isfinite(distance)
-    if finite.any():
-        worst = int(np.nanargmax(distance))
-        lines += ["", f"Distance (Eq. 1) over {finite.sum()} rods: mean **{report.quantity(np.mean(distance[finite]), 'mm')}**, "
-                      f"median {report.quantity(np.median(distance[finite]), 'mm')}, "
-                      f"largest {report.quantity(distance[worst], 'mm')} ({names[worst]})."]
     counts = [f"{np.sum(status == kind)} {kind.name.lower().replace('_', ' ')}" for kind in Status if (status == kind).any()]
-    lines += ["", f"Rods at this Θ: {', '.join(counts)}.", "", "Rod colour: distance, from teal (smallest) to yellow "
-              "(largest); red did not converge. Timelines: `iteration` (solver), `trial` (cells of the grid).", ""]
+    lines += ["", f"Rods: {', '.join(counts)}. Coloured by distance, teal the smallest, yellow the largest; red: not "
+              "converged.", ""]
     if properties:
         lines += ["| property | |", "|---|---|", *(f"| {key} | {value} |" for key, value in properties.items())]
     return "\n".join(lines)

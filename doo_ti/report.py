@@ -42,7 +42,7 @@ def landscape_image(axes, values, *, minimum, valley=None, title, label, unfinis
 
 def quantity(value: float, unit: str = "") -> str:
     """A value with its unit for a person: three digits, powers of ten from 10⁴ on."""
-    if value == 0 or 1e-2 <= abs(value) < 1e4:
+    if value == 0 or 1e-2 <= abs(value) < 1e4 or not np.isfinite(value):
         text = f"{value:.3g}"
     else:
         mantissa, exponent = f"{value:.2e}".split("e")

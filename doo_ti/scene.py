@@ -2,7 +2,7 @@
 
     name = "silk"                 # the rod's material
     frame_weight_mm = 0.0         # w_m of Eq. 1
-    clamp_start = "frame"         # position, tangent, frame or free; left out: the frame where it is given, else the tangent
+    clamp_start = "frame"         # position, tangent, frame or free; left out: frame where it is given, else tangent
     clamp_end = "frame"
     objective = "static"          # Eq. 2
     precision = "f32"             # f32, f64 or mixed
@@ -98,8 +98,8 @@ class Synthesis:
         for name in ("start_direction", "end_direction"):
             direction = getattr(self, name)
             self._require(name, len(direction) == 3 and 0 < np.linalg.norm(direction) < np.inf, "a vector X, Y, Z")
-        first, mixed, same, second = np.ravel(np.array(self.bend) * np.eye(2) if np.ndim(self.bend) == 0 else self.bend)
-        self._require("bend", mixed == same and first > 0 and first * second > mixed**2, "a positive definite B")
+        bend = self.bend * np.eye(2) if isinstance(self.bend, float) else np.array(self.bend)
+        self._require("bend", (bend == bend.T).all() and np.linalg.eigvalsh(bend)[0] > 0, "a positive definite B")
 
     def material(self) -> Material:
         """Θ, straight at rest: the table of one material."""
@@ -107,7 +107,8 @@ class Synthesis:
 
     def _require(self, name: str, holds: bool, remedy: str) -> None:
         if not holds:
-            raise InputError(self.source, f"synthesis.{name}", f"{getattr(self, name)!r} is out of range", f"give {remedy}")
+            value = getattr(self, name)
+            raise InputError(self.source, f"synthesis.{name}", f"{value!r} is out of range", f"give {remedy}")
 
 
 @dataclass(frozen=True)
@@ -141,8 +142,8 @@ def load_scene(path: str | os.PathLike) -> Scene:
         raise InputError(path, "file", (error.strerror or str(error)).lower(), "name a readable scene") from None
     except ValueError as error:
         raise InputError(path, "file", f"not TOML ({error})", "correct the scene") from None
-    known = ("name", "frame_weight_mm", "clamp_start", "clamp_end", "objective", "precision", "observations", "synthesis",
-             "grid")
+    known = ("name", "frame_weight_mm", "clamp_start", "clamp_end", "objective", "precision", "observations",
+             "synthesis", "grid")
     _check_keys(path, "", table, known)
     if ("observations" in table) == ("synthesis" in table):
         raise InputError(path, "observations", "neither or both of [observations] and [synthesis]", "give one of them")

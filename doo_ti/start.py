@@ -37,7 +37,7 @@ def observation_clamps(observations: Observations, start: Clamp | None = None, e
 
 
 def check_feasible(observations: Observations, clamps: Clamps) -> None:
-    """Raise InputError, naming the observation and by how much, where the clamps are further apart than the rod is long."""
+    """Raise InputError where clamps are further apart than the rod is long, naming the observation and by how much."""
     excess = span_excess(clamps, observations.rest_length)
     # A taut rod has no slack at all: rounding must not decide about it.
     bad = np.flatnonzero(excess > 1e-9 * observations.rest_length.sum())
@@ -133,7 +133,7 @@ def fill_missing(observations: Observations) -> np.ndarray:
     position = np.concatenate([[0.0], np.cumsum(observations.rest_length)])
     marks = np.arange(count)
     ranks = np.argsort(~valid, axis=1, kind="stable")
-    # The valid mark at or before each vertex, by its rank among the valid ones, held inside the range that has a next one.
+    # The valid mark at or before each vertex, by its rank among the valid ones; the last of them has no next one.
     rank = np.clip(np.cumsum(valid, axis=1) - 1, 0, valid.sum(axis=1, keepdims=True) - 2)
     before, after = np.take_along_axis(ranks, rank, axis=1), np.take_along_axis(ranks, rank + 1, axis=1)
     share = ((position[marks] - position[before]) / (position[after] - position[before]))[..., None]
@@ -186,7 +186,7 @@ def _holds_spin(kind) -> np.ndarray:
 
 
 def _bishop(observations: Observations, clamps: Clamps) -> np.ndarray:
-    """(D, E, 3, 3) twist-free frames: clamped tangents at the ends, observed ones between, the first m1 from its clamp."""
+    """(D, E, 3, 3) twist-free frames: clamped tangents at the ends, observed ones between, m1 from the start clamp."""
     tangents = _directions(observations).copy()
     for edge, kind, frame in ((0, clamps.start, clamps.start_frame), (-1, clamps.end, clamps.end_frame)):
         held = np.broadcast_to(np.asarray(kind) >= Clamp.TANGENT, observations.count)[:, None]
@@ -224,7 +224,7 @@ def _clamped(quaternions: np.ndarray, kind, frame: np.ndarray) -> np.ndarray:
 
 
 def _anchor(observations: Observations, clamps: Clamps, quaternions: np.ndarray) -> np.ndarray:
-    """(D, 3) position of vertex 0: its clamp, else what puts the last vertex on its clamp, else where it was observed."""
+    """(D, 3) vertex 0: on its clamp, else where the last vertex meets its clamp, else where it was observed."""
     count = observations.count
     loose = np.broadcast_to(np.asarray(clamps.start) == Clamp.FREE, count)
     held_end = np.broadcast_to(np.asarray(clamps.end) != Clamp.FREE, count)

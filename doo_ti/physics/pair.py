@@ -18,43 +18,9 @@ B = (11, 22, 12) and u̅ = ω̄ l̄/2 as (real, imaginary). The derivatives come
 (g_left, g_right, H_left, H_right, H_across): two 3-tuples, two symmetric 6-tuples and a 9-tuple [left row, right column].
 """
 
-import numpy as np
 import taichi as ti
 
 from doo_ti.physics.quaternion import relative_rotation
-
-
-def _arctangent_coefficients(terms: int) -> tuple[float, ...]:
-    """c_k of atan(t) = t Σ c_k t^{2k} on [−1, 1]: Chebyshev interpolation of atan(√s)/√s on s in [0, 1]."""
-
-    def ratio(s):
-        root = np.sqrt(np.maximum(s, 1e-300))
-        return np.where(s < 1e-12, 1.0, np.arctan(root) / root)
-
-    chebyshev = np.polynomial.Chebyshev.interpolate(ratio, terms - 1, domain=[0.0, 1.0])
-    return tuple(chebyshev.convert(kind=np.polynomial.Polynomial).coef)
-
-
-ARCTANGENT_32 = _arctangent_coefficients(10)
-ARCTANGENT_64 = _arctangent_coefficients(22)
-
-
-def twist_angle_function(number):
-    """m = 2 atan2(q1, q0) = 4 atan(q1/(√s + q0)) by an odd polynomial, to the rounding of ``number``."""
-    coefficients = ARCTANGENT_32 if number.bits == 32 else ARCTANGENT_64
-    reversed_coefficients = tuple(reversed(coefficients))
-    scalar = number.scalar
-
-    @ti.func
-    def twist_angle(q, root):
-        t = q[1] / (root + q[0])
-        square = t * t
-        total = 0.0 * square
-        for k in ti.static(range(len(reversed_coefficients))):
-            total = total * square + scalar(reversed_coefficients[k])
-        return 4.0 * t * total
-
-    return twist_angle
 
 
 @ti.func

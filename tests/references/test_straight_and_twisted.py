@@ -10,10 +10,10 @@ An inextensible chain exactly as long as its span cannot move at all, so the thr
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import brentq
 
 from doo_ti.relax import relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.types import Configuration, Material
 from tests.references.rods import chain, clamps_at, orders, show, stacked
 
 ALPHA, BETA, SPAN = 6e5, 4e5, 100.0
@@ -33,20 +33,73 @@ def test_twist_of_a_taut_rod_spreads_evenly(rng, uneven):
 
 
 def clamped_determinant(moment: float, compression: float) -> float:
-    """The 4×4 condition of a clamped rod of length 1 and EI = 1, made real by putting s = 0 at mid-span."""
-    root = np.sqrt(moment**2 / 4 + compression + 0j)
-    waves = np.array([moment / 2 + root, moment / 2 - root])
+    """The 4×4 condition of a clamped rod with L = EI = 1: w is a sum of 1, s and e^{iρs}, ρ² − Mρ − P = 0.
+
+    Purely imaginary with s = 0 at mid-span. Two equal ρ make it vanish without a solution: dividing by their distance
+    takes that root out.
+    """
+    half_gap = np.sqrt(moment**2 / 4 + compression)
+    waves = np.array([moment / 2 + half_gap, moment / 2 - half_gap])
     rows = []
     for s in (-0.5, 0.5):
-        rows.append([1, s, *np.exp(1j * waves * s)])
-        rows.append([0, 1, *(1j * waves * np.exp(1j * waves * s))])
-    # Waves that meet at root = 0 make the determinant vanish without a solution; dividing by root takes that out.
-    return (np.linalg.det(np.array(rows)) / (root * 1j)).real
+        wave = np.exp(1j * waves * s)
+        rows += [[1, s, *wave], [0, 1, *(1j * waves * wave)]]
+    return np.linalg.det(np.array(rows)).imag / half_gap
 
 
-def compression_of(moment: float) -> float:
-    """The least load P L²/EI at which the rod of moment ML/EI buckles: 4π² without twist, 0 at 8.987, then negative."""
-    loads = np.linspace(-moment**2 / 4 + 1e-6, 4 * np.pi**2 + 1, 400)
-    values = [clamped_determinant(moment, load) for load in loads]
-    first = np.flatnonzero(np.sign(values[:-1]) != np.sign(values[1:]))[0] if values else 0
-    return brentq(lambda load: clamped_determinant(moment, load), loads[first], loads[first + 1], xtol=1e-13)
+def least_compression(moment: float) -> float:
+    """P L²/EI of the first mode at ML/EI = ``moment``: 4π² without twist, 0 at 8.987, tension (negative) beyond."""
+    loads = np.linspace(1e-3 - moment**2 / 4, 4 * np.pi**2 + 1, 300)
+    values = np.array([clamped_determinant(moment, load) for load in loads])
+    first = np.flatnonzero(values[:-1] * values[1:] < 0)[0]
+    return brentq(lambda load: clamped_determinant(moment, load), loads[first], loads[first + 1], xtol=1e-12)
+
+
+THRESHOLD = 2 * brentq(lambda half: np.tan(half) - half, 4.4, 4.6)  # ML/EI of Φ_c
+
+
+def slack_rod(edges: int, turn: float, slack: float) -> Configuration:
+    """One wave of a cosine to one side, twisted evenly by ``turn``, so flat that it spans its length less ``slack``."""
+    along = np.arange(edges) / (edges - 1)
+    slope = np.sin(2 * np.pi * along)
+    length = SPAN / (edges - 1)
+
+    def missing(size):
+        return np.sum(length * (1 - np.cos(np.arctan(size * slope)))) - slack
+
+    angle = np.arctan(brentq(missing, 0, 3) * slope)
+    tangents = np.stack([np.cos(angle), 0 * angle, -np.sin(angle)], axis=1)
+    return chain(tangents, [0, 1, 0], length, spin=turn * along)
+
+
+def measured_compression(edges: int, moments, slack_over_length: float) -> np.ndarray:
+    """(E_relaxed − E_straight)/ε in units of EI/L², for several ML/EI; a trace of weight says which way to bend."""
+    slack = slack_over_length * SPAN
+    turns = np.asarray(moments) * ALPHA / BETA
+    rods = stacked([slack_rod(edges, turn, slack) for turn in turns])
+    solution = relax(rods, Material(ALPHA, BETA, 1e-6 * ALPHA / SPAN**3), clamps_at(rods))
+    assert solution.converged.all() and solution.stable.all()
+    return (solution.energy - BETA * turns**2 / (2 * SPAN)) / slack * SPAN**2 / ALPHA
+
+
+def test_reference_loads_are_the_known_ones():
+    assert THRESHOLD == pytest.approx(8.986819, abs=1e-6)
+    assert least_compression(0.0) == pytest.approx(4 * np.pi**2, rel=1e-9)
+    assert least_compression(THRESHOLD) == pytest.approx(0.0, abs=1e-5)
+
+
+def test_twisted_rod_buckles_at_the_clamped_writhing_threshold():
+    """P(Φ) and its zero Φ_c, extrapolated to no slack, converge to the continuum's with second order."""
+    moments = THRESHOLD * np.array([0.0, 0.5, 0.9, 0.97, 1.03, 1.1])
+    expected = np.array([least_compression(moment) for moment in moments])
+    joints, errors, crossings = [16, 32, 64], [], []
+    for count in joints:
+        measured = 2 * measured_compression(count + 1, moments, 1e-3) - measured_compression(count + 1, moments, 2e-3)
+        errors.append(np.abs(measured - expected).max() / (4 * np.pi**2))
+        crossings.append(abs(np.interp(0.0, -measured[3:5], moments[3:5]) / THRESHOLD - 1))
+        # Just below and just above Φ_c the rod straightens and writhes; the coarsest chain is 3 % stiffer.
+        assert measured[2] > 0 and (measured[5] < 0 or count == 16)
+    show("buckling load under twist, over 4π²", joints, errors)
+    show("writhing threshold", joints, crossings)
+    assert (orders(joints, errors) > 1.8).all() and (orders(joints, crossings) > 1.8).all()
+    assert crossings[-1] < 2e-3

@@ -1,0 +1,209 @@
+"""What each command does, as plain functions of the parsed options: check all input, then work, then tell.
+
+Each takes the options and the words of the command line, and returns the exit code. Heavy modules are imported where
+they are used, so that wrong input is told at once.
+"""
+
+import json
+from argparse import Namespace
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti import options as given
+from doo_ti.dataset import Observations, load_observations, save_observations, write_whole
+from doo_ti.errors import InputError
+from doo_ti.grid import Grid
+from doo_ti.learning import Landscape, read_landscape, status_counts
+from doo_ti.scene import Scene, Synthesis, load_scene
+from doo_ti.start import check_feasible, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
+
+
+def relax(options: Namespace, words: list[str]) -> int:
+    """F on each observation (§III-D), to one npz; of several whole-turn hypotheses the one nearest to what was seen."""
+    grid = given.grid(options)
+    if grid.size > 1:
+        option = f"--{grid.varying[0].name.replace('_', '-')}"
+        raise InputError("command line", option, f"a grid of {grid.size} cells", "give one number, or use sweep")
+    frame_weight, up, out = given.frame_weight(options), given.up(options), given.output_file(options.out, ".npz")
+    observations = load_observations(options.observations, up)
+    clamps = observation_clamps(observations, given.clamp(options.clamp_start), given.clamp(options.clamp_end))
+    check_feasible(observations, clamps)
+
+    from doo_ti.metric import distance
+    from doo_ti.relax import relax as relax_rods
+
+    index, turns = turn_hypotheses(observations, clamps)
+    observed, held = observations.take(index), clamps.take(index)
+    solution = relax_rods(start_configuration(observed, held, turns), grid.materials(), held, _solver(options.solver),
+                          up=observations.up, precision=options.precision)
+    relaxed = solution.configuration
+    error = distance(relaxed.vertices, observations, index, frames=relaxed.frames, frame_weight=frame_weight)
+    best = choose_hypothesis(index, error)
+    configuration = relaxed.take(best)
+    result = {"vertices_mm": configuration.vertices, "frames": configuration.frames, "distance_mm": error[best]}
+    result |= {name: getattr(solution, name)[best] for name in ("energy", "status", "iterations", "residual", "stable")}
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(out, lambda file: np.savez_compressed(file, **result))
+    _tell_relaxation(options, observations, grid, result, out)
+    return 0
+
+
+def sweep(options: Namespace, words: list[str]) -> int:
+    """Eq. 2 over a grid; writes the run's folder and prints the best Θ with the ranges that fit nearly as well."""
+    scene = load_scene(options.source) if Path(options.source).suffix == ".toml" else None
+    grid = given.grid(options, scene.grid if scene else None)
+    frame_weight = given.frame_weight(options, scene.frame_weight if scene else 0.0)
+    seed, workers = given.whole("--seed", options.seed, 0), given.whole("--workers", options.workers, 1)
+    up, run = given.up(options), given.output_folder(options.out)
+    observations = _observed(scene, up) if scene else load_observations(options.source, up)
+    clamp_start, clamp_end = given.clamp(options.clamp_start), given.clamp(options.clamp_end)
+    if scene:
+        clamp_start = scene.clamp_start if clamp_start is None else clamp_start
+        clamp_end = scene.clamp_end if clamp_end is None else clamp_end
+    check_feasible(observations, observation_clamps(observations, clamp_start, clamp_end))
+
+    from doo_ti.sweep import SweepOptions
+    from doo_ti.sweep import sweep as sweep_grid
+
+    chosen = SweepOptions(
+        frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=_solver(options.solver),
+        precision=options.precision or (scene.precision if scene else "f32"),
+        objective=options.objective or (scene.objective if scene else "static"), seed=seed, workers=workers,
+    )
+    summary = sweep_grid(run, observations, grid, options=chosen, command=words)
+    if options.json:
+        print(json.dumps(_plain(summary)))
+    else:
+        _tell_landscape(read_landscape(run))
+        print(f"  written to {run}")
+    return 0
+
+
+def learn(options: Namespace, words: list[str]) -> int:
+    """The best Θ of each run, with the ranges that fit nearly as well (§III-E); all runs over one grid."""
+    landscapes = [read_landscape(Path(run)) for run in options.runs]
+    for landscape in landscapes[1:]:
+        if landscape.grid.as_dict() != landscapes[0].grid.as_dict():
+            raise InputError(landscape.run, "grid", f"another grid than that of {landscapes[0].run}",
+                             "sweep all runs over the same axes")
+    if options.json:
+        print(json.dumps(_plain([_best(landscape) for landscape in landscapes])))
+    else:
+        for landscape in landscapes:
+            _tell_landscape(landscape)
+    return 0
+
+
+def view(options: Namespace, words: list[str]) -> int:
+    """Open the rerun viewer on a run."""
+    path = Path(options.recording)
+    if not path.exists():
+        raise InputError(path, "run", "no such file or directory", "name the folder of a run, or an .rrd file")
+    from doo_ti.record import open_viewer
+
+    return 1 if open_viewer(path) else 0
+
+
+def convert(options: Namespace, words: list[str]) -> int:
+    """Observations from one format to another, losslessly."""
+    out = given.output_file(options.out)
+    _save(out, load_observations(options.observations))
+    return 0
+
+
+def synth(options: Namespace, words: list[str]) -> int:
+    """The observations of a scene to a file."""
+    out = given.output_file(options.out)
+    _save(out, _observed(load_scene(options.scene), None))
+    return 0
+
+
+def _observed(scene: Scene, up: np.ndarray | None) -> Observations:
+    """A scene's observations, loaded or synthesised, under the scene's name."""
+    if isinstance(scene.observations, Synthesis):
+        from doo_ti.synthesis import synthesise
+
+        observations = synthesise(scene.observations)
+    else:
+        observations = load_observations(scene.observations)
+    return replace(observations, name=scene.name, **({} if up is None else {"up": up}))
+
+
+def _save(out: Path, observations: Observations) -> None:
+    out.parent.mkdir(parents=True, exist_ok=True)
+    save_observations(out, observations)
+    print(f"{observations.count} observations of {observations.edges + 1} vertices written to {out}")
+
+
+def _solver(name: str):
+    from doo_ti.relax import Descent, Newton
+
+    return {"newton": Newton, "descent": Descent}[name]()
+
+
+def _tell_relaxation(options: Namespace, observations: Observations, grid: Grid, result: dict, out: Path) -> None:
+    distance, counts = result["distance_mm"], status_counts(result["status"])
+    finite = distance[np.isfinite(distance)]
+    theta = {name: float(value[0]) for name, value in grid.cell_values().items()}
+    summary = {
+        "observations": observations.count, "edges": observations.edges, **theta, "bend_12": grid.bend_12,
+        "status": counts, "stable": int(result["stable"].sum()), "out": str(out),
+        "mean_distance_mm": finite.mean() if len(finite) else np.nan,
+        "largest_distance_mm": finite.max() if len(finite) else np.nan,
+        "median_iterations": np.median(result["iterations"]), "largest_residual": np.max(result["residual"]),
+    }
+    if options.json:
+        print(json.dumps(_plain(summary)))
+        return
+    bend = f"{theta['bend_1']:.4g}" + ("" if grid.is_isotropic else f", {theta['bend_2']:.4g}, {grid.bend_12:.4g}")
+    print(f"{observations.name}: {observations.count} rods of {observations.edges} edges")
+    print(f"  material    bend {bend} mm³, twist {theta['twist']:.4g} mm³, weight {theta['weight']:.4g}")
+    print(f"  status      {_counted(counts)}; {summary['stable']} certified stable")
+    if len(finite):
+        print(f"  distance    mean {finite.mean():.4g} mm, largest {finite.max():.4g} mm at observation "
+              f"{int(np.nanargmax(distance))} (Eq. 1)")
+    print(f"  iterations  median {summary['median_iterations']:.0f}, most {int(result['iterations'].max())}")
+    print(f"  written to {out}")
+
+
+def _best(landscape: Landscape) -> dict:
+    """The best Θ of a run, as JSON holds it."""
+    theta = {name: value[landscape.best] for name, value in landscape.grid.cell_values().items()}
+    return {"run": str(landscape.run), "material": landscape.name, **theta, "bend_12": landscape.grid.bend_12,
+            "mean_distance_mm": landscape.mean_distance[landscape.best],
+            "intervals": [asdict(interval) for interval in landscape.intervals],
+            "status": status_counts(landscape.status), "stable": landscape.stable.sum()}
+
+
+def _tell_landscape(landscape: Landscape) -> None:
+    cells, count = landscape.distance.shape
+    best = _best(landscape)
+    mixed = f", bend_12 {best['bend_12']:.4g} mm³" if best["bend_12"] else ""
+    print(f"{landscape.name}: {cells} cells x {count} observations")
+    print(f"  best Θ      bend_1 {best['bend_1']:.4g} mm³, bend_2 {best['bend_2']:.4g} mm³{mixed}, "
+          f"twist {best['twist']:.4g} mm³, weight {best['weight']:.4g}")
+    print(f"  distance    mean {best['mean_distance_mm']:.4g} mm (Eq. 1)")
+    for interval in landscape.intervals:
+        print(f"  within 5 %  {interval}")
+    print(f"  status      {_counted(best['status'])}; {best['stable']} certified stable")
+
+
+def _counted(counts: dict[str, int]) -> str:
+    return ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
+
+
+def _plain(value):
+    """``value`` as strict JSON holds it: no NumPy types, null for what is not finite."""
+    if isinstance(value, dict):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,109 @@
+"""Options of the command line, from text to values, each checked before any work starts.
+
+Raises InputError naming the option, what was given and what would do.
+"""
+
+import os
+from argparse import Namespace
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.dataset import checked_suffix
+from doo_ti.errors import InputError
+from doo_ti.grid import UNITS, Axis, Grid, parse_axis, parse_bend
+from doo_ti.types import Clamp
+
+SOURCE = "command line"
+
+
+def grid(options: Namespace, base: Grid | None = None) -> Grid:
+    """The axes given, on top of those of ``base`` (a scene's grid) where there is one."""
+    axes: list[Axis] = []
+    bend_12 = 0.0
+    for name in UNITS:
+        text = getattr(options, name)
+        if text is None:
+            continue
+        if name == "bend":
+            found, bend_12 = parse_bend(text, "--bend", SOURCE)
+            axes += found
+        else:
+            axes.append(parse_axis(f"--{name.replace('_', '-')}", text, SOURCE))
+    if base is not None:
+        return base.with_axes(tuple(axes), bend_12)
+    if not any(axis.name in ("bend", "bend_1", "bend_2") for axis in axes):
+        raise InputError(SOURCE, "--bend", "missing", "give --bend, or --bend-1 and --bend-2")
+    return Grid(tuple(axes), bend_12, SOURCE)
+
+
+def frame_weight(options: Namespace, default: float = 0.0) -> float:
+    """w_m of Eq. 1, mm."""
+    if options.frame_weight is None:
+        return default
+    return _decimal("--frame-weight", options.frame_weight, "zero or a positive number of mm", minimum=0.0)
+
+
+def up(options: Namespace) -> np.ndarray | None:
+    """(3,) direction against gravity, or None."""
+    if options.up is None:
+        return None
+    direction = np.array([_decimal("--up", part, "three numbers X,Y,Z") for part in options.up.split(",")])
+    if direction.shape != (3,) or not np.linalg.norm(direction) > 0:
+        raise InputError(SOURCE, "--up", f"{options.up!r} is no direction", "give X,Y,Z, such as 0,0,1")
+    return direction
+
+
+def clamp(name: str | None) -> Clamp | None:
+    return None if name is None else Clamp[name.upper()]
+
+
+def whole(option: str, text: str | None, minimum: int) -> int | None:
+    """A whole number from ``minimum`` up, or None."""
+    if text is None:
+        return None
+    try:
+        value = int(text)
+    except ValueError:
+        raise InputError(SOURCE, option, f"{text!r} is not a whole number", f"give {minimum} or more") from None
+    if value < minimum:
+        raise InputError(SOURCE, option, f"{value} is below {minimum}", f"give {minimum} or more")
+    return value
+
+
+def output_file(text: str, suffix: str | None = None) -> Path:
+    """The file to write: of the format ``suffix``, or of observations, where a file can lie."""
+    path = Path(text)
+    if suffix is None:
+        checked_suffix(path)
+    elif path.suffix != suffix:
+        raise InputError(SOURCE, "--out", f"suffix {path.suffix!r} of {path}", f"name a file that ends in {suffix}")
+    if path.is_dir():
+        raise InputError(SOURCE, "--out", f"{path} is a folder", "name a file")
+    _check_folder(path.parent)
+    return path
+
+
+def output_folder(text: str) -> Path:
+    """The folder to write, which need not exist yet."""
+    _check_folder(Path(text))
+    return Path(text)
+
+
+def _decimal(option: str, text: str, wanted: str, minimum: float = -np.inf) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise InputError(SOURCE, option, f"{text!r} is not a number", f"give {wanted}") from None
+    if not (np.isfinite(value) and value >= minimum):
+        raise InputError(SOURCE, option, f"{text!r} is out of range", f"give {wanted}")
+    return value
+
+
+def _check_folder(folder: Path) -> None:
+    """Raise InputError unless ``folder`` is one that can be written in, or can be made."""
+    existing = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
+    if not existing.is_dir():
+        raise InputError(SOURCE, "--out", f"{existing} is a file, nothing can lie below it", "name another folder")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise InputError(SOURCE, "--out", f"{existing} is not writable", "name another folder")

@@ -1,0 +1,98 @@
+"""F, the relaxation operator Γ̃ = F(Γ, E_Θ, C) of §III-D: many rods at once, each to the minimum it falls to.
+
+    solution = relax(start, Material(bend=6e5, twist=8e5), clamps)
+    solution.configuration.vertices    # (R, V, 3) mm
+
+Numerical trouble is data, not an exception: every rod carries its own status, and one bad rod never spoils its neighbours.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from doo_ti import batch
+from doo_ti.descent import Descent
+from doo_ti.errors import InputError
+from doo_ti.newton import CLOSURE, ENERGY, ITERATIONS, RESIDUAL, STABLE, STATUS, Newton
+from doo_ti.types import Clamps, Configuration, Material, Solution, Status
+
+PRECISIONS = ("f32", "f64", "mixed")
+
+
+def relax(
+    configuration: Configuration,
+    material: Material,
+    clamps: Clamps,
+    solver: Newton | Descent = Newton(),
+    *,
+    up=(0.0, 0.0, 1.0),
+    precision: str = "f64",
+    configuration_index=None,
+    material_index=None,
+) -> Solution:
+    """Relax rods from their starts to the constrained minimum of E_Θ they fall to (§III-D).
+
+    configuration, clamps  tables with S rows each: where rods start and what holds their ends
+    material               table with G rows
+    solver                 ``Newton()`` (default), ``Newton.careful()`` or the paper's ``Descent()``
+    up                     (3,) direction against gravity
+    precision              "f64", "f32", or "mixed": f32 first, then f64 from there to the f64 tolerance
+    configuration_index,   (R,) rows of the tables that make up each rod; without them rows are paired one to one and a
+    material_index         single row goes with every row of the other table
+
+    Clamped frames overwrite the first and last frame of the start. Inputs are never modified. Energies include the
+    constant μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods get that status and NaN.
+    """
+    up = np.asarray(up, dtype=np.float64)
+    if up.shape != (3,) or not np.isfinite(up).all() or not np.linalg.norm(up) > 0:
+        raise InputError("relax", "up", f"{up.tolist()}", "give a direction of three finite numbers, not all zero")
+    up = up / np.linalg.norm(up)
+    if precision not in PRECISIONS:
+        raise InputError("relax", "precision", f"{precision!r}", f"give one of {', '.join(PRECISIONS)}")
+    table = batch.tables(configuration, material, clamps, configuration_index, material_index)
+    if isinstance(solver, Descent):
+        bits = 32 if precision == "f32" else 64
+        frames, results = batch.run_descent(table, up, solver, bits)
+        bits = np.full(table.count, bits)
+    else:
+        frames, results, bits = _newton(table, up, solver, precision)
+    return _solution(table, up, frames, results, bits)
+
+
+def _newton(table: batch.Tables, up: np.ndarray, solver: Newton, precision: str):
+    """One or two rungs of the precision ladder: (frames, results, bits per rod)."""
+    if precision != "mixed":
+        bits = 32 if precision == "f32" else 64
+        frames, results = batch.run_newton(table, up, solver, bits)
+        return frames, results, np.full(len(results), bits)
+    frames, coarse = batch.run_newton(table, up, replace(solver, tolerance=None), 32)
+    usable = np.isin(coarse[:, STATUS], (Status.CONVERGED, Status.STALLED))
+    restart = table.restarted(frames, usable)
+    frames, results = batch.run_newton(restart, up, replace(solver, first_shift=0.0), 64)
+    results[:, ITERATIONS] += coarse[:, ITERATIONS]
+    return frames, results, np.full(len(results), 64)
+
+
+def _solution(table: batch.Tables, up: np.ndarray, frames: np.ndarray, results: np.ndarray, bits: np.ndarray) -> Solution:
+    anchor = table.anchor[table.configuration_index]
+    lengths = table.rest_length if len(table.rest_length) == 1 else table.rest_length[table.configuration_index]
+    total = lengths.sum(axis=-1)
+    energy = results[:, ENERGY] + table.weight[table.material_index] * (anchor @ up) * 2 * total
+    status = np.where(np.isnan(results[:, STATUS]), Status.INFEASIBLE, results[:, STATUS]).astype(np.int8)
+    start = anchor.copy()
+    hanging = np.flatnonzero(table.released[table.configuration_index])
+    rest_length = lengths[0] if len(lengths) == 1 else lengths
+    configuration = Configuration(start, frames, rest_length)
+    if len(hanging):
+        ends = configuration.take(hanging).vertices[:, -1]
+        start[hanging] = 2 * anchor[hanging] - ends
+    return Solution(
+        configuration=configuration,
+        energy=energy,
+        residual=results[:, RESIDUAL],
+        closure=results[:, CLOSURE],
+        iterations=np.nan_to_num(results[:, ITERATIONS]).astype(np.int32),
+        status=status,
+        stable=results[:, STABLE] == 1,
+        precision=bits.astype(np.int8),
+    )

@@ -1,0 +1,266 @@
+"""Wrong input: exit code 2, one line naming file or option, field and remedy, no traceback, nothing written."""
+
+import os
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from doo_ti.cli import main
+from tests.conftest import SEED
+from tests.data.rods import twisted_frames, wavy_vertices
+
+MATERIAL = ["--bend", "6e5", "--twist", "8e5", "--weight", "1"]
+
+
+def good_keys() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(SEED)
+    vertices = wavy_vertices(rng)
+    twist = np.array([0.1, -2.0, 4.0])
+    frames = twisted_frames(vertices, twist, rng)
+    lengths = np.linalg.norm(np.diff(vertices, axis=1), axis=-1).max(axis=0)
+    return {"vertices_mm": vertices, "rest_length_mm": lengths, "start_frame": frames[:, 0], "end_frame": frames[:, -1],
+            "total_twist_deg": np.degrees(twist)}
+
+
+def tree(folder: Path) -> dict[str, bytes | None]:
+    return {str(path): path.read_bytes() if path.is_file() else None for path in sorted(folder.rglob("*"))}
+
+
+def refused(capsys, folder: Path, argv: list[str], *words: str) -> None:
+    """Run the command and check that it is refused in one line that holds ``words``."""
+    before = tree(folder)
+    code = main(argv)
+    out, err = capsys.readouterr()
+    assert code == 2, err
+    assert err.count("\n") == 1 and err.endswith("\n") and out == ""
+    assert "Traceback" not in err and err.startswith("doo-ti: ") and "; " in err
+    for word in words:
+        assert word in err
+    assert tree(folder) == before
+
+
+# ---- files of observations: what is written, and the field that the line names
+
+def without(key):
+    return lambda keys: keys.pop(key)
+
+
+def changed(key, change):
+    return lambda keys: keys.update({key: change(keys[key])})
+
+
+KEYS = {
+    "missing key": (without("vertices_mm"), "vertices_mm", "missing"),
+    "misshapen vertices": (changed("vertices_mm", lambda v: v[0]), "vertices_mm", "shape (9, 3)"),
+    "misshapen frame": (changed("end_frame", lambda f: f[:, :2]), "end_frame", "shape (3, 2, 3)"),
+    "misshapen twist": (changed("total_twist_deg", lambda t: t[:1]), "total_twist_deg", "shape (1,)"),
+    "NaN": (changed("vertices_mm", lambda v: np.where(v == v[1, 4, 0], np.nan, v)), "vertices_mm", "observation 1, vertex 4"),
+    "negative rest length": (changed("rest_length_mm", lambda x: x * np.where(np.arange(8) == 2, -1, 1)),
+                             "rest_length_mm", "edge 2"),
+    "zero rest length": (changed("rest_length_mm", lambda x: 0 * x), "rest_length_mm", "0 mm at edge 0"),
+    "rest-length count": (changed("rest_length_mm", lambda x: x[:-1]), "rest_length_mm", "7 lengths for 8 edges"),
+    "clamps further apart than the rod": (changed("rest_length_mm", lambda x: x / 2), "vertices_mm", "further apart"),
+    "frame not orthonormal": (changed("start_frame", lambda f: 1.1 * f), "start_frame", "not orthonormal"),
+    "frame left-handed": (changed("end_frame", lambda f: -f), "end_frame", "left-handed"),
+    "non-numeric array": (changed("vertices_mm", lambda v: v.astype(str)), "vertices_mm", "not numeric"),
+    "object array": (changed("vertices_mm", lambda v: v.astype(object)), "vertices_mm", "cannot be read"),
+}
+
+
+@pytest.mark.parametrize("command", ["relax", "sweep"])
+@pytest.mark.parametrize("case", KEYS)
+def test_wrong_keys(capsys, tmp_path, case, command):
+    edit, field, problem = KEYS[case]
+    keys = good_keys()
+    edit(keys)
+    path = tmp_path / "bad.npz"
+    np.savez(path, **keys)
+    out = tmp_path / ("F.npz" if command == "relax" else "run")
+    refused(capsys, tmp_path, [command, str(path), *MATERIAL, "--out", str(out)], str(path), field, problem)
+
+
+def npz_bytes(folder: Path) -> bytes:
+    np.savez(folder / "good.npz", **good_keys())
+    return (folder / "good.npz").read_bytes()
+
+
+FILES = {
+    "truncated npz": lambda folder: npz_bytes(folder)[:-200],
+    "half an npz": lambda folder: npz_bytes(folder)[: len(npz_bytes(folder)) // 2],
+    "pickle": lambda folder: pickle.dumps(good_keys()),
+    "empty file": lambda folder: b"",
+    "text": lambda folder: b"0 0 0\n1 1 1\n",
+}
+
+
+@pytest.mark.parametrize("case", FILES)
+@pytest.mark.parametrize("suffix", [".npz", ".csv", ".parquet"])
+def test_wrong_files(capsys, tmp_path, case, suffix):
+    path = tmp_path / f"bad{suffix}"
+    path.write_bytes(FILES[case](tmp_path))
+    for command in (["relax", str(path), *MATERIAL, "--out", str(tmp_path / "F.npz")],
+                    ["sweep", str(path), "--bend", "1e5:1e6:3", "--out", str(tmp_path / "run")],
+                    ["convert", str(path), str(tmp_path / "out.csv")]):
+        refused(capsys, tmp_path, command, str(path))
+
+
+def test_files_that_are_not_there(capsys, tmp_path):
+    for name, word in (("absent.npz", "no such file"), ("absent.txt", "suffix"), ("", "suffix")):
+        refused(capsys, tmp_path, ["relax", str(tmp_path / name), *MATERIAL, "--out", str(tmp_path / "F.npz")], word)
+    refused(capsys, tmp_path, ["sweep", str(tmp_path / "absent.toml"), "--out", str(tmp_path / "run")], "no such file")
+    refused(capsys, tmp_path, ["synth", str(tmp_path / "absent.toml"), "--out", str(tmp_path / "x.npz")], "no such file")
+    refused(capsys, tmp_path, ["learn", str(tmp_path / "absent")], "summary.json", "no such file")
+    refused(capsys, tmp_path, ["view", str(tmp_path / "absent")], "absent", "no such file")
+
+
+# ---- options: what replaces what in a good command line, and the words of the line
+
+OPTIONS = {
+    "B not positive definite": (["--bend", "1e5,1e5,2e5"], "--bend", "not positive definite"),
+    "B negative": (["--bend", "-6e5"], "--bend", "not positive"),
+    "B of four entries": (["--bend", "1,2,3,4"], "--bend", "4 entries"),
+    "bend no number": (["--bend", "stiff"], "--bend", "'stiff'"),
+    "bend without a value": (["--bend"], "--bend", "expected one argument"),
+    "bend an option": (["--bend", "--json"], "--bend", "expected one argument"),
+    "bend minus infinity": (["--bend", "-inf"], "--bend"),
+    "bend not finite": (["--bend", "nan"], "--bend", "not finite"),
+    "bend given twice": (["--bend-1", "1e5"], "bend_1", "beside bend"),
+    "twist no number": (["--twist", "1e5mm"], "--twist", "'1e5mm'"),
+    "twist zero": (["--twist", "0"], "--twist", "not positive"),
+    "twist and ratio": (["--twist-ratio", "1"], "twist_ratio", "beside twist"),
+    "weight negative": (["--weight", "-1e-3"], "--weight", "-0.001"),
+    "weight no number": (["--weight", ""], "--weight", "''"),
+    "frame weight no number": (["--frame-weight", "wide"], "--frame-weight", "'wide'"),
+    "frame weight negative": (["--frame-weight", "-6.7"], "--frame-weight", "out of range"),
+    "up no number": (["--up", "0,0,z"], "--up", "'z'"),
+    "up too short": (["--up", "-1,0"], "--up", "no direction"),
+    "up zero": (["--up", "0,0,0"], "--up", "no direction"),
+    "clamp": (["--clamp-start", "glued"], "--clamp-start", "'glued'"),
+    "solver": (["--solver", "annealing"], "--solver", "'annealing'"),
+    "precision": (["--precision", "f16"], "--precision", "'f16'"),
+    "unknown option": (["--stretch", "3"], "--stretch", "unknown option"),
+    "unknown short option": (["-x"], "-x", "unknown option"),
+    "abbreviated option": (["--weigh=3"], "--weigh", "unknown option"),
+    "one argument too many": (["more.npz"], "more.npz", "unexpected argument"),
+    "a value for a switch": (["--json=yes"], "--json", "yes"),
+    "an option over two lines": (["--bend", "1e5\n2e5"], "--bend"),
+}
+
+
+@pytest.mark.parametrize("command", ["relax", "sweep"])
+@pytest.mark.parametrize("case", OPTIONS)
+def test_wrong_options(capsys, tmp_path, case, command):
+    words, *expected = OPTIONS[case]
+    npz_bytes(tmp_path)
+    out = tmp_path / ("F.npz" if command == "relax" else "run")
+    argv = [command, str(tmp_path / "good.npz"), *MATERIAL, "--out", str(out), *words]
+    refused(capsys, tmp_path, argv, *expected)
+
+
+GRIDS = {
+    "grid of zero cells": (["--bend", "1e5:1e6:0"], "--bend", "zero cells"),
+    "grid of fewer": (["--bend", "1e5:1e6:-2"], "--bend", "zero cells"),
+    "half a value": (["--bend", "1e5:1e6:2.5"], "--bend", "'2.5'"),
+    "grid downwards": (["--bend", "1e6:1e5:5"], "--bend", "upwards"),
+    "grid from zero": (["--bend", "0:1e5:5"], "--bend", "logarithmic"),
+    "grid from below": (["--bend", "1e5", "--twist-ratio", "-1:1:5:lin"], "--twist-ratio", "not positive"),
+    "grid of text": (["--bend", "1e5", "--weight", "a:b:c"], "--weight", "'a'"),
+    "no bend": (["--twist", "1e5"], "--bend", "missing"),
+    "half of bend": (["--bend-1", "1e5:1e6:3"], "bend_2", "missing"),
+    "seed": (["--bend", "1e5", "--seed", "x"], "--seed", "'x'"),
+    "seed negative": (["--bend", "1e5", "--seed", "-1"], "--seed", "below 0"),
+    "workers": (["--bend", "1e5", "--workers", "0"], "--workers", "below 1"),
+    "objective": (["--bend", "1e5", "--objective", "both"], "--objective", "'both'"),
+}
+
+
+@pytest.mark.parametrize("case", GRIDS)
+def test_wrong_grids(capsys, tmp_path, case):
+    words, *expected = GRIDS[case]
+    npz_bytes(tmp_path)
+    refused(capsys, tmp_path, ["sweep", str(tmp_path / "good.npz"), *words, "--out", str(tmp_path / "run")], *expected)
+
+
+def test_relax_takes_one_material(capsys, tmp_path):
+    npz_bytes(tmp_path)
+    argv = ["relax", str(tmp_path / "good.npz"), "--bend", "1e5", "--twist-ratio", "1:2:3", "--out", str(tmp_path / "F.npz")]
+    refused(capsys, tmp_path, argv, "--twist-ratio", "3 cells")
+
+
+def test_no_or_unknown_command(capsys, tmp_path):
+    for argv, word in (([], "COMMAND"), (["dance"], "'dance'"), (["--bend", "3"], "doo-ti"), (["relax"], "OBS"),
+                       (["sweep", "x.npz"], "--out"), (["learn"], "RUN"), (["convert", "x.npz"], "OUT")):
+        refused(capsys, tmp_path, argv, word)
+
+
+# ---- outputs
+
+def test_outputs_that_cannot_be(capsys, tmp_path):
+    npz_bytes(tmp_path)
+    good, below = str(tmp_path / "good.npz"), str(tmp_path / "good.npz" / "deep" / "F.npz")
+    (tmp_path / "folder.npz").mkdir()
+    commands = {
+        "relax": ["relax", good, *MATERIAL, "--out"], "sweep": ["sweep", good, "--bend", "1e5:1e6:3", "--out"],
+        "convert": ["convert", good],
+        "synth": ["synth", str(Path(__file__).resolve().parents[2] / "scenes" / "silk.toml"), "--out"],
+    }
+    for argv in commands.values():
+        refused(capsys, tmp_path, [*argv, below], "--out", "good.npz", "below it")
+    refused(capsys, tmp_path, [*commands["sweep"], good], "--out", "good.npz")
+    for name in ("relax", "convert", "synth"):
+        refused(capsys, tmp_path, [*commands[name], str(tmp_path / "folder.npz")], "--out", "is a folder")
+        refused(capsys, tmp_path, [*commands[name], str(tmp_path / "F.txt")], "suffix '.txt'")
+    (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
+    refused(capsys, tmp_path, [*commands["sweep"], str(tmp_path / "dangling" / "run")], "--out", "dangling")
+
+
+def test_outputs_that_may_not_be(capsys, tmp_path, monkeypatch):
+    npz_bytes(tmp_path)
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    for argv in (["relax", str(tmp_path / "good.npz"), *MATERIAL, "--out", str(tmp_path / "F.npz")],
+                 ["sweep", str(tmp_path / "good.npz"), *MATERIAL, "--out", str(tmp_path / "new" / "run")]):
+        refused(capsys, tmp_path, argv, "--out", str(tmp_path), "not writable")
+
+
+# ---- scenes
+
+SCENES = {
+    "unknown scene key": ("colour = 3\n[synthesis]\nbend = 1\ntwist = 1\n[grid]\nbend = 3\n", "colour", "unknown scene key"),
+    "unknown synthesis key": ("[synthesis]\nbend = 1\ntwist = 1\nnoise = 1\n[grid]\nbend = 3\n", "synthesis.noise"),
+    "grid of zero cells": ('[synthesis]\nbend = 1\ntwist = 1\n[grid]\nbend = "1:2:0"\n', "bend", "zero cells"),
+    "B not positive definite": ("[synthesis]\nbend = [[1, 3], [3, 1]]\ntwist = 1\n[grid]\nbend = 3\n", "synthesis.bend"),
+    "absent file": ('[observations]\nfile = "absent.npz"\n[grid]\nbend = 3\n', "absent.npz", "no such file"),
+    "no TOML": ("[synthesis\n", "not TOML"),
+}
+
+
+@pytest.mark.parametrize("case", SCENES)
+def test_wrong_scenes(capsys, tmp_path, case):
+    text, *expected = SCENES[case]
+    path = tmp_path / "scene.toml"
+    path.write_text(text, encoding="utf-8")
+    for argv in (["sweep", str(path), "--out", str(tmp_path / "run")], ["synth", str(path), "--out", str(tmp_path / "x.npz")]):
+        refused(capsys, tmp_path, argv, *expected, *([] if case == "absent file" else [str(path)]))
+
+
+def test_a_clamp_that_needs_a_frame_nobody_gave(capsys, tmp_path):
+    keys = good_keys()
+    del keys["end_frame"]
+    np.savez(tmp_path / "bad.npz", **keys)
+    argv = [str(tmp_path / "bad.npz"), *MATERIAL, "--clamp-end", "frame", "--out", str(tmp_path / "F.npz")]
+    refused(capsys, tmp_path, ["relax", *argv], "bad.npz", "end_frame", "missing")
+    refused(capsys, tmp_path, ["sweep", *argv], "bad.npz", "end_frame", "missing")
+
+
+def test_in_a_process_of_its_own(tmp_path):
+    root = Path(__file__).resolve().parents[2]
+    argv = [sys.executable, "-m", "doo_ti", "relax", str(tmp_path / "absent.npz"), *MATERIAL, "--out", str(tmp_path / "F.npz")]
+    done = subprocess.run(argv, cwd=root, capture_output=True, text=True, encoding="utf-8")
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.count("\n") == 1 and "absent.npz" in done.stderr and not list(tmp_path.iterdir())
+    done = subprocess.run([sys.executable, "-m", "doo_ti", "--help"], cwd=root, capture_output=True, text=True, encoding="utf-8")
+    assert done.returncode == 0 and "sweep" in done.stdout and done.stderr == ""

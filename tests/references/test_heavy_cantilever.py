@@ -1,0 +1,95 @@
+"""A cantilever under its own weight, from stiff to limp, and the column that buckles under it.
+
+Slope θ(s) from the horizontal, free at s = L, w = 2μ:  EI θ'' = w (L − s) cos θ,  θ(0) = given,  θ'(L) = 0.
+A standing column buckles first at wL³/EI = 7.837, the cube of the first zero of J_{−1/3} in its own variable
+(Greenhill 1881): stable below, a saddle above.
+"""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+from scipy.optimize import brentq
+from scipy.special import jv
+
+from doo_ti.relax import Newton, relax
+from doo_ti.types import Clamp, Material
+from tests.references.rods import chain, clamps_at, orders, show, stacked
+
+ALPHA, BETA, LENGTH = 6e5, 4e5, 100.0
+
+
+def heavy(ratio: float) -> Material:
+    """The material whose wL³/EI is ``ratio``, w = 2μ, L = LENGTH."""
+    return Material(ALPHA, BETA, ratio * ALPHA / LENGTH**3 / 2)
+
+
+def drooping(ratio: float):
+    """(x, z) of the continuum rod at s in [0, 1], lengths in L, for a horizontal clamp; loaded in steps."""
+    s = np.linspace(0, 1, 200) ** 2  # finer at the clamp, where a limp rod bends
+    state = np.stack([0 * s, 0 * s, s, 0 * s])
+    for load in np.geomspace(0.1, ratio, 8):
+        answer = solve_bvp(
+            lambda s, y: np.array([y[1], load * (1 - s) * np.cos(y[0]), np.cos(y[0]), np.sin(y[0])]),  # noqa: B023
+            lambda left, right: np.array([left[0], right[1], left[2], left[3]]),
+            s, state, tol=1e-9, max_nodes=20_000,
+        )
+        assert answer.success
+        state = answer.sol(s)
+    return lambda at: answer.sol(at)[2:]
+
+
+@pytest.mark.parametrize("ratio", [0.1, 1.0, 10.0, 100.0])
+def test_drooping_cantilever_converges_to_the_elastica(ratio):
+    curve, edges, errors = drooping(ratio), [21, 41, 81], []
+    for count in edges:
+        length = LENGTH / (count - 0.5)
+        rod = chain(np.tile([1.0, 0.0, 0.0], (count, 1)), [0, 1, 0], length, start=(-length / 2, 0, 0))
+        solution = relax(rod, heavy(ratio), clamps_at(rod, Clamp.FRAME, Clamp.FREE), Newton(tolerance=1e-12))
+        assert solution.converged.all() and solution.stable.all()
+        x, z = curve((np.arange(1, count + 1) - 0.5) / (count - 0.5))
+        away = solution.configuration.vertices[0, 1:] / LENGTH - np.stack([x, 0 * x, z], axis=1)
+        errors.append(np.linalg.norm(away, axis=1).max() / np.abs(z).max())
+    show(f"cantilever, wL³/EI = {ratio:g}: largest vertex error over the droop", edges, errors)
+    assert (orders(edges, errors) > 1.8).all() and errors[-1] < 2e-3
+
+
+def test_small_droop_is_that_of_the_linear_beam():
+    """wL⁴/8EI at the tip, to first order in a small load."""
+    count, ratio = 80, 1e-3
+    length = LENGTH / (count - 0.5)
+    rod = chain(np.tile([1.0, 0.0, 0.0], (count, 1)), [0, 1, 0], length)
+    solution = relax(rod, heavy(ratio), clamps_at(rod, Clamp.FRAME, Clamp.FREE), Newton(tolerance=1e-13))
+    assert -solution.configuration.vertices[0, -1, 2] / LENGTH == pytest.approx(ratio / 8, rel=1e-3)
+
+
+def test_certificate_flips_at_greenhills_column():
+    """The standing column of every height is an equilibrium; its certificate turns at wL³/EI = 7.837, to second order."""
+    threshold = (1.5 * brentq(lambda x: jv(-1 / 3, x), 1.5, 2.2)) ** 2
+    assert threshold == pytest.approx(7.8373, abs=1e-4)
+    edges, errors = [10, 20, 40], []
+    for count in edges:
+        rod = chain(np.tile([0.0, 0.0, 1.0], (count, 1)), [1, 0, 0], LENGTH / (count - 0.5))
+        low, high = 0.8 * threshold, 1.2 * threshold
+        for _ in range(3):
+            ratios = np.linspace(low, high, 21)
+            columns = stacked([rod] * len(ratios))
+            solution = relax(
+                columns, heavy(ratios), clamps_at(columns, Clamp.FRAME, Clamp.FREE), Newton(max_escapes=0))
+            assert solution.converged.all()
+            np.testing.assert_allclose(solution.configuration.vertices, columns.vertices, atol=1e-9)
+            flip = np.flatnonzero(solution.stable)[-1]
+            assert solution.stable[: flip + 1].all() and flip < 20
+            low, high = ratios[flip], ratios[flip + 1]
+        errors.append(abs(0.5 * (low + high) / threshold - 1))
+    show("Greenhill's column", edges, errors)
+    assert (orders(edges, errors) > 1.8).all() and errors[-1] < 2e-3
+
+
+def test_column_that_is_too_tall_leaves_the_saddle_and_falls_about_its_weak_axis():
+    """bend_1 resists turning about m2: with the smaller bend_2 the column falls about m1, along m2."""
+    rod = chain(np.tile([0.0, 0.0, 1.0], (30, 1)), [1, 0, 0], LENGTH / 29.5)
+    material = Material(np.diag([4 * ALPHA, ALPHA]), BETA, heavy(12.0).weight)
+    solution = relax(rod, material, clamps_at(rod, Clamp.FRAME, Clamp.FREE))
+    assert solution.converged.all() and solution.stable.all()
+    tip = solution.configuration.vertices[0, -1]
+    assert abs(tip @ rod.frames[0, 0, :, 2]) > 0.3 * LENGTH and abs(tip @ rod.frames[0, 0, :, 1]) < 1e-6 * LENGTH

@@ -1,0 +1,75 @@
+"""A spatial rod between two clamps under its weight, twisted, against Kirchhoff's equations: second order in edge length."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from doo_ti.relax import Newton, relax
+from doo_ti.types import Material
+from tests.references.kirchhoff import ContinuumRod
+from tests.references.rods import chain, clamps_at, orders, show
+
+FREE_LENGTH = 90.0
+BEND = {
+    "isotropic": (4e5 * np.eye(2), [0.0, 0.0]),
+    "general B, curved at rest": (np.array([[6e5, 1e5], [1e5, 2e5]]), [0.006, -0.004]),
+}
+
+
+def first_guess(edges: int, graded: bool):
+    """A hanging bow that leaves its plane, twisted by a third of a turn; FREE_LENGTH from middle to middle of the ends."""
+    along = np.arange(edges) / (edges - 1)
+    lengths = 1 + (0.5 * np.sin(np.pi * along) if graded else 0 * along)
+    lengths *= FREE_LENGTH / (lengths.sum() - 0.5 * (lengths[0] + lengths[-1]))
+    middles = np.cumsum(lengths) - lengths / 2 - lengths[0] / 2
+    s = middles / FREE_LENGTH
+    tangents = np.stack([np.ones(edges), 0.8 * np.sin(2 * np.pi * s) + 0.3 * s, -1.1 * np.cos(np.pi * s)], axis=1)
+    return chain(tangents, [0, 1, 0], lengths, spin=2.0 * s), middles
+
+
+def clamped_like(fine, edges: int, graded: bool):
+    """A coarser or finer rod whose clamped edges have the frames and, at their middles, the positions of ``fine``'s."""
+    rod, middles = first_guess(edges, graded)
+    clamps = clamps_at(rod)
+    for position, frame, sign, length in (
+        (clamps.start_position, clamps.start_frame, -1, rod.rest_length[0]),
+        (clamps.end_position, clamps.end_frame, 1, rod.rest_length[-1]),
+    ):
+        middle, orientation = fine[sign]
+        frame[0] = orientation
+        position[0] = middle + sign * 0.5 * length * orientation[:, 0]
+    return rod, middles, clamps
+
+
+def clamped_middles(rod):
+    """{−1: first, 1: last}: middle point and frame of the clamped edges."""
+    middles = 0.5 * (rod.vertices[0, 1:] + rod.vertices[0, :-1])
+    return {-1: (middles[0], rod.frames[0, 0]), 1: (middles[-1], rod.frames[0, -1])}
+
+
+@pytest.mark.parametrize("graded", [False, True], ids=["even", "graded"])
+@pytest.mark.parametrize("kind", BEND)
+def test_rod_converges_to_kirchhoffs_with_second_order(kind, graded):
+    bend, rest = BEND[kind]
+    material = Material(bend, 3e5, 1.0, None if kind == "isotropic" else np.array(rest))
+    ends = clamped_middles(first_guess(97, False)[0])
+    joints, errors, curve = [64, 32, 16], [], None
+    for count in joints:
+        rod, middles, clamps = clamped_like(ends, count + 1, graded)
+        solution = relax(rod, material, clamps, Newton(tolerance=1e-11))
+        assert solution.converged.all() and solution.stable.all()
+        vertices, quaternions = solution.configuration.vertices[0], solution.configuration.quaternions[0]
+        if curve is None:  # the finest chain is where the collocation starts from, no more
+            continuum = ContinuumRod(FREE_LENGTH, bend, 3e5, 1.0, np.array(rest))
+            held = Rotation.from_matrix([ends[-1][1], ends[1][1]]).as_quat(scalar_first=True)
+            curve = continuum.solve(
+                [ends[-1][0], ends[1][0]], held, (middles, 0.5 * (vertices[1:] + vertices[:-1]), quaternions))
+        along = np.cumsum(rod.rest_length)[:-1] - 0.5 * rod.rest_length[0]
+        away = np.linalg.norm(vertices[1:-1] - curve(along)[:3].T, axis=1).max() / FREE_LENGTH
+        frames = np.abs(np.sum(quaternions * curve(middles)[3:7].T, axis=1))
+        errors.append([away, 2 * np.arccos(np.clip(frames, -1, 1)).max()])
+    errors = np.array(errors)[::-1]
+    for k, name in enumerate(("vertices over length", "frames, rad")):
+        show(f"Kirchhoff rod, {kind}, {'graded' if graded else 'even'}: {name}", joints[::-1], errors[:, k])
+        assert (orders(joints[::-1], errors[:, k]) > 1.8).all()
+    assert errors[-1, 0] < 1e-3

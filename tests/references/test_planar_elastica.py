@@ -1,0 +1,91 @@
+"""The planar elastica between clamps and between hinges, buckled by a span shorter than its length (Euler 1744).
+
+With k = sin(α/2), α the slope at the inflections, and K, E complete elliptic integrals of modulus k, a hinged elastica
+of length ℓ has  ℓ√(P/EI) = 2K,  span/ℓ = 2E/K − 1,  height 2k/√(P/EI),  and a clamped one of length L is four quarters:
+the same span/L, L√(P/EI) = 4K, height 4k/√(P/EI). As k → 0 the loads are Euler's, π²EI/ℓ² and 4π²EI/L².
+"""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.special import ellipe, ellipk
+
+from doo_ti.relax import Newton, relax
+from doo_ti.types import Clamp, Clamps, Configuration, Material
+from tests.references.rods import chain, clamps_at, orders, show, stacked
+
+ALPHA, BETA, LENGTH = 6e5, 4e5, 100.0
+# A trace of weight makes the buckled rod hang: between clamps on one line it could turn about that line freely.
+MATERIAL = Material(ALPHA, BETA, 1e-6 * ALPHA / LENGTH**3)
+
+
+def elastica(span_over_length: float, quarters: int) -> tuple[float, float, float]:
+    """Load P L²/EI, height/L and bend energy E L/EI of an elastica of ``quarters`` quarter waves: 4 clamped, 2 hinged."""
+    m = brentq(lambda m: 2 * ellipe(m) / ellipk(m) - 1 - span_over_length, 1e-12, 0.9)
+    root = quarters * ellipk(m)
+    # κ = 2k√(P/EI) cn, and cn² integrates to (E − (1 − m)K)/m over a quarter.
+    return root**2, quarters * np.sqrt(m) / root, 2 * root * quarters * (ellipe(m) - (1 - m) * ellipk(m))
+
+
+def planar_rod(slope, length, span: float) -> Configuration:
+    """A rod in the vertical plane whose tangents dip by a·slope (E,), a such that it spans ``span``."""
+    size = brentq(lambda a: np.sum(length * np.cos(a * slope)) - span, 1e-6, 1.5)
+    return chain(np.stack([np.cos(size * slope), 0 * slope, -np.sin(size * slope)], axis=1), [0, 1, 0], length)
+
+
+def clamped_rod(edges: int, span_over_length: float, shape) -> Configuration:
+    """The slopes ``shape``(s), s from 0 to 1 between the middles of the clamped edges; the free length is LENGTH."""
+    length = LENGTH / (edges - 1)
+    return planar_rod(shape(np.arange(edges) / (edges - 1)), length, span_over_length * LENGTH + length)
+
+
+def hinged_rod(edges: int, span_over_length: float) -> Configuration:
+    length = LENGTH / edges
+    return planar_rod(np.cos(np.pi * (np.arange(edges) + 0.5) / edges), length, span_over_length * LENGTH)
+
+
+def one_wave(s):
+    return np.sin(2 * np.pi * s)
+
+
+def relaxed_at(rod: Configuration, kind: Clamp):
+    """Height, energy and load: the span of three copies differs by a little, and the load is the energy's slope in it."""
+    step = 1e-4 * LENGTH
+    held = clamps_at(rod, kind, kind).take([0, 0, 0])
+    ends = held.end_position + step * np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0]])
+    clamps = Clamps(kind, kind, held.start_position, ends, held.start_frame, held.end_frame)
+    solution = relax(rod.take([0, 0, 0]), MATERIAL, clamps)
+    assert solution.converged.all()
+    vertices = solution.configuration.vertices[0]
+    assert np.abs(vertices[:, 1]).max() < 1e-4 * LENGTH
+    load = (solution.energy[2] - solution.energy[1]) / (2 * step)
+    return np.ptp(vertices[:, 2]), solution.energy[0], load
+
+
+@pytest.mark.parametrize("span_over_length", [0.95, 0.6])
+@pytest.mark.parametrize("kind", [Clamp.FRAME, Clamp.POSITION], ids=["clamped", "hinged"])
+def test_buckled_elastica_converges_to_the_elliptic_integrals(kind, span_over_length):
+    joints, errors = [16, 32, 64], []
+    load, height, energy = elastica(span_over_length, 4 if kind == Clamp.FRAME else 2)
+    for count in joints:
+        rod = clamped_rod(count + 1, span_over_length, one_wave) if kind == Clamp.FRAME else hinged_rod(count, span_over_length)
+        measured = np.array(relaxed_at(rod, kind)) / (LENGTH, ALPHA / LENGTH, ALPHA / LENGTH**2)
+        errors.append(np.abs(measured / (height, energy, load) - 1))
+    errors = np.array(errors)
+    for k, name in enumerate(("height", "energy", "load")):
+        show(f"{kind.name.lower()} elastica, span {span_over_length} L: {name}", joints, errors[:, k])
+        assert (orders(joints, errors[:, k]) > 1.8).all() and errors[-1, k] < 5e-3
+
+
+def test_second_mode_is_named_a_saddle_and_left():
+    """An S between clamps is an equilibrium; F goes on to the single bow, which is stable."""
+    second = clamped_rod(33, 0.9, lambda s: np.cos(2 * np.pi * s) - np.cos(4 * np.pi * s))
+    first = clamped_rod(33, 0.9, one_wave)
+    rods = stacked([second, first])
+    clamps = clamps_at(first).take([0, 0])
+    stopped = relax(rods, MATERIAL, clamps, Newton(tolerance=1e-6, max_escapes=0))
+    assert stopped.converged.all() and list(stopped.stable) == [False, True]
+    left = relax(stopped.configuration, MATERIAL, clamps)
+    assert left.converged.all() and left.stable.all()
+    assert stopped.energy[0] > 1.5 * left.energy[0]
+    assert left.energy[0] == pytest.approx(left.energy[1], rel=1e-4)
