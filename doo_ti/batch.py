@@ -12,6 +12,7 @@ from doo_ti import chain, descent, newton, runtime
 from doo_ti.errors import InputError
 from doo_ti.frames import (
     matrix_from_quaternion,
+    quaternion_about,
     quaternion_from_matrix,
     quaternion_product,
     smallest_rotation,
@@ -89,7 +90,8 @@ class Tables:
 
 
 def tables(
-    configuration: Configuration, material: Material, clamps: Clamps, configuration_index=None, material_index=None
+    configuration: Configuration, material: Material, clamps: Clamps, up: np.ndarray,
+    configuration_index=None, material_index=None,
 ) -> Tables:
     """Check what goes into F and lay it out for the kernels.
 
@@ -118,6 +120,7 @@ def tables(
 
     quaternions = _impose(configuration.quaternions, start_kind, end_kind, clamps)
     clamp, feasible, anchor = _clamp_table(configuration.start, quaternions, lengths, start_kind, end_kind, clamps)
+    quaternions = _bowed(quaternions, lengths, clamp, feasible, up)
     bend = np.stack([material.bend[..., 0, 0], material.bend[..., 1, 1], material.bend[..., 0, 1]], axis=-1)
     good = np.flatnonzero(feasible[index_c])
     rods = np.stack([index_c[good], index_m[good], good], axis=-1).astype(np.int32)
@@ -167,6 +170,36 @@ def _impose(quaternions: np.ndarray, start_kind: np.ndarray, end_kind: np.ndarra
             turn = smallest_rotation(matrix_from_quaternion(old)[..., 0], frame[tangent][..., 0])
             result[tangent, edge] = quaternion_product(turn, old)
     return result / np.linalg.norm(result, axis=-1, keepdims=True)
+
+
+def _bowed(quaternions, lengths, clamp, feasible, up) -> np.ndarray:
+    """Starts that can be projected: free edges in one straight line have no first-order way to bring the far end closer.
+
+    Where they are and must, they are bowed to the needed chord, downwards, or towards m1 where the line is upright.
+    """
+    count, edges = quaternions.shape[:2]
+    matrix = matrix_from_quaternion(quaternions)
+    tilting = np.ones((count, edges))
+    tilting[:, 0], tilting[:, -1] = clamp[:, newton.TILT_START], clamp[:, newton.TILT_END]
+    steps = lengths[..., None] * matrix[..., 0]
+    reach = (lengths * tilting).sum(axis=1)
+    chord = np.linalg.norm((steps * tilting[..., None]).sum(axis=1), axis=-1)
+    goal = clamp[:, newton.TARGET : newton.TARGET + 3] - (steps * (1 - tilting[..., None])).sum(axis=1)
+    share = np.linalg.norm(goal, axis=-1) / reach
+    rows = np.flatnonzero(feasible & (clamp[:, newton.CLOSED] > 0) & (chord > reach * (1 - 1e-8)) & (share < 1 - 1e-8))
+    if not len(rows):
+        return quaternions
+    middle = matrix[rows, edges // 2]
+    axis = np.cross(-up, middle[..., 0])
+    upright = np.linalg.norm(axis, axis=-1, keepdims=True) < 1e-3
+    axis = np.where(upright, middle[..., 2], axis)
+    axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
+    # A sine arch of slope a cos(π s/L) has the chord L (1 − a²/4).
+    place = (np.cumsum(tilting[rows], axis=1) - 0.5) / tilting[rows].sum(axis=1, keepdims=True)
+    slope = np.minimum(2 * np.sqrt(1 - share[rows]), 1.0)[:, None] * np.cos(np.pi * place) * tilting[rows]
+    result = quaternions.copy()
+    result[rows] = quaternion_product(quaternion_about(-axis[:, None] * np.ones((1, edges, 1)), slope), quaternions[rows])
+    return result
 
 
 def _clamp_table(start, quaternions, lengths, start_kind, end_kind, clamps):

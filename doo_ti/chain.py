@@ -130,7 +130,6 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
         zero = 0.0 * scale
         c0, c1, c2 = (zero, zero, zero)
         n0, n1, n2, n3, n4, n5 = (zero, zero, zero, zero, zero, zero)
-        longest = zero
         at = origin
         for e in range(edges):
             w = load3(scratch, at + ROTATION * stride)
@@ -143,12 +142,12 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
             tilt = tilt_of(e, edges, free)
             n0, n1, n2 = (n0 + tilt * a[0], n1 + tilt * a[1], n2 + tilt * a[2])
             n3, n4, n5 = (n3 + tilt * a[3], n4 + tilt * a[4], n5 + tilt * a[5])
-            longest = ti.max(longest, length)
             at += ti.static(items * stride)
         miss = ((c0 - target[0]) * closed, (c1 - target[1]) * closed, (c2 - target[2]) * closed)
         x, minors = solve_symmetric(_regular((n0, n1, n2, n3, n4, n5)), miss)
-        size = longest * ti.sqrt(dot(x, x)) + 1e-30
-        shrink = ti.min(0.0 * size + 1.0, 0.3 / size)  # no edge turns by more than 0.3 rad in one projection
+        # x·miss is the sum of the squared rotations: keep their root mean square below 0.15 rad in one projection.
+        size = ti.sqrt(ti.max(dot(x, miss), zero) / ti.cast(edges, number.scalar)) + 1e-30
+        shrink = ti.min(0.0 * size + 1.0, 0.15 / size)
         return (x[0] * shrink, x[1] * shrink, x[2] * shrink)
 
     @ti.func

@@ -30,10 +30,10 @@ class Sheet:
 
 
 def contact_sheet(vertices: np.ndarray, labels: dict, up=(0, 0, 1)) -> Sheet:
-    """Lay (D, V, 3) observations out on a wall along their main horizontal direction.
+    """Lay (D, V, 3) observations, NaN at missing marks, out on a wall along their main horizontal direction.
 
-    Two labels that name every observation apart make columns and rows, ascending to the right and down; else reading
-    order.
+    Two labels that name every observation apart, and leave at most half of the places empty, make columns and rows,
+    ascending to the right and down; else reading order.
     """
     basis = _wall(vertices, np.asarray(up, float))
     local = vertices @ basis.T
@@ -61,19 +61,19 @@ def _wall(vertices: np.ndarray, up: np.ndarray) -> np.ndarray:
     spread = np.nan_to_num(spread - (spread @ up)[..., None] * up).reshape(-1, 3)
     # Up is a null direction of the spread; the nudge keeps it last for rods that stand on one point.
     right = np.linalg.eigh(spread.T @ spread - 1e-9 * (1 + np.sum(spread**2)) * np.outer(up, up))[1][:, -1]
-    chord = np.nanmean(vertices[:, -1] - vertices[:, 0], axis=0)
-    right = -right if right @ np.nan_to_num(chord) < 0 else right
+    right = -right if right @ np.nansum(vertices[:, -1] - vertices[:, 0], axis=0) < 0 else right
     return np.stack([right, np.cross(up, right), up])
 
 
 def _places(labels: dict, count: int, aspect: float) -> tuple[np.ndarray, np.ndarray, list, str]:
-    """Column and row (D,) of each observation, and the titles (above a column or left of a row, which one, text),
-    and what columns and rows mean."""
+    """Column and row (D,) of each observation; titles (above a column or left of a row, which one, text); what columns
+    and rows mean."""
     if len(labels) >= 2:
         (across, first), (down, second) = list(labels.items())[:2]
         columns, column = np.unique(np.asarray(first, float), return_inverse=True)
         rows, row = np.unique(np.asarray(second, float), return_inverse=True)
-        if len(np.unique(row * len(columns) + column)) == count:
+        apart = len(np.unique(row * len(columns) + column)) == count
+        if apart and len(columns) * len(rows) <= 2 * count:
             return (column, row, [(True, k, _quantity(across, value)) for k, value in enumerate(columns)]
                     + [(False, k, _quantity(down, value)) for k, value in enumerate(rows)],
                     f"columns: {_spoken(across)}, rows: {_spoken(down)}")
@@ -84,6 +84,7 @@ def _places(labels: dict, count: int, aspect: float) -> tuple[np.ndarray, np.nda
 
 
 def observation_names(labels: dict, count: int) -> list[str]:
+    """``observation 13: 42 mm 60°`` for each of the D observations."""
     values = [[_quantity(label, value) for value in column] for label, column in labels.items()]
     return [" ".join([f"observation {d}:", *parts]) if parts else f"observation {d}"
             for d, parts in enumerate(zip(*values, strict=True) if values else [()] * count)]

@@ -24,6 +24,8 @@ KEYS = {
 }
 TABLES = (".csv", ".parquet")
 FRAME_TOLERANCE = 1e-3
+# No file means a larger number; squares of larger ones overflow.
+LARGEST = 1e30
 
 
 @dataclass(frozen=True)
@@ -121,8 +123,8 @@ class Observations:
         return array.astype(np.float64)
 
     def _finite(self, name: str, array: np.ndarray, needed=True) -> np.ndarray:
-        """``array``, finite wherever ``needed`` (broadcast from the left)."""
-        bad = np.argwhere(~np.isfinite(array) & needed)
+        """``array``, finite wherever ``needed``, which broadcasts to it."""
+        bad = np.argwhere(~(np.abs(array) <= LARGEST) & needed)
         if len(bad):
             at = bad[0].tolist()
             raise self._error(name, f"{array[tuple(at)]} at {at}", "give finite numbers")
@@ -130,7 +132,7 @@ class Observations:
 
     def _checked_valid(self, vertices: np.ndarray) -> np.ndarray:
         if self.valid is None:
-            bad = np.argwhere(~np.isfinite(vertices).all(axis=-1))
+            bad = np.argwhere(~(np.abs(vertices) <= LARGEST).all(axis=-1))
             if len(bad):
                 d, v = bad[0]
                 raise self._error("vertices", f"{vertices[d, v].tolist()} at observation {d}, vertex {v}",
@@ -164,7 +166,7 @@ class Observations:
             seen = self.valid[:, 1:] & self.valid[:, :-1]
             if not seen.any(axis=0).all():
                 edge = np.flatnonzero(~seen.any(axis=0))[0]
-                raise self._error("rest_length", f"missing, and edge {edge} is seen nowhere", "give rest_length_mm (E,)")
+                raise self._error("rest_length", f"missing, and no rod shows edge {edge}", "give rest_length_mm (E,)")
             length = np.linalg.norm(np.diff(self.vertices, axis=1), axis=-1)
             return np.nanmedian(np.where(seen, length, np.nan), axis=0)
         array = np.asarray(self.rest_length)
@@ -179,7 +181,7 @@ class Observations:
     def _checked_up(self) -> np.ndarray:
         up = self._finite("up", self._numbers("up", (3,)))
         length = np.linalg.norm(up)
-        if not 0 < length < np.inf:
+        if not length > 0:
             raise self._error("up", f"{up.tolist()} has no direction", "give the vector against gravity")
         # A unit vector stays as it is, so that copies of observations agree bit for bit.
         return up if abs(length - 1) < 1e-12 else up / length

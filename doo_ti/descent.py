@@ -33,7 +33,7 @@ class Descent:
 
     tolerance: float = 1e-6
     max_iterations: int = 100_000
-    largest_move: float = 0.02
+    largest_move: float = 0.05
 
     def __post_init__(self):
         if not self.tolerance > 0:
@@ -61,7 +61,8 @@ REST = 26
 ITEMS = 28
 
 PROJECTION_ROUNDS = 2
-MEMORY = 0.85  # weight of the past in the running mean of the energy
+LONG_STEP_EVERY = 12.0
+MEMORY = 0.9  # weight of the past in the running mean of the energy
 PATIENCE = 20_000  # iterations in which neither energy nor residual came down noticeably
 
 
@@ -440,6 +441,7 @@ def descent_kernel(number: Number, stride: int, block: int):
             gravity0, gravity1, gravity2 = (zero, zero, zero)
             energy, lowest, mean, count, step, residual, best = (zero, zero, zero, zero, zero, zero, one)
             fresh, trips, still, status = (zero, zero, zero, zero)
+            short0, short1, short2 = (one, one, one)
             active, finished = (zero, one)
             running = 1
             while running == 1:
@@ -490,6 +492,9 @@ def descent_kernel(number: Number, stride: int, block: int):
                                 best = with_lane(best, l, 1e30)
                                 lowest = with_lane(lowest, l, 1e30)
                                 fresh = with_lane(fresh, l, 1.0)
+                                short0 = with_lane(short0, l, 1e30)
+                                short1 = with_lane(short1, l, 1e30)
+                                short2 = with_lane(short2, l, 1e30)
                                 trips = with_lane(trips, l, 0.0)
                                 still = with_lane(still, l, 0.0)
                                 active = with_lane(active, l, 1.0)
@@ -514,9 +519,16 @@ def descent_kernel(number: Number, stride: int, block: int):
                     heavier = MEMORY * count + 1.0
                     mean = ti.select(accepted > 0.5, (MEMORY * count * mean + new_energy) / heavier, mean)
                     count = ti.select(accepted > 0.5, heavier, count)
-                    odd = trips - 2.0 * ti.floor(0.5 * trips)
+                    # Barzilai–Borwein: the long step s·s/s·y, or where the gradient is mostly stiff directions the shortest of
+                    # the last four short ones s·y/y·y; now and then a long one all the same, to get on in narrow valleys.
                     curved = sy > 0.0
-                    spectral = ti.select(odd > 0.5, sy / yy, ss / sy)
+                    shortest_step = ti.min(ti.min(sy / yy, short0), ti.min(short1, short2))
+                    phase = trips - LONG_STEP_EVERY * ti.floor(trips / LONG_STEP_EVERY)
+                    spectral = ti.select((sy * sy < 0.5 * ss * yy) & (phase > 0.5), shortest_step, ss / sy)
+                    store_short = curved & (accepted > 0.5)
+                    short2 = ti.select(store_short, short1, short2)
+                    short1 = ti.select(store_short, short0, short1)
+                    short0 = ti.select(store_short, sy / yy, short0)
                     longer = ti.select(curved, spectral, 2.0 * step)
                     first = 0.05 * limit_move / (top + 1e-30)
                     chosen = ti.select(fresh > 0.5, first, longer)

@@ -1,4 +1,4 @@
-"""Grids over Θ = (B, β, μ) for the exhaustive search of §III-E, and the range of each parameter that fits nearly as well.
+"""Grids over Θ = (B, β, μ) for the exhaustive search of §III-E, and the range of each that fits nearly as well.
 
 Axes: G grid cells. Bend and twist in mm³, weight relative (footnote 6).
 """

@@ -167,7 +167,7 @@ def _numbers(path, table, name: str) -> np.ndarray:
         raise InputError(path, name, f"type {kind} is not numeric", "give numbers")
     if types.is_null(kind):
         return np.full(table.num_rows, np.nan)
-    return column.cast("int8" if types.is_boolean(kind) else kind).cast("float64").to_numpy()
+    return column.cast("int8" if types.is_boolean(kind) else kind).cast("float64", safe=False).to_numpy()
 
 
 def _is_number(text: str | None) -> bool:

@@ -4,6 +4,7 @@ Axes of a grid are (name, values, is_log, unit); a landscape holds one mean dist
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -22,6 +23,9 @@ class Plane:
     at_border   the minimum lies at an end of a free axis: the true one may lie outside the grid
     """
 
+    HEIGHT: ClassVar[float] = 0.6
+    """Height of the surface's highest cell over its base, the unit square."""
+
     axes: tuple
     values: np.ndarray
     minimum: tuple[int, int] | None
@@ -31,45 +35,68 @@ class Plane:
     best: tuple[tuple[str, float, str], ...]
     at_border: bool
 
+    @classmethod
+    def of(cls, axes, values, minimum=None, valley=None, unfinished=None) -> "Plane":
+        """The landscape over its first two free axes, the minimum over the others, from what
+        `report.landscape_picture` takes."""
+        values = np.asarray(values, float)
+        minimum = None if minimum is None else tuple(int(i) for i in minimum)
+        valley = valley_cells(values, minimum) if valley is None else np.asarray(valley, bool)
+        unfinished = np.zeros(values.shape, int) if unfinished is None else np.asarray(unfinished, int)
+        free = [k for k, axis in enumerate(axes) if len(axis[1]) > 1] or [0]
+        shown = free[:2]
+        order = shown + [k for k in range(len(axes)) if k not in shown]
+        shape = (len(axes[shown[0]][1]), len(axes[shown[1]][1]) if len(shown) == 2 else 1, -1)
+        flat, unfinished, valley = (np.transpose(a, order).reshape(shape) for a in (values, unfinished, valley))
+        least = np.argmin(np.where(np.isnan(flat), np.inf, flat), axis=-1)[..., None]
+        cell, best, at_border = None, (), False
+        if minimum is not None:
+            cell = (minimum[shown[0]], minimum[shown[1]] if len(shown) == 2 else 0)
+            best = tuple((axes[k][0], axes[k][1][minimum[k]], axes[k][3]) for k in free)
+            at_border = any(minimum[k] in (0, len(axes[k][1]) - 1) for k in free if len(axes[k][1]) > 1)
+        return cls(
+            axes=tuple(axes[k] for k in shown),
+            values=np.take_along_axis(flat, least, -1)[..., 0],
+            minimum=cell,
+            valley=valley.any(axis=-1),
+            unfinished=np.take_along_axis(unfinished, least, -1)[..., 0],
+            hidden=tuple(axes[k][0] for k in free[2:]),
+            best=best,
+            at_border=at_border,
+        )
+
+    @property
+    def unit_axes(self) -> tuple[np.ndarray, np.ndarray]:
+        """(A,), (B,) the axes' values from 0 to 1, on log axes of the logarithms; an axis of one value is at 0."""
+        units = []
+        for _, values, is_log, _ in self.axes:
+            values = np.log(values) if is_log else np.asarray(values, float)
+            units.append((values - values[0]) / ((values[-1] - values[0]) or 1.0))
+        return tuple(units + [np.zeros(1)] * (2 - len(units)))
+
+    def height(self, values: np.ndarray) -> np.ndarray:
+        """Distances in mm as heights of the surface, in proportion."""
+        finite = self.values[np.isfinite(self.values)]
+        return self.HEIGHT * values / (finite.max() if finite.size and finite.max() > 0 else 1.0)
+
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
+        """(A, B, 3) points over the unit square, NaN where not evaluated, and (N, 3) triangles between those that were,
+        numbered without the NaN ones."""
+        points = np.stack([*np.meshgrid(*self.unit_axes, indexing="ij"), self.height(self.values)], axis=-1)
+        inside = np.isfinite(self.values)
+        number = np.cumsum(inside).reshape(inside.shape) - 1
+        quad = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]
+        a, b, c, d = number[:-1, :-1][quad], number[1:, :-1][quad], number[1:, 1:][quad], number[:-1, 1:][quad]
+        return points, np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
+
 
 def valley_cells(values: np.ndarray, minimum: tuple | None) -> np.ndarray:
-    """(grid) bool: cells whose mean distance is at most 5 % above that of the cell ``minimum``; the data tell them apart
-    no better."""
+    """(grid) bool: cells whose mean distance is at most 5 % above that of the cell ``minimum``."""
     values = np.asarray(values, float)
     if minimum is None:
         return np.zeros(values.shape, bool)
     with np.errstate(invalid="ignore"):
         return values <= 1.05 * values[tuple(minimum)]
-
-
-def plane(axes, values, minimum=None, valley=None, unfinished=None) -> Plane:
-    """The landscape over its first two free axes; the minimum over the others. Arguments as `report.landscape_picture`."""
-    values = np.asarray(values, float)
-    minimum = None if minimum is None else tuple(int(i) for i in minimum)
-    valley = valley_cells(values, minimum) if valley is None else np.asarray(valley, bool)
-    unfinished = np.zeros(values.shape, int) if unfinished is None else np.asarray(unfinished, int)
-    free = [k for k, axis in enumerate(axes) if len(axis[1]) > 1] or [0]
-    shown = free[:2]
-    order = shown + [k for k in range(len(axes)) if k not in shown]
-    columns = (len(axes[shown[1]][1]) if len(shown) == 2 else 1)
-    shape = (len(axes[shown[0]][1]), columns, -1)
-    flat, unfinished, valley = (np.transpose(a, order).reshape(shape) for a in (values, unfinished, valley))
-    least = np.argmin(np.where(np.isnan(flat), np.inf, flat), axis=-1)[..., None]
-    cell, best, at_border = None, (), False
-    if minimum is not None:
-        cell = (minimum[shown[0]], minimum[shown[1]] if len(shown) == 2 else 0)
-        best = tuple((axes[k][0], axes[k][1][minimum[k]], axes[k][3]) for k in free)
-        at_border = any(minimum[k] in (0, len(axes[k][1]) - 1) for k in free if len(axes[k][1]) > 1)
-    return Plane(
-        axes=tuple(axes[k] for k in shown),
-        values=np.take_along_axis(flat, least, -1)[..., 0],
-        minimum=cell,
-        valley=valley.any(axis=-1),
-        unfinished=np.take_along_axis(unfinished, least, -1)[..., 0],
-        hidden=tuple(axes[k][0] for k in free[2:]),
-        best=best,
-        at_border=at_border,
-    )
 
 
 def cell_edges(axis) -> np.ndarray:

@@ -5,6 +5,7 @@ Entities, timelines and counts: docs/recording.md. Axes: T iterations, D observa
 """
 
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -15,21 +16,21 @@ import numpy as np
 import pyarrow
 import rerun
 import rerun.blueprint as blueprint
+from rerun.experimental import ViewerClient
 
 from doo_ti import report
 from doo_ti.contact_sheet import Sheet, contact_sheet, observation_names
 from doo_ti.errors import InputError
 from doo_ti.grid import UNITS, Interval
-from doo_ti.landscape import Plane, plane as landscape_plane
+from doo_ti.landscape import Plane
 from doo_ti.types import Status
 
 FILE = "run.rrd"
 LABEL = "mean distance (Eq. 1) [mm]"
 BLOCK = 10
 """Iterations sent at once."""
-SURFACE_HEIGHT = 0.6
-"""Height of the surface's highest cell over its base, the unit square."""
 OBSERVED, FAILED, TEXT, MINIMUM = (235, 235, 235), (255, 46, 99), (175, 175, 175), (255, 255, 255)
+GROUND = (16, 18, 22)
 
 
 def record_sweep(path, *, run_id: str, name: str, observations_vertices, labels, trajectory, energy, residual, status,
@@ -38,12 +39,12 @@ def record_sweep(path, *, run_id: str, name: str, observations_vertices, labels,
     """Write the recording ``path``, its layout inside.
 
     observations_vertices  (D, V, 3) mm, NaN where a mark is missing
-    labels                 {"end_distance_mm": (D,), "end_rotation_deg": (D,)}: the first makes the columns of the contact
-                           sheet, the second its rows; None where unknown: reading order
+    labels                 {"end_distance_mm": (D,), "end_rotation_deg": (D,)}: the first makes the columns of the
+                           contact sheet, the second its rows; None where unknown: reading order
     trajectory             (T, D, V, 3) mm, the rods of the best cell; a rod with a NaN in it is not drawn
-    energy, residual       (T, D): relative to weight, mm²; scaled residual, 1/mm. NaN after a rod's end: its last stands
+    energy, residual       (T, D): relative to weight, mm²; scaled residual, 1/mm. Where NaN the rod's last one stands
     status, distance       (D,): Status; Eq. 1, mm
-    properties             {name: number, text or list of them}: in the summary and as properties of the recording
+    properties             {name: number or text}: in the summary and as properties of the recording
     axes, landscape, minimum, valley, unfinished
                            as `report.landscape_picture` takes them; left out for a single relaxation
     intervals              of the parameters, as `grid.valley` finds them, for the summary
@@ -52,9 +53,11 @@ def record_sweep(path, *, run_id: str, name: str, observations_vertices, labels,
     """
     vertices, trajectory = np.asarray(observations_vertices, float), np.asarray(trajectory, float)
     status, distance = np.asarray(status), np.asarray(distance, float)
+    properties = {key: value if isinstance(value, (int, float, str)) else str(value)
+                  for key, value in properties.items()}
     labels = {label: values for label, values in (labels or {}).items() if values is not None}
     sheet, names = contact_sheet(vertices, labels, up), observation_names(labels, len(vertices))
-    plane = None if landscape is None else landscape_plane(axes, landscape, minimum, valley, unfinished)
+    plane = None if landscape is None else Plane.of(axes, landscape, minimum, valley, unfinished)
     stream = rerun.RecordingStream("doo_ti", recording_id=run_id)
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
@@ -97,45 +100,49 @@ def save_screenshot(path, picture, size=(1600, 900)) -> None:
 
     Raises InputError where there is no recording, RuntimeError where the viewer does not start.
     """
-    from rerun.experimental import ViewerClient
-
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    viewer = _viewer(path, "--headless", "--port", str(port), "--window-size", "{}x{}".format(*size))
+    viewer = _viewer(path, "--headless", "--port", str(port), "--window-size", "{}x{}".format(*size), own_group=True)
     try:
-        while viewer.poll() is None:
-            try:
-                client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-                break
-            except ConnectionError:
-                time.sleep(0.2)
-        else:
-            raise RuntimeError(f"the rerun viewer ended with exit code {viewer.returncode}: is a Vulkan driver installed?")
+        client = _connect(viewer, port)
         client.run_command("ui.toggle_top_panel")
         time.sleep(12)  # the viewer's notices fade and its plots fill
         client.save_screenshot(str(Path(picture).resolve()))
     finally:
-        viewer.terminate()
+        os.killpg(viewer.pid, signal.SIGTERM)  # the command and the viewer it started
         viewer.wait()
 
 
-def _viewer(path, *options: str) -> subprocess.Popen:
+def _connect(viewer: subprocess.Popen, port: int) -> ViewerClient:
+    """The viewer on ``port``, once it has the recording open."""
+    client, deadline = None, time.monotonic() + 60
+    while viewer.poll() is None and time.monotonic() < deadline:
+        try:
+            client = client or ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+            if client.get_state().active_recording:
+                return client
+        except ConnectionError:  # not listening yet
+            pass
+        time.sleep(0.5)
+    raise RuntimeError("the rerun viewer did not start; is a Vulkan driver installed?")
+
+
+def _viewer(path, *options: str, own_group: bool = False) -> subprocess.Popen:
     file = Path(path) / FILE if Path(path).is_dir() else Path(path)
     if not file.is_file():
         raise InputError(path, FILE, "there is no recording", "name a folder that doo-ti sweep has written")
     # Left alone the viewer listens on every network interface and reports its use; CI=true stops the reports.
     command = [sys.executable, "-m", "rerun_cli", "--bind", "127.0.0.1", *options, str(file)]
-    return subprocess.Popen(command, env=os.environ | {"CI": "true"})
+    return subprocess.Popen(command, env=os.environ | {"CI": "true"}, start_new_session=own_group)
 
 
 def _log_observations(stream, sheet: Sheet, vertices: np.ndarray, names: list[str]) -> None:
     """Observed marks and the lines through them; a missing mark is left out."""
     present = np.isfinite(vertices).all(axis=-1)
     placed = (vertices + sheet.offset[:, None]).astype(np.float32)
-    directions = {2: "Z", 1: "Y", 0: "X"}
     axis = int(np.argmax(np.abs(sheet.basis[2])))
-    up = f"RIGHT_HAND_{directions[axis]}_{'UP' if sheet.basis[2][axis] > 0 else 'DOWN'}"
+    up = f"RIGHT_HAND_{'XYZ'[axis]}_{'UP' if sheet.basis[2][axis] > 0 else 'DOWN'}"
     stream.log("world", getattr(rerun.ViewCoordinates, up), static=True)
     strips = [rod[mask] for rod, mask in zip(placed, present, strict=True)]
     stream.log("world/observations", rerun.LineStrips3D(
@@ -146,14 +153,14 @@ def _log_observations(stream, sheet: Sheet, vertices: np.ndarray, names: list[st
     if sheet.headings:
         texts, places = zip(*sheet.headings, strict=True)
         stream.log("world/headings", rerun.Points3D(
-            np.stack(places), labels=texts, show_labels=True, colors=TEXT, radii=rerun.Radius.ui_points(0.0)), static=True)
+            places, labels=texts, show_labels=True, colors=TEXT, radii=rerun.Radius.ui_points(0)), static=True)
 
 
 def _log_rods(stream, sheet: Sheet, trajectory: np.ndarray, names: list[str], status, distance,
               with_trials: bool) -> None:
     """One entity for all rods, one instance per rod: a rod per entity makes files and viewer slow."""
     colors = np.where((status == Status.CONVERGED)[:, None], report.distance_colors(distance), FAILED)
-    labels = [f"{name}: {report.quantity(d, 'mm')}, {Status(s).name.lower().replace('_', ' ')}"
+    labels = [f"{name}: {report.quantity(d, 'mm')}, {_ending(s)}"
               for name, d, s in zip(names, distance, status, strict=True)]
     stream.log("world/rods", rerun.LineStrips3D.from_fields(
         colors=colors.astype(np.uint8), radii=rerun.Radius.ui_points(1.7), labels=labels, show_labels=False),
@@ -192,19 +199,12 @@ def _log_curves(stream, energy: np.ndarray, residual: np.ndarray) -> None:
 
 def _log_surface(stream, plane: Plane) -> None:
     """The landscape as a surface over the unit square (on log axes, of the logarithms), height in proportion to mm."""
-    height = _height(plane, plane.values)
-    points = np.stack([*np.meshgrid(*_unit_axes(plane), indexing="ij"), height], axis=-1)
-    colors = report.landscape_colors(plane.values, plane.values)
-    inside = np.isfinite(height)
-    quads = inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:]
-    index = np.full(height.shape, -1)
-    index[inside] = np.arange(inside.sum())
-    corner = index[:-1, :-1][quads], index[1:, :-1][quads], index[1:, 1:][quads], index[:-1, 1:][quads]
-    if quads.any():
-        triangles = np.concatenate([np.stack([corner[0], corner[1], corner[2]], -1),
-                                    np.stack([corner[0], corner[2], corner[3]], -1)])
+    points, triangles = plane.surface()
+    inside = np.isfinite(plane.values)
+    if len(triangles):
         stream.log("landscape/surface", rerun.Mesh3D(
-            vertex_positions=points[inside], triangle_indices=triangles, vertex_colors=colors[inside]), static=True)
+            vertex_positions=points[inside], triangle_indices=triangles,
+            vertex_colors=report.landscape_colors(plane.values, plane.values)[inside]), static=True)
     _log_surface_axes(stream, plane)
     if plane.minimum is not None:
         stream.log("landscape/surface/minimum", rerun.Points3D(
@@ -214,7 +214,7 @@ def _log_surface(stream, plane: Plane) -> None:
 
 def _log_surface_axes(stream, plane: Plane) -> None:
     """A frame around the surface's base, with the ends of the axes and the height written to it."""
-    strips = [np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 0), (0, 0, SURFACE_HEIGHT)])]
+    strips = [np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 0), (0, 0, plane.HEIGHT)])]
     texts, places = [], []
     ends = (((0.08, -0.1, 0), (0.5, -0.16, 0), (0.9, -0.1, 0)), ((1.1, 0.1, 0), (1.2, 0.5, 0), (1.1, 0.92, 0)))
     for axis, three_places in zip(plane.axes, ends, strict=False):
@@ -222,7 +222,7 @@ def _log_surface_axes(stream, plane: Plane) -> None:
         places += three_places
     if np.isfinite(plane.values).any():
         texts += ["0 mm", "mean distance " + report.quantity(np.nanmax(plane.values), "mm")]
-        places += [(-0.08, -0.04, 0), (0, 0, SURFACE_HEIGHT + 0.05)]
+        places += [(-0.08, -0.04, 0), (0, 0, plane.HEIGHT + 0.05)]
     stream.log("landscape/surface/axes", rerun.LineStrips3D(
         strips, colors=TEXT, radii=rerun.Radius.ui_points(0.7)), static=True)
     stream.log("landscape/surface/axes/labels", rerun.Points3D(
@@ -237,9 +237,9 @@ def _log_cells(stream, plane: Plane, landscape: np.ndarray, axes, order) -> None
     if not trial.size:
         return
     index = dict(zip((axis[0] for axis in axes), np.unravel_index(order[trial], landscape.shape), strict=True))
-    x, y = _unit_axes(plane)
+    x, y = plane.unit_axes
     first, *rest = (index[axis[0]] for axis in plane.axes)
-    points = np.stack([x[first], y[rest[0]] if rest else 0 * x[first], _height(plane, values[trial])], axis=-1)
+    points = np.stack([x[first], y[rest[0]] if rest else 0 * x[first], plane.height(values[trial])], axis=-1)
     stream.log("landscape/cells", rerun.Points3D.from_fields(radii=rerun.Radius.ui_points(2.5)), static=True)
     stream.send_columns("landscape/cells", [rerun.TimeColumn("trial", sequence=trial)], rerun.Points3D.columns(
         positions=points.astype(np.float32), colors=report.landscape_colors(values[trial], plane.values),
@@ -249,9 +249,10 @@ def _log_cells(stream, plane: Plane, landscape: np.ndarray, axes, order) -> None
 def _layout(sheet: Sheet, plane: Plane | None) -> blueprint.Blueprint:
     """Rods and summary on the left, landscape and curves on the right; on the last iteration when opened."""
     width, height = sheet.extent
-    away = 0.5 * max(height, width / 1.35) / np.tan(np.radians(27.5))
+    away = 0.52 * max(height, width / 1.35) / np.tan(np.radians(27.5))
     rods = blueprint.Spatial3DView(
-        name=f"Rods on observed marks (white), mm; {sheet.meaning}".removesuffix("; "), origin="world", line_grid=False, background=[16, 18, 22],
+        name=f"Rods on observed marks (white), mm; {sheet.meaning}".removesuffix("; "), origin="world",
+        line_grid=False, background=GROUND,
         eye_controls=blueprint.EyeControls3D(
             kind=blueprint.Eye3DKind.Orbital, look_target=sheet.centre, eye_up=sheet.basis[2],
             position=sheet.centre - away * sheet.basis[1]))
@@ -259,15 +260,17 @@ def _layout(sheet: Sheet, plane: Plane | None) -> blueprint.Blueprint:
              for entity, name in (("energy", "Energy [mm²]"), ("residual", "log10 scaled residual [1/mm]"))]
     summary = blueprint.TextDocumentView(name="Summary", origin="summary")
     left = blueprint.Vertical(rods, summary, row_shares=[3, 1.25])
-    time = blueprint.TimePanel(state="collapsed", timeline="iteration", play_state="following")
-    panels = (blueprint.BlueprintPanel(state="collapsed"), blueprint.SelectionPanel(state="collapsed"), time)
+    panels = (blueprint.BlueprintPanel(state="collapsed"), blueprint.SelectionPanel(state="collapsed"),
+              blueprint.TimePanel(state="collapsed", timeline="iteration", play_state="following"))
     if plane is None:
-        return blueprint.Blueprint(blueprint.Horizontal(left, blueprint.Vertical(*plots), column_shares=[1.25, 1]), *panels)
+        right = blueprint.Vertical(*plots)
+        return blueprint.Blueprint(blueprint.Horizontal(left, right, column_shares=[1.25, 1]), *panels)
     surface = blueprint.Spatial3DView(
         name="Surface (timeline: trial)", origin="landscape", contents=["$origin/surface/**", "$origin/cells"],
-        line_grid=False, background=[16, 18, 22],
+        line_grid=False, background=GROUND,
         eye_controls=blueprint.EyeControls3D(
-            kind=blueprint.Eye3DKind.Orbital, position=(1.25, -0.95, 0.95), look_target=(0.55, 0.42, 0.15), eye_up=(0, 0, 1)),
+            kind=blueprint.Eye3DKind.Orbital, position=(1.25, -0.95, 0.95), look_target=(0.55, 0.42, 0.15),
+            eye_up=(0, 0, 1)),
         time_ranges=blueprint.VisibleTimeRange("trial", start=blueprint.TimeRangeBoundary.infinite(),
                                                end=blueprint.TimeRangeBoundary.cursor_relative()))
     picture = blueprint.Spatial2DView(name="Landscape", origin="landscape/picture")
@@ -280,20 +283,26 @@ def _summary(name: str, intervals: tuple[Interval, ...], names, status, distance
     lines, finite = [f"**{name}**"], np.isfinite(distance)
     if finite.any():
         worst = int(np.nanargmax(distance))
-        lines[0] += (f": mean distance (Eq. 1) **{report.quantity(np.mean(distance[finite]), 'mm')}** over {finite.sum()} "
-                     f"of {len(distance)} rods, median {report.quantity(np.median(distance[finite]), 'mm')}, largest "
-                     f"{report.quantity(distance[worst], 'mm')} ({names[worst]})")
+        mean, median, largest = (report.quantity(value, "mm") for value in (
+            np.mean(distance[finite]), np.median(distance[finite]), distance[worst]))
+        lines[0] += (f": mean distance (Eq. 1) **{mean}** over {finite.sum()} of {len(distance)} rods, median "
+                     f"{median}, largest {largest} ({names[worst]})")
     if intervals:
         lines += ["", "| Θ | best | within 5 % of the minimum |", "|---|---|---|"]
         lines += [f"| {report.SYMBOLS[i.name]} | **{report.quantity(i.best, UNITS[i.name])}** "
-                  f"| {'≤ ' * i.low_is_open}{report.quantity(i.low)} … {'≥ ' * i.high_is_open}{report.quantity(i.high)} |"
-                  for i in intervals]
-    counts = [f"{np.sum(status == kind)} {kind.name.lower().replace('_', ' ')}" for kind in Status if (status == kind).any()]
+                  f"| {'≤ ' * i.low_is_open}{report.quantity(i.low)} … "
+                  f"{'≥ ' * i.high_is_open}{report.quantity(i.high, UNITS[i.name])} |" for i in intervals]
+    counts = [f"{np.sum(status == kind)} {_ending(kind)}" for kind in Status if (status == kind).any()]
     lines += ["", f"Rods: {', '.join(counts)}. Coloured by distance, teal the smallest, yellow the largest; red: not "
               "converged.", ""]
     if properties:
-        lines += ["| property | |", "|---|---|", *(f"| {key} | {value} |" for key, value in properties.items())]
+        lines += ["| property | |", "|---|---|", *("| {} | {} |".format(key, str(value).replace("|", "\\|"))
+                                                      for key, value in properties.items())]
     return "\n".join(lines)
+
+
+def _ending(status: int) -> str:
+    return Status(status).name.lower().replace("_", " ")
 
 
 def _held(values: np.ndarray) -> np.ndarray:
@@ -304,17 +313,3 @@ def _held(values: np.ndarray) -> np.ndarray:
 
 def _vectors(array: np.ndarray) -> pyarrow.Array:
     return pyarrow.FixedSizeListArray.from_arrays(pyarrow.array(array.astype(np.float32).reshape(-1)), 3)
-
-
-def _unit_axes(plane: Plane) -> list[np.ndarray]:
-    """The axes' values on [0, 1]; an axis of one value, and the missing one of a line, at 0."""
-    units = []
-    for _, values, is_log, _ in plane.axes:
-        values = np.log(values) if is_log else np.asarray(values, float)
-        units.append((values - values[0]) / ((values[-1] - values[0]) or 1.0))
-    return units + [np.zeros(1)] * (2 - len(units))
-
-
-def _height(plane: Plane, values: np.ndarray) -> np.ndarray:
-    finite = plane.values[np.isfinite(plane.values)]
-    return SURFACE_HEIGHT * values / (finite.max() if finite.size and finite.max() > 0 else 1.0)

@@ -49,7 +49,7 @@ def relax(
     up = up / np.linalg.norm(up)
     if precision not in PRECISIONS:
         raise InputError("relax", "precision", f"{precision!r}", f"give one of {', '.join(PRECISIONS)}")
-    table = batch.tables(configuration, material, clamps, configuration_index, material_index)
+    table = batch.tables(configuration, material, clamps, up, configuration_index, material_index)
     if isinstance(solver, Descent):
         bits = 32 if precision == "f32" else 64
         frames, results = batch.run_descent(table, up, solver, bits)

@@ -5,7 +5,7 @@ Only this module draws with matplotlib, on its own canvas: no window, no global 
 
 import numpy as np
 
-from doo_ti.landscape import Plane, cell_edges, plane
+from doo_ti.landscape import Plane, cell_edges
 
 PICTURE_INCHES, PICTURE_DPI = (8.0, 6.0), 200
 """1600 × 1200 pixels."""
@@ -30,18 +30,19 @@ def landscape_picture(path_or_buffer, axes, values, *, minimum, valley=None, tit
     label       what the values are, with their unit: the colour bar's label
     unfinished  (grid) number of rods that did not converge: those cells are hatched
     """
-    _draw(plane(axes, values, minimum, valley, unfinished), title, label).canvas.print_png(path_or_buffer)
+    _draw(Plane.of(axes, values, minimum, valley, unfinished), title, label).canvas.print_png(path_or_buffer)
 
 
 def landscape_image(axes, values, *, minimum, valley=None, title, label, unfinished=None) -> np.ndarray:
     """The same drawing as (1200, 1600, 3) uint8."""
-    canvas = _draw(plane(axes, values, minimum, valley, unfinished), title, label).canvas
+    canvas = _draw(Plane.of(axes, values, minimum, valley, unfinished), title, label).canvas
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
 def quantity(value: float, unit: str = "") -> str:
     """A value with its unit for a person: three digits, powers of ten from 10⁴ on."""
+    value = float(f"{value:.2e}")
     if value == 0 or 1e-2 <= abs(value) < 1e4 or not np.isfinite(value):
         text = f"{value:.3g}"
     else:
@@ -64,7 +65,7 @@ def landscape_colors(values: np.ndarray, landscape: np.ndarray) -> np.ndarray:
 
 
 def distance_colors(distance: np.ndarray) -> np.ndarray:
-    """(D, 3) uint8 for rods on a dark ground: from teal, the smallest distance, to yellow, the largest; grey where NaN."""
+    """(D, 3) uint8 for rods on a dark ground: teal, the smallest distance, to yellow, the largest; grey where NaN."""
     from matplotlib.colors import Normalize
 
     norm = _norm(distance)
@@ -91,7 +92,8 @@ def _draw(landscape: Plane, title: str, label: str):
     panel.set_title(title, fontsize=14, pad=12)
     panel.tick_params(labelsize=11)
     if keys:
-        figure.legend(handles=keys, loc="outside lower center", ncols=1 if landscape.hidden else 2, frameon=False, fontsize=10.5, handlelength=1.6)
+        figure.legend(handles=keys, loc="outside lower center", ncols=1 if landscape.hidden else 2, frameon=False,
+                      fontsize=10.5, handlelength=1.6)
     return figure
 
 
@@ -242,7 +244,7 @@ def _plain_ticks(axis, is_log: bool, low: float, high: float) -> None:
 
     if is_log:
         decades = np.log10(high / low)
-        steps = (1.0,) if decades > 3 else (1.0, 3.0) if decades > 1.5 else (1.0, 2.0, 5.0) if decades > 0.5 else range(1, 10)
+        steps = (1,) if decades > 3 else (1, 3) if decades > 1.5 else (1, 2, 5) if decades > 0.5 else range(1, 10)
         axis.set_major_locator(LogLocator(subs=steps, numticks=20))
         axis.set_minor_formatter(NullFormatter())
     axis.set_major_formatter(FuncFormatter(lambda value, _: quantity(value)))

@@ -58,7 +58,8 @@ KEYS = {
     "misshapen vertices": (changed("vertices_mm", lambda v: v[0]), "vertices_mm", "shape (9, 3)"),
     "misshapen frame": (changed("end_frame", lambda f: f[:, :2]), "end_frame", "shape (3, 2, 3)"),
     "misshapen twist": (changed("total_twist_deg", lambda t: t[:1]), "total_twist_deg", "shape (1,)"),
-    "NaN": (changed("vertices_mm", lambda v: np.where(v == v[1, 4, 0], np.nan, v)), "vertices_mm", "observation 1, vertex 4"),
+    "NaN": (changed("vertices_mm", lambda v: np.where(v == v[1, 4, 0], np.nan, v)), "vertices_mm",
+            "observation 1, vertex 4"),
     "negative rest length": (changed("rest_length_mm", lambda x: x * np.where(np.arange(8) == 2, -1, 1)),
                              "rest_length_mm", "edge 2"),
     "zero rest length": (changed("rest_length_mm", lambda x: 0 * x), "rest_length_mm", "0 mm at edge 0"),
@@ -111,8 +112,9 @@ def test_wrong_files(capsys, tmp_path, case, suffix):
 def test_files_that_are_not_there(capsys, tmp_path):
     for name, word in (("absent.npz", "no such file"), ("absent.txt", "suffix"), ("", "suffix")):
         refused(capsys, tmp_path, ["relax", str(tmp_path / name), *MATERIAL, "--out", str(tmp_path / "F.npz")], word)
-    refused(capsys, tmp_path, ["sweep", str(tmp_path / "absent.toml"), "--out", str(tmp_path / "run")], "no such file")
-    refused(capsys, tmp_path, ["synth", str(tmp_path / "absent.toml"), "--out", str(tmp_path / "x.npz")], "no such file")
+    for command, out in (("sweep", "run"), ("synth", "x.npz")):
+        argv = [command, str(tmp_path / "absent.toml"), "--out", str(tmp_path / out)]
+        refused(capsys, tmp_path, argv, "absent.toml", "no such file")
     refused(capsys, tmp_path, ["learn", str(tmp_path / "absent")], "summary.json", "no such file")
     refused(capsys, tmp_path, ["view", str(tmp_path / "absent")], "absent", "no such file")
 
@@ -187,7 +189,8 @@ def test_wrong_grids(capsys, tmp_path, case):
 
 def test_relax_takes_one_material(capsys, tmp_path):
     npz_bytes(tmp_path)
-    argv = ["relax", str(tmp_path / "good.npz"), "--bend", "1e5", "--twist-ratio", "1:2:3", "--out", str(tmp_path / "F.npz")]
+    material = ["--bend", "1e5", "--twist-ratio", "1:2:3"]
+    argv = ["relax", str(tmp_path / "good.npz"), *material, "--out", str(tmp_path / "F.npz")]
     refused(capsys, tmp_path, argv, "--twist-ratio", "3 cells")
 
 
@@ -228,11 +231,12 @@ def test_outputs_that_may_not_be(capsys, tmp_path, monkeypatch):
 
 # ---- scenes
 
+LAB, GRID = "[synthesis]\nbend = 1\ntwist = 1\n", "[grid]\nbend = 3\n"
 SCENES = {
-    "unknown scene key": ("colour = 3\n[synthesis]\nbend = 1\ntwist = 1\n[grid]\nbend = 3\n", "colour", "unknown scene key"),
-    "unknown synthesis key": ("[synthesis]\nbend = 1\ntwist = 1\nnoise = 1\n[grid]\nbend = 3\n", "synthesis.noise"),
-    "grid of zero cells": ('[synthesis]\nbend = 1\ntwist = 1\n[grid]\nbend = "1:2:0"\n', "bend", "zero cells"),
-    "B not positive definite": ("[synthesis]\nbend = [[1, 3], [3, 1]]\ntwist = 1\n[grid]\nbend = 3\n", "synthesis.bend"),
+    "unknown scene key": (f"colour = 3\n{LAB}{GRID}", "colour", "unknown scene key"),
+    "unknown synthesis key": (f"{LAB}noise = 1\n{GRID}", "synthesis.noise", "unknown scene key"),
+    "grid of zero cells": (f'{LAB}[grid]\nbend = "1:2:0"\n', "bend", "zero cells"),
+    "B not positive definite": (f"[synthesis]\nbend = [[1, 3], [3, 1]]\ntwist = 1\n{GRID}", "synthesis.bend"),
     "absent file": ('[observations]\nfile = "absent.npz"\n[grid]\nbend = 3\n', "absent.npz", "no such file"),
     "no TOML": ("[synthesis\n", "not TOML"),
 }
@@ -243,7 +247,8 @@ def test_wrong_scenes(capsys, tmp_path, case):
     text, *expected = SCENES[case]
     path = tmp_path / "scene.toml"
     path.write_text(text, encoding="utf-8")
-    for argv in (["sweep", str(path), "--out", str(tmp_path / "run")], ["synth", str(path), "--out", str(tmp_path / "x.npz")]):
+    for command, out in (("sweep", "run"), ("synth", "x.npz")):
+        argv = [command, str(path), "--out", str(tmp_path / out)]
         refused(capsys, tmp_path, argv, *expected, *([] if case == "absent file" else [str(path)]))
 
 
@@ -258,9 +263,10 @@ def test_a_clamp_that_needs_a_frame_nobody_gave(capsys, tmp_path):
 
 def test_in_a_process_of_its_own(tmp_path):
     root = Path(__file__).resolve().parents[2]
-    argv = [sys.executable, "-m", "doo_ti", "relax", str(tmp_path / "absent.npz"), *MATERIAL, "--out", str(tmp_path / "F.npz")]
-    done = subprocess.run(argv, cwd=root, capture_output=True, text=True, encoding="utf-8")
+    program = [sys.executable, "-m", "doo_ti"]
+    argv = ["relax", str(tmp_path / "absent.npz"), *MATERIAL, "--out", str(tmp_path / "F.npz")]
+    done = subprocess.run([*program, *argv], cwd=root, capture_output=True, text=True, encoding="utf-8")
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.count("\n") == 1 and "absent.npz" in done.stderr and not list(tmp_path.iterdir())
-    done = subprocess.run([sys.executable, "-m", "doo_ti", "--help"], cwd=root, capture_output=True, text=True, encoding="utf-8")
+    done = subprocess.run([*program, "--help"], cwd=root, capture_output=True, text=True, encoding="utf-8")
     assert done.returncode == 0 and "sweep" in done.stdout and done.stderr == ""

@@ -59,7 +59,8 @@ def test_defaults(rng):
     np.testing.assert_allclose(observations.rest_length, np.median(lengths, axis=0))
     assert observations.valid.all() and observations.valid.shape == vertices.shape[:2]
     np.testing.assert_array_equal(observations.up, [0, 0, 1])
-    assert all(getattr(observations, name) is None for name in KEYS if name not in ("vertices", "valid", "rest_length", "up"))
+    others = [name for name in KEYS if name not in ("vertices", "valid", "rest_length", "up")]
+    assert all(getattr(observations, name) is None for name in others)
 
 
 def test_default_rest_length_leaves_missing_marks_out(rng):
@@ -202,8 +203,8 @@ def test_files_that_are_no_npz(tmp_path, rng):
     np.savez(objects, vertices_mm=np.array([[1], [1, 2]], dtype=object))
     contents = {
         "empty": b"", "truncated": content[: len(content) // 2], "cut short": content[:-30], "one byte": b"P",
-        "pickled": pickle.dumps({"vertices_mm": [1.0]}), "text": b"vertices", "bare": (tmp_path / "bare.npy").read_bytes(),
-        "objects": objects.read_bytes(),
+        "pickled": pickle.dumps({"vertices_mm": [1.0]}), "text": b"vertices", "objects": objects.read_bytes(),
+        "bare": (tmp_path / "bare.npy").read_bytes(),
     }
     for case, data in contents.items():
         path = tmp_path / f"{case}.npz"

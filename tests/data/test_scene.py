@@ -55,8 +55,8 @@ def test_a_scene_with_a_file(tmp_path):
 
 
 def test_an_anisotropic_scene(tmp_path):
-    scene = load_scene(write(tmp_path, data="[synthesis]\nbend = [[6e6, 1e5], [1e5, 1.2e5]]\ntwist = 5e5\nframes = true\n",
-                             grid='[grid]\nbend = "3e6,2e6,-1e6"\n'))
+    ribbon = "[synthesis]\nbend = [[6e6, 1e5], [1e5, 1.2e5]]\ntwist = 5e5\nframes = true\n"
+    scene = load_scene(write(tmp_path, data=ribbon, grid='[grid]\nbend = "3e6,2e6,-1e6"\n'))
     np.testing.assert_array_equal(scene.observations.material().bend[0, 0], [[6e6, 1e5], [1e5, 1.2e5]])
     assert scene.grid.bend_12 == -1e6 and scene.observations.frames
 

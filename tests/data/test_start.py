@@ -114,7 +114,8 @@ def test_clamps_by_default_and_by_wish(rng):
     edge = bare.vertices[:, -1] - bare.vertices[:, -2]
     np.testing.assert_allclose(clamps.end_frame[..., 0], edge / np.linalg.norm(edge, axis=-1, keepdims=True))
     for frame in (clamps.start_frame, clamps.end_frame):
-        np.testing.assert_allclose(np.swapaxes(frame, -1, -2) @ frame, np.broadcast_to(np.eye(3), frame.shape), atol=1e-14)
+        identity = np.broadcast_to(np.eye(3), frame.shape)
+        np.testing.assert_allclose(np.swapaxes(frame, -1, -2) @ frame, identity, atol=1e-14)
         assert (np.linalg.det(frame) > 0).all()
     assert observation_clamps(bare, Clamp.POSITION, Clamp.FREE).end == Clamp.FREE
     with pytest.raises(InputError, match="end_frame: missing"):
@@ -136,7 +137,8 @@ def test_a_clamped_tangent_overrides_the_observed_edge(rng):
 def test_a_rod_held_at_its_end_only_meets_that_clamp(rng):
     observations = Observations(wavy_vertices(rng), rest_length=np.full(8, 2.0))
     clamps = observation_clamps(observations, Clamp.FREE, Clamp.POSITION)
-    np.testing.assert_allclose(start_configuration(observations, clamps).vertices[:, -1], clamps.end_position, atol=1e-12)
+    start = start_configuration(observations, clamps)
+    np.testing.assert_allclose(start.vertices[:, -1], clamps.end_position, atol=1e-12)
     clamps = observation_clamps(observations, Clamp.FREE, Clamp.FREE)
     np.testing.assert_array_equal(start_configuration(observations, clamps).start, observations.vertices[:, 0])
 
@@ -160,7 +162,8 @@ def test_missing_marks_are_interpolated_by_arc_length(rng):
     (0, "start", True, Clamp.FRAME, True), (1, "start", True, Clamp.FRAME, False),
     (0, "start", False, Clamp.POSITION, True), (1, "start", False, Clamp.POSITION, False),
     (0, "start", False, Clamp.FREE, False), (8, "end", False, Clamp.TANGENT, True),
-    (7, "end", False, Clamp.TANGENT, True), (7, "end", True, Clamp.TANGENT, False), (6, "end", False, Clamp.TANGENT, False),
+    (7, "end", False, Clamp.TANGENT, True), (7, "end", True, Clamp.TANGENT, False),
+    (6, "end", False, Clamp.TANGENT, False),
 ])
 def test_clamps_need_the_marks_they_rest_on(rng, vertex, end, given, kind, refused):
     vertices = wavy_vertices(rng)
@@ -173,7 +176,8 @@ def test_clamps_need_the_marks_they_rest_on(rng, vertex, end, given, kind, refus
         with pytest.raises(InputError, match=f"valid: vertex {vertex} of observation 2 .*{end} clamp"):
             observation_clamps(observations, **{end: kind})
     else:
-        assert np.isfinite(start_configuration(observations, observation_clamps(observations, **{end: kind})).vertices).all()
+        start = start_configuration(observations, observation_clamps(observations, **{end: kind}))
+        assert np.isfinite(start.vertices).all()
 
 
 def test_infeasible_spans_are_named_with_their_excess():

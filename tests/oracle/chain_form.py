@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from doo_ti.types import Configuration, Material
 from tests.oracle.algebra import add, directors, scale
@@ -68,8 +69,8 @@ def chain_energy(rod: Rod, start, quaternions):
     return bending, twisting, gravity
 
 
-def chain_derivatives(rod: Rod, quaternions: np.ndarray, force=(0.0, 0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
-    """(3E,) gradient and (3E, 3E) Hessian of E + force·Σ l t in the body rotations of all edges, start held."""
+def chain_derivatives(rod: Rod, quaternions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3E,) gradient and (3E, 3E) Hessian of E in the body rotations of all edges, start held."""
     gradient, hessian = np.zeros(3 * rod.edges), np.zeros((3 * rod.edges, 3 * rod.edges))
     pairs = pair_gradient_hessian(
         quaternions[:-1], quaternions[1:], rod.rest_length[:-1], rod.rest_length[1:],
@@ -79,15 +80,16 @@ def chain_derivatives(rod: Rod, quaternions: np.ndarray, force=(0.0, 0.0, 0.0)) 
         block = slice(3 * i, 3 * i + 6)
         gradient[block] += pairs[0][i]
         hessian[block, block] += pairs[1][i]
-    linear = linear_gradient_hessian(rod.gravity_force + np.asarray(force), quaternions, rod.rest_length)
-    for j in range(rod.edges):
-        block = slice(3 * j, 3 * j + 3)
-        gradient[block] += linear[0][j]
-        hessian[block, block] += linear[1][j]
-    return gradient, hessian
+    weight = linear_derivatives(rod, quaternions, rod.gravity_force)
+    return gradient + weight[0], hessian + weight[1]
+
+
+def linear_derivatives(rod: Rod, quaternions: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3E,) gradient and (3E, 3E) block-diagonal Hessian of Σ l c·t, force c (3,) or per edge (E, 3)."""
+    gradient, blocks = linear_gradient_hessian(force, quaternions, rod.rest_length)
+    return gradient.ravel(), block_diag(*blocks)
 
 
 def closure_gradient(rod: Rod, quaternions: np.ndarray) -> np.ndarray:
     """(3, 3E) derivative of Σ l t in the body rotations: row k from the linear potential with force e_k."""
-    rows = [linear_gradient_hessian(axis, quaternions, rod.rest_length)[0].ravel() for axis in np.eye(3)]
-    return np.array(rows)
+    return linear_gradient_hessian(np.eye(3)[:, None], quaternions, rod.rest_length)[0].reshape(3, -1)

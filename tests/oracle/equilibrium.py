@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from doo_ti.types import Clamp, Clamps, Configuration
 from tests.oracle.algebra import body_rotated, directors, transport
-from tests.oracle.chain_form import Rod, chain_derivatives, chain_energy, closure_gradient, rod_of
+from tests.oracle.chain_form import Rod, chain_derivatives, closure_gradient, linear_derivatives, rod_of
+from tests.oracle.pair import pair_parts
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,11 @@ def moved(state: State, free: np.ndarray, step: np.ndarray) -> State:
     return State(state.start + full[:3], np.array(rotated).T)
 
 
+def _largest_rotation(free: np.ndarray, step: np.ndarray) -> float:
+    """rad; a free start's translation is not limited. Never zero, so that it can divide."""
+    return max(np.abs(step[free >= 3]).max(initial=0.0), 1e-300)
+
+
 def _closure(rod: Rod, ends: Ends, state: State, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Miss of the end position (0 or 3,) and its Jacobian (0 or 3, free)."""
     if ends.end_position is None:
@@ -121,7 +127,7 @@ def closed(rod: Rod, ends: Ends, state: State, free: np.ndarray) -> State:
         if np.linalg.norm(miss) <= 2e-15 * rod.rest_length.sum():
             break
         step = -np.linalg.lstsq(jacobian, miss, rcond=1e-9)[0]
-        state = moved(state, free, step * min(1.0, 0.1 / max(np.abs(step).max(), 1e-300)))
+        state = moved(state, free, step * min(1.0, 0.1 / _largest_rotation(free, step)))
     return state
 
 
@@ -149,10 +155,11 @@ class _Local:
 def _local(rod: Rod, ends: Ends, state: State, free: np.ndarray) -> _Local:
     miss, jacobian = _closure(rod, ends, state, free)
     gravity = rod.weight * rod.vertex_length.sum() * rod.up
-    gradient = np.append(gravity, chain_derivatives(rod, state.quaternions)[0])[free]
+    chain_gradient, chain_hessian = chain_derivatives(rod, state.quaternions)
+    gradient = np.append(gravity, chain_gradient)[free]
     force = -np.linalg.lstsq(jacobian.T, gradient, rcond=1e-9)[0] if len(miss) else np.zeros(3)
     hessian = np.zeros((3 + 3 * rod.edges,) * 2)
-    hessian[3:, 3:] = chain_derivatives(rod, state.quaternions, force)[1]
+    hessian[3:, 3:] = chain_hessian + linear_derivatives(rod, state.quaternions, force)[1]
     basis = _null_space(jacobian)
     eigenvalues, modes = np.linalg.eigh(basis.T @ hessian[np.ix_(free, free)] @ basis)
     residual = gradient + (jacobian.T @ force if len(miss) else 0.0)
@@ -160,15 +167,20 @@ def _local(rod: Rod, ends: Ends, state: State, free: np.ndarray) -> _Local:
 
 
 def energy_of(rod: Rod, state: State) -> tuple[float, float]:
-    """E(Γ) and the sum of its terms' sizes, the scale of its rounding."""
-    parts = chain_energy(rod, state.start, state.quaternions)
-    return float(sum(parts)), float(sum(abs(part) for part in parts))
+    """E(Γ), all pairs in one sweep of `chain_energy`'s terms, and the sum of the terms' sizes, the scale of its rounding."""
+    q, lengths = state.quaternions, rod.rest_length
+    terms = pair_parts(
+        list(q[:-1].T), list(q[1:].T), lengths[:-1], lengths[1:], rod.bend[:-1], rod.bend[1:], rod.twist, rod.rest_curvature
+    )
+    gravity = rod.weight * rod.vertex_length * (vertices_of(rod, state) @ rod.up)
+    parts = [float(np.sum(part)) for part in (*terms, gravity)]
+    return sum(parts), sum(abs(part) for part in parts)
 
 
 def _descended(rod, ends, state, free, direction, longest) -> State | None:
     """The first of the halved steps along ``direction`` that is closed again and not higher; None if there is none."""
     energy, size = energy_of(rod, state)
-    factor = min(1.0, longest / max(np.abs(direction).max(), 1e-300))
+    factor = min(1.0, longest / _largest_rotation(free, direction))
     for _ in range(30):
         trial = closed(rod, ends, moved(state, free, factor * direction), free)
         if energy_of(rod, trial)[0] <= energy + 1e-13 * size:
@@ -201,8 +213,8 @@ def equilibrium(
         if converged:
             saddles += 1
             direction = at.basis @ at.modes[:, 0]
-            trials = [_descended(rod, ends, state, free, sign * direction / np.abs(direction).max() * 0.05, 0.05)
-                      for sign in (1.0, -1.0)]
+            leap = 0.05 * direction / _largest_rotation(free, direction)
+            trials = [_descended(rod, ends, state, free, sign * leap, 0.05) for sign in (1.0, -1.0)]
             following = min((trial for trial in trials if trial), key=lambda trial: energy_of(rod, trial)[0], default=None)
         else:
             shifted = at.eigenvalues + (2.0 * abs(at.eigenvalues[0]) if unstable else 0.0)

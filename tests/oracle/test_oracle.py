@@ -236,6 +236,7 @@ def test_equilibrium_closes_descends_and_is_stationary(rng, start, end):
     np.testing.assert_allclose(found.eigenvalues[:neutral] / found.eigenvalues[-1], 0, atol=1e-13)
     assert found.eigenvalues[neutral] > 1e-9 * found.eigenvalues[-1]
     assert found.energy < sum(chain_energy(rod, state.start, state.quaternions))
+    assert found.energy == pytest.approx(sum(chain_energy(rod, found.start, found.quaternions)), rel=1e-13)
     # No neighbour that keeps the clamps is lower.
     at = State(found.start, found.quaternions)
     free = free_variables(rod, ends)

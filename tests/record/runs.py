@@ -1,0 +1,58 @@
+"""A small made-up run, its axes and sizes unequal so that none can stand in for another."""
+
+import numpy as np
+
+from doo_ti.grid import Axis, Grid, valley
+from doo_ti.types import Status
+
+ITERATIONS, OBSERVATIONS, VERTICES, BENDS, RATIOS = 13, 6, 9, 5, 4
+
+
+def observations(rng: np.random.Generator) -> np.ndarray:
+    """(D, V, 3) mm: arches of three widths, twice each, all starting at the origin."""
+    along = np.linspace(0, 1, VERTICES)
+    width = np.repeat([30.0, 50.0, 70.0], 2)[:, None]
+    arches = np.stack([width * along, 0 * width * along, (90 - width) * np.sin(np.pi * along) / 2], axis=-1)
+    arches[:, 1:-1] += rng.normal(0, 0.3, (OBSERVATIONS, VERTICES - 2, 3))
+    return arches
+
+
+def grid() -> Grid:
+    return Grid((Axis("bend", np.geomspace(1e5, 1e7, BENDS)), Axis("twist_ratio", np.geomspace(0.2, 5, RATIOS))))
+
+
+def landscape() -> np.ndarray:
+    """(G,) mm with the minimum in cell (2, 1) and one cell, (4, 3), not evaluated."""
+    bend, ratio = np.meshgrid(np.arange(BENDS) - 2, np.arange(RATIOS) - 1, indexing="ij")
+    values = 0.5 + 0.8 * bend**2 + 0.3 * ratio**2
+    values[4, 3] = np.nan
+    return values.reshape(-1)
+
+
+def axes(of: Grid) -> list:
+    return [(axis.name, axis.values, axis.log, axis.unit) for axis in of.axes]
+
+
+def relaxation(rng: np.random.Generator) -> dict:
+    """What `record_relaxation` takes."""
+    vertices = observations(rng)
+    decay = np.exp(-np.arange(ITERATIONS))
+    bump = np.sin(np.pi * np.linspace(0, 1, VERTICES))[None, :, None] * rng.normal(0, 4, (OBSERVATIONS, 1, 3))
+    energy = 1e3 + 1e3 * decay[:, None] + rng.normal(0, 10, OBSERVATIONS)
+    return {
+        "run_id": "run-1", "name": "made up", "observations_vertices": vertices,
+        "labels": {"end_distance_mm": np.repeat([30.0, 50.0, 70.0], 2), "end_rotation_deg": np.tile([0.0, 120.0], 3)},
+        "trajectory": vertices + decay[:, None, None, None] * bump, "energy": energy,
+        "residual": 0.1 * decay[:, None] ** 2 * np.ones(OBSERVATIONS),
+        "status": np.full(OBSERVATIONS, Status.CONVERGED), "distance": np.linspace(0.4, 0.9, OBSERVATIONS),
+        "properties": {"seed": 7, "command": "doo-ti sweep a|b", "shape": (5, 4)},
+    }
+
+
+def sweep(rng: np.random.Generator) -> dict:
+    """What `record_sweep` takes."""
+    cells = grid()
+    return relaxation(rng) | {
+        "axes": axes(cells), "landscape": landscape().reshape(cells.shape), "minimum": (2, 1, 0),
+        "intervals": valley(cells, landscape()),
+    }

@@ -1,0 +1,239 @@
+"""The recording, read back: entities, timelines and counts as docs/recording.md states them."""
+
+from collections import defaultdict
+
+import numpy as np
+import pytest
+
+from doo_ti.errors import InputError
+from doo_ti.types import Status
+
+from . import runs
+
+rerun = pytest.importorskip("rerun")
+ROOT = {"/world", "/world/observations", "/world/observations/marks", "/world/headings", "/world/rods", "/summary",
+        "/curves/energy/mean", "/curves/energy/median", "/curves/residual/median", "/curves/residual/largest"}
+LANDSCAPE = {"/landscape/picture", "/landscape/surface", "/landscape/surface/axes", "/landscape/surface/axes/labels",
+             "/landscape/surface/minimum", "/landscape/cells"}
+
+
+@pytest.fixture(autouse=True)
+def strict():
+    """Without it rerun only warns of wrong data and drops it."""
+    rerun.set_strict_mode(True)
+    yield
+    rerun.set_strict_mode(False)
+
+
+def read(path) -> tuple[dict, dict]:
+    """{entity: {column: rows}} of the static data, and {entity: {timeline: {column: rows}}} of the rest, as lists."""
+    from rerun.chunk import RrdReader
+
+    static, moving = defaultdict(dict), defaultdict(lambda: defaultdict(lambda: defaultdict(list)))
+    for chunk in RrdReader(path).stream():
+        columns = chunk.to_record_batch().to_pydict()
+        if chunk.is_static:
+            static[chunk.entity_path].update(columns)
+            continue
+        (timeline,) = chunk.timeline_names
+        for name, rows in columns.items():
+            moving[chunk.entity_path][timeline][name] += rows
+    return static, moving
+
+
+def written(tmp_path, record, run) -> tuple[dict, dict]:
+    record(tmp_path / "run.rrd", **run)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.rrd"]
+    return read(tmp_path / "run.rrd")
+
+
+def test_sweep_holds_the_documented_entities(tmp_path, rng):
+    from rerun.chunk import RrdReader
+
+    from doo_ti.record import record_sweep
+
+    static, moving = written(tmp_path, record_sweep, runs.sweep(rng))
+    properties = {"/__properties", "/__properties/run"}
+    assert set(static) | set(moving) == ROOT | LANDSCAPE | properties
+    assert {entity: set(timelines) for entity, timelines in moving.items()} == {
+        "/world/rods": {"iteration", "trial"}, "/landscape/cells": {"trial"},
+        **{entity: {"iteration"} for entity in ROOT if entity.startswith("/curves")}}
+    reader = RrdReader(tmp_path / "run.rrd")
+    (recording,), blueprints = reader.recordings(), reader.blueprints()
+    assert (recording.application_id, recording.recording_id) == ("doo_ti", "run-1")
+    assert len(blueprints) == 1
+    assert static["/__properties"]["RecordingInfo:name"] == [["made up"]]
+    assert static["/__properties/run"]["seed"] == [[7]]
+    assert static["/__properties/run"]["shape"] == [["(5, 4)"]]
+
+
+def test_rods_are_instances_of_one_entity_and_lie_on_their_observations(tmp_path, rng):
+    from doo_ti.record import record_sweep
+
+    run = runs.sweep(rng)
+    static, moving = written(tmp_path, record_sweep, run)
+    rods, still = moving["/world/rods"]["iteration"], static["/world/rods"]
+    assert rods["iteration"] == list(range(runs.ITERATIONS))
+    strips = np.array(rods["LineStrips3D:strips"])
+    assert strips.shape == (runs.ITERATIONS, runs.OBSERVATIONS, runs.VERTICES, 3)
+    offset = np.array(still["offset_mm"][0])
+    assert offset.shape == (runs.OBSERVATIONS, 3)
+    assert (offset[0] == 0).all()
+    np.testing.assert_allclose(strips - offset[:, None], run["trajectory"], atol=1e-4)
+    observed = np.array(static["/world/observations"]["LineStrips3D:strips"][0])
+    assert static["/world/observations"]["offset_mm"] == still["offset_mm"]
+    np.testing.assert_allclose(observed - offset[:, None], run["observations_vertices"], atol=1e-4)
+    assert len(static["/world/observations/marks"]["Points3D:positions"][0]) == runs.OBSERVATIONS * runs.VERTICES
+    assert len(still["LineStrips3D:colors"][0]) == runs.OBSERVATIONS
+    assert still["LineStrips3D:labels"][0][3] == "observation 3: 50 mm 120°: 0.7 mm, converged"
+    np.testing.assert_array_equal(moving["/world/rods"]["trial"]["LineStrips3D:strips"][0], strips[-1])
+
+
+def test_a_rod_that_is_nan_is_not_drawn_and_keeps_its_place(tmp_path, rng):
+    from doo_ti.record import FAILED, record_sweep
+
+    run = runs.sweep(rng)
+    run["trajectory"][4:, 2, 5] = np.nan
+    run["trajectory"][:, 3] = np.nan
+    run["distance"][[2, 3]] = np.nan
+    run["energy"][4:, 2], run["residual"][4:, 2] = np.nan, np.nan
+    run["energy"][:, 3], run["residual"][:, 3] = np.nan, np.nan
+    run["status"][[2, 3]] = Status.NOT_FINITE, Status.INFEASIBLE
+    run["observations_vertices"][1, 4] = np.nan
+    static, moving = written(tmp_path, record_sweep, run)
+    counts = np.array([[len(strip) for strip in row] for row in moving["/world/rods"]["iteration"]["LineStrips3D:strips"]])
+    expected = np.full(counts.shape, runs.VERTICES)
+    expected[4:, 2], expected[:, 3] = 0, 0
+    np.testing.assert_array_equal(counts, expected)
+    red, green, blue = FAILED
+    colors = static["/world/rods"]["LineStrips3D:colors"][0]
+    assert [color >> 8 == (red << 16 | green << 8 | blue) for color in colors] == [False, False, True, True, False, False]
+    assert [len(strip) for strip in static["/world/observations"]["LineStrips3D:strips"][0]] == [9, 8, 9, 9, 9, 9]
+    for entity in (name for name in ROOT if name.startswith("/curves")):
+        assert np.isfinite(np.array(moving[entity]["iteration"]["Scalars:scalars"])).all()
+    assert "1 not finite, 1 infeasible" in static["/summary"]["TextDocument:text"][0][0]
+
+
+def test_curves_are_statistics_over_the_rods(tmp_path, rng):
+    from doo_ti.record import record_sweep
+
+    run = runs.sweep(rng)
+    run["energy"][0], run["residual"][0] = np.nan, np.nan
+    run["residual"][1:, 2] *= 100
+    run["energy"][9:, 4] = np.nan
+    held = run["energy"].copy()
+    held[9:, 4] = held[8, 4]
+    static, moving = written(tmp_path, record_sweep, run)
+    expected = {
+        "energy/mean": held[1:].mean(axis=1), "energy/median": np.median(held[1:], axis=1),
+        "residual/median": np.log10(np.median(run["residual"][1:], axis=1)),
+        "residual/largest": np.log10(run["residual"][1:, 2]),
+    }
+    for entity, values in expected.items():
+        curve = moving[f"/curves/{entity}"]["iteration"]
+        assert curve["iteration"] == list(range(1, runs.ITERATIONS))
+        np.testing.assert_allclose(np.array(curve["Scalars:scalars"])[:, 0], values, rtol=1e-12)
+        assert "mm" in static[f"/curves/{entity}"]["SeriesLines:names"][0][0]
+
+
+def test_landscape_picture_surface_and_cells(tmp_path, rng):
+    from doo_ti.record import record_sweep
+
+    run = runs.sweep(rng)
+    run["order"] = rng.permutation(run["landscape"].size)
+    static, moving = written(tmp_path, record_sweep, run)
+    (picture,) = static["/landscape/picture"]["Image:format"][0]
+    assert (picture["width"], picture["height"]) == (1600, 1200)
+    assert len(static["/landscape/picture"]["Image:buffer"][0][0]) == 3 * 1600 * 1200
+    evaluated, quads = runs.BENDS * runs.RATIOS - 1, (runs.BENDS - 1) * (runs.RATIOS - 1) - 1
+    surface = static["/landscape/surface"]
+    points = np.array(surface["Mesh3D:vertex_positions"][0])
+    assert points.shape == (evaluated, 3)
+    assert np.isfinite(points).all()
+    triangles = np.array(surface["Mesh3D:triangle_indices"][0])
+    assert triangles.shape == (2 * quads, 3)
+    assert triangles.max() == evaluated - 1
+    cells = moving["/landscape/cells"]["trial"]
+    missing = int(np.flatnonzero(np.isnan(run["landscape"].reshape(-1)[run["order"]]))[0])
+    assert cells["trial"] == [trial for trial in range(runs.BENDS * runs.RATIOS) if trial != missing]
+    places = np.array(cells["Points3D:positions"])[:, 0]
+    values = run["landscape"].reshape(-1)[run["order"]][cells["trial"]]
+    np.testing.assert_allclose(places[:, 2], 0.6 * values / np.nanmax(run["landscape"]), rtol=1e-6)
+    first, second, _ = np.unravel_index(run["order"][cells["trial"]], run["landscape"].shape)
+    np.testing.assert_allclose(places[:, 0], first / (runs.BENDS - 1), atol=1e-6)
+    np.testing.assert_allclose(places[:, 1], second / (runs.RATIOS - 1), atol=1e-6)
+    assert static["/landscape/surface/minimum"]["Points3D:labels"] == [["0.5 mm"]]
+
+
+def test_summary_names_the_best_parameters_with_units_and_intervals(tmp_path, rng):
+    from doo_ti.record import record_sweep
+
+    static, _ = written(tmp_path, record_sweep, runs.sweep(rng))
+    text = static["/summary"]["TextDocument:text"][0][0]
+    assert "| bend α | **10⁶ mm³** | 10⁶ … 10⁶ mm³ |" in text
+    assert "mean distance (Eq. 1) **0.65 mm** over 6 of 6 rods" in text
+    assert "Rods: 6 converged." in text
+    assert "a\\|b" in text
+
+
+def test_relaxation_has_no_landscape(tmp_path, rng):
+    from doo_ti.record import record_relaxation
+
+    run = runs.relaxation(rng) | {"labels": {"end_distance_mm": None}, "properties": {}}
+    static, moving = written(tmp_path, record_relaxation, run)
+    assert set(static) | set(moving) == ROOT | {"/__properties"}
+    assert set(moving["/world/rods"]) == {"iteration"}
+
+
+def test_one_free_axis_gives_cells_on_a_line_and_no_surface(tmp_path, rng):
+    from doo_ti.record import record_sweep
+
+    run = runs.sweep(rng)
+    cells = runs.Grid((runs.Axis("bend", np.geomspace(1e5, 1e7, runs.BENDS)),))
+    run |= {"axes": runs.axes(cells), "landscape": run["landscape"][:, 1:2], "minimum": (2, 0, 0), "intervals": ()}
+    static, moving = written(tmp_path, record_sweep, run)
+    assert "/landscape/surface" not in static
+    assert len(moving["/landscape/cells"]["trial"]["trial"]) == runs.BENDS
+
+
+def test_same_run_same_recording(tmp_path, rng):
+    from doo_ti.record import record_sweep
+
+    run = runs.sweep(rng)
+    record_sweep(tmp_path / "a.rrd", **run)
+    record_sweep(tmp_path / "b.rrd", **run)
+    (first, moving), (second, moving_again) = read(tmp_path / "a.rrd"), read(tmp_path / "b.rrd")
+    timed = "RecordingInfo:start_time"
+    for entity, columns in first.items():
+        for name in columns.keys() - {timed, "rerun.controls.RowId"}:
+            assert columns[name] == second[entity][name]
+    assert moving.keys() == moving_again.keys()
+
+
+@pytest.mark.parametrize("path", ["", "nowhere"])
+def test_viewing_a_folder_without_recording_is_an_input_error(tmp_path, path):
+    from doo_ti.record import open_viewer
+
+    with pytest.raises(InputError, match="run.rrd: there is no recording"):
+        open_viewer(tmp_path / path)
+
+
+def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monkeypatch):
+    from doo_ti import record
+
+    calls = []
+
+    class Viewer:
+        def __init__(self, command, *, env, start_new_session):
+            calls.append((command, env))
+
+        def wait(self):
+            return 0
+
+    monkeypatch.setattr(record.subprocess, "Popen", Viewer)
+    (tmp_path / "run.rrd").touch()
+    assert record.open_viewer(tmp_path) == 0
+    ((command, environment),) = calls
+    assert command[command.index("--bind") + 1] == "127.0.0.1"
+    assert command[-1] == str(tmp_path / "run.rrd")
+    assert environment["CI"] == "true"
