@@ -132,7 +132,7 @@ def _add_relaxation(parser: argparse.ArgumentParser, precision: str | None) -> N
     parser.add_argument("--up", metavar="X,Y,Z", help="direction against gravity (default: the file's, else 0,0,1)")
     parser.add_argument("--solver", choices=SOLVERS, default="newton")
     parser.add_argument("--precision", choices=PRECISIONS, default=precision,
-                        help=f"default {precision or 'the scene' + chr(39) + 's, else f32'}")
+                        help=f"default {precision or 'the scene' + chr(39) + 's, else mixed'}")
     _add_json(parser)
 
 

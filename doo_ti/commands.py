@@ -39,7 +39,7 @@ def relax(options: Namespace, words: list[str]) -> int:
     solution = relax_rods(start_configuration(observed, held, turns), grid.materials(), held, _solver(options.solver),
                           up=observations.up, precision=options.precision)
     relaxed = solution.configuration
-    error = distance(relaxed.vertices, observations, index, frames=relaxed.frames, frame_weight=frame_weight)
+    error = distance(relaxed, observations, index, frame_weight)
     best = choose_hypothesis(index, error)
     configuration = relaxed.take(best)
     result = {"vertices_mm": configuration.vertices, "frames": configuration.frames, "distance_mm": error[best]}
@@ -69,7 +69,7 @@ def sweep(options: Namespace, words: list[str]) -> int:
 
     chosen = SweepOptions(
         frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=_solver(options.solver),
-        precision=options.precision or (scene.precision if scene else "f32"),
+        precision=options.precision or (scene.precision if scene else "mixed"),
         objective=options.objective or (scene.objective if scene else "static"), seed=seed, workers=workers,
     )
     summary = sweep_grid(run, observations, grid, options=chosen, command=words)

@@ -58,6 +58,11 @@ def read_landscape(run: Path) -> Landscape:
     """The landscape in the folder of a finished sweep. Raises InputError where it holds none."""
     summary = _summary(run)
     grid = Grid.from_dict(summary.get("grid"), str(run / "summary.json"))
+    return gather_landscape(run, grid, str(summary.get("material", run.name)))
+
+
+def gather_landscape(run: Path, grid: Grid, name: str) -> Landscape:
+    """The landscape in the stored cells of ``run``. Raises InputError where they do not cover the grid once."""
     columns = _cells(run)
     parameters = ("bend_1", "bend_2", "twist", "weight")
     values = grid.cell_values()
@@ -76,10 +81,10 @@ def read_landscape(run: Path) -> Landscape:
         raise InputError(run, "cells", "do not hold each cell and observation of the grid once",
                          "run the sweep to its end")
     tables = {}
-    for name in ("distance_mm", "status", "stable"):
-        tables[name] = np.empty((grid.size, count), dtype=columns[name].dtype)
-        tables[name][cell, observation] = columns[name]
-    return Landscape(run, str(summary.get("material", run.name)), grid, tables["distance_mm"],
+    for column in ("distance_mm", "status", "stable"):
+        tables[column] = np.empty((grid.size, count), dtype=columns[column].dtype)
+        tables[column][cell, observation] = columns[column]
+    return Landscape(run, name, grid, tables["distance_mm"],
                      tables["status"].astype(np.int64), tables["stable"].astype(bool))
 
 

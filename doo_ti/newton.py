@@ -112,22 +112,30 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
             at += ti.static(items * stride)
 
     @ti.func
-    def scales(edges, s, g, rest_length: ti.template(), bend: ti.template(), twist: ti.template(), weight, released):
-        """(length of the rod, divisor of the residual, a first guess of H's largest diagonal entry, longest edge)."""
+    def scales(edges, s, g, rest_length: ti.template(), bend: ti.template(), twist: ti.template(),
+               rest: ti.template(), weight, released):
+        """(length of the rod, divisor of the residual, a first guess of H's largest diagonal entry, longest edge, and one
+        where the rod looks the same from all sides, so that it may spin about itself at no cost)."""
         ls = ti.min(s, rest_length.shape[0] - 1)
         stiffest = ti.cast(0.0, ti.f64)
         diagonal = ti.cast(0.0, ti.f64)
         total = ti.cast(0.0, ti.f64)
         longest = ti.cast(0.0, ti.f64)
+        round_section = ti.cast(1.0, ti.f64)
         for e in range(edges):
             b = ti.min(e, bend.shape[1] - 1)
             half = 0.5 * (bend[g, b, 0] + bend[g, b, 1])
             apart = 0.5 * (bend[g, b, 0] - bend[g, b, 1])
             eigenvalue = half + ti.sqrt(apart * apart + bend[g, b, 2] * bend[g, b, 2])
             stiffest = ti.max(stiffest, eigenvalue)
+            if apart != 0.0 or bend[g, b, 2] != 0.0:
+                round_section = 0.0
             total += rest_length[ls, e]
             longest = ti.max(longest, rest_length[ls, e])
             if e > 0:
+                joint = ti.min(e, rest.shape[1]) - 1
+                if rest[g, joint, 0] != 0.0 or rest[g, joint, 1] != 0.0:
+                    round_section = 0.0
                 both = rest_length[ls, e - 1] + rest_length[ls, e]
                 diagonal = ti.max(diagonal, 4.0 * ti.max(eigenvalue, twist[g, ti.min(e, twist.shape[1]) - 1]) / both)
         moment = ti.cast(0.0, ti.f64)
@@ -137,7 +145,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
             remaining -= length
             hanging = length + 2.0 * remaining - 2.0 * total * released
             moment = ti.max(moment, ti.abs(weight * length * hanging))
-        return total, ti.max(stiffest, moment), diagonal, longest
+        return total, ti.max(stiffest, moment), diagonal, longest, round_section
 
     @ti.kernel
     def newton(
@@ -212,7 +220,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                                 s = rods[rod, 0]
                                 g = rods[rod, 1]
                                 load_edges(scratch, origin, edges, l, s, g, start, rest_length, bend, twist, rest)
-                                sizes = scales(edges, s, g, rest_length, bend, twist, weight[g], clamp[s, RELEASED])
+                                sizes = scales(edges, s, g, rest_length, bend, twist, rest, weight[g], clamp[s, RELEASED])
                                 total = with_lane(total, l, sizes[0])
                                 divisor = with_lane(divisor, l, sizes[1])
                                 scale = with_lane(scale, l, sizes[2])
@@ -222,7 +230,9 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                                 target1 = with_lane(target1, l, clamp[s, TARGET + 1])
                                 target2 = with_lane(target2, l, clamp[s, TARGET + 2])
                                 closed = with_lane(closed, l, clamp[s, CLOSED])
-                                spin_start = with_lane(spin_start, l, clamp[s, SPIN_START])
+                                # A round rod with both spins free turns about itself at no cost: hold its first spin.
+                                turning = sizes[4] * clamp[s, SPIN_END]
+                                spin_start = with_lane(spin_start, l, clamp[s, SPIN_START] * (1.0 - turning))
                                 tilt_start = with_lane(tilt_start, l, clamp[s, TILT_START])
                                 spin_end = with_lane(spin_end, l, clamp[s, SPIN_END])
                                 tilt_end = with_lane(tilt_end, l, clamp[s, TILT_END])

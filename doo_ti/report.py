@@ -93,7 +93,7 @@ def _draw(landscape: Plane, title: str, label: str):
     panel.tick_params(labelsize=11)
     if keys:
         figure.legend(handles=keys, loc="outside lower center", ncols=1 if landscape.hidden else 2, frameon=False,
-                      fontsize=10.5, handlelength=1.6)
+                      fontsize=10, handlelength=1.6, handletextpad=0.6, columnspacing=1.4)
     return figure
 
 
@@ -178,7 +178,7 @@ def _keys(landscape: Plane) -> list:
         keys.append(Patch(facecolor=_VALLEY, alpha=0.35, label=text) if line else
                     Patch(facecolor="none", edgecolor="white", linewidth=2.2, path_effects=_edged(), label=text))
     if (count := (landscape.unfinished > 0).sum()):
-        text = f"cells with rods not converged: {count} ({landscape.unfinished.sum()} rods)"
+        text = f"rods not converged: {landscape.unfinished.sum()} (cells: {count})"
         keys.append(Line2D([], [], linestyle="", marker="o", markerfacecolor="white", color=_MISSING, markersize=8,
                            label=text) if line else
                     Patch(facecolor="#c4c4c4", edgecolor="#262626", hatch="////", linewidth=0, label=text))

@@ -5,7 +5,8 @@ forked) start their own. The settings are measured ones: packs stay vectors in t
 threads is not cut into blocks.
 """
 
-import os
+from contextlib import redirect_stdout
+from io import StringIO
 
 _architecture: str | None = None
 
@@ -14,21 +15,21 @@ def start(architecture: str = "cpu", threads: int | None = None) -> str:
     """Start Taichi once; later calls return the architecture that runs. ``threads`` defaults to all processors."""
     global _architecture
     if _architecture is None:
-        os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
         import taichi as ti
 
         count = {} if threads is None else {"cpu_max_num_threads": threads}
-        ti.init(
-            arch={"cpu": ti.cpu, "cuda": ti.cuda}[architecture],
-            default_fp=ti.f32,
-            fast_math=False,
-            real_matrix_scalarize=False,
-            make_cpu_multithreading_loop=False,
-            cpu_block_dim_adaptive=False,
-            offline_cache=True,
-            log_level=ti.ERROR,
-            **count,
-        )
+        with redirect_stdout(StringIO()):  # it greets on standard output, which belongs to the commands' results
+            ti.init(
+                arch={"cpu": ti.cpu, "cuda": ti.cuda}[architecture],
+                default_fp=ti.f32,
+                fast_math=False,
+                real_matrix_scalarize=False,
+                make_cpu_multithreading_loop=False,
+                cpu_block_dim_adaptive=False,
+                offline_cache=True,
+                log_level=ti.ERROR,
+                **count,
+            )
         _architecture = architecture
     return _architecture
 

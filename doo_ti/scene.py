@@ -5,7 +5,7 @@
     clamp_start = "frame"         # position, tangent, frame or free; left out: frame where it is given, else tangent
     clamp_end = "frame"
     objective = "static"          # Eq. 2
-    precision = "f32"             # f32, f64 or mixed
+    precision = "mixed"           # f32, f64 or mixed
 
     [observations]                # a file, its path relative to the scene …
     file = "silk.npz"
@@ -127,7 +127,7 @@ class Scene:
     clamp_start: Clamp | None = None
     clamp_end: Clamp | None = None
     objective: str = "static"
-    precision: str = "f32"
+    precision: str = "mixed"
     source: str = "scene"
     sha256: str = ""
 
@@ -156,7 +156,7 @@ def load_scene(path: str | os.PathLike) -> Scene:
         clamp_start=_clamp(path, table, "clamp_start"),
         clamp_end=_clamp(path, table, "clamp_end"),
         objective=_choice(path, "objective", table.get("objective", "static"), OBJECTIVES),
-        precision=_choice(path, "precision", table.get("precision", "f32"), PRECISIONS),
+        precision=_choice(path, "precision", table.get("precision", "mixed"), PRECISIONS),
         source=str(path),
         sha256=hashlib.sha256(content).hexdigest(),
     )

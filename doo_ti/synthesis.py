@@ -22,7 +22,6 @@ from doo_ti.path import LARGEST_TURN, carried_clamps, carry
 from doo_ti.scene import Synthesis
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
 
-REST_CURVATURE_WAVES = 6
 APPROACH_STEPS = 60
 STEP_MM = 1.0
 
@@ -51,14 +50,10 @@ def synthesise(synthesis: Synthesis) -> Observations:
 
 
 def _specimen(synthesis: Synthesis, random: np.random.Generator) -> Material:
-    """Θ with a smooth random rest curvature, the same in every observation: a few waves along the rod."""
+    """Θ with a random rest curvature, independent at each joint of the fine mesh and the same in every observation."""
     joints = _free_edges(synthesis) - 1
-    place = (np.arange(joints) + 1) / (joints + 1)
-    waves = np.arange(1, REST_CURVATURE_WAVES + 1)[:, None]
-    shape = random.normal(size=(2, REST_CURVATURE_WAVES)) @ np.cos(np.pi * waves * place)
-    shape += random.normal(size=(2, 1))
-    rest = shape * synthesis.rest_curvature_rms_per_mm / np.sqrt(np.mean(shape**2))
-    return Material(np.array(synthesis.bend), synthesis.twist, synthesis.weight, rest.T[None])
+    rest = synthesis.rest_curvature_rms_per_mm * random.normal(size=(1, joints, 2))
+    return Material(np.array(synthesis.bend), synthesis.twist, synthesis.weight, rest)
 
 
 def _free_edges(synthesis: Synthesis) -> int:

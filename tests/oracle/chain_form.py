@@ -12,7 +12,10 @@ from tests.oracle.pair import linear_gradient_hessian, pair_gradient_hessian, pa
 
 @dataclass(frozen=True)
 class Rod:
-    """What stays fixed while one rod moves: rest_length (E,), bend (E, 2, 2), twist (E−1,), weight, rest (E−1, 2), up (3,)."""
+    """What stays fixed while one rod moves.
+
+    rest_length (E,), bend (E, 2, 2), twist (E−1,), weight a number, rest_curvature (E−1, 2), up (3,).
+    """
 
     rest_length: np.ndarray
     bend: np.ndarray
@@ -38,7 +41,7 @@ class Rod:
 
 
 def rod_of(configuration: Configuration, material: Material, index=0, material_index=None, up=(0.0, 0.0, 1.0)) -> Rod:
-    """Row ``index`` of a configuration table with row ``material_index`` (the same, or the only one) of a material table."""
+    """Row ``index`` of a configuration table with row ``material_index`` (else the same or the only one) of materials."""
     row = (index if material.count > 1 else 0) if material_index is None else material_index
     edges, lengths = configuration.edges, configuration.rest_length
     rest = np.zeros((1, 2)) if material.rest_curvature is None else material.rest_curvature[row]

@@ -167,10 +167,11 @@ def _local(rod: Rod, ends: Ends, state: State, free: np.ndarray) -> _Local:
 
 
 def energy_of(rod: Rod, state: State) -> tuple[float, float]:
-    """E(Γ), all pairs in one sweep of `chain_energy`'s terms, and the sum of the terms' sizes, the scale of its rounding."""
+    """E(Γ), all pairs at once, and the sum of its terms' sizes, the scale of its rounding."""
     q, lengths = state.quaternions, rod.rest_length
     terms = pair_parts(
-        list(q[:-1].T), list(q[1:].T), lengths[:-1], lengths[1:], rod.bend[:-1], rod.bend[1:], rod.twist, rod.rest_curvature
+        list(q[:-1].T), list(q[1:].T), lengths[:-1], lengths[1:], rod.bend[:-1], rod.bend[1:], rod.twist,
+        rod.rest_curvature,
     )
     gravity = rod.weight * rod.vertex_length * (vertices_of(rod, state) @ rod.up)
     parts = [float(np.sum(part)) for part in (*terms, gravity)]
@@ -215,7 +216,8 @@ def equilibrium(
             direction = at.basis @ at.modes[:, 0]
             leap = 0.05 * direction / _largest_rotation(free, direction)
             trials = [_descended(rod, ends, state, free, sign * leap, 0.05) for sign in (1.0, -1.0)]
-            following = min((trial for trial in trials if trial), key=lambda trial: energy_of(rod, trial)[0], default=None)
+            lower = [trial for trial in trials if trial is not None]
+            following = min(lower, key=lambda trial: energy_of(rod, trial)[0], default=None)
         else:
             shifted = at.eigenvalues + (2.0 * abs(at.eigenvalues[0]) if unstable else 0.0)
             # A neutral mode (spin of a rod that nothing holds) gets no step: there is nothing to gain along it.
@@ -232,7 +234,9 @@ def equilibrium(
     )
 
 
-def relaxed(configuration, material, clamps, index=0, material_index=None, *, up=(0.0, 0.0, 1.0), **options) -> Equilibrium:
+def relaxed(
+    configuration, material, clamps, index=0, material_index=None, *, up=(0.0, 0.0, 1.0), **options
+) -> Equilibrium:
     """:func:`equilibrium` of one row of the package's tables; no clamp kind or length is checked."""
     rod = rod_of(configuration, material, index, material_index, up)
     return equilibrium(rod, *clamped_start(configuration, clamps, index), **options)

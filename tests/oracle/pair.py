@@ -63,7 +63,7 @@ def pair_gradient_hessian(q0, q1, l0, l1, bend0, bend1, twist, rest=None):
 
 
 def linear_gradient_hessian(force, quaternion, length):
-    """(..., 3) gradient and (..., 3, 3) Hessian of c·t·l in the body rotation: force c (..., 3), Q (..., 4), l (...,)."""
+    """(..., 3) gradient and (..., 3, 3) Hessian of c·t·l in the body rotation of Q (..., 4); c (..., 3), l (...,)."""
     force, length = np.asarray(force, dtype=np.float64), np.asarray(length, dtype=np.float64)
     shape = np.broadcast_shapes(force.shape[:-1], np.shape(quaternion)[:-1], length.shape)
     c = [np.broadcast_to(force[..., k], shape)[..., None, None] for k in range(3)]

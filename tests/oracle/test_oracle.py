@@ -1,4 +1,4 @@
-"""The oracle against itself: two forms of one energy, derivatives three ways, invariances, and a solver that descends."""
+"""The oracle against itself: two forms of one energy, derivatives three ways, invariances, a solver that descends."""
 
 from dataclasses import replace
 
@@ -82,7 +82,7 @@ def test_rigid_motion_about_up_and_translation_keep_the_energy(rng):
 
 
 def reversed_rod(rod: Rod, state: State) -> tuple[Rod, State]:
-    """The same rod read from its other end: (t, m1, m2) becomes (−t, m1, −m2), so ω2 and B's off-diagonal change sign."""
+    """The rod read from its other end: (t, m1, m2) becomes (−t, m1, −m2), so ω2 and B's off-diagonal change sign."""
     flip = np.diag([1.0, -1.0])
     half_turn = np.array([0.0, 0.0, 1.0, 0.0])  # about m1
     quaternions = _right_multiplied(state.quaternions[::-1], half_turn)
@@ -122,8 +122,11 @@ def test_scaling_the_parameters_scales_the_energy_and_metres_do_for_millimetres(
 
 def test_joint_twist_beyond_pi_wraps_in_both_forms(rng):
     rod, state = random_rod(rng, edges=2), random_state(rng, edges=2)
-    spins = [_right_multiplied(state.quaternions[1:], [np.cos(s / 2), np.sin(s / 2), 0, 0]) for s in (0.4, 0.4 + 2 * np.pi)]
-    energies = [vertex_parts(rod, State(state.start, np.vstack([state.quaternions[:1], spin]))) for spin in spins]
+    energies = []
+    for angle_about_t in (0.4, 0.4 + 2 * np.pi):
+        half = 0.5 * angle_about_t
+        spun = _right_multiplied(state.quaternions[1:], [np.cos(half), np.sin(half), 0, 0])
+        energies.append(vertex_parts(rod, State(state.start, np.vstack([state.quaternions[:1], spun]))))
     np.testing.assert_allclose(energies[0], energies[1], rtol=1e-12)
 
 
@@ -177,7 +180,7 @@ def test_pair_derivatives_in_hard_places_against_complex_step(rng, joint):
     gradient, hessian = pair_gradient_hessian(*quaternions, *constants)
 
     def turned(w):
-        return [np.array(body_rotated(list(q), list(part))) for q, part in zip(quaternions, (w[:3], w[3:]), strict=True)]
+        return [np.array(body_rotated(list(quaternions[j]), list(w[3 * j : 3 * j + 3]))) for j in (0, 1)]
 
     h = 1e-5
     for k in range(6):
@@ -273,10 +276,12 @@ def test_equilibrium_against_a_general_optimiser(rng):
         full[free] = w
         return np.array(body_rotated(list(state.quaternions.T), list(full[3:].reshape(-1, 3).T))).T
 
+    def miss(w):
+        return vertices_of(rod, State(state.start, at(w)))[-1] - ends.end_position
+
     answer = minimize(
         lambda w: sum(chain_energy(rod, state.start, at(w))) / 1e4, np.zeros(len(free)), method="SLSQP",
-        constraints={"type": "eq", "fun": lambda w: vertices_of(rod, State(state.start, at(w)))[-1] - ends.end_position},
-        options={"maxiter": 500, "ftol": 1e-14},
+        constraints={"type": "eq", "fun": miss}, options={"maxiter": 500, "ftol": 1e-14},
     )
     assert answer.success and 1e4 * answer.fun == pytest.approx(found.energy, rel=1e-8)
 

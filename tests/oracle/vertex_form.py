@@ -50,8 +50,10 @@ def vertex_energy(vertices, m1, m2, rest_length, bend, twist, weight, rest_curva
             omega = material_curvature(binormal, m1[j], m2[j])
             if rest_curvature is not None:
                 omega = [omega[k] - rest_curvature[i - 1][k] * length / 2.0 for k in range(2)]
-            bending = bending + sum(bend[j][a][b] * omega[a] * omega[b] for a in range(2) for b in range(2)) / (2 * length)
-        twisting = twisting + twist[i - 1] * wrapped(angles[i] - angles[i - 1]) * wrapped(angles[i] - angles[i - 1]) / length
+            form = sum(bend[j][a][b] * omega[a] * omega[b] for a in range(2) for b in range(2))
+            bending = bending + form / (2 * length)
+        turn = wrapped(angles[i] - angles[i - 1])
+        twisting = twisting + twist[i - 1] * turn * turn / length
     for i in range(count + 1):
         length = (rest_length[i - 1] if i > 0 else 0.0) + (rest_length[i] if i < count else 0.0)
         gravity = gravity + weight * length * dot(vertices[i], up)

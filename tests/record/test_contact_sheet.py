@@ -49,8 +49,9 @@ def test_labels_make_columns_and_rows(rng):
 def test_wall_is_upright_along_the_rods(up, rng):
     right, depth, above = contact_sheet(runs.observations(rng), {}, up).basis
     np.testing.assert_allclose(above, np.array(up) / np.linalg.norm(up), atol=1e-12)
-    np.testing.assert_allclose(np.stack([right, depth, above]) @ np.stack([right, depth, above]).T, np.eye(3), atol=1e-9)
-    assert np.linalg.det(np.stack([right, depth, above])) > 0
+    basis = np.stack([right, depth, above])
+    np.testing.assert_allclose(basis @ basis.T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(basis) > 0
     if up == (0, 0, 1):
         assert right[0] > 0.99
 

@@ -101,13 +101,14 @@ def test_a_rod_that_is_nan_is_not_drawn_and_keeps_its_place(tmp_path, rng):
     run["status"][[2, 3]] = Status.NOT_FINITE, Status.INFEASIBLE
     run["observations_vertices"][1, 4] = np.nan
     static, moving = written(tmp_path, record_sweep, run)
-    counts = np.array([[len(strip) for strip in row] for row in moving["/world/rods"]["iteration"]["LineStrips3D:strips"]])
+    strips = moving["/world/rods"]["iteration"]["LineStrips3D:strips"]
+    counts = np.array([[len(strip) for strip in row] for row in strips])
     expected = np.full(counts.shape, runs.VERTICES)
     expected[4:, 2], expected[:, 3] = 0, 0
     np.testing.assert_array_equal(counts, expected)
-    red, green, blue = FAILED
+    failed = int.from_bytes(bytes(FAILED))
     colors = static["/world/rods"]["LineStrips3D:colors"][0]
-    assert [color >> 8 == (red << 16 | green << 8 | blue) for color in colors] == [False, False, True, True, False, False]
+    assert [color >> 8 == failed for color in colors] == [False, False, True, True, False, False]
     assert [len(strip) for strip in static["/world/observations"]["LineStrips3D:strips"][0]] == [9, 8, 9, 9, 9, 9]
     for entity in (name for name in ROOT if name.startswith("/curves")):
         assert np.isfinite(np.array(moving[entity]["iteration"]["Scalars:scalars"])).all()

@@ -54,7 +54,8 @@ def test_every_shape_of_grid_is_drawn_with_its_key_inside_the_picture(shape, emp
     from doo_ti.report import _draw
 
     names = ["bend_1", "bend_2", "twist", "weight"]
-    axes = [(name, np.geomspace(5e4, 1.26e7, n), name != "weight", "mm³") for name, n in zip(names, shape, strict=False)]
+    axes = [(name, np.geomspace(5e4, 1.26e7, count), name != "weight", "mm³")
+            for name, count in zip(names, shape, strict=False)]
     values = np.full(shape, np.nan) if empty else rng.uniform(0.5, 40, shape)
     minimum = None if empty else np.unravel_index(np.argmin(values), shape)
     unfinished = rng.integers(0, 60, shape)
@@ -69,7 +70,8 @@ def test_every_shape_of_grid_is_drawn_with_its_key_inside_the_picture(shape, emp
 
 
 def test_more_than_two_free_axes_show_the_minimum_over_the_others(rng):
-    axes = [(name, np.arange(1.0, n + 1), False, "") for name, n in (("bend", 1), ("a", 4), ("b", 3), ("c", 5), ("d", 2))]
+    counts = {"bend": 1, "a": 4, "b": 3, "c": 5, "d": 2}
+    axes = [(name, np.arange(1.0, count + 1), False, "") for name, count in counts.items()]
     values = rng.uniform(1, 2, (1, 4, 3, 5, 2))
     minimum = np.unravel_index(np.argmin(values), values.shape)
     unfinished = rng.integers(0, 9, values.shape)
@@ -105,7 +107,7 @@ def test_surface_leaves_out_what_was_not_evaluated():
     assert points.shape == (runs.BENDS, runs.RATIOS, 3)
     np.testing.assert_allclose(points[:, 0, 0], np.linspace(0, 1, runs.BENDS))
     corners = points[np.isfinite(points[..., 2])][triangles]
-    area = 0.5 * np.cross(corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2])
+    area = 0.5 * np.linalg.det(corners[:, 1:, :2] - corners[:, :1, :2])
     cells = (runs.BENDS - 1) * (runs.RATIOS - 1)
     np.testing.assert_allclose(area.sum(), 1 - 1 / cells)
     assert (area > 0).all()
@@ -122,8 +124,8 @@ def test_colors_are_the_picture_s_and_never_a_colour_for_nan():
 
 
 @pytest.mark.parametrize(("value", "text"), [
-    (0, "0"), (0.7471, "0.747"), (14.07, "14.1"), (9999.9, "10⁴"), (123456, "1.23×10⁵"), (1e6, "10⁶"), (3.2e-5, "3.2×10⁻⁵"),
-    (np.nan, "nan")])
+    (0, "0"), (0.7471, "0.747"), (14.07, "14.1"), (9999.9, "10⁴"), (123456, "1.23×10⁵"), (1e6, "10⁶"),
+    (3.2e-5, "3.2×10⁻⁵"), (np.nan, "nan")])
 def test_quantities_are_written_for_people(value, text):
     assert quantity(value) == text
     assert quantity(value, "mm") == f"{text} mm"

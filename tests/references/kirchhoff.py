@@ -42,10 +42,11 @@ class ContinuumRod:
         return np.concatenate(rows, axis=1).T
 
     def solve(self, positions, quaternions, guess):
-        """y(s) between clamps: positions (2, 3), quaternions (2, 4); ``guess`` = (s, r, quaternion) rows along the rod."""
+        """y(s) between clamps: positions (2, 3), quaternions (2, 4); ``guess``: (s, r, quaternion) along the rod."""
         def ends(left, right):
             turn = quaternion_product(quaternions[1] * [1, -1, -1, -1], right[3:7])
-            return np.concatenate([left[:3] - positions[0], left[3:7] - quaternions[0], right[:3] - positions[1], turn[1:]])
+            begin, end = left[:7] - np.append(positions[0], quaternions[0]), right[:3] - positions[1]
+            return np.concatenate([begin, end, turn[1:]])
 
         s, r, frames = guess
         frames = np.array(frames)

@@ -8,7 +8,7 @@ from doo_ti.types import Clamp, Clamps, Configuration
 
 
 def chain(tangents, m1, rest_length, start=(0.0, 0.0, 0.0), spin=None) -> Configuration:
-    """One rod from tangents (E, 3): Bishop frames from ``m1``, edge j turned on about its tangent by ``spin`` (E,), rad."""
+    """One rod along tangents (E, 3): Bishop frames from ``m1``, each turned about its tangent by ``spin`` (E,), rad."""
     tangents = np.asarray(tangents, dtype=float)
     tangents = tangents / np.linalg.norm(tangents, axis=1, keepdims=True)
     frames = bishop_frames(tangents, np.asarray(m1, dtype=float))
@@ -48,5 +48,6 @@ def orders(edges, errors) -> np.ndarray:
 def show(title: str, edges, errors) -> None:
     """The table of a convergence test, on standard output (pytest -s)."""
     rates = ["", *(f"{rate:.2f}" for rate in orders(edges, errors))]
-    rows = "".join(f"\n  {e:5d} edges  error {error:.3e}  order {rate}" for e, error, rate in zip(edges, errors, rates, strict=True))
-    print(f"\n{title}{rows}")
+    print(f"\n{title}")
+    for count, error, rate in zip(edges, errors, rates, strict=True):
+        print(f"  {count:5d} joints  error {error:.3e}  order {rate}")

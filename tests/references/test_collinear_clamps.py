@@ -16,7 +16,7 @@ EDGES, EDGE = 33, 3.0
 
 
 def bow(distance: float, rotation: float, side: float = -1.0) -> Configuration:
-    """One even bow in the vertical plane, hanging (side −1) or standing (1), its end frame turned by ``rotation`` degrees."""
+    """An even bow in the vertical plane, hanging (side −1) or standing (1), its end turned by ``rotation`` degrees."""
     along = np.arange(EDGES) / (EDGES - 1)
     shape = np.sin(2 * np.pi * along)
     size = brentq(lambda a: np.sum(EDGE * np.cos(a * shape)) - distance, 0, 2)
@@ -25,7 +25,7 @@ def bow(distance: float, rotation: float, side: float = -1.0) -> Configuration:
 
 
 def largest_movement(distance: float, rotation: float) -> float:
-    """How far any vertex gets from where the middle of the range has it, mm: bend and twist ratio over a factor 25 each."""
+    """Farthest any vertex gets from where the range's middle has it, mm: bend and twist ratio over a factor 25 each."""
     bend, ratio = (grid.ravel() for grid in np.meshgrid(np.geomspace(4e5, 1e7, 9), np.geomspace(0.24, 6.0, 9)))
     rod = bow(distance, rotation)
     solution = relax(rod, Material(bend, bend * ratio, 1.0), clamps_at(rod))

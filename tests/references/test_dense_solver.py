@@ -1,4 +1,4 @@
-"""F against the dense oracle: the same minimum, energy and certificate for every pair of clamps, from the same start."""
+"""F against the dense oracle: same minimum, energy and certificate for every pair of clamps, from the same start."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def test_same_equilibrium_as_the_dense_solver(rng, start, end, kind):
     solution = relax(begin, material, clamps, Newton(tolerance=1e-11), up=up)
     fixed = rod_of(begin, material, up=up / np.linalg.norm(up))
     state, ends = clamped_start(begin, clamps, 0)
-    # Careful descent may fall to another minimum than bold steps; what F found must be one, by the oracle's own measure.
+    # What F found, by the oracle's own measure.
     found = State(solution.configuration.start[0], solution.configuration.quaternions[0])
     at = equilibrium(fixed, found, ends, max_iterations=0, leave_saddles=False)
     assert at.residual < 2e-11 and at.closure < 1e-12

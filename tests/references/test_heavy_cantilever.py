@@ -29,7 +29,7 @@ def drooping(ratio: float):
     state = np.stack([0 * s, 0 * s, s, 0 * s])
     for load in np.geomspace(0.1, ratio, 8):
         answer = solve_bvp(
-            lambda s, y: np.array([y[1], load * (1 - s) * np.cos(y[0]), np.cos(y[0]), np.sin(y[0])]),  # noqa: B023
+            lambda s, y, load=load: np.array([y[1], load * (1 - s) * np.cos(y[0]), np.cos(y[0]), np.sin(y[0])]),
             lambda left, right: np.array([left[0], right[1], left[2], left[3]]),
             s, state, tol=1e-9, max_nodes=20_000,
         )
@@ -63,7 +63,7 @@ def test_small_droop_is_that_of_the_linear_beam():
 
 
 def test_certificate_flips_at_greenhills_column():
-    """The standing column of every height is an equilibrium; its certificate turns at wL³/EI = 7.837, to second order."""
+    """A standing column is always in equilibrium; its certificate turns at wL³/EI = 7.837, to second order."""
     threshold = (1.5 * brentq(lambda x: jv(-1 / 3, x), 1.5, 2.2)) ** 2
     assert threshold == pytest.approx(7.8373, abs=1e-4)
     edges, errors = [10, 20, 40], []

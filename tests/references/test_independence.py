@@ -20,12 +20,14 @@ def test_alone_and_in_any_place_of_a_batch(rng, kind, precision):
         rods.append(jiggled(chain(tangents, [0, 0.3, 1], 3.0, spin=2 * along), rng, 0.05))
     table = stacked(rods)
     clamps = clamps_at(stacked(rods))
-    bend = np.geomspace(5e4, 1e7, 5)[:, None, None] * np.array([[1.0, 0.0], [0.0, 1.0]] if kind == "isotropic" else [[1.0, 0.2], [0.2, 0.5]])
+    shape = np.eye(2) if kind == "isotropic" else np.array([[1.0, 0.2], [0.2, 0.5]])
+    bend = np.geomspace(5e4, 1e7, 5)[:, None, None] * shape
     material = Material(bend, 1.5e5, 1.0)
     rows = rng.integers(0, [6, 5], size=(4096, 2))
     probes = [0, 1, 777, 2048, 4095]
     rows[probes] = [3, 2]
-    batch = relax(table, material, clamps, precision=precision, configuration_index=rows[:, 0], material_index=rows[:, 1])
+    batch = relax(
+        table, material, clamps, precision=precision, configuration_index=rows[:, 0], material_index=rows[:, 1])
     alone = relax(table.take([3]), Material(bend[2:3], 1.5e5, 1.0), clamps.take([3]), precision=precision)
     pair = relax(table, material, clamps, precision=precision, configuration_index=[5, 3], material_index=[4, 2])
     for place in probes:

@@ -12,7 +12,8 @@ from doo_ti.types import Clamp, Clamps, Configuration, Material
 from tests.references.rods import chain, clamps_at, jiggled
 
 EDGES = 14
-KINDS = [(Clamp.FRAME, Clamp.FRAME), (Clamp.FRAME, Clamp.TANGENT), (Clamp.TANGENT, Clamp.FREE), (Clamp.FREE, Clamp.FRAME)]
+KINDS = [
+    (Clamp.FRAME, Clamp.FRAME), (Clamp.FRAME, Clamp.TANGENT), (Clamp.TANGENT, Clamp.FREE), (Clamp.FREE, Clamp.FRAME)]
 
 
 @pytest.fixture(params=KINDS, ids=lambda kinds: "-".join(kind.name.lower() for kind in kinds))
@@ -62,7 +63,9 @@ def test_reversal(problem):
     start, material, clamps, up = problem
     mirror, flip = np.diag([-1.0, 1.0, -1.0]), np.diag([1.0, -1.0])
     back = (
-        Configuration(start.vertices[:, -1], quaternion_from_matrix(start.frames[:, ::-1] @ mirror), start.rest_length[::-1].copy()),
+        Configuration(
+            start.vertices[:, -1], quaternion_from_matrix(start.frames[:, ::-1] @ mirror),
+            start.rest_length[::-1].copy()),
         Material(flip @ material.bend[:, ::-1] @ flip, material.twist[:, ::-1], material.weight,
                  material.rest_curvature[:, ::-1] @ flip),
         Clamps(clamps.end, clamps.start, clamps.end_position, clamps.start_position,

@@ -1,4 +1,4 @@
-"""A spatial rod between two clamps under its weight, twisted, against Kirchhoff's equations: second order in edge length."""
+"""A twisted rod between two clamps under its weight against Kirchhoff's equations: second order in edge length."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ BEND = {
 
 
 def first_guess(edges: int, graded: bool):
-    """A hanging bow that leaves its plane, twisted by a third of a turn; FREE_LENGTH from middle to middle of the ends."""
+    """A hanging bow that leaves its plane, twisted by 2 rad; FREE_LENGTH from middle to middle of the end edges."""
     along = np.arange(edges) / (edges - 1)
     lengths = 1 + (0.5 * np.sin(np.pi * along) if graded else 0 * along)
     lengths *= FREE_LENGTH / (lengths.sum() - 0.5 * (lengths[0] + lengths[-1]))

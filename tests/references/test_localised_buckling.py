@@ -1,6 +1,6 @@
 """Localised helical buckling of a long twisted rod under tension: the tanh² envelope (Bergou et al. 2008).
 
-An isotropic rod of twisting moment M that is straight at infinity, φ the angle between tangent and axis, φ₀ its largest:
+An isotropic rod with twisting moment M, straight at infinity; φ is the angle from axis to tangent, φ₀ its largest:
 
     (cos φ − cos φ₀)/(1 − cos φ₀) = tanh²(s/s*),   1/s* = M/(2 EI) tan(φ₀/2),   ψ' = M/(EI (1 + cos φ)),   τ = M/GJ
 

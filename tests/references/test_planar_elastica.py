@@ -20,7 +20,7 @@ MATERIAL = Material(ALPHA, BETA, 1e-6 * ALPHA / LENGTH**3)
 
 
 def elastica(span_over_length: float, quarters: int) -> tuple[float, float, float]:
-    """Load P L²/EI, height/L and bend energy E L/EI of an elastica of ``quarters`` quarter waves: 4 clamped, 2 hinged."""
+    """Load P L²/EI, height/L and energy E L/EI of ``quarters`` quarter waves: 4 between clamps, 2 between hinges."""
     m = brentq(lambda m: 2 * ellipe(m) / ellipk(m) - 1 - span_over_length, 1e-12, 0.9)
     root = quarters * ellipk(m)
     # κ = 2k√(P/EI) cn, and cn² integrates to (E − (1 − m)K)/m over a quarter.
@@ -49,7 +49,7 @@ def one_wave(s):
 
 
 def relaxed_at(rod: Configuration, kind: Clamp):
-    """Height, energy and load: the span of three copies differs by a little, and the load is the energy's slope in it."""
+    """Height, energy, and load: minus the slope of the energy in the span, from two more copies."""
     step = 1e-4 * LENGTH
     held = clamps_at(rod, kind, kind).take([0, 0, 0])
     ends = held.end_position + step * np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0]])
@@ -68,7 +68,8 @@ def test_buckled_elastica_converges_to_the_elliptic_integrals(kind, span_over_le
     joints, errors = [16, 32, 64], []
     load, height, energy = elastica(span_over_length, 4 if kind == Clamp.FRAME else 2)
     for count in joints:
-        rod = clamped_rod(count + 1, span_over_length, one_wave) if kind == Clamp.FRAME else hinged_rod(count, span_over_length)
+        clamped = kind == Clamp.FRAME
+        rod = clamped_rod(count + 1, span_over_length, one_wave) if clamped else hinged_rod(count, span_over_length)
         measured = np.array(relaxed_at(rod, kind)) / (LENGTH, ALPHA / LENGTH, ALPHA / LENGTH**2)
         errors.append(np.abs(measured / (height, energy, load) - 1))
     errors = np.array(errors)

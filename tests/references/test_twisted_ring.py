@@ -24,7 +24,7 @@ def ring(joints: int, turn: float) -> Configuration:
 
 
 def circle_is_stable(joints: int, turns) -> np.ndarray:
-    """The certificate at the twisted circle itself: the tolerance lies above the trace of weight, so no step is taken."""
+    """The certificate at the twisted circle itself: the tolerance is above the trace of weight, so no step is taken."""
     rings = stacked([ring(joints, turn) for turn in turns])
     material = Material(ALPHA, BETA, 1e-8 * ALPHA / RADIUS**3)
     solution = relax(rings, material, clamps_at(rings), Newton(tolerance=1e-6, max_escapes=0), up=HANGING)

@@ -1,0 +1,42 @@
+"""Discrete elastic rods: fit them to observed shapes, at thousands of relaxations a second.
+
+    from doo_ti import Grid, Material, Newton, load_observations, relax
+    from doo_ti import observation_clamps, start_configuration
+
+    observations = load_observations("suture.npz")
+    clamps = observation_clamps(observations)
+    start = start_configuration(observations, clamps)
+    solution = relax(start, Material(bend=6e5, twist=8e5), clamps)      # F of §III-D, one rod per observation
+    solution.configuration.vertices, solution.status, solution.stable   # per rod, nothing averaged
+
+Where each equation of the paper is: PAPER.md beside this file.
+"""
+
+import os
+
+__version__ = "0.1.0"
+
+# Taichi greets on standard output as soon as it is imported; that belongs to the commands' results.
+os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+
+_HOMES = {
+    "Clamp": "types", "Clamps": "types", "Configuration": "types", "Material": "types", "Solution": "types",
+    "Status": "types", "InputError": "errors", "Observations": "dataset", "load_observations": "dataset",
+    "save_observations": "dataset", "observation_clamps": "start", "start_configuration": "start",
+    "turn_hypotheses": "start", "Grid": "grid", "Newton": "newton", "Descent": "descent", "relax": "relax",
+    "distance": "metric", "sweep": "sweep",
+}
+__all__ = sorted(_HOMES)
+
+
+def __getattr__(name: str):
+    """Import a public name from its module when it is first asked for: importing the package costs nothing."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'doo_ti' has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f"doo_ti.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

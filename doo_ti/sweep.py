@@ -1,0 +1,294 @@
+"""A sweep: Eq. 2 for every cell of a grid, in chunks that are stored as they finish (§III-E).
+
+    RUN/cells/*.parquet   one row per (cell, observation)
+    RUN/summary.json      best Θ, its error, the range of each parameter within 5 %, counts of statuses, provenance
+    RUN/landscape.png     the error landscape
+    RUN/run.rrd           the recording
+
+A chunk's file is written whole or not at all, so a sweep that was stopped goes on where it was. Axes: G cells,
+D observations, N whole-turn hypotheses of all observations.
+"""
+
+import hashlib
+import json
+import os
+import platform
+import time
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, fields
+from functools import partial
+from importlib.metadata import version
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti import __version__
+from doo_ti.dataset import Observations, write_whole
+from doo_ti.descent import Descent
+from doo_ti.errors import InputError, InterruptedRunError
+from doo_ti.grid import Grid
+from doo_ti.learning import gather_landscape, status_counts
+from doo_ti.newton import Newton
+from doo_ti.start import choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
+from doo_ti.types import Clamp
+
+RODS_PER_CHUNK = 32_768
+MOST_FRAMES = 60
+"""Solver iterations of the best cell that are recorded."""
+
+
+@dataclass(frozen=True)
+class SweepOptions:
+    """How a sweep relaxes and compares.
+
+    frame_weight           w_m of Eq. 1, mm
+    clamp_start, clamp_end what holds the ends; None: the frame where it is given, else the tangent
+    solver, precision      as :func:`doo_ti.relax.relax` takes them
+    objective              "static" (Eq. 2)
+    seed                   of everything random, for the provenance: a static sweep draws nothing
+    workers                processes to share the chunks; None: this one. The result does not depend on it
+    """
+
+    frame_weight: float = 0.0
+    clamp_start: Clamp | None = None
+    clamp_end: Clamp | None = None
+    solver: Newton | Descent = Newton()
+    precision: str = "mixed"
+    objective: str = "static"
+    seed: int = 0
+    workers: int | None = None
+
+
+def sweep(run: Path, observations: Observations, grid: Grid, *, options: SweepOptions = SweepOptions(),
+          command: list[str] = ()) -> dict:
+    """Run the sweep in the folder ``run``, or what is left of it, and return the summary.
+
+    Raises InputError where ``run`` holds another sweep, InterruptedRunError where a chunk fails: what is done is kept.
+    """
+    began = time.monotonic()
+    run = Path(run)
+    identity = _identity(observations, grid, options)
+    _claim(run, identity)
+    rods = len(turn_hypotheses(observations, _clamps(observations, options))[0])
+    step = max(1, RODS_PER_CHUNK // rods)
+    chunks = [(first, min(first + step, grid.size)) for first in range(0, grid.size, step)]
+    left = [chunk for chunk in chunks if not _chunk_path(run, *chunk).exists()]
+    relaxed = rods * sum(last - first for first, last in left)
+    seconds = _relax_chunks(run, observations, grid, options, left, rods, command)
+    landscape = gather_landscape(run, grid, observations.name)
+    best = landscape.best
+    theta = {name: float(value[best]) for name, value in grid.cell_values().items()}
+    summary = {
+        "material": observations.name,
+        "best": {**theta, "bend_12": grid.bend_12, "mean_distance_mm": float(landscape.mean_distance[best])},
+        "intervals_within_5_percent": [asdict(interval) for interval in landscape.intervals],
+        "units": {"bend_1": "mm3", "bend_2": "mm3", "bend_12": "mm3", "twist": "mm3", "weight": "relative"},
+        "rods": {"count": int(landscape.status.size), **status_counts(landscape.status),
+                 "stable": int(landscape.stable.sum())},
+        "rods_at_best": {**status_counts(landscape.status[best]), "stable": int(landscape.stable[best].sum())},
+        "observations": observations.count,
+        "cells": grid.size,
+        "grid": grid.as_dict(),
+        "timing": {"relaxed_rods": relaxed, "relaxation_s": seconds, "total_s": time.monotonic() - began},
+        "provenance": _provenance(observations, options, identity, command),
+    }
+    _draw(run, observations, grid, options, landscape, summary)
+    summary["timing"]["total_s"] = time.monotonic() - began
+    text = json.dumps(summary, indent=2) + "\n"
+    write_whole(run / "summary.json", lambda file: file.write(text.encode()))
+    return summary
+
+
+def sweep_cells(observations: Observations, grid: Grid, options: SweepOptions, first: int, last: int) -> dict:
+    """The rows of cells ``first`` to ``last``, cell by cell: columns by name. Of several whole-turn hypotheses of an
+    observation the one nearest to it stands in each cell; the column ``turns`` says which."""
+    from doo_ti.metric import distance
+    from doo_ti.relax import relax
+
+    clamps = _clamps(observations, options)
+    index, turns = turn_hypotheses(observations, clamps)
+    starts = start_configuration(observations.take(index), clamps.take(index), turns)
+    cells, hypotheses = last - first, len(index)
+    of_cell, of_hypothesis = np.divmod(np.arange(cells * hypotheses), hypotheses)
+    solution = relax(starts, grid.materials(slice(first, last)), clamps.take(index), options.solver, up=observations.up,
+                     precision=options.precision, configuration_index=of_hypothesis, material_index=of_cell)
+    error = distance(solution.configuration, observations, index[of_hypothesis], options.frame_weight)
+    if hypotheses == observations.count:
+        rows = np.arange(cells * hypotheses)
+    else:
+        rows = choose_hypothesis(of_cell * observations.count + index[of_hypothesis], error)
+    cell, observation = of_cell[rows], index[of_hypothesis[rows]]
+    columns = {name: values[cell] for name, values in grid.cell_values(slice(first, last)).items()}
+    columns |= {"observation": observation.astype(np.int32), "turns": turns[of_hypothesis[rows]].astype(np.int32)}
+    for name, labels in (("end_distance_mm", observations.end_distance), ("end_rotation_deg", observations.end_rotation)):
+        columns[name] = np.full(len(rows), np.nan) if labels is None else labels[observation]
+    columns["distance_mm"] = error[rows]
+    for name in ("energy", "residual", "iterations", "status", "stable", "precision"):
+        columns[name] = getattr(solution, name)[rows]
+    return columns
+
+
+def _clamps(observations: Observations, options: SweepOptions):
+    return observation_clamps(observations, options.clamp_start, options.clamp_end)
+
+
+def _chunk_path(run: Path, first: int, last: int) -> Path:
+    return run / "cells" / f"{first:09d}-{last:09d}.parquet"
+
+
+def _relax_chunks(run, observations, grid, options, chunks, rods, command) -> float:
+    """Relax and store ``chunks``; returns the seconds it took."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.console import Console
+
+    began = time.monotonic()
+    work = partial(sweep_cells, observations, grid, options)
+    bar = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("cells"),
+                   TextColumn("{task.fields[rate]}"), TimeRemainingColumn(), console=Console(stderr=True))
+    pool = nullcontext() if options.workers is None else ProcessPoolExecutor(options.workers, get_context("spawn"))
+    try:
+        with bar, pool as executor:
+            total = sum(last - first for first, last in chunks)
+            task = bar.add_task(observations.name, total=total, rate="compiling")
+            done = 0
+            for (first, last), columns in _results(work, chunks, executor):
+                _store(_chunk_path(run, first, last), columns, observations.name)
+                done += last - first
+                rate = done * rods / (time.monotonic() - began)
+                bar.update(task, advance=last - first, rate=f"{rate:,.0f} rods/s")
+    except InputError:
+        raise
+    except (Exception, KeyboardInterrupt) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        again = " ".join(command) if command else "the same call"
+        raise InterruptedRunError(f"{run}: sweep stopped ({reason}); finished cells are kept, go on with: {again}") from error
+    return time.monotonic() - began
+
+
+def _results(work, chunks, executor: Executor | None):
+    """(chunk, columns) of each chunk in order, computed here or by the executor, a few ahead."""
+    if executor is None:
+        for chunk in chunks:
+            yield chunk, work(*chunk)
+        return
+    ahead = 2 * (os.cpu_count() or 1)
+    waiting = []
+    for chunk in chunks:
+        waiting.append((chunk, executor.submit(work, *chunk)))
+        if len(waiting) > ahead:
+            chunk, future = waiting.pop(0)
+            yield chunk, future.result()
+    for chunk, future in waiting:
+        yield chunk, future.result()
+
+
+def _store(path: Path, columns: dict, material: str) -> None:
+    import pyarrow
+    import pyarrow.parquet
+
+    count = len(columns["observation"])
+    names = pyarrow.DictionaryArray.from_arrays(np.zeros(count, dtype=np.int8), [material])
+    table = pyarrow.table({**columns, "material": names})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, lambda file: pyarrow.parquet.write_table(table, file))
+
+
+def _identity(observations: Observations, grid: Grid, options: SweepOptions) -> str:
+    """sha256 of everything the cells depend on."""
+    digest = hashlib.sha256()
+    for field in fields(observations):
+        value = getattr(observations, field.name)
+        if isinstance(value, np.ndarray):
+            digest.update(field.name.encode() + str(value.shape).encode() + np.ascontiguousarray(value).tobytes())
+    digest.update(json.dumps(grid.as_dict()).encode())
+    digest.update(repr([options.frame_weight, options.clamp_start, options.clamp_end, options.solver, options.precision,
+                        options.objective, RODS_PER_CHUNK]).encode())
+    return digest.hexdigest()
+
+
+def _claim(run: Path, identity: str) -> None:
+    """Make the folder this sweep's, or raise InputError where it holds another one's cells."""
+    path = run / "cells" / "identity.txt"
+    if path.exists():
+        if path.read_text(encoding="utf-8").strip() != identity:
+            raise InputError(run, "cells", "holds another sweep (other observations, grid or options)",
+                             "name another folder with --out, or delete this one")
+        return
+    if run.exists() and any(run.iterdir()):
+        raise InputError(run, "--out", "the folder holds something else than a sweep", "name another folder")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, lambda file: file.write(f"{identity}\n".encode()))
+
+
+def _provenance(observations: Observations, options: SweepOptions, identity: str, command) -> dict:
+    packages = ("taichi", "numpy", "rerun-sdk", "pyarrow")
+    return {
+        "command": list(command),
+        "input": Path(observations.source).name,
+        "input_sha256": observations.sha256,
+        "sweep_sha256": identity,
+        "seed": options.seed,
+        "options": {"frame_weight_mm": options.frame_weight, "precision": options.precision,
+                    "objective": options.objective, "solver": repr(options.solver),
+                    **{f"clamp_{end}": None if kind is None else kind.name.lower()
+                       for end, kind in (("start", options.clamp_start), ("end", options.clamp_end))}},
+        "versions": {"doo_ti": __version__, "python": platform.python_version(), **{name: version(name) for name in packages}},
+        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
+        "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+    }
+
+
+def _draw(run: Path, observations: Observations, grid: Grid, options: SweepOptions, landscape, summary: dict) -> None:
+    """landscape.png and run.rrd."""
+    from doo_ti.record import record_sweep
+    from doo_ti.report import landscape_picture
+    from doo_ti.types import Status
+
+    axes = [(axis.name, axis.values, axis.log, axis.unit) for axis in grid.axes]
+    values = landscape.mean_distance.reshape(grid.shape)
+    minimum = np.unravel_index(landscape.best, grid.shape)
+    unfinished = (landscape.status != Status.CONVERGED).sum(axis=1).reshape(grid.shape)
+    label = "mean distance (Eq. 1) [mm]"
+    title = f"{observations.name}: static error over {observations.count} observations"
+    if any(len(axis) > 1 for axis in grid.axes):
+        write_whole(run / "landscape.png", lambda file: landscape_picture(
+            file, axes, values, minimum=minimum, title=title, label=label, unfinished=unfinished))
+    trajectory, energy, residual, status, error = _trajectory(observations, grid, options, landscape.best)
+    best, rods = summary["best"], summary["rods"]
+    record_sweep(
+        run / "run.rrd", run_id=summary["provenance"]["sweep_sha256"][:32], name=title,
+        observations_vertices=np.where(observations.valid[..., None], observations.vertices, np.nan),
+        labels={"end_distance_mm": observations.end_distance, "end_rotation_deg": observations.end_rotation},
+        trajectory=trajectory, energy=energy, residual=residual, status=status, distance=error,
+        axes=axes, landscape=values, minimum=minimum, unfinished=unfinished, intervals=landscape.intervals,
+        properties={"bend_1_mm3": best["bend_1"], "bend_2_mm3": best["bend_2"], "twist_mm3": best["twist"],
+                    "weight": best["weight"], "mean_distance_mm": best["mean_distance_mm"], "rods": rods["count"],
+                    "rods_converged": rods.get("converged", 0), "rods_stable": rods["stable"]},
+        up=observations.up,
+    )
+
+
+def _trajectory(observations: Observations, grid: Grid, options: SweepOptions, best: int):
+    """The rods of the best cell after 1, 2, … solver iterations: (T, D, V, 3) vertices, (T, D) energy and residual, and
+    the last (D,) status and distance. A relaxation stopped after k iterations is the first k of the whole one."""
+    from doo_ti.metric import distance
+    from doo_ti.relax import relax
+
+    columns = sweep_cells(observations, grid, options, best, best + 1)
+    clamps = _clamps(observations, options)
+    starts = start_configuration(observations, clamps, columns["turns"])
+    material = grid.materials(slice(best, best + 1))
+    vertices, energy, residual = [starts.vertices], [], []
+    solution = None
+    for count in range(1, MOST_FRAMES + 1):
+        solution = relax(starts, material, clamps, Newton(max_iterations=count), up=observations.up)
+        vertices.append(solution.configuration.vertices)
+        energy.append(solution.energy)
+        residual.append(solution.residual)
+        if (solution.iterations < count).all():
+            break
+    first = np.full((1, observations.count), np.nan)
+    error = distance(solution.configuration, observations, None, options.frame_weight)
+    return (np.stack(vertices), np.concatenate([first, energy]), np.concatenate([first, residual]), solution.status, error)
