@@ -1,234 +1,18 @@
-"""The one door between host and device: tables of starts, clamps and materials in, results per rod out.
+"""The one door between host and device: tables in, results per rod out.
 
-A rod is a pair (configuration, material) of rows in two tables, so a sweep of D observations over G cells sends D starts
-and G materials, not D·G of each. Device scratch is allocated once per thread and reused, whatever the number of rods.
+Device scratch is allocated once per thread and reused, whatever the number of rods.
 """
-
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from doo_ti import chain, descent, newton, runtime
-from doo_ti.errors import InputError
-from doo_ti.frames import (
-    matrix_from_quaternion,
-    quaternion_about,
-    quaternion_from_matrix,
-    quaternion_product,
-    smallest_rotation,
-    vertices_from_quaternions,
-)
+from doo_ti.frames import matrix_from_quaternion, quaternion_from_matrix, vertices_from_quaternions
 from doo_ti.physics.number import Number
-from doo_ti.types import Clamp, Clamps, Configuration, Material, Status
+from doo_ti.tables import ITERATIONS, RESULTS, STATUS, Tables, divisors
+from doo_ti.types import Status
+from doo_ti.vertex_chain import ITEMS
 
 _scratch: dict = {}
-
-
-@dataclass(frozen=True)
-class Tables:
-    """What the kernels read, all float64 and C-contiguous but ``rods``.
-
-    start (S, E, 4) frames with the clamps imposed; rest_length (1 or S, E); clamp (S, CLAMP_COLUMNS);
-    bend (G, 1 or E, 3) as (11, 22, 12); twist (G, 1 or E−1); rest (G, 1 or E−1, 2); weight (G,);
-    rods (R, 3) int32: configuration, material and row of the results; feasible (S,) bool; anchor (S, 3) mm, the point the
-    chain hangs from: vertex 0, or the far end where vertex 0 is free (released, (S,) bool); configuration_index and
-    material_index (R,), infeasible rods included.
-    """
-
-    start: np.ndarray
-    rest_length: np.ndarray
-    clamp: np.ndarray
-    bend: np.ndarray
-    twist: np.ndarray
-    rest: np.ndarray
-    weight: np.ndarray
-    rods: np.ndarray
-    feasible: np.ndarray
-    anchor: np.ndarray
-    isotropic: bool
-    configuration_index: np.ndarray
-    material_index: np.ndarray
-
-    @property
-    def edges(self) -> int:
-        return self.start.shape[1]
-
-    @property
-    def count(self) -> int:
-        """R."""
-        return len(self.configuration_index)
-
-    @property
-    def released(self) -> np.ndarray:
-        return self.clamp[:, newton.RELEASED] > 0
-
-    def restarted(self, frames: np.ndarray, usable: np.ndarray) -> "Tables":
-        """The same rods, each from ``frames`` (R, E, 4) where ``usable`` (R,), else from its old start; clamps exact."""
-        old = self.start[self.configuration_index]
-        start = np.where(usable[:, None, None], frames, old).astype(np.float64)
-        start /= np.linalg.norm(start, axis=-1, keepdims=True)
-        clamp = self.clamp[self.configuration_index]
-        for edge, spin, tilt in ((0, newton.SPIN_START, newton.TILT_START), (-1, newton.SPIN_END, newton.TILT_END)):
-            turn = smallest_rotation(
-                matrix_from_quaternion(start[:, edge])[..., 0], matrix_from_quaternion(old[:, edge])[..., 0]
-            )
-            tangent_held = quaternion_product(turn, start[:, edge])
-            held = np.where(clamp[:, spin, None] > 0, tangent_held, old[:, edge])
-            start[:, edge] = np.where(clamp[:, tilt, None] > 0, start[:, edge], held)
-        rows = np.arange(len(old))
-        lengths = self.rest_length
-        return replace(
-            self,
-            start=np.ascontiguousarray(start),
-            rest_length=lengths if len(lengths) == 1 else np.ascontiguousarray(lengths[self.configuration_index]),
-            clamp=np.ascontiguousarray(clamp),
-            rods=np.ascontiguousarray(np.stack([rows, self.material_index, rows], axis=-1)[self.rods[:, 2]].astype(np.int32)),
-            feasible=self.feasible[self.configuration_index],
-            anchor=self.anchor[self.configuration_index],
-            configuration_index=rows,
-        )
-
-
-def tables(
-    configuration: Configuration, material: Material, clamps: Clamps, up: np.ndarray,
-    configuration_index=None, material_index=None,
-) -> Tables:
-    """Check what goes into F and lay it out for the kernels.
-
-    Raises InputError where shapes do not match, an index is out of range, or both ends of a rod with weight are free.
-    """
-    count, edges = configuration.count, configuration.edges
-    if edges < 2:
-        raise InputError("configuration", "quaternions", f"{edges} edges", "give rods of at least two edges")
-    lengths = np.atleast_2d(np.asarray(configuration.rest_length, dtype=np.float64))
-    if lengths.shape not in ((1, edges), (count, edges)):
-        raise InputError("configuration", "rest_length", f"shape {lengths.shape}", f"give ({edges},) or ({count}, {edges})")
-    if not (np.isfinite(lengths).all() and (lengths > 0).all()):
-        raise InputError("configuration", "rest_length", f"{lengths.min():g}", "give positive lengths in mm")
-    index_c, index_m = _pairs(count, material.count, configuration_index, material_index)
-    start_kind = np.broadcast_to(np.asarray(clamps.start, dtype=np.int64), count)
-    end_kind = np.broadcast_to(np.asarray(clamps.end, dtype=np.int64), count)
-    adrift = (start_kind == Clamp.FREE) & (end_kind == Clamp.FREE)
-    if adrift.any() and (material.weight > 0).any():
-        raise InputError("clamps", "start, end", "both ends are free and the rod has weight", "hold one end, or set weight 0")
-    for name, array, length in (("twist", material.twist, edges - 1), ("bend", material.bend, edges)):
-        if array.shape[1] not in (1, length):
-            raise InputError("material", name, f"{array.shape[1]} entries along the rod", f"give one or {length}")
-    rest = material.rest_curvature
-    if rest is not None and rest.shape[1] not in (1, edges - 1):
-        raise InputError("material", "rest_curvature", f"{rest.shape[1]} joints", f"give one or {edges - 1}")
-
-    quaternions = _impose(configuration.quaternions, start_kind, end_kind, clamps)
-    clamp, feasible, anchor = _clamp_table(configuration.start, quaternions, lengths, start_kind, end_kind, clamps)
-    quaternions = _bowed(quaternions, lengths, clamp, feasible, up)
-    bend = np.stack([material.bend[..., 0, 0], material.bend[..., 1, 1], material.bend[..., 0, 1]], axis=-1)
-    good = np.flatnonzero(feasible[index_c])
-    rods = np.stack([index_c[good], index_m[good], good], axis=-1).astype(np.int32)
-    return Tables(
-        start=np.ascontiguousarray(quaternions),
-        rest_length=np.ascontiguousarray(lengths),
-        clamp=clamp,
-        bend=np.ascontiguousarray(bend),
-        twist=np.ascontiguousarray(material.twist),
-        rest=np.ascontiguousarray(np.zeros((material.count, 1, 2)) if rest is None else rest),
-        weight=np.ascontiguousarray(material.weight),
-        rods=np.ascontiguousarray(rods),
-        feasible=feasible,
-        anchor=anchor,
-        isotropic=material.is_isotropic,
-        configuration_index=index_c,
-        material_index=index_m,
-    )
-
-
-def _pairs(configurations: int, materials: int, configuration_index, material_index) -> tuple[np.ndarray, np.ndarray]:
-    """The two index vectors, (R,) each; without them tables are paired one to one, a single row with every row."""
-    if configuration_index is None and material_index is None:
-        if configurations != materials and 1 not in (configurations, materials):
-            raise InputError("relax", "material", f"{materials} rows for {configurations} rods", "give one, or one per rod")
-        count = max(configurations, materials)
-        return np.arange(count) % configurations, np.arange(count) % materials
-    first = np.asarray(0 if configuration_index is None else configuration_index)
-    second = np.asarray(0 if material_index is None else material_index)
-    first, second = (np.ascontiguousarray(a, dtype=np.int64) for a in np.broadcast_arrays(first, second))
-    for name, index, size in (("configuration_index", first, configurations), ("material_index", second, materials)):
-        if index.ndim != 1 or (index.size and (index.min() < 0 or index.max() >= size)):
-            raise InputError("relax", name, f"not a vector of rows below {size}", "give (R,) row numbers")
-    return first, second
-
-
-def _impose(quaternions: np.ndarray, start_kind: np.ndarray, end_kind: np.ndarray, clamps: Clamps) -> np.ndarray:
-    """The start with its clamped frames in place; a tangent clamp turns the edge by parallel transport, keeping its spin."""
-    result = np.array(quaternions, dtype=np.float64)
-    for edge, kind, frame in ((0, start_kind, clamps.start_frame), (-1, end_kind, clamps.end_frame)):
-        whole = kind == Clamp.FRAME
-        if whole.any():
-            result[whole, edge] = quaternion_from_matrix(frame[whole])
-        tangent = kind == Clamp.TANGENT
-        if tangent.any():
-            old = result[tangent, edge]
-            turn = smallest_rotation(matrix_from_quaternion(old)[..., 0], frame[tangent][..., 0])
-            result[tangent, edge] = quaternion_product(turn, old)
-    return result / np.linalg.norm(result, axis=-1, keepdims=True)
-
-
-def _bowed(quaternions, lengths, clamp, feasible, up) -> np.ndarray:
-    """Starts that can be projected: free edges in one straight line have no first-order way to bring the far end closer.
-
-    Where they are and must, they are bowed to the needed chord, downwards, or towards m1 where the line is upright.
-    """
-    count, edges = quaternions.shape[:2]
-    matrix = matrix_from_quaternion(quaternions)
-    tilting = np.ones((count, edges))
-    tilting[:, 0], tilting[:, -1] = clamp[:, newton.TILT_START], clamp[:, newton.TILT_END]
-    steps = lengths[..., None] * matrix[..., 0]
-    reach = (lengths * tilting).sum(axis=1)
-    chord = np.linalg.norm((steps * tilting[..., None]).sum(axis=1), axis=-1)
-    goal = clamp[:, newton.TARGET : newton.TARGET + 3] - (steps * (1 - tilting[..., None])).sum(axis=1)
-    share = np.linalg.norm(goal, axis=-1) / reach
-    rows = np.flatnonzero(feasible & (clamp[:, newton.CLOSED] > 0) & (chord > reach * (1 - 1e-8)) & (share < 1 - 1e-8))
-    if not len(rows):
-        return quaternions
-    middle = matrix[rows, edges // 2]
-    axis = np.cross(-up, middle[..., 0])
-    upright = np.linalg.norm(axis, axis=-1, keepdims=True) < 1e-3
-    axis = np.where(upright, middle[..., 2], axis)
-    axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
-    # A sine arch of slope a cos(π s/L) has the chord L (1 − a²/4).
-    place = (np.cumsum(tilting[rows], axis=1) - 0.5) / tilting[rows].sum(axis=1, keepdims=True)
-    slope = np.minimum(2 * np.sqrt(1 - share[rows]), 1.0)[:, None] * np.cos(np.pi * place) * tilting[rows]
-    result = quaternions.copy()
-    result[rows] = quaternion_product(quaternion_about(-axis[:, None] * np.ones((1, edges, 1)), slope), quaternions[rows])
-    return result
-
-
-def _clamp_table(start, quaternions, lengths, start_kind, end_kind, clamps):
-    """(clamp table, feasible (S,), anchor (S, 3)): see :class:`Tables`. Infeasible: what is left of the span, clamped edges
-    taken off, exceeds the sum of the free rest lengths."""
-    count, edges = len(quaternions), quaternions.shape[1]
-    held_start, held_end = start_kind >= Clamp.POSITION, end_kind >= Clamp.POSITION
-    first = np.where(held_start[:, None], clamps.start_position, start)
-    last = np.where(held_end[:, None], clamps.end_position, 0.0)
-    closed = held_start & held_end
-    span = np.where(closed[:, None], last - first, 0.0)
-    table = np.zeros((count, newton.CLAMP_COLUMNS))
-    table[:, newton.TARGET : newton.TARGET + 3] = span
-    table[:, newton.CLOSED] = closed
-    table[:, newton.SPIN_START] = start_kind < Clamp.FRAME
-    table[:, newton.TILT_START] = start_kind < Clamp.TANGENT
-    table[:, newton.SPIN_END] = end_kind < Clamp.FRAME
-    table[:, newton.TILT_END] = end_kind < Clamp.TANGENT
-    table[:, newton.RELEASED] = ~held_start & held_end
-    tilting = np.ones((count, edges), dtype=bool)
-    tilting[:, 0], tilting[:, -1] = start_kind < Clamp.TANGENT, end_kind < Clamp.TANGENT
-    tangents = matrix_from_quaternion(quaternions[:, [0, -1]])[..., 0]
-    fixed = (lengths[:, [0, -1]] * ~tilting[:, [0, -1]])[..., None] * tangents
-    reach = np.where(tilting, lengths, 0.0).sum(axis=1)
-    needed = np.linalg.norm(span - fixed.sum(axis=1), axis=-1)
-    # Two free edges at least leave the far point three ways to go.
-    feasible = ~closed | ((needed <= reach * (1 + 1e-12)) & (tilting.sum(axis=1) >= 2))
-    anchor = np.where(table[:, newton.RELEASED, None] > 0, last, first)
-    return table, feasible, anchor
 
 
 def run_newton(table: Tables, up: np.ndarray, options: newton.Newton, bits: int, moving: bool = True):
@@ -243,7 +27,7 @@ def run_newton(table: Tables, up: np.ndarray, options: newton.Newton, bits: int,
     kernel = newton.newton_kernel(number, table.isotropic, stride, block)
     scratch, lane_rod, queue = _buffers(number, threads, items * table.edges)
     frames = np.full((table.count, table.edges, 4), np.nan, dtype=np.float32 if bits == 32 else np.float64)
-    results = np.full((table.count, newton.RESULTS), np.nan)
+    results = np.full((table.count, RESULTS), np.nan)
     kernel(
         table.start, table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.weight, table.rods,
         ti.math.vec3(*up), options.tolerance or (1e-6 if bits == 32 else 1e-9), options.max_iterations,
@@ -267,22 +51,22 @@ def run_descent(table: Tables, up: np.ndarray, options: descent.Descent, bits: i
     table = table.restarted(closed, np.isfinite(closed[:, 0, 0]))
     vertices, directors = _vertex_form(table)
     number, threads, stride, block = _machine(len(table.rods), bits)
-    items = descent.ITEMS * (table.edges + 1)
+    items = ITEMS * (table.edges + 1)
     scratch, lane_rod, queue = _buffers(number, threads, items)
     positions = np.full((table.count, table.edges + 1, 3), np.nan)
     axes = np.full((table.count, table.edges, 3), np.nan)
-    results = np.full((table.count, newton.RESULTS), np.nan)
+    results = np.full((table.count, RESULTS), np.nan)
     descent.descent_kernel(number, stride, block)(
         vertices, directors, table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.weight,
-        table.rods, _divisors(table), ti.math.vec3(*up), options.tolerance, options.max_iterations,
+        table.rods, divisors(table), ti.math.vec3(*up), options.tolerance, options.max_iterations,
         options.largest_move, threads, items if stride == 1 else 1, scratch, lane_rod, queue, positions, axes, results,
     )
     frames = _chain_form(positions, axes)
     certificate = newton.Newton(tolerance=options.tolerance, max_iterations=1, first_shift=0.0, max_escapes=0)
     frames, certified = run_newton(table.restarted(frames, np.isfinite(frames[:, 0, 0])), up, certificate, 64)
-    good = certified[:, newton.STATUS] == Status.CONVERGED
-    certified[:, newton.STATUS] = np.where(good, Status.CONVERGED, results[:, newton.STATUS])
-    certified[:, newton.ITERATIONS] = results[:, newton.ITERATIONS]
+    good = certified[:, STATUS] == Status.CONVERGED
+    certified[:, STATUS] = np.where(good, Status.CONVERGED, results[:, STATUS])
+    certified[:, ITERATIONS] = results[:, ITERATIONS]
     return frames, certified
 
 
@@ -300,19 +84,6 @@ def _chain_form(vertices: np.ndarray, first_directors: np.ndarray) -> np.ndarray
     m1 = first_directors - np.sum(first_directors * tangents, axis=-1, keepdims=True) * tangents
     m1 /= np.linalg.norm(m1, axis=-1, keepdims=True)
     return quaternion_from_matrix(np.stack([tangents, m1, np.cross(tangents, m1)], axis=-1))
-
-
-def _divisors(table: Tables) -> np.ndarray:
-    """(R,) divisor of the scaled residual: the largest eigenvalue of B, or the largest gravity moment where that is more."""
-    b = table.bend
-    half, apart = 0.5 * (b[..., 0] + b[..., 1]), 0.5 * (b[..., 0] - b[..., 1])
-    stiffest = (half + np.hypot(apart, b[..., 2])).max(axis=1)
-    length = table.rest_length
-    beyond = length.sum(axis=1, keepdims=True) - np.cumsum(length, axis=1)
-    hanging = np.broadcast_to(length + 2 * beyond, (len(table.start), table.edges))
-    hanging = hanging - 2 * length.sum(axis=1)[:, None] * table.released[:, None]
-    moment = np.abs(length * hanging).max(axis=1)[table.configuration_index] * table.weight[table.material_index]
-    return np.maximum(stiffest[table.material_index], moment)
 
 
 def _machine(rods: int, bits: int) -> tuple[Number, int, int, int]:

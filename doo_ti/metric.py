@@ -5,7 +5,7 @@
 Missing marks are left out: the first sum then runs over the valid marks and divides by their number less one.
 """
 
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import taichi as ti
@@ -49,7 +49,7 @@ def distance(configuration: Configuration, observations: Observations, index=Non
     return result
 
 
-@lru_cache(maxsize=None)
+@cache
 def _kernel(single: bool):
     """The kernel for frames in f32 or f64; sums are in f64."""
     number = ti.f32 if single else ti.f64

@@ -6,7 +6,7 @@ itself: the result is the same alone and in any batch, in any place.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 
 import taichi as ti
 
@@ -14,6 +14,21 @@ from doo_ti import chain
 from doo_ti.errors import InputError
 from doo_ti.physics.algebra import dot
 from doo_ti.physics.number import Number
+from doo_ti.tables import (
+    CLOSED,
+    CLOSURE,
+    ENERGY,
+    ITERATIONS,
+    RELEASED,
+    RESIDUAL,
+    SPIN_END,
+    SPIN_START,
+    STABLE,
+    STATUS,
+    TARGET,
+    TILT_END,
+    TILT_START,
+)
 from doo_ti.types import Status
 
 
@@ -51,12 +66,6 @@ class Newton:
         return cls(first_shift=0.0, **options)
 
 
-# Columns of the kernel's per-rod results.
-ENERGY, RESIDUAL, CLOSURE, ITERATIONS, STATUS, STABLE, RESULTS = 0, 1, 2, 3, 4, 5, 6
-
-# Columns of the clamp table: the far point from vertex 0, and one or zero flags (doo_ti.chain).
-TARGET, CLOSED, SPIN_START, TILT_START, SPIN_END, TILT_END, RELEASED, CLAMP_COLUMNS = 0, 3, 4, 5, 6, 7, 8, 9
-
 # The policy's fixed numbers (shifts are over the largest diagonal entry of H).
 SHIFT_WRONG_INERTIA = 0.01
 SHIFT_REJECTED = 1e-5
@@ -66,7 +75,7 @@ ESCAPE_ROTATION = 0.1  # rad
 PATIENCE = 25  # trips without progress
 
 
-@lru_cache(maxsize=None)
+@cache
 def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
     """The compiled-on-first-use kernel for one kind of number and of material.
 
@@ -87,28 +96,28 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
     table3 = ti.types.ndarray(dtype=ti.f64, ndim=3)
 
     @ti.func
-    def load_edges(scratch: ti.template(), origin, edges, l, s, g, start: ti.template(), rest_length: ti.template(),
+    def load_edges(scratch: ti.template(), origin, edges, slot, s, g, start: ti.template(), rest_length: ti.template(),
                    bend: ti.template(), twist: ti.template(), rest: ti.template()):
         """One rod's frames, lengths and stiffness into lane l."""
         ls = ti.min(s, rest_length.shape[0] - 1)
         at = origin
         for e in range(edges):
             for k in ti.static(range(4)):
-                put(scratch, at + (chain.FRAME + k) * stride, l, start[s, e, k])
+                put(scratch, at + (chain.FRAME + k) * stride, slot, start[s, e, k])
             for k in ti.static(range(3)):
-                put(scratch, at + (chain.ROTATION + k) * stride, l, 0.0)
-            put(scratch, at + chain.LENGTH * stride, l, rest_length[ls, e])
+                put(scratch, at + (chain.ROTATION + k) * stride, slot, 0.0)
+            put(scratch, at + chain.LENGTH * stride, slot, rest_length[ls, e])
             if e > 0:
                 both = rest_length[ls, e - 1] + rest_length[ls, e]
-                put(scratch, at + chain.INVERSE_LENGTH * stride, l, 1.0 / both)
+                put(scratch, at + chain.INVERSE_LENGTH * stride, slot, 1.0 / both)
                 if ti.static(not isotropic):
-                    put(scratch, at + chain.TWIST * stride, l, twist[g, ti.min(e, twist.shape[1]) - 1])
+                    put(scratch, at + chain.TWIST * stride, slot, twist[g, ti.min(e, twist.shape[1]) - 1])
                     for k in ti.static(range(2)):
-                        put(scratch, at + (chain.REST + k) * stride, l,
+                        put(scratch, at + (chain.REST + k) * stride, slot,
                             0.5 * both * rest[g, ti.min(e, rest.shape[1]) - 1, k])
             if ti.static(not isotropic):
                 for k in ti.static(range(3)):
-                    put(scratch, at + (chain.BEND + k) * stride, l, bend[g, ti.min(e, bend.shape[1] - 1), k])
+                    put(scratch, at + (chain.BEND + k) * stride, slot, bend[g, ti.min(e, bend.shape[1] - 1), k])
             at += ti.static(items * stride)
 
     @ti.func
@@ -196,63 +205,63 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
             running = 1
             while running == 1:
                 if largest(finished) > 0.5:
-                    for l in range(width):
-                        if lane(finished, l) > 0.5:
-                            finished = with_lane(finished, l, 0.0)
-                            if lane(active, l) > 0.5:
-                                row = rods[lane_rod[thread * width + l], 2]
+                    for slot in range(width):
+                        if lane(finished, slot) > 0.5:
+                            finished = with_lane(finished, slot, 0.0)
+                            if lane(active, slot) > 0.5:
+                                row = rods[lane_rod[thread * width + slot], 2]
                                 at = origin
                                 for e in range(edges):
                                     for k in ti.static(range(4)):
-                                        frames[row, e, k] = lane(scratch[at + k * stride], l)
+                                        frames[row, e, k] = lane(scratch[at + k * stride], slot)
                                     at += ti.static(items * stride)
-                                results[row, ENERGY] = lane(energy, l)
-                                results[row, RESIDUAL] = lane(residual, l)
-                                gap = ti.sqrt(lane(miss0, l) ** 2 + lane(miss1, l) ** 2 + lane(miss2, l) ** 2)
-                                results[row, CLOSURE] = gap / lane(total, l)
-                                results[row, ITERATIONS] = lane(trips, l)
-                                results[row, STATUS] = lane(status, l)
-                                results[row, STABLE] = lane(stable, l)
-                            active = with_lane(active, l, 0.0)
+                                results[row, ENERGY] = lane(energy, slot)
+                                results[row, RESIDUAL] = lane(residual, slot)
+                                gap = ti.sqrt(lane(miss0, slot) ** 2 + lane(miss1, slot) ** 2 + lane(miss2, slot) ** 2)
+                                results[row, CLOSURE] = gap / lane(total, slot)
+                                results[row, ITERATIONS] = lane(trips, slot)
+                                results[row, STATUS] = lane(status, slot)
+                                results[row, STABLE] = lane(stable, slot)
+                            active = with_lane(active, slot, 0.0)
                             rod = ti.atomic_add(queue[0], 1)
                             if rod < rods.shape[0]:
-                                lane_rod[thread * width + l] = rod
+                                lane_rod[thread * width + slot] = rod
                                 s = rods[rod, 0]
                                 g = rods[rod, 1]
-                                load_edges(scratch, origin, edges, l, s, g, start, rest_length, bend, twist, rest)
+                                load_edges(scratch, origin, edges, slot, s, g, start, rest_length, bend, twist, rest)
                                 sizes = scales(edges, s, g, rest_length, bend, twist, rest, weight[g], clamp[s, RELEASED])
-                                total = with_lane(total, l, sizes[0])
-                                divisor = with_lane(divisor, l, sizes[1])
-                                scale = with_lane(scale, l, sizes[2])
-                                edge = with_lane(edge, l, sizes[3])
-                                shift = with_lane(shift, l, first_shift * sizes[2])
-                                target0 = with_lane(target0, l, clamp[s, TARGET])
-                                target1 = with_lane(target1, l, clamp[s, TARGET + 1])
-                                target2 = with_lane(target2, l, clamp[s, TARGET + 2])
-                                closed = with_lane(closed, l, clamp[s, CLOSED])
+                                total = with_lane(total, slot, sizes[0])
+                                divisor = with_lane(divisor, slot, sizes[1])
+                                scale = with_lane(scale, slot, sizes[2])
+                                edge = with_lane(edge, slot, sizes[3])
+                                shift = with_lane(shift, slot, first_shift * sizes[2])
+                                target0 = with_lane(target0, slot, clamp[s, TARGET])
+                                target1 = with_lane(target1, slot, clamp[s, TARGET + 1])
+                                target2 = with_lane(target2, slot, clamp[s, TARGET + 2])
+                                closed = with_lane(closed, slot, clamp[s, CLOSED])
                                 # A round rod with both spins free turns about itself at no cost: hold its first spin.
                                 turning = sizes[4] * clamp[s, SPIN_END]
-                                spin_start = with_lane(spin_start, l, clamp[s, SPIN_START] * (1.0 - turning))
-                                tilt_start = with_lane(tilt_start, l, clamp[s, TILT_START])
-                                spin_end = with_lane(spin_end, l, clamp[s, SPIN_END])
-                                tilt_end = with_lane(tilt_end, l, clamp[s, TILT_END])
-                                released = with_lane(released, l, clamp[s, RELEASED])
-                                alpha = with_lane(alpha, l, bend[g, 0, 0])
-                                beta = with_lane(beta, l, twist[g, 0])
-                                gravity0 = with_lane(gravity0, l, weight[g] * up[0])
-                                gravity1 = with_lane(gravity1, l, weight[g] * up[1])
-                                gravity2 = with_lane(gravity2, l, weight[g] * up[2])
-                                step_scale = with_lane(step_scale, l, 0.0)
-                                best = with_lane(best, l, 1e30)
-                                idle_trips = with_lane(idle_trips, l, 0.0)
-                                trips = with_lane(trips, l, 0.0)
-                                rejects = with_lane(rejects, l, 0.0)
-                                fresh = with_lane(fresh, l, 1.0)
-                                trying = with_lane(trying, l, 0.0)
-                                closing = with_lane(closing, l, 0.0)
-                                escaping = with_lane(escaping, l, 0.0)
-                                escapes = with_lane(escapes, l, 0.0)
-                                active = with_lane(active, l, 1.0)
+                                spin_start = with_lane(spin_start, slot, clamp[s, SPIN_START] * (1.0 - turning))
+                                tilt_start = with_lane(tilt_start, slot, clamp[s, TILT_START])
+                                spin_end = with_lane(spin_end, slot, clamp[s, SPIN_END])
+                                tilt_end = with_lane(tilt_end, slot, clamp[s, TILT_END])
+                                released = with_lane(released, slot, clamp[s, RELEASED])
+                                alpha = with_lane(alpha, slot, bend[g, 0, 0])
+                                beta = with_lane(beta, slot, twist[g, 0])
+                                gravity0 = with_lane(gravity0, slot, weight[g] * up[0])
+                                gravity1 = with_lane(gravity1, slot, weight[g] * up[1])
+                                gravity2 = with_lane(gravity2, slot, weight[g] * up[2])
+                                step_scale = with_lane(step_scale, slot, 0.0)
+                                best = with_lane(best, slot, 1e30)
+                                idle_trips = with_lane(idle_trips, slot, 0.0)
+                                trips = with_lane(trips, slot, 0.0)
+                                rejects = with_lane(rejects, slot, 0.0)
+                                fresh = with_lane(fresh, slot, 1.0)
+                                trying = with_lane(trying, slot, 0.0)
+                                closing = with_lane(closing, slot, 0.0)
+                                escaping = with_lane(escaping, slot, 0.0)
+                                escapes = with_lane(escapes, slot, 0.0)
+                                active = with_lane(active, slot, 1.0)
                 if largest(active) < 0.5:
                     running = 0
                 else:

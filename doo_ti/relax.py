@@ -13,7 +13,8 @@ import numpy as np
 from doo_ti import batch
 from doo_ti.descent import Descent
 from doo_ti.errors import InputError
-from doo_ti.newton import CLOSURE, ENERGY, ITERATIONS, RESIDUAL, STABLE, STATUS, Newton
+from doo_ti.newton import Newton
+from doo_ti.tables import CLOSURE, ENERGY, ITERATIONS, RESIDUAL, STABLE, STATUS, Tables, tables
 from doo_ti.types import Clamps, Configuration, Material, Solution, Status
 
 PRECISIONS = ("f32", "f64", "mixed")
@@ -49,7 +50,7 @@ def relax(
     up = up / np.linalg.norm(up)
     if precision not in PRECISIONS:
         raise InputError("relax", "precision", f"{precision!r}", f"give one of {', '.join(PRECISIONS)}")
-    table = batch.tables(configuration, material, clamps, up, configuration_index, material_index)
+    table = tables(configuration, material, clamps, up, configuration_index, material_index)
     if isinstance(solver, Descent):
         bits = 32 if precision == "f32" else 64
         frames, results = batch.run_descent(table, up, solver, bits)
@@ -59,7 +60,7 @@ def relax(
     return _solution(table, up, frames, results, bits)
 
 
-def _newton(table: batch.Tables, up: np.ndarray, solver: Newton, precision: str):
+def _newton(table: Tables, up: np.ndarray, solver: Newton, precision: str):
     """One or two rungs of the precision ladder: (frames, results, bits per rod)."""
     if precision != "mixed":
         bits = 32 if precision == "f32" else 64
@@ -73,7 +74,7 @@ def _newton(table: batch.Tables, up: np.ndarray, solver: Newton, precision: str)
     return frames, results, np.full(len(results), 64)
 
 
-def _solution(table: batch.Tables, up: np.ndarray, frames: np.ndarray, results: np.ndarray, bits: np.ndarray) -> Solution:
+def _solution(table: Tables, up: np.ndarray, frames: np.ndarray, results: np.ndarray, bits: np.ndarray) -> Solution:
     anchor = table.anchor[table.configuration_index]
     lengths = table.rest_length if len(table.rest_length) == 1 else table.rest_length[table.configuration_index]
     total = lengths.sum(axis=-1)

@@ -5,16 +5,28 @@ forked) start their own. The settings are measured ones: packs stay vectors in t
 threads is not cut into blocks.
 """
 
+import os
 from contextlib import redirect_stdout
 from io import StringIO
+
+from doo_ti.errors import InputError
 
 _architecture: str | None = None
 
 
-def start(architecture: str = "cpu", threads: int | None = None) -> str:
-    """Start Taichi once; later calls return the architecture that runs. ``threads`` defaults to all processors."""
+def start(architecture: str | None = None, threads: int | None = None) -> str:
+    """Start Taichi once and return the architecture that runs; later calls only return it.
+
+    architecture  "cpu" or "cuda"; by default what the environment variable DOO_TI_ARCHITECTURE says, else "cpu"
+    threads       on a CPU; by default one per processor
+
+    Raises InputError for another architecture.
+    """
     global _architecture
     if _architecture is None:
+        architecture = architecture or os.environ.get("DOO_TI_ARCHITECTURE", "cpu")
+        if architecture not in ("cpu", "cuda"):
+            raise InputError("environment", "DOO_TI_ARCHITECTURE", f"{architecture!r} is unknown", "give cpu or cuda")
         import taichi as ti
 
         count = {} if threads is None else {"cpu_max_num_threads": threads}

@@ -88,17 +88,25 @@ def spin_derivatives(b, moment, omega, inverse_length):
 
 
 @ti.func
+def _pull(moment, m1, m2):
+    """moment_1 m2 − moment_2 m1: the derivative of one frame's bend energy with respect to κb."""
+    return (
+        moment[0] * m2[0] - moment[1] * m1[0],
+        moment[0] * m2[1] - moment[1] * m1[1],
+        moment[0] * m2[2] - moment[1] * m1[2],
+    )
+
+
+@ti.func
 def bend_force(moment_left, moment_right, m1_left, m2_left, m1_right, m2_right, kb, bottom, before, after):
     """Derivatives of a vertex' bend energy with respect to the edge before and the edge after, twist angles held.
 
     With P = Σ_frames (moment_1 m2 − moment_2 m1), δE = P·δκb; the frames' own motion adds nothing, κb being
     perpendicular to both tangents.
     """
-    p = (
-        moment_left[0] * m2_left[0] - moment_left[1] * m1_left[0] + moment_right[0] * m2_right[0] - moment_right[1] * m1_right[0],
-        moment_left[0] * m2_left[1] - moment_left[1] * m1_left[1] + moment_right[0] * m2_right[1] - moment_right[1] * m1_right[1],
-        moment_left[0] * m2_left[2] - moment_left[1] * m1_left[2] + moment_right[0] * m2_right[2] - moment_right[1] * m1_right[2],
-    )
+    left = _pull(moment_left, m1_left, m2_left)
+    right = _pull(moment_right, m1_right, m2_right)
+    p = (left[0] + right[0], left[1] + right[1], left[2] + right[2])
     scale = 1.0 / bottom
     along = dot(kb, p) * scale
     a = cross(after, p)

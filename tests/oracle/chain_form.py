@@ -41,7 +41,7 @@ class Rod:
 
 
 def rod_of(configuration: Configuration, material: Material, index=0, material_index=None, up=(0.0, 0.0, 1.0)) -> Rod:
-    """Row ``index`` of a configuration table with row ``material_index`` (else the same or the only one) of materials."""
+    """Row ``index`` of a configuration table with row ``material_index`` (by default the same, or the only one)."""
     row = (index if material.count > 1 else 0) if material_index is None else material_index
     edges, lengths = configuration.edges, configuration.rest_length
     rest = np.zeros((1, 2)) if material.rest_curvature is None else material.rest_curvature[row]
@@ -51,7 +51,7 @@ def rod_of(configuration: Configuration, material: Material, index=0, material_i
         twist=np.broadcast_to(material.twist[row], (edges - 1,)),
         weight=float(material.weight[row]),
         rest_curvature=np.broadcast_to(rest, (edges - 1, 2)),
-        up=np.asarray(up, dtype=np.float64),
+        up=np.asarray(up, dtype=np.float64) / np.linalg.norm(up),
     )
 
 

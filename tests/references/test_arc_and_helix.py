@@ -18,7 +18,7 @@ EDGES, LENGTH, ALPHA, BETA = 24, 3.0, 6e5, 4e5
 
 
 def uniform_rod(bend_angle: float, twist_angle: float) -> Configuration:
-    """Each joint: half the twist, the bend about m2, the other half, so that m = ``twist_angle``, φ = ``bend_angle``."""
+    """Each joint turns by half the twist, the bend about m2, half the twist: m is the twist and φ the bend angle."""
     half = Rotation.from_rotvec([twist_angle / 2, 0, 0])
     joint = half * Rotation.from_rotvec([0, 0, bend_angle]) * half
     frames = [Rotation.from_rotvec([0.3, -0.4, 0.2])]
