@@ -45,13 +45,14 @@ GENERAL_ITEMS = 43
 def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
     """The sweeps as Taichi functions for one kind of number and of material.
 
-    Ends are described by ``free = (spin_start, tilt_start, spin_end, tilt_end)``: one where that rotation of the first or
-    last edge is unknown, zero where it is clamped. ``closed`` is one where the far point is fixed. ``material`` is
-    (α, β) for isotropic rods and unused otherwise; ``gravity`` is μ times the unit vector up, ``released`` one where
-    vertex 0 is free and the far end holds the rod.
+    ``free = (spin_start, tilt_start, spin_end, tilt_end, tilt_inner)`` is one where that rotation of the first edge, of
+    the last or of those between is unknown, zero where it is held. ``closed`` is one where the far point is fixed.
+    ``material`` is (α, β) for isotropic rods and unused otherwise; ``gravity`` is μ times the unit vector up,
+    ``released`` one where vertex 0 is free and the far end holds the rod.
     """
     twist_angle = twist_angle_function(number)
     items = ISOTROPIC_ITEMS if isotropic else GENERAL_ITEMS
+    largest = number.lanes()[0]
 
     @ti.func
     def load3(scratch: ti.template(), at):
@@ -112,7 +113,7 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
     @ti.func
     def tilt_of(edge, edges, free):
         """One where the edge may tilt."""
-        tilt = 0.0 * free[1] + 1.0
+        tilt = free[4]
         if edge == 0:
             tilt = free[1]
         if edge == edges - 1:
@@ -238,11 +239,12 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
             scratch[at + k * stride] = ti.select(accepted > 0.5, scratch[at + (TRIAL + k) * stride], old)
 
     @ti.func
-    def eliminate(scratch: ti.template(), origin, edges, accepted, shift, noise, multiplier, miss, material, gravity,
+    def eliminate(scratch: ti.template(), origin, edges, accepted, shift, noise, echo, multiplier, miss, material, gravity,
                   closed, free, total, released):
         """Take the accepted trial frames, assemble H + shift and eliminate it from the first edge to the last.
 
-        ``noise`` scales a fixed perturbation of the right-hand side (zero but when a saddle is to be left). Returns the
+        To find the way off a saddle, ``noise`` adds a fixed perturbation to the right-hand side and ``echo`` that many times
+        the last step: inverse iterations towards the softest direction; both are zero otherwise. Returns the
         largest moment on a free edge |g + Aλ|, the largest diagonal entry of H, δλ, and the inertia: negative pivots plus
         positive eigenvalues of the Schur complement, three at a minimum (or saddle-free step).
         """
@@ -261,6 +263,7 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
         remaining = total
         at = origin
         take(scratch, at, accepted)
+        some_taut = largest(1.0 - free[4]) > 0.5
         for e in range(edges):
             q = load4(scratch, at)
             t = tangent(q)
@@ -268,8 +271,8 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
             m2 = second_director(q)
             length = scratch[at + LENGTH * stride]
             remaining = remaining - length
-            w = hanging_weight(length, remaining, total, released)
-            c = (gravity[0] * w + multiplier[0], gravity[1] * w + multiplier[1], gravity[2] * w + multiplier[2])
+            hang = hanging_weight(length, remaining, total, released)
+            c = (gravity[0] * hang + multiplier[0], gravity[1] * hang + multiplier[1], gravity[2] * hang + multiplier[2])
             l1, l2 = linear_gradient(c, length, m1, m2)
             lh = linear_hessian(c, length, t, m1, m2)
             g1, g2 = (g1 + l1, g2 + l2)
@@ -292,21 +295,22 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
             a0, a1, a2 = (0.0 - a0, 0.0 - a1, 0.0 - a2)
             a3, a4, a5 = (0.0 - keep * m2[0] - a3, 0.0 - keep * m2[1] - a4, 0.0 - keep * m2[2] - a5)
             a6, a7, a8 = (keep * m1[0] - a6, keep * m1[1] - a7, keep * m1[2] - a8)
-            b0 = noise * ((5 * e + 2) % 7 - 2.5) - g0 - r0
-            b1 = noise * ((3 * e + 1) % 7 - 2.5) - g1 - r1
-            b2 = noise * ((4 * e + 3) % 7 - 2.5) - g2 - r2
+            w = load3(scratch, at + ROTATION * stride)
+            b0 = echo * w[0] + noise * ((5 * e + 2) % 7 - 2.5) - g0 - r0
+            b1 = echo * w[1] + noise * ((3 * e + 1) % 7 - 2.5) - g1 - r1
+            b2 = echo * w[2] + noise * ((4 * e + 3) % 7 - 2.5) - g2 - r2
             d0, d1, d2 = (h0 + shift - e0, h1 - e1, h2 - e2)
             d3, d4, d5 = (h3 + shift - e3, h4 - e4, h5 + shift - e5)
-            if e == 0 or e >= edges - 2:
-                # Clamped rotations: rows and columns of the identity, so that they stay zero and add no negative pivot.
+            if e == 0 or e >= edges - 2 or some_taut:
+                # Held rotations: rows and columns of the identity, so that they stay zero and add no negative pivot.
                 spin = one
-                tilt = one
+                tilt = free[4]
                 if e == 0:
                     spin, tilt = (free[0], free[1])
                 if e == edges - 1:
                     spin, tilt = (free[2], free[3])
                 spin_after = one
-                tilt_after = one
+                tilt_after = free[4]
                 if e == edges - 2:
                     spin_after, tilt_after = (free[2], free[3])
                 g0, g1, g2 = (spin * g0, tilt * g1, tilt * g2)

@@ -26,6 +26,7 @@ from doo_ti.tables import (
     STABLE,
     STATUS,
     TILT_END,
+    TILT_INNER,
     TILT_START,
 )
 from doo_ti.types import Status
@@ -83,7 +84,7 @@ def descent_kernel(number: Number, stride: int, block: int):
         weight: table1,  # [material]
         rods: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [rod, (configuration, material, row of the results)]
         divisor: table1,  # [rod] of the scaled residual
-        up: ti.math.vec3,
+        up: ti.types.vector(3, ti.f64),
         tolerance: ti.f64,
         max_iterations: ti.i32,
         largest_move: ti.f64,
@@ -102,7 +103,7 @@ def descent_kernel(number: Number, stride: int, block: int):
             origin = thread * origin_stride
             zero = constant(0.0)
             one = constant(1.0)
-            held_first, held_second, held_inner, held_last = (zero, zero, zero, zero)
+            held_first, held_second, held_inner, held_last, taut = (zero, zero, zero, zero, zero)
             spin_start, spin_end, length, scale, limit_move = (zero, zero, one, one, one)
             gravity0, gravity1, gravity2 = (zero, zero, zero)
             energy, lowest, mean, count, step, residual, best = (zero, zero, zero, zero, zero, zero, one)
@@ -148,6 +149,7 @@ def descent_kernel(number: Number, stride: int, block: int):
                                 held_second = with_lane(held_second, slot, start_held * (1.0 - clamp[s, TILT_START]))
                                 held_inner = with_lane(held_inner, slot, end_held * (1.0 - clamp[s, TILT_END]))
                                 held_last = with_lane(held_last, slot, end_held)
+                                taut = with_lane(taut, slot, 1.0 - clamp[s, TILT_INNER])
                                 spin_start = with_lane(spin_start, slot, clamp[s, SPIN_START])
                                 spin_end = with_lane(spin_end, slot, clamp[s, SPIN_END])
                                 gravity0 = with_lane(gravity0, slot, weight[g] * up[0])
@@ -167,7 +169,7 @@ def descent_kernel(number: Number, stride: int, block: int):
                 if largest(active) < 0.5:
                     running = 0
                 else:
-                    held = (held_first, held_second, held_inner, held_last)
+                    held = (held_first, held_second, held_inner, held_last, taut)
                     sweep.move(scratch, origin, edges, step, held)
                     sweep.minimise_twist(scratch, origin, edges, spin_start, spin_end)
                     new_energy, magnitude, spin = sweep.evaluate(

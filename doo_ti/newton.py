@@ -27,6 +27,7 @@ from doo_ti.tables import (
     STATUS,
     TARGET,
     TILT_END,
+    TILT_INNER,
     TILT_START,
 )
 from doo_ti.types import Status
@@ -72,6 +73,7 @@ SHIFT_REJECTED = 1e-5
 SHIFT_NEGLIGIBLE = 1e-6
 CLOSING_DISTANCE = 0.1  # edge lengths: above it a step only projects
 ESCAPE_ROTATION = 0.1  # rad
+ESCAPE_ROUNDS = 3.0  # inverse iterations before the first leap off a saddle
 PATIENCE = 25  # trips without progress
 
 
@@ -166,7 +168,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
         rest: table3,  # [material, 1 or inner vertex, 2] 1/mm
         weight: table1,  # [material]
         rods: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [rod, (configuration, material, row of the results)]
-        up: ti.math.vec3,
+        up: ti.types.vector(3, ti.f64),
         tolerance: ti.f64,
         max_iterations: ti.i32,
         first_shift: ti.f64,
@@ -189,7 +191,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
             one = constant(1.0)
             # What is asked of the lane's rod.
             target0, target1, target2, closed = (zero, zero, zero, zero)
-            spin_start, tilt_start, spin_end, tilt_end = (zero, zero, zero, zero)
+            spin_start, tilt_start, spin_end, tilt_end, tilt_inner = (zero, zero, zero, zero, zero)
             released, total, edge, divisor = (zero, one, one, one)
             alpha, beta = (one, one)
             gravity0, gravity1, gravity2 = (zero, zero, zero)
@@ -198,8 +200,8 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
             miss0, miss1, miss2 = (zero, zero, zero)
             lambda0, lambda1, lambda2 = (zero, zero, zero)
             shift, scale, step_scale = (zero, one, zero)
-            residual, best, idle_trips, trips, rejects = (zero, zero, zero, zero, zero)
-            fresh, trying, closing, escaping, escapes = (zero, zero, zero, zero, zero)
+            residual, longest, best, idle_trips, trips, rejects = (zero, one, zero, zero, zero, zero)
+            fresh, trying, closing, escaping, escapes, rounds = (zero, zero, zero, zero, zero, zero)
             status, stable = (zero, zero)
             active, finished = (zero, one)
             running = 1
@@ -245,6 +247,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                                 tilt_start = with_lane(tilt_start, slot, clamp[s, TILT_START])
                                 spin_end = with_lane(spin_end, slot, clamp[s, SPIN_END])
                                 tilt_end = with_lane(tilt_end, slot, clamp[s, TILT_END])
+                                tilt_inner = with_lane(tilt_inner, slot, clamp[s, TILT_INNER])
                                 released = with_lane(released, slot, clamp[s, RELEASED])
                                 alpha = with_lane(alpha, slot, bend[g, 0, 0])
                                 beta = with_lane(beta, slot, twist[g, 0])
@@ -265,7 +268,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                 if largest(active) < 0.5:
                     running = 0
                 else:
-                    free = (spin_start, tilt_start, spin_end, tilt_end)
+                    free = (spin_start, tilt_start, spin_end, tilt_end, tilt_inner)
                     target = (target0, target1, target2)
                     gravity = (gravity0, gravity1, gravity2)
                     material = (alpha, beta)
@@ -292,13 +295,16 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                     lambda2 = ti.select(accepted > 0.5, new_multiplier[2], lambda2)
                     smaller = ti.select(0.25 * shift > SHIFT_NEGLIGIBLE * scale, 0.25 * shift, zero)
                     shift = ti.select(downhill, smaller, shift)
-                    shift = ti.select(uphill > 0.5, ti.max(4.0 * shift, SHIFT_REJECTED * scale), shift)
+                    stiffer = (uphill > 0.5) & (escaping < 0.5)
+                    shift = ti.select(stiffer, ti.max(4.0 * shift, SHIFT_REJECTED * scale), shift)
                     rejects = ti.select(downhill, zero, rejects + uphill)
                     escaping = ti.select(downhill, zero, escaping)
                     broken = ti.select((fresh > 0.5) & (accepted < 0.5), one, zero)
-                    # Factorise at the frames that stand.
+                    # Factorise at the frames that stand. Off a saddle: once with noise, then on what came of it.
+                    noise = ti.select((escaping > 0.5) & (rounds < 0.5), 1e-3 * scale, zero)
+                    echo = ti.select((escaping > 0.5) & (rounds > 0.5), scale / (longest + 1e-30), zero)
                     moment, scale, change, inertia = sweep.eliminate(
-                        scratch, origin, edges, accepted, shift, escaping * 1e-3 * scale, (lambda0, lambda1, lambda2),
+                        scratch, origin, edges, accepted, shift, noise, echo, (lambda0, lambda1, lambda2),
                         (miss0, miss1, miss2), material, gravity, closed, free, total, released)
                     longest = sweep.substitute(scratch, origin, edges, change)
                     residual = moment / divisor
@@ -318,13 +324,16 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                     escaping = ti.select(leaving, one, escaping)
                     escapes = ti.select(leaving, escapes + 1.0, escapes)
                     closing = ti.select(gap > ti.cast(closing_distance, scalar) * edge, one, zero)
-                    held = ti.select(certify | leaving | wrong | (closing > 0.5), one, zero)
+                    rounds = ti.select((escaping > 0.5) & right & ~leaving, rounds + 1.0, rounds)
+                    rounds = ti.select(leaving, zero, rounds)
+                    searching = (escaping > 0.5) & (rounds <= ESCAPE_ROUNDS)
+                    held = ti.select(certify | leaving | wrong | searching | (closing > 0.5), one, zero)
                     trying = 1.0 - held
                     floor = ti.select(escaping > 0.5, SHIFT_NEGLIGIBLE * scale, SHIFT_WRONG_INERTIA * scale)
                     shift = ti.select(wrong & (closing < 0.5), ti.max(4.0 * shift, floor), shift)
                     shift = ti.select(certify, zero, shift)
                     cap = ti.min(one, ti.cast(max_rotation, scalar) / (longest + 1e-30))
-                    leap = ESCAPE_ROTATION / ((1.0 + rejects) * (longest + 1e-30))
+                    leap = ESCAPE_ROTATION / ((1.0 + rejects) * (1.0 + rejects) * (longest + 1e-30))
                     step_scale = ti.select(trying > 0.5, ti.select(escaping > 0.5, leap, cap), zero)
                     progress = gained | leaving | (closing > 0.5) | (residual < 0.7 * best)
                     idle_trips = ti.select(progress, zero, idle_trips + 1.0)

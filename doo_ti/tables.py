@@ -19,10 +19,14 @@ from doo_ti.frames import (
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 
 # Columns of a clamp: the far point from vertex 0, and flags that are one or zero (see doo_ti.chain).
-TARGET, CLOSED, SPIN_START, TILT_START, SPIN_END, TILT_END, RELEASED, CLAMP_COLUMNS = 0, 3, 4, 5, 6, 7, 8, 9
+TARGET, CLOSED, SPIN_START, TILT_START, SPIN_END, TILT_END, TILT_INNER, RELEASED, CLAMP_COLUMNS = 0, 3, 4, 5, 6, 7, 8, 9, 10
 
 # Columns of a rod's results.
 ENERGY, RESIDUAL, CLOSURE, ITERATIONS, STATUS, STABLE, RESULTS = 0, 1, 2, 3, 4, 5, 6
+
+
+TAUT = 1e-9
+"""A rod whose slack is less than this share of its length is straight."""
 
 
 @dataclass(frozen=True)
@@ -122,6 +126,7 @@ def tables(
     quaternions = _impose(configuration.quaternions, start_kind, end_kind, clamps)
     clamp, feasible, anchor = _clamp_table(configuration.start, quaternions, lengths, start_kind, end_kind, clamps)
     quaternions = _bowed(quaternions, lengths, clamp, feasible, up)
+    quaternions = _stretched(quaternions, lengths, clamp, feasible)
     bend = np.stack([material.bend[..., 0, 0], material.bend[..., 1, 1], material.bend[..., 0, 1]], axis=-1)
     good = np.flatnonzero(feasible[index_c])
     rods = np.stack([index_c[good], index_m[good], good], axis=-1).astype(np.int32)
@@ -203,6 +208,29 @@ def _bowed(quaternions, lengths, clamp, feasible, up) -> np.ndarray:
     return result
 
 
+def _stretched(quaternions, lengths, clamp, feasible) -> np.ndarray:
+    """Rods as long as their span: the one straight line they can be, with nothing left to relax but the spins.
+
+    Their clamps are changed to say so; the turns of their frames are kept by parallel transport.
+    """
+    tilting = np.ones(quaternions.shape[:2])
+    tilting[:, 0], tilting[:, -1] = clamp[:, TILT_START], clamp[:, TILT_END]
+    matrix = matrix_from_quaternion(quaternions)
+    fixed = (lengths * (1 - tilting))[..., None] * matrix[..., 0]
+    line = clamp[:, TARGET : TARGET + 3] - fixed.sum(axis=1)
+    span, reach = np.linalg.norm(line, axis=-1), (lengths * tilting).sum(axis=1)
+    rows = np.flatnonzero(feasible & (clamp[:, CLOSED] > 0) & (span > reach * (1 - TAUT)))
+    if not len(rows):
+        return quaternions
+    direction = (line[rows] / span[rows, None])[:, None]
+    turn = smallest_rotation(matrix[rows, :, :, 0], np.broadcast_to(direction, (len(rows), *quaternions.shape[1:2], 3)))
+    result = quaternions.copy()
+    straight = quaternion_product(turn, quaternions[rows])
+    result[rows] = np.where(tilting[rows, :, None] > 0, straight, quaternions[rows])
+    clamp[rows[:, None], [CLOSED, TILT_START, TILT_END, TILT_INNER]] = 0.0
+    return result
+
+
 def _clamp_table(start, quaternions, lengths, start_kind, end_kind, clamps):
     """(clamp table, feasible (S,), anchor (S, 3)): see :class:`Tables`. Infeasible: what is left of the span, clamped edges
     taken off, exceeds the sum of the free rest lengths."""
@@ -219,6 +247,7 @@ def _clamp_table(start, quaternions, lengths, start_kind, end_kind, clamps):
     table[:, TILT_START] = start_kind < Clamp.TANGENT
     table[:, SPIN_END] = end_kind < Clamp.FRAME
     table[:, TILT_END] = end_kind < Clamp.TANGENT
+    table[:, TILT_INNER] = 1.0
     table[:, RELEASED] = ~held_start & held_end
     tilting = np.ones((count, edges), dtype=bool)
     tilting[:, 0], tilting[:, -1] = start_kind < Clamp.TANGENT, end_kind < Clamp.TANGENT

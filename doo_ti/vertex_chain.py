@@ -34,7 +34,7 @@ PROJECTION_ROUNDS = 2
 def vertex_sweeps(number, stride: int) -> SimpleNamespace:
     """The sweeps as Taichi functions for one kind of number; materials are always general.
 
-    ``held`` = (vertex 0, vertex 1, vertex E−1, vertex E) is one where a clamp holds the vertex; ``spin_start`` and
+    ``held`` = (vertex 0, vertex 1, vertex E−1, vertex E, all) is one where the vertex is held; ``spin_start`` and
     ``spin_end`` are one where the first and last frame may spin.
     """
     signed_angle = signed_angle_function(number)
@@ -60,12 +60,12 @@ def vertex_sweeps(number, stride: int) -> SimpleNamespace:
 
     @ti.func
     def mobility(vertex, edges, held):
-        """One where the vertex may move. ``held`` = (vertex 0, vertex 1, vertex E−1, vertex E) held."""
-        free = 0.0 * held[0] + 1.0
+        """One where the vertex may move."""
+        free = 1.0 - held[4]
         if vertex == 0:
-            free = free - held[0]
+            free = free * (1.0 - held[0])
         if vertex == 1:
-            free = free - held[1]
+            free = free * (1.0 - held[1])
         if vertex == edges - 1:
             free = free * (1.0 - held[2])
         if vertex == edges:

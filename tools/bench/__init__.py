@@ -1,0 +1,1 @@
+"""Benchmarks: workloads, the clock, and what they are compared with."""
