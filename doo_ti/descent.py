@@ -201,7 +201,7 @@ def descent_kernel(number: Number, stride: int, block: int):
                     first = 0.05 * limit_move / (top + 1e-30)
                     chosen = ti.select(fresh > 0.5, first, longer)
                     step = ti.select(accepted > 0.5, ti.min(chosen, limit_move / (top + 1e-30)), 0.25 * step)
-                    lost = ((fresh > 0.5) & (accepted < 0.5)) | (residual != residual)
+                    lost = ((fresh > 0.5) & (accepted < 0.5)) | ~(residual == residual)
                     progress = (residual < 0.9 * best) | (energy < lowest - 1e-7 * magnitude)
                     lowest = ti.select(progress, energy, lowest)
                     best = ti.select(progress, ti.min(best, residual), best)

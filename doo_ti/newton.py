@@ -343,7 +343,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                     ended = at_minimum | resting
                     late = trips >= ti.cast(max_iterations, scalar)
                     stuck = idle_trips > PATIENCE
-                    lost = (broken > 0.5) | (residual != residual)
+                    lost = (broken > 0.5) | ~(residual == residual)
                     status = ti.select(stuck, constant(stalled), constant(limit))
                     status = ti.select(lost, constant(not_finite), status)
                     status = ti.select(ended, constant(converged), status)

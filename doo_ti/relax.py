@@ -37,7 +37,8 @@ def relax(
     material               table with G rows
     solver                 ``Newton()`` (default), ``Newton.careful()`` or the paper's ``Descent()``
     up                     (3,) direction against gravity
-    precision              "f64", "f32", or "mixed": f32 first, then f64 from there to the f64 tolerance
+    precision              "f64"; "f32", where f64 takes over only rods that f32 could not finish; or "mixed": f32 first,
+                           then f64 from there to the f64 tolerance for all. ``Solution.precision`` says which ended a rod
     configuration_index,   (R,) rows of the tables that make up each rod; without them rows are paired one to one and a
     material_index         single row goes with every row of the other table
 
@@ -61,17 +62,24 @@ def relax(
 
 
 def _newton(table: Tables, up: np.ndarray, solver: Newton, precision: str):
-    """One or two rungs of the precision ladder: (frames, results, bits per rod)."""
-    if precision != "mixed":
-        bits = 32 if precision == "f32" else 64
-        frames, results = batch.run_newton(table, up, solver, bits)
-        return frames, results, np.full(len(results), bits)
-    frames, coarse = batch.run_newton(table, up, replace(solver, tolerance=None), 32)
-    usable = np.isin(coarse[:, STATUS], (Status.CONVERGED, Status.STALLED))
-    restart = table.restarted(frames, usable)
-    frames, results = batch.run_newton(restart, up, replace(solver, first_shift=0.0), 64)
-    results[:, ITERATIONS] += coarse[:, ITERATIONS]
-    return frames, results, np.full(len(results), 64)
+    """The precision ladder: (frames, results, bits per rod)."""
+    if precision == "f64":
+        frames, results = batch.run_newton(table, up, solver, 64)
+        return frames, results, np.full(len(results), 64)
+    coarse = solver if precision == "f32" else replace(solver, tolerance=None)
+    frames, results = batch.run_newton(table, up, coarse, 32)
+    bits = np.full(len(results), 32)
+    feasible = ~np.isnan(results[:, STATUS])
+    short = (results[:, STATUS] != Status.CONVERGED) | (results[:, STABLE] == 0)
+    rows = np.flatnonzero(feasible & (short | (precision == "mixed")))
+    if len(rows):
+        usable = np.isin(results[:, STATUS], (Status.CONVERGED, Status.STALLED))
+        fine = replace(solver, first_shift=0.0)
+        finer, again = batch.run_newton(table.restarted(frames, usable, rows), up, fine, 64)
+        again[:, ITERATIONS] += results[rows, ITERATIONS]
+        frames = finer if len(rows) == len(frames) else frames.astype(np.float64)
+        frames[rows], results[rows], bits[rows] = finer, again, 64
+    return frames, results, bits
 
 
 def _solution(table: Tables, up: np.ndarray, frames: np.ndarray, results: np.ndarray, bits: np.ndarray) -> Solution:

@@ -67,12 +67,15 @@ class Tables:
     def released(self) -> np.ndarray:
         return self.clamp[:, RELEASED] > 0
 
-    def restarted(self, frames: np.ndarray, usable: np.ndarray) -> "Tables":
-        """The same rods, each from ``frames`` (R, E, 4) where ``usable`` (R,), else from its old start; clamps exact."""
-        old = self.start[self.configuration_index]
-        start = np.where(usable[:, None, None], frames, old).astype(np.float64)
+    def restarted(self, frames: np.ndarray, usable: np.ndarray, rows: np.ndarray | slice = slice(None)) -> "Tables":
+        """The rods ``rows``, each from ``frames`` (R, E, 4) where ``usable`` (R,), else from its old start; clamps exact.
+
+        ``frames`` and ``usable`` are those of all rods.
+        """
+        of_start, of_material = self.configuration_index[rows], self.material_index[rows]
+        old, clamp = self.start[of_start], self.clamp[of_start]
+        start = np.where(usable[rows, None, None], frames[rows], old).astype(np.float64)
         start /= np.linalg.norm(start, axis=-1, keepdims=True)
-        clamp = self.clamp[self.configuration_index]
         for edge, spin, tilt in ((0, SPIN_START, TILT_START), (-1, SPIN_END, TILT_END)):
             turn = smallest_rotation(
                 matrix_from_quaternion(start[:, edge])[..., 0], matrix_from_quaternion(old[:, edge])[..., 0]
@@ -80,17 +83,19 @@ class Tables:
             tangent_held = quaternion_product(turn, start[:, edge])
             held = np.where(clamp[:, spin, None] > 0, tangent_held, old[:, edge])
             start[:, edge] = np.where(clamp[:, tilt, None] > 0, start[:, edge], held)
-        rows = np.arange(len(old))
+        feasible = self.feasible[of_start]
+        numbers = np.arange(len(of_start))
         lengths = self.rest_length
         return replace(
             self,
             start=np.ascontiguousarray(start),
-            rest_length=lengths if len(lengths) == 1 else np.ascontiguousarray(lengths[self.configuration_index]),
+            rest_length=lengths if len(lengths) == 1 else np.ascontiguousarray(lengths[of_start]),
             clamp=np.ascontiguousarray(clamp),
-            rods=np.ascontiguousarray(np.stack([rows, self.material_index, rows], axis=-1)[self.rods[:, 2]].astype(np.int32)),
-            feasible=self.feasible[self.configuration_index],
-            anchor=self.anchor[self.configuration_index],
-            configuration_index=rows,
+            rods=np.ascontiguousarray(np.stack([numbers, of_material, numbers], axis=-1)[feasible].astype(np.int32)),
+            feasible=feasible,
+            anchor=self.anchor[of_start],
+            configuration_index=numbers,
+            material_index=of_material,
         )
 
 

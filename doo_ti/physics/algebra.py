@@ -19,8 +19,17 @@ def absolute(a):
 
 
 @ti.func
+def larger(a, b):
+    """The larger of two numbers; not a number as soon as either is not, which ti.max would pass over.
+
+    (Taichi's ``a != a`` is false for what is not a number, as every comparison with it is.)
+    """
+    return ti.select((b <= a) | ~(a == a), a, b)
+
+
+@ti.func
 def largest_component(a):
-    return ti.max(absolute(a[0]), ti.max(absolute(a[1]), absolute(a[2])))
+    return larger(absolute(a[0]), larger(absolute(a[1]), absolute(a[2])))
 
 
 @ti.func
@@ -82,12 +91,6 @@ def backward(f, y):
 def weighted(f, a, b):
     """aᵀ D⁻¹ b."""
     return a[0] * f[0] * b[0] + a[1] * f[1] * b[1] + a[2] * f[2] * b[2]
-
-
-@ti.func
-def larger(a, b):
-    """The larger of two numbers; not a number if the second is not one."""
-    return ti.select(b <= a, a, b)
 
 
 @ti.func

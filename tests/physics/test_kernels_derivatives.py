@@ -1,0 +1,405 @@
+"""Closed-form derivatives of every energy term, on packs of lanes as the kernels run them, against hyper-dual numbers.
+
+Hard places: twist next to ±π, joints of 1.5 to 3 rad, B with an off-diagonal that differs on the two edges, rest curvature.
+"""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import taichi as ti
+from scipy.spatial.transform import Rotation
+
+from doo_ti import runtime
+from doo_ti.physics import closure, pair, quaternion, vertex_form
+from doo_ti.physics.angle import twist_angle_function
+from doo_ti.physics.number import Number
+from tests.oracle import algebra as oracle
+from tests.oracle.pair import linear_gradient_hessian, pair_energy, pair_gradient_hessian
+from tests.oracle.vertex_form import curvature_binormal, material_curvature
+
+NUMBERS = [Number(width, bits) for bits in (32, 64) for width in (1, 8, 16)]
+ROWS = 48  # a multiple of every width
+SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+STEP = 1e-100  # of the complex step
+
+every_number = pytest.mark.parametrize("number", NUMBERS, ids=lambda number: f"{number.width} x f{number.bits}")
+table = ti.types.ndarray(dtype=ti.f64, ndim=2)
+
+
+def columns_kernel(number: Number, inputs: int, outputs: int, function):
+    """A kernel that applies ``function``, from a tuple of ``inputs`` numbers to a tuple of ``outputs``, to its rows."""
+    largest, lane, with_lane, constant, put = number.lanes()
+    width = number.width
+    pack = ti.types.ndarray(dtype=number.type, ndim=1)
+
+    @ti.kernel
+    def apply(source: table, scratch: pack, result: table):
+        for _ in range(1):
+            for group in range(source.shape[0] // width):
+                for k in range(inputs):
+                    for l in range(width):
+                        put(scratch, k, l, source[group * width + l, k])
+                values = function(scratch)
+                for k in ti.static(range(outputs)):
+                    scratch[k] = values[k]
+                for k in range(outputs):
+                    for l in range(width):
+                        result[group * width + l, k] = lane(scratch[k], l)
+
+    def run(values: np.ndarray) -> np.ndarray:
+        result = np.zeros((len(values), outputs))
+        apply(np.ascontiguousarray(values), ti.ndarray(number.type, max(inputs, outputs)), result)
+        return result
+
+    return run
+
+
+@cache
+def pair_kernel(number: Number, isotropic: bool):
+    """Rows of (p, q, stiffness) to rows of (energy, 6 gradient entries, 6 + 6 + 9 Hessian entries)."""
+    twist_angle = twist_angle_function(number)
+
+    @ti.func
+    def function(v: ti.template()):
+        x, y, inverse, turn, relative, root = pair.curvature((v[0], v[1], v[2], v[3]), (v[4], v[5], v[6], v[7]))
+        m = twist_angle(relative, root)
+        if ti.static(isotropic):
+            s = (v[8], v[9])
+            left, right = pair.isotropic_gradient(x, y, inverse, m, s)
+            h_left, h_right, h_across = pair.isotropic_hessian(x, y, inverse, turn, m, s)
+            return (pair.isotropic_energy(x, m, s),) + left + right + h_left + h_right + h_across
+        else:
+            s = ((v[8], v[9], v[10]), (v[11], v[12], v[13]), v[14], v[15], (v[16], v[17]))
+            left, right = pair.general_gradient(x, y, inverse, turn, m, s)
+            h_left, h_right, h_across = pair.general_hessian(x, y, inverse, turn, m, s)
+            return (pair.general_energy(x, y, m, s),) + left + right + h_left + h_right + h_across
+
+    return columns_kernel(number, 10 if isotropic else 18, 28, function)
+
+
+def joints(rng, where: str) -> tuple[np.ndarray, np.ndarray]:
+    """(ROWS, 4) frames on both sides of joints; quaternions of either sign."""
+    bend, twist = {
+        "lab": (rng.uniform(0, 0.3, ROWS), rng.uniform(-0.3, 0.3, ROWS)),
+        "1.5 to 3 rad": (rng.uniform(1.5, 3.0, ROWS), rng.uniform(-2, 2, ROWS)),
+        "twist next to ±π": (rng.uniform(0, 1, ROWS), rng.choice([-1, 1], ROWS) * (np.pi - 10 ** -rng.uniform(1, 6, ROWS))),
+    }[where]
+    azimuth = rng.uniform(-np.pi, np.pi, ROWS)
+    across = np.stack([0 * azimuth, np.cos(azimuth), np.sin(azimuth)], axis=1)
+    first = Rotation.random(ROWS, random_state=rng)
+    spin = Rotation.from_rotvec(twist[:, None] * [1.0, 0.0, 0.0])
+    second = first * Rotation.from_rotvec(bend[:, None] * across) * spin
+    signs = rng.choice([-1.0, 1.0], (2, ROWS, 1))
+    return signs[0] * first.as_quat(scalar_first=True), signs[1] * second.as_quat(scalar_first=True)
+
+
+def definite(rng, *shape) -> np.ndarray:
+    """(*shape, 2, 2) symmetric positive definite B with off-diagonals."""
+    root = 500 * rng.normal(size=(*shape, 2, 2))
+    return root @ np.swapaxes(root, -1, -2) + 1e4 * np.eye(2)
+
+
+def general_stiffness(bend, twist, rest, total) -> np.ndarray:
+    """(ROWS, 10) columns of the general stiffness tuple."""
+    entries = [bend[side][:, a, b] for side in (0, 1) for a, b in ((0, 0), (1, 1), (0, 1))]
+    return np.column_stack([*entries, 1 / total, twist / total, 0.5 * total[:, None] * rest])
+
+
+def unpacked(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Energy (n,), gradient (n, 6) and Hessian (n, 6, 6)."""
+    hessian = np.empty((len(rows), 6, 6))
+    hessian[:, :3, :3], hessian[:, 3:, 3:] = rows[:, 7:13][:, SYMMETRIC], rows[:, 13:19][:, SYMMETRIC]
+    hessian[:, :3, 3:] = rows[:, 19:].reshape(-1, 3, 3)
+    hessian[:, 3:, :3] = np.swapaxes(hessian[:, :3, 3:], 1, 2)
+    return rows[:, 0], rows[:, 1:7], hessian
+
+
+def relative_error(value: np.ndarray, expected: np.ndarray) -> float:
+    """Largest error of a row over its largest entry."""
+    axes = tuple(range(1, expected.ndim))
+    return float((np.abs(value - expected).max(axis=axes) / np.abs(expected).max(axis=axes)).max())
+
+
+WHERE = ["lab", "1.5 to 3 rad", "twist next to ±π"]
+
+
+@every_number
+@pytest.mark.parametrize("kind", ["isotropic", "general"])
+def test_pair_on_packs_is_the_oracles(rng, kind, number):
+    """To 1e-13 of the largest entry in f64; in f32 to its rounding, the frames being rounded too."""
+    runtime.start()
+    fill = pair_kernel(number, kind == "isotropic")
+    for where in WHERE:
+        q0, q1 = joints(rng, where)
+        lengths, twist = rng.uniform(1, 5, (2, ROWS)), rng.uniform(1e4, 1e6, ROWS)
+        total, alpha = lengths.sum(axis=0), rng.uniform(1e4, 1e6, ROWS)
+        if kind == "isotropic":
+            bend, rest = np.broadcast_to(alpha[:, None, None] * np.eye(2), (2, ROWS, 2, 2)), np.zeros((ROWS, 2))
+            stiffness = np.column_stack([alpha / total, twist / total])
+        else:
+            bend, rest = definite(rng, 2, ROWS), 0.05 * rng.normal(size=(ROWS, 2))
+            stiffness = general_stiffness(bend, twist, rest, total)
+        energy, gradient, hessian = unpacked(fill(np.hstack([q0, q1, stiffness])))
+        arguments = (q0, q1, *lengths, *bend, twist, rest)
+        expected = pair_gradient_hessian(*arguments)
+        errors = [np.abs(energy / pair_energy(*arguments) - 1).max(),
+                  relative_error(gradient, expected[0]), relative_error(hessian, expected[1])]
+        print(f"{kind}, {where}, {number}: energy {errors[0]:.1e}, gradient {errors[1]:.1e}, Hessian {errors[2]:.1e}")
+        assert max(errors) < (1e-13 if number.bits == 64 else 1e-5)
+
+
+def test_packs_are_scalars_to_the_last_bit(rng):
+    """What a lane holds depends on nothing but itself."""
+    runtime.start()
+    for where in WHERE:
+        q0, q1 = joints(rng, where)
+        total = rng.uniform(2, 10, ROWS)
+        stiffness = general_stiffness(definite(rng, 2, ROWS), rng.uniform(1e4, 1e6, ROWS), 0.05 * rng.normal(size=(ROWS, 2)), total)
+        for isotropic, rows in ((True, np.hstack([q0, q1, stiffness[:, :2]])), (False, np.hstack([q0, q1, stiffness]))):
+            for bits in (32, 64):
+                alone = pair_kernel(Number(1, bits), isotropic)(rows)
+                for width in (8, 16):
+                    np.testing.assert_array_equal(pair_kernel(Number(width, bits), isotropic)(rows), alone)
+
+
+def test_isotropic_is_a_case_of_the_general(rng):
+    runtime.start()
+    number = Number(8, 64)
+    for where in WHERE:
+        frames = np.hstack(joints(rng, where))
+        total, alpha, twist = rng.uniform(2, 10, ROWS), rng.uniform(1e4, 1e6, ROWS), rng.uniform(1e4, 1e6, ROWS)
+        bend = np.broadcast_to(alpha[:, None, None] * np.eye(2), (2, ROWS, 2, 2))
+        short = pair_kernel(number, True)(np.column_stack([frames, alpha / total, twist / total]))
+        long = pair_kernel(number, False)(np.hstack([frames, general_stiffness(bend, twist, np.zeros((ROWS, 2)), total)]))
+        error = max(relative_error(a, b) for a, b in zip(unpacked(short)[1:], unpacked(long)[1:], strict=True))
+        print(f"isotropic against general, {where}: {error:.1e} of the largest entry")
+        assert error < 1e-13
+        np.testing.assert_allclose(short[:, 0], long[:, 0], rtol=1e-13)
+
+
+@every_number
+def test_linear_potential_on_packs_is_the_oracles(rng, number):
+    """c·t l: gravity and closure's multiplier."""
+    runtime.start()
+
+    @ti.func
+    def function(v: ti.template()):
+        q = (v[0], v[1], v[2], v[3])
+        c = (v[4], v[5], v[6])
+        t = quaternion.tangent(q)
+        m1 = quaternion.first_director(q)
+        m2 = quaternion.second_director(q)
+        return closure.linear_gradient(c, v[7], m1, m2) + closure.linear_hessian(c, v[7], t, m1, m2)
+
+    frames = Rotation.random(ROWS, random_state=rng).as_quat(scalar_first=True)
+    force, length = rng.normal(size=(ROWS, 3)) * 1e4, rng.uniform(1, 5, ROWS)
+    out = columns_kernel(number, 8, 5, function)(np.column_stack([frames, force, length]))
+    gradient, hessian = linear_gradient_hessian(force, frames, length)
+    c1, c2, ct = out[:, 2:].T
+    zero = 0 * ct
+    found = np.array([[zero, c1, c2], [c1, ct, zero], [c2, zero, ct]]).transpose(2, 0, 1)
+    errors = relative_error(np.pad(out[:, :2], ((0, 0), (1, 0))), gradient), relative_error(found, hessian)
+    print(f"linear potential, {number}: gradient {errors[0]:.1e}, Hessian {errors[1]:.1e}")
+    assert max(errors) < (1e-14 if number.bits == 64 else 2e-6)
+
+
+def test_closing_rotation_moves_the_end_by_the_normal_matrix(rng):
+    """An edge turned by −l t × x moves its end by −AᵀA x, AᵀA = l² (I − ttᵀ) (`newton.md`, projection)."""
+    runtime.start()
+
+    @ti.func
+    def function(v: ti.template()):
+        t = (v[0], v[1], v[2])
+        return closure.normal_matrix(v[3], t) + closure.closing_rotation(v[3], t, (v[4], v[5], v[6]))
+
+    t, length, x = Rotation.random(ROWS, random_state=rng).as_matrix()[:, 0], rng.uniform(1, 5, ROWS), rng.normal(size=(ROWS, 3))
+    out = columns_kernel(Number(8, 64), 7, 9, function)(np.column_stack([t, length, x]))
+    matrix = out[:, :6][:, SYMMETRIC]
+    projector = np.eye(3) - t[:, :, None] * t[:, None]
+    np.testing.assert_allclose(matrix, length[:, None, None] ** 2 * projector, atol=1e-14)
+    motion = np.cross(out[:, 6:], length[:, None] * t)
+    np.testing.assert_allclose(motion, -np.einsum("nij,nj->ni", matrix, x), atol=1e-13)
+
+
+# --- the paper's vertex form ------------------------------------------------------------------------------------------
+
+
+def vertices(rng) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(ROWS, 2, 3) edges of joints of up to 2 rad, (ROWS, 2, 3, 3) frames along them, and (ROWS, 2) lengths."""
+    first = Rotation.random(ROWS, random_state=rng)
+    turn = Rotation.from_rotvec(rng.uniform(-1, 1, (ROWS, 1)) * 2 * Rotation.random(ROWS, random_state=rng).as_matrix()[:, 0])
+    frames = np.stack([first.as_matrix(), (first * turn).as_matrix()], axis=1)
+    lengths = rng.uniform(2, 4, (ROWS, 2))
+    return lengths[..., None] * frames[..., 0], frames, lengths
+
+
+@every_number
+def test_curvature_binormal_and_transport_are_the_oracles(rng, number):
+    runtime.start()
+
+    @ti.func
+    def function(v: ti.template()):
+        kb, bottom = vertex_form.curvature_binormal((v[0], v[1], v[2]), (v[3], v[4], v[5]), v[6], v[7])
+        source = (v[8], v[9], v[10])
+        target = (v[11], v[12], v[13])
+        return kb + vertex_form.transported(source, target, (v[14], v[15], v[16])) + (bottom,)
+
+    edges, frames, lengths = vertices(rng)
+    t, m1 = frames[..., 0], frames[:, 0, :, 1]
+    out = columns_kernel(number, 17, 7, function)(np.column_stack([edges.reshape(ROWS, 6), lengths, t.reshape(ROWS, 6), m1]))
+    kb = np.array(curvature_binormal(list(edges[:, 0].T), list(edges[:, 1].T))).T
+    moved = np.array(oracle.transport(list(t[:, 0].T), list(t[:, 1].T), list(m1.T))).T
+    errors = relative_error(out[:, :3], kb), relative_error(out[:, 3:6], moved)
+    print(f"vertex form, {number}: κb {errors[0]:.1e}, transport {errors[1]:.1e}")
+    assert max(errors) < (1e-13 if number.bits == 64 else 2e-5)
+
+
+@ti.func
+def bend_and_force(v: ti.template()):
+    """(energy, its slopes in the edge before and after) of a vertex."""
+    before = (v[0], v[1], v[2])
+    after = (v[3], v[4], v[5])
+    m1_left = (v[6], v[7], v[8])
+    m2_left = (v[9], v[10], v[11])
+    m1_right = (v[12], v[13], v[14])
+    m2_right = (v[15], v[16], v[17])
+    rest = (v[24], v[25])
+    kb, bottom = vertex_form.curvature_binormal(before, after, v[27], v[28])
+    left = vertex_form.material_curvature(kb, m1_left, m2_left)
+    right = vertex_form.material_curvature(kb, m1_right, m2_right)
+    moment_left = vertex_form.bend_moment((v[18], v[19], v[20]), left, rest, v[26])
+    moment_right = vertex_form.bend_moment((v[21], v[22], v[23]), right, rest, v[26])
+    energy = vertex_form.bend_energy(moment_left, left, rest) + vertex_form.bend_energy(moment_right, right, rest)
+    of_before, of_after = vertex_form.bend_force(
+        moment_left, moment_right, m1_left, m2_left, m1_right, m2_right, kb, bottom, before, after)
+    return (energy,) + of_before + of_after
+
+
+def followed(edges: np.ndarray, frames: np.ndarray) -> tuple[list, list, list]:
+    """Edges, m1 and m2 as lists of numbers (each an array over rows), the frames carried along with their edges."""
+    moved = [list(edges[:, side].T) for side in (0, 1)]
+    tangents = [oracle.normalise(edge) for edge in moved]
+    m1 = [oracle.transport(list(frames[:, side, :, 0].T), tangents[side], list(frames[:, side, :, 1].T)) for side in (0, 1)]
+    return moved, m1, [oracle.cross(t, m) for t, m in zip(tangents, m1, strict=True)]
+
+
+def defined_energy(edges, frames, bend, rest, total):
+    """Bend energy of §III-C of a vertex whose frames follow their edges."""
+    moved, m1, m2 = followed(edges, frames)
+    binormal, energy = curvature_binormal(*moved), 0.0
+    for side in (0, 1):
+        strain = [w - r for w, r in zip(material_curvature(binormal, m1[side], m2[side]), rest.T, strict=True)]
+        form = sum(bend[side][:, a, b] * strain[a] * strain[b] for a in range(2) for b in range(2))
+        energy = energy + form / (2 * total)
+    return energy
+
+
+@every_number
+def test_bend_force_is_the_slope_of_the_energy(rng, number):
+    """Across an edge; along it the lengths are held and the two differ."""
+    runtime.start()
+    edges, frames, lengths = vertices(rng)
+    bend, rest, total = definite(rng, 2, ROWS), 0.1 * rng.normal(size=(ROWS, 2)), lengths.sum(axis=1)
+    entries = [bend[side][:, a, b] for side in (0, 1) for a, b in ((0, 0), (1, 1), (0, 1))]
+    directors = [frames[:, side, :, k] for side in (0, 1) for k in (1, 2)]
+    rows = np.column_stack([edges.reshape(ROWS, 6), *directors, *entries, rest, 1 / total, lengths])
+    out = columns_kernel(number, 29, 7, bend_and_force)(rows)
+    error = np.abs(out[:, 0] / defined_energy(edges, frames, bend, rest, total) - 1).max()
+    slope_error = 0.0
+    for side in (0, 1):
+        slope = out[:, 1 + 3 * side : 4 + 3 * side]
+        for k in (1, 2):
+            across = frames[:, side, :, k]
+            step = np.zeros(edges.shape, dtype=complex)
+            step[:, side] = 1j * STEP * across
+            expected = defined_energy(edges + step, frames, bend, rest, total).imag / STEP
+            found = np.sum(slope * across, axis=1)
+            slope_error = max(slope_error, (np.abs(found - expected) / np.abs(slope).max(axis=1)).max())
+    print(f"bend force, {number}: energy {error:.1e}, slope {slope_error:.1e} of the largest entry")
+    assert max(error, slope_error) < (1e-12 if number.bits == 64 else 1e-4)
+
+
+def test_twist_changes_by_the_holonomy(rng):
+    """δm = ½ κb·(δe⁻/|e⁻| + δe⁺/|e⁺|) when edges move and their frames follow: the kernel's κb says so to rounding."""
+    runtime.start()
+
+    @ti.func
+    def function(v: ti.template()):
+        kb, bottom = vertex_form.curvature_binormal((v[0], v[1], v[2]), (v[3], v[4], v[5]), v[6], v[7])
+        return kb
+
+    edges, frames, lengths = vertices(rng)
+    kb = columns_kernel(Number(8, 64), 8, 3, function)(np.column_stack([edges.reshape(ROWS, 6), lengths]))
+    for side in (0, 1):
+        for k in (1, 2):
+            across = frames[:, side, :, k]
+            step = np.zeros(edges.shape, dtype=complex)
+            step[:, side] = 1j * STEP * across
+            moved, m1, _ = followed(edges + step, frames)
+            tangents = [oracle.normalise(edge) for edge in moved]
+            reference = oracle.transport(*tangents, m1[0])
+            # The angle's rate from its sine and cosine, whose squares sum to one.
+            sine = oracle.dot(oracle.cross(reference, m1[1]), tangents[1])
+            cosine = oracle.dot(reference, m1[1])
+            rate = (sine.imag * cosine.real - cosine.imag * sine.real) / STEP
+            np.testing.assert_allclose(rate, 0.5 * np.sum(kb * across, axis=1) / lengths[:, side], atol=1e-13)
+
+
+@every_number
+def test_spin_derivatives(rng, number):
+    """Slope and curvature of one frame's bend energy in its angle, against complex steps of the definition."""
+    runtime.start()
+
+    @ti.func
+    def function(v: ti.template()):
+        b = (v[0], v[1], v[2])
+        omega = (v[3], v[4])
+        moment = vertex_form.bend_moment(b, omega, (v[5], v[6]), v[7])
+        return vertex_form.spin_derivatives(b, moment, omega, v[7])
+
+    bend, rest = definite(rng, ROWS), 0.1 * rng.normal(size=(ROWS, 2))
+    omega, inverse = rng.normal(size=(ROWS, 2)), rng.uniform(0.1, 0.5, ROWS)
+    rows = np.column_stack([bend[:, 0, 0], bend[:, 1, 1], bend[:, 0, 1], omega, rest, inverse])
+    out = columns_kernel(number, 8, 2, function)(rows)
+
+    def slope(angle):
+        """dE/dθ of E = ½ uᵀBu/l̄, ω turned by θ: dω/dθ = (ω₂, −ω₁)."""
+        turned = np.stack([np.cos(angle) * omega[:, 0] + np.sin(angle) * omega[:, 1],
+                           np.cos(angle) * omega[:, 1] - np.sin(angle) * omega[:, 0]], axis=1)
+        rate = np.stack([turned[:, 1], -turned[:, 0]], axis=1)
+        return inverse * np.einsum("ni,nij,nj->n", rate, bend, turned - rest)
+
+    first, second = slope(0.0), slope(1j * STEP * np.ones(ROWS)).imag / STEP
+    scale = inverse * np.abs(bend).max(axis=(1, 2)) * np.sum(omega**2, axis=1)
+    errors = (np.abs(out[:, 0] - first) / scale).max(), (np.abs(out[:, 1] - np.maximum(second, 0)) / scale).max()
+    print(f"spin derivatives, {number}: first {errors[0]:.1e}, second {errors[1]:.1e}")
+    assert (second < 0).any() and (second > 0).any()
+    assert max(errors) < (1e-14 if number.bits == 64 else 1e-5)
+
+
+@every_number
+def test_turned_frames_stay_unit_and_turn_as_told(rng, number):
+    """Q (1, w/2) and (1, w/2) Q normalised; m1 spun about its tangent: second order in the angle, exactly of unit length."""
+    runtime.start()
+
+    @ti.func
+    def function(v: ti.template()):
+        q = (v[0], v[1], v[2], v[3])
+        w = (v[4], v[5], v[6])
+        m1 = quaternion.first_director(q)
+        spun = vertex_form.spun(m1, quaternion.second_director(q), v[4])
+        return quaternion.turned_in_body(q, w) + quaternion.turned_in_world(q, w) + spun
+
+    rotation, w = Rotation.random(ROWS, random_state=rng), 1e-3 * rng.normal(size=(ROWS, 3))
+    q = rotation.as_quat(scalar_first=True)
+    out = columns_kernel(number, 7, 11, function)(np.column_stack([q, w]))
+    rounding = 2e-7 if number.bits == 32 else 1e-15
+    for columns in (out[:, :4], out[:, 4:8], out[:, 8:]):
+        np.testing.assert_allclose(np.linalg.norm(columns, axis=1), 1, atol=5 * rounding)
+    turn = Rotation.from_rotvec(w)
+    for columns, expected in ((out[:, :4], rotation * turn), (out[:, 4:8], turn * rotation)):
+        apart = (Rotation.from_quat(columns, scalar_first=True).inv() * expected).magnitude()
+        assert (apart < np.linalg.norm(w, axis=1) ** 3 / 10 + 10 * rounding).all()
+    m1 = (rotation * Rotation.from_rotvec(w * [1, 0, 0])).as_matrix()[:, :, 1]
+    assert np.abs(out[:, 8:] - m1).max() < np.abs(w).max() ** 3 / 10 + 10 * rounding
