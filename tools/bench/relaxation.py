@@ -142,18 +142,18 @@ def measure(case: Case, reference: clock.Reference, rounds: int) -> Measurement:
         before = reference.rate()
         seconds, outcome = clock.timed(case.run)
         rates.append(outcome.amount / seconds)
-        ratios.append(rates[-1] / (0.5e9 * (before + reference.rate())))
+        ratios.append(rates[-1] / (0.5 * (before + reference.rate())))
     return Measurement(case.unit, median(rates), median(ratios), outcome.converged, outcome.iterations)
 
 
 def table(measured: dict[str, Measurement], baseline: dict) -> str:
-    """Markdown, one line per case; the ratio is printed per million multiply-adds of the reference."""
-    lines = ["| case | per second | converged | iterations | ratio ·10⁶ | of baseline |", "|---|---|---|---|---|---|"]
+    """Markdown, one line per case; the ratio per 10⁹ multiply-adds of the reference."""
+    lines = ["| case | per second | converged | iterations | ratio ·10⁹ | of baseline |", "|---|---|---|---|---|---|"]
     for name, m in measured.items():
         old = baseline.get("cases", {}).get(name)
         share = f"{m.ratio / old['ratio']:.2f}" if old else "new"
         lines.append(f"| {name} | {m.per_second:,.0f} {m.unit} | {100 * m.converged:.2f} % | {m.iterations:.1f} | "
-                     f"{1e6 * m.ratio:.4g} | {share} |")
+                     f"{1e9 * m.ratio:.4g} | {share} |")
     return "\n".join(lines)
 
 
