@@ -47,7 +47,7 @@ def directors(q):
 
 
 def body_rotated(q, w):
-    """normalise(Q ⊗ (1, w/2)): the body rotation w of `method.md` §2."""
+    """normalise(Q ⊗ (1, w/2)): the body rotation w of docs/chain.md."""
     return normalise(product(q, [1.0, *scale(0.5, w)]))
 
 

@@ -1,4 +1,4 @@
-"""A whole rod as a chain of frames: energy, and dense gradient and Hessian in body rotations (`method.md` §2)."""
+"""A whole rod as a chain of frames: energy, and dense gradient and Hessian in body rotations (docs/chain.md)."""
 
 from dataclasses import dataclass
 

@@ -10,7 +10,7 @@ from tests.oracle.hyper_dual import angle, choose, gradient_and_hessian, real, s
 
 
 def pair_parts(q0, q1, l0, l1, bend0, bend1, twist, rest):
-    """Bend and twist energy of a pair, from two quaternions given as lists of four numbers (`method.md` §2).
+    """Bend and twist energy of a pair, from two quaternions given as lists of four numbers (docs/chain.md).
 
     q = conj(Q0) ⊗ Q1 with q0 ≥ 0, s = q0² + q1²:
     ω^0 = 2/s (q1q2 + q0q3, q1q3 − q0q2),  ω^1 = 2/s (q0q3 − q1q2, −q0q2 − q1q3),  m = 2 atan2(q1, q0).

@@ -205,7 +205,7 @@ def test_linear_potential_on_packs_is_the_oracles(rng, number):
 
 
 def test_closing_rotation_moves_the_end_by_the_normal_matrix(rng):
-    """An edge turned by −l t × x moves its end by −AᵀA x, AᵀA = l² (I − ttᵀ) (`newton.md`, projection)."""
+    """An edge turned by −l t × x moves its end by −AᵀA x, AᵀA = l² (I − ttᵀ) (docs/chain.md, projection)."""
     runtime.start()
 
     @ti.func

@@ -147,13 +147,13 @@ def measure(case: Case, reference: clock.Reference, rounds: int) -> Measurement:
 
 
 def table(measured: dict[str, Measurement], baseline: dict) -> str:
-    """Markdown, one line per case; the ratio per 10⁹ multiply-adds of the reference."""
-    lines = ["| case | per second | converged | iterations | ratio ·10⁹ | of baseline |", "|---|---|---|---|---|---|"]
+    """Markdown, one line per case; the ratio per 10⁶ multiply-adds of the reference."""
+    lines = ["| case | per second | converged | iterations | ratio ·10⁶ | of baseline |", "|---|---|---|---|---|---|"]
     for name, m in measured.items():
         old = baseline.get("cases", {}).get(name)
         share = f"{m.ratio / old['ratio']:.2f}" if old else "new"
         lines.append(f"| {name} | {m.per_second:,.0f} {m.unit} | {100 * m.converged:.2f} % | {m.iterations:.1f} | "
-                     f"{1e9 * m.ratio:.4g} | {share} |")
+                     f"{1e6 * m.ratio:.4g} | {share} |")
     return "\n".join(lines)
 
 
