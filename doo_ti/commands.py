@@ -157,9 +157,8 @@ def _tell_relaxation(options: Namespace, observations: Observations, grid: Grid,
     if options.json:
         print(json.dumps(_plain(summary)))
         return
-    bend = f"{theta['bend_1']:.4g}" + ("" if grid.is_isotropic else f", {theta['bend_2']:.4g}, {grid.bend_12:.4g}")
     print(f"{observations.name}: {observations.count} rods of {observations.edges} edges")
-    print(f"  material    bend {bend} mm³, twist {theta['twist']:.4g} mm³, weight {theta['weight']:.4g}")
+    print(f"  material    {_theta(theta | {'bend_12': grid.bend_12}, grid.is_isotropic)}")
     print(f"  status      {_counted(counts)}; {summary['stable']} certified stable")
     if len(finite):
         print(f"  distance    mean {finite.mean():.4g} mm, largest {finite.max():.4g} mm at observation "
@@ -180,14 +179,19 @@ def _best(landscape: Landscape) -> dict:
 def _tell_landscape(landscape: Landscape) -> None:
     cells, count = landscape.distance.shape
     best = _best(landscape)
-    mixed = f", bend_12 {best['bend_12']:.4g} mm³" if best["bend_12"] else ""
     print(f"{landscape.name}: {cells} cells x {count} observations")
-    print(f"  best Θ      bend_1 {best['bend_1']:.4g} mm³, bend_2 {best['bend_2']:.4g} mm³{mixed}, "
-          f"twist {best['twist']:.4g} mm³, weight {best['weight']:.4g}")
+    print(f"  best Θ      {_theta(best, landscape.grid.is_isotropic)}")
     print(f"  distance    mean {best['mean_distance_mm']:.4g} mm (Eq. 1)")
     for interval in landscape.intervals:
         print(f"  within 5 %  {interval}")
     print(f"  status      {_counted(best['status'])}; {best['stable']} certified stable")
+
+
+def _theta(theta: dict, isotropic: bool) -> str:
+    """Θ for a person."""
+    names = ["bend_1"] if isotropic else ["bend_1", "bend_2"] + ["bend_12"] * bool(theta["bend_12"])
+    bend = ", ".join(f"{'bend' if isotropic else name} {theta[name]:.4g} mm³" for name in names)
+    return f"{bend}, twist {theta['twist']:.4g} mm³, weight {theta['weight']:.4g}"
 
 
 def _counted(counts: dict[str, int]) -> str:

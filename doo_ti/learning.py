@@ -13,6 +13,8 @@ from doo_ti.errors import InputError
 from doo_ti.grid import Grid, Interval, valley
 from doo_ti.types import Status
 
+PARAMETERS = ("bend_1", "bend_2", "twist", "weight")
+
 
 @dataclass(frozen=True)
 class Landscape:
@@ -62,30 +64,36 @@ def read_landscape(run: Path) -> Landscape:
 
 
 def gather_landscape(run: Path, grid: Grid, name: str) -> Landscape:
-    """The landscape in the stored cells of ``run``. Raises InputError where they do not cover the grid once."""
-    columns = _cells(run)
-    parameters = ("bend_1", "bend_2", "twist", "weight")
+    """The landscape in the stored cells of ``run``, whatever files they lie in and in whatever order.
+
+    One file is in memory at a time. Raises InputError where they do not hold each cell and observation once.
+    """
+    paths = sorted((run / "cells").glob("*.parquet"))
+    if not paths:
+        raise InputError(run / "cells", "cells", "no Parquet files", "run the sweep to its end")
     values = grid.cell_values()
-    wanted = np.stack([values[name] for name in parameters], axis=-1)
-    rows = np.stack([columns[name] for name in parameters], axis=-1)
-    _, place = np.unique(np.concatenate([wanted, rows]), axis=0, return_inverse=True)
-    place = place.ravel()
-    cell_at = np.full(place.max() + 1, -1)
-    cell_at[place[: grid.size]] = np.arange(grid.size)
-    cell, observation = cell_at[place[grid.size :]], columns["observation"].astype(np.int64)
-    count = int(observation.max()) + 1
-    seen = np.zeros((grid.size, count), dtype=np.int64)
-    if (cell >= 0).all():
+    wanted = _as_keys([values[parameter] for parameter in PARAMETERS])
+    order = np.argsort(wanted)
+    count = 1 + max(int(_columns(path, ["observation"])["observation"].max(initial=0)) for path in paths)
+    distance = np.full((grid.size, count), np.nan)
+    status = np.zeros((grid.size, count), dtype=np.int8)
+    stable = np.zeros((grid.size, count), dtype=bool)
+    seen = np.zeros((grid.size, count), dtype=np.int8)
+    complete = True
+    for path in paths:
+        columns = _columns(path, [*PARAMETERS, "observation", "distance_mm", "status", "stable"])
+        keys = _as_keys([columns[parameter] for parameter in PARAMETERS])
+        place = np.minimum(np.searchsorted(wanted, keys, sorter=order), grid.size - 1)
+        cell, observation = order[place], columns["observation"].astype(np.int64)
+        complete &= bool((wanted[cell] == keys).all())
         np.add.at(seen, (cell, observation), 1)
-    if not (seen == 1).all():
+        distance[cell, observation] = columns["distance_mm"]
+        status[cell, observation] = columns["status"]
+        stable[cell, observation] = columns["stable"]
+    if not (complete and (seen == 1).all()):
         raise InputError(run, "cells", "do not hold each cell and observation of the grid once",
                          "run the sweep to its end")
-    tables = {}
-    for column in ("distance_mm", "status", "stable"):
-        tables[column] = np.empty((grid.size, count), dtype=columns[column].dtype)
-        tables[column][cell, observation] = columns[column]
-    return Landscape(run, name, grid, tables["distance_mm"],
-                     tables["status"].astype(np.int64), tables["stable"].astype(bool))
+    return Landscape(run, name, grid, distance, status, stable)
 
 
 def status_counts(status: np.ndarray) -> dict[str, int]:
@@ -107,18 +115,20 @@ def _summary(run: Path) -> dict:
     return summary
 
 
-def _cells(run: Path) -> dict[str, np.ndarray]:
-    """The columns of all of the run's cells."""
+def _as_keys(parameters: list[np.ndarray]) -> np.ndarray:
+    """(N,) keys that are equal exactly where all ``parameters`` (N,) are, and that can be sorted."""
+    rows = np.ascontiguousarray(np.stack(parameters, axis=-1), dtype=np.float64)
+    return rows.view([("", np.float64)] * len(parameters)).ravel()
+
+
+def _columns(path: Path, names: list[str]) -> dict[str, np.ndarray]:
+    """The named columns of one file of cells."""
     import pyarrow
     import pyarrow.parquet
 
-    paths = sorted((run / "cells").glob("*.parquet"))
-    names = ["bend_1", "bend_2", "twist", "weight", "observation", "distance_mm", "status", "stable"]
-    if not paths:
-        raise InputError(run / "cells", "cells", "no Parquet files", "run the sweep to its end")
     try:
-        table = pyarrow.concat_tables([pyarrow.parquet.read_table(path, columns=names) for path in paths])
+        table = pyarrow.parquet.read_table(path, columns=names)
         return {name: table.column(name).to_numpy() for name in names}
     except (pyarrow.ArrowException, OSError, KeyError) as error:
         reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise InputError(run / "cells", "cells", f"cannot be read ({reason})", "run the sweep again") from None
+        raise InputError(path, "cells", f"cannot be read ({reason})", "delete it and run the sweep again") from None

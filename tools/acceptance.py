@@ -171,7 +171,7 @@ def single(study: Study) -> None:
                   f"{coarse.energy[rod] - fine.energy[rod]:+.3g}, f64 {state(fine, rod)}" for rod in np.flatnonzero(~same)]
         quantiles = " / ".join(f"{value:.1e}" for value in np.percentile(gap[same], [50, 99, 100]))
         study.detail(f"- Newton f32, {batch.name}: {percent(same)} the same minimum, there {quantiles} mm apart (median / "
-                     f"99th percentile / most); {ended(coarse)}")
+                     f"99th percentile / most); {np.count_nonzero(coarse.precision == 64)} rods finished in f64; {ended(coarse)}")
     sutures = np.concatenate([fractions[name] for name in workload.SUTURES])
     band = fractions["ribbon"]
     study.check("Newton f32: same minimum as f64, sutures", "≥ 99 %", percent(sutures), sutures.mean() >= 0.99)
@@ -232,7 +232,8 @@ def throughput(study: Study) -> None:
     machine = clock.machine()
     study.detail(f"- throughput on {machine['processor']}, {machine['cores']} cores: median of {len(rates)}, lowest "
                  f"{rates.min():,.0f}, highest {rates.max():,.0f} rods/s; {percent(done)} converged, "
-                 f"{percent(solution.stable)} certified stable, iterations mean {solution.iterations.mean():.1f}; "
+                 f"{percent(solution.stable)} certified stable, {np.count_nonzero(solution.precision == 64)} rods finished in f64, "
+                 f"iterations mean {solution.iterations.mean():.1f}; "
                  f"vertices from the frames take {posing / np.median(seconds):.0%} of that time on top")
 
 
@@ -369,8 +370,9 @@ def identical(one: Solution, rows, other: Solution, places) -> np.ndarray:
 
 
 def _bits(array: np.ndarray) -> np.ndarray:
-    """(R,) the bytes of each row, as one value to compare."""
-    rows = np.ascontiguousarray(array).reshape(len(array), -1)
+    """(R,) the bytes of each row, as one value to compare; singles as doubles, which is exact: whether an array comes in
+    one or the other may depend on the batch."""
+    rows = np.ascontiguousarray(array, dtype=np.float64).reshape(len(array), -1)
     return rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1])))[:, 0]
 
 

@@ -73,7 +73,7 @@ def test_sweep_of_a_file(capsys, tmp_path, swept):
     assert grid.shape == (3, 2, 1) and observations.name == "good"
     np.testing.assert_array_equal(observations.up, [-1, 0, 0])
     assert (options.clamp_start, options.clamp_end) == (None, Clamp.TANGENT)
-    assert (options.frame_weight, options.precision, options.objective) == (1.0, "f32", "static")
+    assert (options.frame_weight, options.precision, options.objective) == (1.0, "mixed", "static")
     assert (options.seed, options.workers) == (0, 2)
     out = capsys.readouterr().out
     assert "good: 6 cells x 3 observations" in out and "mean 1 mm" in out and "18 converged" in out

@@ -51,7 +51,7 @@ def test_a_scene_with_a_synthesis(tmp_path):
 
 def test_a_scene_with_a_file(tmp_path):
     scene = load_scene(write(tmp_path, top="", data='[observations]\nfile = "data/silk.npz"\n'))
-    assert scene.observations == tmp_path / "data" / "silk.npz" and scene.name == "scene" and scene.precision == "f32"
+    assert scene.observations == tmp_path / "data" / "silk.npz" and scene.name == "scene" and scene.precision == "mixed"
 
 
 def test_an_anisotropic_scene(tmp_path):

@@ -1,0 +1,41 @@
+"""Random rods to relax, and bit-for-bit comparison of solutions."""
+
+import numpy as np
+
+from doo_ti.types import Clamp, Clamps, Configuration, Solution
+from tests.references.rods import chain, stacked
+
+PAIRS = [(start, end) for start in Clamp for end in Clamp if (start, end) != (Clamp.FREE, Clamp.FREE)]
+RESULTS = ("energy", "residual", "closure", "iterations", "status", "stable", "precision")
+
+
+def wandering(rng, count: int, edges: int, rest_length=3.0, wander: float = 0.15, twist: float = 0.1) -> Configuration:
+    """Rods whose direction wanders by ``wander`` rad a joint and whose frames twist by ``twist``, somewhere in space."""
+    rods = []
+    for _ in range(count):
+        tangents = rng.normal(size=3) + wander * rng.normal(size=(edges, 3)).cumsum(axis=0)
+        tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+        spin = twist * rng.normal(size=edges).cumsum()
+        rods.append(chain(tangents, np.cross(tangents[0], rng.normal(size=3)), rest_length, 20 * rng.normal(size=3), spin))
+    return stacked(rods)
+
+
+def definite(rng, *shape: int, scale: float = 2e5) -> np.ndarray:
+    """(*shape, 2, 2) symmetric positive definite B of about ``scale``, with an off-diagonal."""
+    root = rng.normal(size=(*shape, 2, 2))
+    return scale * (root @ np.swapaxes(root, -1, -2) / 2 + 0.5 * np.eye(2))
+
+
+def with_kinds(clamps: Clamps, kinds: list[tuple[Clamp, Clamp]]) -> Clamps:
+    """The same clamps with a pair of kinds for each rod."""
+    start, end = np.array(kinds).T
+    return Clamps(start, end, clamps.start_position, clamps.end_position, clamps.start_frame, clamps.end_frame)
+
+
+def assert_same(first: Solution, rows, second: Solution, other_rows) -> None:
+    """Those rods of both solutions agree in every bit; NaN equals NaN."""
+    for name in RESULTS:
+        np.testing.assert_array_equal(getattr(first, name)[rows], getattr(second, name)[other_rows], err_msg=name)
+    a, b = first.configuration, second.configuration
+    np.testing.assert_array_equal(a.quaternions[rows], b.quaternions[other_rows])
+    np.testing.assert_array_equal(a.start[rows], b.start[other_rows])
