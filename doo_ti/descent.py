@@ -157,6 +157,7 @@ def descent_kernel(number: Number, stride: int, block: int):
                                 gravity2 = with_lane(gravity2, slot, weight[g] * up[2])
                                 count = with_lane(count, slot, 0.0)
                                 step = with_lane(step, slot, 0.0)
+                                residual = with_lane(residual, slot, 1e30)
                                 best = with_lane(best, slot, 1e30)
                                 lowest = with_lane(lowest, slot, 1e30)
                                 fresh = with_lane(fresh, slot, 1.0)

@@ -199,6 +199,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
             energy, magnitude = (zero, zero)
             miss0, miss1, miss2 = (zero, zero, zero)
             lambda0, lambda1, lambda2 = (zero, zero, zero)
+            change0, change1, change2 = (zero, zero, zero)
             shift, scale, step_scale = (zero, one, zero)
             residual, longest, best, idle_trips, trips, rejects = (zero, one, zero, zero, zero, zero)
             fresh, trying, closing, escaping, escapes, rounds = (zero, zero, zero, zero, zero, zero)
@@ -217,10 +218,11 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                                     for k in ti.static(range(4)):
                                         frames[row, e, k] = lane(scratch[at + k * stride], slot)
                                     at += ti.static(items * stride)
-                                results[row, ENERGY] = lane(energy, slot)
-                                results[row, RESIDUAL] = lane(residual, slot)
-                                gap = ti.sqrt(lane(miss0, slot) ** 2 + lane(miss1, slot) ** 2 + lane(miss2, slot) ** 2)
-                                results[row, CLOSURE] = gap / lane(total, slot)
+                                if lane(status, slot) != not_finite:  # else these are NaN already
+                                    results[row, ENERGY] = lane(energy, slot)
+                                    results[row, RESIDUAL] = lane(residual, slot)
+                                    squares = lane(miss0, slot) ** 2 + lane(miss1, slot) ** 2 + lane(miss2, slot) ** 2
+                                    results[row, CLOSURE] = ti.sqrt(squares) / lane(total, slot)
                                 results[row, ITERATIONS] = lane(trips, slot)
                                 results[row, STATUS] = lane(status, slot)
                                 results[row, STABLE] = lane(stable, slot)
@@ -276,7 +278,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                     x = sweep.step(scratch, origin, edges, step_scale, target, closed, free)
                     new_energy, new_magnitude, new_miss, new_multiplier = sweep.project(
                         scratch, origin, edges, x, material, gravity, target, closed, free, total, released)
-                    multiplier = (lambda0, lambda1, lambda2)
+                    multiplier = (lambda0 + change0, lambda1 + change1, lambda2 + change2)
                     before = energy + dot(multiplier, (miss0, miss1, miss2))
                     after = new_energy + dot(multiplier, new_miss)
                     noise_level = rounding * magnitude
@@ -307,6 +309,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                         scratch, origin, edges, accepted, shift, noise, echo, (lambda0, lambda1, lambda2),
                         (miss0, miss1, miss2), material, gravity, closed, free, total, released)
                     longest = sweep.substitute(scratch, origin, edges, change)
+                    change0, change1, change2 = change
                     residual = moment / divisor
                     trips = trips + active
                     # Judge where the rod is.
@@ -346,7 +349,9 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                     lost = (broken > 0.5) | ~(residual == residual)
                     status = ti.select(stuck, constant(stalled), constant(limit))
                     status = ti.select(lost, constant(not_finite), status)
-                    status = ti.select(ended, constant(converged), status)
+                    # At rest, though a neutral motion leaves the certificate undecided: converged, not certified.
+                    at_rest = small & (late | stuck)
+                    status = ti.select(ended | at_rest, constant(converged), status)
                     stable = ti.select(at_minimum, one, zero)
                     finished = ti.select((ended | late | stuck | lost) & (active > 0.5), one, zero)
 

@@ -51,14 +51,20 @@ def relax(
     up = up / np.linalg.norm(up)
     if precision not in PRECISIONS:
         raise InputError("relax", "precision", f"{precision!r}", f"give one of {', '.join(PRECISIONS)}")
-    table = tables(configuration, material, clamps, up, configuration_index, material_index)
-    if isinstance(solver, Descent):
-        bits = 32 if precision == "f32" else 64
-        frames, results = batch.run_descent(table, up, solver, bits)
-        bits = np.full(table.count, bits)
-    else:
-        frames, results, bits = _newton(table, up, solver, precision)
-    return _solution(table, up, frames, results, bits)
+    with np.errstate(all="ignore"):  # a rod that is not finite is data: it gets a status, not a warning
+        table = tables(configuration, material, clamps, up, configuration_index, material_index)
+        if isinstance(solver, Descent):
+            frames, results, bits = _descent(table, up, solver, precision)
+        else:
+            frames, results, bits = _newton(table, up, solver, precision)
+        return _solution(table, up, frames, results, bits)
+
+
+def _descent(table: Tables, up: np.ndarray, solver: Descent, precision: str):
+    """(frames, results, bits per rod)."""
+    bits = 32 if precision == "f32" else 64
+    frames, results = batch.run_descent(table, up, solver, bits)
+    return frames, results, np.full(table.count, bits)
 
 
 def _newton(table: Tables, up: np.ndarray, solver: Newton, precision: str):

@@ -107,17 +107,15 @@ def tables(
 
     Raises InputError where shapes do not match, an index is out of range, or both ends of a rod with weight are free.
     """
+    _check_shapes(configuration, clamps)
     count, edges = configuration.count, configuration.edges
-    if edges < 2:
-        raise InputError("configuration", "quaternions", f"{edges} edges", "give rods of at least two edges")
     lengths = np.atleast_2d(np.asarray(configuration.rest_length, dtype=np.float64))
     if lengths.shape not in ((1, edges), (count, edges)):
         raise InputError("configuration", "rest_length", f"shape {lengths.shape}", f"give ({edges},) or ({count}, {edges})")
     if not (np.isfinite(lengths).all() and (lengths > 0).all()):
         raise InputError("configuration", "rest_length", f"{lengths.min():g}", "give positive lengths in mm")
     index_c, index_m = _pairs(count, material.count, configuration_index, material_index)
-    start_kind = np.broadcast_to(np.asarray(clamps.start, dtype=np.int64), count)
-    end_kind = np.broadcast_to(np.asarray(clamps.end, dtype=np.int64), count)
+    start_kind, end_kind = (_kinds(name, getattr(clamps, name), count) for name in ("start", "end"))
     adrift = (start_kind == Clamp.FREE) & (end_kind == Clamp.FREE)
     if adrift.any() and (material.weight > 0).any():
         raise InputError("clamps", "start, end", "both ends are free and the rod has weight", "hold one end, or set weight 0")
@@ -152,6 +150,29 @@ def tables(
     )
 
 
+def _check_shapes(configuration: Configuration, clamps: Clamps) -> None:
+    """Raise InputError unless starts and clamps are tables of the same rods."""
+    shape = np.shape(configuration.quaternions)
+    if len(shape) != 3 or shape[2] != 4 or shape[1] < 2:
+        raise InputError("configuration", "quaternions", f"shape {shape}", "give (R, E, 4) with at least two edges")
+    needed = {"start_position": (shape[0], 3), "end_position": (shape[0], 3),
+              "start_frame": (shape[0], 3, 3), "end_frame": (shape[0], 3, 3)}
+    for source, field, array, wanted in (
+        ("configuration", "start", configuration.start, (shape[0], 3)),
+        *(("clamps", name, getattr(clamps, name), size) for name, size in needed.items()),
+    ):
+        if np.shape(array) != wanted:
+            raise InputError(source, field, f"shape {np.shape(array)}", f"give {wanted}, a row for each start")
+
+
+def _kinds(name: str, kind, count: int) -> np.ndarray:
+    """(S,) Clamp numbers. Raises InputError for anything that is not one Clamp, or one for each start."""
+    kind = np.asarray(kind)
+    if kind.shape not in ((), (1,), (count,)) or not np.isin(kind, [int(known) for known in Clamp]).all():
+        raise InputError("clamps", name, f"{kind.tolist()!r}", "give a Clamp, or one for each start")
+    return np.broadcast_to(kind.astype(np.int64), count)
+
+
 def _pairs(configurations: int, materials: int, configuration_index, material_index) -> tuple[np.ndarray, np.ndarray]:
     """The two index vectors, (R,) each; without them tables are paired one to one, a single row with every row."""
     if configuration_index is None and material_index is None:
@@ -161,6 +182,9 @@ def _pairs(configurations: int, materials: int, configuration_index, material_in
         return np.arange(count) % configurations, np.arange(count) % materials
     first = np.asarray(0 if configuration_index is None else configuration_index)
     second = np.asarray(0 if material_index is None else material_index)
+    for name, index in (("configuration_index", first), ("material_index", second)):
+        if index.size and index.dtype.kind not in "iu":
+            raise InputError("relax", name, f"dtype {index.dtype}", "give whole row numbers")
     first, second = (np.ascontiguousarray(a, dtype=np.int64) for a in np.broadcast_arrays(first, second))
     for name, index, size in (("configuration_index", first, configurations), ("material_index", second, materials)):
         if index.ndim != 1 or (index.size and (index.min() < 0 or index.max() >= size)):
