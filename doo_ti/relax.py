@@ -83,7 +83,7 @@ def _newton(table: Tables, up: np.ndarray, solver: Newton, precision: str):
         fine = replace(solver, first_shift=0.0)
         finer, again = batch.run_newton(table.restarted(frames, usable, rows), up, fine, 64)
         again[:, ITERATIONS] += results[rows, ITERATIONS]
-        frames = finer if len(rows) == len(frames) else frames.astype(np.float64)
+        frames = frames.astype(np.float64) if precision == "mixed" else frames
         frames[rows], results[rows], bits[rows] = finer, again, 64
     return frames, results, bits
 
