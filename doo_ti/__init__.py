@@ -23,8 +23,8 @@ _HOMES = {
     "Clamp": "types", "Clamps": "types", "Configuration": "types", "Material": "types", "Solution": "types",
     "Status": "types", "InputError": "errors", "Observations": "dataset", "load_observations": "dataset",
     "save_observations": "dataset", "observation_clamps": "start", "start_configuration": "start",
-    "turn_hypotheses": "start", "Grid": "grid", "Newton": "newton", "Descent": "descent", "relax": "relax",
-    "distance": "metric", "sweep": "sweep",
+    "turn_hypotheses": "start", "Grid": "grid", "Newton": "newton", "Descent": "descent", "relax": "relaxation",
+    "distance": "metric", "sweep": "sweeps",
 }
 __all__ = sorted(_HOMES)
 

@@ -26,7 +26,7 @@ def run_newton(table: Tables, up: np.ndarray, options: newton.Newton, bits: int,
     items = chain.ISOTROPIC_ITEMS if table.isotropic else chain.GENERAL_ITEMS
     kernel = newton.newton_kernel(number, table.isotropic, stride, block)
     scratch, lane_rod, queue = _buffers(number, threads, items * table.edges)
-    frames = np.full((table.count, table.edges, 4), np.nan, dtype=np.float32 if bits == 32 else np.float64)
+    frames = np.full((table.count, table.edges, 4), np.nan)
     results = np.full((table.count, RESULTS), np.nan)
     kernel(
         table.start, table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.weight, table.rods,

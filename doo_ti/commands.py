@@ -32,7 +32,7 @@ def relax(options: Namespace, words: list[str]) -> int:
     check_feasible(observations, clamps)
 
     from doo_ti.metric import distance
-    from doo_ti.relax import relax as relax_rods
+    from doo_ti.relaxation import relax as relax_rods
 
     index, turns = turn_hypotheses(observations, clamps)
     observed, held = observations.take(index), clamps.take(index)
@@ -64,8 +64,8 @@ def sweep(options: Namespace, words: list[str]) -> int:
         clamp_end = scene.clamp_end if clamp_end is None else clamp_end
     check_feasible(observations, observation_clamps(observations, clamp_start, clamp_end))
 
-    from doo_ti.sweep import SweepOptions
-    from doo_ti.sweep import sweep as sweep_grid
+    from doo_ti.sweeps import SweepOptions
+    from doo_ti.sweeps import sweep as sweep_grid
 
     chosen = SweepOptions(
         frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=_solver(options.solver),
@@ -138,7 +138,7 @@ def _save(out: Path, observations: Observations) -> None:
 
 
 def _solver(name: str):
-    from doo_ti.relax import Descent, Newton
+    from doo_ti.relaxation import Descent, Newton
 
     return {"newton": Newton, "descent": Descent}[name]()
 

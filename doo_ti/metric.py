@@ -32,16 +32,18 @@ def distance(configuration: Configuration, observations: Observations, index=Non
             observations.source, "vertices_mm",
             f"{observations.edges} edges in {len(index)} observations for {configuration.count} rods of "
             f"{configuration.edges} edges", "compare rods with their own observations")
+    if index.dtype.kind not in "iu" or (index.size and not 0 <= index.min() <= index.max() < observations.count):
+        raise InputError(observations.source, "index", "not rows of the observations",
+                         f"give whole numbers below {observations.count}")
     if frame_weight > 0 and observations.frames is None:
         raise InputError(observations.source, "frames", "missing, but a frame weight is given", "use --frame-weight 0")
     runtime.start()
-    single = configuration.quaternions.dtype == np.float32
     result = np.empty(configuration.count)
     frames = observations.frames
     directors = np.zeros((1, 1, 3)) if frames is None else np.ascontiguousarray(frames[..., 1])
-    _kernel(single)(
+    _kernel()(
         np.ascontiguousarray(configuration.start, dtype=np.float64),
-        np.ascontiguousarray(configuration.quaternions),
+        np.ascontiguousarray(configuration.quaternions, dtype=np.float64),
         np.ascontiguousarray(np.atleast_2d(configuration.rest_length), dtype=np.float64),
         np.nan_to_num(observations.vertices), directors, observations.valid.astype(np.int32),
         np.ascontiguousarray(index, dtype=np.int32), float(frame_weight), result,
@@ -50,14 +52,13 @@ def distance(configuration: Configuration, observations: Observations, index=Non
 
 
 @cache
-def _kernel(single: bool):
-    """The kernel for frames in f32 or f64; sums are in f64."""
-    number = ti.f32 if single else ti.f64
+def _kernel():
+    """The kernel, compiled on first use."""
 
     @ti.kernel
     def compare(
         start: ti.types.ndarray(dtype=ti.f64, ndim=2),  # [rod, 3]
-        quaternions: ti.types.ndarray(dtype=number, ndim=3),  # [rod, edge, 4]
+        quaternions: ti.types.ndarray(dtype=ti.f64, ndim=3),  # [rod, edge, 4]
         rest_length: ti.types.ndarray(dtype=ti.f64, ndim=2),  # [1 or rod, edge]
         vertices: ti.types.ndarray(dtype=ti.f64, ndim=3),  # [observation, vertex, 3]
         directors: ti.types.ndarray(dtype=ti.f64, ndim=3),  # [observation, edge, 3]
@@ -82,10 +83,7 @@ def _kernel(single: bool):
                         apart += (x[k] - vertices[d, v, k]) ** 2
                     position_error += ti.sqrt(apart)
                 if v < edges:
-                    q = (
-                        ti.cast(quaternions[rod, v, 0], ti.f64), ti.cast(quaternions[rod, v, 1], ti.f64),
-                        ti.cast(quaternions[rod, v, 2], ti.f64), ti.cast(quaternions[rod, v, 3], ti.f64),
-                    )
+                    q = (quaternions[rod, v, 0], quaternions[rod, v, 1], quaternions[rod, v, 2], quaternions[rod, v, 3])
                     t = tangent(q)
                     for k in ti.static(range(3)):
                         x[k] += rest_length[lengths, v] * t[k]

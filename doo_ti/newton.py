@@ -75,6 +75,7 @@ CLOSING_DISTANCE = 0.1  # edge lengths: above it a step only projects
 ESCAPE_ROTATION = 0.1  # rad
 ESCAPE_ROUNDS = 3.0  # inverse iterations before the first leap off a saddle
 PATIENCE = 25  # trips without progress
+PATIENCE_AT_SADDLE = 12  # the same where the inertia is wrong
 
 
 @cache
@@ -180,7 +181,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
         scratch: ti.types.ndarray(dtype=number.type, ndim=1),
         lane_rod: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [thread · lane]
         queue: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [1] the next rod
-        frames: ti.types.ndarray(dtype=scalar, ndim=3),  # [rod, edge, 4] out
+        frames: table3,  # [rod, edge, 4] out
         results: table2,  # [rod, RESULTS] out
     ):
         edges = start.shape[1]
@@ -321,10 +322,13 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                     bare = shift <= 0.0
                     at_minimum = calm & bare & right
                     at_saddle = calm & bare & wrong
-                    leaving = at_saddle & (escapes < ti.cast(max_escapes, scalar))
+                    # Beside a saddle a rod may get nowhere though its residual is not yet small.
+                    adrift = wrong & (idle_trips > PATIENCE_AT_SADDLE) & (escaping < 0.5) & (closing < 0.5)
+                    leaving = (at_saddle | adrift) & (escapes < ti.cast(max_escapes, scalar))
                     resting = at_saddle & (escapes >= ti.cast(max_escapes, scalar))
                     certify = calm & (shift > 0.0)
                     escaping = ti.select(leaving, one, escaping)
+                    shift = ti.select(leaving, zero, shift)
                     escapes = ti.select(leaving, escapes + 1.0, escapes)
                     closing = ti.select(gap > ti.cast(closing_distance, scalar) * edge, one, zero)
                     rounds = ti.select((escaping > 0.5) & right & ~leaving, rounds + 1.0, rounds)

@@ -6,7 +6,7 @@ import numpy as np
 
 from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_from_matrix, quaternion_product
 from doo_ti.newton import Newton
-from doo_ti.relax import relax
+from doo_ti.relaxation import relax
 from doo_ti.types import Clamps, Configuration, Material, Solution
 
 LARGEST_TURN = np.radians(5.0)
@@ -31,7 +31,7 @@ def carried_clamps(clamps: Clamps, end_position: np.ndarray, turn: np.ndarray, s
 def carry(configuration: Configuration, material: Material, path: Iterator[Clamps], **options) -> tuple[Solution, Clamps]:
     """Relax along the path, each sub-step from the one before; returns the last solution and its clamps.
 
-    ``options`` go to :func:`doo_ti.relax.relax`; the solver is the careful one, which keeps to the branch.
+    ``options`` go to :func:`doo_ti.relaxation.relax`; the solver is the careful one, which keeps to the branch.
     """
     solution = clamps = None
     for clamps in path:

@@ -21,7 +21,7 @@ from doo_ti import Descent, Grid, Material, Newton, Observations, Status, load_o
 from doo_ti.errors import InputError  # noqa: E402
 from doo_ti.grid import parse_axis  # noqa: E402
 from doo_ti.learning import Landscape, read_landscape, status_counts  # noqa: E402
-from doo_ti.sweep import SweepOptions, sweep  # noqa: E402
+from doo_ti.sweeps import SweepOptions, sweep  # noqa: E402
 from doo_ti.types import Solution  # noqa: E402
 from tools.bench import clock, lab, workload  # noqa: E402
 from tools.bench.workload import SUTURES, Rods  # noqa: E402

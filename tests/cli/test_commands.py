@@ -58,7 +58,7 @@ def swept(monkeypatch) -> list:
     class SweepOptions(types.SimpleNamespace):
         pass
 
-    monkeypatch.setitem(sys.modules, "doo_ti.sweep", types.SimpleNamespace(sweep=sweep, SweepOptions=SweepOptions))
+    monkeypatch.setitem(sys.modules, "doo_ti.sweeps", types.SimpleNamespace(sweep=sweep, SweepOptions=SweepOptions))
     return calls
 
 
@@ -184,7 +184,7 @@ def test_failure_while_running_exits_with_one(capsys, tmp_path, swept, monkeypat
     def fail(*args, **options):
         raise failure
 
-    monkeypatch.setattr(sys.modules["doo_ti.sweep"], "sweep", fail)
+    monkeypatch.setattr(sys.modules["doo_ti.sweeps"], "sweep", fail)
     assert main(["sweep", str(tmp_path / "good.npz"), "--bend", "1e5", "--out", str(tmp_path / "run")]) == 1
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1

@@ -6,7 +6,7 @@ import pytest
 from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
 from doo_ti.metric import distance
-from doo_ti.relax import relax
+from doo_ti.relaxation import relax
 from doo_ti.types import Configuration, Material, Status
 from tests.data.rods import twisted_frames, wavy_vertices
 from tests.oracle.metric import distance as defined
@@ -124,7 +124,6 @@ def test_what_cannot_be_compared_is_refused(rng):
         print(caught.value)
 
 
-@pytest.mark.xfail(run=False, reason="rows beyond the observations are read all the same, whatever memory they name")
 @pytest.mark.parametrize("index", [[0, 1, 2, 3, 4, 5, COUNT], [-1, 0, 1, 2, 3, 4, 5]])
 def test_rows_out_of_range_are_refused(rng, index):
     with pytest.raises(InputError):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.relax import relax
+from doo_ti.relaxation import relax
 from doo_ti.types import Material
 from tests.references.rods import chain, clamps_at, jiggled, stacked
 

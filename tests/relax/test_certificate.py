@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from doo_ti.relax import Newton, relax
+from doo_ti.relaxation import Newton, relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start, equilibrium
@@ -119,3 +119,19 @@ def test_what_has_not_converged_is_not_certified(rng):
     rods = wandering(rng, 6, 12)
     solution = relax(jiggled(rods, rng, 0.2), Material(2e5, 1e5, 1.0), clamps_at(rods), Newton(max_iterations=4))
     assert not solution.converged.any() and not solution.stable.any()
+
+
+def test_ribbons_bent_exactly_about_their_stiff_axis_turn_over():
+    """Planar at 0° with the stiff direction in the plane: every one rests on a saddle, and every one leaves it."""
+    places = [(distance / 99 * 48, side) for distance in (42.0, 48.0, 54.0, 60.0, 66.0) for side in (-1.0, 1.0)]
+    short = stacked([planar_bow(*place, edges=33) for place in places])
+    rods = Configuration(short.start, short.quaternions, np.full(33, 3.0))
+    bend, ratio = (axis.ravel() for axis in np.meshgrid([5e4, 1.4e5, 4.2e5], [0.03, 0.1, 0.3]))
+    material = Material.diagonal(bend, 3 * bend, bend * ratio)
+    index = {"configuration_index": np.arange(10).repeat(9), "material_index": np.tile(np.arange(9), 10)}
+    resting = relax(rods, material, clamps_at(rods), Newton(max_escapes=0, tolerance=1e-8), **index)
+    assert resting.converged.all() and not resting.stable.any()
+    left = relax(rods, material, clamps_at(rods), **index)
+    print(f"{left.converged.sum()} of 90 converged; residuals of the others {left.residual[~left.converged]}")
+    assert (left.energy[left.converged] < resting.energy[left.converged]).all()
+    assert left.converged.all() and left.stable.all()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.relax import Descent, Newton, relax
+from doo_ti.relaxation import Descent, Newton, relax
 from doo_ti.types import Clamp, Material, Status
 from tests.references.rods import clamps_at, jiggled
 from tests.relax.lab import lab, vertex_distance

@@ -7,7 +7,7 @@ from doo_ti import batch
 from doo_ti.descent import Descent
 from doo_ti.newton import Newton
 from doo_ti.physics.number import Number
-from doo_ti.relax import relax
+from doo_ti.relaxation import relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 
 THREADS = 7

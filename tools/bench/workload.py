@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti import Clamps, Configuration, Descent, Material, Newton, Observations
-from doo_ti.relax import relax
+from doo_ti.relaxation import relax
 from doo_ti.start import observation_clamps, start_configuration
 from doo_ti.types import Solution
 

@@ -42,7 +42,7 @@ def relax(
     configuration_index,   (R,) rows of the tables that make up each rod; without them rows are paired one to one and a
     material_index         single row goes with every row of the other table
 
-    Clamped frames overwrite the first and last frame of the start. Inputs are never modified. Energies include the
+    Clamped frames overwrite the first and last frame of the start. Inputs are never modified, results are float64. Energies include the
     constant μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods get that status and NaN.
     """
     up = np.asarray(up, dtype=np.float64)
@@ -83,7 +83,6 @@ def _newton(table: Tables, up: np.ndarray, solver: Newton, precision: str):
         fine = replace(solver, first_shift=0.0)
         finer, again = batch.run_newton(table.restarted(frames, usable, rows), up, fine, 64)
         again[:, ITERATIONS] += results[rows, ITERATIONS]
-        frames = frames.astype(np.float64) if precision == "mixed" else frames
         frames[rows], results[rows], bits[rows] = finer, again, 64
     return frames, results, bits
 

@@ -45,7 +45,7 @@ class SweepOptions:
 
     frame_weight           w_m of Eq. 1, mm
     clamp_start, clamp_end what holds the ends; None: the frame where it is given, else the tangent
-    solver, precision      as :func:`doo_ti.relax.relax` takes them
+    solver, precision      as :func:`doo_ti.relaxation.relax` takes them
     objective              "static" (Eq. 2)
     seed                   of everything random, for the provenance: a static sweep draws nothing
     workers                processes to share the chunks; None: this one. The result does not depend on it
@@ -105,7 +105,7 @@ def sweep_cells(observations: Observations, grid: Grid, options: SweepOptions, f
     """The rows of cells ``first`` to ``last``, cell by cell: columns by name. Of several whole-turn hypotheses of an
     observation the one nearest to it stands in each cell; the column ``turns`` says which."""
     from doo_ti.metric import distance
-    from doo_ti.relax import relax
+    from doo_ti.relaxation import relax
 
     clamps = _clamps(observations, options)
     index, turns = turn_hypotheses(observations, clamps)
@@ -274,7 +274,7 @@ def _trajectory(observations: Observations, grid: Grid, options: SweepOptions, b
     """The rods of the best cell after 1, 2, … solver iterations: (T, D, V, 3) vertices, (T, D) energy and residual, and
     the last (D,) status and distance. A relaxation stopped after k iterations is the first k of the whole one."""
     from doo_ti.metric import distance
-    from doo_ti.relax import relax
+    from doo_ti.relaxation import relax
 
     columns = sweep_cells(observations, grid, options, best, best + 1)
     clamps = _clamps(observations, options)
