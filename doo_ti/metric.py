@@ -5,8 +5,6 @@
 Missing marks are left out: the first sum then runs over the valid marks and divides by their number less one.
 """
 
-from functools import cache
-
 import numpy as np
 import taichi as ti
 
@@ -41,7 +39,7 @@ def distance(configuration: Configuration, observations: Observations, index=Non
     result = np.empty(configuration.count)
     frames = observations.frames
     directors = np.zeros((1, 1, 3)) if frames is None else np.ascontiguousarray(frames[..., 1])
-    _kernel()(
+    _compare(
         np.ascontiguousarray(configuration.start, dtype=np.float64),
         np.ascontiguousarray(configuration.quaternions, dtype=np.float64),
         np.ascontiguousarray(np.atleast_2d(configuration.rest_length), dtype=np.float64),
@@ -51,48 +49,42 @@ def distance(configuration: Configuration, observations: Observations, index=Non
     return result
 
 
-@cache
-def _kernel():
-    """The kernel, compiled on first use."""
-
-    @ti.kernel
-    def compare(
-        start: ti.types.ndarray(dtype=ti.f64, ndim=2),  # [rod, 3]
-        quaternions: ti.types.ndarray(dtype=ti.f64, ndim=3),  # [rod, edge, 4]
-        rest_length: ti.types.ndarray(dtype=ti.f64, ndim=2),  # [1 or rod, edge]
-        vertices: ti.types.ndarray(dtype=ti.f64, ndim=3),  # [observation, vertex, 3]
-        directors: ti.types.ndarray(dtype=ti.f64, ndim=3),  # [observation, edge, 3]
-        valid: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [observation, vertex]
-        index: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [rod]
-        frame_weight: ti.f64,
-        result: ti.types.ndarray(dtype=ti.f64, ndim=1),  # [rod] out
-    ):
-        for rod in range(quaternions.shape[0]):
-            d = index[rod]
-            lengths = ti.min(rod, rest_length.shape[0] - 1)
-            edges = quaternions.shape[1]
-            x = ti.Vector([start[rod, 0], start[rod, 1], start[rod, 2]], dt=ti.f64)
-            position_error = ti.cast(0.0, ti.f64)
-            frame_error = ti.cast(0.0, ti.f64)
-            marks = 0
-            for v in range(edges + 1):
-                if valid[d, v] == 1:
-                    marks += 1
+@ti.kernel
+def _compare(
+    start: ti.types.ndarray(dtype=ti.f64, ndim=2),  # [rod, 3]
+    quaternions: ti.types.ndarray(dtype=ti.f64, ndim=3),  # [rod, edge, 4]
+    rest_length: ti.types.ndarray(dtype=ti.f64, ndim=2),  # [1 or rod, edge]
+    vertices: ti.types.ndarray(dtype=ti.f64, ndim=3),  # [observation, vertex, 3]
+    directors: ti.types.ndarray(dtype=ti.f64, ndim=3),  # [observation, edge, 3]
+    valid: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [observation, vertex]
+    index: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [rod]
+    frame_weight: ti.f64,
+    result: ti.types.ndarray(dtype=ti.f64, ndim=1),  # [rod] out
+):
+    for rod in range(quaternions.shape[0]):
+        d = index[rod]
+        lengths = ti.min(rod, rest_length.shape[0] - 1)
+        edges = quaternions.shape[1]
+        x = ti.Vector([start[rod, 0], start[rod, 1], start[rod, 2]], dt=ti.f64)
+        position_error = ti.cast(0.0, ti.f64)
+        frame_error = ti.cast(0.0, ti.f64)
+        marks = 0
+        for v in range(edges + 1):
+            if valid[d, v] == 1:
+                marks += 1
+                apart = ti.cast(0.0, ti.f64)
+                for k in ti.static(range(3)):
+                    apart += (x[k] - vertices[d, v, k]) ** 2
+                position_error += ti.sqrt(apart)
+            if v < edges:
+                q = (quaternions[rod, v, 0], quaternions[rod, v, 1], quaternions[rod, v, 2], quaternions[rod, v, 3])
+                t = tangent(q)
+                for k in ti.static(range(3)):
+                    x[k] += rest_length[lengths, v] * t[k]
+                if frame_weight > 0.0:
+                    m1 = first_director(q)
                     apart = ti.cast(0.0, ti.f64)
                     for k in ti.static(range(3)):
-                        apart += (x[k] - vertices[d, v, k]) ** 2
-                    position_error += ti.sqrt(apart)
-                if v < edges:
-                    q = (quaternions[rod, v, 0], quaternions[rod, v, 1], quaternions[rod, v, 2], quaternions[rod, v, 3])
-                    t = tangent(q)
-                    for k in ti.static(range(3)):
-                        x[k] += rest_length[lengths, v] * t[k]
-                    if frame_weight > 0.0:
-                        m1 = first_director(q)
-                        apart = ti.cast(0.0, ti.f64)
-                        for k in ti.static(range(3)):
-                            apart += (m1[k] - directors[d, v, k]) ** 2
-                        frame_error += ti.sqrt(apart)
-            result[rod] = position_error / (marks - 1) + frame_weight * frame_error / (edges - 1)
-
-    return compare
+                        apart += (m1[k] - directors[d, v, k]) ** 2
+                    frame_error += ti.sqrt(apart)
+        result[rod] = position_error / (marks - 1) + frame_weight * frame_error / (edges - 1)
