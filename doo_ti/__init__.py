@@ -24,7 +24,8 @@ _HOMES = {
     "Status": "types", "InputError": "errors", "Observations": "dataset", "load_observations": "dataset",
     "save_observations": "dataset", "observation_clamps": "start", "start_configuration": "start",
     "turn_hypotheses": "start", "Grid": "grid", "Newton": "newton", "Descent": "descent", "relax": "relaxation",
-    "distance": "metric", "sweep": "sweeps",
+    "distance": "metric", "sweep": "sweeps", "SweepOptions": "sweeps", "Axis": "grid",
+    "choose_hypothesis": "start",
 }
 __all__ = sorted(_HOMES)
 

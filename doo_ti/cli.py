@@ -5,12 +5,15 @@ remedy, and nothing written.
 """
 
 import argparse
+import os
 import re
+import signal
 import sys
+import threading
 from collections.abc import Sequence
 from typing import NoReturn
 
-from doo_ti import commands
+from doo_ti import __version__, commands
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.scene import CLAMPS, OBJECTIVES, PRECISIONS
 
@@ -31,10 +34,16 @@ class _Parser(argparse.ArgumentParser):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command that ``argv`` (without the program's name) spells out; returns the exit code."""
     argv = list(sys.argv[1:] if argv is None else argv)
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a console that lacks Θ shows a question mark
+            stream.reconfigure(errors="replace")
     try:
         return _run(argv)
     except InputError as error:
         return _report(error, 2)
+    except BrokenPipeError:  # the reader, head or less, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except KeyboardInterrupt:
         return _report("interrupted", 1)
     except (InterruptedRunError, OSError, MemoryError) as error:
@@ -42,6 +51,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(argv: list[str]) -> int:
+    if threading.current_thread() is threading.main_thread():
+        # Being told to end is like Ctrl-C: what is done is kept and the way to go on is printed.
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     parser = _parser()
     try:
         options, unknown = parser.parse_known_args(_joined(argv))
@@ -75,6 +87,7 @@ def _joined(argv: list[str]) -> list[str]:
 def _parser() -> _Parser:
     parser = _Parser(prog="doo-ti", allow_abbrev=False,
                      description="Fit discrete elastic rods to observed shapes (Javdani et al., ICRA 2011).")
+    parser.add_argument("--version", action="version", version=f"doo-ti {__version__}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
 
     relax = add("relax", allow_abbrev=False, help="relax each observation under one material")

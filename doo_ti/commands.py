@@ -5,6 +5,8 @@ they are used, so that wrong input is told at once.
 """
 
 import json
+import os
+import sys
 from argparse import Namespace
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -13,11 +15,18 @@ import numpy as np
 
 from doo_ti import options as given
 from doo_ti.dataset import Observations, load_observations, save_observations, write_whole
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.grid import Grid
 from doo_ti.learning import Landscape, read_landscape, status_counts
 from doo_ti.scene import Scene, Synthesis, load_scene
-from doo_ti.start import check_feasible, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
+from doo_ti.start import (
+    check_experiment,
+    choose_hypothesis,
+    observation_clamps,
+    start_configuration,
+    turn_hypotheses,
+)
+from doo_ti.types import Clamp, Status
 
 
 def relax(options: Namespace, words: list[str]) -> int:
@@ -29,7 +38,8 @@ def relax(options: Namespace, words: list[str]) -> int:
     frame_weight, up, out = given.frame_weight(options), given.up(options), given.output_file(options.out, ".npz")
     observations = load_observations(options.observations, up)
     clamps = observation_clamps(observations, given.clamp(options.clamp_start), given.clamp(options.clamp_end))
-    check_feasible(observations, clamps)
+    check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
+    given.refuse_overwriting(out, options.observations)
 
     from doo_ti.metric import distance
     from doo_ti.relaxation import relax as relax_rods
@@ -40,14 +50,14 @@ def relax(options: Namespace, words: list[str]) -> int:
                           up=observations.up, precision=options.precision)
     relaxed = solution.configuration
     error = distance(relaxed, observations, index, frame_weight)
-    best = choose_hypothesis(index, error)
+    best = choose_hypothesis(index, error, solution.converged & solution.stable)
     configuration = relaxed.take(best)
     result = {"vertices_mm": configuration.vertices, "frames": configuration.frames, "distance_mm": error[best]}
     result |= {name: getattr(solution, name)[best] for name in ("energy", "status", "iterations", "residual", "stable")}
     out.parent.mkdir(parents=True, exist_ok=True)
     write_whole(out, lambda file: np.savez_compressed(file, **result))
     _tell_relaxation(options, observations, grid, result, out)
-    return 0
+    return 0 if (result["status"] == Status.CONVERGED).any() else 1
 
 
 def sweep(options: Namespace, words: list[str]) -> int:
@@ -62,7 +72,8 @@ def sweep(options: Namespace, words: list[str]) -> int:
     if scene:
         clamp_start = scene.clamp_start if clamp_start is None else clamp_start
         clamp_end = scene.clamp_end if clamp_end is None else clamp_end
-    check_feasible(observations, observation_clamps(observations, clamp_start, clamp_end))
+    clamps = observation_clamps(observations, clamp_start, clamp_end)
+    check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
 
     from doo_ti.sweeps import SweepOptions
     from doo_ti.sweeps import sweep as sweep_grid
@@ -77,6 +88,11 @@ def sweep(options: Namespace, words: list[str]) -> int:
         print(json.dumps(_plain(summary)))
     else:
         _tell_landscape(read_landscape(run))
+        if grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end):
+            print("  note        an end may spin, so nothing twists the rod: twist is not determined")
+        if scene and isinstance(scene.observations, Synthesis):
+            print(f"  true Θ      bend {scene.observations.bend} mm³, twist {scene.observations.twist:.4g} mm³, "
+                  f"weight {scene.observations.weight:.4g} (the virtual lab's)")
         print(f"  written to {run}")
     return 0
 
@@ -99,16 +115,20 @@ def learn(options: Namespace, words: list[str]) -> int:
 def view(options: Namespace, words: list[str]) -> int:
     """Open the rerun viewer on a run."""
     path = Path(options.recording)
-    if not path.exists():
-        raise InputError(path, "run", "no such file or directory", "name the folder of a run, or an .rrd file")
+    if not path.exists() or (path.is_file() and path.suffix != ".rrd"):
+        problem = "not a recording" if path.exists() else "no such file or directory"
+        raise InputError(path, "run", problem, "name the folder of a run, or an .rrd file")
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InterruptedRunError("view: there is no display here; tools/screenshot.py saves a picture without one")
     from doo_ti.record import open_viewer
 
     return 1 if open_viewer(path) else 0
 
 
 def convert(options: Namespace, words: list[str]) -> int:
-    """Observations from one format to another, losslessly."""
+    """Observations from one format to another; keys that are not observations' are left behind."""
     out = given.output_file(options.out)
+    given.refuse_overwriting(out, options.observations)
     _save(out, load_observations(options.observations))
     return 0
 
@@ -126,6 +146,7 @@ def _observed(scene: Scene, up: np.ndarray | None) -> Observations:
         from doo_ti.synthesis import synthesise
 
         observations = synthesise(scene.observations)
+        observations = replace(observations, sha256=scene.sha256)
     else:
         observations = load_observations(scene.observations)
     return replace(observations, name=scene.name, **({} if up is None else {"up": up}))
@@ -183,7 +204,8 @@ def _tell_landscape(landscape: Landscape) -> None:
     print(f"  best Θ      {_theta(best, landscape.grid.is_isotropic)}")
     print(f"  distance    mean {best['mean_distance_mm']:.4g} mm (Eq. 1)")
     for interval in landscape.intervals:
-        print(f"  within 5 %  {interval}")
+        print(f"  within 5 %  {interval}{' (at the border of the grid: widen it)' * interval.at_border}")
+    print("              (how flat the landscape is around its minimum; not a confidence interval)")
     print(f"  status      {_counted(best['status'])}; {best['stable']} certified stable")
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.importers import read_npz, read_table, write_table
+from doo_ti.types import LARGEST
 
 # Field of Observations: key of the file.
 KEYS = {
@@ -24,8 +25,6 @@ KEYS = {
 }
 TABLES = (".csv", ".parquet")
 FRAME_TOLERANCE = 1e-3
-# No file means a larger number; squares of larger ones overflow.
-LARGEST = 1e30
 
 
 @dataclass(frozen=True)
@@ -223,8 +222,19 @@ def load_observations(path: str | os.PathLike, up=None) -> Observations:
     observations = Observations(**values, name=path.stem, source=str(path), sha256=hashlib.sha256(content).hexdigest())
     changed = {} if up is None else {"up": np.asarray(up)}
     if observations.total_twist is not None:
+        _check_turns(observations)
         changed["total_twist"] = np.radians(observations.total_twist)
     return replace(observations, **changed)
+
+
+def _check_turns(observations: Observations) -> None:
+    """Raise InputError for a hint, still in degrees, of more twist than joints of up to half a turn each can hold."""
+    most = 180.0 * (observations.edges - 1)
+    bad = np.flatnonzero(np.abs(observations.total_twist) > most)
+    if len(bad):
+        hint = f"{observations.total_twist[bad[0]]:g} of observation {bad[0]}"
+        raise InputError(observations.source, "total_twist_deg", hint,
+                         f"give degrees; {observations.edges} edges hold at most {most:g}")
 
 
 def save_observations(path: str | os.PathLike, observations: Observations) -> None:
@@ -248,7 +258,7 @@ def save_observations(path: str | os.PathLike, observations: Observations) -> No
 
 def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
     """Let ``write`` fill the file ``path``; a file that is already there stays until the new one is whole."""
-    partial = path.with_name(f".{path.name}.part")
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with open(partial, "wb") as file:
             write(file)

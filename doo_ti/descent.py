@@ -49,8 +49,8 @@ class Descent:
     def __post_init__(self):
         if not self.tolerance > 0:
             raise InputError("Descent", "tolerance", f"{self.tolerance} is not positive", "give a positive number")
-        if self.max_iterations < 1:
-            raise InputError("Descent", "max_iterations", f"{self.max_iterations} is below one", "give one or more")
+        if not isinstance(self.max_iterations, int) or self.max_iterations < 1:
+            raise InputError("Descent", "max_iterations", f"{self.max_iterations}", "give a whole number from one up")
         if not 0 < self.largest_move <= 0.2:
             raise InputError("Descent", "largest_move", f"{self.largest_move}", "give a fraction above 0, at most 0.2")
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.types import Material
+from doo_ti.types import LARGEST, Material
 
 # Axis name: unit, in the order in which a grid's axes run.
 UNITS = {"bend": "mm³", "bend_1": "mm³", "bend_2": "mm³", "twist": "mm³", "twist_ratio": "", "weight": ""}
@@ -150,7 +150,8 @@ class Grid:
 class Interval:
     """What a landscape says about one parameter: its value in the best cell, and the range that is nearly as good.
 
-    ``low_is_open`` and ``high_is_open``: the range reaches the grid's edge, so beyond it may be as good.
+    The range ends half-way to the nearest cells that are not: the grid cannot tell more. ``low_is_open`` and
+    ``high_is_open``: it reaches the grid's edge, so beyond it may be as good.
     """
 
     name: str
@@ -159,6 +160,11 @@ class Interval:
     high: float
     low_is_open: bool
     high_is_open: bool
+
+    @property
+    def at_border(self) -> bool:
+        """The best value is the grid's first or last."""
+        return self.best in (self.low, self.high)
 
     def __str__(self) -> str:
         low, high = f"{'<=' * self.low_is_open}{self.low:.3g}", f"{'>=' * self.high_is_open}{self.high:.3g}"
@@ -178,9 +184,12 @@ def valley(grid: Grid, mean_distance: np.ndarray, fraction: float = 0.05) -> tup
     values = grid.axis_values()
     intervals = []
     for axis in grid.varying:
-        low, high = values[axis.name][near].min(), values[axis.name][near].max()
-        intervals.append(Interval(axis.name, float(values[axis.name][best]), float(low), float(high),
-                                  bool(low == axis.values[0]), bool(high == axis.values[-1])))
+        spots = np.flatnonzero(np.isin(axis.values, values[axis.name][near]))
+        between = np.sqrt(axis.values[1:] * axis.values[:-1]) if axis.log else 0.5 * (axis.values[1:] + axis.values[:-1])
+        ends = np.concatenate([axis.values[:1], between, axis.values[-1:]])
+        first, last = spots[0], spots[-1]
+        intervals.append(Interval(axis.name, float(values[axis.name][best]), float(ends[first]), float(ends[last + 1]),
+                                  bool(first == 0), bool(last == len(axis) - 1)))
     return tuple(intervals)
 
 
@@ -225,8 +234,8 @@ def _number(source: str, option: str, text: str, part: str) -> float:
         value = float(part)
     except ValueError:
         raise InputError(source, option, f"{part!r} in {text!r} is not a number", _FORM) from None
-    if not np.isfinite(value):
-        raise InputError(source, option, f"{part!r} in {text!r} is not finite", _FORM)
+    if not abs(value) <= LARGEST:
+        raise InputError(source, option, f"{part!r} in {text!r} is not finite, or beyond {LARGEST:g}", _FORM)
     return value
 
 

@@ -54,11 +54,11 @@ class Newton:
     def __post_init__(self):
         if self.tolerance is not None and not self.tolerance > 0:
             raise InputError("Newton", "tolerance", f"{self.tolerance} is not positive", "give a positive number")
-        if self.max_iterations < 1:
-            raise InputError("Newton", "max_iterations", f"{self.max_iterations} is below one", "give one or more")
+        if not isinstance(self.max_iterations, int) or self.max_iterations < 1:
+            raise InputError("Newton", "max_iterations", f"{self.max_iterations}", "give a whole number from one up")
         if not 0 < self.max_rotation <= 1:
             raise InputError("Newton", "max_rotation", f"{self.max_rotation}", "give radians above 0, at most 1")
-        if self.first_shift < 0:
+        if not 0 <= self.first_shift < float("inf"):
             raise InputError("Newton", "first_shift", f"{self.first_shift} is negative", "give zero or more")
 
     @classmethod

@@ -12,7 +12,7 @@ import numpy as np
 from doo_ti.dataset import checked_suffix
 from doo_ti.errors import InputError
 from doo_ti.grid import UNITS, Axis, Grid, parse_axis, parse_bend
-from doo_ti.types import Clamp
+from doo_ti.types import LARGEST, Clamp
 
 SOURCE = "command line"
 
@@ -49,7 +49,7 @@ def up(options: Namespace) -> np.ndarray | None:
     if options.up is None:
         return None
     direction = np.array([_decimal("--up", part, "three numbers X,Y,Z") for part in options.up.split(",")])
-    if direction.shape != (3,) or not np.linalg.norm(direction) > 0:
+    if direction.shape != (3,) or not (np.abs(direction) <= LARGEST).all() or not np.linalg.norm(direction) > 0:
         raise InputError(SOURCE, "--up", f"{options.up!r} is no direction", "give X,Y,Z, such as 0,0,1")
     return direction
 
@@ -82,6 +82,12 @@ def output_file(text: str, suffix: str | None = None) -> Path:
         raise InputError(SOURCE, "--out", f"{path} is a folder", "name a file")
     _check_folder(path.parent)
     return path
+
+
+def refuse_overwriting(out: Path, source: str) -> None:
+    """Raise InputError where the file to write is the one that is read."""
+    if out.exists() and Path(source).exists() and out.samefile(source):
+        raise InputError(SOURCE, "--out", f"{out} is the input itself", "name another file")
 
 
 def output_folder(text: str) -> Path:

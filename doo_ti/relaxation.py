@@ -15,7 +15,7 @@ from doo_ti.descent import Descent
 from doo_ti.errors import InputError
 from doo_ti.newton import Newton
 from doo_ti.tables import CLOSURE, ENERGY, ITERATIONS, RESIDUAL, STABLE, STATUS, Tables, tables
-from doo_ti.types import Clamps, Configuration, Material, Solution, Status
+from doo_ti.types import LARGEST, Clamps, Configuration, Material, Solution, Status
 
 PRECISIONS = ("f32", "f64", "mixed")
 
@@ -42,13 +42,12 @@ def relax(
     configuration_index,   (R,) rows of the tables that make up each rod; without them rows are paired one to one and a
     material_index         single row goes with every row of the other table
 
-    Clamped frames overwrite the first and last frame of the start. Inputs are never modified, results are float64. Energies include the
-    constant μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods get that status and NaN.
+    Clamped frames overwrite the first and last frame of the start. Inputs are never modified, results are float64.
+    Energies include the constant μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods get that status and NaN.
     """
-    up = np.asarray(up, dtype=np.float64)
-    if up.shape != (3,) or not np.isfinite(up).all() or not np.linalg.norm(up) > 0:
-        raise InputError("relax", "up", f"{up.tolist()}", "give a direction of three finite numbers, not all zero")
-    up = up / np.linalg.norm(up)
+    up = _unit(up)
+    if not isinstance(solver, Newton | Descent):
+        raise InputError("relax", "solver", f"{solver!r}", "give Newton(), Newton.careful() or Descent()")
     if precision not in PRECISIONS:
         raise InputError("relax", "precision", f"{precision!r}", f"give one of {', '.join(PRECISIONS)}")
     with np.errstate(all="ignore"):  # a rod that is not finite is data: it gets a status, not a warning
@@ -58,6 +57,16 @@ def relax(
         else:
             frames, results, bits = _newton(table, up, solver, precision)
         return _solution(table, up, frames, results, bits)
+
+
+def _unit(up) -> np.ndarray:
+    try:
+        up = np.asarray(up, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("relax", "up", f"{up!r}", "give a direction of three numbers") from None
+    if up.shape != (3,) or not (np.abs(up) <= LARGEST).all() or not np.linalg.norm(up) > 0:
+        raise InputError("relax", "up", f"{up.tolist()}", "give a direction of three finite numbers, not all zero")
+    return up / np.linalg.norm(up)
 
 
 def _descent(table: Tables, up: np.ndarray, solver: Descent, precision: str):

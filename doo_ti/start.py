@@ -36,6 +36,21 @@ def observation_clamps(observations: Observations, start: Clamp | None = None, e
     return Clamps(*kinds, *positions, *frames)
 
 
+def check_experiment(observations: Observations, clamps: Clamps, weight: float, frame_weight: float) -> None:
+    """Raise InputError for what no relaxation could make good: clamps that :func:`check_feasible` refuses, a rod with weight
+    that nothing holds, fewer than two edges left free, and a frame weight w_m without measured frames."""
+    free = (np.asarray(clamps.start) == Clamp.FREE) & (np.asarray(clamps.end) == Clamp.FREE)
+    if weight > 0 and free.any():
+        raise InputError(observations.source, "clamps", "both ends are free and the rod has weight", "hold one end")
+    if frame_weight > 0 and observations.frames is None:
+        raise InputError(observations.source, "frames", "missing, but a frame weight is given", "use --frame-weight 0")
+    clamped = sum(np.asarray(kind) >= Clamp.TANGENT for kind in (clamps.start, clamps.end))
+    if (observations.edges - clamped < 2).any():
+        raise InputError(observations.source, "vertices_mm", f"{observations.edges} edges, too few of them free to relax",
+                         "give more marks, or clamp only positions")
+    check_feasible(observations, clamps)
+
+
 def check_feasible(observations: Observations, clamps: Clamps) -> None:
     """Raise InputError where clamps are further apart than the rod is long, naming the observation and by how much."""
     excess = span_excess(clamps, observations.rest_length)
@@ -84,12 +99,13 @@ def turn_hypotheses(observations: Observations, clamps: Clamps) -> tuple[np.ndar
     return index, np.where(both[index], rank - 1, 0)
 
 
-def choose_hypothesis(observation_index: np.ndarray, score: np.ndarray) -> np.ndarray:
-    """(D,) rows of the (N,) hypotheses with the smallest score of each observation; NaN counts as the largest.
+def choose_hypothesis(observation_index: np.ndarray, score: np.ndarray, sound: np.ndarray) -> np.ndarray:
+    """(D,) rows of the (N,) hypotheses with the smallest score of each observation, among those that are ``sound`` (N,)
+    where there are any: a rod that was stopped on the way is near its start, and no witness. NaN counts as the largest.
 
     Equal scores go to the first row.
     """
-    order = np.lexsort((np.where(np.isnan(score), np.inf, score), observation_index))
+    order = np.lexsort((np.where(np.isnan(score), np.inf, score), ~sound, observation_index))
     first = np.concatenate([[True], np.diff(observation_index[order]) != 0])
     return order[first]
 

@@ -13,13 +13,15 @@ import hashlib
 import json
 import os
 import platform
+import shlex
 import time
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, fields
 from functools import partial
 from importlib.metadata import version
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait
 from pathlib import Path
 
 import numpy as np
@@ -31,10 +33,17 @@ from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.grid import Grid
 from doo_ti.learning import gather_landscape, status_counts
 from doo_ti.newton import Newton
-from doo_ti.start import choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
+from doo_ti.start import (
+    check_experiment,
+    choose_hypothesis,
+    observation_clamps,
+    start_configuration,
+    turn_hypotheses,
+)
 from doo_ti.types import Clamp
 
 RODS_PER_CHUNK = 32_768
+MOST_RODS = 1_000_000_000
 MOST_FRAMES = 60
 """Solver iterations of the best cell that are recorded."""
 
@@ -69,15 +78,24 @@ def sweep(run: Path, observations: Observations, grid: Grid, *, options: SweepOp
     """
     began = time.monotonic()
     run = Path(run)
+    clamps = _clamps(observations, options)
+    check_experiment(observations, clamps, grid.axes[-1].values[-1], options.frame_weight)
+    rods = len(turn_hypotheses(observations, clamps)[0])
+    if rods * grid.size > MOST_RODS:
+        raise InputError(grid.source, "grid", f"{grid.size:,} cells are {rods * grid.size:,} rods",
+                         f"give a grid of at most {MOST_RODS // rods:,} cells")
     identity = _identity(observations, grid, options)
     _claim(run, identity)
-    rods = len(turn_hypotheses(observations, _clamps(observations, options))[0])
     step = max(1, RODS_PER_CHUNK // rods)
     chunks = [(first, min(first + step, grid.size)) for first in range(0, grid.size, step)]
     left = [chunk for chunk in chunks if not _chunk_path(run, *chunk).exists()]
+    if not left and (done := _finished(run, identity)):
+        return done
     relaxed = rods * sum(last - first for first, last in left)
     seconds = _relax_chunks(run, observations, grid, options, left, rods, command)
     landscape = gather_landscape(run, grid, observations.name)
+    if np.isnan(landscape.mean_distance).all():
+        raise InterruptedRunError(f"{run}: no cell has an error, every rod came to nothing; look at status in cells/")
     best = landscape.best
     theta = {name: float(value[best]) for name, value in grid.cell_values().items()}
     summary = {
@@ -118,7 +136,8 @@ def sweep_cells(observations: Observations, grid: Grid, options: SweepOptions, f
     if hypotheses == observations.count:
         rows = np.arange(cells * hypotheses)
     else:
-        rows = choose_hypothesis(of_cell * observations.count + index[of_hypothesis], error)
+        sound = solution.converged & solution.stable
+        rows = choose_hypothesis(of_cell * observations.count + index[of_hypothesis], error, sound)
     cell, observation = of_cell[rows], index[of_hypothesis[rows]]
     columns = {name: values[cell] for name, values in grid.cell_values(slice(first, last)).items()}
     columns |= {"observation": observation.astype(np.int32), "turns": turns[of_hypothesis[rows]].astype(np.int32)}
@@ -128,6 +147,15 @@ def sweep_cells(observations: Observations, grid: Grid, options: SweepOptions, f
     for name in ("energy", "residual", "iterations", "status", "stable", "precision"):
         columns[name] = getattr(solution, name)[rows]
     return columns
+
+
+def _finished(run: Path, identity: str) -> dict | None:
+    """The summary of a sweep that was finished before, or None."""
+    path = run / "summary.json"
+    if not (path.exists() and (run / "run.rrd").exists()):
+        return None
+    summary = json.loads(path.read_text(encoding="utf-8"))
+    return summary if summary["provenance"]["sweep_sha256"] == identity else None
 
 
 def _clamps(observations: Observations, options: SweepOptions):
@@ -147,11 +175,10 @@ def _relax_chunks(run, observations, grid, options, chunks, rods, command) -> fl
     work = partial(sweep_cells, observations, grid, options)
     bar = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("cells"),
                    TextColumn("{task.fields[rate]}"), TimeRemainingColumn(), console=Console(stderr=True))
-    pool = nullcontext() if options.workers is None else ProcessPoolExecutor(options.workers, get_context("spawn"))
     try:
-        with bar, pool as executor:
-            total = sum(last - first for first, last in chunks)
-            task = bar.add_task(observations.name, total=total, rate="compiling")
+        with bar, _pool(options.workers) as executor:
+            before = grid.size - sum(last - first for first, last in chunks)
+            task = bar.add_task(observations.name, total=grid.size, completed=before, rate="compiling")
             done = 0
             for (first, last), columns in _results(work, chunks, executor):
                 _store(_chunk_path(run, first, last), columns, observations.name)
@@ -161,10 +188,32 @@ def _relax_chunks(run, observations, grid, options, chunks, rods, command) -> fl
     except InputError:
         raise
     except (Exception, KeyboardInterrupt) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        again = " ".join(command) if command else "the same call"
+        reason = " ".join(str(error).split()) or {KeyboardInterrupt: "interrupted"}.get(type(error), type(error).__name__)
+        again = shlex.join(command) if command else "the same call"
         raise InterruptedRunError(f"{run}: sweep stopped ({reason}); finished cells are kept, go on with: {again}") from error
     return time.monotonic() - began
+
+
+def _pool(workers: int | None):
+    """An executor of that many spawned processes that share the processors; without a number none."""
+    if workers is None:
+        return nullcontext()
+    threads = max(1, (os.cpu_count() or 1) // workers)
+    return ProcessPoolExecutor(workers, get_context("spawn"), initializer=_start_worker, initargs=(threads,))
+
+
+def _start_worker(threads: int) -> None:
+    """Start Taichi on ``threads`` threads, and see to it that the worker does not outlive its parent."""
+    from threading import Thread
+
+    from doo_ti import runtime
+
+    def end_with_parent() -> None:
+        wait([parent_process().sentinel])
+        os._exit(1)
+
+    Thread(target=end_with_parent, daemon=True).start()
+    runtime.start(threads=threads)
 
 
 def _results(work, chunks, executor: Executor | None):
@@ -223,6 +272,7 @@ def _claim(run: Path, identity: str) -> None:
 
 
 def _provenance(observations: Observations, options: SweepOptions, identity: str, command) -> dict:
+    clamps = _clamps(observations, options)
     packages = ("taichi", "numpy", "rerun-sdk", "pyarrow")
     return {
         "command": list(command),
@@ -231,9 +281,8 @@ def _provenance(observations: Observations, options: SweepOptions, identity: str
         "sweep_sha256": identity,
         "seed": options.seed,
         "options": {"frame_weight_mm": options.frame_weight, "precision": options.precision,
-                    "objective": options.objective, "solver": repr(options.solver),
-                    **{f"clamp_{end}": None if kind is None else kind.name.lower()
-                       for end, kind in (("start", options.clamp_start), ("end", options.clamp_end))}},
+                    "objective": options.objective, "solver": repr(options.solver), "up": observations.up.tolist(),
+                    "clamp_start": Clamp(clamps.start).name.lower(), "clamp_end": Clamp(clamps.end).name.lower()},
         "versions": {"doo_ti": __version__, "python": platform.python_version(), **{name: version(name) for name in packages}},
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
         "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
@@ -265,7 +314,8 @@ def _draw(run: Path, observations: Observations, grid: Grid, options: SweepOptio
         axes=axes, landscape=values, minimum=minimum, unfinished=unfinished, intervals=landscape.intervals,
         properties={"bend_1_mm3": best["bend_1"], "bend_2_mm3": best["bend_2"], "twist_mm3": best["twist"],
                     "weight": best["weight"], "mean_distance_mm": best["mean_distance_mm"], "rods": rods["count"],
-                    "rods_converged": rods.get("converged", 0), "rods_stable": rods["stable"]},
+                    "rods_converged": rods.get("converged", 0), "rods_stable": rods["stable"],
+                    "recorded_iterations": "those of Newton"},
         up=observations.up,
     )
 

@@ -153,16 +153,16 @@ def tables(
 def _check_shapes(configuration: Configuration, clamps: Clamps) -> None:
     """Raise InputError unless starts and clamps are tables of the same rods."""
     shape = np.shape(configuration.quaternions)
-    if len(shape) != 3 or shape[2] != 4 or shape[1] < 2:
-        raise InputError("configuration", "quaternions", f"shape {shape}", "give (R, E, 4) with at least two edges")
+    if not isinstance(configuration.quaternions, np.ndarray) or len(shape) != 3 or shape[2] != 4 or shape[1] < 2:
+        raise InputError("configuration", "quaternions", f"shape {shape}", "give an array (R, E, 4) with at least two edges")
     needed = {"start_position": (shape[0], 3), "end_position": (shape[0], 3),
               "start_frame": (shape[0], 3, 3), "end_frame": (shape[0], 3, 3)}
     for source, field, array, wanted in (
         ("configuration", "start", configuration.start, (shape[0], 3)),
         *(("clamps", name, getattr(clamps, name), size) for name, size in needed.items()),
     ):
-        if np.shape(array) != wanted:
-            raise InputError(source, field, f"shape {np.shape(array)}", f"give {wanted}, a row for each start")
+        if not isinstance(array, np.ndarray) or array.shape != wanted:
+            raise InputError(source, field, f"shape {np.shape(array)}", f"give an array {wanted}, a row for each start")
 
 
 def _kinds(name: str, kind, count: int) -> np.ndarray:

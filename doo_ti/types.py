@@ -17,6 +17,10 @@ from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, vertices_from_quaternions
 
 
+LARGEST = 1e30
+"""No quantity is larger: squares of larger ones overflow."""
+
+
 class Status(IntEnum):
     """How a relaxation ended, one per rod."""
 
@@ -82,11 +86,13 @@ class Material:
         if (weight < 0).any():
             raise InputError("material", "weight", f"{weight.min():g} is negative", "give zero or a positive weight")
         count = max(len(a) for a in (bend, twist, weight, rest) if a is not None)
+        if not all(len(a) for a in (bend, twist, weight, rest) if a is not None):
+            raise InputError("material", "bend, twist, weight", "no rows", "give at least one material")
         if any(len(a) not in (1, count) for a in (bend, twist, weight, rest) if a is not None):
             raise InputError("material", "bend, twist, weight", "leading lengths differ", "give one value or one per rod")
         for name, value in (("bend", bend), ("twist", twist), ("weight", weight), ("rest_curvature", rest)):
             if value is not None:
-                value = np.ascontiguousarray(np.broadcast_to(value, (count, *value.shape[1:])))
+                value = np.array(np.broadcast_to(value, (count, *value.shape[1:])))
                 value.setflags(write=False)
             object.__setattr__(self, name, value)
 
@@ -211,8 +217,8 @@ def _finite(name: str, value) -> np.ndarray:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError("material", name, f"{value!r} is not a number", "give numbers") from None
-    if not np.isfinite(array).all():
-        raise InputError("material", name, "not finite", "give finite numbers")
+    if not (np.abs(array) <= LARGEST).all():
+        raise InputError("material", name, f"not finite, or beyond {LARGEST:g}", "give finite numbers")
     return array
 
 

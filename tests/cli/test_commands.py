@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import types
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,9 @@ import pyarrow.parquet
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.dataset import load_observations
+from doo_ti.dataset import Observations, load_observations, save_observations
 from doo_ti.errors import InterruptedRunError
+from doo_ti.frames import bishop_frames
 from doo_ti.grid import Grid
 from doo_ti.types import Clamp, Status
 from tests.cli.test_bad_input import MATERIAL, npz_bytes
@@ -62,8 +64,22 @@ def swept(monkeypatch) -> list:
     return calls
 
 
+def ribbon(folder: Path) -> None:
+    """good.npz with measured frames, which a frame weight needs."""
+    observations = load_observations_of(folder)
+    tangents = np.diff(observations.vertices, axis=1)
+    tangents /= np.linalg.norm(tangents, axis=-1, keepdims=True)
+    across = np.array([0.31, 0.52, 0.79]) - np.sum([0.31, 0.52, 0.79] * tangents, axis=-1, keepdims=True) * tangents
+    save_observations(folder / "good.npz", replace(observations, frames=bishop_frames(tangents, across[:, 0])))
+
+
+def load_observations_of(folder: Path) -> Observations:
+    npz_bytes(folder)
+    return load_observations(folder / "good.npz")
+
+
 def test_sweep_of_a_file(capsys, tmp_path, swept):
-    npz_bytes(tmp_path)
+    ribbon(tmp_path)
     argv = ["sweep", str(tmp_path / "good.npz"), "--bend", "1e5:1e7:3", "--twist-ratio", "0.5:2:2", "--out",
             str(tmp_path / "new" / "run"), "--clamp-end", "tangent", "--up", "-1,0,0", "--workers", "2",
             "--frame-weight", "1"]
@@ -77,11 +93,11 @@ def test_sweep_of_a_file(capsys, tmp_path, swept):
     assert (options.seed, options.workers) == (0, 2)
     out = capsys.readouterr().out
     assert "good: 6 cells x 3 observations" in out and "mean 1 mm" in out and "18 converged" in out
-    assert "bend = 1e+07 mm³ in 1e+07 .. >=1e+07" in out
+    assert "bend = 1e+07 mm³ in 3.16e+06 .. >=1e+07 (at the border of the grid: widen it)" in out
 
 
 def test_sweep_of_a_scene_and_what_overrides_it(capsys, tmp_path, swept):
-    npz_bytes(tmp_path)
+    ribbon(tmp_path)
     (tmp_path / "scene.toml").write_text(SCENE)
     argv = ["sweep", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "run")]
     assert main(argv) == 0
@@ -112,8 +128,8 @@ def test_learn_prints_the_best_cell_and_its_range(capsys, tmp_path):
     assert (first["material"], first["bend_1"], first["twist"], first["mean_distance_mm"]) == ("silk", 1e6, 1e6, 1.0)
     assert (second["material"], second["bend_1"], second["twist"]) == ("nylon", 1e6, 5e5)
     bend, ratio = first["intervals"]
-    assert (bend["low"], bend["high"], bend["low_is_open"], bend["high_is_open"]) == (1e5, 1e6, True, False)
-    assert (ratio["low"], ratio["high"]) == (1.0, 1.0)
+    assert (bend["low"], bend["high"], bend["low_is_open"], bend["high_is_open"]) == (1e5, np.sqrt(1e6 * 1e7), True, False)
+    assert (ratio["low"], ratio["high"]) == (np.sqrt(0.5), 1.0)
     assert main(["learn", str(tmp_path / "a")]) == 0
     assert "silk: 6 cells x 4 observations" in capsys.readouterr().out
 
@@ -170,10 +186,37 @@ def test_view_opens_the_recording(tmp_path, monkeypatch):
         return 3 if path.name == "broken" else 0
 
     monkeypatch.setitem(sys.modules, "doo_ti.record", types.SimpleNamespace(open_viewer=open_viewer))
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setenv("DISPLAY", ":0")
     for name, code in (("run", 0), ("broken", 1)):
         (tmp_path / name).mkdir()
         assert main(["view", str(tmp_path / name)]) == code
     assert [path.name for path in opened] == ["run", "broken"]
+    monkeypatch.delenv("DISPLAY")
+    assert main(["view", str(tmp_path / "run")]) == (1 if sys.platform == "linux" else 0)
+    (tmp_path / "good.npz").write_bytes(b"")
+    assert main(["view", str(tmp_path / "good.npz")]) == 2
+
+
+def test_nothing_is_written_over_its_own_source(capsys, tmp_path):
+    before = npz_bytes(tmp_path)
+    good = str(tmp_path / "good.npz")
+    for argv in (["relax", good, *MATERIAL, "--out", good], ["convert", good, good]):
+        assert main(argv) == 2 and "is the input itself" in capsys.readouterr().err
+    assert (tmp_path / "good.npz").read_bytes() == before
+
+
+@pytest.mark.parametrize("words", [["--clamp-start", "free", "--clamp-end", "free"], ["--frame-weight", "2"]])
+def test_what_cannot_be_relaxed_or_compared_is_told_before_a_folder_is_made(capsys, tmp_path, words):
+    npz_bytes(tmp_path)
+    for command, out in (("relax", "F.npz"), ("sweep", "run")):
+        assert main([command, str(tmp_path / "good.npz"), *MATERIAL, *words, "--out", str(tmp_path / out)]) == 2
+        assert not (tmp_path / out).exists()
+    assert len(capsys.readouterr().err.splitlines()) == 2
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0 and capsys.readouterr().out.startswith("doo-ti ")
 
 
 @pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), InterruptedRunError("stopped at cell 7"),

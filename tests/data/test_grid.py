@@ -126,10 +126,10 @@ def test_valley_tells_the_range_within_five_per_cent():
     mean = np.full((4, 3), 2.0)
     mean[1, 1], mean[2, 1], mean[2, 2], mean[0, 0], mean[3, 1] = 1.0, 1.05, 1.02, 1.06, np.nan
     bend, ratio = valley(grid, mean.ravel())
-    assert (bend.name, bend.best, bend.low, bend.high) == ("bend", 2, 2, 4)
+    assert (bend.name, bend.best, bend.low, bend.high) == ("bend", 2, np.sqrt(1 * 2), np.sqrt(4 * 8))
     assert not (bend.low_is_open or bend.high_is_open)
-    assert (ratio.best, ratio.low, ratio.high) == (1, 1, 2) and ratio.high_is_open and not ratio.low_is_open
-    assert str(ratio) == "twist_ratio = 1 in 1 .. >=2" and "mm³" in str(bend)
+    assert (ratio.best, ratio.low, ratio.high) == (1, np.sqrt(0.5), 2) and ratio.high_is_open and not ratio.low_is_open
+    assert str(ratio) == "twist_ratio = 1 in 0.707 .. >=2" and "mm³" in str(bend) and not ratio.at_border
     (wide, _) = valley(grid, mean.ravel(), 0.1)
     assert (wide.low, wide.low_is_open) == (1, True)
     with pytest.raises(InputError, match="no cell"):

@@ -171,7 +171,7 @@ def test_summary_names_the_best_parameters_with_units_and_intervals(tmp_path, rn
 
     static, _ = written(tmp_path, record_sweep, runs.sweep(rng))
     text = static["/summary"]["TextDocument:text"][0][0]
-    assert "| bend α | **10⁶ mm³** | 10⁶ … 10⁶ mm³ |" in text
+    assert "| bend α | **10⁶ mm³** | 5.62×10⁵ … 1.78×10⁶ mm³ |" in text
     assert "mean distance (Eq. 1) **0.65 mm** over 6 of 6 rods" in text
     assert "Rods: 6 converged." in text
     assert "a\\|b" in text

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from doo_ti.relaxation import Descent, Newton, relax
 from doo_ti.types import Clamp, Material, Status
@@ -79,15 +80,16 @@ def test_statuses(rng):
 @pytest.mark.xfail(strict=True, reason="twelve projections do not close them, and what is held open is called converged")
 def test_far_starts_are_closed_or_said_not_to_be(rng):
     """Far ends a long way from their clamps: Newton brings all of them there, Descent too, or it has not converged."""
-    rods = wandering(rng, 24, 20, 3.0)
+    rods = wandering(rng, 40, 20, 3.0)
     clamps = clamps_at(rods)
-    away = clamps.end_position - clamps.start_position
-    for share in (0.7, 0.4, 0.1):
-        near = replace(clamps, end_position=clamps.start_position + share * away)
-        newton = relax(rods, Material(3e5, 2e5, 1.0), near)
-        assert newton.converged.all() and newton.closure.max() < 1e-12
-        descent = relax(rods, Material(3e5, 2e5, 1.0), near, Descent(tolerance=1e-5, max_iterations=30_000))
-        print(f"ends moved in to {share:.0%}: closure up to {descent.closure.max():.1e} of the length, "
-              f"{descent.converged.sum()} of 24 converged, {descent.stable.sum()} certified")
-        assert descent.closure[descent.converged].max(initial=0) < 1e-12
-        assert descent.converged.mean() > 0.5
+    turned = Rotation.random(40, random_state=rng).as_matrix()
+    away = turned[:, 0] * np.linspace(3.0, 45.0, 40)[:, None]
+    far = replace(clamps, end_position=clamps.start_position + away, end_frame=turned)
+    newton = relax(rods, Material(3e5, 2e5, 1.0), far)
+    assert newton.converged.all() and newton.closure.max() < 1e-12
+    descent = relax(rods, Material(3e5, 2e5, 1.0), far, Descent(tolerance=1e-5, max_iterations=30_000))
+    open_ended = descent.closure > 1e-12
+    print(f"{open_ended.sum()} of 40 not closed, by up to {descent.closure.max():.1e} of the length; "
+          f"{(open_ended & descent.converged).sum()} of them converged; {descent.stable.sum()} of 40 certified")
+    assert not (open_ended & descent.converged).any()
+    assert descent.converged.mean() > 0.9
