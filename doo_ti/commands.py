@@ -91,8 +91,7 @@ def sweep(options: Namespace, words: list[str]) -> int:
         if grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end):
             print("  note        an end may spin, so nothing twists the rod: twist is not determined")
         if scene and isinstance(scene.observations, Synthesis):
-            print(f"  true Θ      bend {scene.observations.bend} mm³, twist {scene.observations.twist:.4g} mm³, "
-                  f"weight {scene.observations.weight:.4g} (the virtual lab's)")
+            print(f"  true Θ      {_true_theta(scene.observations)} (the virtual lab's)")
         print(f"  written to {run}")
     return 0
 
@@ -214,6 +213,14 @@ def _theta(theta: dict, isotropic: bool) -> str:
     names = ["bend_1"] if isotropic else ["bend_1", "bend_2"] + ["bend_12"] * bool(theta["bend_12"])
     bend = ", ".join(f"{'bend' if isotropic else name} {theta[name]:.4g} mm³" for name in names)
     return f"{bend}, twist {theta['twist']:.4g} mm³, weight {theta['weight']:.4g}"
+
+
+def _true_theta(synthesis: Synthesis) -> str:
+    """Θ of the rod that the virtual lab made."""
+    material = synthesis.material()
+    (first, mixed), (_, second) = material.bend[0, 0]
+    return _theta({"bend_1": first, "bend_2": second, "bend_12": mixed, "twist": material.twist[0, 0],
+                   "weight": material.weight[0]}, material.is_isotropic)
 
 
 def _counted(counts: dict[str, int]) -> str:

@@ -69,9 +69,13 @@ def smallest_rotation(source: np.ndarray, target: np.ndarray) -> np.ndarray:
 def vertices_from_quaternions(start: np.ndarray, quaternions: np.ndarray, rest_length: np.ndarray) -> np.ndarray:
     """x_{i+1} = x_i + l_i t_i: (R, V, 3) vertices of the chain."""
     w, x, y, z = np.moveaxis(np.asarray(quaternions, dtype=np.float64), -1, 0)
-    tangent = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=-1)
-    steps = np.asarray(rest_length)[..., None] * tangent
-    return start[..., None, :] + np.concatenate([np.zeros_like(steps[..., :1, :]), np.cumsum(steps, axis=-2)], axis=-2)
+    count, edges = w.shape
+    result = np.empty((count, edges + 1, 3))
+    result[:, 0] = start
+    result[:, 1:, 0] = rest_length * (1 - 2 * (y * y + z * z))
+    result[:, 1:, 1] = rest_length * (2 * (x * y + w * z))
+    result[:, 1:, 2] = rest_length * (2 * (x * z - w * y))
+    return np.cumsum(result, axis=1, out=result)
 
 
 def bishop_frames(tangents: np.ndarray, first: np.ndarray) -> np.ndarray:

@@ -43,7 +43,8 @@ def relax(
     material_index         single row goes with every row of the other table
 
     Clamped frames overwrite the first and last frame of the start. Inputs are never modified, results are float64.
-    Energies include the constant μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods get that status and NaN.
+    Energies include the constant μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods get that
+    status and NaN.
     """
     up = _unit(up)
     if not isinstance(solver, Newton | Descent):

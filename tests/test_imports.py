@@ -53,7 +53,7 @@ def layer(name: str) -> str:
 
 
 def imported(path: Path) -> set[str]:
-    """Dotted names that a file imports, ``from x import y`` counting as x.y where that is a module of ours, else as x."""
+    """Dotted names that a file imports; ``from x import y`` counts as x.y where that is a module of ours, else as x."""
     names = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):

@@ -1,4 +1,6 @@
-"""Eq. 1 against the oracle, written as printed: valid marks, frames, w_m, both precisions, and rods that came to nothing."""
+"""Eq. 1 against the oracle, written as printed: valid marks, frames, w_m, f32, rods that came to nothing."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,7 +56,7 @@ def test_by_hand():
 
 
 def test_missing_marks_are_left_out(rng):
-    """The sum runs over the valid marks and is divided by their number less one; what a missing one holds does not count."""
+    """The sum runs over the valid marks, divided by their number less one; what a missing one holds does not count."""
     valid = rng.random((COUNT, EDGES + 1)) < 0.6
     valid[:, :2] = True
     vertices = wavy_vertices(rng, COUNT, EDGES + 1)
@@ -96,7 +98,7 @@ def test_rods_that_came_to_nothing_have_no_distance(rng):
     rods = wandering(rng, COUNT, EDGES)
     clamps = clamps_at(rods)
     far = np.where(np.arange(COUNT)[:, None] == 3, 1e3, clamps.end_position)
-    solution = relax(rods, Material(2e5, 1e5, 1.0), type(clamps)(3, 3, clamps.start_position, far, clamps.start_frame, clamps.end_frame))
+    solution = relax(rods, Material(2e5, 1e5, 1.0), replace(clamps, end_position=far))
     assert solution.status[3] == Status.INFEASIBLE
     found = distance(solution.configuration, observed(rng), frame_weight=1.0)
     assert np.isnan(found).tolist() == [k == 3 for k in range(COUNT)]
@@ -104,7 +106,8 @@ def test_rods_that_came_to_nothing_have_no_distance(rng):
 
 def test_inputs_are_not_modified(rng):
     rods, observations = wandering(rng, COUNT, EDGES), observed(rng)
-    arrays = [rods.start, rods.quaternions, rods.rest_length, observations.vertices, observations.frames, observations.valid]
+    arrays = [rods.start, rods.quaternions, rods.rest_length,
+              observations.vertices, observations.frames, observations.valid]
     copies = [array.copy() for array in arrays]
     for array in arrays:
         array.setflags(write=False)

@@ -1,6 +1,6 @@
 """Closed-form derivatives of every energy term, on packs of lanes as the kernels run them, against hyper-dual numbers.
 
-Hard places: twist next to ±π, joints of 1.5 to 3 rad, B with an off-diagonal that differs on the two edges, rest curvature.
+Hard places: twist next to ±π, joints of 1.5 to 3 rad, off-diagonals of B that differ on the two edges, rest curvature.
 """
 
 from functools import cache
@@ -80,10 +80,11 @@ def pair_kernel(number: Number, isotropic: bool):
 
 def joints(rng, where: str) -> tuple[np.ndarray, np.ndarray]:
     """(ROWS, 4) frames on both sides of joints; quaternions of either sign."""
+    half_turn = rng.choice([-1, 1], ROWS) * (np.pi - 10 ** -rng.uniform(1, 6, ROWS))
     bend, twist = {
         "lab": (rng.uniform(0, 0.3, ROWS), rng.uniform(-0.3, 0.3, ROWS)),
         "1.5 to 3 rad": (rng.uniform(1.5, 3.0, ROWS), rng.uniform(-2, 2, ROWS)),
-        "twist next to ±π": (rng.uniform(0, 1, ROWS), rng.choice([-1, 1], ROWS) * (np.pi - 10 ** -rng.uniform(1, 6, ROWS))),
+        "twist next to ±π": (rng.uniform(0, 1, ROWS), half_turn),
     }[where]
     azimuth = rng.uniform(-np.pi, np.pi, ROWS)
     across = np.stack([0 * azimuth, np.cos(azimuth), np.sin(azimuth)], axis=1)
@@ -155,7 +156,8 @@ def test_packs_are_scalars_to_the_last_bit(rng):
     for where in WHERE:
         q0, q1 = joints(rng, where)
         total = rng.uniform(2, 10, ROWS)
-        stiffness = general_stiffness(definite(rng, 2, ROWS), rng.uniform(1e4, 1e6, ROWS), 0.05 * rng.normal(size=(ROWS, 2)), total)
+        twist, rest = rng.uniform(1e4, 1e6, ROWS), 0.05 * rng.normal(size=(ROWS, 2))
+        stiffness = general_stiffness(definite(rng, 2, ROWS), twist, rest, total)
         for isotropic, rows in ((True, np.hstack([q0, q1, stiffness[:, :2]])), (False, np.hstack([q0, q1, stiffness]))):
             for bits in (32, 64):
                 alone = pair_kernel(Number(1, bits), isotropic)(rows)
@@ -171,7 +173,8 @@ def test_isotropic_is_a_case_of_the_general(rng):
         total, alpha, twist = rng.uniform(2, 10, ROWS), rng.uniform(1e4, 1e6, ROWS), rng.uniform(1e4, 1e6, ROWS)
         bend = np.broadcast_to(alpha[:, None, None] * np.eye(2), (2, ROWS, 2, 2))
         short = pair_kernel(number, True)(np.column_stack([frames, alpha / total, twist / total]))
-        long = pair_kernel(number, False)(np.hstack([frames, general_stiffness(bend, twist, np.zeros((ROWS, 2)), total)]))
+        stiffness = general_stiffness(bend, twist, np.zeros((ROWS, 2)), total)
+        long = pair_kernel(number, False)(np.hstack([frames, stiffness]))
         error = max(relative_error(a, b) for a, b in zip(unpacked(short)[1:], unpacked(long)[1:], strict=True))
         print(f"isotropic against general, {where}: {error:.1e} of the largest entry")
         assert error < 1e-13
@@ -213,7 +216,8 @@ def test_closing_rotation_moves_the_end_by_the_normal_matrix(rng):
         t = (v[0], v[1], v[2])
         return closure.normal_matrix(v[3], t) + closure.closing_rotation(v[3], t, (v[4], v[5], v[6]))
 
-    t, length, x = Rotation.random(ROWS, random_state=rng).as_matrix()[:, 0], rng.uniform(1, 5, ROWS), rng.normal(size=(ROWS, 3))
+    t = Rotation.random(ROWS, random_state=rng).as_matrix()[:, 0]
+    length, x = rng.uniform(1, 5, ROWS), rng.normal(size=(ROWS, 3))
     out = columns_kernel(Number(8, 64), 7, 9, function)(np.column_stack([t, length, x]))
     matrix = out[:, :6][:, SYMMETRIC]
     projector = np.eye(3) - t[:, :, None] * t[:, None]
@@ -228,7 +232,8 @@ def test_closing_rotation_moves_the_end_by_the_normal_matrix(rng):
 def vertices(rng) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(ROWS, 2, 3) edges of joints of up to 2 rad, (ROWS, 2, 3, 3) frames along them, and (ROWS, 2) lengths."""
     first = Rotation.random(ROWS, random_state=rng)
-    turn = Rotation.from_rotvec(rng.uniform(-1, 1, (ROWS, 1)) * 2 * Rotation.random(ROWS, random_state=rng).as_matrix()[:, 0])
+    axis = Rotation.random(ROWS, random_state=rng).as_matrix()[:, 0]
+    turn = Rotation.from_rotvec(rng.uniform(-2, 2, (ROWS, 1)) * axis)
     frames = np.stack([first.as_matrix(), (first * turn).as_matrix()], axis=1)
     lengths = rng.uniform(2, 4, (ROWS, 2))
     return lengths[..., None] * frames[..., 0], frames, lengths
@@ -247,7 +252,8 @@ def test_curvature_binormal_and_transport_are_the_oracles(rng, number):
 
     edges, frames, lengths = vertices(rng)
     t, m1 = frames[..., 0], frames[:, 0, :, 1]
-    out = columns_kernel(number, 17, 7, function)(np.column_stack([edges.reshape(ROWS, 6), lengths, t.reshape(ROWS, 6), m1]))
+    rows = np.column_stack([edges.reshape(ROWS, 6), lengths, t.reshape(ROWS, 6), m1])
+    out = columns_kernel(number, 17, 7, function)(rows)
     kb = np.array(curvature_binormal(list(edges[:, 0].T), list(edges[:, 1].T))).T
     moved = np.array(oracle.transport(list(t[:, 0].T), list(t[:, 1].T), list(m1.T))).T
     errors = relative_error(out[:, :3], kb), relative_error(out[:, 3:6], moved)
@@ -280,7 +286,8 @@ def followed(edges: np.ndarray, frames: np.ndarray) -> tuple[list, list, list]:
     """Edges, m1 and m2 as lists of numbers (each an array over rows), the frames carried along with their edges."""
     moved = [list(edges[:, side].T) for side in (0, 1)]
     tangents = [oracle.normalise(edge) for edge in moved]
-    m1 = [oracle.transport(list(frames[:, side, :, 0].T), tangents[side], list(frames[:, side, :, 1].T)) for side in (0, 1)]
+    old = [[list(frames[:, side, :, k].T) for k in (0, 1)] for side in (0, 1)]
+    m1 = [oracle.transport(before, after, m) for (before, m), after in zip(old, tangents, strict=True)]
     return moved, m1, [oracle.cross(t, m) for t, m in zip(tangents, m1, strict=True)]
 
 
@@ -380,7 +387,7 @@ def test_spin_derivatives(rng, number):
 
 @every_number
 def test_turned_frames_stay_unit_and_turn_as_told(rng, number):
-    """Q (1, w/2) and (1, w/2) Q normalised; m1 spun about its tangent: second order in the angle, exactly of unit length."""
+    """Q (1, w/2) and (1, w/2) Q normalised; m1 spun about its tangent: second order in the angle, of unit length."""
     runtime.start()
 
     @ti.func

@@ -10,13 +10,14 @@ RESULTS = ("energy", "residual", "closure", "iterations", "status", "stable", "p
 
 
 def wandering(rng, count: int, edges: int, rest_length=3.0, wander: float = 0.15, twist: float = 0.1) -> Configuration:
-    """Rods whose direction wanders by ``wander`` rad a joint and whose frames twist by ``twist``, somewhere in space."""
+    """Rods whose direction wanders by ``wander`` rad a joint and whose frames twist by ``twist``, anywhere in space."""
     rods = []
     for _ in range(count):
         tangents = rng.normal(size=3) + wander * rng.normal(size=(edges, 3)).cumsum(axis=0)
         tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
         spin = twist * rng.normal(size=edges).cumsum()
-        rods.append(chain(tangents, np.cross(tangents[0], rng.normal(size=3)), rest_length, 20 * rng.normal(size=3), spin))
+        m1, place = np.cross(tangents[0], rng.normal(size=3)), 20 * rng.normal(size=3)
+        rods.append(chain(tangents, m1, rest_length, place, spin))
     return stacked(rods)
 
 

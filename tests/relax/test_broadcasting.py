@@ -1,4 +1,4 @@
-"""Scalars, tables and pairs of rows: every way of saying the same rods gives the same bits; what does not match is refused."""
+"""Scalars, tables and pairs of rows: every way to say the same rods gives the same bits; mismatches are refused."""
 
 from dataclasses import replace
 
@@ -101,7 +101,8 @@ def test_pairs_of_rows(rods):
     assert_same(relax(start, Material(2e5, 1e5, 1.0), clamps, configuration_index=rows), slice(None),
                 relax(start.take(rows), Material(2e5, 1e5, 1.0), clamps.take(rows)), slice(None))
     every = relax(start.take([4]), material, clamps.take([4]))
-    assert_same(every, slice(None), relax(start.take([4]), material, clamps.take([4]), material_index=[0, 1, 2]), slice(None))
+    named = relax(start.take([4]), material, clamps.take([4]), material_index=[0, 1, 2])
+    assert_same(every, slice(None), named, slice(None))
     none = relax(start, material, clamps, configuration_index=[], material_index=[])
     assert len(none.energy) == 0 and none.configuration.vertices.shape == (0, EDGES + 1, 3)
 
@@ -141,8 +142,9 @@ def refused(call) -> InputError:
     lambda s, c, m: relax(s, Material(repeated(B, 1, EDGES - 1), 1e5), c),
     lambda s, c, m: relax(s, Material(B, 1e5, 1.0, np.zeros((1, EDGES, 2))), c),
     lambda s, c, m: relax(s, m, replace(c, start=Clamp.FREE, end=Clamp.FREE)),
-], ids=["materials", "no up", "short up", "up not a number", "precision", "row too large", "negative row", "table of rows",
-        "no such material", "count of lengths", "lengths zero", "lengths not a number", "one edge", "count of β",
+], ids=["materials", "no up", "short up", "up not a number", "precision", "row too large", "negative row",
+        "table of rows", "no such material", "count of lengths", "lengths zero", "lengths not a number",
+        "one edge", "count of β",
         "count of B", "count of ω̄", "both ends free"])
 def test_what_does_not_match_is_refused(rods, bad):
     start, clamps = rods
@@ -153,7 +155,8 @@ def test_what_does_not_match_is_refused(rods, bad):
     lambda: Material(-1e5, 1e5), lambda: Material(0.0, 1e5), lambda: Material([[1e5, 2e5], [2e5, 1e5]], 1e5),
     lambda: Material([[1e5, 2e4], [0.0, 1e5]], 1e5), lambda: Material(np.nan, 1e5), lambda: Material("stiff", 1e5),
     lambda: Material(1e5, 0.0), lambda: Material(1e5, -1.0), lambda: Material(1e5, 1e5, -1.0),
-    lambda: Material(1e5, np.inf), lambda: Material([1e5, 2e5], [1e5, 2e5, 3e5]), lambda: Material(np.ones((3, 3)), 1e5),
+    lambda: Material(1e5, np.inf), lambda: Material([1e5, 2e5], [1e5, 2e5, 3e5]),
+    lambda: Material(np.ones((3, 3)), 1e5),
     lambda: Material(1e5, 1e5, 1.0, [1.0, 2.0, 3.0]), lambda: Material(1e5, 1e5, 1.0, 0.1),
 ], ids=["negative B", "B zero", "indefinite B", "asymmetric B", "B not a number", "text", "β zero", "negative β",
         "negative μ", "infinite β", "lengths differ", "3 × 3", "three curvatures", "one curvature"])

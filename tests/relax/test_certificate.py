@@ -17,7 +17,7 @@ EDGES = 16
 
 
 def planar_bow(distance: float, side: float, edges: int = EDGES) -> Configuration:
-    """48 mm of rod between clamps on one line, both tangents along it, bowed in the vertical plane: hanging or standing."""
+    """48 mm of rod between clamps on one line, both tangents along it, bowed in the vertical plane, down or up."""
     length = 48.0 / edges
     along = np.sin(2 * np.pi * np.arange(edges) / (edges - 1))
     size = brentq(lambda a: length * np.cos(a * along).sum() - distance, 0, 2)
@@ -49,14 +49,16 @@ def test_planar_rods_at_0_degrees_rest_on_saddles_and_leave_them(precision):
     assert np.abs(resting.configuration.vertices[..., 1]).max() < 1e-3  # still planar
     for rod in range(len(saddles)):
         one = Material(1e5, material.twist[rows[1][rod]], 4.0)
-        lone = Configuration(rods.start[[rows[0][rod]]], resting.configuration.quaternions[[rod]], rods.rest_length[rows[0][rod]])
-        here = equilibrium(rod_of(lone, one), State(lone.start[0], lone.quaternions[0].astype(np.float64)),
-                           clamped_start(lone, clamps.take([rows[0][rod]]), 0)[1], max_iterations=0, leave_saddles=False)
+        place = [rows[0][rod]]
+        lone = Configuration(rods.start[place], resting.configuration.quaternions[[rod]], rods.rest_length[place])
+        state, ends = clamped_start(lone, clamps.take(place), 0)
+        here = equilibrium(rod_of(lone, one), state, ends, max_iterations=0, leave_saddles=False)
         assert (here.smallest_eigenvalue < 0) == saddles[rod]
     left = relax(rods, material, clamps, **index)
     gained = resting.energy - left.energy
+    least = (gained / np.abs(resting.energy))[saddles].min()
     print(f"{precision}: {saddles.sum()} of {len(saddles)} planar rods rest on a saddle; leaving them gains at least "
-          f"{(gained / np.abs(resting.energy))[saddles].min():.1e} of the energy, in {left.iterations[saddles].max()} iterations")
+          f"{least:.1e} of the energy, in {left.iterations[saddles].max()} iterations")
     assert left.converged.all() and left.stable.all()
     rounding = 1e-9 if precision != "f32" else 1e-5
     assert (gained[saddles] > rounding * np.abs(resting.energy[saddles])).all()
@@ -64,8 +66,8 @@ def test_planar_rods_at_0_degrees_rest_on_saddles_and_leave_them(precision):
 
 
 def test_straight_rods_twisted_beyond_buckling():
-    """Straight and twisted, then shortened: an evenly twisted planar bow stays allowed, but writhing costs less, the more
-    so the more turns there are."""
+    """Straight and twisted, then shortened: an evenly twisted planar bow stays allowed, but writhing costs less, the
+    more so the more turns there are."""
     turns = np.arange(7.0)
     straight = np.tile([1.0, 0.0, 0.0], (EDGES, 1))
     along = np.arange(EDGES) / (EDGES - 1)
@@ -79,7 +81,8 @@ def test_straight_rods_twisted_beyond_buckling():
         here = dense(rods, material, clamps, solution, row)
         assert here.residual < 2e-9 and here.smallest_eigenvalue > 0
     gained = solution.energy[0] + 3e5 * (2 * np.pi * turns) ** 2 / (2 * 3.0 * (EDGES - 1)) - solution.energy
-    print(f"energy saved by writhing, over that of the planar bow, 0 to 6 turns: {np.round(gained / solution.energy[0], 3)}")
+    saved = np.round(gained / solution.energy[0], 3)
+    print(f"energy saved by writhing, over that of the planar bow, 0 to 6 turns: {saved}")
     assert abs(gained[0]) < 1e-9 and (np.diff(gained) > 0.02 * solution.energy[0]).all()
 
 

@@ -23,9 +23,9 @@ def test_lab_at_the_truth(shared_data, name, tolerance):
     newton = relax(rod.start, rod.material(), rod.clamps, Newton.careful())
     descent = relax(rod.start, rod.material(), rod.clamps, Descent(tolerance))
     apart = vertex_distance(newton.configuration, descent.configuration)
-    print(f"{name}: descent {np.bincount(descent.status, minlength=5)} by status, median {np.median(descent.iterations):.0f} "
-          f"iterations; largest distance from Newton's minimum {apart.max():.1e} mm; elsewhere: "
-          f"{np.flatnonzero(apart > SAME).tolist()}")
+    print(f"{name}: descent {np.bincount(descent.status, minlength=5)} by status, "
+          f"median {np.median(descent.iterations):.0f} iterations; largest distance from Newton's minimum "
+          f"{apart.max():.1e} mm; elsewhere: {np.flatnonzero(apart > SAME).tolist()}")
     assert newton.converged.all() and newton.stable.all()
     assert descent.converged.mean() >= 0.9
     assert (apart[descent.converged] <= SAME).mean() >= 0.9
@@ -44,8 +44,9 @@ def test_every_pair_of_clamps(rng, kind):
     apart = vertex_distance(newton.configuration, descent.configuration)
     # Two that hang by one point may turn about the vertical.
     settled = np.array([{Clamp.FREE, Clamp.POSITION} != set(pair) for pair in PAIRS])
-    print(f"{kind}: {np.bincount(descent.status, minlength=5)} by status, {descent.iterations.max()} iterations at most, "
-          f"energies within {np.abs(descent.energy / newton.energy - 1).max():.1e}, shapes {apart[settled].max():.1e} mm")
+    off = np.abs(descent.energy / newton.energy - 1).max()
+    print(f"{kind}: {np.bincount(descent.status, minlength=5)} by status, {descent.iterations.max()} iterations at "
+          f"most, energies within {off:.1e}, shapes {apart[settled].max():.1e} mm")
     assert newton.converged.all() and descent.converged.all()
     np.testing.assert_allclose(descent.energy, newton.energy, rtol=1e-7)
     assert (apart[settled] < SAME).all()
@@ -58,7 +59,8 @@ def test_energy_only_falls_with_more_iterations(rng):
     clamps, start = clamps_at(rods), jiggled(rods, rng, 0.1)
     material = Material(3e5, 2e5, 1.0)
     lowest = relax(start, material, clamps).energy
-    energies = np.array([relax(start, material, clamps, Descent(max_iterations=count)).energy for count in (30, 300, 3000)])
+    solvers = [Descent(max_iterations=count) for count in (30, 300, 3000)]
+    energies = np.array([relax(start, material, clamps, solver).energy for solver in solvers])
     assert (np.diff(energies, axis=0) <= 1e-9 * np.abs(lowest)).all()
     assert (energies >= lowest - 1e-9 * np.abs(lowest)).all()
 
@@ -77,7 +79,7 @@ def test_statuses(rng):
     np.testing.assert_allclose(single.energy, loose.energy, rtol=1e-3)
 
 
-@pytest.mark.xfail(strict=True, reason="twelve projections do not close them, and what is held open is called converged")
+@pytest.mark.xfail(strict=True, reason="twelve projections do not close them; what is held open is called converged")
 def test_far_starts_are_closed_or_said_not_to_be(rng):
     """Far ends a long way from their clamps: Newton brings all of them there, Descent too, or it has not converged."""
     rods = wandering(rng, 40, 20, 3.0)

@@ -1,4 +1,4 @@
-"""Rods at the edge of what there is: straight starts, taut rods, many turns, few edges and many, uneven and flat ones."""
+"""Rods at the edge of what there is: straight starts, taut rods, many turns, few edges and many, uneven and flat."""
 
 from dataclasses import replace
 
@@ -65,11 +65,13 @@ def test_nearly_taut(span, precision):
     vertices = solution.configuration.vertices[0]
     print(f"span {span} mm, {precision}: sags {-vertices[:, 2].min():.3g} mm in {solution.iterations[0]} iterations")
     assert -np.sqrt(99.0 * (99.0 - span)) < vertices[:, 2].min() < 0
-    np.testing.assert_allclose(np.linalg.norm(np.diff(vertices, axis=0), axis=1), 3.0, atol=1e-10 if precision == "f64" else 2e-6)
+    lengths = np.linalg.norm(np.diff(vertices, axis=0), axis=1)
+    np.testing.assert_allclose(lengths, 3.0, atol=1e-10 if precision == "f64" else 2e-6)
 
 
 @every_precision
-@pytest.mark.parametrize("kinds", [(3, 3), (2, 2), (1, 1), (3, 1)], ids=["frames", "tangents", "positions", "frame, position"])
+@pytest.mark.parametrize("kinds", [(3, 3), (2, 2), (1, 1), (3, 1)],
+                         ids=["frames", "tangents", "positions", "frame, position"])
 def test_a_span_equal_to_the_length(kinds, precision):
     """The straight line is all it can be: the twist spreads evenly, where it is held at all."""
     rod = straight(33, turns=0.4)
@@ -95,7 +97,7 @@ def test_whole_turns_of_twist(shape, turns, precision):
     clamps = clamps_at(bow) if shape == "bow" else shortened(clamps_at(rod), [80.0, 0.0, 0.0])
     solution = relax(rod, MATERIAL, clamps, precision=precision)
     well(solution, precision)
-    print(f"{shape}, {turns} turns, {precision}: energy {solution.energy[0]:.6g} in {solution.iterations[0]} iterations")
+    print(f"{shape}, {turns} turns, {precision}: {solution.energy[0]:.6g} in {solution.iterations[0]} iterations")
     untwisted = relax(straight(edges) if shape == "straight" else replace(bow, quaternions=chain(
         np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1), [0, 1, 0], 3.0).quaternions), MATERIAL, clamps)
     even = 5e5 * (2 * np.pi * turns) ** 2 / (2 * 96.0)
@@ -104,16 +106,19 @@ def test_whole_turns_of_twist(shape, turns, precision):
 
 @every_precision
 @pytest.mark.parametrize(("edges", "kinds"), [
-    (2, (3, 0)), (2, (0, 2)), (2, (1, 1)), (3, (3, 0)), (3, (1, 3)), (3, (2, 1)), (3, (1, 1)), (4, (3, 3)), (4, (2, 2))])
+    (2, (3, 0)), (2, (0, 2)), (2, (1, 1)), (3, (3, 0)), (3, (1, 3)), (3, (2, 1)), (3, (1, 1)), (4, (3, 3)),
+    (4, (2, 2))])
 def test_few_edges(edges, kinds, precision):
     """As few as there can be: an arc in the vertical plane, against the dense solver."""
     angle = 0.5 * (np.arange(edges) - 0.5 * (edges - 1))
-    rod = chain(np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1), [0, 1, 0], 3.0, spin=0.2 * np.arange(edges))
+    tangents = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
+    rod = chain(tangents, [0, 1, 0], 3.0, spin=0.2 * np.arange(edges))
     clamps = clamps_at(rod, *(Clamp(kind) for kind in kinds))
     material = Material(2e4, 1e4, 50.0)
     solution = relax(rod, material, clamps, precision=precision)
     well(solution, precision)
-    assert solution.energy[0] == pytest.approx(relaxed(rod, material, clamps).energy, rel=2e-4 if precision == "f32" else 1e-9)
+    expected = relaxed(rod, material, clamps).energy
+    assert solution.energy[0] == pytest.approx(expected, rel=2e-4 if precision == "f32" else 1e-9)
 
 
 @pytest.mark.parametrize("edges", [2, 3, 6, 12])

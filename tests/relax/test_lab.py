@@ -1,4 +1,4 @@
-"""The development data at what is known about it: the virtual lab at the true Θ, and real cables over decades of bend."""
+"""The development data at what is known about it: the virtual lab at the true Θ, real cables over decades of bend."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The precision ladder: f32, f64 and mixed end in the same minima, and ``precision`` says which arithmetic ended a rod."""
+"""The precision ladder: f32, f64 and mixed end in the same minima; ``precision`` says which arithmetic ended a rod."""
 
 import numpy as np
 import pytest

@@ -66,7 +66,8 @@ def test_whole_turns_stay_in_the_rod():
     """A clamp that makes a whole turn ends with the frame it had, and with its turn in the rod."""
     material = Material(6e5, 1e5, 1.0)
     at_rest, clamps = relaxed_bows(material)
-    solution, last = carry(at_rest.configuration, material, carried_clamps(clamps, clamps.end_position, turned(clamps, 360.0), 72))
+    path = carried_clamps(clamps, clamps.end_position, turned(clamps, 360.0), 72)
+    solution, last = carry(at_rest.configuration, material, path)
     np.testing.assert_allclose(last.end_frame, clamps.end_frame, atol=1e-9)
     assert (solution.converged & solution.stable).all()
     assert (solution.energy > at_rest.energy * 1.05).all()
@@ -96,6 +97,7 @@ def test_a_rod_that_is_pulled_too_far_is_named_alone():
     at_rest, clamps = relaxed_bows(material)
     goal = clamps.end_position + np.array([[0.0, 0, 0], [80.0, 0, 0], [0, 0, 0]])
     solution, _ = carry(at_rest.configuration, material, carried_clamps(clamps, goal, turned(clamps, 20.0), 4))
-    alone, _ = carry(at_rest.configuration, material, carried_clamps(clamps, clamps.end_position, turned(clamps, 20.0), 4))
+    near = carried_clamps(clamps, clamps.end_position, turned(clamps, 20.0), 4)
+    alone, _ = carry(at_rest.configuration, material, near)
     assert solution.status.tolist() == [0, 4, 0]
     assert_same(solution, [0, 2], alone, [0, 2])

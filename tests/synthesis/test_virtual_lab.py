@@ -74,7 +74,8 @@ def test_noise_is_on_free_marks_alone(recipe):
     noise = noisy.vertices - clean.vertices
     assert (noise[:, :2] == 0).all() and (noise[:, -2:] == 0).all()
     inner = noise[:, 2:-2]
-    print(f"noise: mean {inner.mean():.4f}, standard deviation {inner.std():.4f} of {recipe.label_noise_mm} mm, {inner.size} numbers")
+    print(f"noise: mean {inner.mean():.4f}, standard deviation {inner.std():.4f} of {recipe.label_noise_mm} mm, "
+          f"{inner.size} numbers")
     assert abs(inner.mean()) < 4 * recipe.label_noise_mm / np.sqrt(inner.size)
     assert inner.std() == pytest.approx(recipe.label_noise_mm, rel=0.06)
     if recipe.frames:
@@ -86,7 +87,8 @@ def test_rest_curvature_has_the_asked_for_size():
     """Independent at each joint and in each direction, the same rod in all observations of a seed."""
     recipe = replace(ROUND, length_mm=3000.0, marks=1001, end_distances_mm=(2000.0,))
     rest = lab._specimen(recipe, np.random.default_rng(recipe.seed)).rest_curvature
-    print(f"rest curvature: rms {np.sqrt((rest**2).mean()):.3e} of {recipe.rest_curvature_rms_per_mm:.3e} 1/mm at {rest.shape[1]} joints")
+    print(f"rest curvature: rms {np.sqrt((rest**2).mean()):.3e} of {recipe.rest_curvature_rms_per_mm:.3e} 1/mm at "
+          f"{rest.shape[1]} joints")
     assert rest.shape[0] == 1 and rest.shape[1] > 2900
     spread = rest.std(axis=(0, 1))
     np.testing.assert_allclose(spread, 1 / 900, rtol=0.06)
@@ -116,14 +118,15 @@ def test_twist_labels_name_the_turn():
     label = np.degrees(observations.total_twist)
     np.testing.assert_allclose(label / 30, np.round(label / 30), atol=1e-9)
     truth = np.degrees(joint_twist(quaternion_from_matrix(observations.frames)).sum(axis=1))
-    print(f"total twist {truth.min():.0f}° to {truth.max():.0f}°, labels off by at most {np.abs(label - truth).max():.1f}°")
+    off = np.abs(label - truth).max()
+    print(f"total twist {truth.min():.0f}° to {truth.max():.0f}°, labels off by at most {off:.1f}°")
     assert np.abs(label - truth).max() < 180
     assert np.ptp(label) > 180
 
 
 @both
 def test_a_fit_at_the_truth_is_near_but_not_exact(recipe):
-    """Every observation is found again on its branch; mesh, curvature, clips and noise keep the error above that of a twin."""
+    """Observations are found again on their branch; mesh, curvature, clips and noise keep the error above a twin's."""
     observations = synthesise(recipe)
     clamps = observation_clamps(observations)
     solution = relax(start_configuration(observations, clamps), recipe.material(), clamps)
