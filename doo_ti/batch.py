@@ -12,6 +12,9 @@ from doo_ti.tables import ITERATIONS, RESULTS, STATUS, Tables, divisors
 from doo_ti.types import Status
 from doo_ti.vertex_chain import ITEMS
 
+PROJECTIONS = 100
+"""Rounds in which Descent's starts are brought onto closure."""
+
 _scratch: dict = {}
 
 
@@ -46,7 +49,7 @@ def run_descent(table: Tables, up: np.ndarray, options: descent.Descent, bits: i
     """
     import taichi as ti
 
-    projection = newton.Newton(max_iterations=12)
+    projection = newton.Newton(max_iterations=PROJECTIONS)
     closed, _ = run_newton(table, up, projection, 64, moving=False)
     table = table.restarted(closed, np.isfinite(closed[:, 0, 0]))
     vertices, directors = _vertex_form(table)
@@ -65,7 +68,9 @@ def run_descent(table: Tables, up: np.ndarray, options: descent.Descent, bits: i
     certificate = newton.Newton(tolerance=options.tolerance, max_iterations=1, first_shift=0.0, max_escapes=0)
     frames, certified = run_newton(table.restarted(frames, np.isfinite(frames[:, 0, 0])), up, certificate, 64)
     good = certified[:, STATUS] == Status.CONVERGED
-    certified[:, STATUS] = np.where(good, Status.CONVERGED, results[:, STATUS])
+    # What came to rest by its own account but not by that of the chain (its clamp not reached, say) has stalled.
+    own = np.where(results[:, STATUS] == Status.CONVERGED, Status.STALLED, results[:, STATUS])
+    certified[:, STATUS] = np.where(good, Status.CONVERGED, own)
     certified[:, ITERATIONS] = results[:, ITERATIONS]
     return frames, certified
 

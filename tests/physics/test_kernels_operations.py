@@ -253,8 +253,7 @@ def test_tuples_pass_through_functions(rng, number):
 
 @every_number
 def test_what_is_not_a_number_is_seen(number):
-    """The kernels rely on ``a == a``, on ``larger`` passing NaN on, and on comparisons with NaN being false: even ``!=``
-    is."""
+    """The kernels rely on ``a == a``, on ``larger`` passing NaN on, and NaN comparing false, by ``!=`` too."""
     runtime.start()
     nan = np.nan
     values = np.tile([[1.0, nan], [nan, 1.0], [nan, nan], [2.0, 1.0], [1.0, 2.0], [-1.0, nan]], (ROWS // 6, 1))

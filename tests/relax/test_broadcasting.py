@@ -144,8 +144,7 @@ def refused(call) -> InputError:
     lambda s, c, m: relax(s, m, replace(c, start=Clamp.FREE, end=Clamp.FREE)),
 ], ids=["materials", "no up", "short up", "up not a number", "precision", "row too large", "negative row",
         "table of rows", "no such material", "count of lengths", "lengths zero", "lengths not a number",
-        "one edge", "count of β",
-        "count of B", "count of ω̄", "both ends free"])
+        "one edge", "count of β", "count of B", "count of ω̄", "both ends free"])
 def test_what_does_not_match_is_refused(rods, bad):
     start, clamps = rods
     print(refused(lambda: bad(start, clamps, Material(1e5, 1e5))))

@@ -79,7 +79,6 @@ def test_statuses(rng):
     np.testing.assert_allclose(single.energy, loose.energy, rtol=1e-3)
 
 
-@pytest.mark.xfail(strict=True, reason="twelve projections do not close them; what is held open is called converged")
 def test_far_starts_are_closed_or_said_not_to_be(rng):
     """Far ends a long way from their clamps: Newton brings all of them there, Descent too, or it has not converged."""
     rods = wandering(rng, 40, 20, 3.0)
