@@ -75,7 +75,7 @@ CLOSING_DISTANCE = 0.1  # edge lengths: above it a step only projects
 ESCAPE_ROTATION = 0.1  # rad
 ESCAPE_ROUNDS = 3.0  # inverse iterations before the first leap off a saddle
 PATIENCE = 25  # trips without progress
-PATIENCE_AT_SADDLE = 12  # the same where the inertia is wrong
+PATIENCE_AT_SADDLE = 8  # trips without noteworthy progress where the inertia is wrong
 
 
 @cache
@@ -92,6 +92,9 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
     scalar = number.scalar
     rounding = 2e-6 if number.bits == 32 else 1e-10
     closure_tolerance = 1e-7 if number.bits == 32 else 1e-12
+    # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a trace of H's
+    # scale on the diagonal lets them pass, always. f32 cannot tell them from soft saddles and leaves them to f64.
+    trace = 0.0 if number.bits == 32 else 1e-13
     converged, limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
     stalled, not_finite = int(Status.STALLED), int(Status.NOT_FINITE)
     table1 = ti.types.ndarray(dtype=ti.f64, ndim=1)
@@ -202,7 +205,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
             lambda0, lambda1, lambda2 = (zero, zero, zero)
             change0, change1, change2 = (zero, zero, zero)
             shift, scale, step_scale = (zero, one, zero)
-            residual, longest, best, idle_trips, trips, rejects = (zero, one, zero, zero, zero, zero)
+            residual, longest, best, idle_trips, aimless, trips, rejects = (zero, one, zero, zero, zero, zero, zero)
             fresh, trying, closing, escaping, escapes, rounds = (zero, zero, zero, zero, zero, zero)
             status, stable = (zero, zero)
             active, finished = (zero, one)
@@ -260,6 +263,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                                 step_scale = with_lane(step_scale, slot, 0.0)
                                 best = with_lane(best, slot, 1e30)
                                 idle_trips = with_lane(idle_trips, slot, 0.0)
+                                aimless = with_lane(aimless, slot, 0.0)
                                 trips = with_lane(trips, slot, 0.0)
                                 rejects = with_lane(rejects, slot, 0.0)
                                 fresh = with_lane(fresh, slot, 1.0)
@@ -288,6 +292,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                     accepted = ti.select(forced | downhill, one, zero)
                     uphill = ti.select((trying > 0.5) & (accepted < 0.5), one, zero)
                     gained = (after < before - noise_level) & (accepted > 0.5)
+                    notable = (after < before - 1e-6 * magnitude) & (accepted > 0.5)
                     energy = ti.select(accepted > 0.5, new_energy, energy)
                     magnitude = ti.select(accepted > 0.5, new_magnitude, magnitude)
                     miss0 = ti.select(accepted > 0.5, new_miss[0], miss0)
@@ -307,7 +312,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                     noise = ti.select((escaping > 0.5) & (rounds < 0.5), 1e-3 * scale, zero)
                     echo = ti.select((escaping > 0.5) & (rounds > 0.5), scale / (longest + 1e-30), zero)
                     moment, scale, change, inertia = sweep.eliminate(
-                        scratch, origin, edges, accepted, shift, noise, echo, (lambda0, lambda1, lambda2),
+                        scratch, origin, edges, accepted, ti.select(shift > 0.0, shift, trace * scale), noise, echo, (lambda0, lambda1, lambda2),
                         (miss0, miss1, miss2), material, gravity, closed, free, total, released)
                     longest = sweep.substitute(scratch, origin, edges, change)
                     change0, change1, change2 = change
@@ -323,13 +328,13 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                     at_minimum = calm & bare & right
                     at_saddle = calm & bare & wrong
                     # Beside a saddle a rod may get nowhere though its residual is not yet small.
-                    adrift = wrong & (idle_trips > PATIENCE_AT_SADDLE) & (escaping < 0.5) & (closing < 0.5)
-                    leaving = (at_saddle | adrift) & (escapes < ti.cast(max_escapes, scalar))
+                    adrift = wrong & (aimless > PATIENCE_AT_SADDLE) & (escaping < 0.5) & (closing < 0.5)
+                    leaving = (at_saddle & (escapes < ti.cast(max_escapes, scalar))) | (adrift & (max_escapes > 0))
                     resting = at_saddle & (escapes >= ti.cast(max_escapes, scalar))
                     certify = calm & (shift > 0.0)
                     escaping = ti.select(leaving, one, escaping)
                     shift = ti.select(leaving, zero, shift)
-                    escapes = ti.select(leaving, escapes + 1.0, escapes)
+                    escapes = ti.select(leaving & at_saddle, escapes + 1.0, escapes)
                     closing = ti.select(gap > ti.cast(closing_distance, scalar) * edge, one, zero)
                     rounds = ti.select((escaping > 0.5) & right & ~leaving, rounds + 1.0, rounds)
                     rounds = ti.select(leaving, zero, rounds)
@@ -342,7 +347,9 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                     cap = ti.min(one, ti.cast(max_rotation, scalar) / (longest + 1e-30))
                     leap = ESCAPE_ROTATION / ((1.0 + rejects) * (1.0 + rejects) * (longest + 1e-30))
                     step_scale = ti.select(trying > 0.5, ti.select(escaping > 0.5, leap, cap), zero)
-                    progress = gained | leaving | (closing > 0.5) | (residual < 0.7 * best)
+                    better = leaving | (closing > 0.5) | (residual < 0.7 * best)
+                    progress = gained | better
+                    aimless = ti.select(better | notable, zero, aimless + 1.0)
                     idle_trips = ti.select(progress, zero, idle_trips + 1.0)
                     best = ti.min(best, residual)
                     fresh = zero

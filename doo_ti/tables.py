@@ -116,6 +116,8 @@ def tables(
         raise InputError("configuration", "rest_length", f"{lengths.min():g}", "give positive lengths in mm")
     index_c, index_m = _pairs(count, material.count, configuration_index, material_index)
     start_kind, end_kind = (_kinds(name, getattr(clamps, name), count) for name in ("start", "end"))
+    _check_frames("start_frame", clamps.start_frame, start_kind)
+    _check_frames("end_frame", clamps.end_frame, end_kind)
     adrift = (start_kind == Clamp.FREE) & (end_kind == Clamp.FREE)
     if adrift.any() and (material.weight > 0).any():
         raise InputError("clamps", "start, end", "both ends are free and the rod has weight", "hold one end, or set weight 0")
@@ -163,6 +165,17 @@ def _check_shapes(configuration: Configuration, clamps: Clamps) -> None:
     ):
         if not isinstance(array, np.ndarray) or array.shape != wanted:
             raise InputError(source, field, f"shape {np.shape(array)}", f"give an array {wanted}, a row for each start")
+
+
+def _check_frames(name: str, frames: np.ndarray, kind: np.ndarray) -> None:
+    """Raise InputError where a frame that a clamp holds is finite but no rotation."""
+    held = frames[kind == Clamp.FRAME]
+    held = held[np.isfinite(held).all(axis=(1, 2)) & (np.abs(held).max(axis=(1, 2), initial=0) > 0)]
+    off = np.abs(np.swapaxes(held, -1, -2) @ held - np.eye(3)).max(axis=(1, 2), initial=0)
+    bad = np.flatnonzero((off > 1e-3) | (np.linalg.det(held) < 0))
+    if len(bad):
+        raise InputError("clamps", name, f"{np.round(held[bad[0]], 4).tolist()} is no rotation",
+                         "give unit, orthogonal columns t, m1, m2 with m2 = t x m1")
 
 
 def _kinds(name: str, kind, count: int) -> np.ndarray:

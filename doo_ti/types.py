@@ -193,7 +193,8 @@ class Solution:
     closure        (R,) distance by which the far end misses its clamp over the rod's length
     iterations     (R,) steps taken
     status         (R,) Status
-    stable         (R,) True where the equilibrium is certified a strict minimum by the inertia of its KKT matrix
+    stable         (R,) True where the inertia of its KKT matrix certifies the equilibrium: in no direction does the energy
+                   fall. Neutral motions, such as a weightless bow turning about its chord, do not count against it
     precision      (R,) 32 or 64: the arithmetic that finished the rod
     """
 
@@ -229,4 +230,4 @@ def _check_bend(bend: np.ndarray) -> None:
     definite = (bend[..., 0, 0] > 0) & (bend[..., 0, 0] * bend[..., 1, 1] > bend[..., 0, 1] * bend[..., 1, 0])
     if not (symmetric & definite).all():
         worst = bend[~(symmetric & definite)][0].tolist()
-        raise InputError("material", "bend", f"{worst} is not positive definite", "give A1 > 0, A2 > 0, |A12| < sqrt(A1*A2)")
+        raise InputError("material", "bend", f"{worst} is not symmetric positive definite", "give A1 > 0, A2 > 0, |A12| < sqrt(A1*A2)")
