@@ -103,7 +103,7 @@ def _parser() -> _Parser:
     _add_material(sweep, "a number or LO:HI:N[:log|:lin]; overrides the scene's axis")
     _add_relaxation(sweep, None)
     sweep.add_argument("--objective", choices=OBJECTIVES, help="static: Eq. 2 (default)")
-    sweep.add_argument("--seed", default="0", metavar="N", help="of everything random (default 0)")
+    sweep.add_argument("--seed", metavar="N", help="of everything random (default: the scene's, else 0)")
     sweep.add_argument("--workers", metavar="N", help="processes to share the work (default: one)")
     sweep.set_defaults(run=commands.sweep)
 

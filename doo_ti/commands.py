@@ -66,6 +66,9 @@ def sweep(options: Namespace, words: list[str]) -> int:
     grid = given.grid(options, scene.grid if scene else None)
     frame_weight = given.frame_weight(options, scene.frame_weight if scene else 0.0)
     seed, workers = given.whole("--seed", options.seed, 0), given.whole("--workers", options.workers, 1)
+    if scene and isinstance(scene.observations, Synthesis):
+        seed = scene.observations.seed if seed is None else seed
+        scene = replace(scene, observations=replace(scene.observations, seed=seed))
     up, run = given.up(options), given.output_folder(options.out)
     observations = _observed(scene, up) if scene else load_observations(options.source, up)
     clamp_start, clamp_end = given.clamp(options.clamp_start), given.clamp(options.clamp_end)
@@ -81,7 +84,7 @@ def sweep(options: Namespace, words: list[str]) -> int:
     chosen = SweepOptions(
         frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=_solver(options.solver),
         precision=options.precision or (scene.precision if scene else "mixed"),
-        objective=options.objective or (scene.objective if scene else "static"), seed=seed, workers=workers,
+        objective=options.objective or (scene.objective if scene else "static"), seed=seed or 0, workers=workers,
     )
     summary = sweep_grid(run, observations, grid, options=chosen, command=words)
     if options.json:
@@ -91,7 +94,7 @@ def sweep(options: Namespace, words: list[str]) -> int:
         if grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end):
             print("  note        an end may spin, so nothing twists the rod: twist is not determined")
         if scene and isinstance(scene.observations, Synthesis):
-            print(f"  true Θ      {_true_theta(scene.observations)} (the virtual lab's)")
+            print(f"  true Θ      {_true_theta(scene.observations)} (the virtual lab's, seed {seed})")
         print(f"  written to {run}")
     return 0
 

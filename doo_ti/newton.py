@@ -311,8 +311,9 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                     # Factorise at the frames that stand. Off a saddle: once with noise, then on what came of it.
                     noise = ti.select((escaping > 0.5) & (rounds < 0.5), 1e-3 * scale, zero)
                     echo = ti.select((escaping > 0.5) & (rounds > 0.5), scale / (longest + 1e-30), zero)
+                    diagonal = ti.select(shift > 0.0, shift, trace * scale)
                     moment, scale, change, inertia = sweep.eliminate(
-                        scratch, origin, edges, accepted, ti.select(shift > 0.0, shift, trace * scale), noise, echo, (lambda0, lambda1, lambda2),
+                        scratch, origin, edges, accepted, diagonal, noise, echo, (lambda0, lambda1, lambda2),
                         (miss0, miss1, miss2), material, gravity, closed, free, total, released)
                     longest = sweep.substitute(scratch, origin, edges, change)
                     change0, change1, change2 = change

@@ -5,34 +5,30 @@
     RUN/landscape.png     the error landscape
     RUN/run.rrd           the recording
 
-A chunk's file is written whole or not at all, so a sweep that was stopped goes on where it was. Axes: G cells,
-D observations, N whole-turn hypotheses of all observations.
+A sweep that was stopped goes on where it was. Axes: G cells, D observations, N whole-turn hypotheses of all observations.
 """
 
-import hashlib
 import json
 import os
-import platform
 import shlex
 import time
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import partial
-from importlib.metadata import version
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti import __version__
 from doo_ti.dataset import Observations, write_whole
 from doo_ti.descent import Descent
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.grid import Grid
 from doo_ti.learning import gather_landscape, status_counts
 from doo_ti.newton import Newton
+from doo_ti.run_folder import chunk_path, claim, finished, identity_of, provenance, store
 from doo_ti.start import (
     check_experiment,
     choose_hypothesis,
@@ -84,12 +80,12 @@ def sweep(run: Path, observations: Observations, grid: Grid, *, options: SweepOp
     if rods * grid.size > MOST_RODS:
         raise InputError(grid.source, "grid", f"{grid.size:,} cells are {rods * grid.size:,} rods",
                          f"give a grid of at most {MOST_RODS // rods:,} cells")
-    identity = _identity(observations, grid, options)
-    _claim(run, identity)
+    identity = identity_of(observations, grid, options, RODS_PER_CHUNK)
+    claim(run, identity)
     step = max(1, RODS_PER_CHUNK // rods)
     chunks = [(first, min(first + step, grid.size)) for first in range(0, grid.size, step)]
-    left = [chunk for chunk in chunks if not _chunk_path(run, *chunk).exists()]
-    if not left and (done := _finished(run, identity)):
+    left = [chunk for chunk in chunks if not chunk_path(run, *chunk).exists()]
+    if not left and (done := finished(run, identity)):
         return done
     relaxed = rods * sum(last - first for first, last in left)
     seconds = _relax_chunks(run, observations, grid, options, left, rods, command)
@@ -110,7 +106,7 @@ def sweep(run: Path, observations: Observations, grid: Grid, *, options: SweepOp
         "cells": grid.size,
         "grid": grid.as_dict(),
         "timing": {"relaxed_rods": relaxed, "relaxation_s": seconds, "total_s": time.monotonic() - began},
-        "provenance": _provenance(observations, options, identity, command),
+        "provenance": provenance(observations, clamps, options, identity, command),
     }
     _draw(run, observations, grid, options, landscape, summary)
     summary["timing"]["total_s"] = time.monotonic() - began
@@ -149,21 +145,8 @@ def sweep_cells(observations: Observations, grid: Grid, options: SweepOptions, f
     return columns
 
 
-def _finished(run: Path, identity: str) -> dict | None:
-    """The summary of a sweep that was finished before, or None."""
-    path = run / "summary.json"
-    if not (path.exists() and (run / "run.rrd").exists()):
-        return None
-    summary = json.loads(path.read_text(encoding="utf-8"))
-    return summary if summary["provenance"]["sweep_sha256"] == identity else None
-
-
 def _clamps(observations: Observations, options: SweepOptions):
     return observation_clamps(observations, options.clamp_start, options.clamp_end)
-
-
-def _chunk_path(run: Path, first: int, last: int) -> Path:
-    return run / "cells" / f"{first:09d}-{last:09d}.parquet"
 
 
 def _relax_chunks(run, observations, grid, options, chunks, rods, command) -> float:
@@ -181,7 +164,7 @@ def _relax_chunks(run, observations, grid, options, chunks, rods, command) -> fl
             task = bar.add_task(observations.name, total=grid.size, completed=before, rate="compiling")
             done = 0
             for (first, last), columns in _results(work, chunks, executor):
-                _store(_chunk_path(run, first, last), columns, observations.name)
+                store(chunk_path(run, first, last), columns, observations.name)
                 done += last - first
                 rate = done * rods / (time.monotonic() - began)
                 bar.update(task, advance=last - first, rate=f"{rate:,.0f} rods/s")
@@ -231,62 +214,6 @@ def _results(work, chunks, executor: Executor | None):
             yield chunk, future.result()
     for chunk, future in waiting:
         yield chunk, future.result()
-
-
-def _store(path: Path, columns: dict, material: str) -> None:
-    import pyarrow
-    import pyarrow.parquet
-
-    count = len(columns["observation"])
-    names = pyarrow.DictionaryArray.from_arrays(np.zeros(count, dtype=np.int8), [material])
-    table = pyarrow.table({**columns, "material": names})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, lambda file: pyarrow.parquet.write_table(table, file))
-
-
-def _identity(observations: Observations, grid: Grid, options: SweepOptions) -> str:
-    """sha256 of everything the cells depend on."""
-    digest = hashlib.sha256()
-    for field in fields(observations):
-        value = getattr(observations, field.name)
-        if isinstance(value, np.ndarray):
-            digest.update(field.name.encode() + str(value.shape).encode() + np.ascontiguousarray(value).tobytes())
-    digest.update(json.dumps(grid.as_dict()).encode())
-    digest.update(repr([options.frame_weight, options.clamp_start, options.clamp_end, options.solver, options.precision,
-                        options.objective, RODS_PER_CHUNK]).encode())
-    return digest.hexdigest()
-
-
-def _claim(run: Path, identity: str) -> None:
-    """Make the folder this sweep's, or raise InputError where it holds another one's cells."""
-    path = run / "cells" / "identity.txt"
-    if path.exists():
-        if path.read_text(encoding="utf-8").strip() != identity:
-            raise InputError(run, "cells", "holds another sweep (other observations, grid or options)",
-                             "name another folder with --out, or delete this one")
-        return
-    if run.exists() and any(run.iterdir()):
-        raise InputError(run, "--out", "the folder holds something else than a sweep", "name another folder")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, lambda file: file.write(f"{identity}\n".encode()))
-
-
-def _provenance(observations: Observations, options: SweepOptions, identity: str, command) -> dict:
-    clamps = _clamps(observations, options)
-    packages = ("taichi", "numpy", "rerun-sdk", "pyarrow")
-    return {
-        "command": list(command),
-        "input": Path(observations.source).name,
-        "input_sha256": observations.sha256,
-        "sweep_sha256": identity,
-        "seed": options.seed,
-        "options": {"frame_weight_mm": options.frame_weight, "precision": options.precision,
-                    "objective": options.objective, "solver": repr(options.solver), "up": observations.up.tolist(),
-                    "clamp_start": Clamp(clamps.start).name.lower(), "clamp_end": Clamp(clamps.end).name.lower()},
-        "versions": {"doo_ti": __version__, "python": platform.python_version(), **{name: version(name) for name in packages}},
-        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
-        "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-    }
 
 
 def _draw(run: Path, observations: Observations, grid: Grid, options: SweepOptions, landscape, summary: dict) -> None:

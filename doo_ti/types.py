@@ -229,5 +229,5 @@ def _check_bend(bend: np.ndarray) -> None:
     symmetric = np.abs(bend[..., 0, 1] - bend[..., 1, 0]) <= 1e-12 * np.abs(bend).max()
     definite = (bend[..., 0, 0] > 0) & (bend[..., 0, 0] * bend[..., 1, 1] > bend[..., 0, 1] * bend[..., 1, 0])
     if not (symmetric & definite).all():
-        worst = bend[~(symmetric & definite)][0].tolist()
-        raise InputError("material", "bend", f"{worst} is not symmetric positive definite", "give A1 > 0, A2 > 0, |A12| < sqrt(A1*A2)")
+        worst = f"{bend[~(symmetric & definite)][0].tolist()} is not symmetric positive definite"
+        raise InputError("material", "bend", worst, "give A1 > 0, A2 > 0, |A12| < sqrt(A1*A2)")

@@ -22,7 +22,7 @@ LAYERS = [
     {"batch"},
     {"relaxation"},
     {"path"},
-    {"synthesis", "learning", "report"},
+    {"synthesis", "learning", "report", "run_folder"},
     {"record"},
     {"sweeps"},
     {"options"},
