@@ -104,7 +104,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
     @ti.func
     def load_edges(scratch: ti.template(), origin, edges, slot, s, g, start: ti.template(), rest_length: ti.template(),
                    bend: ti.template(), twist: ti.template(), rest: ti.template()):
-        """One rod's frames, lengths and stiffness into lane l."""
+        """One rod's frames, lengths and stiffness into lane ``slot``."""
         ls = ti.min(s, rest_length.shape[0] - 1)
         at = origin
         for e in range(edges):

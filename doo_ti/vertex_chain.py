@@ -342,7 +342,7 @@ def vertex_sweeps(number, stride: int) -> SimpleNamespace:
     @ti.func
     def load_rod(scratch: ti.template(), origin, edges, slot, s, g, vertices: ti.template(), directors: ti.template(),
                  rest_length: ti.template(), bend: ti.template(), twist: ti.template(), rest: ti.template()):
-        """One rod's start and stiffness into lane l; returns (longest edge, shortest edge)."""
+        """One rod's start and stiffness into lane ``slot``; returns (longest edge, shortest edge)."""
         ls = ti.min(s, rest_length.shape[0] - 1)
         longest = ti.cast(0.0, ti.f64)
         shortest = ti.cast(1e30, ti.f64)
