@@ -28,7 +28,7 @@ def landscape_picture(path_or_buffer, axes, values, *, minimum, valley=None, tit
     minimum     index of the minimum, one integer per axis; None where there is none
     valley      (grid) bool, the cells to outline; default: within 5 % of the minimum
     label       what the values are, with their unit: the colour bar's label
-    unfinished  (grid) number of rods that did not converge: those cells are hatched
+    unfinished  (grid) number of rods that came to no certified minimum: those cells are hatched
     """
     _draw(Plane.of(axes, values, minimum, valley, unfinished), title, label).canvas.print_png(path_or_buffer)
 
@@ -178,7 +178,7 @@ def _keys(landscape: Plane) -> list:
         keys.append(Patch(facecolor=_VALLEY, alpha=0.35, label=text) if line else
                     Patch(facecolor="none", edgecolor="white", linewidth=2.2, path_effects=_edged(), label=text))
     if (count := (landscape.unfinished > 0).sum()):
-        text = f"rods not converged: {landscape.unfinished.sum()} (cells: {count})"
+        text = f"rods at no certified minimum: {landscape.unfinished.sum()} (cells: {count})"
         keys.append(Line2D([], [], linestyle="", marker="o", markerfacecolor="white", color=_MISSING, markersize=8,
                            label=text) if line else
                     Patch(facecolor="#c4c4c4", edgecolor="#262626", hatch="////", linewidth=0, label=text))

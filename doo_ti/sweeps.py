@@ -225,7 +225,8 @@ def _draw(run: Path, observations: Observations, grid: Grid, options: SweepOptio
     axes = [(axis.name, axis.values, axis.log, axis.unit) for axis in grid.axes]
     values = landscape.mean_distance.reshape(grid.shape)
     minimum = np.unravel_index(landscape.best, grid.shape)
-    unfinished = (landscape.status != Status.CONVERGED).sum(axis=1).reshape(grid.shape)
+    sound = (landscape.status == Status.CONVERGED) & landscape.stable
+    unfinished = (~sound).sum(axis=1).reshape(grid.shape)
     label = "mean distance (Eq. 1) [mm]"
     title = f"{observations.name}: static error over {observations.count} observations"
     if any(len(axis) > 1 for axis in grid.axes):
