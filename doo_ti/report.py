@@ -178,7 +178,7 @@ def _keys(landscape: Plane) -> list:
         keys.append(Patch(facecolor=_VALLEY, alpha=0.35, label=text) if line else
                     Patch(facecolor="none", edgecolor="white", linewidth=2.2, path_effects=_edged(), label=text))
     if (count := (landscape.unfinished > 0).sum()):
-        text = f"rods at no certified minimum: {landscape.unfinished.sum()} (cells: {count})"
+        text = f"rods not certified: {landscape.unfinished.sum()} (cells: {count})"
         keys.append(Line2D([], [], linestyle="", marker="o", markerfacecolor="white", color=_MISSING, markersize=8,
                            label=text) if line else
                     Patch(facecolor="#c4c4c4", edgecolor="#262626", hatch="////", linewidth=0, label=text))
