@@ -5,6 +5,9 @@ Quaternions are (..., 4) with the scalar first; the columns of a rotation matrix
 
 import numpy as np
 
+FRAME_TOLERANCE = 1e-3
+"""A frame that somebody gives may be off by this much (see :func:`orthonormality_error`)."""
+
 
 def matrix_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
     """(..., 4) unit quaternions to (..., 3, 3) rotation matrices."""
@@ -33,6 +36,11 @@ def quaternion_from_matrix(matrix: np.ndarray) -> np.ndarray:
     best = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
     row = np.take_along_axis(outer, best[..., None, None], axis=-2)[..., 0, :]
     return row / np.linalg.norm(row, axis=-1, keepdims=True)
+
+
+def orthonormality_error(frames: np.ndarray) -> np.ndarray:
+    """(...) largest entry of |FᵀF − I| of (..., 3, 3) frames."""
+    return np.abs(np.swapaxes(frames, -1, -2) @ frames - np.eye(3)).max(axis=(-1, -2), initial=0)
 
 
 def quaternion_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:

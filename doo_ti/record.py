@@ -82,11 +82,6 @@ def record_sweep(path, *, run_id: str, name: str, observations_vertices, labels,
     os.replace(part, path)
 
 
-def record_relaxation(path, **run) -> None:
-    """The recording of ``doo-ti relax``: `record_sweep` without axes, landscape and what goes with them."""
-    record_sweep(path, **run)
-
-
 def open_viewer(path) -> int:
     """Open a run's recording (the run's folder or the .rrd file) in the rerun viewer; returns the viewer's exit code.
 

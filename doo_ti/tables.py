@@ -10,7 +10,9 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.frames import (
+    FRAME_TOLERANCE,
     matrix_from_quaternion,
+    orthonormality_error,
     quaternion_about,
     quaternion_from_matrix,
     quaternion_product,
@@ -129,9 +131,13 @@ def tables(
         raise InputError("material", "rest_curvature", f"{rest.shape[1]} joints", f"give one or {edges - 1}")
 
     quaternions = _impose(configuration.quaternions, start_kind, end_kind, clamps)
-    clamp, feasible, anchor = _clamp_table(configuration.start, quaternions, lengths, start_kind, end_kind, clamps)
-    quaternions = _bowed(quaternions, lengths, clamp, feasible, up)
-    quaternions = _stretched(quaternions, lengths, clamp, feasible)
+    clamp, anchor = _clamp_table(configuration.start, start_kind, end_kind, clamps)
+    free = _free_part(quaternions, lengths, clamp)
+    closed = clamp[:, CLOSED] > 0
+    # Two free edges at least leave the far point three ways to go.
+    feasible = ~closed | ((free.span <= free.reach * (1 + 1e-12)) & (free.tilting.sum(axis=1) >= 2))
+    quaternions = _bowed(quaternions, lengths, free, feasible & closed, up)
+    quaternions = _stretched(quaternions, clamp, free, feasible & closed)
     bend = np.stack([material.bend[..., 0, 0], material.bend[..., 1, 1], material.bend[..., 0, 1]], axis=-1)
     good = np.flatnonzero(feasible[index_c])
     rods = np.stack([index_c[good], index_m[good], good], axis=-1).astype(np.int32)
@@ -171,8 +177,7 @@ def _check_frames(name: str, frames: np.ndarray, kind: np.ndarray) -> None:
     """Raise InputError where a frame that a clamp holds is finite but no rotation."""
     held = frames[kind == Clamp.FRAME]
     held = held[np.isfinite(held).all(axis=(1, 2)) & (np.abs(held).max(axis=(1, 2), initial=0) > 0)]
-    off = np.abs(np.swapaxes(held, -1, -2) @ held - np.eye(3)).max(axis=(1, 2), initial=0)
-    bad = np.flatnonzero((off > 1e-3) | (np.linalg.det(held) < 0))
+    bad = np.flatnonzero((orthonormality_error(held) > FRAME_TOLERANCE) | (np.linalg.det(held) < 0))
     if len(bad):
         raise InputError("clamps", name, f"{np.round(held[bad[0]], 4).tolist()} is no rotation",
                          "give unit, orthogonal columns t, m1, m2 with m2 = t x m1")
@@ -220,70 +225,77 @@ def _impose(quaternions: np.ndarray, start_kind: np.ndarray, end_kind: np.ndarra
     return result / np.linalg.norm(result, axis=-1, keepdims=True)
 
 
-def _bowed(quaternions, lengths, clamp, feasible, up) -> np.ndarray:
+@dataclass(frozen=True)
+class _FreePart:
+    """What the clamps leave of each rod: which edges may tilt (S, E), the line (S, 3) and its length, the span (S,), that
+    they have to bridge, and how far they reach (S,), mm."""
+
+    tilting: np.ndarray
+    line: np.ndarray
+    span: np.ndarray
+    reach: np.ndarray
+
+
+def _free_part(quaternions: np.ndarray, lengths: np.ndarray, clamp: np.ndarray) -> _FreePart:
+    tilting = np.ones(quaternions.shape[:2])
+    tilting[:, 0], tilting[:, -1] = clamp[:, TILT_START], clamp[:, TILT_END]
+    tangents = matrix_from_quaternion(quaternions[:, [0, -1]])[..., 0]
+    fixed = (lengths * (1 - tilting))[:, [0, -1], None] * tangents
+    line = clamp[:, TARGET : TARGET + 3] - fixed.sum(axis=1)
+    return _FreePart(tilting, line, np.linalg.norm(line, axis=-1), (lengths * tilting).sum(axis=1))
+
+
+def _bowed(quaternions, lengths, free: _FreePart, closed, up) -> np.ndarray:
     """Starts that can be projected: free edges in one straight line have no first-order way to bring the far end closer.
 
     Where they are and must, they are bowed to the needed chord, downwards, or towards m1 where the line is upright.
     """
-    count, edges = quaternions.shape[:2]
+    edges = quaternions.shape[1]
     matrix = matrix_from_quaternion(quaternions)
-    tilting = np.ones((count, edges))
-    tilting[:, 0], tilting[:, -1] = clamp[:, TILT_START], clamp[:, TILT_END]
-    steps = lengths[..., None] * matrix[..., 0]
-    reach = (lengths * tilting).sum(axis=1)
-    chord = np.linalg.norm((steps * tilting[..., None]).sum(axis=1), axis=-1)
-    goal = clamp[:, TARGET : TARGET + 3] - (steps * (1 - tilting[..., None])).sum(axis=1)
-    share = np.linalg.norm(goal, axis=-1) / reach
-    rows = np.flatnonzero(feasible & (clamp[:, CLOSED] > 0) & (chord > reach * (1 - 1e-8)) & (share < 1 - 1e-8))
+    chord = np.linalg.norm(((lengths * free.tilting)[..., None] * matrix[..., 0]).sum(axis=1), axis=-1)
+    share = free.span / free.reach
+    rows = np.flatnonzero(closed & (chord > free.reach * (1 - 1e-8)) & (share < 1 - 1e-8))
     if not len(rows):
         return quaternions
+    tilting = free.tilting[rows]
     middle = matrix[rows, edges // 2]
     axis = np.cross(-up, middle[..., 0])
     upright = np.linalg.norm(axis, axis=-1, keepdims=True) < 1e-3
     axis = np.where(upright, middle[..., 2], axis)
     axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
     # A sine arch of slope a cos(π s/L) has the chord L (1 − a²/4).
-    place = (np.cumsum(tilting[rows], axis=1) - 0.5) / tilting[rows].sum(axis=1, keepdims=True)
-    slope = np.minimum(2 * np.sqrt(1 - share[rows]), 1.0)[:, None] * np.cos(np.pi * place) * tilting[rows]
+    place = (np.cumsum(tilting, axis=1) - 0.5) / tilting.sum(axis=1, keepdims=True)
+    slope = np.minimum(2 * np.sqrt(1 - share[rows]), 1.0)[:, None] * np.cos(np.pi * place) * tilting
     result = quaternions.copy()
     result[rows] = quaternion_product(quaternion_about(-axis[:, None] * np.ones((1, edges, 1)), slope), quaternions[rows])
     return result
 
 
-def _stretched(quaternions, lengths, clamp, feasible) -> np.ndarray:
+def _stretched(quaternions, clamp, free: _FreePart, closed) -> np.ndarray:
     """Rods as long as their span: the one straight line they can be, with nothing left to relax but the spins.
 
     Their clamps are changed to say so; the turns of their frames are kept by parallel transport.
     """
-    tilting = np.ones(quaternions.shape[:2])
-    tilting[:, 0], tilting[:, -1] = clamp[:, TILT_START], clamp[:, TILT_END]
-    matrix = matrix_from_quaternion(quaternions)
-    fixed = (lengths * (1 - tilting))[..., None] * matrix[..., 0]
-    line = clamp[:, TARGET : TARGET + 3] - fixed.sum(axis=1)
-    span, reach = np.linalg.norm(line, axis=-1), (lengths * tilting).sum(axis=1)
-    rows = np.flatnonzero(feasible & (clamp[:, CLOSED] > 0) & (span > reach * (1 - TAUT)))
+    rows = np.flatnonzero(closed & (free.span > free.reach * (1 - TAUT)))
     if not len(rows):
         return quaternions
-    direction = (line[rows] / span[rows, None])[:, None]
-    turn = smallest_rotation(matrix[rows, :, :, 0], np.broadcast_to(direction, (len(rows), *quaternions.shape[1:2], 3)))
+    tangents = matrix_from_quaternion(quaternions[rows])[..., 0]
+    turn = smallest_rotation(tangents, (free.line[rows] / free.span[rows, None])[:, None])
     result = quaternions.copy()
     straight = quaternion_product(turn, quaternions[rows])
-    result[rows] = np.where(tilting[rows, :, None] > 0, straight, quaternions[rows])
+    result[rows] = np.where(free.tilting[rows, :, None] > 0, straight, quaternions[rows])
     clamp[rows[:, None], [CLOSED, TILT_START, TILT_END, TILT_INNER]] = 0.0
     return result
 
 
-def _clamp_table(start, quaternions, lengths, start_kind, end_kind, clamps):
-    """(clamp table, feasible (S,), anchor (S, 3)): see :class:`Tables`. Infeasible: what is left of the span, clamped edges
-    taken off, exceeds the sum of the free rest lengths."""
-    count, edges = len(quaternions), quaternions.shape[1]
+def _clamp_table(start, start_kind, end_kind, clamps):
+    """(clamp table, anchor (S, 3)): see :class:`Tables`."""
     held_start, held_end = start_kind >= Clamp.POSITION, end_kind >= Clamp.POSITION
     first = np.where(held_start[:, None], clamps.start_position, start)
     last = np.where(held_end[:, None], clamps.end_position, 0.0)
     closed = held_start & held_end
-    span = np.where(closed[:, None], last - first, 0.0)
-    table = np.zeros((count, CLAMP_COLUMNS))
-    table[:, TARGET : TARGET + 3] = span
+    table = np.zeros((len(start), CLAMP_COLUMNS))
+    table[:, TARGET : TARGET + 3] = np.where(closed[:, None], last - first, 0.0)
     table[:, CLOSED] = closed
     table[:, SPIN_START] = start_kind < Clamp.FRAME
     table[:, TILT_START] = start_kind < Clamp.TANGENT
@@ -291,16 +303,7 @@ def _clamp_table(start, quaternions, lengths, start_kind, end_kind, clamps):
     table[:, TILT_END] = end_kind < Clamp.TANGENT
     table[:, TILT_INNER] = 1.0
     table[:, RELEASED] = ~held_start & held_end
-    tilting = np.ones((count, edges), dtype=bool)
-    tilting[:, 0], tilting[:, -1] = start_kind < Clamp.TANGENT, end_kind < Clamp.TANGENT
-    tangents = matrix_from_quaternion(quaternions[:, [0, -1]])[..., 0]
-    fixed = (lengths[:, [0, -1]] * ~tilting[:, [0, -1]])[..., None] * tangents
-    reach = np.where(tilting, lengths, 0.0).sum(axis=1)
-    needed = np.linalg.norm(span - fixed.sum(axis=1), axis=-1)
-    # Two free edges at least leave the far point three ways to go.
-    feasible = ~closed | ((needed <= reach * (1 + 1e-12)) & (tilting.sum(axis=1) >= 2))
-    anchor = np.where(table[:, RELEASED, None] > 0, last, first)
-    return table, feasible, anchor
+    return table, np.where(table[:, RELEASED, None] > 0, last, first)
 
 
 def divisors(table: Tables) -> np.ndarray:

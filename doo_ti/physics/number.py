@@ -27,11 +27,6 @@ class Number:
         """The Taichi type of a value."""
         return self.scalar if self.width == 1 else ti.types.vector(self.width, self.scalar)
 
-    @property
-    def epsilon(self) -> float:
-        """Relative rounding of one operation."""
-        return 2.0**-24 if self.bits == 32 else 2.0**-53
-
     def lanes(self):
         """(largest, lane, with_lane, constant, put) as Taichi functions: see :func:`_pack_lanes`."""
         return _scalar_lanes(self.scalar) if self.width == 1 else _pack_lanes(self.type, self.scalar)

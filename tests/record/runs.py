@@ -34,7 +34,7 @@ def axes(of: Grid) -> list:
 
 
 def relaxation(rng: np.random.Generator) -> dict:
-    """What `record_relaxation` takes."""
+    """What `record_sweep` takes of a relaxation without a landscape."""
     vertices = observations(rng)
     decay = np.exp(-np.arange(ITERATIONS))
     bump = np.sin(np.pi * np.linspace(0, 1, VERTICES))[None, :, None] * rng.normal(0, 4, (OBSERVATIONS, 1, 3))

@@ -178,10 +178,10 @@ def test_summary_names_the_best_parameters_with_units_and_intervals(tmp_path, rn
 
 
 def test_relaxation_has_no_landscape(tmp_path, rng):
-    from doo_ti.record import record_relaxation
+    from doo_ti.record import record_sweep
 
     run = runs.relaxation(rng) | {"labels": {"end_distance_mm": None}, "properties": {}}
-    static, moving = written(tmp_path, record_relaxation, run)
+    static, moving = written(tmp_path, record_sweep, run)
     assert set(static) | set(moving) == ROOT | {"/__properties"}
     assert set(moving["/world/rods"]) == {"iteration"}
 
