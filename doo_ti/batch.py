@@ -33,8 +33,8 @@ def run_newton(table: Tables, up: np.ndarray, options: newton.Newton, bits: int,
     results = np.full((table.count, RESULTS), np.nan)
     kernel(
         table.start, table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.weight, table.rods,
-        ti.Vector(list(up), dt=ti.f64), options.tolerance or (1e-6 if bits == 32 else 1e-9), options.max_iterations,
-        options.first_shift, options.max_rotation, options.max_escapes,
+        divisors(table), ti.Vector(list(up), dt=ti.f64), options.tolerance or (1e-6 if bits == 32 else 1e-9),
+        options.max_iterations, options.first_shift, options.max_rotation, options.max_escapes,
         newton.CLOSING_DISTANCE if moving else -1.0,
         threads, items * table.edges if stride == 1 else 1, scratch, lane_rod, queue, frames, results,
     )

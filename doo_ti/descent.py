@@ -83,7 +83,7 @@ def descent_kernel(number: Number, stride: int, block: int):
         rest: table3,  # [material, 1 or inner vertex, 2] 1/mm
         weight: table1,  # [material]
         rods: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [rod, (configuration, material, row of the results)]
-        divisor: table1,  # [rod] of the scaled residual
+        divisors: table1,  # [row of the results] of the scaled residual
         up: ti.types.vector(3, ti.f64),
         tolerance: ti.f64,
         max_iterations: ti.i32,
@@ -142,7 +142,7 @@ def descent_kernel(number: Number, stride: int, block: int):
                                                              rest_length, bend, twist, rest)
                                 length = with_lane(length, slot, longest)
                                 limit_move = with_lane(limit_move, slot, largest_move * shortest)
-                                scale = with_lane(scale, slot, divisor[rods[rod, 2]])
+                                scale = with_lane(scale, slot, divisors[rods[rod, 2]])
                                 start_held = ti.max(clamp[s, CLOSED], 1.0 - clamp[s, RELEASED])
                                 end_held = ti.max(clamp[s, CLOSED], clamp[s, RELEASED])
                                 held_first = with_lane(held_first, slot, start_held)

@@ -128,11 +128,10 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
 
     @ti.func
     def scales(edges, s, g, rest_length: ti.template(), bend: ti.template(), twist: ti.template(),
-               rest: ti.template(), weight, released):
-        """(length of the rod, divisor of the residual, a first guess of H's largest diagonal entry, longest edge, and one
-        where the rod looks the same from all sides, so that it may spin about itself at no cost)."""
+               rest: ti.template()):
+        """(length of the rod, a first guess of H's largest diagonal entry, longest edge, and one where the rod looks the same
+        from all sides, so that it may spin about itself at no cost)."""
         ls = ti.min(s, rest_length.shape[0] - 1)
-        stiffest = ti.cast(0.0, ti.f64)
         diagonal = ti.cast(0.0, ti.f64)
         total = ti.cast(0.0, ti.f64)
         longest = ti.cast(0.0, ti.f64)
@@ -142,7 +141,6 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
             half = 0.5 * (bend[g, b, 0] + bend[g, b, 1])
             apart = 0.5 * (bend[g, b, 0] - bend[g, b, 1])
             eigenvalue = half + ti.sqrt(apart * apart + bend[g, b, 2] * bend[g, b, 2])
-            stiffest = ti.max(stiffest, eigenvalue)
             if apart != 0.0 or bend[g, b, 2] != 0.0:
                 round_section = 0.0
             total += rest_length[ls, e]
@@ -153,14 +151,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                     round_section = 0.0
                 both = rest_length[ls, e - 1] + rest_length[ls, e]
                 diagonal = ti.max(diagonal, 4.0 * ti.max(eigenvalue, twist[g, ti.min(e, twist.shape[1]) - 1]) / both)
-        moment = ti.cast(0.0, ti.f64)
-        remaining = total
-        for e in range(edges):
-            length = rest_length[ls, e]
-            remaining -= length
-            hanging = length + 2.0 * remaining - 2.0 * total * released
-            moment = ti.max(moment, ti.abs(weight * length * hanging))
-        return total, ti.max(stiffest, moment), diagonal, longest, round_section
+        return total, diagonal, longest, round_section
 
     @ti.kernel
     def newton(
@@ -172,6 +163,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
         rest: table3,  # [material, 1 or inner vertex, 2] 1/mm
         weight: table1,  # [material]
         rods: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [rod, (configuration, material, row of the results)]
+        divisors: table1,  # [row of the results] of the scaled residual
         up: ti.types.vector(3, ti.f64),
         tolerance: ti.f64,
         max_iterations: ti.i32,
@@ -237,18 +229,18 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                                 s = rods[rod, 0]
                                 g = rods[rod, 1]
                                 load_edges(scratch, origin, edges, slot, s, g, start, rest_length, bend, twist, rest)
-                                sizes = scales(edges, s, g, rest_length, bend, twist, rest, weight[g], clamp[s, RELEASED])
+                                sizes = scales(edges, s, g, rest_length, bend, twist, rest)
                                 total = with_lane(total, slot, sizes[0])
-                                divisor = with_lane(divisor, slot, sizes[1])
-                                scale = with_lane(scale, slot, sizes[2])
-                                edge = with_lane(edge, slot, sizes[3])
-                                shift = with_lane(shift, slot, first_shift * sizes[2])
+                                divisor = with_lane(divisor, slot, divisors[rods[rod, 2]])
+                                scale = with_lane(scale, slot, sizes[1])
+                                edge = with_lane(edge, slot, sizes[2])
+                                shift = with_lane(shift, slot, first_shift * sizes[1])
                                 target0 = with_lane(target0, slot, clamp[s, TARGET])
                                 target1 = with_lane(target1, slot, clamp[s, TARGET + 1])
                                 target2 = with_lane(target2, slot, clamp[s, TARGET + 2])
                                 closed = with_lane(closed, slot, clamp[s, CLOSED])
                                 # A round rod with both spins free turns about itself at no cost: hold its first spin.
-                                turning = sizes[4] * clamp[s, SPIN_END]
+                                turning = sizes[3] * clamp[s, SPIN_END]
                                 spin_start = with_lane(spin_start, slot, clamp[s, SPIN_START] * (1.0 - turning))
                                 tilt_start = with_lane(tilt_start, slot, clamp[s, TILT_START])
                                 spin_end = with_lane(spin_end, slot, clamp[s, SPIN_END])
