@@ -3,42 +3,80 @@
 Device scratch is allocated once per thread and reused, whatever the number of rods.
 """
 
+import sys
+
 import numpy as np
 
 from doo_ti import chain, descent, newton, runtime
 from doo_ti.frames import matrix_from_quaternion, quaternion_from_matrix, vertices_from_quaternions
 from doo_ti.physics.number import Number
-from doo_ti.tables import ITERATIONS, RESULTS, STATUS, Tables, divisors
+from doo_ti.tables import ITERATIONS, RESULTS, STATUS, Tables
 from doo_ti.types import Status
 from doo_ti.vertex_chain import ITEMS
 
 PROJECTIONS = 100
 """Rounds in which Descent's starts are brought onto closure."""
 
+POOLED_BYTES = 1 << 30
+"""Frames of results no longer in use are kept for the next call up to this size: a fresh page costs as much as a rod's step."""
+
 _scratch: dict = {}
+_pool: list[np.ndarray] = []
 
 
 def run_newton(table: Tables, up: np.ndarray, options: newton.Newton, bits: int, moving: bool = True):
-    """Relax every feasible rod: (R, E, 4) frames and (R, RESULTS), NaN in infeasible rows.
+    """Relax every feasible rod from its start: (R, E, 4) frames and (R, RESULTS), NaN in infeasible rows.
 
     With ``moving`` false only the projection runs, which brings a start onto closure.
     """
+    frames = _room(table.count * table.edges * 4).reshape(table.count, table.edges, 4)
+    if len(table.rods) < table.count:
+        frames[~table.feasible[table.configuration_index]] = np.nan
+    results = np.full((table.count, RESULTS), np.nan)
+    _launch_newton(table, table.rods, up, options, bits, frames, results, moving)
+    return frames, results
+
+
+def continue_newton(table: Tables, up: np.ndarray, options: newton.Newton, bits: int, frames, results, rows, usable) -> None:
+    """Relax the rods ``rows`` further, in place: from their ``frames`` where ``usable`` (R,), else from their starts."""
+    table.hold_tangents(frames, rows[usable[rows]])
+    results[rows] = np.nan
+    _launch_newton(table, table.continued(usable, rows), up, options, bits, frames, results)
+
+
+def pack_trips(bits: int) -> tuple[int, int]:
+    """(trips through Newton's loop, all threads together, and rods in a pack) of the last launch in that precision."""
+    (number, _), buffers = next((key, found) for key, found in _scratch.items() if key[0].bits == bits)
+    return int(buffers[2].to_numpy()[1]), number.width
+
+
+def _room(size: int) -> np.ndarray:
+    """(size,) numbers of any value: memory of an earlier result that nobody holds any more, where there is one that fits."""
+    for kept in _pool:
+        # Held by the pool, by this loop and by the call only.
+        if size <= kept.size <= 2 * size and sys.getrefcount(kept) == 3:
+            return kept[:size]
+    fresh = np.empty(size)
+    _pool.append(fresh)
+    while sum(kept.nbytes for kept in _pool) > POOLED_BYTES:
+        _pool.pop(0)
+    return fresh
+
+
+def _launch_newton(table: Tables, rods, up, options: newton.Newton, bits: int, frames, results, moving: bool = True) -> None:
     import taichi as ti
 
-    number, threads, stride, block = _machine(len(table.rods), bits)
+    number, threads, stride, block = _machine(len(rods), bits)
     items = chain.ISOTROPIC_ITEMS if table.isotropic else chain.GENERAL_ITEMS
     kernel = newton.newton_kernel(number, table.isotropic, stride, block)
     scratch, lane_rod, queue = _buffers(number, threads, items * table.edges)
-    frames = np.full((table.count, table.edges, 4), np.nan)
-    results = np.full((table.count, RESULTS), np.nan)
     kernel(
-        table.start, table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.weight, table.rods,
-        divisors(table), ti.Vector(list(up), dt=ti.f64), options.tolerance or (1e-6 if bits == 32 else 1e-9),
+        table.edges, table.start.reshape(-1), table.rest_length, table.clamp, table.bend, table.twist, table.rest,
+        table.section, rods, ti.Vector(list(up), dt=ti.f64), options.tolerance or (1e-6 if bits == 32 else 1e-9),
         options.max_iterations, options.first_shift, options.max_rotation, options.max_escapes,
         newton.CLOSING_DISTANCE if moving else -1.0,
-        threads, items * table.edges if stride == 1 else 1, scratch, lane_rod, queue, frames, results,
+        threads, items * table.edges if stride == 1 else 1, scratch, lane_rod, queue, frames.reshape(-1), results,
     )
-    return frames, results
 
 
 def run_descent(table: Tables, up: np.ndarray, options: descent.Descent, bits: int):
@@ -51,7 +89,7 @@ def run_descent(table: Tables, up: np.ndarray, options: descent.Descent, bits: i
 
     projection = newton.Newton(max_iterations=PROJECTIONS)
     closed, _ = run_newton(table, up, projection, 64, moving=False)
-    table = table.restarted(closed, np.isfinite(closed[:, 0, 0]))
+    table = table.restarted(closed)
     vertices, directors = _vertex_form(table)
     number, threads, stride, block = _machine(len(table.rods), bits)
     items = ITEMS * (table.edges + 1)
@@ -60,13 +98,14 @@ def run_descent(table: Tables, up: np.ndarray, options: descent.Descent, bits: i
     axes = np.full((table.count, table.edges, 3), np.nan)
     results = np.full((table.count, RESULTS), np.nan)
     descent.descent_kernel(number, stride, block)(
-        vertices, directors, table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.weight,
-        table.rods, divisors(table), ti.Vector(list(up), dt=ti.f64), options.tolerance, options.max_iterations,
+        vertices, directors, table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.section,
+        table.rods, ti.Vector(list(up), dt=ti.f64), options.tolerance, options.max_iterations,
         options.largest_move, threads, items if stride == 1 else 1, scratch, lane_rod, queue, positions, axes, results,
     )
     frames = _chain_form(positions, axes)
     certificate = newton.Newton(tolerance=options.tolerance, max_iterations=1, first_shift=0.0, max_escapes=0)
-    frames, certified = run_newton(table.restarted(frames, np.isfinite(frames[:, 0, 0])), up, certificate, 64)
+    certified = np.full((table.count, RESULTS), np.nan)
+    continue_newton(table, up, certificate, 64, frames, certified, np.arange(table.count), np.isfinite(frames[:, 0, 0]))
     good = certified[:, STATUS] == Status.CONVERGED
     # What came to rest by its own account but not by that of the chain (its clamp not reached, say) has stalled.
     own = np.where(results[:, STATUS] == Status.CONVERGED, Status.STALLED, results[:, STATUS])
@@ -100,7 +139,7 @@ def _machine(rods: int, bits: int) -> tuple[Number, int, int, int]:
 
 
 def _buffers(number: Number, threads: int, items: int):
-    """(scratch for every thread, rod of every lane, queue set to zero); scratch grows when needed and never shrinks."""
+    """(scratch for every thread, rod of every lane, queue and trips set to zero); scratch grows when needed, never shrinks."""
     import taichi as ti
 
     key = (number, threads)
@@ -108,7 +147,7 @@ def _buffers(number: Number, threads: int, items: int):
         _scratch[key] = (
             ti.ndarray(number.type, threads * items),
             ti.ndarray(ti.i32, threads * number.width),
-            ti.ndarray(ti.i32, 1),
+            ti.ndarray(ti.i32, 2),
         )
     _scratch[key][2].fill(0)
     return _scratch[key]

@@ -1,8 +1,8 @@
-"""Sweeps along a rod whose state lies in scratch: step, projection, energy, and the block-tridiagonal Newton system.
+"""Sweeps along a rod whose state lies in scratch: step, closure, energy, and the block-tridiagonal Newton system.
 
 The Hessian of a chain of frames is block-tridiagonal with 3×3 blocks, bordered by the three columns A of closure. One
-forward sweep assembles and eliminates it, one backward sweep gives the step (§III-D). Scratch holds, per edge, the items
-named below; ``number`` says how many rods a value holds and ``stride`` how far apart the items of an edge lie.
+forward sweep closes, evaluates, assembles and eliminates it, one backward sweep gives the step (§III-D). Scratch holds, per
+edge, the items named below; ``number`` says how many rods a value holds and ``stride`` how far apart the items of an edge lie.
 """
 
 from types import SimpleNamespace
@@ -16,8 +16,7 @@ from doo_ti.physics.algebra import (
     dot,
     factor,
     forward,
-    larger,
-    largest_component,
+    largest_of,
     positive_eigenvalues,
     solve_symmetric,
     weighted,
@@ -28,12 +27,13 @@ from doo_ti.physics.quaternion import first_director, second_director, tangent, 
 
 # Items of an edge in scratch. Those of a vertex (1/l̄, β, ω̄) lie with the edge that leaves it.
 FRAME = 0
-TRIAL = 4
+STANDING = 4  # the frame to go back to where the step is not taken
 LENGTH = 8
 INVERSE_LENGTH = 9
 ROTATION = 10  # the right-hand side while eliminating, the step after back-substitution
 ELIMINATED_NEXT = 13
 ELIMINATED_CLOSURE = 22
+BENT = 22  # until then: curvature and twist at the vertex where the edge ends
 PIVOTS = 31
 ISOTROPIC_ITEMS = 37
 BEND = 37
@@ -52,7 +52,7 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
     """
     twist_angle = twist_angle_function(number)
     items = ISOTROPIC_ITEMS if isotropic else GENERAL_ITEMS
-    largest = number.lanes()[0]
+    largest = number.lanes().largest
 
     @ti.func
     def load3(scratch: ti.template(), at):
@@ -87,28 +87,41 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
             )
 
     @ti.func
-    def energy_and_gradient(p, q, s):
-        x, y, inverse, turn, r, root = pair.curvature(p, q)
-        m = twist_angle(r, root)
-        if ti.static(isotropic):
-            left, right = pair.isotropic_gradient(x, y, inverse, m, s)
-            return pair.isotropic_energy(x, m, s), left, right
-        else:
-            left, right = pair.general_gradient(x, y, inverse, turn, m, s)
-            return pair.general_energy(x, y, m, s), left, right
+    def load_bent(scratch: ti.template(), at):
+        """(X, Y, 1/s, m, e^{im}) at the end of an edge: see :mod:`doo_ti.physics.pair`."""
+        b = at + BENT * stride
+        return (
+            (scratch[b], scratch[b + stride]),
+            (scratch[b + 2 * stride], scratch[b + 3 * stride]),
+            scratch[b + 4 * stride],
+            scratch[b + 5 * stride],
+            (scratch[b + 6 * stride], scratch[b + 7 * stride]),
+        )
 
     @ti.func
-    def derivatives(p, q, s):
-        x, y, inverse, turn, r, root = pair.curvature(p, q)
-        m = twist_angle(r, root)
+    def energy_of(bent, s):
+        x, y, inverse, m, turn = bent
         if ti.static(isotropic):
-            g_left, g_right = pair.isotropic_gradient(x, y, inverse, m, s)
-            h_left, h_right, h_across = pair.isotropic_hessian(x, y, inverse, turn, m, s)
-            return g_left, g_right, h_left, h_right, h_across
+            return pair.isotropic_energy(x, m, s)
         else:
-            g_left, g_right = pair.general_gradient(x, y, inverse, turn, m, s)
-            h_left, h_right, h_across = pair.general_hessian(x, y, inverse, turn, m, s)
-            return g_left, g_right, h_left, h_right, h_across
+            return pair.general_energy(x, y, m, s)
+
+    @ti.func
+    def gradient_of(bent, s):
+        x, y, inverse, m, turn = bent
+        if ti.static(isotropic):
+            return pair.isotropic_gradient(x, y, inverse, m, s)
+        else:
+            return pair.general_gradient(x, y, inverse, turn, m, s)
+
+    @ti.func
+    def derivatives(bent, s):
+        """(g_left, g_right, H_left, H_right, H_across) of a pair."""
+        x, y, inverse, m, turn = bent
+        if ti.static(isotropic):
+            return gradient_of(bent, s) + pair.isotropic_hessian(x, y, inverse, turn, m, s)
+        else:
+            return gradient_of(bent, s) + pair.general_hessian(x, y, inverse, turn, m, s)
 
     @ti.func
     def tilt_of(edge, edges, free):
@@ -126,16 +139,26 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
         return length + 2.0 * remaining - 2.0 * total * released
 
     @ti.func
-    def step(scratch: ti.template(), origin, edges, scale, target, closed, free):
-        """Trial frames Q (1, scale ω/2), then how far they miss closure, and x of the projection that puts it back."""
+    def step(scratch: ti.template(), origin, edges, scale, moving, target, closed, free):
+        """Frames Q (1, scale ω/2), and x of the projection that puts them back on closure, both only where ``moving``; and AᵀA
+        over the edges that may tilt."""
         zero = 0.0 * scale
+        stepping = (scale > 0.0) | (scale < 0.0)
         c0, c1, c2 = (zero, zero, zero)
         n0, n1, n2, n3, n4, n5 = (zero, zero, zero, zero, zero, zero)
         at = origin
         for e in range(edges):
-            w = load3(scratch, at + ROTATION * stride)
-            q = turned_in_body(load4(scratch, at), (w[0] * scale, w[1] * scale, w[2] * scale))
-            store(scratch, at + TRIAL * stride, q)
+            full = load3(scratch, at + ROTATION * stride)
+            # A lane that does not step may hold anything there, even what is not a number.
+            w = (
+                ti.select(stepping, full[0] * scale, zero),
+                ti.select(stepping, full[1] * scale, zero),
+                ti.select(stepping, full[2] * scale, zero),
+            )
+            standing = load4(scratch, at)
+            store(scratch, at + STANDING * stride, standing)
+            q = turned_in_body(standing, w)
+            store(scratch, at, q)
             length = scratch[at + LENGTH * stride]
             t = tangent(q)
             c0, c1, c2 = (c0 + length * t[0], c1 + length * t[1], c2 + length * t[2])
@@ -145,11 +168,12 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
             n3, n4, n5 = (n3 + tilt * a[3], n4 + tilt * a[4], n5 + tilt * a[5])
             at += ti.static(items * stride)
         miss = ((c0 - target[0]) * closed, (c1 - target[1]) * closed, (c2 - target[2]) * closed)
-        x, minors = solve_symmetric(_regular((n0, n1, n2, n3, n4, n5)), miss)
+        normal = _regular((n0, n1, n2, n3, n4, n5))
+        x, minors = solve_symmetric(normal, miss)
         # x·miss is the sum of the squared rotations: keep their root mean square below 0.15 rad in one projection.
         size = ti.sqrt(ti.max(dot(x, miss), zero) / ti.cast(edges, number.scalar)) + 1e-30
-        shrink = ti.min(0.0 * size + 1.0, 0.15 / size)
-        return (x[0] * shrink, x[1] * shrink, x[2] * shrink)
+        shrink = moving * ti.min(0.0 * size + 1.0, 0.15 / size)
+        return (x[0] * shrink, x[1] * shrink, x[2] * shrink), normal
 
     @ti.func
     def _regular(n):
@@ -158,99 +182,95 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
         return (n[0] + e, n[1], n[2], n[3] + e, n[4], n[5] + e)
 
     @ti.func
-    def project(scratch: ti.template(), origin, edges, x, material, gravity, target, closed, free, total, released):
-        """Close the trial frames by the minimum-norm rotation of :func:`step`, then evaluate them.
+    def close(scratch: ti.template(), origin, edges, x, normal, target, material, gravity, closed, free, total, released):
+        """Turn the stepped frames onto closure by the minimum-norm rotation of :func:`step`, and evaluate them.
 
         Returns energy (gravity from vertex 0 or the far point), its magnitude (sum of absolute terms, the scale of its
-        rounding), what closure is left, and the least-squares multiplier λ = −(AᵀA)⁻¹ Aᵀ g.
+        rounding), what closure is left, and the least-squares multiplier λ = −(AᵀA)⁻¹ Aᵀ g, with AᵀA from before the closing.
+        This loop and that of :func:`step` keep apart what edges do by themselves from :func:`eliminate`, where each waits
+        for the one before: here there is always another edge to get on with.
         """
         zero = 0.0 * total
-        energy = zero
-        potential = zero
-        magnitude = zero
+        energy, potential, magnitude = (zero, zero, zero)
         c0, c1, c2 = (zero, zero, zero)
-        n0, n1, n2, n3, n4, n5 = (zero, zero, zero, zero, zero, zero)
         b0, b1, b2 = (zero, zero, zero)
-        carry1, carry2 = (zero, zero)
+        p0, p1, p2, p3 = (zero, zero, zero, zero)
+        u0, u1, u2, v0, v1, v2 = (zero, zero, zero, zero, zero, zero)  # l m1 and l m2 of the edge before
+        carry1, carry2 = (zero, zero)  # its gradient so far
         remaining = total
+        some_taut = largest(1.0 - free[4]) > 0.5
         at = origin
         for e in range(edges):
+            raw = load4(scratch, at)
             length = scratch[at + LENGTH * stride]
-            tilt = tilt_of(e, edges, free)
-            raw = load4(scratch, at + TRIAL * stride)
-            v = closing_rotation(length, tangent(raw), x)
-            q = turned_in_world(raw, (v[0] * tilt, v[1] * tilt, v[2] * tilt))
-            store(scratch, at + TRIAL * stride, q)
-            left1, left2 = (zero, zero)
+            r0, r1, r2 = closing_rotation(length, tangent(raw), x)
+            levers = length
+            if e == 0 or e == edges - 1 or some_taut:
+                tilt = tilt_of(e, edges, free)
+                r0, r1, r2 = (r0 * tilt, r1 * tilt, r2 * tilt)
+                levers = length * tilt
+            q = turned_in_world(raw, (r0, r1, r2))
+            store(scratch, at, q)
             right1, right2 = (zero, zero)
-            before1, before2 = (carry1, carry2)
             if e > 0:
                 previous = at - ti.static(items * stride)
-                p = load4(scratch, previous + TRIAL * stride)
-                value, left, right = energy_and_gradient(p, q, stiffness(scratch, previous, at, material))
-                energy = energy + value
-                left1, left2 = (left[1], left[2])
+                px, py, inverse, turn, r = pair.curvature((p0, p1, p2, p3), q)
+                m = twist_angle(r)
+                bent = (px, py, inverse, m, turn)
+                store(scratch, previous + BENT * stride, px + py + (inverse, m) + turn)
+                s = stiffness(scratch, previous, at, material)
+                energy = energy + energy_of(bent, s)
+                left, right = gradient_of(bent, s)
+                f1, f2 = (carry1 + left[1], carry2 + left[2])
+                b0, b1, b2 = (b0 + f2 * u0 - f1 * v0, b1 + f2 * u1 - f1 * v1, b2 + f2 * u2 - f1 * v2)
                 right1, right2 = (right[1], right[2])
-                # The gradient of the edge before is complete now: its share of Aᵀg.
-                pm1 = first_director(p)
-                pm2 = second_director(p)
-                l_before = scratch[previous + LENGTH * stride] * tilt_of(e - 1, edges, free)
-                f1 = l_before * (before1 + left1)
-                f2 = l_before * (before2 + left2)
-                b0, b1, b2 = (
-                    b0 + f2 * pm1[0] - f1 * pm2[0],
-                    b1 + f2 * pm1[1] - f1 * pm2[1],
-                    b2 + f2 * pm1[2] - f1 * pm2[2],
-                )
             t = tangent(q)
             m1 = first_director(q)
             m2 = second_director(q)
+            u0, u1, u2 = (levers * m1[0], levers * m1[1], levers * m1[2])
+            v0, v1, v2 = (levers * m2[0], levers * m2[1], levers * m2[2])
             remaining = remaining - length
-            w = hanging_weight(length, remaining, total, released)
-            c = (gravity[0] * w, gravity[1] * w, gravity[2] * w)
-            weight = length * dot(c, t)
-            potential = potential + weight
-            magnitude = magnitude + absolute(weight)
-            g1, g2 = linear_gradient(c, length, m1, m2)
-            carry1, carry2 = (right1 + g1, right2 + g2)
+            hang = hanging_weight(length, remaining, total, released)
+            pull = (gravity[0] * hang, gravity[1] * hang, gravity[2] * hang)
+            height = length * dot(pull, t)
+            potential = potential + height
+            magnitude = magnitude + absolute(height)
+            # Where the edge may not tilt these are zero, and so is its share of Aᵀg.
+            l1, l2 = linear_gradient(pull, levers, m1, m2)
+            carry1, carry2 = (right1 + l1, right2 + l2)
             c0, c1, c2 = (c0 + length * t[0], c1 + length * t[1], c2 + length * t[2])
-            a = normal_matrix(length, t)
-            n0, n1, n2 = (n0 + tilt * a[0], n1 + tilt * a[1], n2 + tilt * a[2])
-            n3, n4, n5 = (n3 + tilt * a[3], n4 + tilt * a[4], n5 + tilt * a[5])
-            if e == edges - 1:
-                f1 = length * tilt * carry1
-                f2 = length * tilt * carry2
-                b0, b1, b2 = (
-                    b0 + f2 * m1[0] - f1 * m2[0],
-                    b1 + f2 * m1[1] - f1 * m2[1],
-                    b2 + f2 * m1[2] - f1 * m2[2],
-                )
+            p0, p1, p2, p3 = q
             at += ti.static(items * stride)
+        b0, b1, b2 = (
+            b0 + carry2 * u0 - carry1 * v0, b1 + carry2 * u1 - carry1 * v1, b2 + carry2 * u2 - carry1 * v2)
         miss = ((c0 - target[0]) * closed, (c1 - target[1]) * closed, (c2 - target[2]) * closed)
-        pull, minors = solve_symmetric(_regular((n0, n1, n2, n3, n4, n5)), (b0, b1, b2))
-        multiplier = (0.0 - pull[0] * closed, 0.0 - pull[1] * closed, 0.0 - pull[2] * closed)
+        fit, minors = solve_symmetric(normal, (b0, b1, b2))
+        multiplier = (0.0 - fit[0] * closed, 0.0 - fit[1] * closed, 0.0 - fit[2] * closed)
         return energy + potential, energy + magnitude, miss, multiplier
 
     @ti.func
-    def take(scratch: ti.template(), at, accepted):
-        """Make the trial frame the edge's frame in the lanes that accepted it."""
-        for k in ti.static(range(4)):
-            old = scratch[at + k * stride]
-            scratch[at + k * stride] = ti.select(accepted > 0.5, scratch[at + (TRIAL + k) * stride], old)
+    def restore(scratch: ti.template(), origin, edges, lost):
+        """Go back to the frames from before the step in the lanes where it is not taken."""
+        at = origin
+        for e in range(edges):
+            for k in ti.static(range(4)):
+                here = scratch[at + k * stride]
+                scratch[at + k * stride] = ti.select(lost > 0.5, scratch[at + (STANDING + k) * stride], here)
+            at += ti.static(items * stride)
 
     @ti.func
-    def eliminate(scratch: ti.template(), origin, edges, accepted, shift, noise, echo, multiplier, miss, material, gravity,
+    def eliminate(scratch: ti.template(), origin, edges, shift, noise, echo, multiplier, miss, material, gravity,
                   closed, free, total, released):
-        """Take the accepted trial frames, assemble H + shift and eliminate it from the first edge to the last.
+        """Assemble H + shift at the closed frames and eliminate it from the first edge to the last.
 
         To find the way off a saddle, ``noise`` adds a fixed perturbation to the right-hand side and ``echo`` that many times
         the last step: inverse iterations towards the softest direction; both are zero otherwise. Returns the
-        largest moment on a free edge |g + Aλ|, the largest diagonal entry of H, δλ, and the inertia: negative pivots plus
-        positive eigenvalues of the Schur complement, three at a minimum (or saddle-free step).
+        largest moment on a free edge |g + Aλ|, the largest diagonal entry of H, δλ, the inertia: negative pivots plus
+        positive eigenvalues of the Schur complement, three at a minimum (or saddle-free step), and the slope along the echo.
         """
         zero = 0.0 * total
         one = zero + 1.0
-        residual = zero
+        squared, slope = (zero, zero)
         scale = zero
         negative = zero
         h0, h1, h2, h3, h4, h5 = (zero, zero, zero, zero, zero, zero)  # H of the pair before
@@ -262,8 +282,8 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
         z0, z1, z2 = (zero, zero, zero)
         remaining = total
         at = origin
-        take(scratch, at, accepted)
         some_taut = largest(1.0 - free[4]) > 0.5
+        searching = largest(noise + echo) > 0.0
         for e in range(edges):
             q = load4(scratch, at)
             t = tangent(q)
@@ -282,8 +302,7 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
             f0, f1, f2 = (zero, zero, zero)
             if e < edges - 1:
                 after = at + ti.static(items * stride)
-                take(scratch, after, accepted)
-                left, right, hl, hr, ha = derivatives(q, load4(scratch, after), stiffness(scratch, at, after, material))
+                left, right, hl, hr, ha = derivatives(load_bent(scratch, at), stiffness(scratch, at, after, material))
                 g0, g1, g2 = (g0 + left[0], g1 + left[1], g2 + left[2])
                 h0, h1, h2 = (h0 + hl[0], h1 + hl[1], h2 + hl[2])
                 h3, h4, h5 = (h3 + hl[3], h4 + hl[4], h5 + hl[5])
@@ -295,10 +314,18 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
             a0, a1, a2 = (0.0 - a0, 0.0 - a1, 0.0 - a2)
             a3, a4, a5 = (0.0 - keep * m2[0] - a3, 0.0 - keep * m2[1] - a4, 0.0 - keep * m2[2] - a5)
             a6, a7, a8 = (keep * m1[0] - a6, keep * m1[1] - a7, keep * m1[2] - a8)
-            w = load3(scratch, at + ROTATION * stride)
-            b0 = echo * w[0] + noise * ((5 * e + 2) % 7 - 2.5) - g0 - r0
-            b1 = echo * w[1] + noise * ((3 * e + 1) % 7 - 2.5) - g1 - r1
-            b2 = echo * w[2] + noise * ((4 * e + 3) % 7 - 2.5) - g2 - r2
+            b0, b1, b2 = (0.0 - g0 - r0, 0.0 - g1 - r1, 0.0 - g2 - r2)
+            if searching:
+                w = load3(scratch, at + ROTATION * stride)
+                k0, k1, k2 = (
+                    ti.select(echo > 0.0, echo * w[0], zero),
+                    ti.select(echo > 0.0, echo * w[1], zero),
+                    ti.select(echo > 0.0, echo * w[2], zero),
+                )
+                slope = slope + g0 * k0 + g1 * k1 + g2 * k2
+                b0 = b0 + noise * ((5 * e + 2) % 7 - 2.5) + k0
+                b1 = b1 + noise * ((3 * e + 1) % 7 - 2.5) + k1
+                b2 = b2 + noise * ((4 * e + 3) % 7 - 2.5) + k2
             d0, d1, d2 = (h0 + shift - e0, h1 - e1, h2 - e2)
             d3, d4, d5 = (h3 + shift - e3, h4 - e4, h5 + shift - e5)
             if e == 0 or e >= edges - 2 or some_taut:
@@ -323,8 +350,8 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
                 u0, u1, u2 = (spin * spin_after * u0, spin * tilt_after * u1, spin * tilt_after * u2)
                 u3, u4, u5 = (tilt * spin_after * u3, tilt * tilt_after * u4, tilt * tilt_after * u5)
                 u6, u7, u8 = (tilt * spin_after * u6, tilt * tilt_after * u7, tilt * tilt_after * u8)
-            scale = ti.max(scale, ti.max(h0, ti.max(h3, h5)))
-            residual = larger(residual, largest_component((g0, g1, g2)))
+            scale = largest_of(scale, largest_of(h0, largest_of(h3, h5)))
+            squared = largest_of(squared, largest_of(g0 * g0, largest_of(g1 * g1, g2 * g2)))
             f = factor((d0, d1, d2, d3, d4, d5))
             wr = forward(f, (b0, b1, b2))
             wu0 = forward(f, (u0, u3, u6))
@@ -357,9 +384,10 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
         # Without closure the Schur complement is the identity: λ stays zero and three positive eigenvalues are counted.
         loose = 1.0 - closed
         schur = (s0 + loose, s1, s2, s3 + loose, s4, s5 + loose)
-        change, minors = solve_symmetric(schur, (z0 + miss[0], z1 + miss[1], z2 + miss[2]))
+        solved, minors = solve_symmetric(schur, (z0 + miss[0], z1 + miss[1], z2 + miss[2]))
+        change = (solved[0] * closed, solved[1] * closed, solved[2] * closed)
         inertia = negative + positive_eigenvalues(minors)
-        return residual, scale, (change[0] * closed, change[1] * closed, change[2] * closed), inertia
+        return ti.sqrt(squared), scale, change, inertia, slope
 
     @ti.func
     def substitute(scratch: ti.template(), origin, edges, change):
@@ -382,8 +410,8 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
             y2 = r[2] - wa0[2] * change[0] - wa1[2] * change[1] - wa2[2] * change[2] - wu0[2] * w0 - wu1[2] * w1 - wu2[2] * w2
             w0, w1, w2 = backward((f0, f1, f2, f3, f4, f5), (y0, y1, y2))
             store(scratch, at + ROTATION * stride, (w0, w1, w2))
-            longest = larger(longest, dot((w0, w1, w2), (w0, w1, w2)))
+            longest = largest_of(longest, dot((w0, w1, w2), (w0, w1, w2)))
             at -= ti.static(items * stride)
         return ti.sqrt(longest)
 
-    return SimpleNamespace(step=step, project=project, eliminate=eliminate, substitute=substitute)
+    return SimpleNamespace(step=step, close=close, eliminate=eliminate, restore=restore, substitute=substitute)

@@ -18,7 +18,9 @@ from doo_ti.tables import (
     CLOSED,
     CLOSURE,
     ENERGY,
+    HANGING,
     ITERATIONS,
+    LARGEST_BEND,
     RELEASED,
     RESIDUAL,
     SPIN_END,
@@ -28,6 +30,7 @@ from doo_ti.tables import (
     TILT_END,
     TILT_INNER,
     TILT_START,
+    WEIGHT,
 )
 from doo_ti.types import Status
 from doo_ti.vertex_chain import DIRECTOR, ITEMS, POSITION, TRIAL_POSITION, vertex_sweeps
@@ -63,12 +66,11 @@ PATIENCE = 20_000  # iterations in which neither energy nor residual came down n
 @cache
 def descent_kernel(number: Number, stride: int, block: int):
     """The kernel for one kind of number; materials are always general. See :func:`doo_ti.newton.newton_kernel`."""
-    largest, lane, with_lane, constant, put = number.lanes()
+    largest, lane, with_lane, constant, put, get = number.lanes()
     sweep = vertex_sweeps(number, stride)
     width, scalar = number.width, number.scalar
     rounding = 2e-6 if number.bits == 32 else 1e-13
     row = ITEMS * stride
-    table1 = ti.types.ndarray(dtype=ti.f64, ndim=1)
     table2 = ti.types.ndarray(dtype=ti.f64, ndim=2)
     table3 = ti.types.ndarray(dtype=ti.f64, ndim=3)
 
@@ -81,9 +83,8 @@ def descent_kernel(number: Number, stride: int, block: int):
         bend: table3,  # [material, 1 or edge, (11, 22, 12)] mm³
         twist: table2,  # [material, 1 or inner vertex] mm³
         rest: table3,  # [material, 1 or inner vertex, 2] 1/mm
-        weight: table1,  # [material]
-        rods: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [rod, (configuration, material, row of the results)]
-        divisors: table1,  # [row of the results] of the scaled residual
+        section: table2,  # [material, SECTION_COLUMNS]
+        rods: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [rod, (configuration, material, row of the results, -)]
         up: ti.types.vector(3, ti.f64),
         tolerance: ti.f64,
         max_iterations: ti.i32,
@@ -121,10 +122,10 @@ def descent_kernel(number: Number, stride: int, block: int):
                                 at = origin
                                 for v in range(edges + 1):
                                     for k in ti.static(range(3)):
-                                        positions[place, v, k] = lane(scratch[at + (POSITION + k) * stride], slot)
+                                        positions[place, v, k] = get(scratch, at + (POSITION + k) * stride, slot)
                                         if v < edges:
-                                            material_axes[place, v, k] = lane(
-                                                scratch[at + (DIRECTOR + k) * stride], slot)
+                                            material_axes[place, v, k] = get(
+                                                scratch, at + (DIRECTOR + k) * stride, slot)
                                     at += row
                                 results[place, ENERGY] = lane(energy, slot)
                                 results[place, RESIDUAL] = lane(residual, slot)
@@ -142,7 +143,8 @@ def descent_kernel(number: Number, stride: int, block: int):
                                                              rest_length, bend, twist, rest)
                                 length = with_lane(length, slot, longest)
                                 limit_move = with_lane(limit_move, slot, largest_move * shortest)
-                                scale = with_lane(scale, slot, divisors[rods[rod, 2]])
+                                scale = with_lane(
+                                    scale, slot, ti.max(section[g, LARGEST_BEND], section[g, WEIGHT] * clamp[s, HANGING]))
                                 start_held = ti.max(clamp[s, CLOSED], 1.0 - clamp[s, RELEASED])
                                 end_held = ti.max(clamp[s, CLOSED], clamp[s, RELEASED])
                                 held_first = with_lane(held_first, slot, start_held)
@@ -152,9 +154,9 @@ def descent_kernel(number: Number, stride: int, block: int):
                                 taut = with_lane(taut, slot, 1.0 - clamp[s, TILT_INNER])
                                 spin_start = with_lane(spin_start, slot, clamp[s, SPIN_START])
                                 spin_end = with_lane(spin_end, slot, clamp[s, SPIN_END])
-                                gravity0 = with_lane(gravity0, slot, weight[g] * up[0])
-                                gravity1 = with_lane(gravity1, slot, weight[g] * up[1])
-                                gravity2 = with_lane(gravity2, slot, weight[g] * up[2])
+                                gravity0 = with_lane(gravity0, slot, section[g, WEIGHT] * up[0])
+                                gravity1 = with_lane(gravity1, slot, section[g, WEIGHT] * up[1])
+                                gravity2 = with_lane(gravity2, slot, section[g, WEIGHT] * up[2])
                                 count = with_lane(count, slot, 0.0)
                                 step = with_lane(step, slot, 0.0)
                                 residual = with_lane(residual, slot, 1e30)

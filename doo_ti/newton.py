@@ -18,17 +18,26 @@ from doo_ti.tables import (
     CLOSED,
     CLOSURE,
     ENERGY,
+    HANGING,
     ITERATIONS,
+    LARGEST_BEND,
+    LONGEST,
+    MULTIPLIER,
     RELEASED,
     RESIDUAL,
+    ROUND,
+    SHORTEST_PAIR,
     SPIN_END,
     SPIN_START,
     STABLE,
     STATUS,
+    STIFFEST,
     TARGET,
     TILT_END,
     TILT_INNER,
     TILT_START,
+    TOTAL,
+    WEIGHT,
 )
 from doo_ti.types import Status
 
@@ -47,7 +56,7 @@ class Newton:
 
     tolerance: float | None = None
     max_iterations: int = 300
-    first_shift: float = 0.01
+    first_shift: float = 0.05
     max_rotation: float = 0.6
     max_escapes: int = 3
 
@@ -70,11 +79,13 @@ class Newton:
 # The policy's fixed numbers (shifts are over the largest diagonal entry of H).
 SHIFT_WRONG_INERTIA = 0.01
 SHIFT_REJECTED = 1e-5
-SHIFT_NEGLIGIBLE = 1e-6
+DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # after a step that was taken the shift falls by DECAY, below NEGLIGIBLE to zero;
+DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # more slowly once a step was refused or the inertia wrong
 CLOSING_DISTANCE = 0.1  # edge lengths: above it a step only projects
 ESCAPE_ROTATION = 0.1  # rad
 ESCAPE_ROUNDS = 3.0  # inverse iterations before the first leap off a saddle
 PATIENCE = 25  # trips without progress
+NOTABLE = 1e-8  # of the energy's magnitude, which locked-in twist may dominate
 PATIENCE_AT_SADDLE = 8  # trips without noteworthy progress where the inertia is wrong
 
 
@@ -87,14 +98,14 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
     """
     sweep = chain.chain_sweeps(number, isotropic, stride)
     items = chain.ISOTROPIC_ITEMS if isotropic else chain.GENERAL_ITEMS
-    largest, lane, with_lane, constant, put = number.lanes()
+    largest, lane, with_lane, constant, put, get = number.lanes()
     width = number.width
     scalar = number.scalar
     rounding = 2e-6 if number.bits == 32 else 1e-10
     closure_tolerance = 1e-7 if number.bits == 32 else 1e-12
     # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a trace of H's
     # scale on the diagonal lets them pass, always. f32 cannot tell them from soft saddles and leaves them to f64.
-    trace = 0.0 if number.bits == 32 else 1e-13
+    trace = 0.0 if number.bits == 32 else 1e-12
     converged, limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
     stalled, not_finite = int(Status.STALLED), int(Status.NOT_FINITE)
     table1 = ti.types.ndarray(dtype=ti.f64, ndim=1)
@@ -102,68 +113,76 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
     table3 = ti.types.ndarray(dtype=ti.f64, ndim=3)
 
     @ti.func
-    def load_edges(scratch: ti.template(), origin, edges, slot, s, g, start: ti.template(), rest_length: ti.template(),
-                   bend: ti.template(), twist: ti.template(), rest: ti.template()):
-        """One rod's frames, lengths and stiffness into lane ``slot``."""
-        ls = ti.min(s, rest_length.shape[0] - 1)
+    def load_frame(scratch: ti.template(), at, slot, source: ti.template(), number):
+        for k in ti.static(range(4)):
+            put(scratch, at + (chain.FRAME + k) * stride, slot, source[4 * number + k])
+
+    @ti.func
+    def load_frames(scratch: ti.template(), origin, edges, slot, source: ti.template(), row):
+        """The frames of ``source``'s row into lane ``slot``."""
         at = origin
         for e in range(edges):
-            for k in ti.static(range(4)):
-                put(scratch, at + (chain.FRAME + k) * stride, slot, start[s, e, k])
-            for k in ti.static(range(3)):
-                put(scratch, at + (chain.ROTATION + k) * stride, slot, 0.0)
-            put(scratch, at + chain.LENGTH * stride, slot, rest_length[ls, e])
-            if e > 0:
-                both = rest_length[ls, e - 1] + rest_length[ls, e]
-                put(scratch, at + chain.INVERSE_LENGTH * stride, slot, 1.0 / both)
-                if ti.static(not isotropic):
-                    put(scratch, at + chain.TWIST * stride, slot, twist[g, ti.min(e, twist.shape[1]) - 1])
-                    for k in ti.static(range(2)):
-                        put(scratch, at + (chain.REST + k) * stride, slot,
-                            0.5 * both * rest[g, ti.min(e, rest.shape[1]) - 1, k])
-            if ti.static(not isotropic):
-                for k in ti.static(range(3)):
-                    put(scratch, at + (chain.BEND + k) * stride, slot, bend[g, ti.min(e, bend.shape[1] - 1), k])
+            load_frame(scratch, at, slot, source, row * edges + e)
             at += ti.static(items * stride)
 
     @ti.func
-    def scales(edges, s, g, rest_length: ti.template(), bend: ti.template(), twist: ti.template(),
-               rest: ti.template()):
-        """(length of the rod, a first guess of H's largest diagonal entry, longest edge, and one where the rod looks the same
-        from all sides, so that it may spin about itself at no cost)."""
-        ls = ti.min(s, rest_length.shape[0] - 1)
-        diagonal = ti.cast(0.0, ti.f64)
-        total = ti.cast(0.0, ti.f64)
-        longest = ti.cast(0.0, ti.f64)
-        round_section = ti.cast(1.0, ti.f64)
+    def load_rounded_frames(scratch: ti.template(), origin, edges, slot, source: ti.template(), row):
+        """The same for frames that come from f32: normalised anew."""
+        at = origin
+        place = row * edges * 4
         for e in range(edges):
-            b = ti.min(e, bend.shape[1] - 1)
-            half = 0.5 * (bend[g, b, 0] + bend[g, b, 1])
-            apart = 0.5 * (bend[g, b, 0] - bend[g, b, 1])
-            eigenvalue = half + ti.sqrt(apart * apart + bend[g, b, 2] * bend[g, b, 2])
-            if apart != 0.0 or bend[g, b, 2] != 0.0:
-                round_section = 0.0
-            total += rest_length[ls, e]
-            longest = ti.max(longest, rest_length[ls, e])
+            a, b, c, d = (source[place], source[place + 1], source[place + 2], source[place + 3])
+            size = 1.0 / ti.sqrt(a * a + b * b + c * c + d * d)
+            for k in ti.static(range(4)):
+                put(scratch, at + (chain.FRAME + k) * stride, slot, source[place + k] * size)
+            place += 4
+            at += ti.static(items * stride)
+
+    @ti.func
+    def store_frames(scratch: ti.template(), origin, edges, slot, target: ti.template(), row):
+        at = origin
+        place = row * edges * 4
+        for e in range(edges):
+            for k in ti.static(range(4)):
+                target[place + k] = get(scratch, at + (chain.FRAME + k) * stride, slot)
+            place += 4
+            at += ti.static(items * stride)
+
+    @ti.func
+    def load_lengths(scratch: ti.template(), origin, edges, slot, row, rest_length: ti.template()):
+        at = origin
+        for e in range(edges):
+            put(scratch, at + chain.LENGTH * stride, slot, rest_length[row, e])
             if e > 0:
-                joint = ti.min(e, rest.shape[1]) - 1
-                if rest[g, joint, 0] != 0.0 or rest[g, joint, 1] != 0.0:
-                    round_section = 0.0
-                both = rest_length[ls, e - 1] + rest_length[ls, e]
-                diagonal = ti.max(diagonal, 4.0 * ti.max(eigenvalue, twist[g, ti.min(e, twist.shape[1]) - 1]) / both)
-        return total, diagonal, longest, round_section
+                put(scratch, at + chain.INVERSE_LENGTH * stride, slot, 1.0 / (rest_length[row, e - 1] + rest_length[row, e]))
+            at += ti.static(items * stride)
+
+    @ti.func
+    def load_stiffness(scratch: ti.template(), origin, edges, slot, row, g, unit, rest_length: ti.template(),
+                       bend: ti.template(), twist: ti.template(), rest: ti.template()):
+        at = origin
+        for e in range(edges):
+            for k in ti.static(range(3)):
+                put(scratch, at + (chain.BEND + k) * stride, slot, bend[g, ti.min(e, bend.shape[1] - 1), k] * unit)
+            if e > 0:
+                put(scratch, at + chain.TWIST * stride, slot, twist[g, ti.min(e, twist.shape[1]) - 1] * unit)
+                both = rest_length[row, e - 1] + rest_length[row, e]
+                for k in ti.static(range(2)):
+                    put(scratch, at + (chain.REST + k) * stride, slot,
+                        0.5 * both * rest[g, ti.min(e, rest.shape[1]) - 1, k])
+            at += ti.static(items * stride)
 
     @ti.kernel
     def newton(
-        start: table3,  # [configuration, edge, 4]
+        edges: ti.i32,
+        start: table1,  # [configuration · edge · 4]
         rest_length: table2,  # [1 or configuration, edge] mm
         clamp: table2,  # [configuration, CLAMP_COLUMNS]
         bend: table3,  # [material, 1 or edge, (11, 22, 12)] mm³
         twist: table2,  # [material, 1 or inner vertex] mm³
         rest: table3,  # [material, 1 or inner vertex, 2] 1/mm
-        weight: table1,  # [material]
-        rods: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [rod, (configuration, material, row of the results)]
-        divisors: table1,  # [row of the results] of the scaled residual
+        section: table2,  # [material, SECTION_COLUMNS]
+        rods: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [rod, (configuration, material, row of the results, 1 if from there)]
         up: ti.types.vector(3, ti.f64),
         tolerance: ti.f64,
         max_iterations: ti.i32,
@@ -175,48 +194,47 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
         origin_stride: ti.i32,
         scratch: ti.types.ndarray(dtype=number.type, ndim=1),
         lane_rod: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [thread · lane]
-        queue: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [1] the next rod
-        frames: table3,  # [rod, edge, 4] out
-        results: table2,  # [rod, RESULTS] out
+        queue: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [(the next rod, trips of all packs)]
+        frames: table1,  # [row · edge · 4] in where a rod starts from there, and out
+        results: table2,  # [row, RESULTS] out
     ):
-        edges = start.shape[1]
         ti.loop_config(block_dim=block)
         for thread in range(threads):
             origin = thread * origin_stride
             zero = constant(0.0)
             one = constant(1.0)
-            # What is asked of the lane's rod.
+            # What is asked of the lane's rod. Its energies are in units of ``unit``, the divisor of the scaled residual.
             target0, target1, target2, closed = (zero, zero, zero, zero)
             spin_start, tilt_start, spin_end, tilt_end, tilt_inner = (zero, zero, zero, zero, zero)
-            released, total, edge, divisor = (zero, one, one, one)
+            released, total, edge, unit = (zero, one, one, one)
             alpha, beta = (one, one)
             gravity0, gravity1, gravity2 = (zero, zero, zero)
-            # Where the lane's rod is.
+            # Where the lane's rod is, and the step that is about to be tried.
             energy, magnitude = (zero, zero)
             miss0, miss1, miss2 = (zero, zero, zero)
             lambda0, lambda1, lambda2 = (zero, zero, zero)
             change0, change1, change2 = (zero, zero, zero)
             shift, scale, step_scale = (zero, one, zero)
             residual, longest, best, idle_trips, aimless, trips, rejects = (zero, one, zero, zero, zero, zero, zero)
-            fresh, trying, closing, escaping, escapes, rounds = (zero, zero, zero, zero, zero, zero)
+            fresh, trying, closing, returned, troubled = (zero, zero, zero, zero, zero)
+            escaping, escapes, rounds, heading = (zero, zero, zero, one)
             status, stable = (zero, zero)
-            active, finished = (zero, one)
+            loaded, active, finished = (zero, zero, one)
+            pack_trips = 0
             running = 1
             while running == 1:
                 if largest(finished) > 0.5:
                     for slot in range(width):
                         if lane(finished, slot) > 0.5:
-                            finished = with_lane(finished, slot, 0.0)
                             if lane(active, slot) > 0.5:
                                 row = rods[lane_rod[thread * width + slot], 2]
-                                at = origin
-                                for e in range(edges):
-                                    for k in ti.static(range(4)):
-                                        frames[row, e, k] = lane(scratch[at + k * stride], slot)
-                                    at += ti.static(items * stride)
+                                store_frames(scratch, origin, edges, slot, frames, row)
                                 if lane(status, slot) != not_finite:  # else these are NaN already
-                                    results[row, ENERGY] = lane(energy, slot)
+                                    results[row, ENERGY] = ti.cast(lane(energy, slot), ti.f64) * lane(unit, slot)
                                     results[row, RESIDUAL] = lane(residual, slot)
+                                    results[row, MULTIPLIER] = ti.cast(lane(lambda0, slot), ti.f64) * lane(unit, slot)
+                                    results[row, MULTIPLIER + 1] = ti.cast(lane(lambda1, slot), ti.f64) * lane(unit, slot)
+                                    results[row, MULTIPLIER + 2] = ti.cast(lane(lambda2, slot), ti.f64) * lane(unit, slot)
                                     squares = lane(miss0, slot) ** 2 + lane(miss1, slot) ** 2 + lane(miss2, slot) ** 2
                                     results[row, CLOSURE] = ti.sqrt(squares) / lane(total, slot)
                                 results[row, ITERATIONS] = lane(trips, slot)
@@ -228,95 +246,130 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                                 lane_rod[thread * width + slot] = rod
                                 s = rods[rod, 0]
                                 g = rods[rod, 1]
-                                load_edges(scratch, origin, edges, slot, s, g, start, rest_length, bend, twist, rest)
-                                sizes = scales(edges, s, g, rest_length, bend, twist, rest)
-                                total = with_lane(total, slot, sizes[0])
-                                divisor = with_lane(divisor, slot, divisors[rods[rod, 2]])
-                                scale = with_lane(scale, slot, sizes[1])
-                                edge = with_lane(edge, slot, sizes[2])
-                                shift = with_lane(shift, slot, first_shift * sizes[1])
+                                divisor = ti.max(section[g, LARGEST_BEND], section[g, WEIGHT] * clamp[s, HANGING])
+                                if rods[rod, 3] == 0:
+                                    load_frames(scratch, origin, edges, slot, start, s)
+                                else:
+                                    again = rods[rod, 2]
+                                    load_rounded_frames(scratch, origin, edges, slot, frames, again)
+                                    # Clamped frames exactly as given, not as they were rounded.
+                                    if clamp[s, SPIN_START] == 0.0:
+                                        load_frame(scratch, origin, slot, start, s * edges)
+                                    if clamp[s, SPIN_END] == 0.0:
+                                        last = edges - 1
+                                        at = origin + last * ti.static(items * stride)
+                                        load_frame(scratch, at, slot, start, s * edges + last)
+                                length_row = ti.min(s, rest_length.shape[0] - 1)
+                                # Rods that share their lengths find them in the lane.
+                                if lane(loaded, slot) < 0.5 or rest_length.shape[0] > 1:
+                                    load_lengths(scratch, origin, edges, slot, length_row, rest_length)
+                                    loaded = with_lane(loaded, slot, 1.0)
+                                if ti.static(not isotropic):
+                                    load_stiffness(scratch, origin, edges, slot, length_row, g, 1.0 / divisor,
+                                                   rest_length, bend, twist, rest)
+                                unit = with_lane(unit, slot, divisor)
+                                alpha = with_lane(alpha, slot, bend[g, 0, 0] / divisor)
+                                beta = with_lane(beta, slot, twist[g, 0] / divisor)
+                                gravity0 = with_lane(gravity0, slot, section[g, WEIGHT] * up[0] / divisor)
+                                gravity1 = with_lane(gravity1, slot, section[g, WEIGHT] * up[1] / divisor)
+                                gravity2 = with_lane(gravity2, slot, section[g, WEIGHT] * up[2] / divisor)
+                                total = with_lane(total, slot, clamp[s, TOTAL])
+                                edge = with_lane(edge, slot, clamp[s, LONGEST])
+                                # A first guess of H's largest diagonal entry.
+                                scale = with_lane(scale, slot, 4.0 * section[g, STIFFEST] / divisor / clamp[s, SHORTEST_PAIR])
                                 target0 = with_lane(target0, slot, clamp[s, TARGET])
                                 target1 = with_lane(target1, slot, clamp[s, TARGET + 1])
                                 target2 = with_lane(target2, slot, clamp[s, TARGET + 2])
                                 closed = with_lane(closed, slot, clamp[s, CLOSED])
                                 # A round rod with both spins free turns about itself at no cost: hold its first spin.
-                                turning = sizes[3] * clamp[s, SPIN_END]
+                                turning = section[g, ROUND] * clamp[s, SPIN_END]
                                 spin_start = with_lane(spin_start, slot, clamp[s, SPIN_START] * (1.0 - turning))
                                 tilt_start = with_lane(tilt_start, slot, clamp[s, TILT_START])
                                 spin_end = with_lane(spin_end, slot, clamp[s, SPIN_END])
                                 tilt_end = with_lane(tilt_end, slot, clamp[s, TILT_END])
                                 tilt_inner = with_lane(tilt_inner, slot, clamp[s, TILT_INNER])
                                 released = with_lane(released, slot, clamp[s, RELEASED])
-                                alpha = with_lane(alpha, slot, bend[g, 0, 0])
-                                beta = with_lane(beta, slot, twist[g, 0])
-                                gravity0 = with_lane(gravity0, slot, weight[g] * up[0])
-                                gravity1 = with_lane(gravity1, slot, weight[g] * up[1])
-                                gravity2 = with_lane(gravity2, slot, weight[g] * up[2])
-                                step_scale = with_lane(step_scale, slot, 0.0)
-                                best = with_lane(best, slot, 1e30)
-                                idle_trips = with_lane(idle_trips, slot, 0.0)
-                                aimless = with_lane(aimless, slot, 0.0)
-                                trips = with_lane(trips, slot, 0.0)
-                                rejects = with_lane(rejects, slot, 0.0)
-                                fresh = with_lane(fresh, slot, 1.0)
-                                trying = with_lane(trying, slot, 0.0)
-                                closing = with_lane(closing, slot, 0.0)
-                                escaping = with_lane(escaping, slot, 0.0)
-                                escapes = with_lane(escapes, slot, 0.0)
                                 active = with_lane(active, slot, 1.0)
+                    # The lanes that were refilled start anew.
+                    begun = finished > 0.5
+                    fresh = ti.select(begun, one, fresh)
+                    best = ti.select(begun, constant(1e30), best)
+                    shift = ti.select(begun, ti.cast(first_shift, scalar) * scale, shift)
+                    step_scale = ti.select(begun, zero, step_scale)
+                    trips = ti.select(begun, zero, trips)
+                    idle_trips = ti.select(begun, zero, idle_trips)
+                    aimless = ti.select(begun, zero, aimless)
+                    rejects = ti.select(begun, zero, rejects)
+                    trying = ti.select(begun, zero, trying)
+                    closing = ti.select(begun, zero, closing)
+                    returned = ti.select(begun, zero, returned)
+                    troubled = ti.select(begun, zero, troubled)
+                    escaping = ti.select(begun, zero, escaping)
+                    escapes = ti.select(begun, zero, escapes)
+                    finished = zero
                 if largest(active) < 0.5:
                     running = 0
                 else:
                     free = (spin_start, tilt_start, spin_end, tilt_end, tilt_inner)
                     target = (target0, target1, target2)
-                    gravity = (gravity0, gravity1, gravity2)
+                    # Take the step, hopefully: the shift is that for after it.
+                    moving = ti.max(trying, ti.max(fresh, closing))
+                    x, normal = sweep.step(scratch, origin, edges, step_scale, moving, target, closed, free)
+                    decay = ti.select(troubled > 0.5, constant(DECAY_TROUBLED), constant(DECAY))
+                    negligible = ti.select(troubled > 0.5, constant(NEGLIGIBLE_TROUBLED), constant(NEGLIGIBLE)) * scale
+                    smaller = ti.select(decay * shift > negligible, decay * shift, zero)
+                    hoped = ti.select(trying > 0.5, smaller, shift)
+                    # Off a saddle: once with noise, then on what came of it.
+                    searching = (escaping > 0.5) & (trying < 0.5)
+                    noise = ti.select(searching & (rounds < 0.5), 1e-3 * scale, zero)
+                    echo = ti.select(searching & (rounds > 0.5), scale / (longest + 1e-30), zero)
                     material = (alpha, beta)
-                    # Try the step, project it, judge it by the Lagrangian.
-                    x = sweep.step(scratch, origin, edges, step_scale, target, closed, free)
-                    new_energy, new_magnitude, new_miss, new_multiplier = sweep.project(
-                        scratch, origin, edges, x, material, gravity, target, closed, free, total, released)
+                    gravity = (gravity0, gravity1, gravity2)
+                    new_energy, new_magnitude, new_miss, new_lambda = sweep.close(
+                        scratch, origin, edges, x, normal, target, material, gravity, closed, free, total, released)
+                    diagonal = ti.select(hoped > 0.0, hoped, trace * scale)
+                    moment, new_scale, change, inertia, slope = sweep.eliminate(
+                        scratch, origin, edges, diagonal, noise, echo, new_lambda, new_miss, material, gravity, closed, free, total,
+                        released)
+                    # Judge the step by the Lagrangian, and go back where it led uphill.
                     multiplier = (lambda0 + change0, lambda1 + change1, lambda2 + change2)
                     before = energy + dot(multiplier, (miss0, miss1, miss2))
                     after = new_energy + dot(multiplier, new_miss)
                     noise_level = rounding * magnitude
-                    forced = (fresh + closing > 0.5) & (new_energy == new_energy)
+                    finite = new_energy == new_energy
                     downhill = (trying > 0.5) & (after <= before + noise_level)
-                    accepted = ti.select(forced | downhill, one, zero)
-                    uphill = ti.select((trying > 0.5) & (accepted < 0.5), one, zero)
-                    gained = (after < before - noise_level) & (accepted > 0.5)
-                    notable = (after < before - 1e-6 * magnitude) & (accepted > 0.5)
-                    energy = ti.select(accepted > 0.5, new_energy, energy)
-                    magnitude = ti.select(accepted > 0.5, new_magnitude, magnitude)
-                    miss0 = ti.select(accepted > 0.5, new_miss[0], miss0)
-                    miss1 = ti.select(accepted > 0.5, new_miss[1], miss1)
-                    miss2 = ti.select(accepted > 0.5, new_miss[2], miss2)
-                    lambda0 = ti.select(accepted > 0.5, new_multiplier[0], lambda0)
-                    lambda1 = ti.select(accepted > 0.5, new_multiplier[1], lambda1)
-                    lambda2 = ti.select(accepted > 0.5, new_multiplier[2], lambda2)
-                    smaller = ti.select(0.25 * shift > SHIFT_NEGLIGIBLE * scale, 0.25 * shift, zero)
-                    shift = ti.select(downhill, smaller, shift)
-                    stiffer = (uphill > 0.5) & (escaping < 0.5)
-                    shift = ti.select(stiffer, ti.max(4.0 * shift, SHIFT_REJECTED * scale), shift)
-                    rejects = ti.select(downhill, zero, rejects + uphill)
-                    escaping = ti.select(downhill, zero, escaping)
-                    broken = ti.select((fresh > 0.5) & (accepted < 0.5), one, zero)
-                    # Factorise at the frames that stand. Off a saddle: once with noise, then on what came of it.
-                    noise = ti.select((escaping > 0.5) & (rounds < 0.5), 1e-3 * scale, zero)
-                    echo = ti.select((escaping > 0.5) & (rounds > 0.5), scale / (longest + 1e-30), zero)
-                    diagonal = ti.select(shift > 0.0, shift, trace * scale)
-                    moment, scale, change, inertia = sweep.eliminate(
-                        scratch, origin, edges, accepted, diagonal, noise, echo, (lambda0, lambda1, lambda2),
-                        (miss0, miss1, miss2), material, gravity, closed, free, total, released)
+                    taken = ti.select(((trying < 0.5) & finite) | downhill, one, zero)
+                    uphill = (trying > 0.5) & (taken < 0.5)
+                    gained = (after < before - noise_level) & downhill
+                    notable = (after < before - NOTABLE * magnitude) & downhill
+                    if largest(ti.select(uphill, one, zero)) > 0.5:
+                        sweep.restore(scratch, origin, edges, ti.select(uphill, one, zero))
                     longest = sweep.substitute(scratch, origin, edges, change)
+                    stands = taken > 0.5
+                    energy = ti.select(stands, new_energy, energy)
+                    magnitude = ti.select(stands, new_magnitude, magnitude)
+                    miss0 = ti.select(stands, new_miss[0], miss0)
+                    miss1 = ti.select(stands, new_miss[1], miss1)
+                    miss2 = ti.select(stands, new_miss[2], miss2)
+                    lambda0 = ti.select(stands, new_lambda[0], lambda0)
+                    lambda1 = ti.select(stands, new_lambda[1], lambda1)
+                    lambda2 = ti.select(stands, new_lambda[2], lambda2)
+                    scale = ti.select(stands, new_scale, scale)
+                    residual = ti.select(stands, moment, residual)
                     change0, change1, change2 = change
-                    residual = moment / divisor
+                    shift = ti.select(stands, hoped, shift)
+                    stiffer = uphill & (escaping < 0.5)
+                    shift = ti.select(stiffer, ti.max(4.0 * shift, SHIFT_REJECTED * scale), shift)
+                    rejects = ti.select(downhill, zero, rejects + ti.select(uphill, one, zero))
+                    escaping = ti.select(downhill, zero, escaping)
+                    broken = (fresh > 0.5) & ~stands
                     trips = trips + active
-                    # Judge where the rod is.
+                    # Judge where the rod is; what was eliminated tells nothing of frames gone back to.
                     gap = ti.sqrt(dot((miss0, miss1, miss2), (miss0, miss1, miss2)))
-                    small = (residual <= ti.cast(tolerance, scalar)) & (gap <= closure_tolerance * total)
-                    right = (inertia > 2.5) & (inertia < 3.5)
-                    wrong = (inertia < 2.5) | (inertia > 3.5)
-                    calm = small & (escaping < 0.5)
+                    small = (residual <= ti.cast(tolerance, scalar)) & (gap <= closure_tolerance * total) & ~broken
+                    right = (inertia > 2.5) & (inertia < 3.5) & stands
+                    wrong = ((inertia < 2.5) | (inertia > 3.5)) & stands
+                    calm = small & (escaping < 0.5) & stands
                     bare = shift <= 0.0
                     at_minimum = calm & bare & right
                     at_saddle = calm & bare & wrong
@@ -331,26 +384,31 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                     closing = ti.select(gap > ti.cast(closing_distance, scalar) * edge, one, zero)
                     rounds = ti.select((escaping > 0.5) & right & ~leaving, rounds + 1.0, rounds)
                     rounds = ti.select(leaving, zero, rounds)
-                    searching = (escaping > 0.5) & (rounds <= ESCAPE_ROUNDS)
-                    held = ti.select(certify | leaving | wrong | searching | (closing > 0.5), one, zero)
-                    trying = 1.0 - held
-                    floor = ti.select(escaping > 0.5, SHIFT_NEGLIGIBLE * scale, SHIFT_WRONG_INERTIA * scale)
+                    unready = (escaping > 0.5) & (rounds <= ESCAPE_ROUNDS)
+                    held = certify | leaving | wrong | unready | (closing > 0.5) | uphill
+                    trying = ti.select(held, zero, one)
+                    troubled = ti.select(uphill | (wrong & (closing < 0.5)), one, troubled)
+                    floor = ti.select(escaping > 0.5, NEGLIGIBLE_TROUBLED * scale, SHIFT_WRONG_INERTIA * scale)
                     shift = ti.select(wrong & (closing < 0.5), ti.max(4.0 * shift, floor), shift)
                     shift = ti.select(certify, zero, shift)
                     cap = ti.min(one, ti.cast(max_rotation, scalar) / (longest + 1e-30))
-                    leap = ESCAPE_ROTATION / ((1.0 + rejects) * (1.0 + rejects) * (longest + 1e-30))
+                    heading = ti.select(searching, ti.select(slope > 0.0, 0.0 - one, one), heading)
+                    leap = heading * ESCAPE_ROTATION / ((1.0 + rejects) * (1.0 + rejects) * (longest + 1e-30))
                     step_scale = ti.select(trying > 0.5, ti.select(escaping > 0.5, leap, cap), zero)
-                    better = leaving | (closing > 0.5) | (residual < 0.7 * best)
+                    better = leaving | (closing > 0.5) | ((residual < 0.7 * best) & stands)
                     progress = gained | better
-                    aimless = ti.select(better | notable, zero, aimless + 1.0)
-                    idle_trips = ti.select(progress, zero, idle_trips + 1.0)
-                    best = ti.min(best, residual)
+                    # A trip that only eliminates again after going back is no sign of getting nowhere.
+                    waited = ti.select(returned > 0.5, zero, one)
+                    aimless = ti.select(better | notable, zero, aimless + waited)
+                    idle_trips = ti.select(progress, zero, idle_trips + waited)
+                    best = ti.select(better & stands, ti.min(best, residual), best)
+                    returned = ti.select(uphill, one, zero)
                     fresh = zero
                     # Who is done, and how.
                     ended = at_minimum | resting
                     late = trips >= ti.cast(max_iterations, scalar)
                     stuck = idle_trips > PATIENCE
-                    lost = (broken > 0.5) | ~(residual == residual)
+                    lost = broken | ~(residual == residual)
                     status = ti.select(stuck, constant(stalled), constant(limit))
                     status = ti.select(lost, constant(not_finite), status)
                     # At rest, though a neutral motion leaves the certificate undecided: converged, not certified.
@@ -358,5 +416,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int):
                     status = ti.select(ended | at_rest, constant(converged), status)
                     stable = ti.select(at_minimum, one, zero)
                     finished = ti.select((ended | late | stuck | lost) & (active > 0.5), one, zero)
+                    pack_trips += 1
+            ti.atomic_add(queue[1], pack_trips)
 
     return newton

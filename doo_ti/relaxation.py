@@ -14,7 +14,7 @@ from doo_ti import batch
 from doo_ti.descent import Descent
 from doo_ti.errors import InputError
 from doo_ti.newton import Newton
-from doo_ti.tables import CLOSURE, ENERGY, ITERATIONS, RESIDUAL, STABLE, STATUS, Tables, tables
+from doo_ti.tables import CLOSURE, ENERGY, ITERATIONS, MULTIPLIER, RESIDUAL, STABLE, STATUS, Tables, tables
 from doo_ti.types import LARGEST, Clamps, Configuration, Material, Solution, Status
 
 PRECISIONS = ("f32", "f64", "mixed")
@@ -90,10 +90,10 @@ def _newton(table: Tables, up: np.ndarray, solver: Newton, precision: str):
     rows = np.flatnonzero(feasible & (short | (precision == "mixed")))
     if len(rows):
         usable = np.isin(results[:, STATUS], (Status.CONVERGED, Status.STALLED))
-        fine = replace(solver, first_shift=0.0)
-        finer, again = batch.run_newton(table.restarted(frames, usable, rows), up, fine, 64)
-        again[:, ITERATIONS] += results[rows, ITERATIONS]
-        frames[rows], results[rows], bits[rows] = finer, again, 64
+        before = results[rows, ITERATIONS]
+        batch.continue_newton(table, up, replace(solver, first_shift=0.0), 64, frames, results, rows, usable)
+        results[rows, ITERATIONS] += before
+        bits[rows] = 64
     return frames, results, bits
 
 
@@ -118,5 +118,6 @@ def _solution(table: Tables, up: np.ndarray, frames: np.ndarray, results: np.nda
         iterations=np.nan_to_num(results[:, ITERATIONS]).astype(np.int32),
         status=status,
         stable=results[:, STABLE] == 1,
+        end_force=-results[:, MULTIPLIER:],
         precision=bits.astype(np.int8),
     )

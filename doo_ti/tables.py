@@ -20,11 +20,18 @@ from doo_ti.frames import (
 )
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 
-# Columns of a clamp: the far point from vertex 0, and flags that are one or zero (see doo_ti.chain).
-TARGET, CLOSED, SPIN_START, TILT_START, SPIN_END, TILT_END, TILT_INNER, RELEASED, CLAMP_COLUMNS = 0, 3, 4, 5, 6, 7, 8, 9, 10
+# Columns of a clamp: the far point from vertex 0, and flags that are one or zero (see doo_ti.chain); then what the rod between
+# its clamps measures in mm: its length, its longest edge, its shortest two neighbours, and the largest moment arm of gravity
+# on an edge (a length times a length).
+TARGET, CLOSED, SPIN_START, TILT_START, SPIN_END, TILT_END, TILT_INNER, RELEASED = 0, 3, 4, 5, 6, 7, 8, 9
+TOTAL, LONGEST, SHORTEST_PAIR, HANGING, CLAMP_COLUMNS = 10, 11, 12, 13, 14
 
-# Columns of a rod's results.
-ENERGY, RESIDUAL, CLOSURE, ITERATIONS, STATUS, STABLE, RESULTS = 0, 1, 2, 3, 4, 5, 6
+# Columns of a material's section: weight μ, the largest eigenvalue of B, that or β where it is more, and one where the rod
+# looks the same from all sides, so that it may spin about itself at no cost.
+WEIGHT, LARGEST_BEND, STIFFEST, ROUND, SECTION_COLUMNS = 0, 1, 2, 3, 4
+
+# Columns of a rod's results; the multiplier λ of closure has three.
+ENERGY, RESIDUAL, CLOSURE, ITERATIONS, STATUS, STABLE, MULTIPLIER, RESULTS = 0, 1, 2, 3, 4, 5, 6, 9
 
 
 TAUT = 1e-9
@@ -36,10 +43,10 @@ class Tables:
     """What the kernels read, all float64 and C-contiguous but ``rods``.
 
     start (S, E, 4) frames with the clamps imposed; rest_length (1 or S, E); clamp (S, CLAMP_COLUMNS);
-    bend (G, 1 or E, 3) as (11, 22, 12); twist (G, 1 or E−1); rest (G, 1 or E−1, 2); weight (G,);
-    rods (R, 3) int32: configuration, material and row of the results; feasible (S,) bool; anchor (S, 3) mm, the point the
-    chain hangs from: vertex 0, or the far end where vertex 0 is free (released, (S,) bool); configuration_index and
-    material_index (R,), infeasible rods included.
+    bend (G, 1 or E, 3) as (11, 22, 12); twist (G, 1 or E−1); rest (G, 1 or E−1, 2); section (G, SECTION_COLUMNS);
+    rods (feasible ones, 4) int32: configuration, material, row of the results, and one where the rod starts from the frames in
+    that row instead; feasible (S,) bool; anchor (S, 3) mm, the point the chain hangs from: vertex 0, or the far end where
+    vertex 0 is free (released, (S,) bool); configuration_index and material_index (R,), infeasible rods included.
     """
 
     start: np.ndarray
@@ -48,7 +55,7 @@ class Tables:
     bend: np.ndarray
     twist: np.ndarray
     rest: np.ndarray
-    weight: np.ndarray
+    section: np.ndarray
     rods: np.ndarray
     feasible: np.ndarray
     anchor: np.ndarray
@@ -69,36 +76,54 @@ class Tables:
     def released(self) -> np.ndarray:
         return self.clamp[:, RELEASED] > 0
 
-    def restarted(self, frames: np.ndarray, usable: np.ndarray, rows: np.ndarray | slice = slice(None)) -> "Tables":
-        """The rods ``rows``, each from ``frames`` (R, E, 4) where ``usable`` (R,), else from its old start; clamps exact.
+    @property
+    def weight(self) -> np.ndarray:
+        """(G,) μ."""
+        return self.section[:, WEIGHT]
 
-        ``frames`` and ``usable`` are those of all rods.
-        """
-        of_start, of_material = self.configuration_index[rows], self.material_index[rows]
-        old, clamp = self.start[of_start], self.clamp[of_start]
-        start = np.where(usable[rows, None, None], frames[rows], old).astype(np.float64)
-        start /= np.linalg.norm(start, axis=-1, keepdims=True)
+    def hold_tangents(self, frames: np.ndarray, rows: np.ndarray) -> None:
+        """Turn the end frames of the rods ``rows`` in ``frames`` (R, E, 4) back exactly to clamped tangents, in place."""
         for edge, spin, tilt in ((0, SPIN_START, TILT_START), (-1, SPIN_END, TILT_END)):
-            turn = smallest_rotation(
-                matrix_from_quaternion(start[:, edge])[..., 0], matrix_from_quaternion(old[:, edge])[..., 0]
-            )
-            tangent_held = quaternion_product(turn, start[:, edge])
-            held = np.where(clamp[:, spin, None] > 0, tangent_held, old[:, edge])
-            start[:, edge] = np.where(clamp[:, tilt, None] > 0, start[:, edge], held)
+            turning = (self.clamp[:, spin] > 0) & (self.clamp[:, tilt] == 0)
+            if not turning.any():
+                continue
+            held = rows[turning[self.configuration_index[rows]]]
+            here, old = frames[held, edge], self.start[self.configuration_index[held], edge]
+            here /= np.linalg.norm(here, axis=-1, keepdims=True)
+            turn = smallest_rotation(matrix_from_quaternion(here)[..., 0], matrix_from_quaternion(old)[..., 0])
+            frames[held, edge] = quaternion_product(turn, here)
+
+    def continued(self, usable: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """``rods`` for another launch over the feasible ones of ``rows``: from their frames where ``usable`` (R,), else from
+        their starts."""
+        good = rows[self.feasible[self.configuration_index[rows]]]
+        index = (self.configuration_index[good], self.material_index[good], good, usable[good])
+        return np.ascontiguousarray(np.stack(index, axis=-1).astype(np.int32))
+
+    def restarted(self, frames: np.ndarray) -> "Tables":
+        """The same rods with a start each, ``frames`` (R, E, 4); infeasible ones keep what they had."""
+        of_start = self.configuration_index
         feasible = self.feasible[of_start]
-        numbers = np.arange(len(of_start))
+        rows = np.arange(self.count)
         lengths = self.rest_length
         return replace(
             self,
-            start=np.ascontiguousarray(start),
+            start=np.ascontiguousarray(np.where(feasible[:, None, None], frames, self.start[of_start])),
             rest_length=lengths if len(lengths) == 1 else np.ascontiguousarray(lengths[of_start]),
-            clamp=np.ascontiguousarray(clamp),
-            rods=np.ascontiguousarray(np.stack([numbers, of_material, numbers], axis=-1)[feasible].astype(np.int32)),
+            clamp=np.ascontiguousarray(self.clamp[of_start]),
+            rods=_rods(rows, self.material_index, feasible),
             feasible=feasible,
             anchor=self.anchor[of_start],
-            configuration_index=numbers,
-            material_index=of_material,
+            configuration_index=rows,
         )
+
+
+def _rods(of_start: np.ndarray, of_material: np.ndarray, feasible: np.ndarray) -> np.ndarray:
+    """``Tables.rods`` of the rods that are ``feasible`` (R,), each from its start."""
+    rows = np.flatnonzero(feasible)
+    rods = np.zeros((len(rows), 4), dtype=np.int32)
+    rods[:, 0], rods[:, 1], rods[:, 2] = of_start[rows], of_material[rows], rows
+    return rods
 
 
 def tables(
@@ -111,7 +136,7 @@ def tables(
     """
     _check_shapes(configuration, clamps)
     count, edges = configuration.count, configuration.edges
-    lengths = np.atleast_2d(np.asarray(configuration.rest_length, dtype=np.float64))
+    lengths = np.ascontiguousarray(np.atleast_2d(configuration.rest_length), dtype=np.float64)
     if lengths.shape not in ((1, edges), (count, edges)):
         raise InputError("configuration", "rest_length", f"shape {lengths.shape}", f"give ({edges},) or ({count}, {edges})")
     if not (np.isfinite(lengths).all() and (lengths > 0).all()):
@@ -131,7 +156,7 @@ def tables(
         raise InputError("material", "rest_curvature", f"{rest.shape[1]} joints", f"give one or {edges - 1}")
 
     quaternions = _impose(configuration.quaternions, start_kind, end_kind, clamps)
-    clamp, anchor = _clamp_table(configuration.start, start_kind, end_kind, clamps)
+    clamp, anchor = _clamp_table(configuration.start, lengths, start_kind, end_kind, clamps)
     free = _free_part(quaternions, lengths, clamp)
     closed = clamp[:, CLOSED] > 0
     # Two free edges at least leave the far point three ways to go.
@@ -139,8 +164,6 @@ def tables(
     quaternions = _bowed(quaternions, lengths, free, feasible & closed, up)
     quaternions = _stretched(quaternions, clamp, free, feasible & closed)
     bend = np.stack([material.bend[..., 0, 0], material.bend[..., 1, 1], material.bend[..., 0, 1]], axis=-1)
-    good = np.flatnonzero(feasible[index_c])
-    rods = np.stack([index_c[good], index_m[good], good], axis=-1).astype(np.int32)
     return Tables(
         start=np.ascontiguousarray(quaternions),
         rest_length=np.ascontiguousarray(lengths),
@@ -148,8 +171,8 @@ def tables(
         bend=np.ascontiguousarray(bend),
         twist=np.ascontiguousarray(material.twist),
         rest=np.ascontiguousarray(np.zeros((material.count, 1, 2)) if rest is None else rest),
-        weight=np.ascontiguousarray(material.weight),
-        rods=np.ascontiguousarray(rods),
+        section=_section_table(bend, material),
+        rods=_rods(index_c, index_m, feasible[index_c]),
         feasible=feasible,
         anchor=anchor,
         isotropic=material.is_isotropic,
@@ -288,7 +311,7 @@ def _stretched(quaternions, clamp, free: _FreePart, closed) -> np.ndarray:
     return result
 
 
-def _clamp_table(start, start_kind, end_kind, clamps):
+def _clamp_table(start, lengths, start_kind, end_kind, clamps):
     """(clamp table, anchor (S, 3)): see :class:`Tables`."""
     held_start, held_end = start_kind >= Clamp.POSITION, end_kind >= Clamp.POSITION
     first = np.where(held_start[:, None], clamps.start_position, start)
@@ -302,18 +325,31 @@ def _clamp_table(start, start_kind, end_kind, clamps):
     table[:, SPIN_END] = end_kind < Clamp.FRAME
     table[:, TILT_END] = end_kind < Clamp.TANGENT
     table[:, TILT_INNER] = 1.0
-    table[:, RELEASED] = ~held_start & held_end
-    return table, np.where(table[:, RELEASED, None] > 0, last, first)
+    released = ~held_start & held_end
+    table[:, RELEASED] = released
+    total = lengths.sum(axis=1)
+    table[:, TOTAL] = total
+    table[:, LONGEST] = lengths.max(axis=1)
+    table[:, SHORTEST_PAIR] = (lengths[:, 1:] + lengths[:, :-1]).min(axis=1)
+    beyond = total[:, None] - np.cumsum(lengths, axis=1)
+    from_start, from_end = lengths + 2 * beyond, lengths + 2 * beyond - 2 * total[:, None]
+    arms = (np.abs(lengths * arm).max(axis=1) for arm in (from_end, from_start))
+    table[:, HANGING] = np.where(released, *arms)
+    return table, np.where(released[:, None], last, first)
 
 
-def divisors(table: Tables) -> np.ndarray:
-    """(R,) divisor of the scaled residual: the largest eigenvalue of B, or the largest gravity moment where that is more."""
-    b = table.bend
-    half, apart = 0.5 * (b[..., 0] + b[..., 1]), 0.5 * (b[..., 0] - b[..., 1])
-    stiffest = (half + np.hypot(apart, b[..., 2])).max(axis=1)
-    length = table.rest_length
-    beyond = length.sum(axis=1, keepdims=True) - np.cumsum(length, axis=1)
-    hanging = np.broadcast_to(length + 2 * beyond, (len(table.start), table.edges))
-    hanging = hanging - 2 * length.sum(axis=1)[:, None] * table.released[:, None]
-    moment = np.abs(length * hanging).max(axis=1)[table.configuration_index] * table.weight[table.material_index]
-    return np.maximum(stiffest[table.material_index], moment)
+def _section_table(bend: np.ndarray, material: Material) -> np.ndarray:
+    """(G, SECTION_COLUMNS): see the columns' names."""
+    table = np.empty((material.count, SECTION_COLUMNS))
+    table[:, WEIGHT] = material.weight
+    table[:, ROUND] = 1.0
+    largest = bend[..., 0]
+    if not material.is_isotropic:
+        half, apart = 0.5 * (bend[..., 0] + bend[..., 1]), 0.5 * (bend[..., 0] - bend[..., 1])
+        largest = half + np.hypot(apart, bend[..., 2])
+        table[:, ROUND] = ((apart == 0) & (bend[..., 2] == 0)).all(axis=1)
+    if material.rest_curvature is not None:
+        table[:, ROUND] *= (material.rest_curvature == 0).all(axis=(1, 2))
+    table[:, LARGEST_BEND] = largest.max(axis=1)
+    table[:, STIFFEST] = np.maximum(table[:, LARGEST_BEND], material.twist.max(axis=1))
+    return table

@@ -195,6 +195,8 @@ class Solution:
     status         (R,) Status
     stable         (R,) True where the inertia of its KKT matrix certifies the equilibrium: in no direction does the energy
                    fall. Neutral motions, such as a weightless bow turning about its chord, do not count against it
+    end_force      (R, 3) force of the far clamp on the rod where both ends are held, mm² in the units of energy: the energy
+                   grows by end_force · d when the clamp moves by d. Zero where an end is free
     precision      (R,) 32 or 64: the arithmetic that finished the rod
     """
 
@@ -205,6 +207,7 @@ class Solution:
     iterations: np.ndarray
     status: np.ndarray
     stable: np.ndarray
+    end_force: np.ndarray
     precision: np.ndarray = field(default=None)
 
     @property

@@ -38,7 +38,7 @@ def vertex_sweeps(number, stride: int) -> SimpleNamespace:
     ``spin_end`` are one where the first and last frame may spin.
     """
     signed_angle = signed_angle_function(number)
-    put = number.lanes()[-1]
+    put = number.lanes().put
     row = ITEMS * stride
 
     @ti.func

@@ -24,7 +24,7 @@ LAYERS = [
     {"path"},
     {"synthesis", "learning", "report", "run_folder"},
     {"record"},
-    {"sweeps"},
+    {"sweeps", "bench"},
     {"options"},
     {"commands"},
     {"cli"},
@@ -32,7 +32,7 @@ LAYERS = [
 ]
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 APART = {"learning", "twist", "perception"}
-ONLY = {"rerun": {"record"}, "matplotlib": {"report"}}
+ONLY = {"rerun": {"record"}, "matplotlib": {"report"}, "jax": {"bench"}}
 
 
 def modules() -> dict[str, Path]:
@@ -85,7 +85,7 @@ def test_physics_stands_on_nothing_but_taichi():
         if layer(name) == "physics":
             assert own(path) <= {"physics"}, name
             foreign = {other.split(".")[0] for other in imported(path)} - {"doo_ti"}
-            assert foreign <= {"taichi", "numpy", "dataclasses", "functools", "math", "fractions"}, name
+            assert foreign <= {"taichi", "numpy", "collections", "dataclasses", "fractions", "functools", "math", "typing"}, name
 
 
 @pytest.mark.parametrize("library", ONLY)
@@ -128,7 +128,7 @@ def test_no_file_postpones_annotations():
 @pytest.mark.parametrize("module", ["doo_ti", "doo_ti.cli"])
 def test_importing_costs_nothing_heavy(module):
     """What is heavy is imported where it is used: taichi 1 s, rerun 0.5 s."""
-    heavy = ["taichi", "rerun", "cv2", "matplotlib", "pyarrow", "dask", "scipy"]
+    heavy = ["taichi", "rerun", "cv2", "matplotlib", "pyarrow", "dask", "scipy", "jax"]
     script = f"import sys, {module}; print([name for name in {heavy} if name in sys.modules])"
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
     assert result.returncode == 0, result.stderr

@@ -15,7 +15,8 @@ def cross(a, b):
 
 @ti.func
 def absolute(a):
-    return ti.max(a, 0.0 - a)
+    """|a|. (``ti.max`` would do, and ``ti.min``, but on packs they look for what is not a number: three instructions.)"""
+    return ti.select(a < 0.0, 0.0 - a, a)
 
 
 @ti.func
@@ -28,8 +29,9 @@ def larger(a, b):
 
 
 @ti.func
-def largest_component(a):
-    return larger(absolute(a[0]), larger(absolute(a[1]), absolute(a[2])))
+def largest_of(a, b):
+    """The larger of two numbers where both are known to be numbers."""
+    return ti.select(a < b, b, a)
 
 
 @ti.func
@@ -53,23 +55,26 @@ def solve_symmetric(m, b):
 
 @ti.func
 def factor(m):
-    """M = L D Lᵀ of a symmetric 3×3: (1/d1, 1/d2, 1/d3, l21, l31, l32, negative pivots)."""
-    tiny = 1e-30
-    d1 = ti.select(absolute(m[0]) > tiny, m[0], tiny + 0.0 * m[0])
+    """M = L D Lᵀ of a symmetric 3×3: (1/d1, 1/d2, 1/d3, l21, l31, l32, negative pivots).
+
+    Elimination without division first, d2 = p2/d1 and d3 = p3/(d1 p2), so that the three quotients do not wait for each
+    other: a lane's time here is time its whole chain waits.
+    """
+    tiny = 1e-30  # against a pivot that is exactly zero
+    d1 = m[0] + tiny
+    p2 = m[0] * m[3] - m[1] * m[1] + tiny
+    below = m[0] * m[4] - m[1] * m[2]
+    p3 = (m[0] * m[5] - m[2] * m[2]) * p2 - below * below + tiny
     i1 = 1.0 / d1
-    l21 = m[1] * i1
-    l31 = m[2] * i1
-    d2_raw = m[3] - l21 * m[1]
-    d2 = ti.select(absolute(d2_raw) > tiny, d2_raw, tiny + 0.0 * m[0])
-    i2 = 1.0 / d2
-    rest = m[4] - l31 * m[1]
-    l32 = rest * i2
-    d3_raw = m[5] - l31 * m[2] - l32 * rest
-    d3 = ti.select(absolute(d3_raw) > tiny, d3_raw, tiny + 0.0 * m[0])
+    ip2 = 1.0 / p2
+    both = d1 * p2
     one = 0.0 * m[0] + 1.0
     none = 0.0 * m[0]
-    negative = ti.select(d1 < 0.0, one, none) + ti.select(d2 < 0.0, one, none) + ti.select(d3 < 0.0, one, none)
-    return (i1, i2, 1.0 / d3, l21, l31, l32, negative)
+    negative = (
+        ti.select(d1 < 0.0, one, none) + ti.select(both < 0.0, one, none)
+        + ti.select(ti.select(both < 0.0, 0.0 - p3, p3) < 0.0, one, none)
+    )
+    return (i1, d1 * ip2, both / p3, m[1] * i1, m[2] * i1, below * ip2, negative)
 
 
 @ti.func

@@ -39,46 +39,68 @@ ARCTANGENT_64 = _arctangent_coefficients(20)
 
 
 def arctangent_function(number):
-    """atan(t) for |t| ≤ 1 by an odd polynomial, to the rounding of ``number``."""
-    coefficients = tuple(reversed(ARCTANGENT_32 if number.bits == 32 else ARCTANGENT_64))
+    """atan(t) for |t| ≤ 1 by an odd polynomial, to the rounding of ``number``.
+
+    Four chains of every fourth term run side by side: a single chain would have each lane wait for its own last product.
+    """
+    coefficients = ARCTANGENT_32 if number.bits == 32 else ARCTANGENT_64
+    rows = [coefficients[k : k + 4] for k in range(0, len(coefficients), 4)]
+    rows = tuple((*row, *(0.0,) * (4 - len(row))) for row in reversed(rows))
     scalar = number.scalar
 
     @ti.func
     def arctangent(t):
         square = t * t
-        total = 0.0 * square
-        for k in ti.static(range(len(coefficients))):
-            total = total * square + scalar(coefficients[k])
-        return t * total
+        fourth = square * square
+        eighth = fourth * fourth
+        none = 0.0 * square
+        a, b, c, d = (none, none, none, none)
+        for k in ti.static(range(len(rows))):
+            a = a * eighth + scalar(rows[k][0])
+            b = b * eighth + scalar(rows[k][1])
+            c = c * eighth + scalar(rows[k][2])
+            d = d * eighth + scalar(rows[k][3])
+        return t * ((a + square * b) + fourth * (c + square * d))
 
     return arctangent
 
 
-def twist_angle_function(number):
-    """m = 2 atan2(q1, q0) = 4 atan(q1/(√s + q0)) of a relative rotation, given √s = √(q0² + q1²)."""
-    arctangent = arctangent_function(number)
+def signed_angle_function(number):
+    """The angle in (−π, π] of the direction (cosine, sine), of any length."""
+    half_angle = half_turn_angle_function(number)
+    scalar = number.scalar
 
     @ti.func
-    def twist_angle(q, root):
-        return 4.0 * arctangent(q[1] / (root + q[0]))
+    def signed_angle(cosine, sine):
+        none = 0.0 * sine
+        half_turn = ti.select(sine < 0.0, none - scalar(math.pi), none + scalar(math.pi))
+        return half_angle(cosine, sine) + ti.select(cosine < 0.0, half_turn, none)
+
+    return signed_angle
+
+
+def twist_angle_function(number):
+    """m = 2 atan(q1/q0) in (−π, π] of a relative rotation, of either sign."""
+    half_angle = half_turn_angle_function(number)
+
+    @ti.func
+    def twist_angle(q):
+        return 2.0 * half_angle(q[0], q[1])
 
     return twist_angle
 
 
-def signed_angle_function(number):
-    """The angle in (−π, π] with the given cosine and sine, through its quarter."""
+def half_turn_angle_function(number):
+    """The angle in (−π/2, π/2] of the line through (cosine, sine): that of the direction or of its opposite."""
     arctangent = arctangent_function(number)
+    scalar = number.scalar
 
     @ti.func
-    def signed_angle(cosine, sine):
-        one = 0.0 * cosine + 1.0
-        # Of cos(m/2) and |sin(m/2)| the larger by the half-angle formula, the other from the sine: nothing cancels.
-        size = ti.max(sine, 0.0 - sine)
-        major = ti.sqrt(0.5 + 0.5 * ti.max(cosine, 0.0 - cosine))
-        minor = 0.5 * size / major
-        half_cosine = ti.select(cosine > 0.0, major, minor)
-        half_size = ti.select(cosine > 0.0, minor, major)
-        half_sine = ti.select(sine < 0.0, 0.0 - half_size, half_size)
-        return 4.0 * arctangent(half_sine / (one + half_cosine))
+    def half_turn_angle(cosine, sine):
+        none = 0.0 * sine
+        steep = sine * sine > cosine * cosine
+        quarter = ti.select(cosine * sine < 0.0, none - scalar(0.5 * math.pi), none + scalar(0.5 * math.pi))
+        ratio = ti.select(steep, 0.0 - cosine, sine) / ti.select(steep, sine, cosine)
+        return arctangent(ratio) + ti.select(steep, quarter, none)
 
-    return signed_angle
+    return half_turn_angle

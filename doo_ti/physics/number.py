@@ -5,7 +5,9 @@ the fallback, it is a scalar and every thread has a rod of its own. Everything e
 knowing which.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import taichi as ti
 
@@ -27,9 +29,20 @@ class Number:
         """The Taichi type of a value."""
         return self.scalar if self.width == 1 else ti.types.vector(self.width, self.scalar)
 
-    def lanes(self):
-        """(largest, lane, with_lane, constant, put) as Taichi functions: see :func:`_pack_lanes`."""
+    def lanes(self) -> "Lanes":
+        """What touches single lanes, as Taichi functions."""
         return _scalar_lanes(self.scalar) if self.width == 1 else _pack_lanes(self.type, self.scalar)
+
+
+class Lanes(NamedTuple):
+    """Functions of values and their lanes: see :func:`_pack_lanes`."""
+
+    largest: Callable
+    lane: Callable
+    with_lane: Callable
+    constant: Callable
+    put: Callable
+    get: Callable
 
 
 def _scalar_lanes(scalar):
@@ -53,7 +66,11 @@ def _scalar_lanes(scalar):
     def put(array: ti.template(), at, index, new):
         array[at] = ti.cast(new, scalar)
 
-    return largest, lane, with_lane, constant, put
+    @ti.func
+    def get(array: ti.template(), at, index):
+        return array[at]
+
+    return Lanes(largest, lane, with_lane, constant, put, get)
 
 
 def _pack_lanes(pack, scalar):
@@ -84,4 +101,9 @@ def _pack_lanes(pack, scalar):
         """Set one lane of an array's entry."""
         array[at][index] = ti.cast(new, scalar)
 
-    return largest, lane, with_lane, constant, put
+    @ti.func
+    def get(array: ti.template(), at, index):
+        """One lane of an array's entry."""
+        return array[at][index]
+
+    return Lanes(largest, lane, with_lane, constant, put, get)

@@ -25,14 +25,14 @@ from doo_ti.physics.quaternion import relative_rotation
 
 @ti.func
 def curvature(p, q):
-    """(X, Y, 1/s, e^{im}, relative rotation, √s) of neighbouring frames p and q."""
+    """(X, Y, 1/s, e^{im}, relative rotation) of neighbouring frames p and q."""
     r = relative_rotation(p, q)
     s = r[0] * r[0] + r[1] * r[1]
     inverse = 1.0 / s
     x = ((r[0] * r[2] - r[1] * r[3]) * inverse, (r[0] * r[3] + r[1] * r[2]) * inverse)
     y = ((r[0] * r[2] + r[1] * r[3]) * inverse, (r[0] * r[3] - r[1] * r[2]) * inverse)
     turn = ((r[0] * r[0] - r[1] * r[1]) * inverse, 2.0 * r[0] * r[1] * inverse)
-    return x, y, inverse, turn, r, ti.sqrt(s)
+    return x, y, inverse, turn, r
 
 
 # --- isotropic: E = 4 α̂ |X|² + b m² with α̂ = α/l̄, b = β/l̄ -----------------------------------------------------------

@@ -34,14 +34,13 @@ def second_director(q):
 
 @ti.func
 def relative_rotation(p, q):
-    """conj(p) q with its scalar made non-negative: the rotation between neighbouring frames."""
-    w = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
-    x = p[0] * q[1] - p[1] * q[0] - p[2] * q[3] + p[3] * q[2]
-    y = p[0] * q[2] - p[2] * q[0] - p[3] * q[1] + p[1] * q[3]
-    z = p[0] * q[3] - p[3] * q[0] - p[1] * q[2] + p[2] * q[1]
-    one = 0.0 * w + 1.0
-    sign = ti.select(w < 0.0, 0.0 - one, one)
-    return (w * sign, x * sign, y * sign, z * sign)
+    """conj(p) q, of either sign: the rotation between neighbouring frames."""
+    return (
+        p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3],
+        p[0] * q[1] - p[1] * q[0] - p[2] * q[3] + p[3] * q[2],
+        p[0] * q[2] - p[2] * q[0] - p[3] * q[1] + p[1] * q[3],
+        p[0] * q[3] - p[3] * q[0] - p[1] * q[2] + p[2] * q[1],
+    )
 
 
 @ti.func

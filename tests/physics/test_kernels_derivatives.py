@@ -29,7 +29,7 @@ table = ti.types.ndarray(dtype=ti.f64, ndim=2)
 
 def columns_kernel(number: Number, inputs: int, outputs: int, function):
     """A kernel that applies ``function``, from a tuple of ``inputs`` numbers to a tuple of ``outputs``, to its rows."""
-    largest, lane, with_lane, constant, put = number.lanes()
+    largest, lane, with_lane, constant, put, get = number.lanes()
     width = number.width
     pack = ti.types.ndarray(dtype=number.type, ndim=1)
 
@@ -62,8 +62,8 @@ def pair_kernel(number: Number, isotropic: bool):
 
     @ti.func
     def function(v: ti.template()):
-        x, y, inverse, turn, relative, root = pair.curvature((v[0], v[1], v[2], v[3]), (v[4], v[5], v[6], v[7]))
-        m = twist_angle(relative, root)
+        x, y, inverse, turn, relative = pair.curvature((v[0], v[1], v[2], v[3]), (v[4], v[5], v[6], v[7]))
+        m = twist_angle(relative)
         if ti.static(isotropic):
             s = (v[8], v[9])
             left, right = pair.isotropic_gradient(x, y, inverse, m, s)
