@@ -125,6 +125,16 @@ def _parser() -> _Parser:
     synth.add_argument("scene", metavar="SCENE.toml")
     synth.add_argument("--out", required=True, metavar="OBS", help="file to write: .npz, .csv or .parquet")
     synth.set_defaults(run=commands.synth)
+
+    bench = add("bench", allow_abbrev=False, help="throughput and accuracy on this machine, one table")
+    bench.add_argument("--rods", metavar="N", help="rods in the large batches (default 65536)")
+    bench.add_argument("--threads", metavar="N", help="threads of the kernels (default: one per processor)")
+    bench.add_argument("--rounds", metavar="N", help="measurements of which the median counts (default 3)")
+    bench.add_argument("--scaling", action="store_true", help="also over rods, edges and threads; takes minutes")
+    bench.add_argument("--jax", action="store_true", help="also the same solver in JAX, which needs to be installed")
+    bench.add_argument("--out", metavar="FOLDER", help="folder for bench.json and pictures (default: none)")
+    _add_json(bench)
+    bench.set_defaults(run=commands.bench)
     return parser
 
 

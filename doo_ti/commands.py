@@ -142,6 +142,26 @@ def synth(options: Namespace, words: list[str]) -> int:
     return 0
 
 
+def bench(options: Namespace, words: list[str]) -> int:
+    """Throughput and accuracy on this machine; with a folder also as JSON and pictures."""
+    given.jax(options.jax)
+    rods, threads = given.bench_rods(options.rods, 65_536), given.threads(options.threads)
+    rounds = given.whole("--rounds", options.rounds, 1) or 3
+    out = None if options.out is None else given.output_folder(options.out)
+
+    from doo_ti.bench import study
+    from doo_ti.bench.table import text
+
+    summary = study.measured(study.Plan(rods, rounds, threads, options.scaling, options.jax))
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        content = json.dumps(_plain(summary), indent=2) + "\n"
+        write_whole(out / "bench.json", lambda file: file.write(content.encode()))
+        study.draw(out, summary)
+    print(json.dumps(_plain(summary)) if options.json else text(summary))
+    return 0
+
+
 def _observed(scene: Scene, up: np.ndarray | None) -> Observations:
     """A scene's observations, loaded or synthesised, under the scene's name."""
     if isinstance(scene.observations, Synthesis):

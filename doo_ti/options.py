@@ -5,6 +5,7 @@ Raises InputError naming the option, what was given and what would do.
 
 import os
 from argparse import Namespace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from doo_ti.grid import UNITS, Axis, Grid, parse_axis, parse_bend
 from doo_ti.types import LARGEST, Clamp
 
 SOURCE = "command line"
+MOST_BENCH_RODS = 1 << 22
+"""Four times as many are relaxed at once to see what memory they need: some 20 GB."""
 
 
 def grid(options: Namespace, base: Grid | None = None) -> Grid:
@@ -58,8 +61,8 @@ def clamp(name: str | None) -> Clamp | None:
     return None if name is None else Clamp[name.upper()]
 
 
-def whole(option: str, text: str | None, minimum: int) -> int | None:
-    """A whole number from ``minimum`` up, or None."""
+def whole(option: str, text: str | None, minimum: int, most: int | None = None) -> int | None:
+    """A whole number from ``minimum`` up, to ``most`` where that is given, or None."""
     if text is None:
         return None
     try:
@@ -68,7 +71,26 @@ def whole(option: str, text: str | None, minimum: int) -> int | None:
         raise InputError(SOURCE, option, f"{text!r} is not a whole number", f"give {minimum} or more") from None
     if value < minimum:
         raise InputError(SOURCE, option, f"{value} is below {minimum}", f"give {minimum} or more")
+    if most is not None and value > most:
+        raise InputError(SOURCE, option, f"{value} is above {most}", f"give {most} or less")
     return value
+
+
+def bench_rods(text: str | None, default: int) -> int:
+    """Rods in the large batches of the benchmark."""
+    return whole("--rods", text, 1, MOST_BENCH_RODS) or default
+
+
+def threads(text: str | None) -> int | None:
+    """Threads of the kernels, at most one per processor, or None."""
+    return whole("--threads", text, 1, os.cpu_count() or 1)
+
+
+def jax(wanted: bool) -> bool:
+    """Whether to compare with JAX. Raises InputError where it is wanted and not installed."""
+    if wanted and find_spec("jax") is None:
+        raise InputError(SOURCE, "--jax", "jax is not installed", "pip install 'doo_ti[bench]', or leave --jax out")
+    return wanted
 
 
 def output_file(text: str, suffix: str | None = None) -> Path:

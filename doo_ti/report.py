@@ -1,7 +1,9 @@
-"""The error landscape of a sweep as a picture: mean distance (Eq. 1) over the parameter grid (§III-E).
+"""Pictures: the error landscape of a sweep, mean distance (Eq. 1) over the parameter grid (§III-E), and lines.
 
 Only this module draws with matplotlib, on its own canvas: no window, no global figure, no changed setting.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,6 +19,60 @@ SYMBOLS = {
 """How the axes of the grid are written; other names stay as they are."""
 
 _STAR, _VALLEY, _MISSING = "#ff2e63", "#fde725", "#9a9a9a"
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Lines over a common axis, log-log.
+
+    x, y    labels of the axes, with units
+    lines   name: (x values, y values), both positive; other values are left out
+    growth  whether the lines are to be compared with linear growth: the slope of their later half is told, and a dashed
+            line of slope one drawn through the middle of it. Otherwise they are counts and drawn as steps.
+    """
+
+    title: str
+    x: str
+    y: str
+    lines: dict
+    growth: bool = False
+
+
+def panels_picture(path_or_buffer, panels: list[Panel], title: str) -> None:
+    """Write panels side by side as a PNG."""
+    from matplotlib.ticker import FuncFormatter, LogLocator
+
+    width, height = PICTURE_INCHES
+    figure = _figure((max(width, 5.0 * len(panels)), height))
+    figure.suptitle(title, fontsize=14)
+    for place, panel in enumerate(panels):
+        axes = figure.add_subplot(1, len(panels), place + 1)
+        axes.set(xlabel=panel.x, ylabel=panel.y, title=panel.title)
+        axes.set_xscale("log", base=2)
+        axes.set_yscale("log")
+        for name, (x, y) in panel.lines.items():
+            x, y = (np.asarray(values, float)[np.greater(x, 0) & np.greater(y, 0)] for values in (x, y))
+            if panel.growth:
+                _draw_growth(axes, name, x, y)
+            else:
+                axes.plot(x, y, linewidth=2, drawstyle="steps-mid", label=name)
+        _plain_ticks(axes.yaxis, True, *axes.get_ylim())
+        axes.xaxis.set_major_locator(LogLocator(base=2, numticks=9))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        axes.tick_params(labelsize=9)
+        axes.grid(alpha=0.25)
+        axes.legend(frameon=False)
+    figure.canvas.print_png(path_or_buffer)
+
+
+def _draw_growth(axes, name: str, x: np.ndarray, y: np.ndarray) -> None:
+    """Points with the slope of their later half, and linear growth."""
+    later = slice(len(x) // 2 if len(x) > 3 else 0, None)
+    log_x, log_y = np.log(x), np.log(y)
+    slope = np.polyfit(log_x[later], log_y[later], 1)[0] if len(x) > 1 else np.nan
+    linear = np.exp(log_y[later].mean() + log_x - log_x[later].mean())
+    axes.plot(x, y, "o-", linewidth=2, label=f"{name}, slope {slope:.2f}")
+    axes.plot(x, linear, "--", color=_MISSING, linewidth=1.5, label="linear growth, slope 1")
 
 
 def landscape_picture(path_or_buffer, axes, values, *, minimum, valley=None, title, label, unfinished=None) -> None:
@@ -73,12 +129,17 @@ def distance_colors(distance: np.ndarray) -> np.ndarray:
     return _colors(Normalize(norm.vmin - 0.9 * (norm.vmax - norm.vmin), norm.vmax), distance)
 
 
-def _draw(landscape: Plane, title: str, label: str):
+def _figure(inches: tuple[float, float]):
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=PICTURE_INCHES, dpi=PICTURE_DPI, layout="constrained", facecolor="white")
+    figure = Figure(figsize=inches, dpi=PICTURE_DPI, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
+    return figure
+
+
+def _draw(landscape: Plane, title: str, label: str):
+    figure = _figure(PICTURE_INCHES)
     panel = figure.add_subplot()
     if len(landscape.axes) == 2:
         keys = _draw_map(figure, panel, landscape, label)

@@ -18,13 +18,14 @@ if not __package__:
     sys.path.insert(0, str(ROOT))
 
 from doo_ti import Descent, Grid, Material, Newton, Observations, Status, load_observations  # noqa: E402
+from doo_ti.bench import clock, workload  # noqa: E402
+from doo_ti.bench.workload import SUTURES, Rods  # noqa: E402
 from doo_ti.errors import InputError  # noqa: E402
 from doo_ti.grid import parse_axis  # noqa: E402
 from doo_ti.learning import Landscape, read_landscape, status_counts  # noqa: E402
 from doo_ti.sweeps import SweepOptions, sweep  # noqa: E402
 from doo_ti.types import Solution  # noqa: E402
-from tools.bench import clock, lab, workload  # noqa: E402
-from tools.bench.workload import SUTURES, Rods  # noqa: E402
+from tools.bench import lab  # noqa: E402
 
 SAME_MM = 0.02
 """Two rods are in the same minimum where the mean distance between their vertices is no more than this."""

@@ -1,19 +1,17 @@
-"""The benchmark on a few rods: what it writes it accepts, and what falls behind or converges less often it reports."""
+"""The benchmark's tool on a few rods: what it writes it accepts, and what falls behind it reports."""
 
 import json
 
-import numpy as np
 import pytest
 
-from doo_ti import Newton
-from tools.bench import workload
-from tools.bench.relaxation import BASELINE, Measurement, cases, main, observed, regressions
+from doo_ti.bench.cases import Specimens, cases
+from tools.bench.relaxation import BASELINE, main
 
 
 @pytest.fixture(scope="module", autouse=True)
 def short_rounds():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tools.bench.relaxation.ROUND_SECONDS", 0.0)
+        patch.setattr("doo_ti.bench.cases.ROUND_SECONDS", 0.0)
         yield
 
 
@@ -36,8 +34,8 @@ def rescaled(path, target, factor):
 def test_a_baseline_names_the_machine_and_every_case(small):
     written, committed = json.loads(small.read_text()), json.loads(BASELINE.read_text())
     assert set(written["machine"]) == {"processor", "cores", "threads"} == set(committed["machine"])
-    names = [case.name for case in cases(8)]
-    assert list(written["cases"]) == names == list(committed["cases"])
+    assert list(written["cases"]) == [case.name for case in cases(Specimens(8))]
+    assert set(committed["cases"]) <= set(written["cases"])
 
 
 def test_check_fails_only_behind_the_baseline(small, tmp_path, capsys):
@@ -47,27 +45,8 @@ def test_check_fails_only_behind_the_baseline(small, tmp_path, capsys):
     assert "metric" in capsys.readouterr().err
 
 
-def test_fewer_converged_rods_are_a_regression_at_any_speed():
-    baseline = {"cases": {"newton": {"ratio": 1.0, "converged": 1.0}}}
-    assert not regressions({"newton": Measurement("rods/s", 1.0, 0.6, 0.999, 8.0)}, baseline)
-    assert regressions({"newton": Measurement("rods/s", 1.0, 9.0, 0.99, 8.0)}, baseline)
-    assert not regressions({"other": Measurement("rods/s", 1.0, 0.1, 0.5, 8.0)}, baseline)
-
-
 def test_another_size_than_the_baseline_s_is_refused(small, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["--rods", "16", "--baseline", str(small)])
     assert stop.value.code == 2
     assert "32 rods" in capsys.readouterr().err
-
-
-def test_starts_take_turns_and_rods_alone_are_the_same_rods():
-    tables = [workload.started(observations) for observations in observed("nylon", "silk")]
-    starts, clamps = workload.in_turn(tables)
-    assert starts.count == 120
-    for place, (table, held) in enumerate(tables):
-        np.testing.assert_array_equal(starts.quaternions[place::2], table.quaternions)
-        np.testing.assert_array_equal(clamps.end_position[place::2], held.end_position)
-    rods = workload.paired(starts, clamps, workload.isotropic_materials(130))
-    together, alone = rods.relaxed(Newton(), "f64"), rods.alone([125, 3]).relaxed(Newton(), "f64")
-    np.testing.assert_array_equal(together.energy[[125, 3]], alone.energy)

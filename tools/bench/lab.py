@@ -3,8 +3,8 @@
 import numpy as np
 
 from doo_ti import Grid, Material
+from doo_ti.bench.workload import BEND_RANGE, RIBBON_TWIST, TWIST_RATIO_RANGE
 from doo_ti.grid import parse_axis
-from tools.bench.workload import BEND_RANGE, RIBBON_TWIST, TWIST_RATIO_RANGE
 
 TRUTH = {  # bend_1, bend_2, twist in mm³; weight 1
     "nylon": (1.8e6, 1.8e6, 1.2e6), "vicryl": (6e5, 6e5, 8e5), "silk": (1.5e5, 1.5e5, 5e4),

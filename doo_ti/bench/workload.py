@@ -1,5 +1,7 @@
 """The rods that are measured and timed: observed starts with their clamps, under materials drawn over a range.
 
+The observations are those of the shipped scenes, made here, so that nothing but the package is needed.
+
 Axes: S starts, G materials, D observations, R rods.
 """
 
@@ -7,15 +9,28 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti import Clamps, Configuration, Descent, Material, Newton, Observations
+from doo_ti.dataset import Observations
+from doo_ti.descent import Descent
+from doo_ti.newton import Newton
 from doo_ti.relaxation import relax
+from doo_ti.scene import Synthesis
 from doo_ti.start import observation_clamps, start_configuration
-from doo_ti.types import Solution
+from doo_ti.synthesis import synthesise
+from doo_ti.types import Clamps, Configuration, Material, Solution
 
+RIBBON_TWIST = 5e5  # mm³, β of the lab's ribbon
+LAB = {
+    "nylon": Synthesis(bend=1.8e6, twist=1.2e6, name="nylon", seed=12),
+    "vicryl": Synthesis(bend=6e5, twist=8e5, name="vicryl", seed=11),
+    "silk": Synthesis(bend=1.5e5, twist=5e4, name="silk", seed=13),
+    "ribbon": Synthesis(bend=((6e6, 0.0), (0.0, 1.2e5)), twist=RIBBON_TWIST, name="ribbon", seed=14, frames=True),
+}
+"""The recipes of ``scenes/*.toml``."""
 SUTURES = ("nylon", "vicryl", "silk")
 BEND_RANGE = (5e4, 1e7)  # mm³
 TWIST_RATIO_RANGE = (0.1, 6.0)
-RIBBON_TWIST = 5e5  # mm³, β of the lab's ribbon
+NEAR = 0.1
+"""Share by which bend and twist of a warm start differ from those that it is the solution for."""
 SEED = 0
 UP = (0.0, 0.0, 1.0)
 
@@ -36,6 +51,7 @@ class Rods:
         return len(self.of_start)
 
     def relaxed(self, solver: Newton | Descent, precision: str) -> Solution:
+        """All rods, NumPy in to NumPy out."""
         return relax(self.starts, self.material, self.clamps, solver, up=UP, precision=precision,
                      configuration_index=self.of_start, material_index=self.of_material)
 
@@ -48,6 +64,11 @@ class Rods:
         start, row = self.of_start[rods], self.of_material[rods]
         material = Material(self.material.bend[row], self.material.twist[row], self.material.weight[row])
         return paired(self.starts.take(start), self.clamps.take(start), material)
+
+
+def observed(*names: str) -> list[Observations]:
+    """The observations of rods of the lab."""
+    return [synthesise(LAB[name]) for name in names]
 
 
 def crossed(starts: Configuration, clamps: Clamps, material: Material) -> Rods:
@@ -82,6 +103,34 @@ def in_turn(tables: list[tuple[Configuration, Clamps]]) -> tuple[Configuration, 
     quaternions = _interleaved([rods.quaternions for rods in starts])
     configuration = Configuration(_interleaved([rods.start for rods in starts]), quaternions, rest_length)
     return configuration, Clamps(clamps[0].start, clamps[0].end, *held)
+
+
+def warm(rods: Rods, solution: Solution) -> Rods:
+    """The rods at their solution, bend and twist each a tenth higher or lower than there, from the fixed seed."""
+    random = np.random.default_rng(SEED)
+    bend, twist = (1.0 + random.choice([-NEAR, NEAR], rods.count) for _ in range(2))
+    material, row = rods.material, rods.of_material
+    near = Material(material.bend[row] * bend[:, None, None, None], material.twist[row] * twist[:, None],
+                    material.weight[row])
+    return paired(solution.configuration, rods.clamps.take(rods.of_start), near)
+
+
+def refined(starts: Configuration, edges: int) -> Configuration:
+    """The starts with ``edges`` equal edges: the same length, the frames between those that are given.
+
+    The far end comes out a little beside its clamp; the solver closes that.
+    """
+    total = np.atleast_2d(starts.rest_length).sum(axis=-1)
+    frames = starts.quaternions.copy()
+    alike = np.where(np.sum(frames[:, 1:] * frames[:, :-1], axis=-1) < 0, -1.0, 1.0)
+    frames[:, 1:] *= np.cumprod(alike, axis=1)[..., None]
+    place = np.clip((np.arange(edges) + 0.5) / edges * starts.edges - 0.5, 0, starts.edges - 1)
+    left = np.minimum(place.astype(int), starts.edges - 2)
+    share = (place - left)[:, None]
+    between = (1 - share) * frames[:, left] + share * frames[:, left + 1]
+    between /= np.linalg.norm(between, axis=-1, keepdims=True)
+    lengths = np.tile(total[:, None] / edges, (1, edges))
+    return Configuration(starts.start, between, lengths[0] if len(lengths) == 1 else lengths)
 
 
 def isotropic_materials(count: int) -> Material:

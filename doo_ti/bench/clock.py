@@ -4,9 +4,12 @@ import os
 import platform
 import time
 from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+
+from doo_ti import __version__
 
 ELEMENTS = 2_048  # doubles: they stay in a core's nearest cache
 PRODUCTS = 10_000  # in a task: a few milliseconds
@@ -16,6 +19,12 @@ TASKS = 20  # for each thread
 def machine() -> dict[str, str | int]:
     """What the figures were taken on: the processor's name and the number of cores, nothing that names the host."""
     return {"processor": _processor(), "cores": os.cpu_count() or 1}
+
+
+def versions() -> dict[str, str]:
+    """What the figures were taken with."""
+    return {"doo_ti": __version__, "python": platform.python_version(),
+            **{name: version(name) for name in ("taichi", "numpy")}}
 
 
 class Reference:

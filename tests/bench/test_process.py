@@ -1,0 +1,46 @@
+"""Children: each task in a process of its own, and a child that fails."""
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from doo_ti.bench import workload
+from doo_ti.bench.process import Children
+from doo_ti.errors import InterruptedRunError
+
+
+@pytest.fixture(scope="module")
+def children():
+    with Children(lambda: workload.started(*workload.observed("nylon"))) as children:
+        yield children
+
+
+def test_start_up_is_timed_and_leaves_the_environment_alone(children):
+    before = dict(os.environ)
+    assert 0 < children.import_seconds() < children.process_seconds()
+    assert os.environ == before
+
+
+def test_threads_are_set_in_the_child(children):
+    assert children.rods_per_second(1, 64, 1) > 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is read from /proc")
+def test_memory_is_told(children):
+    assert children.bytes_per_rod(4096) < 10_000
+    assert abs(children.growth_kb_per_call(40)) < 10_000
+
+
+def test_a_child_that_fails_is_told_in_one_sentence(children):
+    with pytest.raises(InterruptedRunError, match="a process of its own failed"):
+        children.rods_per_second(1, -3, 1)
+
+
+def test_nothing_is_left_behind(children):
+    with Children(lambda: workload.started(*workload.observed("nylon"))) as others:
+        others.process_seconds()
+        folder = Path(others._folder.name)
+        assert list(folder.iterdir())
+    assert not folder.exists()

@@ -1,0 +1,62 @@
+"""The rods that are timed: those of the shipped scenes, and what is made of them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from doo_ti import Newton
+from doo_ti.bench import workload
+from doo_ti.scene import load_scene
+
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
+
+
+@pytest.fixture(scope="module")
+def sutures():
+    """The table of 180 starts, and their clamps."""
+    return workload.in_turn([workload.started(seen) for seen in workload.observed(*workload.SUTURES)])
+
+
+@pytest.mark.parametrize("name", workload.LAB)
+def test_the_rods_are_those_of_the_shipped_scenes(name):
+    assert replace(load_scene(SCENES / f"{name}.toml").observations, source="synthesis") == workload.LAB[name]
+
+
+def test_starts_take_turns_and_rods_alone_are_the_same_rods():
+    tables = [workload.started(observations) for observations in workload.observed("nylon", "silk")]
+    starts, clamps = workload.in_turn(tables)
+    assert starts.count == 120
+    for place, (table, held) in enumerate(tables):
+        np.testing.assert_array_equal(starts.quaternions[place::2], table.quaternions)
+        np.testing.assert_array_equal(clamps.end_position[place::2], held.end_position)
+    rods = workload.paired(starts, clamps, workload.isotropic_materials(130))
+    together, alone = rods.relaxed(Newton(), "f64"), rods.alone([125, 3]).relaxed(Newton(), "f64")
+    np.testing.assert_array_equal(together.energy[[125, 3]], alone.energy)
+
+
+def test_a_warm_start_is_the_solution_of_a_material_a_tenth_away(sutures):
+    rods = workload.paired(*sutures, workload.isotropic_materials(200))
+    solution = rods.relaxed(Newton(), "f64")
+    warm = workload.warm(rods, solution)
+    for name in ("bend", "twist"):
+        near, there = (getattr(table.material, name) for table in (warm, rods))
+        assert set(np.round(near[there > 0] / there[there > 0], 12)) == {0.9, 1.1}
+    near = Newton(first_shift=0.0)
+    again, moved = replace(warm, material=rods.material).relaxed(near, "f64"), warm.relaxed(near, "f64")
+    np.testing.assert_allclose(again.energy, solution.energy, rtol=1e-9)
+    assert again.iterations.mean() < moved.iterations.mean() < solution.iterations.mean()
+
+
+@pytest.mark.parametrize("edges", [8, 33, 100])
+def test_refined_starts_keep_the_length_and_nearly_the_end(sutures, edges):
+    starts, clamps = sutures
+    fine = workload.refined(starts, edges)
+    assert fine.edges == edges
+    np.testing.assert_allclose(fine.rest_length.sum(axis=-1), starts.rest_length.sum(axis=-1))
+    np.testing.assert_allclose(np.linalg.norm(fine.quaternions, axis=-1), 1.0)
+    np.testing.assert_allclose(np.abs((fine.quaternions[:, 0] * starts.quaternions[:, 0]).sum(axis=-1)), 1.0, atol=0.1)
+    assert np.linalg.norm(fine.vertices[:, -1] - clamps.end_position, axis=-1).max() < 10.0
+    solution = workload.paired(fine, clamps, workload.isotropic_materials(60)).relaxed(Newton(), "f64")
+    assert solution.converged.all()
