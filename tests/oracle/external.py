@@ -1,0 +1,257 @@
+"""A rod under E_Θ and springs that pull at its points, dense: energy, derivatives, one Newton step, the minimum.
+
+    E = E_Θ + Σ_p ½ (y_p − target_p)·K_p (y_p − target_p),   y_p = Σ_i S_pi x_i
+
+The points y_p are vertices, or lie along edges; K_p is a number k or a symmetric matrix (a camera sees two directions only).
+Unknowns are (dx_0, w_0, …, w_{E−1}): the translation of the first vertex in mm and the body rotations of all frames in rad,
+x_i = x_0 + Σ_{j<i} l_j t_j. What the clamps hold is left out of them, and a held far end adds Σ l_j t_j = d.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import null_space
+
+from tests.oracle.chain_form import Rod, chain_derivatives, chain_energy, closure_gradient, linear_derivatives
+from tests.oracle.equilibrium import Ends, State, closed, energy_of, free_variables, moved, vertices_of
+
+NEUTRAL = 1e-11
+"""Eigenvalues below this share of the largest are rounding: a motion that costs nothing."""
+LEAP = 0.05  # rad, the first try off a saddle
+
+
+@dataclass(frozen=True)
+class Springs:
+    """P springs on a rod of V vertices.
+
+    points (P, V): rows S_p, each of sum 1; stiffness (P, 3, 3): K_p, symmetric, weight/mm; target (P, 3), mm.
+    """
+
+    points: np.ndarray
+    stiffness: np.ndarray
+    target: np.ndarray
+
+    @classmethod
+    def at_vertices(cls, stiffness, target) -> "Springs":
+        """One spring on each of V vertices; stiffness (V,) or (V, 3, 3), zero where there is none; target (V, 3)."""
+        return cls(np.eye(len(target)), _matrices(stiffness), np.asarray(target, dtype=np.float64))
+
+    @classmethod
+    def along_edges(cls, stiffness, share, target) -> "Springs":
+        """Springs on (1−s) x_e + s x_{e+1}; stiffness (E, S) or (E, S, 3, 3), share s (E, S), target (E, S, 3)."""
+        share, target = np.asarray(share, dtype=np.float64), np.asarray(target, dtype=np.float64)
+        edges, samples = share.shape
+        points = np.zeros((edges, samples, edges + 1))
+        for e in range(edges):
+            points[e, :, e], points[e, :, e + 1] = 1.0 - share[e], share[e]
+        stiffness = np.asarray(stiffness, dtype=np.float64)
+        flat = stiffness.reshape(edges * samples, *stiffness.shape[2:])
+        return cls(points.reshape(-1, edges + 1), _matrices(flat), target.reshape(-1, 3))
+
+    def __add__(self, other: "Springs") -> "Springs":
+        """Both sets on one rod."""
+        names = ("points", "stiffness", "target")
+        return Springs(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
+
+    def stretch(self, vertices: np.ndarray) -> np.ndarray:
+        """(P, 3) y_p − target_p, mm."""
+        return self.points @ vertices - self.target
+
+    def energy(self, vertices: np.ndarray):
+        """Σ ½ r·K r; complex vertices pass."""
+        stretch = self.stretch(vertices)
+        return 0.5 * np.einsum("pa,pab,pb->", stretch, self.stiffness, stretch)
+
+    def vertex_gradient(self, vertices: np.ndarray) -> np.ndarray:
+        """(V, 3) γ_i = ∂/∂x_i."""
+        return self.points.T @ np.einsum("pab,pb->pa", self.stiffness, self.stretch(vertices))
+
+    def vertex_curvature(self) -> np.ndarray:
+        """(V, 3, V, 3) ∂²/∂x_i∂x_j: block-diagonal for springs at vertices, tridiagonal for those along edges."""
+        return np.einsum("pi,pab,pj->iajb", self.points, self.stiffness, self.points)
+
+
+def _matrices(stiffness) -> np.ndarray:
+    stiffness = np.asarray(stiffness, dtype=np.float64)
+    return stiffness[:, None, None] * np.eye(3) if stiffness.ndim == 1 else stiffness
+
+
+@dataclass(frozen=True)
+class Step:
+    """One Newton step.
+
+    translation (3,) mm and rotation (E, 3) rad of all frames, zero where held; force (3,) λ + δλ of a held far end, else
+    zero; residual (3 + 3E,) g + Aλ that was left before the step; descends: H + δ is positive definite on what closure
+    leaves free, so that the step goes downhill.
+    """
+
+    translation: np.ndarray
+    rotation: np.ndarray
+    force: np.ndarray
+    residual: np.ndarray
+    descends: bool
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Where the descent ended.
+
+    energy with springs; residual the largest moment left on a free degree of freedom over B's largest eigenvalue, 1/mm;
+    closure relative to the length; force (3,) λ; eigenvalues of H on what closure leaves free, ascending.
+    """
+
+    state: State
+    vertices: np.ndarray
+    energy: float
+    residual: float
+    closure: float
+    force: np.ndarray
+    eigenvalues: np.ndarray
+    converged: bool
+    iterations: int
+
+    @property
+    def stable(self) -> bool:
+        """A strict minimum: no neutral mode either, to rounding."""
+        return bool(self.eigenvalues[0] > NEUTRAL * self.eigenvalues[-1])
+
+
+def total_energy(rod: Rod, springs: Springs, state: State):
+    """Bend, twist, gravity and springs; complex states pass."""
+    return sum(chain_energy(rod, state.start, state.quaternions)) + springs.energy(vertices_of(rod, state))
+
+
+def vertex_jacobian(rod: Rod, quaternions: np.ndarray) -> np.ndarray:
+    """(V, 3, 3 + 3E) derivative of the vertices in (dx_0, w_0, …): frame j moves all vertices behind it."""
+    per_edge = closure_gradient(rod, quaternions)
+    jacobian = np.zeros((rod.edges + 1, 3, 3 + 3 * rod.edges))
+    jacobian[:, :, :3] = np.eye(3)
+    for i in range(1, rod.edges + 1):
+        jacobian[i, :, 3 : 3 + 3 * i] = per_edge[:, : 3 * i]
+    return jacobian
+
+
+def total_derivatives(rod: Rod, springs: Springs, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """(3 + 3E,) gradient and (3 + 3E, 3 + 3E) Hessian of :func:`total_energy` in all of (dx_0, w_0, …, w_{E−1})."""
+    vertices, jacobian = vertices_of(rod, state), vertex_jacobian(rod, state.quaternions)
+    pull = springs.vertex_gradient(vertices)
+    gradient = np.einsum("ia,iak->k", pull, jacobian)
+    hessian = np.einsum("iak,iajb,jbl->kl", jacobian, springs.vertex_curvature(), jacobian, optimize=True)
+    # The turn of an edge moves what is behind it along an arc: p_j = Σ_{i>j} γ_i, a linear potential on edge j.
+    behind = np.cumsum(pull[::-1], axis=0)[::-1][1:]
+    hessian[3:, 3:] += linear_derivatives(rod, state.quaternions, behind)[1]
+    own_gradient, own_hessian = chain_derivatives(rod, state.quaternions)
+    gradient[:3] += rod.weight * rod.vertex_length.sum() * rod.up
+    gradient[3:] += own_gradient
+    hessian[3:, 3:] += own_hessian
+    return gradient, hessian
+
+
+@dataclass(frozen=True)
+class _Local:
+    """The quadratic model over the F free unknowns: residual g + Aλ (F,), Hessian with λ in it (F, F), closure's rows
+    A (0 or 3, F) and miss c (0 or 3,), λ (0 or 3,), and an orthonormal basis (F, N) of the motions that keep closure."""
+
+    residual: np.ndarray
+    hessian: np.ndarray
+    rows: np.ndarray
+    miss: np.ndarray
+    force: np.ndarray
+    basis: np.ndarray
+
+
+def _local(rod: Rod, springs: Springs, state: State, ends: Ends, free: np.ndarray) -> _Local:
+    gradient, hessian = total_derivatives(rod, springs, state)
+    if ends.end_position is None:
+        rows, miss = np.zeros((0, len(free))), np.zeros(0)
+    else:
+        rows = vertex_jacobian(rod, state.quaternions)[-1][:, free]
+        miss = vertices_of(rod, state)[-1] - ends.end_position
+    force = -np.linalg.lstsq(rows.T, gradient[free], rcond=1e-9)[0] if len(miss) else np.zeros(0)
+    if len(miss):
+        hessian[3:, 3:] += linear_derivatives(rod, state.quaternions, force)[1]
+    basis = null_space(rows, rcond=1e-9) if len(miss) else np.eye(len(free))
+    return _Local(gradient[free] + rows.T @ force, hessian[np.ix_(free, free)], rows, miss, force, basis)
+
+
+def newton_step(rod: Rod, springs: Springs, state: State, ends: Ends, shift: float = 0.0, free=None) -> Step:
+    """The dense solution of (H + δ) w = −g over the free unknowns; with a held far end that of
+
+        (H + δ) w + A δλ = −(g + Aλ),   Aᵀ w = −c,   λ the least-squares multiplier, H with its linear potential.
+
+    shift is δ, on rotations only; free (F,): indices into the unknowns, by default all that the clamps leave free.
+    Raises LinAlgError where a motion costs nothing and δ is zero.
+    """
+    free = free_variables(rod, ends) if free is None else np.asarray(free)
+    at = _local(rod, springs, state, ends, free)
+    shifted = at.hessian + np.diag(np.where(free >= 3, shift, 0.0))
+    matrix = np.block([[shifted, at.rows.T], [at.rows, np.zeros((len(at.miss),) * 2)]])
+    solution = np.linalg.solve(matrix, -np.append(at.residual, at.miss))
+    unknowns, residual, force = np.zeros(3 + 3 * rod.edges), np.zeros(3 + 3 * rod.edges), np.zeros(3)
+    unknowns[free], residual[free] = solution[: len(free)], at.residual
+    if len(at.miss):
+        force = at.force + solution[len(free) :]
+    lowest = np.linalg.eigvalsh(at.basis.T @ shifted @ at.basis)[0]
+    return Step(unknowns[:3], unknowns[3:].reshape(-1, 3), force, residual, bool(lowest > 0))
+
+
+def minimum(
+    rod: Rod, springs: Springs, state: State, ends: Ends, *, tolerance=1e-10, max_iterations=500, longest_step=0.2
+) -> Minimum:
+    """Descend from ``state`` to a minimum, never uphill: Newton's step with the size of every eigenvalue, so that negative
+    ones lead downhill too; halved until the energy does not rise; along the softest mode off a saddle.
+
+    tolerance on the residual in 1/mm; longest_step: rad, the largest component of one step's rotations.
+    """
+    free = free_variables(rod, ends)
+    scale = np.linalg.eigvalsh(rod.bend).max()
+    state, converged = closed(rod, ends, state, free), False
+    for iteration in range(max_iterations + 1):
+        at = _local(rod, springs, state, ends, free)
+        eigenvalues, modes = np.linalg.eigh(at.basis.T @ at.hessian @ at.basis)
+        floor = NEUTRAL * np.abs(eigenvalues).max()
+        at_rest = bool(np.abs(at.residual).max() <= tolerance * scale)
+        converged = at_rest and bool(eigenvalues[0] >= -floor)
+        if converged or iteration == max_iterations:
+            break
+        if at_rest:
+            softest = at.basis @ modes[:, 0]
+            leap = LEAP * softest / np.abs(softest).max()
+            following = _lower(rod, springs, ends, state, free, (leap, -leap), longest_step)
+        else:
+            rate = (at.basis @ modes).T @ at.residual
+            weight = np.where(np.abs(eigenvalues) > floor, 1.0 / np.maximum(np.abs(eigenvalues), floor), 0.0)
+            step = -at.basis @ (modes @ (weight * rate))
+            following = _lower(rod, springs, ends, state, free, (step,), longest_step)
+        if following is None:
+            break
+        state = following
+    return Minimum(
+        state=state, vertices=vertices_of(rod, state), energy=float(total_energy(rod, springs, state)),
+        residual=float(np.abs(at.residual).max() / scale), closure=float(np.linalg.norm(at.miss) / rod.rest_length.sum()),
+        force=at.force if len(at.force) else np.zeros(3), eigenvalues=eigenvalues, converged=converged,
+        iterations=iteration,
+    )
+
+
+def _lower(rod, springs, ends, state, free, directions, longest) -> State | None:
+    """The lowest state along any of the directions, each halved until the energy does not rise; None if there is none."""
+    energy, size = _energy(rod, springs, state)
+    found = []
+    for direction in directions:
+        factor = min(1.0, longest / max(np.abs(direction[free >= 3]).max(initial=0.0), 1e-300))
+        for _ in range(40):
+            trial = closed(rod, ends, moved(state, free, factor * direction), free)
+            reached = _energy(rod, springs, trial)[0]
+            if reached <= energy + 1e-13 * size:
+                found.append((reached, trial))
+                break
+            factor /= 2.0
+    return min(found, key=lambda pair: pair[0])[1] if found else None
+
+
+def _energy(rod: Rod, springs: Springs, state: State) -> tuple[float, float]:
+    """The total, and the sum of its terms' sizes, the scale of its rounding."""
+    energy, size = energy_of(rod, state)
+    pulled = float(springs.energy(vertices_of(rod, state)))
+    return energy + pulled, size + pulled

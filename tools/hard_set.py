@@ -1,0 +1,299 @@
+"""Rods that are hard for a solver, row by row: ``python tools/hard_set.py [ROW ...] [--rods N]``.
+
+Prints ``| rods | precision | converged | certified stable | feasible | worst residual | ... |`` as Markdown, three lines a
+row: f32, mixed and f64. Every row has its own difficulty and is drawn from a fixed seed. Exit code 1 where mixed converges
+on fewer than 99 % of a row's feasible rods.
+
+Axes: R rods, E edges, V vertices.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from doo_ti import Clamp, Clamps, Configuration, Material, Newton, Status, relax
+from doo_ti.frames import bishop_frames, quaternion_about, quaternion_from_matrix, quaternion_product
+from doo_ti.types import Solution
+
+SEED = 2011
+PRECISIONS = ("f32", "mixed", "f64")
+BAR = 0.99
+"""Share of a row's feasible rods on which mixed has to converge."""
+LENGTH, EDGES = 99.0, 33  # mm
+EVEN = np.full(EDGES, LENGTH / EDGES)
+BEND_RANGE, TWIST_RATIO_RANGE = (5e4, 1e7), (0.1, 6.0)  # mm³, and β over B
+WANDER, TWIST, NOISE = 0.15, 0.1, 0.08
+"""rad: how much direction and spin change from joint to joint on 33 edges, and how far each frame of a start is off."""
+
+
+@dataclass(frozen=True)
+class Rods:
+    """R rods, one row of each table for each; what the clamps hold need not be where the start has it."""
+
+    start: Configuration
+    material: Material
+    clamps: Clamps
+
+    def relaxed(self, precision: str) -> Solution:
+        return relax(self.start, self.material, self.clamps, Newton(), precision=precision)
+
+
+def chain(tangents: np.ndarray, spin: np.ndarray, rest_length: np.ndarray, random: np.random.Generator) -> Configuration:
+    """Rods along unit tangents (R, E, 3): Bishop frames from any m1, each turned about its tangent by ``spin`` (R, E), rad."""
+    untwisted = quaternion_from_matrix(bishop_frames(tangents, across(random, tangents[:, 0])))
+    frames = quaternion_product(quaternion_about(tangents, spin), untwisted)
+    return Configuration(np.zeros((len(tangents), 3)), frames, rest_length)
+
+
+def clamped(configuration: Configuration, start=Clamp.FRAME, end=Clamp.FRAME) -> Clamps:
+    """Clamps that hold the ends where they are."""
+    vertices, frames = configuration.vertices, configuration.frames
+    return Clamps(start, end, vertices[:, 0], vertices[:, -1], frames[:, 0], frames[:, -1])
+
+
+def directions(random: np.random.Generator, count: int) -> np.ndarray:
+    """(R, 3) unit vectors, all directions alike."""
+    vectors = random.normal(size=(count, 3))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def across(random: np.random.Generator, along: np.ndarray) -> np.ndarray:
+    """(R, 3) unit vectors perpendicular to ``along`` (R, 3), to any side."""
+    vectors = np.cross(along, directions(random, len(along)))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def in_plane(random: np.random.Generator, angle: np.ndarray) -> np.ndarray:
+    """(R, E, 3) tangents at ``angle`` (R, E) to some direction, in some plane through it."""
+    along = directions(random, len(angle))
+    aside = across(random, along)
+    return np.cos(angle)[..., None] * along[:, None] + np.sin(angle)[..., None] * aside[:, None]
+
+
+def even_twist(random: np.random.Generator, count: int, turns: int = 0) -> np.ndarray:
+    """(R, E) spin in rad that grows evenly to ``turns`` whole turns at the far clamp, and up to half a turn more or less."""
+    total = 2 * np.pi * turns + random.uniform(-np.pi, np.pi, count)
+    return total[:, None] * np.linspace(0.0, 1.0, EDGES)
+
+
+def log_uniform(random: np.random.Generator, limits: tuple[float, float], size) -> np.ndarray:
+    return np.exp(random.uniform(*np.log(limits), size))
+
+
+def isotropic(random: np.random.Generator, count: int, bend=BEND_RANGE, weight: float = 1.0) -> Material:
+    """B = αI and β over the ranges of a suture."""
+    alpha = log_uniform(random, bend, count)
+    return Material(alpha, alpha * log_uniform(random, TWIST_RATIO_RANGE, count), weight)
+
+
+def wandering(random: np.random.Generator, count: int, rest_length: np.ndarray) -> Configuration:
+    """Rods whose direction and spin wander along their length, however many edges; rest_length (E,) or (R, E)."""
+    edges = rest_length.shape[-1]
+    finer = np.sqrt(EDGES / edges)
+    steps = WANDER * finer * random.normal(size=(count, edges, 3))
+    tangents = directions(random, count)[:, None] + np.cumsum(steps, axis=1)
+    tangents /= np.linalg.norm(tangents, axis=-1, keepdims=True)
+    spin = TWIST * finer * np.cumsum(random.normal(size=(count, edges)), axis=1)
+    return chain(tangents, spin, rest_length, random)
+
+
+def held(random: np.random.Generator, count: int, material: Material, rest_length=EVEN, start=Clamp.FRAME,
+         end=Clamp.FRAME) -> Rods:
+    """Wandering rods held where they end; every frame of their starts is off, as those of measured marks are."""
+    rods = wandering(random, count, rest_length)
+    angle = np.abs(random.normal(scale=NOISE, size=rods.quaternions.shape[:2]))
+    noise = quaternion_about(directions(random, angle.size).reshape(*angle.shape, 3), angle)
+    noisy = replace(rods, quaternions=quaternion_product(rods.quaternions, noise))
+    return Rods(noisy, material, clamped(rods, start, end))
+
+
+def nearly_taut(random: np.random.Generator, count: int) -> Rods:
+    """Straight, 0.05 mm of slack in 99 mm, in any direction of space, the far clamp turned."""
+    along = directions(random, count)
+    rods = chain(np.repeat(along[:, None], EDGES, axis=1), even_twist(random, count), EVEN, random)
+    clamps = replace(clamped(rods), end_position=98.95 * along)
+    return Rods(rods, isotropic(random, count), clamps)
+
+
+def collinear(random: np.random.Generator, count: int, weight: float) -> Rods:
+    """Both clamps on one line and in its direction: an even bow to any side. It may swing about that line, for nothing
+    where there is no weight."""
+    size = random.uniform(0.3, 1.8, count)[:, None] * np.sin(2 * np.pi * np.linspace(0.0, 1.0, EDGES))
+    rods = chain(in_plane(random, size), even_twist(random, count), EVEN, random)
+    return Rods(rods, isotropic(random, count, weight=weight), clamped(rods))
+
+
+def ten_turns(random: np.random.Generator, count: int) -> Rods:
+    """Ten whole turns and a part of one between the clamps, almost two radians a joint, on arcs of up to half a turn whose
+    ends are then brought together by up to a half."""
+    angle = random.uniform(0.0, np.pi, count)[:, None] * np.linspace(-0.5, 0.5, EDGES)
+    rods = chain(in_plane(random, angle), even_twist(random, count, turns=10), EVEN, random)
+    clamps = clamped(rods)
+    nearer = random.uniform(0.5, 0.95, count)[:, None] * clamps.end_position
+    return Rods(rods, isotropic(random, count), replace(clamps, end_position=nearer))
+
+
+def sharp_joints(random: np.random.Generator, count: int) -> Rods:
+    """Every joint of the start bent by 1.5 rad, each to its own side; held where that ends."""
+    tangents = np.empty((count, EDGES, 3))
+    tangents[:, 0] = directions(random, count)
+    for j in range(1, EDGES):
+        tangents[:, j] = np.cos(1.5) * tangents[:, j - 1] + np.sin(1.5) * across(random, tangents[:, j - 1])
+    rods = chain(tangents, even_twist(random, count), EVEN, random)
+    return Rods(rods, isotropic(random, count), clamped(rods))
+
+
+def of_edges(random: np.random.Generator, count: int, edges: int) -> Rods:
+    return held(random, count, isotropic(random, count), np.full(edges, LENGTH / edges))
+
+
+def anisotropic(random: np.random.Generator, count: int) -> Rods:
+    """B = diag(B1, B2), one a hundred times the other, either first."""
+    soft, first = log_uniform(random, (5e4, 1e6), count), random.random(count) < 0.5
+    twist = soft * log_uniform(random, (0.1, 60.0), count)
+    return held(random, count, Material.diagonal(np.where(first, 100, 1) * soft, np.where(first, 1, 100) * soft, twist))
+
+
+def uneven(random: np.random.Generator, count: int) -> Rods:
+    """Rest lengths in a ratio of 1:50, in any order, another for each rod."""
+    lengths = random.permuted(np.tile(np.geomspace(1.0, 50.0, EDGES), (count, 1)), axis=1)
+    return held(random, count, isotropic(random, count), LENGTH * lengths / lengths.sum(axis=1, keepdims=True))
+
+
+def curved_at_rest(random: np.random.Generator, count: int) -> Rods:
+    """Coils of 8 mm radius and more at rest, and from joint to joint a little different; half of the sections round."""
+    alpha, ratio = log_uniform(random, BEND_RANGE, count), log_uniform(random, TWIST_RATIO_RANGE, count)
+    second = np.where(random.random(count) < 0.5, 1.0, log_uniform(random, (0.2, 5.0), count))
+    bend = alpha[:, None, None] * np.eye(2)
+    bend[:, 1, 1] *= second
+    axis = directions(random, count)[:, None, :2]
+    rest = 0.125 * random.uniform(0.0, 1.0, (count, 1, 1)) * axis + 0.01 * random.normal(size=(count, EDGES - 1, 2))
+    return held(random, count, Material(bend, alpha * ratio, 1.0, rest))
+
+
+def of_bend(random: np.random.Generator, count: int, bend: float) -> Rods:
+    return held(random, count, isotropic(random, count, (bend, bend)))
+
+
+def hanging(random: np.random.Generator, count: int) -> Rods:
+    """Held by one frame, which points anywhere, upwards too."""
+    return held(random, count, isotropic(random, count), end=Clamp.FREE)
+
+
+def positions_only(random: np.random.Generator, count: int) -> Rods:
+    """Both ends hinged: the rod may turn about its chord, and a round one about itself."""
+    return held(random, count, isotropic(random, count), start=Clamp.POSITION, end=Clamp.POSITION)
+
+
+ROWS: dict[str, Callable[[np.random.Generator, int], Rods]] = {
+    "ends 98.95 of 99 mm apart": nearly_taut,
+    "collinear clamps": partial(collinear, weight=1.0),
+    "collinear clamps, no weight": partial(collinear, weight=0.0),
+    "10 whole turns": ten_turns,
+    "joints of 1.5 rad": sharp_joints,
+    "99 edges": partial(of_edges, edges=99),
+    "512 edges": partial(of_edges, edges=512),
+    "anisotropy 100:1": anisotropic,
+    "rest lengths 1:50": uneven,
+    "rest curvature": curved_at_rest,
+    "soft, bend 1e3": partial(of_bend, bend=1e3),
+    "stiff, bend 1e9": partial(of_bend, bend=1e9),
+    "free end": hanging,
+    "positions only": positions_only,
+}
+
+
+@dataclass(frozen=True)
+class Line:
+    """What one precision made of one row; shares and extremes are over its feasible rods.
+
+    residual in 1/mm and edge_error in mm are the worst; in_doubles counts rods whose last arithmetic was f64.
+    """
+
+    row: str
+    precision: str
+    rods: int
+    converged: float
+    stable: float
+    feasible: float
+    residual: float
+    edge_error: float
+    mean_iterations: float
+    max_iterations: int
+    in_doubles: int
+
+    @property
+    def falls_short(self) -> bool:
+        return self.precision == "mixed" and not self.converged >= BAR
+
+
+def rods_of(row: str, count: int) -> Rods:
+    """The rods of a row: the same ones every time."""
+    return ROWS[row](np.random.default_rng(SEED), count)
+
+
+def edge_error(configuration: Configuration) -> np.ndarray:
+    """(R,) mm by which the distance of two neighbouring vertices differs from the rest length, at most."""
+    lengths = np.linalg.norm(np.diff(configuration.vertices, axis=1), axis=2)
+    return np.abs(lengths - configuration.rest_length).max(axis=1)
+
+
+def measured(row: str, count: int, precision: str) -> Line:
+    """Relax the row and sum up; a rod that is not finite counts with an infinite residual."""
+    rods = rods_of(row, count)
+    solution = rods.relaxed(precision)
+    feasible = solution.status != Status.INFEASIBLE
+    share = partial(np.mean, where=feasible) if feasible.any() else (lambda values: 0.0)
+    most = partial(np.max, initial=0, where=feasible)
+    residual = np.where(np.isfinite(solution.residual), solution.residual, np.inf)
+    return Line(
+        row, precision, count, float(share(solution.converged)), float(share(solution.stable)), float(feasible.mean()),
+        float(most(residual)), float(most(edge_error(solution.configuration))), float(share(solution.iterations)),
+        int(most(solution.iterations)), int(np.count_nonzero(feasible & (solution.precision == 64))),
+    )
+
+
+def table(lines: list[Line]) -> str:
+    """Markdown, one line per row and precision."""
+    heads = ("rods", "precision", "converged", "certified stable", "feasible", "worst residual", "worst edge error mm",
+             "mean / max iterations", "in doubles")
+    text = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    for line in lines:
+        converged = f"**{percent(line.converged)}**" if line.falls_short else percent(line.converged)
+        text.append(
+            f"| {line.row}, {line.rods} | {line.precision} | {converged} | {percent(line.stable)} | "
+            f"{percent(line.feasible)} | {line.residual:.1e} | {line.edge_error:.1e} | "
+            f"{line.mean_iterations:.1f} / {line.max_iterations} | {line.in_doubles} |")
+    return "\n".join(text)
+
+
+def percent(share: float) -> str:
+    """Rounded down, so that only all is 100 %."""
+    return f"{np.floor(1e3 * share + 1e-9) / 10:.1f} %"
+
+
+def main(arguments: list[str]) -> int:
+    from rich.console import Console
+    from rich.progress import track
+
+    parser = argparse.ArgumentParser(prog="hard_set.py", description=__doc__.splitlines()[0])
+    parser.add_argument("rows", nargs="*", metavar="ROW", help="names or parts of names; all by default")
+    parser.add_argument("--rods", type=int, default=1000, help="rods in a row")
+    options = parser.parse_args(arguments)
+    if options.rods < 1:
+        parser.error("--rods needs to be 1 or more")
+    chosen = [row for row in ROWS if not options.rows or any(part in row for part in options.rows)]
+    if not chosen:
+        parser.error(f"no row is named {', '.join(options.rows)}; rows are {', '.join(ROWS)}")
+    lines = [measured(row, options.rods, precision)
+             for row in track(chosen, "relaxing", console=Console(stderr=True)) for precision in PRECISIONS]
+    print(table(lines))
+    return int(any(line.falls_short for line in lines))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
