@@ -67,15 +67,18 @@ def _launch_newton(table: Tables, rods, up, options: newton.Newton, bits: int, f
     import taichi as ti
 
     number, threads, stride, block = _machine(len(rods), bits)
-    items = chain.ISOTROPIC_ITEMS if table.isotropic else chain.GENERAL_ITEMS
-    kernel = newton.newton_kernel(number, table.isotropic, stride, block)
+    external = table.external
+    kind = None if external is None else type(external)
+    outer = () if external is None else (external.numbers(),)
+    items = chain.item_count(table.isotropic) + (0 if external is None else external.items)
+    kernel = newton.newton_kernel(number, table.isotropic, stride, block, kind)
     scratch, lane_rod, queue = _buffers(number, threads, items * table.edges)
     kernel(
-        table.edges, table.start.reshape(-1), table.rest_length, table.clamp, table.bend, table.twist, table.rest,
-        table.section, rods, ti.Vector(list(up), dt=ti.f64), options.tolerance or (1e-6 if bits == 32 else 1e-9),
-        options.max_iterations, options.first_shift, options.max_rotation, options.max_escapes,
-        newton.CLOSING_DISTANCE if moving else -1.0,
-        threads, items * table.edges if stride == 1 else 1, scratch, lane_rod, queue, frames.reshape(-1), results,
+        table.edges, _handful(len(rods), threads * number.width), table.start.reshape(-1), table.ends.reshape(-1),
+        table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.section, rods,
+        ti.Vector(list(up), dt=ti.f64), options.tolerance or (1e-6 if bits == 32 else 1e-9), options.max_iterations,
+        options.first_shift, options.max_rotation, options.max_escapes, newton.CLOSING_DISTANCE if moving else -1.0, threads,
+        items * table.edges if stride == 1 else 1, scratch, lane_rod, queue, frames.reshape(-1), results, *outer,
     )
 
 
@@ -116,9 +119,10 @@ def run_descent(table: Tables, up: np.ndarray, options: descent.Descent, bits: i
 
 def _vertex_form(table: Tables) -> tuple[np.ndarray, np.ndarray]:
     """Starts as vertices from the anchor (S, V, 3) and m1 (S, E, 3)."""
-    vertices = vertices_from_quaternions(np.zeros((len(table.start), 3)), table.start, table.rest_length)
+    start = table.whole
+    vertices = vertices_from_quaternions(np.zeros((len(start), 3)), start, table.rest_length)
     vertices = np.where(table.released[:, None, None], vertices - vertices[:, -1:], vertices)
-    return np.ascontiguousarray(vertices), np.ascontiguousarray(matrix_from_quaternion(table.start)[..., 1])
+    return np.ascontiguousarray(vertices), np.ascontiguousarray(matrix_from_quaternion(start)[..., 1])
 
 
 def _chain_form(vertices: np.ndarray, first_directors: np.ndarray) -> np.ndarray:
@@ -136,6 +140,11 @@ def _machine(rods: int, bits: int) -> tuple[Number, int, int, int]:
         return Number(16 if bits == 32 else 8, bits), runtime.thread_count(), 1, 1
     threads = min(max(rods, 1), 1 << 16)
     return Number(1, bits), threads, threads, 64
+
+
+def _handful(rods: int, lanes: int) -> int:
+    """Rods that a thread takes from the queue at once: few enough that all threads end together."""
+    return max(1, min(16, rods // (16 * lanes)))
 
 
 def _buffers(number: Number, threads: int, items: int):

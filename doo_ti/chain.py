@@ -42,16 +42,21 @@ REST = 41
 GENERAL_ITEMS = 43
 
 
-def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
+def item_count(isotropic: bool) -> int:
+    """Items of an edge."""
+    return ISOTROPIC_ITEMS if isotropic else GENERAL_ITEMS
+
+
+def chain_sweeps(number, isotropic: bool, stride: int, extra: int = 0) -> SimpleNamespace:
     """The sweeps as Taichi functions for one kind of number and of material.
 
     ``free = (spin_start, tilt_start, spin_end, tilt_end, tilt_inner)`` is one where that rotation of the first edge, of
     the last or of those between is unknown, zero where it is held. ``closed`` is one where the far point is fixed.
     ``material`` is (α, β) for isotropic rods and unused otherwise; ``gravity`` is μ times the unit vector up,
-    ``released`` one where vertex 0 is free and the far end holds the rod.
+    ``released`` one where vertex 0 is free and the far end holds the rod. ``extra`` items of an edge are somebody else's.
     """
     twist_angle = twist_angle_function(number)
-    items = ISOTROPIC_ITEMS if isotropic else GENERAL_ITEMS
+    items = item_count(isotropic) + extra
     largest = number.lanes().largest
 
     @ti.func
@@ -260,13 +265,14 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
 
     @ti.func
     def eliminate(scratch: ti.template(), origin, edges, shift, noise, echo, multiplier, miss, material, gravity,
-                  closed, free, total, released):
+                  closed, free, total, released, anchor):
         """Assemble H + shift at the closed frames and eliminate it from the first edge to the last.
 
         To find the way off a saddle, ``noise`` adds a fixed perturbation to the right-hand side and ``echo`` that many times
         the last step: inverse iterations towards the softest direction; both are zero otherwise. Returns the
         largest moment on a free edge |g + Aλ|, the largest diagonal entry of H, δλ, the inertia: negative pivots plus
-        positive eigenvalues of the Schur complement, three at a minimum (or saddle-free step), and the slope along the echo.
+        positive eigenvalues of the Schur complement, three at a minimum (or saddle-free step), the slope along the echo, and
+        an external energy with its magnitude, here none (see :mod:`doo_ti.loaded_chain`).
         """
         zero = 0.0 * total
         one = zero + 1.0
@@ -387,7 +393,7 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
         solved, minors = solve_symmetric(schur, (z0 + miss[0], z1 + miss[1], z2 + miss[2]))
         change = (solved[0] * closed, solved[1] * closed, solved[2] * closed)
         inertia = negative + positive_eigenvalues(minors)
-        return ti.sqrt(squared), scale, change, inertia, slope
+        return ti.sqrt(squared), scale, change, inertia, slope, zero, zero
 
     @ti.func
     def substitute(scratch: ti.template(), origin, edges, change):
@@ -414,4 +420,7 @@ def chain_sweeps(number, isotropic: bool, stride: int) -> SimpleNamespace:
             at -= ti.static(items * stride)
         return ti.sqrt(longest)
 
-    return SimpleNamespace(step=step, close=close, eliminate=eliminate, restore=restore, substitute=substitute)
+    return SimpleNamespace(
+        step=step, close=close, eliminate=eliminate, restore=restore, substitute=substitute, items=items, load3=load3,
+        load4=load4, load6=load6, store=store, load_bent=load_bent, stiffness=stiffness, derivatives=derivatives,
+        hanging_weight=hanging_weight)

@@ -13,6 +13,7 @@ import numpy as np
 from doo_ti import batch
 from doo_ti.descent import Descent
 from doo_ti.errors import InputError
+from doo_ti.external import Springs
 from doo_ti.newton import Newton
 from doo_ti.tables import CLOSURE, ENERGY, ITERATIONS, MULTIPLIER, RESIDUAL, STABLE, STATUS, Tables, tables
 from doo_ti.types import LARGEST, Clamps, Configuration, Material, Solution, Status
@@ -30,6 +31,8 @@ def relax(
     precision: str = "f64",
     configuration_index=None,
     material_index=None,
+    external: Springs | None = None,
+    external_index=None,
 ) -> Solution:
     """Relax rods from their starts to the constrained minimum of E_Θ they fall to (§III-D).
 
@@ -39,8 +42,10 @@ def relax(
     up                     (3,) direction against gravity
     precision              "f64"; "f32", where f64 takes over only rods that f32 could not finish; or "mixed": f32 first,
                            then f64 from there to the f64 tolerance for all. ``Solution.precision`` says which ended a rod
+    external               an energy at the vertices besides the rod's own, for rods whose far end is free, with Newton only
     configuration_index,   (R,) rows of the tables that make up each rod; without them rows are paired one to one and a
-    material_index         single row goes with every row of the other table
+    material_index,        single row goes with every row of the other table
+    external_index
 
     Clamped frames overwrite the first and last frame of the start. Inputs are never modified, results are float64.
     Energies include the constant μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods get that
@@ -49,10 +54,13 @@ def relax(
     up = _unit(up)
     if not isinstance(solver, Newton | Descent):
         raise InputError("relax", "solver", f"{solver!r}", "give Newton(), Newton.careful() or Descent()")
+    if external is not None and isinstance(solver, Descent):
+        raise InputError("relax", "solver", "Descent knows no external energy", "give Newton() or Newton.careful()")
     if precision not in PRECISIONS:
         raise InputError("relax", "precision", f"{precision!r}", f"give one of {', '.join(PRECISIONS)}")
     with np.errstate(all="ignore"):  # a rod that is not finite is data: it gets a status, not a warning
-        table = tables(configuration, material, clamps, up, configuration_index, material_index)
+        table = tables(
+            configuration, material, clamps, up, configuration_index, material_index, external, external_index)
         if isinstance(solver, Descent):
             frames, results, bits = _descent(table, up, solver, precision)
         else:
@@ -101,7 +109,11 @@ def _solution(table: Tables, up: np.ndarray, frames: np.ndarray, results: np.nda
     anchor = table.anchor[table.configuration_index]
     lengths = table.rest_length if len(table.rest_length) == 1 else table.rest_length[table.configuration_index]
     total = lengths.sum(axis=-1)
-    energy = results[:, ENERGY] + table.weight[table.material_index] * (anchor @ up) * 2 * total
+    # Not a matrix product, whose rounding depends on how many rods there are.
+    height = anchor[:, 0] * up[0] + anchor[:, 1] * up[1] + anchor[:, 2] * up[2]
+    energy = results[:, ENERGY] + table.weight[table.material_index] * height * 2 * total
+    if table.external is not None:
+        energy += table.external.energy_at_start(anchor, table.external_index)
     status = np.where(np.isnan(results[:, STATUS]), Status.INFEASIBLE, results[:, STATUS]).astype(np.int8)
     start = anchor.copy()
     hanging = np.flatnonzero(table.released[table.configuration_index])

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti.errors import InputError
+from doo_ti.external import Springs
 from doo_ti.frames import (
     FRAME_TOLERANCE,
     matrix_from_quaternion,
@@ -22,9 +23,9 @@ from doo_ti.types import Clamp, Clamps, Configuration, Material
 
 # Columns of a clamp: the far point from vertex 0, and flags that are one or zero (see doo_ti.chain); then what the rod between
 # its clamps measures in mm: its length, its longest edge, its shortest two neighbours, and the largest moment arm of gravity
-# on an edge (a length times a length).
+# on an edge (a length times a length); and the point the chain hangs from, vertex 0 or, where that is free, the far end.
 TARGET, CLOSED, SPIN_START, TILT_START, SPIN_END, TILT_END, TILT_INNER, RELEASED = 0, 3, 4, 5, 6, 7, 8, 9
-TOTAL, LONGEST, SHORTEST_PAIR, HANGING, CLAMP_COLUMNS = 10, 11, 12, 13, 14
+TOTAL, LONGEST, SHORTEST_PAIR, HANGING, ANCHOR, CLAMP_COLUMNS = 10, 11, 12, 13, 14, 17
 
 # Columns of a material's section: weight μ, the largest eigenvalue of B, that or β where it is more, and one where the rod
 # looks the same from all sides, so that it may spin about itself at no cost.
@@ -42,14 +43,17 @@ TAUT = 1e-9
 class Tables:
     """What the kernels read, all float64 and C-contiguous but ``rods``.
 
-    start (S, E, 4) frames with the clamps imposed; rest_length (1 or S, E); clamp (S, CLAMP_COLUMNS);
+    start (S, E, 4) frames as given, of any length; ends (S, 2, 4) the first and the last of them normalised and with the clamps
+    imposed, which stand in their place; rest_length (1 or S, E); clamp (S, CLAMP_COLUMNS);
     bend (G, 1 or E, 3) as (11, 22, 12); twist (G, 1 or E−1); rest (G, 1 or E−1, 2); section (G, SECTION_COLUMNS);
-    rods (feasible ones, 4) int32: configuration, material, row of the results, and one where the rod starts from the frames in
-    that row instead; feasible (S,) bool; anchor (S, 3) mm, the point the chain hangs from: vertex 0, or the far end where
-    vertex 0 is free (released, (S,) bool); configuration_index and material_index (R,), infeasible rods included.
+    rods (feasible ones, 5) int32: configuration, material, row of the results, one where the rod starts from the frames in
+    that row instead, and row of the external energy; feasible (S,) bool; released (S,) bool: vertex 0 is free, the far end
+    held; configuration_index, material_index and external_index (R,), infeasible rods included; external the external energy,
+    or None.
     """
 
     start: np.ndarray
+    ends: np.ndarray
     rest_length: np.ndarray
     clamp: np.ndarray
     bend: np.ndarray
@@ -58,10 +62,11 @@ class Tables:
     section: np.ndarray
     rods: np.ndarray
     feasible: np.ndarray
-    anchor: np.ndarray
     isotropic: bool
     configuration_index: np.ndarray
     material_index: np.ndarray
+    external_index: np.ndarray
+    external: Springs | None
 
     @property
     def edges(self) -> int:
@@ -77,27 +82,37 @@ class Tables:
         return self.clamp[:, RELEASED] > 0
 
     @property
+    def anchor(self) -> np.ndarray:
+        """(S, 3) mm."""
+        return self.clamp[:, ANCHOR : ANCHOR + 3]
+
+    @property
     def weight(self) -> np.ndarray:
         """(G,) μ."""
         return self.section[:, WEIGHT]
 
+    @property
+    def whole(self) -> np.ndarray:
+        """(S, E, 4) starts, normalised and with their ends imposed."""
+        return _whole(self.start, self.ends)
+
     def hold_tangents(self, frames: np.ndarray, rows: np.ndarray) -> None:
         """Turn the end frames of the rods ``rows`` in ``frames`` (R, E, 4) back exactly to clamped tangents, in place."""
-        for edge, spin, tilt in ((0, SPIN_START, TILT_START), (-1, SPIN_END, TILT_END)):
+        for end, spin, tilt in ((0, SPIN_START, TILT_START), (1, SPIN_END, TILT_END)):
             turning = (self.clamp[:, spin] > 0) & (self.clamp[:, tilt] == 0)
             if not turning.any():
                 continue
             held = rows[turning[self.configuration_index[rows]]]
-            here, old = frames[held, edge], self.start[self.configuration_index[held], edge]
+            here, old = frames[held, -end], self.ends[self.configuration_index[held], end]
             here /= np.linalg.norm(here, axis=-1, keepdims=True)
             turn = smallest_rotation(matrix_from_quaternion(here)[..., 0], matrix_from_quaternion(old)[..., 0])
-            frames[held, edge] = quaternion_product(turn, here)
+            frames[held, -end] = quaternion_product(turn, here)
 
     def continued(self, usable: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """``rods`` for another launch over the feasible ones of ``rows``: from their frames where ``usable`` (R,), else from
         their starts."""
         good = rows[self.feasible[self.configuration_index[rows]]]
-        index = (self.configuration_index[good], self.material_index[good], good, usable[good])
+        index = (self.configuration_index[good], self.material_index[good], good, usable[good], self.external_index[good])
         return np.ascontiguousarray(np.stack(index, axis=-1).astype(np.int32))
 
     def restarted(self, frames: np.ndarray) -> "Tables":
@@ -106,33 +121,35 @@ class Tables:
         feasible = self.feasible[of_start]
         rows = np.arange(self.count)
         lengths = self.rest_length
+        start = np.ascontiguousarray(np.where(feasible[:, None, None], frames, self.start[of_start]))
         return replace(
             self,
-            start=np.ascontiguousarray(np.where(feasible[:, None, None], frames, self.start[of_start])),
+            start=start,
+            ends=np.ascontiguousarray(start[:, [0, -1]]),
             rest_length=lengths if len(lengths) == 1 else np.ascontiguousarray(lengths[of_start]),
             clamp=np.ascontiguousarray(self.clamp[of_start]),
-            rods=_rods(rows, self.material_index, feasible),
+            rods=_rods(rows, self.material_index, self.external_index, feasible),
             feasible=feasible,
-            anchor=self.anchor[of_start],
             configuration_index=rows,
         )
 
 
-def _rods(of_start: np.ndarray, of_material: np.ndarray, feasible: np.ndarray) -> np.ndarray:
+def _rods(of_start: np.ndarray, of_material: np.ndarray, of_external: np.ndarray, feasible: np.ndarray) -> np.ndarray:
     """``Tables.rods`` of the rods that are ``feasible`` (R,), each from its start."""
     rows = np.flatnonzero(feasible)
-    rods = np.zeros((len(rows), 4), dtype=np.int32)
-    rods[:, 0], rods[:, 1], rods[:, 2] = of_start[rows], of_material[rows], rows
+    rods = np.zeros((len(rows), 5), dtype=np.int32)
+    rods[:, 0], rods[:, 1], rods[:, 2], rods[:, 4] = of_start[rows], of_material[rows], rows, of_external[rows]
     return rods
 
 
 def tables(
     configuration: Configuration, material: Material, clamps: Clamps, up: np.ndarray,
-    configuration_index=None, material_index=None,
+    configuration_index=None, material_index=None, external: Springs | None = None, external_index=None,
 ) -> Tables:
     """Check what goes into F and lay it out for the kernels.
 
-    Raises InputError where shapes do not match, an index is out of range, or both ends of a rod with weight are free.
+    Raises InputError where shapes do not match, an index is out of range, both ends of a rod with weight are free, or a rod
+    under an external energy has another end than the far one free.
     """
     _check_shapes(configuration, clamps)
     count, edges = configuration.count, configuration.edges
@@ -142,12 +159,16 @@ def tables(
     if not (np.isfinite(lengths).all() and (lengths > 0).all()):
         raise InputError("configuration", "rest_length", f"{lengths.min():g}", "give positive lengths in mm")
     index_c, index_m = _pairs(count, material.count, configuration_index, material_index)
+    index_e = _external_rows(external, external_index, len(index_c), edges)
     start_kind, end_kind = (_kinds(name, getattr(clamps, name), count) for name in ("start", "end"))
     _check_frames("start_frame", clamps.start_frame, start_kind)
     _check_frames("end_frame", clamps.end_frame, end_kind)
     adrift = (start_kind == Clamp.FREE) & (end_kind == Clamp.FREE)
     if adrift.any() and (material.weight > 0).any():
         raise InputError("clamps", "start, end", "both ends are free and the rod has weight", "hold one end, or set weight 0")
+    if external is not None and ((start_kind == Clamp.FREE) | (end_kind != Clamp.FREE)).any():
+        raise InputError("clamps", "start, end", "an external energy needs the start held and the far end free",
+                         "give Clamp.FREE as the end, another as the start")
     for name, array, length in (("twist", material.twist, edges - 1), ("bend", material.bend, edges)):
         if array.shape[1] not in (1, length):
             raise InputError("material", name, f"{array.shape[1]} entries along the rod", f"give one or {length}")
@@ -155,29 +176,32 @@ def tables(
     if rest is not None and rest.shape[1] not in (1, edges - 1):
         raise InputError("material", "rest_curvature", f"{rest.shape[1]} joints", f"give one or {edges - 1}")
 
-    quaternions = _impose(configuration.quaternions, start_kind, end_kind, clamps)
-    clamp, anchor = _clamp_table(configuration.start, lengths, start_kind, end_kind, clamps)
-    free = _free_part(quaternions, lengths, clamp)
+    start = np.ascontiguousarray(configuration.quaternions, dtype=np.float64)
+    ends = _imposed(start[:, [0, -1]], start_kind, end_kind, clamps)
+    clamp = _clamp_table(configuration.start, lengths, start_kind, end_kind, clamps)
+    free = _free_part(ends, lengths, clamp)
     closed = clamp[:, CLOSED] > 0
     # Two free edges at least leave the far point three ways to go.
-    feasible = ~closed | ((free.span <= free.reach * (1 + 1e-12)) & (free.tilting.sum(axis=1) >= 2))
-    quaternions = _bowed(quaternions, lengths, free, feasible & closed, up)
-    quaternions = _stretched(quaternions, clamp, free, feasible & closed)
+    feasible = ~closed | ((free.span <= free.reach * (1 + 1e-12)) & (free.tilting.sum(axis=1) + edges - 2 >= 2))
+    start, ends = _bowed(start, ends, lengths, free, feasible & closed, up)
+    start, ends = _stretched(start, ends, clamp, free, feasible & closed)
     bend = np.stack([material.bend[..., 0, 0], material.bend[..., 1, 1], material.bend[..., 0, 1]], axis=-1)
     return Tables(
-        start=np.ascontiguousarray(quaternions),
-        rest_length=np.ascontiguousarray(lengths),
+        start=start,
+        ends=ends,
+        rest_length=lengths,
         clamp=clamp,
         bend=np.ascontiguousarray(bend),
         twist=np.ascontiguousarray(material.twist),
         rest=np.ascontiguousarray(np.zeros((material.count, 1, 2)) if rest is None else rest),
         section=_section_table(bend, material),
-        rods=_rods(index_c, index_m, feasible[index_c]),
+        rods=_rods(index_c, index_m, index_e, feasible[index_c]),
         feasible=feasible,
-        anchor=anchor,
         isotropic=material.is_isotropic,
         configuration_index=index_c,
         material_index=index_m,
+        external_index=index_e,
+        external=external,
     )
 
 
@@ -233,25 +257,52 @@ def _pairs(configurations: int, materials: int, configuration_index, material_in
     return first, second
 
 
-def _impose(quaternions: np.ndarray, start_kind: np.ndarray, end_kind: np.ndarray, clamps: Clamps) -> np.ndarray:
-    """The start with its clamped frames in place; a tangent clamp turns the edge by parallel transport, keeping its spin."""
-    result = np.array(quaternions, dtype=np.float64)
-    for edge, kind, frame in ((0, start_kind, clamps.start_frame), (-1, end_kind, clamps.end_frame)):
+def _external_rows(external: Springs | None, index, count: int, edges: int) -> np.ndarray:
+    """(R,) rows of the external energy; without ``index`` rods and rows are paired one to one, or all have the one row."""
+    if external is None:
+        if index is not None:
+            raise InputError("relax", "external_index", "given without an external energy", "give both, or neither")
+        return np.zeros(count, dtype=np.int64)
+    if external.vertices != edges + 1:
+        raise InputError("external", "points", f"{external.vertices} vertices", f"give {edges + 1}, as the rods have")
+    if index is None:
+        if external.count not in (1, count):
+            raise InputError("relax", "external", f"{external.count} rows for {count} rods", "give one, or one for each rod")
+        return np.arange(count) % external.count
+    rows = np.asarray(index)
+    whole = rows.shape == (count,) and rows.dtype.kind in "iu"
+    if not whole or (rows.size and (rows.min() < 0 or rows.max() >= external.count)):
+        raise InputError("relax", "external_index", f"not {count} rows below {external.count}", "give (R,) row numbers")
+    return rows.astype(np.int64)
+
+
+def _imposed(ends: np.ndarray, start_kind: np.ndarray, end_kind: np.ndarray, clamps: Clamps) -> np.ndarray:
+    """The two end frames (S, 2, 4) with what the clamps hold in place; a tangent clamp turns the edge by parallel transport,
+    keeping its spin."""
+    result = ends / np.linalg.norm(ends, axis=-1, keepdims=True)
+    for end, kind, frame in ((0, start_kind, clamps.start_frame), (1, end_kind, clamps.end_frame)):
         whole = kind == Clamp.FRAME
         if whole.any():
-            result[whole, edge] = quaternion_from_matrix(frame[whole])
+            result[whole, end] = quaternion_from_matrix(frame[whole])
         tangent = kind == Clamp.TANGENT
         if tangent.any():
-            old = result[tangent, edge]
+            old = result[tangent, end]
             turn = smallest_rotation(matrix_from_quaternion(old)[..., 0], frame[tangent][..., 0])
-            result[tangent, edge] = quaternion_product(turn, old)
+            result[tangent, end] = quaternion_product(turn, old)
     return result / np.linalg.norm(result, axis=-1, keepdims=True)
+
+
+def _whole(start: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """(S, E, 4) ``start`` normalised, with ``ends`` in their place."""
+    result = start / np.linalg.norm(start, axis=-1, keepdims=True)
+    result[:, 0], result[:, -1] = ends[:, 0], ends[:, 1]
+    return result
 
 
 @dataclass(frozen=True)
 class _FreePart:
-    """What the clamps leave of each rod: which edges may tilt (S, E), the line (S, 3) and its length, the span (S,), that
-    they have to bridge, and how far they reach (S,), mm."""
+    """What the clamps leave of each rod: which of the end edges may tilt (S, 2), as all inner ones may, the line (S, 3) and
+    its length, the span (S,), that the free edges have to bridge, and how far they reach (S,), mm."""
 
     tilting: np.ndarray
     line: np.ndarray
@@ -259,29 +310,34 @@ class _FreePart:
     reach: np.ndarray
 
 
-def _free_part(quaternions: np.ndarray, lengths: np.ndarray, clamp: np.ndarray) -> _FreePart:
-    tilting = np.ones(quaternions.shape[:2])
-    tilting[:, 0], tilting[:, -1] = clamp[:, TILT_START], clamp[:, TILT_END]
-    tangents = matrix_from_quaternion(quaternions[:, [0, -1]])[..., 0]
-    fixed = (lengths * (1 - tilting))[:, [0, -1], None] * tangents
-    line = clamp[:, TARGET : TARGET + 3] - fixed.sum(axis=1)
-    return _FreePart(tilting, line, np.linalg.norm(line, axis=-1), (lengths * tilting).sum(axis=1))
+def _free_part(ends: np.ndarray, lengths: np.ndarray, clamp: np.ndarray) -> _FreePart:
+    tilting = clamp[:, [TILT_START, TILT_END]]
+    held = lengths[:, [0, -1]] * (1 - tilting)
+    line = clamp[:, TARGET : TARGET + 3] - (held[..., None] * matrix_from_quaternion(ends)[..., 0]).sum(axis=1)
+    return _FreePart(tilting, line, np.linalg.norm(line, axis=-1), clamp[:, TOTAL] - held.sum(axis=1))
 
 
-def _bowed(quaternions, lengths, free: _FreePart, closed, up) -> np.ndarray:
+def _bowed(start, ends, lengths, free: _FreePart, closed, up) -> tuple[np.ndarray, np.ndarray]:
     """Starts that can be projected: free edges in one straight line have no first-order way to bring the far end closer.
 
     Where they are and must, they are bowed to the needed chord, downwards, or towards m1 where the line is upright.
     """
-    edges = quaternions.shape[1]
-    matrix = matrix_from_quaternion(quaternions)
-    chord = np.linalg.norm(((lengths * free.tilting)[..., None] * matrix[..., 0]).sum(axis=1), axis=-1)
+    edges = start.shape[1]
     share = free.span / free.reach
-    rows = np.flatnonzero(closed & (chord > free.reach * (1 - 1e-8)) & (share < 1 - 1e-8))
+    # Straight rods have their inner edges in line: two of them tell most others apart.
+    inner = matrix_from_quaternion(_whole(start[:, [1, edges // 2]], start[:, [1, edges // 2]]))[..., 0] if edges > 2 else None
+    rows = np.flatnonzero(closed & (share < 1 - 1e-8) & (True if inner is None else _in_line(inner)))
     if not len(rows):
-        return quaternions
-    tilting = free.tilting[rows]
-    middle = matrix[rows, edges // 2]
+        return start, ends
+    tilting = np.ones((len(rows), edges))
+    tilting[:, 0], tilting[:, -1] = free.tilting[rows].T
+    whole = _whole(start[rows], ends[rows])
+    matrix = matrix_from_quaternion(whole)
+    own = lengths if len(lengths) == 1 else lengths[rows]
+    chord = np.linalg.norm(((own * tilting)[..., None] * matrix[..., 0]).sum(axis=1), axis=-1)
+    straight = chord > free.reach[rows] * (1 - 1e-8)
+    rows, tilting, whole, matrix = rows[straight], tilting[straight], whole[straight], matrix[straight]
+    middle = matrix[:, edges // 2]
     axis = np.cross(-up, middle[..., 0])
     upright = np.linalg.norm(axis, axis=-1, keepdims=True) < 1e-3
     axis = np.where(upright, middle[..., 2], axis)
@@ -289,30 +345,42 @@ def _bowed(quaternions, lengths, free: _FreePart, closed, up) -> np.ndarray:
     # A sine arch of slope a cos(π s/L) has the chord L (1 − a²/4).
     place = (np.cumsum(tilting, axis=1) - 0.5) / tilting.sum(axis=1, keepdims=True)
     slope = np.minimum(2 * np.sqrt(1 - share[rows]), 1.0)[:, None] * np.cos(np.pi * place) * tilting
-    result = quaternions.copy()
-    result[rows] = quaternion_product(quaternion_about(-axis[:, None] * np.ones((1, edges, 1)), slope), quaternions[rows])
-    return result
+    turn = quaternion_about(-axis[:, None] * np.ones((1, edges, 1)), slope)
+    return _changed(start, ends, rows, quaternion_product(turn, whole))
 
 
-def _stretched(quaternions, clamp, free: _FreePart, closed) -> np.ndarray:
+def _in_line(tangents: np.ndarray) -> np.ndarray:
+    """(S,) bool: the two (S, 2, 3) point the same way, about."""
+    return np.sum(tangents[:, 0] * tangents[:, 1], axis=-1) > 1 - 1e-5
+
+
+def _stretched(start, ends, clamp, free: _FreePart, closed) -> tuple[np.ndarray, np.ndarray]:
     """Rods as long as their span: the one straight line they can be, with nothing left to relax but the spins.
 
     Their clamps are changed to say so; the turns of their frames are kept by parallel transport.
     """
     rows = np.flatnonzero(closed & (free.span > free.reach * (1 - TAUT)))
     if not len(rows):
-        return quaternions
-    tangents = matrix_from_quaternion(quaternions[rows])[..., 0]
+        return start, ends
+    whole = _whole(start[rows], ends[rows])
+    tangents = matrix_from_quaternion(whole)[..., 0]
     turn = smallest_rotation(tangents, (free.line[rows] / free.span[rows, None])[:, None])
-    result = quaternions.copy()
-    straight = quaternion_product(turn, quaternions[rows])
-    result[rows] = np.where(free.tilting[rows, :, None] > 0, straight, quaternions[rows])
+    straight = quaternion_product(turn, whole)
+    for edge, tilting in zip((0, -1), free.tilting[rows].T):
+        straight[:, edge] = np.where(tilting[:, None] > 0, straight[:, edge], whole[:, edge])
     clamp[rows[:, None], [CLOSED, TILT_START, TILT_END, TILT_INNER]] = 0.0
-    return result
+    return _changed(start, ends, rows, straight)
+
+
+def _changed(start, ends, rows, quaternions) -> tuple[np.ndarray, np.ndarray]:
+    """``start`` and ``ends`` with other frames in some rows; what was given is left as it is."""
+    start, ends = start.copy(), ends.copy()
+    start[rows], ends[rows] = quaternions, quaternions[:, [0, -1]]
+    return start, ends
 
 
 def _clamp_table(start, lengths, start_kind, end_kind, clamps):
-    """(clamp table, anchor (S, 3)): see :class:`Tables`."""
+    """(S, CLAMP_COLUMNS): see the columns' names."""
     held_start, held_end = start_kind >= Clamp.POSITION, end_kind >= Clamp.POSITION
     first = np.where(held_start[:, None], clamps.start_position, start)
     last = np.where(held_end[:, None], clamps.end_position, 0.0)
@@ -335,7 +403,8 @@ def _clamp_table(start, lengths, start_kind, end_kind, clamps):
     from_start, from_end = lengths + 2 * beyond, lengths + 2 * beyond - 2 * total[:, None]
     arms = (np.abs(lengths * arm).max(axis=1) for arm in (from_end, from_start))
     table[:, HANGING] = np.where(released, *arms)
-    return table, np.where(released[:, None], last, first)
+    table[:, ANCHOR : ANCHOR + 3] = np.where(released[:, None], last, first)
+    return table
 
 
 def _section_table(bend: np.ndarray, material: Material) -> np.ndarray:

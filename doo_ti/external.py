@@ -1,0 +1,99 @@
+"""Energies at the vertices of a rod, from outside it: what pulls or pushes it besides bending, twist and gravity.
+
+A kind of external energy is a table of numbers on the host and two Taichi functions on the device, ``load`` and
+``evaluate``; :mod:`doo_ti.loaded_chain` knows no more of it. Springs are the quadratic one.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from doo_ti.errors import InputError
+
+
+class ExternalFunctions(NamedTuple):
+    """What an external energy is to the kernels.
+
+    load      (scratch, at, slot, numbers, row, edge, scale): those of ``numbers``' row, energies times ``scale``
+    evaluate  (scratch, at, start, end): an edge's energy E with its vertices at ``start`` and ``end``, and the moments of
+              its gradient γ and positive semidefinite curvature K over the places s in [0, 1] along the edge where it acts,
+              (E, Σ γ, Σ s γ, Σ K, Σ s K, Σ s² K), K as (11, 12, 13, 22, 23, 33)
+    """
+
+    load: Callable
+    evaluate: Callable
+
+
+@dataclass(frozen=True)
+class Springs:
+    """½ k |x_i − p_i|² at every vertex: the simplest external energy.
+
+    points     (A, V, 3) mm
+    stiffness  (A, V) k ≥ 0 in the units of energy over mm²: with weight 1, 1 holds with 1 mm² per mm²
+
+    Rods take turns with the A rows as ``external_index`` says. Raises InputError for shapes that do not match, and for
+    numbers that are negative or not finite.
+    """
+
+    points: np.ndarray
+    stiffness: np.ndarray
+    items: ClassVar[int] = 4  # numbers in scratch per edge
+
+    def __post_init__(self):
+        points, stiffness = (np.asarray(value, dtype=np.float64) for value in (self.points, self.stiffness))
+        if points.ndim != 3 or points.shape[-1] != 3 or stiffness.shape != points.shape[:2]:
+            shapes = f"shapes {points.shape} and {stiffness.shape}"
+            raise InputError("Springs", "points, stiffness", shapes, "give (A, V, 3) and (A, V)")
+        if not np.isfinite(points).all():
+            raise InputError("Springs", "points", "not finite", "give finite points, and stiffness 0 where there is none")
+        if not (np.isfinite(stiffness).all() and (stiffness >= 0).all()):
+            raise InputError("Springs", "stiffness", "negative or not finite", "give zero or more")
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "stiffness", stiffness)
+
+    @property
+    def count(self) -> int:
+        """A."""
+        return len(self.points)
+
+    @property
+    def vertices(self) -> int:
+        """V."""
+        return self.points.shape[1]
+
+    def numbers(self) -> np.ndarray:
+        """(A, V, 4): point and stiffness."""
+        return np.ascontiguousarray(np.concatenate([self.points, self.stiffness[..., None]], axis=-1))
+
+    def energy_at_start(self, start: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """(R,) energy at vertex 0 in ``start`` (R, 3), which no kernel moves."""
+        return 0.5 * self.stiffness[index, 0] * np.sum((start - self.points[index, 0]) ** 2, axis=-1)
+
+    @staticmethod
+    def functions(number, stride: int, first: int) -> ExternalFunctions:
+        """On the device, with its items from ``first`` on: each edge carries the spring of the vertex where it ends."""
+        import taichi as ti
+
+        put = number.lanes().put
+
+        @ti.func
+        def load(scratch: ti.template(), at, slot, numbers: ti.template(), row, edge, scale):
+            for k in ti.static(range(3)):
+                put(scratch, at + (first + k) * stride, slot, numbers[row, edge + 1, k])
+            put(scratch, at + (first + 3) * stride, slot, numbers[row, edge + 1, 3] * scale)
+
+        @ti.func
+        def evaluate(scratch: ti.template(), at, start, end):
+            k = scratch[at + (first + 3) * stride]
+            d0 = end[0] - scratch[at + first * stride]
+            d1 = end[1] - scratch[at + (first + 1) * stride]
+            d2 = end[2] - scratch[at + (first + 2) * stride]
+            energy = 0.5 * k * (d0 * d0 + d1 * d1 + d2 * d2)
+            gradient = (k * d0, k * d1, k * d2)
+            none = 0.0 * k
+            curvature = (k, none, none, k, none, k)
+            return energy, gradient, gradient, curvature, curvature, curvature
+
+        return ExternalFunctions(load, evaluate)
