@@ -14,7 +14,7 @@ from typing import BinaryIO
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.frames import FRAME_TOLERANCE, orthonormality_error
+from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
 from doo_ti.importers import read_npz, read_table, write_table
 from doo_ti.types import LARGEST
 
@@ -200,7 +200,7 @@ class Observations:
     def _checked_frames(self, name: str, axes: tuple, size: dict[str, int]) -> np.ndarray:
         frames = self._finite(name, self._numbers(name, axes, size))
         for bad, problem in ((orthonormality_error(frames) > FRAME_TOLERANCE, "not orthonormal"),
-                             (np.linalg.det(frames) < 0, "left-handed")):
+                             (handedness(frames) < 0, "left-handed")):
             if bad.any():
                 at = tuple(np.argwhere(bad)[0].tolist())
                 raise self._error(name, f"the frame at {list(at)} is {problem}: {np.round(frames[at], 4).tolist()}",

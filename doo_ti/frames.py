@@ -21,26 +21,54 @@ def matrix_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
     return matrix
 
 
+def tangent_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
+    """(..., 4) unit quaternions to (..., 3) tangents, the first columns of their rotations."""
+    w, x, y, z = np.moveaxis(np.asarray(quaternion, dtype=np.float64), -1, 0)
+    return np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=-1)
+
+
 def quaternion_from_matrix(matrix: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) rotation matrices to (..., 4) unit quaternions, the largest component positive."""
+    """(..., 3, 3) rotation matrices to (..., 4) unit quaternions, the largest component positive, or the scalar one where it
+    exceeds a half."""
     m = np.asarray(matrix, dtype=np.float64)
-    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
-    # The outer product q qᵀ times four; its row with the largest diagonal entry is q up to length, without cancellation.
-    outer = np.empty((*m.shape[:-2], 4, 4))
-    outer[..., 0, 0], outer[..., 1, 1] = 1 + xx + yy + zz, 1 + xx - yy - zz
-    outer[..., 2, 2], outer[..., 3, 3] = 1 - xx + yy - zz, 1 - xx - yy + zz
-    off = {(0, 1): m[..., 2, 1] - m[..., 1, 2], (0, 2): m[..., 0, 2] - m[..., 2, 0], (0, 3): m[..., 1, 0] - m[..., 0, 1],
-           (1, 2): m[..., 0, 1] + m[..., 1, 0], (1, 3): m[..., 0, 2] + m[..., 2, 0], (2, 3): m[..., 1, 2] + m[..., 2, 1]}
-    for (i, j), value in off.items():
-        outer[..., i, j] = outer[..., j, i] = value
-    best = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
-    row = np.take_along_axis(outer, best[..., None, None], axis=-2)[..., 0, :]
+    trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
+    # Each row of 4 q qᵀ is q up to length. The first serves unless the scalar component is small, the largest always.
+    row = np.stack([1 + trace, m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]], axis=-1)
+    small = ~(trace > 0)
+    if small.any():
+        row[small] = _largest_row(m[small])
     return row / np.linalg.norm(row, axis=-1, keepdims=True)
 
 
+def _largest_row(m: np.ndarray) -> np.ndarray:
+    """(N, 4) the row of 4 q qᵀ with the largest diagonal entry, without cancellation."""
+    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    outer = np.empty((len(m), 4, 4))
+    outer[:, 0, 0], outer[:, 1, 1] = 1 + xx + yy + zz, 1 + xx - yy - zz
+    outer[:, 2, 2], outer[:, 3, 3] = 1 - xx + yy - zz, 1 - xx - yy + zz
+    off = {(0, 1): m[..., 2, 1] - m[..., 1, 2], (0, 2): m[..., 0, 2] - m[..., 2, 0], (0, 3): m[..., 1, 0] - m[..., 0, 1],
+           (1, 2): m[..., 0, 1] + m[..., 1, 0], (1, 3): m[..., 0, 2] + m[..., 2, 0], (2, 3): m[..., 1, 2] + m[..., 2, 1]}
+    for (i, j), value in off.items():
+        outer[:, i, j] = outer[:, j, i] = value
+    best = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    return outer[np.arange(len(m)), best]
+
+
 def orthonormality_error(frames: np.ndarray) -> np.ndarray:
-    """(...) largest entry of |FᵀF − I| of (..., 3, 3) frames."""
-    return np.abs(np.swapaxes(frames, -1, -2) @ frames - np.eye(3)).max(axis=(-1, -2), initial=0)
+    """(...) how far (..., 3, 3) frames are from orthonormal columns: the largest entry of |FᵀF − I|."""
+    t, m1, m2 = (frames[..., k] for k in range(3))
+    worst = np.zeros(frames.shape[:-2])
+    for a, b, wanted in ((t, t, 1.0), (m1, m1, 1.0), (m2, m2, 1.0), (t, m1, 0.0), (t, m2, 0.0), (m1, m2, 0.0)):
+        product = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+        np.maximum(worst, np.abs(product - wanted), out=worst)
+    return worst
+
+
+def handedness(frames: np.ndarray) -> np.ndarray:
+    """(...) m2 · (t × m1) of (..., 3, 3) frames: one for a rotation, minus one for a left-handed frame."""
+    t, m1, m2 = (np.moveaxis(frames[..., k], -1, 0) for k in range(3))
+    return (m2[0] * (t[1] * m1[2] - t[2] * m1[1]) + m2[1] * (t[2] * m1[0] - t[0] * m1[2])
+            + m2[2] * (t[0] * m1[1] - t[1] * m1[0]))
 
 
 def quaternion_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:

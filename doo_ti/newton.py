@@ -185,8 +185,9 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
     def relax_rods(
         edges, handful, start: ti.template(), ends: ti.template(), rest_length: ti.template(), clamp: ti.template(),
         bend: ti.template(), twist: ti.template(), rest: ti.template(), section: ti.template(), rods: ti.template(), up,
-        tolerance, max_iterations, first_shift, max_rotation, max_escapes, closing_distance, thread, origin, scratch: ti.template(),
-        lane_rod: ti.template(), queue: ti.template(), frames: ti.template(), results: ti.template(), outer: ti.template(),
+        tolerance, max_iterations, first_shift, max_rotation, max_escapes, closing_distance, thread, origin,
+        scratch: ti.template(), lane_rod: ti.template(), queue: ti.template(), frames: ti.template(), results: ti.template(),
+        outer: ti.template(),
     ):
         """A thread's work, until the queue is empty; ``outer`` are the numbers of the external energy, if there is one."""
         zero = constant(0.0)
@@ -454,8 +455,8 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
         for thread in range(threads):
             relax_rods(
                 edges, handful, start, ends, rest_length, clamp, bend, twist, rest, section, rods, up, tolerance,
-                max_iterations, first_shift, max_rotation, max_escapes, closing_distance, thread, thread * origin_stride, scratch, lane_rod,
-                queue, frames, results, section)
+                max_iterations, first_shift, max_rotation, max_escapes, closing_distance, thread, thread * origin_stride,
+                scratch, lane_rod, queue, frames, results, section)
 
     @ti.kernel
     def newton_under_load(
@@ -470,7 +471,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
         for thread in range(threads):
             relax_rods(
                 edges, handful, start, ends, rest_length, clamp, bend, twist, rest, section, rods, up, tolerance,
-                max_iterations, first_shift, max_rotation, max_escapes, closing_distance, thread, thread * origin_stride, scratch, lane_rod,
-                queue, frames, results, outer)
+                max_iterations, first_shift, max_rotation, max_escapes, closing_distance, thread, thread * origin_stride,
+                scratch, lane_rod, queue, frames, results, outer)
 
     return newton_under_load if under_load else newton

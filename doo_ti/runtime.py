@@ -42,8 +42,23 @@ def start(architecture: str | None = None, threads: int | None = None) -> str:
                 log_level=ti.ERROR,
                 **count,
             )
+        if not os.environ.get("DOO_TI_DEBUG"):
+            _spare_quotations()
         _architecture = architecture
     return _architecture
+
+
+def _spare_quotations() -> None:
+    """Have Taichi leave out the piece of source it quotes for every expression of a kernel, should it be wrong.
+
+    Laying them out takes half of the time until a kernel runs, in every process, and ours compile. With DOO_TI_DEBUG set an
+    error in a kernel is quoted again.
+    """
+    from taichi.lang.ast import ast_transformer_utils
+
+    context = getattr(ast_transformer_utils, "ASTTransformerContext", None)
+    if hasattr(context, "get_pos_info"):
+        context.get_pos_info = lambda self, node: ""
 
 
 def thread_count() -> int:

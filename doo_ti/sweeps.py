@@ -38,7 +38,8 @@ from doo_ti.start import (
 )
 from doo_ti.types import Clamp
 
-RODS_PER_CHUNK = 32_768
+CHUNK_BYTES = 32 << 20
+"""Memory for the frames of a chunk's rods, the larger part of what a sweep holds: 31 000 rods of 33 edges."""
 MOST_RODS = 1_000_000_000
 MOST_FRAMES = 60
 """Solver iterations of the best cell that are recorded."""
@@ -80,9 +81,10 @@ def sweep(run: Path, observations: Observations, grid: Grid, *, options: SweepOp
     if rods * grid.size > MOST_RODS:
         raise InputError(grid.source, "grid", f"{grid.size:,} cells are {rods * grid.size:,} rods",
                          f"give a grid of at most {MOST_RODS // rods:,} cells")
-    identity = identity_of(observations, grid, options, RODS_PER_CHUNK)
+    together = CHUNK_BYTES // (32 * observations.edges)
+    identity = identity_of(observations, grid, options, together)
     claim(run, identity)
-    step = max(1, RODS_PER_CHUNK // rods)
+    step = max(1, together // rods)
     chunks = [(first, min(first + step, grid.size)) for first in range(0, grid.size, step)]
     left = [chunk for chunk in chunks if not chunk_path(run, *chunk).exists()]
     if not left and (done := finished(run, identity)):

@@ -12,12 +12,14 @@ from doo_ti.errors import InputError
 from doo_ti.external import Springs
 from doo_ti.frames import (
     FRAME_TOLERANCE,
+    handedness,
     matrix_from_quaternion,
     orthonormality_error,
     quaternion_about,
     quaternion_from_matrix,
     quaternion_product,
     smallest_rotation,
+    tangent_from_quaternion,
 )
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 
@@ -34,7 +36,8 @@ WEIGHT, LARGEST_BEND, STIFFEST, ROUND, SECTION_COLUMNS = 0, 1, 2, 3, 4
 # Columns of a rod's results; the multiplier λ of closure has three.
 ENERGY, RESIDUAL, CLOSURE, ITERATIONS, STATUS, STABLE, MULTIPLIER, RESULTS = 0, 1, 2, 3, 4, 5, 6, 9
 
-
+MOST_NUMBERS = 2**31 - 1
+"""A table has no more entries: the kernels count them with 32 bits."""
 TAUT = 1e-9
 """A rod whose slack is less than this share of its length is straight."""
 
@@ -105,7 +108,7 @@ class Tables:
             held = rows[turning[self.configuration_index[rows]]]
             here, old = frames[held, -end], self.ends[self.configuration_index[held], end]
             here /= np.linalg.norm(here, axis=-1, keepdims=True)
-            turn = smallest_rotation(matrix_from_quaternion(here)[..., 0], matrix_from_quaternion(old)[..., 0])
+            turn = smallest_rotation(tangent_from_quaternion(here), tangent_from_quaternion(old))
             frames[held, -end] = quaternion_product(turn, here)
 
     def continued(self, usable: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -159,6 +162,9 @@ def tables(
     if not (np.isfinite(lengths).all() and (lengths > 0).all()):
         raise InputError("configuration", "rest_length", f"{lengths.min():g}", "give positive lengths in mm")
     index_c, index_m = _pairs(count, material.count, configuration_index, material_index)
+    if max(count, len(index_c)) * edges * 4 > MOST_NUMBERS:
+        raise InputError("relax", "configuration", f"{max(count, len(index_c)):,} rods of {edges} edges in one call",
+                         f"give at most {MOST_NUMBERS // (4 * edges):,} at a time")
     index_e = _external_rows(external, external_index, len(index_c), edges)
     start_kind, end_kind = (_kinds(name, getattr(clamps, name), count) for name in ("start", "end"))
     _check_frames("start_frame", clamps.start_frame, start_kind)
@@ -222,18 +228,19 @@ def _check_shapes(configuration: Configuration, clamps: Clamps) -> None:
 
 def _check_frames(name: str, frames: np.ndarray, kind: np.ndarray) -> None:
     """Raise InputError where a frame that a clamp holds is finite but no rotation."""
-    held = frames[kind == Clamp.FRAME]
-    held = held[np.isfinite(held).all(axis=(1, 2)) & (np.abs(held).max(axis=(1, 2), initial=0) > 0)]
-    bad = np.flatnonzero((orthonormality_error(held) > FRAME_TOLERANCE) | (np.linalg.det(held) < 0))
+    bad = np.flatnonzero((kind == Clamp.FRAME) & ((orthonormality_error(frames) > FRAME_TOLERANCE) | (handedness(frames) < 0)))
+    # A frame of zeros says that there is none.
+    bad = [row for row in bad if np.isfinite(frames[row]).all() and frames[row].any()]
     if len(bad):
-        raise InputError("clamps", name, f"{np.round(held[bad[0]], 4).tolist()} is no rotation",
+        raise InputError("clamps", name, f"{np.round(frames[bad[0]], 4).tolist()} is no rotation",
                          "give unit, orthogonal columns t, m1, m2 with m2 = t x m1")
 
 
 def _kinds(name: str, kind, count: int) -> np.ndarray:
     """(S,) Clamp numbers. Raises InputError for anything that is not one Clamp, or one for each start."""
     kind = np.asarray(kind)
-    if kind.shape not in ((), (1,), (count,)) or not np.isin(kind, [int(known) for known in Clamp]).all():
+    known = kind.dtype.kind in "iuf" and bool(((kind >= Clamp.FREE) & (kind <= Clamp.FRAME) & (kind == kind.astype(int))).all())
+    if kind.shape not in ((), (1,), (count,)) or not known:
         raise InputError("clamps", name, f"{kind.tolist()!r}", "give a Clamp, or one for each start")
     return np.broadcast_to(kind.astype(np.int64), count)
 
@@ -287,7 +294,7 @@ def _imposed(ends: np.ndarray, start_kind: np.ndarray, end_kind: np.ndarray, cla
         tangent = kind == Clamp.TANGENT
         if tangent.any():
             old = result[tangent, end]
-            turn = smallest_rotation(matrix_from_quaternion(old)[..., 0], frame[tangent][..., 0])
+            turn = smallest_rotation(tangent_from_quaternion(old), frame[tangent][..., 0])
             result[tangent, end] = quaternion_product(turn, old)
     return result / np.linalg.norm(result, axis=-1, keepdims=True)
 
@@ -313,7 +320,7 @@ class _FreePart:
 def _free_part(ends: np.ndarray, lengths: np.ndarray, clamp: np.ndarray) -> _FreePart:
     tilting = clamp[:, [TILT_START, TILT_END]]
     held = lengths[:, [0, -1]] * (1 - tilting)
-    line = clamp[:, TARGET : TARGET + 3] - (held[..., None] * matrix_from_quaternion(ends)[..., 0]).sum(axis=1)
+    line = clamp[:, TARGET : TARGET + 3] - (held[..., None] * tangent_from_quaternion(ends)).sum(axis=1)
     return _FreePart(tilting, line, np.linalg.norm(line, axis=-1), clamp[:, TOTAL] - held.sum(axis=1))
 
 
@@ -325,8 +332,7 @@ def _bowed(start, ends, lengths, free: _FreePart, closed, up) -> tuple[np.ndarra
     edges = start.shape[1]
     share = free.span / free.reach
     # Straight rods have their inner edges in line: two of them tell most others apart.
-    inner = matrix_from_quaternion(_whole(start[:, [1, edges // 2]], start[:, [1, edges // 2]]))[..., 0] if edges > 2 else None
-    rows = np.flatnonzero(closed & (share < 1 - 1e-8) & (True if inner is None else _in_line(inner)))
+    rows = np.flatnonzero(closed & (share < 1 - 1e-8) & _in_line(start[:, [min(1, edges - 1), edges // 2]]))
     if not len(rows):
         return start, ends
     tilting = np.ones((len(rows), edges))
@@ -349,9 +355,10 @@ def _bowed(start, ends, lengths, free: _FreePart, closed, up) -> tuple[np.ndarra
     return _changed(start, ends, rows, quaternion_product(turn, whole))
 
 
-def _in_line(tangents: np.ndarray) -> np.ndarray:
-    """(S,) bool: the two (S, 2, 3) point the same way, about."""
-    return np.sum(tangents[:, 0] * tangents[:, 1], axis=-1) > 1 - 1e-5
+def _in_line(frames: np.ndarray) -> np.ndarray:
+    """(S,) bool: the tangents of the two frames (S, 2, 4) point the same way, about."""
+    tangents = tangent_from_quaternion(frames / np.linalg.norm(frames, axis=-1, keepdims=True))
+    return np.abs(tangents[:, 0] - tangents[:, 1]).max(axis=-1) < 1e-2
 
 
 def _stretched(start, ends, clamp, free: _FreePart, closed) -> tuple[np.ndarray, np.ndarray]:
@@ -363,7 +370,7 @@ def _stretched(start, ends, clamp, free: _FreePart, closed) -> tuple[np.ndarray,
     if not len(rows):
         return start, ends
     whole = _whole(start[rows], ends[rows])
-    tangents = matrix_from_quaternion(whole)[..., 0]
+    tangents = tangent_from_quaternion(whole)
     turn = smallest_rotation(tangents, (free.line[rows] / free.span[rows, None])[:, None])
     straight = quaternion_product(turn, whole)
     for edge, tilting in zip((0, -1), free.tilting[rows].T):

@@ -22,8 +22,8 @@ from doo_ti.newton import Newton
 from doo_ti.types import Configuration, Solution
 
 COARSE, FINE = Newton(tolerance=1e-6), Newton(tolerance=1e-9)
-# Counted from the source: additions, multiplications and divisions of a rod's iteration over its edges, each as one.
-FLOPS_PER_EDGE = {"isotropic": 850.0, "general": 1250.0}
+# Additions, subtractions, multiplications, divisions and roots of one iteration over one edge, counted in the loops' machine code.
+FLOPS_PER_EDGE = {"isotropic": 890.0, "general": 1480.0, "springs": 1140.0}
 ROUND_SECONDS = 0.3
 """A round repeats its case for about this long, so that a neighbour's moment of work does not decide it."""
 
@@ -116,6 +116,24 @@ class Specimens:
         """``many``, a tenth of bend and twist away from the solution each rod starts from."""
         return workload.warm(self.many, self.relaxed)
 
+    @cached_property
+    def pulled(self) -> Rods:
+        """``many`` with their far end free and springs at their vertices."""
+        return workload.pulled(self.many)
+
+    @cached_property
+    def handfuls(self) -> list[Rods]:
+        """Batches of 256 of ``many``, over tables that hold no other rods."""
+        return self._batches(256, max(self.count // 4096, 1))
+
+    @cached_property
+    def singles(self) -> list[Rods]:
+        """Rods of ``many``, each by itself."""
+        return self._batches(1, max(self.count // 512, 1))
+
+    def _batches(self, size: int, count: int) -> list[Rods]:
+        return [self.many.alone(slice(at, at + size)) for at in (k * size % max(self.count - size, 1) for k in range(count))]
+
 
 def cases(rods: Specimens) -> list[Case]:
     """The matrix."""
@@ -126,8 +144,9 @@ def cases(rods: Specimens) -> list[Case]:
         Case("newton mixed", "rods/s", lambda: relaxed(rods.many, FINE, "mixed"), (32, 64)),
         Case("newton f32 general B", "rods/s", lambda: relaxed(rods.band, COARSE, "f32"), (32,)),
         Case("newton f32 warm start", "rods/s", lambda: relaxed(rods.warm, near, "f32"), (32,)),
-        Case("newton f32 batches of 256", "rods/s", lambda: in_batches(rods.many, 256, max(rods.count // 4096, 1))),
-        Case("newton f32 one rod", "rods/s", lambda: in_batches(rods.many, 1, max(rods.count // 512, 1))),
+        Case("newton f32 free end, springs", "rods/s", lambda: relaxed(rods.pulled, COARSE, "f32"), (32,)),
+        Case("newton f32 batches of 256", "rods/s", lambda: one_by_one(rods.handfuls)),
+        Case("newton f32 one rod", "rods/s", lambda: one_by_one(rods.singles)),
         Case("descent f64", "iterations/s", lambda: stepped(rods.many.take(slice(max(rods.count // 64, 1))))),
         Case("metric", "rods/s", lambda: compared(rods.relaxed.configuration, rods.sutures[0])),
     ]
@@ -138,10 +157,9 @@ def relaxed(rods: Rods, solver: Newton, precision: str) -> Outcome:
     return converged(rods, rods.relaxed(solver, precision))
 
 
-def in_batches(rods: Rods, size: int, calls: int) -> Outcome:
-    """One call of ``size`` rods after another, over tables that hold no other rods."""
-    first = [k * size % max(rods.count - size, 1) for k in range(calls)]
-    return converged(rods, *(rods.alone(slice(at, at + size)).relaxed(COARSE, "f32") for at in first))
+def one_by_one(batches: list[Rods]) -> Outcome:
+    """One call after another."""
+    return converged(batches[0], *(rods.relaxed(COARSE, "f32") for rods in batches))
 
 
 def converged(rods: Rods, *solutions: Solution) -> Outcome:
@@ -149,7 +167,8 @@ def converged(rods: Rods, *solutions: Solution) -> Outcome:
     done, stable, residual, iterations = (
         np.concatenate([getattr(solution, name) for solution in solutions])
         for name in ("converged", "stable", "residual", "iterations"))
-    flops = rods.starts.edges * FLOPS_PER_EDGE["isotropic" if rods.material.is_isotropic else "general"]
+    variant = "springs" if rods.springs else "isotropic" if rods.material.is_isotropic else "general"
+    flops = rods.starts.edges * FLOPS_PER_EDGE[variant]
     return Outcome(float(done.sum()), float(done.mean()), float(stable.mean()), float(np.max(residual[done], initial=0.0)),
                    iterations, flops * float(iterations.sum()))
 

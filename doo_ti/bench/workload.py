@@ -11,12 +11,13 @@ import numpy as np
 
 from doo_ti.dataset import Observations
 from doo_ti.descent import Descent
+from doo_ti.external import Springs
 from doo_ti.newton import Newton
 from doo_ti.relaxation import relax
 from doo_ti.scene import Synthesis
 from doo_ti.start import observation_clamps, start_configuration
 from doo_ti.synthesis import synthesise
-from doo_ti.types import Clamps, Configuration, Material, Solution
+from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
 
 RIBBON_TWIST = 5e5  # mm³, β of the lab's ribbon
 LAB = {
@@ -31,19 +32,23 @@ BEND_RANGE = (5e4, 1e7)  # mm³
 TWIST_RATIO_RANGE = (0.1, 6.0)
 NEAR = 0.1
 """Share by which bend and twist of a warm start differ from those that it is the solution for."""
+SPRING = 100.0
+"""Stiffness of a spring: 1 mm off its point it pulls as much as 5 cm of rod weigh."""
 SEED = 0
 UP = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
 class Rods:
-    """R rods: row ``of_start[r]`` of the S starts and clamps under row ``of_material[r]`` of the G materials."""
+    """R rods: row ``of_start[r]`` of the S starts and clamps under row ``of_material[r]`` of the G materials, and where there
+    are springs under row ``of_start[r]`` of those."""
 
     starts: Configuration
     clamps: Clamps
     material: Material
     of_start: np.ndarray
     of_material: np.ndarray
+    springs: Springs | None = None
 
     @property
     def count(self) -> int:
@@ -53,7 +58,8 @@ class Rods:
     def relaxed(self, solver: Newton | Descent, precision: str) -> Solution:
         """All rods, NumPy in to NumPy out."""
         return relax(self.starts, self.material, self.clamps, solver, up=UP, precision=precision,
-                     configuration_index=self.of_start, material_index=self.of_material)
+                     configuration_index=self.of_start, material_index=self.of_material, external=self.springs,
+                     external_index=None if self.springs is None else self.of_start)
 
     def take(self, rods: np.ndarray | slice) -> "Rods":
         """The rods named by ``rods``, in that order, over the same tables."""
@@ -113,6 +119,14 @@ def warm(rods: Rods, solution: Solution) -> Rods:
     near = Material(material.bend[row] * bend[:, None, None, None], material.twist[row] * twist[:, None],
                     material.weight[row])
     return paired(solution.configuration, rods.clamps.take(rods.of_start), near)
+
+
+def pulled(rods: Rods) -> Rods:
+    """The rods with their far end free, and a spring from every vertex to where the start has it."""
+    starts, held = rods.starts, rods.clamps
+    clamps = Clamps(held.start, Clamp.FREE, held.start_position, held.end_position, held.start_frame, held.end_frame)
+    points = starts.vertices
+    return replace(rods, clamps=clamps, springs=Springs(points, np.full(points.shape[:2], SPRING)))
 
 
 def refined(starts: Configuration, edges: int) -> Configuration:

@@ -33,7 +33,7 @@ def observations() -> Observations:
 
 @pytest.fixture
 def small_chunks(monkeypatch):
-    monkeypatch.setattr(sweeps, "RODS_PER_CHUNK", 18)  # three cells of six observations
+    monkeypatch.setattr(sweeps, "CHUNK_BYTES", 18 * 32 * 33)  # three cells of six observations
 
 
 def cells(run) -> dict[str, np.ndarray]:
@@ -105,7 +105,7 @@ def test_an_interrupted_sweep_goes_on_and_ends_the_same(tmp_path, observations, 
 
 def test_chunks_and_workers_change_nothing(tmp_path, observations, monkeypatch):
     sweep(tmp_path / "one", observations, GRID)
-    monkeypatch.setattr(sweeps, "RODS_PER_CHUNK", 18)
+    monkeypatch.setattr(sweeps, "CHUNK_BYTES", 18 * 32 * 33)
     sweep(tmp_path / "chunks", observations, GRID)
     sweep(tmp_path / "workers", observations, GRID, options=SweepOptions(workers=2))
     assert_same_cells(tmp_path / "one", tmp_path / "chunks")
