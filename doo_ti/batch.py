@@ -46,7 +46,7 @@ def continue_newton(table: Tables, up: np.ndarray, options: newton.Newton, bits:
 
 def pack_trips(bits: int) -> tuple[int, int]:
     """(trips through Newton's loop, all threads together, and rods in a pack) of the last launch in that precision."""
-    (number, _), buffers = next((key, found) for key, found in _scratch.items() if key[0].bits == bits)
+    number, buffers = next((number, buffers) for number, buffers in _scratch.items() if number.bits == bits)
     return int(buffers[2].to_numpy()[1]), number.width
 
 
@@ -70,15 +70,16 @@ def _launch_newton(table: Tables, rods, up, options: newton.Newton, bits: int, f
     external = table.external
     kind = None if external is None else type(external)
     outer = () if external is None else (external.numbers(),)
-    items = chain.item_count(table.isotropic) + (0 if external is None else external.items)
+    per_edge = chain.item_count(table.isotropic) + (0 if external is None else external.items)
+    items = newton.ASKED_ITEMS + per_edge * table.edges
     kernel = newton.newton_kernel(number, table.isotropic, stride, block, kind)
-    scratch, lane_rod, queue = _buffers(number, threads, items * table.edges)
+    scratch, lane_rod, queue = _buffers(number, threads, items)
     kernel(
         table.edges, _handful(len(rods), threads * number.width), table.start.reshape(-1), table.ends.reshape(-1),
         table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.section, rods,
         ti.Vector(list(up), dt=ti.f64), options.tolerance or (1e-6 if bits == 32 else 1e-9), options.max_iterations,
         options.first_shift, options.max_rotation, options.max_escapes, newton.CLOSING_DISTANCE if moving else -1.0, threads,
-        items * table.edges if stride == 1 else 1, scratch, lane_rod, queue, frames.reshape(-1), results, *outer,
+        items if stride == 1 else 1, scratch, lane_rod, queue, frames.reshape(-1), results, *outer,
     )
 
 
@@ -148,15 +149,18 @@ def _handful(rods: int, lanes: int) -> int:
 
 
 def _buffers(number: Number, threads: int, items: int):
-    """(scratch for every thread, rod of every lane, queue and trips set to zero); scratch grows when needed, never shrinks."""
+    """(scratch for every thread, rod of every lane, queue and trips set to zero), kept from call to call.
+
+    They grow at least twofold: Taichi never gives back arrays of packs, so those outgrown stay, together less than the last.
+    """
     import taichi as ti
 
-    key = (number, threads)
-    if key not in _scratch or _scratch[key][0].shape[0] < threads * items:
-        _scratch[key] = (
-            ti.ndarray(number.type, threads * items),
-            ti.ndarray(ti.i32, threads * number.width),
-            ti.ndarray(ti.i32, 2),
-        )
-    _scratch[key][2].fill(0)
-    return _scratch[key]
+    sizes = [threads * items, threads * number.width]
+    kept = _scratch.get(number)
+    if kept is None or any(array.shape[0] < size for array, size in zip(kept, sizes)):
+        if kept is not None:
+            sizes = [max(size, 2 * array.shape[0]) for array, size in zip(kept, sizes)]
+        kept = _scratch[number] = (
+            ti.ndarray(number.type, sizes[0]), ti.ndarray(ti.i32, sizes[1]), ti.ndarray(ti.i32, 2))
+    kept[2].fill(0)
+    return kept

@@ -224,4 +224,4 @@ def loaded_sweeps(number, isotropic: bool, stride: int, external: type, function
         return ti.sqrt(longest)
 
     return SimpleNamespace(step=plain.step, close=plain.close, eliminate=eliminate, restore=plain.restore,
-                           substitute=substitute, items=items)
+                           substitute=substitute, items=items, load3=load3, load4=load4)

@@ -90,6 +90,12 @@ NOTABLE = 1e-8  # of the energy's magnitude, which locked-in twist may dominate
 PATIENCE_AT_SADDLE = 8  # trips without noteworthy progress where the inertia is wrong
 
 
+# What is asked of a lane's rod: items in scratch before those of its edges. They lie there, not in variables of the loop,
+# because a lane is set there without touching the others.
+ASKED_TARGET, ASKED_CLOSED, ASKED_FREE, ASKED_RELEASED, ASKED_TOTAL, ASKED_LONGEST = 0, 3, 4, 9, 10, 11
+ASKED_UNIT, ASKED_STIFFNESS, ASKED_GRAVITY, ASKED_ANCHOR, ASKED_SCALE, ASKED_ITEMS = 12, 13, 15, 18, 21, 22
+
+
 @cache
 def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, external: type | None = None):
     """The compiled-on-first-use kernel for one kind of number, of material and of external energy.
@@ -175,6 +181,30 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
             at += ti.static(items * stride)
 
     @ti.func
+    def load_asked(scratch: ti.template(), head, slot, s, g, divisor, clamp: ti.template(), bend: ti.template(),
+                   twist: ti.template(), section: ti.template(), up):
+        """What is asked of the rod (configuration s, material g) into lane ``slot``, energies over ``divisor``."""
+        for k in ti.static(range(3)):
+            put(scratch, head + (ASKED_TARGET + k) * stride, slot, clamp[s, TARGET + k])
+            put(scratch, head + (ASKED_GRAVITY + k) * stride, slot, section[g, WEIGHT] * up[k] / divisor)
+            put(scratch, head + (ASKED_ANCHOR + k) * stride, slot, clamp[s, ANCHOR + k])
+        put(scratch, head + ASKED_CLOSED * stride, slot, clamp[s, CLOSED])
+        # A round rod with both spins free turns about itself at no cost: hold its first spin.
+        put(scratch, head + ASKED_FREE * stride, slot, clamp[s, SPIN_START] * (1.0 - section[g, ROUND] * clamp[s, SPIN_END]))
+        put(scratch, head + (ASKED_FREE + 1) * stride, slot, clamp[s, TILT_START])
+        put(scratch, head + (ASKED_FREE + 2) * stride, slot, clamp[s, SPIN_END])
+        put(scratch, head + (ASKED_FREE + 3) * stride, slot, clamp[s, TILT_END])
+        put(scratch, head + (ASKED_FREE + 4) * stride, slot, clamp[s, TILT_INNER])
+        put(scratch, head + ASKED_RELEASED * stride, slot, clamp[s, RELEASED])
+        put(scratch, head + ASKED_TOTAL * stride, slot, clamp[s, TOTAL])
+        put(scratch, head + ASKED_LONGEST * stride, slot, clamp[s, LONGEST])
+        put(scratch, head + ASKED_UNIT * stride, slot, divisor)
+        put(scratch, head + ASKED_STIFFNESS * stride, slot, bend[g, 0, 0] / divisor)
+        put(scratch, head + (ASKED_STIFFNESS + 1) * stride, slot, twist[g, 0] / divisor)
+        # A first guess of H's largest diagonal entry.
+        put(scratch, head + ASKED_SCALE * stride, slot, 4.0 * section[g, STIFFEST] / divisor / clamp[s, SHORTEST_PAIR])
+
+    @ti.func
     def load_outer(scratch: ti.template(), origin, edges, slot, outer: ti.template(), row, scale):
         at = origin
         for e in range(edges):
@@ -185,20 +215,14 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
     def relax_rods(
         edges, handful, start: ti.template(), ends: ti.template(), rest_length: ti.template(), clamp: ti.template(),
         bend: ti.template(), twist: ti.template(), rest: ti.template(), section: ti.template(), rods: ti.template(), up,
-        tolerance, max_iterations, first_shift, max_rotation, max_escapes, closing_distance, thread, origin,
+        tolerance, max_iterations, first_shift, max_rotation, max_escapes, closing_distance, thread, head,
         scratch: ti.template(), lane_rod: ti.template(), queue: ti.template(), frames: ti.template(), results: ti.template(),
         outer: ti.template(),
     ):
         """A thread's work, until the queue is empty; ``outer`` are the numbers of the external energy, if there is one."""
+        origin = head + ti.static(ASKED_ITEMS * stride)
         zero = constant(0.0)
         one = constant(1.0)
-        # What is asked of the lane's rod. Its energies are in units of ``unit``, the divisor of the scaled residual.
-        target0, target1, target2, closed = (zero, zero, zero, zero)
-        spin_start, tilt_start, spin_end, tilt_end, tilt_inner = (zero, zero, zero, zero, zero)
-        released, total, edge, unit = (zero, one, one, one)
-        anchor0, anchor1, anchor2 = (zero, zero, zero)
-        alpha, beta = (one, one)
-        gravity0, gravity1, gravity2 = (zero, zero, zero)
         # Where the lane's rod is, and the step that is about to be tried.
         energy, magnitude = (zero, zero)
         miss0, miss1, miss2 = (zero, zero, zero)
@@ -221,13 +245,14 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
                             row = rods[lane_rod[thread * width + slot], 2]
                             store_frames(scratch, origin, edges, slot, frames, row)
                             if lane(status, slot) != not_finite:  # else these are NaN already
-                                results[row, ENERGY] = ti.cast(lane(energy, slot), ti.f64) * lane(unit, slot)
+                                unit = ti.cast(get(scratch, head + ASKED_UNIT * stride, slot), ti.f64)
+                                results[row, ENERGY] = ti.cast(lane(energy, slot), ti.f64) * unit
                                 results[row, RESIDUAL] = lane(residual, slot)
-                                results[row, MULTIPLIER] = ti.cast(lane(lambda0, slot), ti.f64) * lane(unit, slot)
-                                results[row, MULTIPLIER + 1] = ti.cast(lane(lambda1, slot), ti.f64) * lane(unit, slot)
-                                results[row, MULTIPLIER + 2] = ti.cast(lane(lambda2, slot), ti.f64) * lane(unit, slot)
+                                results[row, MULTIPLIER] = ti.cast(lane(lambda0, slot), ti.f64) * unit
+                                results[row, MULTIPLIER + 1] = ti.cast(lane(lambda1, slot), ti.f64) * unit
+                                results[row, MULTIPLIER + 2] = ti.cast(lane(lambda2, slot), ti.f64) * unit
                                 squares = lane(miss0, slot) ** 2 + lane(miss1, slot) ** 2 + lane(miss2, slot) ** 2
-                                results[row, CLOSURE] = ti.sqrt(squares) / lane(total, slot)
+                                results[row, CLOSURE] = ti.sqrt(squares) / get(scratch, head + ASKED_TOTAL * stride, slot)
                             results[row, ITERATIONS] = lane(trips, slot)
                             results[row, STATUS] = lane(status, slot)
                             results[row, STABLE] = lane(stable, slot)
@@ -263,36 +288,13 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
                             if ti.static(not isotropic):
                                 load_stiffness(scratch, origin, edges, slot, length_row, g, 1.0 / divisor,
                                                rest_length, bend, twist, rest)
-                            unit = with_lane(unit, slot, divisor)
-                            alpha = with_lane(alpha, slot, bend[g, 0, 0] / divisor)
-                            beta = with_lane(beta, slot, twist[g, 0] / divisor)
-                            gravity0 = with_lane(gravity0, slot, section[g, WEIGHT] * up[0] / divisor)
-                            gravity1 = with_lane(gravity1, slot, section[g, WEIGHT] * up[1] / divisor)
-                            gravity2 = with_lane(gravity2, slot, section[g, WEIGHT] * up[2] / divisor)
                             if ti.static(under_load):
                                 load_outer(scratch, origin, edges, slot, outer, rods[rod, 4], 1.0 / divisor)
-                                anchor0 = with_lane(anchor0, slot, clamp[s, ANCHOR])
-                                anchor1 = with_lane(anchor1, slot, clamp[s, ANCHOR + 1])
-                                anchor2 = with_lane(anchor2, slot, clamp[s, ANCHOR + 2])
-                            total = with_lane(total, slot, clamp[s, TOTAL])
-                            edge = with_lane(edge, slot, clamp[s, LONGEST])
-                            # A first guess of H's largest diagonal entry.
-                            scale = with_lane(scale, slot, 4.0 * section[g, STIFFEST] / divisor / clamp[s, SHORTEST_PAIR])
-                            target0 = with_lane(target0, slot, clamp[s, TARGET])
-                            target1 = with_lane(target1, slot, clamp[s, TARGET + 1])
-                            target2 = with_lane(target2, slot, clamp[s, TARGET + 2])
-                            closed = with_lane(closed, slot, clamp[s, CLOSED])
-                            # A round rod with both spins free turns about itself at no cost: hold its first spin.
-                            turning = section[g, ROUND] * clamp[s, SPIN_END]
-                            spin_start = with_lane(spin_start, slot, clamp[s, SPIN_START] * (1.0 - turning))
-                            tilt_start = with_lane(tilt_start, slot, clamp[s, TILT_START])
-                            spin_end = with_lane(spin_end, slot, clamp[s, SPIN_END])
-                            tilt_end = with_lane(tilt_end, slot, clamp[s, TILT_END])
-                            tilt_inner = with_lane(tilt_inner, slot, clamp[s, TILT_INNER])
-                            released = with_lane(released, slot, clamp[s, RELEASED])
+                            load_asked(scratch, head, slot, s, g, divisor, clamp, bend, twist, section, up)
                             active = with_lane(active, slot, 1.0)
                 # The lanes that were refilled start anew.
                 begun = finished > 0.5
+                scale = ti.select(begun, scratch[head + ASKED_SCALE * stride], scale)
                 fresh = ti.select(begun, one, fresh)
                 best = ti.select(begun, constant(1e30), best)
                 shift = ti.select(begun, ti.cast(first_shift, scalar) * scale, shift)
@@ -311,9 +313,14 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
             if largest(active) < 0.5:
                 running = 0
             else:
-                free = (spin_start, tilt_start, spin_end, tilt_end, tilt_inner)
-                target = (target0, target1, target2)
-                anchor = (anchor0, anchor1, anchor2)
+                target = sweep.load3(scratch, head + ASKED_TARGET * stride)
+                closed = scratch[head + ASKED_CLOSED * stride]
+                free = sweep.load4(scratch, head + ASKED_FREE * stride) + (scratch[head + (ASKED_FREE + 4) * stride],)
+                released = scratch[head + ASKED_RELEASED * stride]
+                total = scratch[head + ASKED_TOTAL * stride]
+                material = (scratch[head + ASKED_STIFFNESS * stride], scratch[head + (ASKED_STIFFNESS + 1) * stride])
+                gravity = sweep.load3(scratch, head + ASKED_GRAVITY * stride)
+                anchor = sweep.load3(scratch, head + ASKED_ANCHOR * stride)
                 # Take the step, hopefully: the shift is that for after it.
                 moving = ti.max(trying, ti.max(fresh, closing))
                 x, normal = sweep.step(scratch, origin, edges, step_scale, moving, target, closed, free)
@@ -325,8 +332,6 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
                 searching = (escaping > 0.5) & (trying < 0.5)
                 noise = ti.select(searching & (rounds < 0.5), 1e-3 * scale, zero)
                 echo = ti.select(searching & (rounds > 0.5), scale / (longest + 1e-30), zero)
-                material = (alpha, beta)
-                gravity = (gravity0, gravity1, gravity2)
                 new_energy, new_magnitude, new_miss, new_lambda = sweep.close(
                     scratch, origin, edges, x, normal, target, material, gravity, closed, free, total, released)
                 diagonal = ti.select(hoped > 0.0, hoped, trace * scale)
@@ -385,7 +390,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
                 escaping = ti.select(leaving, one, escaping)
                 shift = ti.select(leaving, zero, shift)
                 escapes = ti.select(leaving & at_saddle, escapes + 1.0, escapes)
-                closing = ti.select(gap > ti.cast(closing_distance, scalar) * edge, one, zero)
+                closing = ti.select(gap > ti.cast(closing_distance, scalar) * scratch[head + ASKED_LONGEST * stride], one, zero)
                 rounds = ti.select((escaping > 0.5) & right & ~leaving, rounds + 1.0, rounds)
                 rounds = ti.select(leaving, zero, rounds)
                 unready = (escaping > 0.5) & (rounds <= ESCAPE_ROUNDS)
