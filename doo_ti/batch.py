@@ -9,6 +9,8 @@ import numpy as np
 
 from doo_ti import chain, descent, newton, runtime
 from doo_ti.frames import matrix_from_quaternion, quaternion_from_matrix, vertices_from_quaternions
+from doo_ti.loading import ASKED_ITEMS
+from doo_ti.newton_kernel import newton_kernel
 from doo_ti.physics.number import Number
 from doo_ti.tables import ITERATIONS, RESULTS, STATUS, Tables
 from doo_ti.types import Status
@@ -71,8 +73,8 @@ def _launch_newton(table: Tables, rods, up, options: newton.Newton, bits: int, f
     kind = None if external is None else type(external)
     outer = () if external is None else (external.numbers(),)
     per_edge = chain.item_count(table.isotropic) + (0 if external is None else external.items)
-    items = newton.ASKED_ITEMS + per_edge * table.edges
-    kernel = newton.newton_kernel(number, table.isotropic, stride, block, kind)
+    items = ASKED_ITEMS + per_edge * table.edges
+    kernel = newton_kernel(number, table.isotropic, stride, block, kind)
     scratch, lane_rod, queue = _buffers(number, threads, items)
     kernel(
         table.edges, _handful(len(rods), threads * number.width), table.start.reshape(-1), table.ends.reshape(-1),

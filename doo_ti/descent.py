@@ -65,7 +65,7 @@ PATIENCE = 20_000  # iterations in which neither energy nor residual came down n
 
 @cache
 def descent_kernel(number: Number, stride: int, block: int):
-    """The kernel for one kind of number; materials are always general. See :func:`doo_ti.newton.newton_kernel`."""
+    """The kernel for one kind of number; materials are always general. See :func:`doo_ti.newton_kernel.newton_kernel`."""
     largest, lane, with_lane, constant, put, get = number.lanes()
     sweep = vertex_sweeps(number, stride)
     width, scalar = number.width, number.scalar
