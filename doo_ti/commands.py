@@ -46,8 +46,9 @@ def relax(options: Namespace, words: list[str]) -> int:
 
     index, turns = turn_hypotheses(observations, clamps)
     observed, held = observations.take(index), clamps.take(index)
-    solution = relax_rods(start_configuration(observed, held, turns), grid.materials(), held, _solver(options.solver),
-                          up=observations.up, precision=options.precision)
+    with _busy(f"relaxing {observed.count} rods (kernels are compiled once on a machine)"):
+        solution = relax_rods(start_configuration(observed, held, turns), grid.materials(), held, _solver(options.solver),
+                              up=observations.up, precision=options.precision)
     relaxed = solution.configuration
     error = distance(relaxed, observations, index, frame_weight)
     best = choose_hypothesis(index, error, solution.converged & solution.stable)
@@ -160,6 +161,13 @@ def bench(options: Namespace, words: list[str]) -> int:
         study.draw(out, summary)
     print(json.dumps(_plain(summary)) if options.json else text(summary))
     return 0
+
+
+def _busy(doing: str):
+    """Says on a terminal what is being done, until it is."""
+    from rich.console import Console
+
+    return Console(stderr=True).status(doing)
 
 
 def _observed(scene: Scene, up: np.ndarray | None) -> Observations:

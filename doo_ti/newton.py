@@ -48,5 +48,6 @@ CLOSING_DISTANCE = 0.1  # edge lengths: above it a step only projects
 ESCAPE_ROTATION = 0.1  # rad
 ESCAPE_ROUNDS = 3.0  # inverse iterations before the first leap off a saddle
 PATIENCE = 25  # trips without progress
+PATIENCE_32 = 16  # the same in f32, after which f64 takes over
 NOTABLE = 1e-8  # of the energy's magnitude, which locked-in twist may dominate
 PATIENCE_AT_SADDLE = 8  # trips without noteworthy progress where the inertia is wrong

@@ -34,6 +34,7 @@ from doo_ti.newton import (
     NEGLIGIBLE_TROUBLED,
     NOTABLE,
     PATIENCE,
+    PATIENCE_32,
     PATIENCE_AT_SADDLE,
     SHIFT_REJECTED,
     SHIFT_WRONG_INERTIA,
@@ -63,6 +64,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
     width = number.width
     scalar = number.scalar
     rounding = 2e-6 if number.bits == 32 else 1e-10
+    patience = PATIENCE_32 if number.bits == 32 else PATIENCE
     closure_tolerance = 1e-7 if number.bits == 32 else 1e-12
     # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a trace of H's
     # scale on the diagonal lets them pass, always. f32 cannot tell them from soft saddles and leaves them to f64.
@@ -258,7 +260,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
                 # Who is done, and how.
                 ended = at_minimum | resting
                 late = trips >= ti.cast(max_iterations, scalar)
-                stuck = idle_trips > PATIENCE
+                stuck = idle_trips > patience
                 lost = broken | ~(residual == residual)
                 status = ti.select(stuck, constant(stalled), constant(limit))
                 status = ti.select(lost, constant(not_finite), status)

@@ -167,8 +167,9 @@ def tables(
                          f"give at most {MOST_NUMBERS // (4 * edges):,} at a time")
     index_e = _external_rows(external, external_index, len(index_c), edges)
     start_kind, end_kind = (_kinds(name, getattr(clamps, name), count) for name in ("start", "end"))
-    _check_frames("start_frame", clamps.start_frame, start_kind)
-    _check_frames("end_frame", clamps.end_frame, end_kind)
+    kinds = np.stack([start_kind, end_kind], axis=1)
+    frames = np.stack([clamps.start_frame, clamps.end_frame], axis=1)
+    _check_frames(frames, kinds)
     adrift = (start_kind == Clamp.FREE) & (end_kind == Clamp.FREE)
     if adrift.any() and (material.weight > 0).any():
         raise InputError("clamps", "start, end", "both ends are free and the rod has weight", "hold one end, or set weight 0")
@@ -183,7 +184,7 @@ def tables(
         raise InputError("material", "rest_curvature", f"{rest.shape[1]} joints", f"give one or {edges - 1}")
 
     start = np.ascontiguousarray(configuration.quaternions, dtype=np.float64)
-    ends = _imposed(start[:, [0, -1]], start_kind, end_kind, clamps)
+    ends = _imposed(start[:, [0, -1]], kinds, frames)
     clamp = _clamp_table(configuration.start, lengths, start_kind, end_kind, clamps)
     free = _free_part(ends, lengths, clamp)
     closed = clamp[:, CLOSED] > 0
@@ -226,14 +227,15 @@ def _check_shapes(configuration: Configuration, clamps: Clamps) -> None:
             raise InputError(source, field, f"shape {np.shape(array)}", f"give an array {wanted}, a row for each start")
 
 
-def _check_frames(name: str, frames: np.ndarray, kind: np.ndarray) -> None:
-    """Raise InputError where a frame that a clamp holds is finite but no rotation."""
-    bad = np.flatnonzero((kind == Clamp.FRAME) & ((orthonormality_error(frames) > FRAME_TOLERANCE) | (handedness(frames) < 0)))
-    # A frame of zeros says that there is none.
-    bad = [row for row in bad if np.isfinite(frames[row]).all() and frames[row].any()]
-    if len(bad):
-        raise InputError("clamps", name, f"{np.round(frames[bad[0]], 4).tolist()} is no rotation",
-                         "give unit, orthogonal columns t, m1, m2 with m2 = t x m1")
+def _check_frames(frames: np.ndarray, kinds: np.ndarray) -> None:
+    """Raise InputError where one of the frames (S, 2, 3, 3) that clamps hold is finite but no rotation."""
+    wrong = (kinds == Clamp.FRAME) & ((orthonormality_error(frames) > FRAME_TOLERANCE) | (handedness(frames) < 0))
+    for row, end in np.argwhere(wrong):
+        frame = frames[row, end]
+        # A frame of zeros says that there is none.
+        if np.isfinite(frame).all() and frame.any():
+            raise InputError("clamps", ("start_frame", "end_frame")[end], f"{np.round(frame, 4).tolist()} is no rotation",
+                             "give unit, orthogonal columns t, m1, m2 with m2 = t x m1")
 
 
 def _kinds(name: str, kind, count: int) -> np.ndarray:
@@ -283,20 +285,19 @@ def _external_rows(external: Springs | None, index, count: int, edges: int) -> n
     return rows.astype(np.int64)
 
 
-def _imposed(ends: np.ndarray, start_kind: np.ndarray, end_kind: np.ndarray, clamps: Clamps) -> np.ndarray:
+def _imposed(ends: np.ndarray, kinds: np.ndarray, frames: np.ndarray) -> np.ndarray:
     """The two end frames (S, 2, 4) with what the clamps hold in place; a tangent clamp turns the edge by parallel transport,
     keeping its spin."""
     result = ends / np.linalg.norm(ends, axis=-1, keepdims=True)
-    for end, kind, frame in ((0, start_kind, clamps.start_frame), (1, end_kind, clamps.end_frame)):
-        whole = kind == Clamp.FRAME
-        if whole.any():
-            result[whole, end] = quaternion_from_matrix(frame[whole])
-        tangent = kind == Clamp.TANGENT
-        if tangent.any():
-            old = result[tangent, end]
-            turn = smallest_rotation(tangent_from_quaternion(old), frame[tangent][..., 0])
-            result[tangent, end] = quaternion_product(turn, old)
-    return result / np.linalg.norm(result, axis=-1, keepdims=True)
+    whole = kinds == Clamp.FRAME
+    if whole.any():
+        result[whole] = quaternion_from_matrix(frames[whole])
+    tangent = kinds == Clamp.TANGENT
+    if tangent.any():
+        old = result[tangent]
+        turned = quaternion_product(smallest_rotation(tangent_from_quaternion(old), frames[tangent][..., 0]), old)
+        result[tangent] = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
+    return result
 
 
 def _whole(start: np.ndarray, ends: np.ndarray) -> np.ndarray:
