@@ -144,12 +144,23 @@ def chain_sweeps(number, isotropic: bool, stride: int, extra: int = 0) -> Simple
         return length + 2.0 * remaining - 2.0 * total * released
 
     @ti.func
+    def plus(total, lost, value):
+        """``total`` + ``value``, and what rounding lost of it, to be made good with the next: the far end of a chain comes to
+        1e-7 of its length in f32 only so."""
+        if ti.static(number.bits == 32):
+            wanted = value - lost
+            reached = total + wanted
+            return reached, (reached - total) - wanted
+        else:
+            return total + value, lost
+
+    @ti.func
     def step(scratch: ti.template(), origin, edges, scale, moving, target, closed, free):
         """Frames Q (1, scale ω/2), and x of the projection that puts them back on closure, both only where ``moving``; and AᵀA
         over the edges that may tilt."""
         zero = 0.0 * scale
         stepping = (scale > 0.0) | (scale < 0.0)
-        c0, c1, c2 = (zero, zero, zero)
+        c0, c1, c2, k0, k1, k2 = (zero, zero, zero, zero, zero, zero)
         n0, n1, n2, n3, n4, n5 = (zero, zero, zero, zero, zero, zero)
         at = origin
         for e in range(edges):
@@ -166,7 +177,9 @@ def chain_sweeps(number, isotropic: bool, stride: int, extra: int = 0) -> Simple
             store(scratch, at, q)
             length = scratch[at + LENGTH * stride]
             t = tangent(q)
-            c0, c1, c2 = (c0 + length * t[0], c1 + length * t[1], c2 + length * t[2])
+            c0, k0 = plus(c0, k0, length * t[0])
+            c1, k1 = plus(c1, k1, length * t[1])
+            c2, k2 = plus(c2, k2, length * t[2])
             a = normal_matrix(length, t)
             tilt = tilt_of(e, edges, free)
             n0, n1, n2 = (n0 + tilt * a[0], n1 + tilt * a[1], n2 + tilt * a[2])
@@ -197,7 +210,7 @@ def chain_sweeps(number, isotropic: bool, stride: int, extra: int = 0) -> Simple
         """
         zero = 0.0 * total
         energy, potential, magnitude = (zero, zero, zero)
-        c0, c1, c2 = (zero, zero, zero)
+        c0, c1, c2, k0, k1, k2 = (zero, zero, zero, zero, zero, zero)
         b0, b1, b2 = (zero, zero, zero)
         p0, p1, p2, p3 = (zero, zero, zero, zero)
         u0, u1, u2, v0, v1, v2 = (zero, zero, zero, zero, zero, zero)  # l m1 and l m2 of the edge before
@@ -243,7 +256,9 @@ def chain_sweeps(number, isotropic: bool, stride: int, extra: int = 0) -> Simple
             # Where the edge may not tilt these are zero, and so is its share of Aᵀg.
             l1, l2 = linear_gradient(pull, levers, m1, m2)
             carry1, carry2 = (right1 + l1, right2 + l2)
-            c0, c1, c2 = (c0 + length * t[0], c1 + length * t[1], c2 + length * t[2])
+            c0, k0 = plus(c0, k0, length * t[0])
+            c1, k1 = plus(c1, k1, length * t[1])
+            c2, k2 = plus(c2, k2, length * t[2])
             p0, p1, p2, p3 = q
             at += ti.static(items * stride)
         b0, b1, b2 = (

@@ -22,7 +22,7 @@ from doo_ti.newton import Newton
 from doo_ti.types import Configuration, Solution
 
 COARSE, FINE = Newton(tolerance=1e-6), Newton(tolerance=1e-9)
-# Additions, subtractions, multiplications, divisions and roots of one iteration over one edge, counted in the loops' machine code.
+# Additions, multiplications, divisions and roots of one iteration over one edge, counted in the loops' machine code.
 FLOPS_PER_EDGE = {"isotropic": 890.0, "general": 1480.0, "springs": 1140.0}
 ROUND_SECONDS = 0.3
 """A round repeats its case for about this long, so that a neighbour's moment of work does not decide it."""

@@ -19,8 +19,9 @@ SAME_MM = 0.02
 """Two rods are in the same minimum where the mean distance between their vertices is no more than this."""
 CALLS_IN_ROUND = 3  # of the processes with other numbers of threads
 JAX_RODS = 4096
-JAX_ROWS = {32: "newton f32", 64: "newton mixed"}
-"""The case that each precision of the same solver in JAX stands beside."""
+JAX_ROWS = {32: "newton f32", 64: "newton f64"}
+"""The case that each precision of the same solver in JAX stands beside: the kernel in that precision."""
+JAX_DERIVATIVES = ("explicit", "automatic")
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,8 @@ def steps(plan: Plan, rods: Specimens, children: process.Children, threads: int)
     if plan.scaling:
         found += _scaling(rods)
     if plan.jax:
-        found += [Step(f"JAX f{bits}", partial(_jax, rods, bits, plan.rounds)) for bits in JAX_ROWS]
+        found += [Step(f"JAX f{bits}, {derivatives} derivatives", partial(_jax, rods, bits, derivatives, plan.rounds))
+                  for derivatives in JAX_DERIVATIVES for bits in JAX_ROWS]
     return found
 
 
@@ -154,12 +156,13 @@ def _scaling(rods: Specimens) -> list[Step]:
                                           ("edges", scaling.with_edges, scaling.EDGES)) for count in counts]
 
 
-def _jax(rods: Specimens, bits: int, rounds: int, summary: dict) -> str:
+def _jax(rods: Specimens, bits: int, derivatives: str, rounds: int, summary: dict) -> str:
     """The same solver in JAX, and how many times as fast the case beside it is."""
     from doo_ti.bench.newton_in_jax import rate
 
-    found = rate(rods.many.take(slice(JAX_RODS)), bits, rounds)
-    row = summary["cases"][JAX_ROWS[bits]]
-    row["times_jax"] = row["per_second"] / found.rods_per_second
-    summary.setdefault("jax", {})[f"f{bits}"] = asdict(found)
+    some = rods.many.take(slice(JAX_RODS))
+    found = rate(some, bits, rounds, derivatives)
+    times = summary["cases"][JAX_ROWS[bits]]["per_second"] / found.rods_per_second
+    summary.setdefault("jax", []).append(
+        {"derivatives": derivatives, "beside": JAX_ROWS[bits], "rods": some.count, "times": times, **asdict(found)})
     return f"{found.rods_per_second:,.0f} rods/s"

@@ -1,5 +1,6 @@
 """What a person reads of a benchmark: one table of the cases, and below it what the figures are made of."""
 
+JAX_NAMES = {"explicit": "JAX, derivatives written out", "automatic": "JAX, derivatives by autodiff"}
 BINS = (4, 5, 6, 7, 8, 10, 12, 16, 24, 48)
 """Iterations up to which each line of the histogram counts."""
 
@@ -7,6 +8,8 @@ BINS = (4, 5, 6, 7, 8, 10, 12, 16, 24, 48)
 def text(summary: dict) -> str:
     """Markdown of what :mod:`doo_ti.bench.study` measured."""
     parts = [machine(summary), cases(summary["cases"]), "\n".join(notes(summary)), histogram(summary["cases"])]
+    if "jax" in summary:
+        parts += [jax(summary["jax"])]
     if "scaling" in summary:
         parts += [scaling(summary["scaling"])]
     return "\n\n".join(parts)
@@ -23,15 +26,13 @@ def machine(summary: dict) -> str:
 
 def cases(found: dict[str, dict]) -> str:
     """One line per case; a dash where a figure does not apply."""
-    against = any("times_jax" in case for case in found.values())
     heads = ["case", "per second", "converged", "stable", "iterations", "residual", "lanes busy", "of peak"]
-    heads += ["× JAX"] * against
     lines = []
     for name, case in found.items():
-        line = [name, f"{case['per_second']:,.0f} {case['unit']}", percent(case["converged"]), percent(case["stable"]),
-                f"{case['iterations']:.1f}" if case["iterations"] else "–", _given(case["residual"], "{:.0e} /mm"),
-                percent(case["busy"]), percent(case["share_of_peak"])]
-        lines.append(line + [_given(case.get("times_jax"), "{:,.1f}")] * against)
+        lines.append([
+            name, f"{case['per_second']:,.0f} {case['unit']}", percent(case["converged"]), percent(case["stable"]),
+            f"{case['iterations']:.1f}" if case["iterations"] else "–", _given(case["residual"], "{:.0e} /mm"),
+            percent(case["busy"]), percent(case["share_of_peak"])])
     return _markdown(heads, lines)
 
 
@@ -49,9 +50,6 @@ def notes(summary: dict) -> list[str]:
         "- threads: " + ", ".join(f"{entry['rods_per_second']:,.0f} rods/s on {entry['threads']}"
                                   for entry in fresh["threads"]),
     ]
-    for name, found in summary.get("jax", {}).items():
-        lines.append(f"- JAX {name}: {found['rods_per_second']:,.0f} rods/s, {percent(found['converged'])} converged, "
-                     f"{found['iterations']:.1f} iterations, compiled in {found['compile_seconds']:.1f} s")
     return lines
 
 
@@ -66,6 +64,16 @@ def histogram(found: dict[str, dict]) -> str:
         lines.append([label, *map(percent, of_case)])
     most = ["most", *(f"{len(counts) - 1}" for counts in shown.values())]
     return _markdown(heads, [*lines, most])
+
+
+def jax(found: list[dict]) -> str:
+    """The same solver in JAX, one line per way to the derivatives and precision, with how many times as fast the case is that
+    it stands beside, measured in the same run."""
+    heads = ["the same solver", "beside", "rods", "rods/s", "that case is", "converged", "iterations", "compiled in"]
+    return _markdown(heads, [
+        [JAX_NAMES[rate["derivatives"]], rate["beside"], f"{rate['rods']}", f"{rate['rods_per_second']:,.0f}",
+         f"{rate['times']:,.1f} × as fast", percent(rate["converged"]), f"{rate['iterations']:.1f}",
+         f"{rate['compile_seconds']:.1f} s"] for rate in found])
 
 
 def scaling(points: dict[str, list[dict]]) -> str:

@@ -32,7 +32,7 @@ def jax_elsewhere(monkeypatch):
     """The comparison with JAX, without JAX: a solver that is made up."""
     rate = make_dataclass("JaxRate", ["rods_per_second", "converged", "iterations", "compile_seconds"])
     module = types.ModuleType("doo_ti.bench.newton_in_jax")
-    module.rate = lambda rods, bits, rounds=3: rate(10.0 * bits, 1.0, 7.0, 2.0)
+    module.rate = lambda rods, bits, rounds, derivatives: rate(10.0 * bits, 1.0, 7.0, 2.0)
     monkeypatch.setitem(sys.modules, "doo_ti.bench.newton_in_jax", module)
     monkeypatch.setattr("doo_ti.options.find_spec", lambda name: object())
 
@@ -47,8 +47,11 @@ def test_everything_goes_into_one_table_and_one_folder(capsys, tmp_path, jax_els
     for name, case in found["cases"].items():
         assert f"\n| {name} " in text
         assert (case["busy"] is None) == (case["gflops"] is None or "batches" in name or "one rod" in name)
-    assert found["cases"]["newton mixed"]["times_jax"] == found["cases"]["newton mixed"]["per_second"] / 640
-    assert "× JAX" in text and found["machine"]["processor"] in text
+    assert [(row["derivatives"], row["beside"]) for row in found["jax"]] == [
+        (derivatives, row) for derivatives in ("explicit", "automatic") for row in ("newton f32", "newton f64")]
+    assert found["jax"][1]["times"] == found["cases"]["newton f64"]["per_second"] / 640
+    assert "JAX, derivatives written out" in text and "JAX, derivatives by autodiff" in text
+    assert found["machine"]["processor"] in text
     assert [point["rods"] for point in found["scaling"]["rods"]] == [2, 8, 32]
     assert [point["edges"] for point in found["scaling"]["edges"]] == [8, 16]
     assert found["process"]["threads"][0]["threads"] == 1
