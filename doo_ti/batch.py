@@ -26,7 +26,7 @@ _scratch: dict = {}
 _pool: list[np.ndarray] = []
 
 
-def run_newton(table: Tables, up: np.ndarray, options: newton.Newton, bits: int, moving: bool = True):
+def run_newton(table: Tables, options: newton.Newton, bits: int, moving: bool = True):
     """Relax every feasible rod from its start: (R, E, 4) frames and (R, RESULTS), NaN in infeasible rows.
 
     With ``moving`` false only the projection runs, which brings a start onto closure.
@@ -35,15 +35,15 @@ def run_newton(table: Tables, up: np.ndarray, options: newton.Newton, bits: int,
     if len(table.rods) < table.count:
         frames[~table.feasible[table.configuration_index]] = np.nan
     results = np.full((table.count, RESULTS), np.nan)
-    _launch_newton(table, table.rods, up, options, bits, frames, results, moving)
+    _launch_newton(table, table.rods, options, bits, frames, results, moving)
     return frames, results
 
 
-def continue_newton(table: Tables, up: np.ndarray, options: newton.Newton, bits: int, frames, results, rows, usable) -> None:
+def continue_newton(table: Tables, options: newton.Newton, bits: int, frames, results, rows, usable) -> None:
     """Relax the rods ``rows`` further, in place: from their ``frames`` where ``usable`` (R,), else from their starts."""
     table.hold_tangents(frames, rows[usable[rows]])
     results[rows] = np.nan
-    _launch_newton(table, table.continued(usable, rows), up, options, bits, frames, results)
+    _launch_newton(table, table.continued(usable, rows), options, bits, frames, results)
 
 
 def pack_trips(bits: int) -> tuple[int, int]:
@@ -65,8 +65,7 @@ def _room(size: int) -> np.ndarray:
     return fresh
 
 
-def _launch_newton(table: Tables, rods, up, options: newton.Newton, bits: int, frames, results, moving: bool = True) -> None:
-    import taichi as ti
+def _launch_newton(table: Tables, rods, options: newton.Newton, bits: int, frames, results, moving: bool = True) -> None:
 
     number, threads, stride, block = _machine(len(rods), bits)
     external = table.external
@@ -79,22 +78,21 @@ def _launch_newton(table: Tables, rods, up, options: newton.Newton, bits: int, f
     kernel(
         table.edges, _handful(len(rods), threads * number.width), table.start.reshape(-1), table.ends.reshape(-1),
         table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.section, rods,
-        ti.Vector(list(up), dt=ti.f64), options.tolerance or (1e-6 if bits == 32 else 1e-9), options.max_iterations,
+        options.tolerance or (1e-6 if bits == 32 else 1e-9), options.max_iterations,
         options.first_shift, options.max_rotation, options.max_escapes, newton.CLOSING_DISTANCE if moving else -1.0, threads,
         items if stride == 1 else 1, scratch, lane_rod, queue, frames.reshape(-1), results, *outer,
     )
 
 
-def run_descent(table: Tables, up: np.ndarray, options: descent.Descent, bits: int):
+def run_descent(table: Tables, options: descent.Descent, bits: int):
     """Relax every feasible rod by the paper's scheme, from its start projected onto closure; as :func:`run_newton`.
 
     The residual, the status and the certificate are those of the chain of frames, so that they mean the same for both
     solvers: a rod has converged if its moments say so there.
     """
-    import taichi as ti
 
     projection = newton.Newton(max_iterations=PROJECTIONS)
-    closed, _ = run_newton(table, up, projection, 64, moving=False)
+    closed, _ = run_newton(table, projection, 64, moving=False)
     table = table.restarted(closed)
     vertices, directors = _vertex_form(table)
     number, threads, stride, block = _machine(len(table.rods), bits)
@@ -105,13 +103,13 @@ def run_descent(table: Tables, up: np.ndarray, options: descent.Descent, bits: i
     results = np.full((table.count, RESULTS), np.nan)
     descent.descent_kernel(number, stride, block)(
         vertices, directors, table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.section,
-        table.rods, ti.Vector(list(up), dt=ti.f64), options.tolerance, options.max_iterations,
+        table.rods, options.tolerance, options.max_iterations,
         options.largest_move, threads, items if stride == 1 else 1, scratch, lane_rod, queue, positions, axes, results,
     )
     frames = _chain_form(positions, axes)
     certificate = newton.Newton(tolerance=options.tolerance, max_iterations=1, first_shift=0.0, max_escapes=0)
     certified = np.full((table.count, RESULTS), np.nan)
-    continue_newton(table, up, certificate, 64, frames, certified, np.arange(table.count), np.isfinite(frames[:, 0, 0]))
+    continue_newton(table, certificate, 64, frames, certified, np.arange(table.count), np.isfinite(frames[:, 0, 0]))
     good = certified[:, STATUS] == Status.CONVERGED
     # What came to rest by its own account but not by that of the chain (its clamp not reached, say) has stalled.
     own = np.where(results[:, STATUS] == Status.CONVERGED, Status.STALLED, results[:, STATUS])

@@ -21,6 +21,7 @@ from doo_ti.tables import (
     HANGING,
     ITERATIONS,
     LARGEST_BEND,
+    LIFT,
     RELEASED,
     RESIDUAL,
     SPIN_END,
@@ -85,7 +86,6 @@ def descent_kernel(number: Number, stride: int, block: int):
         rest: table3,  # [material, 1 or inner vertex, 2] 1/mm
         section: table2,  # [material, SECTION_COLUMNS]
         rods: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [rod, (configuration, material, row of the results, -)]
-        up: ti.types.vector(3, ti.f64),
         tolerance: ti.f64,
         max_iterations: ti.i32,
         largest_move: ti.f64,
@@ -154,9 +154,9 @@ def descent_kernel(number: Number, stride: int, block: int):
                                 taut = with_lane(taut, slot, 1.0 - clamp[s, TILT_INNER])
                                 spin_start = with_lane(spin_start, slot, clamp[s, SPIN_START])
                                 spin_end = with_lane(spin_end, slot, clamp[s, SPIN_END])
-                                gravity0 = with_lane(gravity0, slot, section[g, WEIGHT] * up[0])
-                                gravity1 = with_lane(gravity1, slot, section[g, WEIGHT] * up[1])
-                                gravity2 = with_lane(gravity2, slot, section[g, WEIGHT] * up[2])
+                                gravity0 = with_lane(gravity0, slot, section[g, LIFT + 0])
+                                gravity1 = with_lane(gravity1, slot, section[g, LIFT + 1])
+                                gravity2 = with_lane(gravity2, slot, section[g, LIFT + 2])
                                 count = with_lane(count, slot, 0.0)
                                 step = with_lane(step, slot, 0.0)
                                 residual = with_lane(residual, slot, 1e30)

@@ -11,7 +11,8 @@ FRAME_TOLERANCE = 1e-3
 
 def matrix_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
     """(..., 4) unit quaternions to (..., 3, 3) rotation matrices."""
-    w, x, y, z = np.moveaxis(np.asarray(quaternion, dtype=np.float64), -1, 0)
+    q = np.asarray(quaternion, dtype=np.float64)
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
     matrix = np.empty((*w.shape, 3, 3))
     matrix[..., 0, 0], matrix[..., 1, 1], matrix[..., 2, 2] = (
         1 - 2 * (y * y + z * z), 1 - 2 * (x * x + z * z), 1 - 2 * (x * x + y * y))
@@ -23,7 +24,8 @@ def matrix_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
 
 def tangent_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
     """(..., 4) unit quaternions to (..., 3) tangents, the first columns of their rotations."""
-    w, x, y, z = np.moveaxis(np.asarray(quaternion, dtype=np.float64), -1, 0)
+    q = np.asarray(quaternion, dtype=np.float64)
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
     return np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=-1)
 
 
@@ -66,9 +68,10 @@ def orthonormality_error(frames: np.ndarray) -> np.ndarray:
 
 def handedness(frames: np.ndarray) -> np.ndarray:
     """(...) m2 · (t × m1) of (..., 3, 3) frames: one for a rotation, minus one for a left-handed frame."""
-    t, m1, m2 = (np.moveaxis(frames[..., k], -1, 0) for k in range(3))
-    return (m2[0] * (t[1] * m1[2] - t[2] * m1[1]) + m2[1] * (t[2] * m1[0] - t[0] * m1[2])
-            + m2[2] * (t[0] * m1[1] - t[1] * m1[0]))
+    f = frames
+    return (f[..., 0, 2] * (f[..., 1, 0] * f[..., 2, 1] - f[..., 2, 0] * f[..., 1, 1])
+            + f[..., 1, 2] * (f[..., 2, 0] * f[..., 0, 1] - f[..., 0, 0] * f[..., 2, 1])
+            + f[..., 2, 2] * (f[..., 0, 0] * f[..., 1, 1] - f[..., 1, 0] * f[..., 0, 1]))
 
 
 def quaternion_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -104,7 +107,8 @@ def smallest_rotation(source: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 def vertices_from_quaternions(start: np.ndarray, quaternions: np.ndarray, rest_length: np.ndarray) -> np.ndarray:
     """x_{i+1} = x_i + l_i t_i: (R, V, 3) vertices of the chain."""
-    w, x, y, z = np.moveaxis(np.asarray(quaternions, dtype=np.float64), -1, 0)
+    q = np.asarray(quaternions, dtype=np.float64)
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
     count, edges = w.shape
     result = np.empty((count, edges + 1, 3))
     result[:, 0] = start

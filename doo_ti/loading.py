@@ -13,6 +13,7 @@ from doo_ti.tables import (
     CLOSED,
     HANGING,
     LARGEST_BEND,
+    LIFT,
     LONGEST,
     RELEASED,
     ROUND,
@@ -96,11 +97,11 @@ def lane_loading(number, isotropic: bool, stride: int, items: int, outside=None)
 
     @ti.func
     def load_asked(scratch: ti.template(), head, slot, s, g, divisor, clamp: ti.template(), bend: ti.template(),
-                   twist: ti.template(), section: ti.template(), up):
+                   twist: ti.template(), section: ti.template()):
         """What is asked of the rod (configuration s, material g) into lane ``slot``, energies over ``divisor``."""
         for k in ti.static(range(3)):
             put(scratch, head + (ASKED_TARGET + k) * stride, slot, clamp[s, TARGET + k])
-            put(scratch, head + (ASKED_GRAVITY + k) * stride, slot, section[g, WEIGHT] * up[k] / divisor)
+            put(scratch, head + (ASKED_GRAVITY + k) * stride, slot, section[g, LIFT + k] / divisor)
             put(scratch, head + (ASKED_ANCHOR + k) * stride, slot, clamp[s, ANCHOR + k])
         put(scratch, head + ASKED_CLOSED * stride, slot, clamp[s, CLOSED])
         # A round rod with both spins free turns about itself at no cost: hold its first spin.
@@ -122,7 +123,7 @@ def lane_loading(number, isotropic: bool, stride: int, items: int, outside=None)
     def load_rod(
         scratch: ti.template(), head, edges, slot, rod, lengths_known, rods: ti.template(), start: ti.template(),
         ends: ti.template(), frames: ti.template(), rest_length: ti.template(), clamp: ti.template(), bend: ti.template(),
-        twist: ti.template(), rest: ti.template(), section: ti.template(), up, outer: ti.template(),
+        twist: ti.template(), rest: ti.template(), section: ti.template(), outer: ti.template(),
     ):
         """Row ``rod`` of ``rods`` into lane ``slot``. Lengths are left where the lane has them and all rods share them."""
         origin = head + ti.static(ASKED_ITEMS * stride)
@@ -152,6 +153,6 @@ def lane_loading(number, isotropic: bool, stride: int, items: int, outside=None)
             for e in range(edges):
                 outside.load(scratch, at, slot, outer, rods[rod, 4], e, 1.0 / divisor)
                 at += ti.static(items * stride)
-        load_asked(scratch, head, slot, s, g, divisor, clamp, bend, twist, section, up)
+        load_asked(scratch, head, slot, s, g, divisor, clamp, bend, twist, section)
 
     return SimpleNamespace(load_rod=load_rod, store_frames=store_frames)

@@ -80,7 +80,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
     @ti.func
     def relax_rods(
         edges, handful, start: ti.template(), ends: ti.template(), rest_length: ti.template(), clamp: ti.template(),
-        bend: ti.template(), twist: ti.template(), rest: ti.template(), section: ti.template(), rods: ti.template(), up,
+        bend: ti.template(), twist: ti.template(), rest: ti.template(), section: ti.template(), rods: ti.template(),
         tolerance, max_iterations, first_shift, max_rotation, max_escapes, closing_distance, thread, head,
         scratch: ti.template(), lane_rod: ti.template(), queue: ti.template(), frames: ti.template(), results: ti.template(),
         outer: ti.template(),
@@ -133,7 +133,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
                             lane_rod[thread * width + slot] = rod
                             loading.load_rod(
                                 scratch, head, edges, slot, rod, lane(lengths_known, slot), rods, start, ends, frames,
-                                rest_length, clamp, bend, twist, rest, section, up, outer)
+                                rest_length, clamp, bend, twist, rest, section, outer)
                             lengths_known = with_lane(lengths_known, slot, 1.0)
                             active = with_lane(active, slot, 1.0)
                 # The lanes that were refilled start anew.
@@ -285,7 +285,6 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
         rest: table3,  # [material, 1 or inner vertex, 2] 1/mm
         section: table2,  # [material, SECTION_COLUMNS]
         rods: index2,  # [rod, (configuration, material, row of the results, 1 if from there, row of the external energy)]
-        up: ti.types.vector(3, ti.f64),
         tolerance: ti.f64,
         max_iterations: ti.i32,
         first_shift: ti.f64,
@@ -303,14 +302,14 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
         ti.loop_config(block_dim=block)
         for thread in range(threads):
             relax_rods(
-                edges, handful, start, ends, rest_length, clamp, bend, twist, rest, section, rods, up, tolerance,
+                edges, handful, start, ends, rest_length, clamp, bend, twist, rest, section, rods, tolerance,
                 max_iterations, first_shift, max_rotation, max_escapes, closing_distance, thread, thread * origin_stride,
                 scratch, lane_rod, queue, frames, results, section)
 
     @ti.kernel
     def newton_under_load(
         edges: ti.i32, handful: ti.i32, start: table1, ends: table1, rest_length: table2, clamp: table2, bend: table3,
-        twist: table2, rest: table3, section: table2, rods: index2, up: ti.types.vector(3, ti.f64), tolerance: ti.f64,
+        twist: table2, rest: table3, section: table2, rods: index2, tolerance: ti.f64,
         max_iterations: ti.i32, first_shift: ti.f64, max_rotation: ti.f64, max_escapes: ti.i32, closing_distance: ti.f64,
         threads: ti.i32, origin_stride: ti.i32, scratch: ti.types.ndarray(dtype=number.type, ndim=1), lane_rod: index1,
         queue: index1, frames: table1, results: table2,
@@ -319,7 +318,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
         ti.loop_config(block_dim=block)
         for thread in range(threads):
             relax_rods(
-                edges, handful, start, ends, rest_length, clamp, bend, twist, rest, section, rods, up, tolerance,
+                edges, handful, start, ends, rest_length, clamp, bend, twist, rest, section, rods, tolerance,
                 max_iterations, first_shift, max_rotation, max_escapes, closing_distance, thread, thread * origin_stride,
                 scratch, lane_rod, queue, frames, results, outer)
 

@@ -64,9 +64,9 @@ def relax(
         table = tables(
             configuration, material, clamps, up, configuration_index, material_index, external, external_index)
         if isinstance(solver, Descent):
-            frames, results, bits = _descent(table, up, solver, precision)
+            frames, results, bits = _descent(table, solver, precision)
         else:
-            frames, results, bits = _newton(table, up, solver, precision)
+            frames, results, bits = _newton(table, solver, precision)
         return _solution(table, up, frames, results, bits)
 
 
@@ -80,20 +80,20 @@ def _unit(up) -> np.ndarray:
     return up / np.linalg.norm(up)
 
 
-def _descent(table: Tables, up: np.ndarray, solver: Descent, precision: str):
+def _descent(table: Tables, solver: Descent, precision: str):
     """(frames, results, bits per rod)."""
     bits = 32 if precision == "f32" else 64
-    frames, results = batch.run_descent(table, up, solver, bits)
+    frames, results = batch.run_descent(table, solver, bits)
     return frames, results, np.full(table.count, bits)
 
 
-def _newton(table: Tables, up: np.ndarray, solver: Newton, precision: str):
+def _newton(table: Tables, solver: Newton, precision: str):
     """The precision ladder: (frames, results, bits per rod)."""
     if precision == "f64":
-        frames, results = batch.run_newton(table, up, solver, 64)
+        frames, results = batch.run_newton(table, solver, 64)
         return frames, results, np.full(len(results), 64)
     coarse = solver if precision == "f32" else replace(solver, tolerance=None)
-    frames, results = batch.run_newton(table, up, coarse, 32)
+    frames, results = batch.run_newton(table, coarse, 32)
     bits = np.full(len(results), 32)
     feasible = ~np.isnan(results[:, STATUS])
     short = (results[:, STATUS] != CONVERGED) | (results[:, STABLE] == 0)
@@ -101,7 +101,7 @@ def _newton(table: Tables, up: np.ndarray, solver: Newton, precision: str):
     if len(rows):
         usable = (results[:, STATUS] == CONVERGED) | (results[:, STATUS] == STALLED)
         before = results[rows, ITERATIONS]
-        batch.continue_newton(table, up, replace(solver, first_shift=0.0), 64, frames, results, rows, usable)
+        batch.continue_newton(table, replace(solver, first_shift=0.0), 64, frames, results, rows, usable)
         results[rows, ITERATIONS] += before
         bits[rows] = 64
     return frames, results, bits

@@ -32,9 +32,9 @@ FREE, POSITION, TANGENT, FRAME = (int(kind) for kind in Clamp)
 TARGET, CLOSED, SPIN_START, TILT_START, SPIN_END, TILT_END, TILT_INNER, RELEASED = 0, 3, 4, 5, 6, 7, 8, 9
 TOTAL, LONGEST, SHORTEST_PAIR, HANGING, ANCHOR, CLAMP_COLUMNS = 10, 11, 12, 13, 14, 17
 
-# Columns of a material's section: weight μ, the largest eigenvalue of B, that or β where it is more, and one where the rod
-# looks the same from all sides, so that it may spin about itself at no cost.
-WEIGHT, LARGEST_BEND, STIFFEST, ROUND, SECTION_COLUMNS = 0, 1, 2, 3, 4
+# Columns of a material's section: weight μ, the largest eigenvalue of B, that or β where it is more, one where the rod looks
+# the same from all sides, so that it may spin about itself at no cost, and μ times the unit vector up.
+WEIGHT, LARGEST_BEND, STIFFEST, ROUND, LIFT, SECTION_COLUMNS = 0, 1, 2, 3, 4, 7
 
 # Columns of a rod's results; the multiplier λ of closure has three.
 ENERGY, RESIDUAL, CLOSURE, ITERATIONS, STATUS, STABLE, MULTIPLIER, RESULTS = 0, 1, 2, 3, 4, 5, 6, 9
@@ -204,7 +204,7 @@ def tables(
         bend=np.ascontiguousarray(bend),
         twist=np.ascontiguousarray(material.twist),
         rest=np.ascontiguousarray(np.zeros((material.count, 1, 2)) if rest is None else rest),
-        section=_section_table(bend, material),
+        section=_section_table(bend, material, up),
         rods=_rods(index_c, index_m, index_e, feasible[index_c]),
         feasible=feasible,
         isotropic=material.is_isotropic,
@@ -243,6 +243,8 @@ def _check_frames(frames: np.ndarray, kinds: np.ndarray) -> None:
 
 def _kinds(name: str, kind, count: int) -> np.ndarray:
     """(S,) Clamp numbers. Raises InputError for anything that is not one Clamp, or one for each start."""
+    if isinstance(kind, Clamp):
+        return np.full(count, int(kind))
     kind = np.asarray(kind)
     known = kind.dtype.kind in "iuf" and bool(((kind >= FREE) & (kind <= FRAME) & (kind == kind.astype(int))).all())
     if kind.shape not in ((), (1,), (count,)) or not known:
@@ -418,10 +420,11 @@ def _clamp_table(start, lengths, start_kind, end_kind, clamps):
     return table
 
 
-def _section_table(bend: np.ndarray, material: Material) -> np.ndarray:
+def _section_table(bend: np.ndarray, material: Material, up: np.ndarray) -> np.ndarray:
     """(G, SECTION_COLUMNS): see the columns' names."""
     table = np.empty((material.count, SECTION_COLUMNS))
     table[:, WEIGHT] = material.weight
+    table[:, LIFT : LIFT + 3] = material.weight[:, None] * up
     table[:, ROUND] = 1.0
     largest = bend[..., 0]
     if not material.is_isotropic:
