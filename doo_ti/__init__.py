@@ -25,7 +25,7 @@ _HOMES = {
     "save_observations": "dataset", "observation_clamps": "start", "start_configuration": "start",
     "turn_hypotheses": "start", "Grid": "grid", "Newton": "newton", "Descent": "descent", "relax": "relaxation",
     "distance": "metric", "sweep": "sweeps", "SweepOptions": "sweeps", "Axis": "grid",
-    "choose_hypothesis": "start", "Springs": "external",
+    "choose_hypothesis": "start", "Springs": "external", "relax_again": "relaxation",
 }
 __all__ = sorted(_HOMES)
 

@@ -13,7 +13,7 @@ from doo_ti.loading import ASKED_ITEMS
 from doo_ti.newton_kernel import newton_kernel
 from doo_ti.physics.number import Number
 from doo_ti.tables import ITERATIONS, RESULTS, STATUS, Tables
-from doo_ti.types import Status
+from doo_ti.types import Solution, Status
 from doo_ti.vertex_chain import ITEMS
 
 PROJECTIONS = 100
@@ -26,8 +26,9 @@ _scratch: dict = {}
 _pool: list[np.ndarray] = []
 
 
-def run_newton(table: Tables, options: newton.Newton, bits: int, moving: bool = True):
-    """Relax every feasible rod from its start: (R, E, 4) frames and (R, RESULTS), NaN in infeasible rows.
+def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution | None = None, moving: bool = True):
+    """Relax every feasible rod from its start, or from where it ended in ``begin``: (R, E, 4) frames and (R, RESULTS), NaN in
+    infeasible rows.
 
     With ``moving`` false only the projection runs, which brings a start onto closure.
     """
@@ -35,7 +36,11 @@ def run_newton(table: Tables, options: newton.Newton, bits: int, moving: bool = 
     if len(table.rods) < table.count:
         frames[~table.feasible[table.configuration_index]] = np.nan
     results = np.full((table.count, RESULTS), np.nan)
-    _launch_newton(table, table.rods, options, bits, frames, results, moving)
+    if begin is None:
+        _launch_newton(table, table.rods, options, bits, frames, results, moving)
+    else:
+        frames[:] = begin.configuration.quaternions
+        continue_newton(table, options, bits, frames, results, np.arange(table.count), begin.converged)
     return frames, results
 
 

@@ -70,6 +70,29 @@ def relax(
         return _solution(table, up, frames, results, bits)
 
 
+def relax_again(
+    solution: Solution, material: Material, solver: Newton = Newton(first_shift=0.0), *, precision: str = "f64",
+    material_index=None,
+) -> Solution:
+    """F once more, from where rods ended, under another material: what follows a parameter takes half the iterations.
+
+    solution        of :func:`relax` or of this function; clamps, gravity, lengths and an external energy stay as they were
+    material        table with G rows
+    solver          Newton; without a first shift, which keeps closest to the branch
+    material_index  (R,) rows of ``material``; without it one for each rod, or the one row for all
+
+    Raises InputError for inputs that do not match. Rods that had come to nothing start where they first did.
+    """
+    if not isinstance(solver, Newton):
+        raise InputError("relax_again", "solver", f"{solver!r}", "give Newton() or Newton.careful()")
+    if precision not in PRECISIONS:
+        raise InputError("relax_again", "precision", f"{precision!r}", f"give one of {', '.join(PRECISIONS)}")
+    with np.errstate(all="ignore"):
+        table = solution.tables.under(material, material_index)
+        frames, results, bits = _newton(table, solver, precision, solution)
+        return _solution(table, table.up, frames, results, bits)
+
+
 def _unit(up) -> np.ndarray:
     try:
         up = np.asarray(up, dtype=np.float64)
@@ -87,13 +110,13 @@ def _descent(table: Tables, solver: Descent, precision: str):
     return frames, results, np.full(table.count, bits)
 
 
-def _newton(table: Tables, solver: Newton, precision: str):
-    """The precision ladder: (frames, results, bits per rod)."""
+def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | None = None):
+    """The precision ladder, from the starts or where another solution ended: (frames, results, bits per rod)."""
     if precision == "f64":
-        frames, results = batch.run_newton(table, solver, 64)
+        frames, results = batch.run_newton(table, solver, 64, begin)
         return frames, results, np.full(len(results), 64)
     coarse = solver if precision == "f32" else replace(solver, tolerance=None)
-    frames, results = batch.run_newton(table, coarse, 32)
+    frames, results = batch.run_newton(table, coarse, 32, begin)
     bits = np.full(len(results), 32)
     feasible = ~np.isnan(results[:, STATUS])
     short = (results[:, STATUS] != CONVERGED) | (results[:, STABLE] == 0)
@@ -134,4 +157,5 @@ def _solution(table: Tables, up: np.ndarray, frames: np.ndarray, results: np.nda
         stable=results[:, STABLE] == 1,
         end_force=-results[:, MULTIPLIER:],
         precision=bits.astype(np.int8),
+        tables=table,
     )

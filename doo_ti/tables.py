@@ -55,7 +55,7 @@ class Tables:
     rods (feasible ones, 5) int32: configuration, material, row of the results, one where the rod starts from the frames in
     that row instead, and row of the external energy; feasible (S,) bool; released (S,) bool: vertex 0 is free, the far end
     held; configuration_index, material_index and external_index (R,), infeasible rods included; external the external energy,
-    or None.
+    or None; up (3,); floating: some rod has both ends free.
     """
 
     start: np.ndarray
@@ -73,6 +73,8 @@ class Tables:
     material_index: np.ndarray
     external_index: np.ndarray
     external: Springs | None
+    up: np.ndarray
+    floating: bool
 
     @property
     def edges(self) -> int:
@@ -120,6 +122,21 @@ class Tables:
         good = rows[self.feasible[self.configuration_index[rows]]]
         index = (self.configuration_index[good], self.material_index[good], good, usable[good], self.external_index[good])
         return np.ascontiguousarray(np.stack(index, axis=-1).astype(np.int32))
+
+    def under(self, material: Material, index=None) -> "Tables":
+        """The same rods under another material, one row for each or one for all, or as ``index`` (R,) says.
+
+        Raises InputError where they do not match.
+        """
+        _check_material(material, self.edges, self.floating)
+        if index is None and material.count not in (1, self.count):
+            raise InputError(
+                "relax_again", "material", f"{material.count} rows for {self.count} rods", "give one, or one per rod")
+        rows = np.arange(self.count) % material.count if index is None else np.asarray(index)
+        if rows.shape != (self.count,):
+            raise InputError("relax_again", "material_index", f"shape {rows.shape}", f"give ({self.count},) row numbers")
+        _, rows = _pairs(len(self.start), material.count, self.configuration_index, rows)
+        return replace(self, material_index=rows, **_material_tables(material, self.up))
 
     def restarted(self, frames: np.ndarray) -> "Tables":
         """The same rods with a start each, ``frames`` (R, E, 4); infeasible ones keep what they had."""
@@ -173,19 +190,11 @@ def tables(
     kinds = np.stack([start_kind, end_kind], axis=1)
     frames = np.stack([clamps.start_frame, clamps.end_frame], axis=1)
     _check_frames(frames, kinds)
-    adrift = (start_kind == FREE) & (end_kind == FREE)
-    if adrift.any() and (material.weight > 0).any():
-        raise InputError("clamps", "start, end", "both ends are free and the rod has weight", "hold one end, or set weight 0")
+    floating = bool(((start_kind == FREE) & (end_kind == FREE)).any())
     if external is not None and ((start_kind == FREE) | (end_kind != FREE)).any():
         raise InputError("clamps", "start, end", "an external energy needs the start held and the far end free",
                          "give Clamp.FREE as the end, another as the start")
-    for name, array, length in (("twist", material.twist, edges - 1), ("bend", material.bend, edges)):
-        if array.shape[1] not in (1, length):
-            raise InputError("material", name, f"{array.shape[1]} entries along the rod", f"give one or {length}")
-    rest = material.rest_curvature
-    if rest is not None and rest.shape[1] not in (1, edges - 1):
-        raise InputError("material", "rest_curvature", f"{rest.shape[1]} joints", f"give one or {edges - 1}")
-
+    _check_material(material, edges, floating)
     start = np.ascontiguousarray(configuration.quaternions, dtype=np.float64)
     ends = _imposed(start[:, [0, -1]], kinds, frames)
     clamp = _clamp_table(configuration.start, lengths, start_kind, end_kind, clamps)
@@ -195,24 +204,46 @@ def tables(
     feasible = ~closed | ((free.span <= free.reach * (1 + 1e-12)) & (free.tilting.sum(axis=1) + edges - 2 >= 2))
     start, ends = _bowed(start, ends, lengths, free, feasible & closed, up)
     start, ends = _stretched(start, ends, clamp, free, feasible & closed)
-    bend = np.stack([material.bend[..., 0, 0], material.bend[..., 1, 1], material.bend[..., 0, 1]], axis=-1)
     return Tables(
         start=start,
         ends=ends,
         rest_length=lengths,
         clamp=clamp,
-        bend=np.ascontiguousarray(bend),
-        twist=np.ascontiguousarray(material.twist),
-        rest=np.ascontiguousarray(np.zeros((material.count, 1, 2)) if rest is None else rest),
-        section=_section_table(bend, material, up),
+        **_material_tables(material, up),
         rods=_rods(index_c, index_m, index_e, feasible[index_c]),
         feasible=feasible,
-        isotropic=material.is_isotropic,
         configuration_index=index_c,
         material_index=index_m,
         external_index=index_e,
         external=external,
+        up=up,
+        floating=floating,
     )
+
+
+def _check_material(material: Material, edges: int, floating: bool) -> None:
+    """Raise InputError where ``material`` does not go with rods of so many edges, or of which some float, held by nothing."""
+    if floating and (material.weight > 0).any():
+        raise InputError("clamps", "start, end", "both ends are free and the rod has weight", "hold one end, or set weight 0")
+    for name, array, length in (("twist", material.twist, edges - 1), ("bend", material.bend, edges)):
+        if array.shape[1] not in (1, length):
+            raise InputError("material", name, f"{array.shape[1]} entries along the rod", f"give one or {length}")
+    rest = material.rest_curvature
+    if rest is not None and rest.shape[1] not in (1, edges - 1):
+        raise InputError("material", "rest_curvature", f"{rest.shape[1]} joints", f"give one or {edges - 1}")
+
+
+def _material_tables(material: Material, up: np.ndarray) -> dict:
+    """The fields of :class:`Tables` that come from the material alone."""
+    bend = np.stack([material.bend[..., 0, 0], material.bend[..., 1, 1], material.bend[..., 0, 1]], axis=-1)
+    rest = material.rest_curvature
+    return {
+        "bend": np.ascontiguousarray(bend),
+        "twist": np.ascontiguousarray(material.twist),
+        "rest": np.ascontiguousarray(np.zeros((material.count, 1, 2)) if rest is None else rest),
+        "section": _section_table(bend, material, up),
+        "isotropic": material.is_isotropic,
+    }
 
 
 def _check_shapes(configuration: Configuration, clamps: Clamps) -> None:

@@ -111,14 +111,12 @@ def in_turn(tables: list[tuple[Configuration, Clamps]]) -> tuple[Configuration, 
     return configuration, Clamps(clamps[0].start, clamps[0].end, *held)
 
 
-def warm(rods: Rods, solution: Solution) -> Rods:
-    """The rods at their solution, bend and twist each a tenth higher or lower than there, from the fixed seed."""
+def near(rods: Rods) -> Material:
+    """The rods' materials, a row for each, bend and twist each a tenth higher or lower, from the fixed seed."""
     random = np.random.default_rng(SEED)
     bend, twist = (1.0 + random.choice([-NEAR, NEAR], rods.count) for _ in range(2))
     material, row = rods.material, rods.of_material
-    near = Material(material.bend[row] * bend[:, None, None, None], material.twist[row] * twist[:, None],
-                    material.weight[row])
-    return paired(solution.configuration, rods.clamps.take(rods.of_start), near)
+    return Material(material.bend[row] * bend[:, None, None, None], material.twist[row] * twist[:, None], material.weight[row])
 
 
 def pulled(rods: Rods) -> Rods:
