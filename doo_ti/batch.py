@@ -143,7 +143,8 @@ def _chain_form(vertices: np.ndarray, first_directors: np.ndarray) -> np.ndarray
 def _machine(rods: int, bits: int) -> tuple[Number, int, int, int]:
     """(kind of number, threads, item stride, block) that suit the architecture Taichi runs on."""
     if runtime.start() == "cpu":
-        return Number(16 if bits == 32 else 8, bits), runtime.thread_count(), 1, 1
+        number = Number(16 if bits == 32 else 8, bits)
+        return number, max(1, min(runtime.thread_count(), -(-rods // number.width))), 1, 1
     threads = min(max(rods, 1), 1 << 16)
     return Number(1, bits), threads, threads, 64
 
