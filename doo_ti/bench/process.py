@@ -120,8 +120,8 @@ def _memory(path: str, count: int) -> dict:
     for rods in (count, 4 * count):
         solution = _relaxed(_specimens(path, rods))
         shape = solution.configuration
-        arrays = [shape.start, shape.quaternions, *(value for value in vars(solution).values() if value is not shape)]
-        results = sum(array.nbytes for array in arrays) / rods
+        held = [shape.start, shape.quaternions, *vars(solution).values()]
+        results = sum(array.nbytes for array in held if isinstance(array, np.ndarray)) / rods
         most.append(_memory_bytes("VmHWM"))
     return {"bytes": None if None in most else (most[1] - most[0]) / (3 * count) - results}
 
