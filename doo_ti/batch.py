@@ -23,6 +23,7 @@ POOLED_BYTES = 1 << 30
 """Frames of results no longer in use are kept for the next call up to this size: a fresh page costs as much as a rod's step."""
 
 _scratch: dict = {}
+_queues: dict[Number, np.ndarray] = {}
 _pool: list[np.ndarray] = []
 
 
@@ -53,8 +54,8 @@ def continue_newton(table: Tables, options: newton.Newton, bits: int, frames, re
 
 def pack_trips(bits: int) -> tuple[int, int]:
     """(trips through Newton's loop, all threads together, and rods in a pack) of the last launch in that precision."""
-    number, buffers = next((number, buffers) for number, buffers in _scratch.items() if number.bits == bits)
-    return int(buffers[2].to_numpy()[1]), number.width
+    number, queue = next((number, queue) for number, queue in _queues.items() if number.bits == bits)
+    return int(queue[1]), number.width
 
 
 def _room(size: int) -> np.ndarray:
@@ -155,9 +156,10 @@ def _handful(rods: int, lanes: int) -> int:
 
 
 def _buffers(number: Number, threads: int, items: int):
-    """(scratch for every thread, rod of every lane, queue and trips set to zero), kept from call to call.
+    """(scratch for every thread, rod of every lane), kept from call to call, and the queue and count of trips, set to zero.
 
-    They grow at least twofold: Taichi never gives back arrays of packs, so those outgrown stay, together less than the last.
+    The kept ones grow at least twofold: Taichi never gives back arrays of packs, so those outgrown stay, together less than
+    the last. The queue is NumPy's, because to fill an array of Taichi's is a launch of its own.
     """
     import taichi as ti
 
@@ -166,7 +168,6 @@ def _buffers(number: Number, threads: int, items: int):
     if kept is None or any(array.shape[0] < size for array, size in zip(kept, sizes)):
         if kept is not None:
             sizes = [max(size, 2 * array.shape[0]) for array, size in zip(kept, sizes)]
-        kept = _scratch[number] = (
-            ti.ndarray(number.type, sizes[0]), ti.ndarray(ti.i32, sizes[1]), ti.ndarray(ti.i32, 2))
-    kept[2].fill(0)
-    return kept
+        kept = _scratch[number] = (ti.ndarray(number.type, sizes[0]), ti.ndarray(ti.i32, sizes[1]))
+    _queues[number] = np.zeros(2, dtype=np.int32)
+    return *kept, _queues[number]
