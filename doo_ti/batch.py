@@ -72,7 +72,6 @@ def _room(size: int) -> np.ndarray:
 
 
 def _launch_newton(table: Tables, rods, options: newton.Newton, bits: int, frames, results, moving: bool = True) -> None:
-
     number, threads, stride, block = _machine(len(rods), bits)
     external = table.external
     kind = None if external is None else type(external)
@@ -96,7 +95,6 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     The residual, the status and the certificate are those of the chain of frames, so that they mean the same for both
     solvers: a rod has converged if its moments say so there.
     """
-
     projection = newton.Newton(max_iterations=PROJECTIONS)
     closed, _ = run_newton(table, projection, 64, moving=False)
     table = table.restarted(closed)

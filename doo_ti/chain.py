@@ -279,6 +279,51 @@ def chain_sweeps(number, isotropic: bool, stride: int, extra: int = 0) -> Simple
             at += ti.static(items * stride)
 
     @ti.func
+    def stirred(scratch: ti.template(), at, edge, right, gradient, noise, echo, slope):
+        """The right-hand side of an edge with the noise and the echo of :func:`eliminate`, and the slope along the echo."""
+        none = 0.0 * echo
+        w = load3(scratch, at + ROTATION * stride)
+        # A lane without an echo may hold anything there, even what is not a number.
+        k0, k1, k2 = (
+            ti.select(echo > 0.0, echo * w[0], none),
+            ti.select(echo > 0.0, echo * w[1], none),
+            ti.select(echo > 0.0, echo * w[2], none),
+        )
+        return (
+            right[0] + noise * ((5 * edge + 2) % 7 - 2.5) + k0,
+            right[1] + noise * ((3 * edge + 1) % 7 - 2.5) + k1,
+            right[2] + noise * ((4 * edge + 3) % 7 - 2.5) + k2,
+            slope + gradient[0] * k0 + gradient[1] * k1 + gradient[2] * k2,
+        )
+
+    @ti.func
+    def store_eliminated(scratch: ti.template(), at, f, right, neighbour, border):
+        """What :func:`solved_edge` needs of an edge: its factors, W_r, and three columns each of W_U and of the border."""
+        store(scratch, at + PIVOTS * stride, (f[0], f[1], f[2], f[3], f[4], f[5]))
+        store(scratch, at + ROTATION * stride, right)
+        store(scratch, at + ELIMINATED_NEXT * stride, neighbour)
+        store(scratch, at + ELIMINATED_CLOSURE * stride, border)
+
+    @ti.func
+    def solved_edge(scratch: ti.template(), at, border, w):
+        """ω = L⁻ᵀ D⁻¹ (W_r − W_border border − W_U ω_neighbour) of an edge, into its place."""
+        f0, f1, f2, f3, f4, f5 = load6(scratch, at + PIVOTS * stride)
+        r = load3(scratch, at + ROTATION * stride)
+        wu0 = load3(scratch, at + ELIMINATED_NEXT * stride)
+        wu1 = load3(scratch, at + (ELIMINATED_NEXT + 3) * stride)
+        wu2 = load3(scratch, at + (ELIMINATED_NEXT + 6) * stride)
+        wb0 = load3(scratch, at + ELIMINATED_CLOSURE * stride)
+        wb1 = load3(scratch, at + (ELIMINATED_CLOSURE + 3) * stride)
+        wb2 = load3(scratch, at + (ELIMINATED_CLOSURE + 6) * stride)
+        b = border
+        y0 = r[0] - wb0[0] * b[0] - wb1[0] * b[1] - wb2[0] * b[2] - wu0[0] * w[0] - wu1[0] * w[1] - wu2[0] * w[2]
+        y1 = r[1] - wb0[1] * b[0] - wb1[1] * b[1] - wb2[1] * b[2] - wu0[1] * w[0] - wu1[1] * w[1] - wu2[1] * w[2]
+        y2 = r[2] - wb0[2] * b[0] - wb1[2] * b[1] - wb2[2] * b[2] - wu0[2] * w[0] - wu1[2] * w[1] - wu2[2] * w[2]
+        rotation = backward((f0, f1, f2, f3, f4, f5), (y0, y1, y2))
+        store(scratch, at + ROTATION * stride, rotation)
+        return rotation
+
+    @ti.func
     def eliminate(scratch: ti.template(), origin, edges, shift, noise, echo, multiplier, miss, material, gravity,
                   closed, free, total, released, anchor):
         """Assemble H + shift at the closed frames and eliminate it from the first edge to the last.
@@ -337,16 +382,7 @@ def chain_sweeps(number, isotropic: bool, stride: int, extra: int = 0) -> Simple
             a6, a7, a8 = (keep * m1[0] - a6, keep * m1[1] - a7, keep * m1[2] - a8)
             b0, b1, b2 = (0.0 - g0 - r0, 0.0 - g1 - r1, 0.0 - g2 - r2)
             if searching:
-                w = load3(scratch, at + ROTATION * stride)
-                k0, k1, k2 = (
-                    ti.select(echo > 0.0, echo * w[0], zero),
-                    ti.select(echo > 0.0, echo * w[1], zero),
-                    ti.select(echo > 0.0, echo * w[2], zero),
-                )
-                slope = slope + g0 * k0 + g1 * k1 + g2 * k2
-                b0 = b0 + noise * ((5 * e + 2) % 7 - 2.5) + k0
-                b1 = b1 + noise * ((3 * e + 1) % 7 - 2.5) + k1
-                b2 = b2 + noise * ((4 * e + 3) % 7 - 2.5) + k2
+                b0, b1, b2, slope = stirred(scratch, at, e, (b0, b1, b2), (g0, g1, g2), noise, echo, slope)
             d0, d1, d2 = (h0 + shift - e0, h1 - e1, h2 - e2)
             d3, d4, d5 = (h3 + shift - e3, h4 - e4, h5 + shift - e5)
             if e == 0 or e >= edges - 2 or some_taut:
@@ -381,14 +417,7 @@ def chain_sweeps(number, isotropic: bool, stride: int, extra: int = 0) -> Simple
             wa0 = forward(f, (a0, a3, a6))
             wa1 = forward(f, (a1, a4, a7))
             wa2 = forward(f, (a2, a5, a8))
-            store(scratch, at + PIVOTS * stride, (f[0], f[1], f[2], f[3], f[4], f[5]))
-            store(scratch, at + ROTATION * stride, wr)
-            store(scratch, at + ELIMINATED_NEXT * stride, wu0)
-            store(scratch, at + (ELIMINATED_NEXT + 3) * stride, wu1)
-            store(scratch, at + (ELIMINATED_NEXT + 6) * stride, wu2)
-            store(scratch, at + ELIMINATED_CLOSURE * stride, wa0)
-            store(scratch, at + (ELIMINATED_CLOSURE + 3) * stride, wa1)
-            store(scratch, at + (ELIMINATED_CLOSURE + 6) * stride, wa2)
+            store_eliminated(scratch, at, f, wr, wu0 + wu1 + wu2, wa0 + wa1 + wa2)
             negative = negative + f[6]
             s0, s1, s2 = (s0 + weighted(f, wa0, wa0), s1 + weighted(f, wa0, wa1), s2 + weighted(f, wa0, wa2))
             s3, s4, s5 = (s3 + weighted(f, wa1, wa1), s4 + weighted(f, wa1, wa2), s5 + weighted(f, wa2, wa2))
@@ -418,24 +447,12 @@ def chain_sweeps(number, isotropic: bool, stride: int, extra: int = 0) -> Simple
         longest = zero
         at = origin + (edges - 1) * ti.static(items * stride)
         for _ in range(edges):
-            f0, f1, f2, f3, f4, f5 = load6(scratch, at + PIVOTS * stride)
-            r = load3(scratch, at + ROTATION * stride)
-            wu0 = load3(scratch, at + ELIMINATED_NEXT * stride)
-            wu1 = load3(scratch, at + (ELIMINATED_NEXT + 3) * stride)
-            wu2 = load3(scratch, at + (ELIMINATED_NEXT + 6) * stride)
-            wa0 = load3(scratch, at + ELIMINATED_CLOSURE * stride)
-            wa1 = load3(scratch, at + (ELIMINATED_CLOSURE + 3) * stride)
-            wa2 = load3(scratch, at + (ELIMINATED_CLOSURE + 6) * stride)
-            y0 = r[0] - wa0[0] * change[0] - wa1[0] * change[1] - wa2[0] * change[2] - wu0[0] * w0 - wu1[0] * w1 - wu2[0] * w2
-            y1 = r[1] - wa0[1] * change[0] - wa1[1] * change[1] - wa2[1] * change[2] - wu0[1] * w0 - wu1[1] * w1 - wu2[1] * w2
-            y2 = r[2] - wa0[2] * change[0] - wa1[2] * change[1] - wa2[2] * change[2] - wu0[2] * w0 - wu1[2] * w1 - wu2[2] * w2
-            w0, w1, w2 = backward((f0, f1, f2, f3, f4, f5), (y0, y1, y2))
-            store(scratch, at + ROTATION * stride, (w0, w1, w2))
+            w0, w1, w2 = solved_edge(scratch, at, change, (w0, w1, w2))
             longest = largest_of(longest, dot((w0, w1, w2), (w0, w1, w2)))
             at -= ti.static(items * stride)
         return ti.sqrt(longest)
 
     return SimpleNamespace(
         step=step, close=close, eliminate=eliminate, restore=restore, substitute=substitute, items=items, load3=load3,
-        load4=load4, load6=load6, store=store, load_bent=load_bent, stiffness=stiffness, derivatives=derivatives,
-        hanging_weight=hanging_weight)
+        load4=load4, load_bent=load_bent, stiffness=stiffness, derivatives=derivatives, hanging_weight=hanging_weight,
+        stirred=stirred, store_eliminated=store_eliminated, solved_edge=solved_edge)

@@ -13,14 +13,13 @@ from functools import cache
 import taichi as ti
 
 from doo_ti.errors import InputError
+from doo_ti.loading import residual_divisor
 from doo_ti.physics.number import Number
 from doo_ti.tables import (
     CLOSED,
     CLOSURE,
     ENERGY,
-    HANGING,
     ITERATIONS,
-    LARGEST_BEND,
     LIFT,
     RELEASED,
     RESIDUAL,
@@ -31,7 +30,6 @@ from doo_ti.tables import (
     TILT_END,
     TILT_INNER,
     TILT_START,
-    WEIGHT,
 )
 from doo_ti.types import Status
 from doo_ti.vertex_chain import DIRECTOR, ITEMS, POSITION, TRIAL_POSITION, vertex_sweeps
@@ -143,8 +141,7 @@ def descent_kernel(number: Number, stride: int, block: int):
                                                              rest_length, bend, twist, rest)
                                 length = with_lane(length, slot, longest)
                                 limit_move = with_lane(limit_move, slot, largest_move * shortest)
-                                scale = with_lane(
-                                    scale, slot, ti.max(section[g, LARGEST_BEND], section[g, WEIGHT] * clamp[s, HANGING]))
+                                scale = with_lane(scale, slot, residual_divisor(section, clamp, g, s))
                                 start_held = ti.max(clamp[s, CLOSED], 1.0 - clamp[s, RELEASED])
                                 end_held = ti.max(clamp[s, CLOSED], clamp[s, RELEASED])
                                 held_first = with_lane(held_first, slot, start_held)
@@ -154,7 +151,7 @@ def descent_kernel(number: Number, stride: int, block: int):
                                 taut = with_lane(taut, slot, 1.0 - clamp[s, TILT_INNER])
                                 spin_start = with_lane(spin_start, slot, clamp[s, SPIN_START])
                                 spin_end = with_lane(spin_end, slot, clamp[s, SPIN_END])
-                                gravity0 = with_lane(gravity0, slot, section[g, LIFT + 0])
+                                gravity0 = with_lane(gravity0, slot, section[g, LIFT])
                                 gravity1 = with_lane(gravity1, slot, section[g, LIFT + 1])
                                 gravity2 = with_lane(gravity2, slot, section[g, LIFT + 2])
                                 count = with_lane(count, slot, 0.0)

@@ -107,14 +107,11 @@ def smallest_rotation(source: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 def vertices_from_quaternions(start: np.ndarray, quaternions: np.ndarray, rest_length: np.ndarray) -> np.ndarray:
     """x_{i+1} = x_i + l_i t_i: (R, V, 3) vertices of the chain."""
-    q = np.asarray(quaternions, dtype=np.float64)
-    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
-    count, edges = w.shape
+    tangents = tangent_from_quaternion(quaternions)
+    count, edges = tangents.shape[:2]
     result = np.empty((count, edges + 1, 3))
     result[:, 0] = start
-    result[:, 1:, 0] = rest_length * (1 - 2 * (y * y + z * z))
-    result[:, 1:, 1] = rest_length * (2 * (x * y + w * z))
-    result[:, 1:, 2] = rest_length * (2 * (x * z - w * y))
+    result[:, 1:] = np.asarray(rest_length)[..., None] * tangents
     return np.cumsum(result, axis=1, out=result)
 
 

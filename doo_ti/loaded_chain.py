@@ -14,8 +14,8 @@ from types import SimpleNamespace
 import taichi as ti
 
 from doo_ti import chain
-from doo_ti.chain import ELIMINATED_CLOSURE, ELIMINATED_NEXT, LENGTH, PIVOTS, ROTATION
-from doo_ti.physics.algebra import absolute, backward, dot, factor, forward, largest_of, weighted
+from doo_ti.chain import LENGTH
+from doo_ti.physics.algebra import absolute, dot, factor, forward, largest_of, weighted
 from doo_ti.physics.closure import linear_gradient, linear_hessian
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 
@@ -26,8 +26,7 @@ def loaded_sweeps(number, isotropic: bool, stride: int, external: type, function
     ``functions`` are those of the class ``external`` (see :class:`doo_ti.external.ExternalFunctions`).
     """
     plain = chain.chain_sweeps(number, isotropic, stride, external.items)
-    load3, load4, load6, store = plain.load3, plain.load4, plain.load6, plain.store
-    items, largest = plain.items, number.lanes().largest
+    load4, items, largest = plain.load4, plain.items, number.lanes().largest
     evaluate = functions.evaluate
 
     @ti.func
@@ -140,16 +139,8 @@ def loaded_sweeps(number, isotropic: bool, stride: int, external: type, function
             rhs0, rhs1, rhs2 = (0.0 - g0 - f0, 0.0 - g1 - r1 - f1, 0.0 - g2 - r2 - f2)
             g1, g2 = (g1 + l1, g2 + l2)
             if searching:
-                w = load3(scratch, at + ROTATION * stride)
-                n0, n1, n2 = (
-                    ti.select(echo > 0.0, echo * w[0], zero),
-                    ti.select(echo > 0.0, echo * w[1], zero),
-                    ti.select(echo > 0.0, echo * w[2], zero),
-                )
-                slope = slope + g0 * n0 + g1 * n1 + g2 * n2
-                rhs0 = rhs0 + noise * ((5 * e + 2) % 7 - 2.5) + n0
-                rhs1 = rhs1 + noise * ((3 * e + 1) % 7 - 2.5) + n1
-                rhs2 = rhs2 + noise * ((4 * e + 3) % 7 - 2.5) + n2
+                rhs0, rhs1, rhs2, slope = plain.stirred(
+                    scratch, at, e, (rhs0, rhs1, rhs2), (g0, g1, g2), noise, echo, slope)
             if e == 0:
                 spin, tilt = (free[0], free[1])
                 g0, g1, g2 = (spin * g0, tilt * g1, tilt * g2)
@@ -166,10 +157,7 @@ def loaded_sweeps(number, isotropic: bool, stride: int, external: type, function
             wu0 = forward(f, (u0, u1, u2))
             wu1 = forward(f, (u3, u4, u5))
             wu2 = forward(f, (u6, u7, u8))
-            store(scratch, at + PIVOTS * stride, (f[0], f[1], f[2], f[3], f[4], f[5]))
-            store(scratch, at + ROTATION * stride, wr)
-            store(scratch, at + ELIMINATED_NEXT * stride, wu0 + wu1 + wu2)
-            store(scratch, at + ELIMINATED_CLOSURE * stride, wz0 + wz1 + wz2)
+            plain.store_eliminated(scratch, at, f, wr, wu0 + wu1 + wu2, wz0 + wz1 + wz2)
             s0, s1, s2 = (s0 + k[0] - weighted(f, wz0, wz0), s1 + k[1] - weighted(f, wz0, wz1),
                           s2 + k[2] - weighted(f, wz0, wz2))
             s3, s4, s5 = (s3 + k[3] - weighted(f, wz1, wz1), s4 + k[4] - weighted(f, wz1, wz2),
@@ -199,19 +187,7 @@ def loaded_sweeps(number, isotropic: bool, stride: int, external: type, function
         longest = zero
         at = origin
         for _ in range(edges):
-            f0, f1, f2, f3, f4, f5 = load6(scratch, at + PIVOTS * stride)
-            r = load3(scratch, at + ROTATION * stride)
-            wu0 = load3(scratch, at + ELIMINATED_NEXT * stride)
-            wu1 = load3(scratch, at + (ELIMINATED_NEXT + 3) * stride)
-            wu2 = load3(scratch, at + (ELIMINATED_NEXT + 6) * stride)
-            wz0 = load3(scratch, at + ELIMINATED_CLOSURE * stride)
-            wz1 = load3(scratch, at + (ELIMINATED_CLOSURE + 3) * stride)
-            wz2 = load3(scratch, at + (ELIMINATED_CLOSURE + 6) * stride)
-            y0 = r[0] - wz0[0] * x0 - wz1[0] * x1 - wz2[0] * x2 - wu0[0] * w0 - wu1[0] * w1 - wu2[0] * w2
-            y1 = r[1] - wz0[1] * x0 - wz1[1] * x1 - wz2[1] * x2 - wu0[1] * w0 - wu1[1] * w1 - wu2[1] * w2
-            y2 = r[2] - wz0[2] * x0 - wz1[2] * x1 - wz2[2] * x2 - wu0[2] * w0 - wu1[2] * w1 - wu2[2] * w2
-            w0, w1, w2 = backward((f0, f1, f2, f3, f4, f5), (y0, y1, y2))
-            store(scratch, at + ROTATION * stride, (w0, w1, w2))
+            w0, w1, w2 = plain.solved_edge(scratch, at, (x0, x1, x2), (w0, w1, w2))
             q = load4(scratch, at)
             m1 = first_director(q)
             m2 = second_director(q)
@@ -224,4 +200,4 @@ def loaded_sweeps(number, isotropic: bool, stride: int, external: type, function
         return ti.sqrt(longest)
 
     return SimpleNamespace(step=plain.step, close=plain.close, eliminate=eliminate, restore=plain.restore,
-                           substitute=substitute, items=items, load3=load3, load4=load4)
+                           substitute=substitute, items=items, load3=plain.load3, load4=load4)

@@ -35,6 +35,13 @@ ASKED_TARGET, ASKED_CLOSED, ASKED_FREE, ASKED_RELEASED, ASKED_TOTAL, ASKED_LONGE
 ASKED_UNIT, ASKED_STIFFNESS, ASKED_GRAVITY, ASKED_ANCHOR, ASKED_SCALE, ASKED_ITEMS = 12, 13, 15, 18, 21, 22
 
 
+@ti.func
+def residual_divisor(section: ti.template(), clamp: ti.template(), g, s):
+    """Divisor of the scaled residual of the rod (configuration s, material g): the largest eigenvalue of B, or the largest
+    gravity moment where that is more."""
+    return ti.max(section[g, LARGEST_BEND], section[g, WEIGHT] * clamp[s, HANGING])
+
+
 def lane_loading(number, isotropic: bool, stride: int, items: int, outside=None) -> SimpleNamespace:
     """``load_rod`` and ``store_frames`` as Taichi functions; ``outside`` are the functions of the external energy, if any."""
     lanes = number.lanes()
@@ -130,8 +137,7 @@ def lane_loading(number, isotropic: bool, stride: int, items: int, outside=None)
         last = origin + (edges - 1) * ti.static(items * stride)
         s = rods[rod, 0]
         g = rods[rod, 1]
-        # The unit of the rod's energies: the divisor of its scaled residual.
-        divisor = ti.max(section[g, LARGEST_BEND], section[g, WEIGHT] * clamp[s, HANGING])
+        divisor = residual_divisor(section, clamp, g, s)  # the unit of the rod's energies, too
         if rods[rod, 3] == 0:
             load_frames(scratch, origin, edges, slot, start, s)
             load_frame(scratch, origin, slot, ends, 2 * s)

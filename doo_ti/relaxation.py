@@ -58,8 +58,7 @@ def relax(
         raise InputError("relax", "solver", f"{solver!r}", "give Newton(), Newton.careful() or Descent()")
     if external is not None and isinstance(solver, Descent):
         raise InputError("relax", "solver", "Descent knows no external energy", "give Newton() or Newton.careful()")
-    if precision not in PRECISIONS:
-        raise InputError("relax", "precision", f"{precision!r}", f"give one of {', '.join(PRECISIONS)}")
+    _check_precision("relax", precision)
     with np.errstate(all="ignore"):  # a rod that is not finite is data: it gets a status, not a warning
         table = tables(
             configuration, material, clamps, up, configuration_index, material_index, external, external_index)
@@ -67,7 +66,7 @@ def relax(
             frames, results, bits = _descent(table, solver, precision)
         else:
             frames, results, bits = _newton(table, solver, precision)
-        return _solution(table, up, frames, results, bits)
+        return _solution(table, frames, results, bits)
 
 
 def relax_again(
@@ -85,12 +84,16 @@ def relax_again(
     """
     if not isinstance(solver, Newton):
         raise InputError("relax_again", "solver", f"{solver!r}", "give Newton() or Newton.careful()")
-    if precision not in PRECISIONS:
-        raise InputError("relax_again", "precision", f"{precision!r}", f"give one of {', '.join(PRECISIONS)}")
+    _check_precision("relax_again", precision)
     with np.errstate(all="ignore"):
         table = solution.tables.under(material, material_index)
         frames, results, bits = _newton(table, solver, precision, solution)
-        return _solution(table, table.up, frames, results, bits)
+        return _solution(table, frames, results, bits)
+
+
+def _check_precision(function: str, precision: str) -> None:
+    if precision not in PRECISIONS:
+        raise InputError(function, "precision", f"{precision!r}", f"give one of {', '.join(PRECISIONS)}")
 
 
 def _unit(up) -> np.ndarray:
@@ -130,11 +133,12 @@ def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | Non
     return frames, results, bits
 
 
-def _solution(table: Tables, up: np.ndarray, frames: np.ndarray, results: np.ndarray, bits: np.ndarray) -> Solution:
+def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.ndarray) -> Solution:
     anchor = table.anchor[table.configuration_index]
     lengths = table.rest_length if len(table.rest_length) == 1 else table.rest_length[table.configuration_index]
     total = lengths.sum(axis=-1)
     # Not a matrix product, whose rounding depends on how many rods there are.
+    up = table.up
     height = anchor[:, 0] * up[0] + anchor[:, 1] * up[1] + anchor[:, 2] * up[2]
     energy = results[:, ENERGY] + table.weight[table.material_index] * height * 2 * total
     if table.external is not None:

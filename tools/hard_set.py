@@ -16,6 +16,7 @@ from functools import partial
 import numpy as np
 
 from doo_ti import Clamp, Clamps, Configuration, Material, Newton, Status, relax
+from doo_ti.bench.workload import BEND_RANGE, TWIST_RATIO_RANGE, log_uniform
 from doo_ti.frames import bishop_frames, quaternion_about, quaternion_from_matrix, quaternion_product
 from doo_ti.types import Solution
 
@@ -25,7 +26,6 @@ BAR = 0.99
 """Share of a row's feasible rods on which mixed has to converge."""
 LENGTH, EDGES = 99.0, 33  # mm
 EVEN = np.full(EDGES, LENGTH / EDGES)
-BEND_RANGE, TWIST_RATIO_RANGE = (5e4, 1e7), (0.1, 6.0)  # mm³, and β over B
 WANDER, TWIST, NOISE = 0.15, 0.1, 0.08
 """rad: how much direction and spin change from joint to joint on 33 edges, and how far each frame of a start is off."""
 
@@ -78,10 +78,6 @@ def even_twist(random: np.random.Generator, count: int, turns: int = 0) -> np.nd
     """(R, E) spin in rad that grows evenly to ``turns`` whole turns at the far clamp, and up to half a turn more or less."""
     total = 2 * np.pi * turns + random.uniform(-np.pi, np.pi, count)
     return total[:, None] * np.linspace(0.0, 1.0, EDGES)
-
-
-def log_uniform(random: np.random.Generator, limits: tuple[float, float], size) -> np.ndarray:
-    return np.exp(random.uniform(*np.log(limits), size))
 
 
 def isotropic(random: np.random.Generator, count: int, bend=BEND_RANGE, weight: float = 1.0) -> Material:
