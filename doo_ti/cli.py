@@ -13,11 +13,9 @@ import threading
 from collections.abc import Sequence
 from typing import NoReturn
 
-from doo_ti import __version__, commands
+from doo_ti import __version__
+from doo_ti.commands import bench, convert, learn, relax, sweep, synth, view
 from doo_ti.errors import InputError, InterruptedRunError
-from doo_ti.scene import CLAMPS, OBJECTIVES, PRECISIONS
-
-SOLVERS = ("newton", "descent")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -89,75 +87,6 @@ def _parser() -> _Parser:
                      description="Fit discrete elastic rods to observed shapes (Javdani et al., ICRA 2011).")
     parser.add_argument("--version", action="version", version=f"doo-ti {__version__}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
-
-    relax = add("relax", allow_abbrev=False, help="relax each observation under one material")
-    relax.add_argument("observations", metavar="OBS", help="observations: .npz, .csv or .parquet")
-    relax.add_argument("--out", required=True, metavar="F.npz", help="file to write")
-    _add_material(relax, "one number, --bend also A1,A2 or A1,A2,A12")
-    _add_relaxation(relax, "f64")
-    relax.set_defaults(run=commands.relax)
-
-    sweep = add("sweep", allow_abbrev=False, help="search a parameter grid for what explains the observations")
-    sweep.add_argument("source", metavar="SCENE.toml|OBS", help="a scene, or observations: .npz, .csv or .parquet")
-    sweep.add_argument("--out", required=True, metavar="RUN", help="folder to write; a run begun there is resumed")
-    _add_material(sweep, "a number or LO:HI:N[:log|:lin]; overrides the scene's axis")
-    _add_relaxation(sweep, None)
-    sweep.add_argument("--objective", choices=OBJECTIVES, help="static: Eq. 2 (default)")
-    sweep.add_argument("--seed", metavar="N", help="of everything random (default: the scene's, else 0)")
-    sweep.add_argument("--workers", metavar="N", help="processes to share the work (default: one)")
-    sweep.set_defaults(run=commands.sweep)
-
-    learn = add("learn", allow_abbrev=False, help="best parameters of finished sweeps over the same grid")
-    learn.add_argument("runs", nargs="+", metavar="RUN", help="folders that sweep wrote")
-    _add_json(learn)
-    learn.set_defaults(run=commands.learn)
-
-    view = add("view", allow_abbrev=False, help="open a run's recording in the rerun viewer")
-    view.add_argument("recording", metavar="RUN", help="folder of a run, or an .rrd file")
-    view.set_defaults(run=commands.view)
-
-    convert = add("convert", allow_abbrev=False, help="observations from one format to another")
-    convert.add_argument("observations", metavar="IN", help=".npz, .csv or .parquet")
-    convert.add_argument("out", metavar="OUT", help=".npz, .csv or .parquet")
-    convert.set_defaults(run=commands.convert)
-
-    synth = add("synth", allow_abbrev=False, help="make a scene's observations in the virtual lab")
-    synth.add_argument("scene", metavar="SCENE.toml")
-    synth.add_argument("--out", required=True, metavar="OBS", help="file to write: .npz, .csv or .parquet")
-    synth.set_defaults(run=commands.synth)
-
-    bench = add("bench", allow_abbrev=False, help="throughput and accuracy on this machine, one table")
-    bench.add_argument("--rods", metavar="N", help="rods in the large batches (default 65536)")
-    bench.add_argument("--threads", metavar="N", help="threads of the kernels (default: one per processor)")
-    bench.add_argument("--rounds", metavar="N", help="measurements of which the median counts (default 3)")
-    bench.add_argument("--scaling", action="store_true", help="also over rods, edges and threads; takes minutes")
-    bench.add_argument("--jax", action="store_true", help="also the same solver in JAX, which needs to be installed")
-    bench.add_argument("--out", metavar="FOLDER", help="folder for bench.json and pictures (default: none)")
-    _add_json(bench)
-    bench.set_defaults(run=commands.bench)
+    for command in (relax, sweep, learn, view, convert, synth, bench):
+        command.declare(add)
     return parser
-
-
-def _add_material(parser: argparse.ArgumentParser, form: str) -> None:
-    group = parser.add_argument_group("material", f"bend and twist in mm³; {form}")
-    group.add_argument("--bend", metavar="A", help="isotropic bend stiffness α")
-    group.add_argument("--bend-1", metavar="A1", help="stiffness against bending about m2")
-    group.add_argument("--bend-2", metavar="A2", help="stiffness against bending about m1")
-    group.add_argument("--twist", metavar="B", help="twist stiffness β")
-    group.add_argument("--twist-ratio", metavar="R", help="β over α, or over A1 (default 1)")
-    group.add_argument("--weight", metavar="M", help="half the weight per length, relative (default 1)")
-
-
-def _add_relaxation(parser: argparse.ArgumentParser, precision: str | None) -> None:
-    parser.add_argument("--clamp-start", choices=CLAMPS, help="default: frame where it is given, else tangent")
-    parser.add_argument("--clamp-end", choices=CLAMPS, help="default: frame where it is given, else tangent")
-    parser.add_argument("--frame-weight", metavar="MM", help="w_m of Eq. 1 (default 0, or the scene's)")
-    parser.add_argument("--up", metavar="X,Y,Z", help="direction against gravity (default: the file's, else 0,0,1)")
-    parser.add_argument("--solver", choices=SOLVERS, default="newton")
-    parser.add_argument("--precision", choices=PRECISIONS, default=precision,
-                        help=f"default {precision or 'the scene' + chr(39) + 's, else mixed'}")
-    _add_json(parser)
-
-
-def _add_json(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="print a summary for machines")

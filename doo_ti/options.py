@@ -61,6 +61,13 @@ def clamp(name: str | None) -> Clamp | None:
     return None if name is None else Clamp[name.upper()]
 
 
+def solver(name: str):
+    """Newton() or Descent()."""
+    from doo_ti.relaxation import Descent, Newton
+
+    return {"newton": Newton, "descent": Descent}[name]()
+
+
 def whole(option: str, text: str | None, minimum: int, most: int | None = None) -> int | None:
     """A whole number from ``minimum`` up, to ``most`` where that is given, or None."""
     if text is None:

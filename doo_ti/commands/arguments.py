@@ -1,0 +1,32 @@
+"""Options that several commands share."""
+
+from argparse import ArgumentParser
+
+from doo_ti.scene import CLAMPS, PRECISIONS
+
+SOLVERS = ("newton", "descent")
+
+
+def add_material(parser: ArgumentParser, form: str) -> None:
+    group = parser.add_argument_group("material", f"bend and twist in mm³; {form}")
+    group.add_argument("--bend", metavar="A", help="isotropic bend stiffness α")
+    group.add_argument("--bend-1", metavar="A1", help="stiffness against bending about m2")
+    group.add_argument("--bend-2", metavar="A2", help="stiffness against bending about m1")
+    group.add_argument("--twist", metavar="B", help="twist stiffness β")
+    group.add_argument("--twist-ratio", metavar="R", help="β over α, or over A1 (default 1)")
+    group.add_argument("--weight", metavar="M", help="half the weight per length, relative (default 1)")
+
+
+def add_relaxation(parser: ArgumentParser, precision: str | None) -> None:
+    parser.add_argument("--clamp-start", choices=CLAMPS, help="default: frame where it is given, else tangent")
+    parser.add_argument("--clamp-end", choices=CLAMPS, help="default: frame where it is given, else tangent")
+    parser.add_argument("--frame-weight", metavar="MM", help="w_m of Eq. 1 (default 0, or the scene's)")
+    parser.add_argument("--up", metavar="X,Y,Z", help="direction against gravity (default: the file's, else 0,0,1)")
+    parser.add_argument("--solver", choices=SOLVERS, default="newton")
+    parser.add_argument("--precision", choices=PRECISIONS, default=precision,
+                        help=f"default {precision or 'the scene' + chr(39) + 's, else mixed'}")
+    add_json(parser)
+
+
+def add_json(parser: ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print a summary for machines")

@@ -1,0 +1,61 @@
+"""How the commands tell their results: lines for a person, or strict JSON for a machine."""
+
+from dataclasses import asdict
+
+import numpy as np
+
+from doo_ti.learning import Landscape, status_counts
+
+
+def busy(doing: str):
+    """Says on a terminal what is being done, until it is."""
+    from rich.console import Console
+
+    return Console(stderr=True).status(doing)
+
+
+def theta_text(theta: dict, isotropic: bool) -> str:
+    """Θ for a person."""
+    names = ["bend_1"] if isotropic else ["bend_1", "bend_2"] + ["bend_12"] * bool(theta["bend_12"])
+    bend = ", ".join(f"{'bend' if isotropic else name} {theta[name]:.4g} mm³" for name in names)
+    return f"{bend}, twist {theta['twist']:.4g} mm³, weight {theta['weight']:.4g}"
+
+
+def counted(counts: dict[str, int]) -> str:
+    return ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
+
+
+def plain(value):
+    """``value`` as strict JSON holds it: no NumPy types, null for what is not finite."""
+    if isinstance(value, dict):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def best_of(landscape: Landscape) -> dict:
+    """The best Θ of a run, as JSON holds it."""
+    theta = {name: value[landscape.best] for name, value in landscape.grid.cell_values().items()}
+    return {"run": str(landscape.run), "material": landscape.name, **theta, "bend_12": landscape.grid.bend_12,
+            "mean_distance_mm": landscape.mean_distance[landscape.best],
+            "intervals": [asdict(interval) for interval in landscape.intervals],
+            "status": status_counts(landscape.status), "stable": landscape.stable.sum()}
+
+
+def tell_landscape(landscape: Landscape) -> None:
+    cells, count = landscape.distance.shape
+    best = best_of(landscape)
+    print(f"{landscape.name}: {cells} cells x {count} observations")
+    print(f"  best Θ      {theta_text(best, landscape.grid.is_isotropic)}")
+    print(f"  distance    mean {best['mean_distance_mm']:.4g} mm (Eq. 1)")
+    for interval in landscape.intervals:
+        print(f"  within 5 %  {interval}{' (at the border of the grid: widen it)' * interval.at_border}")
+    print("              (how flat the landscape is around its minimum; not a confidence interval)")
+    print(f"  status      {counted(best['status'])}; {best['stable']} certified stable")
