@@ -1,6 +1,6 @@
 """Learning Θ from finished sweeps (§III-E): reductions over their stored cells, never new relaxations.
 
-Axes: G grid cells, D observations.
+Axes: G grid cells, N terms of the objective: observations under Eq. 2, pairs of observations under Eq. 3.
 """
 
 import json
@@ -14,34 +14,47 @@ from doo_ti.grid import Grid, Interval, valley
 from doo_ti.types import Status
 
 PARAMETERS = ("bend_1", "bend_2", "twist", "weight")
+LABELS = ("end_distance_mm", "end_rotation_deg")
 
 
 @dataclass(frozen=True)
 class Landscape:
     """What a run measured.
 
-    run       its folder
-    name      the rod's material
-    grid      the cells
-    distance  (G, D) Eq. 1 in mm, NaN where a rod came to nothing
-    status    (G, D) Status
-    stable    (G, D) certified minima
+    run               its folder
+    name              the rod's material
+    grid              the cells
+    objective         "static", Eq. 2, or "dynamic", Eq. 3
+    distance          (G, N) Eq. 1 in mm, NaN where a rod came to nothing
+    status            (G, N) Status
+    stable            (G, N) certified minima
+    observation       (N,) the observation that each term compares with: y of Eq. 3
+    from_observation  (N,) the one that it starts from, x of Eq. 3: under Eq. 2 the same
+    weight            (N,) w_xy, above zero; ones under Eq. 2
+    end_distance, end_rotation  (N,) labels of ``observation`` in mm and degrees, NaN where unknown
     """
 
     run: Path
     name: str
     grid: Grid
+    objective: str
     distance: np.ndarray
     status: np.ndarray
     stable: np.ndarray
+    observation: np.ndarray
+    from_observation: np.ndarray
+    weight: np.ndarray
+    end_distance: np.ndarray
+    end_rotation: np.ndarray
 
     @property
     def mean_distance(self) -> np.ndarray:
-        """(G,) Eq. 2 over D, mm, without observations that have no distance anywhere; other gaps make a cell NaN."""
+        """(G,) Eq. 2 or 3, mm, without terms that have no distance anywhere; other gaps make a cell NaN."""
         useful = ~np.isnan(self.distance).all(axis=0)
         if not useful.any():
             return np.full(len(self.distance), np.nan)
-        return self.distance[:, useful].mean(axis=1)
+        weight = self.weight[useful]
+        return (self.distance[:, useful] * weight).sum(axis=1) / weight.sum()
 
     @property
     def best(self) -> int:
@@ -78,10 +91,11 @@ def gather_landscape(run: Path, grid: Grid, name: str) -> Landscape:
     distance = np.full((grid.size, count), np.nan)
     status = np.zeros((grid.size, count), dtype=np.int8)
     stable = np.zeros((grid.size, count), dtype=bool)
+    labels = np.full((2, count), np.nan)
     seen = np.zeros((grid.size, count), dtype=np.int8)
     complete = True
     for path in paths:
-        columns = _columns(path, [*PARAMETERS, "observation", "distance_mm", "status", "stable"])
+        columns = _columns(path, [*PARAMETERS, "observation", *LABELS, "distance_mm", "status", "stable"])
         keys = _as_keys([columns[parameter] for parameter in PARAMETERS])
         place = np.minimum(np.searchsorted(wanted, keys, sorter=order), grid.size - 1)
         cell, observation = order[place], columns["observation"].astype(np.int64)
@@ -90,10 +104,12 @@ def gather_landscape(run: Path, grid: Grid, name: str) -> Landscape:
         distance[cell, observation] = columns["distance_mm"]
         status[cell, observation] = columns["status"]
         stable[cell, observation] = columns["stable"]
+        labels[:, observation] = [columns[label] for label in LABELS]
     if not (complete and (seen == 1).all()):
         raise InputError(run, "cells", "do not hold each cell and observation of the grid once",
                          "run the sweep to its end")
-    return Landscape(run, name, grid, distance, status, stable)
+    terms = np.arange(count)
+    return Landscape(run, name, grid, "static", distance, status, stable, terms, terms, np.ones(count), *labels)
 
 
 def status_counts(status: np.ndarray) -> dict[str, int]:
