@@ -38,7 +38,8 @@ def write_run(run, grid: Grid, distance: np.ndarray, name: str = "silk") -> None
     (run / "cells").mkdir(parents=True)
     cells, count = distance.shape
     columns = {key: np.repeat(value, count) for key, value in grid.cell_values().items()}
-    columns |= {"observation": np.tile(np.arange(count), cells), "distance_mm": distance.ravel(),
+    columns |= {**dict.fromkeys(("end_distance_mm", "end_rotation_deg"), np.full(cells * count, np.nan)),
+                "observation": np.tile(np.arange(count), cells), "distance_mm": distance.ravel(),
                 "status": np.full(distance.size, Status.CONVERGED), "stable": np.ones(distance.size, dtype=bool)}
     table = pyarrow.table(columns).take(np.random.default_rng(1).permutation(distance.size))
     half = distance.size // 2
