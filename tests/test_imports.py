@@ -22,6 +22,7 @@ LAYERS = [
     {"newton_kernel", "descent"},
     {"batch"},
     {"relaxation"},
+    {"vision"},
     {"path"},
     {"synthesis", "learning", "report", "run_folder"},
     {"record"},
@@ -33,7 +34,7 @@ LAYERS = [
 ]
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 APART = {"learning", "twist", "perception"}
-ONLY = {"rerun": {"record"}, "matplotlib": {"report"}, "jax": {"bench"}}
+ONLY = {"rerun": {"record"}, "matplotlib": {"report"}, "jax": {"bench"}, "cv2": {"vision"}}
 
 
 def modules() -> dict[str, Path]:

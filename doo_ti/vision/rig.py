@@ -1,0 +1,181 @@
+"""Calibrated cameras around a scene: x_cam = R x_world + t, then K with radial and tangential distortion (§V-A).
+
+Axes: C cameras, V vertices. Millimetres in the world, pixels in images, pixel (0, 0) at the centre of the upper left one.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.dataset import write_whole
+from doo_ti.errors import InputError
+from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
+
+COEFFICIENTS = 5
+"""Of distortion: k1, k2, p1, p2, k3."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One calibrated camera.
+
+    matrix       (3, 3) K, px: focal lengths and principal point, without skew
+    distortion   (5,) k1, k2, p1, p2, k3
+    rotation     (3, 3) R from world to camera, x right, y down, z forward
+    translation  (3,) t, mm
+
+    Raises InputError for sizes that are not positive, shapes that do not match, and an R that is no rotation.
+    """
+
+    name: str
+    width: int
+    height: int
+    matrix: np.ndarray
+    distortion: np.ndarray
+    rotation: np.ndarray
+    translation: np.ndarray
+    source: str = "rig"
+
+    def __post_init__(self):
+        for name, shape in (("matrix", (3, 3)), ("distortion", None), ("rotation", (3, 3)), ("translation", (3,))):
+            value = np.array(getattr(self, name), dtype=np.float64)
+            value = value if name in ("matrix", "rotation") else value.reshape(-1)
+            if name == "distortion" and value.size in (0, 4):
+                value = np.concatenate([value, np.zeros(COEFFICIENTS - value.size)])
+            if value.shape != (shape or (COEFFICIENTS,)) or not np.isfinite(value).all():
+                raise self._error(_KEYS[name], f"shape {value.shape}, or not finite", f"give {shape or (1, COEFFICIENTS)} numbers")
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        if self.width < 1 or self.height < 1:
+            raise self._error("width, height", f"{self.width} x {self.height}", "give the size of the images in pixels")
+        if not (self.matrix[0, 0] > 0 and self.matrix[1, 1] > 0) or self.matrix[0, 1] != 0 or (self.matrix[2] != [0, 0, 1]).any():
+            raise self._error("K", f"{self.matrix.tolist()}", "give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0")
+        if orthonormality_error(self.rotation) > FRAME_TOLERANCE or handedness(self.rotation) < 0:
+            raise self._error("R", f"{np.round(self.rotation, 4).tolist()} is no rotation", "give an orthonormal, right-handed R")
+
+    def _error(self, field: str, problem: str, remedy: str) -> InputError:
+        return InputError(self.source, f"cameras.{self.name}.{field}", problem, remedy)
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(3,) mm: where the camera is in the world."""
+        return -self.rotation.T @ self.translation
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """(..., 2) px of (..., 3) points in the world, distorted as the lens does; NaN for points that are not in front."""
+        seen = np.asarray(points, dtype=np.float64) @ self.rotation.T + self.translation
+        depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
+        x, y = seen[..., 0] / depth, seen[..., 1] / depth
+        k1, k2, p1, p2, k3 = self.distortion
+        square = x * x + y * y
+        radial = 1 + square * (k1 + square * (k2 + square * k3))
+        bent_x = x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x)
+        bent_y = y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y
+        return np.stack([self.matrix[0, 0] * bent_x + self.matrix[0, 2], self.matrix[1, 1] * bent_y + self.matrix[1, 2]], axis=-1)
+
+    def depth(self, points: np.ndarray) -> np.ndarray:
+        """(...) mm along the optical axis of (..., 3) points in the world."""
+        return np.asarray(points, dtype=np.float64) @ self.rotation[2] + self.translation[2]
+
+
+@dataclass(frozen=True)
+class Rig:
+    """C cameras that look at one scene. Raises InputError for names that occur twice, and for no camera at all."""
+
+    cameras: tuple[Camera, ...]
+    source: str = "rig"
+
+    def __post_init__(self):
+        names = [camera.name for camera in self.cameras]
+        if not names:
+            raise InputError(self.source, "cameras", "no camera", "describe at least two")
+        if len(set(names)) < len(names):
+            raise InputError(self.source, "cameras", f"the name {max(names, key=names.count)!r} occurs twice", "name them apart")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(camera.name for camera in self.cameras)
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """(C, ..., 2) px of (..., 3) points in the world."""
+        return np.stack([camera.project(points) for camera in self.cameras])
+
+    def only(self, names) -> "Rig":
+        """The cameras of these names, in that order. Raises InputError for one that is not there."""
+        by_name = {camera.name: camera for camera in self.cameras}
+        for name in names:
+            if name not in by_name:
+                raise InputError(self.source, "cameras", f"no camera {name!r}", f"the rig has {', '.join(by_name)}")
+        return Rig(tuple(by_name[name] for name in names), self.source)
+
+
+_KEYS = {"matrix": "K", "distortion": "dist", "rotation": "R", "translation": "t"}
+
+
+def load_rig(path: str | os.PathLike) -> Rig:
+    """The rig of an OpenCV FileStorage YAML file: a sequence ``cameras`` of maps name, width, height, K, dist, R, t.
+
+    Raises InputError for a file that cannot be read, for what is missing, and for whatever :class:`Camera` refuses.
+    """
+    import cv2
+
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(path, "file", (error.strerror or str(error)).lower(), "name a readable rig") from None
+    except UnicodeDecodeError:
+        raise InputError(path, "file", "not text", "give an OpenCV FileStorage YAML file") from None
+    try:
+        storage = cv2.FileStorage(text, cv2.FileStorage_READ | cv2.FileStorage_MEMORY | cv2.FileStorage_FORMAT_YAML)
+        nodes = storage.getNode("cameras")
+        count = nodes.size() if nodes.isSeq() else 0
+    except (cv2.error, SystemError) as error:
+        raise InputError(path, "file", f"not a rig ({str(error).splitlines()[0][:80]})", "give OpenCV FileStorage YAML") from None
+    if not count:
+        raise InputError(path, "cameras", "missing or empty", "give a sequence of cameras: name, width, height, K, dist, R, t")
+    return Rig(tuple(_camera(path, nodes.at(index), index) for index in range(count)), str(path))
+
+
+def _camera(path: Path, node, index: int) -> Camera:
+    """One camera of the file."""
+    if not node.isMap():
+        raise InputError(path, f"cameras[{index}]", "is no map", "give name, width, height, K, dist, R, t")
+    entry = node.getNode("name")
+    name = entry.string() if entry.isString() else f"cam{index}"
+    size = {}
+    for key in ("width", "height"):
+        entry = node.getNode(key)
+        if not entry.isInt():
+            raise InputError(path, f"cameras.{name}.{key}", "missing or no whole number", "give the images' size in pixels")
+        size[key] = int(entry.real())
+    values = {}
+    for field, key in _KEYS.items():
+        found = None if node.getNode(key).empty() else node.getNode(key).mat()
+        if found is None:
+            raise InputError(path, f"cameras.{name}.{key}", "missing or no matrix", "give K (3, 3), dist (1, 5), R (3, 3), t (3, 1)")
+        values[field] = found
+    return Camera(name=name, **size, **values, source=str(path))
+
+
+def save_rig(path: str | os.PathLike, rig: Rig) -> None:
+    """Write ``rig`` as OpenCV FileStorage YAML; :func:`load_rig` reads it back."""
+    import cv2
+
+    storage = cv2.FileStorage(".yaml", cv2.FileStorage_WRITE | cv2.FileStorage_MEMORY | cv2.FileStorage_FORMAT_YAML)
+    storage.startWriteStruct("cameras", cv2.FileNode_SEQ)
+    for camera in rig.cameras:
+        storage.startWriteStruct("", cv2.FileNode_MAP)
+        storage.write("name", camera.name)
+        storage.write("width", camera.width)
+        storage.write("height", camera.height)
+        storage.write("K", np.array(camera.matrix))
+        storage.write("dist", camera.distortion.reshape(1, COEFFICIENTS).copy())
+        storage.write("R", np.array(camera.rotation))
+        storage.write("t", camera.translation.reshape(3, 1).copy())
+        storage.endWriteStruct()
+    storage.endWriteStruct()
+    text = storage.releaseAndGetString()
+    write_whole(Path(path), lambda file: file.write(text.encode()))

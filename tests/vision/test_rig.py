@@ -1,0 +1,87 @@
+"""Rig files and the projection through distorted cameras."""
+
+import cv2
+import numpy as np
+import pytest
+
+from doo_ti.errors import InputError
+from doo_ti.vision.rig import Camera, Rig, load_rig, save_rig
+
+
+def rig() -> Rig:
+    """Three cameras around the origin, some 300 mm away, all distorted."""
+    random = np.random.default_rng(3)
+    cameras = []
+    for index in range(3):
+        rotation = cv2.Rodrigues(random.normal(scale=0.4, size=3))[0]
+        translation = np.array([10.0 * index, -5.0, 300.0])
+        matrix = [[1700.0, 0, 640 + index], [0, 1690.0, 480], [0, 0, 1]]
+        distortion = [-0.08, 0.03, 5e-4, -4e-4, 0.01 * index]
+        cameras.append(Camera(f"cam{index}", 1280, 960, matrix, distortion, rotation, translation))
+    return Rig(tuple(cameras))
+
+
+def test_projection_is_opencv_s():
+    points = np.random.default_rng(1).uniform(-60, 60, size=(5, 7, 3))
+    pixels = rig().project(points)
+    assert pixels.shape == (3, 5, 7, 2)
+    for camera, found in zip(rig().cameras, pixels):
+        turn = cv2.Rodrigues(np.array(camera.rotation))[0]
+        wanted = cv2.projectPoints(points.reshape(-1, 3), turn, np.array(camera.translation), np.array(camera.matrix),
+                                   np.array(camera.distortion))[0]
+        np.testing.assert_allclose(found.reshape(-1, 2), wanted.reshape(-1, 2), atol=1e-9)
+        np.testing.assert_allclose(camera.rotation @ camera.centre + camera.translation, 0, atol=1e-10)
+
+
+def test_points_behind_a_camera_have_no_pixel():
+    camera = rig().cameras[0]
+    behind = camera.centre - 10 * camera.rotation[2]
+    assert np.isnan(camera.project(behind)).all() and camera.depth(behind) == pytest.approx(-10)
+
+
+def test_a_rig_survives_its_file(tmp_path):
+    save_rig(tmp_path / "rig.yaml", rig())
+    again = load_rig(tmp_path / "rig.yaml")
+    for first, second in zip(rig().cameras, again.cameras):
+        assert (first.name, first.width, first.height) == (second.name, second.width, second.height)
+        for name in ("matrix", "distortion", "rotation", "translation"):
+            np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+
+
+def test_the_rig_of_the_images(shared_data):
+    found = load_rig(shared_data / "images_a" / "rig.yaml")
+    assert found.names == ("cam0", "cam1", "cam2")
+    assert all(200 < np.linalg.norm(camera.centre) < 500 for camera in found.cameras)
+
+
+@pytest.mark.parametrize("spoil, word", [
+    (lambda text: text.replace("cameras:", "kameras:"), "cameras"),
+    (lambda text: text.replace("width: 1280", "width: x"), "width"),
+    (lambda text: text.replace("   K:", "   Q:"), "K"),
+    (lambda text: "{{{", "not a rig"),
+])
+def test_a_bad_file_is_told(tmp_path, spoil, word):
+    save_rig(tmp_path / "rig.yaml", rig())
+    text = (tmp_path / "rig.yaml").read_text()
+    (tmp_path / "bad.yaml").write_text(spoil(text))
+    with pytest.raises(InputError, match=word):
+        load_rig(tmp_path / "bad.yaml")
+    with pytest.raises(InputError, match="no such file"):
+        load_rig(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize("change", [
+    {"rotation": np.diag([1.0, 1, -1])}, {"matrix": np.eye(3) * -1}, {"width": 0}, {"distortion": [1.0, 2]},
+    {"translation": [0, 0, np.nan]},
+])
+def test_what_is_no_camera_is_refused(change):
+    from dataclasses import replace
+
+    with pytest.raises(InputError):
+        replace(rig().cameras[0], **change)
+
+
+def test_cameras_by_name():
+    assert rig().only(["cam2", "cam0"]).names == ("cam2", "cam0")
+    with pytest.raises(InputError, match="no camera"):
+        rig().only(["cam7"])
