@@ -9,7 +9,7 @@ import numpy as np
 
 from doo_ti import chain, descent, newton, runtime
 from doo_ti.frames import matrix_from_quaternion, quaternion_from_matrix, vertices_from_quaternions
-from doo_ti.loading import ASKED_ITEMS
+from doo_ti.loading import ASKED_ITEMS, LANES, TRIPS
 from doo_ti.newton_kernel import newton_kernel
 from doo_ti.physics.number import Number
 from doo_ti.tables import ITERATIONS, RESULTS, STATUS, Tables
@@ -22,40 +22,53 @@ PROJECTIONS = 100
 POOLED_BYTES = 1 << 30
 """Frames of results no longer in use are kept for the next call up to this size: a fresh page costs as much as a rod's step."""
 
+UNTOUCHED = np.full(RESULTS, np.nan)
+"""The results of a rod that no kernel has seen, since it is infeasible."""
+UNTOUCHED[[ITERATIONS, STATUS]] = 0.0, Status.INFEASIBLE
+
 _scratch: dict = {}
 _queues: dict[Number, np.ndarray] = {}
 _pool: list[np.ndarray] = []
 
 
 def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution | None = None, moving: bool = True):
-    """Relax every feasible rod from its start, or from where it ended in ``begin``: (R, E, 4) frames and (R, RESULTS), NaN in
-    infeasible rows.
+    """Relax every feasible rod from its start, or from where it ended in ``begin``: (R, E, 4) frames and (R, RESULTS), NaN and
+    UNTOUCHED in infeasible rows.
 
     With ``moving`` false only the projection runs, which brings a start onto closure.
     """
     frames = _room(table.count * table.edges * 4).reshape(table.count, table.edges, 4)
     if len(table.rods) < table.count:
         frames[~table.feasible[table.configuration_index]] = np.nan
-    results = np.full((table.count, RESULTS), np.nan)
+    results = _untouched(table.count)
     if begin is None:
-        _launch_newton(table, table.rods, options, bits, frames, results, moving)
+        _launch_newton(table, table.start, table.rods, options, bits, frames, results, moving)
     else:
-        frames[:] = begin.configuration.quaternions
-        continue_newton(table, options, bits, frames, results, np.arange(table.count), begin.converged)
+        ended = np.ascontiguousarray(begin.configuration.quaternions)
+        usable = begin.status == int(Status.CONVERGED)
+        lost = np.flatnonzero(~usable & table.feasible[table.configuration_index])
+        frames[lost] = table.start[table.configuration_index[lost]]
+        _launch_newton(table, ended, table.resumed(usable), options, bits, frames, results)
     return frames, results
 
 
 def continue_newton(table: Tables, options: newton.Newton, bits: int, frames, results, rows, usable) -> None:
     """Relax the rods ``rows`` further, in place: from their ``frames`` where ``usable`` (R,), else from their starts."""
-    table.hold_tangents(frames, rows[usable[rows]])
-    results[rows] = np.nan
-    _launch_newton(table, table.continued(usable, rows), options, bits, frames, results)
+    results[rows] = UNTOUCHED
+    _launch_newton(table, table.start, table.continued(usable, rows), options, bits, frames, results)
+
+
+def _untouched(count: int) -> np.ndarray:
+    """(R, RESULTS) of rods that no kernel has seen."""
+    results = np.empty((count, RESULTS))
+    results[:] = UNTOUCHED
+    return results
 
 
 def pack_trips(bits: int) -> tuple[int, int]:
     """(trips through Newton's loop, all threads together, and rods in a pack) of the last launch in that precision."""
     number, queue = next((number, queue) for number, queue in _queues.items() if number.bits == bits)
-    return int(queue[1]), number.width
+    return int(queue[TRIPS]), number.width
 
 
 def _room(size: int) -> np.ndarray:
@@ -71,21 +84,23 @@ def _room(size: int) -> np.ndarray:
     return fresh
 
 
-def _launch_newton(table: Tables, rods, options: newton.Newton, bits: int, frames, results, moving: bool = True) -> None:
+def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int, frames, results, moving: bool = True) -> None:
+    """One launch over ``rods``, whose starts are rows of ``start`` (-, E, 4) or of ``frames``."""
     number, threads, stride, block = _machine(len(rods), bits)
     external = table.external
     kind = None if external is None else type(external)
-    outer = () if external is None else (external.numbers(),)
+    outer = () if external is None else (external.numbers(), external.field())
     per_edge = chain.item_count(table.isotropic) + (0 if external is None else external.items)
-    items = ASKED_ITEMS + per_edge * table.edges
-    kernel = newton_kernel(number, table.isotropic, stride, block, kind)
-    scratch, lane_rod, queue = _buffers(number, threads, items)
+    # By the call's rods, not by those of a launch, so that what few rods a large call leaves over needs no kernel of its own.
+    # Nor has an external energy one, which takes long to compile.
+    serial = block == 1 and table.count <= number.width and external is None
+    kernel = newton_kernel(number, table.isotropic, stride, block, serial, kind)
+    scratch, queue = _buffers(number, threads, ASKED_ITEMS + per_edge * table.edges)
     kernel(
-        table.edges, _handful(len(rods), threads * number.width), table.start.reshape(-1), table.ends.reshape(-1),
-        table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.section, rods,
-        options.tolerance or (1e-6 if bits == 32 else 1e-9), options.max_iterations,
-        options.first_shift, options.max_rotation, options.max_escapes, newton.CLOSING_DISTANCE if moving else -1.0, threads,
-        items if stride == 1 else 1, scratch, lane_rod, queue, frames.reshape(-1), results, *outer,
+        start.reshape(-1), table.rest_length, table.clamp, table.material, rods,
+        options.tolerance or (1e-6 if bits == 32 else 1e-9), options.max_iterations, options.first_shift,
+        options.max_rotation, options.max_escapes, newton.CLOSING_DISTANCE if moving else -1.0, threads, scratch, queue,
+        frames.reshape(-1), results, *outer,
     )
 
 
@@ -101,18 +116,18 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     vertices, directors = _vertex_form(table)
     number, threads, stride, block = _machine(len(table.rods), bits)
     items = ITEMS * (table.edges + 1)
-    scratch, lane_rod, queue = _buffers(number, threads, items)
+    scratch, queue = _buffers(number, threads, items)
     positions = np.full((table.count, table.edges + 1, 3), np.nan)
     axes = np.full((table.count, table.edges, 3), np.nan)
-    results = np.full((table.count, RESULTS), np.nan)
+    results = _untouched(table.count)
     descent.descent_kernel(number, stride, block)(
-        vertices, directors, table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.section,
-        table.rods, options.tolerance, options.max_iterations,
-        options.largest_move, threads, items if stride == 1 else 1, scratch, lane_rod, queue, positions, axes, results,
+        vertices, directors, table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.material, table.rods,
+        options.tolerance, options.max_iterations, options.largest_move, threads, items if stride == 1 else 1, scratch, queue,
+        positions, axes, results,
     )
     frames = _chain_form(positions, axes)
     certificate = newton.Newton(tolerance=options.tolerance, max_iterations=1, first_shift=0.0, max_escapes=0)
-    certified = np.full((table.count, RESULTS), np.nan)
+    certified = _untouched(table.count)
     continue_newton(table, certificate, 64, frames, certified, np.arange(table.count), np.isfinite(frames[:, 0, 0]))
     good = certified[:, STATUS] == Status.CONVERGED
     # What came to rest by its own account but not by that of the chain (its clamp not reached, say) has stalled.
@@ -148,24 +163,17 @@ def _machine(rods: int, bits: int) -> tuple[Number, int, int, int]:
     return Number(1, bits), threads, threads, 64
 
 
-def _handful(rods: int, lanes: int) -> int:
-    """Rods that a thread takes from the queue at once: few enough that all threads end together."""
-    return max(1, min(16, rods // (16 * lanes)))
-
-
 def _buffers(number: Number, threads: int, items: int):
-    """(scratch for every thread, rod of every lane), kept from call to call, and the queue and count of trips, set to zero.
+    """(scratch for every thread, kept from call to call, and the queue, all zero).
 
-    The kept ones grow at least twofold: Taichi never gives back arrays of packs, so those outgrown stay, together less than
-    the last. The queue is NumPy's, because to fill an array of Taichi's is a launch of its own.
+    Scratch grows at least twofold: Taichi never gives back arrays of packs, so those outgrown stay, together less than the
+    last. The queue is NumPy's, because to fill an array of Taichi's is a launch of its own.
     """
     import taichi as ti
 
-    sizes = [threads * items, threads * number.width]
+    size = threads * items
     kept = _scratch.get(number)
-    if kept is None or any(array.shape[0] < size for array, size in zip(kept, sizes)):
-        if kept is not None:
-            sizes = [max(size, 2 * array.shape[0]) for array, size in zip(kept, sizes)]
-        kept = _scratch[number] = (ti.ndarray(number.type, sizes[0]), ti.ndarray(ti.i32, sizes[1]))
-    _queues[number] = np.zeros(2, dtype=np.int32)
-    return *kept, _queues[number]
+    if kept is None or kept.shape[0] < size:
+        kept = _scratch[number] = ti.ndarray(number.type, size if kept is None else max(size, 2 * kept.shape[0]))
+    queue = _queues[number] = np.zeros(LANES + threads * number.width, dtype=np.int32)
+    return kept, queue

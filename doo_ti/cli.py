@@ -14,7 +14,22 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from doo_ti import __version__
-from doo_ti.commands import bench, convert, learn, relax, sweep, synth, view
+from doo_ti.commands import (
+    bench,
+    calibrate,
+    convert,
+    figures,
+    learn,
+    plan,
+    predict,
+    refine,
+    relax,
+    sweep,
+    synth,
+    triangulate,
+    twist,
+    view,
+)
 from doo_ti.errors import InputError, InterruptedRunError
 
 
@@ -87,6 +102,7 @@ def _parser() -> _Parser:
                      description="Fit discrete elastic rods to observed shapes (Javdani et al., ICRA 2011).")
     parser.add_argument("--version", action="version", version=f"doo-ti {__version__}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
-    for command in (relax, sweep, learn, view, convert, synth, bench):
+    commands = (relax, sweep, learn, refine, predict, twist, figures, plan, view, convert, synth, bench, calibrate, triangulate)
+    for command in commands:
         command.declare(add)
     return parser

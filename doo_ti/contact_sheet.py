@@ -54,6 +54,11 @@ def contact_sheet(vertices: np.ndarray, labels: dict, up=(0, 0, 1)) -> Sheet:
                  np.abs(corners[1] - corners[0])[[0, 2]], basis)
 
 
+def known(labels: dict | None) -> dict:
+    """The labels that observations have, of those they could have."""
+    return {label: values for label, values in (labels or {}).items() if values is not None}
+
+
 def _wall(vertices: np.ndarray, up: np.ndarray) -> np.ndarray:
     """(3, 3) rows: the main horizontal direction of the observations, into the wall, up."""
     up = up / np.linalg.norm(up)

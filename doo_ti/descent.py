@@ -13,7 +13,7 @@ from functools import cache
 import taichi as ti
 
 from doo_ti.errors import InputError
-from doo_ti.loading import residual_divisor
+from doo_ti.loading import LANES, NEXT, residual_divisor
 from doo_ti.physics.number import Number
 from doo_ti.tables import (
     CLOSED,
@@ -21,6 +21,9 @@ from doo_ti.tables import (
     ENERGY,
     ITERATIONS,
     LIFT,
+    OF_CLAMP,
+    OF_MATERIAL,
+    OF_RESULT,
     RELEASED,
     RESIDUAL,
     SPIN_END,
@@ -82,16 +85,15 @@ def descent_kernel(number: Number, stride: int, block: int):
         bend: table3,  # [material, 1 or edge, (11, 22, 12)] mm³
         twist: table2,  # [material, 1 or inner vertex] mm³
         rest: table3,  # [material, 1 or inner vertex, 2] 1/mm
-        section: table2,  # [material, SECTION_COLUMNS]
-        rods: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [rod, (configuration, material, row of the results, -)]
+        material: table2,  # [material, STIFFNESS and more columns]
+        rods: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [rod, ROD_COLUMNS]
         tolerance: ti.f64,
         max_iterations: ti.i32,
         largest_move: ti.f64,
         threads: ti.i32,
         origin_stride: ti.i32,
         scratch: ti.types.ndarray(dtype=number.type, ndim=1),
-        lane_rod: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [thread · lane]
-        queue: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [1] the next rod
+        queue: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [NEXT, TRIPS (unused), LANES + thread · lane] zero
         positions: table3,  # [rod, vertex, 3] out
         material_axes: table3,  # [rod, edge, 3] out: m1
         results: table2,  # [rod, RESULTS] out
@@ -100,6 +102,7 @@ def descent_kernel(number: Number, stride: int, block: int):
         ti.loop_config(block_dim=block)
         for thread in range(threads):
             origin = thread * origin_stride
+            lane_rod = LANES + thread * width  # where the queue says which rods the lanes have
             zero = constant(0.0)
             one = constant(1.0)
             held_first, held_second, held_inner, held_last, taut = (zero, zero, zero, zero, zero)
@@ -116,7 +119,7 @@ def descent_kernel(number: Number, stride: int, block: int):
                         if lane(finished, slot) > 0.5:
                             finished = with_lane(finished, slot, 0.0)
                             if lane(active, slot) > 0.5:
-                                place = rods[lane_rod[thread * width + slot], 2]
+                                place = rods[queue[lane_rod + slot], OF_RESULT]
                                 at = origin
                                 for v in range(edges + 1):
                                     for k in ti.static(range(3)):
@@ -132,16 +135,16 @@ def descent_kernel(number: Number, stride: int, block: int):
                                 results[place, STATUS] = lane(status, slot)
                                 results[place, STABLE] = 0.0
                             active = with_lane(active, slot, 0.0)
-                            rod = ti.atomic_add(queue[0], 1)
+                            rod = ti.atomic_add(queue[NEXT], 1)
                             if rod < rods.shape[0]:
-                                lane_rod[thread * width + slot] = rod
-                                s = rods[rod, 0]
-                                g = rods[rod, 1]
+                                queue[lane_rod + slot] = rod
+                                s = rods[rod, OF_CLAMP]
+                                g = rods[rod, OF_MATERIAL]
                                 longest, shortest = sweep.load_rod(scratch, origin, edges, slot, s, g, vertices, directors,
                                                              rest_length, bend, twist, rest)
                                 length = with_lane(length, slot, longest)
                                 limit_move = with_lane(limit_move, slot, largest_move * shortest)
-                                scale = with_lane(scale, slot, residual_divisor(section, clamp, g, s))
+                                scale = with_lane(scale, slot, residual_divisor(material, clamp, g, s))
                                 start_held = ti.max(clamp[s, CLOSED], 1.0 - clamp[s, RELEASED])
                                 end_held = ti.max(clamp[s, CLOSED], clamp[s, RELEASED])
                                 held_first = with_lane(held_first, slot, start_held)
@@ -151,9 +154,9 @@ def descent_kernel(number: Number, stride: int, block: int):
                                 taut = with_lane(taut, slot, 1.0 - clamp[s, TILT_INNER])
                                 spin_start = with_lane(spin_start, slot, clamp[s, SPIN_START])
                                 spin_end = with_lane(spin_end, slot, clamp[s, SPIN_END])
-                                gravity0 = with_lane(gravity0, slot, section[g, LIFT])
-                                gravity1 = with_lane(gravity1, slot, section[g, LIFT + 1])
-                                gravity2 = with_lane(gravity2, slot, section[g, LIFT + 2])
+                                gravity0 = with_lane(gravity0, slot, material[g, LIFT])
+                                gravity1 = with_lane(gravity1, slot, material[g, LIFT + 1])
+                                gravity2 = with_lane(gravity2, slot, material[g, LIFT + 2])
                                 count = with_lane(count, slot, 0.0)
                                 step = with_lane(step, slot, 0.0)
                                 residual = with_lane(residual, slot, 1e30)

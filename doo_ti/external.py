@@ -1,12 +1,12 @@
 """Energies at the vertices of a rod, from outside it: what pulls or pushes it besides bending, twist and gravity.
 
-A kind of external energy is a table of numbers on the host and two Taichi functions on the device, ``load`` and
-``evaluate``; :mod:`doo_ti.loaded_chain` knows no more of it. Springs are the quadratic one.
+A kind of external energy is a table of numbers and a field of values on the host, and two Taichi functions on the device,
+``load`` and ``evaluate``; the solver knows no more of it. Springs are the quadratic one, and need no field.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -17,13 +17,47 @@ class ExternalFunctions(NamedTuple):
     """What an external energy is to the kernels.
 
     load      (scratch, at, slot, numbers, row, edge, scale): those of ``numbers``' row, energies times ``scale``
-    evaluate  (scratch, at, start, end): an edge's energy E with its vertices at ``start`` and ``end``, and the moments of
-              its gradient γ and positive semidefinite curvature K over the places s in [0, 1] along the edge where it acts,
-              (E, Σ γ, Σ s γ, Σ K, Σ s K, Σ s² K), K as (11, 12, 13, 22, 23, 33)
+    evaluate  (scratch, at, numbers, field, start, end, coarse): an edge's energy E with its vertices at ``start`` and ``end``,
+              and the moments of its gradient γ and curvature K over the places s in [0, 1] along the edge where it acts,
+              (E, Σ γ, Σ s γ, Σ K, Σ s K, Σ s² K). That is: the derivatives by a shift of the whole edge and by the change
+              of end − start, and the second derivatives by shift and shift, by shift and change (nine numbers, row by row),
+              by change and change; symmetric ones as (11, 12, 13, 22, 23, 33).
+              Where ``coarse`` is one the rod is far from rest, and K better positive semidefinite than exact.
     """
 
     load: Callable
     evaluate: Callable
+
+
+class External(Protocol):
+    """What the solver asks of an external energy. Rods take turns with its ``count`` rows as ``external_index`` says.
+
+    items       numbers it needs in scratch per edge
+    has_coarse  whether K far from rest differs from that near it
+    vertices    of the rods it is for, None where it is for any number of them
+    """
+
+    items: ClassVar[int]
+    has_coarse: ClassVar[bool]
+
+    @property
+    def count(self) -> int: ...
+
+    @property
+    def vertices(self) -> int | None: ...
+
+    def numbers(self) -> np.ndarray:
+        """(count, -, -) float64."""
+
+    def field(self) -> np.ndarray:
+        """(-,) float32, one number at least."""
+
+    def energy_at_start(self, start: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """(R,) the part that no edge carries: at vertex 0 in ``start`` (R, 3), of the rows ``index`` (R,)."""
+
+    @staticmethod
+    def functions(number, stride: int, first: int) -> ExternalFunctions:
+        """For one kind of number, its items in scratch from ``first`` on."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +73,8 @@ class Springs:
 
     points: np.ndarray
     stiffness: np.ndarray
-    items: ClassVar[int] = 4  # numbers in scratch per edge
+    items: ClassVar[int] = 4
+    has_coarse: ClassVar[bool] = False
 
     def __post_init__(self):
         points, stiffness = (np.asarray(value, dtype=np.float64) for value in (self.points, self.stiffness))
@@ -67,6 +102,10 @@ class Springs:
         """(A, V, 4): point and stiffness."""
         return np.ascontiguousarray(np.concatenate([self.points, self.stiffness[..., None]], axis=-1))
 
+    def field(self) -> np.ndarray:
+        """Unused."""
+        return np.zeros(1, dtype=np.float32)
+
     def energy_at_start(self, start: np.ndarray, index: np.ndarray) -> np.ndarray:
         """(R,) energy at vertex 0 in ``start`` (R, 3), which no kernel moves."""
         return 0.5 * self.stiffness[index, 0] * np.sum((start - self.points[index, 0]) ** 2, axis=-1)
@@ -85,7 +124,7 @@ class Springs:
             put(scratch, at + (first + 3) * stride, slot, numbers[row, edge + 1, 3] * scale)
 
         @ti.func
-        def evaluate(scratch: ti.template(), at, start, end):
+        def evaluate(scratch: ti.template(), at, numbers: ti.template(), field: ti.template(), start, end, coarse):
             k = scratch[at + (first + 3) * stride]
             d0 = end[0] - scratch[at + first * stride]
             d1 = end[1] - scratch[at + (first + 1) * stride]
@@ -94,6 +133,7 @@ class Springs:
             gradient = (k * d0, k * d1, k * d2)
             none = 0.0 * k
             curvature = (k, none, none, k, none, k)
-            return energy, gradient, gradient, curvature, curvature, curvature
+            mixed = (k, none, none, none, k, none, none, none, k)
+            return energy, gradient, gradient, curvature, mixed, curvature
 
         return ExternalFunctions(load, evaluate)

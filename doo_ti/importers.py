@@ -47,8 +47,8 @@ _UNREADABLE = (ValueError, OSError, EOFError, KeyError, RuntimeError, MemoryErro
                TypeError, zipfile.BadZipFile, zlib.error)
 
 
-def read_npz(path: Path, content: bytes) -> dict[str, np.ndarray]:
-    """The arrays of the known keys from the bytes of an npz file, never unpickled; ``path`` names it in errors.
+def read_npz(path: Path, content: bytes, known=tuple(_COLUMNS)) -> dict[str, np.ndarray]:
+    """The arrays of the ``known`` keys from the bytes of an npz file, never unpickled; ``path`` names it in errors.
 
     Raises InputError for whatever is no npz of plain arrays.
     """
@@ -62,7 +62,7 @@ def read_npz(path: Path, content: bytes) -> dict[str, np.ndarray]:
         raise InputError(path, "file", "holds one bare array, not named ones", remedy)
     keys = {}
     with archive:
-        for key in _COLUMNS:
+        for key in known:
             if key not in archive:
                 continue
             try:

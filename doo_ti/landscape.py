@@ -8,12 +8,17 @@ from typing import ClassVar
 
 import numpy as np
 
+REGIMES = ("β > B₁₁ and B₂₂", "B₂₂ > B₁₁ > β", "B₁₁ > B₂₂ > β")
+"""The ways in which a ribbon behaves, as Fig. 5 numbers them: it bends sharply so as not to twist, it bends about the wrong
+axis, it twists so as not to bend about the stiff one."""
+
 
 @dataclass(frozen=True)
 class Plane:
     """A landscape over at most two free axes, A × B cells (B = 1 where there is one).
 
     axes        one or two (name, values, is_log, unit)
+    shown       which axes of the grid these are
     values      (A, B) mean distance in mm, NaN where not evaluated
     minimum     (a, b) cell of the minimum, None where no cell was evaluated
     valley      (A, B) bool: within 5 % of the minimum
@@ -21,12 +26,14 @@ class Plane:
     hidden      names of further free axes, over which the values are the minimum
     best        (name, value, unit) of every free axis at the minimum
     at_border   the minimum lies at an end of a free axis: the true one may lie outside the grid
+    twist       β in mm³ where the grid has one and the axes are bend_1 and bend_2 (Fig. 5), else None
     """
 
     HEIGHT: ClassVar[float] = 0.6
     """Height of the surface's highest cell over its base, the unit square."""
 
     axes: tuple
+    shown: tuple[int, ...]
     values: np.ndarray
     minimum: tuple[int, int] | None
     valley: np.ndarray
@@ -34,6 +41,7 @@ class Plane:
     hidden: tuple[str, ...]
     best: tuple[tuple[str, float, str], ...]
     at_border: bool
+    twist: float | None
 
     @classmethod
     def of(cls, axes, values, minimum=None, valley=None, unfinished=None) -> "Plane":
@@ -54,8 +62,10 @@ class Plane:
             cell = (minimum[shown[0]], minimum[shown[1]] if len(shown) == 2 else 0)
             best = tuple((axes[k][0], axes[k][1][minimum[k]], axes[k][3]) for k in free)
             at_border = any(minimum[k] in (0, len(axes[k][1]) - 1) for k in free if len(axes[k][1]) > 1)
+        twist = [axis[1][0] for axis in axes if axis[0] == "twist" and len(axis[1]) == 1]
         return cls(
             axes=tuple(axes[k] for k in shown),
+            shown=tuple(shown),
             values=np.take_along_axis(flat, least, -1)[..., 0],
             minimum=cell,
             valley=valley.any(axis=-1),
@@ -63,7 +73,13 @@ class Plane:
             hidden=tuple(axes[k][0] for k in free[2:]),
             best=best,
             at_border=at_border,
+            twist=float(twist[0]) if twist and [axes[k][0] for k in shown] == ["bend_1", "bend_2"] else None,
         )
+
+    def places(self, index) -> tuple[np.ndarray, np.ndarray]:
+        """Where cells of the whole grid are drawn: a and b (N,) of cells given as (N,) indices per axis of the grid."""
+        first, *rest = (np.asarray(index[k]) for k in self.shown)
+        return first, rest[0] if rest else 0 * first
 
     @property
     def unit_axes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -97,6 +113,13 @@ def valley_cells(values: np.ndarray, minimum: tuple | None) -> np.ndarray:
         return np.zeros(values.shape, bool)
     with np.errstate(invalid="ignore"):
         return values <= 1.05 * values[tuple(minimum)]
+
+
+def regime(bend_1, bend_2, twist) -> np.ndarray:
+    """Which of REGIMES each ribbon B = diag(bend_1, bend_2), β belongs to: 1, 2, 3, or 0 where to none."""
+    bend_1, bend_2, twist = np.broadcast_arrays(bend_1, bend_2, twist)
+    return np.select([(twist > bend_1) & (twist > bend_2), (bend_2 > bend_1) & (bend_1 > twist),
+                      (bend_1 > bend_2) & (bend_2 > twist)], [1, 2, 3], 0)
 
 
 def cell_edges(axis) -> np.ndarray:

@@ -15,6 +15,8 @@ from doo_ti.types import Status
 
 PARAMETERS = ("bend_1", "bend_2", "twist", "weight")
 LABELS = ("end_distance_mm", "end_rotation_deg")
+MOST_OBSERVATIONS = 1 << 31
+"""More than the column ``observation`` can number."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,7 @@ class Landscape:
     from_observation  (N,) the one that it starts from, x of Eq. 3: under Eq. 2 the same
     weight            (N,) w_xy, above zero; ones under Eq. 2
     end_distance, end_rotation  (N,) labels of ``observation`` in mm and degrees, NaN where unknown
+    jumps             (G, N) sub-steps at which a rod fell to another branch, None under Eq. 2
     """
 
     run: Path
@@ -46,6 +49,7 @@ class Landscape:
     weight: np.ndarray
     end_distance: np.ndarray
     end_rotation: np.ndarray
+    jumps: np.ndarray | None = None
 
     @property
     def mean_distance(self) -> np.ndarray:
@@ -79,37 +83,48 @@ def read_landscape(run: Path) -> Landscape:
 def gather_landscape(run: Path, grid: Grid, name: str) -> Landscape:
     """The landscape in the stored cells of ``run``, whatever files they lie in and in whatever order.
 
-    One file is in memory at a time. Raises InputError where they do not hold each cell and observation once.
+    One file is in memory at a time. Raises InputError where they do not hold each cell and term of the objective once.
     """
     paths = sorted((run / "cells").glob("*.parquet"))
     if not paths:
         raise InputError(run / "cells", "cells", "no Parquet files", "run the sweep to its end")
+    dynamic = _names(paths[0]) >= {"from_observation"}
+    ends = ("from_observation", "observation") if dynamic else ("observation",)
+    terms = np.unique(np.concatenate([_terms(path, ends) for path in paths]))
     values = grid.cell_values()
     wanted = _as_keys([values[parameter] for parameter in PARAMETERS])
     order = np.argsort(wanted)
-    count = 1 + max(int(_columns(path, ["observation"])["observation"].max(initial=0)) for path in paths)
-    distance = np.full((grid.size, count), np.nan)
-    status = np.zeros((grid.size, count), dtype=np.int8)
-    stable = np.zeros((grid.size, count), dtype=bool)
-    labels = np.full((2, count), np.nan)
-    seen = np.zeros((grid.size, count), dtype=np.int8)
-    complete = True
+    kinds = {"distance_mm": np.float64, "status": np.int8, "stable": bool, **({"jumps": np.int32} if dynamic else {})}
+    found = {column: np.zeros((grid.size, len(terms)), dtype=kind) for column, kind in kinds.items()}
+    per_term = {column: np.full(len(terms), np.nan) for column in (*LABELS, *(("pair_weight",) if dynamic else ()))}
+    seen = np.zeros((grid.size, len(terms)), dtype=np.int8)
+    complete = dynamic or bool((terms == np.arange(len(terms))).all())
     for path in paths:
-        columns = _columns(path, [*PARAMETERS, "observation", *LABELS, "distance_mm", "status", "stable"])
+        columns = _columns(path, [*PARAMETERS, *ends, *found, *per_term])
         keys = _as_keys([columns[parameter] for parameter in PARAMETERS])
-        place = np.minimum(np.searchsorted(wanted, keys, sorter=order), grid.size - 1)
-        cell, observation = order[place], columns["observation"].astype(np.int64)
+        cell = order[np.minimum(np.searchsorted(wanted, keys, sorter=order), grid.size - 1)]
+        term = np.searchsorted(terms, _term_keys(columns, ends))
         complete &= bool((wanted[cell] == keys).all())
-        np.add.at(seen, (cell, observation), 1)
-        distance[cell, observation] = columns["distance_mm"]
-        status[cell, observation] = columns["status"]
-        stable[cell, observation] = columns["stable"]
-        labels[:, observation] = [columns[label] for label in LABELS]
+        np.add.at(seen, (cell, term), 1)
+        for column, table in found.items():
+            table[cell, term] = columns[column]
+        for column, table in per_term.items():
+            table[term] = columns[column]
     if not (complete and (seen == 1).all()):
-        raise InputError(run, "cells", "do not hold each cell and observation of the grid once",
+        raise InputError(run, "cells", f"do not hold each cell and {'pair' if dynamic else 'observation'} of the grid once",
                          "run the sweep to its end")
-    terms = np.arange(count)
-    return Landscape(run, name, grid, "static", distance, status, stable, terms, terms, np.ones(count), *labels)
+    start, end = terms // MOST_OBSERVATIONS, terms % MOST_OBSERVATIONS
+    return Landscape(
+        run=run, name=name, grid=grid, objective="dynamic" if dynamic else "static", distance=found["distance_mm"],
+        status=found["status"], stable=found["stable"], observation=end, from_observation=start if dynamic else end,
+        weight=per_term.get("pair_weight", np.ones(len(terms))), end_distance=per_term[LABELS[0]],
+        end_rotation=per_term[LABELS[1]], jumps=found.get("jumps"))
+
+
+def jumps_of(landscape: Landscape) -> dict[str, int]:
+    """How many rods fell to another branch on their way, in all cells and in the best one."""
+    fell = landscape.jumps > 0
+    return {"rods": int(fell.sum()), "rods_at_best": int(fell[landscape.best].sum())}
 
 
 def status_counts(status: np.ndarray) -> dict[str, int]:
@@ -137,6 +152,27 @@ def _as_keys(parameters: list[np.ndarray]) -> np.ndarray:
     return rows.view([("", np.float64)] * len(parameters)).ravel()
 
 
+def _term_keys(columns: dict[str, np.ndarray], ends: tuple[str, ...]) -> np.ndarray:
+    """(N,) one number for each term of the objective, in the order of the observations that it starts from, then ends at."""
+    last = columns[ends[-1]].astype(np.int64)
+    return last if len(ends) == 1 else columns[ends[0]].astype(np.int64) * MOST_OBSERVATIONS + last
+
+
+def _terms(path: Path, ends: tuple[str, ...]) -> np.ndarray:
+    return np.unique(_term_keys(_columns(path, list(ends)), ends))
+
+
+def _names(path: Path) -> set[str]:
+    """The columns of one file of cells."""
+    import pyarrow
+    import pyarrow.parquet
+
+    try:
+        return set(pyarrow.parquet.read_schema(path).names)
+    except (pyarrow.ArrowException, OSError) as error:
+        raise _unreadable(path, error) from None
+
+
 def _columns(path: Path, names: list[str]) -> dict[str, np.ndarray]:
     """The named columns of one file of cells."""
     import pyarrow
@@ -146,5 +182,9 @@ def _columns(path: Path, names: list[str]) -> dict[str, np.ndarray]:
         table = pyarrow.parquet.read_table(path, columns=names)
         return {name: table.column(name).to_numpy() for name in names}
     except (pyarrow.ArrowException, OSError, KeyError) as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise InputError(path, "cells", f"cannot be read ({reason})", "delete it and run the sweep again") from None
+        raise _unreadable(path, error) from None
+
+
+def _unreadable(path: Path, error: Exception) -> InputError:
+    reason = (str(error) or type(error).__name__).splitlines()[0]
+    return InputError(path, "cells", f"cannot be read ({reason})", "delete it and run the sweep again")

@@ -20,6 +20,18 @@ from doo_ti.physics.closure import linear_gradient, linear_hessian
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 
 
+def unloaded(eliminate):
+    """``eliminate`` of the plain chain, with what an external energy would need left unused."""
+
+    @ti.func
+    def function(scratch: ti.template(), origin, edges, shift, noise, echo, multiplier, miss, material, gravity, closed, free,
+                 total, released, anchor, numbers: ti.template(), field: ti.template(), coarse):
+        return eliminate(scratch, origin, edges, shift, noise, echo, multiplier, miss, material, gravity, closed, free, total,
+                         released, anchor)
+
+    return function
+
+
 def loaded_sweeps(number, isotropic: bool, stride: int, external: type, functions) -> SimpleNamespace:
     """The sweeps of :func:`doo_ti.chain.chain_sweeps` under an external energy, with the same interface.
 
@@ -39,15 +51,6 @@ def loaded_sweeps(number, isotropic: bool, stride: int, external: type, function
         )
 
     @ti.func
-    def applied(s, a):
-        """S a for a symmetric S."""
-        return (
-            s[0] * a[0] + s[1] * a[1] + s[2] * a[2],
-            s[1] * a[0] + s[3] * a[1] + s[4] * a[2],
-            s[2] * a[0] + s[4] * a[1] + s[5] * a[2],
-        )
-
-    @ti.func
     def tip(scratch: ti.template(), origin, edges, anchor):
         x0, x1, x2 = anchor
         at = origin
@@ -60,7 +63,7 @@ def loaded_sweeps(number, isotropic: bool, stride: int, external: type, function
 
     @ti.func
     def eliminate(scratch: ti.template(), origin, edges, shift, noise, echo, multiplier, miss, material, gravity,
-                  closed, free, total, released, anchor):
+                  closed, free, total, released, anchor, numbers: ti.template(), field: ti.template(), coarse):
         """Assemble H + shift and eliminate it from the free end to the clamp; as :func:`doo_ti.chain.chain_sweeps`' own.
 
         The nominal force p, the sum of all gradients further out, enters the geometric part of H and the residual; what
@@ -90,7 +93,8 @@ def loaded_sweeps(number, isotropic: bool, stride: int, external: type, function
             m2 = second_director(q)
             length = scratch[at + LENGTH * stride]
             here = (x0 - length * t[0], x1 - length * t[1], x2 - length * t[2])
-            value, gamma, gamma_s, k, k_s, k_ss = evaluate(scratch, at, here, (x0, x1, x2))
+            value, gamma, gamma_s, k, k_s, k_ss = evaluate(
+                scratch, at, numbers, field, here, (x0, x1, x2), coarse)
             energy = energy + value
             magnitude = magnitude + absolute(value)
             x0, x1, x2 = here
@@ -130,9 +134,11 @@ def loaded_sweeps(number, isotropic: bool, stride: int, external: type, function
             d3 = h3 + shift + o3 + 2.0 * row1[1] + quadratic((s0, s1, s2, s3, s4, s5), a1, a1)
             d4 = h4 + o4 + row1[2] + row2[1] + quadratic((s0, s1, s2, s3, s4, s5), a1, a2)
             d5 = h5 + shift + o5 + 2.0 * row2[2] + quadratic((s0, s1, s2, s3, s4, s5), a2, a2)
-            stretch = (s0 + k_s[0], s1 + k_s[1], s2 + k_s[2], s3 + k_s[3], s4 + k_s[4], s5 + k_s[5])
-            w1 = applied(stretch, a1)
-            w2 = applied(stretch, a2)
+            stretch0 = (s0 + k_s[0], s1 + k_s[1], s2 + k_s[2])
+            stretch1 = (s1 + k_s[3], s3 + k_s[4], s4 + k_s[5])
+            stretch2 = (s2 + k_s[6], s4 + k_s[7], s5 + k_s[8])
+            w1 = (dot(stretch0, a1), dot(stretch1, a1), dot(stretch2, a1))
+            w2 = (dot(stretch0, a2), dot(stretch1, a2), dot(stretch2, a2))
             z1, z4, z7 = (z1 + w1[0], z4 + w1[1], z7 + w1[2])
             z2, z5, z8 = (z2 + w2[0], z5 + w2[1], z8 + w2[2])
             # The step solves M ω = rhs, less what ξ and the edge before add.

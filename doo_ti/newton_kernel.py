@@ -23,9 +23,13 @@ from doo_ti.loading import (
     ASKED_TARGET,
     ASKED_TOTAL,
     ASKED_UNIT,
+    LANES,
+    NEXT,
+    TRIPS,
     lane_loading,
 )
 from doo_ti.newton import (
+    COARSE_ROTATION,
     DECAY,
     DECAY_TROUBLED,
     ESCAPE_ROTATION,
@@ -41,24 +45,28 @@ from doo_ti.newton import (
 )
 from doo_ti.physics.algebra import dot
 from doo_ti.physics.number import Number
-from doo_ti.tables import CLOSURE, ENERGY, ITERATIONS, MULTIPLIER, RESIDUAL, STABLE, STATUS
+from doo_ti.tables import CLOSURE, ENERGY, ITERATIONS, MULTIPLIER, OF_RESULT, RESIDUAL, STABLE, STATUS
 from doo_ti.types import Status
 
 
 @cache
-def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, external: type | None = None):
+def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, serial: bool, external: type | None = None):
     """The compiled-on-first-use kernel for one kind of number, of material and of external energy.
 
     stride: distance between the items of an edge in scratch, 1 on a CPU, the number of threads on a GPU.
     block: threads in a block, 1 on a CPU.
+    serial: the threads' work is done on the caller's thread, on a CPU: to wake another takes as long as to relax a few rods.
     external: the class of the external energy, whose numbers the kernel then takes as one more table.
     """
     outside = None
     if external is None:
         sweep = chain.chain_sweeps(number, isotropic, stride)
+        eliminate = loaded_chain.unloaded(sweep.eliminate)
+        has_coarse = False
     else:
         outside = external.functions(number, stride, chain.item_count(isotropic))
         sweep = loaded_chain.loaded_sweeps(number, isotropic, stride, external, outside)
+        eliminate, has_coarse = sweep.eliminate, external.has_coarse
     loading = lane_loading(number, isotropic, stride, sweep.items, outside)
     largest, lane, with_lane, constant, put, get = number.lanes()
     width = number.width
@@ -79,14 +87,21 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
 
     @ti.func
     def relax_rods(
-        edges, handful, start: ti.template(), ends: ti.template(), rest_length: ti.template(), clamp: ti.template(),
-        bend: ti.template(), twist: ti.template(), rest: ti.template(), section: ti.template(), rods: ti.template(),
-        tolerance, max_iterations, first_shift, max_rotation, max_escapes, closing_distance, thread, head,
-        scratch: ti.template(), lane_rod: ti.template(), queue: ti.template(), frames: ti.template(), results: ti.template(),
-        outer: ti.template(),
+        start: ti.template(), rest_length: ti.template(), clamp: ti.template(), material: ti.template(), rods: ti.template(),
+        tolerance, max_iterations, first_shift, max_rotation, max_escapes, closing_distance, threads, thread,
+        scratch: ti.template(), queue: ti.template(), frames: ti.template(), results: ti.template(), outer: ti.template(),
+        field: ti.template(),
     ):
-        """A thread's work, until the queue is empty; ``outer`` are the numbers of the external energy, if there is one."""
+        """A thread's work, until the queue is empty; ``outer`` and ``field`` are the external energy's, if there is one."""
+        edges = rest_length.shape[1]
+        head = thread
+        if ti.static(stride == 1):
+            head = thread * (ASKED_ITEMS + sweep.items * edges)
         origin = head + ti.static(ASKED_ITEMS * stride)
+        lane_rod = LANES + thread * width  # where the queue says which rods the lanes have
+        # Rods taken at once from the queue: threads that ask for the same number wait for each other, but all are to end
+        # together.
+        handful = ti.max(1, ti.min(16, rods.shape[0] // (16 * threads * width)))
         zero = constant(0.0)
         one = constant(1.0)
         # Where the lane's rod is, and the step that is about to be tried.
@@ -99,6 +114,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
         fresh, trying, closing, returned, troubled = (zero, zero, zero, zero, zero)
         escaping, escapes, rounds, heading = (zero, zero, zero, one)
         status, stable = (zero, zero)
+        coarse = zero
         lengths_known, active, finished = (zero, zero, one)
         pack_trips = 0
         taken_up, claimed = (0, 0)  # rods of the queue that are this thread's
@@ -108,7 +124,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
                 for slot in range(width):
                     if lane(finished, slot) > 0.5:
                         if lane(active, slot) > 0.5:
-                            row = rods[lane_rod[thread * width + slot], 2]
+                            row = rods[queue[lane_rod + slot], OF_RESULT]
                             loading.store_frames(scratch, origin, edges, slot, frames, row)
                             if lane(status, slot) != not_finite:  # else these are NaN already
                                 unit = ti.cast(get(scratch, head + ASKED_UNIT * stride, slot), ti.f64)
@@ -124,16 +140,15 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
                             results[row, STABLE] = lane(stable, slot)
                         active = with_lane(active, slot, 0.0)
                         if taken_up == claimed:
-                            # A handful at a time: threads that ask for the same number wait for each other.
-                            taken_up = ti.atomic_add(queue[0], handful)
+                            taken_up = ti.atomic_add(queue[NEXT], handful)
                             claimed = ti.min(taken_up + handful, rods.shape[0])
                         if taken_up < claimed:
                             rod = taken_up
                             taken_up += 1
-                            lane_rod[thread * width + slot] = rod
-                            loading.load_rod(
-                                scratch, head, edges, slot, rod, lane(lengths_known, slot), rods, start, ends, frames,
-                                rest_length, clamp, bend, twist, rest, section, outer)
+                            queue[lane_rod + slot] = rod
+                            loading.load(
+                                scratch, head, edges, slot, rod, lane(lengths_known, slot), rods, start, frames, rest_length,
+                                clamp, material, outer)
                             lengths_known = with_lane(lengths_known, slot, 1.0)
                             active = with_lane(active, slot, 1.0)
                 # The lanes that were refilled start anew.
@@ -162,7 +177,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
                 free = sweep.load4(scratch, head + ASKED_FREE * stride) + (scratch[head + (ASKED_FREE + 4) * stride],)
                 released = scratch[head + ASKED_RELEASED * stride]
                 total = scratch[head + ASKED_TOTAL * stride]
-                material = (scratch[head + ASKED_STIFFNESS * stride], scratch[head + (ASKED_STIFFNESS + 1) * stride])
+                stiffness = (scratch[head + ASKED_STIFFNESS * stride], scratch[head + (ASKED_STIFFNESS + 1) * stride])
                 gravity = sweep.load3(scratch, head + ASKED_GRAVITY * stride)
                 anchor = sweep.load3(scratch, head + ASKED_ANCHOR * stride)
                 # Take the step, hopefully: the shift is that for after it.
@@ -177,11 +192,13 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
                 noise = ti.select(searching & (rounds < 0.5), 1e-3 * scale, zero)
                 echo = ti.select(searching & (rounds > 0.5), scale / (longest + 1e-30), zero)
                 new_energy, new_magnitude, new_miss, new_lambda = sweep.close(
-                    scratch, origin, edges, x, normal, target, material, gravity, closed, free, total, released)
+                    scratch, origin, edges, x, normal, target, stiffness, gravity, closed, free, total, released)
                 diagonal = ti.select(hoped > 0.0, hoped, trace * scale)
-                moment, new_scale, change, inertia, slope, outer_energy, outer_magnitude = sweep.eliminate(
-                    scratch, origin, edges, diagonal, noise, echo, new_lambda, new_miss, material, gravity, closed, free,
-                    total, released, anchor)
+                if ti.static(has_coarse):
+                    coarse = ti.max(coarse, fresh)
+                moment, new_scale, change, inertia, slope, outer_energy, outer_magnitude = eliminate(
+                    scratch, origin, edges, diagonal, noise, echo, new_lambda, new_miss, stiffness, gravity, closed, free,
+                    total, released, anchor, outer, field, coarse)
                 new_energy += outer_energy
                 new_magnitude += outer_magnitude
                 # Judge the step by the Lagrangian, and go back where it led uphill.
@@ -223,14 +240,14 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
                 right = (inertia > 2.5) & (inertia < 3.5) & stands
                 wrong = ((inertia < 2.5) | (inertia > 3.5)) & stands
                 calm = small & (escaping < 0.5) & stands
-                bare = shift <= 0.0
+                bare = (shift <= 0.0) & (coarse < 0.5)
                 at_minimum = calm & bare & right
                 at_saddle = calm & bare & wrong
                 # Beside a saddle a rod may get nowhere though its residual is not yet small.
                 adrift = wrong & (aimless > PATIENCE_AT_SADDLE) & (escaping < 0.5) & (closing < 0.5)
                 leaving = (at_saddle & (escapes < ti.cast(max_escapes, scalar))) | (adrift & (max_escapes > 0))
                 resting = at_saddle & (escapes >= ti.cast(max_escapes, scalar))
-                certify = calm & (shift > 0.0)
+                certify = calm & ((shift > 0.0) | (coarse > 0.5))
                 escaping = ti.select(leaving, one, escaping)
                 shift = ti.select(leaving, zero, shift)
                 escapes = ti.select(leaving & at_saddle, escapes + 1.0, escapes)
@@ -244,6 +261,9 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
                 floor = ti.select(escaping > 0.5, NEGLIGIBLE_TROUBLED * scale, SHIFT_WRONG_INERTIA * scale)
                 shift = ti.select(wrong & (closing < 0.5), ti.max(4.0 * shift, floor), shift)
                 shift = ti.select(certify, zero, shift)
+                if ti.static(has_coarse):
+                    far = (longest > COARSE_ROTATION) & ~small & (escaping < 0.5)
+                    coarse = ti.select(far, one, zero)
                 cap = ti.min(one, ti.cast(max_rotation, scalar) / (longest + 1e-30))
                 heading = ti.select(searching, ti.select(slope > 0.0, 0.0 - one, one), heading)
                 leap = heading * ESCAPE_ROTATION / ((1.0 + rejects) * (1.0 + rejects) * (longest + 1e-30))
@@ -270,21 +290,15 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
                 stable = ti.select(at_minimum, one, zero)
                 finished = ti.select((ended | late | stuck | lost) & (active > 0.5), one, zero)
                 pack_trips += 1
-        ti.atomic_add(queue[1], pack_trips)
+        ti.atomic_add(queue[TRIPS], pack_trips)
 
     @ti.kernel
     def newton(
-        edges: ti.i32,
-        handful: ti.i32,
-        start: table1,  # [configuration · edge · 4]
-        ends: table1,  # [configuration · 2 · 4]
+        start: table1,  # [start · edge · 4]
         rest_length: table2,  # [1 or configuration, edge] mm
         clamp: table2,  # [configuration, CLAMP_COLUMNS]
-        bend: table3,  # [material, 1 or edge, (11, 22, 12)] mm³
-        twist: table2,  # [material, 1 or inner vertex] mm³
-        rest: table3,  # [material, 1 or inner vertex, 2] 1/mm
-        section: table2,  # [material, SECTION_COLUMNS]
-        rods: index2,  # [rod, (configuration, material, row of the results, 1 if from there, row of the external energy)]
+        material: table2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
+        rods: index2,  # [rod, ROD_COLUMNS]
         tolerance: ti.f64,
         max_iterations: ti.i32,
         first_shift: ti.f64,
@@ -292,34 +306,29 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, exte
         max_escapes: ti.i32,
         closing_distance: ti.f64,
         threads: ti.i32,
-        origin_stride: ti.i32,
         scratch: ti.types.ndarray(dtype=number.type, ndim=1),
-        lane_rod: index1,  # [thread · lane]
-        queue: index1,  # [(the next rod, trips of all packs)]
+        queue: index1,  # [NEXT, TRIPS, LANES + thread · lane] zero
         frames: table1,  # [row · edge · 4] in where a rod starts from there, and out
         results: table2,  # [row, RESULTS] out
     ):
-        ti.loop_config(block_dim=block)
+        ti.loop_config(block_dim=block, serialize=serial)
         for thread in range(threads):
             relax_rods(
-                edges, handful, start, ends, rest_length, clamp, bend, twist, rest, section, rods, tolerance,
-                max_iterations, first_shift, max_rotation, max_escapes, closing_distance, thread, thread * origin_stride,
-                scratch, lane_rod, queue, frames, results, section)
+                start, rest_length, clamp, material, rods, tolerance, max_iterations, first_shift, max_rotation, max_escapes,
+                closing_distance, threads, thread, scratch, queue, frames, results, material, material)
 
     @ti.kernel
     def newton_under_load(
-        edges: ti.i32, handful: ti.i32, start: table1, ends: table1, rest_length: table2, clamp: table2, bend: table3,
-        twist: table2, rest: table3, section: table2, rods: index2, tolerance: ti.f64,
+        start: table1, rest_length: table2, clamp: table2, material: table2, rods: index2, tolerance: ti.f64,
         max_iterations: ti.i32, first_shift: ti.f64, max_rotation: ti.f64, max_escapes: ti.i32, closing_distance: ti.f64,
-        threads: ti.i32, origin_stride: ti.i32, scratch: ti.types.ndarray(dtype=number.type, ndim=1), lane_rod: index1,
-        queue: index1, frames: table1, results: table2,
-        outer: table3,  # [row, vertex, number] of the external energy
+        threads: ti.i32, scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, results: table2,
+        outer: table3,  # the numbers of the external energy
+        field: ti.types.ndarray(dtype=ti.f32, ndim=1),  # and what it looks up in space
     ):
-        ti.loop_config(block_dim=block)
+        ti.loop_config(block_dim=block, serialize=serial)
         for thread in range(threads):
             relax_rods(
-                edges, handful, start, ends, rest_length, clamp, bend, twist, rest, section, rods, tolerance,
-                max_iterations, first_shift, max_rotation, max_escapes, closing_distance, thread, thread * origin_stride,
-                scratch, lane_rod, queue, frames, results, outer)
+                start, rest_length, clamp, material, rods, tolerance, max_iterations, first_shift, max_rotation, max_escapes,
+                closing_distance, threads, thread, scratch, queue, frames, results, outer, field)
 
     return newton if external is None else newton_under_load

@@ -83,6 +83,29 @@ def whole(option: str, text: str | None, minimum: int, most: int | None = None) 
     return value
 
 
+def length(option: str, text: str | None) -> float | None:
+    """A positive number of mm, or None."""
+    if text is None:
+        return None
+    value = _decimal(option, text, "a positive number of mm", minimum=0.0)
+    if value == 0:
+        raise InputError(SOURCE, option, f"{text!r} is not positive", "give a positive number of mm")
+    return value
+
+
+def numbers(option: str, text: str | None) -> tuple[float, ...]:
+    """``30,54,78``: numbers between commas; none without text."""
+    return () if text is None else tuple(_decimal(option, part, "numbers between commas") for part in text.split(","))
+
+
+def rows(option: str, text: str | None, count: int) -> tuple[int, ...]:
+    """``0,3,7``: different row numbers below ``count`` between commas; none without text."""
+    found = () if text is None else tuple(whole(option, part, 0, count - 1) for part in text.split(","))
+    if len(set(found)) < len(found):
+        raise InputError(SOURCE, option, f"{text!r} names a row twice", "name each once")
+    return found
+
+
 def bench_rods(text: str | None, default: int) -> int:
     """Rods in the large batches of the benchmark."""
     return whole("--rods", text, 1, MOST_BENCH_RODS) or default

@@ -13,9 +13,9 @@ import numpy as np
 from doo_ti import batch
 from doo_ti.descent import Descent
 from doo_ti.errors import InputError
-from doo_ti.external import Springs
+from doo_ti.external import External
 from doo_ti.newton import Newton
-from doo_ti.tables import CLOSURE, ENERGY, ITERATIONS, MULTIPLIER, RESIDUAL, STABLE, STATUS, Tables, tables
+from doo_ti.tables import CLOSURE, ENERGY, ITERATIONS, MULTIPLIER, RESIDUAL, STABLE, STATUS, TOTAL, Tables, tables
 from doo_ti.types import LARGEST, Clamps, Configuration, Material, Solution, Status
 
 # As plain numbers, which NumPy compares ten times faster than members of an enumeration.
@@ -33,7 +33,7 @@ def relax(
     precision: str = "f64",
     configuration_index=None,
     material_index=None,
-    external: Springs | None = None,
+    external: External | None = None,
     external_index=None,
 ) -> Solution:
     """Relax rods from their starts to the constrained minimum of E_Θ they fall to (§III-D).
@@ -101,9 +101,9 @@ def _unit(up) -> np.ndarray:
         up = np.asarray(up, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError("relax", "up", f"{up!r}", "give a direction of three numbers") from None
-    if up.shape != (3,) or not (np.abs(up) <= LARGEST).all() or not np.linalg.norm(up) > 0:
+    if up.shape != (3,) or not (np.abs(up) <= LARGEST).all() or not (length := np.linalg.norm(up)) > 0:
         raise InputError("relax", "up", f"{up.tolist()}", "give a direction of three finite numbers, not all zero")
-    return up / np.linalg.norm(up)
+    return up / length
 
 
 def _descent(table: Tables, solver: Descent, precision: str):
@@ -121,7 +121,7 @@ def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | Non
     coarse = solver if precision == "f32" else replace(solver, tolerance=None)
     frames, results = batch.run_newton(table, coarse, 32, begin)
     bits = np.full(len(results), 32)
-    feasible = ~np.isnan(results[:, STATUS])
+    feasible = results[:, STATUS] != INFEASIBLE
     short = (results[:, STATUS] != CONVERGED) | (results[:, STABLE] == 0)
     rows = np.flatnonzero(feasible & (short | (precision == "mixed")))
     if len(rows):
@@ -134,30 +134,28 @@ def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | Non
 
 
 def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.ndarray) -> Solution:
-    anchor = table.anchor[table.configuration_index]
-    lengths = table.rest_length if len(table.rest_length) == 1 else table.rest_length[table.configuration_index]
-    total = lengths.sum(axis=-1)
+    index, up = table.configuration_index, table.up
+    anchor = table.anchor
     # Not a matrix product, whose rounding depends on how many rods there are.
-    up = table.up
     height = anchor[:, 0] * up[0] + anchor[:, 1] * up[1] + anchor[:, 2] * up[2]
-    energy = results[:, ENERGY] + table.weight[table.material_index] * height * 2 * total
+    lifted = 2 * height * table.clamp[:, TOTAL]
+    energy = results[:, ENERGY] + table.weight[table.material_index] * lifted[index]
+    start = anchor[index]
     if table.external is not None:
-        energy += table.external.energy_at_start(anchor, table.external_index)
-    status = np.where(np.isnan(results[:, STATUS]), INFEASIBLE, results[:, STATUS]).astype(np.int8)
-    start = anchor.copy()
-    hanging = np.flatnonzero(table.released[table.configuration_index])
-    rest_length = lengths[0] if len(lengths) == 1 else lengths
+        energy += table.external.energy_at_start(start, table.external_index)
+    rest_length = table.rest_length[0] if len(table.rest_length) == 1 else table.rest_length[index]
     configuration = Configuration(start, frames, rest_length)
+    hanging = np.flatnonzero(table.released[index])
     if len(hanging):
         ends = configuration.take(hanging).vertices[:, -1]
-        start[hanging] = 2 * anchor[hanging] - ends
+        start[hanging] = 2 * start[hanging] - ends
     return Solution(
         configuration=configuration,
         energy=energy,
         residual=results[:, RESIDUAL],
         closure=results[:, CLOSURE],
-        iterations=np.nan_to_num(results[:, ITERATIONS]).astype(np.int32),
-        status=status,
+        iterations=results[:, ITERATIONS].astype(np.int32),
+        status=results[:, STATUS].astype(np.int8),
         stable=results[:, STABLE] == 1,
         end_force=-results[:, MULTIPLIER:],
         precision=bits.astype(np.int8),

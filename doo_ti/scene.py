@@ -4,7 +4,9 @@
     frame_weight_mm = 0.0         # w_m of Eq. 1
     clamp_start = "frame"         # position, tangent, frame or free; left out: frame where it is given, else tangent
     clamp_end = "frame"
-    objective = "static"          # Eq. 2
+    objective = "static"          # Eq. 2, or "dynamic", Eq. 3
+    pairs = "pairs.csv"           # of Eq. 3, relative to the scene; left out: from the labels, as in the paper
+    spins = 0                     # hypotheses where an end's spin is unknown although it was held; 0: it spins
     precision = "mixed"           # f32, f64 or mixed
 
     [observations]                # a file, its path relative to the scene …
@@ -32,8 +34,9 @@ from doo_ti.errors import InputError
 from doo_ti.grid import UNITS, Grid, parse_axis, parse_bend
 from doo_ti.types import Clamp, Material
 
-OBJECTIVES = ("static",)
+OBJECTIVES = ("static", "dynamic")
 PRECISIONS = ("f32", "f64", "mixed")
+MOST_SPINS = 360
 CLAMPS = tuple(kind.name.lower() for kind in Clamp)
 
 
@@ -118,6 +121,9 @@ class Scene:
     observations  the file, or the recipe
     frame_weight  w_m of Eq. 1, mm
     clamp_start, clamp_end  Clamp, or None: the frame where it is given, else the tangent
+    objective     "static", Eq. 2, or "dynamic", Eq. 3
+    pairs         the file of Eq. 3's pairs, or None: from the labels
+    spins         hypotheses, evenly over a turn, where an end's spin is unknown although it was held; 0: it spins
     """
 
     name: str
@@ -127,6 +133,8 @@ class Scene:
     clamp_start: Clamp | None = None
     clamp_end: Clamp | None = None
     objective: str = "static"
+    pairs: Path | None = None
+    spins: int = 0
     precision: str = "mixed"
     source: str = "scene"
     sha256: str = ""
@@ -142,12 +150,13 @@ def load_scene(path: str | os.PathLike) -> Scene:
         raise InputError(path, "file", (error.strerror or str(error)).lower(), "name a readable scene") from None
     except ValueError as error:
         raise InputError(path, "file", f"not TOML ({error})", "correct the scene") from None
-    known = ("name", "frame_weight_mm", "clamp_start", "clamp_end", "objective", "precision", "observations",
-             "synthesis", "grid")
+    known = ("name", "frame_weight_mm", "clamp_start", "clamp_end", "objective", "pairs", "spins", "precision",
+             "observations", "synthesis", "grid")
     _check_keys(path, "", table, known)
     if ("observations" in table) == ("synthesis" in table):
         raise InputError(path, "observations", "neither or both of [observations] and [synthesis]", "give one of them")
     name = _text(path, "name", table.get("name", path.stem))
+    objective = _choice(path, "objective", table.get("objective", "static"), OBJECTIVES)
     return Scene(
         name=name,
         observations=_observations(path, table) if "observations" in table else _synthesis(path, name, table),
@@ -155,7 +164,9 @@ def load_scene(path: str | os.PathLike) -> Scene:
         frame_weight=_weight(path, table.get("frame_weight_mm", 0.0)),
         clamp_start=_clamp(path, table, "clamp_start"),
         clamp_end=_clamp(path, table, "clamp_end"),
-        objective=_choice(path, "objective", table.get("objective", "static"), OBJECTIVES),
+        objective=objective,
+        pairs=_pairs(path, table, objective),
+        spins=_spins(path, table.get("spins", 0)),
         precision=_choice(path, "precision", table.get("precision", "mixed"), PRECISIONS),
         source=str(path),
         sha256=hashlib.sha256(content).hexdigest(),
@@ -212,6 +223,20 @@ def _weight(path: Path, value) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < math.inf:
         raise InputError(path, "frame_weight_mm", f"{value!r} is no length", "give zero or a positive number of mm")
     return float(value)
+
+
+def _pairs(path: Path, table: dict, objective: str) -> Path | None:
+    if "pairs" not in table:
+        return None
+    if objective != "dynamic":
+        raise InputError(path, "pairs", "given, but the objective is static", 'give objective = "dynamic" too')
+    return path.parent / _text(path, "pairs", table["pairs"])
+
+
+def _spins(path: Path, value) -> int:
+    if type(value) is not int or not 0 <= value <= MOST_SPINS:
+        raise InputError(path, "spins", f"{value!r} is no number of angles", f"give 0 to {MOST_SPINS}")
+    return value
 
 
 def _clamp(path: Path, table: dict, key: str) -> Clamp | None:

@@ -1,10 +1,13 @@
 """From an observation to what F needs: its clamps C, the start Γ, and the whole turns it may hold (§III-B, §III-D)."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
 from doo_ti.frames import (
+    across,
     angle_about,
     bishop_frames,
     matrix_from_quaternion,
@@ -99,6 +102,22 @@ def turn_hypotheses(observations: Observations, clamps: Clamps) -> tuple[np.ndar
     return index, np.where(both[index], rank - 1, 0)
 
 
+def held_spins(observations: Observations, clamps: Clamps, spin: np.ndarray) -> Clamps:
+    """Clamps on whole frames where the tangent alone was known: ends that leave the angle ``spin`` (D,), rad, between the
+    parallel-transported m1 of the first edge and the last edge's.
+
+    Of two such ends the last one takes the angle: what both turn by together is felt by no round rod.
+    """
+    count = observations.count
+    unknown_end = np.broadcast_to(np.asarray(clamps.end) == Clamp.TANGENT, count)
+    whole = Clamps(Clamp.FRAME, Clamp.FRAME, clamps.start_position, clamps.end_position, clamps.start_frame, clamps.end_frame)
+    bishop = _bishop(observations, whole)
+    lacking = spin - _closing_angle(bishop, whole)
+    end_frame = _turned_about(whole.end_frame, np.where(unknown_end, lacking, 0.0))
+    start_frame = _turned_about(whole.start_frame, np.where(unknown_end, 0.0, -lacking))
+    return replace(whole, start_frame=start_frame, end_frame=end_frame)
+
+
 def choose_hypothesis(observation_index: np.ndarray, score: np.ndarray, sound: np.ndarray) -> np.ndarray:
     """(D,) rows of the (N,) hypotheses with the smallest score of each observation, among those that are ``sound`` (N,)
     where there are any: a rod that was stopped on the way is near its start, and no witness. NaN counts as the largest.
@@ -181,20 +200,19 @@ def _end_frames(observations: Observations, end: str, given: np.ndarray | None) 
     if given is not None:
         return matrix_from_quaternion(quaternion_from_matrix(given))
     tangent = _directions(observations)[:, 0 if end == "start" else -1]
-    return bishop_frames(tangent[:, None], _across(tangent))[:, 0]
-
-
-def _across(tangent: np.ndarray) -> np.ndarray:
-    """(..., 3) unit vectors across unit tangents: the coordinate axis least along each, made orthogonal."""
-    axis = np.eye(3)[np.argmin(np.abs(tangent), axis=-1)]
-    across = axis - np.sum(axis * tangent, axis=-1, keepdims=True) * tangent
-    return across / np.linalg.norm(across, axis=-1, keepdims=True)
+    return bishop_frames(tangent[:, None], across(tangent))[:, 0]
 
 
 def _directions(observations: Observations) -> np.ndarray:
     """(D, E, 3) unit directions of the observed edges."""
     edges = np.diff(fill_missing(observations), axis=1)
     return edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+
+
+def _turned_about(frame: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """(D, 3, 3) frames turned about their tangents by ``angle`` (D,), rad."""
+    turn = quaternion_about(frame[..., 0], angle)
+    return matrix_from_quaternion(quaternion_product(turn, quaternion_from_matrix(frame)))
 
 
 def _holds_spin(kind) -> np.ndarray:

@@ -1,32 +1,76 @@
-"""What finished sweeps say about Θ (§III-E)."""
+"""What finished sweeps say about Θ (§III-E), and how far it carries (§V-B, §V-C)."""
 
 import json
 from argparse import Namespace
 from pathlib import Path
+from shutil import get_terminal_size
 
+from doo_ti import options as given
 from doo_ti.commands.arguments import add_json
-from doo_ti.commands.printing import best_of, plain, tell_landscape
+from doo_ti.commands.printing import best_of, busy, plain, tell_landscape
+from doo_ti.cross_validation import Scores, cross_validate
+from doo_ti.dataset import write_whole
 from doo_ti.errors import InputError
 from doo_ti.learning import read_landscape
+from doo_ti.partition import FACTORS, check_comparable, partition, usual_factors
+from doo_ti.score_table import caption, comma_separated, entries, file_stem, markdown, text
 
 
 def declare(add) -> None:
-    parser = add("learn", allow_abbrev=False, help="best parameters of finished sweeps over the same grid")
+    parser = add("learn", allow_abbrev=False, help="best parameters of finished sweeps over one grid, and leave-one-out tables")
     parser.add_argument("runs", nargs="+", metavar="RUN", help="folders that sweep wrote")
+    parser.add_argument("--by", action="append", metavar="FACTORS",
+                        help=f"a table by some of {', '.join(FACTORS)}, joined by commas; as often as there are to be tables "
+                             "(default: those of the paper that the runs allow)")
+    parser.add_argument("--end-distances", metavar="MM,MM", help="of tables by end distance (default: all)")
+    parser.add_argument("--out", metavar="FOLDER", help="folder for learn.json and the tables as .csv and .md (default: none)")
     add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """The best Θ of each run, with the ranges that fit nearly as well (§III-E); all runs over one grid."""
-    landscapes = [read_landscape(Path(run)) for run in options.runs]
-    for landscape in landscapes[1:]:
-        if landscape.grid.as_dict() != landscapes[0].grid.as_dict():
-            raise InputError(landscape.run, "grid", f"another grid than that of {landscapes[0].run}",
-                             "sweep all runs over the same axes")
+    """The best Θ of each run with the ranges that fit nearly as well (§III-E), then leave-one-out tables of all runs."""
+    out = None if options.out is None else given.output_folder(options.out)
+    distances = given.numbers("--end-distances", options.end_distances)
+    asked = [tuple(factor.strip() for factor in by.split(",")) for by in options.by or []]
+    with busy("reading runs"):
+        landscapes = [read_landscape(Path(run)) for run in options.runs]
+    check_comparable(landscapes)
+    partitions = {found[0].by: found for found in
+                  (partition(landscapes, by, distances) for by in asked or usual_factors(landscapes))}
+    if distances and not any("end-distance" in by for by in partitions):
+        raise InputError("command line", "--end-distances", "no table is by end distance", "add --by end-distance")
+    with busy("cross-validating"):
+        tables = {by: [cross_validate(one) for one in found] for by, found in partitions.items()}
+    summary = plain({"runs": [best_of(landscape) for landscape in landscapes],
+                     "tables": [_as_dict(scores) for found in tables.values() for scores in found]})
+    if out is not None:
+        _write(out, summary, tables)
     if options.json:
-        print(json.dumps(plain([best_of(landscape) for landscape in landscapes])))
-    else:
-        for landscape in landscapes:
-            tell_landscape(landscape)
+        print(json.dumps(summary))
+        return 0
+    for landscape in landscapes:
+        tell_landscape(landscape)
+    for scores in (scores for found in tables.values() for scores in found):
+        print(f"\n{text(scores, get_terminal_size((120, 24)).columns)}")
+    if out is not None:
+        print(f"\nwritten to {out}")
     return 0
+
+
+def _as_dict(scores: Scores) -> dict:
+    parts = scores.partition
+    return {"caption": caption(scores), "by": parts.by, "within": parts.within, "unlabelled": parts.unlabelled,
+            "training_error_mm": dict(zip((part.label for part in parts.parts), scores.training, strict=True)),
+            "entries": entries(scores)}
+
+
+def _write(out: Path, summary: dict, tables: dict[tuple[str, ...], list[Scores]]) -> None:
+    """learn.json, and for each partition a CSV and a Markdown file."""
+    files = {"learn.json": json.dumps(summary, indent=2) + "\n"}
+    for by, found in tables.items():
+        files[f"{file_stem(by)}.csv"] = comma_separated(found)
+        files[f"{file_stem(by)}.md"] = "\n".join(markdown(scores) for scores in found)
+    out.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        write_whole(out / name, lambda file, content=content: file.write(content.encode()))

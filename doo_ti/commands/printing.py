@@ -4,7 +4,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from doo_ti.learning import Landscape, status_counts
+from doo_ti.learning import Landscape, jumps_of, status_counts
 
 
 def busy(doing: str):
@@ -43,7 +43,9 @@ def plain(value):
 def best_of(landscape: Landscape) -> dict:
     """The best Θ of a run, as JSON holds it."""
     theta = {name: value[landscape.best] for name, value in landscape.grid.cell_values().items()}
-    return {"run": str(landscape.run), "material": landscape.name, **theta, "bend_12": landscape.grid.bend_12,
+    jumps = {} if landscape.jumps is None else {"jumps": jumps_of(landscape)}
+    return {"run": str(landscape.run), "material": landscape.name, "objective": landscape.objective, **jumps,
+            **theta, "bend_12": landscape.grid.bend_12,
             "mean_distance_mm": landscape.mean_distance[landscape.best],
             "intervals": [asdict(interval) for interval in landscape.intervals],
             "status": status_counts(landscape.status), "stable": landscape.stable.sum()}
@@ -52,10 +54,32 @@ def best_of(landscape: Landscape) -> dict:
 def tell_landscape(landscape: Landscape) -> None:
     cells, count = landscape.distance.shape
     best = best_of(landscape)
-    print(f"{landscape.name}: {cells} cells x {count} observations")
+    terms = "observations" if landscape.objective == "static" else "pairs of observations (Eq. 3)"
+    print(f"{landscape.name}: {cells} cells x {count} {terms}")
     print(f"  best Θ      {theta_text(best, landscape.grid.is_isotropic)}")
     print(f"  distance    mean {best['mean_distance_mm']:.4g} mm (Eq. 1)")
     for interval in landscape.intervals:
         print(f"  within 5 %  {interval}{' (at the border of the grid: widen it)' * interval.at_border}")
     print("              (how flat the landscape is around its minimum; not a confidence interval)")
     print(f"  status      {counted(best['status'])}; {best['stable']} certified stable")
+    if landscape.jumps is not None:
+        fell = best["jumps"]
+        print(f"  jumps       {fell['rods_at_best']} of {count} rods fell to another branch on their way in the best cell, "
+              f"{fell['rods']} of {landscape.jumps.size} in all")
+
+
+def tell_hypotheses(summary: dict) -> None:
+    """What became of the hypotheses about whole turns and spins, where there were several."""
+    found = summary.get("hypotheses")
+    if found is None:
+        return
+    kept, ambiguous = found["kept"], set(found["ambiguous"])
+    print(f"  hypotheses  {found['hypotheses']}; one settled for {found['resolved']} observations, {len(ambiguous)} ambiguous, "
+          "which take the nearest in each cell")
+    pairs = zip(kept["observation"], kept["turns"], strict=True)
+    settled = [turn for observation, turn in pairs if observation not in ambiguous]
+    turns = ", ".join(f"{turn:+d}: {settled.count(turn)}" for turn in sorted(set(settled)))
+    if turns:
+        print(f"              whole turns settled: {turns}; each one's is in summary.json")
+    if ambiguous:
+        print(f"              ambiguous observations: {', '.join(map(str, sorted(ambiguous)))}")

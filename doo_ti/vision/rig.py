@@ -45,15 +45,17 @@ class Camera:
             if name == "distortion" and value.size in (0, 4):
                 value = np.concatenate([value, np.zeros(COEFFICIENTS - value.size)])
             if value.shape != (shape or (COEFFICIENTS,)) or not np.isfinite(value).all():
-                raise self._error(_KEYS[name], f"shape {value.shape}, or not finite", f"give {shape or (1, COEFFICIENTS)} numbers")
+                wanted = f"give {shape or (1, COEFFICIENTS)} numbers"
+                raise self._error(_KEYS[name], f"shape {value.shape}, or not finite", wanted)
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         if self.width < 1 or self.height < 1:
             raise self._error("width, height", f"{self.width} x {self.height}", "give the size of the images in pixels")
-        if not (self.matrix[0, 0] > 0 and self.matrix[1, 1] > 0) or self.matrix[0, 1] != 0 or (self.matrix[2] != [0, 0, 1]).any():
+        (fx, skew, _), (lower, fy, _), last = self.matrix
+        if not (fx > 0 and fy > 0) or skew != 0 or lower != 0 or (last != [0, 0, 1]).any():
             raise self._error("K", f"{self.matrix.tolist()}", "give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0")
         if orthonormality_error(self.rotation) > FRAME_TOLERANCE or handedness(self.rotation) < 0:
-            raise self._error("R", f"{np.round(self.rotation, 4).tolist()} is no rotation", "give an orthonormal, right-handed R")
+            raise self._error("R", f"{np.round(self.rotation, 4).tolist()} is no rotation", "give a right-handed rotation")
 
     def _error(self, field: str, problem: str, remedy: str) -> InputError:
         return InputError(self.source, f"cameras.{self.name}.{field}", problem, remedy)
@@ -73,7 +75,8 @@ class Camera:
         radial = 1 + square * (k1 + square * (k2 + square * k3))
         bent_x = x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x)
         bent_y = y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y
-        return np.stack([self.matrix[0, 0] * bent_x + self.matrix[0, 2], self.matrix[1, 1] * bent_y + self.matrix[1, 2]], axis=-1)
+        (fx, _, cx), (_, fy, cy), _ = self.matrix
+        return np.stack([fx * bent_x + cx, fy * bent_y + cy], axis=-1)
 
     def depth(self, points: np.ndarray) -> np.ndarray:
         """(...) mm along the optical axis of (..., 3) points in the world."""
@@ -92,7 +95,8 @@ class Rig:
         if not names:
             raise InputError(self.source, "cameras", "no camera", "describe at least two")
         if len(set(names)) < len(names):
-            raise InputError(self.source, "cameras", f"the name {max(names, key=names.count)!r} occurs twice", "name them apart")
+            twice = max(names, key=names.count)
+            raise InputError(self.source, "cameras", f"the name {twice!r} occurs twice", "name them apart")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -133,9 +137,10 @@ def load_rig(path: str | os.PathLike) -> Rig:
         nodes = storage.getNode("cameras")
         count = nodes.size() if nodes.isSeq() else 0
     except (cv2.error, SystemError) as error:
-        raise InputError(path, "file", f"not a rig ({str(error).splitlines()[0][:80]})", "give OpenCV FileStorage YAML") from None
+        reason = str(error).splitlines()[0][:80]
+        raise InputError(path, "file", f"not a rig ({reason})", "give OpenCV FileStorage YAML") from None
     if not count:
-        raise InputError(path, "cameras", "missing or empty", "give a sequence of cameras: name, width, height, K, dist, R, t")
+        raise InputError(path, "cameras", "missing or empty", "give a sequence of name, width, height, K, dist, R, t")
     return Rig(tuple(_camera(path, nodes.at(index), index) for index in range(count)), str(path))
 
 
@@ -155,7 +160,8 @@ def _camera(path: Path, node, index: int) -> Camera:
     for field, key in _KEYS.items():
         found = None if node.getNode(key).empty() else node.getNode(key).mat()
         if found is None:
-            raise InputError(path, f"cameras.{name}.{key}", "missing or no matrix", "give K (3, 3), dist (1, 5), R (3, 3), t (3, 1)")
+            raise InputError(path, f"cameras.{name}.{key}", "missing or no matrix",
+                             "give K (3, 3), dist (1, 5), R (3, 3), t (3, 1)")
         values[field] = found
     return Camera(name=name, **size, **values, source=str(path))
 

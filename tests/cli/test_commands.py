@@ -53,10 +53,10 @@ def swept(monkeypatch) -> list:
     """Stands in for the sweep; keeps what it was asked for."""
     calls = []
 
-    def sweep(run, observations, grid, *, options, command):
+    def sweep(run, observations, grid, *, options, pairs, command):
         calls.append((run, observations, grid, options, command))
         write_run(run, grid, np.linspace(2, 1, grid.size)[:, None] + np.zeros(observations.count), observations.name)
-        return {"best": np.float64(3), "gaps": [np.nan], "grid": grid.as_dict()}
+        return {"best": np.float64(3), "gaps": [np.nan], "grid": grid.as_dict(), "hypotheses": None}
 
     class SweepOptions(types.SimpleNamespace):
         pass
@@ -125,7 +125,7 @@ def test_learn_prints_the_best_cell_and_its_range(capsys, tmp_path):
     write_run(tmp_path / "a", grid, distance)
     write_run(tmp_path / "b", grid, distance[::-1], "nylon")
     assert main(["learn", str(tmp_path / "a"), str(tmp_path / "b"), "--json"]) == 0
-    first, second = json.loads(capsys.readouterr().out)
+    first, second = json.loads(capsys.readouterr().out)["runs"]
     assert (first["material"], first["bend_1"], first["twist"], first["mean_distance_mm"]) == ("silk", 1e6, 1e6, 1.0)
     assert (second["material"], second["bend_1"], second["twist"]) == ("nylon", 1e6, 5e5)
     bend, ratio = first["intervals"]

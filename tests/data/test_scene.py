@@ -54,6 +54,13 @@ def test_a_scene_with_a_file(tmp_path):
     assert scene.observations == tmp_path / "data" / "silk.npz" and scene.name == "scene" and scene.precision == "mixed"
 
 
+def test_a_dynamic_scene(tmp_path):
+    scene = load_scene(write(tmp_path, top='objective = "dynamic"\npairs = "data/pairs.csv"\nspins = 12\n'))
+    assert (scene.objective, scene.pairs, scene.spins) == ("dynamic", tmp_path / "data" / "pairs.csv", 12)
+    scene = load_scene(write(tmp_path, top='objective = "dynamic"\n'))
+    assert (scene.pairs, scene.spins) == (None, 0)
+
+
 def test_an_anisotropic_scene(tmp_path):
     ribbon = "[synthesis]\nbend = [[6e6, 1e5], [1e5, 1.2e5]]\ntwist = 5e5\nframes = true\n"
     scene = load_scene(write(tmp_path, data=ribbon, grid='[grid]\nbend = "3e6,2e6,-1e6"\n'))
@@ -84,6 +91,11 @@ WRONG = {
     "name no text": ({"top": "name = 3\n"}, "name"),
     "clamp": ({"top": 'clamp_start = "glued"\n'}, "clamp_start"),
     "objective": ({"top": 'objective = "both"\n'}, "objective"),
+    "pairs of a static scene": ({"top": 'pairs = "pairs.csv"\n'}, "pairs"),
+    "pairs no text": ({"top": 'objective = "dynamic"\npairs = [[0, 1]]\n'}, "pairs"),
+    "spins negative": ({"top": "spins = -1\n"}, "spins"),
+    "spins no whole number": ({"top": "spins = 2.5\n"}, "spins"),
+    "spins true": ({"top": "spins = true\n"}, "spins"),
     "precision": ({"top": "precision = 64\n"}, "precision"),
     "frame weight": ({"top": "frame_weight_mm = -1\n"}, "frame_weight_mm"),
     "frame weight text": ({"top": 'frame_weight_mm = "6.7"\n'}, "frame_weight_mm"),

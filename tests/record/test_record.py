@@ -1,7 +1,5 @@
 """The recording, read back: entities, timelines and counts as docs/recording.md states them."""
 
-from collections import defaultdict
-
 import numpy as np
 import pytest
 
@@ -9,6 +7,7 @@ from doo_ti.errors import InputError
 from doo_ti.types import Status
 
 from . import runs
+from .recordings import read
 
 rerun = pytest.importorskip("rerun")
 ROOT = {"/world", "/world/observations", "/world/observations/marks", "/world/headings", "/world/rods", "/summary",
@@ -23,22 +22,6 @@ def strict():
     rerun.set_strict_mode(True)
     yield
     rerun.set_strict_mode(False)
-
-
-def read(path) -> tuple[dict, dict]:
-    """{entity: {column: rows}} of the static data, and {entity: {timeline: {column: rows}}} of the rest, as lists."""
-    from rerun.chunk import RrdReader
-
-    static, moving = defaultdict(dict), defaultdict(lambda: defaultdict(lambda: defaultdict(list)))
-    for chunk in RrdReader(path).stream():
-        columns = chunk.to_record_batch().to_pydict()
-        if chunk.is_static:
-            static[chunk.entity_path].update(columns)
-            continue
-        (timeline,) = chunk.timeline_names
-        for name, rows in columns.items():
-            moving[chunk.entity_path][timeline][name] += rows
-    return static, moving
 
 
 def written(tmp_path, record, run) -> tuple[dict, dict]:
@@ -220,7 +203,7 @@ def test_viewing_a_folder_without_recording_is_an_input_error(tmp_path, path):
 
 
 def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monkeypatch):
-    from doo_ti import record
+    from doo_ti.record import viewer
 
     calls = []
 
@@ -231,9 +214,9 @@ def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monke
         def wait(self):
             return 0
 
-    monkeypatch.setattr(record.subprocess, "Popen", Viewer)
+    monkeypatch.setattr(viewer.subprocess, "Popen", Viewer)
     (tmp_path / "run.rrd").touch()
-    assert record.open_viewer(tmp_path) == 0
+    assert viewer.open_viewer(tmp_path) == 0
     ((command, environment),) = calls
     assert command[command.index("--bind") + 1] == "127.0.0.1"
     assert command[-1] == str(tmp_path / "run.rrd")

@@ -51,7 +51,7 @@ def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
 @pytest.mark.parametrize("shape", [(1, 1, 1), (7, 1, 1), (1, 1, 4), (3, 2, 2), (25, 30, 1), (3, 3, 3, 2)])
 @pytest.mark.parametrize("empty", [False, True])
 def test_every_shape_of_grid_is_drawn_with_its_key_inside_the_picture(shape, empty, rng):
-    from doo_ti.report import _draw
+    from doo_ti.report.landscapes import draw_landscape
 
     names = ["bend_1", "bend_2", "twist", "weight"]
     axes = [(name, np.geomspace(5e4, 1.26e7, count), name != "weight", "mm³")
@@ -61,7 +61,7 @@ def test_every_shape_of_grid_is_drawn_with_its_key_inside_the_picture(shape, emp
     unfinished = rng.integers(0, 60, shape)
     if not empty and values.size > 1:
         values.flat[(np.argmin(values) + 1) % values.size] = np.nan
-    figure = _draw(Plane.of(axes, values, minimum, None, unfinished), **WORDS)
+    figure = draw_landscape(Plane.of(axes, values, minimum, None, unfinished), **WORDS)
     figure.canvas.draw()
     width, height = figure.canvas.get_width_height()
     for box in [key.get_window_extent() for key in figure.legends] + [figure.axes[0].title.get_window_extent()]:

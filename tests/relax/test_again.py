@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Descent, InputError, Material, Springs, Status, relax, relax_again
-from tests.references.rods import clamps_at
+from tests.references.rods import clamps_at, jiggled
 from tests.relax.rods import assert_same, wandering, with_kinds
 
 COUNT = 24
@@ -60,6 +60,18 @@ def test_rods_that_came_to_nothing_start_where_they_did(rng):
     again = relax_again(first, Material(2e5, 1e5))
     assert list(first.status) == list(again.status) == [Status.CONVERGED, Status.INFEASIBLE]
     assert np.isnan(again.energy[1])
+
+
+@pytest.mark.parametrize(("precision", "rounding"), [("f32", 1e-6), ("f64", 1e-15)])
+def test_clamps_are_held_as_given(rng, precision, rounding):
+    rods = wandering(rng, 3, 12)
+    clamps = with_kinds(clamps_at(rods), [(Clamp.FRAME, Clamp.TANGENT)] * 3)
+    first = relax(jiggled(rods, rng, 0.05), Material(1e5, 1e5), clamps, precision=precision)
+    for solution in (first, relax_again(first, Material(2e5, 1e5), precision=precision)):
+        assert solution.converged.all()
+        frames = solution.configuration.frames
+        np.testing.assert_allclose(frames[:, 0], clamps.start_frame, atol=rounding)
+        np.testing.assert_allclose(frames[:, -1, :, 0], clamps.end_frame[..., 0], atol=rounding)
 
 
 def test_springs_stay(rng):

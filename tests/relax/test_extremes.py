@@ -185,6 +185,17 @@ def test_both_clamps_on_one_line(weight):
         np.testing.assert_allclose(swung.energy, solution.energy, rtol=1e-6)
 
 
+@every_precision
+def test_a_first_edge_that_points_away_from_its_tangent_clamp(precision):
+    """There is no parallel transport to the opposite tangent: the edge is turned over, about some axis across."""
+    rods = straight(12, (-1.0, 0.0, 0.0))
+    clamps = clamps_at(rods, Clamp.TANGENT, Clamp.FREE)
+    rods.quaternions[0, 0] = straight(12).quaternions[0, 0]
+    solution = relax(rods, MATERIAL, clamps, precision=precision)
+    well(solution, precision)
+    np.testing.assert_allclose(solution.configuration.frames[0, 0, :, 0], [-1.0, 0.0, 0.0], atol=1e-6)
+
+
 DECADES = np.geomspace(1e2, 1e8, 13)
 EVERY_PAIR = {"configuration_index": np.arange(12).repeat(13), "material_index": np.tile(np.arange(13), 12)}
 

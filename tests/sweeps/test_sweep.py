@@ -12,11 +12,10 @@ from doo_ti.dataset import Observations
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.grid import Axis, Grid
 from doo_ti.learning import read_landscape
-from doo_ti.scene import Synthesis
 from doo_ti.sweeps import SweepOptions, sweep
-from doo_ti.synthesis import synthesise
+from doo_ti.trajectory import MOST_MOMENTS
+from tests.sweeps.lab import GRID, small_lab
 
-GRID = Grid((Axis("bend", [2e5, 4e5, 8e5, 1.6e6]), Axis("twist_ratio", [0.5, 1.0, 2.0])))
 COLUMNS = {
     "bend_1": "double", "bend_2": "double", "twist": "double", "weight": "double", "observation": "int32",
     "turns": "int32", "end_distance_mm": "double", "end_rotation_deg": "double", "distance_mm": "double",
@@ -27,8 +26,7 @@ COLUMNS = {
 
 @pytest.fixture(scope="module")
 def observations() -> Observations:
-    recipe = Synthesis(bend=4e5, twist=4e5, end_distances_mm=(42.0, 66.0), end_rotations_deg=(0.0, 60.0, 120.0))
-    return synthesise(recipe)
+    return small_lab()
 
 
 @pytest.fixture
@@ -50,7 +48,8 @@ def assert_same_cells(first, second):
 def test_what_is_written(tmp_path, observations):
     run = tmp_path / "run"
     summary = sweep(run, observations, GRID, command=["doo-ti", "sweep", "lab"])
-    assert sorted(path.name for path in run.iterdir()) == ["cells", "landscape.png", "run.rrd", "summary.json"]
+    assert sorted(path.name for path in run.iterdir()) == [
+        "cells", "landscape.png", "observations.npz", "run.rrd", "summary.json"]
     assert json.loads((run / "summary.json").read_text()) == json.loads(json.dumps(summary))
     path, = (run / "cells").glob("*.parquet")
     schema = pyarrow.parquet.read_schema(path)
@@ -79,12 +78,12 @@ def test_the_recording_holds_the_rods_of_the_best_cell(tmp_path, observations):
             timeline = "iteration" if chunk.entity_path == "/world/rods" else "trial"
             frames[chunk.entity_path] += chunk.num_rows * (timeline in chunk.timeline_names)
     assert {"/world/observations", "/world/rods", "/landscape/picture", "/summary", "/curves/residual/largest"} <= entities
-    assert frames["/landscape/cells"] == GRID.size and 5 < frames["/world/rods"] <= sweeps.MOST_FRAMES + 1
+    assert frames["/landscape/cells"] == GRID.size and 5 < frames["/world/rods"] <= MOST_MOMENTS + 1
 
 
 def test_an_interrupted_sweep_goes_on_and_ends_the_same(tmp_path, observations, small_chunks, monkeypatch):
     sweep(tmp_path / "whole", observations, GRID)
-    work, calls = sweeps.sweep_cells, []
+    work, calls = sweeps.relax_hypotheses, []
 
     def interrupted(*arguments):
         calls.append(arguments)
@@ -92,11 +91,11 @@ def test_an_interrupted_sweep_goes_on_and_ends_the_same(tmp_path, observations, 
             raise KeyboardInterrupt
         return work(*arguments)
 
-    monkeypatch.setattr(sweeps, "sweep_cells", interrupted)
+    monkeypatch.setattr(sweeps, "relax_hypotheses", interrupted)
     with pytest.raises(InterruptedRunError, match="interrupted.*go on with: doo-ti sweep 'my lab'"):
         sweep(tmp_path / "run", observations, GRID, command=["doo-ti", "sweep", "my lab"])
     assert len(list((tmp_path / "run" / "cells").glob("*.parquet"))) == 2
-    monkeypatch.setattr(sweeps, "sweep_cells", work)
+    monkeypatch.setattr(sweeps, "relax_hypotheses", work)
     summary = sweep(tmp_path / "run", observations, GRID)
     assert summary["timing"]["relaxed_rods"] == 36
     assert_same_cells(tmp_path / "whole", tmp_path / "run")
@@ -125,13 +124,35 @@ def test_a_folder_is_not_shared(tmp_path, observations):
 
 
 def test_unknown_turns_are_hypotheses(tmp_path, observations):
-    """Without the hint three rods are relaxed for each observation, and the one that was seen stands in the table."""
+    """Without the hint three rods are relaxed for each observation and cell, and one of them stands for it in all cells."""
     sweep(tmp_path / "hint", observations, GRID)
-    sweep(tmp_path / "none", replace(observations, total_twist=None), GRID)
-    best = read_landscape(tmp_path / "hint").best
-    with_hint, without = (cells(tmp_path / name)["distance_mm"].reshape(GRID.size, -1) for name in ("hint", "none"))
-    np.testing.assert_allclose(without[best], with_hint[best], atol=1e-6)
-    assert (without <= with_hint + 1e-6).all()
+    summary = sweep(tmp_path / "none", replace(observations, total_twist=None), GRID)
+    settled = summary["hypotheses"]
+    assert (settled["hypotheses"], settled["resolved"], settled["ambiguous"]) == (18, 6, [])
+    assert summary["timing"]["relaxed_rods"] == 3 * GRID.size * 6
+    assert_same_cells(tmp_path / "hint", tmp_path / "none")
+    assert sweep(tmp_path / "none", replace(observations, total_twist=None), GRID) == json.loads(json.dumps(summary))
+
+
+def test_hypotheses_resume_too(tmp_path, observations, small_chunks, monkeypatch):
+    unknown = replace(observations, total_twist=None)
+    sweep(tmp_path / "whole", unknown, GRID)
+    assert len(list((tmp_path / "whole" / "hypotheses").glob("*.parquet"))) == GRID.size
+    work, calls = sweeps.relax_hypotheses, []
+
+    def interrupted(*arguments):
+        calls.append(arguments)
+        if len(calls) == 5:
+            raise MemoryError("no more")
+        return work(*arguments)
+
+    monkeypatch.setattr(sweeps, "relax_hypotheses", interrupted)
+    with pytest.raises(InterruptedRunError, match="no more"):
+        sweep(tmp_path / "run", unknown, GRID)
+    assert not list((tmp_path / "run" / "cells").glob("*.parquet"))
+    monkeypatch.setattr(sweeps, "relax_hypotheses", work)
+    assert sweep(tmp_path / "run", unknown, GRID)["timing"]["relaxed_rods"] == 3 * 6 * (GRID.size - 4)
+    assert_same_cells(tmp_path / "whole", tmp_path / "run")
 
 
 def test_too_large_a_grid_is_told_before_it_starts(tmp_path, observations):

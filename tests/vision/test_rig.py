@@ -25,7 +25,7 @@ def test_projection_is_opencv_s():
     points = np.random.default_rng(1).uniform(-60, 60, size=(5, 7, 3))
     pixels = rig().project(points)
     assert pixels.shape == (3, 5, 7, 2)
-    for camera, found in zip(rig().cameras, pixels):
+    for camera, found in zip(rig().cameras, pixels, strict=True):
         turn = cv2.Rodrigues(np.array(camera.rotation))[0]
         wanted = cv2.projectPoints(points.reshape(-1, 3), turn, np.array(camera.translation), np.array(camera.matrix),
                                    np.array(camera.distortion))[0]
@@ -42,7 +42,7 @@ def test_points_behind_a_camera_have_no_pixel():
 def test_a_rig_survives_its_file(tmp_path):
     save_rig(tmp_path / "rig.yaml", rig())
     again = load_rig(tmp_path / "rig.yaml")
-    for first, second in zip(rig().cameras, again.cameras):
+    for first, second in zip(rig().cameras, again.cameras, strict=True):
         assert (first.name, first.width, first.height) == (second.name, second.width, second.height)
         for name in ("matrix", "distortion", "rotation", "translation"):
             np.testing.assert_array_equal(getattr(first, name), getattr(second, name))

@@ -1,0 +1,258 @@
+"""Where rods go when their clamps are moved (§III-D)."""
+
+import hashlib
+import json
+from argparse import Namespace
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti import options as given
+from doo_ti.commands.arguments import add_json, add_material
+from doo_ti.commands.printing import counted, plain
+from doo_ti.dataset import Observations, load_observations, write_whole
+from doo_ti.errors import InputError, InterruptedRunError
+from doo_ti.learning import status_counts
+from doo_ti.motion import ClampPath, load_path
+from doo_ti.scene import CLAMPS, PRECISIONS
+from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
+from doo_ti.types import Clamps, Configuration, Material
+
+MOST_TOLD = 30
+MOST_DEGREES = 30.0
+"""Of a sub-step: rods that are carried further at once may leave their branch."""
+MOST_BYTES = 8 << 30
+"""Of frames: predictions are held in memory."""
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What to predict: N starts of rods, clamps and motions, or one for all, under G materials.
+
+    names  R of the rods, material by material
+    theta  columns of the file that tell the G materials
+    """
+
+    name: str
+    start: Configuration
+    clamps: Clamps
+    path: ClampPath
+    material: Material
+    names: list[str]
+    theta: dict[str, np.ndarray]
+    between: int
+    up: np.ndarray
+
+
+def declare(add) -> None:
+    parser = add("predict", allow_abbrev=False, help="where rods go when their clamps are moved")
+    parser.add_argument("source", metavar="OBS|SCENE.toml",
+                        help="observations the rods set out from: .npz, .csv or .parquet; or a scene of motion")
+    parser.add_argument("--motion", metavar="PATH", help="poses of the clamps over time: .npz or .csv")
+    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+    add_material(parser, "a number or LO:HI:N[:log|:lin]: all materials of the grid at once")
+    parser.add_argument("--relative", action="store_true", help="the motion sets out from where each observation's clamps are")
+    parser.add_argument("--between", metavar="N",
+                        help="steps kept from one moment of the motion to the next (default: 1, or the scene's)")
+    parser.add_argument("--sub-step", metavar="DEG", help="that a clamp turns at most before the rods are relaxed (default 5)")
+    parser.add_argument("--clamp-start", choices=CLAMPS, help="default: frame where it is given, else tangent")
+    parser.add_argument("--clamp-end", choices=CLAMPS, help="default: frame where it is given, else tangent")
+    parser.add_argument("--up", metavar="X,Y,Z", help="direction against gravity (default: the file's, else 0,0,1)")
+    parser.add_argument("--precision", choices=PRECISIONS, default="mixed", help="where rods are kept (default mixed)")
+    parser.add_argument("--picture", metavar="F.png", help="also draw the motion (default: not)")
+    parser.add_argument("--recording", metavar="F.rrd", help="also record it for the viewer (default: not)")
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: Namespace, words: list[str]) -> int:
+    """Carry all rods along the motion; writes them at its moments and prints where they fell."""
+    out = given.output_file(options.out, ".npz")
+    pictures = {suffix: None if text is None else given.output_file(text, suffix)
+                for suffix, text in ((".png", options.picture), (".rrd", options.recording))}
+    between = given.whole("--between", options.between, 1)
+    sub_step = _sub_step(options)
+    task = _scene(options) if Path(options.source).suffix == ".toml" else _observed(options, out)
+    task = task if between is None else replace(task, between=between)
+    rods, intervals = len(task.names), (task.path.moments - 1) * task.between
+    if rods * intervals * task.start.edges * 32 > MOST_BYTES:
+        raise InputError("command line", "--between", f"{rods} rods at {intervals + 1} moments are too many to hold",
+                         "give fewer materials, observations or moments")
+
+    from doo_ti.predict import predict
+
+    with _progress() as bar:
+        shown = bar.add_task(task.name, total=rods * intervals)
+        prediction = predict(task.start, task.material, task.clamps, task.path, sub_step=sub_step, between=task.between,
+                             up=task.up, precision=options.precision, advance=lambda done: bar.advance(shown, done))
+    result = _arrays(task, prediction)
+    for path in (out, *(path for path in pictures.values() if path is not None)):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(out, lambda file: np.savez_compressed(file, **result))
+    _draw(task, prediction, result, pictures)
+    _tell(options, task, prediction, result, out)
+    return 0 if prediction.followed[-1].any() else 1
+
+
+def _sub_step(options: Namespace) -> float:
+    """rad."""
+    given_degrees = given.numbers("--sub-step", options.sub_step) or (5.0,)
+    if len(given_degrees) > 1 or not 0 < given_degrees[0] <= MOST_DEGREES:
+        raise InputError("command line", "--sub-step", f"{options.sub_step!r} is out of range",
+                         f"give one number above 0, at most {MOST_DEGREES:g} degrees")
+    return np.radians(given_degrees[0])
+
+
+def _scene(options: Namespace) -> _Task:
+    from doo_ti.motion_scene import load_motion_scene
+
+    refused = ("motion", "bend", "bend_1", "bend_2", "twist", "twist_ratio", "weight", "clamp_start", "clamp_end")
+    for name in refused:
+        if getattr(options, name) is not None:
+            raise InputError("command line", f"--{name.replace('_', '-')}", "given, but the scene says it",
+                             "leave it out, or give observations")
+    if options.relative:
+        raise InputError("command line", "--relative", "given, but the scene says where clamps are", "leave it out")
+    scene, up = load_motion_scene(options.source), given.up(options)
+    theta = {"material_name": np.array(scene.names), "bend": scene.material.bend[:, 0], "twist": scene.material.twist[:, 0],
+             "weight": scene.material.weight}
+    return _Task(scene.name, scene.start, scene.clamps, scene.path, scene.material, list(scene.names), theta, scene.between,
+                 np.array([0.0, 0.0, 1.0]) if up is None else up)
+
+
+def _observed(options: Namespace, out: Path) -> _Task:
+    if options.motion is None:
+        raise InputError("command line", "--motion", "missing", "name a file of poses, or give a scene of motion")
+    grid, up = given.grid(options), given.up(options)
+    observations = load_observations(options.source, up)
+    for source in (options.source, options.motion):
+        given.refuse_overwriting(out, source)
+    path = load_path(Path(options.motion))
+    observations = _with_frames(observations, path, options.relative)
+    if path.count not in (1, observations.count) and observations.count > 1:
+        raise InputError(options.motion, "positions_mm", f"{path.count} motions for {observations.count} observations",
+                         "give one motion, or one for each observation")
+    if observations.count < path.count:
+        observations = observations.take(np.zeros(path.count, dtype=np.int64))
+    clamps = observation_clamps(observations, given.clamp(options.clamp_start), given.clamp(options.clamp_end))
+    check_experiment(observations, clamps, grid.axes[-1].values[-1], 0.0)
+    path = path.relative_to(clamps) if options.relative else path
+    materials = grid.materials()
+    start = _settled(observations, clamps, materials)
+    cells, rows = np.divmod(np.arange(materials.count * observations.count), observations.count)
+    names = [f"cell {cell}, " * (materials.count > 1) + f"observation {row}" for cell, row in zip(cells, rows, strict=True)]
+    return _Task(observations.name, start, clamps, path, materials, names, grid.cell_values(), 1, observations.up)
+
+
+def _with_frames(observations: Observations, path: ClampPath, relative: bool) -> Observations:
+    """Where the path tells whole frames and the observations none, those of its first moment: the rods are held by them."""
+    if path.tangents_only or relative:
+        return observations
+    frames = {name: np.broadcast_to(value[0], (observations.count, 3, 3)) for name, value in
+              (("start_frame", path.start_frame), ("end_frame", path.end_frame))
+              if value is not None and getattr(observations, name) is None and value.shape[1] in (1, observations.count)}
+    return replace(observations, **frames)
+
+
+def _settled(observations: Observations, clamps: Clamps, materials: Material) -> Configuration:
+    """(G·N) where the rods set out, material by material: of several whole turns that fit, the one nearest to what was seen."""
+    from doo_ti.metric import distance
+    from doo_ti.relaxation import relax
+
+    index, turns = turn_hypotheses(observations, clamps)
+    starts = start_configuration(observations.take(index), clamps.take(index), turns)
+    if len(index) == observations.count:
+        return starts
+    of_material, row = np.divmod(np.arange(materials.count * len(index)), len(index))
+    solution = relax(starts, materials, clamps.take(index), up=observations.up, configuration_index=row,
+                     material_index=of_material)
+    score = distance(solution.configuration, observations, index[row])
+    best = choose_hypothesis(of_material * observations.count + index[row], score, solution.converged & solution.stable)
+    return starts.take(row[best])
+
+
+def _progress():
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("rods x moments"),
+                    TimeRemainingColumn(), console=Console(stderr=True), transient=True)
+
+
+def _arrays(task: _Task, prediction) -> dict[str, np.ndarray]:
+    """What the file holds; docs/twist.md."""
+    per_material = {name: np.asarray(value)[prediction.material] for name, value in task.theta.items()}
+    return {
+        "time_s": prediction.time, "vertices_mm": prediction.vertices, "energy": prediction.energy, "status": prediction.status,
+        "stable": prediction.stable, "followed": prediction.followed, "jumps": prediction.jumps,
+        "iterations": prediction.iterations, "residual": prediction.residual, "end_force": prediction.end_force,
+        "total_twist_deg": np.degrees(prediction.total_twist), "end_rotation_deg": np.degrees(prediction.end_rotation),
+        "observation": prediction.motion, "rest_length_mm": prediction.rest_length, **per_material,
+    }
+
+
+def _draw(task: _Task, prediction, result: dict, pictures: dict) -> None:
+    vertices = result["vertices_mm"]
+    if pictures[".png"] is not None:
+        from doo_ti.report import motions_picture
+
+        write_whole(pictures[".png"], lambda file: motions_picture(
+            file, prediction.time, vertices, task.names, prediction.jumps, up=task.up, title=task.name))
+    if pictures[".rrd"] is not None:
+        from doo_ti.record import record_motion
+
+        curves = {"Energy [mm²]": prediction.energy, "Total twist [°]": result["total_twist_deg"],
+                  "Force at the far clamp [mm²]": np.linalg.norm(prediction.end_force, axis=-1)}
+        try:
+            record_motion(pictures[".rrd"], run_id=hashlib.sha256(vertices.tobytes()).hexdigest()[:32], name=task.name,
+                          time=prediction.time, vertices=vertices, names=task.names, sound=prediction.followed,
+                          jumps=prediction.jumps, curves=curves, up=task.up,
+                          text="\n\n".join(line.strip() for line in _lines(task, prediction, result)))
+        except (OSError, RuntimeError) as error:
+            raise InterruptedRunError(f"{pictures['.rrd']}: not recorded ({error}); the prediction itself is kept") from error
+
+
+def _lines(task: _Task, prediction, result: dict) -> list[str]:
+    """What happened, for a person."""
+    count, moments = len(task.names), len(prediction.time)
+    falls = np.argwhere(prediction.jumps > 0)
+    lost = np.flatnonzero(~prediction.followed[-1])
+    lines = [f"{task.name}: {count} rods of {task.start.edges} edges at {moments} moments",
+             f"  status      {counted(status_counts(prediction.status))}; {int(prediction.stable.sum())} of {count * moments} "
+             "certified stable"]
+    lines.append(f"  far clamp   turned about the rod by {_range(result['end_rotation_deg'][-1])}; total twist at the end "
+                 f"{_range(result['total_twist_deg'][-1])}")
+    lines.append(f"  falls       {int(prediction.jumps.sum())} to another branch, of {len(np.unique(falls[:, 1]))} rods")
+    for moment, rod in falls[:MOST_TOLD]:
+        since = prediction.time[max(moment - 1, 0)]
+        lines.append(f"    {task.names[rod]}: between {since:g} and {prediction.time[moment]:g} s, far clamp turned by "
+                     f"{result['end_rotation_deg'][moment, rod]:.1f}°")
+    if len(falls) > MOST_TOLD:
+        lines.append(f"    and {len(falls) - MOST_TOLD} more")
+    for rod in lost[:MOST_TOLD]:
+        since = prediction.time[int(np.argmin(prediction.followed[:, rod]))]
+        lines.append(f"  lost        {task.names[rod]}: no prediction from {since:g} s on")
+    if len(lost) > MOST_TOLD:
+        lines.append(f"  lost        and {len(lost) - MOST_TOLD} more")
+    return lines
+
+
+def _range(degrees: np.ndarray) -> str:
+    finite = degrees[np.isfinite(degrees)]
+    texts = dict.fromkeys(f"{value + 0.0:.1f}°" for value in (finite.min(), finite.max())) if len(finite) else ["unknown"]
+    return " to ".join(texts)
+
+
+def _tell(options: Namespace, task: _Task, prediction, result: dict, out: Path) -> None:
+    if not options.json:
+        print("\n".join([*_lines(task, prediction, result), f"  written to {out}"]))
+        return
+    falls = [{"rod": int(rod), "name": task.names[rod], "from_s": prediction.time[max(moment - 1, 0)],
+              "to_s": prediction.time[moment], "end_rotation_deg": result["end_rotation_deg"][moment, rod]}
+             for moment, rod in np.argwhere(prediction.jumps > 0)]
+    print(json.dumps(plain({
+        "rods": len(task.names), "moments": len(prediction.time), "edges": task.start.edges,
+        "status": status_counts(prediction.status), "stable": int(prediction.stable.sum()),
+        "followed": int(prediction.followed[-1].sum()), "falls": falls, "end_rotation_deg": result["end_rotation_deg"][-1],
+        "total_twist_deg": result["total_twist_deg"][-1], "out": str(out)})))

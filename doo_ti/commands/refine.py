@@ -1,0 +1,183 @@
+"""From the grid's best cells, or from a guess, to the continuous optimum of Θ with its uncertainty (§III-E)."""
+
+import json
+from argparse import Namespace
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti import options as given
+from doo_ti.clips import held_whole
+from doo_ti.commands.arguments import add_json, add_material
+from doo_ti.commands.printing import busy, plain
+from doo_ti.commands.refine_text import summary_of, tell
+from doo_ti.dataset import Observations, load_observations, write_whole
+from doo_ti.errors import InputError
+from doo_ti.importers import read_npz
+from doo_ti.scene import CLAMPS
+from doo_ti.start import check_experiment, observation_clamps
+from doo_ti.types import Clamps
+
+STARTS = 3
+
+
+def declare(add) -> None:
+    parser = add("refine", allow_abbrev=False, help="the continuous optimum, with intervals and what is not determined")
+    parser.add_argument("sources", nargs="+", metavar="RUN|OBS",
+                        help="folders that sweep wrote, whose best cells are begun from, or observations: .npz, .csv, .parquet")
+    add_material(parser, "one number each, where observations are begun from, --bend also A1,A2 or A1,A2,A12")
+    parser.add_argument("--parameters", metavar="A,B", default="bend,twist",
+                        help="what is learned, of bend, bend-1, bend-2, bend-12, twist, weight, rest-curvature, "
+                        "rest-curvature-per-joint, up (default bend,twist)")
+    parser.add_argument("--starts", metavar="N", help=f"cells of a run to begin from (default {STARTS})")
+    parser.add_argument("--sigma", metavar="MM", help="label uncertainty (default: the file's, else from the residuals)")
+    parser.add_argument("--clip", metavar="MM", help="clips hold the end edges up to the next mark: cut those to MM")
+    parser.add_argument("--curvature-spread", metavar="1/MM", help="expected rest curvature of a joint (default: 1/length)")
+    parser.add_argument("--curvature-range", metavar="MM", help="along which it is about the same (default: length/10)")
+    parser.add_argument("--folds", metavar="N", help="also cross-validate in N folds")
+    parser.add_argument("--groups", metavar="FILE:KEY", help="a number per observation; equal ones stay in one fold")
+    parser.add_argument("--linear-density", metavar="G_PER_M", help="of the rod in g/m: tells EI and GJ in N m²")
+    parser.add_argument("--clamp-start", choices=CLAMPS, help="default: the run's, else frame where it is given, else tangent")
+    parser.add_argument("--clamp-end", choices=CLAMPS, help="default: the run's, else frame where it is given, else tangent")
+    parser.add_argument("--frame-weight", metavar="MM", help="w_m of Eq. 1 (default 0, or the run's)")
+    parser.add_argument("--up", metavar="X,Y,Z", help="direction against gravity (default: the file's, else 0,0,1)")
+    parser.add_argument("--out", metavar="F.json", help="file to write (default: none)")
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+@dataclass(frozen=True)
+class Task:
+    """What one source asks for: observations, what holds them, and the Θ to begin from."""
+
+    observations: Observations
+    clamps: Clamps
+    thetas: tuple
+    frame_weight: float
+
+
+def run(options: Namespace, words: list[str]) -> int:
+    """Θ of least χ² for each source, the best of several starts, and how well the observations determine it."""
+    out = None if options.out is None else given.output_file(options.out, ".json")
+    starts, folds = given.whole("--starts", options.starts, 1) or STARTS, given.whole("--folds", options.folds, 2)
+    density = _positive("--linear-density", options.linear_density, "a linear density in g/m")
+    tasks = [_task(options, source, starts) for source in options.sources]
+    groups = [_groups(options.groups, task.observations) for task in tasks]
+
+    from doo_ti.folds import folds_of, refine_held_out
+    from doo_ti.multi_start import refine_from
+
+    splits = [None if folds is None else folds_of(group, folds) for group in groups]
+    summaries = []
+    for task, split in zip(tasks, splits, strict=True):
+        chosen = _refinement_options(options, task)
+        with busy(f"refining {task.observations.name} (kernels are compiled once on a machine)"):
+            found = refine_from(task.observations, task.clamps, task.thetas, chosen)
+        held_out = None
+        if split is not None:
+            with busy(f"cross-validating {task.observations.name} in {folds} folds"):
+                held_out = refine_held_out(task.observations, task.clamps, found[0].theta, split, chosen)
+        summaries.append(summary_of(task.observations, found, held_out, density))
+        if not options.json:
+            tell(summaries[-1])
+    if out is not None:
+        content = json.dumps(plain(summaries), indent=2) + "\n"
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(out, lambda file: file.write(content.encode()))
+    if options.json:
+        print(json.dumps(plain(summaries)))
+    elif out is not None:
+        print(f"written to {out}")
+    return 0
+
+
+def _task(options: Namespace, source: str, starts: int) -> Task:
+    """What ``source``, a run's folder or a file of observations, asks for, checked."""
+    if Path(source).is_dir():
+        observations, thetas, kinds, weight = _of_run(options, Path(source), starts)
+    else:
+        observations = load_observations(source, given.up(options))
+        thetas, kinds, weight = _of_file(options, observations), (None, None), given.frame_weight(options)
+    sigma, clip = given.length("--sigma", options.sigma), given.length("--clip", options.clip)
+    if clip is not None:
+        observations = held_whole(observations, clip)
+    if sigma is not None:
+        observations = replace(observations, sigma=np.array(sigma))
+    asked = (given.clamp(options.clamp_start), given.clamp(options.clamp_end))
+    kinds = (kind if own is None else own for own, kind in zip(asked, kinds, strict=True))
+    clamps = observation_clamps(observations, *kinds)
+    check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight)
+    task = Task(observations, clamps, thetas, weight)
+    _refinement_options(options, task).parametrisation(observations.rest_length).begun(thetas[0])
+    return task
+
+
+def _of_run(options: Namespace, run: Path, starts: int):
+    """(observations, the Θ of the lowest cells, kinds of clamps, frame weight) of a run's folder."""
+    from doo_ti.learning import read_landscape
+    from doo_ti.multi_start import lowest_cells, theta_of_cell
+    from doo_ti.run_folder import read_experiment
+
+    for name in ("bend", "bend_1", "bend_2", "twist", "twist_ratio", "weight"):
+        if getattr(options, name) is not None:
+            raise InputError("command line", f"--{name.replace('_', '-')}", f"given, but {run} has cells to begin from",
+                             "leave it out, or name a file of observations")
+    experiment, landscape = read_experiment(run), read_landscape(run)
+    if experiment.options.objective != "static" or experiment.options.spins:
+        raise InputError(run, "objective", "a sweep of Eq. 3, or over unknown spins", "name a static one without --spins")
+    up = given.up(options)
+    observations = experiment.observations if up is None else replace(experiment.observations, up=up)
+    cells = lowest_cells(experiment.grid, landscape.mean_distance, starts)
+    if not len(cells):
+        raise InputError(run, "distance_mm", "no cell has an error", "look at the rods' status in cells/")
+    thetas = tuple(theta_of_cell(experiment.grid, cell, observations.up) for cell in cells)
+    return (observations, thetas, (experiment.options.clamp_start, experiment.options.clamp_end),
+            given.frame_weight(options, experiment.options.frame_weight))
+
+
+def _of_file(options: Namespace, observations: Observations) -> tuple:
+    """The one Θ that the command line names."""
+    from doo_ti.multi_start import theta_of_cell
+
+    grid = given.grid(options)
+    if grid.size > 1:
+        option = f"--{grid.varying[0].name.replace('_', '-')}"
+        raise InputError("command line", option, f"a grid of {grid.size} cells", "give one, or refine the run of a sweep")
+    return (theta_of_cell(grid, 0, observations.up),)
+
+
+def _refinement_options(options: Namespace, task: Task):
+    from doo_ti.refinement import RefinementOptions
+
+    names = tuple(name.strip().replace("-", "_") for name in options.parameters.split(",") if name.strip())
+    return RefinementOptions(
+        names, task.frame_weight,
+        curvature_spread=_positive("--curvature-spread", options.curvature_spread, "a curvature in 1/mm"),
+        curvature_range=given.length("--curvature-range", options.curvature_range))
+
+
+def _positive(option: str, text: str | None, wanted: str) -> float | None:
+    values = given.numbers(option, text)
+    if text is not None and (len(values) != 1 or not values[0] > 0):
+        raise InputError("command line", option, f"{text!r} is not a positive number", f"give {wanted}")
+    return values[0] if values else None
+
+
+def _groups(text: str | None, observations: Observations) -> np.ndarray:
+    """(D,) which observations belong together; by default none do."""
+    if text is None:
+        return np.arange(observations.count)
+    path, _, key = text.rpartition(":")
+    if not path:
+        raise InputError("command line", "--groups", f"{text!r} names no key", "give FILE.npz:KEY")
+    try:
+        content = Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(path, "file", (error.strerror or str(error)).lower(), "name a readable .npz file") from None
+    groups = read_npz(Path(path), content, (key,)).get(key)
+    if groups is None:
+        raise InputError(path, key, "the key is missing", "name one that the file has")
+    if groups.shape != (observations.count,):
+        raise InputError(path, key, f"shape {groups.shape}", f"give ({observations.count},), one per observation")
+    return groups

@@ -1,0 +1,82 @@
+"""Jumps: where a rod that is carried loses its equilibrium and falls to another one (§III-D).
+
+A rod that keeps to its branch changes by nearly as much in one sub-step as in the next. Where it does not, the sub-step is
+made again in eighths, and what comes of those counts: a branch that is still there is then followed, not skipped. A continuous
+change is spread over the eighths, even in front of a fold, whose last one holds a third of it; a fall stays whole in one.
+
+Axes: R rods, E edges.
+"""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+PARTS = 8
+OUT_OF_PROPORTION = 0.5
+"""The change of the change over the change, above which a sub-step is made again: 0.1 on smooth ways, 1 at a fall."""
+UNDIVIDED = 0.5
+"""Of the way through all parts, in one of them: then it is a fall."""
+NOTABLE = 0.01
+"""rad that frames turn by, root mean square: less is no fall."""
+EVERY = 4
+"""Edges that are compared: each fourth tells the change of a shape."""
+
+
+class JumpCount:
+    """Counts the falls of R rods, sub-step by sub-step, and mends what a sub-step skipped.
+
+    frames  (R, E, 4) where they set out
+    finely  from rows (n,), their frames (n, E, 4), a sub-step, counted from zero, and how many of them, to the frames and the
+            statuses (n,) after each of their parts
+    count   (R,) falls so far
+    """
+
+    def __init__(self, frames: np.ndarray, finely: Callable[..., Iterator[tuple[np.ndarray, np.ndarray]]]):
+        self.count = np.zeros(len(frames), dtype=np.int32)
+        self._finely = finely
+        self._states = [frames]
+        self._change = self._size = self._judged = None
+        self._step = 0
+
+    def see(self, frames: np.ndarray, status: np.ndarray) -> None:
+        """Take in the frames (R, E, 4) and statuses (R,) after the next sub-step; put others where it was made again."""
+        change = _sample(frames) - _sample(self._states[-1])
+        size, judged = _size(change), np.zeros(len(frames), dtype=bool)
+        if self._change is not None:
+            larger = np.maximum(size, self._size)
+            judged = (_size(change - self._change) > OUT_OF_PROPORTION * larger) & (larger > NOTABLE)
+            earlier = judged & (size < self._size) & ~self._judged
+            judged &= (size >= self._size) | earlier
+            for rows, steps in ((np.flatnonzero(judged & ~earlier), 1), (np.flatnonzero(earlier), 2)):
+                if len(rows):
+                    self._make_again(rows, steps, frames, status)
+            rows = np.flatnonzero(judged)
+            change[rows] = _sample(frames[rows]) - _sample(self._states[-1][rows])
+            size[rows] = _size(change[rows])
+        self._states = [self._states[-1], frames]
+        self._change, self._size, self._judged = change, size, judged
+        self._step += 1
+
+    def _make_again(self, rows: np.ndarray, steps: int, frames: np.ndarray, status: np.ndarray) -> None:
+        """The last ``steps`` sub-steps of some rods in parts."""
+        before = self._states[-steps][rows]
+        sizes = []
+        for part, (after, here) in enumerate(self._finely(rows, before, self._step + 1 - steps, steps), 1):
+            sizes.append(_size(_sample(after) - _sample(before)))
+            before = after
+            if part == PARTS * steps:
+                frames[rows], status[rows] = after, here
+            elif part == PARTS * (steps - 1):
+                self._states[-1][rows] = after
+        way = np.nan_to_num(np.array(sizes))
+        self.count[rows] += (way > np.maximum(UNDIVIDED * way.sum(axis=0), NOTABLE)).any(axis=0)
+
+
+def _sample(frames: np.ndarray) -> np.ndarray:
+    """Some of the frames between the clamped ones, whose signs follow from one state to the next."""
+    return frames[:, 1:-1:EVERY]
+
+
+def _size(change: np.ndarray) -> np.ndarray:
+    """(R,) rad, root mean square over the edges, of changes of quaternions."""
+    return 2 * np.sqrt(np.einsum("rek,rek->r", change, change) / change.shape[1])

@@ -1,0 +1,179 @@
+"""Pairs of observations, the terms of Eq. 3: from Γ^x the clamps are carried to C^y, with the weight w_xy (§III-E).
+
+Axes: P pairs.
+"""
+
+import csv
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.dataset import Observations, write_whole
+from doo_ti.errors import InputError
+from doo_ti.types import Clamp, Clamps
+
+APART_DEG = 120.0
+"""How far apart the end rotations of the paper's pairs are (footnote 7)."""
+SAME = 1e-6
+"""Labels closer than this, in mm or degrees, are the same."""
+HALF_TURN = np.radians(1.0)
+"""Frames that differ by half a turn but for this much do not say which way they turned."""
+NEEDED, OPTIONAL = ("from", "to"), ("weight", "rotation_deg")
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """The motions of Eq. 3.
+
+    from_index  (P,) x: the observation that a rod starts from
+    to_index    (P,) y: the one it is carried to and compared with
+    weight      (P,) w_xy, zero or more: a pair of weight zero is not run
+    rotation    (P,) rad, how far the end frame turned on the way, whole turns included, or None: the shortest way
+    source      where they come from, for messages
+
+    Raises InputError for a pair of an observation with itself, one given twice, and weights that are negative or all zero.
+    """
+
+    from_index: np.ndarray
+    to_index: np.ndarray
+    weight: np.ndarray
+    rotation: np.ndarray | None = None
+    source: str = "pairs"
+
+    def __post_init__(self):
+        for name, kind in (("from_index", np.int64), ("to_index", np.int64), ("weight", float), ("rotation", float)):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, np.array(getattr(self, name), dtype=kind))
+        ends = np.stack([self.from_index, self.to_index], axis=-1)
+        if not len(ends):
+            raise InputError(self.source, "from", "no pairs", "give at least one")
+        alone = np.flatnonzero(self.from_index == self.to_index)
+        if len(alone):
+            raise InputError(self.source, "to", f"pair {alone[0]} leads from {ends[alone[0], 0]} to itself",
+                             "give two different observations")
+        _, first, times = np.unique(ends, axis=0, return_index=True, return_counts=True)
+        if (times > 1).any():
+            x, y = ends[first[times > 1][0]]
+            raise InputError(self.source, "from, to", f"the pair {x}, {y} is given twice", "give each pair once")
+        wrong = np.flatnonzero(~(np.isfinite(self.weight) & (self.weight >= 0)))
+        if len(wrong):
+            raise InputError(self.source, "weight", f"{self.weight[wrong[0]]:g} of pair {wrong[0]}", "give zero or more")
+        if not (self.weight > 0).any():
+            raise InputError(self.source, "weight", "all are zero", "give at least one pair some weight")
+        if self.rotation is not None and not np.isfinite(self.rotation).all():
+            raise InputError(self.source, "rotation_deg", "not finite", "give degrees for each pair, or leave the column out")
+
+    @property
+    def count(self) -> int:
+        """P."""
+        return len(self.from_index)
+
+    @property
+    def weighted(self) -> "Pairs":
+        """Those with a weight above zero."""
+        some = self.weight > 0
+        rotation = None if self.rotation is None else self.rotation[some]
+        return Pairs(self.from_index[some], self.to_index[some], self.weight[some], rotation, self.source)
+
+
+def pairs_from_labels(observations: Observations) -> Pairs:
+    """The paper's pairs (footnote 7): the same end distance, end rotations 120° apart, not counted around the circle, in both
+    directions, each of weight one. Raises InputError where the labels are missing or hold no such pair."""
+    distance, rotation = observations.end_distance, observations.end_rotation
+    for key, label in (("end_distance_mm", distance), ("end_rotation_deg", rotation)):
+        if label is None:
+            raise InputError(observations.source, key, "missing, so that there are no pairs for the dynamic objective",
+                             "add the labels, or name the pairs with --pairs FILE")
+    same = np.abs(distance[:, None] - distance) < SAME
+    apart = np.abs(np.abs(rotation[:, None] - rotation) - APART_DEG) < SAME
+    x, y = np.nonzero(same & apart)
+    if not len(x):
+        raise InputError(observations.source, "end_rotation_deg",
+                         f"no two observations of the same end distance are {APART_DEG:g} degrees apart",
+                         "name the pairs with --pairs FILE")
+    return Pairs(x, y, np.ones(len(x)), np.radians(rotation[y] - rotation[x]), f"labels of {observations.source}")
+
+
+def load_pairs(path: Path, observations: Observations) -> Pairs:
+    """The pairs of a CSV file with the columns ``from,to[,weight][,rotation_deg]``, rows of ``observations``.
+
+    Without weights each has weight one; without rotations the end turned by what the labels ``end_rotation`` differ, where
+    there are such. Raises InputError for unreadable files, other columns, entries that are no numbers or no rows, and for
+    whatever :class:`Pairs` refuses.
+    """
+    columns = _read_columns(Path(path))
+    ends = []
+    for name in NEEDED:
+        rows = columns[name]
+        wrong = np.flatnonzero(~((rows >= 0) & (rows < observations.count) & (rows == np.floor(rows))))
+        if len(wrong):
+            raise InputError(path, name, f"{rows[wrong[0]]:g} in line {wrong[0] + 2} is no observation",
+                             f"give whole numbers from 0 to {observations.count - 1}")
+        ends.append(rows.astype(np.int64))
+    x, y = ends
+    rotation = None
+    if "rotation_deg" in columns:
+        rotation = np.radians(columns["rotation_deg"])
+    elif observations.end_rotation is not None:
+        rotation = np.radians(observations.end_rotation[y] - observations.end_rotation[x])
+    return Pairs(x, y, columns.get("weight", np.ones(len(x))), rotation, str(path))
+
+
+def save_pairs(path: Path, pairs: Pairs) -> None:
+    """Write ``pairs`` to a CSV file that :func:`load_pairs` reads."""
+    names, columns = ["from", "to", "weight"], [pairs.from_index, pairs.to_index, pairs.weight]
+    if pairs.rotation is not None:
+        names, columns = [*names, "rotation_deg"], [*columns, np.degrees(pairs.rotation)]
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows(zip(*(column.tolist() for column in columns), strict=True))
+    write_whole(Path(path), lambda file: file.write(text.getvalue().encode()))
+
+
+def check_ways(pairs: Pairs, clamps: Clamps) -> None:
+    """Raise InputError where an end turns by half a turn, so that its frames do not say which way, and nothing else does.
+
+    clamps  (D) of the observations
+    """
+    ends = {"start": (clamps.start, clamps.start_frame), "end": (clamps.end, clamps.end_frame)}
+    if pairs.rotation is not None:
+        del ends["end"]
+    for name, (kind, frame) in ends.items():
+        kind = np.broadcast_to(kind, len(frame))[pairs.to_index]
+        before, after = frame[pairs.from_index], frame[pairs.to_index]
+        along = np.sum(before[..., 0] * after[..., 0], axis=-1)
+        # The trace of a rotation is 1 + 2 cos of its angle.
+        cosine = np.where(kind == Clamp.FRAME, 0.5 * (np.sum(before * after, axis=(-2, -1)) - 1), along)
+        unclear = np.flatnonzero((kind >= Clamp.TANGENT) & (cosine < -np.cos(HALF_TURN)))
+        if len(unclear):
+            x, y = pairs.from_index[unclear[0]], pairs.to_index[unclear[0]]
+            remedy = "give rotation_deg, or end_rotation_deg" if name == "end" else "leave the pair out"
+            raise InputError(pairs.source, "from, to", f"from {x} to {y} the {name} turns by half a turn, either way", remedy)
+
+
+def _read_columns(path: Path) -> dict[str, np.ndarray]:
+    try:
+        rows = [row for row in csv.reader(StringIO(path.read_text(encoding="utf-8-sig"))) if row]
+    except OSError as error:
+        raise InputError(path, "file", (error.strerror or str(error)).lower(), "name a readable CSV file") from None
+    except (ValueError, csv.Error) as error:
+        raise InputError(path, "file", f"not CSV ({error})", "give a CSV file of pairs") from None
+    form = f"give the columns {','.join(NEEDED)}[,{'][,'.join(OPTIONAL)}]"
+    names = [name.strip() for name in rows[0]] if rows else []
+    for name in NEEDED:
+        if name not in names:
+            raise InputError(path, name, "the column is missing", form)
+    for name in names:
+        if name not in (*NEEDED, *OPTIONAL) or names.count(name) > 1:
+            raise InputError(path, name or "header", "unknown column, or one given twice", form)
+    if any(len(row) != len(names) for row in rows):
+        line = next(number for number, row in enumerate(rows, 1) if len(row) != len(names))
+        raise InputError(path, "file", f"line {line} has {len(rows[line - 1])} entries", f"give {len(names)} in each line")
+    try:
+        values = np.array(rows[1:], dtype=np.float64).reshape(-1, len(names))
+    except ValueError as error:
+        raise InputError(path, "file", f"an entry is no number ({error})", "give numbers below the names") from None
+    return {name: values[:, k] for k, name in enumerate(names)}

@@ -1,0 +1,113 @@
+"""Ribbons in space, drawn as bands along their material frames (Fig. 5c)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti.report.canvas import new_figure
+
+VIEWS = {"from the front": (0.0, 0.0), "from the side and above": (50.0, 30.0)}
+"""Name: the angles in degrees by which the viewer goes around to the right and up."""
+COLUMN_INCHES = 3.6
+LIGHT = np.array([-0.45, -0.65, 0.6]) / np.linalg.norm([0.45, 0.65, 0.6])
+
+
+@dataclass(frozen=True)
+class Ribbons:
+    """Ribbons of one kind, D of them.
+
+    label   what they are
+    color   (3,) uint8
+    sides   (D, 2, V, 3) mm, the two borders of each, as `ribbon_sides` finds them
+    filled  whether their faces are drawn, or only their outlines
+    """
+
+    label: str
+    color: tuple[int, int, int]
+    sides: np.ndarray
+    filled: bool = True
+
+
+def ribbon_sides(vertices: np.ndarray, across: np.ndarray, width: float) -> np.ndarray:
+    """(..., 2, V, 3) mm, the borders of bands of ``width`` along middle lines (..., V, 3), m1 (..., E, 3) across each edge;
+    at a vertex the mean of the edges that meet there is across it."""
+    ends = np.concatenate([across[..., :1, :], across, across[..., -1:, :]], axis=-2)
+    mean = ends[..., 1:, :] + ends[..., :-1, :]
+    half = 0.5 * width * mean / np.maximum(np.linalg.norm(mean, axis=-1, keepdims=True), 1e-9)
+    return np.stack([vertices - half, vertices + half], axis=-3)
+
+
+def ribbons_picture(path_or_buffer, ribbons: list[Ribbons], which: int, *, basis: np.ndarray, title: str) -> None:
+    """Write the ribbon ``which`` of each kind as a PNG: a column for each that is filled, with the outlined ones in all, a row
+    for each view. ``basis`` (3, 3) has rows right, into the picture and up."""
+    from matplotlib.lines import Line2D
+
+    filled, outlined = ([kind for kind in ribbons if kind.filled == wanted] for wanted in (True, False))
+    views = [_turned(*angles) @ basis for angles in VIEWS.values()]
+    middles, sizes = _frames(np.stack([kind.sides[which] for kind in ribbons]), views)
+    heights = COLUMN_INCHES * sizes[:, 1] / sizes[0, 0]
+    figure = new_figure((COLUMN_INCHES * len(filled), heights.sum() + 1.4))
+    grid = figure.subplots(len(VIEWS), len(filled), squeeze=False, height_ratios=heights)
+    for places, name, view, middle, size in zip(grid, VIEWS, views, middles, sizes, strict=True):
+        for axes, kind in zip(places, filled, strict=True):
+            _draw_band(axes, kind.sides[which] @ view.T, kind.color)
+            for other in outlined:
+                _draw_outline(axes, other.sides[which] @ view.T, other.color)
+            axes.set(xlim=middle[0] + 0.5 * size[0] * np.array([-1, 1]), ylim=middle[1] + 0.5 * size[1] * np.array([-1, 1]))
+            axes.set_aspect("equal")
+            axes.set_axis_off()
+        _tell_view(places[0], name)
+    for axes, kind in zip(grid[0], filled, strict=True):
+        axes.set_title(kind.label, fontsize=9.5, color=np.array(kind.color) / 255)
+    figure.suptitle(title, fontsize=13)
+    if outlined:
+        keys = [Line2D([], [], color=np.array(kind.color) / 255, label=kind.label) for kind in outlined]
+        figure.legend(handles=keys, loc="outside lower center", ncols=len(keys), frameon=False, fontsize=10)
+    figure.canvas.print_png(path_or_buffer)
+
+
+def _draw_band(axes, sides: np.ndarray, color: tuple[int, int, int]) -> None:
+    """Faces between borders (2, V, 3), the far ones first, lit from the upper left."""
+    from matplotlib.collections import PolyCollection
+
+    low, high = sides
+    faces = np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
+    normal = np.cross(faces[:, 2] - faces[:, 0], faces[:, 3] - faces[:, 1])
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+    colors = (0.5 + 0.5 * np.abs(normal @ LIGHT))[:, None] * np.array(color) / 255
+    order = np.argsort(-faces[..., 1].mean(axis=1), kind="stable")
+    axes.add_collection(PolyCollection(faces[order][..., [0, 2]], facecolors=colors[order], linewidths=0.35,
+                                       edgecolors=(0.08, 0.08, 0.08, 0.55)))
+
+
+def _draw_outline(axes, sides: np.ndarray, color: tuple[int, int, int]) -> None:
+    """Borders (2, V, 3) and the rungs between them, as lines over everything."""
+    from matplotlib.collections import LineCollection
+
+    flat, shade = sides[..., [0, 2]], np.array(color) / 255
+    axes.add_collection(LineCollection(list(flat), colors=[shade], linewidths=1.3, zorder=3))
+    axes.add_collection(LineCollection(flat.swapaxes(0, 1), colors=[shade], linewidths=0.4, zorder=3))
+
+
+def _tell_view(axes, name: str) -> None:
+    """What a row shows, and 20 mm to scale."""
+    left, low = axes.get_xlim()[0] + 1, axes.get_ylim()[0] + 2
+    axes.plot([left, left + 20], [low, low], color="#202020", linewidth=2)
+    axes.annotate("20 mm", (left + 10, low), xytext=(0, 4), textcoords="offset points", ha="center", va="bottom", fontsize=9)
+    axes.annotate(name, (0.0, 1.0), xycoords="axes fraction", ha="left", va="top", fontsize=10, color="#606060")
+
+
+def _frames(points: np.ndarray, views: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Middle, and width and height in mm, of what each view shows of (..., 3) points; all views are equally wide."""
+    flat = [(points @ view.T)[..., [0, 2]].reshape(-1, 2) for view in views]
+    low, high = (np.array([edge(plane, axis=0) for plane in flat]) for edge in (np.nanmin, np.nanmax))
+    sizes = high - low + [8.0, 10.0]
+    sizes[:, 0] = sizes[:, 0].max()
+    return 0.5 * (low + high), sizes
+
+
+def _turned(around: float, above: float) -> np.ndarray:
+    """(3, 3) right, into and up of a viewer who went around and up by these angles in degrees."""
+    cosine, sine = np.cos(np.radians([around, above])), np.sin(np.radians([around, above]))
+    right = np.array([[cosine[0], sine[0], 0], [-sine[0], cosine[0], 0], [0, 0, 1]])
+    return np.array([[1, 0, 0], [0, cosine[1], -sine[1]], [0, sine[1], cosine[1]]]) @ right

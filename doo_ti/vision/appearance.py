@@ -1,0 +1,113 @@
+"""What the thread looks like in an image: dark or light, how wide, how distinct, and roughly where.
+
+Found on a pyramid of ever coarser images, whose ridges stand out at the level that fits their width.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti.vision.profile import Edges, edges_across, gradient
+from doo_ti.vision.ridge import POINTS_PER_PX, REACH_PX, Curvature, Ridges, pieces
+
+LEVELS = 3
+"""Of the pyramid above the image itself: halves to eighths, for threads up to some 40 px wide."""
+
+SIGMA = 1.2
+"""px of a level."""
+
+SURE = 7.0
+"""Strength over noise of what is certainly no noise."""
+
+BAR = 0.4
+"""Strength over contrast of a line at the level that fits it."""
+
+SHORTEST = 5.0
+"""px of a level: shorter pieces are left to chance."""
+
+SLENDER = 16.0
+"""px of a level: what is not this long is not slender, as its width is a few px."""
+
+BLUR_PX = 4.0
+"""Standard deviation of an edge's blur beyond which it is no thread's but a shade in the background."""
+
+LEAST_BALANCE = 0.25
+"""Of two edges' slopes: with less, they are the border of something else."""
+
+SAMPLES = 400
+"""Points at most where the width is measured."""
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """polarity  "dark" or "light" against the background
+    width_px  median distance between its edges
+    slope     grey levels per px of its edges, smoothed by EDGE_SIGMA
+    box       left, top, right, bottom in px around all of it, last ones excluded
+    """
+
+    polarity: str
+    width_px: float
+    slope: float
+    box: tuple[int, int, int, int]
+
+
+def appearance(image: np.ndarray, polarity: str | None, width_px: float | None, least_contrast: float) -> Appearance | None:
+    """The look of the most distinct line in an image (H, W) float32; None where no line stands out.
+
+    polarity, width_px  given, or None: found
+    least_contrast      grey levels: lines that differ less from the background are none
+    """
+    import cv2
+
+    found, level = [], image
+    for step in range(1, LEVELS + 1):
+        if min(level.shape) < 16:
+            break
+        level = cv2.pyrDown(level)
+        if width_px is not None and step < LEVELS and 2.0**step * SIGMA < 0.4 * width_px:
+            continue
+        curvature = Curvature(level, SIGMA)
+        strong = max(SURE * curvature.noise(), BAR * least_contrast)
+        for sign in ("dark", "light") if polarity is None else (polarity,):
+            ridges = curvature.ridges(sign, strong / 2)
+            ridges = ridges[np.abs(ridges.offset) <= REACH_PX]
+            piece = pieces(ridges, strong / 2, SHORTEST)
+            ridges, piece = ridges[piece > 0], piece[piece > 0]
+            slender = (np.bincount(piece, minlength=1) >= SLENDER * POINTS_PER_PX)[piece]
+            found.append((2.0**step * (ridges.strength[slender] ** 2).sum(), sign, 2.0**step, ridges, slender))
+        if width_px is not None:
+            break
+    for score, sign, scale, ridges, slender in sorted(found, key=lambda entry: -entry[0]):
+        look = _measured(image, ridges, slender, sign, scale, width_px) if score > 0 else None
+        if look is not None:
+            return look
+    return None
+
+
+def _measured(image: np.ndarray, ridges: Ridges, slender: np.ndarray, polarity: str, scale: float,
+              width_px: float | None) -> Appearance | None:
+    """The appearance from one level's ridges, ``scale`` px of the image to a pixel; None where they are no thread's.
+
+    slender  (N,) bool: points of the long pieces, by which the thread is measured
+    """
+    # Smoothing and taking every second pixel leaves pixel centres of the level on pixel centres of the image.
+    margin = int(np.ceil(8 * scale)) + 4
+    point = scale * ridges.point
+    left, top = np.maximum(np.floor(point.min(axis=0)).astype(int) - margin, 0)
+    right, bottom = np.minimum(np.ceil(point.max(axis=0)).astype(int) + margin + 1, image.shape[::-1])
+    square = np.where(slender, ridges.strength, 0) ** 2
+    chosen = np.flatnonzero(slender & (ridges.strength >= 0.5 * (square * ridges.strength).sum() / square.sum()))
+    chosen = chosen[:: max(1, len(chosen) // SAMPLES)]
+    reach = 3.5 * SIGMA * scale if width_px is None else 0.75 * width_px + 2
+    edges = edges_across(gradient(image[top:bottom, left:right]), point[chosen] - (left, top), ridges.normal[chosen], polarity, reach)
+    sound = of_a_thread(edges, ridges.strength[chosen])
+    if 2 * sound.sum() < len(sound):
+        return None
+    width = float(np.median(edges.width[sound])) if width_px is None else float(width_px)
+    return Appearance(polarity, width, float(np.median(edges.slope[sound])), (int(left), int(top), int(right), int(bottom)))
+
+
+def of_a_thread(edges: Edges, strength: np.ndarray) -> np.ndarray:
+    """(N,) bool: both edges are there, and sharp for a line that is so distinct."""
+    return (edges.balance > LEAST_BALANCE) & (edges.slope * BLUR_PX * np.sqrt(2 * np.pi) >= strength / BAR)

@@ -1,0 +1,222 @@
+"""From boards seen by several cameras to a rig: intrinsics, extrinsics and how well both are known (§V-A).
+
+Each camera's lens is first found alone, the cameras are then placed beside each other through views that two of them share, and
+at last everything is adjusted at once. Axes: C cameras, V views, N corners of the board.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.vision.bundle import Bundle, Sighting, adjusted, cross_matrix, places
+from doo_ti.vision.rig import Camera, Rig
+
+FEWEST_VIEWS = 3
+WORLDS = ("first-board", "camera")
+COEFFICIENTS = (0, 2, 4, 5)
+VAGUE = 0.05
+"""A focal length whose standard deviation is a larger share of it is not determined."""
+TILT = "add views, the board tilted in several ways"
+
+
+@dataclass(frozen=True)
+class CalibrationOptions:
+    """world       where the world's axes lie: ``first-board``, in the board of the first view: origin at its first inner
+                   corner, x along a row, y up the page, z out of the board; or ``camera``, in the first camera
+    distortion     how many of k1, k2, p1, p2, k3 are fitted, the others being 0: 0, 2, 4 or 5. The fifth is worth it for wide
+                   lenses whose images are filled with corners to the rim, and is noise otherwise
+
+    Raises InputError for others.
+    """
+
+    world: str = "first-board"
+    distortion: int = 4
+
+    def __post_init__(self):
+        if self.world not in WORLDS:
+            raise InputError("options", "world", f"{self.world!r}", f"use one of {', '.join(WORLDS)}")
+        if self.distortion not in COEFFICIENTS:
+            raise InputError("options", "distortion", f"{self.distortion!r}", "use 0, 2, 4 or 5 coefficients")
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A rig, where the board was in each view, and how well everything agrees.
+
+    rotations, translations  (V, 3, 3), (V, 3) mm: pose of the board in the world; NaN for a view that no camera saw
+    rms                      (V, C) px: root mean square distance of the corners from their projections; NaN where none was seen
+    corners                  (V, C) number of corners seen
+    overall_rms              px, over all corners
+    sigma_px                 standard deviation of one coordinate of a corner, from what the fit leaves over
+    centre_sigma             (C, 3) mm: standard deviation of the camera centres along the world's axes
+    focal_sigma              (C, 2) px: of fx and fy
+    """
+
+    rig: Rig
+    rotations: np.ndarray
+    translations: np.ndarray
+    rms: np.ndarray
+    corners: np.ndarray
+    overall_rms: float
+    sigma_px: float
+    centre_sigma: np.ndarray
+    focal_sigma: np.ndarray
+
+    @property
+    def worst(self) -> tuple[int, int]:
+        """View and camera of the image that fits worst."""
+        return tuple(int(place) for place in np.unravel_index(np.nanargmax(self.rms), self.rms.shape))
+
+
+def calibrate(points: np.ndarray, sightings: list[Sighting], sizes: dict[str, tuple[int, int]], views: int,
+              options: CalibrationOptions | None = None, source: str = "views") -> Calibration:
+    """The rig that took ``sightings`` of a board with corners ``points`` (N, 3) mm, in ``views`` views.
+
+    sizes   name: width and height in px of each of C cameras, in the order in which the sightings count them
+
+    Raises InputError, naming ``source``, for fewer than two cameras, for a camera with fewer than three views of the board or
+    without a view shared with the others, for a first view without board, where the world would lie in it, and for views that
+    do not determine the cameras.
+    """
+    options = options or CalibrationOptions()
+    names = tuple(sizes)
+    _check(sightings, names, options, source)
+    cameras, poses = _lenses(points, sightings, sizes, options, source)
+    bundle = _placed(points, sightings, cameras, poses, views, source)
+    bundle = _in_world(bundle, options.world)
+    lenses, of_cameras, of_views = places(len(names), views)
+    free = np.ones(of_views[-1, -1] + 1, dtype=bool)
+    free[lenses[:, 4 + options.distortion:]] = False
+    free[of_cameras[0] if options.world == "camera" else of_views[0]] = False
+    free[of_views[np.isnan(bundle.translations[:, 0])]] = False
+    try:
+        bundle, covariance = adjusted(bundle, points, sightings, free)
+    except np.linalg.LinAlgError:
+        raise InputError(source, "views", "they do not determine the cameras", TILT) from None
+    calibration = _told(bundle, covariance, points, sightings, free, (lenses, of_cameras), source)
+    for camera, sigma in zip(calibration.rig.cameras, calibration.focal_sigma[:, 0]):
+        if not sigma < VAGUE * camera.matrix[0, 0]:
+            raise InputError(source, camera.name, f"its focal length would be {camera.matrix[0, 0]:.0f} px ± {sigma:.0f}", TILT)
+    return calibration
+
+
+def _check(sightings: list[Sighting], names: tuple[str, ...], options: CalibrationOptions, source: str) -> None:
+    if len(names) < 2:
+        raise InputError(source, "cameras", f"{len(names)} of them", "give images of two cameras or more")
+    for camera, name in enumerate(names):
+        seen = sum(sighting.camera == camera for sighting in sightings)
+        if seen < FEWEST_VIEWS:
+            raise InputError(source, name, f"the board was found in {seen} of its images",
+                             f"give {FEWEST_VIEWS} that show it, or more: ten are good")
+    if options.world == "first-board" and not any(sighting.view == 0 for sighting in sightings):
+        raise InputError(source, "view", "the board was found in no image of the first view, where the world's axes lie",
+                         "put another view first, or use --world camera")
+
+
+def _lenses(points, sightings, sizes, options, source: str) -> tuple[list[Camera], dict[tuple[int, int], tuple]]:
+    """Each camera by itself, at the world's origin, and (view, camera): R and t of the board in front of it."""
+    import cv2
+
+    fixed = {0: cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
+             2: cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST, 4: cv2.CALIB_FIX_K3, 5: 0}[options.distortion]
+    cameras, poses = [], {}
+    for index, (name, size) in enumerate(sizes.items()):
+        own = [sighting for sighting in sightings if sighting.camera == index]
+        threads = cv2.getNumThreads()
+        cv2.setNumThreads(1)  # several add up in the order in which they happen to finish
+        try:
+            _, matrix, distortion, turns, shifts = cv2.calibrateCamera(
+                [points[sighting.found].astype(np.float32) for sighting in own],
+                [sighting.pixels.astype(np.float32) for sighting in own], size, None, None, flags=fixed)
+        except cv2.error:
+            raise InputError(source, name, "the views do not determine its lens", TILT) from None
+        finally:
+            cv2.setNumThreads(threads)
+        cameras.append(Camera(name, *size, matrix, np.ravel(distortion)[:5], np.eye(3), np.zeros(3)))
+        for sighting, turn, shift in zip(own, turns, shifts):
+            poses[sighting.view, index] = cv2.Rodrigues(turn)[0], np.ravel(shift)
+    return cameras, poses
+
+
+def _placed(points, sightings, cameras, poses, views: int, source: str) -> Bundle:
+    """All cameras and boards in the axes of the first camera, each through the shared view that agrees best with the others.
+
+    A flat board far away looks nearly the same from two sides: a single view may mislead, so all of them are asked.
+    """
+    by_camera = [{sighting.view: sighting for sighting in sightings if sighting.camera == index}
+                 for index in range(len(cameras))]
+    known = {0: cameras[0]}
+    while len(known) < len(cameras):
+        shared = {(near, far): by_camera[near].keys() & by_camera[far].keys()
+                  for near in known for far in range(len(cameras)) if far not in known}
+        near, far = max(shared, key=lambda pair: len(shared[pair]))
+        common = sorted(shared[near, far])
+        if not common:
+            lost = [camera.name for index, camera in enumerate(cameras) if index not in known]
+            others = ", ".join(camera.name for camera in known.values())
+            raise InputError(source, lost[0], f"not connected: shares no view of the board with {others}",
+                             "add views that both see")
+        boards = {view: _board_pose(known[near], *poses[view, near]) for view in common}
+        candidates = [_camera_pose(cameras[far], *poses[view, far], *boards[view]) for view in common]
+        known[far] = min(candidates, key=lambda camera: np.median([
+            _rms(camera, points, by_camera[far][view], *boards[view]) for view in common]))
+    rotations, translations = np.full((views, 3, 3), np.nan), np.full((views, 3), np.nan)
+    for view in sorted({sighting.view for sighting in sightings}):
+        seeing = [index for index in range(len(cameras)) if view in by_camera[index]]
+        candidates = [_board_pose(known[index], *poses[view, index]) for index in seeing]
+        rotations[view], translations[view] = min(candidates, key=lambda pose: sum(
+            _rms(known[index], points, by_camera[index][view], *pose) for index in seeing))
+    return Bundle(tuple(known[index] for index in range(len(cameras))), rotations, translations)
+
+
+def _board_pose(camera: Camera, rotation: np.ndarray, translation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pose in the world of a board that is at a pose in front of ``camera``."""
+    return camera.rotation.T @ rotation, camera.rotation.T @ (translation - camera.translation)
+
+
+def _camera_pose(camera: Camera, seen_rotation, seen_translation, rotation, translation) -> Camera:
+    """``camera`` where it sees a board of the world at a pose in front of it."""
+    turn = seen_rotation @ rotation.T
+    return Camera(camera.name, camera.width, camera.height, camera.matrix, camera.distortion, turn,
+                  seen_translation - turn @ translation)
+
+
+def _rms(camera: Camera, points: np.ndarray, sighting: Sighting, rotation: np.ndarray, translation: np.ndarray) -> float:
+    """px; infinite where the board is not in front of the camera."""
+    residual = camera.project(points[sighting.found] @ rotation.T + translation) - sighting.pixels
+    mean = np.mean(np.sum(residual**2, axis=-1))
+    return float(np.sqrt(mean)) if np.isfinite(mean) else np.inf
+
+
+def _in_world(bundle: Bundle, world: str) -> Bundle:
+    """The bundle in the axes of the first board; those of the first camera it has already."""
+    if world == "camera":
+        return bundle
+    turn, shift = bundle.rotations[0], bundle.translations[0]
+    cameras = tuple(Camera(camera.name, camera.width, camera.height, camera.matrix, camera.distortion, camera.rotation @ turn,
+                           camera.rotation @ shift + camera.translation) for camera in bundle.cameras)
+    return Bundle(cameras, turn.T @ bundle.rotations, (bundle.translations - shift) @ turn)
+
+
+def _told(bundle, covariance, points, sightings, free, at, source: str) -> Calibration:
+    """What the adjusted bundle and its covariance say."""
+    shape = len(bundle.rotations), len(bundle.cameras)
+    rms, corners = np.full(shape, np.nan), np.zeros(shape, dtype=np.int64)
+    squares = 0.0
+    for sighting in sightings:
+        square = np.sum(bundle.residual(points, sighting) ** 2)
+        corners[sighting.view, sighting.camera] = len(sighting.found)
+        rms[sighting.view, sighting.camera] = np.sqrt(square / len(sighting.found))
+        squares += square
+    sigma = np.sqrt(squares / max(2 * corners.sum() - free.sum(), 1))
+    lenses, of_cameras = at
+    centre_sigma, focal_sigma = np.empty((shape[1], 3)), np.empty((shape[1], 2))
+    for index, camera in enumerate(bundle.cameras):
+        # c = −Rᵀ t; R turns by w about the camera's axes, t moves by s: δc = −Rᵀ (t × w + s).
+        by_pose = -camera.rotation.T @ np.hstack([cross_matrix(camera.translation), np.eye(3)])
+        pose = covariance[np.ix_(of_cameras[index], of_cameras[index])]
+        centre_sigma[index] = sigma * np.sqrt(np.diag(by_pose @ pose @ by_pose.T))
+        focal_sigma[index] = sigma * np.sqrt(np.diag(covariance)[lenses[index, :2]])
+    return Calibration(Rig(bundle.cameras, source), bundle.rotations, bundle.translations, rms, corners,
+                       float(np.sqrt(squares / corners.sum())), float(sigma), centre_sigma, focal_sigma)

@@ -1,0 +1,163 @@
+"""Distance maps: how far every pixel is from the detected line, for sets of images (§IV-A).
+
+Around each detected point the line is taken to run straight for half a pixel either way, along the direction found there, so
+that the map has a valley and no row of pits. Which of these pieces is nearest to a pixel, its neighbours tell: the search
+passes over a window's lines down and up, and along each of them both ways (Danielsson, 1980).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import taichi as ti
+
+from doo_ti import runtime
+from doo_ti.errors import InputError
+from doo_ti.vision.detection import Detection
+
+HALF_LENGTH_PX = 0.5
+"""Of the straight piece around a point: half the largest spacing of points along the line."""
+
+SMALLEST_MARGIN_PX = 2
+"""So that a window is at least three pixels wide, as sampling needs it."""
+
+AROUND = 2
+"""px around a piece where others are looked for that may be nearer still."""
+
+PIXELS_AT_ONCE = 1 << 24
+"""About as many share the search's scratch."""
+
+
+@dataclass(frozen=True)
+class DistanceMaps:
+    """Distances in px around what was detected, for A sets of C images, one window each.
+
+    values  (N,) float32: all windows one after the other, each line by line
+    window  (A, C, 5) int64: where a window starts in ``values``, and its left, top, width and height in px
+    """
+
+    values: np.ndarray
+    window: np.ndarray
+
+
+def distance_maps(detections: list[list[Detection]], margin_px: int = 50) -> DistanceMaps:
+    """The maps of A sets of C detections: each of the box around a detection and ``margin_px`` more, within the image.
+
+    Raises InputError for sets of different numbers of images, none at all, an image where no thread was found, and a margin
+    below 2.
+    """
+    sets = {len(images) for images in detections}
+    if len(sets) != 1 or 0 in sets:
+        raise InputError("distance maps", "detections", f"{len(detections)} sets of {sorted(sets)} images",
+                         "give one detection of each camera in every set")
+    if margin_px < SMALLEST_MARGIN_PX:
+        raise InputError("distance maps", "margin_px", f"{margin_px}", f"give at least {SMALLEST_MARGIN_PX}")
+    for index, images in enumerate(detections):
+        for camera, found in enumerate(images):
+            if not found.count:
+                raise InputError("distance maps", f"set {index}, image {camera}", "no thread was found in it",
+                                 "leave the set out, or look for the thread with other options")
+    flat = [found for images in detections for found in images]
+    window = np.array([_window(found, int(margin_px)) for found in flat])
+    size = window[:, 2] * window[:, 3]
+    window = np.concatenate([(np.cumsum(size) - size)[:, None], window], axis=1)
+    values = np.empty(size.sum(), dtype=np.float32)
+    runtime.start()
+    for part in np.split(np.arange(len(flat)), np.flatnonzero(np.diff(window[:, 0] // PIXELS_AT_ONCE)) + 1):
+        _fill_part([flat[index] for index in part], window[part], values)
+    return DistanceMaps(values, window.reshape(len(detections), -1, 5))
+
+
+def _window(found: Detection, margin: int) -> tuple[int, int, int, int]:
+    """Left, top, width and height of the box around a detection and ``margin``, within the image."""
+    last = np.array(found.shape[::-1]) - 1
+    low = np.clip(np.floor(found.points.min(axis=0)).astype(np.int64), 0, last) - margin
+    high = np.clip(np.ceil(found.points.max(axis=0)).astype(np.int64), 0, last) + margin
+    low, high = np.maximum(low, 0), np.minimum(high, last)
+    return (*low, *(high - low + 1))
+
+
+def _fill_part(found: list[Detection], window: np.ndarray, values: np.ndarray) -> None:
+    """Compute the maps of some of the windows, which follow each other in ``values``."""
+    begin, end = window[0, 0], window[-1, 0] + window[-1, 3] * window[-1, 4]
+    pieces = np.concatenate([np.concatenate([image.points, image.direction], axis=1) for image in found])
+    first = np.cumsum([0] + [image.count for image in found])
+    local = window - [begin, 0, 0, 0, 0]
+    nearest = np.empty(end - begin, dtype=np.int32)
+    _search(pieces.astype(np.float32), first.astype(np.int32), local.astype(np.int32), nearest, values[begin:end])
+
+
+@ti.func
+def _distance(pieces: ti.template(), n, x, y):
+    """px from the pixel (x, y) to piece n."""
+    right, down = ti.cast(x, ti.f32) - pieces[n, 0], ti.cast(y, ti.f32) - pieces[n, 1]
+    along = right * pieces[n, 2] + down * pieces[n, 3]
+    along = ti.min(ti.max(along, -HALF_LENGTH_PX), HALF_LENGTH_PX)
+    right, down = right - along * pieces[n, 2], down - along * pieces[n, 3]
+    return ti.sqrt(right * right + down * down)
+
+
+@ti.func
+def _ask(pieces: ti.template(), nearest: ti.template(), values: ti.template(), here, neighbour, x, y):
+    """Take over the neighbour's piece where it is nearer to pixel ``here`` at (x, y) than its own."""
+    n = nearest[neighbour]
+    if n >= 0 and n != nearest[here]:
+        found = _distance(pieces, n, x, y)
+        if found < values[here]:
+            values[here], nearest[here] = found, n
+
+
+@ti.func
+def _pass_line(pieces: ti.template(), nearest: ti.template(), values: ti.template(), start, left, top, width, j, before):
+    """Bring a window's line j up to date from line ``before``, then from left to right and back."""
+    for i in range(width):
+        here, above = start + j * width + i, start + before * width + i
+        if before != j:
+            for k in range(ti.max(i - 1, 0), ti.min(i + 2, width)):
+                _ask(pieces, nearest, values, here, above + k - i, left + i, top + j)
+        if i > 0:
+            _ask(pieces, nearest, values, here, here - 1, left + i, top + j)
+    for back in range(1, width):
+        i = width - 1 - back
+        here = start + j * width + i
+        _ask(pieces, nearest, values, here, here + 1, left + i, top + j)
+
+
+@ti.func
+def _look_around(pieces: ti.template(), nearest: ti.template(), values: ti.template(), start, left, top, width, height, i, j):
+    """Ask the pixels around the piece that is nearest to pixel (i, j): where pieces crowd, neighbours know not all of them."""
+    here = start + j * width + i
+    n = nearest[here]
+    column, line = ti.cast(ti.round(pieces[n, 0]), ti.i32) - left, ti.cast(ti.round(pieces[n, 1]), ti.i32) - top
+    for b in range(ti.max(line - AROUND, 0), ti.min(line + AROUND + 1, height)):
+        for a in range(ti.max(column - AROUND, 0), ti.min(column + AROUND + 1, width)):
+            _ask(pieces, nearest, values, here, start + b * width + a, left + i, top + j)
+
+
+@ti.kernel
+def _search(
+    pieces: ti.types.ndarray(dtype=ti.f32, ndim=2),  # [point, x y and direction]
+    first: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [window + 1]
+    windows: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [window, start left top width height]
+    nearest: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [pixel] scratch
+    values: ti.types.ndarray(dtype=ti.f32, ndim=1),  # [pixel] out
+):
+    for w in range(windows.shape[0]):
+        start, left, top, width, height = windows[w, 0], windows[w, 1], windows[w, 2], windows[w, 3], windows[w, 4]
+        for here in range(start, start + width * height):
+            nearest[here], values[here] = -1, 1e30
+        for n in range(first[w], first[w + 1]):
+            column = ti.cast(ti.round(pieces[n, 0]), ti.i32) - left
+            line = ti.cast(ti.round(pieces[n, 1]), ti.i32) - top
+            for j in range(ti.max(line - 2, 0), ti.min(line + 3, height)):
+                for i in range(ti.max(column - 2, 0), ti.min(column + 3, width)):
+                    found = _distance(pieces, n, left + i, top + j)
+                    if found < values[start + j * width + i]:
+                        values[start + j * width + i], nearest[start + j * width + i] = found, n
+        for j in range(height):
+            _pass_line(pieces, nearest, values, start, left, top, width, j, ti.max(j - 1, 0))
+        for back in range(height):
+            j = height - 1 - back
+            _pass_line(pieces, nearest, values, start, left, top, width, j, ti.min(j + 1, height - 1))
+        for j in range(height):
+            for i in range(width):
+                _look_around(pieces, nearest, values, start, left, top, width, height, i, j)

@@ -1,0 +1,100 @@
+"""Sets of images of one scene each, with where the rod sets out: the file SETS.csv (§IV-A).
+
+    name,cam0,cam1,cam2,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z
+
+Images are relative to the file; the columns of images are named as the rig's cameras. A camera that did not see a scene is left
+out of the whole file, not of a line: a set's score is a sum over cameras, and sets are compared.
+"""
+
+import csv
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.vision.rig import Rig
+
+SEED = ("seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
+FEWEST_CAMERAS = 2
+
+
+@dataclass(frozen=True)
+class ImageSets:
+    """A sets of C images.
+
+    names      A names
+    paths      A tuples of C files, in the order of ``rig``'s cameras
+    rig        the cameras that took them
+    point      (A, 3) mm: v⁰
+    direction  (A, 3) unit vectors: e⁰
+    """
+
+    names: tuple[str, ...]
+    paths: tuple[tuple[Path, ...], ...]
+    rig: Rig
+    point: np.ndarray
+    direction: np.ndarray
+    source: str = "sets"
+
+    def __post_init__(self):
+        if len(self.rig.cameras) < FEWEST_CAMERAS:
+            raise InputError(self.source, "cameras", f"{len(self.rig.cameras)} camera", "give images of two cameras or more")
+        length = np.linalg.norm(self.direction, axis=-1, keepdims=True)
+        for name, seed, size in zip(self.names, self.point, length, strict=True):
+            if not (np.isfinite(seed).all() and np.isfinite(size).all() and size > 0):
+                raise InputError(self.source, f"{name}: seed", f"{seed.tolist()}, direction of length {size}",
+                                 "give finite numbers, and a direction")
+        object.__setattr__(self, "direction", self.direction / length)
+        for camera in self.rig.cameras:
+            behind = np.flatnonzero(camera.depth(self.point) <= 0)
+            if len(behind):
+                name, seed = self.names[behind[0]], self.point[behind[0]].tolist()
+                raise InputError(self.source, f"{name}: seed", f"{seed} is behind {camera.name}",
+                                 "give the seed in the rig's world, in mm")
+
+    @property
+    def count(self) -> int:
+        """A."""
+        return len(self.names)
+
+
+def load_sets(path: str | os.PathLike, rig: Rig) -> ImageSets:
+    """The sets of a CSV file. Raises InputError naming line and column for whatever is missing or no number."""
+    path = Path(path)
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            reader = csv.DictReader(file)
+            header, lines = list(reader.fieldnames or []), list(reader)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        problem = (getattr(error, "strerror", None) or str(error)).lower()
+        raise InputError(path, "file", problem, "name a readable CSV file") from None
+    missing = [name for name in ("name", *SEED) if name not in header]
+    if missing:
+        raise InputError(path, missing[0], "the column is missing", f"give name, a column per camera, and {', '.join(SEED)}")
+    unknown = [name for name in header if name not in ("name", *SEED, *rig.names)]
+    if unknown:
+        raise InputError(path, unknown[0], "no camera of the rig", f"the rig has {', '.join(rig.names)}")
+    if not lines:
+        raise InputError(path, "name", "no line", "give a line for each set of images")
+    cameras = [name for name in rig.names if name in header]
+    names = [line["name"] for line in lines]
+    if len(set(names)) < len(names):
+        raise InputError(path, "name", f"{max(names, key=names.count)!r} occurs twice", "name the sets apart")
+    seeds = np.array([[_number(path, number, line, key) for key in SEED] for number, line in enumerate(lines, 2)])
+    paths = tuple(tuple(_image(path, number, line, name) for name in cameras) for number, line in enumerate(lines, 2))
+    return ImageSets(tuple(names), paths, rig.only(cameras) if cameras else rig, seeds[:, :3], seeds[:, 3:], str(path))
+
+
+def _number(path: Path, number: int, line: dict, key: str) -> float:
+    try:
+        return float(line[key])
+    except (TypeError, ValueError):
+        raise InputError(path, f"line {number}, {key}", f"{line[key]!r} is no number", "give a decimal number") from None
+
+
+def _image(path: Path, number: int, line: dict, camera: str) -> Path:
+    if not line[camera]:
+        raise InputError(path, f"line {number}, {camera}", "no image", "give one, or leave the camera's column out")
+    return path.parent / line[camera]

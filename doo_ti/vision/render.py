@@ -1,0 +1,193 @@
+"""Images of rods through a rig, so that anyone can test without a camera (§V-A).
+
+A scene is the thread and, before and around it, what hides it and what looks like it; all cameras of a set see the same
+scene. An image is the scene, blurred by the lens, with the sensor's noise, and the losses of JPEG.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.vision.rig import Camera, Rig
+from doo_ti.vision.spline import smooth_curve
+from doo_ti.vision.tubes import Tube, draw
+
+BLOB_PX = 120
+"""Size of the background's uneven patches."""
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """What the images look like; brightness is in grey levels, 0 to 255.
+
+    thread           brightness of the thread away from the light; above ``background`` for a light thread on dark
+    background       mean brightness of the background
+    unevenness       standard deviation of the background's soft patches
+    gradient         by how much the background is brighter at the right border than at the left
+    shading          by how much a surface is brighter where it faces the light
+    light            towards the light, in the world; any length
+    blur_px          standard deviation of the lens's blur
+    noise            standard deviation of the sensor's noise
+    jpeg_quality     1 to 100, or None: not compressed
+    occluders        how many balls and bars, in turn, hang before the thread, seen from the cameras' midst
+    occluded_share   share of the thread's length that they hide together, roughly: each camera sees them elsewhere
+    occluder         their brightness
+    clutter          how many other lines lie about, of 0.3 to 3 thread diameters, as bright as the thread or less distinct
+    specks           how many specks lie about
+    mark_spacing_mm  distance between marks painted on the thread, from its start on, or None: no marks
+    mark_length_mm   their length along the thread
+    mark             their brightness
+    smooth           draw a smooth curve through the vertices, else straight edges between them
+
+    Raises InputError for what cannot be drawn.
+    """
+
+    thread: float = 45.0
+    background: float = 200.0
+    unevenness: float = 9.0
+    gradient: float = 0.0
+    shading: float = 15.0
+    light: tuple[float, float, float] = (-0.5, -0.3, 1.0)
+    blur_px: float = 0.9
+    noise: float = 3.0
+    jpeg_quality: int | None = 95
+    occluders: int = 0
+    occluded_share: float = 0.2
+    occluder: float = 120.0
+    clutter: int = 0
+    specks: int = 0
+    mark_spacing_mm: float | None = None
+    mark_length_mm: float = 0.6
+    mark: float = 150.0
+    smooth: bool = True
+
+    def __post_init__(self):
+        for name in (field.name for field in fields(self) if field.name not in ("light", "smooth")):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value >= 0):
+                raise InputError("rendering", name, f"{value}", "give a number that is not negative")
+        if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
+            raise InputError("rendering", "jpeg_quality", f"{self.jpeg_quality}", "give 1 to 100, or none")
+        if self.mark_spacing_mm == 0 or self.occluded_share > 1:
+            raise InputError("rendering", "mark_spacing_mm, occluded_share", f"{self.mark_spacing_mm}, {self.occluded_share}",
+                             "give a spacing above 0 and a share of at most 1")
+        if np.shape(self.light) != (3,) or not np.isfinite(self.light).all() or not np.any(self.light):
+            raise InputError("rendering", "light", f"{self.light}", "give a direction of three numbers, not all zero")
+
+
+def render(rig: Rig, rods: np.ndarray, diameter_mm: float, options: RenderOptions = RenderOptions(),
+           seed: int = 0) -> list[list[np.ndarray]]:
+    """A lists of C images (H, W) uint8: each of the rods (A, V, 3) mm, a scene of its own, as the rig's cameras see it.
+
+    Set a is :func:`render_set` with the seed (``seed``, a). Raises InputError as that does.
+    """
+    return [render_set(rig, rod, diameter_mm, options, (seed, index)) for index, rod in enumerate(np.asarray(rods))]
+
+
+def render_set(rig: Rig, rod: np.ndarray, diameter_mm: float, options: RenderOptions = RenderOptions(),
+               seed: int | Sequence[int] = 0) -> list[np.ndarray]:
+    """C images (H, W) uint8 of one rod (V, 3) mm of the given diameter.
+
+    seed  everything random follows from it: the same seed gives the same images
+
+    Raises InputError for a rod that is not (V, 3) finite numbers with V ≥ 2, coinciding neighbours, and a diameter ≤ 0.
+    """
+    rod = np.asarray(rod, dtype=np.float64)
+    if rod.ndim != 2 or rod.shape[1] != 3 or len(rod) < 2 or not np.isfinite(rod).all():
+        raise InputError("rendering", "rods", f"shape {rod.shape}, or not finite", "give two or more vertices of a rod in mm")
+    if not np.linalg.norm(np.diff(rod, axis=0), axis=1).all():
+        raise InputError("rendering", "rods", "neighbouring vertices coincide", "give edges of some length")
+    if not (np.isfinite(diameter_mm) and diameter_mm > 0):
+        raise InputError("rendering", "diameter_mm", f"{diameter_mm}", "give a diameter above 0")
+    curve = smooth_curve(rod, _samples(rig, rod)) if options.smooth else rod
+    scene = _scene(rig, curve, diameter_mm, options, np.random.default_rng([*np.atleast_1d(seed), 0]))
+    return [_photograph(camera, scene, options, np.random.default_rng([*np.atleast_1d(seed), 1 + index]))
+            for index, camera in enumerate(rig.cameras)]
+
+
+def _samples(rig: Rig, rod: np.ndarray) -> int:
+    """Points to an edge so that they lie about a pixel apart."""
+    steps = np.linalg.norm(np.diff(rig.project(rod), axis=-2), axis=-1)
+    return int(np.clip(np.ceil(np.nanmax(steps, initial=1.0)), 4, 64))
+
+
+def _scene(rig: Rig, curve: np.ndarray, diameter: float, options: RenderOptions, random: np.random.Generator) -> list[Tube]:
+    """The thread and everything else that is in sight."""
+    place = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+    brightness = np.full(len(curve), options.thread)
+    if options.mark_spacing_mm is not None:
+        phase = (place / options.mark_spacing_mm + 0.5) % 1 - 0.5
+        brightness[np.abs(phase) * options.mark_spacing_mm <= options.mark_length_mm / 2] = options.mark
+    toward = np.mean([camera.centre for camera in rig.cameras], axis=0) - curve.mean(axis=0)
+    toward /= np.linalg.norm(toward)
+    return [Tube(curve, diameter / 2, brightness)] + _occluders(curve, place, toward, diameter, options, random) \
+        + _clutter(curve, place[-1], diameter, options, random)
+
+
+def _occluders(curve, place, toward, diameter: float, options: RenderOptions, random: np.random.Generator) -> list[Tube]:
+    """Balls and bars, one in each of as many equal parts of the thread, close before it."""
+    found = []
+    radius = max(options.occluded_share * place[-1] / (2 * max(options.occluders, 1)), 1e-3)
+    for index in range(options.occluders):
+        at = (index + random.uniform(0.3, 0.7)) / options.occluders * place[-1]
+        before, middle, after = np.stack([np.interp(at + np.array([-1e-3, 0, 1e-3]), place, axis) for axis in curve.T], axis=1)
+        middle = middle + (radius + diameter) * toward
+        # A bar lies across the thread, so that it hides as much of it as a ball does.
+        sideways = np.cross(toward, after - before) + 1e-9 * _perpendicular(toward, random)
+        sideways /= np.linalg.norm(sideways)
+        reach = (1e-3 if index % 2 == 0 else 3.0) * radius
+        found.append(Tube(middle + np.linspace(-reach, reach, 9)[:, None] * sideways, radius, options.occluder))
+    return found
+
+
+def _clutter(curve, length: float, diameter: float, options: RenderOptions, random: np.random.Generator) -> list[Tube]:
+    """Bent lines and specks in the ball around the thread's middle that it could sweep."""
+    found = []
+    for index in range(options.clutter + options.specks):
+        line = index < options.clutter
+        direction = random.normal(size=3)
+        middle = curve.mean(axis=0) + 0.6 * length * random.uniform() ** (1 / 3) * direction / np.linalg.norm(direction)
+        run = random.normal(size=3)
+        run /= np.linalg.norm(run)
+        reach = random.uniform(0.1, 0.3) * length if line else 1e-3 * diameter
+        step = np.linspace(-1, 1, 65 if line else 2)[:, None]
+        bend = random.uniform(-0.4, 0.4) * _perpendicular(run, random)
+        radius = diameter * (np.exp(random.uniform(np.log(0.15), np.log(1.5))) if line else random.uniform(0.1, 0.5))
+        brightness = options.background + random.uniform(0.3, 1.0) * (options.thread - options.background)
+        found.append(Tube(middle + reach * (step * run + step**2 * bend), radius, brightness))
+    return found
+
+
+def _perpendicular(direction: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """A random unit vector across ``direction``."""
+    across = np.cross(direction, random.normal(size=3))
+    return across / np.linalg.norm(across)
+
+
+def _photograph(camera: Camera, scene: list[Tube], options: RenderOptions, random: np.random.Generator) -> np.ndarray:
+    """(H, W) uint8: the scene through lens, sensor and compression."""
+    import cv2
+
+    light = np.array(options.light) / np.linalg.norm(options.light)
+    image = draw(camera, scene, _background(camera, options, random), light, options.shading)
+    if options.blur_px > 0:
+        image = cv2.GaussianBlur(image, (0, 0), options.blur_px, borderType=cv2.BORDER_REPLICATE)
+    if options.noise > 0:
+        image += options.noise * random.standard_normal(image.shape, dtype=np.float32)
+    image = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+    if options.jpeg_quality is not None:
+        stored = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, int(options.jpeg_quality)])[1]
+        image = cv2.imdecode(stored, cv2.IMREAD_GRAYSCALE)
+    return image
+
+
+def _background(camera: Camera, options: RenderOptions, random: np.random.Generator) -> np.ndarray:
+    """(H, W) float32: an evenly or unevenly lit surface."""
+    import cv2
+
+    coarse = random.standard_normal((2 + camera.height // BLOB_PX, 2 + camera.width // BLOB_PX), dtype=np.float32)
+    patches = cv2.resize(coarse, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
+    ramp = np.linspace(-0.5, 0.5, camera.width, dtype=np.float32)
+    return np.float32(options.background) + np.float32(options.unevenness) * patches + np.float32(options.gradient) * ramp

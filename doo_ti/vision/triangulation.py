@@ -1,0 +1,213 @@
+"""Marks labelled in several images to points in the world, with their uncertainty and the labels that are wrong (§V-A).
+
+A point starts nearest to all its rays and then minimises the squared distances, in pixels and through the distorted lenses,
+between its projections and its labels. Axes: C cameras, P points.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.types import LARGEST
+from doo_ti.vision.jacobian import projection_jacobian
+from doo_ti.vision.rig import Camera, Rig
+
+SMALLEST_ANGLE = np.radians(0.5)
+"""Rays that are closer to parallel have no point nearest to them."""
+MOST_STEPS = 30
+FINE_MM = 1e-9
+AMBIGUITY = 9.0
+"""χ² by which leaving out one label must be better than leaving out another: three standard deviations."""
+
+
+class MarkStatus(IntEnum):
+    """What became of a mark. The first two have a position; degenerate are rays that are parallel or meet behind a camera."""
+
+    TRIANGULATED = 0
+    OUTLIER_LEFT_OUT = 1
+    CONTRADICTORY = 2
+    FEW_VIEWS = 3
+    DEGENERATE = 4
+
+
+@dataclass(frozen=True)
+class TriangulationOptions:
+    """sigma_px   standard deviation of each coordinate of a label, px; covariances are proportional to its square
+    threshold     the labels of a mark contradict each other when they would do so by chance as rarely as a normal variable is
+                  this many standard deviations off; larger tolerates more
+
+    Raises InputError for values that are not positive.
+    """
+
+    sigma_px: float = 0.5
+    threshold: float = 5.0
+
+    def __post_init__(self):
+        for name in ("sigma_px", "threshold"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise InputError("options", name, f"{getattr(self, name)!r}", "give a positive number")
+
+
+@dataclass(frozen=True)
+class Points:
+    """P triangulated marks.
+
+    position    (P, 3) mm, NaN where ``status`` says there is none
+    covariance  (P, 3, 3) mm², for labels as uncertain as the options say; NaN likewise
+    status      (P,) :class:`MarkStatus`
+    used        (C, P) bool: labels that the position rests on
+    residual    (C, P) px: how far each label is from the projection of the position, those left out too; NaN without a label.
+                Of contradictory labels: from the point that fits all of them best
+    """
+
+    position: np.ndarray
+    covariance: np.ndarray
+    status: np.ndarray
+    used: np.ndarray
+    residual: np.ndarray
+
+    @property
+    def valid(self) -> np.ndarray:
+        """(P,) bool: marks with a position."""
+        return self.status <= MarkStatus.OUTLIER_LEFT_OUT
+
+    @property
+    def label_sigma(self) -> float:
+        """px: standard deviation of one coordinate of a label, from what the fits leave over; NaN without a point."""
+        used = self.used & self.valid
+        freedom = 2 * used.sum() - 3 * self.valid.sum()
+        return float(np.sqrt(np.sum(self.residual[used] ** 2) / freedom)) if freedom > 0 else np.nan
+
+
+def triangulate(rig: Rig, pixels: np.ndarray, options: TriangulationOptions | None = None) -> Points:
+    """The points whose projections are ``pixels`` (C, P, 2), NaN where a camera has no label.
+
+    Of three labels or more that contradict each other, the one is left out without which the others agree; where several
+    could be the wrong one, or where only two labels contradict each other, the mark has no position.
+
+    Raises InputError for fewer than two cameras and for other shapes.
+    """
+    options = options or TriangulationOptions()
+    pixels = np.asarray(pixels, dtype=np.float64)
+    if len(rig.cameras) < 2:
+        raise InputError(rig.source, "cameras", f"{len(rig.cameras)} of them", "triangulation needs two or more")
+    if pixels.ndim != 3 or pixels.shape[0] != len(rig.cameras) or pixels.shape[2] != 2:
+        raise InputError(rig.source, "pixels", f"shape {pixels.shape}", f"make it ({len(rig.cameras)}, P, 2)")
+    seen = np.isfinite(pixels).all(axis=-1)
+    status = np.where(seen.sum(axis=0) < 2, MarkStatus.FEW_VIEWS, MarkStatus.TRIANGULATED)
+    position, cost = _fitted(rig, pixels, seen)
+    used = seen.copy()
+    doubtful = np.flatnonzero((status == MarkStatus.TRIANGULATED) & ~(cost <= _tolerated(seen.sum(axis=0), options)))
+    if len(doubtful):
+        status[doubtful], used[:, doubtful] = _without_outliers(rig, pixels[:, doubtful], seen[:, doubtful], options)
+        again = doubtful[status[doubtful] == MarkStatus.OUTLIER_LEFT_OUT]
+        position[again], _ = _fitted(rig, pixels[:, again], used[:, again])
+    status[(status == MarkStatus.CONTRADICTORY) & ~np.isfinite(cost)] = MarkStatus.DEGENERATE
+    residual = np.linalg.norm(rig.project(position) - pixels, axis=-1)
+    good = status <= MarkStatus.OUTLIER_LEFT_OUT
+    used[:, ~good] = False
+    covariance = np.full((len(status), 3, 3), np.nan)
+    normal = _linearised(rig, pixels[:, good], used[:, good], position[good])[1]
+    covariance[good] = options.sigma_px**2 * np.linalg.inv(normal)
+    return Points(np.where(good[:, None], position, np.nan), covariance, status, used, residual)
+
+
+def _tolerated(views: np.ndarray, options: TriangulationOptions) -> np.ndarray:
+    """(P,) px²: the largest sum of squares that is still chance: χ² of 2n − 3 degrees of freedom, after Wilson and Hilferty."""
+    freedom = np.maximum(2 * views - 3, 1)
+    spread = 2 / (9 * freedom)
+    return options.sigma_px**2 * freedom * (1 - spread + options.threshold * np.sqrt(spread)) ** 3
+
+
+def _without_outliers(rig: Rig, pixels: np.ndarray, seen: np.ndarray, options: TriangulationOptions):
+    """(P,) status and (C, P) labels to use, of marks whose labels contradict each other.
+
+    One label after the other is left out, each time the one without which the others agree best. That is no verdict while they
+    still contradict each other, nor when another choice is nearly as good.
+    """
+    used, count = seen.copy(), seen.shape[1]
+    status = np.full(count, MarkStatus.CONTRADICTORY)
+    while len(rows := np.flatnonzero((status == MarkStatus.CONTRADICTORY) & (used.sum(axis=0) > 2))):
+        cost = np.full((len(rig.cameras), len(rows)), np.inf)
+        for camera in range(len(rig.cameras)):
+            there = used[camera, rows]
+            fewer = used[:, rows[there]].copy()
+            fewer[camera] = False
+            # Labels without a point still come before cameras without a label: each round one of them goes.
+            cost[camera, there] = np.minimum(_fitted(rig, pixels[:, rows[there]], fewer)[1], LARGEST)
+        order = np.sort(cost, axis=0)
+        used[np.argmin(cost, axis=0), rows] = False
+        agree = order[0] <= _tolerated(used[:, rows].sum(axis=0), options)
+        clear = order[1] > order[0] + AMBIGUITY * options.sigma_px**2
+        status[rows[agree & clear]] = MarkStatus.OUTLIER_LEFT_OUT
+        used[:, rows[agree & ~clear]] = False
+    return status, used
+
+
+def _fitted(rig: Rig, pixels: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(P, 3) mm points that fit the labels ``used`` (C, P) best, and (P,) px² the sums of squares left over.
+
+    NaN and infinite for fewer than two labels, parallel rays, and points that are not in front of their cameras.
+    """
+    position, sound = _nearest_to_rays(rig, pixels, used)
+    cost, normal, slope = _linearised(rig, pixels, used, position)
+    damping = np.full(len(cost), 1e-6)
+    for _ in range(MOST_STEPS):
+        damped = normal * (1 + damping[:, None, None] * np.eye(3))
+        lost = ~(np.isfinite(cost) & sound)
+        damped[lost], slope[lost] = np.eye(3), 0.0
+        step = -np.linalg.solve(damped, slope[..., None])[..., 0]
+        trial = _linearised(rig, pixels, used, position + step)
+        better = trial[0] <= cost
+        position = np.where(better[:, None], position + step, position)
+        normal = np.where(better[:, None, None], trial[1], normal)
+        slope, cost = np.where(better[:, None], trial[2], slope), np.where(better, trial[0], cost)
+        damping = np.where(better, damping / 10, damping * 10)
+        if not (np.linalg.norm(step, axis=-1) > FINE_MM).any():
+            break
+    cost = np.where(sound, cost, np.inf)
+    return np.where(np.isfinite(cost)[:, None], position, np.nan), cost
+
+
+def _linearised(rig: Rig, pixels: np.ndarray, used: np.ndarray, position: np.ndarray):
+    """(P,) sum of squares, infinite behind a camera, (P, 3, 3) normal matrix JᵀJ and (P, 3) Jᵀr, of the labels ``used``."""
+    count = len(position)
+    cost, normal, slope = np.zeros(count), np.zeros((count, 3, 3)), np.zeros((count, 3))
+    for camera, labels, there in zip(rig.cameras, pixels, used):
+        front = there & (camera.depth(position) > 0)
+        residual = camera.project(position[front]) - labels[front]
+        jacobian = projection_jacobian(camera, position[front])[0] @ camera.rotation
+        cost[front] += np.sum(residual**2, axis=-1)
+        cost[there & ~front] = np.inf
+        normal[front] += np.swapaxes(jacobian, 1, 2) @ jacobian
+        slope[front] += np.einsum("pki,pk->pi", jacobian, residual)
+    return cost, normal, slope
+
+
+def _nearest_to_rays(rig: Rig, pixels: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(P, 3) mm points with the least sum of squared distances from the rays of the labels ``used``, and (P,) whether the
+    rays are two or more and not parallel: Σ (1 − d dᵀ)(x − c) = 0."""
+    count = pixels.shape[1]
+    matrix, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    for camera, labels, there in zip(rig.cameras, pixels, used):
+        ray = _rays(camera, labels[there])
+        across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
+        matrix[there] += across
+        right[there] += across @ camera.centre
+    # Two rays at an angle φ make the smallest eigenvalue 1 − cos φ.
+    sound = (used.sum(axis=0) >= 2) & (np.linalg.eigvalsh(matrix)[:, 0] > 1 - np.cos(SMALLEST_ANGLE))
+    matrix[~sound] = np.eye(3)
+    return np.linalg.solve(matrix, right[..., None])[..., 0], sound
+
+
+def _rays(camera: Camera, pixels: np.ndarray) -> np.ndarray:
+    """(P, 3) unit directions in the world in which ``camera`` sees (P, 2) pixels."""
+    import cv2
+
+    if not len(pixels):
+        return np.zeros((0, 3))
+    flat = cv2.undistortPoints(np.ascontiguousarray(pixels)[:, None], np.array(camera.matrix), np.array(camera.distortion))
+    ray = np.column_stack([np.asarray(flat).reshape(-1, 2), np.ones(len(pixels))]) @ camera.rotation
+    return ray / np.linalg.norm(ray, axis=-1, keepdims=True)

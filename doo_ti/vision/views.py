@@ -1,0 +1,128 @@
+"""Which image shows which view to which camera, and the corners of a board found in them.
+
+A list of views is a CSV file: a column ``view`` with names, and a column for each camera, named as the camera, with images
+relative to the file, empty where that camera did not see the view.
+"""
+
+import csv
+import io
+import os
+import sys
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.vision.board import Board
+from doo_ti.vision.bundle import Sighting
+from doo_ti.vision.corners import find_corners
+
+
+@dataclass(frozen=True)
+class Views:
+    """V views by C cameras.
+
+    names    of the views
+    cameras  names of the cameras
+    images   (view, camera) as numbers: the image
+    source   the file they come from
+    """
+
+    names: tuple[str, ...]
+    cameras: tuple[str, ...]
+    images: dict[tuple[int, int], Path]
+    source: str
+
+
+def read_views(path: Path) -> Views:
+    """The views of a CSV file. Raises InputError for what is no such file, for fewer than two cameras, names that occur twice,
+    and images that are not there."""
+    remedy = "write the columns view,cam0,cam1,…"
+    try:
+        rows = list(csv.reader(io.StringIO(path.read_bytes().decode("utf-8-sig")), strict=True))
+    except OSError as error:
+        raise InputError(path, "file", (error.strerror or str(error)).lower(), "name a readable list of views") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(path, "file", f"is no CSV table ({str(error)[:60]})", remedy) from None
+    rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
+    header = rows[0] if rows else []
+    if "view" not in header:
+        raise InputError(path, "view", "the column is missing", remedy)
+    if len(set(header)) < len(header) or "" in header:
+        raise InputError(path, "header", f"{', '.join(header)}: a name twice, or none", "name the columns apart")
+    cameras = tuple(name for name in header if name != "view")
+    if len(cameras) < 2:
+        raise InputError(path, "header", f"{len(cameras)} camera", "a rig has two or more: give each a column of images")
+    if len(rows) < 2:
+        raise InputError(path, "file", "holds no views", "write one row per view")
+    uneven = next((number for number, row in enumerate(rows) if len(row) != len(header)), None)
+    if uneven is not None:
+        raise InputError(path, f"row {uneven}", f"{len(rows[uneven])} cells under {len(header)} columns",
+                         "leave cells empty, not out")
+    table = [dict(zip(header, row)) for row in rows[1:]]
+    names = tuple(row["view"] for row in table)
+    twice = next((name for name in names if not name or names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(path, "view", f"{twice!r} is no name, or there twice", "name the views apart")
+    images = {(view, camera): path.parent / row[name] for view, row in enumerate(table) for camera, name in enumerate(cameras)
+              if row[name]}
+    for (view, camera), image in images.items():
+        if not image.is_file():
+            raise InputError(path, cameras[camera], f"no such file: {image} (view {names[view]})", "correct the path")
+    return Views(names, cameras, images, str(path))
+
+
+def find_sightings(views: Views, board: Board,
+                   told: Callable[[], object] = lambda: None) -> tuple[list[Sighting], dict[str, tuple[int, int]]]:
+    """The board's corners in all images that show it, and the width and height of each camera's images.
+
+    told  is called after each image
+
+    Raises InputError for an image that cannot be read and for one of another size than the camera's others.
+    """
+    sightings, sizes = [], {}
+    for (view, camera), path in sorted(views.images.items()):
+        image = _read_image(path)
+        size = image.shape[1], image.shape[0]
+        if sizes.setdefault(camera, size) != size:
+            raise InputError(path, "size", f"{size[0]} x {size[1]} px, but {views.cameras[camera]}'s first image has "
+                             f"{sizes[camera][0]} x {sizes[camera][1]}", "give images of one size per camera")
+        found, pixels = find_corners(image, board)
+        if len(found):
+            sightings.append(Sighting(view, camera, found, pixels))
+        told()
+    missing = next((name for camera, name in enumerate(views.cameras) if camera not in sizes), None)
+    if missing is not None:
+        raise InputError(views.source, missing, "no image of this camera", "give some, or leave the column out")
+    return sightings, {name: sizes[camera] for camera, name in enumerate(views.cameras)}
+
+
+def _read_image(path: Path) -> np.ndarray:
+    """(height, width) uint8, grey. Raises InputError for a file that holds no image."""
+    import cv2
+
+    try:
+        with _silenced():
+            image = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
+    except (cv2.error, OSError):
+        image = None
+    if image is None:
+        raise InputError(path, "file", "is no image that can be read", "give a whole PNG, JPEG or TIFF")
+    return image
+
+
+@contextmanager
+def _silenced():
+    """Without what image libraries write to the standard error about files that the caller reports on in one line."""
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)

@@ -1,0 +1,157 @@
+"""Leave-one-out against loops over fractions, and against landscapes whose answer is known."""
+
+import statistics
+from dataclasses import replace
+from fractions import Fraction
+from itertools import product
+
+import numpy as np
+import pytest
+
+from doo_ti import cross_validation
+from doo_ti.cross_validation import chosen_cells, cross_validate
+from doo_ti.partition import Part, Partition
+from doo_ti.types import Status
+from tests.learning.landscapes import dynamic, static
+
+PAIRS = list(product(range(5), repeat=2))
+PAIRS = [(x, y) for x, y in PAIRS if x != y][::2]
+
+
+def whole(landscape) -> Part:
+    return Part(f"{landscape.name} {landscape.objective}", landscape, np.arange(len(landscape.observation)))
+
+
+def scores(*landscapes) -> cross_validation.Scores:
+    return cross_validate(Partition(("material",), "", tuple(map(whole, landscapes))))
+
+
+def by_loops(training: Part, tested: Part, term: int) -> int | None:
+    """The cell for one tested term, by definition, in exact arithmetic."""
+    learned, touched = training.landscape, set(tested.ends[term])
+    kept = [k for k, ends in zip(training.terms, training.ends, strict=True)
+            if not touched & set(ends) and not np.isnan(learned.distance[:, k]).all()]
+    best, smallest = None, None
+    for cell, row in enumerate(learned.distance):
+        if not kept or np.isnan(row[kept]).any():
+            continue
+        error = sum(Fraction(float(row[k])) * Fraction(float(learned.weight[k])) for k in kept)
+        if smallest is None or error < smallest:
+            best, smallest = cell, error
+    return best
+
+
+def assert_as_by_loops(found, parts):
+    for (row, training), (column, tested) in product(enumerate(parts), repeat=2):
+        cells = [by_loops(training, tested, term) for term in range(len(tested.terms))]
+        errors = [float(tested.landscape.distance[cell, term]) for cell, term in zip(cells, tested.terms, strict=True)
+                  if cell is not None and not np.isnan(tested.landscape.distance[cell, term])]
+        assert found.count[row, column] == len(errors)
+        assert found.left_out[row, column] == len(cells) - len(errors)
+        mean = statistics.fmean(errors) if errors else np.nan
+        np.testing.assert_allclose(found.mean[row, column], mean, rtol=1e-14)
+        error = statistics.stdev(errors) / len(errors)**0.5 if len(errors) > 1 else np.nan
+        np.testing.assert_allclose(found.standard_error[row, column], error, rtol=1e-12, atol=1e-300)
+        np.testing.assert_array_equal([-1 if cell is None else cell for cell in cells],
+                                      chosen_cells(training, tested.ends))
+
+
+@pytest.mark.parametrize("case", range(20))
+def test_loops_choose_the_same_cells_ties_and_gaps_included(rng, case):
+    """Distances in eighths tie often; one in twelve is missing, one term everywhere, another but in one cell."""
+    rng = np.random.default_rng(rng.integers(2**32) + case)
+    print(f"case {case}")
+
+    def distances(count):
+        values = rng.integers(4, 12, (9, count)) / 8
+        values[rng.random(values.shape) < 1 / 12] = np.nan
+        values[:, rng.integers(count)] = np.nan
+        return values
+
+    landscapes = [static("a", distances(6)), static("b", distances(5)), dynamic("a", distances(len(PAIRS)), PAIRS)]
+    assert_as_by_loops(scores(*landscapes), list(map(whole, landscapes)))
+
+
+def test_loops_choose_the_same_cells_of_real_numbers_and_few_cells_at_a_time(rng, monkeypatch):
+    monkeypatch.setattr(cross_validation, "BLOCK_BYTES", 3 * 8 * 200)
+    landscapes = [static("a", rng.uniform(0, 9, (200, 7))), dynamic("a", rng.uniform(0, 9, (200, len(PAIRS))), PAIRS)]
+    assert_as_by_loops(scores(*landscapes), list(map(whole, landscapes)))
+
+
+def test_weights_of_pairs_count_in_training_and_in_the_score(rng):
+    weight = rng.choice([0.25, 0.5, 1.0, 4.0], len(PAIRS))
+    landscape = dynamic("a", rng.integers(4, 12, (9, len(PAIRS))) / 8, PAIRS, weight)
+    part = whole(landscape)
+    found = chosen_cells(part, part.ends)
+    assert [by_loops(part, part, term) for term in range(len(PAIRS))] == found.tolist()
+    mean = np.average(landscape.distance[found, part.terms], weights=weight)
+    np.testing.assert_allclose(scores(landscape).mean, [[mean]])
+    # Weights count by their ratios; a weight of two is not two observations, but moves mean and error alike.
+    for factor in (1e-9, 1e9):
+        other = scores(replace(landscape, weight=factor * weight))
+        np.testing.assert_allclose(other.mean, [[mean]])
+        np.testing.assert_allclose(other.standard_error, scores(landscape).standard_error)
+
+
+def test_what_a_pair_leaves_out():
+    """Each training pair has its own best cell; the tested pair (0, 1) leaves those of other observations only."""
+    pairs = [(0, 1), (1, 0), (0, 2), (3, 1), (2, 3)]
+    distance = np.where(np.eye(5, dtype=bool), 0.0, [[4.0, 4.0, 4.0, 4.0, 1.0]] * 5)
+    part = whole(dynamic("a", distance, pairs))
+    assert chosen_cells(part, np.array([[0, 1]])).tolist() == [4]
+    static_part = whole(static("a", np.array([[0.0, 0.0, 9.0, 9.0], [5.0, 5.0, 1.0, 1.0]])))
+    assert chosen_cells(static_part, np.array([[0, 1], [2, 2], [-1, -1]])).tolist() == [1, 0, 1]
+
+
+def test_the_order_of_terms_does_not_break_ties(rng):
+    """Two cells hold the same distances in another order: their sums are the same, so the first of them is chosen."""
+    half = rng.uniform(0, 1, 60)
+    distance = np.stack([half + 1, half, half[rng.permutation(60)], half[::-1]])
+    part = whole(static("a", distance))
+    assert chosen_cells(part, np.array([[-1, -1]])).tolist() == [1]
+
+
+def test_nothing_is_left_to_train_on():
+    found = scores(static("a", np.ones((3, 1))), static("b", np.full((3, 2), np.nan)), static("c", np.ones((3, 2))))
+    assert found.count.tolist() == [[0, 0, 1], [0, 0, 0], [1, 0, 2]]
+    assert found.left_out.tolist() == [[1, 2, 1], [1, 2, 2], [0, 2, 0]]
+    assert found.best.tolist() == [0, -1, 0]
+    np.testing.assert_array_equal(np.isnan(found.mean), found.count == 0)
+    np.testing.assert_array_equal(np.isnan(found.standard_error), found.count < 2)
+
+
+def test_rods_that_are_no_certified_minima_are_counted():
+    good = static("a", np.array([[1.0, 1.0, 1.0], [2.0, 2.0, 2.0]]))
+    status = good.status.copy()
+    status[0, 1] = Status.STALLED
+    unsure = replace(good, name="b", status=status, stable=np.array([[True, True, False], [False] * 3]))
+    assert scores(good, unsure).uncertified.tolist() == [[0, 2], [0, 2]]
+
+
+def test_rods_that_fell_to_another_branch_are_counted():
+    landscape = dynamic("a", np.ones((2, 3)), [(0, 1), (1, 2), (2, 0)])
+    assert scores(landscape).jumped.tolist() == [[0]]
+    moved = replace(landscape, jumps=np.array([[0, 2, 1], [0, 0, 0]]))
+    assert scores(static("a", np.ones((2, 3))), moved).jumped.tolist() == [[0, 2], [0, 0]]
+
+
+def test_best_and_near_in_each_column():
+    base = scores(*(static(name, np.ones((2, 4))) for name in "abc"))
+    found = replace(base, mean=np.array([[1.0, 2.0, 1.0], [1.1, 2.0, 2.0], [1.2, 2.2, 0.5]]),
+                    standard_error=np.array([[0.1, 0.1, 0.1], [9.0, 0.3, 0.1], [9.0, 0.1, np.nan]]),
+                    count=np.array([[4, 4, 4], [4, 4, 4], [4, 4, 3]]))
+    assert found.is_best.tolist() == [[True, True, True], [False, True, False], [False, False, False]]
+    assert found.is_near.tolist() == [[False, False, False], [True, False, False], [False, False, False]]
+
+
+def test_own_parameters_predict_best(rng):
+    """Bowls around a truth of each material: the diagonal wins, by leave-one-out as well."""
+    cell = np.arange(40)[:, None]
+
+    def bowl(name, at):
+        return static(name, 0.5 + (0.1 * (cell - rng.normal(at, 2, 30))) ** 2)
+
+    found = scores(bowl("a", 8), bowl("b", 20), bowl("c", 32))
+    assert found.is_best.tolist() == np.eye(3, dtype=bool).tolist()
+    np.testing.assert_allclose(found.best, [8, 20, 32], atol=2)
+    assert (np.diag(found.mean) >= found.training).all(), "leaving out cannot help"

@@ -1,0 +1,128 @@
+"""E_proj of edges, slow and obvious: each point by itself, derivatives by a complex step.
+
+    E_proj = (1/n) Σ_k D_c(p(x_k)) |∂p/∂x Δ|,   x_k = a + (k − ½)/n Δ,   D_c = D/√(1 + D²/cap²)
+
+with D the quadratic B-spline over the map's pixels, continued outside its window by the way to the border.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+STEP = 1e-30
+
+
+@dataclass(frozen=True)
+class Map:
+    """One distance map: distances (height, width) px, and the pixel of its upper left corner."""
+
+    distances: np.ndarray
+    left: int
+    top: int
+
+    def at(self, pixel):
+        """D at a pixel (2,), complex or real."""
+        height, width = self.distances.shape
+        column, beyond_x, share_x = _inside(pixel[0] - self.left, width)
+        line, beyond_y, share_y = _inside(pixel[1] - self.top, height)
+        patch = self.distances[line - 1 : line + 2, column - 1 : column + 2].astype(np.float64)
+        outside = 0.0 if beyond_x == 0 and beyond_y == 0 else np.sqrt(beyond_x**2 + beyond_y**2)
+        return _spline(share_y) @ patch @ _spline(share_x) + outside
+
+
+def _inside(place, size):
+    """(middle pixel of three, way outside, place beside that pixel)."""
+    held = place if 0.5 < place.real < size - 1.5 else min(max(place.real, 0.5), size - 1.5)
+    middle = min(int(np.floor(held.real + 0.5)), size - 2)
+    return middle, place - held, held - middle
+
+
+def _spline(t):
+    """The quadratic B-spline at −1 − t, −t and 1 − t, from its definition by cases."""
+    return np.array([(1.5 - abs_(u)) ** 2 / 2 if abs_(u).real >= 0.5 else 0.75 - u * u for u in (t + 1, t, t - 1)])
+
+
+def abs_(value):
+    return value if value.real >= 0 else -value
+
+
+def project(camera, point):
+    """(2,) px of a point (3,), complex or real: radial and tangential distortion as OpenCV has them."""
+    seen = camera.rotation @ point + camera.translation
+    x, y = seen[0] / seen[2], seen[1] / seen[2]
+    k1, k2, p1, p2, k3 = camera.distortion
+    square = x * x + y * y
+    radial = 1 + k1 * square + k2 * square**2 + k3 * square**3
+    return np.array([
+        camera.matrix[0, 0] * (x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x)) + camera.matrix[0, 2],
+        camera.matrix[1, 1] * (y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y) + camera.matrix[1, 2]])
+
+
+def jacobian(camera, point):
+    """(2, 3) ∂p/∂x, px/mm: analytic, so that a complex step may go through it."""
+    seen = camera.rotation @ point + camera.translation
+    x, y = seen[0] / seen[2], seen[1] / seen[2]
+    k1, k2, p1, p2, k3 = camera.distortion
+    square = x * x + y * y
+    radial, growth = 1 + k1 * square + k2 * square**2 + k3 * square**3, 2 * k1 + 4 * k2 * square + 6 * k3 * square**2
+    lens = np.array([[radial + growth * x * x + 2 * p1 * y + 6 * p2 * x, growth * x * y + 2 * p1 * x + 2 * p2 * y],
+                     [growth * x * y + 2 * p1 * x + 2 * p2 * y, radial + growth * y * y + 6 * p1 * y + 2 * p2 * x]])
+    plane = np.array([[1, 0, -x], [0, 1, -y]]) / seen[2]
+    return np.diag([camera.matrix[0, 0], camera.matrix[1, 1]]) @ lens @ plane @ camera.rotation
+
+
+def edge_error(camera, distances: Map, start, end, points: int, cap: float):
+    """E_proj of an edge in one camera, px²; complex vertices pass."""
+    start, end = np.asarray(start), np.asarray(end)
+    total = 0.0
+    for k in range(points):
+        point = start + (k + 0.5) / points * (end - start)
+        far = distances.at(project(camera, point))
+        motion = jacobian(camera, point) @ (end - start)
+        total = total + far / np.sqrt(1 + (far / cap) ** 2) * np.sqrt(motion @ motion)
+    return total / points
+
+
+def edge_gradient(camera, distances: Map, start, end, points: int, cap: float) -> np.ndarray:
+    """(6,) ∂E/∂(start, end), exact."""
+    place = np.concatenate([start, end]).astype(np.complex128)
+    result = np.empty(6)
+    for k in range(6):
+        moved = place.copy()
+        moved[k] += 1j * STEP
+        result[k] = edge_error(camera, distances, moved[:3], moved[3:], points, cap).imag / STEP
+    return result
+
+
+def edge_hessian(camera, distances: Map, start, end, points: int, cap: float, step: float = 1e-5) -> np.ndarray:
+    """(6, 6) second derivatives: central differences of the exact gradient."""
+    place = np.concatenate([start, end])
+    columns = []
+    for k in range(6):
+        move = step * np.eye(6)[k]
+        ahead, behind = place + move, place - move
+        columns.append((edge_gradient(camera, distances, ahead[:3], ahead[3:], points, cap)
+                        - edge_gradient(camera, distances, behind[:3], behind[3:], points, cap)) / (2 * step))
+    return np.stack(columns, axis=1)
+
+
+def rod_energy(vertices: np.ndarray, alpha: float, mu: float, up: np.ndarray) -> float:
+    """Bend and gravity of a rod without twist, §III-C at the vertices."""
+    edges = np.diff(vertices, axis=0)
+    lengths = np.linalg.norm(edges, axis=1)
+    around = np.concatenate([lengths[:1], lengths[:-1] + lengths[1:], lengths[-1:]])
+    bend = 0.0
+    for before, after, both in zip(edges[:-1], edges[1:], around[1:-1]):
+        binormal = 2 * np.cross(before, after) / (np.linalg.norm(before) * np.linalg.norm(after) + before @ after)
+        bend += alpha * binormal @ binormal / both
+    return bend + mu * float(around @ (vertices @ up))
+
+
+def polyline_distance(pixels: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """(...) px from pixels (..., 2) to a polyline (P, 2), by trying all its segments."""
+    best = np.full(pixels.shape[:-1], np.inf)
+    for start, end in zip(line[:-1], line[1:]):
+        along = end - start
+        share = np.clip((pixels - start) @ along / (along @ along), 0, 1)
+        best = np.minimum(best, np.linalg.norm(pixels - start - share[..., None] * along, axis=-1))
+    return best

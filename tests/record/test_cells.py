@@ -1,0 +1,116 @@
+"""The recording of a figure, read back: a step per cell with that cell's rods, its mark in the picture and its text."""
+
+import numpy as np
+import pytest
+
+from doo_ti.errors import InputError
+
+from . import runs
+from .recordings import read
+
+rerun = pytest.importorskip("rerun")
+CELLS, PANELS = 7, 2
+LABELS = {"end_distance_mm": np.repeat([30.0, 50.0, 70.0], 2), "end_rotation_deg": np.tile([0.0, 120.0], 3)}
+PAIRED = np.array([1, 0, 3, 2, 5, 4, 1])
+
+
+@pytest.fixture(autouse=True)
+def strict():
+    rerun.set_strict_mode(True)
+    yield
+    rerun.set_strict_mode(False)
+
+
+def figure(rng, names=("silk", "a ribbon, dynamic")) -> dict:
+    """What `record_cells` takes: of two runs, the second one with pairs, two of them ending on one observation."""
+    from doo_ti.record import CellsOfRun, Rods
+
+    observed, several, pieces = runs.observations(rng), [], []
+    for number, name in enumerate(names):
+        which = np.arange(runs.OBSERVATIONS) if number == 0 else PAIRED
+        distance = rng.uniform(0.3, 30, (CELLS, len(which)))
+        several.append(CellsOfRun(
+            name=name, vertices=observed, labels=LABELS, up=(0, 0, 1), observation=which, distance=distance,
+            picture=rng.integers(0, 255, (90, 120, 3), dtype=np.uint8), boxes=rng.uniform(5, 50, (CELLS, PANELS, 4))))
+        sound = rng.random(distance.shape) > 0.2
+        rods = observed[which] + rng.normal(0, 3, (CELLS, len(which), runs.VERTICES, 3))
+        pieces += [Rods(number, 0, rods[:4], distance[:4], sound[:4]), Rods(number, 4, rods[4:], distance[4:], sound[4:])]
+    return {"run_id": "figure-1", "name": "made up", "runs": several, "cells": np.array([0, 3, 4, 8, 11, 15, 19]),
+            "rank": rng.permutation(CELLS), "texts": [f"**Cell {k}**" for k in range(CELLS)], "rods": pieces}
+
+
+def joined(given: dict, run: int, name: str) -> np.ndarray:
+    return np.concatenate([getattr(piece, name) for piece in given["rods"] if piece.run == run])
+
+
+def test_each_cell_is_a_step_with_its_rods_its_box_and_its_text(tmp_path, rng):
+    from doo_ti.record import record_cells
+
+    given = figure(rng)
+    record_cells(tmp_path / "cells.rrd", **given)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["cells.rrd"]
+    static, moving = read(tmp_path / "cells.rrd")
+    assert set(moving) == {"/silk/world/rods", "/silk/landscape/cell", "/a_ribbon__dynamic/world/rods",
+                           "/a_ribbon__dynamic/landscape/cell", "/cell"}
+    for run, place in enumerate(("/silk", "/a_ribbon__dynamic")):
+        rods, still = moving[f"{place}/world/rods"], static[f"{place}/world/rods"]
+        assert rods["cell"]["cell"] == given["cells"].tolist()
+        assert rods["falling_error"]["cell"] == given["cells"][np.argsort(given["rank"])].tolist()
+        offset = np.array(still["offset_mm"][0])
+        assert len(still["LineStrips3D:labels"][0]) == len(given["runs"][run].observation)
+        strips = np.array(rods["cell"]["LineStrips3D:strips"])
+        np.testing.assert_allclose(strips - offset[:, None], joined(given, run, "vertices"), atol=1e-4)
+        np.testing.assert_allclose(rods["cell"]["distance_mm"], joined(given, run, "distance"), rtol=1e-6)
+        np.testing.assert_allclose(offset, np.array(static[f"{place}/world/observations"]["offset_mm"][0])[
+            given["runs"][run].observation])
+        boxes = moving[f"{place}/landscape/cell"]["cell"]
+        centers, half = (np.array(boxes[f"Boxes2D:{name}"]) for name in ("centers", "half_sizes"))
+        assert centers.shape == (CELLS, PANELS, 2)
+        corner, size = given["runs"][run].boxes[..., :2], given["runs"][run].boxes[..., 2:]
+        np.testing.assert_allclose(centers, corner + size / 2, rtol=1e-5)
+        np.testing.assert_allclose(half, 0.625 * size, rtol=1e-5)
+    assert moving["/cell"]["cell"]["TextDocument:text"] == [[text] for text in given["texts"]]
+    assert static["/a_ribbon__dynamic/world/rods"]["LineStrips3D:labels"][0][-1] == "observation 1: 30 mm 120°"
+
+
+def test_rods_are_coloured_on_one_scale_and_uncertified_ones_red(tmp_path, rng):
+    from doo_ti.record import FAILED, record_cells
+    from doo_ti.report import distance_colors
+
+    given = figure(rng)
+    record_cells(tmp_path / "cells.rrd", **given)
+    _, moving = read(tmp_path / "cells.rrd")
+    colors = np.array(moving["/silk/world/rods"]["cell"]["LineStrips3D:colors"])
+    red = int.from_bytes(bytes(FAILED))
+    np.testing.assert_array_equal(colors >> 8 == red, ~joined(given, 0, "sound"))
+    expected = distance_colors(joined(given, 0, "distance"), given["runs"][0].distance).astype(np.int64)
+    packed = (expected[..., 0] << 16) + (expected[..., 1] << 8) + expected[..., 2]
+    np.testing.assert_array_equal((colors >> 8)[joined(given, 0, "sound")], packed[joined(given, 0, "sound")])
+
+
+def test_a_rod_that_is_nan_is_not_drawn(tmp_path, rng):
+    from doo_ti.record import record_cells
+
+    given = figure(rng, names=("silk",))
+    given["rods"][0].vertices[2, 4, 3] = np.nan
+    given["rods"][0].distance[2, 4] = np.nan
+    record_cells(tmp_path / "cells.rrd", **given)
+    _, moving = read(tmp_path / "cells.rrd")
+    counts = [[len(strip) for strip in row] for row in moving["/silk/world/rods"]["cell"]["LineStrips3D:strips"]]
+    expected = np.full((CELLS, runs.OBSERVATIONS), runs.VERTICES)
+    expected[2, 4] = 0
+    np.testing.assert_array_equal(counts, expected)
+
+
+def test_nothing_stays_of_a_recording_that_failed(tmp_path, rng):
+    from doo_ti.record import record_cells
+
+    given = figure(rng)
+
+    def failing():
+        yield given["rods"][0]
+        raise InputError("a", "b", "c", "d")
+
+    with pytest.raises(InputError):
+        record_cells(tmp_path / "cells.rrd", **given | {"rods": failing()})
+    assert not list(tmp_path.iterdir())

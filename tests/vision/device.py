@@ -1,0 +1,48 @@
+"""Taichi functions of numbers per rod run over rows of a table, a lane per row."""
+
+import numpy as np
+import taichi as ti
+
+from doo_ti import runtime
+from doo_ti.physics.number import Number
+
+NUMBERS = [Number(1, 64), Number(8, 64), Number(1, 32), Number(16, 32)]
+table = ti.types.ndarray(dtype=ti.f64, ndim=2)
+
+
+def row_kernel(number: Number, inputs: int, outputs: int, function):
+    """A NumPy function (rows (N, inputs), numbers (A, C, K), values (M,)) -> (N, outputs) float64.
+
+    ``function`` (scratch, numbers, values) reads its inputs from scratch, each a number per rod, and returns ``outputs`` of
+    them. Rows are repeated to fill the lanes.
+    """
+    lanes = number.lanes()
+    put, lane, width = lanes.put, lanes.lane, number.width
+
+    @ti.kernel
+    def apply(
+        source: table, scratch: ti.types.ndarray(dtype=number.type, ndim=1), numbers: ti.types.ndarray(dtype=ti.f64, ndim=3),
+        values: ti.types.ndarray(dtype=ti.f32, ndim=1), result: table,
+    ):
+        for _ in range(1):
+            for group in range(source.shape[0] // width):
+                for k in range(inputs):
+                    for slot in range(width):
+                        put(scratch, k, slot, source[group * width + slot, k])
+                found = function(scratch, numbers, values)
+                for k in ti.static(range(outputs)):
+                    scratch[k] = found[k]
+                for k in range(outputs):
+                    for slot in range(width):
+                        result[group * width + slot, k] = lane(scratch[k], slot)
+
+    def run(rows: np.ndarray, numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
+        runtime.start()
+        filled = np.resize(rows, (-(-len(rows) // width) * width, inputs)).astype(np.float64)
+        result = np.zeros((len(filled), outputs))
+        scratch = ti.ndarray(number.type, max(inputs, outputs))
+        apply(filled, scratch, np.ascontiguousarray(numbers, dtype=np.float64), np.ascontiguousarray(values, dtype=np.float32),
+              result)
+        return result[: len(rows)]
+
+    return run

@@ -1,0 +1,44 @@
+"""SETS.csv: which images belong together, and where the rod sets out."""
+
+import numpy as np
+import pytest
+
+from doo_ti.errors import InputError
+from doo_ti.vision.image_sets import load_sets
+from doo_ti.vision.rig import load_rig
+from tests.vision.test_rig import rig
+
+HEADER = "name,cam0,cam2,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z\n"
+LINE = "a,a0.png,a2.png,1,2,3,0,3,4\n"
+
+
+def test_a_file_of_sets(tmp_path):
+    (tmp_path / "sets.csv").write_text(HEADER + LINE + LINE.replace("a,", "b,", 1))
+    sets = load_sets(tmp_path / "sets.csv", rig())
+    assert sets.names == ("a", "b") and sets.rig.names == ("cam0", "cam2")
+    assert sets.paths[0] == (tmp_path / "a0.png", tmp_path / "a2.png")
+    np.testing.assert_allclose(sets.point[0], [1, 2, 3])
+    np.testing.assert_allclose(sets.direction[0], [0, 0.6, 0.8])
+
+
+def test_the_sets_of_the_images(shared_data):
+    sets = load_sets(shared_data / "images_a" / "sets.csv", load_rig(shared_data / "images_a" / "rig.yaml"))
+    assert sets.count == 10 and all(path.exists() for line in sets.paths for path in line)
+
+
+@pytest.mark.parametrize("text, word", [
+    (HEADER, "no line"), (HEADER.replace("seed_y", "y") + LINE, "seed_y"), (HEADER.replace("cam2", "cam9") + LINE, "cam9"),
+    (HEADER + LINE.replace("1,2,3", "1,x,3"), "line 2, seed_y"), (HEADER + LINE + LINE, "twice"),
+    (HEADER + LINE.replace("a2.png", ""), "cam2"), (HEADER + LINE.replace("0,3,4", "0,0,0"), "direction"),
+    (HEADER + LINE.replace("1,2,3", "1,2,nan"), "finite"), (HEADER + LINE.replace("1,2,3", "0,0,-9000"), "behind"),
+    (HEADER.replace(",cam2", "") + LINE.replace(",a2.png", ""), "at least two"),
+])
+def test_what_is_wrong_is_told(tmp_path, text, word):
+    (tmp_path / "sets.csv").write_text(text)
+    with pytest.raises(InputError, match=word):
+        load_sets(tmp_path / "sets.csv", rig())
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        load_sets(tmp_path / "sets.csv", rig())

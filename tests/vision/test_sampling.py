@@ -1,0 +1,99 @@
+"""Distance maps between their pixels: the B-spline against its definition, and a continuous gradient."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import taichi as ti
+
+from doo_ti.vision.sampling import map_sampling
+from tests.oracle.reprojection import STEP, Map
+from tests.vision.device import NUMBERS, row_kernel
+
+every_number = pytest.mark.parametrize("number", NUMBERS, ids=lambda number: f"{number.width} x f{number.bits}")
+
+
+@cache
+def sampling_kernel(number):
+    """(set, u, v) to the value alone, and to the value with its derivatives."""
+    sampling = map_sampling(number, 0)
+
+    @ti.func
+    def function(scratch: ti.template(), numbers: ti.template(), values: ti.template()):
+        frame = sampling.window(numbers, scratch[0], 0)
+        pixel = (scratch[1], scratch[2])
+        alone = sampling.value(values, numbers, scratch[0], 0, frame, pixel)
+        value, gradient, second = sampling.derivatives(values, numbers, scratch[0], 0, frame, pixel)
+        return (alone, value) + gradient + second
+
+    return row_kernel(number, 3, 7, function)
+
+
+def five_maps(rng):
+    """Maps of random distances and sizes: (oracle's maps, windows (5, 1, 5), values)."""
+    sizes = [(3, 3), (4, 9), (17, 6), (30, 40), (5, 3)]
+    maps = [Map(rng.uniform(0, 20, size).astype(np.float32), int(rng.integers(-9, 900)), int(rng.integers(-9, 900)))
+            for size in sizes]
+    offsets = np.cumsum([0] + [m.distances.size for m in maps])
+    windows = [[[offset, m.left, m.top, *m.distances.shape[::-1]]] for offset, m in zip(offsets, maps)]
+    return maps, np.array(windows, dtype=float), np.concatenate([m.distances.ravel() for m in maps])
+
+
+def places(rng, maps, count=60):
+    """(N, 3): set and pixel, in the windows and around them."""
+    rows = rng.integers(0, len(maps), count)
+    corner = np.array([[maps[row].left, maps[row].top] for row in rows])
+    size = np.array([maps[row].distances.shape[::-1] for row in rows])
+    return np.column_stack([rows, corner + rng.uniform(-0.4, 1.4, (count, 2)) * size])
+
+
+@every_number
+def test_values_and_derivatives_are_those_of_the_spline(number, rng):
+    maps, windows, values = five_maps(rng)
+    rows = places(rng, maps)
+    found = sampling_kernel(number)(rows, windows, values)
+    exact = number.bits == 64
+    for (row, u, v), (alone, value, *derivatives) in zip(rows, found):
+        at = maps[int(row)].at
+        wanted = at(np.array([u, v]))
+        slope = [at(np.array([u + 1j * STEP, v])).imag / STEP, at(np.array([u, v + 1j * STEP])).imag / STEP]
+        assert alone == pytest.approx(wanted, rel=1e-12 if exact else 3e-4)
+        assert value == pytest.approx(alone, rel=1e-13 if exact else 1e-6)
+        np.testing.assert_allclose(derivatives[:2], slope, atol=1e-11 if exact else 5e-3)
+
+
+def test_second_derivatives_are_those_of_the_gradient(rng):
+    """Away from the lines halfway between pixels, where the second derivatives jump."""
+    maps, windows, values = five_maps(rng)
+    rows = places(rng, maps, 200)
+    halfway = np.abs(rows[:, 1:] - np.floor(rows[:, 1:]) - 0.5)
+    rows = rows[(halfway > 1e-4).all(axis=1)]
+    kernel = sampling_kernel(NUMBERS[1])
+    step = 1e-6
+    for axis, columns in ((1, [4, 5]), (2, [5, 6])):
+        shift = step * np.eye(3)[axis]
+        ahead, behind = (kernel(rows + sign * shift, windows, values)[:, 2:4] for sign in (1, -1))
+        np.testing.assert_allclose((ahead - behind) / (2 * step), kernel(rows, windows, values)[:, columns], atol=1e-6)
+
+
+def test_the_gradient_is_continuous(rng):
+    """Within the window: along a fine line through it no jump is larger than the step explains."""
+    maps, windows, values = five_maps(rng)
+    target = maps[3]
+    line = np.linspace([1.0, 1.0], [37.0, 27.0], 20_001) + [target.left, target.top]
+    found = sampling_kernel(NUMBERS[1])(np.column_stack([np.full(len(line), 3), line]), windows, values)
+    assert np.abs(np.diff(found[:, 2:4], axis=0)).max() < 100 * 40 / 20_000
+
+
+@every_number
+def test_no_place_reads_outside_its_map(number, rng):
+    """Far away, infinite, not a number: values of another map never show."""
+    maps, windows, values = five_maps(rng)
+    far = [1e6, -1e6, np.inf, -np.inf, np.nan]
+    rows = np.array([[1, u, v] for u in far for v in far])
+    first = sampling_kernel(number)(rows, windows, values)
+    other = values.copy()
+    kept = slice(int(windows[1, 0, 0]), int(windows[2, 0, 0]))
+    other[:] = 77.0
+    other[kept] = values[kept]
+    np.testing.assert_array_equal(first, sampling_kernel(number)(rows, windows, other))

@@ -1,0 +1,197 @@
+"""Benchmark of E_vis: ``python tools/bench/scoring.py [CASE ...] [--hypotheses N] [--rounds N] [--check | --write]``.
+
+Hypotheses of 34 vertices scored against three distorted images each, NumPy in to NumPy out, and rods relaxed between their
+energy and the images. Prints one table, with ratios to a NumPy workload timed in the same round; ``--check`` and ``--write``
+are those of the benchmark of the hot path. All comes from a fixed seed: no image is read.
+"""
+
+import argparse
+import json
+import sys
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+if not __package__:
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from doo_ti import Clamp, Clamps, Configuration, Material, Newton, relax  # noqa: E402
+from doo_ti.bench import clock  # noqa: E402
+from doo_ti.bench.baseline import as_baseline, measured_again, regressions, table  # noqa: E402
+from doo_ti.bench.cases import Case, Outcome, measure  # noqa: E402
+from doo_ti.frames import bishop_frames, quaternion_from_matrix  # noqa: E402
+from doo_ti.runtime import start as start_runtime  # noqa: E402
+from doo_ti.runtime import thread_count  # noqa: E402
+from doo_ti.vision.detection import Detection  # noqa: E402
+from doo_ti.vision.distance_map import distance_maps  # noqa: E402
+from doo_ti.vision.reprojection import Reprojection, score  # noqa: E402
+from doo_ti.vision.rig import Camera, Rig  # noqa: E402
+
+BASELINE = Path(__file__).with_name("scoring.json")
+SEED = 2011
+EDGES, LENGTH = 33, 3.0  # mm
+SETS, CAMERAS = 10, 3
+MATERIAL = Material(2e5, 2e5)
+NU = 100.0  # mm²/px²
+SEARCH, FINE = Newton(tolerance=1e-4), Newton(tolerance=1e-9)
+
+
+class Specimens:
+    """Curved rods, their images in three cameras some 300 mm away, and hypotheses near them."""
+
+    def __init__(self, count: int):
+        self.count = count
+        self.sets = np.arange(count) % SETS
+
+    @cached_property
+    def rig(self) -> Rig:
+        cameras = []
+        for index, angle in enumerate((0.3, 2.4, 4.5)):
+            forward = -np.array([np.cos(angle), np.sin(angle), 0.7]) / np.hypot(1.0, 0.7)
+            right = np.cross(forward, [0.0, 0.0, 1.0]) / np.hypot(forward[0], forward[1])
+            rotation = np.stack([right, np.cross(forward, right), forward])
+            matrix = [[1700.0, 0, 635], [0, 1700.0, 483], [0, 0, 1]]
+            cameras.append(Camera(f"cam{index}", 1280, 960, matrix, [-0.08, 0.03, 5e-4, -4e-4, 0], rotation,
+                                  -300.0 * rotation @ -forward))
+        return Rig(tuple(cameras))
+
+    @cached_property
+    def rods(self) -> np.ndarray:
+        """(SETS, V, 3) mm, around the origin."""
+        random = np.random.default_rng(SEED)
+        swing = np.cumsum(0.02 * random.normal(size=(SETS, EDGES, 3)), axis=1) + 0.06 * random.normal(size=(SETS, 1, 3))
+        tangents = np.cumsum(np.concatenate([random.normal(size=(SETS, 1, 3)), swing], axis=1), axis=1)[:, :EDGES]
+        tangents /= np.linalg.norm(tangents, axis=-1, keepdims=True)
+        return _vertices(LENGTH * tangents)
+
+    @cached_property
+    def images(self):
+        """The distance maps of perfect detections, a point each half pixel or so."""
+        between = np.linspace(0, EDGES, 40 * EDGES)
+        detections = []
+        for rod in self.rods:
+            fine = np.stack([np.interp(between, np.arange(EDGES + 1), axis) for axis in rod.T], axis=-1)
+            detections.append([_detected(camera, fine) for camera in self.rig.cameras])
+        return distance_maps(detections)
+
+    @cached_property
+    def hypotheses(self) -> np.ndarray:
+        """(N, V, 3) mm: the rods, bent at random."""
+        return self._bent(np.random.default_rng(SEED + 1), EDGES, 0.03).vertices
+
+    def grown(self, edges: int) -> tuple[Configuration, Clamps]:
+        """Rods of so many edges at rest on their images, the last of them turned by 0.15 rad, as Alg. 1 starts them."""
+        start = self._bent(np.random.default_rng(SEED + edges), edges, 0.01)
+        held = _held(start)
+        rest = relax(start, MATERIAL, held, FINE, external=self._external, external_index=self.sets).configuration
+        tangents = rest.frames[..., 0]
+        tangents[:, -1] += 0.15 * np.random.default_rng(SEED).normal(size=(self.count, 3))
+        return _framed(rest.start, tangents), held
+
+    @cached_property
+    def _external(self) -> Reprojection:
+        return Reprojection(self.images, self.rig, NU)
+
+    def _bent(self, random, edges: int, turn: float) -> Configuration:
+        tangents = np.diff(self.rods, axis=1)[self.sets, :edges] / LENGTH
+        return _framed(self.rods[self.sets, 0], tangents + turn * random.normal(size=tangents.shape))
+
+    def scored(self, vertices: np.ndarray, points: int) -> Outcome:
+        found = score(vertices, self.images, self.sets, self.rig, NU, MATERIAL, points=points)
+        return Outcome(float(self.count), float(np.isfinite(found.total).mean()))
+
+    def relaxed(self, start: Configuration, clamps: Clamps, solver: Newton, precision: str) -> Outcome:
+        found = relax(start, MATERIAL, clamps, solver, precision=precision, external=self._external, external_index=self.sets)
+        done = found.converged
+        return Outcome(float(done.sum()), float(done.mean()), float(found.stable.mean()),
+                       float(np.max(found.residual[done], initial=0.0)), found.iterations)
+
+
+def _vertices(edges: np.ndarray) -> np.ndarray:
+    """(N, V, 3) of (N, E, 3), about their mean."""
+    vertices = np.cumsum(np.concatenate([np.zeros((len(edges), 1, 3)), edges], axis=1), axis=1)
+    return vertices - vertices.mean(axis=1, keepdims=True)
+
+
+def _framed(start: np.ndarray, tangents: np.ndarray) -> Configuration:
+    tangents = tangents / np.linalg.norm(tangents, axis=-1, keepdims=True)
+    frames = bishop_frames(tangents, np.cross(tangents[:, 0], [0.3, 0.5, 0.8]))
+    return Configuration(start, quaternion_from_matrix(frames), np.full(tangents.shape[1], LENGTH))
+
+
+def _held(rods: Configuration) -> Clamps:
+    first = rods.frames[:, 0]
+    return Clamps(Clamp.TANGENT, Clamp.FREE, rods.start, rods.start, first, first)
+
+
+def _detected(camera: Camera, points: np.ndarray) -> Detection:
+    pixels = camera.project(points)
+    along = np.gradient(pixels, axis=0)
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    return Detection(pixels, along, np.ones(len(pixels)), 2.0, "dark", (camera.height, camera.width), "drawn")
+
+
+def cases(rods: Specimens, few: Specimens) -> list[Case]:
+    """What is timed: scores of ``rods``, relaxations of ``few``."""
+    single = rods.hypotheses.astype(np.float32)
+    scores = [Case(f"score, {points} points per edge", "hypotheses/s", lambda points=points: rods.scored(single, points))
+              for points in (4, 8, 16)]
+    scores.append(Case("score, 8 points per edge, f64 in", "hypotheses/s", lambda: rods.scored(rods.hypotheses, 8)))
+    scores.append(Case("score, single edges", "hypotheses/s", lambda: rods.scored(single[:, :2], 8)))
+    for edges in (17, EDGES):
+        start, clamps = few.grown(edges)
+        for precision, solver in (("f32", SEARCH), ("f64", FINE)):
+            run = (lambda a=start, b=clamps, c=solver, d=precision: few.relaxed(a, b, c, d))
+            scores.append(Case(f"relax {precision}, {edges} edges", "rods/s", run))
+    return scores
+
+
+def main(arguments: list[str]) -> int:
+    from rich.console import Console
+    from rich.progress import track
+
+    parser = argparse.ArgumentParser(prog="scoring.py", description=__doc__.splitlines()[0])
+    parser.add_argument("cases", nargs="*", metavar="CASE", help="names or parts of names; all by default")
+    parser.add_argument("--hypotheses", type=int, default=32_768, help="scored at once; an eighth of them is relaxed")
+    parser.add_argument("--rounds", type=int, default=5, help="measurements of which the median counts")
+    parser.add_argument("--baseline", type=Path, default=BASELINE, help="file to compare with and to write")
+    action = parser.add_mutually_exclusive_group()
+    action.add_argument("--check", action="store_true", help="exit with 1 where a case has fallen behind the baseline")
+    action.add_argument("--write", action="store_true", help="make this run the baseline")
+    options = parser.parse_args(arguments)
+    if options.hypotheses < 8 or options.rounds < 1:
+        parser.error("--hypotheses needs to be 8 or more, --rounds 1 or more")
+    if options.write and options.cases:
+        parser.error("--write needs all cases")
+    baseline = json.loads(options.baseline.read_text(encoding="utf-8")) if options.baseline.exists() else {}
+    if baseline.get("rods", options.hypotheses) != options.hypotheses and not options.write:
+        parser.error(f"the baseline is for {baseline['rods']} hypotheses: name another file with --baseline")
+    start_runtime()
+    console = Console(stderr=True)
+    with console.status("drawing images, making kernels"):
+        every = cases(Specimens(options.hypotheses), Specimens(options.hypotheses // 8))
+    chosen = [case for case in every if not options.cases or any(part in case.name for part in options.cases)]
+    if not chosen:
+        parser.error(f"no case is named {', '.join(options.cases)}")
+    reference = clock.Reference(thread_count())
+    measured = {case.name: measure(case, reference, options.rounds) for case in track(chosen, "timing", console=console)}
+    if options.check:
+        for case in chosen:
+            if regressions({case.name: measured[case.name]}, baseline):
+                measured[case.name] = measured_again(case, measured[case.name], reference, options.rounds)
+    machine = clock.machine()
+    print(f"seed {SEED}; {machine['processor']}, {machine['cores']} cores, {thread_count()} threads; "
+          f"medians of {options.rounds}\n")
+    print(table(measured, baseline))
+    if options.write:
+        text = json.dumps(as_baseline(measured, options.hypotheses, options.rounds, thread_count()), indent=2) + "\n"
+        options.baseline.write_text(text, encoding="utf-8")
+    behind = regressions(measured, baseline) if options.check else []
+    for sentence in behind:
+        print(sentence, file=sys.stderr)
+    return int(bool(behind))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
