@@ -33,6 +33,19 @@ def synthesise(synthesis: Synthesis) -> Observations:
     to a stable equilibrium.
     """
     random = np.random.default_rng(synthesis.seed)
+    return _labelled(synthesis, *_shapes(synthesis, random), random)
+
+
+def fine_vertices(synthesis: Synthesis) -> np.ndarray:
+    """(R, V_fine, 3) mm: the rods themselves behind :func:`synthesise`, clips included, ``fine_edge_mm`` to an edge.
+
+    Raises InterruptedRunError as that does.
+    """
+    return _shapes(synthesis, np.random.default_rng(synthesis.seed))[0]
+
+
+def _shapes(synthesis: Synthesis, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """(R, V_fine, 3) vertices of the whole rod, and the frames of the edges that were relaxed."""
     material = _specimen(synthesis, random)
     shapes, clamps = _brought_to_distances(synthesis, material)
     vertices, frames = [], []
@@ -46,7 +59,7 @@ def synthesise(synthesis: Synthesis) -> Observations:
         shapes = _sound(solution, synthesis, [f"{place}, {np.degrees(after):g}°" for place in at])
         vertices.append(_with_clips(synthesis, shapes))
         frames.append(shapes.frames)
-    return _labelled(synthesis, np.concatenate(vertices), np.concatenate(frames), random)
+    return np.concatenate(vertices), np.concatenate(frames)
 
 
 def _specimen(synthesis: Synthesis, random: np.random.Generator) -> Material:

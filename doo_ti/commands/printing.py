@@ -1,5 +1,6 @@
 """How the commands tell their results: lines for a person, or strict JSON for a machine."""
 
+import sys
 from dataclasses import asdict
 
 import numpy as np
@@ -38,6 +39,16 @@ def plain(value):
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value
+
+
+def peak_memory() -> int:
+    """Bytes that this process held at most; 0 where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
 
 
 def best_of(landscape: Landscape) -> dict:

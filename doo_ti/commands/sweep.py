@@ -1,26 +1,33 @@
 """The search over a grid (§III-E)."""
 
 import json
+import time
 from argparse import Namespace
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from doo_ti import options as given
 from doo_ti.commands.arguments import add_material, add_relaxation
 from doo_ti.commands.experiment import observed
-from doo_ti.commands.printing import plain, tell_hypotheses, tell_landscape, theta_text
+from doo_ti.commands.printing import peak_memory, plain, tell_hypotheses, tell_landscape, theta_text
 from doo_ti.dataset import Observations, load_observations
 from doo_ti.errors import InputError
+from doo_ti.grid import Grid
 from doo_ti.learning import read_landscape
 from doo_ti.pairs import Pairs, load_pairs
 from doo_ti.scene import MOST_SPINS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.types import Clamp
 
+if TYPE_CHECKING:  # it brings the solvers, and Taichi with them
+    from doo_ti.experiment import SweepOptions
+
 
 def declare(add) -> None:
     parser = add("sweep", allow_abbrev=False, help="search a parameter grid for what explains the observations")
-    parser.add_argument("source", metavar="SCENE.toml|OBS", help="a scene, or observations: .npz, .csv or .parquet")
+    parser.add_argument("sources", nargs="+", metavar="SCENE.toml|OBS",
+                        help="scenes, or observations: .npz, .csv or .parquet; of several each gets a folder below RUN")
     parser.add_argument("--out", required=True, metavar="RUN", help="folder to write; a run begun there is resumed")
     add_material(parser, "a number or LO:HI:N[:log|:lin]; overrides the scene's axis")
     add_relaxation(parser, None)
@@ -34,17 +41,62 @@ def declare(add) -> None:
     parser.set_defaults(run=run)
 
 
+@dataclass(frozen=True)
+class _Search:
+    """One source with all that its sweep needs, checked."""
+
+    scene: Scene | None
+    observations: Observations
+    grid: Grid
+    options: "SweepOptions"
+    pairs: Pairs | None
+    run: Path
+
+
 def run(options: Namespace, words: list[str]) -> int:
-    """Eq. 2 or 3 over a grid; writes the run's folder and prints the best Θ with the ranges that fit nearly as well."""
-    scene = load_scene(options.source) if Path(options.source).suffix == ".toml" else None
+    """Eq. 2 or 3 over a grid; writes a folder per source and prints the best Θ with the ranges that fit nearly as well."""
+    searches = _searches(options)
+
+    from doo_ti.sweeps import sweep
+
+    began, summaries = time.monotonic(), []
+    for search in searches:
+        summary = sweep(search.run, search.observations, search.grid, options=search.options, pairs=search.pairs, command=words)
+        summaries.append(summary)
+        if not options.json:
+            _tell(search, summary)
+    if options.json:
+        print(json.dumps(plain(summaries if len(options.sources) > 1 else summaries[0])))
+    else:
+        print(_effort(summaries, time.monotonic() - began))
+    return 0
+
+
+def _searches(options: Namespace) -> list[_Search]:
+    """What to sweep, all of it checked before any of it begins; several sources get a folder each below --out."""
+    out = given.output_folder(options.out)
+    searches = [_search(options, source, out) for source in options.sources]
+    if len(searches) == 1:
+        return searches
+    names = [search.observations.name for search in searches]
+    if len(set(names)) < len(names):
+        twice = max(names, key=names.count)
+        raise InputError("command line", "SOURCE", f"two of the name {twice!r}", "name the scenes or files apart")
+    if (out / "cells").exists():
+        raise InputError(out, "--out", "holds the sweep of a single source", "name another folder")
+    return [replace(search, run=out / name) for search, name in zip(searches, names, strict=True)]
+
+
+def _search(options: Namespace, source: str, run: Path) -> _Search:
+    scene = load_scene(source) if Path(source).suffix == ".toml" else None
     grid = given.grid(options, scene.grid if scene else None)
     frame_weight = given.frame_weight(options, scene.frame_weight if scene else 0.0)
     seed, workers = given.whole("--seed", options.seed, 0), given.whole("--workers", options.workers, 1)
     if scene and isinstance(scene.observations, Synthesis):
         seed = scene.observations.seed if seed is None else seed
         scene = replace(scene, observations=replace(scene.observations, seed=seed))
-    up, run = given.up(options), given.output_folder(options.out)
-    observations = observed(scene, up) if scene else load_observations(options.source, up)
+    up = given.up(options)
+    observations = observed(scene, up) if scene else load_observations(source, up)
     clamp_start, clamp_end = given.clamp(options.clamp_start), given.clamp(options.clamp_end)
     if scene:
         clamp_start = scene.clamp_start if clamp_start is None else clamp_start
@@ -52,29 +104,37 @@ def run(options: Namespace, words: list[str]) -> int:
     clamps = observation_clamps(observations, clamp_start, clamp_end)
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
     objective = options.objective or (scene.objective if scene else "static")
-    pairs = _pairs(options, scene, observations, objective)
     spins = given.whole("--spins", options.spins, 0, MOST_SPINS)
+    pairs = _pairs(options, scene, observations, objective)
 
-    from doo_ti.sweeps import SweepOptions
-    from doo_ti.sweeps import sweep as sweep_grid
+    from doo_ti.experiment import SweepOptions
 
     chosen = SweepOptions(
         frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=given.solver(options.solver),
         precision=options.precision or (scene.precision if scene else "mixed"),
         objective=objective, spins=(scene.spins if scene else 0) if spins is None else spins, seed=seed or 0, workers=workers,
     )
-    summary = sweep_grid(run, observations, grid, options=chosen, pairs=pairs, command=words)
-    if options.json:
-        print(json.dumps(plain(summary)))
-    else:
-        tell_landscape(read_landscape(run))
-        tell_hypotheses(summary)
-        if grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not chosen.spins:
-            print("  note        an end may spin, so nothing twists the rod: twist is not determined")
-        if scene and isinstance(scene.observations, Synthesis):
-            print(f"  true Θ      {_true_theta(scene.observations)} (the virtual lab's, seed {seed})")
-        print(f"  written to {run}")
-    return 0
+    return _Search(scene, observations, grid, chosen, pairs, run)
+
+
+def _tell(search: _Search, summary: dict) -> None:
+    tell_landscape(read_landscape(search.run))
+    tell_hypotheses(summary)
+    clamps = observation_clamps(search.observations, search.options.clamp_start, search.options.clamp_end)
+    if search.grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not search.options.spins:
+        print("  note        an end may spin, so nothing twists the rod: twist is not determined")
+    if search.scene and isinstance(search.scene.observations, Synthesis):
+        recipe = search.scene.observations
+        print(f"  true Θ      {_true_theta(recipe)} (the virtual lab's, seed {recipe.seed})")
+    print(f"  written to {search.run}")
+
+
+def _effort(summaries: list[dict], seconds: float) -> str:
+    """``450,000 rods in 15.1 s, 29,800 rods/s; …``, of what was relaxed now: nothing where all was finished before."""
+    rods = sum(summary["timing"]["relaxed_rods"] for summary in summaries)
+    relaxing = sum(summary["timing"]["relaxation_s"] for summary in summaries)
+    rate = f" ({rods / relaxing:,.0f} rods/s while relaxing)" if rods else ""
+    return f"{rods:,} rods in {seconds:.1f} s{rate}; {peak_memory() / 2**20:,.0f} MB of memory at most"
 
 
 def _pairs(options: Namespace, scene: Scene | None, observations: Observations, objective: str) -> Pairs | None:

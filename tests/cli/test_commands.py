@@ -56,12 +56,10 @@ def swept(monkeypatch) -> list:
     def sweep(run, observations, grid, *, options, pairs, command):
         calls.append((run, observations, grid, options, command))
         write_run(run, grid, np.linspace(2, 1, grid.size)[:, None] + np.zeros(observations.count), observations.name)
-        return {"best": np.float64(3), "gaps": [np.nan], "grid": grid.as_dict(), "hypotheses": None}
+        return {"best": np.float64(3), "gaps": [np.nan], "grid": grid.as_dict(), "hypotheses": None,
+                "timing": {"relaxed_rods": 50, "relaxation_s": 0.5}}
 
-    class SweepOptions(types.SimpleNamespace):
-        pass
-
-    monkeypatch.setitem(sys.modules, "doo_ti.sweeps", types.SimpleNamespace(sweep=sweep, SweepOptions=SweepOptions))
+    monkeypatch.setitem(sys.modules, "doo_ti.sweeps", types.SimpleNamespace(sweep=sweep))
     return calls
 
 
@@ -95,6 +93,20 @@ def test_sweep_of_a_file(capsys, tmp_path, swept):
     out = capsys.readouterr().out
     assert "good: 6 cells x 3 observations" in out and "mean 1 mm" in out and "18 converged" in out
     assert "bend = 1e+07 mm³ in 3.16e+06 .. >=1e+07 (at the border of the grid: widen it)" in out
+
+
+def test_sweep_of_several_sources(capsys, tmp_path, swept):
+    ribbon(tmp_path)
+    (tmp_path / "scene.toml").write_text(SCENE)
+    sources = [str(tmp_path / "good.npz"), str(tmp_path / "scene.toml")]
+    argv = ["sweep", *sources, "--bend", "1e5:1e7:3", "--out", str(tmp_path / "runs")]
+    assert main(argv) == 0
+    assert [call[0] for call in swept] == [tmp_path / "runs" / "good", tmp_path / "runs" / "silk"]
+    assert "100 rods in" in (out := capsys.readouterr().out) and "100 rods/s while relaxing" in out and "MB of memory" in out
+    assert main([*argv[:-1], str(tmp_path / "again"), "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)) == 2
+    assert main(["sweep", sources[0], *argv[1:]]) == 2
+    assert "two of the name 'good'" in capsys.readouterr().err
 
 
 def test_sweep_of_a_scene_and_what_overrides_it(capsys, tmp_path, swept):
@@ -249,7 +261,7 @@ def test_relax_writes_every_key(capsys, tmp_path):
         first = {key: found[key] for key in found.files}
     per_rod = dict.fromkeys(("energy", "distance_mm", "status", "iterations", "residual", "stable"), (3,))
     assert shapes == {"vertices_mm": (3, 9, 3), "frames": (3, 8, 3, 3), **per_rod}
-    assert main([*argv, "--json"]) == 0
+    assert main([*argv[:-1], str(tmp_path / "again"), "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["status"] == {"converged": 3} and summary["bend_1"] == 6e5
     with np.load(out) as found:

@@ -8,7 +8,7 @@ are those of the benchmark of the hot path. All comes from a fixed seed: no imag
 import argparse
 import json
 import sys
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -135,15 +135,15 @@ def _detected(camera: Camera, points: np.ndarray) -> Detection:
 def cases(rods: Specimens, few: Specimens) -> list[Case]:
     """What is timed: scores of ``rods``, relaxations of ``few``."""
     single = rods.hypotheses.astype(np.float32)
-    scores = [Case(f"score, {points} points per edge", "hypotheses/s", lambda points=points: rods.scored(single, points))
+    scores = [Case(f"score, {points} points per edge", "hypotheses/s", partial(rods.scored, single, points))
               for points in (4, 8, 16)]
     scores.append(Case("score, 8 points per edge, f64 in", "hypotheses/s", lambda: rods.scored(rods.hypotheses, 8)))
     scores.append(Case("score, single edges", "hypotheses/s", lambda: rods.scored(single[:, :2], 8)))
     for edges in (17, EDGES):
         start, clamps = few.grown(edges)
         for precision, solver in (("f32", SEARCH), ("f64", FINE)):
-            run = (lambda a=start, b=clamps, c=solver, d=precision: few.relaxed(a, b, c, d))
-            scores.append(Case(f"relax {precision}, {edges} edges", "rods/s", run))
+            scores.append(Case(f"relax {precision}, {edges} edges", "rods/s",
+                               partial(few.relaxed, start, clamps, solver, precision)))
     return scores
 
 
