@@ -20,7 +20,7 @@ HALF_LENGTH_PX = 0.5
 SMALLEST_MARGIN_PX = 2
 """So that a window is at least three pixels wide, as sampling needs it."""
 
-AROUND = 2
+AROUND = 3
 """px around a piece where others are looked for that may be nearer still."""
 
 PIXELS_AT_ONCE = 1 << 24
