@@ -74,6 +74,32 @@ def select_hypotheses(
     return kept[kept >= 0]
 
 
+def rank_distinct(score: np.ndarray, vertices: np.ndarray, of_set: np.ndarray, most: int, distance: float) -> np.ndarray:
+    """(A, K) rows of each set's rods, the best first, without those that run along a better one; then −1.
+
+    score     (N,) E_vis; NaN and infinite ones are never taken
+    vertices  (N, V, 3) mm
+    of_set    (N,) image set, in increasing order, at least one rod of each
+    most      K
+    distance  mm: rods whose vertices are nearer than this on average are one
+    """
+    sets, first, count = np.unique(of_set, return_index=True, return_counts=True)
+    ranked = np.full((len(sets), most), -1)
+    taken = np.zeros(len(sets), dtype=np.int64)
+    finite = np.isfinite(score)
+    order = np.lexsort((np.where(finite, score, np.inf), of_set))
+    # Round by round the next best of every set, unless a better one runs along it.
+    for turn in range(count.max()):
+        here = np.flatnonzero((turn < count) & (taken < most))
+        rows = order[first[here] + turn]
+        better = ranked[here]
+        apart = np.linalg.norm(vertices[rows][:, None] - vertices[better], axis=-1).mean(axis=-1)
+        new = finite[rows] & ~((apart < distance) & (better >= 0)).any(axis=1)
+        ranked[here[new], taken[here[new]]] = rows[new]
+        taken[here[new]] += 1
+    return ranked
+
+
 def _padded(values: np.ndarray, place, shape) -> np.ndarray:
     """``values`` (N, 3) as a table (sets, width, 3)."""
     table = np.zeros((*shape, 3))

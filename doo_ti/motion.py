@@ -22,6 +22,7 @@ from doo_ti.errors import InputError
 from doo_ti.frames import (
     FRAME_TOLERANCE,
     across,
+    angle_about,
     bishop_frames,
     handedness,
     matrix_from_quaternion,
@@ -29,6 +30,7 @@ from doo_ti.frames import (
     quaternion_about,
     quaternion_from_matrix,
     quaternion_product,
+    smallest_rotation,
 )
 from doo_ti.named_arrays import frame_columns, position_columns, read_arrays
 from doo_ti.types import Clamps
@@ -43,6 +45,8 @@ _POSES = {"start_position_mm": "start_position", "end_position_mm": "end_positio
           "end_frame": "end_frame"}
 HALF_TURN = np.radians(179.0)
 """Frames that turn by more from one moment to the next might have turned the other way."""
+CONTRADICTION = np.radians(45.0)
+"""Between what frames and a rotation tell of a turn. Rotations may be counted otherwise where the tangent swings, too."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +60,8 @@ class ClampPath:
     tangents_only                 of the frames only the tangents are known
     source                        where it comes from, for messages
 
-    Raises InputError for shapes that do not match, times that do not rise, frames that are none, and half turns that might
-    go either way.
+    Raises InputError for times that do not rise, frames that are none, half turns that might go either way, and a rotation
+    that the end frames contradict.
     """
 
     time: np.ndarray
@@ -76,6 +80,8 @@ class ClampPath:
             frames = getattr(self, name)
             if frames is not None:
                 self._check_frames(name, frames)
+        if self.end_frame is not None and self.end_rotation is not None and not self.tangents_only:
+            self._check_rotation()
 
     @property
     def moments(self) -> int:
@@ -133,6 +139,20 @@ class ClampPath:
             moment = np.argwhere(unclear)[0, 0]
             raise InputError(self.source, name, f"half a turn from moment {moment} to {moment + 1}, which may go either way",
                              "give moments in between" + ", or end_rotation_deg" * (name == "end_frame"))
+
+
+    def _check_rotation(self) -> None:
+        before, after = self.end_frame[:-1], self.end_frame[1:]
+        carried = matrix_from_quaternion(smallest_rotation(before[..., 0], after[..., 0])) @ before
+        turned = angle_about(after[..., 0], carried[..., 1], after[..., 1])
+        told = np.diff(self.end_rotation, axis=0)
+        apart = np.abs(np.angle(np.exp(1j * (told - turned))))
+        if (apart > CONTRADICTION).any():
+            moment, rod = np.argwhere(apart > CONTRADICTION)[0]
+            told = np.broadcast_to(told, apart.shape)[moment, rod]
+            raise InputError(self.source, "end_rotation_deg", f"{np.degrees(told):.0f} from moment {moment} to {moment + 1}, "
+                             f"where end_frame turns by {np.degrees(turned[moment, rod]):.0f} and whole turns",
+                             "correct one of them, or leave one out")
 
 
 def path_of_marks(positions: np.ndarray, time: np.ndarray | None = None, source: str = "motion") -> ClampPath:

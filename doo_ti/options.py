@@ -142,9 +142,9 @@ def refuse_overwriting(out: Path, source: str) -> None:
         raise InputError(SOURCE, "--out", f"{out} is the input itself", "name another file")
 
 
-def output_folder(text: str) -> Path:
+def output_folder(text: str, option: str = "--out") -> Path:
     """The folder to write, which need not exist yet."""
-    _check_folder(Path(text))
+    _check_folder(Path(text), option)
     return Path(text)
 
 
@@ -158,10 +158,10 @@ def _decimal(option: str, text: str, wanted: str, minimum: float = -np.inf) -> f
     return value
 
 
-def _check_folder(folder: Path) -> None:
+def _check_folder(folder: Path, option: str = "--out") -> None:
     """Raise InputError unless ``folder`` is one that can be written in, or can be made."""
     existing = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
     if not existing.is_dir():
-        raise InputError(SOURCE, "--out", f"{existing} is a file, nothing can lie below it", "name another folder")
+        raise InputError(SOURCE, option, f"{existing} is a file, nothing can lie below it", "name another folder")
     if not os.access(existing, os.W_OK | os.X_OK):
-        raise InputError(SOURCE, "--out", f"{existing} is not writable", "name another folder")
+        raise InputError(SOURCE, option, f"{existing} is not writable", "name another folder")

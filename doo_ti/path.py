@@ -50,10 +50,15 @@ class Motion:
 
     def steps(self, rest_length: np.ndarray, largest_turn: float = LARGEST_TURN) -> int:
         """Sub-steps that keep every clamp's turns below ``largest_turn`` (rad) and its shifts in proportion to it."""
+        return int(np.max(self.needed_steps(rest_length, largest_turn), initial=1))
+
+    def needed_steps(self, rest_length: np.ndarray, largest_turn: float = LARGEST_TURN) -> np.ndarray:
+        """(R,) sub-steps that each rod needs for that."""
         end_turn = _size(self.end_turn) + np.abs(0.0 if self.end_spin is None else self.end_spin)
         shift = np.maximum(_size(self.start_shift), _size(self.end_shift)) / (SHIFT_PER_TURN * rest_length.sum(axis=-1))
-        need = np.max(np.maximum(np.maximum(_size(self.start_turn), end_turn), shift), initial=0.0) / largest_turn
-        return max(1, int(np.ceil(need - 1e-9)))
+        need = np.maximum(np.maximum(_size(self.start_turn), end_turn), shift) / largest_turn
+        steps = np.maximum(np.ceil(need - 1e-9), 1).astype(np.int64)
+        return np.broadcast_to(steps, len(self.clamps.start_position))
 
 
 def motion_between(clamps: Clamps, goal: Clamps, rotation: np.ndarray | None = None) -> Motion:

@@ -15,22 +15,17 @@ Axes: N observations, K groups that share a φ, F sampled angles, M minima of a 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 
 from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
-from doo_ti.frames import angle_about, matrix_from_quaternion, smallest_rotation
-from doo_ti.metric import distance
+from doo_ti.frames import angle_about
 from doo_ti.newton import Newton
-from doo_ti.relaxation import relax
-from doo_ti.start import observation_clamps, start_configuration
-from doo_ti.types import Clamp, Clamps, Configuration, Material
-
-RODS_AT_ONCE = 1 << 15
-"""Rods of one launch, which bounds the memory for their frames."""
+from doo_ti.twist_curves import TwistCurves, without_twist
+from doo_ti.types import Material
 
 
 class Verdict(IntEnum):
@@ -127,12 +122,12 @@ def estimate_twist(
 
     Raises InputError where the arguments do not match, and for a rod that is not round while the start's spin is unknown.
     """
-    search = _Search.of(observations, material, group, offset, options, advance)
+    curves = TwistCurves.of(observations, material, group, offset, options.solver, options.precision, advance)
     angles = options.angles
-    objective, unsound = search.curves(np.arange(search.count), np.tile(angles, (search.count, 1)))
+    objective, unsound = curves.at(np.arange(curves.count), np.tile(angles, (curves.count, 1)))
     value = np.where((unsound == 0) & np.isfinite(objective), objective, np.inf)
     place = _lowest(value, options.minima)
-    phi, least = _refined(search, angles, value, place, options)
+    phi, least = _refined(curves, angles, value, place, options)
     order = np.argsort(least, axis=1, kind="stable")
     phi, least = np.take_along_axis(phi, order, axis=1), np.take_along_axis(least, order, axis=1)
     limit = options.near * least[:, :1]
@@ -141,8 +136,8 @@ def estimate_twist(
     high = np.fmax(phi[:, 0], np.where(near.any(axis=1), angles[-1 - np.argmax(near[:, ::-1], axis=1)], np.nan))
     verdict = _verdict(phi, least, near, angles, options)
     least = np.where(np.isfinite(least), least, np.nan)
-    return TwistEstimate(phi[:, 0], least[:, 0], verdict, low, high, phi, least, angles, objective, unsound, search.group,
-                         search.offset)
+    return TwistEstimate(phi[:, 0], least[:, 0], verdict, low, high, phi, least, angles, objective, unsound, curves.group,
+                         curves.offset)
 
 
 def consecutive_groups(count: int, together: int, regrasps=()) -> np.ndarray:
@@ -166,7 +161,7 @@ def end_offsets(observations: Observations, group: np.ndarray) -> np.ndarray:
     if observations.end_frame is None:
         raise InputError(observations.source, "end_frame", "missing, so that nobody knows how the end frames lie to each other",
                          "give end_frame or --offsets, or --observations 1")
-    free, clamps = _without_twist(observations)
+    free, clamps = without_twist(observations)
     last = free.frames[:, -1]
     angle = angle_about(last[..., 0], last[..., 1], clamps.end_frame[..., 1])
     if observations.total_twist is not None:
@@ -174,105 +169,6 @@ def end_offsets(observations: Observations, group: np.ndarray) -> np.ndarray:
     unwrapped = np.unwrap(angle)
     first = np.flatnonzero(np.concatenate([[True], np.diff(group) != 0]))
     return unwrapped - (unwrapped - angle)[first][group]
-
-
-@dataclass(frozen=True)
-class _Search:
-    """What every rod of Eq. 4 starts from: N shapes ``free`` of twist and their clamps, ``first`` (K + 1,) rows of groups."""
-
-    observations: Observations
-    material: Material
-    free: Configuration
-    clamps: Clamps
-    group: np.ndarray
-    first: np.ndarray
-    offset: np.ndarray
-    options: TwistOptions
-    advance: Callable[[int], None]
-
-    @classmethod
-    def of(cls, observations, material, group, offset, options, advance) -> "_Search":
-        count = observations.count
-        group = np.arange(count) if group is None else np.asarray(group)
-        offset = np.zeros(count) if offset is None else np.asarray(offset, dtype=np.float64)
-        steps = np.diff(group, prepend=-1) if group.shape == (count,) else np.array([-1])
-        if group.dtype.kind not in "iu" or steps[0] != 1 or not np.isin(steps, (0, 1)).all():
-            raise InputError(observations.source, "group", "not 0, 0, …, 1, …, one for each observation",
-                             "number the groups in order")
-        if offset.shape != (count,) or not np.isfinite(offset).all():
-            raise InputError(observations.source, "offset", f"shape {offset.shape}", f"give ({count},) finite angles")
-        if material.count not in (1, count):
-            raise InputError(observations.source, "material", f"{material.count} rows for {count} observations",
-                             "give one, or one each")
-        if observations.start_frame is None and not material.is_isotropic:
-            raise InputError(observations.source, "start_frame", "missing, and the rod is not round",
-                             "give start_frame, or a scalar --bend")
-        free, clamps = _without_twist(observations)
-        first = np.append(np.flatnonzero(steps), count)
-        return cls(replace(observations, frames=None), material, free, clamps, group, first, offset, options, advance)
-
-    @property
-    def count(self) -> int:
-        """K."""
-        return len(self.first) - 1
-
-    def curves(self, groups: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Σ d in mm, and how many rods of it are no certified minima, (n, f) each, for some groups (n,) at angles (n, f).
-
-        Where an angle is NaN nothing is relaxed and the sum is infinite.
-        """
-        objective, unsound = np.full(phi.shape, np.inf), np.zeros(phi.shape, dtype=np.int32)
-        which, angle = np.nonzero(np.isfinite(phi))
-        size = np.diff(self.first)[groups[which]]
-        chunk = (np.cumsum(size) - size) // RODS_AT_ONCE
-        for part in np.split(np.arange(len(which)), np.flatnonzero(np.diff(chunk)) + 1) if len(which) else []:
-            sums = self._sums(groups[which[part]], phi[which[part], angle[part]])
-            objective[which[part], angle[part]], unsound[which[part], angle[part]] = sums
-        return objective, unsound
-
-    def _sums(self, groups: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Σ d and the number of unsound rods of each pair of a group and an angle (n,)."""
-        size = np.diff(self.first)[groups]
-        begin = np.cumsum(size) - size
-        rows = np.arange(size.sum()) + np.repeat(self.first[groups] - begin, size)
-        turned = self._turned(rows, np.repeat(phi, size) + self.offset[rows])
-        last = matrix_from_quaternion(turned.quaternions[:, -1])
-        held = replace(self.clamps.take(rows), end_frame=last)
-        solution = relax(turned, self.material, held, self.options.solver, up=self.observations.up,
-                         precision=self.options.precision, configuration_index=np.arange(len(rows)),
-                         material_index=rows % self.material.count)
-        off = distance(solution.configuration, self.observations, rows)
-        self.advance(len(rows))
-        unsound = ~(solution.converged & solution.stable)
-        return np.add.reduceat(off, begin), np.add.reduceat(unsound.astype(np.int32), begin)
-
-    def _turned(self, rows: np.ndarray, twist: np.ndarray) -> Configuration:
-        """The shapes of ``rows`` with so much total twist (n,), rad, spread in proportion to l̄_i."""
-        shape, length = self.free.take(rows), self.observations.rest_length
-        spread = length[:-1] + length[1:]
-        share = np.concatenate([[0.0], np.cumsum(spread) / spread.sum()])
-        half = 0.5 * twist[:, None] * share
-        cosine, sine = np.cos(half), np.sin(half)
-        w, x, y, z = np.moveaxis(shape.quaternions, -1, 0)
-        turned = np.stack([w * cosine - x * sine, w * sine + x * cosine, y * cosine + z * sine, z * cosine - y * sine], axis=-1)
-        return replace(shape, quaternions=turned)
-
-
-def _without_twist(observations: Observations) -> tuple[Configuration, Clamps]:
-    """The observed shapes with their Bishop frames, and clamps on whole frames: the last one as known, else the Bishop frame.
-
-    Where start frames are unknown their spins are those of the first observation, transported: its clip does not turn.
-    """
-    observations = replace(observations, frames=None, total_twist=None)
-    clamps = observation_clamps(observations)
-    if observations.start_frame is None:
-        frame = clamps.start_frame
-        transport = matrix_from_quaternion(smallest_rotation(frame[0, :, 0], frame[..., 0]))
-        clamps = replace(clamps, start_frame=np.einsum("nij,jk->nik", transport, frame[0]))
-    clamps = replace(clamps, start=Clamp.FRAME, end=Clamp.TANGENT)
-    free = start_configuration(observations, clamps)
-    known = observations.end_frame is not None
-    return free, replace(clamps, end=Clamp.FRAME, end_frame=clamps.end_frame if known else free.frames[:, -1])
 
 
 def _lowest(value: np.ndarray, most: int) -> np.ndarray:
@@ -284,7 +180,7 @@ def _lowest(value: np.ndarray, most: int) -> np.ndarray:
     return np.where(np.isfinite(np.take_along_axis(depth, place, axis=1)), place, -1)
 
 
-def _refined(search: _Search, angles, value, place, options: TwistOptions) -> tuple[np.ndarray, np.ndarray]:
+def _refined(curves: TwistCurves, angles, value, place, options: TwistOptions) -> tuple[np.ndarray, np.ndarray]:
     """(K, M) angles and values of the minima between the samples, NaN and infinite where there is none."""
     groups = np.repeat(np.arange(len(place)), place.shape[1])
     padded = np.pad(value, ((0, 0), (1, 1)), constant_values=np.inf)
@@ -296,7 +192,7 @@ def _refined(search: _Search, angles, value, place, options: TwistOptions) -> tu
     for _ in range(options.halvings):
         step /= 2
         tried = phi[:, None] + np.array([-step, step])
-        sums, unsound = search.curves(groups, np.where(np.abs(tried) <= angles[-1] + 1e-9, tried, np.nan))
+        sums, unsound = curves.at(groups, np.where(np.abs(tried) <= angles[-1] + 1e-9, tried, np.nan))
         lower, upper = np.where((unsound == 0) & np.isfinite(sums), sums, np.inf).T
         down, up = (lower < least) & (lower <= upper), (upper < least) & (upper < lower)
         phi = phi + np.where(down, -step, np.where(up, step, 0.0))

@@ -14,7 +14,8 @@ from doo_ti.dataset import Observations, load_observations
 from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_from_matrix, quaternion_product
 from doo_ti.metric import distance
 from doo_ti.motion import load_path
-from doo_ti.path import motion_between
+from doo_ti.paced import sub_steps_of
+from doo_ti.path import LARGEST_TURN, motion_between
 from doo_ti.predict import predict_step
 from doo_ti.prediction_trials import moved_as_one, moved_by_blend, predict_marks, predict_steps, rotation_steps
 from doo_ti.relaxation import relax
@@ -91,8 +92,10 @@ def candidates(folder: Path) -> None:
     clamps, material = observation_clamps(observations), Material(6e5, 8e5)
     rod = relax(start_configuration(observations, clamps), material, clamps).configuration
     goal = _end_motions(clamps)
-    steps = motion_between(clamps.take(np.zeros(CANDIDATES, dtype=int)), goal).steps(rod.rest_length)
-    print(f"\n{CANDIDATES} end motions of one rod, up to 10 mm and 10°, {steps} sub-steps")
+    motion = motion_between(clamps.take(np.zeros(CANDIDATES, dtype=int)), goal)
+    each = sub_steps_of(motion, rod.rest_length, LARGEST_TURN)
+    steps = each.sum() / CANDIDATES
+    print(f"\n{CANDIDATES} end motions of one rod, up to 10 mm and 10°, {each.min()} to {each.max()} sub-steps")
     for watch in (True, False):
         wall, processor, main = [], [], []
         for _ in range(12):

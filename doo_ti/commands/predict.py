@@ -240,8 +240,9 @@ def _lines(task: _Task, prediction, result: dict) -> list[str]:
 
 def _range(degrees: np.ndarray) -> str:
     finite = degrees[np.isfinite(degrees)]
-    texts = dict.fromkeys(f"{value + 0.0:.1f}°" for value in (finite.min(), finite.max())) if len(finite) else ["unknown"]
-    return " to ".join(texts)
+    if not len(finite):
+        return "unknown"
+    return " to ".join(dict.fromkeys(f"{round(value, 1) + 0.0:.1f}°" for value in (finite.min(), finite.max())))
 
 
 def _tell(options: Namespace, task: _Task, prediction, result: dict, out: Path) -> None:

@@ -1,21 +1,111 @@
 """The virtual lab (§V-A)."""
 
 from argparse import Namespace
+from dataclasses import fields, replace
+from pathlib import Path
 
 from doo_ti import options as given
 from doo_ti.commands.experiment import observed, save
-from doo_ti.scene import load_scene
+from doo_ti.errors import InputError
+from doo_ti.scene import Scene, Synthesis, load_scene
+
+DIAMETER_MM = 0.5
 
 
 def declare(add) -> None:
-    parser = add("synth", allow_abbrev=False, help="make a scene's observations in the virtual lab")
+    parser = add("synth", allow_abbrev=False, help="make a scene's observations, or images of its rods, in the virtual lab")
     parser.add_argument("scene", metavar="SCENE.toml")
-    parser.add_argument("--out", required=True, metavar="OBS", help="file to write: .npz, .csv or .parquet")
+    parser.add_argument("--out", metavar="OBS", help="observations, to a file: .npz, .csv or .parquet")
+    images = parser.add_argument_group("images", "of the rods themselves, without label noise")
+    images.add_argument("--images", metavar="FOLDER", help="images, sets.csv, rig.yaml and truth.npz, to a folder")
+    images.add_argument("--rig", metavar="RIG", help="the cameras: OpenCV FileStorage YAML, such as scenes/rig.yaml")
+    images.add_argument("--diameter", metavar="MM", help=f"of the thread (default {DIAMETER_MM:g})")
+    images.add_argument("--seed", metavar="N", help="of all that is random in the images (default 0)")
+    images.add_argument("--render", metavar="NAME=VALUE", action="append", default=[],
+                        help="what images look like, once for each: clutter=3, occluders=2, noise=5, jpeg_quality=none …")
     parser.set_defaults(run=run)
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """The observations of a scene to a file."""
-    out = given.output_file(options.out)
-    save(out, observed(load_scene(options.scene), None))
+    """The observations of a scene to a file, and photographs of its rods to a folder."""
+    if options.out is None and options.images is None:
+        raise InputError(given.SOURCE, "--out", "missing", "give --out OBS, or --images FOLDER --rig RIG, or both")
+    out = None if options.out is None else given.output_file(options.out)
+    scene = load_scene(options.scene)
+    if options.images is not None:
+        _photograph(options, scene)
+    if out is not None:
+        save(out, observed(scene, None))
     return 0
+
+
+def _photograph(options: Namespace, scene: Scene) -> None:
+    """Checks all that is given before the first rod is made, and what the cameras see before the first image is written."""
+    folder = given.output_folder(options.images, "--images")
+    rig, look, seed = _rig(options, folder), _look(options.render), given.whole("--seed", options.seed, 0) or 0
+    diameter = given.length("--diameter", options.diameter) or DIAMETER_MM
+    if not isinstance(scene.observations, Synthesis):
+        raise InputError(scene.source, "observations", "a file, of rods that are not known between their marks",
+                         "give a scene with [synthesis]")
+    from doo_ti.lab_images import lab_rods, save_truth
+    from doo_ti.vision.image_synthesis import Photographs, save_photographs
+
+    rods = lab_rods(scene.observations)
+    photographs = Photographs(rods.names, rods.curve, rods.point, rods.direction, diameter, rig, look, seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    save_truth(folder / "truth.npz", rods, diameter)
+    _with_progress(lambda on_set: save_photographs(folder, photographs, on_set=on_set), len(rods.names))
+    print(f"{len(rods.names)} sets of {len(rig.cameras)} images of {scene.name} written to {folder}, seed {seed}")
+
+
+def _rig(options: Namespace, folder: Path):
+    """The cameras. Raises InputError where there are none, and where their file is the one to write."""
+    from doo_ti.vision.image_synthesis import RIG_FILE
+    from doo_ti.vision.rig import load_rig
+
+    if options.rig is None:
+        raise InputError(given.SOURCE, "--rig", "missing", "name the cameras' file, such as scenes/rig.yaml")
+    rig = load_rig(options.rig)
+    written = folder / RIG_FILE
+    if written.exists() and written.samefile(options.rig):
+        raise InputError(given.SOURCE, "--images", f"{written} is the rig itself", "name another folder")
+    return rig
+
+
+def _look(words: list[str]):
+    """RenderOptions from words NAME=VALUE."""
+    from doo_ti.vision.render import RenderOptions
+
+    look = RenderOptions()
+    known = {field.name: getattr(look, field.name) for field in fields(look) if field.name != "smooth"}
+    changes = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        if name not in known or not text:
+            raise InputError(given.SOURCE, "--render", f"{word!r}", f"give NAME=VALUE, NAME one of {', '.join(known)}")
+        changes[name] = _value(word, text, known[name], name in ("jpeg_quality", "mark_spacing_mm"))
+    return replace(look, **changes)
+
+
+def _value(word: str, text: str, default, may_be_none: bool):
+    """A value like its default: a whole number, a number, numbers between commas, or none."""
+    if may_be_none and text == "none":
+        return None
+    try:
+        if isinstance(default, tuple):
+            return tuple(float(part) for part in text.split(","))
+        return int(text) if isinstance(default, int) else float(text)
+    except ValueError:
+        form = "X,Y,Z" if isinstance(default, tuple) else "a whole number" if isinstance(default, int) else "a number"
+        raise InputError(given.SOURCE, "--render", f"{word!r} is no value for it", f"give {form}") from None
+
+
+def _with_progress(work, total: int) -> None:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("sets of images", total=total)
+        work(lambda: bar.advance(task))

@@ -100,7 +100,8 @@ def _measured(image: np.ndarray, ridges: Ridges, slender: np.ndarray, polarity: 
     chosen = np.flatnonzero(slender & (ridges.strength >= 0.5 * (square * ridges.strength).sum() / square.sum()))
     chosen = chosen[:: max(1, len(chosen) // SAMPLES)]
     reach = 3.5 * SIGMA * scale if width_px is None else 0.75 * width_px + 2
-    edges = edges_across(gradient(image[top:bottom, left:right]), point[chosen] - (left, top), ridges.normal[chosen], polarity, reach)
+    slopes = gradient(image[top:bottom, left:right])
+    edges = edges_across(slopes, point[chosen] - (left, top), ridges.normal[chosen], polarity, reach)
     sound = of_a_thread(edges, ridges.strength[chosen])
     if 2 * sound.sum() < len(sound):
         return None

@@ -90,7 +90,8 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
     """
     image = np.asarray(image)
     if image.ndim != 2 or min(image.shape) < 16 or image.dtype.kind not in "uif":
-        raise InputError("detection", "image", f"shape {image.shape} of {image.dtype}", "give (H, W) grey levels, at least 16 x 16")
+        raise InputError("detection", "image", f"shape {image.shape} of {image.dtype}",
+                         "give (H, W) grey levels, at least 16 x 16")
     grey = image.astype(np.float32)
     look = appearance(grey, options.polarity, options.width_px, options.least_contrast)
     points, direction, strength = np.empty((0, 2)), np.empty((0, 2)), np.empty(0)

@@ -12,7 +12,10 @@ import numpy as np
 from doo_ti.errors import InputError
 from doo_ti.vision.rig import Camera, Rig
 from doo_ti.vision.spline import smooth_curve
-from doo_ti.vision.tubes import Tube, draw
+from doo_ti.vision.tubes import DRAWN_BLUR_PX, Tube, draw
+
+PIXEL_BLUR_PX = 12**-0.5
+"""Standard deviation of a pixel's square, which gathers the light behind the lens."""
 
 BLOB_PX = 120
 """Size of the background's uneven patches."""
@@ -28,7 +31,7 @@ class RenderOptions:
     gradient         by how much the background is brighter at the right border than at the left
     shading          by how much a surface is brighter where it faces the light
     light            towards the light, in the world; any length
-    blur_px          standard deviation of the lens's blur
+    blur_px          standard deviation of the lens's blur, from 0.3 on
     noise            standard deviation of the sensor's noise
     jpeg_quality     1 to 100, or None: not compressed
     occluders        how many balls and bars, in turn, hang before the thread, seen from the cameras' midst
@@ -172,8 +175,9 @@ def _photograph(camera: Camera, scene: list[Tube], options: RenderOptions, rando
 
     light = np.array(options.light) / np.linalg.norm(options.light)
     image = draw(camera, scene, _background(camera, options, random), light, options.shading)
-    if options.blur_px > 0:
-        image = cv2.GaussianBlur(image, (0, 0), options.blur_px, borderType=cv2.BORDER_REPLICATE)
+    rest = options.blur_px**2 + PIXEL_BLUR_PX**2 - DRAWN_BLUR_PX**2
+    if rest > 0:
+        image = cv2.GaussianBlur(image, (0, 0), np.sqrt(rest), borderType=cv2.BORDER_REPLICATE)
     if options.noise > 0:
         image += options.noise * random.standard_normal(image.shape, dtype=np.float32)
     image = np.clip(np.rint(image), 0, 255).astype(np.uint8)

@@ -12,7 +12,7 @@ import numpy as np
 REACH_PX = 0.75
 """A line is taken from every pixel this near to it: wide enough that its points lie at most a pixel apart in any direction."""
 
-FIRST_REACH_PX, FIRST_REACH = 2.0, 0.5
+FIRST_REACH_PX, FIRST_REACH = 2.0, 1.0
 """The same for t, at least, and over σ: t comes out too large away from the ridge, and is uncertain where that is flat."""
 
 POINTS_PER_PX = 2 * REACH_PX
@@ -104,7 +104,7 @@ def derivative_kernels(sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def pieces(ridges: Ridges, strong: float, shortest_px: float) -> np.ndarray:
-    """(N,) int: which connected piece of line a point belongs to, from 1 on; 0 where that is too short, or nowhere ``strong``."""
+    """(N,) int: the connected piece of line that a point belongs to; 0 where that is too short, or nowhere ``strong``."""
     import cv2
 
     if not len(ridges.row):

@@ -73,7 +73,7 @@ def score_kernel(number: Number, block: int, bits: int):
         up0: ti.f32,
         up1: ti.f32,
         up2: ti.f32,
-        numbers: ti.types.ndarray(dtype=ti.f64, ndim=3),  # [set, camera, COLUMNS + 1]
+        numbers: ti.types.ndarray(dtype=ti.f64, ndim=3),  # [set, camera, COLUMNS or more]
         values: ti.types.ndarray(dtype=ti.f32, ndim=1),  # distances, px
         result: ti.types.ndarray(dtype=ti.f32, ndim=2),  # [hypothesis, (energy, errors, shares unseen)] out
     ):

@@ -95,7 +95,8 @@ def test_turns_stay_where_a_rod_is_straight():
     prediction = predict(straight, Material(6e5, 1e4), clamps, line(clamps, rotation=np.radians([0.0, 300.0, 840.0])))
     assert prediction.followed.all() and not prediction.jumps.any()
     np.testing.assert_allclose(np.degrees(prediction.total_twist[:, 0]), [0, 300, 840], atol=2.0)
-    back = predict(prediction.at(-1), Material(6e5, 1e4), clamps, line(clamps, rotation=np.radians([0.0, -840.0])))
+    here = replace(clamps, end_frame=prediction.at(-1).frames[:, -1])
+    back = predict(prediction.at(-1), Material(6e5, 1e4), here, line(here, rotation=np.radians([0.0, -840.0])))
     np.testing.assert_allclose(np.degrees(back.total_twist[:, 0]), [840, 0], atol=2.0)
 
 

@@ -146,5 +146,6 @@ def test_wrong_input_is_told(scene, rng):
     with pytest.raises(InputError, match="external_index"):
         relax(start, Material(ALPHA, ALPHA), held(start), external=external, external_index=sets + 1)
     with pytest.raises(InputError, match="far end free"):
-        clamps = Clamps(Clamp.TANGENT, Clamp.POSITION, start.start, start.vertices[:, -1], start.frames[:, 0], start.frames[:, -1])
+        clamps = Clamps(
+            Clamp.TANGENT, Clamp.POSITION, start.start, start.vertices[:, -1], start.frames[:, 0], start.frames[:, -1])
         relax(start, Material(ALPHA, ALPHA), clamps, external=external, external_index=sets)

@@ -1,0 +1,35 @@
+"""Images from files, as grey levels."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.vision.rig import Camera
+
+
+def read_image(path: str | os.PathLike, camera: Camera | None = None) -> np.ndarray:
+    """(H, W) uint8 grey levels of any image file that OpenCV reads; colours are weighted, the orientation tag is obeyed.
+
+    camera  whose image it is
+
+    Raises InputError for a file that is missing or is no image, and for another size than the camera's.
+    """
+    import cv2
+
+    path = Path(path)
+    try:
+        stored = np.fromfile(path, dtype=np.uint8)
+    except OSError as error:
+        raise InputError(path, "file", (error.strerror or str(error)).lower(), "name a readable image") from None
+    try:
+        image = cv2.imdecode(stored, cv2.IMREAD_GRAYSCALE) if stored.size else None
+    except cv2.error:
+        image = None
+    if image is None:
+        raise InputError(path, "file", "cannot be read as an image", "give a PNG, JPEG or TIFF file")
+    if camera is not None and image.shape != (camera.height, camera.width):
+        raise InputError(path, "size", f"{image.shape[1]} x {image.shape[0]} px, but {camera.name} of {camera.source} takes "
+                         f"{camera.width} x {camera.height}", "give the rig's own images, neither scaled nor cropped")
+    return image
