@@ -20,6 +20,7 @@ from doo_ti.commands import (
     convert,
     figures,
     learn,
+    perceive,
     plan,
     predict,
     refine,
@@ -102,7 +103,8 @@ def _parser() -> _Parser:
                      description="Fit discrete elastic rods to observed shapes (Javdani et al., ICRA 2011).")
     parser.add_argument("--version", action="version", version=f"doo-ti {__version__}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
-    commands = (relax, sweep, learn, refine, predict, twist, figures, plan, view, convert, synth, bench, calibrate, triangulate)
+    commands = (relax, sweep, learn, refine, predict, twist, figures, plan, view, convert, synth, bench, calibrate, triangulate,
+                perceive)
     for command in commands:
         command.declare(add)
     return parser

@@ -28,14 +28,18 @@ from doo_ti.vision.rig import Rig
 CLEAR_PX, AMBIGUOUS_PX = 0.1, 0.02
 """Of the gap: more than detected lines are off, all along them; and less than the rod's energy, which depends on a Θ that is
 never exact, differs between rods that fit the images equally."""
+FITTING_PX = 1.0
+"""Of the distance to the detection: where a camera shows more, much of the thread was not found, or something else was."""
 
 
 class Verdict(IntEnum):
-    """What the gap to the best runner-up says.
+    """How sure the best rod is, by the gap to the best runner-up and by how well it fits itself.
 
-    CLEAR      from 0.1 px up, or no other rod is left: the images alone would not do for the other
-    LIKELY     from 0.02 px up: the images nearly do for both, the rod's energy helps to decide
-    AMBIGUOUS  below: either may be the rod
+    CLEAR      a gap from 0.1 px up, or no other rod: the images alone would not do for the other. And it lies on what was
+               detected: within 1 px, on average, in every camera
+    LIKELY     a gap from 0.02 px up: the images nearly do for both, the rod's energy helps to decide. Or a wider one, but
+               what was detected is not all of the thread
+    AMBIGUOUS  a smaller gap: either may be the rod
     """
 
     CLEAR = 0
@@ -79,8 +83,19 @@ class Perception:
     @property
     def verdict(self) -> np.ndarray:
         """(A,) Verdict."""
-        return np.where(self.gap >= CLEAR_PX, Verdict.CLEAR, np.where(
+        clear = (self.gap >= CLEAR_PX) & (self.camera_error <= FITTING_PX).all(axis=1)
+        return np.where(clear, Verdict.CLEAR, np.where(
             self.gap >= AMBIGUOUS_PX, Verdict.LIKELY, Verdict.AMBIGUOUS)).astype(np.int8)
+
+    @classmethod
+    def joined(cls, parts: list["Perception"]) -> "Perception":
+        """Several of the same rig and rod, one after the other."""
+        rods = [part.configuration for part in parts]
+        whole = Configuration(np.concatenate([rod.start for rod in rods]), np.concatenate([rod.quaternions for rod in rods]),
+                              rods[0].rest_length)
+        values = {name: np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__
+                  if name != "configuration"}
+        return cls(configuration=whole, **values)
 
 
 def perceive(
@@ -139,7 +154,7 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
     # A set whose rods all came to nothing keeps one, whose status says so.
     best = np.where(ranked[:, 0] >= 0, ranked[:, 0], np.searchsorted(final.of_set, np.arange(len(ranked))))
     others = ranked[:, 1:]
-    found = (others >= 0)
+    found = others >= 0
     runner_up_energy = np.where(found, final.energy_vis[others], np.inf)
     rods = solution.configuration.take(best)
     edge_error, image_length = _reprojected(search, rods.vertices)

@@ -8,20 +8,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.frames import across, bishop_frames, quaternion_about, quaternion_from_matrix, turned_by
-from doo_ti.perception import Perception, PerceptionOptions
-from doo_ti.relaxation import Newton, relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.frames import bishop_frames, quaternion_from_matrix
+from doo_ti.perception import Perception
+from doo_ti.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.vision.detection import Detection, DetectionOptions, detect
 from doo_ti.vision.distance_map import DistanceMaps
-from doo_ti.vision.reprojection import Reprojection
 from doo_ti.vision.rig import Rig
 
 CORRECT_MM = 1.0
 """A rod whose vertices are off by less on average is recovered: it runs as the true one does."""
-
-ENERGY_LEFT = 1e-4
-"""Of the rod's energy in a search by images alone, so that it still has one minimum."""
 
 UNSEEN_PX = 2.0
 """The thread is not detected where the next detected point is further away: an error of the line itself is far less."""
@@ -55,9 +50,8 @@ class Trial:
 
 def judged(perception: Perception, vertices: np.ndarray, curve: np.ndarray, truth_energy: np.ndarray) -> Trial:
     """What was found beside the true vertices (A, V, 3) and the true, dense curve (A, n, 3)."""
-    found = perception.configuration.vertices
-    off = np.linalg.norm(found - vertices, axis=-1).mean(axis=1)
-    return Trial(off, distance_to_curve(found, curve).mean(axis=1), perception.energy_vis, truth_energy)
+    off = np.linalg.norm(perception.vertices - vertices, axis=-1).mean(axis=1)
+    return Trial(off, distance_to_curve(perception.vertices, curve).mean(axis=1), perception.energy_vis, truth_energy)
 
 
 def distance_to_curve(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
@@ -74,25 +68,18 @@ def distance_to_curve(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
     return np.minimum(*distances)
 
 
-def truth_energy(maps: DistanceMaps, rig: Rig, vertices: np.ndarray, rest_length: np.ndarray, material: Material,
-                 options: PerceptionOptions, up=(0.0, 0.0, 1.0)) -> np.ndarray:
-    """(A,) 1/mm: E_vis where a rod comes to rest that sets out from the true vertices (A, V, 3), held as in the search."""
+def truth_energy(search: Search, vertices: np.ndarray) -> np.ndarray:
+    """(A,) 1/mm: E_vis where a rod comes to rest that sets out along the true edges (A, V, 3), held as in the search."""
     tangents = np.diff(vertices, axis=1)
     tangents /= np.linalg.norm(tangents, axis=-1, keepdims=True)
-    frames = bishop_frames(tangents, across(tangents[:, 0]))
-    point = vertices[:, 0]
-    clamps = Clamps(Clamp.TANGENT, Clamp.FREE, point, point, frames[:, 0], frames[:, -1])
-    scale = float(np.linalg.eigvalsh(material.bend).max())
-    seen = Reprojection(maps, rig, options.nu * scale, options.final_points, options.cap)
-    start = Configuration(point, quaternion_from_matrix(frames), rest_length)
-    solution = relax(start, material, clamps, Newton(), up=up, precision="mixed", external=seen,
-                     external_index=np.arange(len(point)))
-    return solution.energy / scale
+    frames = quaternion_from_matrix(bishop_frames(tangents, search.first[:, 1]))
+    return search.relaxed(Hypotheses(np.arange(len(frames)), frames, np.zeros(len(frames))))[0].energy_vis
 
 
-def by_images_alone(options: PerceptionOptions) -> PerceptionOptions:
-    """The same search where the rod's energy hardly counts: ν is larger by 1/``ENERGY_LEFT``, all else stays."""
-    return replace(options, nu=options.nu / ENERGY_LEFT)
+def with_energy(options: PerceptionOptions, share: float) -> PerceptionOptions:
+    """The same search where the rod's energy counts for ``share`` of itself beside the images: ν is larger by 1/share, all else
+    stays. A small share, not none, leaves every rod a minimum."""
+    return replace(options, nu=options.nu / share)
 
 
 def detected(images: list[list[np.ndarray]], options: DetectionOptions = DetectionOptions(),
@@ -109,12 +96,12 @@ def usual_width(detections: list[list[Detection]]) -> float:
 
 def seeds_off(point: np.ndarray, direction: np.ndarray, shift_mm: float, turn: float,
               random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Points (A, 3) moved by ``shift_mm`` anywhere, and unit vectors (A, 3) turned by ``turn`` rad about any axis across."""
-    shift = random.normal(size=point.shape)
+    """Points (A, 3) moved by ``shift_mm`` any way, and unit vectors (A, 3) turned any way by ``turn`` rad."""
+    shift, sideways = random.normal(size=(2, *point.shape))
     shift *= shift_mm / np.linalg.norm(shift, axis=-1, keepdims=True)
-    axis = np.cross(direction, random.normal(size=direction.shape))
-    axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
-    return point + shift, turned_by(quaternion_about(axis, np.full(len(axis), turn)), direction)
+    sideways = np.cross(direction, sideways)
+    sideways /= np.linalg.norm(sideways, axis=-1, keepdims=True)
+    return point + shift, np.cos(turn) * direction + np.sin(turn) * sideways
 
 
 def without_camera(maps: DistanceMaps, rig: Rig, camera: int) -> tuple[DistanceMaps, Rig]:

@@ -1,20 +1,27 @@
 """Rods from images (§IV-A, Alg. 1)."""
 
 import json
+import os
 from argparse import Namespace
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 
 from doo_ti import options as given
 from doo_ti.commands.arguments import add_json, add_material
-from doo_ti.commands.printing import counted, plain
+from doo_ti.commands.perceive_task import RECORDED, Task, checked_task
+from doo_ti.commands.perceive_text import summary_of, tell, verdict_text
+from doo_ti.commands.printing import plain
 from doo_ti.dataset import write_whole
 from doo_ti.errors import InputError
-from doo_ti.learning import status_counts
 
 MARGIN_PX = 60
 """Of the distance maps around what was detected."""
+MOST_MAP_BYTES = 1 << 29
+"""Of the distance maps held at once."""
+LEAST_SIGMA_MM = 1e-3
+"""Told of vertices that the seed gives: no observation is exact."""
 
 
 def declare(add) -> None:
@@ -24,14 +31,147 @@ def declare(add) -> None:
     parser.add_argument("--sets", metavar="SETS.csv", help="sets of images with their seeds, instead of IMAGEs")
     parser.add_argument("--seed-point", metavar="X,Y,Z", help="v⁰ of a single set, mm")
     parser.add_argument("--seed-direction", metavar="X,Y,Z", help="e⁰ of a single set")
-    parser.add_argument("--rest-length", required=True, metavar="MM:COUNT|FILE", help="lengths of the rod's edges")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write; pictures and a recording beside it")
-    add_material(parser, "one number, --bend also A1,A2 or A1,A2,A12")
-    parser.add_argument("--up", metavar="X,Y,Z", help="direction against gravity (default 0,0,1)")
-    parser.add_argument("--nu", metavar="NU", help="ν, 1/(mm px²): weight of the images (default 0.005)")
-    parser.add_argument("--hypotheses", metavar="H", help="kept for each set and step (default 40)")
-    parser.add_argument("--detector", choices=("ridge", "canny"), default="ridge", help="default: ridge, to a fraction of a pixel")
-    parser.add_argument("--polarity", choices=("dark", "light"), help="of the thread (default: whichever stands out)")
-    parser.add_argument("--width", metavar="PX", help="of the thread in the images (default: as found)")
+    parser.add_argument("--rest-length", required=True, metavar="MM:COUNT|FILE",
+                        help="of the rod's edges: so many of one length, or a .npz with rest_length_mm, or a text with a number "
+                        "a line")
+    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write; F.png and F.rrd lie beside it")
+    add_material(parser, "one number each; perceived rods are round")
+    parser.add_argument("--up", metavar="X,Y,Z", help="direction against gravity in the rig's world (default 0,0,1)")
+    search = parser.add_argument_group("search")
+    search.add_argument("--nu", metavar="NU", help="ν, 1/(mm px²): weight of the images (default 0.005)")
+    search.add_argument("--hypotheses", metavar="H", help="kept for each set and step (default 40)")
+    search.add_argument("--detector", choices=("ridge", "canny"), default="ridge", help="default: ridge, to a fraction of a pixel")
+    search.add_argument("--polarity", choices=("dark", "light"), help="of the thread (default: whichever stands out)")
+    search.add_argument("--width", metavar="PX", help="of the thread in the images (default: as found)")
+    shown = parser.add_argument_group("what is shown")
+    shown.add_argument("--truth", metavar="OBS", help="the rods as they are, to compare with: observations, by name or in order")
+    shown.add_argument("--no-picture", action="store_true", help="leave out F.png")
+    shown.add_argument("--no-recording", action="store_true", help="leave out F.rrd")
+    shown.add_argument("--recorded", metavar="N", help=f"sets in F.rrd, the first ones (default {RECORDED})")
     add_json(parser)
     parser.set_defaults(run=run)
+
+
+def run(options: Namespace, words: list[str]) -> int:
+    """Alg. 1 on every set of images; writes rods and runners-up, and prints how sure each set is."""
+    out = given.output_file(options.out, ".npz")
+    for source in filter(None, (options.sets, options.truth, *options.images)):
+        given.refuse_overwriting(out, source)
+    task = checked_task(options)
+    with _progress() as bar:
+        detected = _detected(task, bar)
+        found, growth = _perceived(task, detected, bar)
+    result = _arrays(task, found)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(out, lambda file: np.savez_compressed(file, **result))
+    written = [out, *_shown(options, task, detected, found, growth, out)]
+    summary = summary_of(task, detected, found, written)
+    if options.json:
+        print(json.dumps(plain(summary)))
+    else:
+        tell(summary)
+    return 0 if summary["status"].get("converged") else 1
+
+
+def _progress():
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    return Progress(TextColumn("{task.description:>9}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[unit]}"),
+                    TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(), console=Console(stderr=True), transient=True)
+
+
+def _detected(task: Task, bar) -> list[list]:
+    """A lists of C detections. Raises InputError for the first image that is none of the rig's or shows no thread."""
+    from doo_ti.vision.detection import detect
+    from doo_ti.vision.image_file import read_image
+
+    def found(path: Path, camera):
+        detection = detect(read_image(path, camera), task.detection)
+        if not detection.count:
+            raise InputError(path, "image", "no thread was found in it", "leave the set out, or give --polarity and --width")
+        return detection
+
+    cameras = task.sets.rig.cameras
+    images = [(path, camera) for line in task.sets.paths for path, camera in zip(line, cameras, strict=True)]
+    shown = bar.add_task("detection", total=len(images), unit="images")
+    detections = []
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        waiting = [threads.submit(found, *image) for image in images]
+        try:
+            for one in waiting:
+                detections.append(one.result())
+                bar.advance(shown)
+        finally:
+            threads.shutdown(cancel_futures=True)
+    return [detections[row : row + len(cameras)] for row in range(0, len(images), len(cameras))]
+
+
+def _perceived(task: Task, detected: list[list], bar):
+    """(Perception of all sets, GrowthSteps of those that are recorded): in groups whose maps fit into memory."""
+    from doo_ti.growth_steps import GrowthSteps
+    from doo_ti.perception import Perception, perceive
+    from doo_ti.vision.distance_map import distance_maps
+
+    sets, edges = task.sets, len(task.rest_length)
+    pixels = max(camera.width * camera.height for camera in sets.rig.cameras)
+    together = max(1, MOST_MAP_BYTES // (4 * pixels * len(sets.rig.cameras)))
+    shown = bar.add_task("growth", total=sets.count * (edges - 1), unit="edges")
+    growth, found = GrowthSteps(task.recorded), []
+    for first in range(0, sets.count, together):
+        rows = slice(first, first + together)
+        maps = distance_maps(detected[rows], MARGIN_PX)
+
+        def grown(_, kept, pruned, first=first, count=len(maps.window)):
+            growth.add(first, kept, pruned)
+            bar.advance(shown, count)
+
+        found.append(perceive(maps, sets.rig, sets.point[rows], sets.direction[rows], task.rest_length, task.material,
+                              up=task.up, options=task.search, on_step=grown))
+    return Perception.joined(found), growth
+
+
+def _arrays(task: Task, found) -> dict[str, np.ndarray]:
+    """What the file holds; docs/perception.md."""
+    return {
+        "name": np.array(task.sets.names), "vertices_mm": found.vertices, "rest_length_mm": task.rest_length, "up": task.up,
+        "sigma_mm": np.maximum(found.sigma, LEAST_SIGMA_MM), "energy_vis": found.energy_vis, "status": found.status,
+        "stable": found.stable, "camera_error_px": found.camera_error, "verdict": found.verdict, "gap_px": found.gap,
+        "unsupported": found.unsupported, "runner_up_mm": found.runner_up, "runner_up_energy_vis": found.runner_up_energy,
+    }
+
+
+def _shown(options: Namespace, task: Task, detected: list[list], found, growth, out: Path) -> list[Path]:
+    """Draw and record what was found, beside ``out``; returns the files."""
+    from doo_ti.vision.image_file import read_image
+
+    rig, written = task.sets.rig, []
+
+    def seen(row: int):
+        from doo_ti.report import SeenRod
+
+        images = [read_image(path, camera) for path, camera in zip(task.sets.paths[row], rig.cameras, strict=True)]
+        marks = [detection.points for detection in detected[row]]
+        rival = found.runner_up[row, 0] if np.isfinite(found.gap[row]) else None
+        truth = None if task.truth is None else task.truth[row]
+        return SeenRod(task.sets.names[row], images, marks, found.configuration.vertices[row], rival, truth,
+                       verdict_text(found, row))
+
+    if not options.no_picture:
+        from doo_ti.report import reprojections_picture
+        from doo_ti.report.reprojections import MOST_SETS
+
+        picture = out.with_suffix(".png")
+        rods = [seen(row) for row in range(min(task.sets.count, MOST_SETS))]
+        write_whole(picture, lambda file: reprojections_picture(file, rig, rods, up=task.up, left_out=task.sets.count - len(rods)))
+        written.append(picture)
+    if task.recorded:
+        from doo_ti.record import record_perception
+
+        recording = out.with_suffix(".rrd")
+        rods = [seen(row) for row in range(min(task.sets.count, task.recorded))]
+        record_perception(recording, run_id=f"perceive {out.name}", name=out.stem, rig=rig, rods=rods,
+                          growth=[growth.of(row, task.sets.point[row], task.rest_length) for row in range(len(rods))],
+                          up=task.up)
+        written.append(recording)
+    return written

@@ -16,11 +16,12 @@ from doo_ti.report.landscapes import (
 )
 from doo_ti.report.motions import motions_picture
 from doo_ti.report.quantities import MEAN_DISTANCE, SYMBOLS, axis_label, quantity, values_text
+from doo_ti.report.reprojections import SeenRod, reprojections_picture
 from doo_ti.report.ribbons import Ribbons, ribbon_sides, ribbons_picture
 
 __all__ = [
-    "MEAN_DISTANCE", "SYMBOLS", "LandscapePanel", "Panel", "Ribbons", "angle_curves_picture", "angle_errors_picture",
-    "axis_label", "cells_image", "distance_colors", "identifiability_picture", "landscape_colors", "landscape_image",
-    "landscape_picture", "landscapes_picture", "motions_picture", "panels_picture", "quantity", "ribbon_sides",
-    "ribbons_picture", "values_text",
+    "MEAN_DISTANCE", "SYMBOLS", "LandscapePanel", "Panel", "Ribbons", "SeenRod", "angle_curves_picture",
+    "angle_errors_picture", "axis_label", "cells_image", "distance_colors", "identifiability_picture",
+    "landscape_colors", "landscape_image", "landscape_picture", "landscapes_picture", "motions_picture",
+    "panels_picture", "quantity", "reprojections_picture", "ribbon_sides", "ribbons_picture", "values_text",
 ]

@@ -12,7 +12,7 @@ import numpy as np
 REACH_PX = 0.75
 """A line is taken from every pixel this near to it: wide enough that its points lie at most a pixel apart in any direction."""
 
-FIRST_REACH_PX, FIRST_REACH = 2.0, 1.0
+FIRST_REACH_PX, FIRST_REACH = 2.0, 0.5
 """The same for t, at least, and over σ: t comes out too large away from the ridge, and is uncertain where that is flat."""
 
 POINTS_PER_PX = 2 * REACH_PX

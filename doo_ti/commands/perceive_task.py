@@ -1,0 +1,131 @@
+"""What `doo-ti perceive` is given, checked before any image is looked at."""
+
+from argparse import Namespace
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti import options as given
+from doo_ti.dataset import load_observations
+from doo_ti.errors import InputError
+from doo_ti.importers import read_npz
+from doo_ti.types import Material
+
+MOST_EDGES = 2000
+RECORDED = 3
+"""Sets in a recording."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to perceive, checked as far as it can be before images are read."""
+
+    sets: object  # ImageSets
+    rest_length: np.ndarray
+    material: Material
+    search: object  # PerceptionOptions
+    detection: object  # DetectionOptions
+    up: np.ndarray
+    truth: np.ndarray | None
+    recorded: int
+
+
+def checked_task(options: Namespace) -> Task:
+    """Raises InputError naming the option or file at fault."""
+    grid, up = given.grid(options), given.up(options)
+    if grid.size > 1:
+        option = f"--{grid.varying[0].name.replace('_', '-')}"
+        raise InputError("command line", option, f"a grid of {grid.size} cells", "give one number")
+    if not grid.is_isotropic:
+        raise InputError("command line", "--bend", "not the same in all directions", "give --bend A: perceived rods are round")
+    rest_length = _rest_length(options.rest_length)
+    nu = given.numbers("--nu", options.nu) or (None,)
+    hypotheses = given.whole("--hypotheses", options.hypotheses, 1)
+    recorded = given.whole("--recorded", options.recorded, 1)
+    width = given.numbers("--width", options.width) or (None,)
+    for option, values in (("--nu", nu), ("--width", width)):
+        if len(values) > 1 or (values[0] is not None and not values[0] > 0):
+            raise InputError("command line", option, f"{values} is no positive number", "give one number above 0")
+
+    from doo_ti.vision.detection import DetectionOptions
+    from doo_ti.vision.rig import load_rig
+
+    sets = _sets(options, load_rig(options.rig))
+    truth = None if options.truth is None else _truth(options.truth, sets.names)
+
+    from doo_ti.perception import PerceptionOptions
+
+    chosen = {"nu": nu[0], "hypotheses": hypotheses}
+    return Task(sets, rest_length, grid.materials(),
+                 PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None}),
+                 DetectionOptions(options.detector, options.polarity, width[0]),
+                 np.array([0.0, 0.0, 1.0]) if up is None else up / np.linalg.norm(up), truth,
+                 0 if options.no_recording else recorded or RECORDED)
+
+
+def _rest_length(text: str) -> np.ndarray:
+    """(E,) mm, from ``3:33`` or a file."""
+    option, remedy = "--rest-length", "give MM:COUNT, such as 3:33, or a file of lengths in mm"
+    length, _, count = text.partition(":")
+    if count and not Path(text).exists():
+        edges = given.whole(option, count, 2, MOST_EDGES)
+        return np.full(edges, given.length(option, length))
+    path = Path(text)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError("command line", option, f"{text!r}: {(error.strerror or str(error)).lower()}", remedy) from None
+    try:
+        values = read_npz(path, content, ("rest_length_mm",)).get("rest_length_mm") if path.suffix == ".npz" else \
+            np.array(content.decode("utf-8").replace(",", " ").split(), dtype=np.float64)
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(path, "file", "holds something that is no number", remedy) from None
+    if values is None or values.dtype.kind not in "fiu" or values.ndim != 1 or not 2 <= len(values) <= MOST_EDGES \
+            or not (np.isfinite(values) & (values > 0)).all():
+        raise InputError(path, "rest_length_mm", "missing, or not 2 or more positive numbers", "give a length in mm for each edge")
+    return values.astype(np.float64)
+
+
+def _sets(options: Namespace, rig):
+    """The sets of the file, or the one that the command line spells out."""
+    from doo_ti.vision.image_sets import ImageSets, load_sets
+
+    single = {"IMAGE": options.images, "--seed-point": options.seed_point, "--seed-direction": options.seed_direction}
+    if options.sets is not None:
+        both = next((name for name, value in single.items() if value), None)
+        if both:
+            raise InputError("command line", both, "given beside --sets", "give either")
+        return load_sets(options.sets, rig)
+    for name, value in single.items():
+        if not value:
+            raise InputError("command line", name, "missing", "give --sets, or images with a seed point and direction")
+    if len(options.images) != len(rig.cameras):
+        raise InputError("command line", "IMAGE", f"{len(options.images)} images for the {len(rig.cameras)} cameras of {rig.source}",
+                         f"give one of each, in this order: {', '.join(rig.names)}")
+    seed = {}
+    for name in ("--seed-point", "--seed-direction"):
+        numbers = given.numbers(name, single[name])
+        if len(numbers) != 3:
+            raise InputError("command line", name, f"{len(numbers)} numbers", "give X,Y,Z")
+        seed[name] = np.array([numbers])
+    paths = tuple(Path(image) for image in options.images)
+    return ImageSets((paths[0].stem,), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], "command line")
+
+
+def _truth(path: str, names: tuple[str, ...]) -> np.ndarray:
+    """(A, V, 3) mm: the rods of the file by the sets' names, or in order where it has no names."""
+    vertices = load_observations(path).vertices
+    named = read_npz(Path(path), Path(path).read_bytes(), ("name", "names")) if Path(path).suffix == ".npz" else {}
+    known = next(iter(named.values()), None)
+    if known is None:
+        if len(vertices) != len(names):
+            raise InputError(path, "vertices_mm", f"{len(vertices)} rods for {len(names)} sets", "give one for each set")
+        return vertices
+    row = {str(name): index for index, name in enumerate(known)}
+    missing = next((name for name in names if name not in row), None)
+    if missing is not None:
+        raise InputError(path, "name", f"no rod is called {missing!r}", "name rods as the sets")
+    return vertices[[row[name] for name in names]]

@@ -1,0 +1,117 @@
+"""Rods recovered from images, drawn over them and in space (Fig. 6)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti.report.canvas import new_figure
+from doo_ti.vision.rig import Rig
+
+BEST, RUNNER_UP, TRUTH, DETECTED = "#2f7bff", "#ff2e4d", "#ffd400", "#00c08b"
+WIDTHS = {TRUTH: 2.8, RUNNER_UP: 1.8, BEST: 1.0}
+"""Points: what lies below shows on both sides."""
+MOST_SETS = 12
+"""Rows of a picture."""
+MARGIN_PX = 40
+"""Around what is drawn, in the images."""
+PANEL_INCHES = 3.2
+
+
+@dataclass(frozen=True)
+class SeenRod:
+    """One set of images and the rods that explain them.
+
+    name       what it is called
+    images     C of (H, W) uint8
+    detected   C of (N, 2) px, points of the line that was found
+    best       (n, 3) mm, the rod that scores best
+    runner_up  (n', 3) mm, the next best that differs, or None
+    truth      (n'', 3) mm, the rod as it is, or None
+    verdict    how sure that is, in words
+    """
+
+    name: str
+    images: list[np.ndarray]
+    detected: list[np.ndarray]
+    best: np.ndarray
+    runner_up: np.ndarray | None
+    truth: np.ndarray | None
+    verdict: str
+
+    @property
+    def rods(self) -> list[tuple[str, np.ndarray, str]]:
+        """(name, curve, colour) of those there are, as they are drawn one over the other."""
+        every = (("truth", self.truth, TRUTH), ("runner-up", self.runner_up, RUNNER_UP), ("best", self.best, BEST))
+        return [(name, curve, color) for name, curve, color in every if curve is not None and np.isfinite(curve).all()]
+
+
+def reprojections_picture(path_or_buffer, rig: Rig, sets: list[SeenRod], *, up, left_out: int = 0) -> None:
+    """Write sets as a PNG, a row each: every camera's image with what was detected and the rods' reprojections, and the rods
+    in space.
+
+    up        direction against gravity
+    left_out  how many sets are not drawn, which is told
+    """
+    from matplotlib.lines import Line2D
+
+    columns = len(rig.cameras) + 1
+    figure = new_figure((PANEL_INCHES * columns, 0.82 * PANEL_INCHES * len(sets) + 0.9), dpi=130)
+    grid = figure.add_gridspec(len(sets), columns)
+    for row, seen in enumerate(sets):
+        for column, camera in enumerate(rig.cameras):
+            axes = figure.add_subplot(grid[row, column])
+            _draw_image(axes, camera, seen, column)
+            if column == 0:
+                axes.set_title(f"{seen.name}: {seen.verdict}", fontsize=9, loc="left")
+        _draw_space(figure.add_subplot(grid[row, -1], projection="3d"), seen, np.asarray(up, float))
+    keys = [Line2D([], [], color=color, linewidth=2, label=name) for name, color in
+            (("detected", DETECTED), ("best", BEST), ("runner-up", RUNNER_UP), ("truth", TRUTH))
+            if name in ("detected", "best") or any(name == drawn for seen in sets for drawn, _, _ in seen.rods)]
+    more = f"; {left_out} more sets are not drawn" if left_out else ""
+    figure.legend(handles=keys, loc="outside lower center", ncols=len(keys), frameon=False, fontsize=10)
+    figure.suptitle(f"Rods recovered from images (Alg. 1){more}", fontsize=12)
+    figure.canvas.print_png(path_or_buffer)
+
+
+def _draw_image(axes, camera, seen: SeenRod, column: int) -> None:
+    """One camera's image around the thread, and what lies over it."""
+    image, detected = seen.images[column], seen.detected[column]
+    projected = [(camera.project(curve), color) for _, curve, color in seen.rods]
+    height, width = image.shape
+    axes.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+    axes.plot(*detected.T, ".", color=DETECTED, markersize=3.2, markeredgewidth=0)
+    for pixels, color in projected:
+        axes.plot(*pixels.T, color=color, linewidth=WIDTHS[color])
+    axes.annotate(camera.name, (0.02, 0.03), xycoords="axes fraction", fontsize=8, color="white")
+    around = np.concatenate([detected] + [pixels for pixels, _ in projected])
+    around = around[np.isfinite(around).all(axis=1)]
+    low = np.maximum(around.min(axis=0) - MARGIN_PX, -0.5)
+    high = np.minimum(around.max(axis=0) + MARGIN_PX, (width - 0.5, height - 0.5))
+    axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), xticks=[], yticks=[])
+
+
+def _draw_space(axes, seen: SeenRod, up: np.ndarray) -> None:
+    """All rods in space, gravity down the page, from beside the plane that the best one mostly lies in."""
+    frame = _upright(seen.best, up)
+    points = np.concatenate([curve for _, curve, _ in seen.rods]) @ frame.T
+    for _, curve, color in seen.rods:
+        axes.plot(*(curve @ frame.T).T, color=color, linewidth=WIDTHS[color])
+    axes.scatter(*(seen.best[0] @ frame.T), color="#202020", s=10)
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = 0.5 * np.maximum(high - low, 0.2 * (high - low).max()) * 1.05
+    middle = 0.5 * (low + high)
+    axes.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]),
+             zlim=(middle[2] - half[2], middle[2] + half[2]))
+    axes.set_box_aspect(half, zoom=1.15)
+    axes.view_init(elev=18, azim=-65)
+    axes.tick_params(labelsize=6, pad=-2)
+    axes.locator_params(nbins=4)
+
+
+def _upright(curve: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(3, 3) rows: the curve's main horizontal direction, across it, and up."""
+    up = up / np.linalg.norm(up)
+    spread = curve - curve.mean(axis=0)
+    level = spread - (spread @ up)[:, None] * up
+    right = np.linalg.eigh(level.T @ level - 1e-9 * (1 + np.sum(level**2)) * np.outer(up, up))[1][:, -1]
+    return np.stack([right, np.cross(up, right), up])

@@ -1,0 +1,191 @@
+"""How well rods are recovered from images (§V-E, Fig. 6): the virtual lab's 180 sets, loops, and worse images and seeds.
+
+    python tools/perception_study.py [lab loops seed camera occlusion clutter ...] [--sets N]
+"""
+
+import argparse
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.commands.printing import counted
+from doo_ti.lab_images import LabRods, lab_rods
+from doo_ti.learning import status_counts
+from doo_ti.perception import perceive
+from doo_ti.perception_trials import (
+    Trial,
+    crossings,
+    detected,
+    filled,
+    judged,
+    seeds_off,
+    sets_of,
+    truth_energy,
+    unseen,
+    usual_width,
+    with_energy,
+    without_camera,
+)
+from doo_ti.scene import load_scene
+from doo_ti.search import PerceptionOptions, Search
+from doo_ti.types import Material
+from doo_ti.vision.detection import Detection, DetectionOptions
+from doo_ti.vision.distance_map import DistanceMaps, distance_maps
+from doo_ti.vision.image_synthesis import Photographs, take
+from doo_ti.vision.render import RenderOptions
+from doo_ti.vision.rig import Rig, load_rig
+from doo_ti.vision.spline import smooth_curve
+
+SCENES = Path(__file__).resolve().parents[1] / "scenes"
+THREADS = ("nylon", "vicryl", "silk")
+DIAMETER_MM, MARGIN_PX, SEED, MOST_NAMED = 0.5, 60, 2011, 6
+SHARES = (1.0, 1e-2, 1e-4)
+OCCLUDED = RenderOptions(occluders=2, occluded_share=0.2)
+CLUTTERED = RenderOptions(clutter=6, specks=20)
+OPTIONS, UP = PerceptionOptions(), np.array([0.0, 0.0, 1.0])
+HEAD = ("| row | sets | correct | search lost it | score prefers another | vertex mm: mean, worst | curve mm: mean, worst "
+        "| thread unseen | status | s |")
+
+
+@dataclass(frozen=True)
+class Case:
+    """Sets of images of one thread, detected."""
+
+    rods: LabRods
+    material: Material
+    rig: Rig
+    detections: list[list[Detection]]
+    maps: DistanceMaps
+    pixels: np.ndarray
+    curve: np.ndarray
+
+
+def main() -> None:
+    rows = {"lab": lab, "loops": loops, "seed": seed, "camera": camera, "occlusion": occlusion, "clutter": clutter}
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("rows", nargs="*", metavar="ROW", help=f"of {', '.join(rows)} (default: all)")
+    parser.add_argument("--sets", type=int, default=60, metavar="N", help="of each thread (default 60)")
+    options = parser.parse_args()
+    unknown = [name for name in options.rows if name not in rows]
+    if unknown:
+        parser.error(f"no row {unknown[0]}: give some of {', '.join(rows)}")
+    print(f"seed {SEED}; correct: mean vertex error below 1 mm\n{HEAD}\n" + "|---" * (HEAD.count("|") - 1) + "|")
+    for name in options.rows or rows:
+        rows[name](options.sets)
+
+
+def lab(sets: int) -> None:
+    """§V-E: the paper's 180 sets, all options at their defaults."""
+    began = time.perf_counter()
+    for name in THREADS:
+        case, seconds = photographed(name, sets)
+        tell(f"lab: {name}", case, case.rods.point, case.rods.direction, seconds=seconds)
+    print(f"lab: {time.perf_counter() - began:.0f} s in all, rods made, photographed and recovered", flush=True)
+
+
+def loops(sets: int) -> None:
+    """Fig. 6: what crosses itself in every view, with the rod's energy and with little of it; and threads that do not."""
+    for name in THREADS:
+        case, _ = photographed(f"loops_{name}", None, crossing=True)
+        again = mapped(case, filled(case.detections, case.maps, case.pixels))
+        for seen, these in (("as detected", case), ("gaps filled", again)):
+            shares(f"loops: {name}, {seen}", these)
+    for name in THREADS:
+        shares(f"no loops: {name}", photographed(name, min(sets, 20))[0])
+
+
+def shares(what: str, case: Case) -> None:
+    for share in SHARES:
+        tell(f"{what}, energy x {share:g}", case, case.rods.point, case.rods.direction, with_energy(OPTIONS, share))
+
+
+def seed(sets: int) -> None:
+    """v⁰ and e⁰ as a careless person gives them."""
+    for name in THREADS:
+        case, _ = photographed(name, sets)
+        off = seeds_off(case.rods.point, case.rods.direction, 1.0, np.radians(5.0), np.random.default_rng(SEED))
+        tell(f"seed 1 mm, 5° off: {name}", case, *off)
+
+
+def camera(sets: int) -> None:
+    """Two cameras, each of the three left out in turn."""
+    for name in THREADS:
+        case, _ = photographed(name, sets)
+        for index, left_out in enumerate(case.rig.names):
+            maps, rig = without_camera(case.maps, case.rig, index)
+            less = Case(case.rods, case.material, rig, case.detections, maps, np.delete(case.pixels, index, axis=0), case.curve)
+            rows = np.arange(index, len(case.rods.names), len(case.rig.names))
+            tell(f"without {left_out}: {name}", of(less, rows), case.rods.point[rows], case.rods.direction[rows])
+
+
+def occlusion(sets: int) -> None:
+    """A ball and a bar before the thread, that hide a fifth of it."""
+    worse("20 % occluded", OCCLUDED, sets)
+
+
+def clutter(sets: int) -> None:
+    """Lines and specks about the thread."""
+    worse("6 lines, 20 specks", CLUTTERED, sets)
+
+
+def worse(what: str, look: RenderOptions, sets: int) -> None:
+    for name in THREADS:
+        case, _ = photographed(name, sets, look)
+        tell(f"{what}: {name}", case, case.rods.point, case.rods.direction)
+
+
+def photographed(scene: str, sets: int | None, look: RenderOptions = RenderOptions(),
+                 crossing: bool = False) -> tuple[Case, float]:
+    """Images of a scene's rods, detected; and the seconds from images to distance maps."""
+    rig, recipe = load_rig(SCENES / "rig.yaml"), load_scene(SCENES / f"{scene}.toml").observations
+    rods = lab_rods(recipe)
+    if crossing:
+        rods = rods.take(np.flatnonzero((crossings(rig.project(rods.curve)) > 0).all(axis=0)))
+    elif sets is not None and sets < len(rods.names):
+        rods = rods.take(np.linspace(0, len(rods.names) - 1, sets).round().astype(int))
+    images = take(Photographs(rods.names, rods.curve, rods.point, rods.direction, DIAMETER_MM, rig, look, SEED))
+    began = time.perf_counter()
+    found = detected(images)
+    if crossing:
+        found = detected(images, DetectionOptions(width_px=usual_width(found)))
+    curve = smooth_curve(rods.curve, 8)
+    maps = distance_maps(found, MARGIN_PX)
+    return Case(rods, recipe.material(), rig, found, maps, rig.project(curve), curve), time.perf_counter() - began
+
+
+def mapped(case: Case, detections: list[list[Detection]]) -> Case:
+    maps = distance_maps(detections, MARGIN_PX)
+    return Case(case.rods, case.material, case.rig, detections, maps, case.pixels, case.curve)
+
+
+def of(case: Case, rows: np.ndarray) -> Case:
+    """Some of the sets."""
+    return Case(case.rods.take(rows), case.material, case.rig, [case.detections[row] for row in rows],
+                sets_of(case.maps, rows), case.pixels[:, rows], case.curve[rows])
+
+
+def tell(what: str, case: Case, point, direction, options: PerceptionOptions = OPTIONS, seconds: float = 0.0) -> None:
+    """One row of the table, and a line for each of the first sets that are not correct."""
+    began = time.perf_counter()
+    found = perceive(case.maps, case.rig, point, direction, case.rods.rest_length, case.material, options=options)
+    seconds += time.perf_counter() - began
+    search = Search(case.maps, case.rig, point, direction, case.rods.rest_length, case.material, UP, options)
+    truth = truth_energy(search, case.rods.vertices)
+    trial: Trial = judged(found, case.rods.vertices, case.curve, truth)
+    good, missing = trial.correct, unseen(case.maps, case.pixels).mean(axis=(1, 2))
+    status = counted(status_counts(found.status))
+    errors = [f"{error[good].mean():.3f}, {error[good].max():.3f}" if good.any() else "none"
+              for error in (trial.vertex_error, trial.curve_error)]
+    print(f"| {what} | {len(good)} | {good.sum()} | {trial.overlooked.sum()} | {(~good & ~trial.overlooked).sum()} "
+          f"| {errors[0]} | {errors[1]} | {missing.mean():.3f} | {status} | {seconds:.1f} |", flush=True)
+    for row in np.flatnonzero(~good)[:MOST_NAMED]:
+        print(f"    {case.rods.names[row]}: {trial.vertex_error[row]:.2f} mm off, E_vis {trial.energy_vis[row]:.3f} beside "
+              f"{truth[row]:.3f} of the truth, camera error {np.round(found.camera_error[row], 1).tolist()} px, "
+              f"unseen {missing[row]:.2f}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()
