@@ -3,22 +3,27 @@
     python tools/twist_study.py --runs RUNS --data ../shared/data/lab_a --out FOLDER
 
 RUNS/MATERIAL holds the sweep of each material (`doo-ti sweep lab_a/MATERIAL.npz --bend 5e4:1e7:25 --twist-ratio 0.1:6:25`), of
-which the best cell counts.
+which the best cell counts. With --perceived SHAPES the marks are not those of labels but what `doo-ti perceive` saw in images
+of scenes/MATERIAL.toml, SHAPES/MATERIAL.npz; then RUNS/MATERIAL is the sweep of that scene.
 """
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from doo_ti.dataset import load_observations, write_whole
+from doo_ti.dataset import Observations, load_observations, write_whole
 from doo_ti.learning import read_landscape
 from doo_ti.report import angle_errors_picture
+from doo_ti.scene import load_scene
+from doo_ti.synthesis import synthesise
 from doo_ti.twist import Verdict
 from doo_ti.twist_trials import SUCCESS, twist_trials
 
+SCENES = Path(__file__).resolve().parents[1] / "scenes"
 MATERIALS = ("nylon", "vicryl", "silk")
 PAPER = {1: "53.3 %", 6: "80 %"}
 
@@ -27,6 +32,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=Path, required=True)
     parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[2] / "shared" / "data" / "lab_a")
+    parser.add_argument("--perceived", type=Path, help="folder of what doo-ti perceive wrote, by material")
     parser.add_argument("--trials", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=2011)
     parser.add_argument("--out", type=Path, required=True)
@@ -59,14 +65,24 @@ def main() -> None:
 
 
 def _trials(options, material: str, together: int, done):
-    observations = load_observations(options.data / f"{material}.npz")
-    with np.load(options.data / f"{material}_truth.npz") as truth:
-        total_twist = np.radians(truth["total_twist_deg"])
+    observations, total_twist = (_labelled if options.perceived is None else _perceived)(options, material)
     landscape = read_landscape(options.runs / material)
     theta = landscape.grid.materials(slice(landscape.best, landscape.best + 1))
     trials = twist_trials(observations, total_twist, theta, together, options.trials, options.seed)
     done()
     return trials
+
+
+def _labelled(options, material: str) -> tuple[Observations, np.ndarray]:
+    with np.load(options.data / f"{material}_truth.npz") as truth:
+        return load_observations(options.data / f"{material}.npz"), np.radians(truth["total_twist_deg"])
+
+
+def _perceived(options, material: str) -> tuple[Observations, np.ndarray]:
+    """The lab's end frames and twist, which its scene tells to half of 30°, with the shapes that images showed."""
+    observations = synthesise(load_scene(SCENES / f"{material}.toml").observations)
+    with np.load(options.perceived / f"{material}.npz") as seen:
+        return replace(observations, vertices=seen["vertices_mm"]), observations.total_twist
 
 
 def _share(failed: np.ndarray, rows: np.ndarray) -> str:
