@@ -27,6 +27,7 @@ from doo_ti.commands import (
     relax,
     sweep,
     synth,
+    track,
     triangulate,
     twist,
     view,
@@ -104,7 +105,7 @@ def _parser() -> _Parser:
     parser.add_argument("--version", action="version", version=f"doo-ti {__version__}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
     commands = (relax, sweep, learn, refine, predict, twist, figures, plan, view, convert, synth, bench, calibrate, triangulate,
-                perceive)
+                perceive, track)
     for command in commands:
         command.declare(add)
     return parser

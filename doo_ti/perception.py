@@ -157,8 +157,10 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
     found = others >= 0
     runner_up_energy = np.where(found, final.energy_vis[others], np.inf)
     rods = solution.configuration.take(best)
-    edge_error, image_length = _reprojected(search, rods.vertices)
-    worse = runner_up_energy.min(axis=1, initial=np.inf) - final.energy_vis[best]
+    with np.errstate(invalid="ignore"):  # a rod that is not finite is data
+        edge_error, image_length = _reprojected(search, rods.vertices)
+        worse = runner_up_energy.min(axis=1, initial=np.inf) - final.energy_vis[best]
+        sigma = vertex_sigma(search.rig, marks[best], options.nu, options.sigma_px, options.correlation_px)
     return Perception(
         vertices=marks[best],
         configuration=rods,
@@ -166,7 +168,7 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
         camera_error=np.einsum("ace,ace->ac", edge_error, image_length) / image_length.sum(axis=2),
         status=solution.status[best],
         stable=solution.stable[best],
-        sigma=vertex_sigma(search.rig, marks[best], options.nu, options.sigma_px, options.correlation_px),
+        sigma=sigma,
         runner_up=np.where(found[..., None, None], marks[others], np.nan),
         runner_up_energy=runner_up_energy,
         gap=worse / (options.nu * image_length.sum(axis=(1, 2))),

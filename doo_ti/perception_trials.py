@@ -30,12 +30,14 @@ class Trial:
     curve_error   (A,) mm: the same to the true curve, whatever the place along it
     energy_vis    (A,) 1/mm: E_vis of what was found
     truth_energy  (A,) 1/mm: E_vis of the rod relaxed from the true one
+    status        (A,) Status of what was found
     """
 
     vertex_error: np.ndarray
     curve_error: np.ndarray
     energy_vis: np.ndarray
     truth_energy: np.ndarray
+    status: np.ndarray
 
     @property
     def correct(self) -> np.ndarray:
@@ -51,7 +53,8 @@ class Trial:
 def judged(perception: Perception, vertices: np.ndarray, curve: np.ndarray, truth_energy: np.ndarray) -> Trial:
     """What was found beside the true vertices (A, V, 3) and the true, dense curve (A, n, 3)."""
     off = np.linalg.norm(perception.vertices - vertices, axis=-1).mean(axis=1)
-    return Trial(off, distance_to_curve(perception.vertices, curve).mean(axis=1), perception.energy_vis, truth_energy)
+    return Trial(off, distance_to_curve(perception.vertices, curve).mean(axis=1), perception.energy_vis, truth_energy,
+                 perception.status)
 
 
 def distance_to_curve(points: np.ndarray, curve: np.ndarray) -> np.ndarray:

@@ -34,6 +34,9 @@ from doo_ti.vision.distance_map import DistanceMaps
 from doo_ti.vision.reprojection import Reprojection, score
 from doo_ti.vision.rig import Rig
 
+LOST = 1e30
+"""1/mm: E_vis of a rod that came to nothing while growing. It grows on from where it set out if its set has no better one."""
+
 
 @dataclass(frozen=True)
 class PerceptionOptions:
@@ -97,7 +100,7 @@ class Hypotheses:
 
     of_set       (N,) image set, in increasing order
     quaternions  (N, i, 4) frames
-    energy_vis   (N,) E_vis, 1/mm, infinite where a rod came to nothing; while growing, heights are measured from v⁰
+    energy_vis   (N,) E_vis, 1/mm, infinite where a rod came to nothing at the end; while growing, heights are measured from v⁰
     """
 
     of_set: np.ndarray
@@ -172,7 +175,8 @@ class Search:
                            external_index=grown.of_set)
             quaternions, results = run_newton(table, solver, 32)
             lost = results[:, STATUS] == Status.NOT_FINITE
-            return Hypotheses(grown.of_set, quaternions, np.where(lost, np.inf, results[:, ENERGY] / self.scale))
+            quaternions[lost] = grown.quaternions[lost]
+            return Hypotheses(grown.of_set, quaternions, np.where(lost, LOST, results[:, ENERGY] / self.scale))
 
     def relaxed(self, hypotheses: Hypotheses) -> tuple[Hypotheses, Solution]:
         """F(Γ, E_vis, C) to the end, each edge in pieces."""

@@ -34,7 +34,7 @@ LAYERS = [
     {"synthesis", "learning", "report", "run_folder", "journey", "refinement"},
     {"paced"},
     {"predict", "lab_images"},
-    {"prediction_trials"},
+    {"prediction_trials", "tracking"},
     {"partition", "objective", "resolution", "folds", "multi_start", "plan"},
     {"cross_validation", "cells"},
     {"score_table", "trajectory"},

@@ -32,19 +32,18 @@ def declare(add) -> None:
     parser.add_argument("--seed-point", metavar="X,Y,Z", help="v⁰ of a single set, mm")
     parser.add_argument("--seed-direction", metavar="X,Y,Z", help="e⁰ of a single set")
     parser.add_argument("--rest-length", required=True, metavar="MM:COUNT|FILE",
-                        help="of the rod's edges: so many of one length, or a .npz with rest_length_mm, or a text with a number "
-                        "a line")
+                        help="of the rod's edges: so many of one length, or a .npz with rest_length_mm, or a text of numbers")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write; F.png and F.rrd lie beside it")
     add_material(parser, "one number each; perceived rods are round")
     parser.add_argument("--up", metavar="X,Y,Z", help="direction against gravity in the rig's world (default 0,0,1)")
     search = parser.add_argument_group("search")
     search.add_argument("--nu", metavar="NU", help="ν, 1/(mm px²): weight of the images (default 0.005)")
     search.add_argument("--hypotheses", metavar="H", help="kept for each set and step (default 40)")
-    search.add_argument("--detector", choices=("ridge", "canny"), default="ridge", help="default: ridge, to a fraction of a pixel")
+    search.add_argument("--detector", choices=("ridge", "canny"), default="ridge", help="default ridge; canny is the paper's")
     search.add_argument("--polarity", choices=("dark", "light"), help="of the thread (default: whichever stands out)")
     search.add_argument("--width", metavar="PX", help="of the thread in the images (default: as found)")
     shown = parser.add_argument_group("what is shown")
-    shown.add_argument("--truth", metavar="OBS", help="the rods as they are, to compare with: observations, by name or in order")
+    shown.add_argument("--truth", metavar="OBS", help="the true rods, to compare with: observations, by name or in order")
     shown.add_argument("--no-picture", action="store_true", help="leave out F.png")
     shown.add_argument("--no-recording", action="store_true", help="leave out F.rrd")
     shown.add_argument("--recorded", metavar="N", help=f"sets in F.rrd, the first ones (default {RECORDED})")
@@ -55,9 +54,11 @@ def declare(add) -> None:
 def run(options: Namespace, words: list[str]) -> int:
     """Alg. 1 on every set of images; writes rods and runners-up, and prints how sure each set is."""
     out = given.output_file(options.out, ".npz")
-    for source in filter(None, (options.sets, options.truth, *options.images)):
-        given.refuse_overwriting(out, source)
     task = checked_task(options)
+    sources = [options.rig, options.sets, options.truth, *(path for line in task.sets.paths for path in line)]
+    for path in (out, out.with_suffix(".png"), out.with_suffix(".rrd")):
+        for source in filter(None, sources):
+            given.refuse_overwriting(path, source)
     with _progress() as bar:
         detected = _detected(task, bar)
         found, growth = _perceived(task, detected, bar)
@@ -75,10 +76,20 @@ def run(options: Namespace, words: list[str]) -> int:
 
 def _progress():
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    return Progress(TextColumn("{task.description:>9}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[unit]}"),
-                    TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(), console=Console(stderr=True), transient=True)
+    console = Console(stderr=True)
+    return Progress(
+        TextColumn("{task.description:>9}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[unit]}"),
+        TextColumn("{task.fields[rate]}"), TimeRemainingColumn(), console=console, transient=True,
+        disable=not console.is_terminal)
+
+
+def _advance(bar, task, done: int) -> None:
+    """So many more are done, at such a rate."""
+    bar.advance(task, done)
+    seen = bar.tasks[task]
+    bar.update(task, rate=f"{seen.completed / max(seen.elapsed or 0.0, 1e-3):,.1f}/s")
 
 
 def _detected(task: Task, bar) -> list[list]:
@@ -94,14 +105,14 @@ def _detected(task: Task, bar) -> list[list]:
 
     cameras = task.sets.rig.cameras
     images = [(path, camera) for line in task.sets.paths for path, camera in zip(line, cameras, strict=True)]
-    shown = bar.add_task("detection", total=len(images), unit="images")
+    shown = bar.add_task("detection", total=len(images), unit="images", rate="")
     detections = []
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         waiting = [threads.submit(found, *image) for image in images]
         try:
             for one in waiting:
                 detections.append(one.result())
-                bar.advance(shown)
+                _advance(bar, shown, 1)
         finally:
             threads.shutdown(cancel_futures=True)
     return [detections[row : row + len(cameras)] for row in range(0, len(images), len(cameras))]
@@ -116,18 +127,20 @@ def _perceived(task: Task, detected: list[list], bar):
     sets, edges = task.sets, len(task.rest_length)
     pixels = max(camera.width * camera.height for camera in sets.rig.cameras)
     together = max(1, MOST_MAP_BYTES // (4 * pixels * len(sets.rig.cameras)))
-    shown = bar.add_task("growth", total=sets.count * (edges - 1), unit="edges")
+    shown = bar.add_task("growth", total=sets.count * (edges - 1), unit="edges", rate="")
     growth, found = GrowthSteps(task.recorded), []
+
+    def told(first: int, count: int):
+        def step(_, kept, pruned) -> None:
+            growth.add(first, kept, pruned)
+            _advance(bar, shown, count)
+        return step
+
     for first in range(0, sets.count, together):
         rows = slice(first, first + together)
         maps = distance_maps(detected[rows], MARGIN_PX)
-
-        def grown(_, kept, pruned, first=first, count=len(maps.window)):
-            growth.add(first, kept, pruned)
-            bar.advance(shown, count)
-
         found.append(perceive(maps, sets.rig, sets.point[rows], sets.direction[rows], task.rest_length, task.material,
-                              up=task.up, options=task.search, on_step=grown))
+                              up=task.up, options=task.search, on_step=told(first, len(maps.window))))
     return Perception.joined(found), growth
 
 
@@ -135,9 +148,10 @@ def _arrays(task: Task, found) -> dict[str, np.ndarray]:
     """What the file holds; docs/perception.md."""
     return {
         "name": np.array(task.sets.names), "vertices_mm": found.vertices, "rest_length_mm": task.rest_length, "up": task.up,
-        "sigma_mm": np.maximum(found.sigma, LEAST_SIGMA_MM), "energy_vis": found.energy_vis, "status": found.status,
-        "stable": found.stable, "camera_error_px": found.camera_error, "verdict": found.verdict, "gap_px": found.gap,
-        "unsupported": found.unsupported, "runner_up_mm": found.runner_up, "runner_up_energy_vis": found.runner_up_energy,
+        "valid": np.isfinite(found.vertices).all(axis=-1), "sigma_mm": np.maximum(found.sigma, LEAST_SIGMA_MM),
+        "energy_vis": found.energy_vis, "status": found.status, "stable": found.stable,
+        "camera_error_px": found.camera_error, "verdict": found.verdict, "gap_px": found.gap, "unsupported": found.unsupported,
+        "runner_up_mm": found.runner_up, "runner_up_energy_vis": found.runner_up_energy,
     }
 
 
@@ -146,6 +160,7 @@ def _shown(options: Namespace, task: Task, detected: list[list], found, growth, 
     from doo_ti.vision.image_file import read_image
 
     rig, written = task.sets.rig, []
+    there = np.flatnonzero(np.isfinite(found.vertices).all(axis=(1, 2)))
 
     def seen(row: int):
         from doo_ti.report import SeenRod
@@ -157,21 +172,23 @@ def _shown(options: Namespace, task: Task, detected: list[list], found, growth, 
         return SeenRod(task.sets.names[row], images, marks, found.configuration.vertices[row], rival, truth,
                        verdict_text(found, row))
 
-    if not options.no_picture:
+    if len(there) and not options.no_picture:
         from doo_ti.report import reprojections_picture
         from doo_ti.report.reprojections import MOST_SETS
 
         picture = out.with_suffix(".png")
-        rods = [seen(row) for row in range(min(task.sets.count, MOST_SETS))]
-        write_whole(picture, lambda file: reprojections_picture(file, rig, rods, up=task.up, left_out=task.sets.count - len(rods)))
+        rods = [seen(row) for row in there[:MOST_SETS]]
+        left_out = task.sets.count - len(rods)
+        write_whole(picture, lambda file: reprojections_picture(file, rig, rods, up=task.up, left_out=left_out))
         written.append(picture)
-    if task.recorded:
+    if (there < task.recorded).any():
         from doo_ti.record import record_perception
 
         recording = out.with_suffix(".rrd")
-        rods = [seen(row) for row in range(min(task.sets.count, task.recorded))]
+        rows = there[there < task.recorded]
+        rods = [seen(row) for row in rows]
         record_perception(recording, run_id=f"perceive {out.name}", name=out.stem, rig=rig, rods=rods,
-                          growth=[growth.of(row, task.sets.point[row], task.rest_length) for row in range(len(rods))],
+                          growth=[growth.of(row, task.sets.point[row], task.rest_length) for row in rows],
                           up=task.up)
         written.append(recording)
     return written

@@ -85,7 +85,7 @@ def _rest_length(text: str) -> np.ndarray:
         raise InputError(path, "file", "holds something that is no number", remedy) from None
     if values is None or values.dtype.kind not in "fiu" or values.ndim != 1 or not 2 <= len(values) <= MOST_EDGES \
             or not (np.isfinite(values) & (values > 0)).all():
-        raise InputError(path, "rest_length_mm", "missing, or not 2 or more positive numbers", "give a length in mm for each edge")
+        raise InputError(path, "rest_length_mm", "missing, or not 2 or more positive numbers", "give one for each edge")
     return values.astype(np.float64)
 
 
@@ -103,7 +103,7 @@ def _sets(options: Namespace, rig):
         if not value:
             raise InputError("command line", name, "missing", "give --sets, or images with a seed point and direction")
     if len(options.images) != len(rig.cameras):
-        raise InputError("command line", "IMAGE", f"{len(options.images)} images for the {len(rig.cameras)} cameras of {rig.source}",
+        raise InputError("command line", "IMAGE", f"{len(options.images)} images, but the rig has {len(rig.cameras)} cameras",
                          f"give one of each, in this order: {', '.join(rig.names)}")
     seed = {}
     for name in ("--seed-point", "--seed-direction"):

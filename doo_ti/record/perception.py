@@ -56,7 +56,7 @@ def _log_cameras(stream, place: str, rig: Rig, seen: SeenRod) -> None:
         flat = f"{place}/{camera.name}"
         stream.log(flat, rerun.Image(image, color_model="L").compress(jpeg_quality=JPEG_QUALITY), static=True)
         stream.log(f"{flat}/detected", rerun.Points2D(
-            detected.astype(np.float32), colors=_rgb(DETECTED), radii=rerun.Radius.ui_points(1.2), draw_order=5.0), static=True)
+            _drawn(detected), colors=_rgb(DETECTED), radii=rerun.Radius.ui_points(1.2), draw_order=5.0), static=True)
         _log_frustum(stream, f"{place}/world/{camera.name}", camera)
         if seen.truth is not None:
             stream.log(f"{flat}/truth", rerun.LineStrips2D(
@@ -65,7 +65,8 @@ def _log_cameras(stream, place: str, rig: Rig, seen: SeenRod) -> None:
     if seen.truth is not None:
         stream.log(f"{place}/world/truth", rerun.LineStrips3D(
             drawn_strips(seen.truth[None]), colors=_rgb(TRUTH), radii=rerun.Radius.ui_points(1.0)), static=True)
-    stream.log(f"{place}/verdict", rerun.TextDocument(f"**{seen.name}**: {seen.verdict}", media_type="text/markdown"), static=True)
+    words = rerun.TextDocument(f"**{seen.name}**: {seen.verdict}", media_type="text/markdown")
+    stream.log(f"{place}/verdict", words, static=True)
 
 
 def _log_frustum(stream, entity: str, camera: Camera) -> None:
@@ -90,10 +91,10 @@ def _log_step(stream, place: str, rig: Rig, step: GrowthStep) -> None:
     """The hypotheses of a step in space and in every image: those that stay, the best of them, and those that were pruned."""
     kept = np.flatnonzero(step.kept)
     groups = {"best": kept[:1], "kept": kept[1:], "pruned": np.flatnonzero(~step.kept)}
+    stream.log(f"{place}/energy_vis", rerun.AnyValues(per_mm=step.energy_vis, kept=step.kept))
     for name, rows in groups.items():
         curves = step.vertices[rows]
-        stream.log(f"{place}/world/{name}", rerun.LineStrips3D.from_fields(strips=drawn_strips(curves)),
-                   rerun.AnyValues(energy_vis=step.energy_vis[rows]))
+        stream.log(f"{place}/world/{name}", rerun.LineStrips3D.from_fields(strips=drawn_strips(curves)))
         for camera in rig.cameras:
             pixels = [_drawn(line) for line in camera.project(curves)]
             stream.log(f"{place}/{camera.name}/{name}", rerun.LineStrips2D.from_fields(strips=pixels))
@@ -111,7 +112,7 @@ def _log_answer(stream, place: str, rig: Rig, seen: SeenRod) -> None:
 
 
 def _drawn(pixels: np.ndarray) -> np.ndarray:
-    """(n, 2) px as the viewer counts them, whose pixels have their corners at whole numbers; what no camera sees is left out."""
+    """(n, 2) px as the viewer counts them, with the corners of pixels at whole numbers; what is not seen is left out."""
     return (pixels[np.isfinite(pixels).all(axis=1)] + 0.5).astype(np.float32)
 
 

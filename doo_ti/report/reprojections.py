@@ -79,9 +79,9 @@ def _draw_image(axes, camera, seen: SeenRod, column: int) -> None:
     projected = [(camera.project(curve), color) for _, curve, color in seen.rods]
     height, width = image.shape
     axes.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
-    axes.plot(*detected.T, ".", color=DETECTED, markersize=3.2, markeredgewidth=0)
     for pixels, color in projected:
-        axes.plot(*pixels.T, color=color, linewidth=WIDTHS[color])
+        axes.plot(*pixels.T, color=color, linewidth=WIDTHS[color], zorder=1 if color == TRUTH else 3)
+    axes.plot(*detected.T, ".", color=DETECTED, markersize=2.6, markeredgewidth=0, zorder=2)
     axes.annotate(camera.name, (0.02, 0.03), xycoords="axes fraction", fontsize=8, color="white")
     around = np.concatenate([detected] + [pixels for pixels, _ in projected])
     around = around[np.isfinite(around).all(axis=1)]

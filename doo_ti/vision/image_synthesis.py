@@ -77,8 +77,8 @@ def save_photographs(folder: Path, photographs: Photographs, threads: int = 2,
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(("name", *photographs.rig.names, *SEED))
     for index, name in enumerate(photographs.names):
-        seed = (*photographs.point[index].tolist(), *photographs.direction[index].tolist())
-        writer.writerow((name, *_files(photographs, index), *seed))
+        seed = np.concatenate([photographs.point[index], photographs.direction[index]]).round(12) + 0.0
+        writer.writerow((name, *_files(photographs, index), *seed.tolist()))
     write_whole(folder / SETS_FILE, lambda file: file.write(text.getvalue().encode()))
 
 

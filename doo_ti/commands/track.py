@@ -1,0 +1,158 @@
+"""A rod through a video (§III-D, §IV-A)."""
+
+import json
+import os
+from argparse import Namespace
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti import options as given
+from doo_ti.commands.arguments import add_json, add_material
+from doo_ti.commands.perceive import LEAST_SIGMA_MM
+from doo_ti.commands.printing import plain
+from doo_ti.commands.track_task import Task, checked_task
+from doo_ti.dataset import write_whole
+from doo_ti.errors import InputError, InterruptedRunError
+
+AHEAD = 16
+"""Frames whose thread is detected while one is tracked."""
+MOST_TOLD = 30
+
+
+def declare(add) -> None:
+    parser = add("track", allow_abbrev=False, help="follow a rod through a video")
+    parser.add_argument("--rig", required=True, metavar="RIG", help="cameras: OpenCV FileStorage YAML")
+    parser.add_argument("--frames", required=True, metavar="FRAMES.csv",
+                        help="frame, a column of images per camera, time_s if known, and the seed: seed_x … dir_z")
+    parser.add_argument("--rest-length", required=True, metavar="MM:COUNT|FILE",
+                        help="of the rod's edges: so many of one length, or a .npz with rest_length_mm, or a text of numbers")
+    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write; F.rrd lies beside it")
+    add_material(parser, "one number each; tracked rods are round")
+    parser.add_argument("--motion", metavar="PATH", help="poses of the far clamp, a moment for each frame: .npz or .csv")
+    parser.add_argument("--up", metavar="X,Y,Z", help="direction against gravity in the rig's world (default 0,0,1)")
+    parser.add_argument("--polarity", choices=("dark", "light"), help="of the thread (default: whichever stands out)")
+    parser.add_argument("--width", metavar="PX", help="of the thread in the images (default: as found)")
+    parser.add_argument("--no-recording", action="store_true", help="leave out F.rrd")
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: Namespace, words: list[str]) -> int:
+    """Track the rod from frame to frame; writes it, and prints where it was lost and found again."""
+    out = given.output_file(options.out, ".npz")
+    for source in filter(None, (options.frames, options.motion, options.rest_length)):
+        given.refuse_overwriting(out, source)
+    task = checked_task(options)
+    found, problem = _tracked(task)
+    result = _arrays(task, found)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(out, lambda file: np.savez_compressed(file, **result))
+    if problem is not None:
+        raise InterruptedRunError(f"{problem}; {len(found)} of {task.frames.count} frames are kept in {out}; track the others "
+                                  "as a video of their own, with the seed in its first line")
+    written = [out]
+    if not options.no_recording:
+        from doo_ti.record import record_track
+
+        written.append(out.with_suffix(".rrd"))
+        record_track(written[-1], run_id=f"track {out.name}", name=out.stem, rig=task.frames.rig, paths=task.frames.paths,
+                     vertices=result["vertices_mm"], error=result["camera_error_px"], how=result["how"], up=task.up)
+    summary = _summary(task, result, written)
+    if options.json:
+        print(json.dumps(plain(summary)))
+    else:
+        _tell(summary)
+    return 0 if np.isfinite(result["energy_vis"]).any() else 1
+
+
+def _tracked(task: Task) -> tuple[list, str | None]:
+    """(Tracked frames, what kept the rest from being tracked). Raises what happens before the first one is."""
+    from doo_ti.tracking import Tracker
+
+    frames, found = task.frames, []
+    tracker = Tracker(frames.rig, task.rest_length, task.material, up=task.up)
+    try:
+        with _progress() as bar:
+            shown = bar.add_task("tracking", total=frames.count, rate="")
+            for row, detected in enumerate(_detected(task)):
+                far = None if task.far is None or row == 0 else task.far[row - 1]
+                found.append(tracker.see(detected, frames.point[row], frames.direction[row], far))
+                bar.advance(shown)
+                bar.update(shown, rate=f"{len(found) / max(bar.tasks[0].elapsed or 0.0, 1e-3):,.1f}/s")
+    except (InputError, OSError, KeyboardInterrupt) as problem:
+        if not found:
+            raise
+        return found, str(problem) or "interrupted"
+    return found, None
+
+
+def _detected(task: Task) -> Iterator[list]:
+    """C detections of each frame, found while others are tracked."""
+    from doo_ti.vision.detection import detect
+    from doo_ti.vision.image_file import read_image
+
+    cameras = task.frames.rig.cameras
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        def ask(row: int) -> list:
+            return [threads.submit(lambda path, camera: detect(read_image(path, camera), task.detection), path, camera)
+                    for path, camera in zip(task.frames.paths[row], cameras, strict=True)]
+
+        waiting = [ask(row) for row in range(min(AHEAD, task.frames.count))]
+        try:
+            for row in range(task.frames.count):
+                yield [image.result() for image in waiting.pop(0)]
+                if row + AHEAD < task.frames.count:
+                    waiting.append(ask(row + AHEAD))
+        finally:
+            threads.shutdown(cancel_futures=True)
+
+
+def _progress():
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("frames"),
+                    TextColumn("{task.fields[rate]}"), TimeRemainingColumn(), console=console, transient=True,
+                    disable=not console.is_terminal)
+
+
+def _arrays(task: Task, found: list) -> dict[str, np.ndarray]:
+    """What the file holds; docs/tracking.md."""
+    told = {"vertices_mm": "vertices", "energy_vis": "energy_vis", "camera_error_px": "camera_error", "status": "status",
+            "stable": "stable", "how": "how"}
+    time = {} if task.time is None else {"time_s": task.time[: len(found)]}
+    return {
+        "name": np.array(task.frames.names[: len(found)]), **time, "rest_length_mm": task.rest_length, "up": task.up,
+        **{key: np.array([getattr(frame, name) for frame in found]) for key, name in told.items()},
+        "sigma_mm": np.maximum([frame.sigma for frame in found], LEAST_SIGMA_MM),
+    }
+
+
+def _summary(task: Task, result: dict, written: list[Path]) -> dict:
+    from doo_ti.tracking import How
+
+    how, error = result["how"], result["camera_error_px"]
+    return {
+        "frames": len(how), "cameras": task.frames.rig.names, "edges": len(task.rest_length),
+        **{each.name.lower(): result["name"][how == each] for each in How},
+        "stable": result["stable"].sum(),
+        "camera_error_px": error[np.isfinite(error)].mean() if (how < How.LOST).any() else None,
+        "written": [str(path) for path in written],
+    }
+
+
+def _tell(summary: dict) -> None:
+    print(f"{summary['frames']} frames of {len(summary['cameras'])} images, a rod of {summary['edges']} edges")
+    print(f"  tracked     {len(summary['tracked'])} frames from the one before")
+    for key, words in (("seeded", "by Algorithm 1"), ("lost", "in which the rod is lost")):
+        names = summary[key]
+        told = ", ".join(names[:MOST_TOLD]) + f" and {len(names) - MOST_TOLD} more" * (len(names) > MOST_TOLD)
+        print(f"  {key:<11} {len(names)} frames {words}{': ' * bool(len(names))}{told}")
+    if summary["camera_error_px"] is not None:
+        print(f"  images      {summary['camera_error_px']:.2f} px off on average; {summary['stable']} rods certified stable")
+    for path in summary["written"]:
+        print(f"  written to  {path}")

@@ -1,0 +1,108 @@
+"""What `doo-ti track` is given, checked before any image is looked at; FRAMES.csv."""
+
+import csv
+from argparse import Namespace
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti import options as given
+from doo_ti.commands.perceive_task import _rest_length
+from doo_ti.errors import InputError
+from doo_ti.types import Clamp, Clamps, Material
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to track: T frames with a seed for each, and the T − 1 motions of the far clamp between them, if they are known."""
+
+    frames: object  # ImageSets
+    time: np.ndarray | None
+    rest_length: np.ndarray
+    material: Material
+    detection: object  # DetectionOptions
+    up: np.ndarray
+    far: list | None  # of Motion
+
+
+def checked_task(options: Namespace) -> Task:
+    """Raises InputError naming the option or file at fault."""
+    grid, up = given.grid(options), given.up(options)
+    if grid.size > 1:
+        option = f"--{grid.varying[0].name.replace('_', '-')}"
+        raise InputError("command line", option, f"a grid of {grid.size} cells", "give one number")
+    if not grid.is_isotropic:
+        raise InputError("command line", "--bend", "not the same in all directions", "give --bend A: tracked rods are round")
+    rest_length = _rest_length(options.rest_length)
+    width = given.length("--width", options.width)
+
+    from doo_ti.vision.detection import DetectionOptions
+    from doo_ti.vision.rig import load_rig
+
+    frames, time = load_frames(Path(options.frames), load_rig(options.rig))
+    far = None if options.motion is None else _far_motions(Path(options.motion), frames.count)
+    return Task(frames, time, rest_length, grid.materials(), DetectionOptions(polarity=options.polarity, width_px=width),
+                np.array([0.0, 0.0, 1.0]) if up is None else up / np.linalg.norm(up), far)
+
+
+def load_frames(path: Path, rig):
+    """(ImageSets of the frames in their order, (T,) s or None). Frames without a seed keep the one before.
+
+    Raises InputError naming line and column for whatever is missing or no number, and for images that are not there.
+    """
+    from doo_ti.vision.image_sets import SEED, ImageSets
+
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            reader = csv.DictReader(file, restval="")
+            header, lines = list(reader.fieldnames or []), list(reader)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        problem = (getattr(error, "strerror", None) or str(error)).lower()
+        raise InputError(path, "file", problem, "name a readable CSV file") from None
+    missing = next((name for name in ("frame", *SEED) if name not in header), None)
+    if missing or not lines:
+        raise InputError(path, missing or "frame", "the column is missing" if missing else "no line",
+                         f"give frame, a column per camera, and {', '.join(SEED)}, a line for each frame")
+    unknown = next((name for name in header if name not in ("frame", "time_s", *SEED, *rig.names)), None)
+    if unknown is not None:
+        raise InputError(path, unknown, "no camera of the rig", f"the rig has {', '.join(rig.names)}")
+    cameras, seeds, paths = [name for name in rig.names if name in header], [], []
+    for number, line in enumerate(lines, 2):
+        if not seeds or any(line[key] for key in SEED):
+            seeds.append([_number(path, number, line, key) for key in SEED])
+        else:
+            seeds.append(seeds[-1])
+        paths.append(tuple(path.parent / line[name] for name in cameras))
+        absent = next((name for name, image in zip(cameras, paths[-1], strict=True) if not image.is_file()), None)
+        if absent is not None:
+            raise InputError(path, f"line {number}, {absent}", f"{line[absent]!r} is no file", "name an image beside the file")
+    time = None
+    if "time_s" in header:
+        time = np.array([_number(path, number, line, "time_s") for number, line in enumerate(lines, 2)])
+        if not (np.diff(time) > 0).all():
+            raise InputError(path, "time_s", "does not rise", "give frames in their order")
+    seeds = np.array(seeds)
+    return ImageSets(tuple(line["frame"] for line in lines), tuple(paths), rig.only(cameras) if cameras else rig, seeds[:, :3],
+                     seeds[:, 3:], str(path)), time
+
+
+def _number(path: Path, number: int, line: dict, key: str) -> float:
+    try:
+        return float(line[key])
+    except ValueError:
+        raise InputError(path, f"line {number}, {key}", f"{line[key]!r} is no number", "give a decimal number") from None
+
+
+def _far_motions(path: Path, frames: int) -> list:
+    """What the far clamp does from each frame to the next, tangents only."""
+    from doo_ti.motion import load_path
+    from doo_ti.path import motion_between
+
+    motion = load_path(path)
+    if motion.moments != frames or motion.count > 1:
+        raise InputError(path, "time_s", f"{motion.count} motions of {motion.moments} moments for {frames} frames",
+                         "give one motion, a moment for each frame")
+    origin, frame = np.zeros((1, 3)), np.eye(3)[None]
+    rests = Clamps(Clamp.TANGENT, Clamp.TANGENT, origin, origin, frame, frame)
+    return [motion_between(motion.at(moment, rests), motion.at(moment + 1, rests)) for moment in range(frames - 1)]
