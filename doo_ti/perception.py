@@ -54,8 +54,8 @@ class Perception:
     vertices          (A, V, 3) mm: the best rod of each set at its marks
     configuration     the same rod with every edge in pieces, as it was relaxed
     energy_vis        (A,) its E_vis, 1/mm
-    camera_error      (A, C) px: its distance to the detection, mean along it, in each camera. A map is smooth at its crease:
-                      0.3 to 0.4 px is a perfect fit
+    camera_error      (A, C) px: its distance to the detection, mean along it, in each camera. A map is smooth at its crease,
+                      and what that adds is taken off: about 0 is a perfect fit
     status            (A,) Status of its last relaxation
     stable            (A,) bool: certified to be a minimum of E_vis
     sigma             (A, V) mm: uncertainty of its vertices by noise in the detection (:mod:`doo_ti.shape_uncertainty`)

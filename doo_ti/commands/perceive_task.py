@@ -39,7 +39,7 @@ def checked_task(options: Namespace) -> Task:
         raise InputError("command line", option, f"a grid of {grid.size} cells", "give one number")
     if not grid.is_isotropic:
         raise InputError("command line", "--bend", "not the same in all directions", "give --bend A: perceived rods are round")
-    rest_length = _rest_length(options.rest_length)
+    rest_length = read_rest_length(options.rest_length)
     nu = given.numbers("--nu", options.nu) or (None,)
     hypotheses = given.whole("--hypotheses", options.hypotheses, 1)
     recorded = given.whole("--recorded", options.recorded, 1)
@@ -64,7 +64,7 @@ def checked_task(options: Namespace) -> Task:
                  0 if options.no_recording else recorded or RECORDED)
 
 
-def _rest_length(text: str) -> np.ndarray:
+def read_rest_length(text: str) -> np.ndarray:
     """(E,) mm, from ``3:33`` or a file."""
     option, remedy = "--rest-length", "give MM:COUNT, such as 3:33, or a file of lengths in mm"
     length, _, count = text.partition(":")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti import options as given
-from doo_ti.commands.perceive_task import _rest_length
+from doo_ti.commands.perceive_task import read_rest_length
 from doo_ti.errors import InputError
 from doo_ti.types import Clamp, Clamps, Material
 
@@ -34,7 +34,7 @@ def checked_task(options: Namespace) -> Task:
         raise InputError("command line", option, f"a grid of {grid.size} cells", "give one number")
     if not grid.is_isotropic:
         raise InputError("command line", "--bend", "not the same in all directions", "give --bend A: tracked rods are round")
-    rest_length = _rest_length(options.rest_length)
+    rest_length = read_rest_length(options.rest_length)
     width = given.length("--width", options.width)
 
     from doo_ti.vision.detection import DetectionOptions

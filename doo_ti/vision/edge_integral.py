@@ -22,6 +22,9 @@ POINTS = WINDOW + WINDOW_COLUMNS
 INVERSE_CAP = POINTS + 1  # 1/cap², px⁻²
 REACH = POINTS + 2  # px: see ``moments``
 COLUMNS = POINTS + 3
+CREASE = 13 / 32
+"""px: what the spline makes of |x| where x is 0, on average over places between pixels. Left in, a perfect image would cost in
+proportion to its length, and rods would gain by making their images shorter."""
 UNSEEN = 1e5
 """px²: an edge that a camera cannot see, for being behind it, costs this much, whatever it does."""
 SLOWEST = 1e-6
@@ -56,7 +59,7 @@ def edge_integrals(number) -> SimpleNamespace:
         for _ in range(points):
             x0, x1, inverse, seen = normalised(lens, (a[0] + s * d[0], a[1] + s * d[1], a[2] + s * d[2]))
             pixel, jacobian = bent(lens, x0, x1)
-            far = value(values, numbers, row, c, frame, pixel)
+            far = value(values, numbers, row, c, frame, pixel) - CREASE
             cost = far * speed(lens, jacobian, x0, x1, inverse, d) / ti.sqrt(1.0 + inverse_cap * far * far)
             total = total + ti.select(seen, cost, 0.0 * row + UNSEEN)
             hidden = hidden + ti.select(seen, 0.0 * row, 0.0 * row + 1.0)
@@ -124,7 +127,8 @@ def edge_integrals(number) -> SimpleNamespace:
         m01 = q1 * w0 + q2 * w1 - 2.0 * d[2] * turn[1] + slower * swing0 * swing1
         m11 = q2 * w0 + q3 * w1 - 2.0 * d[2] * turn[2] + slower * swing1 * swing1
         # The capped distance.
-        far, slope, second = derivatives(values, numbers, row, c, frame, pixel)
+        smoothed, slope, second = derivatives(values, numbers, row, c, frame, pixel)
+        far = smoothed - CREASE
         square = 1.0 / (1.0 + inverse_cap * far * far)
         root = ti.sqrt(square)
         steep = square * root
