@@ -23,9 +23,14 @@ _HOMES = {
     "Clamp": "types", "Clamps": "types", "Configuration": "types", "Material": "types", "Solution": "types",
     "Status": "types", "InputError": "errors", "Observations": "dataset", "load_observations": "dataset",
     "save_observations": "dataset", "observation_clamps": "start", "start_configuration": "start",
-    "turn_hypotheses": "start", "Grid": "grid", "Newton": "newton", "Descent": "descent", "relax": "relaxation",
-    "distance": "metric", "sweep": "sweeps", "SweepOptions": "sweeps", "Axis": "grid",
-    "choose_hypothesis": "start", "Springs": "external", "relax_again": "relaxation",
+    "turn_hypotheses": "start", "choose_hypothesis": "start", "Grid": "grid", "Axis": "grid", "distance": "metric",
+    "Newton": "relaxation.newton", "Descent": "relaxation.descent", "relax": "relaxation.relax",
+    "relax_again": "relaxation.relax", "Springs": "relaxation.external",
+    "sweep": "learning.sweeps", "SweepOptions": "learning.experiment", "read_landscape": "learning.landscape",
+    "refine": "refinement.refine", "predict": "prediction.predict", "predict_step": "prediction.predict",
+    "load_rig": "vision.rig", "detect": "vision.detection", "distance_maps": "vision.distance_map",
+    "Reprojection": "vision.reprojection", "score": "vision.reprojection", "perceive": "perception.perceive",
+    "estimate_twist": "twist.estimation",
 }
 __all__ = sorted(_HOMES)
 

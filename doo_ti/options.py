@@ -63,7 +63,7 @@ def clamp(name: str | None) -> Clamp | None:
 
 def solver(name: str):
     """Newton() or Descent()."""
-    from doo_ti.relaxation import Descent, Newton
+    from doo_ti.relaxation.relax import Descent, Newton
 
     return {"newton": Newton, "descent": Descent}[name]()
 

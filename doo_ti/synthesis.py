@@ -18,7 +18,7 @@ from doo_ti.frames import (
     quaternion_product,
     smallest_rotation,
 )
-from doo_ti.path import LARGEST_TURN, carried_clamps, carry
+from doo_ti.motion.path import LARGEST_TURN, carried_clamps, carry
 from doo_ti.scene import Synthesis
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
 

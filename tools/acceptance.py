@@ -22,8 +22,8 @@ from doo_ti.bench import clock, workload  # noqa: E402
 from doo_ti.bench.workload import SUTURES, Rods  # noqa: E402
 from doo_ti.errors import InputError  # noqa: E402
 from doo_ti.grid import parse_axis  # noqa: E402
-from doo_ti.learning import Landscape, read_landscape, status_counts  # noqa: E402
-from doo_ti.sweeps import SweepOptions, sweep  # noqa: E402
+from doo_ti.learning.landscape import Landscape, read_landscape, status_counts  # noqa: E402
+from doo_ti.learning.sweeps import SweepOptions, sweep  # noqa: E402
 from doo_ti.types import Solution  # noqa: E402
 from tools.bench import lab  # noqa: E402
 

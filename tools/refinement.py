@@ -22,10 +22,10 @@ if not __package__:
     sys.path.insert(0, str(ROOT))
 
 from doo_ti import load_observations, observation_clamps, relax, start_configuration  # noqa: E402
-from doo_ti.clips import held_whole  # noqa: E402
-from doo_ti.folds import folds_of, refine_held_out  # noqa: E402
-from doo_ti.parametrisation import Theta  # noqa: E402
-from doo_ti.refinement import Refinement, RefinementOptions, refine  # noqa: E402
+from doo_ti.refinement.clips import held_whole  # noqa: E402
+from doo_ti.refinement.folds import folds_of, refine_held_out  # noqa: E402
+from doo_ti.refinement.parametrisation import Theta  # noqa: E402
+from doo_ti.refinement.refine import Refinement, RefinementOptions, refine  # noqa: E402
 from tools.acceptance import Check, table  # noqa: E402
 from tools.bench.lab import TRUTH  # noqa: E402
 

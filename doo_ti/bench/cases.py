@@ -12,14 +12,14 @@ from statistics import median
 
 import numpy as np
 
-from doo_ti import batch
+from doo_ti.relaxation import batch
 from doo_ti.bench import clock, workload
 from doo_ti.bench.workload import Rods
 from doo_ti.dataset import Observations
-from doo_ti.descent import Descent
+from doo_ti.relaxation.descent import Descent
 from doo_ti.metric import distance
-from doo_ti.newton import Newton
-from doo_ti.relaxation import relax_again
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax_again
 from doo_ti.types import Configuration, Material, Solution
 
 COARSE, FINE = Newton(tolerance=1e-6), Newton(tolerance=1e-9)

@@ -32,7 +32,7 @@ from doo_ti.bench.clock import timed
 from doo_ti.bench.workload import UP, Rods
 from doo_ti.errors import InputError
 from doo_ti.frames import quaternion_from_matrix
-from doo_ti.newton import (
+from doo_ti.relaxation.newton import (
     CLOSING_DISTANCE,
     DECAY,
     DECAY_TROUBLED,

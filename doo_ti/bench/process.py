@@ -106,7 +106,7 @@ def _specimens(path: str, count: int | None = None):
 
 
 def _relaxed(rods):
-    from doo_ti.newton import Newton
+    from doo_ti.relaxation.newton import Newton
 
     return rods.relaxed(Newton(tolerance=1e-6), "f32")
 

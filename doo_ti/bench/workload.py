@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti.dataset import Observations
-from doo_ti.descent import Descent
-from doo_ti.external import Springs
-from doo_ti.newton import Newton
-from doo_ti.relaxation import relax
+from doo_ti.relaxation.descent import Descent
+from doo_ti.relaxation.external import Springs
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
 from doo_ti.scene import Synthesis
 from doo_ti.start import observation_clamps, start_configuration
 from doo_ti.synthesis import synthesise

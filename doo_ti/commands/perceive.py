@@ -120,8 +120,8 @@ def _detected(task: Task, bar) -> list[list]:
 
 def _perceived(task: Task, detected: list[list], bar):
     """(Perception of all sets, GrowthSteps of those that are recorded): in groups whose maps fit into memory."""
-    from doo_ti.growth_steps import GrowthSteps
-    from doo_ti.perception import Perception, perceive
+    from doo_ti.perception.growth_steps import GrowthSteps
+    from doo_ti.perception.perceive import Perception, perceive
     from doo_ti.vision.distance_map import distance_maps
 
     sets, edges = task.sets, len(task.rest_length)

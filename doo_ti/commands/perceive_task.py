@@ -54,7 +54,7 @@ def checked_task(options: Namespace) -> Task:
     sets = _sets(options, load_rig(options.rig))
     truth = None if options.truth is None else _truth(options.truth, sets.names)
 
-    from doo_ti.perception import PerceptionOptions
+    from doo_ti.perception.perceive import PerceptionOptions
 
     chosen = {"nu": nu[0], "hypotheses": hypotheses}
     return Task(sets, rest_length, grid.materials(),

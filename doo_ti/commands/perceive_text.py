@@ -6,7 +6,7 @@ import numpy as np
 
 from doo_ti.commands.perceive_task import Task
 from doo_ti.commands.printing import counted
-from doo_ti.learning import status_counts
+from doo_ti.learning.landscape import status_counts
 from doo_ti.types import Status
 
 MOST_TOLD = 60
@@ -14,7 +14,7 @@ MOST_TOLD = 60
 
 def summary_of(task: Task, detected: list[list], found, written: list[Path]) -> dict:
     """What machines are told, and people read some of."""
-    from doo_ti.perception import Verdict
+    from doo_ti.perception.perceive import Verdict
 
     sets = [{
         "name": name, "status": Status(found.status[row]).name.lower(), "stable": found.stable[row],
@@ -42,7 +42,7 @@ def _errors(task: Task, found, row: int) -> dict:
 
 def verdict_text(found, row: int) -> str:
     """``clear, next best 0.31 px worse``."""
-    from doo_ti.perception import Verdict
+    from doo_ti.perception.perceive import Verdict
 
     rival = f"next best {found.gap[row]:.2g} px worse" if np.isfinite(found.gap[row]) else "no other rod"
     return f"{Verdict(found.verdict[row]).name.lower()}, {rival}"

@@ -13,8 +13,8 @@ from doo_ti.commands.arguments import add_json, add_material
 from doo_ti.commands.printing import counted, plain
 from doo_ti.dataset import Observations, load_observations, write_whole
 from doo_ti.errors import InputError, InterruptedRunError
-from doo_ti.learning import status_counts
-from doo_ti.motion import ClampPath, load_path
+from doo_ti.learning.landscape import status_counts
+from doo_ti.prediction.motion_file import ClampPath, load_path
 from doo_ti.scene import CLAMPS, PRECISIONS
 from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.types import Clamps, Configuration, Material
@@ -80,7 +80,7 @@ def run(options: Namespace, words: list[str]) -> int:
         raise InputError("command line", "--between", f"{rods} rods at {intervals + 1} moments are too many to hold",
                          "give fewer materials, observations or moments")
 
-    from doo_ti.predict import predict
+    from doo_ti.prediction.predict import predict
 
     with _progress() as bar:
         shown = bar.add_task(task.name, total=rods * intervals)
@@ -105,7 +105,7 @@ def _sub_step(options: Namespace) -> float:
 
 
 def _scene(options: Namespace) -> _Task:
-    from doo_ti.motion_scene import load_motion_scene
+    from doo_ti.prediction.motion_scene import load_motion_scene
 
     refused = ("motion", "bend", "bend_1", "bend_2", "twist", "twist_ratio", "weight", "clamp_start", "clamp_end")
     for name in refused:
@@ -158,7 +158,7 @@ def _with_frames(observations: Observations, path: ClampPath, relative: bool) ->
 def _settled(observations: Observations, clamps: Clamps, materials: Material) -> Configuration:
     """(G·N) where the rods set out, material by material: of several whole turns that fit, the one nearest to what was seen."""
     from doo_ti.metric import distance
-    from doo_ti.relaxation import relax
+    from doo_ti.relaxation.relax import relax
 
     index, turns = turn_hypotheses(observations, clamps)
     starts = start_configuration(observations.take(index), clamps.take(index), turns)

@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from doo_ti.learning import Landscape, jumps_of, status_counts
+from doo_ti.learning.landscape import Landscape, jumps_of, status_counts
 
 
 def busy(doing: str):

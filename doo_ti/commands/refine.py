@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti import options as given
-from doo_ti.clips import held_whole
+from doo_ti.refinement.clips import held_whole
 from doo_ti.commands.arguments import add_json, add_material
 from doo_ti.commands.printing import busy, plain
 from doo_ti.commands.refine_text import summary_of, tell
@@ -65,8 +65,8 @@ def run(options: Namespace, words: list[str]) -> int:
     tasks = [_task(options, source, starts) for source in options.sources]
     groups = [_groups(options.groups, task.observations) for task in tasks]
 
-    from doo_ti.folds import folds_of, refine_held_out
-    from doo_ti.multi_start import refine_from
+    from doo_ti.refinement.folds import folds_of, refine_held_out
+    from doo_ti.refinement.multi_start import refine_from
 
     splits = [None if folds is None else folds_of(group, folds) for group in groups]
     summaries = []
@@ -115,9 +115,9 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
 
 def _of_run(options: Namespace, run: Path, starts: int):
     """(observations, the Θ of the lowest cells, kinds of clamps, frame weight) of a run's folder."""
-    from doo_ti.learning import read_landscape
-    from doo_ti.multi_start import lowest_cells, theta_of_cell
-    from doo_ti.run_folder import read_experiment
+    from doo_ti.learning.landscape import read_landscape
+    from doo_ti.refinement.multi_start import lowest_cells, theta_of_cell
+    from doo_ti.learning.run_folder import read_experiment
 
     for name in ("bend", "bend_1", "bend_2", "twist", "twist_ratio", "weight"):
         if getattr(options, name) is not None:
@@ -138,7 +138,7 @@ def _of_run(options: Namespace, run: Path, starts: int):
 
 def _of_file(options: Namespace, observations: Observations) -> tuple:
     """The one Θ that the command line names."""
-    from doo_ti.multi_start import theta_of_cell
+    from doo_ti.refinement.multi_start import theta_of_cell
 
     grid = given.grid(options)
     if grid.size > 1:
@@ -148,7 +148,7 @@ def _of_file(options: Namespace, observations: Observations) -> tuple:
 
 
 def _refinement_options(options: Namespace, task: Task):
-    from doo_ti.refinement import RefinementOptions
+    from doo_ti.refinement.refine import RefinementOptions
 
     names = tuple(name.strip().replace("-", "_") for name in options.parameters.split(",") if name.strip())
     return RefinementOptions(

@@ -7,7 +7,7 @@ import numpy as np
 
 from doo_ti.commands.printing import counted
 from doo_ti.dataset import Observations
-from doo_ti.linear_density import weight_per_length
+from doo_ti.refinement.linear_density import weight_per_length
 
 LISTED = 4  # unknowns named one by one, directions left open, observations on other branches
 JOINTS = "rest_curvature_per_joint"
@@ -16,7 +16,7 @@ JOINTS = "rest_curvature_per_joint"
 def summary_of(observations: Observations, found: tuple, held_out, density: float | None) -> dict:
     """The best of the refinements ``found`` with its intervals, and the others in short, as JSON holds it.
 
-    held_out  a :class:`doo_ti.folds.HeldOut`, or None
+    held_out  a :class:`doo_ti.refinement.folds.HeldOut`, or None
     density   of the rod in g/m, or None
     """
     best, estimate = found[0], found[0].estimate

@@ -12,7 +12,7 @@ from doo_ti.commands.printing import busy, counted, plain, theta_text
 from doo_ti.dataset import Observations, load_observations, write_whole
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
-from doo_ti.learning import status_counts
+from doo_ti.learning.landscape import status_counts
 from doo_ti.start import (
     check_experiment,
     choose_hypothesis,
@@ -45,7 +45,7 @@ def run(options: Namespace, words: list[str]) -> int:
     given.refuse_overwriting(out, options.observations)
 
     from doo_ti.metric import distance
-    from doo_ti.relaxation import relax as relax_rods
+    from doo_ti.relaxation.relax import relax as relax_rods
 
     index, turns = turn_hypotheses(observations, clamps)
     observed, held = observations.take(index), clamps.take(index)

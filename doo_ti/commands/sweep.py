@@ -14,14 +14,14 @@ from doo_ti.commands.printing import peak_memory, plain, tell_hypotheses, tell_l
 from doo_ti.dataset import Observations, load_observations
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
-from doo_ti.learning import read_landscape
-from doo_ti.pairs import Pairs, load_pairs
+from doo_ti.learning.landscape import read_landscape
+from doo_ti.learning.pairs import Pairs, load_pairs
 from doo_ti.scene import MOST_SPINS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.types import Clamp
 
 if TYPE_CHECKING:  # it brings the solvers, and Taichi with them
-    from doo_ti.experiment import SweepOptions
+    from doo_ti.learning.experiment import SweepOptions
 
 
 def declare(add) -> None:
@@ -57,7 +57,7 @@ def run(options: Namespace, words: list[str]) -> int:
     """Eq. 2 or 3 over a grid; writes a folder per source and prints the best Θ with the ranges that fit nearly as well."""
     searches = _searches(options)
 
-    from doo_ti.sweeps import sweep
+    from doo_ti.learning.sweeps import sweep
 
     began, summaries = time.monotonic(), []
     for search in searches:
@@ -107,7 +107,7 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     spins = given.whole("--spins", options.spins, 0, MOST_SPINS)
     pairs = _pairs(options, scene, observations, objective)
 
-    from doo_ti.experiment import SweepOptions
+    from doo_ti.learning.experiment import SweepOptions
 
     chosen = SweepOptions(
         frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=given.solver(options.solver),

@@ -47,7 +47,7 @@ def _photograph(options: Namespace, scene: Scene) -> None:
     if not isinstance(scene.observations, Synthesis):
         raise InputError(scene.source, "observations", "a file, of rods that are not known between their marks",
                          "give a scene with [synthesis]")
-    from doo_ti.lab_images import lab_rods, save_truth
+    from doo_ti.perception.lab_images import lab_rods, save_truth
     from doo_ti.vision.image_synthesis import Photographs, save_photographs
 
     rods = lab_rods(scene.observations)

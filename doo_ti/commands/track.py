@@ -70,7 +70,7 @@ def run(options: Namespace, words: list[str]) -> int:
 
 def _tracked(task: Task) -> tuple[list, str | None]:
     """(Tracked frames, what kept the rest from being tracked). Raises what happens before the first one is."""
-    from doo_ti.tracking import Tracker
+    from doo_ti.perception.tracking import Tracker
 
     frames, found = task.frames, []
     tracker = Tracker(frames.rig, task.rest_length, task.material, up=task.up)
@@ -133,7 +133,7 @@ def _arrays(task: Task, found: list) -> dict[str, np.ndarray]:
 
 
 def _summary(task: Task, result: dict, written: list[Path]) -> dict:
-    from doo_ti.tracking import How
+    from doo_ti.perception.tracking import How
 
     how, error = result["how"], result["camera_error_px"]
     return {

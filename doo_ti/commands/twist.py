@@ -48,8 +48,8 @@ def run(options: Namespace, words: list[str]) -> int:
     observations = load_observations(options.observations, up)
     given.refuse_overwriting(out, options.observations)
 
-    from doo_ti.offsets import load_offsets
-    from doo_ti.twist import TwistOptions, consecutive_groups, end_offsets, estimate_twist
+    from doo_ti.twist.offsets import load_offsets
+    from doo_ti.twist.estimation import TwistOptions, consecutive_groups, end_offsets, estimate_twist
 
     offset = None
     if options.offsets is not None:
@@ -113,7 +113,7 @@ def _draw(path: Path, observations: Observations, estimate) -> None:
 
 
 def _word(verdict: int) -> str:
-    from doo_ti.twist import Verdict
+    from doo_ti.twist.estimation import Verdict
 
     return Verdict(verdict).name.lower().replace("_", " ")
 

@@ -5,7 +5,7 @@ import rerun
 import rerun.blueprint as blueprint
 
 from doo_ti import report
-from doo_ti.landscape import Plane
+from doo_ti.report.plane import Plane
 from doo_ti.record.wall import GROUND, TEXT
 
 MINIMUM = (255, 255, 255)

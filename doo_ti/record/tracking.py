@@ -26,7 +26,7 @@ def record_track(path, *, run_id: str, name: str, rig: Rig, paths, vertices: np.
     paths     T tuples of C images
     vertices  (T, V, 3) mm, NaN where the rod is lost
     error     (T, C) px to the detection, NaN where there is none
-    how       (T,) :class:`doo_ti.tracking.How`
+    how       (T,) :class:`doo_ti.perception.tracking.How`
     up        direction against gravity
     """
     with recording(path, run_id, name, _layout(rig)) as stream:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from doo_ti.landscape import REGIMES, Plane, cell_edges, regime
+from doo_ti.report.plane import REGIMES, Plane, cell_edges, regime
 from doo_ti.report.canvas import plain_ticks
 from doo_ti.report.colors import MISSING
 from doo_ti.report.quantities import axis_label, quantity

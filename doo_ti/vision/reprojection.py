@@ -17,9 +17,9 @@ import taichi as ti
 
 from doo_ti import runtime
 from doo_ti.errors import InputError
-from doo_ti.external import ExternalFunctions
+from doo_ti.relaxation.external import ExternalFunctions
 from doo_ti.physics.number import Number
-from doo_ti.tables import MOST_NUMBERS
+from doo_ti.relaxation.tables import MOST_NUMBERS
 from doo_ti.types import Material
 from doo_ti.vision.distance_map import DistanceMaps
 from doo_ti.vision.edge_integral import COLUMNS, POINTS, WINDOW, edge_integrals
@@ -34,7 +34,7 @@ NU = COLUMNS
 
 @dataclass(frozen=True)
 class Reprojection:
-    """ν Σ_c E_proj^c as an external energy of :func:`doo_ti.relaxation.relax`, for rods of any number of edges.
+    """ν Σ_c E_proj^c as an external energy of :func:`doo_ti.relaxation.relax.relax`, for rods of any number of edges.
 
     maps    of A sets of images; rods take turns with them as ``external_index`` says
     rig     the C cameras the maps are of

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti import batch
+from doo_ti.relaxation import batch
 from doo_ti.bench import cases as timed
 from doo_ti.bench import clock, peak
 from doo_ti.bench.cases import Case, Outcome, Specimens, cases, measure

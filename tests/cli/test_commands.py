@@ -59,7 +59,7 @@ def swept(monkeypatch) -> list:
         return {"best": np.float64(3), "gaps": [np.nan], "grid": grid.as_dict(), "hypotheses": None,
                 "timing": {"relaxed_rods": 50, "relaxation_s": 0.5}}
 
-    monkeypatch.setitem(sys.modules, "doo_ti.sweeps", types.SimpleNamespace(sweep=sweep))
+    monkeypatch.setitem(sys.modules, "doo_ti.learning.sweeps", types.SimpleNamespace(sweep=sweep))
     return calls
 
 
@@ -240,7 +240,7 @@ def test_failure_while_running_exits_with_one(capsys, tmp_path, swept, monkeypat
     def fail(*args, **options):
         raise failure
 
-    monkeypatch.setattr(sys.modules["doo_ti.sweeps"], "sweep", fail)
+    monkeypatch.setattr(sys.modules["doo_ti.learning.sweeps"], "sweep", fail)
     assert main(["sweep", str(tmp_path / "good.npz"), "--bend", "1e5", "--out", str(tmp_path / "run")]) == 1
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1

@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti.cli import main
 from doo_ti.dataset import load_observations
-from doo_ti.lab_images import lab_rods
+from doo_ti.perception.lab_images import lab_rods
 from doo_ti.scene import load_scene
 from doo_ti.synthesis import synthesise
 from doo_ti.vision.image_sets import load_sets

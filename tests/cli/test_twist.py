@@ -7,8 +7,8 @@ import pytest
 
 from doo_ti.cli import main
 from doo_ti.dataset import Observations, save_observations
-from doo_ti.predict import total_twist
-from doo_ti.relaxation import relax
+from doo_ti.prediction.predict import total_twist
+from doo_ti.relaxation.relax import relax
 from doo_ti.types import Material
 from tests.references.rods import chain, clamps_at, stacked
 

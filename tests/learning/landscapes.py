@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.grid import Axis, Grid
-from doo_ti.learning import Landscape
+from doo_ti.learning.landscape import Landscape
 from doo_ti.types import Status
 
 

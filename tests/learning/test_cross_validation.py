@@ -8,9 +8,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from doo_ti import cross_validation
-from doo_ti.cross_validation import chosen_cells, cross_validate
-from doo_ti.partition import Part, Partition
+from doo_ti.learning import cross_validation
+from doo_ti.learning.cross_validation import chosen_cells, cross_validate
+from doo_ti.learning.partition import Part, Partition
 from doo_ti.types import Status
 from tests.learning.landscapes import dynamic, static
 

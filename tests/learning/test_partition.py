@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
-from doo_ti.partition import partition, usual_factors
+from doo_ti.learning.partition import partition, usual_factors
 from tests.learning.landscapes import dynamic, grid_of, static
 
 LABELS = np.tile([54.0, 30.0, 78.0], 4)

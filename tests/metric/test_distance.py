@@ -8,7 +8,7 @@ import pytest
 from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
 from doo_ti.metric import distance
-from doo_ti.relaxation import relax
+from doo_ti.relaxation.relax import relax
 from doo_ti.types import Configuration, Material, Status
 from tests.data.rods import twisted_frames, wavy_vertices
 from tests.oracle.metric import distance as defined

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from doo_ti.growth import sampled_directions, select_hypotheses, suppress_similar
+from doo_ti.perception.growth import sampled_directions, select_hypotheses, suppress_similar
 
 
 def test_directions_are_even_and_forward():

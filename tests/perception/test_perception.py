@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from doo_ti import InputError, Material
-from doo_ti.growth import rank_distinct
-from doo_ti.perception import Perception, PerceptionOptions, Verdict, perceive
-from doo_ti.shape_uncertainty import _bending, vertex_sigma
+from doo_ti.perception.growth import rank_distinct
+from doo_ti.perception.perceive import Perception, PerceptionOptions, Verdict, perceive
+from doo_ti.perception.shape_uncertainty import _bending, vertex_sigma
 from doo_ti.types import Status
 from doo_ti.vision.detection import Detection, detect
 from doo_ti.vision.distance_map import DistanceMaps, distance_maps
@@ -145,7 +145,7 @@ def test_rods_that_come_to_nothing_are_told(scene, found, monkeypatch):
     """Of the first set at the end, of the second in the midst of growing: neither spoils another."""
     from dataclasses import replace
 
-    from doo_ti import search
+    from doo_ti.perception import search
 
     def spoiled(self, hypotheses):
         final, solution = relaxed(self, hypotheses)

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti.lab_images import LabRods, lab_rods
-from doo_ti.perception import perceive
-from doo_ti.perception_trials import (
+from doo_ti.perception.lab_images import LabRods, lab_rods
+from doo_ti.perception.perceive import perceive
+from doo_ti.perception.trials import (
     Trial,
     crossings,
     detected,
@@ -24,7 +24,7 @@ from doo_ti.perception_trials import (
     without_camera,
 )
 from doo_ti.scene import load_scene
-from doo_ti.search import PerceptionOptions, Search
+from doo_ti.perception.search import PerceptionOptions, Search
 from doo_ti.vision.detection import DetectionOptions
 from doo_ti.vision.distance_map import DistanceMaps, distance_maps
 from doo_ti.vision.image_synthesis import Photographs, take

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from doo_ti.frames import quaternion_from_matrix
-from doo_ti.motion import ClampPath
-from doo_ti.predict import predict
+from doo_ti.prediction.motion_file import ClampPath
+from doo_ti.prediction.predict import predict
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 
 LENGTH, EDGES, SHORTENING = 100.0, 64, 0.01

@@ -5,7 +5,7 @@ import io
 import numpy as np
 import pytest
 
-from doo_ti.landscape import Plane, regime, valley_cells
+from doo_ti.report.plane import Plane, regime, valley_cells
 from doo_ti.report import (
     LandscapePanel,
     cells_image,

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from doo_ti.frames import quaternion_from_matrix
-from doo_ti.relaxation import relax
+from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamps, Configuration, Material
 from tests.references.rods import clamps_at, jiggled
 

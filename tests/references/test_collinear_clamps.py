@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from doo_ti.relaxation import Newton, relax
+from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.types import Configuration, Material
 from tests.oracle.equilibrium import relaxed
 from tests.references.rods import chain, clamps_at, stacked

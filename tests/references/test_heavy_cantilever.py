@@ -11,7 +11,7 @@ from scipy.integrate import solve_bvp
 from scipy.optimize import brentq
 from scipy.special import jv
 
-from doo_ti.relaxation import Newton, relax
+from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.types import Clamp, Material
 from tests.references.rods import chain, clamps_at, orders, show, stacked
 

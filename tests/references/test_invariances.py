@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from doo_ti.frames import quaternion_from_matrix
-from doo_ti.relaxation import Newton, relax
+from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 from tests.references.rods import chain, clamps_at, jiggled
 

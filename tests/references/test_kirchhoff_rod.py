@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from doo_ti.relaxation import Newton, relax
+from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.types import Material
 from tests.references.kirchhoff import ContinuumRod
 from tests.references.rods import chain, clamps_at, orders, show

@@ -10,7 +10,7 @@ with ψ the tangent's azimuth. Clamps hold both ends as this solution has them t
 import numpy as np
 import pytest
 
-from doo_ti.relaxation import Newton, relax
+from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.types import Configuration, Material
 from tests.references.rods import chain, clamps_at, orders, show
 

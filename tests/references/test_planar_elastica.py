@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
-from doo_ti.relaxation import Newton, relax
+from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 from tests.references.rods import chain, clamps_at, orders, show, stacked
 

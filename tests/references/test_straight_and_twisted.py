@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from doo_ti.relaxation import relax
+from doo_ti.relaxation.relax import relax
 from doo_ti.types import Configuration, Material
 from tests.references.rods import chain, clamps_at, orders, show, stacked
 

@@ -8,7 +8,7 @@ freely about its clamped edge (each section spinning back in place costs nothing
 import numpy as np
 import pytest
 
-from doo_ti.relaxation import Newton, relax
+from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.types import Configuration, Material
 from tests.references.rods import chain, clamps_at, jiggled, orders, show, stacked
 

@@ -5,7 +5,7 @@ import math
 import pytest
 from scipy import stats
 
-from doo_ti.confidence import chi_square_probability, f_probability, f_quantile
+from doo_ti.refinement.confidence import chi_square_probability, f_probability, f_quantile
 
 DEGREES = (1, 2, 3, 7, 66)
 

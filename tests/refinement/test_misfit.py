@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Material, Newton, Observations, distance, observation_clamps, relax, relax_again
-from doo_ti.misfit import distance_gradient, misfit
-from doo_ti.sensitivity import sensitivity
+from doo_ti.refinement.misfit import distance_gradient, misfit
+from doo_ti.refinement.sensitivity import sensitivity
 from tests.data.rods import wavy_vertices
 from tests.references.rods import chain
 from tests.relax.lab import RIBBON_WIDTH, SUTURES, lab

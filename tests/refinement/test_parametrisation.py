@@ -7,10 +7,10 @@ import pytest
 from scipy import stats
 
 from doo_ti import InputError, Material, Newton, relax, relax_again
-from doo_ti.estimate import Estimate
-from doo_ti.linear_density import relative_stiffness, stiffness, weight_per_length
-from doo_ti.parametrisation import Parametrisation, Theta
-from doo_ti.sensitivity import sensitivity
+from doo_ti.refinement.estimate import Estimate
+from doo_ti.refinement.linear_density import relative_stiffness, stiffness, weight_per_length
+from doo_ti.refinement.parametrisation import Parametrisation, Theta
+from doo_ti.refinement.sensitivity import sensitivity
 from tests.references.rods import clamps_at
 from tests.relax.rods import wandering
 

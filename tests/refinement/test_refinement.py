@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Grid, InputError, Observations, observation_clamps, relax
-from doo_ti.clips import held_whole
-from doo_ti.folds import folds_of, refine_held_out
+from doo_ti.refinement.clips import held_whole
+from doo_ti.refinement.folds import folds_of, refine_held_out
 from doo_ti.grid import Axis
-from doo_ti.multi_start import lowest_cells, refine_from, theta_of_cell
-from doo_ti.parametrisation import Theta
-from doo_ti.refinement import RefinementOptions, refine
+from doo_ti.refinement.multi_start import lowest_cells, refine_from, theta_of_cell
+from doo_ti.refinement.parametrisation import Theta
+from doo_ti.refinement.refine import RefinementOptions, refine
 from doo_ti.types import Status
 from tests.references.rods import clamps_at
 from tests.relax.lab import RIBBON_WIDTH, SUTURES, Lab, lab

@@ -7,7 +7,7 @@ uneven, and up is not z.
 import numpy as np
 import pytest
 
-from doo_ti.relaxation import Newton, relax
+from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.types import Clamp, Material
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start, equilibrium, relaxed

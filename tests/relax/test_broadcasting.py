@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
-from doo_ti.relaxation import relax
+from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Material
 from tests.references.rods import clamps_at, jiggled
 from tests.relax.rods import assert_same, definite, wandering

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from doo_ti.relaxation import Newton, relax
+from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start, equilibrium

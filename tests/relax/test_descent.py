@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from doo_ti.relaxation import Descent, Newton, relax
+from doo_ti.relaxation.relax import Descent, Newton, relax
 from doo_ti.types import Clamp, Material, Status
 from tests.references.rods import clamps_at, jiggled
 from tests.relax.lab import lab, vertex_distance

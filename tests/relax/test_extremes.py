@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 from doo_ti.frames import quaternion_product
-from doo_ti.relaxation import Newton, relax
+from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.types import Clamp, Configuration, Material
 from tests.oracle.equilibrium import relaxed
 from tests.references.rods import chain, clamps_at, jiggled, stacked

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.relaxation import Descent, Newton, relax
+from doo_ti.relaxation.relax import Descent, Newton, relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Status
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, energy_of

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from doo_ti import runtime
-from doo_ti.relaxation import Descent, Newton, relax
+from doo_ti.relaxation.relax import Descent, Newton, relax
 from doo_ti.types import Clamp, Material
 from tests.references.rods import clamps_at, jiggled
 from tests.relax.rods import PAIRS, RESULTS, assert_same, definite, wandering, with_kinds

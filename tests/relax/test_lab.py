@@ -5,7 +5,7 @@ import pytest
 
 from doo_ti.dataset import load_observations
 from doo_ti.metric import distance
-from doo_ti.relaxation import Newton, relax
+from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.start import observation_clamps, start_configuration
 from doo_ti.types import Clamp, Material
 from tests.relax.lab import RIBBON_WIDTH, lab

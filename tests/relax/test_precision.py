@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.relaxation import Newton, relax
+from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.types import Material
 from tests.references.rods import clamps_at, jiggled
 from tests.relax.lab import SUTURES, lab, vertex_distance

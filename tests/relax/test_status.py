@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
-from doo_ti.relaxation import Descent, Newton, relax
+from doo_ti.relaxation.relax import Descent, Newton, relax
 from doo_ti.types import Clamp, Clamps, Material, Status
 from tests.references.rods import chain, clamps_at, jiggled
 from tests.relax.rods import wandering

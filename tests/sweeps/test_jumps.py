@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from doo_ti.experiment import Experiment
+from doo_ti.learning.experiment import Experiment
 from doo_ti.frames import quaternion_from_matrix
 from doo_ti.grid import Axis, Grid
-from doo_ti.journey import Journey
-from doo_ti.newton import Newton
-from doo_ti.objective import carried, journey, relaxed
-from doo_ti.path import Motion
-from doo_ti.relaxation import relax
+from doo_ti.motion.journey import Journey
+from doo_ti.relaxation.newton import Newton
+from doo_ti.learning.objective import carried, journey, relaxed
+from doo_ti.motion.path import Motion
+from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Status
 from tests.relax.lab import vertex_distance
 from tests.sweeps.lab import DYNAMIC, lab_rods

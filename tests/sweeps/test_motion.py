@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti.frames import matrix_from_quaternion, quaternion_about
-from doo_ti.path import LARGEST_TURN, motion_between
+from doo_ti.motion.path import LARGEST_TURN, motion_between
 from doo_ti.types import Clamp, Clamps
 
 

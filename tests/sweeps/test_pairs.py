@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
-from doo_ti.pairs import Pairs, check_ways, load_pairs, pairs_from_labels, save_pairs
+from doo_ti.learning.pairs import Pairs, check_ways, load_pairs, pairs_from_labels, save_pairs
 from doo_ti.start import observation_clamps
 from tests.sweeps.lab import lab_rods, small_lab
 

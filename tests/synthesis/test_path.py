@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from doo_ti.path import carried_clamps, carry
-from doo_ti.relaxation import relax
+from doo_ti.motion.path import carried_clamps, carry
+from doo_ti.relaxation.relax import relax
 from doo_ti.types import Material
 from tests.references.rods import chain, clamps_at, stacked
 from tests.relax.lab import vertex_distance

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Material
-from doo_ti.relaxation import relax
+from doo_ti.relaxation.relax import relax
 from tests.references.rods import chain, clamps_at
 from tools.acceptance import ROWS, Sizes, Study, identical, main, measure, percent, table
 

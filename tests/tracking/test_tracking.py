@@ -8,10 +8,10 @@ import pytest
 
 from doo_ti import InputError, Material
 from doo_ti.frames import matrix_from_quaternion, quaternion_about
-from doo_ti.path import motion_between
-from doo_ti.perception import perceive
-from doo_ti.search import Search
-from doo_ti.tracking import How, Tracker, TrackingOptions
+from doo_ti.motion.path import motion_between
+from doo_ti.perception.perceive import perceive
+from doo_ti.perception.search import Search
+from doo_ti.perception.tracking import How, Tracker, TrackingOptions
 from doo_ti.types import Status
 from doo_ti.vision.detection import Detection, detect
 from doo_ti.vision.distance_map import distance_maps

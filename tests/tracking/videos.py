@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 
 from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.newton import Newton
-from doo_ti.path import Motion
-from doo_ti.relaxation import relax
+from doo_ti.relaxation.newton import Newton
+from doo_ti.motion.path import Motion
+from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 from doo_ti.vision.render import render_set
 from doo_ti.vision.spline import smooth_curve

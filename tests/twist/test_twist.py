@@ -9,11 +9,11 @@ from doo_ti.dataset import Observations, load_observations
 from doo_ti.errors import InputError
 from doo_ti.frames import angle_about
 from doo_ti.metric import distance
-from doo_ti.predict import total_twist
-from doo_ti.relaxation import relax
+from doo_ti.prediction.predict import total_twist
+from doo_ti.relaxation.relax import relax
 from doo_ti.start import held_spins, observation_clamps, start_configuration
-from doo_ti.twist import TwistOptions, Verdict, consecutive_groups, end_offsets, estimate_twist
-from doo_ti.twist_trials import twist_trials
+from doo_ti.twist.estimation import TwistOptions, Verdict, consecutive_groups, end_offsets, estimate_twist
+from doo_ti.twist.trials import twist_trials
 from doo_ti.types import Clamp, Material
 from tests.references.rods import chain, clamps_at, stacked
 

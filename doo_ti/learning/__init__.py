@@ -1,0 +1,1 @@
+"""Θ from observed configurations by exhaustive search: Eqs. 2 and 3, sweeps, cross-validation (§III-E)."""

@@ -1,0 +1,139 @@
+"""An experiment: what was observed, the grid to search, how to relax and compare, and the terms of the objective (§III-E).
+
+Axes: G cells, D observations, H hypotheses of all observations, P pairs, N rods of each cell.
+"""
+
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property
+
+import numpy as np
+
+from doo_ti.dataset import Observations
+from doo_ti.relaxation.descent import Descent
+from doo_ti.errors import InputError
+from doo_ti.grid import Grid
+from doo_ti.learning.hypotheses import Hypotheses, hypotheses_of
+from doo_ti.relaxation.newton import Newton
+from doo_ti.learning.pairs import Pairs, check_ways, pairs_from_labels
+from doo_ti.start import observation_clamps
+from doo_ti.types import Clamp, Clamps
+
+SOLVERS = {"newton": Newton, "descent": Descent}
+
+
+@dataclass(frozen=True)
+class SweepOptions:
+    """How a sweep relaxes and compares.
+
+    frame_weight           w_m of Eq. 1, mm
+    clamp_start, clamp_end what holds the ends; None: the frame where it is given, else the tangent
+    solver, precision      as :func:`doo_ti.relaxation.relax.relax` takes them
+    objective              "static" (Eq. 2) or "dynamic" (Eq. 3)
+    spins                  hypotheses, evenly over a turn, where an end's spin is unknown although it was held; 0: it spins
+    sub_step               rad that a clamp turns at most in one sub-step of Eq. 3; its shift is bound in proportion
+    seed                   of everything random, for the provenance: a sweep draws nothing
+    workers                processes to share the chunks; None: this one. The result does not depend on it
+    """
+
+    frame_weight: float = 0.0
+    clamp_start: Clamp | None = None
+    clamp_end: Clamp | None = None
+    solver: Newton | Descent = Newton()
+    precision: str = "mixed"
+    objective: str = "static"
+    spins: int = 0
+    sub_step: float = np.radians(10.0).item()
+    seed: int = 0
+    workers: int | None = None
+
+    def as_dict(self) -> dict:
+        """What the cells depend on, as JSON holds it; :meth:`from_dict` reads it back."""
+        kinds = {name: None if kind is None else Clamp(kind).name.lower()
+                 for name, kind in (("clamp_start", self.clamp_start), ("clamp_end", self.clamp_end))}
+        name = next(name for name, kind in SOLVERS.items() if isinstance(self.solver, kind))
+        return {"frame_weight_mm": self.frame_weight, **kinds, "solver": {"name": name, **asdict(self.solver)},
+                "precision": self.precision, "objective": self.objective, "spins": self.spins,
+                "sub_step_rad": self.sub_step}
+
+    @classmethod
+    def from_dict(cls, content: dict) -> "SweepOptions":
+        """The options that :meth:`as_dict` wrote. Raises KeyError or TypeError where ``content`` holds none."""
+        content = dict(content)
+        solver = dict(content.pop("solver"))
+        kinds = {name: None if content[name] is None else Clamp[content[name].upper()] for name in ("clamp_start", "clamp_end")}
+        content |= {**kinds, "frame_weight": content["frame_weight_mm"], "sub_step": content["sub_step_rad"],
+                    "solver": SOLVERS[solver.pop("name")](**solver)}
+        return cls(**{field.name: content[field.name] for field in fields(cls) if field.name in content})
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What a sweep's cells depend on, and nothing else.
+
+    pairs       the terms of Eq. 3, None under Eq. 2; where Eq. 3 is asked for without them, those of the labels
+    hypotheses  the rods of each observation; by default all that its labels leave open
+
+    Raises InputError for pairs under Eq. 2, for Eq. 3 without pairs or labels, for half turns that may go either way, for
+    spins that are not unknown, and for two unknown spins of a rod that is not round.
+    """
+
+    observations: Observations
+    grid: Grid
+    options: SweepOptions = SweepOptions()
+    pairs: Pairs | None = None
+    hypotheses: Hypotheses | None = None
+
+    def __post_init__(self):
+        dynamic = self.options.objective == "dynamic"
+        if self.pairs is not None and not dynamic:
+            raise InputError(self.pairs.source, "pairs", "given, but the objective is static", "use --objective dynamic")
+        if dynamic:
+            pairs = pairs_from_labels(self.observations) if self.pairs is None else self.pairs
+            object.__setattr__(self, "pairs", pairs.weighted)
+        clamps = self.clamps
+        if dynamic:
+            check_ways(self.pairs, clamps)
+        both_unknown = np.broadcast_to(np.maximum(clamps.start, clamps.end) == Clamp.TANGENT, 1).any()
+        if self.options.spins and both_unknown and not self.grid.is_isotropic:
+            raise InputError(self.observations.source, "spins", "both ends' spins are unknown and the rod is not round",
+                             "give start_frame, or search over --bend")
+        if self.hypotheses is None:
+            hypotheses = hypotheses_of(self.observations, clamps, self.options.spins)
+            if dynamic:
+                hypotheses = hypotheses.take(np.isin(hypotheses.observation, self.pairs.from_index))
+            object.__setattr__(self, "hypotheses", hypotheses)
+
+    @cached_property
+    def clamps(self) -> Clamps:
+        """C of each observation, as far as it is known."""
+        return observation_clamps(self.observations, self.options.clamp_start, self.options.clamp_end)
+
+    @cached_property
+    def rods(self) -> tuple[np.ndarray, np.ndarray]:
+        """(N,) hypothesis and (N,) term of each rod of a cell: the observation under Eq. 2, the pair under Eq. 3."""
+        if self.pairs is None:
+            return np.arange(self.hypotheses.count), self.hypotheses.observation
+        term, hypothesis = np.nonzero(self.pairs.from_index[:, None] == self.hypotheses.observation)
+        return hypothesis, term
+
+    @property
+    def terms(self) -> int:
+        """D under Eq. 2, P under Eq. 3."""
+        return self.observations.count if self.pairs is None else self.pairs.count
+
+    @property
+    def weight(self) -> np.ndarray:
+        """(N,) w_xy of each rod, ones under Eq. 2."""
+        hypothesis, term = self.rods
+        return np.ones(len(term)) if self.pairs is None else self.pairs.weight[term]
+
+    @property
+    def witness(self) -> str:
+        """The column that judges hypotheses: how far the observation's own rod is off, under Eq. 3 before it is carried."""
+        return "distance_mm" if self.pairs is None else "start_distance_mm"
+
+    def rows_of(self, chosen: np.ndarray) -> np.ndarray:
+        """Of G·N rods, cell by cell, those that belong to the hypotheses ``chosen`` (G, D) of each cell's observations."""
+        of_rod, _ = self.rods
+        observation, _ = self.hypotheses.table
+        return np.flatnonzero(chosen[:, np.searchsorted(observation, self.hypotheses.observation[of_rod])] == of_rod)

@@ -1,0 +1,126 @@
+"""The folder of a run: whose it is, its cells chunk by chunk, where its numbers come from, and the experiment itself.
+
+    RUN/observations.npz, RUN/pairs.csv   what was observed, and the pairs of Eq. 3
+    RUN/hypotheses/*.parquet              a row for each hypothesis, where there are several, until they are resolved
+    RUN/cells/*.parquet                   one row per cell and observation, or pair
+
+A chunk's file is written whole or not at all, so a sweep that was stopped finds what it had.
+"""
+
+import hashlib
+import json
+import os
+import platform
+import time
+from dataclasses import fields, replace
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti import __version__
+from doo_ti.dataset import load_observations, save_observations, write_whole
+from doo_ti.errors import InputError
+from doo_ti.learning.experiment import Experiment, SweepOptions
+from doo_ti.grid import Grid
+from doo_ti.learning.hypotheses import Hypotheses
+from doo_ti.learning.pairs import load_pairs, save_pairs
+from doo_ti.types import Clamp
+
+OBSERVATIONS, PAIRS = "observations.npz", "pairs.csv"
+
+
+def identity_of(experiment: Experiment, *more) -> str:
+    """sha256 of everything the cells depend on."""
+    digest = hashlib.sha256()
+    for content in (experiment.observations, experiment.pairs, experiment.hypotheses):
+        for field in () if content is None else fields(content):
+            value = getattr(content, field.name)
+            if isinstance(value, np.ndarray):
+                digest.update(field.name.encode() + str(value.shape).encode() + np.ascontiguousarray(value).tobytes())
+    digest.update(json.dumps([experiment.grid.as_dict(), experiment.options.as_dict(), *more]).encode())
+    return digest.hexdigest()
+
+
+def claim(run: Path, identity: str, experiment: Experiment) -> None:
+    """Make the folder this sweep's, or raise InputError where it holds another one's cells."""
+    path = run / "cells" / "identity.txt"
+    if path.exists():
+        if path.read_text(encoding="utf-8").strip() != identity:
+            raise InputError(run, "cells", "holds another sweep (other observations, grid or options)",
+                             "name another folder with --out, or delete this one")
+    elif run.exists() and any(run.iterdir()):
+        raise InputError(run, "--out", "the folder holds something else than a sweep", "name another folder")
+    else:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, lambda file: file.write(f"{identity}\n".encode()))
+    if not (run / OBSERVATIONS).exists():
+        save_observations(run / OBSERVATIONS, experiment.observations)
+    if experiment.pairs is not None and not (run / PAIRS).exists():
+        save_pairs(run / PAIRS, experiment.pairs)
+
+
+def finished(run: Path, identity: str) -> dict | None:
+    """The summary of a sweep that was finished before, or None."""
+    path = run / "summary.json"
+    if not (path.exists() and (run / "run.rrd").exists()):
+        return None
+    summary = json.loads(path.read_text(encoding="utf-8"))
+    return summary if summary["provenance"]["sweep_sha256"] == identity else None
+
+
+def read_experiment(run: Path) -> Experiment:
+    """The experiment of a finished sweep, from its folder alone: with each observation's resolved hypothesis, so that its
+    cells come out as they are stored. Raises InputError where the folder holds none."""
+    path = Path(run) / "summary.json"
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        told = summary["provenance"]
+        options = SweepOptions.from_dict(told["options"])
+        options = replace(options, seed=told["seed"])
+        kept = summary["hypotheses"]
+        hypotheses = None if kept is None else Hypotheses.from_dict(kept["kept"])
+        material, digest = summary["material"], told["input_sha256"]
+    except OSError as error:
+        problem = (error.strerror or str(error)).lower()
+        raise InputError(path, "file", problem, "name the folder of a finished sweep") from None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(path, "file", "does not describe a sweep", "run the sweep again") from None
+    observations = replace(load_observations(Path(run) / OBSERVATIONS), name=material, sha256=digest)
+    pairs = load_pairs(Path(run) / PAIRS, observations) if options.objective == "dynamic" else None
+    return Experiment(observations, Grid.from_dict(summary.get("grid"), str(path)), options, pairs, hypotheses)
+
+
+def chunk_path(run: Path, part: str, first: int, last: int) -> Path:
+    """The file of the cells ``first`` to ``last`` in the folder's ``part``, "cells" or "hypotheses"."""
+    return run / part / f"{first:09d}-{last:09d}.parquet"
+
+
+def store(path: Path, columns: dict, material: str) -> None:
+    """Write the rows of a chunk as Parquet."""
+    import pyarrow
+    import pyarrow.parquet
+
+    count = len(columns["observation"])
+    names = pyarrow.DictionaryArray.from_arrays(np.zeros(count, dtype=np.int8), [material])
+    table = pyarrow.table({**columns, "material": names})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, lambda file: pyarrow.parquet.write_table(table, file))
+
+
+def provenance(experiment: Experiment, identity: str, command) -> dict:
+    """What a reader needs to get the same numbers again."""
+    packages = ("taichi", "numpy", "rerun-sdk", "pyarrow")
+    observations, clamps = experiment.observations, experiment.clamps
+    return {
+        "command": list(command),
+        "input": Path(observations.source).name,
+        "input_sha256": observations.sha256,
+        "sweep_sha256": identity,
+        "seed": experiment.options.seed,
+        "options": {**experiment.options.as_dict(), "clamp_start": Clamp(clamps.start).name.lower(),
+                    "clamp_end": Clamp(clamps.end).name.lower(), "up": observations.up.tolist()},
+        "versions": {"doo_ti": __version__, "python": platform.python_version(), **{name: version(name) for name in packages}},
+        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
+        "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+    }

@@ -1,0 +1,1 @@
+"""Quasi-static motion: clamps on their way, rods that follow their branch, and where they jump (§III-D)."""

@@ -1,0 +1,158 @@
+"""Quasi-static motion: the clamps are carried in sub-steps and every rod follows its branch of equilibria (§III-D)."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti.frames import (
+    matrix_from_quaternion,
+    quaternion_about,
+    quaternion_from_matrix,
+    quaternion_product,
+    smallest_rotation,
+)
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
+from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
+
+LARGEST_TURN = np.radians(5.0)
+"""Of a clamp in one sub-step, rad."""
+SHIFT_PER_TURN = 0.2
+"""A clamp moves in one sub-step by at most this share of the rod's length for each radian that it may turn."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the clamps of R rods do: positions run along lines, frames turn about one axis each, all in equal shares.
+
+    clamps                  where they set out
+    start_shift, end_shift  (R, 3) mm from there to where they go; None: that position rests
+    start_turn, end_turn    (R, 3) rotation vectors in the world, rad, whole turns included; None: that frame rests
+    end_spin                (R,) rad, whole turns included, by which the far frame turns about its own tangent as well
+    """
+
+    clamps: Clamps
+    start_shift: np.ndarray | None = None
+    end_shift: np.ndarray | None = None
+    start_turn: np.ndarray | None = None
+    end_turn: np.ndarray | None = None
+    end_spin: np.ndarray | None = None
+
+    def at(self, share: float) -> Clamps:
+        """The clamps after that share of the way."""
+        here = self.clamps
+        return Clamps(
+            here.start, here.end, _shifted(here.start_position, self.start_shift, share),
+            _shifted(here.end_position, self.end_shift, share), _turned(here.start_frame, self.start_turn, None, share),
+            _turned(here.end_frame, self.end_turn, self.end_spin, share),
+        )
+
+    def steps(self, rest_length: np.ndarray, largest_turn: float = LARGEST_TURN) -> int:
+        """Sub-steps that keep every clamp's turns below ``largest_turn`` (rad) and its shifts in proportion to it."""
+        return int(np.max(self.needed_steps(rest_length, largest_turn), initial=1))
+
+    def needed_steps(self, rest_length: np.ndarray, largest_turn: float = LARGEST_TURN) -> np.ndarray:
+        """(R,) sub-steps that each rod needs for that."""
+        end_turn = _size(self.end_turn) + np.abs(0.0 if self.end_spin is None else self.end_spin)
+        shift = np.maximum(_size(self.start_shift), _size(self.end_shift)) / (SHIFT_PER_TURN * rest_length.sum(axis=-1))
+        need = np.maximum(np.maximum(_size(self.start_turn), end_turn), shift) / largest_turn
+        steps = np.maximum(np.ceil(need - 1e-9), 1).astype(np.int64)
+        return np.broadcast_to(steps, len(self.clamps.start_position))
+
+
+def motion_between(clamps: Clamps, goal: Clamps, rotation: np.ndarray | None = None) -> Motion:
+    """From ``clamps`` to ``goal``, R each, frames by the shortest rotation where they are held.
+
+    rotation  (R,) rad how far the far frame turned about the rod, or None. Of all ways to its goal, whole turns apart, it
+              then takes the one that turns it nearest to that.
+
+    At an end where ``goal`` holds no whole frame, only its tangent is met: the frame goes with it, and turns by
+    ``rotation`` exactly.
+    """
+    start_turn = _frame_turn(clamps.start_frame, goal.start_frame, goal.start)
+    end_spin = None
+    if rotation is None:
+        end_turn = _frame_turn(clamps.end_frame, goal.end_frame, goal.end)
+    else:
+        end_turn, end_spin = _swing_and_spin(clamps.end_frame, goal.end_frame, goal.end, rotation)
+    shifts = goal.start_position - clamps.start_position, goal.end_position - clamps.end_position
+    return Motion(clamps, *shifts, start_turn, end_turn, end_spin)
+
+
+def carried_clamps(clamps: Clamps, end_position: np.ndarray, turn: np.ndarray, steps: int) -> Iterator[Clamps]:
+    """The far clamp on its way: positions on a line, frames about one axis.
+
+    end_position  (R, 3) mm where it goes
+    turn          (R, 3) rotation vector in the world, rad, whole turns included, that the end frame makes on the way
+    """
+    motion = Motion(clamps, end_shift=end_position - clamps.end_position, end_turn=turn)
+    for k in range(1, steps + 1):
+        yield motion.at(k / steps)
+
+
+def carry(configuration: Configuration, material: Material, path: Iterator[Clamps], **options) -> tuple[Solution, Clamps]:
+    """Relax along the path, each sub-step from the one before; returns the last solution and its clamps.
+
+    ``options`` go to :func:`doo_ti.relaxation.relax.relax`; the solver is the careful one, which keeps to the branch.
+    """
+    solution = clamps = None
+    for clamps in path:
+        solution = relax(configuration, material, clamps, Newton.careful(), **options)
+        configuration = solution.configuration
+    return solution, clamps
+
+
+def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
+    """(..., 3) rad, of unit quaternions (..., 4), at most half a turn."""
+    q = np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    return 2 * np.arctan2(sine, q[..., :1]) * q[..., 1:] / np.maximum(sine, 1e-300)
+
+
+def _shifted(position: np.ndarray, shift: np.ndarray | None, share: float) -> np.ndarray:
+    return position if shift is None else position + share * shift
+
+
+def _turned(frame: np.ndarray, turn: np.ndarray | None, spin: np.ndarray | None, share: float) -> np.ndarray:
+    if turn is None and spin is None:
+        return frame
+    quaternion = quaternion_from_matrix(frame)
+    if turn is not None:
+        angle = np.linalg.norm(turn, axis=-1)
+        axis = turn / np.maximum(angle, 1e-300)[:, None]
+        quaternion = quaternion_product(quaternion_about(axis, share * angle), quaternion)
+    if spin is not None:
+        own = np.broadcast_to([1.0, 0.0, 0.0], (len(spin), 3))
+        quaternion = quaternion_product(quaternion, quaternion_about(own, share * spin))
+    return matrix_from_quaternion(quaternion)
+
+
+def _size(vector: np.ndarray | None) -> np.ndarray:
+    """(R,) lengths, or zero."""
+    return np.zeros(1) if vector is None else np.linalg.norm(vector, axis=-1)
+
+
+def _frame_turn(frame: np.ndarray, goal: np.ndarray, kind) -> np.ndarray:
+    """(R, 3) the shortest rotation vector from frames to goals; between tangents where no more is held, nothing below that."""
+    kind = np.broadcast_to(kind, len(frame))[:, None]
+    across = rotation_vector(_difference(frame, goal))
+    swing = rotation_vector(smallest_rotation(frame[..., 0], goal[..., 0]))
+    return np.where(kind == Clamp.FRAME, across, np.where(kind == Clamp.TANGENT, swing, 0.0))
+
+
+def _swing_and_spin(frame: np.ndarray, goal: np.ndarray, kind, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rotation vector (R, 3) that brings the tangents to their goals, and the turn (R,) about them that does the rest."""
+    kind = np.broadcast_to(kind, len(frame))
+    swing = smallest_rotation(frame[..., 0], goal[..., 0])
+    swung = quaternion_product(swing, quaternion_from_matrix(frame))
+    rest = quaternion_product(swung * [1, -1, -1, -1], quaternion_from_matrix(goal))
+    angle = 2 * np.arctan2(rest[..., 1], rest[..., 0])
+    spin = np.where(kind == Clamp.FRAME, angle + 2 * np.pi * np.round((rotation - angle) / (2 * np.pi)), rotation)
+    held = kind >= Clamp.TANGENT
+    return np.where(held[:, None], rotation_vector(swing), 0.0), np.where(held, spin, 0.0)
+
+
+def _difference(frame: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """(R, 4) the rotation in the world that leads from frames to goals."""
+    return quaternion_product(quaternion_from_matrix(goal), quaternion_from_matrix(frame) * [1, -1, -1, -1])

@@ -1,0 +1,1 @@
+"""Rods from images (§IV-A, Alg. 1)."""

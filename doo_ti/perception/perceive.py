@@ -1,0 +1,189 @@
+"""Algorithm 1: from images to rods, edge by edge (§IV-A).
+
+A thin, uniform thread that crosses itself fits many curves; energy decides. Every step grows each hypothesis by several edges
+chosen from the images alone, relaxes all of them under E_vis, of all image sets together, and keeps those that score best and
+differ. Those that are left are relaxed once more on a finer rod, and the best of them is the answer.
+
+    found = perceive(maps, rig, point, direction, rest_length, Material(bend=6e5, twist=8e5))
+    found.vertices    # (A, V, 3) mm
+
+Axes: A image sets, C cameras, N hypotheses of all sets, E edges, V vertices, K runners-up.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.perception.growth import rank_distinct
+from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
+from doo_ti.perception.shape_uncertainty import vertex_sigma
+from doo_ti.types import Configuration, Material
+from doo_ti.vision.distance_map import DistanceMaps
+from doo_ti.vision.reprojection import score
+from doo_ti.vision.rig import Rig
+
+CLEAR_PX, AMBIGUOUS_PX = 0.1, 0.02
+"""Of the gap: more than detected lines are off, all along them; and less than the rod's energy, which depends on a Θ that is
+never exact, differs between rods that fit the images equally."""
+FITTING_PX = 1.0
+"""Of the distance to the detection: where a camera shows more, much of the thread was not found, or something else was."""
+
+
+class Verdict(IntEnum):
+    """How sure the best rod is, by the gap to the best runner-up and by how well it fits itself.
+
+    CLEAR      a gap from 0.1 px up, or no other rod: the images alone would not do for the other. And it lies on what was
+               detected: within 1 px, on average, in every camera
+    LIKELY     a gap from 0.02 px up: the images nearly do for both, the rod's energy helps to decide. Or a wider one, but
+               what was detected is not all of the thread
+    AMBIGUOUS  a smaller gap: either may be the rod
+    """
+
+    CLEAR = 0
+    LIKELY = 1
+    AMBIGUOUS = 2
+
+
+@dataclass(frozen=True)
+class Perception:
+    """What the images of A sets say.
+
+    vertices          (A, V, 3) mm: the best rod of each set at its marks
+    configuration     the same rod with every edge in pieces, as it was relaxed
+    energy_vis        (A,) its E_vis, 1/mm
+    camera_error      (A, C) px: its distance to the detection, mean along it, in each camera. A map is smooth at its crease,
+                      and what that adds is taken off: about 0 is a perfect fit
+    status            (A,) Status of its last relaxation
+    stable            (A,) bool: certified to be a minimum of E_vis
+    sigma             (A, V) mm: uncertainty of its vertices by noise in the detection (:mod:`doo_ti.perception.shape_uncertainty`)
+    runner_up         (A, K, V, 3) mm: the next best rods that differ from all better ones; NaN where there are fewer
+    runner_up_energy  (A, K) their E_vis, infinite where there are none
+    gap               (A,) px: by how much E_vis of the best runner-up is worse, as a mean distance along all images;
+                      infinite without one
+    edge_error        (A, C, E) px: distance to the detection along each edge of the best rod
+    unsupported       (A, E) edges that no camera sees on the detection
+    """
+
+    vertices: np.ndarray
+    configuration: Configuration
+    energy_vis: np.ndarray
+    camera_error: np.ndarray
+    status: np.ndarray
+    stable: np.ndarray
+    sigma: np.ndarray
+    runner_up: np.ndarray
+    runner_up_energy: np.ndarray
+    gap: np.ndarray
+    edge_error: np.ndarray
+    unsupported: np.ndarray
+
+    @property
+    def verdict(self) -> np.ndarray:
+        """(A,) Verdict."""
+        clear = (self.gap >= CLEAR_PX) & (self.camera_error <= FITTING_PX).all(axis=1)
+        return np.where(clear, Verdict.CLEAR, np.where(
+            self.gap >= AMBIGUOUS_PX, Verdict.LIKELY, Verdict.AMBIGUOUS)).astype(np.int8)
+
+    @classmethod
+    def joined(cls, parts: list["Perception"]) -> "Perception":
+        """Several of the same rig and rod, one after the other."""
+        rods = [part.configuration for part in parts]
+        whole = Configuration(np.concatenate([rod.start for rod in rods]), np.concatenate([rod.quaternions for rod in rods]),
+                              rods[0].rest_length)
+        values = {name: np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__
+                  if name != "configuration"}
+        return cls(configuration=whole, **values)
+
+
+def perceive(
+    maps: DistanceMaps, rig: Rig, point, direction, rest_length, material: Material, *, up=(0.0, 0.0, 1.0),
+    options: PerceptionOptions = PerceptionOptions(), on_step: Callable[[int, Hypotheses, Hypotheses], None] | None = None,
+) -> Perception:
+    """Recover the rods in A sets of images (Alg. 1).
+
+    maps         what was detected, as distances
+    point        (A, 3) mm, v⁰
+    direction    (A, 3) of e⁰; any length
+    rest_length  (E,) mm
+    material     one Θ for all
+    up           (3,) direction against gravity; any length
+    on_step      called with the number of edges, the hypotheses kept and those pruned, after each step
+
+    Raises InputError for shapes that do not match, fewer than two edges, and more than one material.
+    """
+    search = _checked(maps, rig, point, direction, rest_length, material, up, options)
+    kept = search.seedlings()
+    for edges in range(2, len(search.rest_length) + 1):
+        grown = search.nearly_relaxed(search.grown(kept))
+        rows = search.selected(grown)
+        kept = grown.take(rows)
+        if on_step is not None:
+            on_step(edges, kept, grown.take(np.setdiff1d(np.arange(len(grown.of_set)), rows)))
+    return _result(search, kept)
+
+
+def _checked(maps, rig, point, direction, rest_length, material, up, options) -> Search:
+    sets = len(maps.window)
+    point, direction = (np.atleast_2d(np.asarray(value, dtype=np.float64)) for value in (point, direction))
+    for name, value in (("point", point), ("direction", direction)):
+        if value.shape != (sets, 3) or not np.isfinite(value).all():
+            raise InputError("perceive", name, f"shape {value.shape}", f"give ({sets}, 3) finite numbers, a row for each set")
+    up = np.asarray(up, dtype=np.float64)
+    for name, value in (("direction", direction), ("up", up[None] if up.shape == (3,) else np.zeros((1, 3)))):
+        if not (np.linalg.norm(value, axis=-1) > 0).all():
+            raise InputError("perceive", name, "no direction", "give a vector of some length")
+    rest_length = np.asarray(rest_length, dtype=np.float64)
+    if rest_length.ndim != 1 or len(rest_length) < 2 or not (np.isfinite(rest_length) & (rest_length > 0)).all():
+        raise InputError("perceive", "rest_length", f"shape {rest_length.shape}", "give two or more lengths (E,) in mm")
+    if material.count != 1:
+        raise InputError("perceive", "material", f"{material.count} rows", "give one material")
+    direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+    return Search(maps, rig, point, direction, rest_length, material, up / np.linalg.norm(up), options)
+
+
+def _result(search: Search, kept: Hypotheses) -> Perception:
+    """The finalists of each set relaxed to the end, and what the best of them are."""
+    options = search.options
+    candidates = rank_distinct(kept.energy_vis, search.vertices(kept), kept.of_set, options.finalists, options.similar_distance)
+    final, solution = search.relaxed(kept.take(np.sort(candidates[candidates >= 0])))
+    marks = solution.configuration.vertices[:, :: options.pieces]
+    ranked = rank_distinct(final.energy_vis, marks, final.of_set, 1 + options.runners_up, options.similar_distance)
+    # A set whose rods all came to nothing keeps one, whose status says so.
+    best = np.where(ranked[:, 0] >= 0, ranked[:, 0], np.searchsorted(final.of_set, np.arange(len(ranked))))
+    others = ranked[:, 1:]
+    found = others >= 0
+    runner_up_energy = np.where(found, final.energy_vis[others], np.inf)
+    rods = solution.configuration.take(best)
+    with np.errstate(invalid="ignore"):  # a rod that is not finite is data
+        edge_error, image_length = _reprojected(search, rods.vertices)
+        worse = runner_up_energy.min(axis=1, initial=np.inf) - final.energy_vis[best]
+        sigma = vertex_sigma(search.rig, marks[best], options.nu, options.sigma_px, options.correlation_px)
+    return Perception(
+        vertices=marks[best],
+        configuration=rods,
+        energy_vis=final.energy_vis[best],
+        camera_error=np.einsum("ace,ace->ac", edge_error, image_length) / image_length.sum(axis=2),
+        status=solution.status[best],
+        stable=solution.stable[best],
+        sigma=sigma,
+        runner_up=np.where(found[..., None, None], marks[others], np.nan),
+        runner_up_energy=runner_up_energy,
+        gap=worse / (options.nu * image_length.sum(axis=(1, 2))),
+        edge_error=edge_error,
+        unsupported=(edge_error > options.unsupported).all(axis=1),
+    )
+
+
+def _reprojected(search: Search, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(A, C, E) px twice: mean distance to the detection along the image of each edge, and how long that is."""
+    sets, ends = vertices.shape[:2]
+    segments = np.stack([vertices[:, :-1], vertices[:, 1:]], axis=2).reshape(-1, 2, 3)
+    found = score(segments, search.maps, np.repeat(np.arange(sets), ends - 1), search.rig, 1.0, points=search.piece_points,
+                  cap=search.options.cap)
+    pixels = np.linalg.norm(np.diff(search.rig.project(segments), axis=2)[:, :, 0], axis=-1)
+    error, length = (values.reshape(-1, sets, len(search.rest_length), search.options.pieces).sum(axis=-1).swapaxes(0, 1)
+                     for values in (found.camera_error.T, pixels))
+    return error / np.maximum(length, 1e-9), length

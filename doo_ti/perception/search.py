@@ -1,0 +1,216 @@
+"""The search of Algorithm 1: hypotheses grow by an edge, come to rest under E_vis, and those that differ and score best stay.
+
+    E_vis = E / B + ν Σ_c E_proj                                                                        (§IV-A)
+
+with E_proj in px² (a projected edge's mean distance to the nearest detected pixel, times its length), and the rod's energy E
+over the largest eigenvalue of B, in 1/mm: so ν is in 1/(mm px²) and keeps its meaning whatever the rod's stiffness is.
+
+All image sets go together; the stages that need no physics are in :mod:`doo_ti.perception.growth`.
+
+Axes: A image sets, C cameras, N hypotheses of all sets, M sampled directions, E edges, V vertices.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from doo_ti.relaxation.batch import run_newton
+from doo_ti.errors import InputError
+from doo_ti.frames import (
+    across,
+    bishop_frames,
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    quaternion_product,
+    smallest_rotation,
+    tangent_from_quaternion,
+)
+from doo_ti.perception.growth import sampled_directions, select_hypotheses, suppress_similar
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
+from doo_ti.relaxation.tables import ENERGY, STATUS, tables
+from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, Status
+from doo_ti.vision.distance_map import DistanceMaps
+from doo_ti.vision.reprojection import Reprojection, score
+from doo_ti.vision.rig import Rig
+
+LOST = 1e30
+"""1/mm: E_vis of a rod that came to nothing while growing. It grows on from where it set out if its set has no better one."""
+
+
+@dataclass(frozen=True)
+class PerceptionOptions:
+    """How Algorithm 1 searches.
+
+    nu                   ν, 1/(mm px²): what a pixel's distance along a pixel weighs against energy over stiffness
+    hypotheses           H: kept per image set and step
+    samples              M: directions tried for a new edge, evenly over the half sphere before the last one
+    separation           rad: of sampled directions this near to each other only the best is grown
+    children             edges grown from one hypothesis at most
+    similar_distance     mm: hypotheses whose last vertices are this near …
+    similar_angle        rad: … and whose last edges differ by less are one; the better one stays. Whole rods are one where
+                         their vertices are this near on average
+    points               places along an edge where a map is read while growing
+    cap                  px: distances to the detection saturate there
+    growing_iterations   Newton's, in f32, at most, in each step of growth: the next step goes on from there
+    finalists            hypotheses of each set, all different, that are relaxed to the end
+    pieces               pieces that each edge is cut into for that: the rod is finer than its marks, so that it can lie on
+                         the images' smooth lines without cutting corners
+    final_points         places along an edge, all its pieces together, where a map is read then
+    runners_up           K: rods other than the best that are told
+    unsupported          px: an edge further than this from the detection, on average, in every camera is not seen
+    sigma_px             px: by how much detected points are off, across the line, one standard deviation …
+    correlation_px       px: … all of them within such a length of the line together. Both only for the uncertainty told
+    """
+
+    nu: float = 0.005
+    hypotheses: int = 40
+    samples: int = 160
+    separation: float = np.radians(20.0).item()
+    children: int = 5
+    similar_distance: float = 1.0
+    similar_angle: float = np.radians(15.0).item()
+    points: int = 3
+    cap: float = 40.0
+    growing_iterations: int = 6
+    finalists: int = 8
+    pieces: int = 4
+    final_points: int = 8
+    runners_up: int = 4
+    unsupported: float = 3.0
+    sigma_px: float = 0.1
+    correlation_px: float = 5.0
+
+    def __post_init__(self):
+        for name in ("nu", "separation", "similar_distance", "similar_angle", "cap", "unsupported", "sigma_px",
+                     "correlation_px"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise InputError("PerceptionOptions", name, f"{getattr(self, name)}", "give a positive number")
+        for name in ("hypotheses", "samples", "children", "points", "growing_iterations", "finalists", "pieces",
+                     "final_points"):
+            if getattr(self, name) < 1:
+                raise InputError("PerceptionOptions", name, f"{getattr(self, name)}", "give 1 or more")
+        if self.runners_up < 0:
+            raise InputError("PerceptionOptions", "runners_up", f"{self.runners_up}", "give 0 or more")
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """Rods that grow: i edges each, and what they score.
+
+    of_set       (N,) image set, in increasing order
+    quaternions  (N, i, 4) frames
+    energy_vis   (N,) E_vis, 1/mm, infinite where a rod came to nothing at the end; while growing, heights are measured from v⁰
+    """
+
+    of_set: np.ndarray
+    quaternions: np.ndarray
+    energy_vis: np.ndarray
+
+    def take(self, rows: np.ndarray) -> "Hypotheses":
+        """The hypotheses named by ``rows``, in that order."""
+        return Hypotheses(self.of_set[rows], self.quaternions[rows], self.energy_vis[rows])
+
+
+@dataclass(frozen=True)
+class Search:
+    """What does not change while hypotheses grow.
+
+    maps, rig    what was detected, as distances, and by which cameras
+    point        (A, 3) mm, v⁰
+    direction    (A, 3) unit vectors, e⁰
+    rest_length  (E,) mm
+    material     one Θ for all
+    up           (3,) unit vector against gravity
+    """
+
+    maps: DistanceMaps
+    rig: Rig
+    point: np.ndarray
+    direction: np.ndarray
+    rest_length: np.ndarray
+    material: Material
+    up: np.ndarray
+    options: PerceptionOptions
+    first: np.ndarray = field(init=False)
+    scale: float = field(init=False)
+
+    def __post_init__(self):
+        object.__setattr__(self, "first", bishop_frames(self.direction[:, None], across(self.direction))[:, 0])
+        object.__setattr__(self, "scale", float(np.linalg.eigvalsh(self.material.bend).max()))
+
+    def seedlings(self) -> Hypotheses:
+        """One hypothesis of one edge for each set: v⁰ and e⁰ as given, its spin any."""
+        return Hypotheses(np.arange(len(self.first)), quaternion_from_matrix(self.first)[:, None], np.zeros(len(self.first)))
+
+    def grown(self, kept: Hypotheses) -> Hypotheses:
+        """Each hypothesis with each of the edges that the images propose, by their error alone."""
+        options = self.options
+        length = self.rest_length[kept.quaternions.shape[1]]
+        tip = self.vertices(kept)[:, -1]
+        last = kept.quaternions[:, -1]
+        local = sampled_directions(options.samples)
+        around = local @ np.swapaxes(matrix_from_quaternion(last), -1, -2)
+        ends = tip[:, None] + length * around
+        segments = np.stack([np.broadcast_to(tip[:, None], ends.shape), ends], axis=2).reshape(-1, 2, 3)
+        found = score(segments, self.maps, np.repeat(kept.of_set, len(local)), self.rig, 1.0, points=options.points,
+                      cap=options.cap)
+        error = found.camera_error.sum(axis=1).reshape(len(tip), -1)
+        chosen = suppress_similar(error, local, options.separation, options.children)
+        parent, place = np.nonzero(chosen >= 0)
+        toward = around[parent, chosen[parent, place]]
+        turn = smallest_rotation(tangent_from_quaternion(last[parent]), toward)
+        new = quaternion_product(turn, last[parent])
+        quaternions = np.concatenate([kept.quaternions[parent], new[:, None]], axis=1)
+        return Hypotheses(kept.of_set[parent], quaternions, kept.energy_vis[parent])
+
+    def nearly_relaxed(self, grown: Hypotheses) -> Hypotheses:
+        """A few steps of F(Γ, E_vis, C) for all at once, in f32: a rod that has not arrived goes on when it has grown, and
+        needs no f64 before."""
+        options = self.options
+        start, clamps = self._held(grown, self.rest_length[: grown.quaternions.shape[1]])
+        solver = Newton(max_iterations=options.growing_iterations, tolerance=1e-3)
+        with np.errstate(all="ignore"):  # a rod that is not finite is data
+            table = tables(start, self.material, clamps, self.up, external=self.seen(options.points),
+                           external_index=grown.of_set)
+            quaternions, results = run_newton(table, solver, 32)
+            lost = results[:, STATUS] == Status.NOT_FINITE
+            quaternions[lost] = grown.quaternions[lost]
+            return Hypotheses(grown.of_set, quaternions, np.where(lost, LOST, results[:, ENERGY] / self.scale))
+
+    def relaxed(self, hypotheses: Hypotheses) -> tuple[Hypotheses, Solution]:
+        """F(Γ, E_vis, C) to the end, each edge in pieces."""
+        pieces = self.options.pieces
+        fine = Hypotheses(hypotheses.of_set, np.repeat(hypotheses.quaternions, pieces, axis=1), hypotheses.energy_vis)
+        start, clamps = self._held(fine, np.repeat(self.rest_length / pieces, pieces))
+        solution = relax(start, self.material, clamps, Newton(), up=self.up, precision="mixed",
+                         external=self.seen(self.piece_points), external_index=fine.of_set)
+        energy = np.where(solution.status == Status.NOT_FINITE, np.inf, solution.energy / self.scale)
+        return Hypotheses(fine.of_set, solution.configuration.quaternions, energy), solution
+
+    def selected(self, grown: Hypotheses) -> np.ndarray:
+        """Rows of the best that differ, at most H of each set."""
+        options = self.options
+        direction = tangent_from_quaternion(grown.quaternions[:, -1])
+        return select_hypotheses(grown.energy_vis, self.vertices(grown)[:, -1], direction, grown.of_set, options.hypotheses,
+                                 options.similar_distance, options.similar_angle)
+
+    def vertices(self, hypotheses: Hypotheses) -> np.ndarray:
+        """(N, i + 1, 3) mm, of rods whose edges are whole."""
+        edges = hypotheses.quaternions.shape[1]
+        return Configuration(self.point[hypotheses.of_set], hypotheses.quaternions, self.rest_length[:edges]).vertices
+
+    def seen(self, points: int) -> Reprojection:
+        """ν Σ E_proj in the units of the rod's energy."""
+        return Reprojection(self.maps, self.rig, self.options.nu * self.scale, points, self.options.cap)
+
+    @property
+    def piece_points(self) -> int:
+        """Places along a piece of an edge where a map is read."""
+        return -(-self.options.final_points // self.options.pieces)
+
+    def _held(self, hypotheses: Hypotheses, rest_length: np.ndarray) -> tuple[Configuration, Clamps]:
+        """C of Alg. 1: the start is held, the far end is free."""
+        point, first = self.point[hypotheses.of_set], self.first[hypotheses.of_set]
+        clamps = Clamps(Clamp.TANGENT, Clamp.FREE, point, point, first, first)
+        return Configuration(point, hypotheses.quaternions, rest_length), clamps

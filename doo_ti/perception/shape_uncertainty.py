@@ -1,0 +1,102 @@
+"""How uncertain the vertices of a perceived rod are: the Laplace approximation of E_vis around its minimum (§IV-A).
+
+Detected points are off across the line by σ px, those within a length ℓ of the line together; all other noise is left out, as
+are errors of the model: rig, stiffness, rest lengths and seed count as exact. Near the detected line a distance map is a
+parabola of curvature k, so that the gradient of ν E_proj is off by ν k times the noise along the image, with the covariance
+
+    M = ν² k² σ² ℓ ∫ a aᵀ ds,        H = ν k ∫ a aᵀ ds + H_E
+
+for the movement a across the image, per parameter, of its places, and the minimum is off by H⁻¹ times that: covariance
+H⁻¹ M H⁻¹. Without the rod's energy k and ν cancel; stiffness makes it smaller.
+
+Noise of the sensor alone moves detected points by 0.02 px over 4 px of line or so; the default σ and ℓ of
+:class:`doo_ti.perception.search.PerceptionOptions` are larger, so that sigma is as large as the errors that renderings of known rods show.
+
+Axes: A rods, C cameras, E edges, V vertices, S places along a rod, P = 2 (E − 1) parameters: turns of all edges but the first.
+"""
+
+import numpy as np
+
+from doo_ti.frames import across
+from doo_ti.vision.rig import Rig
+
+CREASE_CURVATURE = 1.5
+"""1/px: k of the distance to a line, sampled at pixels and smoothed by quadratic B-splines, mean over where the line passes."""
+
+PLACES = (0.25, 0.75)
+"""Of an edge, where the image is looked at."""
+
+STEP_MM = 1e-3
+"""Of the differences that tell how an image moves."""
+
+
+def vertex_sigma(rig: Rig, vertices: np.ndarray, nu: float, sigma_px: float, correlation_px: float) -> np.ndarray:
+    """(A, V) mm: standard deviation of each vertex, root mean square over its three coordinates; zero for the first two, which
+    are given.
+
+    vertices                   (A, V, 3) mm: rods at minima of E_vis / B, isotropic and straight at rest
+    nu                         ν, 1/(mm px²)
+    sigma_px, correlation_px   σ and ℓ of the detection
+    """
+    edges = np.diff(vertices, axis=1)
+    length = np.linalg.norm(edges, axis=-1)
+    tangents = edges / length[..., None]
+    first = across(tangents)
+    turns = np.stack([first, np.cross(tangents, first)], axis=-1)  # (A, E, 3, 2)
+    seen, image_length = _movement_across(rig, vertices, turns, length)
+    weighted = image_length[..., None] * seen
+    information = nu * CREASE_CURVATURE * np.swapaxes(seen, -1, -2) @ weighted
+    hessian = information + _bending(turns, length)
+    noise = nu * CREASE_CURVATURE * sigma_px**2 * correlation_px * information
+    response = np.linalg.inv(hessian)
+    covariance = response @ noise @ response
+    moved = _vertex_movement(turns, length)  # (A, V, 3, P)
+    variance = np.einsum("avxp,apq,avxq->av", moved, covariance, moved, optimize=True)
+    return np.sqrt(np.maximum(variance, 0.0) / 3)
+
+
+def _vertex_movement(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """(A, V, 3, P) mm per rad: how each vertex moves as edges turn."""
+    rods, edges = length.shape
+    each = length[..., None, None] * turns
+    before = np.tri(edges + 1, edges, -1)
+    moved = before[None, :, :, None, None] * each[:, None]
+    return np.moveaxis(moved[:, :, 1:], 2, 3).reshape(rods, edges + 1, 3, 2 * (edges - 1))
+
+
+def _movement_across(rig: Rig, vertices: np.ndarray, turns: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """((A, C S, P) px per rad: how places of the rod's images move across them; (A, C S) px of image that each stands for)."""
+    rods, edges = length.shape
+    moved = _vertex_movement(turns, length)
+    rows, shares = [], []
+    for part in PLACES:
+        place = (1 - part) * vertices[:, :-1] + part * vertices[:, 1:]
+        motion = (1 - part) * moved[:, :-1] + part * moved[:, 1:]  # (A, E, 3, P)
+        ahead = STEP_MM * np.eye(3)
+        jacobian = (rig.project(place[:, :, None] + ahead) - rig.project(place[:, :, None] - ahead)) / (2 * STEP_MM)
+        along = np.einsum("caexu,aex->caeu", jacobian, np.diff(vertices, axis=1))
+        pixels = np.linalg.norm(along, axis=-1)
+        normal = np.stack([-along[..., 1], along[..., 0]], axis=-1) / np.maximum(pixels, 1e-9)[..., None]
+        rows.append(np.einsum("caexu,caeu,aexp->acep", jacobian, normal, motion, optimize=True))
+        shares.append(np.swapaxes(pixels, 0, 1) / len(PLACES))
+    across_image, share = np.stack(rows, axis=3), np.stack(shares, axis=3)
+    # A camera that cannot see a place says nothing about it.
+    blind = ~(np.isfinite(across_image).all(axis=-1) & np.isfinite(share))
+    across_image[blind], share[blind] = 0.0, 0.0
+    return across_image.reshape(rods, -1, across_image.shape[-1]), share.reshape(rods, -1)
+
+
+def _bending(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """(A, P, P) 1/mm: second derivative of Σ |κb|²/l̄, with κb as the difference of tangents."""
+    rods, edges = length.shape
+    joint = 2.0 / (length[:, :-1] + length[:, 1:])
+    diagonal, beside = np.zeros((rods, edges)), -joint
+    diagonal[:, :-1] += joint
+    diagonal[:, 1:] += joint
+    blocks = np.zeros((rods, edges, 2, edges, 2))
+    every = np.arange(edges)
+    blocks[:, every, :, every, :] = np.moveaxis(diagonal[..., None, None] * np.eye(2), 1, 0)
+    product = beside[..., None, None] * np.swapaxes(turns[:, :-1], -1, -2) @ turns[:, 1:]
+    blocks[:, every[:-1], :, every[1:], :] = np.moveaxis(product, 1, 0)
+    blocks[:, every[1:], :, every[:-1], :] = np.moveaxis(np.swapaxes(product, -1, -2), 1, 0)
+    return blocks[:, 1:, :, 1:].reshape(rods, 2 * (edges - 1), 2 * (edges - 1))

@@ -1,0 +1,233 @@
+"""A rod through a video: every frame from the one before, and by Algorithm 1 where that fails (§III-D, §IV-A).
+
+The rod of the last frame sets out from a few places at once, as its start and its own motion take it along, and comes to rest
+under E_vis of the next images; the one with the least E_vis is relaxed to the end. Where that does not lie on what was
+detected, or lies on it much worse than before, Algorithm 1 looks for the rod anew.
+
+    tracker = Tracker(rig, rest_length, Material(bend=6e5, twist=8e5))
+    frames = [tracker.see(detected, point, direction) for detected, point, direction in video]
+
+Axes: C cameras, E edges, V vertices, K places to set out from.
+"""
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.frames import quaternion_product, smallest_rotation, tangent_from_quaternion
+from doo_ti.motion.path import Motion
+from doo_ti.perception.perceive import perceive
+from doo_ti.prediction.predict import predict_step
+from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
+from doo_ti.perception.shape_uncertainty import vertex_sigma
+from doo_ti.types import Clamp, Clamps, Configuration, Material, Status
+from doo_ti.vision.detection import Detection
+from doo_ti.vision.distance_map import distance_maps
+from doo_ti.vision.image_sets import FEWEST_CAMERAS
+from doo_ti.vision.reprojection import score
+from doo_ti.vision.rig import Rig
+
+ITERATIONS = 30
+"""Newton's, in f32 and at most, from each place to set out from."""
+BETTER = 1e-6
+"""Share of E_vis by which the rod of Algorithm 1 must be better than the tracked one: less is the same rod."""
+
+
+class How(IntEnum):
+    """How a frame's rod was found.
+
+    TRACKED  from the frame before
+    SEEDED   by Algorithm 1, from the seed
+    LOST     not at all
+    """
+
+    TRACKED = 0
+    SEEDED = 1
+    LOST = 2
+
+
+@dataclass(frozen=True)
+class TrackingOptions:
+    """When a rod counts as lost.
+
+    lost_px   px: further than this from the detection, on average along the rod, it is not on it. Two cameras must see it
+              there: others may be hidden
+    worse_px  px: where the mean over the cameras has grown by more since Algorithm 1 was last asked, it is asked again, and the
+              better rod counts
+
+    Raises InputError for numbers that are not positive.
+    """
+
+    lost_px: float = 1.5
+    worse_px: float = 0.1
+
+    def __post_init__(self):
+        for name in ("lost_px", "worse_px"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise InputError("TrackingOptions", name, f"{getattr(self, name)}", "give a positive number")
+
+
+@dataclass(frozen=True)
+class TrackedFrame:
+    """The rod in one frame; NaN where it is lost.
+
+    vertices      (V, 3) mm
+    sigma         (V,) mm, as :class:`doo_ti.perception.perceive.Perception` has it
+    energy_vis    E_vis, 1/mm, over the cameras that see a thread
+    camera_error  (C,) px: distance to the detection, mean along the rod; NaN in a camera that sees no thread
+    status        Status of the last relaxation; NOT_FINITE where there was none
+    stable        certified to be a minimum of E_vis
+    how           How
+    """
+
+    vertices: np.ndarray
+    sigma: np.ndarray
+    energy_vis: float
+    camera_error: np.ndarray
+    status: Status
+    stable: bool
+    how: How
+
+
+@dataclass(frozen=True)
+class _Rod:
+    """One rod in pieces, in one frame; ``camera_error`` is of the cameras that see a thread there."""
+
+    configuration: Configuration
+    energy_vis: float
+    camera_error: np.ndarray
+    status: int
+    stable: bool
+
+    @property
+    def converged(self) -> bool:
+        return self.status == Status.CONVERGED
+
+
+class Tracker:
+    """What is known of a rod while frames arrive.
+
+    rig, rest_length, material, up, search   as :func:`doo_ti.perception.perceive.perceive` takes them
+    options                                  when it is lost
+    """
+
+    def __init__(self, rig: Rig, rest_length, material: Material, *, up=(0.0, 0.0, 1.0),
+                 search: PerceptionOptions = PerceptionOptions(), options: TrackingOptions = TrackingOptions()):
+        self._rig, self._material, self._search, self._options = rig, material, search, options
+        self._rest_length = np.asarray(rest_length, dtype=np.float64)
+        self._up = np.asarray(up, dtype=np.float64) / np.linalg.norm(up)
+        self._last: _Rod | None = None
+        self._usual = np.inf  # px, mean over the cameras: the least since Algorithm 1 was asked
+        self._turn: np.ndarray | None = None  # (E, 4) of each edge, from the frame before the last one to the last one
+
+    def see(self, detected: list[Detection], point, direction, far: Motion | None = None) -> TrackedFrame:
+        """The rod in the next frame.
+
+        detected   of each camera; one without points sees no thread
+        point      (3,) mm, v⁰ in this frame
+        direction  (3,) of e⁰; any length
+        far        how the far clamp has moved since the frame before: one more place to set out from is where the rod would
+                   go without being seen. Tangents only; the start goes with the seed
+
+        Raises InputError as :func:`doo_ti.perception.perceive.perceive` does.
+        """
+        seeing = [name for name, found in zip(self._rig.names, detected, strict=True) if found.count]
+        if len(seeing) < FEWEST_CAMERAS:
+            return self._lost()
+        point, direction = (np.asarray(value, dtype=np.float64).reshape(1, 3) for value in (point, direction))
+        search = Search(distance_maps([[found for found in detected if found.count]]), self._rig.only(seeing), point,
+                        direction / np.linalg.norm(direction), self._rest_length, self._material, self._up, self._search)
+        rod, how = None if self._last is None else self._tracked(search, far), How.TRACKED
+        if rod is None or self._doubtful(rod):
+            self._usual = np.inf
+            seeded = self._seeded(search)
+            if rod is None or self._better(seeded, rod):
+                rod, how = seeded, How.SEEDED
+        if not (rod.converged and self._seen(rod)):
+            return self._lost()
+        return self._kept(rod, how, search)
+
+    def _tracked(self, search: Search, far: Motion | None) -> _Rod:
+        """Where the last rod comes to rest in this frame."""
+        starts = self._starts(search, far)
+        longer = replace(search, options=replace(search.options, growing_iterations=ITERATIONS))
+        rested = longer.nearly_relaxed(Hypotheses(np.zeros(len(starts), dtype=np.int64), starts, np.zeros(len(starts))))
+        final, solution = search.relaxed(rested.take(np.array([np.argmin(rested.energy_vis)])))
+        vertices = solution.configuration.vertices
+        found = score(vertices, search.maps, 0, search.rig, 1.0, points=search.piece_points, cap=search.options.cap)
+        length = np.linalg.norm(np.diff(search.rig.project(vertices[0]), axis=1), axis=-1).sum(axis=1)
+        return _Rod(solution.configuration, final.energy_vis[0], found.camera_error[0] / length, solution.status[0],
+                    solution.stable[0])
+
+    def _starts(self, search: Search, far: Motion | None) -> np.ndarray:
+        """(K, E, 4): the last rod as it was, all of it turned with the seed, turned on as it turned before, and carried by its
+        far clamp. The seed holds the first edge of each."""
+        last = self._whole(self._last)
+        edges = last.quaternions[0]
+        starts = [edges, _aimed(edges, search.direction)]
+        if self._turn is not None:
+            starts.append(_aimed(quaternion_product(self._turn, edges), search.direction))
+        if far is not None:
+            starts.append(self._carried(last, search, far))
+        return np.stack([start for start in starts if np.isfinite(start).all()])
+
+    def _carried(self, last: Configuration, search: Search, far: Motion) -> np.ndarray:
+        """(E, 4) where the last rod goes when its start goes to the seed and its far end as the clamp did."""
+        frames, vertices = last.frames, last.vertices
+        here = Clamps(Clamp.TANGENT, Clamp.TANGENT, vertices[:, 0], vertices[:, -1], frames[:, 0], frames[:, -1])
+        goal = replace(replace(far, clamps=here).at(1.0), start_position=search.point, start_frame=search.first)
+        solution, _ = predict_step(last, self._material, here, goal, up=self._up, watch=False)
+        return solution.configuration.quaternions[0]
+
+    def _whole(self, rod: _Rod) -> Configuration:
+        """The rod with its edges whole, as their middles point."""
+        fine, pieces = rod.configuration, self._search.pieces
+        return Configuration(fine.start, fine.quaternions[:, pieces // 2 :: pieces], self._rest_length)
+
+    def _seeded(self, search: Search) -> _Rod:
+        """The rod that Algorithm 1 finds."""
+        found = perceive(search.maps, search.rig, search.point, search.direction, self._rest_length, self._material,
+                         up=self._up, options=self._search)
+        return _Rod(found.configuration, found.energy_vis[0], found.camera_error[0], found.status[0], found.stable[0])
+
+    def _seen(self, rod: _Rod) -> bool:
+        """Whether the rod lies on what was detected."""
+        return np.sort(rod.camera_error)[FEWEST_CAMERAS - 1] <= self._options.lost_px
+
+    def _doubtful(self, rod: _Rod) -> bool:
+        """Whether Algorithm 1 is asked, too."""
+        worse = rod.camera_error.mean() - self._usual
+        return not (rod.converged and self._seen(rod) and worse <= self._options.worse_px)
+
+    @staticmethod
+    def _better(rod: _Rod, other: _Rod) -> bool:
+        if rod.converged != other.converged:
+            return rod.converged
+        return rod.energy_vis < (1 - BETTER) * other.energy_vis
+
+    def _kept(self, rod: _Rod, how: How, search: Search) -> TrackedFrame:
+        """What is told of a frame, and remembered for the next one."""
+        turn = None
+        if how == How.TRACKED:  # a rod that was found anew did not turn by itself
+            now, before = (self._whole(one).quaternions[0] for one in (rod, self._last))
+            turn = quaternion_product(now, before * [1, -1, -1, -1])
+        self._turn, self._last, self._usual = turn, rod, min(self._usual, rod.camera_error.mean())
+        marks = rod.configuration.vertices[:, :: search.options.pieces]
+        error = np.full(len(self._rig.cameras), np.nan)
+        error[[self._rig.names.index(name) for name in search.rig.names]] = rod.camera_error
+        sigma = vertex_sigma(search.rig, marks, search.options.nu, search.options.sigma_px, search.options.correlation_px)
+        return TrackedFrame(marks[0], sigma[0], rod.energy_vis, error, Status(rod.status), bool(rod.stable), how)
+
+    def _lost(self) -> TrackedFrame:
+        """Nothing is known of the rod: the next frame begins with Algorithm 1."""
+        self._last = self._turn = None
+        vertices = np.full((len(self._rest_length) + 1, 3), np.nan)
+        return TrackedFrame(vertices, vertices[:, 0], np.nan, np.full(len(self._rig.cameras), np.nan), Status.NOT_FINITE,
+                            False, How.LOST)
+
+
+def _aimed(quaternions: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """(E, 4) a rod turned as a whole until its first edge points along ``direction`` (1, 3)."""
+    return quaternion_product(smallest_rotation(tangent_from_quaternion(quaternions[0]), direction[0]), quaternions)

@@ -1,0 +1,1 @@
+"""What a rod will do when its ends are moved (§III-D, Fig. 1)."""

@@ -1,0 +1,250 @@
+"""Prediction of motion: where a rod goes when its clamps are moved (§III-D).
+
+The rod's configuration Γ_1 is a minimum of E_Θ under C_1. The clamps go to C_2 in sub-steps, as many as their own
+way needs; after each the rod is relaxed from where it was, so that it follows its branch of minima, and where that ends it
+falls to another one, which is counted. Quasi-static: nothing has inertia.
+
+Axes: T moments, G materials, N motions, R = G·N rods, material by material, E edges, K candidate poses.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.frames import angle_about, matrix_from_quaternion, smallest_rotation, vertices_from_quaternions
+from doo_ti.motion.journey import Journey
+from doo_ti.prediction.motion_file import ClampPath
+from doo_ti.relaxation.newton import Newton
+from doo_ti.prediction.paced import PacedJourney, joined, journeys, travel
+from doo_ti.motion.path import LARGEST_TURN, Motion, motion_between
+from doo_ti.relaxation.relax import relax
+from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, Status
+
+STILL = 1e-9
+"""mm and rad: clamps that move by less rest."""
+TOLD = ("energy", "residual", "iterations", "status", "stable", "end_force")
+"""Of each moment's solution, as :class:`doo_ti.types.Solution` has it."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """R rods at T moments.
+
+    time          (T,) s
+    start         (T, R, 3) mm, vertex 0
+    quaternions   (T, R, E, 4) frames
+    rest_length   (E,) mm
+    energy, residual, iterations, status, stable (T, R), end_force (T, R, 3)
+                  as in :class:`doo_ti.types.Solution`; iterations since the moment before, a status that was not converged
+                  on the way there counts
+    jumps         (T, R) falls to another branch since the moment before
+    end_rotation  (T, R) rad by which the far clamp has turned the rod about its tangent, whole turns included
+    material, motion  (R,) rows
+    """
+
+    time: np.ndarray
+    start: np.ndarray
+    quaternions: np.ndarray
+    rest_length: np.ndarray
+    energy: np.ndarray
+    residual: np.ndarray
+    iterations: np.ndarray
+    status: np.ndarray
+    stable: np.ndarray
+    end_force: np.ndarray
+    jumps: np.ndarray
+    end_rotation: np.ndarray
+    material: np.ndarray
+    motion: np.ndarray
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """(T, R, V, 3) mm."""
+        shape = self.quaternions.shape
+        flat = vertices_from_quaternions(self.start.reshape(-1, 3), self.quaternions.reshape(-1, *shape[2:]), self.rest_length)
+        return flat.reshape(*shape[:2], -1, 3)
+
+    @property
+    def total_twist(self) -> np.ndarray:
+        """(T, R) Σ m_i, rad, whole turns included."""
+        return total_twist(self.quaternions)
+
+    @property
+    def followed(self) -> np.ndarray:
+        """(T, R) bool: at every moment so far the rod converged to a certified minimum. Afterwards it is no prediction."""
+        return np.logical_and.accumulate((self.status == Status.CONVERGED) & self.stable, axis=0)
+
+    def at(self, moment: int) -> Configuration:
+        """The R rods at a moment."""
+        return Configuration(self.start[moment], self.quaternions[moment], self.rest_length)
+
+
+def predict(
+    configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, *, sub_step: float = LARGEST_TURN,
+    between: int = 1, up=(0.0, 0.0, 1.0), solver: Newton | None = None, precision: str = "mixed",
+    advance: Callable[[int], None] = lambda rods: None,
+) -> Prediction:
+    """Carry rods along a path and keep them at its moments.
+
+    configuration  R = G·N rods, material by material, or N, that are at rest under ``clamps`` or near it
+    material       G rows, each for N rods
+    clamps         (N) that hold them; from there they are first brought to the path's first moment
+    path           of N motions, or of one for all
+    sub_step       rad that a clamp turns at most in a sub-step; its shift is bound in proportion
+    between        steps of each interval that are kept, its end included
+    precision      at the moments, as :func:`doo_ti.relaxation.relax.relax` takes it; on the way f32 does, unless it is "f64"
+    advance        is told of rods as they come to a moment, (T − 1)·between·R in all
+
+    A rod that cannot follow has that status from there on; the next interval begins where it last was. Raises InputError
+    where numbers of rods and motions do not match.
+    """
+    motions = len(clamps.start_position)
+    if configuration.count not in (motions, motions * material.count) or path.count not in (1, motions):
+        raise InputError(path.source, "motion", f"{path.count} motions and {configuration.count} rods for {motions} clamps and "
+                         f"{material.count} materials", "give one motion for all, or one for each rod")
+    rods = np.arange(motions * material.count)
+    if configuration.count == motions:
+        configuration = configuration.take(rods % motions)
+    travel = _Travel(material, configuration.rest_length, sub_step, up, solver or Newton(), precision)
+    solution = travel.rest(configuration, clamps)
+    jumps = np.zeros(len(rods), dtype=np.int32)
+    approach = motion_between(clamps, path.at(0, clamps))
+    if _moves(approach):
+        solution, jumps, _ = travel.go(solution.configuration, approach)
+    film = _Film(solution, jumps, approach.at(1.0))
+    for moment in range(path.moments - 1):
+        motion = motion_between(film.clamps, path.at(moment + 1, clamps), path.rotation(moment, motions))
+        for part in range(between):
+            film.keep(*travel.go(film.configuration, _part(motion, part / between, (part + 1) / between)))
+            advance(len(rods))
+    share = np.arange(between * (path.moments - 1) + 1) / between
+    time = np.interp(share, np.arange(path.moments), path.time)
+    return film.developed(time, configuration.rest_length, rods // motions, rods % motions)
+
+
+def predict_step(
+    configuration: Configuration, material: Material, clamps: Clamps, goal: Clamps, *, rotation=None,
+    sub_step: float = LARGEST_TURN, up=(0.0, 0.0, 1.0), precision: str = "f32", watch: bool = True,
+) -> tuple[Solution, np.ndarray | None]:
+    """Where one rod would go under each of K candidate motions of its clamps, what a planner asks: the solution, K rods, and
+    how often each fell to another branch (K,).
+
+    configuration  one rod at rest under ``clamps``, one row
+    material       one row
+    goal           (K) clamps, of the kinds of ``clamps``
+    rotation       (K,) rad how far the far frame turns about the rod, whole turns included; None: the shortest way
+    watch          whether falls are looked for, and sub-steps that look like one made again in smaller ones. Without it a
+                   call takes three quarters of the time and returns None in place of the falls
+
+    How many sub-steps a rod takes depends on its own motion. A rod that does not converge in one of them keeps that status.
+    """
+    count = len(goal.start_position)
+    rows = np.zeros(count, dtype=np.int64)
+    motion = motion_between(clamps.take(rows), goal, None if rotation is None else np.broadcast_to(rotation, count))
+    still = {f"{end}_{part}": None for end in ("start", "end") for part in ("shift", "turn")
+             if not getattr(motion, f"{end}_{part}").any()}
+    journey = Journey(replace(motion, **still), material, sub_step, configuration.rest_length, up, precision=precision)
+    if watch:
+        return travel(journey, configuration.take(rows))
+    places, ends = [], []
+    for own, paced in journeys(journey):
+        places.append(own)
+        ends.append(_unwatched(paced, configuration.take(rows[own])))
+    return joined(ends, np.argsort(np.concatenate(places))), None
+
+
+def _unwatched(journey: PacedJourney, rods: Configuration) -> Solution:
+    """Where rods under one material end that are relaxed after each sub-step, and nothing else."""
+    status = np.zeros(rods.count, dtype=np.int8)
+    for step in range(1, journey.steps + 1):
+        solution = relax(rods, journey.material, journey.motion.at(step / journey.steps), Newton.careful(), up=journey.up,
+                         precision=journey.precision)
+        rods, status = solution.configuration, np.where(status == Status.CONVERGED, solution.status, status)
+    return replace(solution, status=status)
+
+
+def total_twist(quaternions: np.ndarray) -> np.ndarray:
+    """(...) Σ m_i in rad of chains of frames (..., E, 4): of each from the one before, transported, at most half a turn."""
+    before, after = quaternions[..., :-1, :], quaternions[..., 1:, :]
+    scalar = np.sum(before * after, axis=-1)
+    (a, b, c, d), (w, x, y, z) = np.moveaxis(before, -1, 0), np.moveaxis(after, -1, 0)
+    along = a * x - b * w - c * z + d * y
+    return np.sum(2 * np.arctan2(np.where(scalar < 0, -along, along), np.abs(scalar)), axis=-1)
+
+
+@dataclass(frozen=True)
+class _Travel:
+    """How rods are carried."""
+
+    material: Material
+    rest_length: np.ndarray
+    sub_step: float
+    up: np.ndarray
+    solver: Newton
+    precision: str
+
+    def rest(self, configuration: Configuration, clamps: Clamps) -> Solution:
+        """R rods relaxed under N clamps."""
+        rods, motions = np.arange(configuration.count), len(clamps.start_position)
+        return relax(configuration, self.material, clamps.take(rods % motions), self.solver, up=self.up,
+                     precision=self.precision, configuration_index=rods, material_index=rods // motions)
+
+    def go(self, configuration: Configuration, motion: Motion) -> tuple[Solution, np.ndarray, Motion]:
+        """Where the rods come to, how often each fell, and the motion itself."""
+        journey = Journey(motion, self.material, self.sub_step, self.rest_length, self.up, self.solver, self.precision)
+        return *travel(journey, configuration), motion
+
+
+class _Film:
+    """The moments so far: what was kept of each, and where rods and clamps are now."""
+
+    def __init__(self, solution: Solution, jumps: np.ndarray, clamps: Clamps):
+        self.clamps, self.configuration = clamps, solution.configuration
+        self._moments = [(solution, jumps, np.zeros(solution.configuration.count))]
+
+    def keep(self, solution: Solution, jumps: np.ndarray, motion: Motion) -> None:
+        """Another moment, at the end of ``motion``."""
+        here, rotation = solution.configuration, self._moments[-1][2]
+        turned = np.tile(_rotation_about_rod(motion), here.count // len(motion.clamps.start_position))
+        # A rod that came to nothing waits where it was.
+        lost = ~np.isfinite(here.quaternions).all(axis=(1, 2))
+        frames = np.where(lost[:, None, None], self.configuration.quaternions, here.quaternions)
+        start = np.where(lost[:, None], self.configuration.start, here.start)
+        self.clamps, self.configuration = motion.at(1.0), Configuration(start, frames, here.rest_length)
+        self._moments.append((solution, jumps, rotation + turned))
+
+    def developed(self, time, rest_length, material, motion) -> Prediction:
+        solutions, jumps, rotation = zip(*self._moments, strict=True)
+        told = {name: np.stack([getattr(solution, name) for solution in solutions]) for name in TOLD}
+        shapes = [solution.configuration for solution in solutions]
+        return Prediction(time=time, start=np.stack([shape.start for shape in shapes]), rest_length=rest_length,
+                          quaternions=np.stack([shape.quaternions for shape in shapes]), jumps=np.stack(jumps),
+                          end_rotation=np.stack(rotation), material=material, motion=motion, **told)
+
+
+def _moves(motion: Motion) -> bool:
+    parts = (motion.start_shift, motion.end_shift, motion.start_turn, motion.end_turn)
+    return any(np.linalg.norm(part, axis=-1).max() > STILL for part in parts if part is not None)
+
+
+def _part(motion: Motion, first: float, last: float) -> Motion:
+    """From one share of the way to another."""
+    def share(value):
+        return None if value is None else (last - first) * value
+    return replace(motion, clamps=motion.at(first), start_shift=share(motion.start_shift), end_shift=share(motion.end_shift),
+                   start_turn=share(motion.start_turn), end_turn=share(motion.end_turn), end_spin=share(motion.end_spin))
+
+
+def _rotation_about_rod(motion: Motion) -> np.ndarray:
+    """(N,) rad by which a motion turns the far frame about its tangent, beyond what carries the tangent along; whole turns are
+    those of the motion's own rotation vector and spin."""
+    before, after = motion.clamps.end_frame, motion.at(1.0).end_frame
+    carried = matrix_from_quaternion(smallest_rotation(before[..., 0], after[..., 0]))
+    m1 = np.einsum("nij,nj->ni", carried, before[..., 1])
+    angle = angle_about(after[..., 0], m1, after[..., 1])
+    spin = 0.0 if motion.end_spin is None else motion.end_spin
+    along = 0.0 if motion.end_turn is None else np.sum(motion.end_turn * before[..., 0], axis=-1)
+    held = np.broadcast_to(np.asarray(motion.clamps.end) == Clamp.FRAME, len(angle))
+    return np.where(held, angle + 2 * np.pi * np.round((spin + along - angle) / (2 * np.pi)), 0.0)

@@ -1,0 +1,182 @@
+"""The one door between host and device: tables in, results per rod out.
+
+Device scratch is allocated once per thread and reused, whatever the number of rods.
+"""
+
+import sys
+
+import numpy as np
+
+from doo_ti import runtime
+from doo_ti.relaxation import chain
+from doo_ti.relaxation import descent
+from doo_ti.relaxation import newton
+from doo_ti.frames import matrix_from_quaternion, quaternion_from_matrix, vertices_from_quaternions
+from doo_ti.relaxation.loading import ASKED_ITEMS, LANES, TRIPS
+from doo_ti.relaxation.newton_kernel import newton_kernel
+from doo_ti.physics.number import Number
+from doo_ti.relaxation.tables import ITERATIONS, RESULTS, STATUS, Tables
+from doo_ti.types import Solution, Status
+from doo_ti.relaxation.vertex_chain import ITEMS
+
+PROJECTIONS = 100
+"""Rounds in which Descent's starts are brought onto closure."""
+
+POOLED_BYTES = 1 << 30
+"""Frames of results no longer in use are kept for the next call up to this size: a fresh page costs as much as a rod's step."""
+
+UNTOUCHED = np.full(RESULTS, np.nan)
+"""The results of a rod that no kernel has seen, since it is infeasible."""
+UNTOUCHED[[ITERATIONS, STATUS]] = 0.0, Status.INFEASIBLE
+
+_scratch: dict = {}
+_queues: dict[Number, np.ndarray] = {}
+_pool: list[np.ndarray] = []
+
+
+def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution | None = None, moving: bool = True):
+    """Relax every feasible rod from its start, or from where it ended in ``begin``: (R, E, 4) frames and (R, RESULTS), NaN and
+    UNTOUCHED in infeasible rows.
+
+    With ``moving`` false only the projection runs, which brings a start onto closure.
+    """
+    frames = _room(table.count * table.edges * 4).reshape(table.count, table.edges, 4)
+    if len(table.rods) < table.count:
+        frames[~table.feasible[table.configuration_index]] = np.nan
+    results = _untouched(table.count)
+    if begin is None:
+        _launch_newton(table, table.start, table.rods, options, bits, frames, results, moving)
+    else:
+        ended = np.ascontiguousarray(begin.configuration.quaternions)
+        usable = begin.status == int(Status.CONVERGED)
+        lost = np.flatnonzero(~usable & table.feasible[table.configuration_index])
+        frames[lost] = table.start[table.configuration_index[lost]]
+        _launch_newton(table, ended, table.resumed(usable), options, bits, frames, results)
+    return frames, results
+
+
+def continue_newton(table: Tables, options: newton.Newton, bits: int, frames, results, rows, usable) -> None:
+    """Relax the rods ``rows`` further, in place: from their ``frames`` where ``usable`` (R,), else from their starts."""
+    results[rows] = UNTOUCHED
+    _launch_newton(table, table.start, table.continued(usable, rows), options, bits, frames, results)
+
+
+def _untouched(count: int) -> np.ndarray:
+    """(R, RESULTS) of rods that no kernel has seen."""
+    results = np.empty((count, RESULTS))
+    results[:] = UNTOUCHED
+    return results
+
+
+def pack_trips(bits: int) -> tuple[int, int]:
+    """(trips through Newton's loop, all threads together, and rods in a pack) of the last launch in that precision."""
+    number, queue = next((number, queue) for number, queue in _queues.items() if number.bits == bits)
+    return int(queue[TRIPS]), number.width
+
+
+def _room(size: int) -> np.ndarray:
+    """(size,) numbers of any value: memory of an earlier result that nobody holds any more, where there is one that fits."""
+    for kept in _pool:
+        # Held by the pool, by this loop and by the call only.
+        if size <= kept.size <= 2 * size and sys.getrefcount(kept) == 3:
+            return kept[:size]
+    fresh = np.empty(size)
+    _pool.append(fresh)
+    while sum(kept.nbytes for kept in _pool) > POOLED_BYTES:
+        _pool.pop(0)
+    return fresh
+
+
+def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int, frames, results, moving: bool = True) -> None:
+    """One launch over ``rods``, whose starts are rows of ``start`` (-, E, 4) or of ``frames``."""
+    number, threads, stride, block = _machine(len(rods), bits)
+    external = table.external
+    kind = None if external is None else type(external)
+    outer = () if external is None else (external.numbers(), external.field())
+    per_edge = chain.item_count(table.isotropic) + (0 if external is None else external.items)
+    # By the call's rods, not by those of a launch, so that what few rods a large call leaves over needs no kernel of its own.
+    # Nor has an external energy one, which takes long to compile.
+    serial = block == 1 and table.count <= number.width and external is None
+    kernel = newton_kernel(number, table.isotropic, stride, block, serial, kind)
+    scratch, queue = _buffers(number, threads, ASKED_ITEMS + per_edge * table.edges)
+    kernel(
+        start.reshape(-1), table.rest_length, table.clamp, table.material, rods,
+        options.tolerance or (1e-6 if bits == 32 else 1e-9), options.max_iterations, options.first_shift,
+        options.max_rotation, options.max_escapes, newton.CLOSING_DISTANCE if moving else -1.0, threads, scratch, queue,
+        frames.reshape(-1), results, *outer,
+    )
+
+
+def run_descent(table: Tables, options: descent.Descent, bits: int):
+    """Relax every feasible rod by the paper's scheme, from its start projected onto closure; as :func:`run_newton`.
+
+    The residual, the status and the certificate are those of the chain of frames, so that they mean the same for both
+    solvers: a rod has converged if its moments say so there.
+    """
+    projection = newton.Newton(max_iterations=PROJECTIONS)
+    closed, _ = run_newton(table, projection, 64, moving=False)
+    table = table.restarted(closed)
+    vertices, directors = _vertex_form(table)
+    number, threads, stride, block = _machine(len(table.rods), bits)
+    items = ITEMS * (table.edges + 1)
+    scratch, queue = _buffers(number, threads, items)
+    positions = np.full((table.count, table.edges + 1, 3), np.nan)
+    axes = np.full((table.count, table.edges, 3), np.nan)
+    results = _untouched(table.count)
+    descent.descent_kernel(number, stride, block)(
+        vertices, directors, table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.material, table.rods,
+        options.tolerance, options.max_iterations, options.largest_move, threads, items if stride == 1 else 1, scratch, queue,
+        positions, axes, results,
+    )
+    frames = _chain_form(positions, axes)
+    certificate = newton.Newton(tolerance=options.tolerance, max_iterations=1, first_shift=0.0, max_escapes=0)
+    certified = _untouched(table.count)
+    continue_newton(table, certificate, 64, frames, certified, np.arange(table.count), np.isfinite(frames[:, 0, 0]))
+    good = certified[:, STATUS] == Status.CONVERGED
+    # What came to rest by its own account but not by that of the chain (its clamp not reached, say) has stalled.
+    own = np.where(results[:, STATUS] == Status.CONVERGED, Status.STALLED, results[:, STATUS])
+    certified[:, STATUS] = np.where(good, Status.CONVERGED, own)
+    certified[:, ITERATIONS] = results[:, ITERATIONS]
+    return frames, certified
+
+
+def _vertex_form(table: Tables) -> tuple[np.ndarray, np.ndarray]:
+    """Starts as vertices from the anchor (S, V, 3) and m1 (S, E, 3)."""
+    start = table.whole
+    vertices = vertices_from_quaternions(np.zeros((len(start), 3)), start, table.rest_length)
+    vertices = np.where(table.released[:, None, None], vertices - vertices[:, -1:], vertices)
+    return np.ascontiguousarray(vertices), np.ascontiguousarray(matrix_from_quaternion(start)[..., 1])
+
+
+def _chain_form(vertices: np.ndarray, first_directors: np.ndarray) -> np.ndarray:
+    """(R, E, 4) frames from vertices and m1."""
+    edges = np.diff(vertices, axis=1)
+    tangents = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+    m1 = first_directors - np.sum(first_directors * tangents, axis=-1, keepdims=True) * tangents
+    m1 /= np.linalg.norm(m1, axis=-1, keepdims=True)
+    return quaternion_from_matrix(np.stack([tangents, m1, np.cross(tangents, m1)], axis=-1))
+
+
+def _machine(rods: int, bits: int) -> tuple[Number, int, int, int]:
+    """(kind of number, threads, item stride, block) that suit the architecture Taichi runs on."""
+    if runtime.start() == "cpu":
+        number = Number(16 if bits == 32 else 8, bits)
+        return number, max(1, min(runtime.thread_count(), -(-rods // number.width))), 1, 1
+    threads = min(max(rods, 1), 1 << 16)
+    return Number(1, bits), threads, threads, 64
+
+
+def _buffers(number: Number, threads: int, items: int):
+    """(scratch for every thread, kept from call to call, and the queue, all zero).
+
+    Scratch grows at least twofold: Taichi never gives back arrays of packs, so those outgrown stay, together less than the
+    last. The queue is NumPy's, because to fill an array of Taichi's is a launch of its own.
+    """
+    import taichi as ti
+
+    size = threads * items
+    kept = _scratch.get(number)
+    if kept is None or kept.shape[0] < size:
+        kept = _scratch[number] = ti.ndarray(number.type, size if kept is None else max(size, 2 * kept.shape[0]))
+    queue = _queues[number] = np.zeros(LANES + threads * number.width, dtype=np.int32)
+    return kept, queue

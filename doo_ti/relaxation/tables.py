@@ -1,0 +1,541 @@
+"""What the kernels read: starts, clamps, materials and rods as plain tables, checked and laid out (§III-B).
+
+A rod is a pair (configuration, material) of rows in two tables, so a sweep of D observations over G cells sends D starts
+and G materials, not D·G of each.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.relaxation.external import External
+from doo_ti.frames import (
+    FRAME_TOLERANCE,
+    handedness,
+    matrix_from_quaternion,
+    orthonormality_error,
+    quaternion_about,
+    quaternion_from_matrix,
+    quaternion_product,
+    smallest_rotation,
+    tangent_from_quaternion,
+)
+from doo_ti.types import Clamp, Clamps, Configuration, Material
+
+# As plain numbers, which NumPy compares ten times faster than members of an enumeration.
+FREE, POSITION, TANGENT, FRAME = (int(kind) for kind in Clamp)
+
+# Columns of a clamp: the far point from vertex 0, and flags that are one or zero (see doo_ti.relaxation.chain); then what the rod between
+# its clamps measures in mm: its length, its longest edge, its shortest two neighbours, and the largest moment arm of gravity
+# on an edge (a length times a length); the point the chain hangs from, vertex 0 or, where that is free, the far end; and the
+# first frame and the last as the clamps hold them.
+TARGET, CLOSED, SPIN_START, SPIN_END, TILT_START, TILT_END, TILT_INNER, RELEASED = 0, 3, 4, 5, 6, 7, 8, 9
+TOTAL, LONGEST, SHORTEST_PAIR, HANGING, ANCHOR, ENDS, CLAMP_COLUMNS = 10, 11, 12, 13, 14, 17, 25
+
+# Columns of a material: weight μ, the largest eigenvalue of B, that or β where it is more, one where the rod looks the same
+# from all sides, so that it may spin about itself at no cost, μ times the unit vector up; and its stiffness, once or edge by
+# edge: B as (11, 22, 12), and of the inner vertex where the edge begins β and ω̄.
+WEIGHT, LARGEST_BEND, STIFFEST, ROUND, LIFT, STIFFNESS = 0, 1, 2, 3, 4, 7
+BEND, TWIST, REST, STIFFNESS_COLUMNS = 0, 3, 4, 6
+
+# Columns of a rod: its row of the clamps, of the materials, of the results, of the starts, or FROM_RESULTS where it starts
+# from the frames in its row of the results, and of the external energy.
+OF_CLAMP, OF_MATERIAL, OF_RESULT, OF_START, OF_EXTERNAL, ROD_COLUMNS = 0, 1, 2, 3, 4, 5
+FROM_RESULTS = -1
+
+# Columns of a rod's results; the multiplier λ of closure has three.
+ENERGY, RESIDUAL, CLOSURE, ITERATIONS, STATUS, STABLE, MULTIPLIER, RESULTS = 0, 1, 2, 3, 4, 5, 6, 9
+
+MOST_NUMBERS = 2**31 - 1
+"""A table has no more entries: the kernels count them with 32 bits."""
+TAUT = 1e-9
+"""A rod whose slack is less than this share of its length is straight."""
+
+
+def _flags() -> np.ndarray:
+    """(4, 4, 7) the columns CLOSED to RELEASED of a clamp, by its kinds at the start and at the end."""
+    start, end = np.indices((len(Clamp), len(Clamp)))
+    flags = ((start >= POSITION) & (end >= POSITION), start < FRAME, end < FRAME, start < TANGENT, end < TANGENT,
+             np.ones_like(start), (start < POSITION) & (end >= POSITION))
+    return np.stack(flags, axis=-1).astype(np.float64)
+
+
+FLAGS = _flags()
+
+
+@dataclass(frozen=True)
+class Tables:
+    """What the kernels read, all float64 and C-contiguous but ``rods``.
+
+    start (S, E, 4) frames as given, of any length, whose ends the clamps turn to what they hold; rest_length (1 or S, E);
+    clamp (S, CLAMP_COLUMNS); material (G, STIFFNESS + 1 or E · STIFFNESS_COLUMNS), isotropic: all of them are;
+    rods (feasible ones, ROD_COLUMNS) int32, each from its start; feasible (S,) bool;
+    configuration_index, material_index and external_index (R,), infeasible rods included; external the external energy,
+    or None; up (3,); floating: some rod has both ends free.
+    """
+
+    start: np.ndarray
+    rest_length: np.ndarray
+    clamp: np.ndarray
+    material: np.ndarray
+    isotropic: bool
+    rods: np.ndarray
+    feasible: np.ndarray
+    configuration_index: np.ndarray
+    material_index: np.ndarray
+    external_index: np.ndarray
+    external: External | None
+    up: np.ndarray
+    floating: bool
+
+    @property
+    def edges(self) -> int:
+        return self.start.shape[1]
+
+    @property
+    def count(self) -> int:
+        """R."""
+        return len(self.configuration_index)
+
+    @property
+    def released(self) -> np.ndarray:
+        return self.clamp[:, RELEASED] > 0
+
+    @property
+    def anchor(self) -> np.ndarray:
+        """(S, 3) mm."""
+        return self.clamp[:, ANCHOR : ANCHOR + 3]
+
+    @property
+    def weight(self) -> np.ndarray:
+        """(G,) μ."""
+        return self.material[:, WEIGHT]
+
+    @property
+    def bend(self) -> np.ndarray:
+        """(G, 1 or E, 3) B as (11, 22, 12), mm³."""
+        return np.ascontiguousarray(_edges(self.material)[..., BEND : BEND + 3])
+
+    @property
+    def twist(self) -> np.ndarray:
+        """(G, 1 or E−1) β, mm³."""
+        return np.ascontiguousarray(_joints(self.material)[..., TWIST])
+
+    @property
+    def rest(self) -> np.ndarray:
+        """(G, 1 or E−1, 2) ω̄, 1/mm."""
+        return np.ascontiguousarray(_joints(self.material)[..., REST : REST + 2])
+
+    @property
+    def whole(self) -> np.ndarray:
+        """(S, E, 4) starts, normalised and with their ends imposed."""
+        return _whole(self.start, self.clamp)
+
+    def continued(self, usable: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """``rods`` for another launch over the feasible ones of ``rows``: from their frames where ``usable`` (R,), else from
+        their starts."""
+        good = rows[self.feasible[self.configuration_index[rows]]]
+        of_start = self.configuration_index[good]
+        origin = np.where(usable[good], FROM_RESULTS, of_start)
+        return _rods(of_start, self.material_index[good], good, origin, self.external_index[good])
+
+    def resumed(self, usable: np.ndarray) -> np.ndarray:
+        """``rods`` for a launch over other starts, one for each row of the results: from there where ``usable`` (R,), else
+        from the frames in that row."""
+        rods = self.rods.copy()
+        rows = rods[:, OF_RESULT]
+        rods[:, OF_START] = np.where(usable[rows], rows, FROM_RESULTS)
+        return rods
+
+    def under(self, material: Material, index=None) -> "Tables":
+        """The same rods under another material, one row for each or one for all, or as ``index`` (R,) says.
+
+        Raises InputError where they do not match.
+        """
+        _check_material(material, self.edges, self.floating)
+        if index is None and material.count not in (1, self.count):
+            raise InputError(
+                "relax_again", "material", f"{material.count} rows for {self.count} rods", "give one, or one per rod")
+        rows = np.arange(self.count) % material.count if index is None else np.asarray(index)
+        if rows.shape != (self.count,):
+            raise InputError("relax_again", "material_index", f"shape {rows.shape}", f"give ({self.count},) row numbers")
+        _, rows = _pairs(len(self.start), material.count, self.configuration_index, rows)
+        isotropic = material.is_isotropic
+        table = _material_table(material, isotropic, self.edges, self.up)
+        rods = self.rods.copy()
+        rods[:, OF_MATERIAL] = rows[rods[:, OF_RESULT]]
+        return replace(self, material=table, isotropic=isotropic, material_index=rows, rods=rods)
+
+    def restarted(self, frames: np.ndarray) -> "Tables":
+        """The same rods with a start each, ``frames`` (R, E, 4); infeasible ones keep what they had."""
+        of_start = self.configuration_index
+        feasible = self.feasible[of_start]
+        lengths = self.rest_length
+        start = np.ascontiguousarray(np.where(feasible[:, None, None], frames, self.start[of_start]))
+        clamp = self.clamp[of_start]
+        clamp[:, ENDS:] = start[:, _outer(self.edges)].reshape(-1, 8)
+        rods = self.rods.copy()
+        rods[:, OF_CLAMP] = rods[:, OF_START] = rods[:, OF_RESULT]
+        return replace(
+            self, start=start, rest_length=lengths if len(lengths) == 1 else lengths[of_start], clamp=clamp, rods=rods,
+            feasible=feasible, configuration_index=np.arange(self.count))
+
+
+def _rods(of_clamp, of_material, of_result, of_start, of_external) -> np.ndarray:
+    """(R, ROD_COLUMNS) int32 from its columns."""
+    rods = np.empty((len(of_result), ROD_COLUMNS), dtype=np.int32)
+    rods[:, OF_CLAMP], rods[:, OF_MATERIAL], rods[:, OF_RESULT] = of_clamp, of_material, of_result
+    rods[:, OF_START], rods[:, OF_EXTERNAL] = of_start, of_external
+    return rods
+
+
+def _outer(edges: int) -> slice:
+    """The first edge and the last."""
+    return slice(None, None, edges - 1)
+
+
+def tables(
+    configuration: Configuration, material: Material, clamps: Clamps, up: np.ndarray,
+    configuration_index=None, material_index=None, external: External | None = None, external_index=None,
+) -> Tables:
+    """Check what goes into F and lay it out for the kernels.
+
+    Raises InputError where shapes do not match, an index is out of range, both ends of a rod with weight are free, or a rod
+    under an external energy has another end than the far one free.
+    """
+    _check_shapes(configuration, clamps)
+    count, edges = configuration.count, configuration.edges
+    lengths = _lengths(configuration)
+    index_c, index_m = _pairs(count, material.count, configuration_index, material_index)
+    rods = len(index_c)
+    if max(count, rods) * edges * 4 > MOST_NUMBERS:
+        raise InputError("relax", "configuration", f"{max(count, rods):,} rods of {edges} edges in one call",
+                         f"give at most {MOST_NUMBERS // (4 * edges):,} at a time")
+    index_e = _external_rows(external, external_index, rods, edges)
+    kinds = _kinds(clamps, count)
+    floating = not kinds.any(axis=1).all()
+    if external is not None and not (kinds[:, 0].all() and not kinds[:, 1].any()):
+        raise InputError("clamps", "start, end", "an external energy needs the start held and the far end free",
+                         "give Clamp.FREE as the end, another as the start")
+    _check_material(material, edges, floating)
+    isotropic = material.is_isotropic
+    clamp = _clamp_table(configuration, lengths, kinds, clamps)
+    start = np.ascontiguousarray(configuration.quaternions, dtype=np.float64)
+    start, feasible = _prepared(start, lengths, clamp, up)
+    sound = feasible[index_c]
+    all_rods = _rods(index_c, index_m, np.arange(rods), index_c, index_e)
+    return Tables(
+        start=start,
+        rest_length=lengths,
+        clamp=clamp,
+        material=_material_table(material, isotropic, edges, up),
+        isotropic=isotropic,
+        rods=all_rods if sound.all() else all_rods[sound],
+        feasible=feasible,
+        configuration_index=index_c,
+        material_index=index_m,
+        external_index=index_e,
+        external=external,
+        up=up,
+        floating=floating,
+    )
+
+
+def _lengths(configuration: Configuration) -> np.ndarray:
+    """(1 or S, E) rest lengths. Raises InputError where they do not match or are not positive."""
+    count, edges = configuration.count, configuration.edges
+    lengths = np.ascontiguousarray(configuration.rest_length, dtype=np.float64)
+    if lengths.ndim == 1:
+        lengths = lengths[None]
+    if lengths.shape not in ((1, edges), (count, edges)):
+        raise InputError("configuration", "rest_length", f"shape {lengths.shape}", f"give ({edges},) or ({count}, {edges})")
+    if lengths.size and not (lengths.min() > 0 and lengths.max() < np.inf):
+        raise InputError("configuration", "rest_length", f"{lengths.min():g}", "give positive lengths in mm")
+    return lengths
+
+
+def _check_material(material: Material, edges: int, floating: bool) -> None:
+    """Raise InputError where ``material`` does not go with rods of so many edges, or of which some float, held by nothing."""
+    if floating and (material.weight > 0).any():
+        raise InputError("clamps", "start, end", "both ends are free and the rod has weight", "hold one end, or set weight 0")
+    for name, array, length in (("twist", material.twist, edges - 1), ("bend", material.bend, edges)):
+        if array.shape[1] not in (1, length):
+            raise InputError("material", name, f"{array.shape[1]} entries along the rod", f"give one or {length}")
+    rest = material.rest_curvature
+    if rest is not None and rest.shape[1] not in (1, edges - 1):
+        raise InputError("material", "rest_curvature", f"{rest.shape[1]} joints", f"give one or {edges - 1}")
+
+
+def _edges(material: np.ndarray) -> np.ndarray:
+    """(G, 1 or E, STIFFNESS_COLUMNS), the part of the material table that may change along the rod, as a view."""
+    return material[:, STIFFNESS:].reshape(len(material), -1, STIFFNESS_COLUMNS)
+
+
+def _joints(material: np.ndarray) -> np.ndarray:
+    """(G, 1 or E−1, STIFFNESS_COLUMNS), the same without the first edge, at which there is no joint."""
+    edges = _edges(material)
+    return edges[:, 1:] if edges.shape[1] > 1 else edges
+
+
+def _material_table(material: Material, isotropic: bool, edges: int, up: np.ndarray) -> np.ndarray:
+    """(G, STIFFNESS + 1 or E · STIFFNESS_COLUMNS): see the columns' names. Raises InputError where that is too large."""
+    bend, twist, rest = material.bend, material.twist, material.rest_curvature
+    uniform = bend.shape[1] == twist.shape[1] == 1 and (rest is None or rest.shape[1] == 1)
+    columns = STIFFNESS + (1 if uniform else edges) * STIFFNESS_COLUMNS
+    if material.count * columns > MOST_NUMBERS:
+        raise InputError("relax", "material", f"{material.count:,} rows in one call",
+                         f"give at most {MOST_NUMBERS // columns:,} at a time")
+    table = np.zeros((material.count, columns))
+    along, joints = _edges(table), _joints(table)
+    first, second, mixed = bend[..., 0, 0], bend[..., 1, 1], bend[..., 0, 1]
+    along[..., BEND], along[..., BEND + 1], along[..., BEND + 2] = first, second, mixed
+    joints[..., TWIST] = twist
+    largest, table[:, ROUND] = first, 1.0
+    if not isotropic:
+        half, apart = 0.5 * (first + second), 0.5 * (first - second)
+        largest = half + np.hypot(apart, mixed)
+        table[:, ROUND] = ((apart == 0) & (mixed == 0)).all(axis=1)
+    if rest is not None:
+        joints[..., REST : REST + 2] = rest
+        table[:, ROUND] *= (rest == 0).all(axis=(1, 2))
+    table[:, WEIGHT] = material.weight
+    table[:, LARGEST_BEND] = largest.max(axis=1)
+    table[:, STIFFEST] = np.maximum(table[:, LARGEST_BEND], twist.max(axis=1))
+    table[:, LIFT : LIFT + 3] = material.weight[:, None] * up
+    return table
+
+
+def _check_shapes(configuration: Configuration, clamps: Clamps) -> None:
+    """Raise InputError unless starts and clamps are tables of the same rods."""
+    shape = np.shape(configuration.quaternions)
+    if not isinstance(configuration.quaternions, np.ndarray) or len(shape) != 3 or shape[2] != 4 or shape[1] < 2:
+        raise InputError("configuration", "quaternions", f"shape {shape}", "give an array (R, E, 4) with at least two edges")
+    needed = {"start_position": (shape[0], 3), "end_position": (shape[0], 3),
+              "start_frame": (shape[0], 3, 3), "end_frame": (shape[0], 3, 3)}
+    for source, field, array, wanted in (
+        ("configuration", "start", configuration.start, (shape[0], 3)),
+        *(("clamps", name, getattr(clamps, name), size) for name, size in needed.items()),
+    ):
+        if not isinstance(array, np.ndarray) or array.shape != wanted:
+            raise InputError(source, field, f"shape {np.shape(array)}", f"give an array {wanted}, a row for each start")
+
+
+def _check_frames(frames: np.ndarray, held: np.ndarray) -> None:
+    """Raise InputError where one of the frames (S, 2, 3, 3) that are ``held`` (S, 2) by clamps is finite but no rotation."""
+    for row, end in np.argwhere(held & ((orthonormality_error(frames) > FRAME_TOLERANCE) | (handedness(frames) < 0))):
+        frame = frames[row, end]
+        # A frame of zeros says that there is none.
+        if np.isfinite(frame).all() and frame.any():
+            raise InputError("clamps", ("start_frame", "end_frame")[end], f"{np.round(frame, 4).tolist()} is no rotation",
+                             "give unit, orthogonal columns t, m1, m2 with m2 = t x m1")
+
+
+def _kinds(clamps: Clamps, count: int) -> np.ndarray:
+    """(S, 2) Clamp numbers of both ends. Raises InputError for anything that is not one Clamp, or one for each start."""
+    kinds = np.empty((count, 2), dtype=np.int64)
+    for end, (name, kind) in enumerate((("start", clamps.start), ("end", clamps.end))):
+        if not isinstance(kind, Clamp):
+            kind = np.asarray(kind)
+            known = kind.dtype.kind in "iuf" and bool(((kind >= FREE) & (kind <= FRAME) & (kind == kind.astype(int))).all())
+            if kind.shape not in ((), (1,), (count,)) or not known:
+                raise InputError("clamps", name, f"{kind.tolist()!r}", "give a Clamp, or one for each start")
+        kinds[:, end] = kind
+    return kinds
+
+
+def _pairs(configurations: int, materials: int, configuration_index, material_index) -> tuple[np.ndarray, np.ndarray]:
+    """The two index vectors, (R,) each; without them tables are paired one to one, a single row with every row."""
+    if configuration_index is None and material_index is None:
+        if configurations != materials and 1 not in (configurations, materials):
+            raise InputError("relax", "material", f"{materials} rows for {configurations} rods", "give one, or one per rod")
+        count = max(configurations, materials)
+        return np.arange(count) % configurations, np.arange(count) % materials
+    first = np.asarray(0 if configuration_index is None else configuration_index)
+    second = np.asarray(0 if material_index is None else material_index)
+    for name, index in (("configuration_index", first), ("material_index", second)):
+        if index.size and index.dtype.kind not in "iu":
+            raise InputError("relax", name, f"dtype {index.dtype}", "give whole row numbers")
+    if first.shape != second.shape:
+        first, second = np.broadcast_arrays(first, second)
+    first, second = (np.ascontiguousarray(index, dtype=np.int64) for index in (first, second))
+    for name, index, size in (("configuration_index", first, configurations), ("material_index", second, materials)):
+        if index.ndim != 1 or (index.size and (index.min() < 0 or index.max() >= size)):
+            raise InputError("relax", name, f"not a vector of rows below {size}", "give (R,) row numbers")
+    return first, second
+
+
+def _external_rows(external: External | None, index, count: int, edges: int) -> np.ndarray:
+    """(R,) rows of the external energy; without ``index`` rods and rows are paired one to one, or all have the one row."""
+    if external is None:
+        if index is not None:
+            raise InputError("relax", "external_index", "given without an external energy", "give both, or neither")
+        return np.zeros(count, dtype=np.int64)
+    if external.vertices not in (None, edges + 1):
+        raise InputError("external", "points", f"{external.vertices} vertices", f"give {edges + 1}, as the rods have")
+    if index is None:
+        if external.count not in (1, count):
+            raise InputError("relax", "external", f"{external.count} rows for {count} rods", "give one, or one for each rod")
+        return np.arange(count) % external.count
+    rows = np.asarray(index)
+    whole = rows.shape == (count,) and rows.dtype.kind in "iu"
+    if not whole or (rows.size and (rows.min() < 0 or rows.max() >= external.count)):
+        raise InputError("relax", "external_index", f"not {count} rows below {external.count}", "give (R,) row numbers")
+    return rows.astype(np.int64)
+
+
+def _clamp_table(configuration: Configuration, lengths: np.ndarray, kinds: np.ndarray, clamps: Clamps) -> np.ndarray:
+    """(S, CLAMP_COLUMNS): see the columns' names."""
+    table = np.empty((len(kinds), CLAMP_COLUMNS))
+    table[:, CLOSED : RELEASED + 1] = FLAGS[kinds[:, 0], kinds[:, 1]]
+    first = np.where(kinds[:, :1] >= POSITION, clamps.start_position, configuration.start)
+    table[:, TARGET : TARGET + 3] = np.where(table[:, CLOSED, None] > 0, clamps.end_position - first, 0.0)
+    table[:, ANCHOR : ANCHOR + 3] = first
+    total = lengths.sum(axis=1)
+    table[:, TOTAL] = total
+    table[:, LONGEST] = lengths.max(axis=1)
+    table[:, SHORTEST_PAIR] = (lengths[:, 1:] + lengths[:, :-1]).min(axis=1)
+    arm = lengths + 2 * (total[:, None] - np.cumsum(lengths, axis=1))
+    table[:, HANGING] = np.abs(lengths * arm).max(axis=1)
+    released = table[:, RELEASED] > 0
+    if released.any():
+        from_end = np.abs(lengths * (arm - 2 * total[:, None])).max(axis=1)
+        table[:, HANGING] = np.where(released, from_end, table[:, HANGING])
+        table[released, ANCHOR : ANCHOR + 3] = clamps.end_position[released]
+    table[:, ENDS:] = _imposed(configuration.quaternions[:, _outer(configuration.edges)], kinds, clamps).reshape(-1, 8)
+    return table
+
+
+def _normalised(frames: np.ndarray) -> np.ndarray:
+    """(4, N, S) the frames (S, N, 4) of any length as unit quaternions, rods running fastest: a sum over the last axis of few
+    takes NumPy several times as long."""
+    parts = np.ascontiguousarray(frames.T)
+    return parts / np.sqrt((parts * parts).sum(axis=0))
+
+
+def _imposed(ends: np.ndarray, kinds: np.ndarray, clamps: Clamps) -> np.ndarray:
+    """The two end frames (S, 2, 4) with what the clamps hold in place; a tangent clamp turns the edge by parallel transport,
+    keeping its spin. Raises InputError where a frame that is held is no rotation."""
+    result = np.ascontiguousarray(_normalised(ends).T)
+    frames = np.stack([clamps.start_frame, clamps.end_frame], axis=1)
+    whole = kinds == FRAME
+    if whole.any():
+        _check_frames(frames, whole)
+        result = np.where(whole[..., None], quaternion_from_matrix(frames), result)
+    tangent = kinds == TANGENT
+    if tangent.any():
+        old = result[tangent]
+        turned = quaternion_product(smallest_rotation(tangent_from_quaternion(old), frames[tangent][..., 0]), old)
+        result[tangent] = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
+    return result
+
+
+def _whole(start: np.ndarray, clamp: np.ndarray) -> np.ndarray:
+    """(S, E, 4) ``start`` normalised, with the frames of ``clamp`` at its ends."""
+    result = start / np.linalg.norm(start, axis=-1, keepdims=True)
+    result[:, _outer(start.shape[1])] = clamp[:, ENDS:].reshape(-1, 2, 4)
+    return result
+
+
+def _prepared(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(starts that can be projected, feasible (S,)). Where starts are changed ``clamp`` is, too, in place."""
+    closed = clamp[:, CLOSED] > 0
+    if not closed.any():
+        return start, ~closed
+    edges = start.shape[1]
+    # Straight rods have their inner edges in line: two of them tell most others apart.
+    inner = start[:, [min(1, edges - 1), edges // 2]]
+    tangents = _tangents(np.concatenate([clamp[:, ENDS:].reshape(-1, 2, 4), inner], axis=1))
+    free = _free_part(tangents[:, :2], lengths, clamp)
+    # Two free edges at least leave the far point three ways to go.
+    feasible = ~closed | ((free.share <= 1 + 1e-12) & (free.tilting.sum(axis=0) >= 4 - edges))
+    closed &= feasible
+    in_line = np.abs(tangents[:, 2] - tangents[:, 3]).max(axis=0) < 1e-2
+    slack = np.flatnonzero(closed & in_line & (free.share < 1 - 1e-8))
+    if len(slack):
+        start = _bowed(start, lengths, clamp, free, slack, up)
+    taut = np.flatnonzero(closed & (free.share > 1 - TAUT))
+    if len(taut):
+        start = _stretched(start, clamp, free, taut)
+    return start, feasible
+
+
+@dataclass(frozen=True)
+class _FreePart:
+    """What the clamps leave of each rod: which of the end edges may tilt (2, S), as all inner ones may, the line (3, S) and
+    its length, the span (S,), that the free edges have to bridge, and how far they reach (S,), mm."""
+
+    tilting: np.ndarray
+    line: np.ndarray
+    span: np.ndarray
+    reach: np.ndarray
+
+    @cached_property
+    def share(self) -> np.ndarray:
+        """(S,) of the reach that the span takes."""
+        return self.span / self.reach
+
+
+def _tangents(frames: np.ndarray) -> np.ndarray:
+    """(3, N, S) tangents of the frames (S, N, 4) of any length."""
+    return np.ascontiguousarray(tangent_from_quaternion(np.moveaxis(_normalised(frames), 0, -1)).transpose(2, 0, 1))
+
+
+def _free_part(tangents: np.ndarray, lengths: np.ndarray, clamp: np.ndarray) -> _FreePart:
+    """The free part of rods whose end edges have these tangents (3, 2, S)."""
+    tilting = clamp[:, TILT_START : TILT_END + 1].T
+    held = lengths[:, _outer(lengths.shape[1])].T * (1 - tilting)
+    line = clamp[:, TARGET : TARGET + 3].T - (held * tangents).sum(axis=1)
+    return _FreePart(tilting, line, np.sqrt((line * line).sum(axis=0)), clamp[:, TOTAL] - held.sum(axis=0))
+
+
+def _bowed(start, lengths, clamp, free: _FreePart, rows, up) -> np.ndarray:
+    """Starts of which the slack rods ``rows`` can be projected: free edges in one straight line have no first-order way to
+    bring the far end closer.
+
+    Where they are they are bowed to the needed chord, downwards, or towards m1 where the line is upright.
+    """
+    edges = start.shape[1]
+    tilting = np.ones((len(rows), edges))
+    tilting[:, _outer(edges)] = free.tilting[:, rows].T
+    whole = _whole(start[rows], clamp[rows])
+    matrix = matrix_from_quaternion(whole)
+    own = lengths if len(lengths) == 1 else lengths[rows]
+    chord = np.linalg.norm(((own * tilting)[..., None] * matrix[..., 0]).sum(axis=1), axis=-1)
+    straight = chord > free.reach[rows] * (1 - 1e-8)
+    rows, tilting, whole, matrix = rows[straight], tilting[straight], whole[straight], matrix[straight]
+    middle = matrix[:, edges // 2]
+    axis = np.cross(-up, middle[..., 0])
+    upright = np.linalg.norm(axis, axis=-1, keepdims=True) < 1e-3
+    axis = np.where(upright, middle[..., 2], axis)
+    axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
+    # A sine arch of slope a cos(π s/L) has the chord L (1 − a²/4).
+    place = (np.cumsum(tilting, axis=1) - 0.5) / tilting.sum(axis=1, keepdims=True)
+    slope = np.minimum(2 * np.sqrt(1 - free.share[rows]), 1.0)[:, None] * np.cos(np.pi * place) * tilting
+    turn = quaternion_about(-axis[:, None] * np.ones((1, edges, 1)), slope)
+    return _changed(start, clamp, rows, quaternion_product(turn, whole))
+
+
+def _stretched(start, clamp, free: _FreePart, rows) -> np.ndarray:
+    """Starts of which the rods ``rows``, as long as their span, are the one straight line they can be, with nothing left to
+    relax but the spins.
+
+    Their clamps are changed to say so; the turns of their frames are kept by parallel transport.
+    """
+    whole = _whole(start[rows], clamp[rows])
+    turn = smallest_rotation(tangent_from_quaternion(whole), (free.line[:, rows] / free.span[rows]).T[:, None])
+    straight = quaternion_product(turn, whole)
+    held = free.tilting[:, rows].T == 0
+    outer = _outer(start.shape[1])
+    straight[:, outer] = np.where(held[..., None], whole[:, outer], straight[:, outer])
+    clamp[rows[:, None], [CLOSED, TILT_START, TILT_END, TILT_INNER]] = 0.0
+    return _changed(start, clamp, rows, straight)
+
+
+def _changed(start, clamp, rows, quaternions) -> np.ndarray:
+    """``start`` with other frames in some rows, as given left as it is; ``clamp`` takes their ends in place."""
+    start = start.copy()
+    start[rows] = quaternions
+    clamp[rows, ENDS:] = quaternions[:, _outer(start.shape[1])].reshape(-1, 8)
+    return start

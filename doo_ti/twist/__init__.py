@@ -1,0 +1,1 @@
+"""Twist angles from shapes (§IV-B, Eq. 4)."""

@@ -1,0 +1,131 @@
+"""The curve of Eq. 4: how far rods move away from what was observed, over the angle their end frames are turned by (§IV-B).
+
+Axes: N observations, K groups that share a φ, n of them, f angles.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from doo_ti.dataset import Observations
+from doo_ti.errors import InputError
+from doo_ti.frames import matrix_from_quaternion, smallest_rotation
+from doo_ti.metric import distance
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
+from doo_ti.start import observation_clamps, start_configuration
+from doo_ti.types import Clamp, Clamps, Configuration, Material
+
+RODS_AT_ONCE = 1 << 15
+"""Rods of one launch, which bounds the memory for their frames."""
+
+
+@dataclass(frozen=True)
+class TwistCurves:
+    """Σ d of Eq. 4 for K groups of N observations, at any angles.
+
+    free, clamps  (N) shapes without twist, and what holds them
+    first         (K + 1,) rows at which groups begin, and N
+    offset        (N,) τ, rad
+    solver, precision  as :func:`doo_ti.relaxation.relax.relax` takes them
+    advance       is told of rods as they are done
+    """
+
+    observations: Observations
+    material: Material
+    free: Configuration
+    clamps: Clamps
+    group: np.ndarray
+    first: np.ndarray
+    offset: np.ndarray
+    solver: Newton
+    precision: str
+    advance: Callable[[int], None]
+
+    @classmethod
+    def of(cls, observations: Observations, material: Material, group, offset, solver: Newton, precision: str,
+           advance: Callable[[int], None]) -> "TwistCurves":
+        """Raises InputError where arguments do not match, and for a rod that is not round while its first spin is unknown."""
+        count = observations.count
+        group = np.arange(count) if group is None else np.asarray(group)
+        offset = np.zeros(count) if offset is None else np.asarray(offset, dtype=np.float64)
+        steps = np.diff(group, prepend=-1) if group.shape == (count,) else np.array([-1])
+        if group.dtype.kind not in "iu" or steps[0] != 1 or not np.isin(steps, (0, 1)).all():
+            raise InputError(observations.source, "group", "not 0, 0, …, 1, …, one for each observation",
+                             "number the groups in order")
+        if offset.shape != (count,) or not np.isfinite(offset).all():
+            raise InputError(observations.source, "offset", f"shape {offset.shape}", f"give ({count},) finite angles")
+        if material.count not in (1, count):
+            raise InputError(observations.source, "material", f"{material.count} rows for {count} observations",
+                             "give one, or one each")
+        if observations.start_frame is None and not material.is_isotropic:
+            raise InputError(observations.source, "start_frame", "missing, and the rod is not round",
+                             "give start_frame, or a scalar --bend")
+        free, clamps = without_twist(observations)
+        first = np.append(np.flatnonzero(steps), count)
+        return cls(replace(observations, frames=None), material, free, clamps, group, first, offset, solver, precision,
+                   advance)
+
+    @property
+    def count(self) -> int:
+        """K."""
+        return len(self.first) - 1
+
+    def at(self, groups: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Σ d in mm, and how many rods of it are no certified minima, (n, f) each, for some groups (n,) at angles (n, f).
+
+        Where an angle is NaN nothing is relaxed and the sum is infinite.
+        """
+        objective, unsound = np.full(phi.shape, np.inf), np.zeros(phi.shape, dtype=np.int32)
+        which, angle = np.nonzero(np.isfinite(phi))
+        size = np.diff(self.first)[groups[which]]
+        chunk = (np.cumsum(size) - size) // RODS_AT_ONCE
+        for part in np.split(np.arange(len(which)), np.flatnonzero(np.diff(chunk)) + 1) if len(which) else []:
+            sums = self._sums(groups[which[part]], phi[which[part], angle[part]])
+            objective[which[part], angle[part]], unsound[which[part], angle[part]] = sums
+        return objective, unsound
+
+    def _sums(self, groups: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Σ d and the number of unsound rods of each pair of a group and an angle (n,)."""
+        size = np.diff(self.first)[groups]
+        begin = np.cumsum(size) - size
+        rows = np.arange(size.sum()) + np.repeat(self.first[groups] - begin, size)
+        turned = self._turned(rows, np.repeat(phi, size) + self.offset[rows])
+        last = matrix_from_quaternion(turned.quaternions[:, -1])
+        held = replace(self.clamps.take(rows), end_frame=last)
+        solution = relax(turned, self.material, held, self.solver, up=self.observations.up,
+                         precision=self.precision, configuration_index=np.arange(len(rows)),
+                         material_index=rows % self.material.count)
+        off = distance(solution.configuration, self.observations, rows)
+        self.advance(len(rows))
+        unsound = ~(solution.converged & solution.stable)
+        return np.add.reduceat(off, begin), np.add.reduceat(unsound.astype(np.int32), begin)
+
+    def _turned(self, rows: np.ndarray, twist: np.ndarray) -> Configuration:
+        """The shapes of ``rows`` with so much total twist (n,), rad, spread in proportion to l̄_i."""
+        shape, length = self.free.take(rows), self.observations.rest_length
+        spread = length[:-1] + length[1:]
+        share = np.concatenate([[0.0], np.cumsum(spread) / spread.sum()])
+        half = 0.5 * twist[:, None] * share
+        cosine, sine = np.cos(half), np.sin(half)
+        w, x, y, z = np.moveaxis(shape.quaternions, -1, 0)
+        turned = np.stack([w * cosine - x * sine, w * sine + x * cosine, y * cosine + z * sine, z * cosine - y * sine], axis=-1)
+        return replace(shape, quaternions=turned)
+
+
+def without_twist(observations: Observations) -> tuple[Configuration, Clamps]:
+    """The observed shapes with their Bishop frames, and clamps on whole frames: the last one as known, else the Bishop frame.
+
+    Where start frames are unknown their spins are those of the first observation, transported: its clip does not turn.
+    """
+    observations = replace(observations, frames=None, total_twist=None)
+    clamps = observation_clamps(observations)
+    if observations.start_frame is None:
+        frame = clamps.start_frame
+        transport = matrix_from_quaternion(smallest_rotation(frame[0, :, 0], frame[..., 0]))
+        clamps = replace(clamps, start_frame=np.einsum("nij,jk->nik", transport, frame[0]))
+    clamps = replace(clamps, start=Clamp.FRAME, end=Clamp.TANGENT)
+    free = start_configuration(observations, clamps)
+    known = observations.end_frame is not None
+    return free, replace(clamps, end=Clamp.FRAME, end_frame=clamps.end_frame if known else free.frames[:, -1])

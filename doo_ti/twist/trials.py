@@ -1,0 +1,77 @@
+"""How often Eq. 4 finds the twist, on rods whose twist is known (§V-F, Fig. 7).
+
+A trial takes some configurations of one rod at random. Where they are several, the gripper is said to hold the rod otherwise
+than it does: the known end frames, and the known total twist, are turned by one hidden angle. Eq. 4 has to find it again.
+A trial succeeds where φ is within a quarter turn of the truth, whole turns counted.
+
+Axes: D configurations of a trial, K trials, N = K·D observations.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from doo_ti.dataset import Observations
+from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_from_matrix, quaternion_product
+from doo_ti.twist.estimation import TwistEstimate, TwistOptions, end_offsets, estimate_twist
+from doo_ti.types import Material
+
+SUCCESS = np.pi / 2
+"""rad, as in §V-F."""
+
+
+@dataclass(frozen=True)
+class Trials:
+    """How K trials of D configurations ended.
+
+    configurations  (K, D) rows of the observations
+    truth           (K,) rad, total twist less τ, mean over the trial
+    estimate        what Eq. 4 said
+    """
+
+    configurations: np.ndarray
+    truth: np.ndarray
+    estimate: TwistEstimate
+
+    @property
+    def error(self) -> np.ndarray:
+        """(K,) |φ − truth| in rad, whole turns counted; NaN where nothing was found."""
+        return np.abs(self.estimate.phi - self.truth)
+
+    @property
+    def successful(self) -> np.ndarray:
+        """(K,) bool."""
+        return self.error <= SUCCESS
+
+
+def twist_trials(
+    observations: Observations, total_twist: np.ndarray, material: Material, together: int, count: int, seed: int,
+    options: TwistOptions | None = None, advance: Callable[[int], None] = lambda rods: None,
+) -> Trials:
+    """``count`` random trials of ``together`` configurations of one rod.
+
+    observations  with ``end_frame`` where trials are of several; labelled vertices or perceived ones
+    total_twist   (N,) the true one of each observation, rad
+    material      Θ, one for all or one for each observation
+    """
+    random = np.random.default_rng([seed, together])
+    chosen = np.argsort(random.random((count, observations.count)), axis=1)[:, :together]
+    hidden = random.uniform(-np.pi, np.pi, count)
+    rows, group = chosen.ravel(), np.repeat(np.arange(count), together)
+    known, twist = observations.take(rows), np.asarray(total_twist)[rows]
+    offset = np.zeros(len(rows))
+    if together > 1:
+        turned = _turned(known.end_frame, hidden[group])
+        offset = end_offsets(replace(known, end_frame=turned, total_twist=twist + hidden[group]), group)
+    if material.count > 1:
+        material = Material(*(getattr(material, name)[rows] for name in ("bend", "twist", "weight")))
+    estimate = estimate_twist(known, material, group, offset, options or TwistOptions(), advance)
+    truth = (twist - offset).reshape(count, together).mean(axis=1)
+    return Trials(chosen, truth, estimate)
+
+
+def _turned(frame: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """(N, 3, 3) frames turned about their tangents by angles (N,), rad."""
+    turn = quaternion_about(frame[..., 0], angle)
+    return matrix_from_quaternion(quaternion_product(turn, quaternion_from_matrix(frame)))
