@@ -14,10 +14,10 @@ import numpy as np
 from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
+from doo_ti.refinement.sensitivity import sensitivity
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.scene import Synthesis
-from doo_ti.refinement.sensitivity import sensitivity
 from doo_ti.start import check_experiment, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.synthesis import synthesise
 from doo_ti.types import Clamp

@@ -16,7 +16,6 @@ import numpy as np
 from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, vertices_from_quaternions
 
-
 LARGEST = 1e30
 """No quantity is larger: squares of larger ones overflow."""
 

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.commands.printing import counted
-from doo_ti.perception.lab_images import LabRods, lab_rods
 from doo_ti.learning.landscape import status_counts
+from doo_ti.perception.lab_images import LabRods, lab_rods
 from doo_ti.perception.perceive import perceive
+from doo_ti.perception.search import PerceptionOptions, Search
 from doo_ti.perception.trials import (
     Trial,
     crossings,
@@ -30,7 +31,6 @@ from doo_ti.perception.trials import (
     without_camera,
 )
 from doo_ti.scene import load_scene
-from doo_ti.perception.search import PerceptionOptions, Search
 from doo_ti.types import Material
 from doo_ti.vision.detection import Detection, DetectionOptions
 from doo_ti.vision.distance_map import DistanceMaps, distance_maps

@@ -12,12 +12,12 @@ from statistics import median
 
 import numpy as np
 
-from doo_ti.relaxation import batch
 from doo_ti.bench import clock, workload
 from doo_ti.bench.workload import Rods
 from doo_ti.dataset import Observations
-from doo_ti.relaxation.descent import Descent
 from doo_ti.metric import distance
+from doo_ti.relaxation import batch
+from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax_again
 from doo_ti.types import Configuration, Material, Solution

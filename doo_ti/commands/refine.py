@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti import options as given
-from doo_ti.refinement.clips import held_whole
 from doo_ti.commands.arguments import add_json, add_material
 from doo_ti.commands.printing import busy, plain
 from doo_ti.commands.refine_text import summary_of, tell
 from doo_ti.dataset import Observations, load_observations, write_whole
 from doo_ti.errors import InputError
 from doo_ti.importers import read_npz
+from doo_ti.refinement.clips import held_whole
 from doo_ti.scene import CLAMPS
 from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.types import Clamps
@@ -116,8 +116,8 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
 def _of_run(options: Namespace, run: Path, starts: int):
     """(observations, the Θ of the lowest cells, kinds of clamps, frame weight) of a run's folder."""
     from doo_ti.learning.landscape import read_landscape
-    from doo_ti.refinement.multi_start import lowest_cells, theta_of_cell
     from doo_ti.learning.run_folder import read_experiment
+    from doo_ti.refinement.multi_start import lowest_cells, theta_of_cell
 
     for name in ("bend", "bend_1", "bend_2", "twist", "twist_ratio", "weight"):
         if getattr(options, name) is not None:

@@ -96,8 +96,8 @@ def _number(path: Path, number: int, line: dict, key: str) -> float:
 
 def _far_motions(path: Path, frames: int) -> list:
     """What the far clamp does from each frame to the next, tangents only."""
-    from doo_ti.prediction.motion_file import load_path
     from doo_ti.motion.path import motion_between
+    from doo_ti.prediction.motion_file import load_path
 
     motion = load_path(path)
     if motion.moments != frames or motion.count > 1:

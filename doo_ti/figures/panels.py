@@ -8,9 +8,9 @@ from dataclasses import fields, replace
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.report.plane import Plane
 from doo_ti.learning.landscape import Landscape
 from doo_ti.report import LandscapePanel
+from doo_ti.report.plane import Plane
 from doo_ti.types import Status
 
 MARKS = "minimum of all together; beside it, those of each end distance"

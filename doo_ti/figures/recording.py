@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.learning.cells import relax_cells
-from doo_ti.learning.experiment import Experiment
 from doo_ti.figures.panels import MARKS, in_rows, run_name
 from doo_ti.figures.thinning import thinned
 from doo_ti.grid import Axis, Grid
+from doo_ti.learning.cells import relax_cells
+from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.landscape import Landscape
 from doo_ti.record import CellsOfRun, Rods, record_cells
 from doo_ti.report import MEAN_DISTANCE, LandscapePanel, cells_image, quantity, values_text

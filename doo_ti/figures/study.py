@@ -7,14 +7,14 @@ from pathlib import Path
 
 from doo_ti.dataset import write_whole
 from doo_ti.errors import InputError
-from doo_ti.learning.experiment import Experiment
 from doo_ti.figures.panels import MARKS, in_rows, panels_by_end_distance, panels_of_runs, plane_of, run_name, title_of
 from doo_ti.figures.recording import Cells, cells_to_record, record_figure
 from doo_ti.figures.regimes import draw_regimes
+from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.landscape import Landscape, read_landscape
 from doo_ti.learning.partition import check_comparable
-from doo_ti.report import MEAN_DISTANCE, LandscapePanel, landscapes_picture
 from doo_ti.learning.run_folder import read_experiment
+from doo_ti.report import MEAN_DISTANCE, LandscapePanel, landscapes_picture
 
 OWN_SCALE = ", each on a colour scale of its own"
 

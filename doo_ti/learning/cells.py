@@ -9,8 +9,8 @@ import numpy as np
 
 from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.hypotheses import nearest, scores
-from doo_ti.metric import distance
 from doo_ti.learning.objective import RESULTS, carried, relaxed
+from doo_ti.metric import distance
 from doo_ti.types import Configuration, Status
 
 

@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 
 from doo_ti.dataset import Observations
-from doo_ti.relaxation.descent import Descent
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.learning.hypotheses import Hypotheses, hypotheses_of
-from doo_ti.relaxation.newton import Newton
 from doo_ti.learning.pairs import Pairs, check_ways, pairs_from_labels
+from doo_ti.relaxation.descent import Descent
+from doo_ti.relaxation.newton import Newton
 from doo_ti.start import observation_clamps
 from doo_ti.types import Clamp, Clamps
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.hypotheses import started
-from doo_ti.motion.journey import Journey
 from doo_ti.metric import distance
+from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import motion_between
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Configuration, Material, Solution, Status

@@ -17,20 +17,20 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.learning.cells import relax_hypotheses
 from doo_ti.dataset import Observations, write_whole
 from doo_ti.errors import InputError, InterruptedRunError
-from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.grid import Grid
+from doo_ti.learning.cells import relax_hypotheses
+from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
 from doo_ti.learning.landscape import Landscape, gather_landscape, jumps_of, status_counts
 from doo_ti.learning.pairs import Pairs
 from doo_ti.learning.resolution import resolve
 from doo_ti.learning.run_folder import chunk_path, claim, finished, identity_of, provenance, store
-from doo_ti.start import check_experiment
 from doo_ti.learning.trajectory import trajectory
-from doo_ti.types import Status
 from doo_ti.learning.workers import pool, results
+from doo_ti.start import check_experiment
+from doo_ti.types import Status
 
 CHUNK_BYTES = 32 << 20
 """Memory for the frames of a chunk's rods, the larger part of what a sweep holds: 31 000 rods of 33 edges."""

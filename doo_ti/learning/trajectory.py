@@ -11,9 +11,9 @@ import numpy as np
 from doo_ti.learning.cells import settled
 from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.hypotheses import started
+from doo_ti.learning.objective import sub_steps
 from doo_ti.metric import distance
 from doo_ti.relaxation.newton import Newton
-from doo_ti.learning.objective import sub_steps
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Material
 
@@ -49,7 +49,8 @@ def trajectory(experiment: Experiment, cell: int) -> Trajectory:
 
 
 def _iterations(experiment: Experiment, material: Material) -> Iterator[tuple]:
-    """The rods of Eq. 2 at their starts, then after 1, 2, … iterations of Newton, as :func:`doo_ti.learning.objective.sub_steps` gives
+    """The rods of Eq. 2 at their starts, then after 1, 2, … iterations of Newton, as
+    :func:`doo_ti.learning.objective.sub_steps` gives
     them. A relaxation stopped after k iterations is the first k of the whole one."""
     starts, clamps = started(experiment.observations, experiment.clamps, experiment.hypotheses)
     nothing = np.full(starts.count, np.nan)

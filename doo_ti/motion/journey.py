@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.relaxation.descent import Descent
 from doo_ti.motion.jumps import PARTS, JumpCount
-from doo_ti.relaxation.newton import Newton
 from doo_ti.motion.path import Motion
+from doo_ti.relaxation.descent import Descent
+from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Configuration, Material, Solution, Status
 

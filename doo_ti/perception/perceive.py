@@ -58,7 +58,8 @@ class Perception:
                       and what that adds is taken off: about 0 is a perfect fit
     status            (A,) Status of its last relaxation
     stable            (A,) bool: certified to be a minimum of E_vis
-    sigma             (A, V) mm: uncertainty of its vertices by noise in the detection (:mod:`doo_ti.perception.shape_uncertainty`)
+    sigma             (A, V) mm: uncertainty of its vertices by noise in the detection
+                      (:mod:`doo_ti.perception.shape_uncertainty`)
     runner_up         (A, K, V, 3) mm: the next best rods that differ from all better ones; NaN where there are fewer
     runner_up_energy  (A, K) their E_vis, infinite where there are none
     gap               (A,) px: by how much E_vis of the best runner-up is worse, as a mean distance along all images;

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from doo_ti.relaxation.batch import run_newton
 from doo_ti.errors import InputError
 from doo_ti.frames import (
     across,
@@ -26,6 +25,7 @@ from doo_ti.frames import (
     tangent_from_quaternion,
 )
 from doo_ti.perception.growth import sampled_directions, select_hypotheses, suppress_similar
+from doo_ti.relaxation.batch import run_newton
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.tables import ENERGY, STATUS, tables

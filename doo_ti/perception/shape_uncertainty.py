@@ -10,7 +10,7 @@ for the movement a across the image, per parameter, of its places, and the minim
 H⁻¹ M H⁻¹. Without the rod's energy k and ν cancel; stiffness makes it smaller.
 
 Noise of the sensor alone moves detected points by 0.02 px over 4 px of line or so; the default σ and ℓ of
-:class:`doo_ti.perception.search.PerceptionOptions` are larger, so that sigma is as large as the errors that renderings of known rods show.
+:class:`.search.PerceptionOptions` are larger, so that sigma is as large as the errors that renderings of known rods show.
 
 Axes: A rods, C cameras, E edges, V vertices, S places along a rod, P = 2 (E − 1) parameters: turns of all edges but the first.
 """

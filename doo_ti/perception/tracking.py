@@ -19,9 +19,9 @@ from doo_ti.errors import InputError
 from doo_ti.frames import quaternion_product, smallest_rotation, tangent_from_quaternion
 from doo_ti.motion.path import Motion
 from doo_ti.perception.perceive import perceive
-from doo_ti.prediction.predict import predict_step
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.perception.shape_uncertainty import vertex_sigma
+from doo_ti.prediction.predict import predict_step
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Status
 from doo_ti.vision.detection import Detection
 from doo_ti.vision.distance_map import distance_maps

@@ -34,7 +34,7 @@ def journeys(journey: Journey) -> Iterator[tuple[np.ndarray, PacedJourney]]:
 
 
 def travel(journey: Journey, begin: Configuration) -> tuple[Solution, np.ndarray]:
-    """Where the R rods end, and how often each fell (R,), as :meth:`doo_ti.motion.journey.Journey.end`, each at its own pace."""
+    """Where the R rods end, and how often each fell (R,), as :meth:`Journey.end`, each at its own pace."""
     motions, places, ends, falls = len(journey.motion.clamps.start_position), [], [], []
     for rows, paced in journeys(journey):
         places.append((motions * np.arange(begin.count // motions)[:, None] + rows).ravel())

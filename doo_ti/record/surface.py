@@ -5,8 +5,8 @@ import rerun
 import rerun.blueprint as blueprint
 
 from doo_ti import report
-from doo_ti.report.plane import Plane
 from doo_ti.record.wall import GROUND, TEXT
+from doo_ti.report.plane import Plane
 
 MINIMUM = (255, 255, 255)
 

@@ -10,10 +10,10 @@ import rerun.blueprint as blueprint
 from doo_ti import report
 from doo_ti.contact_sheet import Sheet, contact_sheet, known, observation_names
 from doo_ti.grid import UNITS, Interval
-from doo_ti.report.plane import Plane
 from doo_ti.record.stream import panels, recording
 from doo_ti.record.surface import log_cells, log_surface, surface_view
 from doo_ti.record.wall import FAILED, drawn_strips, log_observations, vectors, wall_view
+from doo_ti.report.plane import Plane
 from doo_ti.types import Status
 
 BLOCK = 10

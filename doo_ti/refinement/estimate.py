@@ -1,7 +1,7 @@
 """What a fit says about Θ and what it does not: covariance, intervals, regions, and directions left open.
 
-Everything is in the unknowns of :mod:`doo_ti.refinement.parametrisation`, where the landscape is nearest to a parabola; intervals are
-carried back from there, so those of positive parameters are factors and never reach zero.
+Everything is in the unknowns of :mod:`doo_ti.refinement.parametrisation`, where the landscape is nearest to a parabola;
+intervals are carried back from there, so those of positive parameters are factors and never reach zero.
 """
 
 from dataclasses import dataclass
@@ -9,8 +9,8 @@ from math import exp, inf
 
 import numpy as np
 
-from doo_ti.refinement.confidence import f_quantile
 from doo_ti.errors import InputError
+from doo_ti.refinement.confidence import f_quantile
 from doo_ti.refinement.linear_density import relative_stiffness
 from doo_ti.refinement.parametrisation import LOGARITHMIC, Parametrisation, Theta
 

@@ -12,8 +12,8 @@ from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
 from doo_ti.refinement.misfit import Misfit
 from doo_ti.refinement.parametrisation import Parametrisation, Theta
-from doo_ti.relaxation.relax import relax_again
 from doo_ti.refinement.sensitivity import sensitivity
+from doo_ti.relaxation.relax import relax_again
 from doo_ti.types import Solution
 
 LARGEST_STEP = 1.0  # of any unknown: small steps keep rods on their branches

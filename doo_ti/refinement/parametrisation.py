@@ -157,8 +157,8 @@ class Parametrisation:
         return tilt_axes(origin.up) @ turn * (np.arctan2(sine, origin.up @ theta.up) / max(sine, 1e-300))
 
     def chain(self, theta: Theta) -> tuple[tuple[str, ...], np.ndarray]:
-        """The parameters of :func:`doo_ti.refinement.sensitivity.sensitivity` to differentiate by, and the derivatives (Q, P) of their Q
-        columns by the unknowns."""
+        """The parameters of :func:`doo_ti.refinement.sensitivity.sensitivity` to differentiate by, and the derivatives (Q, P)
+        of their Q columns by the unknowns."""
         elementary = [name for name in self.parameters if name not in ("bend_1", "bend_2", "bend_12")]
         entries = ("bend_1", "bend_2", "bend_12")
         if len(elementary) < len(self.parameters):

@@ -1,7 +1,7 @@
 """Beyond the grid: the continuous optimum of Θ by least squares, and how well the observations determine it (§III-E).
 
-Levenberg–Marquardt on χ² of :mod:`doo_ti.refinement.misfit`, with derivatives by the implicit function theorem. Between steps every rod
-is relaxed from where it was, which keeps it on its branch; at the end it is relaxed from its observation, as Eq. 2 has it, and
+Levenberg–Marquardt on χ² of :mod:`doo_ti.refinement.misfit`, with derivatives by the implicit function theorem. Between steps
+every rod is relaxed from where it was, which keeps it on its branch; at the end it is relaxed from its observation, as Eq. 2 has it, and
 where that leads elsewhere the fit goes on from there.
 """
 
@@ -9,15 +9,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.refinement.confidence import chi_square_probability
 from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
+from doo_ti.metric import distance
+from doo_ti.refinement.confidence import chi_square_probability
 from doo_ti.refinement.estimate import Estimate
 from doo_ti.refinement.least_squares import LeastSquares, Normal, State
-from doo_ti.metric import distance
 from doo_ti.refinement.misfit import misfit
-from doo_ti.relaxation.newton import Newton
 from doo_ti.refinement.parametrisation import Parametrisation, Theta
+from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.start import choose_hypothesis, start_configuration, turn_hypotheses
 from doo_ti.types import Clamp, Clamps, Solution, Status
@@ -38,8 +38,8 @@ TOGETHER = 0.3  # correlation of neighbouring residuals above which they are no 
 class RefinementOptions:
     """How a fit is made.
 
-    parameters        from :data:`doo_ti.refinement.parametrisation.UNKNOWNS`; the others stay. Bend, twist and weight are determined only
-                      up to a common factor, so one of them should stay: weight, as a rule
+    parameters        from :data:`doo_ti.refinement.parametrisation.UNKNOWNS`; the others stay. Bend, twist and weight are
+                      determined only up to a common factor, so one of them should stay: weight, as a rule
     frame_weight      w_m in mm: how much a frame's m1 counts beside the marks; 0 where frames are not measured
     solver            of the relaxations from the observations
     iterations        steps allowed, refused ones included

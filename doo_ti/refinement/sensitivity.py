@@ -71,8 +71,8 @@ class Sensitivity:
 def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist", "weight")) -> Sensitivity:
     """dΓ*/dΘ of every rod of ``solution``, which also holds its materials, clamps and the direction of gravity.
 
-    solution    of :func:`doo_ti.relaxation.relax.relax` in f64: an equilibrium reached to a residual r is off by about r, and so are
-                its derivatives
+    solution    of :func:`doo_ti.relaxation.relax.relax` in f64: an equilibrium reached to a residual r is off by about r, and
+                so are its derivatives
     parameters  from PARAMETERS, in the order of the columns
 
     Rods that have not converged, are not certified stable, or are infeasible come out as NaN. A round rod with both spins

@@ -1,7 +1,7 @@
 """The kernel behind :mod:`doo_ti.refinement.sensitivity`: the certificate's factors, and right-hand sides one after the other.
 
-Everything about H is Newton's own (:mod:`doo_ti.relaxation.chain`), on one rod at a time: H is assembled and eliminated without shift;
-then for every column b = −∂g/∂θ runs forward through the factors, S dλ = Σ W_Aᵀ D⁻¹ W_b, and back-substitution
+Everything about H is Newton's own (:mod:`doo_ti.relaxation.chain`), on one rod at a time: H is assembled and eliminated without
+shift; then for every column b = −∂g/∂θ runs forward through the factors, S dλ = Σ W_Aᵀ D⁻¹ W_b, and back-substitution
 gives dω.
 """
 
@@ -11,6 +11,12 @@ import numpy as np
 import taichi as ti
 
 from doo_ti import runtime
+from doo_ti.physics import pair
+from doo_ti.physics.algebra import forward, solve_symmetric, weighted
+from doo_ti.physics.angle import twist_angle_function
+from doo_ti.physics.closure import linear_gradient
+from doo_ti.physics.number import Number
+from doo_ti.physics.quaternion import first_director, second_director
 from doo_ti.relaxation import chain
 from doo_ti.relaxation.loading import (
     ASKED_CLOSED,
@@ -23,12 +29,6 @@ from doo_ti.relaxation.loading import (
     ASKED_UNIT,
     lane_loading,
 )
-from doo_ti.physics import pair
-from doo_ti.physics.algebra import forward, solve_symmetric, weighted
-from doo_ti.physics.angle import twist_angle_function
-from doo_ti.physics.closure import linear_gradient
-from doo_ti.physics.number import Number
-from doo_ti.physics.quaternion import first_director, second_director
 from doo_ti.relaxation.tables import OF_MATERIAL, OF_RESULT, WEIGHT
 from doo_ti.types import Solution
 
@@ -72,7 +72,7 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
 
 @cache
 def sensitivity_kernel(stride: int, block: int):
-    """The compiled-on-first-use kernel; ``stride`` and ``block`` as :func:`doo_ti.relaxation.newton_kernel.newton_kernel` has them."""
+    """The compiled-on-first-use kernel; ``stride`` and ``block`` as Newton's kernel has them."""
     sweep = chain.chain_sweeps(NUMBER, False, stride, KEPT_ITEMS)
     loading = lane_loading(NUMBER, False, stride, sweep.items)
     twist_angle = twist_angle_function(NUMBER)

@@ -13,8 +13,8 @@ from functools import cache
 import taichi as ti
 
 from doo_ti.errors import InputError
-from doo_ti.relaxation.loading import LANES, NEXT, residual_divisor
 from doo_ti.physics.number import Number
+from doo_ti.relaxation.loading import LANES, NEXT, residual_divisor
 from doo_ti.relaxation.tables import (
     CLOSED,
     CLOSURE,
@@ -34,8 +34,8 @@ from doo_ti.relaxation.tables import (
     TILT_INNER,
     TILT_START,
 )
-from doo_ti.types import Status
 from doo_ti.relaxation.vertex_chain import DIRECTOR, ITEMS, POSITION, TRIAL_POSITION, vertex_sweeps
+from doo_ti.types import Status
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ PATIENCE = 20_000  # iterations in which neither energy nor residual came down n
 
 @cache
 def descent_kernel(number: Number, stride: int, block: int):
-    """The kernel for one kind of number; materials are always general. See :func:`doo_ti.relaxation.newton_kernel.newton_kernel`."""
+    """The kernel for one kind of number; materials are always general. See :func:`.newton_kernel.newton_kernel`."""
     largest, lane, with_lane, constant, put, get = number.lanes()
     sweep = vertex_sweeps(number, stride)
     width, scalar = number.width, number.scalar

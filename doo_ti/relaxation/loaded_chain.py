@@ -1,4 +1,4 @@
-"""Sweeps along a rod with a free end under an external energy at its vertices: the Riccati form of :mod:`doo_ti.relaxation.chain`.
+"""Sweeps along a rod with a free end under an external energy at its vertices: the Riccati form of :mod:`.chain`.
 
 Where a vertex is depends on every edge before it, so an energy at vertices fills the Hessian of the frames. It stays a chain
 in the displacement ξ of an edge's first vertex and the rotation ω of the edge before: eliminating from the free end, the
@@ -13,11 +13,11 @@ from types import SimpleNamespace
 
 import taichi as ti
 
-from doo_ti.relaxation import chain
-from doo_ti.relaxation.chain import LENGTH
 from doo_ti.physics.algebra import absolute, dot, factor, forward, largest_of, weighted
 from doo_ti.physics.closure import linear_gradient, linear_hessian
 from doo_ti.physics.quaternion import first_director, second_director, tangent
+from doo_ti.relaxation import chain
+from doo_ti.relaxation.chain import LENGTH
 
 
 def unloaded(eliminate):
@@ -64,7 +64,7 @@ def loaded_sweeps(number, isotropic: bool, stride: int, external: type, function
     @ti.func
     def eliminate(scratch: ti.template(), origin, edges, shift, noise, echo, multiplier, miss, material, gravity,
                   closed, free, total, released, anchor, numbers: ti.template(), field: ti.template(), coarse):
-        """Assemble H + shift and eliminate it from the free end to the clamp; as :func:`doo_ti.relaxation.chain.chain_sweeps`' own.
+        """Assemble H + shift and eliminate it from the free end to the clamp; as :func:`.chain.chain_sweeps`' own.
 
         The nominal force p, the sum of all gradients further out, enters the geometric part of H and the residual; what
         elimination made of it, c, the right-hand side.

@@ -1,15 +1,15 @@
 """Rods into lanes of scratch and out of them, one at a time, for the Newton kernel.
 
-Scratch of a thread holds first what is asked of the rods in its lanes, then the items of their edges (:mod:`doo_ti.relaxation.chain`).
+Scratch of a thread holds first what is asked of the rods in its lanes, then the items of their edges (:mod:`.chain`).
 """
 
 from types import SimpleNamespace
 
 import taichi as ti
 
-from doo_ti.relaxation import chain
 from doo_ti.physics.algebra import cross, dot
 from doo_ti.physics.quaternion import normalised, tangent, turned_in_world
+from doo_ti.relaxation import chain
 from doo_ti.relaxation.tables import (
     ANCHOR,
     BEND,

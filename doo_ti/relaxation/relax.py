@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from doo_ti.errors import InputError
 from doo_ti.relaxation import batch
 from doo_ti.relaxation.descent import Descent
-from doo_ti.errors import InputError
 from doo_ti.relaxation.external import External
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.tables import CLOSURE, ENERGY, ITERATIONS, MULTIPLIER, RESIDUAL, STABLE, STATUS, TOTAL, Tables, tables

@@ -10,7 +10,6 @@ from functools import cached_property
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.relaxation.external import External
 from doo_ti.frames import (
     FRAME_TOLERANCE,
     handedness,
@@ -22,12 +21,14 @@ from doo_ti.frames import (
     smallest_rotation,
     tangent_from_quaternion,
 )
+from doo_ti.relaxation.external import External
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 
 # As plain numbers, which NumPy compares ten times faster than members of an enumeration.
 FREE, POSITION, TANGENT, FRAME = (int(kind) for kind in Clamp)
 
-# Columns of a clamp: the far point from vertex 0, and flags that are one or zero (see doo_ti.relaxation.chain); then what the rod between
+# Columns of a clamp: the far point from vertex 0, and flags that are one or zero (see doo_ti.relaxation.chain); then what the
+# rod between
 # its clamps measures in mm: its length, its longest edge, its shortest two neighbours, and the largest moment arm of gravity
 # on an edge (a length times a length); the point the chain hangs from, vertex 0 or, where that is free, the far end; and the
 # first frame and the last as the clamps hold them.

@@ -1,6 +1,7 @@
 """Sweeps along a rod in the paper's own variables, vertices and material frames: step, projection, twist, gradient (§III-D).
 
-The counterpart of :mod:`doo_ti.relaxation.chain` for :mod:`doo_ti.relaxation.descent`. Scratch holds, per vertex and the edge that leaves it, the
+The counterpart of :mod:`doo_ti.relaxation.chain` for :mod:`doo_ti.relaxation.descent`. Scratch holds, per vertex and the edge
+that leaves it, the
 items named below; ``number`` says how many rods a value holds and ``stride`` how far apart the items of a vertex lie.
 """
 

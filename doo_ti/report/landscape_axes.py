@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from doo_ti.report.plane import REGIMES, Plane, cell_edges, regime
 from doo_ti.report.canvas import plain_ticks
 from doo_ti.report.colors import MISSING
+from doo_ti.report.plane import REGIMES, Plane, cell_edges, regime
 from doo_ti.report.quantities import axis_label, quantity
 
 STAR, VALLEY, REGION, LINE, BORDER = "#ff2e63", "#fde725", "#ff9f1c", "#31688e", "#202020"

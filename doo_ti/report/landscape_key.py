@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from doo_ti.report.plane import REGIMES, Plane
 from doo_ti.report.colors import MISSING
 from doo_ti.report.landscape_axes import BORDER, REGION, STAR, VALLEY, edged
+from doo_ti.report.plane import REGIMES, Plane
 from doo_ti.report.quantities import SYMBOLS, quantity, values_text
 
 

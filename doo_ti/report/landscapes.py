@@ -4,11 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.report.plane import Plane
 from doo_ti.report.canvas import PICTURE_DPI, VIEWER_DPI, new_figure, pixels, plain_ticks
 from doo_ti.report.colors import norm_of
 from doo_ti.report.landscape_axes import cell_boxes, draw_line, draw_map, draw_marks, draw_region, draw_star, tell_minimum
 from doo_ti.report.landscape_key import key_of, key_of_panels, remarks
+from doo_ti.report.plane import Plane
 from doo_ti.report.quantities import quantity, values_text
 
 

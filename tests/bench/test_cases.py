@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from doo_ti.relaxation import batch
 from doo_ti.bench import cases as timed
 from doo_ti.bench import clock, peak
 from doo_ti.bench.cases import Case, Outcome, Specimens, cases, measure
+from doo_ti.relaxation import batch
 
 RODS = 48
 

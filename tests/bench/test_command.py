@@ -1,7 +1,7 @@
 """``doo-ti bench``: the table, the files, and options that are wrong."""
 
-import re
 import json
+import re
 import sys
 import types
 from dataclasses import asdict, make_dataclass

@@ -68,7 +68,8 @@ def test_rods_are_found_and_written(photographed, perceived):
     vertices, edges = EDGES + 1, EDGES
     assert shapes == {
         "name": (2,), "vertices_mm": (2, vertices, 3), "rest_length_mm": (edges,), "up": (3,), "valid": (2, vertices),
-        "sigma_mm": (2, vertices), "energy_vis": (2,), "status": (2,), "stable": (2,), "camera_error_px": (2, 3), "verdict": (2,), "gap_px": (2,),
+        "sigma_mm": (2, vertices), "energy_vis": (2,), "status": (2,), "stable": (2,), "camera_error_px": (2, 3),
+        "verdict": (2,), "gap_px": (2,),
         "unsupported": (2, edges), "runner_up_mm": (2, 4, vertices, 3), "runner_up_energy_vis": (2, 4)}
     assert (out / "f.png").read_bytes()[:4] == b"\x89PNG"
 

@@ -8,6 +8,7 @@ import pytest
 
 from doo_ti.perception.lab_images import LabRods, lab_rods
 from doo_ti.perception.perceive import perceive
+from doo_ti.perception.search import PerceptionOptions, Search
 from doo_ti.perception.trials import (
     Trial,
     crossings,
@@ -24,7 +25,6 @@ from doo_ti.perception.trials import (
     without_camera,
 )
 from doo_ti.scene import load_scene
-from doo_ti.perception.search import PerceptionOptions, Search
 from doo_ti.vision.detection import DetectionOptions
 from doo_ti.vision.distance_map import DistanceMaps, distance_maps
 from doo_ti.vision.image_synthesis import Photographs, take

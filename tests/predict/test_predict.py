@@ -7,8 +7,8 @@ import pytest
 
 from doo_ti.dataset import Observations, load_observations
 from doo_ti.errors import InputError
-from doo_ti.prediction.motion_file import ClampPath, load_path
 from doo_ti.motion.path import carried_clamps, carry
+from doo_ti.prediction.motion_file import ClampPath, load_path
 from doo_ti.prediction.predict import predict, predict_step
 from doo_ti.prediction.trials import moved_as_one, moved_by_blend, predict_marks, predict_steps, rotation_steps
 from doo_ti.relaxation.relax import relax

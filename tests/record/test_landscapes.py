@@ -5,7 +5,6 @@ import io
 import numpy as np
 import pytest
 
-from doo_ti.report.plane import Plane, regime, valley_cells
 from doo_ti.report import (
     LandscapePanel,
     cells_image,
@@ -14,6 +13,7 @@ from doo_ti.report import (
     landscape_picture,
     landscapes_picture,
 )
+from doo_ti.report.plane import Plane, regime, valley_cells
 
 from . import runs
 

@@ -5,8 +5,8 @@ import pytest
 from PIL import Image
 
 from doo_ti.perception.growth_steps import GrowthStep, GrowthSteps
-from doo_ti.report import SeenRod, reprojections_picture
 from doo_ti.perception.search import Hypotheses
+from doo_ti.report import SeenRod, reprojections_picture
 from doo_ti.vision.spline import smooth_curve
 from tests.record.recordings import read
 from tests.vision.drawn_maps import curves, three_cameras

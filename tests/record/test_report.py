@@ -5,8 +5,8 @@ import io
 import numpy as np
 import pytest
 
-from doo_ti.report.plane import Plane, cell_edges, valley_cells
 from doo_ti.report import distance_colors, landscape_colors, landscape_image, landscape_picture, quantity
+from doo_ti.report.plane import Plane, cell_edges, valley_cells
 
 from . import runs
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Grid, InputError, Observations, observation_clamps, relax
+from doo_ti.grid import Axis
 from doo_ti.refinement.clips import held_whole
 from doo_ti.refinement.folds import folds_of, refine_held_out
-from doo_ti.grid import Axis
 from doo_ti.refinement.multi_start import lowest_cells, refine_from, theta_of_cell
 from doo_ti.refinement.parametrisation import Theta
 from doo_ti.refinement.refine import RefinementOptions, refine

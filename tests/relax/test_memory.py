@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti import InputError, Material, relax
-from doo_ti.relaxation import batch
-from doo_ti.relaxation import tables
+from doo_ti.relaxation import batch, tables
 from tests.references.rods import clamps_at
 from tests.relax.rods import wandering
 

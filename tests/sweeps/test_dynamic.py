@@ -7,18 +7,18 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
+from doo_ti.errors import InputError
 from doo_ti.learning import sweeps
 from doo_ti.learning.cells import relax_cells
-from doo_ti.errors import InputError
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.landscape import read_landscape
-from doo_ti.metric import distance
 from doo_ti.learning.pairs import Pairs, pairs_from_labels
+from doo_ti.learning.run_folder import read_experiment
+from doo_ti.learning.sweeps import sweep
+from doo_ti.metric import distance
 from doo_ti.motion.path import carried_clamps, carry
 from doo_ti.relaxation.relax import relax
-from doo_ti.learning.run_folder import read_experiment
 from doo_ti.start import observation_clamps, start_configuration
-from doo_ti.learning.sweeps import sweep
 from doo_ti.types import Material
 from tests.sweeps.lab import DYNAMIC, GRID, small_lab
 

@@ -7,12 +7,12 @@ import pytest
 
 from doo_ti.dataset import load_observations
 from doo_ti.errors import InputError
-from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.grid import Axis, Grid
+from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses, hypotheses_of, nearest, resolved, scores, started
 from doo_ti.learning.landscape import read_landscape
-from doo_ti.start import observation_clamps
 from doo_ti.learning.sweeps import sweep
+from doo_ti.start import observation_clamps
 from doo_ti.types import Clamp
 from tests.data.rods import joint_twist
 from tests.sweeps.lab import DYNAMIC, small_lab

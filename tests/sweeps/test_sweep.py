@@ -7,10 +7,10 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from doo_ti.learning import sweeps
 from doo_ti.dataset import Observations
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.grid import Axis, Grid
+from doo_ti.learning import sweeps
 from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.sweeps import SweepOptions, sweep
 from doo_ti.learning.trajectory import MOST_MOMENTS

@@ -5,10 +5,10 @@ import pytest
 
 from doo_ti import Material
 from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.relaxation.newton import Newton
 from doo_ti.motion.path import Motion
-from doo_ti.relaxation.relax import relax
 from doo_ti.perception.tracking import How, Tracker
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Configuration
 from doo_ti.vision.detection import detect
 from doo_ti.vision.render import render_set

@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 
 from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.relaxation.newton import Newton
 from doo_ti.motion.path import Motion
+from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 from doo_ti.vision.render import render_set
