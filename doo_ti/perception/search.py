@@ -52,6 +52,8 @@ class PerceptionOptions:
                          their vertices are this near on average
     points               places along an edge where a map is read while growing
     cap                  px: distances to the detection saturate there
+    growing_nu           ν while growing, smaller, so that a gap in the detection is crossed before the whole rod is judged …
+    growing_cap          … and the cap there
     growing_iterations   Newton's, in f32, at most, in each step of growth: the next step goes on from there
     finalists            hypotheses of each set, all different, that are relaxed to the end
     pieces               pieces that each edge is cut into for that: the rod is finer than its marks, so that it can lie on
@@ -72,6 +74,8 @@ class PerceptionOptions:
     similar_angle: float = np.radians(15.0).item()
     points: int = 3
     cap: float = 40.0
+    growing_nu: float = 0.0005
+    growing_cap: float = 20.0
     growing_iterations: int = 6
     finalists: int = 8
     pieces: int = 4
@@ -82,8 +86,8 @@ class PerceptionOptions:
     correlation_px: float = 5.0
 
     def __post_init__(self):
-        for name in ("nu", "separation", "similar_distance", "similar_angle", "cap", "unsupported", "sigma_px",
-                     "correlation_px"):
+        for name in ("nu", "separation", "similar_distance", "similar_angle", "cap", "growing_nu", "growing_cap", "unsupported",
+                     "sigma_px", "correlation_px"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise InputError("PerceptionOptions", name, f"{getattr(self, name)}", "give a positive number")
         for name in ("hypotheses", "samples", "children", "points", "growing_iterations", "finalists", "pieces",
@@ -171,8 +175,8 @@ class Search:
         start, clamps = self._held(grown, self.rest_length[: grown.quaternions.shape[1]])
         solver = Newton(max_iterations=options.growing_iterations, tolerance=1e-3)
         with np.errstate(all="ignore"):  # a rod that is not finite is data
-            table = tables(start, self.material, clamps, self.up, external=self.seen(options.points),
-                           external_index=grown.of_set)
+            seen = self.seen(options.points, options.growing_nu, options.growing_cap)
+            table = tables(start, self.material, clamps, self.up, external=seen, external_index=grown.of_set)
             quaternions, results = run_newton(table, solver, 32)
             lost = results[:, STATUS] == Status.NOT_FINITE
             quaternions[lost] = grown.quaternions[lost]
@@ -184,7 +188,7 @@ class Search:
         fine = Hypotheses(hypotheses.of_set, np.repeat(hypotheses.quaternions, pieces, axis=1), hypotheses.energy_vis)
         start, clamps = self._held(fine, np.repeat(self.rest_length / pieces, pieces))
         solution = relax(start, self.material, clamps, Newton(), up=self.up, precision="mixed",
-                         external=self.seen(self.piece_points), external_index=fine.of_set)
+                         external=self.seen(self.piece_points, self.options.nu, self.options.cap), external_index=fine.of_set)
         energy = np.where(solution.status == Status.NOT_FINITE, np.inf, solution.energy / self.scale)
         return Hypotheses(fine.of_set, solution.configuration.quaternions, energy), solution
 
@@ -200,9 +204,9 @@ class Search:
         edges = hypotheses.quaternions.shape[1]
         return Configuration(self.point[hypotheses.of_set], hypotheses.quaternions, self.rest_length[:edges]).vertices
 
-    def seen(self, points: int) -> Reprojection:
+    def seen(self, points: int, nu: float, cap: float) -> Reprojection:
         """ν Σ E_proj in the units of the rod's energy."""
-        return Reprojection(self.maps, self.rig, self.options.nu * self.scale, points, self.options.cap)
+        return Reprojection(self.maps, self.rig, nu * self.scale, points, cap)
 
     @property
     def piece_points(self) -> int:

@@ -82,7 +82,7 @@ def truth_energy(search: Search, vertices: np.ndarray) -> np.ndarray:
 def with_energy(options: PerceptionOptions, share: float) -> PerceptionOptions:
     """The same search where the rod's energy counts for ``share`` of itself beside the images: ν is larger by 1/share, all else
     stays. A small share, not none, leaves every rod a minimum."""
-    return replace(options, nu=options.nu / share)
+    return replace(options, nu=options.nu / share, growing_nu=options.growing_nu / share)
 
 
 def detected(images: list[list[np.ndarray]], options: DetectionOptions = DetectionOptions(),

@@ -1,8 +1,8 @@
 """Beyond the grid: the continuous optimum of Θ by least squares, and how well the observations determine it (§III-E).
 
 Levenberg–Marquardt on χ² of :mod:`doo_ti.refinement.misfit`, with derivatives by the implicit function theorem. Between steps
-every rod is relaxed from where it was, which keeps it on its branch; at the end it is relaxed from its observation, as Eq. 2 has it, and
-where that leads elsewhere the fit goes on from there.
+every rod is relaxed from where it was, which keeps it on its branch; at the end it is relaxed from its observation, as Eq. 2
+has it, and where that leads elsewhere the fit goes on from there.
 """
 
 from dataclasses import dataclass, replace
