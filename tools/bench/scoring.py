@@ -5,8 +5,6 @@ energy and the images. Prints one table, with ratios to a NumPy workload timed i
 are those of the benchmark of the hot path. All comes from a fixed seed: no image is read.
 """
 
-import argparse
-import json
 import sys
 from functools import cached_property, partial
 from pathlib import Path
@@ -17,16 +15,13 @@ if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from doo_ti import Clamp, Clamps, Configuration, Material, Newton, relax  # noqa: E402
-from doo_ti.bench import clock  # noqa: E402
-from doo_ti.bench.baseline import as_baseline, measured_again, regressions, table  # noqa: E402
-from doo_ti.bench.cases import Case, Outcome, measure  # noqa: E402
+from doo_ti.bench.cases import Case, Outcome  # noqa: E402
 from doo_ti.frames import bishop_frames, quaternion_from_matrix  # noqa: E402
-from doo_ti.runtime import start as start_runtime  # noqa: E402
-from doo_ti.runtime import thread_count  # noqa: E402
 from doo_ti.vision.detection import Detection  # noqa: E402
 from doo_ti.vision.distance_map import distance_maps  # noqa: E402
 from doo_ti.vision.reprojection import Reprojection, score  # noqa: E402
 from doo_ti.vision.rig import Camera, Rig  # noqa: E402
+from tools.bench.against_baseline import Benchmark, run  # noqa: E402
 
 BASELINE = Path(__file__).with_name("scoring.json")
 SEED = 2011
@@ -148,49 +143,9 @@ def cases(rods: Specimens, few: Specimens) -> list[Case]:
 
 
 def main(arguments: list[str]) -> int:
-    from rich.console import Console
-    from rich.progress import track
-
-    parser = argparse.ArgumentParser(prog="scoring.py", description=__doc__.splitlines()[0])
-    parser.add_argument("cases", nargs="*", metavar="CASE", help="names or parts of names; all by default")
-    parser.add_argument("--hypotheses", type=int, default=32_768, help="scored at once; an eighth of them is relaxed")
-    parser.add_argument("--rounds", type=int, default=5, help="measurements of which the median counts")
-    parser.add_argument("--baseline", type=Path, default=BASELINE, help="file to compare with and to write")
-    action = parser.add_mutually_exclusive_group()
-    action.add_argument("--check", action="store_true", help="exit with 1 where a case has fallen behind the baseline")
-    action.add_argument("--write", action="store_true", help="make this run the baseline")
-    options = parser.parse_args(arguments)
-    if options.hypotheses < 8 or options.rounds < 1:
-        parser.error("--hypotheses needs to be 8 or more, --rounds 1 or more")
-    if options.write and options.cases:
-        parser.error("--write needs all cases")
-    baseline = json.loads(options.baseline.read_text(encoding="utf-8")) if options.baseline.exists() else {}
-    if baseline.get("rods", options.hypotheses) != options.hypotheses and not options.write:
-        parser.error(f"the baseline is for {baseline['rods']} hypotheses: name another file with --baseline")
-    start_runtime()
-    console = Console(stderr=True)
-    with console.status("drawing images, making kernels"):
-        every = cases(Specimens(options.hypotheses), Specimens(options.hypotheses // 8))
-    chosen = [case for case in every if not options.cases or any(part in case.name for part in options.cases)]
-    if not chosen:
-        parser.error(f"no case is named {', '.join(options.cases)}")
-    reference = clock.Reference(thread_count())
-    measured = {case.name: measure(case, reference, options.rounds) for case in track(chosen, "timing", console=console)}
-    if options.check:
-        for case in chosen:
-            if regressions({case.name: measured[case.name]}, baseline):
-                measured[case.name] = measured_again(case, measured[case.name], reference, options.rounds)
-    machine = clock.machine()
-    print(f"seed {SEED}; {machine['processor']}, {machine['cores']} cores, {thread_count()} threads; "
-          f"medians of {options.rounds}\n")
-    print(table(measured, baseline))
-    if options.write:
-        text = json.dumps(as_baseline(measured, options.hypotheses, options.rounds, thread_count()), indent=2) + "\n"
-        options.baseline.write_text(text, encoding="utf-8")
-    behind = regressions(measured, baseline) if options.check else []
-    for sentence in behind:
-        print(sentence, file=sys.stderr)
-    return int(bool(behind))
+    benchmark = Benchmark("scoring.py", __doc__.splitlines()[0], BASELINE, "hypotheses", 32_768, 8,
+                          lambda count: cases(Specimens(count), Specimens(count // 8)))
+    return run(benchmark, arguments)
 
 
 if __name__ == "__main__":
