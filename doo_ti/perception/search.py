@@ -26,9 +26,10 @@ from doo_ti.frames import (
 )
 from doo_ti.perception.growth import sampled_directions, select_hypotheses, suppress_similar
 from doo_ti.relaxation.batch import run_newton
+from doo_ti.relaxation.columns import ENERGY, STATUS
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.relaxation.tables import ENERGY, STATUS, tables
+from doo_ti.relaxation.tables import tables
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, Status
 from doo_ti.vision.distance_map import DistanceMaps
 from doo_ti.vision.reprojection import Reprojection, score

@@ -18,6 +18,7 @@ from doo_ti.physics.closure import linear_gradient
 from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import first_director, second_director
 from doo_ti.relaxation import chain
+from doo_ti.relaxation.columns import OF_MATERIAL, OF_RESULT, WEIGHT
 from doo_ti.relaxation.loading import (
     ASKED_CLOSED,
     ASKED_FREE,
@@ -29,7 +30,6 @@ from doo_ti.relaxation.loading import (
     ASKED_UNIT,
     lane_loading,
 )
-from doo_ti.relaxation.tables import OF_MATERIAL, OF_RESULT, WEIGHT
 from doo_ti.types import Solution
 
 # A column changes B by BEND = (11, 22, 12), β by TWIST, ω̄ at the vertex JOINT or at every one by REST, and gravity by PULL,

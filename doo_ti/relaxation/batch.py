@@ -11,9 +11,10 @@ from doo_ti import runtime
 from doo_ti.frames import matrix_from_quaternion, quaternion_from_matrix, vertices_from_quaternions
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import chain, descent, newton
+from doo_ti.relaxation.columns import ITERATIONS, RESULTS, STATUS
 from doo_ti.relaxation.loading import ASKED_ITEMS, LANES, TRIPS
 from doo_ti.relaxation.newton_kernel import newton_kernel
-from doo_ti.relaxation.tables import ITERATIONS, RESULTS, STATUS, Tables
+from doo_ti.relaxation.tables import Tables
 from doo_ti.relaxation.vertex_chain import ITEMS
 from doo_ti.types import Solution, Status
 

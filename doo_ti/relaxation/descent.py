@@ -14,8 +14,7 @@ import taichi as ti
 
 from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
-from doo_ti.relaxation.loading import LANES, NEXT, residual_divisor
-from doo_ti.relaxation.tables import (
+from doo_ti.relaxation.columns import (
     CLOSED,
     CLOSURE,
     ENERGY,
@@ -34,6 +33,7 @@ from doo_ti.relaxation.tables import (
     TILT_INNER,
     TILT_START,
 )
+from doo_ti.relaxation.loading import LANES, NEXT, residual_divisor
 from doo_ti.relaxation.vertex_chain import DIRECTOR, ITEMS, POSITION, TRIAL_POSITION, vertex_sweeps
 from doo_ti.types import Status
 

@@ -10,7 +10,7 @@ import taichi as ti
 from doo_ti.physics.algebra import cross, dot
 from doo_ti.physics.quaternion import normalised, tangent, turned_in_world
 from doo_ti.relaxation import chain
-from doo_ti.relaxation.tables import (
+from doo_ti.relaxation.columns import (
     ANCHOR,
     BEND,
     CLOSED,

@@ -12,6 +12,7 @@ import taichi as ti
 from doo_ti.physics.algebra import dot
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import chain, loaded_chain
+from doo_ti.relaxation.columns import CLOSURE, ENERGY, ITERATIONS, MULTIPLIER, OF_RESULT, RESIDUAL, STABLE, STATUS
 from doo_ti.relaxation.loading import (
     ASKED_ANCHOR,
     ASKED_CLOSED,
@@ -45,7 +46,6 @@ from doo_ti.relaxation.newton import (
     SHIFT_REJECTED,
     SHIFT_WRONG_INERTIA,
 )
-from doo_ti.relaxation.tables import CLOSURE, ENERGY, ITERATIONS, MULTIPLIER, OF_RESULT, RESIDUAL, STABLE, STATUS
 from doo_ti.types import Status
 
 

@@ -12,10 +12,11 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.relaxation import batch
+from doo_ti.relaxation.columns import CLOSURE, ENERGY, ITERATIONS, MULTIPLIER, RESIDUAL, STABLE, STATUS, TOTAL
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.external import External
 from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.tables import CLOSURE, ENERGY, ITERATIONS, MULTIPLIER, RESIDUAL, STABLE, STATUS, TOTAL, Tables, tables
+from doo_ti.relaxation.tables import Tables, tables
 from doo_ti.types import LARGEST, Clamps, Configuration, Material, Solution, Status
 
 # As plain numbers, which NumPy compares ten times faster than members of an enumeration.

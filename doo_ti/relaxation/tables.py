@@ -5,65 +5,39 @@ and G materials, not D·G of each.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.frames import (
-    FRAME_TOLERANCE,
-    handedness,
-    matrix_from_quaternion,
-    orthonormality_error,
-    quaternion_about,
-    quaternion_from_matrix,
-    quaternion_product,
-    smallest_rotation,
-    tangent_from_quaternion,
+from doo_ti.relaxation.clamp_table import clamp_table, outer_edges, whole_start
+from doo_ti.relaxation.columns import (
+    ANCHOR,
+    BEND,
+    ENDS,
+    FRAME,
+    FREE,
+    FROM_RESULTS,
+    LARGEST_BEND,
+    LIFT,
+    MOST_NUMBERS,
+    OF_CLAMP,
+    OF_EXTERNAL,
+    OF_MATERIAL,
+    OF_RESULT,
+    OF_START,
+    RELEASED,
+    REST,
+    ROD_COLUMNS,
+    ROUND,
+    STIFFEST,
+    STIFFNESS,
+    STIFFNESS_COLUMNS,
+    TWIST,
+    WEIGHT,
 )
 from doo_ti.relaxation.external import External
+from doo_ti.relaxation.prepared_start import prepared
 from doo_ti.types import Clamp, Clamps, Configuration, Material
-
-# As plain numbers, which NumPy compares ten times faster than members of an enumeration.
-FREE, POSITION, TANGENT, FRAME = (int(kind) for kind in Clamp)
-
-# Columns of a clamp: the far point from vertex 0, and flags that are one or zero (see doo_ti.relaxation.chain); then what the
-# rod between
-# its clamps measures in mm: its length, its longest edge, its shortest two neighbours, and the largest moment arm of gravity
-# on an edge (a length times a length); the point the chain hangs from, vertex 0 or, where that is free, the far end; and the
-# first frame and the last as the clamps hold them.
-TARGET, CLOSED, SPIN_START, SPIN_END, TILT_START, TILT_END, TILT_INNER, RELEASED = 0, 3, 4, 5, 6, 7, 8, 9
-TOTAL, LONGEST, SHORTEST_PAIR, HANGING, ANCHOR, ENDS, CLAMP_COLUMNS = 10, 11, 12, 13, 14, 17, 25
-
-# Columns of a material: weight μ, the largest eigenvalue of B, that or β where it is more, one where the rod looks the same
-# from all sides, so that it may spin about itself at no cost, μ times the unit vector up; and its stiffness, once or edge by
-# edge: B as (11, 22, 12), and of the inner vertex where the edge begins β and ω̄.
-WEIGHT, LARGEST_BEND, STIFFEST, ROUND, LIFT, STIFFNESS = 0, 1, 2, 3, 4, 7
-BEND, TWIST, REST, STIFFNESS_COLUMNS = 0, 3, 4, 6
-
-# Columns of a rod: its row of the clamps, of the materials, of the results, of the starts, or FROM_RESULTS where it starts
-# from the frames in its row of the results, and of the external energy.
-OF_CLAMP, OF_MATERIAL, OF_RESULT, OF_START, OF_EXTERNAL, ROD_COLUMNS = 0, 1, 2, 3, 4, 5
-FROM_RESULTS = -1
-
-# Columns of a rod's results; the multiplier λ of closure has three.
-ENERGY, RESIDUAL, CLOSURE, ITERATIONS, STATUS, STABLE, MULTIPLIER, RESULTS = 0, 1, 2, 3, 4, 5, 6, 9
-
-MOST_NUMBERS = 2**31 - 1
-"""A table has no more entries: the kernels count them with 32 bits."""
-TAUT = 1e-9
-"""A rod whose slack is less than this share of its length is straight."""
-
-
-def _flags() -> np.ndarray:
-    """(4, 4, 7) the columns CLOSED to RELEASED of a clamp, by its kinds at the start and at the end."""
-    start, end = np.indices((len(Clamp), len(Clamp)))
-    flags = ((start >= POSITION) & (end >= POSITION), start < FRAME, end < FRAME, start < TANGENT, end < TANGENT,
-             np.ones_like(start), (start < POSITION) & (end >= POSITION))
-    return np.stack(flags, axis=-1).astype(np.float64)
-
-
-FLAGS = _flags()
 
 
 @dataclass(frozen=True)
@@ -132,7 +106,7 @@ class Tables:
     @property
     def whole(self) -> np.ndarray:
         """(S, E, 4) starts, normalised and with their ends imposed."""
-        return _whole(self.start, self.clamp)
+        return whole_start(self.start, self.clamp)
 
     def continued(self, usable: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """``rods`` for another launch over the feasible ones of ``rows``: from their frames where ``usable`` (R,), else from
@@ -176,7 +150,7 @@ class Tables:
         lengths = self.rest_length
         start = np.ascontiguousarray(np.where(feasible[:, None, None], frames, self.start[of_start]))
         clamp = self.clamp[of_start]
-        clamp[:, ENDS:] = start[:, _outer(self.edges)].reshape(-1, 8)
+        clamp[:, ENDS:] = start[:, outer_edges(self.edges)].reshape(-1, 8)
         rods = self.rods.copy()
         rods[:, OF_CLAMP] = rods[:, OF_START] = rods[:, OF_RESULT]
         return replace(
@@ -190,11 +164,6 @@ def _rods(of_clamp, of_material, of_result, of_start, of_external) -> np.ndarray
     rods[:, OF_CLAMP], rods[:, OF_MATERIAL], rods[:, OF_RESULT] = of_clamp, of_material, of_result
     rods[:, OF_START], rods[:, OF_EXTERNAL] = of_start, of_external
     return rods
-
-
-def _outer(edges: int) -> slice:
-    """The first edge and the last."""
-    return slice(None, None, edges - 1)
 
 
 def tables(
@@ -222,9 +191,9 @@ def tables(
                          "give Clamp.FREE as the end, another as the start")
     _check_material(material, edges, floating)
     isotropic = material.is_isotropic
-    clamp = _clamp_table(configuration, lengths, kinds, clamps)
+    clamp = clamp_table(configuration, lengths, kinds, clamps)
     start = np.ascontiguousarray(configuration.quaternions, dtype=np.float64)
-    start, feasible = _prepared(start, lengths, clamp, up)
+    start, feasible = prepared(start, lengths, clamp, up)
     sound = feasible[index_c]
     all_rods = _rods(index_c, index_m, np.arange(rods), index_c, index_e)
     return Tables(
@@ -323,16 +292,6 @@ def _check_shapes(configuration: Configuration, clamps: Clamps) -> None:
             raise InputError(source, field, f"shape {np.shape(array)}", f"give an array {wanted}, a row for each start")
 
 
-def _check_frames(frames: np.ndarray, held: np.ndarray) -> None:
-    """Raise InputError where one of the frames (S, 2, 3, 3) that are ``held`` (S, 2) by clamps is finite but no rotation."""
-    for row, end in np.argwhere(held & ((orthonormality_error(frames) > FRAME_TOLERANCE) | (handedness(frames) < 0))):
-        frame = frames[row, end]
-        # A frame of zeros says that there is none.
-        if np.isfinite(frame).all() and frame.any():
-            raise InputError("clamps", ("start_frame", "end_frame")[end], f"{np.round(frame, 4).tolist()} is no rotation",
-                             "give unit, orthogonal columns t, m1, m2 with m2 = t x m1")
-
-
 def _kinds(clamps: Clamps, count: int) -> np.ndarray:
     """(S, 2) Clamp numbers of both ends. Raises InputError for anything that is not one Clamp, or one for each start."""
     kinds = np.empty((count, 2), dtype=np.int64)
@@ -384,159 +343,3 @@ def _external_rows(external: External | None, index, count: int, edges: int) -> 
     if not whole or (rows.size and (rows.min() < 0 or rows.max() >= external.count)):
         raise InputError("relax", "external_index", f"not {count} rows below {external.count}", "give (R,) row numbers")
     return rows.astype(np.int64)
-
-
-def _clamp_table(configuration: Configuration, lengths: np.ndarray, kinds: np.ndarray, clamps: Clamps) -> np.ndarray:
-    """(S, CLAMP_COLUMNS): see the columns' names."""
-    table = np.empty((len(kinds), CLAMP_COLUMNS))
-    table[:, CLOSED : RELEASED + 1] = FLAGS[kinds[:, 0], kinds[:, 1]]
-    first = np.where(kinds[:, :1] >= POSITION, clamps.start_position, configuration.start)
-    table[:, TARGET : TARGET + 3] = np.where(table[:, CLOSED, None] > 0, clamps.end_position - first, 0.0)
-    table[:, ANCHOR : ANCHOR + 3] = first
-    total = lengths.sum(axis=1)
-    table[:, TOTAL] = total
-    table[:, LONGEST] = lengths.max(axis=1)
-    table[:, SHORTEST_PAIR] = (lengths[:, 1:] + lengths[:, :-1]).min(axis=1)
-    arm = lengths + 2 * (total[:, None] - np.cumsum(lengths, axis=1))
-    table[:, HANGING] = np.abs(lengths * arm).max(axis=1)
-    released = table[:, RELEASED] > 0
-    if released.any():
-        from_end = np.abs(lengths * (arm - 2 * total[:, None])).max(axis=1)
-        table[:, HANGING] = np.where(released, from_end, table[:, HANGING])
-        table[released, ANCHOR : ANCHOR + 3] = clamps.end_position[released]
-    table[:, ENDS:] = _imposed(configuration.quaternions[:, _outer(configuration.edges)], kinds, clamps).reshape(-1, 8)
-    return table
-
-
-def _normalised(frames: np.ndarray) -> np.ndarray:
-    """(4, N, S) the frames (S, N, 4) of any length as unit quaternions, rods running fastest: a sum over the last axis of few
-    takes NumPy several times as long."""
-    parts = np.ascontiguousarray(frames.T)
-    return parts / np.sqrt((parts * parts).sum(axis=0))
-
-
-def _imposed(ends: np.ndarray, kinds: np.ndarray, clamps: Clamps) -> np.ndarray:
-    """The two end frames (S, 2, 4) with what the clamps hold in place; a tangent clamp turns the edge by parallel transport,
-    keeping its spin. Raises InputError where a frame that is held is no rotation."""
-    result = np.ascontiguousarray(_normalised(ends).T)
-    frames = np.stack([clamps.start_frame, clamps.end_frame], axis=1)
-    whole = kinds == FRAME
-    if whole.any():
-        _check_frames(frames, whole)
-        result = np.where(whole[..., None], quaternion_from_matrix(frames), result)
-    tangent = kinds == TANGENT
-    if tangent.any():
-        old = result[tangent]
-        turned = quaternion_product(smallest_rotation(tangent_from_quaternion(old), frames[tangent][..., 0]), old)
-        result[tangent] = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
-    return result
-
-
-def _whole(start: np.ndarray, clamp: np.ndarray) -> np.ndarray:
-    """(S, E, 4) ``start`` normalised, with the frames of ``clamp`` at its ends."""
-    result = start / np.linalg.norm(start, axis=-1, keepdims=True)
-    result[:, _outer(start.shape[1])] = clamp[:, ENDS:].reshape(-1, 2, 4)
-    return result
-
-
-def _prepared(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(starts that can be projected, feasible (S,)). Where starts are changed ``clamp`` is, too, in place."""
-    closed = clamp[:, CLOSED] > 0
-    if not closed.any():
-        return start, ~closed
-    edges = start.shape[1]
-    # Straight rods have their inner edges in line: two of them tell most others apart.
-    inner = start[:, [min(1, edges - 1), edges // 2]]
-    tangents = _tangents(np.concatenate([clamp[:, ENDS:].reshape(-1, 2, 4), inner], axis=1))
-    free = _free_part(tangents[:, :2], lengths, clamp)
-    # Two free edges at least leave the far point three ways to go.
-    feasible = ~closed | ((free.share <= 1 + 1e-12) & (free.tilting.sum(axis=0) >= 4 - edges))
-    closed &= feasible
-    in_line = np.abs(tangents[:, 2] - tangents[:, 3]).max(axis=0) < 1e-2
-    slack = np.flatnonzero(closed & in_line & (free.share < 1 - 1e-8))
-    if len(slack):
-        start = _bowed(start, lengths, clamp, free, slack, up)
-    taut = np.flatnonzero(closed & (free.share > 1 - TAUT))
-    if len(taut):
-        start = _stretched(start, clamp, free, taut)
-    return start, feasible
-
-
-@dataclass(frozen=True)
-class _FreePart:
-    """What the clamps leave of each rod: which of the end edges may tilt (2, S), as all inner ones may, the line (3, S) and
-    its length, the span (S,), that the free edges have to bridge, and how far they reach (S,), mm."""
-
-    tilting: np.ndarray
-    line: np.ndarray
-    span: np.ndarray
-    reach: np.ndarray
-
-    @cached_property
-    def share(self) -> np.ndarray:
-        """(S,) of the reach that the span takes."""
-        return self.span / self.reach
-
-
-def _tangents(frames: np.ndarray) -> np.ndarray:
-    """(3, N, S) tangents of the frames (S, N, 4) of any length."""
-    return np.ascontiguousarray(tangent_from_quaternion(np.moveaxis(_normalised(frames), 0, -1)).transpose(2, 0, 1))
-
-
-def _free_part(tangents: np.ndarray, lengths: np.ndarray, clamp: np.ndarray) -> _FreePart:
-    """The free part of rods whose end edges have these tangents (3, 2, S)."""
-    tilting = clamp[:, TILT_START : TILT_END + 1].T
-    held = lengths[:, _outer(lengths.shape[1])].T * (1 - tilting)
-    line = clamp[:, TARGET : TARGET + 3].T - (held * tangents).sum(axis=1)
-    return _FreePart(tilting, line, np.sqrt((line * line).sum(axis=0)), clamp[:, TOTAL] - held.sum(axis=0))
-
-
-def _bowed(start, lengths, clamp, free: _FreePart, rows, up) -> np.ndarray:
-    """Starts of which the slack rods ``rows`` can be projected: free edges in one straight line have no first-order way to
-    bring the far end closer.
-
-    Where they are they are bowed to the needed chord, downwards, or towards m1 where the line is upright.
-    """
-    edges = start.shape[1]
-    tilting = np.ones((len(rows), edges))
-    tilting[:, _outer(edges)] = free.tilting[:, rows].T
-    whole = _whole(start[rows], clamp[rows])
-    matrix = matrix_from_quaternion(whole)
-    own = lengths if len(lengths) == 1 else lengths[rows]
-    chord = np.linalg.norm(((own * tilting)[..., None] * matrix[..., 0]).sum(axis=1), axis=-1)
-    straight = chord > free.reach[rows] * (1 - 1e-8)
-    rows, tilting, whole, matrix = rows[straight], tilting[straight], whole[straight], matrix[straight]
-    middle = matrix[:, edges // 2]
-    axis = np.cross(-up, middle[..., 0])
-    upright = np.linalg.norm(axis, axis=-1, keepdims=True) < 1e-3
-    axis = np.where(upright, middle[..., 2], axis)
-    axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
-    # A sine arch of slope a cos(π s/L) has the chord L (1 − a²/4).
-    place = (np.cumsum(tilting, axis=1) - 0.5) / tilting.sum(axis=1, keepdims=True)
-    slope = np.minimum(2 * np.sqrt(1 - free.share[rows]), 1.0)[:, None] * np.cos(np.pi * place) * tilting
-    turn = quaternion_about(-axis[:, None] * np.ones((1, edges, 1)), slope)
-    return _changed(start, clamp, rows, quaternion_product(turn, whole))
-
-
-def _stretched(start, clamp, free: _FreePart, rows) -> np.ndarray:
-    """Starts of which the rods ``rows``, as long as their span, are the one straight line they can be, with nothing left to
-    relax but the spins.
-
-    Their clamps are changed to say so; the turns of their frames are kept by parallel transport.
-    """
-    whole = _whole(start[rows], clamp[rows])
-    turn = smallest_rotation(tangent_from_quaternion(whole), (free.line[:, rows] / free.span[rows]).T[:, None])
-    straight = quaternion_product(turn, whole)
-    held = free.tilting[:, rows].T == 0
-    outer = _outer(start.shape[1])
-    straight[:, outer] = np.where(held[..., None], whole[:, outer], straight[:, outer])
-    clamp[rows[:, None], [CLOSED, TILT_START, TILT_END, TILT_INNER]] = 0.0
-    return _changed(start, clamp, rows, straight)
-
-
-def _changed(start, clamp, rows, quaternions) -> np.ndarray:
-    """``start`` with other frames in some rows, as given left as it is; ``clamp`` takes their ends in place."""
-    start = start.copy()
-    start[rows] = quaternions
-    clamp[rows, ENDS:] = quaternions[:, _outer(start.shape[1])].reshape(-1, 8)
-    return start

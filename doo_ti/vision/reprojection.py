@@ -18,8 +18,8 @@ import taichi as ti
 from doo_ti import runtime
 from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
+from doo_ti.relaxation.columns import MOST_NUMBERS
 from doo_ti.relaxation.external import ExternalFunctions
-from doo_ti.relaxation.tables import MOST_NUMBERS
 from doo_ti.types import Material
 from doo_ti.vision.distance_map import DistanceMaps
 from doo_ti.vision.edge_integral import COLUMNS, POINTS, WINDOW, edge_integrals
