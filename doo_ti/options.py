@@ -40,6 +40,23 @@ def grid(options: Namespace, base: Grid | None = None) -> Grid:
     return Grid(tuple(axes), bend_12, SOURCE)
 
 
+def single_cell(options: Namespace, remedy: str = "give one number") -> Grid:
+    """The axes given, as :func:`grid` reads them. Raises InputError, with that remedy, where they are more than one Θ."""
+    found = grid(options)
+    if found.size > 1:
+        option = f"--{found.varying[0].name.replace('_', '-')}"
+        raise InputError(SOURCE, option, f"a grid of {found.size} cells", remedy)
+    return found
+
+
+def round_cell(options: Namespace, rods: str) -> Grid:
+    """One Θ that is the same in all directions across the rod; ``rods`` says of which rods that is asked."""
+    found = single_cell(options)
+    if not found.is_isotropic:
+        raise InputError(SOURCE, "--bend", "not the same in all directions", f"give --bend A: {rods} rods are round")
+    return found
+
+
 def frame_weight(options: Namespace, default: float = 0.0) -> float:
     """w_m of Eq. 1, mm."""
     if options.frame_weight is None:

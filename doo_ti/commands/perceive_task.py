@@ -33,12 +33,7 @@ class Task:
 
 def checked_task(options: Namespace) -> Task:
     """Raises InputError naming the option or file at fault."""
-    grid, up = given.grid(options), given.up(options)
-    if grid.size > 1:
-        option = f"--{grid.varying[0].name.replace('_', '-')}"
-        raise InputError("command line", option, f"a grid of {grid.size} cells", "give one number")
-    if not grid.is_isotropic:
-        raise InputError("command line", "--bend", "not the same in all directions", "give --bend A: perceived rods are round")
+    grid, up = given.round_cell(options, "perceived"), given.up(options)
     rest_length = read_rest_length(options.rest_length)
     nu = given.numbers("--nu", options.nu) or (None,)
     hypotheses = given.whole("--hypotheses", options.hypotheses, 1)

@@ -140,10 +140,7 @@ def _of_file(options: Namespace, observations: Observations) -> tuple:
     """The one Θ that the command line names."""
     from doo_ti.refinement.multi_start import theta_of_cell
 
-    grid = given.grid(options)
-    if grid.size > 1:
-        option = f"--{grid.varying[0].name.replace('_', '-')}"
-        raise InputError("command line", option, f"a grid of {grid.size} cells", "give one, or refine the run of a sweep")
+    grid = given.single_cell(options, "give one, or refine the run of a sweep")
     return (theta_of_cell(grid, 0, observations.up),)
 
 

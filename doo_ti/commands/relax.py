@@ -10,7 +10,6 @@ from doo_ti import options as given
 from doo_ti.commands.arguments import add_material, add_relaxation
 from doo_ti.commands.printing import busy, counted, plain, theta_text
 from doo_ti.dataset import Observations, load_observations, write_whole
-from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.learning.landscape import status_counts
 from doo_ti.start import (
@@ -34,10 +33,7 @@ def declare(add) -> None:
 
 def run(options: Namespace, words: list[str]) -> int:
     """F on each observation (§III-D), to one npz; of several whole-turn hypotheses the one nearest to what was seen."""
-    grid = given.grid(options)
-    if grid.size > 1:
-        option = f"--{grid.varying[0].name.replace('_', '-')}"
-        raise InputError("command line", option, f"a grid of {grid.size} cells", "give one number, or use sweep")
+    grid = given.single_cell(options, "give one number, or use sweep")
     frame_weight, up, out = given.frame_weight(options), given.up(options), given.output_file(options.out, ".npz")
     observations = load_observations(options.observations, up)
     clamps = observation_clamps(observations, given.clamp(options.clamp_start), given.clamp(options.clamp_end))

@@ -1,6 +1,5 @@
 """What `doo-ti track` is given, checked before any image is looked at; FRAMES.csv."""
 
-import csv
 from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,12 +27,7 @@ class Task:
 
 def checked_task(options: Namespace) -> Task:
     """Raises InputError naming the option or file at fault."""
-    grid, up = given.grid(options), given.up(options)
-    if grid.size > 1:
-        option = f"--{grid.varying[0].name.replace('_', '-')}"
-        raise InputError("command line", option, f"a grid of {grid.size} cells", "give one number")
-    if not grid.is_isotropic:
-        raise InputError("command line", "--bend", "not the same in all directions", "give --bend A: tracked rods are round")
+    grid, up = given.round_cell(options, "tracked"), given.up(options)
     rest_length = read_rest_length(options.rest_length)
     width = given.length("--width", options.width)
 
@@ -51,15 +45,9 @@ def load_frames(path: Path, rig):
 
     Raises InputError naming line and column for whatever is missing or no number, and for images that are not there.
     """
-    from doo_ti.vision.image_sets import SEED, ImageSets
+    from doo_ti.vision.image_sets import SEED, ImageSets, header_and_lines, number_in
 
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            reader = csv.DictReader(file, restval="")
-            header, lines = list(reader.fieldnames or []), list(reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        problem = (getattr(error, "strerror", None) or str(error)).lower()
-        raise InputError(path, "file", problem, "name a readable CSV file") from None
+    header, lines = header_and_lines(path)
     missing = next((name for name in ("frame", *SEED) if name not in header), None)
     if missing or not lines:
         raise InputError(path, missing or "frame", "the column is missing" if missing else "no line",
@@ -70,7 +58,7 @@ def load_frames(path: Path, rig):
     cameras, seeds, paths = [name for name in rig.names if name in header], [], []
     for number, line in enumerate(lines, 2):
         if not seeds or any(line[key] for key in SEED):
-            seeds.append([_number(path, number, line, key) for key in SEED])
+            seeds.append([number_in(path, number, line, key) for key in SEED])
         else:
             seeds.append(seeds[-1])
         paths.append(tuple(path.parent / line[name] for name in cameras))
@@ -79,19 +67,12 @@ def load_frames(path: Path, rig):
             raise InputError(path, f"line {number}, {absent}", f"{line[absent]!r} is no file", "name an image beside the file")
     time = None
     if "time_s" in header:
-        time = np.array([_number(path, number, line, "time_s") for number, line in enumerate(lines, 2)])
+        time = np.array([number_in(path, number, line, "time_s") for number, line in enumerate(lines, 2)])
         if not (np.diff(time) > 0).all():
             raise InputError(path, "time_s", "does not rise", "give frames in their order")
     seeds = np.array(seeds)
     return ImageSets(tuple(line["frame"] for line in lines), tuple(paths), rig.only(cameras) if cameras else rig, seeds[:, :3],
                      seeds[:, 3:], str(path)), time
-
-
-def _number(path: Path, number: int, line: dict, key: str) -> float:
-    try:
-        return float(line[key])
-    except ValueError:
-        raise InputError(path, f"line {number}, {key}", f"{line[key]!r} is no number", "give a decimal number") from None
 
 
 def _far_motions(path: Path, frames: int) -> list:

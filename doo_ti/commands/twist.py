@@ -11,7 +11,6 @@ from doo_ti import options as given
 from doo_ti.commands.arguments import add_json, add_material
 from doo_ti.commands.printing import counted, plain, theta_text
 from doo_ti.dataset import Observations, load_observations, write_whole
-from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.scene import PRECISIONS
 from doo_ti.start import check_experiment, observation_clamps
@@ -39,10 +38,7 @@ def declare(add) -> None:
 
 def run(options: Namespace, words: list[str]) -> int:
     """Eq. 4 for each group of observations that share φ; writes φ and the whole curve, and prints what is ambiguous."""
-    grid = given.grid(options)
-    if grid.size > 1:
-        option = f"--{grid.varying[0].name.replace('_', '-')}"
-        raise InputError("command line", option, f"a grid of {grid.size} cells", "give one number")
+    grid = given.single_cell(options)
     out, up = given.output_file(options.out, ".npz"), given.up(options)
     picture = None if options.picture is None else given.output_file(options.picture, ".png")
     observations = load_observations(options.observations, up)

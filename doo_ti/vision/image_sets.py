@@ -63,13 +63,7 @@ class ImageSets:
 def load_sets(path: str | os.PathLike, rig: Rig) -> ImageSets:
     """The sets of a CSV file. Raises InputError naming line and column for whatever is missing or no number."""
     path = Path(path)
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            reader = csv.DictReader(file)
-            header, lines = list(reader.fieldnames or []), list(reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        problem = (getattr(error, "strerror", None) or str(error)).lower()
-        raise InputError(path, "file", problem, "name a readable CSV file") from None
+    header, lines = header_and_lines(path)
     missing = [name for name in ("name", *SEED) if name not in header]
     if missing:
         raise InputError(path, missing[0], "the column is missing", f"give name, a column per camera, and {', '.join(SEED)}")
@@ -82,15 +76,27 @@ def load_sets(path: str | os.PathLike, rig: Rig) -> ImageSets:
     names = [line["name"] for line in lines]
     if len(set(names)) < len(names):
         raise InputError(path, "name", f"{max(names, key=names.count)!r} occurs twice", "name the sets apart")
-    seeds = np.array([[_number(path, number, line, key) for key in SEED] for number, line in enumerate(lines, 2)])
+    seeds = np.array([[number_in(path, number, line, key) for key in SEED] for number, line in enumerate(lines, 2)])
     paths = tuple(tuple(_image(path, number, line, name) for name in cameras) for number, line in enumerate(lines, 2))
     return ImageSets(tuple(names), paths, rig.only(cameras) if cameras else rig, seeds[:, :3], seeds[:, 3:], str(path))
 
 
-def _number(path: Path, number: int, line: dict, key: str) -> float:
+def header_and_lines(path: Path) -> tuple[list[str], list[dict[str, str]]]:
+    """Columns and lines of a CSV file, with empty text where a line is short."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            reader = csv.DictReader(file, restval="")
+            return list(reader.fieldnames or []), list(reader)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        problem = (getattr(error, "strerror", None) or str(error)).lower()
+        raise InputError(path, "file", problem, "name a readable CSV file") from None
+
+
+def number_in(path: Path, number: int, line: dict, key: str) -> float:
+    """What column ``key`` of a line holds. Raises InputError naming both for what is no number."""
     try:
         return float(line[key])
-    except (TypeError, ValueError):
+    except ValueError:
         raise InputError(path, f"line {number}, {key}", f"{line[key]!r} is no number", "give a decimal number") from None
 
 
