@@ -9,7 +9,12 @@ import os
 from contextlib import redirect_stdout
 from io import StringIO
 
+from pathlib import Path
+
 from doo_ti.errors import InputError
+
+TASKS = Path("/proc/self/task")
+"""Where Linux names a process's threads."""
 
 _architecture: str | None = None
 
@@ -30,6 +35,7 @@ def start(architecture: str | None = None, threads: int | None = None) -> str:
         import taichi as ti
 
         count = {} if threads is None else {"cpu_max_num_threads": threads}
+        others = _tasks()
         with redirect_stdout(StringIO()):  # it greets on standard output, which belongs to the commands' results
             ti.init(
                 arch={"cpu": ti.cpu, "cuda": ti.cuda}[architecture],
@@ -42,6 +48,8 @@ def start(architecture: str | None = None, threads: int | None = None) -> str:
                 log_level=ti.ERROR,
                 **count,
             )
+        if architecture == "cpu" and os.environ.get("DOO_TI_PINNED") != "0":
+            _pin(sorted(_tasks() - others))
         if not os.environ.get("DOO_TI_DEBUG"):
             _spare_quotations()
         _architecture = architecture
@@ -59,6 +67,27 @@ def _spare_quotations() -> None:
     context = getattr(ast_transformer_utils, "ASTTransformerContext", None)
     if hasattr(context, "get_pos_info"):
         context.get_pos_info = lambda self, node: ""
+
+
+def _tasks() -> set[int]:
+    """The threads of this process; none where the system does not tell."""
+    return {int(task.name) for task in TASKS.iterdir()} if TASKS.is_dir() else set()
+
+
+def _pin(tasks: list[int]) -> None:
+    """Give each of Taichi's ``tasks``, the threads it started, a processor of its own, in turn.
+
+    Left alone the system often wakes two threads on one processor and parts them milliseconds later, when a call of a
+    thousand rods is long over. Only where the threads are as many as the processors this process may use: workers that share
+    the machine must not crowd together. DOO_TI_PINNED=0 leaves it to the system.
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        return
+    processors = sorted(os.sched_getaffinity(0))
+    if thread_count() == len(processors) > 1:
+        # Those that compile come before those that run kernels, which follow each other.
+        for place, task in enumerate(tasks):
+            os.sched_setaffinity(task, {processors[place % len(processors)]})
 
 
 def thread_count() -> int:
