@@ -8,7 +8,6 @@ threads is not cut into blocks.
 import os
 from contextlib import redirect_stdout
 from io import StringIO
-
 from pathlib import Path
 
 from doo_ti.errors import InputError

@@ -2,6 +2,8 @@
 
 import taichi as ti
 
+from doo_ti.physics.algebra import cross, dot
+
 
 @ti.func
 def tangent(q):
@@ -79,3 +81,36 @@ def turned_in_world(q, w):
             q[3] + c * q[0] + a * q[2] - b * q[1],
         )
     )
+
+
+@ti.func
+def transported(q, source, target):
+    """q turned by the parallel transport that takes ``source`` to ``target``, unit vectors that are not opposite (§III-C)."""
+    axis = cross(source, target)
+    share = 2.0 / (1.0 + dot(source, target))
+    return turned_in_world(q, (share * axis[0], share * axis[1], share * axis[2]))
+
+
+@ti.func
+def from_matrix(m):
+    """The unit quaternion of a rotation (t, m1, m2), nine numbers row by row; its scalar is positive where that exceeds a half,
+    else its largest component.
+
+    Each row of 4 q qᵀ is q up to length: the first serves unless the scalar is small, the largest always.
+    """
+    w, x, y, z = (1.0 + m[0] + m[4] + m[8], m[7] - m[5], m[2] - m[6], m[3] - m[1])
+    if not m[0] + m[4] + m[8] > 0.0:
+        ww = w
+        xx, yy, zz = (1.0 + m[0] - m[4] - m[8], 1.0 - m[0] + m[4] - m[8], 1.0 - m[0] - m[4] + m[8])
+        wx, wy, wz = (x, y, z)
+        xy, xz, yz = (m[1] + m[3], m[2] + m[6], m[5] + m[7])
+        most = ww
+        if xx > most:
+            most = xx
+            w, x, y, z = (wx, xx, xy, xz)
+        if yy > most:
+            most = yy
+            w, x, y, z = (wy, xy, yy, yz)
+        if zz > most:
+            w, x, y, z = (wz, xz, yz, zz)
+    return normalised((w, x, y, z))

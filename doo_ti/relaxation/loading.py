@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import taichi as ti
 
-from doo_ti.physics.algebra import cross, dot
-from doo_ti.physics.quaternion import normalised, tangent, turned_in_world
+from doo_ti.physics.algebra import dot
+from doo_ti.physics.quaternion import normalised, tangent, transported
 from doo_ti.relaxation import chain
 from doo_ti.relaxation.columns import (
     ANCHOR,
@@ -67,8 +67,8 @@ def lane_loading(number, isotropic: bool, stride: int, items: int, outside=None)
 
     @ti.func
     def frame_from(source: ti.template(), place):
-        """The frame at ``place`` of ``source``, normalised."""
-        return normalised((source[place], source[place + 1], source[place + 2], source[place + 3]))
+        """The frame at ``place`` of ``source``, of any length."""
+        return (source[place], source[place + 1], source[place + 2], source[place + 3])
 
     @ti.func
     def put_frame(scratch: ti.template(), at, slot, frame):
@@ -77,7 +77,8 @@ def lane_loading(number, isotropic: bool, stride: int, items: int, outside=None)
 
     @ti.func
     def load_frames(scratch: ti.template(), origin, edges, slot, source: ti.template(), row, clamp: ti.template(), s):
-        """The frames of ``source``'s row into lane ``slot``, those at the ends as clamp s holds them."""
+        """The frames of ``source``'s row into lane ``slot``, those at the ends as clamp s holds them. The first step, of no
+        length, makes unit quaternions of them."""
         last = origin + (edges - 1) * ti.static(items * stride)
         at = origin
         place = row * edges * 4
@@ -97,12 +98,10 @@ def lane_loading(number, isotropic: bool, stride: int, items: int, outside=None)
             put_frame(scratch, at, slot, held)
             if clamp[s, SPIN_START + end] > 0.0:
                 # A tangent alone: by parallel transport, which there is not from the opposite one.
-                frame = frame_from(source, place)
+                frame = normalised(frame_from(source, place))
                 old, new = tangent(frame), tangent(held)
-                whole = 1.0 + dot(old, new)
-                if whole > 1e-14:
-                    axis, share = cross(old, new), 2.0 / whole
-                    put_frame(scratch, at, slot, turned_in_world(frame, (share * axis[0], share * axis[1], share * axis[2])))
+                if 1.0 + dot(old, new) > 1e-14:
+                    put_frame(scratch, at, slot, transported(frame, old, new))
 
     @ti.func
     def store_frames(scratch: ti.template(), origin, edges, slot, target: ti.template(), row):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti.errors import InputError
+from doo_ti.relaxation.clamp_kernel import INFEASIBLE
 from doo_ti.relaxation.clamp_table import clamp_table, outer_edges, whole_start
 from doo_ti.relaxation.columns import (
     ANCHOR,
@@ -191,9 +192,9 @@ def tables(
                          "give Clamp.FREE as the end, another as the start")
     _check_material(material, edges, floating)
     isotropic = material.is_isotropic
-    clamp = clamp_table(configuration, lengths, kinds, clamps)
-    start = np.ascontiguousarray(configuration.quaternions, dtype=np.float64)
-    start, feasible = prepared(start, lengths, clamp, up)
+    clamp, found = clamp_table(configuration, lengths, kinds, clamps)
+    start = prepared(np.ascontiguousarray(configuration.quaternions, dtype=np.float64), lengths, clamp, found, up)
+    feasible = found != INFEASIBLE
     sound = feasible[index_c]
     all_rods = _rods(index_c, index_m, np.arange(rods), index_c, index_e)
     return Tables(
