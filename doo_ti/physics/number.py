@@ -74,6 +74,8 @@ def _scalar_lanes(scalar):
 
 
 def _pack_lanes(pack, scalar):
+    numbered = tuple(float(place) for place in range(pack.n))
+
     @ti.func
     def largest(value):
         """The largest lane. Lanes that are not a number are passed over: ask it about flags only."""
@@ -86,10 +88,9 @@ def _pack_lanes(pack, scalar):
 
     @ti.func
     def with_lane(value, index, new):
-        """The value with one lane replaced."""
-        changed = value
-        changed[index] = ti.cast(new, scalar)
-        return changed
+        """The value with one lane replaced. Not by setting it where the value lies in memory: to read that back as a pack
+        waits until all that was stored before has arrived."""
+        return ti.select(pack(numbered) == ti.cast(index, scalar), pack(ti.cast(new, scalar)), value)
 
     @ti.func
     def constant(value):
