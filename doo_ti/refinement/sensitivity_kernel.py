@@ -60,10 +60,13 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
         threads = min(len(rods), runtime.thread_count() if on_cpu else MOST_THREADS_ON_A_GPU)
         stride = 1 if on_cpu else threads
         items = ASKED_ITEMS + (chain.GENERAL_ITEMS + KEPT_ITEMS) * edges
+        # Those of f32 are unit quaternions to seven digits.
+        frames = solution.configuration.quaternions
+        frames = frames / np.linalg.norm(frames, axis=-1, keepdims=True)
         sensitivity_kernel(stride, 1 if on_cpu else 64)(
-            table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods,
-            np.ascontiguousarray(solution.configuration.quaternions).reshape(-1), np.ascontiguousarray(solution.end_force),
-            np.ascontiguousarray(directions), threads, np.zeros(threads * items), vertices, rotations, sound,
+            table.start.reshape(-1), table.rest_length, table.clamp, table.material, *table.up, rods, frames.reshape(-1),
+            np.ascontiguousarray(solution.end_force), np.ascontiguousarray(directions), threads, np.zeros(threads * items),
+            vertices, rotations, sound,
         )
     lost = sound == 0
     vertices[lost], rotations[lost] = np.nan, np.nan
@@ -216,6 +219,7 @@ def sensitivity_kernel(stride: int, block: int):
     @ti.kernel
     def solve(
         start: table1, rest_length: table2, clamp: table2, material: table2,  # as the Newton kernel has them
+        up0: ti.f64, up1: ti.f64, up2: ti.f64,
         rods: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [rod, ROD_COLUMNS]
         frames: table1,  # [row · edge · 4] the equilibria
         end_force: table2,  # [row, 3] −λ
@@ -236,7 +240,8 @@ def sensitivity_kernel(stride: int, block: int):
             while rod < rods.shape[0]:
                 row = rods[rod, OF_RESULT]
                 loading.load(
-                    scratch, head, edges, 0, rod, 0.0, rods, start, frames, rest_length, clamp, material, material)
+                    scratch, head, edges, 0, rod, 0.0, (up0, up1, up2), rods, start, frames, rest_length, clamp, material,
+                    material)
                 unit = scratch[head + ASKED_UNIT * stride]
                 closed = scratch[head + ASKED_CLOSED * stride]
                 released = scratch[head + ASKED_RELEASED * stride]

@@ -3,8 +3,6 @@
 Device scratch is allocated once per thread and reused, whatever the number of rods.
 """
 
-import sys
-
 import numpy as np
 
 from doo_ti import runtime
@@ -13,6 +11,7 @@ from doo_ti.physics.number import Number
 from doo_ti.relaxation import chain, descent, newton
 from doo_ti.relaxation.columns import ITERATIONS, RESULTS, STATUS
 from doo_ti.relaxation.loading import ASKED_ITEMS, LANES, TRIPS
+from doo_ti.relaxation.memory import room
 from doo_ti.relaxation.newton_kernel import newton_kernel
 from doo_ti.relaxation.tables import Tables
 from doo_ti.relaxation.vertex_chain import ITEMS
@@ -21,16 +20,12 @@ from doo_ti.types import Solution, Status
 PROJECTIONS = 100
 """Rounds in which Descent's starts are brought onto closure."""
 
-POOLED_BYTES = 1 << 30
-"""Frames of results no longer in use are kept for the next call up to this size: a fresh page costs as much as a rod's step."""
-
 UNTOUCHED = np.full(RESULTS, np.nan)
 """The results of a rod that no kernel has seen, since it is infeasible."""
 UNTOUCHED[[ITERATIONS, STATUS]] = 0.0, Status.INFEASIBLE
 
 _scratch: dict = {}
 _queues: dict[Number, np.ndarray] = {}
-_pool: list[np.ndarray] = []
 
 
 def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution | None = None, moving: bool = True):
@@ -39,10 +34,10 @@ def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution
 
     With ``moving`` false only the projection runs, which brings a start onto closure.
     """
-    frames = _room(table.count * table.edges * 4).reshape(table.count, table.edges, 4)
+    frames, results = room(table.count, table.edges, 4), room(table.count, RESULTS)
     if len(table.rods) < table.count:
-        frames[~table.feasible[table.configuration_index]] = np.nan
-    results = _untouched(table.count)
+        infeasible = ~table.feasible[table.configuration_index]
+        frames[infeasible], results[infeasible] = np.nan, UNTOUCHED
     if begin is None:
         _launch_newton(table, table.start, table.rods, options, bits, frames, results, moving)
     else:
@@ -56,7 +51,6 @@ def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution
 
 def continue_newton(table: Tables, options: newton.Newton, bits: int, frames, results, rows, usable) -> None:
     """Relax the rods ``rows`` further, in place: from their ``frames`` where ``usable`` (R,), else from their starts."""
-    results[rows] = UNTOUCHED
     _launch_newton(table, table.start, table.continued(usable, rows), options, bits, frames, results)
 
 
@@ -73,19 +67,6 @@ def pack_trips(bits: int) -> tuple[int, int]:
     return int(queue[TRIPS]), number.width
 
 
-def _room(size: int) -> np.ndarray:
-    """(size,) numbers of any value: memory of an earlier result that nobody holds any more, where there is one that fits."""
-    for kept in _pool:
-        # Held by the pool, by this loop and by the call only.
-        if size <= kept.size <= 2 * size and sys.getrefcount(kept) == 3:
-            return kept[:size]
-    fresh = np.empty(size)
-    _pool.append(fresh)
-    while sum(kept.nbytes for kept in _pool) > POOLED_BYTES:
-        _pool.pop(0)
-    return fresh
-
-
 def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int, frames, results, moving: bool = True) -> None:
     """One launch over ``rods``, whose starts are rows of ``start`` (-, E, 4) or of ``frames``."""
     number, threads, stride, block = _machine(len(rods), bits)
@@ -99,7 +80,7 @@ def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int
     kernel = newton_kernel(number, table.isotropic, stride, block, serial, kind)
     scratch, queue = _buffers(number, threads, ASKED_ITEMS + per_edge * table.edges)
     kernel(
-        start.reshape(-1), table.rest_length, table.clamp, table.material, rods,
+        start.reshape(-1), table.rest_length, table.clamp, table.material, *table.up, rods,
         options.tolerance or (1e-6 if bits == 32 else 1e-9), options.max_iterations, options.first_shift,
         options.max_rotation, options.max_escapes, newton.CLOSING_DISTANCE if moving else -1.0, threads, scratch, queue,
         frames.reshape(-1), results, *outer,
@@ -123,9 +104,9 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     axes = np.full((table.count, table.edges, 3), np.nan)
     results = _untouched(table.count)
     descent.descent_kernel(number, stride, block)(
-        vertices, directors, table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.material, table.rods,
-        options.tolerance, options.max_iterations, options.largest_move, threads, items if stride == 1 else 1, scratch, queue,
-        positions, axes, results,
+        vertices, directors, table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.material, *table.up,
+        table.rods, options.tolerance, options.max_iterations, options.largest_move, threads, items if stride == 1 else 1,
+        scratch, queue, positions, axes, results,
     )
     frames = _chain_form(positions, axes)
     certificate = newton.Newton(tolerance=options.tolerance, max_iterations=1, first_shift=0.0, max_escapes=0)

@@ -13,9 +13,9 @@ TARGET, CLOSED, SPIN_START, SPIN_END, TILT_START, TILT_END, TILT_INNER, RELEASED
 TOTAL, LONGEST, SHORTEST_PAIR, HANGING, ANCHOR, ENDS, CLAMP_COLUMNS = 10, 11, 12, 13, 14, 17, 25
 
 # Columns of a material: weight μ, the largest eigenvalue of B, that or β where it is more, one where the rod looks the same
-# from all sides, so that it may spin about itself at no cost, μ times the unit vector up; and its stiffness, once or edge by
-# edge: B as (11, 22, 12), and of the inner vertex where the edge begins β and ω̄.
-WEIGHT, LARGEST_BEND, STIFFEST, ROUND, LIFT, STIFFNESS = 0, 1, 2, 3, 4, 7
+# from all sides, so that it may spin about itself at no cost; and its stiffness, once or edge by edge: B as (11, 22, 12), and
+# of the inner vertex where the edge begins β and ω̄.
+WEIGHT, LARGEST_BEND, STIFFEST, ROUND, STIFFNESS = 0, 1, 2, 3, 4
 BEND, TWIST, REST, STIFFNESS_COLUMNS = 0, 3, 4, 6
 
 # Columns of a rod: its row of the clamps, of the materials, of the results, of the starts, or FROM_RESULTS where it starts
@@ -23,8 +23,8 @@ BEND, TWIST, REST, STIFFNESS_COLUMNS = 0, 3, 4, 6
 OF_CLAMP, OF_MATERIAL, OF_RESULT, OF_START, OF_EXTERNAL, ROD_COLUMNS = 0, 1, 2, 3, 4, 5
 FROM_RESULTS = -1
 
-# Columns of a rod's results; the multiplier λ of closure has three.
-ENERGY, RESIDUAL, CLOSURE, ITERATIONS, STATUS, STABLE, MULTIPLIER, RESULTS = 0, 1, 2, 3, 4, 5, 6, 9
+# Columns of a rod's results; the force −λ that holds its far end has three.
+ENERGY, RESIDUAL, CLOSURE, ITERATIONS, STATUS, STABLE, FORCE, RESULTS = 0, 1, 2, 3, 4, 5, 6, 9
 
 MOST_NUMBERS = 2**31 - 1
 """A table has no more entries: the kernels count them with 32 bits."""

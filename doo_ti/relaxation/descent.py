@@ -19,7 +19,6 @@ from doo_ti.relaxation.columns import (
     CLOSURE,
     ENERGY,
     ITERATIONS,
-    LIFT,
     OF_CLAMP,
     OF_MATERIAL,
     OF_RESULT,
@@ -32,6 +31,7 @@ from doo_ti.relaxation.columns import (
     TILT_END,
     TILT_INNER,
     TILT_START,
+    WEIGHT,
 )
 from doo_ti.relaxation.loading import LANES, NEXT, residual_divisor
 from doo_ti.relaxation.vertex_chain import DIRECTOR, ITEMS, POSITION, TRIAL_POSITION, vertex_sweeps
@@ -86,6 +86,9 @@ def descent_kernel(number: Number, stride: int, block: int):
         twist: table2,  # [material, 1 or inner vertex] mm³
         rest: table3,  # [material, 1 or inner vertex, 2] 1/mm
         material: table2,  # [material, STIFFNESS and more columns]
+        up0: ti.f64,  # unit vector against gravity
+        up1: ti.f64,
+        up2: ti.f64,
         rods: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [rod, ROD_COLUMNS]
         tolerance: ti.f64,
         max_iterations: ti.i32,
@@ -154,9 +157,9 @@ def descent_kernel(number: Number, stride: int, block: int):
                                 taut = with_lane(taut, slot, 1.0 - clamp[s, TILT_INNER])
                                 spin_start = with_lane(spin_start, slot, clamp[s, SPIN_START])
                                 spin_end = with_lane(spin_end, slot, clamp[s, SPIN_END])
-                                gravity0 = with_lane(gravity0, slot, material[g, LIFT])
-                                gravity1 = with_lane(gravity1, slot, material[g, LIFT + 1])
-                                gravity2 = with_lane(gravity2, slot, material[g, LIFT + 2])
+                                gravity0 = with_lane(gravity0, slot, material[g, WEIGHT] * up0)
+                                gravity1 = with_lane(gravity1, slot, material[g, WEIGHT] * up1)
+                                gravity2 = with_lane(gravity2, slot, material[g, WEIGHT] * up2)
                                 count = with_lane(count, slot, 0.0)
                                 step = with_lane(step, slot, 0.0)
                                 residual = with_lane(residual, slot, 1e30)

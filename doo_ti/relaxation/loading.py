@@ -18,7 +18,6 @@ from doo_ti.relaxation.columns import (
     FROM_RESULTS,
     HANGING,
     LARGEST_BEND,
-    LIFT,
     LONGEST,
     OF_CLAMP,
     OF_EXTERNAL,
@@ -138,11 +137,11 @@ def lane_loading(number, isotropic: bool, stride: int, items: int, outside=None)
             at += ti.static(items * stride)
 
     @ti.func
-    def load_asked(scratch: ti.template(), head, slot, s, g, divisor, clamp: ti.template(), material: ti.template()):
+    def load_asked(scratch: ti.template(), head, slot, s, g, divisor, up, clamp: ti.template(), material: ti.template()):
         """What is asked of the rod (configuration s, material g) into lane ``slot``, energies over ``divisor``."""
         for k in ti.static(range(3)):
             put(scratch, head + (ASKED_TARGET + k) * stride, slot, clamp[s, TARGET + k])
-            put(scratch, head + (ASKED_GRAVITY + k) * stride, slot, material[g, LIFT + k] / divisor)
+            put(scratch, head + (ASKED_GRAVITY + k) * stride, slot, material[g, WEIGHT] * up[k] / divisor)
             put(scratch, head + (ASKED_ANCHOR + k) * stride, slot, clamp[s, ANCHOR + k])
         put(scratch, head + ASKED_CLOSED * stride, slot, clamp[s, CLOSED])
         # A round rod with both spins free turns about itself at no cost: hold its first spin.
@@ -162,7 +161,7 @@ def lane_loading(number, isotropic: bool, stride: int, items: int, outside=None)
 
     @ti.func
     def load(
-        scratch: ti.template(), head, edges, slot, rod, lengths_known, rods: ti.template(), start: ti.template(),
+        scratch: ti.template(), head, edges, slot, rod, lengths_known, up, rods: ti.template(), start: ti.template(),
         frames: ti.template(), rest_length: ti.template(), clamp: ti.template(), material: ti.template(), outer: ti.template(),
     ):
         """Row ``rod`` of ``rods`` into lane ``slot``. Lengths are left where the lane has them and all rods share them."""
@@ -184,6 +183,6 @@ def lane_loading(number, isotropic: bool, stride: int, items: int, outside=None)
             for e in range(edges):
                 outside.load(scratch, at, slot, outer, rods[rod, OF_EXTERNAL], e, 1.0 / divisor)
                 at += ti.static(items * stride)
-        load_asked(scratch, head, slot, s, g, divisor, clamp, material)
+        load_asked(scratch, head, slot, s, g, divisor, up, clamp, material)
 
     return SimpleNamespace(load=load, store_frames=store_frames)

@@ -12,7 +12,7 @@ import taichi as ti
 from doo_ti.physics.algebra import dot
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import chain, loaded_chain
-from doo_ti.relaxation.columns import CLOSURE, ENERGY, ITERATIONS, MULTIPLIER, OF_RESULT, RESIDUAL, STABLE, STATUS
+from doo_ti.relaxation.columns import CLOSURE, ENERGY, FORCE, ITERATIONS, OF_RESULT, RESIDUAL, RESULTS, STABLE, STATUS
 from doo_ti.relaxation.loading import (
     ASKED_ANCHOR,
     ASKED_CLOSED,
@@ -87,10 +87,10 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
 
     @ti.func
     def relax_rods(
-        start: ti.template(), rest_length: ti.template(), clamp: ti.template(), material: ti.template(), rods: ti.template(),
-        tolerance, max_iterations, first_shift, max_rotation, max_escapes, closing_distance, threads, thread,
-        scratch: ti.template(), queue: ti.template(), frames: ti.template(), results: ti.template(), outer: ti.template(),
-        field: ti.template(),
+        start: ti.template(), rest_length: ti.template(), clamp: ti.template(), material: ti.template(), up,
+        rods: ti.template(), tolerance, max_iterations, first_shift, max_rotation, max_escapes, closing_distance, threads,
+        thread, scratch: ti.template(), queue: ti.template(), frames: ti.template(), results: ti.template(),
+        outer: ti.template(), field: ti.template(),
     ):
         """A thread's work, until the queue is empty; ``outer`` and ``field`` are the external energy's, if there is one."""
         edges = rest_length.shape[1]
@@ -126,13 +126,16 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
                         if lane(active, slot) > 0.5:
                             row = rods[queue[lane_rod + slot], OF_RESULT]
                             loading.store_frames(scratch, origin, edges, slot, frames, row)
-                            if lane(status, slot) != not_finite:  # else these are NaN already
+                            if lane(status, slot) == not_finite:
+                                for k in ti.static(range(RESULTS)):
+                                    results[row, k] = ti.math.nan
+                            else:
                                 unit = ti.cast(get(scratch, head + ASKED_UNIT * stride, slot), ti.f64)
                                 results[row, ENERGY] = ti.cast(lane(energy, slot), ti.f64) * unit
                                 results[row, RESIDUAL] = lane(residual, slot)
-                                results[row, MULTIPLIER] = ti.cast(lane(lambda0, slot), ti.f64) * unit
-                                results[row, MULTIPLIER + 1] = ti.cast(lane(lambda1, slot), ti.f64) * unit
-                                results[row, MULTIPLIER + 2] = ti.cast(lane(lambda2, slot), ti.f64) * unit
+                                results[row, FORCE] = 0.0 - ti.cast(lane(lambda0, slot), ti.f64) * unit
+                                results[row, FORCE + 1] = 0.0 - ti.cast(lane(lambda1, slot), ti.f64) * unit
+                                results[row, FORCE + 2] = 0.0 - ti.cast(lane(lambda2, slot), ti.f64) * unit
                                 squares = lane(miss0, slot) ** 2 + lane(miss1, slot) ** 2 + lane(miss2, slot) ** 2
                                 results[row, CLOSURE] = ti.sqrt(squares) / get(scratch, head + ASKED_TOTAL * stride, slot)
                             results[row, ITERATIONS] = lane(trips, slot)
@@ -147,8 +150,8 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
                             taken_up += 1
                             queue[lane_rod + slot] = rod
                             loading.load(
-                                scratch, head, edges, slot, rod, lane(lengths_known, slot), rods, start, frames, rest_length,
-                                clamp, material, outer)
+                                scratch, head, edges, slot, rod, lane(lengths_known, slot), up, rods, start, frames,
+                                rest_length, clamp, material, outer)
                             lengths_known = with_lane(lengths_known, slot, 1.0)
                             active = with_lane(active, slot, 1.0)
                 # The lanes that were refilled start anew.
@@ -298,6 +301,9 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
         rest_length: table2,  # [1 or configuration, edge] mm
         clamp: table2,  # [configuration, CLAMP_COLUMNS]
         material: table2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
+        up0: ti.f64,  # unit vector against gravity
+        up1: ti.f64,
+        up2: ti.f64,
         rods: index2,  # [rod, ROD_COLUMNS]
         tolerance: ti.f64,
         max_iterations: ti.i32,
@@ -314,21 +320,23 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
         ti.loop_config(block_dim=block, serialize=serial)
         for thread in range(threads):
             relax_rods(
-                start, rest_length, clamp, material, rods, tolerance, max_iterations, first_shift, max_rotation, max_escapes,
-                closing_distance, threads, thread, scratch, queue, frames, results, material, material)
+                start, rest_length, clamp, material, (up0, up1, up2), rods, tolerance, max_iterations, first_shift,
+                max_rotation, max_escapes, closing_distance, threads, thread, scratch, queue, frames, results,
+                material, material)
 
     @ti.kernel
     def newton_under_load(
-        start: table1, rest_length: table2, clamp: table2, material: table2, rods: index2, tolerance: ti.f64,
-        max_iterations: ti.i32, first_shift: ti.f64, max_rotation: ti.f64, max_escapes: ti.i32, closing_distance: ti.f64,
-        threads: ti.i32, scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, results: table2,
+        start: table1, rest_length: table2, clamp: table2, material: table2, up0: ti.f64, up1: ti.f64, up2: ti.f64,
+        rods: index2, tolerance: ti.f64, max_iterations: ti.i32, first_shift: ti.f64, max_rotation: ti.f64,
+        max_escapes: ti.i32, closing_distance: ti.f64, threads: ti.i32,
+        scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, results: table2,
         outer: table3,  # the numbers of the external energy
         field: ti.types.ndarray(dtype=ti.f32, ndim=1),  # and what it looks up in space
     ):
         ti.loop_config(block_dim=block, serialize=serial)
         for thread in range(threads):
             relax_rods(
-                start, rest_length, clamp, material, rods, tolerance, max_iterations, first_shift, max_rotation, max_escapes,
-                closing_distance, threads, thread, scratch, queue, frames, results, outer, field)
+                start, rest_length, clamp, material, (up0, up1, up2), rods, tolerance, max_iterations, first_shift,
+                max_rotation, max_escapes, closing_distance, threads, thread, scratch, queue, frames, results, outer, field)
 
     return newton if external is None else newton_under_load

@@ -12,7 +12,7 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.relaxation import batch
-from doo_ti.relaxation.columns import CLOSURE, ENERGY, ITERATIONS, MULTIPLIER, RESIDUAL, STABLE, STATUS, TOTAL
+from doo_ti.relaxation.columns import CLOSURE, ENERGY, FORCE, ITERATIONS, RESIDUAL, STABLE, STATUS, TOTAL
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.external import External
 from doo_ti.relaxation.newton import Newton
@@ -158,7 +158,7 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
         iterations=results[:, ITERATIONS].astype(np.int32),
         status=results[:, STATUS].astype(np.int8),
         stable=results[:, STABLE] == 1,
-        end_force=-results[:, MULTIPLIER:],
+        end_force=results[:, FORCE:],
         precision=bits.astype(np.int8),
         tables=table,
     )

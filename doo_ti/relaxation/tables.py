@@ -19,7 +19,6 @@ from doo_ti.relaxation.columns import (
     FREE,
     FROM_RESULTS,
     LARGEST_BEND,
-    LIFT,
     MOST_NUMBERS,
     OF_CLAMP,
     OF_EXTERNAL,
@@ -37,6 +36,7 @@ from doo_ti.relaxation.columns import (
     WEIGHT,
 )
 from doo_ti.relaxation.external import External
+from doo_ti.relaxation.memory import room
 from doo_ti.relaxation.prepared_start import prepared
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 
@@ -139,7 +139,7 @@ class Tables:
             raise InputError("relax_again", "material_index", f"shape {rows.shape}", f"give ({self.count},) row numbers")
         _, rows = _pairs(len(self.start), material.count, self.configuration_index, rows)
         isotropic = material.is_isotropic
-        table = _material_table(material, isotropic, self.edges, self.up)
+        table = _material_table(material, isotropic, self.edges)
         rods = self.rods.copy()
         rods[:, OF_MATERIAL] = rows[rods[:, OF_RESULT]]
         return replace(self, material=table, isotropic=isotropic, material_index=rows, rods=rods)
@@ -201,7 +201,7 @@ def tables(
         start=start,
         rest_length=lengths,
         clamp=clamp,
-        material=_material_table(material, isotropic, edges, up),
+        material=_material_table(material, isotropic, edges),
         isotropic=isotropic,
         rods=all_rods if sound.all() else all_rods[sound],
         feasible=feasible,
@@ -250,7 +250,7 @@ def _joints(material: np.ndarray) -> np.ndarray:
     return edges[:, 1:] if edges.shape[1] > 1 else edges
 
 
-def _material_table(material: Material, isotropic: bool, edges: int, up: np.ndarray) -> np.ndarray:
+def _material_table(material: Material, isotropic: bool, edges: int) -> np.ndarray:
     """(G, STIFFNESS + 1 or E · STIFFNESS_COLUMNS): see the columns' names. Raises InputError where that is too large."""
     bend, twist, rest = material.bend, material.twist, material.rest_curvature
     uniform = bend.shape[1] == twist.shape[1] == 1 and (rest is None or rest.shape[1] == 1)
@@ -258,7 +258,8 @@ def _material_table(material: Material, isotropic: bool, edges: int, up: np.ndar
     if material.count * columns > MOST_NUMBERS:
         raise InputError("relax", "material", f"{material.count:,} rows in one call",
                          f"give at most {MOST_NUMBERS // columns:,} at a time")
-    table = np.zeros((material.count, columns))
+    table = room(material.count, columns)
+    table[:] = 0.0
     along, joints = _edges(table), _joints(table)
     first, second, mixed = bend[..., 0, 0], bend[..., 1, 1], bend[..., 0, 1]
     along[..., BEND], along[..., BEND + 1], along[..., BEND + 2] = first, second, mixed
@@ -274,7 +275,6 @@ def _material_table(material: Material, isotropic: bool, edges: int, up: np.ndar
     table[:, WEIGHT] = material.weight
     table[:, LARGEST_BEND] = largest.max(axis=1)
     table[:, STIFFEST] = np.maximum(table[:, LARGEST_BEND], twist.max(axis=1))
-    table[:, LIFT : LIFT + 3] = material.weight[:, None] * up
     return table
 
 

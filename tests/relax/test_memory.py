@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti import InputError, Material, relax
-from doo_ti.relaxation import batch, tables
+from doo_ti.relaxation import memory, tables
 from tests.references.rods import clamps_at
 from tests.relax.rods import wandering
 
@@ -15,36 +15,36 @@ def relaxed(rng, count: int, bend: float):
 
 
 def test_what_is_held_is_never_overwritten(rng):
-    held = [relaxed(rng, 40, 1e5 * (k + 1)) for k in range(4)]
+    held = [relaxed(rng, 400, 1e5 * (k + 1)) for k in range(4)]
     copies = [solution.configuration.quaternions.copy() for solution in held]
     for _ in range(6):
-        relaxed(rng, 40, 3e6)
+        relaxed(rng, 400, 3e6)
     for solution, copy in zip(held, copies):
         np.testing.assert_array_equal(solution.configuration.quaternions, copy)
 
 
 def test_a_view_keeps_its_memory(rng):
     """Even one frame of one rod, taken from a solution that is gone."""
-    view = relaxed(rng, 40, 1e5).configuration.quaternions[7, 3]
+    view = relaxed(rng, 400, 1e5).configuration.quaternions[7, 3]
     copy = view.copy()
     for _ in range(6):
-        relaxed(rng, 40, 3e6)
+        relaxed(rng, 400, 3e6)
     np.testing.assert_array_equal(view, copy)
 
 
 def test_memory_that_nobody_holds_is_used_again(rng):
     for _ in range(3):
         relaxed(rng, 500, 1e5)
-    before = len(batch._pool)
+    before = len(memory._pool)
     for _ in range(20):
         relaxed(rng, 500, 1e5)
-    assert len(batch._pool) == before
+    assert len(memory._pool) == before
 
 
 def test_pooled_memory_is_bounded(rng, monkeypatch):
-    monkeypatch.setattr(batch, "POOLED_BYTES", 200_000)
-    kept = [relaxed(rng, 200, 1e5) for _ in range(8)]
-    assert sum(array.nbytes for array in batch._pool) <= 200_000
+    monkeypatch.setattr(memory, "POOLED_BYTES", 500_000)
+    kept = [relaxed(rng, 500, 1e5) for _ in range(8)]
+    assert sum(array.nbytes for array in memory._pool) <= 500_000
     assert len(kept) == 8
 
 
