@@ -16,6 +16,8 @@ derivatives of the pairs                0.7 (1.2); by autodiff see doo_ti/bench/
 elimination and step                    1.5 (1.6)
   by jnp.linalg.solve on whole rods     64 (67), and that counts no inertia
   scan, elimination only                1.9; with blocks as (3, 7, W) arrays 7, with jnp.linalg.solve on blocks 13
+all of it the plain way, rods a second  f32 125, f64 93: jax.hessian of the whole Lagrangian, jnp.linalg.solve, the inertia by
+                                        Cholesky on closure's null space (XLA's scheduler at times hangs on two cores)
 
 The kernel takes the least-squares λ at every accepted point. Here that made a trip no faster and rods need 6.02 trips for 5.89
 (f64: 6.83 for 6.61), so λ + δλ is kept.
