@@ -276,9 +276,12 @@ def main(arguments: list[str]) -> int:
     from rich.console import Console
 
     parser = argparse.ArgumentParser(prog="engine.py", description=__doc__.splitlines()[0])
-    parser.add_argument("rows", nargs="*", choices=list(ROWS), metavar="ROW", help=f"{', '.join(ROWS)}; all by default")
+    parser.add_argument("rows", nargs="*", metavar="ROW", help=f"{', '.join(ROWS)}; all by default")
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data", metavar="DIR", help="folder with lab_a/")
     options = parser.parse_args(arguments)
+    unknown = [row for row in options.rows if row not in ROWS]
+    if unknown:
+        parser.error(f"no row {unknown[0]!r}; rows are {', '.join(ROWS)}")
     study = Engine(options.data, tell=Console(stderr=True, highlight=False).print)
     try:
         measure_rows(study, options.rows or list(ROWS))

@@ -78,6 +78,14 @@ def test_rows_without_data_are_skipped_and_say_so(tmp_path, capsys):
     assert len(lines) == len(rows) and all("skipped" in line and line.count("|") == 5 for line in lines)
 
 
+def test_without_a_row_all_are_measured(tmp_path, monkeypatch):
+    asked = []
+    for name in ROWS:
+        monkeypatch.setitem(ROWS, name, lambda study, name=name: asked.append(name))
+    monkeypatch.setattr(engine.lab, "TRUTH", {})
+    assert main(["--data", str(tmp_path)]) == 0 and asked == list(ROWS)
+
+
 def test_an_unknown_row_is_refused(capsys):
     with pytest.raises(SystemExit) as stop:
         main(["speeds"])
