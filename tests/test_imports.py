@@ -35,7 +35,7 @@ LAYERS = [
 ]
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 APART = {"learning", "twist", "perception"}
-ONLY = {"rerun": {"record"}, "matplotlib": {"report"}, "jax": {"bench"}, "cv2": {"vision"}}
+ONLY = {"rerun": {"record"}, "matplotlib": {"report"}, "jax": {"bench"}, "cv2": {"vision"}, "distributed": {"learning"}}
 
 
 def modules() -> dict[str, Path]:
@@ -132,7 +132,7 @@ def test_no_file_postpones_annotations():
 @pytest.mark.parametrize("module", ["doo_ti", "doo_ti.cli"])
 def test_importing_costs_nothing_heavy(module):
     """What is heavy is imported where it is used: taichi 1 s, rerun 0.5 s."""
-    heavy = ["taichi", "rerun", "cv2", "matplotlib", "pyarrow", "dask", "scipy", "jax"]
+    heavy = ["taichi", "rerun", "cv2", "matplotlib", "pyarrow", "dask", "scipy", "jax", "distributed"]
     script = f"import sys, {module}; print([name for name in {heavy} if name in sys.modules])"
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
     assert result.returncode == 0, result.stderr

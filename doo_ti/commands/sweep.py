@@ -38,6 +38,7 @@ def declare(add) -> None:
                         help="try N angles where an end's spin is unknown although it was held (default 0: it spins)")
     parser.add_argument("--seed", metavar="N", help="of everything random (default: the scene's, else 0)")
     parser.add_argument("--workers", metavar="N", help="processes to share the work (default: one)")
+    parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster to share the work, tcp://HOST:8786")
     parser.set_defaults(run=run)
 
 
@@ -92,6 +93,8 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     grid = given.grid(options, scene.grid if scene else None)
     frame_weight = given.frame_weight(options, scene.frame_weight if scene else 0.0)
     seed, workers = given.whole("--seed", options.seed, 0), given.whole("--workers", options.workers, 1)
+    if options.dask and workers:
+        raise InputError("command line", "--dask", "given besides --workers", "give one of the two")
     if scene and isinstance(scene.observations, Synthesis):
         seed = scene.observations.seed if seed is None else seed
         scene = replace(scene, observations=replace(scene.observations, seed=seed))
@@ -113,6 +116,7 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
         frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=given.solver(options.solver),
         precision=options.precision or (scene.precision if scene else "mixed"),
         objective=objective, spins=(scene.spins if scene else 0) if spins is None else spins, seed=seed or 0, workers=workers,
+        scheduler=options.dask,
     )
     return _Search(scene, observations, grid, chosen, pairs, run)
 

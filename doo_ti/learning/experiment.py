@@ -33,6 +33,7 @@ class SweepOptions:
     sub_step               rad that a clamp turns at most in one sub-step of Eq. 3; its shift is bound in proportion
     seed                   of everything random, for the provenance: a sweep draws nothing
     workers                processes to share the chunks; None: this one. The result does not depend on it
+    scheduler              address of a Dask scheduler whose workers share the chunks instead
     """
 
     frame_weight: float = 0.0
@@ -45,6 +46,7 @@ class SweepOptions:
     sub_step: float = np.radians(10.0).item()
     seed: int = 0
     workers: int | None = None
+    scheduler: str | None = None
 
     def as_dict(self) -> dict:
         """What the cells depend on, as JSON holds it; :meth:`from_dict` reads it back."""

@@ -28,7 +28,7 @@ from doo_ti.learning.pairs import Pairs
 from doo_ti.learning.resolution import resolve
 from doo_ti.learning.run_folder import chunk_path, claim, finished, identity_of, provenance, store
 from doo_ti.learning.trajectory import trajectory
-from doo_ti.learning.workers import pool, results
+from doo_ti.learning.workers import Alone, Crew, crew
 from doo_ti.start import check_experiment
 from doo_ti.types import Status
 
@@ -43,12 +43,18 @@ def sweep(run: Path, observations: Observations, grid: Grid, *, options: SweepOp
 
     pairs  the terms of Eq. 3; by default those of the labels
 
-    Raises InputError for what :class:`doo_ti.learning.experiment.Experiment` refuses and where ``run`` holds another sweep,
-    InterruptedRunError where a chunk fails: what is done is kept.
+    Raises InputError for what :class:`doo_ti.learning.experiment.Experiment` refuses, where ``run`` holds another sweep and
+    where no scheduler answers, InterruptedRunError where a chunk fails: what is done is kept.
     """
+    with crew(options.workers, options.scheduler) as workers:
+        return _swept(run, Experiment(observations, grid, options, pairs), workers, command)
+
+
+def _swept(run: Path, experiment: Experiment, workers: Alone | Crew, command: list[str]) -> dict:
+    """The sweep, its work done by ``workers``."""
     began = time.monotonic()
-    experiment = Experiment(observations, grid, options, pairs)
-    check_experiment(observations, experiment.clamps, grid.axes[-1].values[-1], options.frame_weight)
+    observations, grid = experiment.observations, experiment.grid
+    check_experiment(observations, experiment.clamps, grid.axes[-1].values[-1], experiment.options.frame_weight)
     rods = len(experiment.rods[0])
     if rods * grid.size > MOST_RODS:
         raise InputError(grid.source, "grid", f"{grid.size:,} cells are {rods * grid.size:,} rods",
@@ -62,7 +68,7 @@ def sweep(run: Path, observations: Observations, grid: Grid, *, options: SweepOp
     left = [chunk for chunk in chunks if not chunk_path(run, part, *chunk).exists()]
     if not left and (done := finished(run, identity)):
         return done
-    seconds = _relax_chunks(run, part, experiment, left, command)
+    seconds = _relax_chunks(run, part, experiment, left, workers, command)
     resolution = None
     if part == "hypotheses":
         resolution = resolve(run, experiment, chunks)
@@ -110,8 +116,10 @@ def _rows(experiment: Experiment, first: int, last: int) -> dict[str, np.ndarray
     return relax_hypotheses(experiment, first, last)[0]
 
 
-def _relax_chunks(run: Path, part: str, experiment: Experiment, chunks: list[tuple[int, int]], command) -> float:
-    """Relax and store ``chunks``; returns the seconds it took."""
+def _relax_chunks(
+    run: Path, part: str, experiment: Experiment, chunks: list[tuple[int, int]], workers: Alone | Crew, command: list[str],
+) -> float:
+    """Have ``workers`` relax ``chunks`` and store them; returns the seconds it took."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -120,11 +128,11 @@ def _relax_chunks(run: Path, part: str, experiment: Experiment, chunks: list[tup
     bar = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("cells"),
                    TextColumn("{task.fields[rate]}"), TimeRemainingColumn(), console=Console(stderr=True))
     try:
-        with bar, pool(experiment.options.workers) as executor:
+        with bar:
             before = cells - sum(last - first for first, last in chunks)
             task = bar.add_task(name, total=cells, completed=before, rate="compiling")
             done = 0
-            for (first, last), columns in results(partial(_rows, experiment), chunks, executor):
+            for (first, last), columns in workers.results(partial(_rows, experiment), chunks):
                 store(chunk_path(run, part, first, last), columns, name)
                 done += last - first
                 rate = done * rods / (time.monotonic() - began)

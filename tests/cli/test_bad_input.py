@@ -176,6 +176,7 @@ GRIDS = {
     "seed": (["--bend", "1e5", "--seed", "x"], "--seed", "'x'"),
     "seed negative": (["--bend", "1e5", "--seed", "-1"], "--seed", "below 0"),
     "workers": (["--bend", "1e5", "--workers", "0"], "--workers", "below 1"),
+    "a cluster and workers": (["--bend", "1e5", "--workers", "2", "--dask", "tcp://127.0.0.1:1"], "--dask", "--workers"),
     "objective": (["--bend", "1e5", "--objective", "both"], "--objective", "'both'"),
 }
 
