@@ -1,0 +1,42 @@
+"""How Taichi is started: which processors its threads may use."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+WHERE = """
+import json
+import os
+before = {int(task) for task in os.listdir("/proc/self/task")}
+from doo_ti import runtime
+runtime.start(threads=THREADS)
+tasks = sorted({int(task) for task in os.listdir("/proc/self/task")} - before)
+print(json.dumps([[sorted(os.sched_getaffinity(task)) for task in tasks][-THREADS:], sorted(os.sched_getaffinity(0))]))
+"""
+PROCESSORS = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+pytestmark = pytest.mark.skipif(len(PROCESSORS) < 2, reason="takes Linux and two processors")
+
+
+def places(threads: int, **environment) -> list:
+    """(processors each of Taichi's threads may use, those the caller may)."""
+    done = subprocess.run([sys.executable, "-c", WHERE.replace("THREADS", str(threads))], capture_output=True, text=True,
+                          env={**os.environ, **environment}, check=True)
+    return json.loads(done.stdout)
+
+
+def test_as_many_threads_as_processors_have_one_each():
+    threads, caller = places(len(PROCESSORS))
+    assert sorted(threads) == [[processor] for processor in PROCESSORS] and caller == PROCESSORS
+
+
+def test_fewer_threads_go_where_the_system_likes():
+    threads, _ = places(len(PROCESSORS) - 1)
+    assert threads == [PROCESSORS] * (len(PROCESSORS) - 1)
+
+
+def test_an_environment_variable_leaves_it_to_the_system():
+    threads, _ = places(len(PROCESSORS), DOO_TI_PINNED="0")
+    assert threads == [PROCESSORS] * len(PROCESSORS)
