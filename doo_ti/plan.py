@@ -14,6 +14,7 @@ import numpy as np
 from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
+from doo_ti.progress import progress
 from doo_ti.refinement.sensitivity import sensitivity
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
@@ -119,9 +120,6 @@ def _asked(grid: Grid, parameters: tuple[str, ...]) -> tuple[int, ...]:
 
 def _moved(configurations: Observations, clamps, grid: Grid, parameters) -> np.ndarray:
     """(G, D, P, P) Jᵀ J over the valid marks, mm², NaN where a rod comes to no certified equilibrium."""
-    from rich.console import Console
-    from rich.progress import Progress
-
     index, turns = turn_hypotheses(configurations, clamps)
     if len(index) > configurations.count:
         # Nobody knows the turns of a rod that is not measured yet: the half turn nearest to none.
@@ -130,8 +128,9 @@ def _moved(configurations: Observations, clamps, grid: Grid, parameters) -> np.n
     count = configurations.count
     step = max(1, CHUNK_RODS // count)
     moved = np.empty((grid.size, count, len(parameters), len(parameters)))
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        for first in bar.track(range(0, grid.size, step), description="sensitivities"):
+    with progress() as bar:
+        task = bar.add_task("sensitivities", total=grid.size, unit="cells")
+        for first in range(0, grid.size, step):
             last = min(first + step, grid.size)
             cell, row = np.divmod(np.arange((last - first) * count), count)
             solution = relax(starts, grid.materials(slice(first, last)), clamps, Newton(), up=configurations.up,
@@ -141,6 +140,7 @@ def _moved(configurations: Observations, clamps, grid: Grid, parameters) -> np.n
             scaled = found.vertices * values[:, None, None] * configurations.valid[row][:, :, None, None]
             scaled[~found.usable] = np.nan
             moved[first:last] = np.einsum("rvip,rviq->rpq", scaled, scaled).reshape(last - first, count, *moved.shape[2:])
+            bar.advance(task, last - first)
     return moved
 
 

@@ -15,7 +15,7 @@ LAYERS = [
     {"errors"},
     {"frames"},
     {"types"},
-    {"physics", "runtime", "importers", "grid", "contact_sheet"},
+    {"physics", "runtime", "importers", "grid", "contact_sheet", "progress"},
     {"dataset", "named_arrays"},
     {"metric", "start", "scene"},
     {"relaxation"},

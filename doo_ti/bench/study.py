@@ -12,6 +12,7 @@ from doo_ti.bench import clock, process, scaling
 from doo_ti.bench.cases import FINE, Case, Specimens, cases, measure
 from doo_ti.bench.peak import peak_gflops
 from doo_ti.dataset import write_whole
+from doo_ti.progress import progress
 from doo_ti.report import Panel, panels_picture
 
 COMPARED = 4096  # rods whose shape in f32 is compared with f64's
@@ -46,19 +47,14 @@ class Step:
 
 def measured(plan: Plan) -> dict:
     """Run all steps, with their progress on standard error. Raises InterruptedRunError where a process of its own fails."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
     architecture = runtime.start(threads=plan.threads)
     threads = runtime.thread_count()
     summary = {"machine": {**clock.machine(), "threads": threads, "architecture": architecture},
                "versions": clock.versions(), "rods": plan.rods, "rounds": plan.rounds, "cases": {}, "process": {}}
-    bar = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
-                   TimeRemainingColumn(), console=Console(stderr=True))
     rods = Specimens(plan.rods)
-    with bar, process.Children(lambda: (rods.many.starts, rods.many.clamps)) as children:
+    with progress(lasting=True) as bar, process.Children(lambda: (rods.many.starts, rods.many.clamps)) as children:
         found = steps(plan, rods, children, threads)
-        task = bar.add_task("", total=len(found), rate="")
+        task = bar.add_task("", total=len(found), unit="steps", rate="")
         for step in found:
             bar.update(task, description=step.name)
             bar.update(task, rate=step.run(summary), advance=1)

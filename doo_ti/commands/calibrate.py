@@ -9,6 +9,7 @@ import numpy as np
 from doo_ti import options as given
 from doo_ti.commands.arguments import add_json
 from doo_ti.commands.printing import plain
+from doo_ti.progress import progress
 from doo_ti.vision.board import FORMS, Board, parse_board
 from doo_ti.vision.calibration import COEFFICIENTS, WORLDS, Calibration, CalibrationOptions, calibrate
 from doo_ti.vision.rig import save_rig
@@ -46,12 +47,8 @@ def run(options: Namespace, words: list[str]) -> int:
 
 
 def _searched(views: Views, board: Board):
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("corners", total=len(views.images))
+    with progress() as bar:
+        task = bar.add_task("corners", total=len(views.images), unit="images")
         return find_sightings(views, board, lambda: bar.advance(task))
 
 

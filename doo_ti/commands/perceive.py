@@ -15,6 +15,7 @@ from doo_ti.commands.perceive_text import summary_of, tell, verdict_text
 from doo_ti.commands.printing import plain
 from doo_ti.dataset import write_whole
 from doo_ti.errors import InputError
+from doo_ti.progress import progress
 
 MARGIN_PX = 60
 """Of the distance maps around what was detected."""
@@ -59,7 +60,7 @@ def run(options: Namespace, words: list[str]) -> int:
     for path in (out, out.with_suffix(".png"), out.with_suffix(".rrd")):
         for source in filter(None, sources):
             given.refuse_overwriting(path, source)
-    with _progress() as bar:
+    with progress() as bar:
         detected = _detected(task, bar)
         found, growth = _perceived(task, detected, bar)
     result = _arrays(task, found)
@@ -72,24 +73,6 @@ def run(options: Namespace, words: list[str]) -> int:
     else:
         tell(summary)
     return 0 if summary["status"].get("converged") else 1
-
-
-def _progress():
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    return Progress(
-        TextColumn("{task.description:>9}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[unit]}"),
-        TextColumn("{task.fields[rate]}"), TimeRemainingColumn(), console=console, transient=True,
-        disable=not console.is_terminal)
-
-
-def _advance(bar, task, done: int) -> None:
-    """So many more are done, at such a rate."""
-    bar.advance(task, done)
-    seen = bar.tasks[task]
-    bar.update(task, rate=f"{seen.completed / max(seen.elapsed or 0.0, 1e-3):,.1f}/s")
 
 
 def _detected(task: Task, bar) -> list[list]:
@@ -105,14 +88,14 @@ def _detected(task: Task, bar) -> list[list]:
 
     cameras = task.sets.rig.cameras
     images = [(path, camera) for line in task.sets.paths for path, camera in zip(line, cameras, strict=True)]
-    shown = bar.add_task("detection", total=len(images), unit="images", rate="")
+    shown = bar.add_task("detection", total=len(images), unit="images")
     detections = []
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         waiting = [threads.submit(found, *image) for image in images]
         try:
             for one in waiting:
                 detections.append(one.result())
-                _advance(bar, shown, 1)
+                bar.advance(shown, 1)
         finally:
             threads.shutdown(cancel_futures=True)
     return [detections[row : row + len(cameras)] for row in range(0, len(images), len(cameras))]
@@ -127,13 +110,13 @@ def _perceived(task: Task, detected: list[list], bar):
     sets, edges = task.sets, len(task.rest_length)
     pixels = max(camera.width * camera.height for camera in sets.rig.cameras)
     together = max(1, MOST_MAP_BYTES // (4 * pixels * len(sets.rig.cameras)))
-    shown = bar.add_task("growth", total=sets.count * (edges - 1), unit="edges", rate="")
+    shown = bar.add_task("growth", total=sets.count * (edges - 1), unit="edges")
     growth, found = GrowthSteps(task.recorded), []
 
     def told(first: int, count: int):
         def step(_, kept, pruned) -> None:
             growth.add(first, kept, pruned)
-            _advance(bar, shown, count)
+            bar.advance(shown, count)
         return step
 
     for first in range(0, sets.count, together):

@@ -15,6 +15,7 @@ from doo_ti.dataset import Observations, load_observations, write_whole
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.learning.landscape import status_counts
 from doo_ti.prediction.motion_file import ClampPath, load_path
+from doo_ti.progress import progress
 from doo_ti.scene import CLAMPS, PRECISIONS
 from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.types import Clamps, Configuration, Material
@@ -82,8 +83,8 @@ def run(options: Namespace, words: list[str]) -> int:
 
     from doo_ti.prediction.predict import predict
 
-    with _progress() as bar:
-        shown = bar.add_task(task.name, total=rods * intervals)
+    with progress() as bar:
+        shown = bar.add_task(task.name, total=rods * intervals, unit="rods x moments")
         prediction = predict(task.start, task.material, task.clamps, task.path, sub_step=sub_step, between=task.between,
                              up=task.up, precision=options.precision, advance=lambda done: bar.advance(shown, done))
     result = _arrays(task, prediction)
@@ -170,14 +171,6 @@ def _settled(observations: Observations, clamps: Clamps, materials: Material) ->
     score = distance(solution.configuration, observations, index[row])
     best = choose_hypothesis(of_material * observations.count + index[row], score, solution.converged & solution.stable)
     return starts.take(row[best])
-
-
-def _progress():
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("rods x moments"),
-                    TimeRemainingColumn(), console=Console(stderr=True), transient=True)
 
 
 def _arrays(task: _Task, prediction) -> dict[str, np.ndarray]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from doo_ti import options as given
 from doo_ti.commands.experiment import observed, save
 from doo_ti.errors import InputError
+from doo_ti.progress import progress
 from doo_ti.scene import Scene, Synthesis, load_scene
 
 DIAMETER_MM = 0.5
@@ -54,7 +55,9 @@ def _photograph(options: Namespace, scene: Scene) -> None:
     photographs = Photographs(rods.names, rods.curve, rods.point, rods.direction, diameter, rig, look, seed)
     folder.mkdir(parents=True, exist_ok=True)
     save_truth(folder / "truth.npz", rods, diameter)
-    _with_progress(lambda on_set: save_photographs(folder, photographs, on_set=on_set), len(rods.names))
+    with progress() as bar:
+        shown = bar.add_task("photographs", total=len(rods.names), unit="sets")
+        save_photographs(folder, photographs, on_set=lambda: bar.advance(shown))
     print(f"{len(rods.names)} sets of {len(rig.cameras)} images of {scene.name} written to {folder}, seed {seed}")
 
 
@@ -98,14 +101,3 @@ def _value(word: str, text: str, default, may_be_none: bool):
     except ValueError:
         form = "X,Y,Z" if isinstance(default, tuple) else "a whole number" if isinstance(default, int) else "a number"
         raise InputError(given.SOURCE, "--render", f"{word!r} is no value for it", f"give {form}") from None
-
-
-def _with_progress(work, total: int) -> None:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("sets of images", total=total)
-        work(lambda: bar.advance(task))

@@ -16,6 +16,7 @@ from doo_ti.commands.printing import plain
 from doo_ti.commands.track_task import Task, checked_task
 from doo_ti.dataset import write_whole
 from doo_ti.errors import InputError, InterruptedRunError
+from doo_ti.progress import progress
 
 AHEAD = 16
 """Frames whose thread is detected while one is tracked."""
@@ -75,13 +76,12 @@ def _tracked(task: Task) -> tuple[list, str | None]:
     frames, found = task.frames, []
     tracker = Tracker(frames.rig, task.rest_length, task.material, up=task.up)
     try:
-        with _progress() as bar:
-            shown = bar.add_task("tracking", total=frames.count, rate="")
+        with progress() as bar:
+            shown = bar.add_task("tracking", total=frames.count, unit="frames")
             for row, detected in enumerate(_detected(task)):
                 far = None if task.far is None or row == 0 else task.far[row - 1]
                 found.append(tracker.see(detected, frames.point[row], frames.direction[row], far))
                 bar.advance(shown)
-                bar.update(shown, rate=f"{len(found) / max(bar.tasks[0].elapsed or 0.0, 1e-3):,.1f}/s")
     except (InputError, OSError, KeyboardInterrupt) as problem:
         if not found:
             raise
@@ -108,16 +108,6 @@ def _detected(task: Task) -> Iterator[list]:
                     waiting.append(ask(row + AHEAD))
         finally:
             threads.shutdown(cancel_futures=True)
-
-
-def _progress():
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("frames"),
-                    TextColumn("{task.fields[rate]}"), TimeRemainingColumn(), console=console, transient=True,
-                    disable=not console.is_terminal)
 
 
 def _arrays(task: Task, found: list) -> dict[str, np.ndarray]:

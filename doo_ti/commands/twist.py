@@ -12,6 +12,7 @@ from doo_ti.commands.arguments import add_json, add_material
 from doo_ti.commands.printing import counted, plain, theta_text
 from doo_ti.dataset import Observations, load_observations, write_whole
 from doo_ti.grid import Grid
+from doo_ti.progress import progress
 from doo_ti.scene import PRECISIONS
 from doo_ti.start import check_experiment, observation_clamps
 
@@ -59,8 +60,8 @@ def run(options: Namespace, words: list[str]) -> int:
     if offset is None and (together > 1 or options.offsets):
         offset = end_offsets(observations, group)
     search = TwistOptions(precision=options.precision)
-    with _progress() as bar:
-        task = bar.add_task("twist", total=observations.count * len(search.angles))
+    with progress() as bar:
+        task = bar.add_task("twist", total=observations.count * len(search.angles), unit="rods")
         estimate = estimate_twist(observations, grid.materials(), group, offset, search, lambda rods: bar.advance(task, rods))
     result = _arrays(estimate)
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -69,14 +70,6 @@ def run(options: Namespace, words: list[str]) -> int:
         _draw(picture, observations, estimate)
     _tell(options, observations, grid, estimate, result, out)
     return 0 if np.isfinite(estimate.phi).any() else 1
-
-
-def _progress():
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("rods"),
-                    TimeRemainingColumn(), console=Console(stderr=True), transient=True)
 
 
 def _arrays(estimate) -> dict[str, np.ndarray]:

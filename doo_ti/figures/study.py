@@ -14,6 +14,7 @@ from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.landscape import Landscape, read_landscape
 from doo_ti.learning.partition import check_comparable
 from doo_ti.learning.run_folder import read_experiment
+from doo_ti.progress import progress
 from doo_ti.report import MEAN_DISTANCE, LandscapePanel, landscapes_picture
 
 OWN_SCALE = ", each on a colour scale of its own"
@@ -80,16 +81,11 @@ def draw_landscapes(study: Study, out: Path) -> list[dict]:
 
 def record_cells(study: Study, out: Path) -> list[dict]:
     """Write cells.rrd, with a bar of the rods relaxed."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
     files: list[dict] = []
     rods = sum(experiment.terms for experiment in study.experiments) * study.cells.grid.size
-    bar = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("rods"),
-                   TimeRemainingColumn(), console=Console(stderr=True))
     rows = study.by_distance or [[panel] for panel in study.panels[0]]
-    with _told(files, out / "cells.rrd") as path, bar:
-        task = bar.add_task("recording", total=rods)
+    with _told(files, out / "cells.rrd") as path, progress(lasting=True) as bar:
+        task = bar.add_task("recording", total=rods, unit="rods")
         record_figure(path, study.experiments, study.landscapes, rows, study.cells, title=study.title,
                       advance=lambda done: bar.update(task, advance=done))
     return files

@@ -29,6 +29,7 @@ from doo_ti.learning.resolution import resolve
 from doo_ti.learning.run_folder import chunk_path, claim, finished, identity_of, provenance, store
 from doo_ti.learning.trajectory import trajectory
 from doo_ti.learning.workers import Alone, Crew, crew
+from doo_ti.progress import progress
 from doo_ti.start import check_experiment
 from doo_ti.types import Status
 
@@ -120,17 +121,12 @@ def _relax_chunks(
     run: Path, part: str, experiment: Experiment, chunks: list[tuple[int, int]], workers: Alone | Crew, command: list[str],
 ) -> float:
     """Have ``workers`` relax ``chunks`` and store them; returns the seconds it took."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
     began = time.monotonic()
     name, cells, rods = experiment.observations.name, experiment.grid.size, len(experiment.rods[0])
-    bar = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("cells"),
-                   TextColumn("{task.fields[rate]}"), TimeRemainingColumn(), console=Console(stderr=True))
     try:
-        with bar:
+        with progress(lasting=True) as bar:
             before = cells - sum(last - first for first, last in chunks)
-            task = bar.add_task(name, total=cells, completed=before, rate="compiling")
+            task = bar.add_task(name, total=cells, completed=before, unit="cells", rate="compiling")
             done = 0
             for (first, last), columns in workers.results(partial(_rows, experiment), chunks):
                 store(chunk_path(run, part, first, last), columns, name)

@@ -1,0 +1,23 @@
+"""How far a long piece of work has come, on standard error: a bar, how much of how much, the rate and the time left."""
+
+
+def progress(*, lasting: bool = False):
+    """A bar as a context, to which work is added: ``bar.add_task("growth", total=320, unit="edges")``.
+
+    lasting  whether what it came to stays to be read, in a file too; else it goes with the work, and is for a terminal only
+
+    A task's rate is so many units a second, unless its field ``rate`` says something else.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.text import Text
+
+    class Rate(ProgressColumn):
+        def render(self, task) -> Text:
+            speed = task.finished_speed or task.speed
+            return Text(task.fields.get("rate", "" if speed is None else f"{speed:,.3g} {task.fields['unit']}/s"))
+
+    console = Console(stderr=True)
+    columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[unit]}"), Rate(), TimeRemainingColumn()
+    return Progress(TextColumn("{task.description}"), *columns, console=console, transient=not lasting,
+                    disable=not (lasting or console.is_terminal))
