@@ -15,7 +15,8 @@ def progress(*, lasting: bool = False):
     class Rate(ProgressColumn):
         def render(self, task) -> Text:
             speed = task.finished_speed or task.speed
-            return Text(task.fields.get("rate", "" if speed is None else f"{speed:,.3g} {task.fields['unit']}/s"))
+            speed = "" if speed is None else f"{speed:,.{0 if speed >= 10 else 2}f} {task.fields['unit']}/s"
+            return Text(task.fields.get("rate", speed))
 
     console = Console(stderr=True)
     columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[unit]}"), Rate(), TimeRemainingColumn()

@@ -62,7 +62,13 @@ def run(options: Namespace, words: list[str]) -> int:
     search = TwistOptions(precision=options.precision)
     with progress() as bar:
         task = bar.add_task("twist", total=observations.count * len(search.angles), unit="rods")
-        estimate = estimate_twist(observations, grid.materials(), group, offset, search, lambda rods: bar.advance(task, rods))
+
+        def advance(rods: int) -> None:
+            bar.advance(task, rods)
+            # What refining the minima takes shows only then.
+            bar.update(task, total=max(bar.tasks[task].completed, bar.tasks[task].total))
+
+        estimate = estimate_twist(observations, grid.materials(), group, offset, search, advance)
     result = _arrays(estimate)
     out.parent.mkdir(parents=True, exist_ok=True)
     write_whole(out, lambda file: np.savez_compressed(file, **result))
