@@ -13,9 +13,9 @@ import numpy as np
 from doo_ti.dataset import Observations, load_observations
 from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_from_matrix, quaternion_product
 from doo_ti.metric import distance
+from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import LARGEST_TURN, motion_between
 from doo_ti.prediction.motion_file import load_path
-from doo_ti.prediction.paced import sub_steps_of
 from doo_ti.prediction.predict import predict_step
 from doo_ti.prediction.trials import moved_as_one, moved_by_blend, predict_marks, predict_steps, rotation_steps
 from doo_ti.relaxation.relax import relax
@@ -93,7 +93,7 @@ def candidates(folder: Path) -> None:
     rod = relax(start_configuration(observations, clamps), material, clamps).configuration
     goal = _end_motions(clamps)
     motion = motion_between(clamps.take(np.zeros(CANDIDATES, dtype=int)), goal)
-    each = sub_steps_of(motion, rod.rest_length, LARGEST_TURN)
+    each = Journey(motion, material, LARGEST_TURN, rod.rest_length).sub_steps
     steps = each.sum() / CANDIDATES
     print(f"\n{CANDIDATES} end motions of one rod, up to 10 mm and 10°, {each.min()} to {each.max()} sub-steps")
     for watch in (True, False):

@@ -1,22 +1,21 @@
-"""Rods on their way: clamps carried in sub-steps, every rod relaxed after each and kept to its branch (§III-D).
+"""Rods on their way, each in as many sub-steps as its own motion needs, whatever its company (§III-D).
 
 Axes: G materials, N motions, R = G·N rods, material by material, E edges.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from doo_ti.motion.jumps import PARTS, JumpCount
+from doo_ti.motion.leg import Leg
 from doo_ti.motion.path import Motion
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
-from doo_ti.types import Configuration, Material, Solution, Status
+from doo_ti.types import Configuration, Material, Solution
 
 FEWEST_STEPS = 2
-"""With less there is none beside to compare with."""
+"""What :class:`doo_ti.motion.leg.Leg` takes at least."""
 
 
 @dataclass(frozen=True)
@@ -40,59 +39,52 @@ class Journey:
     precision: str = "mixed"
 
     @property
-    def steps(self) -> int:
-        """Sub-steps, the same number for all rods: what the furthest of them needs."""
-        return max(FEWEST_STEPS, self.motion.steps(self.rest_length, self.sub_step))
+    def sub_steps(self) -> np.ndarray:
+        """(N,) of each motion: powers of two, so that few numbers occur, and those who share one go together."""
+        need = np.maximum(self.motion.needed_steps(self.rest_length, self.sub_step), FEWEST_STEPS)
+        return 2 ** np.ceil(np.log2(need)).astype(np.int64)
+
+    def legs(self) -> Iterator[tuple[np.ndarray, Leg]]:
+        """Motions (n,) that take as many sub-steps, in order, and their leg."""
+        need = self.sub_steps
+        for steps in np.unique(need):
+            rows = np.flatnonzero(need == steps)
+            yield rows, Leg(self.motion.take(rows), self.material, int(steps), self.rest_length, self.up, self.solver,
+                            self.precision)
 
     def end(self, begin: Configuration) -> tuple[Solution, np.ndarray]:
-        """Where the R rods end, and how often each jumped on the way (R,).
-
-        A rod that does not converge in some sub-step keeps that status, whatever becomes of it. Iterations are those of all.
-        """
-        jumps = self._jumps(begin)
-        status, iterations = np.zeros(begin.count, dtype=np.int8), np.zeros(begin.count, dtype=np.int32)
-        for solution in self._follow(begin, jumps):
-            status = np.where(status == Status.CONVERGED, solution.status, status)
-            iterations += solution.iterations
-        return replace(solution, status=status, iterations=iterations), jumps.count
+        """Where the R rods end, and how often each jumped on the way (R,); see :meth:`doo_ti.motion.leg.Leg.end`."""
+        rods, legs = self._split(begin)
+        ends, jumps = zip(*(leg.end(begin.take(own)) for own, leg in zip(rods, legs, strict=True)), strict=True)
+        order = np.argsort(np.concatenate(rods))
+        return joined(ends, order), np.concatenate(jumps)[order]
 
     def follow(self, begin: Configuration) -> Iterator[Solution]:
-        """The R rods after each sub-step, and once more at the end in the precision asked for."""
-        yield from self._follow(begin, self._jumps(begin))
+        """The R rods after each sub-step of those that take most, the others being shown at the nearest of theirs ahead; and
+        at last in the precision asked for."""
+        rods, legs = self._split(begin)
+        order, most = np.argsort(np.concatenate(rods)), max(leg.steps for leg in legs)
+        ways = [list(leg.follow(begin.take(own))) for own, leg in zip(rods, legs, strict=True)]
+        for step in range(1, most + 1):
+            yield joined([way[-(-step * leg.steps // most) - 1] for way, leg in zip(ways, legs, strict=True)], order)
+        if any(len(way) > leg.steps for way, leg in zip(ways, legs, strict=True)):
+            yield joined([way[-1] for way in ways], order)
 
-    def _jumps(self, begin: Configuration) -> JumpCount:
-        return JumpCount(begin.quaternions, self._finely)
+    def _split(self, begin: Configuration) -> tuple[list[np.ndarray], list[Leg]]:
+        """The rods (r,) of each leg, and the legs."""
+        rows, legs = zip(*self.legs(), strict=True)
+        motions = len(self.motion.clamps.start_position)
+        first = motions * np.arange(begin.count // motions)[:, None]
+        return [(first + own).ravel() for own in rows], list(legs)
 
-    def _follow(self, configuration: Configuration, jumps: JumpCount) -> Iterator[Solution]:
-        rods, steps = np.arange(configuration.count), self.steps
-        for step in range(steps):
-            solution = self._relaxed(rods, configuration, (step + 1) / steps, self._on_the_way)
-            configuration = solution.configuration
-            jumps.see(configuration.quaternions, solution.status)
-            yield solution
-        yield self._relaxed(rods, configuration, 1.0, self.precision)
 
-    def _finely(self, rods: np.ndarray, frames: np.ndarray, step: int, steps: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Frames (n, E, 4) and statuses (n,) of ``rods`` after each part of ``steps`` sub-steps that begin with ``frames``."""
-        here = Configuration(self.motion.clamps.start_position[rods % self._motions], frames, self.rest_length)
-        status = np.zeros(len(rods), dtype=np.int8)
-        for part in range(1, PARTS * steps + 1):
-            solution = self._relaxed(rods, here, (step + part / PARTS) / self.steps, self._on_the_way)
-            status = np.where(status == Status.CONVERGED, solution.status, status)
-            here = solution.configuration
-            yield here.quaternions, status
-
-    def _relaxed(self, rods: np.ndarray, configuration: Configuration, share: float, precision: str) -> Solution:
-        solver = replace(self.solver, first_shift=0.0) if isinstance(self.solver, Newton) else self.solver
-        clamps = self.motion.at(share).take(rods % self._motions)
-        return relax(configuration, self.material, clamps, solver, up=self.up, precision=precision,
-                     configuration_index=np.arange(len(rods)), material_index=rods // self._motions)
-
-    @property
-    def _on_the_way(self) -> str:
-        return "f64" if self.precision == "f64" else "f32"
-
-    @property
-    def _motions(self) -> int:
-        """N."""
-        return len(self.motion.clamps.start_position)
+def joined(parts: list[Solution], order: np.ndarray) -> Solution:
+    """One solution of several, its rods in ``order``; of more than one it cannot be relaxed again."""
+    if len(parts) == 1:
+        return parts[0]
+    names = [field.name for field in fields(Solution) if field.name not in ("configuration", "tables")]
+    shapes = [part.configuration for part in parts]
+    together = Configuration(np.concatenate([shape.start for shape in shapes])[order],
+                             np.concatenate([shape.quaternions for shape in shapes])[order], shapes[0].rest_length)
+    return Solution(configuration=together, **{
+        name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names})

@@ -2,7 +2,8 @@
 
 A rod that keeps to its branch changes by nearly as much in one sub-step as in the next. Where it does not, the sub-step is
 made again in eighths, and what comes of those counts: a branch that is still there is then followed, not skipped. A continuous
-change is spread over the eighths, even in front of a fold, whose last one holds a third of it; a fall stays whole in one.
+change is spread over the eighths, even in front of a fold, whose last one holds a third of it, two and a half times the one
+before; a fall stays whole in one, and of two falls in a sub-step each stands out from the eighths beside it.
 
 Axes: R rods, E edges.
 """
@@ -16,6 +17,8 @@ OUT_OF_PROPORTION = 0.5
 """The change of the change over the change, above which a sub-step is made again: 0.1 on smooth ways, 1 at a fall."""
 UNDIVIDED = 0.5
 """Of the way through all parts, in one of them: then it is a fall."""
+ABRUPT = 6.0
+"""Times what the parts beside it change: then it is a fall, too."""
 NOTABLE = 0.01
 """rad that frames turn by, root mean square: less is no fall."""
 EVERY = 4
@@ -69,7 +72,9 @@ class JumpCount:
             elif part == PARTS * (steps - 1):
                 self._states[-1][rows] = after
         way = np.nan_to_num(np.array(sizes))
-        self.count[rows] += (way > np.maximum(UNDIVIDED * way.sum(axis=0), NOTABLE)).any(axis=0)
+        around = np.pad(way, ((1, 1), (0, 0)))
+        beside = np.maximum(around[:-2], around[2:])
+        self.count[rows] += ((way > NOTABLE) & (way > np.minimum(UNDIVIDED * way.sum(axis=0), ABRUPT * beside))).sum(axis=0)
 
 
 def _sample(frames: np.ndarray) -> np.ndarray:

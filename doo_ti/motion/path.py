@@ -1,7 +1,7 @@
 """Quasi-static motion: the clamps are carried in sub-steps and every rod follows its branch of equilibria (§III-D)."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,12 +48,14 @@ class Motion:
             _turned(here.end_frame, self.end_turn, self.end_spin, share),
         )
 
-    def steps(self, rest_length: np.ndarray, largest_turn: float = LARGEST_TURN) -> int:
-        """Sub-steps that keep every clamp's turns below ``largest_turn`` (rad) and its shifts in proportion to it."""
-        return int(np.max(self.needed_steps(rest_length, largest_turn), initial=1))
+    def take(self, rows: np.ndarray) -> "Motion":
+        """The motions named by ``rows``, in that order."""
+        parts = ("start_shift", "end_shift", "start_turn", "end_turn", "end_spin")
+        return replace(self, clamps=self.clamps.take(rows), **{
+            name: getattr(self, name)[rows] for name in parts if getattr(self, name) is not None})
 
     def needed_steps(self, rest_length: np.ndarray, largest_turn: float = LARGEST_TURN) -> np.ndarray:
-        """(R,) sub-steps that each rod needs for that."""
+        """(R,) sub-steps that keep each clamp's turns below ``largest_turn`` (rad) and its shifts in proportion to it."""
         end_turn = _size(self.end_turn) + np.abs(0.0 if self.end_spin is None else self.end_spin)
         shift = np.maximum(_size(self.start_shift), _size(self.end_shift)) / (SHIFT_PER_TURN * rest_length.sum(axis=-1))
         need = np.maximum(np.maximum(_size(self.start_turn), end_turn), shift) / largest_turn

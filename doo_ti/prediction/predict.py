@@ -14,10 +14,10 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.frames import angle_about, matrix_from_quaternion, smallest_rotation, vertices_from_quaternions
-from doo_ti.motion.journey import Journey
+from doo_ti.motion.journey import Journey, joined
+from doo_ti.motion.leg import Leg
 from doo_ti.motion.path import LARGEST_TURN, Motion, motion_between
 from doo_ti.prediction.motion_file import ClampPath
-from doo_ti.prediction.paced import PacedJourney, joined, journeys, travel
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, Status
@@ -147,20 +147,20 @@ def predict_step(
              if not getattr(motion, f"{end}_{part}").any()}
     journey = Journey(replace(motion, **still), material, sub_step, configuration.rest_length, up, precision=precision)
     if watch:
-        return travel(journey, configuration.take(rows))
+        return journey.end(configuration.take(rows))
     places, ends = [], []
-    for own, paced in journeys(journey):
+    for own, leg in journey.legs():
         places.append(own)
-        ends.append(_unwatched(paced, configuration.take(rows[own])))
+        ends.append(_unwatched(leg, configuration.take(rows[own])))
     return joined(ends, np.argsort(np.concatenate(places))), None
 
 
-def _unwatched(journey: PacedJourney, rods: Configuration) -> Solution:
+def _unwatched(leg: Leg, rods: Configuration) -> Solution:
     """Where rods under one material end that are relaxed after each sub-step, and nothing else."""
     status = np.zeros(rods.count, dtype=np.int8)
-    for step in range(1, journey.steps + 1):
-        solution = relax(rods, journey.material, journey.motion.at(step / journey.steps), Newton.careful(), up=journey.up,
-                         precision=journey.precision)
+    for step in range(1, leg.steps + 1):
+        solution = relax(rods, leg.material, leg.motion.at(step / leg.steps), Newton.careful(), up=leg.up,
+                         precision=leg.precision)
         rods, status = solution.configuration, np.where(status == Status.CONVERGED, solution.status, status)
     return replace(solution, status=status)
 
@@ -194,7 +194,7 @@ class _Travel:
     def go(self, configuration: Configuration, motion: Motion) -> tuple[Solution, np.ndarray, Motion]:
         """Where the rods come to, how often each fell, and the motion itself."""
         journey = Journey(motion, self.material, self.sub_step, self.rest_length, self.up, self.solver, self.precision)
-        return *travel(journey, configuration), motion
+        return *journey.end(configuration), motion
 
 
 class _Film:

@@ -136,4 +136,4 @@ def test_the_recording_shows_the_way(tmp_path):
     sweep(tmp_path / "run", small_lab(), GRID, options=DYNAMIC)
     moments = sum(chunk.num_rows for chunk in RrdReader(tmp_path / "run" / "run.rrd").stream()
                   if chunk.entity_path == "/world/rods" and "iteration" in chunk.timeline_names)
-    assert moments == 14, "where they set out, after 12 sub-steps, and at the end"
+    assert moments == 18, "where they set out, after 16 sub-steps, and at the end"

@@ -74,16 +74,16 @@ def test_sub_steps_are_short(rng):
     here = clamps_of(rng, 6)
     lengths = np.full(33, 3.0)
     still = motion_between(here, here)
-    assert still.steps(lengths) == 1
+    assert still.needed_steps(lengths).max() == 1
     goal = Clamps(here.start, here.end, here.start_position, here.end_position, here.start_frame, spun(here.end_frame, 1.0))
-    assert motion_between(here, goal).steps(lengths, 0.1) == 10
-    assert motion_between(here, goal, np.full(6, 1.0)).steps(lengths, 0.1) == 10
-    assert motion_between(here, goal, np.full(6, 1.0 + 2 * np.pi)).steps(lengths, 0.1) == 73
+    assert motion_between(here, goal).needed_steps(lengths, 0.1).max() == 10
+    assert motion_between(here, goal, np.full(6, 1.0)).needed_steps(lengths, 0.1).max() == 10
+    assert motion_between(here, goal, np.full(6, 1.0 + 2 * np.pi)).needed_steps(lengths, 0.1).max() == 73
     moved = Clamps(here.start, here.end, here.start_position + [9.9, 0, 0], here.end_position, here.start_frame, here.end_frame)
-    assert motion_between(here, moved).steps(lengths, 0.1) == 5
+    assert motion_between(here, moved).needed_steps(lengths, 0.1).max() == 5
     far = clamps_of(rng, 6)
     motion = motion_between(here, far)
-    count = motion.steps(lengths)
+    count = motion.needed_steps(lengths).max()
     for name in ("start_frame", "end_frame"):
         apart = angle_between(getattr(motion.at(0.5), name), getattr(motion.at(0.5 + 1 / count), name))
         assert (apart <= LARGEST_TURN + 1e-9).all()
