@@ -18,11 +18,12 @@ TASKS = Path("/proc/self/task")
 _architecture: str | None = None
 
 
-def start(architecture: str | None = None, threads: int | None = None) -> str:
+def start(architecture: str | None = None, threads: int | None = None, pinned: bool = True) -> str:
     """Start Taichi once and return the architecture that runs; later calls only return it.
 
     architecture  "cpu" or "cuda"; by default what the environment variable DOO_TI_ARCHITECTURE says, else "cpu"
     threads       on a CPU; by default one per processor
+    pinned        whether threads may be kept on processors of their own: not in processes that share the machine out
 
     Raises InputError for another architecture.
     """
@@ -47,7 +48,7 @@ def start(architecture: str | None = None, threads: int | None = None) -> str:
                 log_level=ti.ERROR,
                 **count,
             )
-        if architecture == "cpu" and os.environ.get("DOO_TI_PINNED") != "0":
+        if architecture == "cpu" and pinned and os.environ.get("DOO_TI_PINNED") != "0":
             _pin(sorted(_tasks() - others))
         if not os.environ.get("DOO_TI_DEBUG"):
             _spare_quotations()
@@ -77,16 +78,19 @@ def _pin(tasks: list[int]) -> None:
     """Give each of Taichi's ``tasks``, the threads it started, a processor of its own, in turn.
 
     Left alone the system often wakes two threads on one processor and parts them milliseconds later, when a call of a
-    thousand rods is long over. Only where the threads are as many as the processors this process may use: workers that share
-    the machine must not crowd together. DOO_TI_PINNED=0 leaves it to the system.
+    thousand rods is long over. Only where the threads are as many as the processors this process may use.
+    DOO_TI_PINNED=0 leaves it to the system.
     """
-    if not hasattr(os, "sched_setaffinity"):
-        return
-    processors = sorted(os.sched_getaffinity(0))
-    if thread_count() == len(processors) > 1:
+    free = processors()
+    if hasattr(os, "sched_setaffinity") and thread_count() == len(free) > 1:
         # Those that compile come before those that run kernels, which follow each other.
         for place, task in enumerate(tasks):
-            os.sched_setaffinity(task, {processors[place % len(processors)]})
+            os.sched_setaffinity(task, {free[place % len(free)]})
+
+
+def processors() -> list[int]:
+    """Those that this process may use."""
+    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
 
 
 def thread_count() -> int:

@@ -197,7 +197,7 @@ class Solution:
     end_force      (R, 3) force of the far clamp on the rod where both ends are held, mm² in the units of energy: the energy
                    grows by end_force · d when the clamp moves by d. Zero where an end is free
     precision      (R,) 32 or 64: the arithmetic that finished the rod
-    tables         what went in, for :func:`doo_ti.relaxation.relax.relax_again`
+    tables         what went in, for :func:`doo_ti.relaxation.relax.relax_again`; None where several calls were put together
     """
 
     configuration: Configuration

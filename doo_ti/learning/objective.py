@@ -12,9 +12,10 @@ from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.hypotheses import started
 from doo_ti.metric import distance
 from doo_ti.motion.journey import Journey
+from doo_ti.motion.leg import lasting
 from doo_ti.motion.path import motion_between
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Configuration, Material, Solution, Status
+from doo_ti.types import Configuration, Material, Solution
 
 RESULTS = ("energy", "residual", "iterations", "status", "stable", "precision")
 """What a row tells of a solution."""
@@ -35,8 +36,8 @@ def carried(experiment: Experiment, materials: Material) -> tuple[Solution, np.n
     solution, jumps = journey(experiment, materials).end(begin.configuration.take(rows))
     first = np.tile(experiment.hypotheses.observation, materials.count)
     off = distance(begin.configuration, experiment.observations, first, experiment.options.frame_weight)
-    status = np.where(begin.status[rows] == Status.CONVERGED, solution.status, begin.status[rows])
-    return replace(solution, status=status, iterations=solution.iterations + begin.iterations[rows]), jumps, off[rows]
+    status, iterations = lasting(begin.status[rows], solution.status), begin.iterations[rows] + solution.iterations
+    return replace(solution, status=status, iterations=iterations), jumps, off[rows]
 
 
 def sub_steps(experiment: Experiment, material: Material) -> Iterator[tuple[Configuration, np.ndarray, np.ndarray, np.ndarray]]:

@@ -1,10 +1,12 @@
 """Chunks of work in other processes, of this machine or of a Dask cluster, their results in order."""
 
 import os
+from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
 from threading import Lock, Thread
@@ -32,15 +34,21 @@ class Crew:
     through: tuple = ()
 
     def results(self, work, chunks):
-        """(chunk, ``work(*chunk)``) of each chunk in order."""
-        waiting = []
-        for chunk in chunks:
-            waiting.append((chunk, self.executor.submit(*self.through, work, *chunk)))
-            if len(waiting) > self.ahead:
-                chunk, future = waiting.pop(0)
+        """(chunk, ``work(*chunk)``) of each chunk in order; where one fails those done behind it come before the error."""
+        chunks, waiting = iter(chunks), deque()
+        try:
+            while True:
+                for chunk in islice(chunks, self.ahead - len(waiting)):
+                    waiting.append((chunk, self.executor.submit(*self.through, work, *chunk)))
+                if not waiting:
+                    return
+                chunk, future = waiting.popleft()
                 yield chunk, future.result()
-        for chunk, future in waiting:
-            yield chunk, future.result()
+        except BaseException:
+            for chunk, future in waiting:
+                if future.done() and not future.cancelled() and future.exception() is None:
+                    yield chunk, future.result()
+            raise
 
 
 class Alone:
@@ -57,15 +65,20 @@ def crew(workers: int | None, scheduler: str | None) -> Iterator[Alone | Crew]:
     """That many spawned processes, which share the processors, or the workers of the Dask scheduler at that address; without
     either this process.
 
-    Raises InputError where Dask is not installed or no scheduler answers.
+    Raises InputError for fewer workers than one, where Dask is not installed and where no scheduler answers.
     """
     if scheduler is not None:
         with _client(scheduler) as client:
             yield Crew(client.get_executor(pure=False), max(4, 2 * len(client.nthreads())), (_on_dask_worker,))
     elif workers is not None:
-        share = max(1, (os.cpu_count() or 1) // workers)
-        with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_start_worker, initargs=(share,)) as executor:
-            yield Crew(executor, 2 * (os.cpu_count() or 1))
+        if workers < 1:
+            raise InputError("sweep", "workers", f"{workers} is below 1", "give at least one")
+        share = max(1, len(runtime.processors()) // workers)
+        executor = ProcessPoolExecutor(workers, get_context("spawn"), initializer=_start_worker, initargs=(share,))
+        try:
+            yield Crew(executor, 2 * workers)
+        finally:
+            executor.shutdown(cancel_futures=True)
     else:
         yield Alone()
 
@@ -88,7 +101,7 @@ def _on_dask_worker(work, *chunk):
     from distributed import get_worker
 
     with _busy:
-        runtime.start(threads=get_worker().state.nthreads)
+        runtime.start(threads=get_worker().state.nthreads, pinned=False)
         return work(*chunk)
 
 
@@ -100,4 +113,4 @@ def _start_worker(threads: int) -> None:
         os._exit(1)
 
     Thread(target=end_with_parent, daemon=True).start()
-    runtime.start(threads=threads)
+    runtime.start(threads=threads, pinned=False)

@@ -52,10 +52,10 @@ class Journey:
             yield rows, Leg(self.motion.take(rows), self.material, int(steps), self.rest_length, self.up, self.solver,
                             self.precision)
 
-    def end(self, begin: Configuration) -> tuple[Solution, np.ndarray]:
+    def end(self, begin: Configuration, watch: bool = True) -> tuple[Solution, np.ndarray]:
         """Where the R rods end, and how often each jumped on the way (R,); see :meth:`doo_ti.motion.leg.Leg.end`."""
         rods, legs = self._split(begin)
-        ends, jumps = zip(*(leg.end(begin.take(own)) for own, leg in zip(rods, legs, strict=True)), strict=True)
+        ends, jumps = zip(*(leg.end(begin.take(own), watch) for own, leg in zip(rods, legs, strict=True)), strict=True)
         order = np.argsort(np.concatenate(rods))
         return joined(ends, order), np.concatenate(jumps)[order]
 

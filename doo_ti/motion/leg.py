@@ -36,44 +36,40 @@ class Leg:
     solver: Newton | Descent = Newton()
     precision: str = "mixed"
 
-    def end(self, begin: Configuration) -> tuple[Solution, np.ndarray]:
-        """Where the R rods end, and how often each jumped on the way (R,).
+    def end(self, begin: Configuration, watch: bool = True) -> tuple[Solution, np.ndarray]:
+        """Where the R rods end, and how often each jumped on the way (R,), if that is watched.
 
         A rod that does not converge in some sub-step keeps that status, whatever becomes of it. Iterations are those of all.
         """
-        jumps = self._jumps(begin)
+        jumps = JumpCount(begin.quaternions, self._finely, watch)
         status, iterations = np.zeros(begin.count, dtype=np.int8), np.zeros(begin.count, dtype=np.int32)
         for solution in self._follow(begin, jumps):
-            status = np.where(status == Status.CONVERGED, solution.status, status)
-            iterations += solution.iterations
+            status, iterations = lasting(status, solution.status), iterations + solution.iterations
         return replace(solution, status=status, iterations=iterations), jumps.count
 
     def follow(self, begin: Configuration) -> Iterator[Solution]:
         """The R rods after each sub-step, and once more at the end where the precision asked for is another."""
-        yield from self._follow(begin, self._jumps(begin))
-
-    def _jumps(self, begin: Configuration) -> JumpCount:
-        return JumpCount(begin.quaternions, self._finely)
+        yield from self._follow(begin, JumpCount(begin.quaternions, self._finely))
 
     def _follow(self, configuration: Configuration, jumps: JumpCount) -> Iterator[Solution]:
         rods, steps = np.arange(configuration.count), self.steps
         for step in range(steps):
             solution = self._relaxed(rods, configuration, (step + 1) / steps, self._on_the_way)
             configuration = solution.configuration
-            jumps.see(configuration.quaternions, solution.status)
+            jumps.see(solution)
             yield solution
         if self.precision != self._on_the_way:
             yield self._relaxed(rods, configuration, 1.0, self.precision)
 
-    def _finely(self, rods: np.ndarray, frames: np.ndarray, step: int, steps: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Frames (n, E, 4) and statuses (n,) of ``rods`` after each part of ``steps`` sub-steps that begin with ``frames``."""
+    def _finely(self, rods: np.ndarray, frames: np.ndarray, step: int, steps: int) -> Iterator[Solution]:
+        """``rods`` after each part of ``steps`` sub-steps that begin with ``frames``, status and iterations since then."""
         here = Configuration(self.motion.clamps.start_position[rods % self._motions], frames, self.rest_length)
-        status = np.zeros(len(rods), dtype=np.int8)
+        status, iterations = np.zeros(len(rods), dtype=np.int8), np.zeros(len(rods), dtype=np.int32)
         for part in range(1, PARTS * steps + 1):
             solution = self._relaxed(rods, here, (step + part / PARTS) / self.steps, self._on_the_way)
-            status = np.where(status == Status.CONVERGED, solution.status, status)
+            status, iterations = lasting(status, solution.status), iterations + solution.iterations
             here = solution.configuration
-            yield here.quaternions, status
+            yield replace(solution, status=status, iterations=iterations)
 
     def _relaxed(self, rods: np.ndarray, configuration: Configuration, share: float, precision: str) -> Solution:
         solver = replace(self.solver, first_shift=0.0) if isinstance(self.solver, Newton) else self.solver
@@ -89,3 +85,8 @@ class Leg:
     def _motions(self) -> int:
         """N."""
         return len(self.motion.clamps.start_position)
+
+
+def lasting(before: np.ndarray, status: np.ndarray) -> np.ndarray:
+    """(R,) the status of rods that have one already: what was not converged once stays so, whatever becomes of it."""
+    return np.where(before == Status.CONVERGED, status, before)

@@ -9,13 +9,14 @@ Axes: T moments, G materials, N motions, R = G·N rods, material by material, E 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
 import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.frames import angle_about, matrix_from_quaternion, smallest_rotation, vertices_from_quaternions
-from doo_ti.motion.journey import Journey, joined
-from doo_ti.motion.leg import Leg
+from doo_ti.motion.journey import Journey
+from doo_ti.motion.leg import lasting
 from doo_ti.motion.path import LARGEST_TURN, Motion, motion_between
 from doo_ti.prediction.motion_file import ClampPath
 from doo_ti.relaxation.newton import Newton
@@ -146,23 +147,8 @@ def predict_step(
     still = {f"{end}_{part}": None for end in ("start", "end") for part in ("shift", "turn")
              if not getattr(motion, f"{end}_{part}").any()}
     journey = Journey(replace(motion, **still), material, sub_step, configuration.rest_length, up, precision=precision)
-    if watch:
-        return journey.end(configuration.take(rows))
-    places, ends = [], []
-    for own, leg in journey.legs():
-        places.append(own)
-        ends.append(_unwatched(leg, configuration.take(rows[own])))
-    return joined(ends, np.argsort(np.concatenate(places))), None
-
-
-def _unwatched(leg: Leg, rods: Configuration) -> Solution:
-    """Where rods under one material end that are relaxed after each sub-step, and nothing else."""
-    status = np.zeros(rods.count, dtype=np.int8)
-    for step in range(1, leg.steps + 1):
-        solution = relax(rods, leg.material, leg.motion.at(step / leg.steps), Newton.careful(), up=leg.up,
-                         precision=leg.precision)
-        rods, status = solution.configuration, np.where(status == Status.CONVERGED, solution.status, status)
-    return replace(solution, status=status)
+    solution, jumps = journey.end(configuration.take(rows), watch)
+    return solution, jumps if watch else None
 
 
 def total_twist(quaternions: np.ndarray) -> np.ndarray:
@@ -218,6 +204,7 @@ class _Film:
     def developed(self, time, rest_length, material, motion) -> Prediction:
         solutions, jumps, rotation = zip(*self._moments, strict=True)
         told = {name: np.stack([getattr(solution, name) for solution in solutions]) for name in TOLD}
+        told["status"] = np.array(list(accumulate(told["status"], lasting)))
         shapes = [solution.configuration for solution in solutions]
         return Prediction(time=time, start=np.stack([shape.start for shape in shapes]), rest_length=rest_length,
                           quaternions=np.stack([shape.quaternions for shape in shapes]), jumps=np.stack(jumps),

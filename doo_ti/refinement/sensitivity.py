@@ -82,6 +82,8 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     Raises InputError for unknown or repeated parameters, and for rods under an external energy.
     """
     table = solution.tables
+    if table is None:
+        raise InputError("sensitivity", "solution", "was put together of several calls", "relax where its rods ended")
     if table.external is not None:
         raise InputError("sensitivity", "solution", "rods under an external energy", "relax them without one")
     names, directions = parameter_directions(parameters, table.edges, table.up)

@@ -32,8 +32,11 @@ OF_REACH, OF_FRAMES, FINDINGS = 0, 1, 2
 # Of a start: nothing, that no rod of its length can be held so, that it may be too straight to be brought onto closure as it
 # is, and that it has to be one straight line.
 SOUND, INFEASIBLE, STRAIGHT, TAUT = range(4)
-# Of frames: that both are rotations where they hold anything, or which is none.
+# Of frames: that both can hold what they are to, or which cannot.
 BOTH, NOT_THE_FIRST, NOT_THE_LAST = range(3)
+# Slack, over the reach, below which a rod is straight, within a hundred-thousandth of a millimetre of its clamps: f64 bows no
+# rod by so little.
+TAUT_SLACK = 1e-7
 
 
 @ti.func
@@ -70,14 +73,19 @@ def frame_of(start: ti.template(), s, edge):
 
 
 @ti.func
-def is_rotation(frame: ti.template(), s):
-    """Whether the columns of frame s are orthonormal and right-handed; not where anything is not a number."""
+def can_hold(kind, frame: ti.template(), s):
+    """Whether frame s has what a clamp of that kind holds: for a whole frame orthonormal, right-handed columns, for a tangent a
+    unit vector. Not where anything is not a number."""
     t = (frame[s, 0, 0], frame[s, 1, 0], frame[s, 2, 0])
     m1 = (frame[s, 0, 1], frame[s, 1, 1], frame[s, 2, 1])
     m2 = (frame[s, 0, 2], frame[s, 1, 2], frame[s, 2, 2])
-    off = larger(larger(absolute(dot(t, t) - 1.0), absolute(dot(m1, m1) - 1.0)), absolute(dot(m2, m2) - 1.0))
-    off = larger(off, larger(larger(absolute(dot(t, m1)), absolute(dot(m1, m2))), absolute(dot(m2, t))))
-    return (off <= FRAME_TOLERANCE) & (dot(m2, cross(t, m1)) > 0.0)
+    off = absolute(dot(t, t) - 1.0)
+    right_handed = True
+    if kind == FRAME:
+        off = larger(off, larger(absolute(dot(m1, m1) - 1.0), absolute(dot(m2, m2) - 1.0)))
+        off = larger(off, larger(larger(absolute(dot(t, m1)), absolute(dot(m1, m2))), absolute(dot(m2, t))))
+        right_handed = dot(m2, cross(t, m1)) > 0.0
+    return (kind < TANGENT) | ((off <= FRAME_TOLERANCE) & right_handed)
 
 
 @ti.func
@@ -90,7 +98,9 @@ def held_frame(kind, frame: ti.template(), s, own):
             frame[s, 0, 0], frame[s, 0, 1], frame[s, 0, 2], frame[s, 1, 0], frame[s, 1, 1], frame[s, 1, 2],
             frame[s, 2, 0], frame[s, 2, 1], frame[s, 2, 2]))
     if kind == TANGENT:
-        old, new = tangent(own), (frame[s, 0, 0], frame[s, 1, 0], frame[s, 2, 0])
+        t = (frame[s, 0, 0], frame[s, 1, 0], frame[s, 2, 0])
+        unit = 1.0 / ti.sqrt(dot(t, t))
+        old, new = tangent(own), (unit * t[0], unit * t[1], unit * t[2])
         q0, q1, q2, q3 = transported(own, old, new)
         if 1.0 + dot(old, new) < 1e-14:
             # From the opposite tangent there is none: half a turn about some axis across.
@@ -158,24 +168,21 @@ def clamp_kernel(serial: bool, block: int):
             slack = 1.0 - share
             # Two free edges at least leave the far point three ways to go.
             if (slack >= -1e-12) & (tilts[0] + tilts[1] >= 4.0 - edges):
-                if slack < 1e-9:
+                # Straight rods have their inner edges in line: two of them tell most others apart.
+                one = tangent(frame_of(start, s, ti.min(1, edges - 1)))
+                other = tangent(frame_of(start, s, edges // 2))
+                apart = (one[0] - other[0], one[1] - other[1], one[2] - other[2])
+                if slack < TAUT_SLACK:
                     found = TAUT
-                elif slack > 1e-8:
-                    # Straight rods have their inner edges in line: two of them tell most others apart.
-                    one = tangent(frame_of(start, s, ti.min(1, edges - 1)))
-                    other = tangent(frame_of(start, s, edges // 2))
-                    apart = (one[0] - other[0], one[1] - other[1], one[2] - other[2])
-                    if dot(apart, apart) < 1e-4:
-                        found = STRAIGHT
+                elif dot(apart, apart) < 1e-4:
+                    found = STRAIGHT
             else:
                 found = INFEASIBLE
         frames = BOTH
-        if kind_end == FRAME:
-            if not is_rotation(end_frame, s):
-                frames = NOT_THE_LAST
-        if kind_start == FRAME:
-            if not is_rotation(start_frame, s):
-                frames = NOT_THE_FIRST
+        if not can_hold(kind_end, end_frame, s):
+            frames = NOT_THE_LAST
+        if not can_hold(kind_start, start_frame, s):
+            frames = NOT_THE_FIRST
         return found, frames
 
     @ti.kernel

@@ -4,7 +4,7 @@ import numpy as np
 
 from doo_ti import runtime
 from doo_ti.errors import InputError
-from doo_ti.relaxation.clamp_kernel import FINDINGS, NOT_THE_FIRST, OF_FRAMES, OF_REACH, clamp_kernel
+from doo_ti.relaxation.clamp_kernel import FINDINGS, NOT_THE_FIRST, NOT_THE_LAST, OF_FRAMES, OF_REACH, clamp_kernel
 from doo_ti.relaxation.columns import CLAMP_COLUMNS, ENDS
 from doo_ti.types import Clamps, Configuration
 
@@ -24,7 +24,7 @@ def clamp_table(configuration: Configuration, lengths: np.ndarray, kinds: np.nda
     lengths  (1 or S, E) mm
     kinds    (S, 2) Clamp numbers
 
-    Raises InputError where a frame that is to be held is no rotation.
+    Raises InputError where a frame that is to be held is no rotation, or a tangent no direction.
     """
     count = len(kinds)
     table, found = np.empty((count, CLAMP_COLUMNS)), np.empty((count, FINDINGS), dtype=np.int32)
@@ -40,14 +40,14 @@ def clamp_table(configuration: Configuration, lengths: np.ndarray, kinds: np.nda
 
 
 def _check_frames(found: np.ndarray, clamps: Clamps) -> None:
-    """Raise InputError where a frame that somebody gave was found to be no rotation."""
-    for row in np.flatnonzero(found):
-        name = "start_frame" if found[row] == NOT_THE_FIRST else "end_frame"
-        frame = getattr(clamps, name)[row]
-        # A frame of zeros says that there is none.
-        if np.isfinite(frame).all() and frame.any():
-            raise InputError("clamps", name, f"{np.round(frame, 4).tolist()} is no rotation",
-                             "give unit, orthogonal columns t, m1, m2 with m2 = t x m1")
+    """Raise InputError where a frame was found to be no rotation, or its tangent no direction. Frames that are not finite
+    are data: their rods get a status."""
+    for name, which in (("start_frame", NOT_THE_FIRST), ("end_frame", NOT_THE_LAST)):
+        frames = getattr(clamps, name)[found == which]
+        wrong = frames[np.isfinite(frames).all(axis=(1, 2))]
+        if len(wrong):
+            raise InputError("clamps", name, f"{np.round(wrong[0], 4).tolist()} is no frame that can be held",
+                             "give unit, orthogonal columns t, m1, m2 with m2 = t x m1; of a tangent t at least")
 
 
 def whole_start(start: np.ndarray, clamp: np.ndarray) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from doo_ti.errors import InputError
 
 
@@ -26,12 +28,14 @@ class Newton:
     def __post_init__(self):
         if self.tolerance is not None and not self.tolerance > 0:
             raise InputError("Newton", "tolerance", f"{self.tolerance} is not positive", "give a positive number")
-        if not isinstance(self.max_iterations, int) or self.max_iterations < 1:
-            raise InputError("Newton", "max_iterations", f"{self.max_iterations}", "give a whole number from one up")
+        for name, least in (("max_iterations", 1), ("max_escapes", 0)):
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
+                raise InputError("Newton", name, f"{value!r}", f"give a whole number from {least} up")
         if not 0 < self.max_rotation <= 1:
             raise InputError("Newton", "max_rotation", f"{self.max_rotation}", "give radians above 0, at most 1")
         if not 0 <= self.first_shift < float("inf"):
-            raise InputError("Newton", "first_shift", f"{self.first_shift} is negative", "give zero or more")
+            raise InputError("Newton", "first_shift", f"{self.first_shift}", "give a finite number from zero up")
 
     @classmethod
     def careful(cls, **options) -> "Newton":

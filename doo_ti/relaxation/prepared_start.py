@@ -11,7 +11,7 @@ from doo_ti.frames import (
     smallest_rotation,
     tangent_from_quaternion,
 )
-from doo_ti.relaxation.clamp_kernel import STRAIGHT, TAUT
+from doo_ti.relaxation.clamp_kernel import STRAIGHT, TAUT, TAUT_SLACK
 from doo_ti.relaxation.clamp_table import outer_edges, whole_start
 from doo_ti.relaxation.columns import CLOSED, ENDS, TARGET, TILT_END, TILT_INNER, TILT_START, TOTAL
 
@@ -65,7 +65,7 @@ def _bowed(start, lengths, clamp, rows, up) -> np.ndarray:
     whole = whole_start(start[rows], clamp[rows])
     matrix = matrix_from_quaternion(whole)
     chord = np.linalg.norm(((own * tilting)[..., None] * matrix[..., 0]).sum(axis=1), axis=-1)
-    straight = chord > free.reach * (1 - 1e-8)
+    straight = chord > free.reach * (1 - TAUT_SLACK)
     rows, tilting, whole, matrix = rows[straight], tilting[straight], whole[straight], matrix[straight]
     share = (free.span / free.reach)[straight]
     middle = matrix[:, edges // 2]

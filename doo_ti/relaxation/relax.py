@@ -12,7 +12,19 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.relaxation import batch
-from doo_ti.relaxation.columns import CLOSURE, ENERGY, FORCE, ITERATIONS, RESIDUAL, STABLE, STATUS, TOTAL
+from doo_ti.relaxation.columns import (
+    ANCHOR,
+    CLOSURE,
+    ENERGY,
+    FORCE,
+    ITERATIONS,
+    RESIDUAL,
+    STABLE,
+    STATUS,
+    TARGET,
+    TILT_INNER,
+    TOTAL,
+)
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.external import External
 from doo_ti.relaxation.newton import Newton
@@ -86,6 +98,8 @@ def relax_again(
     if not isinstance(solver, Newton):
         raise InputError("relax_again", "solver", f"{solver!r}", "give Newton() or Newton.careful()")
     _check_precision("relax_again", precision)
+    if solution.tables is None:
+        raise InputError("relax_again", "solution", "was put together of several calls", "relax where its rods ended")
     with np.errstate(all="ignore"):
         table = solution.tables.under(material, material_index)
         frames, results, bits = _newton(table, solver, precision, solution)
@@ -146,6 +160,18 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
         energy += table.external.energy_at_start(start, table.external_index)
     rest_length = table.rest_length[0] if len(table.rest_length) == 1 else table.rest_length[index]
     configuration = Configuration(start, frames, rest_length)
+    status, stable = results[:, STATUS].astype(np.int8), results[:, STABLE] == 1
+    # The kernels reckon from the anchor and never see where that is.
+    nowhere = ~np.isfinite(anchor).all(axis=1)
+    if nowhere.any():
+        rods = nowhere[index] & (status != INFEASIBLE)
+        frames[rods], results[rods, :ITERATIONS], results[rods, FORCE:] = np.nan, np.nan, np.nan
+        status[rods], stable[rods], energy[rods] = Status.NOT_FINITE, False, np.nan
+    taut = np.flatnonzero((table.clamp[:, TILT_INNER] == 0)[index])
+    if len(taut):  # straight, they end where they end
+        asked = table.clamp[index[taut]]
+        missed = configuration.take(taut).vertices[:, -1] - asked[:, ANCHOR : ANCHOR + 3] - asked[:, TARGET : TARGET + 3]
+        results[taut, CLOSURE] = np.linalg.norm(missed, axis=1) / asked[:, TOTAL]
     hanging = np.flatnonzero(table.released[index])
     if len(hanging):
         ends = configuration.take(hanging).vertices[:, -1]
@@ -156,8 +182,8 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
         residual=results[:, RESIDUAL],
         closure=results[:, CLOSURE],
         iterations=results[:, ITERATIONS].astype(np.int32),
-        status=results[:, STATUS].astype(np.int8),
-        stable=results[:, STABLE] == 1,
+        status=status,
+        stable=stable,
         end_force=results[:, FORCE:],
         precision=bits.astype(np.int8),
         tables=table,

@@ -311,8 +311,8 @@ def _pairs(configurations: int, materials: int, configuration_index, material_in
     if configuration_index is None and material_index is None:
         if configurations != materials and 1 not in (configurations, materials):
             raise InputError("relax", "material", f"{materials} rows for {configurations} rods", "give one, or one per rod")
-        count = max(configurations, materials)
-        return np.arange(count) % configurations, np.arange(count) % materials
+        count = min(configurations, materials) and max(configurations, materials)
+        return np.arange(count) % max(configurations, 1), np.arange(count) % max(materials, 1)
     first = np.asarray(0 if configuration_index is None else configuration_index)
     second = np.asarray(0 if material_index is None else material_index)
     for name, index in (("configuration_index", first), ("material_index", second)):

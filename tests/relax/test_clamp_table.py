@@ -1,8 +1,11 @@
 """What the kernel reads from starts and clamps, against the same in NumPy, written here from the definitions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, smallest_rotation, vertices_from_quaternions
 from doo_ti.relaxation import columns as of
 from doo_ti.relaxation.clamp_kernel import INFEASIBLE, SOUND, STRAIGHT, TAUT
@@ -68,7 +71,8 @@ def test_against_the_definitions(rng, edges, shared):
     assert 0 < reaches.sum() < count
 
 
-@pytest.mark.parametrize(("share", "expected"), [(0.5, STRAIGHT), (1.0, TAUT), (1.001, INFEASIBLE)])
+@pytest.mark.parametrize(("share", "expected"), [
+    (0.5, STRAIGHT), (1 - 2e-7, STRAIGHT), (1 - 5e-8, TAUT), (1 - 5e-9, TAUT), (1.0, TAUT), (1.001, INFEASIBLE)])
 def test_straight_rods(share, expected):
     lengths = np.full((1, 8), 2.0)
     rods = Configuration(np.zeros((1, 3)), np.tile([1.0, 0, 0, 0], (1, 8, 1)), lengths[0])
@@ -98,3 +102,30 @@ def test_many_starts_are_read_as_few(rng):
     few, few_found = clamp_table(rods.take(rows), lengths[rows], kinds[rows], clamps.take(rows))
     np.testing.assert_array_equal(table[rows], few)
     np.testing.assert_array_equal(found[rows], few_found)
+
+
+@pytest.mark.parametrize("end", ["start_frame", "end_frame"])
+@pytest.mark.parametrize("kind", [Clamp.TANGENT, Clamp.FRAME])
+@pytest.mark.parametrize("tangent", [(0.0, 0.0, 0.0), (0.0, 3.0, 0.0), (0.0, 0.5, 0.0)])
+def test_a_tangent_of_another_length_is_refused(rng, end, kind, tangent):
+    rods, lengths, _, clamps = drawn(rng, 5, 7, True)
+    frames = getattr(clamps, end).copy()
+    frames[3] = np.eye(3)[:, [1, 2, 0]] if any(tangent) else 0.0
+    frames[3, :, 0] = tangent
+    held = replace(clamps, **{end: frames})
+    with pytest.raises(InputError, match=f"{end}.*no frame that can be held"):
+        clamp_table(rods, lengths, np.full((5, 2), int(kind)), held)
+    clamp_table(rods, lengths, np.full((5, 2), POSITION), held)
+
+
+def test_a_tangent_within_tolerance_is_made_a_unit_vector(rng):
+    rods, lengths, _, clamps = drawn(rng, 5, 7, True)
+    longer = replace(clamps, start_frame=1.0004 * clamps.start_frame)
+    (one, _), (other, _) = (clamp_table(rods, lengths, np.full((5, 2), TANGENT), held) for held in (clamps, longer))
+    np.testing.assert_allclose(one, other, atol=1e-14)
+
+
+def test_frames_that_are_not_finite_are_data(rng):
+    rods, lengths, _, clamps = drawn(rng, 2000, 7, True)
+    _, found = clamp_table(rods, lengths, np.full((2000, 2), FRAME), replace(clamps, end_frame=clamps.end_frame * np.nan))
+    assert (found == INFEASIBLE).all()

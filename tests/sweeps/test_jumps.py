@@ -174,3 +174,33 @@ def test_a_way_is_the_same_in_any_company():
         own, fell = alone.end(at_rest.take(row))
         np.testing.assert_array_equal(own.configuration.quaternions, end.configuration.quaternions[row])
         np.testing.assert_array_equal(fell, jumps[row])
+
+
+@pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
+@pytest.mark.parametrize("degrees", [10, 60])
+def test_all_that_is_told_of_a_rod_is_of_where_it_ended(precision, degrees):
+    """Of rods that went the last sub-step again in parts, too: relaxed where they are, they stay, with the same numbers."""
+    cases, start, clamps = bowed_strips()
+    motion = Motion(clamps, end_shift=SHIFTS[[way for _, way in cases]])
+    at_rest = relax(start, STRIP, clamps, Newton.careful(), up=UP).configuration
+    journey = Journey(motion, STRIP, np.radians(degrees), start.rest_length, UP, precision=precision)
+    *_, shown = journey.follow(at_rest)
+    for solution in (journey.end(at_rest)[0], shown):
+        again = relax(solution.configuration, STRIP, motion.at(1.0), Newton.careful(), up=UP)
+        loose = 1e-3 if precision == "f32" else 1e-6
+        np.testing.assert_allclose(solution.energy, again.energy, rtol=loose)
+        np.testing.assert_allclose(solution.end_force, again.end_force, rtol=loose, atol=loose * np.abs(again.end_force).max())
+        np.testing.assert_array_equal(solution.stable, again.stable)
+
+
+def test_a_rod_of_two_edges_goes_its_way():
+    """It has no edge between its clamps to compare, and still counts as one that is watched."""
+    frames = np.array([[[1.0, 0, 0, 0], [np.cos(0.3), 0, 0, np.sin(0.3)]]])
+    start = Configuration(np.zeros((1, 3)), frames, np.full(2, 10.0))
+    clamps = Clamps(Clamp.POSITION, Clamp.POSITION, np.zeros((1, 3)), start.vertices[:, -1], np.eye(3)[None], np.eye(3)[None])
+    at_rest = relax(start, STRIP, clamps).configuration
+    shift = np.array([[-3.0, 1.0, 0.5]])
+    with np.errstate(all="raise"):
+        end, jumps = Journey(Motion(clamps, end_shift=shift), STRIP, np.radians(5), start.rest_length).end(at_rest)
+    assert end.converged.all() and jumps.tolist() == [0]
+    np.testing.assert_allclose(end.configuration.vertices[:, -1], clamps.end_position + shift, atol=1e-9)

@@ -1,0 +1,43 @@
+"""Work in other processes: in order, no further than needed, and nothing lost that is done."""
+
+import time
+
+import pytest
+
+from doo_ti.errors import InputError
+from doo_ti.learning.workers import crew
+
+
+def _slowly(first: int, last: int) -> int:
+    if first == 3:
+        time.sleep(0.5)
+        raise ValueError("the fourth fails")
+    return last - first
+
+
+def test_chunks_come_in_order_whoever_does_them():
+    chunks = [(k, k + k % 3) for k in range(3)] + [(k, k + k % 3) for k in range(4, 9)]
+    for workers in (None, 1, 3):
+        with crew(workers, None) as own:
+            assert list(own.results(_slowly, chunks)) == [(chunk, chunk[1] - chunk[0]) for chunk in chunks]
+
+
+def test_what_is_done_behind_a_failure_comes_before_it_and_the_rest_is_not_begun():
+    asked = []
+
+    def chunks():
+        for k in range(1000):
+            asked.append(k)
+            yield k, k + 1
+
+    found = []
+    with pytest.raises(ValueError, match="the fourth fails"), crew(2, None) as own:
+        for chunk, _ in own.results(_slowly, chunks()):
+            found.append(chunk[0])
+    assert found[:3] == [0, 1, 2] and 3 not in found and len(found) > 3
+    assert len(asked) < 10
+
+
+def test_no_workers_are_refused():
+    with pytest.raises(InputError, match="workers: 0 is below 1"), crew(0, None):
+        pass
