@@ -8,6 +8,7 @@ import hashlib
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import BinaryIO
 
@@ -218,6 +219,10 @@ def load_observations(path: str | os.PathLike, up=None) -> Observations:
     keys = read_table(path, content) if path.suffix in TABLES else read_npz(path, content)
     if "vertices_mm" not in keys:
         raise InputError(path, "vertices_mm", "the key is missing", "store the vertices as vertices_mm (D, V, 3)")
+    for missing in set(KEYS.values()) - set(keys):
+        # Other commands' files hold more keys than these; one that is nearly one of these is a slip.
+        if alike := get_close_matches(missing, set(keys) - set(KEYS.values()), 1, 0.85):
+            raise InputError(path, alike[0], "unknown key", f"name it {missing}, or otherwise if it is something else")
     values = {name: keys[key] for name, key in KEYS.items() if key in keys}
     observations = Observations(**values, name=path.stem, source=str(path), sha256=hashlib.sha256(content).hexdigest())
     changed = {} if up is None else {"up": np.asarray(up)}

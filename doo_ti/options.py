@@ -100,14 +100,20 @@ def whole(option: str, text: str | None, minimum: int, most: int | None = None) 
     return value
 
 
-def length(option: str, text: str | None) -> float | None:
-    """A positive number of mm, or None."""
+def positive(option: str, text: str | None, unit: str = "") -> float | None:
+    """A positive number, or None."""
     if text is None:
         return None
-    value = _decimal(option, text, "a positive number of mm", minimum=0.0)
+    wanted = f"a positive number{' of ' * bool(unit)}{unit}"
+    value = _decimal(option, text, wanted, minimum=0.0)
     if value == 0:
-        raise InputError(SOURCE, option, f"{text!r} is not positive", "give a positive number of mm")
+        raise InputError(SOURCE, option, f"{text!r} is not positive", f"give {wanted}")
     return value
+
+
+def length(option: str, text: str | None) -> float | None:
+    """A positive number of mm, or None."""
+    return positive(option, text, "mm")
 
 
 def numbers(option: str, text: str | None) -> tuple[float, ...]:
@@ -140,23 +146,23 @@ def jax(wanted: bool) -> bool:
     return wanted
 
 
-def output_file(text: str, suffix: str | None = None) -> Path:
+def output_file(text: str, suffix: str | None = None, option: str = "--out") -> Path:
     """The file to write: of the format ``suffix``, or of observations, where a file can lie."""
     path = Path(text)
     if suffix is None:
         checked_suffix(path)
     elif path.suffix != suffix:
-        raise InputError(SOURCE, "--out", f"suffix {path.suffix!r} of {path}", f"name a file that ends in {suffix}")
+        raise InputError(SOURCE, option, f"suffix {path.suffix!r} of {path}", f"name a file that ends in {suffix}")
     if path.is_dir():
-        raise InputError(SOURCE, "--out", f"{path} is a folder", "name a file")
-    _check_folder(path.parent)
+        raise InputError(SOURCE, option, f"{path} is a folder", "name a file")
+    _check_folder(path.parent, option)
     return path
 
 
-def refuse_overwriting(out: Path, source: str) -> None:
+def refuse_overwriting(out: Path, source: str, option: str = "--out") -> None:
     """Raise InputError where the file to write is the one that is read."""
     if out.exists() and Path(source).exists() and out.samefile(source):
-        raise InputError(SOURCE, "--out", f"{out} is the input itself", "name another file")
+        raise InputError(SOURCE, option, f"{out} is the input itself", "name another file")
 
 
 def output_folder(text: str, option: str = "--out") -> Path:

@@ -115,6 +115,10 @@ def _asked(grid: Grid, parameters: tuple[str, ...]) -> tuple[int, ...]:
         raise InputError(grid.source, "grid", "a single cell, so nothing is unknown", "give at least one range LO:HI:N")
     if len(asked) == len(parameters):
         raise InputError(grid.source, "weight", "varied beside all others", "only ratios matter: keep one parameter fixed")
+    logs = np.log(_values(grid, slice(None), [parameters[k] for k in asked]))
+    if np.linalg.matrix_rank(logs - logs.mean(axis=0), tol=1e-9) < len(asked):
+        raise InputError(grid.source, "twist", "rides on bend, so that no observation tells them apart",
+                         "give --twist a number, or --twist-ratio a range")
     return asked
 
 

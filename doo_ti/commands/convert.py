@@ -16,7 +16,7 @@ def declare(add) -> None:
 
 def run(options: Namespace, words: list[str]) -> int:
     """Observations from one format to another; keys that are not observations' are left behind."""
-    out = given.output_file(options.out)
-    given.refuse_overwriting(out, options.observations)
+    out = given.output_file(options.out, option="OUT")
+    given.refuse_overwriting(out, options.observations, "OUT")
     save(out, load_observations(options.observations))
     return 0

@@ -129,9 +129,11 @@ def _perceived(task: Task, detected: list[list], bar):
 
 def _arrays(task: Task, found) -> dict[str, np.ndarray]:
     """What the file holds; docs/perception.md."""
+    sound = found.sound[:, None]
     return {
         "name": np.array(task.sets.names), "vertices_mm": found.vertices, "rest_length_mm": task.rest_length, "up": task.up,
-        "valid": np.isfinite(found.vertices).all(axis=-1), "sigma_mm": np.maximum(found.sigma, LEAST_SIGMA_MM),
+        "valid": sound & np.isfinite(found.vertices).all(axis=-1),
+        "sigma_mm": np.where(sound, np.maximum(found.sigma, LEAST_SIGMA_MM), np.nan),
         "energy_vis": found.energy_vis, "status": found.status, "stable": found.stable,
         "camera_error_px": found.camera_error, "verdict": found.verdict, "gap_px": found.gap, "unsupported": found.unsupported,
         "runner_up_mm": found.runner_up, "runner_up_energy_vis": found.runner_up_energy,

@@ -35,13 +35,9 @@ def checked_task(options: Namespace) -> Task:
     """Raises InputError naming the option or file at fault."""
     grid, up = given.round_cell(options, "perceived"), given.up(options)
     rest_length = read_rest_length(options.rest_length)
-    nu = given.numbers("--nu", options.nu) or (None,)
+    nu, width = given.positive("--nu", options.nu), given.positive("--width", options.width, "px")
     hypotheses = given.whole("--hypotheses", options.hypotheses, 1)
     recorded = given.whole("--recorded", options.recorded, 1)
-    width = given.numbers("--width", options.width) or (None,)
-    for option, values in (("--nu", nu), ("--width", width)):
-        if len(values) > 1 or (values[0] is not None and not values[0] > 0):
-            raise InputError("command line", option, f"{values} is no positive number", "give one number above 0")
 
     from doo_ti.vision.detection import DetectionOptions
     from doo_ti.vision.rig import load_rig
@@ -51,10 +47,10 @@ def checked_task(options: Namespace) -> Task:
 
     from doo_ti.perception.perceive import PerceptionOptions
 
-    chosen = {"nu": nu[0], "hypotheses": hypotheses}
+    chosen = {"nu": nu, "hypotheses": hypotheses}
     return Task(sets, rest_length, grid.materials(),
                  PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None}),
-                 DetectionOptions(options.detector, options.polarity, width[0]),
+                 DetectionOptions(options.detector, options.polarity, width),
                  np.array([0.0, 0.0, 1.0]) if up is None else up / np.linalg.norm(up), truth,
                  0 if options.no_recording else recorded or RECORDED)
 

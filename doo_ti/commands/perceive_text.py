@@ -20,7 +20,7 @@ def summary_of(task: Task, detected: list[list], found, written: list[Path]) -> 
         "name": name, "status": Status(found.status[row]).name.lower(), "stable": found.stable[row],
         "energy_vis": found.energy_vis[row], "camera_error_px": found.camera_error[row], "gap_px": found.gap[row],
         "verdict": Verdict(found.verdict[row]).name.lower(), "unsupported_edges": found.unsupported[row].sum(),
-        "mean_sigma_mm": found.sigma[row].mean(), **_errors(task, found, row),
+        "mean_sigma_mm": found.sigma[row].mean() if found.sound[row] else None, **_errors(task, found, row),
     } for row, name in enumerate(task.sets.names)]
     return {
         "sets": sets, "cameras": task.sets.rig.names, "edges": len(task.rest_length),
@@ -54,10 +54,10 @@ def tell(summary: dict) -> None:
     print(f"{len(sets)} sets of {len(summary['cameras'])} images, rods of {summary['edges']} edges; thread "
           f"{summary['detected_width_px']:.1f} px wide")
     for entry in sets[:MOST_TOLD]:
-        pixels = " ".join(f"{value:.2f}" for value in entry["camera_error_px"])
+        pixels = " ".join(f"{max(value, 0.0):.2f}" if np.isfinite(value) else "unseen" for value in entry["camera_error_px"])
         rival = f"gap {entry['gap_px']:.2g} px" if np.isfinite(entry["gap_px"]) else "no rival"
         parts = [f"E_vis {entry['energy_vis']:.3g}/mm", f"{pixels} px off", f"{entry['verdict']} ({rival})",
-                 f"σ {entry['mean_sigma_mm']:.2g} mm"]
+                 "σ unknown" if entry["mean_sigma_mm"] is None else f"σ {entry['mean_sigma_mm']:.2g} mm"]
         if entry["unsupported_edges"]:
             parts.append(f"{entry['unsupported_edges']} edges unseen")
         if entry["status"] != "converged" or not entry["stable"]:

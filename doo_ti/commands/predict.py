@@ -70,8 +70,9 @@ def declare(add) -> None:
 def run(options: Namespace, words: list[str]) -> int:
     """Carry all rods along the motion; writes them at its moments and prints where they fell."""
     out = given.output_file(options.out, ".npz")
-    pictures = {suffix: None if text is None else given.output_file(text, suffix)
-                for suffix, text in ((".png", options.picture), (".rrd", options.recording))}
+    pictures = {suffix: None if text is None else given.output_file(text, suffix, option)
+                for suffix, text, option in (
+                    (".png", options.picture, "--picture"), (".rrd", options.recording, "--recording"))}
     between = given.whole("--between", options.between, 1)
     sub_step = _sub_step(options)
     task = _scene(options) if Path(options.source).suffix == ".toml" else _observed(options, out)
@@ -214,20 +215,23 @@ def _lines(task: _Task, prediction, result: dict) -> list[str]:
     lines = [f"{task.name}: {count} rods of {task.start.edges} edges at {moments} moments",
              f"  status      {counted(status_counts(prediction.status))}; {int(prediction.stable.sum())} of {count * moments} "
              "certified stable"]
-    lines.append(f"  far clamp   turned about the rod by {_range(result['end_rotation_deg'][-1])}; total twist at the end "
+    lines.append(f"  far clamp   at the end turned about the rod by {_range(result['end_rotation_deg'][-1])}, total twist "
                  f"{_range(result['total_twist_deg'][-1])}")
-    lines.append(f"  falls       {int(prediction.jumps.sum())} to another branch, of {len(np.unique(falls[:, 1]))} rods")
+    fallen = f"to another branch, {len(np.unique(falls[:, 1]))} of {count} rods" if len(falls) else "all kept to their branch"
+    lines.append(f"  falls       {int(prediction.jumps.sum())}, {fallen}")
     for moment, rod in falls[:MOST_TOLD]:
         since = prediction.time[max(moment - 1, 0)]
         lines.append(f"    {task.names[rod]}: between {since:g} and {prediction.time[moment]:g} s, far clamp turned by "
                      f"{result['end_rotation_deg'][moment, rod]:.1f}°")
     if len(falls) > MOST_TOLD:
         lines.append(f"    and {len(falls) - MOST_TOLD} more")
+    if len(lost):
+        lines.append(f"  lost        {len(lost)} of {count} rods cannot follow to the end")
     for rod in lost[:MOST_TOLD]:
         since = prediction.time[int(np.argmin(prediction.followed[:, rod]))]
-        lines.append(f"  lost        {task.names[rod]}: no prediction from {since:g} s on")
+        lines.append(f"    {task.names[rod]}: no prediction from {since:g} s on")
     if len(lost) > MOST_TOLD:
-        lines.append(f"  lost        and {len(lost) - MOST_TOLD} more")
+        lines.append(f"    and {len(lost) - MOST_TOLD} more")
     return lines
 
 

@@ -26,6 +26,7 @@ def summary_of(observations: Observations, found: tuple, held_out, density: floa
         "theta": _theta(best.theta), "parameters": [asdict(parameter) for parameter in estimate.parameters],
         "unknowns": estimate.names, "covariance": estimate.covariance, "correlation": estimate.correlation,
         "degrees_of_freedom": best.degrees, "chi_square": best.chi_square, "reduced_chi_square": best.reduced_chi_square,
+        "tilt_deg": float(np.degrees(np.arccos(np.clip(np.dot(best.theta.up, observations.up), -1.0, 1.0)))),
         "sigma_mm": best.sigma, "reaches_noise": best.reaches_noise, "neighbour_correlation": best.neighbours,
         "verdict": best.verdict, "not_determined": estimate.left_open, "stiffness": _stiffness(best, density),
         "mean_distance_mm": best.mean_distance, "start_mean_distance_mm": best.start_mean_distance,
@@ -67,14 +68,18 @@ def tell(summary: dict) -> None:
     steps = f"{summary['iterations']} steps{'' if summary['converged'] else ', NOT at the least: stopped'}"
     print(f"{summary['material']}: {summary['rods_used']} of {summary['observations']} observations, {steps}")
     for parameter in summary["parameters"]:
-        if not parameter["name"].startswith(JOINTS):
+        if not parameter["name"].startswith((JOINTS, "up[")):
             print(f"  {parameter['name']:<18} {_interval(parameter['value'], parameter['low'], parameter['high'])} "
                   f"{parameter['unit']}".rstrip())
     if any(parameter["name"].startswith(JOINTS) for parameter in summary["parameters"]):
         rest = np.asarray(summary["theta"]["rest_curvature"])
         size = float(np.sqrt((rest**2).sum(axis=-1).mean()))
         print(f"  {'rest curvature':<18} {size:.3g} 1/mm, root mean square over {len(rest)} joints")
-    print("                     (95 % intervals)")
+    print("                     (95 % intervals" + ("" if summary["reaches_noise"] else
+                                                    " of noise alone: the model lacks something, and may be off by more") + ")")
+    if "up[0]" in summary["unknowns"]:
+        x, y, z = summary["theta"]["up"]
+        print(f"  {'up':<18} ({x:.4f}, {y:.4f}, {z:.4f}), tilted by {summary['tilt_deg']:.2g}° from what was given")
     for name, values in summary["stiffness"].items():
         what, unit = (name.removesuffix("_Nm2"), "N m²") if name.endswith("_Nm2") else (
             f"{name.removesuffix('_over_weight_mm3')} over weight", "mm³")

@@ -60,17 +60,26 @@ def run(options: Namespace, words: list[str]) -> int:
 
     from doo_ti.learning.sweeps import sweep
 
-    began, summaries = time.monotonic(), []
+    began, summaries, relaxed = time.monotonic(), [], []
     for search in searches:
+        before = _stamp(search.run)
         summary = sweep(search.run, search.observations, search.grid, options=search.options, pairs=search.pairs, command=words)
         summaries.append(summary)
+        if _stamp(search.run) != before:
+            relaxed.append(summary)
         if not options.json:
-            _tell(search, summary)
+            _tell(search, summary, finished_before=_stamp(search.run) == before)
     if options.json:
         print(json.dumps(plain(summaries if len(options.sources) > 1 else summaries[0])))
     else:
-        print(_effort(summaries, time.monotonic() - began))
+        print(_effort(relaxed, time.monotonic() - began))
     return 0
+
+
+def _stamp(run: Path) -> int | None:
+    """When the summary of a run was written; None where there is none."""
+    path = run / "summary.json"
+    return path.stat().st_mtime_ns if path.is_file() else None
 
 
 def _searches(options: Namespace) -> list[_Search]:
@@ -121,23 +130,26 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     return _Search(scene, observations, grid, chosen, pairs, run)
 
 
-def _tell(search: _Search, summary: dict) -> None:
+def _tell(search: _Search, summary: dict, finished_before: bool) -> None:
     tell_landscape(read_landscape(search.run))
     tell_hypotheses(summary)
     clamps = observation_clamps(search.observations, search.options.clamp_start, search.options.clamp_end)
     if search.grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not search.options.spins:
         print("  note        an end may spin, so nothing twists the rod: twist is not determined")
+    varied = {axis.name for axis in search.grid.axes if len(axis) > 1}
+    if "weight" in varied and len(varied) > 1 and not any(axis.name == "twist" and len(axis) == 1 for axis in search.grid.axes):
+        print("  note        only ratios matter: every stiffness may grow with the weight, so nothing determines both")
     if search.scene and isinstance(search.scene.observations, Synthesis):
         recipe = search.scene.observations
         print(f"  true Θ      {_true_theta(recipe)} (the virtual lab's, seed {recipe.seed})")
-    print(f"  written to {search.run}")
+    print(f"  {'finished before in' if finished_before else 'written to'} {search.run}")
 
 
 def _effort(summaries: list[dict], seconds: float) -> str:
     """``450,000 rods in 15.1 s, 29,800 rods/s; …``, of what was relaxed now: nothing where all was finished before."""
     rods = sum(summary["timing"]["relaxed_rods"] for summary in summaries)
     relaxing = sum(summary["timing"]["relaxation_s"] for summary in summaries)
-    rate = f" ({rods / relaxing:,.0f} rods/s while relaxing)" if rods else ""
+    rate = f" ({rods / relaxing:,.0f} rods/s, loading the kernels included)" if rods else ""
     return f"{rods:,} rods in {seconds:.1f} s{rate}; {peak_memory() / 2**20:,.0f} MB of memory at most"
 
 

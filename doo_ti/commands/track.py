@@ -143,6 +143,7 @@ def _tell(summary: dict) -> None:
         told = ", ".join(names[:MOST_TOLD]) + f" and {len(names) - MOST_TOLD} more" * (len(names) > MOST_TOLD)
         print(f"  {key:<11} {len(names)} frames {words}{': ' * bool(len(names))}{told}")
     if summary["camera_error_px"] is not None:
-        print(f"  images      {summary['camera_error_px']:.2f} px off on average; {summary['stable']} rods certified stable")
+        print(f"  images      {max(summary['camera_error_px'], 0.0):.2f} px off on average; {summary['stable']} rods certified "
+              "stable")
     for path in summary["written"]:
         print(f"  written to  {path}")

@@ -29,7 +29,7 @@ def checked_task(options: Namespace) -> Task:
     """Raises InputError naming the option or file at fault."""
     grid, up = given.round_cell(options, "tracked"), given.up(options)
     rest_length = read_rest_length(options.rest_length)
-    width = given.length("--width", options.width)
+    width = given.positive("--width", options.width, "px")
 
     from doo_ti.vision.detection import DetectionOptions
     from doo_ti.vision.rig import load_rig

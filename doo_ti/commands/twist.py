@@ -41,7 +41,7 @@ def run(options: Namespace, words: list[str]) -> int:
     """Eq. 4 for each group of observations that share φ; writes φ and the whole curve, and prints what is ambiguous."""
     grid = given.single_cell(options)
     out, up = given.output_file(options.out, ".npz"), given.up(options)
-    picture = None if options.picture is None else given.output_file(options.picture, ".png")
+    picture = None if options.picture is None else given.output_file(options.picture, ".png", "--picture")
     observations = load_observations(options.observations, up)
     given.refuse_overwriting(out, options.observations)
 
@@ -142,5 +142,7 @@ def _tell_group(estimate, k: int) -> None:
         return
     others = zip(np.degrees(estimate.minima[k][1:]), estimate.minima_objective[k][1:], strict=True)
     rivals = "".join(f"; also {other:.0f}°, {value:.3g} mm" for other, value in others if np.isfinite(other))
-    print(f"  {_rows(estimate, k)}: φ = {phi:.1f}°, {estimate.least[k]:.3g} mm, {_word(estimate.verdict[k])} (nearly as good: "
+    together = int((estimate.group == k).sum())
+    least = f"{estimate.least[k]:.3g} mm" if together == 1 else f"Σ {estimate.least[k]:.3g} mm over {together} rods"
+    print(f"  {_rows(estimate, k)}: φ = {phi:.1f}°, {least}, {_word(estimate.verdict[k])} (nearly as good: "
           f"{low:.0f}° to {high:.0f}°){rivals}")

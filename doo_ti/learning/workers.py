@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import islice
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
+from socket import create_connection
 from threading import Lock, Thread
 
 from doo_ti import runtime
@@ -86,10 +87,14 @@ def crew(workers: int | None, scheduler: str | None) -> Iterator[Alone | Crew]:
 def _client(address: str):
     try:
         from distributed import Client
+        from distributed.comm import parse_address, parse_host_port
     except ImportError:
         raise InputError(
             "sweep", "--dask", "Dask is not installed", "pip install 'doo_ti[dask]', here and on the workers") from None
     try:
+        # A client that finds nobody takes long to give up for good.
+        with create_connection(parse_host_port(parse_address(address)[1]), ANSWER_SECONDS):
+            pass
         return Client(address, timeout=ANSWER_SECONDS, set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError("sweep", "--dask", f"no scheduler answers at {address!r} ({error})",

@@ -20,7 +20,7 @@ from doo_ti.errors import InputError
 from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.perception.shape_uncertainty import vertex_sigma
-from doo_ti.types import Configuration, Material
+from doo_ti.types import Configuration, Material, Status
 from doo_ti.vision.distance_map import DistanceMaps
 from doo_ti.vision.reprojection import score
 from doo_ti.vision.rig import Rig
@@ -80,6 +80,11 @@ class Perception:
     gap: np.ndarray
     edge_error: np.ndarray
     unsupported: np.ndarray
+
+    @property
+    def sound(self) -> np.ndarray:
+        """(A,) bool: the best rod converged to a certified minimum."""
+        return (self.status == Status.CONVERGED) & self.stable
 
     @property
     def verdict(self) -> np.ndarray:

@@ -21,6 +21,9 @@ FRUSTUM_MM = 60.0
 JPEG_QUALITY = 80
 TIMELINE = "edges"
 
+FARTHEST_PX = 1e6
+"""What is drawn farther off is not seen."""
+
 
 def record_perception(path, *, run_id: str, name: str, rig: Rig, rods: list[SeenRod], growth: list[list[GrowthStep]],
                       up=(0, 0, 1)) -> None:
@@ -113,7 +116,7 @@ def _log_answer(stream, place: str, rig: Rig, seen: SeenRod) -> None:
 
 def _drawn(pixels: np.ndarray) -> np.ndarray:
     """(n, 2) px as the viewer counts them, with the corners of pixels at whole numbers; what is not seen is left out."""
-    return (pixels[np.isfinite(pixels).all(axis=1)] + 0.5).astype(np.float32)
+    return (pixels[(np.abs(pixels) < FARTHEST_PX).all(axis=1)] + 0.5).astype(np.float32)
 
 
 def _rgb(color: str) -> tuple[int, int, int]:

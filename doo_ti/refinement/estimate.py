@@ -78,7 +78,10 @@ class Estimate:
                 step[self.names.index(unknown)] = sign
         entry = int(name == "bend_2")
         value = float(relative_stiffness(theta.twist if name == "twist" else theta.bend[entry, entry], theta.weight))
-        reach = float(np.sqrt(f_quantile(0.95, 1, self.degrees) * (step @ self.covariance @ step)))
+        terms = np.outer(step, step) * self.covariance
+        # What rounding leaves of terms that cancel, unknowns that are left open together, says nothing.
+        variance = terms.sum() if terms.sum() >= 1e-9 * np.abs(terms).sum() else inf
+        reach = float(np.sqrt(f_quantile(0.95, 1, self.degrees) * variance))
         return value, value * exp(-reach), value * exp(reach) if reach < 700 else inf
 
     @property
@@ -101,7 +104,9 @@ class Estimate:
             if name not in self.names:
                 raise InputError("region", name, "was not learned", f"give two of {', '.join(self.names)}")
         index = [self.names.index(first), self.names.index(second)]
-        root = np.linalg.cholesky(self.covariance[np.ix_(index, index)] + 1e-30 * np.eye(2))
+        # Where a direction is left open rounding may make the smaller of two unlike eigenvalues negative.
+        values, vectors = np.linalg.eigh(self.covariance[np.ix_(index, index)])
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
         angle = np.linspace(0.0, 2 * np.pi, points)
         size = np.sqrt(2 * f_quantile(probability, 2, self.degrees))
         outline = size * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ root.T

@@ -91,7 +91,8 @@ def relax_again(
     solution        of :func:`relax` or of this function; clamps, gravity, lengths and an external energy stay as they were
     material        table with G rows
     solver          Newton; without a first shift, which keeps closest to the branch
-    material_index  (R,) rows of ``material``; without it one for each rod, or the one row for all
+    material_index  (R,) rows of ``material``; without it one for each rod, the one row for all, or as many rows as before, each
+                    for the rods that had that row
 
     Raises InputError for inputs that do not match. Rods that had come to nothing start where they first did.
     """

@@ -126,14 +126,17 @@ class Tables:
         return rods
 
     def under(self, material: Material, index=None) -> "Tables":
-        """The same rods under another material, one row for each or one for all, or as ``index`` (R,) says.
+        """The same rods under another material: one row for each, one for all, or as many as before, each in the place of
+        what was there; or as ``index`` (R,) says.
 
         Raises InputError where they do not match.
         """
         _check_material(material, self.edges, self.floating)
         if index is None and material.count not in (1, self.count):
-            raise InputError(
-                "relax_again", "material", f"{material.count} rows for {self.count} rods", "give one, or one per rod")
+            index = self.material_index
+            if material.count != len(self.material):
+                raise InputError("relax_again", "material", f"{material.count} rows for {self.count} rods",
+                                 "give one, one per rod, as many as before, or material_index")
         rows = np.arange(self.count) % material.count if index is None else np.asarray(index)
         if rows.shape != (self.count,):
             raise InputError("relax_again", "material_index", f"shape {rows.shape}", f"give ({self.count},) row numbers")
