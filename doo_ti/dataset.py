@@ -8,13 +8,12 @@ import hashlib
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, system_reason
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
 from doo_ti.importers import read_npz, read_table, write_table
 from doo_ti.types import LARGEST
@@ -219,10 +218,6 @@ def load_observations(path: str | os.PathLike, up=None) -> Observations:
     keys = read_table(path, content) if path.suffix in TABLES else read_npz(path, content)
     if "vertices_mm" not in keys:
         raise InputError(path, "vertices_mm", "the key is missing", "store the vertices as vertices_mm (D, V, 3)")
-    for missing in set(KEYS.values()) - set(keys):
-        # Other commands' files hold more keys than these; one that is nearly one of these is a slip.
-        if alike := get_close_matches(missing, set(keys) - set(KEYS.values()), 1, 0.85):
-            raise InputError(path, alike[0], "unknown key", f"name it {missing}, or otherwise if it is something else")
     values = {name: keys[key] for name, key in KEYS.items() if key in keys}
     observations = Observations(**values, name=path.stem, source=str(path), sha256=hashlib.sha256(content).hexdigest())
     changed = {} if up is None else {"up": np.asarray(up)}
@@ -283,8 +278,8 @@ def _read_bytes(path: Path) -> bytes:
     checked_suffix(path)
     try:
         content = path.read_bytes()
-    except OSError as error:
-        raise InputError(path, "file", (error.strerror or str(error)).lower(), "name a readable file") from None
+    except (OSError, ValueError) as error:  # a name that holds a null byte
+        raise InputError(path, "file", system_reason(error), "name a readable file") from None
     if not content:
         raise InputError(path, "file", "0 bytes, the file is empty", "write the observations again")
     return content

@@ -22,3 +22,8 @@ class InputError(ValueError):
 
 class InterruptedRunError(RuntimeError):
     """A long run stopped on the way; what was finished is kept and the message says how to go on (exit code 1)."""
+
+
+def system_reason(error: Exception) -> str:
+    """What the system says of a file that cannot be read or written, in lower case, for an InputError's problem."""
+    return (getattr(error, "strerror", None) or str(error)).lower()

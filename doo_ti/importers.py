@@ -17,6 +17,7 @@ are ignored.
 import io
 import zipfile
 import zlib
+from difflib import get_close_matches
 from pathlib import Path
 from typing import BinaryIO
 
@@ -46,11 +47,14 @@ _SHARED = ("rest_length_mm", "up")
 _UNREADABLE = (ValueError, OSError, EOFError, KeyError, RuntimeError, MemoryError, OverflowError, SyntaxError,
                TypeError, zipfile.BadZipFile, zlib.error)
 
+NEARLY = 0.88
+"""Letters that two keys share, over those of both, from which on one is taken for a slip of the other."""
+
 
 def read_npz(path: Path, content: bytes, known=tuple(_COLUMNS)) -> dict[str, np.ndarray]:
     """The arrays of the ``known`` keys from the bytes of an npz file, never unpickled; ``path`` names it in errors.
 
-    Raises InputError for whatever is no npz of plain arrays.
+    Raises InputError for whatever is no npz of plain arrays, and for a key that is nearly one of those not there.
     """
     remedy = "write it with numpy.savez from plain numeric arrays"
     try:
@@ -64,6 +68,9 @@ def read_npz(path: Path, content: bytes, known=tuple(_COLUMNS)) -> dict[str, np.
     with archive:
         for key in known:
             if key not in archive:
+                # Files may hold more than is known here, but what is nearly known is a slip.
+                if alike := get_close_matches(key, set(archive.files) - set(known), 1, NEARLY):
+                    raise InputError(path, alike[0], "unknown key", f"name it {key}, or otherwise if it is something else")
                 continue
             try:
                 value = archive[key]
@@ -161,7 +168,9 @@ def _numbers(path, table, name: str) -> np.ndarray:
     column = table.column(name)
     kind = column.type
     if types.is_string(kind) or types.is_large_string(kind):
-        row, text = next(((row, text) for row, text in enumerate(column.to_pylist()) if not _is_number(text)), (0, ""))
+        row, text = next(((row, text) for row, text in enumerate(column.to_pylist()) if not _is_number(text)), (0, None))
+        if text is None:
+            raise InputError(path, name, f"numbers stored as text, {column[0].as_py()!r} in row 1", "store them as numbers")
         raise InputError(path, name, f"{text!r} in row {row + 1} is not a number", "give numbers, or leave it empty")
     if not (types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind) or types.is_null(kind)):
         raise InputError(path, name, f"type {kind} is not numeric", "give numbers")

@@ -15,6 +15,7 @@ from doo_ti.physics.quaternion import first_director, tangent
 from doo_ti.types import Configuration
 
 
+@runtime.exclusive
 def distance(configuration: Configuration, observations: Observations, index=None, frame_weight: float = 0.0) -> np.ndarray:
     """(R,) Eq. 1 in mm between each rod and the observation it belongs to.
 
@@ -25,14 +26,24 @@ def distance(configuration: Configuration, observations: Observations, index=Non
     and for numbers of edges or rods that do not match.
     """
     index = np.arange(observations.count) if index is None else np.asarray(index)
+    if np.ndim(index) != 1:
+        raise InputError(observations.source, "index", f"shape {np.shape(index)}", "give a row for each rod, (R,)")
     if configuration.edges != observations.edges or len(index) != configuration.count:
         raise InputError(
             observations.source, "vertices_mm",
             f"{observations.edges} edges in {len(index)} observations for {configuration.count} rods of "
             f"{configuration.edges} edges", "compare rods with their own observations")
+    shape, (rods, edges) = configuration.quaternions.shape, configuration.quaternions.shape[:2]
+    if configuration.start.shape != (rods, 3) or np.shape(configuration.rest_length) not in (
+            (edges,), (1, edges), (rods, edges)) or len(shape) != 3 or shape[2] != 4:
+        raise InputError("configuration", "start, rest_length",
+                         f"shapes {configuration.start.shape}, {np.shape(configuration.rest_length)} beside frames {shape}",
+                         f"give ({rods}, 3) and ({edges},), or a row of lengths for each rod")
     if index.dtype.kind not in "iu" or (index.size and not 0 <= index.min() <= index.max() < observations.count):
         raise InputError(observations.source, "index", "not rows of the observations",
                          f"give whole numbers below {observations.count}")
+    if not (isinstance(frame_weight, int | float | np.number) and 0 <= frame_weight < np.inf):
+        raise InputError("distance", "frame_weight", f"{frame_weight!r} is no length", "give zero or a positive number of mm")
     if frame_weight > 0 and observations.frames is None:
         raise InputError(observations.source, "frames", "missing, but a frame weight is given", "use --frame-weight 0")
     runtime.start()

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, system_reason
 from doo_ti.importers import read_npz
 from doo_ti.types import LARGEST
 
@@ -42,7 +42,7 @@ def read_arrays(path: Path, known: dict[str, tuple[tuple[int, ...], tuple[str, .
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise InputError(path, "file", (error.strerror or str(error)).lower(), "name a readable file") from None
+        raise InputError(path, "file", system_reason(error), "name a readable file") from None
     keys = (*known, *only_npz)
     arrays = read_npz(path, content, keys) if path.suffix == ".npz" else _from_table(path, content, known)
     if not arrays:

@@ -7,8 +7,10 @@ threads is not cut into blocks.
 
 import os
 from contextlib import redirect_stdout
+from functools import wraps
 from io import StringIO
 from pathlib import Path
+from threading import RLock
 
 from doo_ti.errors import InputError
 
@@ -16,6 +18,7 @@ TASKS = Path("/proc/self/task")
 """Where Linux names a process's threads."""
 
 _architecture: str | None = None
+_one_at_a_time = RLock()
 
 
 def start(architecture: str | None = None, threads: int | None = None, pinned: bool = True) -> str:
@@ -28,32 +31,48 @@ def start(architecture: str | None = None, threads: int | None = None, pinned: b
     Raises InputError for another architecture.
     """
     global _architecture
-    if _architecture is None:
-        architecture = architecture or os.environ.get("DOO_TI_ARCHITECTURE", "cpu")
-        if architecture not in ("cpu", "cuda"):
-            raise InputError("environment", "DOO_TI_ARCHITECTURE", f"{architecture!r} is unknown", "give cpu or cuda")
-        import taichi as ti
-
-        count = {} if threads is None else {"cpu_max_num_threads": threads}
-        others = _tasks()
-        with redirect_stdout(StringIO()):  # it greets on standard output, which belongs to the commands' results
-            ti.init(
-                arch={"cpu": ti.cpu, "cuda": ti.cuda}[architecture],
-                default_fp=ti.f32,
-                fast_math=False,
-                real_matrix_scalarize=False,
-                make_cpu_multithreading_loop=False,
-                cpu_block_dim_adaptive=False,
-                offline_cache=True,
-                log_level=ti.ERROR,
-                **count,
-            )
-        if architecture == "cpu" and pinned and os.environ.get("DOO_TI_PINNED") != "0":
-            _pin(sorted(_tasks() - others))
-        if not os.environ.get("DOO_TI_DEBUG"):
-            _spare_quotations()
-        _architecture = architecture
+    with _one_at_a_time:
+        if _architecture is None:
+            _architecture = _started(architecture or os.environ.get("DOO_TI_ARCHITECTURE", "cpu"), threads, pinned)
     return _architecture
+
+
+def exclusive(function):
+    """``function``, which uses kernels, for one Python thread at a time: Taichi compiles for one only, and calls share the
+    kernels' memory. A call takes all processors by itself."""
+    @wraps(function)
+    def alone(*arguments, **options):
+        with _one_at_a_time:
+            return function(*arguments, **options)
+
+    return alone
+
+
+def _started(architecture: str, threads: int | None, pinned: bool) -> str:
+    """The architecture, after starting Taichi there."""
+    if architecture not in ("cpu", "cuda"):
+        raise InputError("environment", "DOO_TI_ARCHITECTURE", f"{architecture!r} is unknown", "give cpu or cuda")
+    import taichi as ti
+
+    count = {} if threads is None else {"cpu_max_num_threads": threads}
+    others = _tasks()
+    with redirect_stdout(StringIO()):  # it greets on standard output, which belongs to the commands' results
+        ti.init(
+            arch={"cpu": ti.cpu, "cuda": ti.cuda}[architecture],
+            default_fp=ti.f32,
+            fast_math=False,
+            real_matrix_scalarize=False,
+            make_cpu_multithreading_loop=False,
+            cpu_block_dim_adaptive=False,
+            offline_cache=True,
+            log_level=ti.ERROR,
+            **count,
+        )
+    if architecture == "cpu" and pinned and os.environ.get("DOO_TI_PINNED") != "0":
+        _pin(sorted(_tasks() - others))
+    if not os.environ.get("DOO_TI_DEBUG"):
+        _spare_quotations()
+    return architecture
 
 
 def _spare_quotations() -> None:

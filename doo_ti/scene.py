@@ -30,13 +30,15 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, system_reason
 from doo_ti.grid import UNITS, Grid, parse_axis, parse_bend
-from doo_ti.types import Clamp, Material
+from doo_ti.types import LARGEST, Clamp, Material
 
 OBJECTIVES = ("static", "dynamic")
 PRECISIONS = ("f32", "f64", "mixed")
 MOST_SPINS = 360
+MOST_FINE_EDGES, MOST_TURNS = 100_000, 1000
+"""Of a virtual rod."""
 CLAMPS = tuple(kind.name.lower() for kind in Clamp)
 
 
@@ -87,6 +89,8 @@ class Synthesis:
             self._require(name, getattr(self, name) > 0, "a positive number")
         for name in ("weight", "rest_curvature_rms_per_mm", "label_noise_mm"):
             self._require(name, getattr(self, name) >= 0, "zero or a positive number")
+        self._require("length_mm", self.length_mm <= MOST_FINE_EDGES * self.fine_edge_mm,
+                      f"at most {MOST_FINE_EDGES} fine edges")
         for name, length in (("marks", self.length_mm / (self.marks - 1)), ("clip_mm", self.clip_mm)):
             count = length / self.fine_edge_mm
             self._require(name, round(count) >= 1 and math.isclose(count, round(count), rel_tol=1e-6),
@@ -95,12 +99,15 @@ class Synthesis:
         for name in ("end_distances_mm", "end_rotations_deg"):
             values = getattr(self, name)
             self._require(name, len(values) > 0 and len(set(values)) == len(values), "different numbers, at least one")
+        self._require("end_rotations_deg", max(map(abs, self.end_rotations_deg)) <= MOST_TURNS * 360.0,
+                      f"at most {MOST_TURNS} turns")
         distances = self.end_distances_mm
         self._require("end_distances_mm", 0 < min(distances) and max(distances) < self.length_mm,
                       f"distances between 0 and length_mm = {self.length_mm:g}")
         for name in ("start_direction", "end_direction"):
             direction = getattr(self, name)
-            self._require(name, len(direction) == 3 and 0 < np.linalg.norm(direction) < np.inf, "a vector X, Y, Z")
+            self._require(name, len(direction) == 3 and any(direction) and max(map(abs, direction)) <= LARGEST,
+                          "a vector X, Y, Z")
         bend = self.bend * np.eye(2) if isinstance(self.bend, float) else np.array(self.bend)
         self._require("bend", (bend == bend.T).all() and np.linalg.eigvalsh(bend)[0] > 0, "a positive definite B")
 
@@ -147,8 +154,8 @@ def load_scene(path: str | os.PathLike) -> Scene:
         content = path.read_bytes()
         table = tomllib.loads(content.decode())
     except OSError as error:
-        raise InputError(path, "file", (error.strerror or str(error)).lower(), "name a readable scene") from None
-    except ValueError as error:
+        raise InputError(path, "file", system_reason(error), "name a readable scene") from None
+    except (ValueError, RecursionError) as error:
         raise InputError(path, "file", f"not TOML ({error})", "correct the scene") from None
     known = ("name", "frame_weight_mm", "clamp_start", "clamp_end", "objective", "pairs", "spins", "precision",
              "observations", "synthesis", "grid")
@@ -156,6 +163,8 @@ def load_scene(path: str | os.PathLike) -> Scene:
     if ("observations" in table) == ("synthesis" in table):
         raise InputError(path, "observations", "neither or both of [observations] and [synthesis]", "give one of them")
     name = _text(path, "name", table.get("name", path.stem))
+    if not name.isprintable() or name in (".", "..") or set(name) & set("/\\") or len(name) > 200:
+        raise InputError(path, "name", f"{name[:40]!r} names no folder", "give a name without / or \\, folders are called so")
     objective = _choice(path, "objective", table.get("objective", "static"), OBJECTIVES)
     return Scene(
         name=name,

@@ -70,6 +70,8 @@ class Material:
             bend = bend[:, None]
         twist = _finite("twist", self.twist)
         twist = twist.reshape(-1, 1) if twist.ndim <= 1 else twist
+        if twist.ndim != 2:
+            raise InputError("material", "twist", f"shape {twist.shape}", "give β, (R,) or (R, E-1)")
         weight = _finite("weight", self.weight).reshape(-1)
         rest = self.rest_curvature
         if rest is not None:
@@ -98,7 +100,11 @@ class Material:
     @classmethod
     def diagonal(cls, bend_1, bend_2, twist, weight=1.0) -> "Material":
         """B = diag(bend_1, bend_2) along the material frame: bend_1 weighs bending about m2, bend_2 about m1."""
-        first, second = np.broadcast_arrays(np.atleast_1d(_finite("bend_1", bend_1)), _finite("bend_2", bend_2))
+        first, second = np.atleast_1d(_finite("bend_1", bend_1), _finite("bend_2", bend_2))
+        if first.ndim != 1 or second.ndim != 1 or (len(first) != len(second) and 1 not in (len(first), len(second))):
+            shapes = f"shapes {first.shape}, {second.shape}"
+            raise InputError("material", "bend_1, bend_2", shapes, "give one value or one per rod")
+        first, second = np.broadcast_arrays(first, second)
         return cls(first[:, None, None] * np.diag([1.0, 0.0]) + second[:, None, None] * np.diag([0.0, 1.0]), twist, weight)
 
     @property
@@ -217,10 +223,22 @@ class Solution:
         return self.status == Status.CONVERGED
 
 
+def unit_up(up, function: str) -> np.ndarray:
+    """(3,) the unit vector along ``up``, what the argument of that name of ``function`` is. Raises InputError for what is no
+    direction."""
+    try:
+        direction = np.asarray(up, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(function, "up", f"{up!r}", "give a direction of three numbers") from None
+    if direction.shape != (3,) or not (np.abs(direction) <= LARGEST).all() or not (length := np.linalg.norm(direction)) > 0:
+        raise InputError(function, "up", f"{direction.tolist()}", "give a direction of three finite numbers, not all zero")
+    return direction / length
+
+
 def _finite(name: str, value) -> np.ndarray:
     try:
         array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError("material", name, f"{value!r} is not a number", "give numbers") from None
     if not (np.abs(array) <= LARGEST).all():
         raise InputError("material", name, f"not finite, or beyond {LARGEST:g}", "give finite numbers")
@@ -228,6 +246,8 @@ def _finite(name: str, value) -> np.ndarray:
 
 
 def _check_bend(bend: np.ndarray) -> None:
+    if not bend.size:
+        raise InputError("material", "bend", "no rows", "give at least one material")
     if bend.ndim != 4 or bend.shape[-2:] != (2, 2):
         raise InputError("material", "bend", f"shape {bend.shape}", "give α, (R,), (2, 2), (R, 2, 2) or (R, E, 2, 2)")
     symmetric = np.abs(bend[..., 0, 1] - bend[..., 1, 0]) <= 1e-12 * np.abs(bend).max()

@@ -8,7 +8,7 @@ import numpy as np
 
 from doo_ti import options as given
 from doo_ti.dataset import load_observations
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, system_reason
 from doo_ti.importers import read_npz
 from doo_ti.types import Material
 
@@ -66,7 +66,7 @@ def read_rest_length(text: str) -> np.ndarray:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise InputError("command line", option, f"{text!r}: {(error.strerror or str(error)).lower()}", remedy) from None
+        raise InputError("command line", option, f"{text!r}: {system_reason(error)}", remedy) from None
     try:
         values = read_npz(path, content, ("rest_length_mm",)).get("rest_length_mm") if path.suffix == ".npz" else \
             np.array(content.decode("utf-8").replace(",", " ").split(), dtype=np.float64)

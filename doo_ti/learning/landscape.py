@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, system_reason
 from doo_ti.grid import Grid, Interval, valley
 from doo_ti.types import Status
 
@@ -137,9 +137,9 @@ def _summary(run: Path) -> dict:
     try:
         summary = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        problem = (error.strerror or str(error)).lower()
+        problem = system_reason(error)
         raise InputError(path, "file", problem, "name the folder of a finished sweep") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(path, "file", f"not JSON ({error})", "run the sweep again") from None
     if not isinstance(summary, dict):
         raise InputError(path, "file", "holds no table", "run the sweep again")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.dataset import Observations, write_whole
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, system_reason
 from doo_ti.types import Clamp, Clamps
 
 APART_DEG = 120.0
@@ -158,7 +158,7 @@ def _read_columns(path: Path) -> dict[str, np.ndarray]:
     try:
         rows = [row for row in csv.reader(StringIO(path.read_text(encoding="utf-8-sig"))) if row]
     except OSError as error:
-        raise InputError(path, "file", (error.strerror or str(error)).lower(), "name a readable CSV file") from None
+        raise InputError(path, "file", system_reason(error), "name a readable CSV file") from None
     except (ValueError, csv.Error) as error:
         raise InputError(path, "file", f"not CSV ({error})", "give a CSV file of pairs") from None
     form = f"give the columns {','.join(NEEDED)}[,{'][,'.join(OPTIONAL)}]"

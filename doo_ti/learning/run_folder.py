@@ -20,7 +20,7 @@ import numpy as np
 
 from doo_ti import __version__
 from doo_ti.dataset import load_observations, save_observations, write_whole
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, system_reason
 from doo_ti.grid import Grid
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
@@ -65,8 +65,11 @@ def finished(run: Path, identity: str) -> dict | None:
     path = run / "summary.json"
     if not (path.exists() and (run / "run.rrd").exists()):
         return None
-    summary = json.loads(path.read_text(encoding="utf-8"))
-    return summary if summary["provenance"]["sweep_sha256"] == identity else None
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        return summary if summary["provenance"]["sweep_sha256"] == identity else None
+    except (ValueError, KeyError, TypeError, RecursionError):  # damaged: it is made again from the cells
+        return None
 
 
 def read_experiment(run: Path) -> Experiment:
@@ -82,9 +85,9 @@ def read_experiment(run: Path) -> Experiment:
         hypotheses = None if kept is None else Hypotheses.from_dict(kept["kept"])
         material, digest = summary["material"], told["input_sha256"]
     except OSError as error:
-        problem = (error.strerror or str(error)).lower()
+        problem = system_reason(error)
         raise InputError(path, "file", problem, "name the folder of a finished sweep") from None
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise InputError(path, "file", "does not describe a sweep", "run the sweep again") from None
     observations = replace(load_observations(Path(run) / OBSERVATIONS), name=material, sha256=digest)
     pairs = load_pairs(Path(run) / PAIRS, observations) if options.objective == "dynamic" else None

@@ -31,7 +31,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, system_reason
 from doo_ti.frames import (
     across,
     bishop_frames,
@@ -77,8 +77,8 @@ def load_motion_scene(path: str | os.PathLike) -> MotionScene:
     try:
         table = tomllib.loads(path.read_bytes().decode())
     except OSError as error:
-        raise InputError(path, "file", (error.strerror or str(error)).lower(), "name a readable scene") from None
-    except ValueError as error:
+        raise InputError(path, "file", system_reason(error), "name a readable scene") from None
+    except (ValueError, RecursionError) as error:
         raise InputError(path, "file", f"not TOML ({error})", "correct the scene") from None
     _check_keys(path, "", table, ("name", "between", "rod", "materials", "moments"))
     rod = _table(path, table, "rod")

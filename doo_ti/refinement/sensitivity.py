@@ -68,6 +68,7 @@ class Sensitivity:
         return frames[..., 2, None] * about_t - frames[..., 0, None] * about_m2
 
 
+@runtime.exclusive
 def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist", "weight")) -> Sensitivity:
     """dΓ*/dΘ of every rod of ``solution``, which also holds its materials, clamps and the direction of gravity.
 

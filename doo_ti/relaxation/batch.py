@@ -28,6 +28,7 @@ _scratch: dict = {}
 _queues: dict[Number, np.ndarray] = {}
 
 
+@runtime.exclusive
 def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution | None = None, moving: bool = True):
     """Relax every feasible rod from its start, or from where it ended in ``begin``: (R, E, 4) frames and (R, RESULTS), NaN and
     UNTOUCHED in infeasible rows.

@@ -34,6 +34,8 @@ def clamp_table(configuration: Configuration, lengths: np.ndarray, kinds: np.nda
     doubles = (np.ascontiguousarray(array, dtype=np.float64) for array in (
         configuration.start, configuration.quaternions, lengths, clamps.start_position, clamps.end_position,
         clamps.start_frame, clamps.end_frame))
+    if not count:
+        return table, found[:, OF_REACH]
     clamp_kernel(serial, 1 if on_cpu else 64)(np.ascontiguousarray(kinds, dtype=np.int32), *doubles, threads, table, found)
     _check_frames(found[:, OF_FRAMES], clamps)
     return table, found[:, OF_REACH]

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from doo_ti import runtime
 from doo_ti.errors import InputError
 from doo_ti.relaxation import batch
 from doo_ti.relaxation.columns import (
@@ -29,13 +30,14 @@ from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.external import External
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.tables import Tables, tables
-from doo_ti.types import LARGEST, Clamps, Configuration, Material, Solution, Status
+from doo_ti.types import Clamps, Configuration, Material, Solution, Status, unit_up
 
 # As plain numbers, which NumPy compares ten times faster than members of an enumeration.
 CONVERGED, STALLED, INFEASIBLE = (int(status) for status in (Status.CONVERGED, Status.STALLED, Status.INFEASIBLE))
 PRECISIONS = ("f32", "f64", "mixed")
 
 
+@runtime.exclusive
 def relax(
     configuration: Configuration,
     material: Material,
@@ -66,7 +68,7 @@ def relax(
     Energies include the constant μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods get that
     status and NaN.
     """
-    up = _unit(up)
+    up = unit_up(up, "relax")
     if not isinstance(solver, Newton | Descent):
         raise InputError("relax", "solver", f"{solver!r}", "give Newton(), Newton.careful() or Descent()")
     if external is not None and isinstance(solver, Descent):
@@ -82,6 +84,7 @@ def relax(
         return _solution(table, frames, results, bits)
 
 
+@runtime.exclusive
 def relax_again(
     solution: Solution, material: Material, solver: Newton = Newton(first_shift=0.0), *, precision: str = "f64",
     material_index=None,
@@ -110,16 +113,6 @@ def relax_again(
 def _check_precision(function: str, precision: str) -> None:
     if precision not in PRECISIONS:
         raise InputError(function, "precision", f"{precision!r}", f"give one of {', '.join(PRECISIONS)}")
-
-
-def _unit(up) -> np.ndarray:
-    try:
-        up = np.asarray(up, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError("relax", "up", f"{up!r}", "give a direction of three numbers") from None
-    if up.shape != (3,) or not (np.abs(up) <= LARGEST).all() or not (length := np.linalg.norm(up)) > 0:
-        raise InputError("relax", "up", f"{up.tolist()}", "give a direction of three finite numbers, not all zero")
-    return up / length
 
 
 def _descent(table: Tables, solver: Descent, precision: str):

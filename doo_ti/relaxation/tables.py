@@ -220,7 +220,11 @@ def tables(
 def _lengths(configuration: Configuration) -> np.ndarray:
     """(1 or S, E) rest lengths. Raises InputError where they do not match or are not positive."""
     count, edges = configuration.count, configuration.edges
-    lengths = np.ascontiguousarray(configuration.rest_length, dtype=np.float64)
+    try:
+        # A copy: what becomes of the caller's own is none of the result's business.
+        lengths = np.array(configuration.rest_length, dtype=np.float64, order="C")
+    except (TypeError, ValueError):
+        raise InputError("configuration", "rest_length", "not an array of numbers", "give positive lengths in mm") from None
     if lengths.ndim == 1:
         lengths = lengths[None]
     if lengths.shape not in ((1, edges), (count, edges)):
@@ -284,7 +288,9 @@ def _material_table(material: Material, isotropic: bool, edges: int) -> np.ndarr
 def _check_shapes(configuration: Configuration, clamps: Clamps) -> None:
     """Raise InputError unless starts and clamps are tables of the same rods."""
     shape = np.shape(configuration.quaternions)
-    if not isinstance(configuration.quaternions, np.ndarray) or len(shape) != 3 or shape[2] != 4 or shape[1] < 2:
+    if not isinstance(configuration.quaternions, np.ndarray) or configuration.quaternions.dtype.kind not in "fiu":
+        raise InputError("configuration", "quaternions", "not an array of real numbers", "give an array (R, E, 4)")
+    if len(shape) != 3 or shape[2] != 4 or shape[1] < 2:
         raise InputError("configuration", "quaternions", f"shape {shape}", "give an array (R, E, 4) with at least two edges")
     needed = {"start_position": (shape[0], 3), "end_position": (shape[0], 3),
               "start_frame": (shape[0], 3, 3), "end_frame": (shape[0], 3, 3)}
@@ -294,6 +300,8 @@ def _check_shapes(configuration: Configuration, clamps: Clamps) -> None:
     ):
         if not isinstance(array, np.ndarray) or array.shape != wanted:
             raise InputError(source, field, f"shape {np.shape(array)}", f"give an array {wanted}, a row for each start")
+        if array.dtype.kind not in "fiub":
+            raise InputError(source, field, f"dtype {array.dtype}", "give real numbers")
 
 
 def _kinds(clamps: Clamps, count: int) -> np.ndarray:
@@ -301,7 +309,7 @@ def _kinds(clamps: Clamps, count: int) -> np.ndarray:
     kinds = np.empty((count, 2), dtype=np.int64)
     for end, (name, kind) in enumerate((("start", clamps.start), ("end", clamps.end))):
         if not isinstance(kind, Clamp):
-            kind = np.asarray(kind)
+            kind = _index(name, kind)
             known = kind.dtype.kind in "iuf" and bool(((kind >= FREE) & (kind <= FRAME) & (kind == kind.astype(int))).all())
             if kind.shape not in ((), (1,), (count,)) or not known:
                 raise InputError("clamps", name, f"{kind.tolist()!r}", "give a Clamp, or one for each start")
@@ -316,18 +324,29 @@ def _pairs(configurations: int, materials: int, configuration_index, material_in
             raise InputError("relax", "material", f"{materials} rows for {configurations} rods", "give one, or one per rod")
         count = min(configurations, materials) and max(configurations, materials)
         return np.arange(count) % max(configurations, 1), np.arange(count) % max(materials, 1)
-    first = np.asarray(0 if configuration_index is None else configuration_index)
-    second = np.asarray(0 if material_index is None else material_index)
+    first = _index("configuration_index", configuration_index)
+    second = _index("material_index", material_index)
     for name, index in (("configuration_index", first), ("material_index", second)):
         if index.size and index.dtype.kind not in "iu":
             raise InputError("relax", name, f"dtype {index.dtype}", "give whole row numbers")
     if first.shape != second.shape:
+        if first.size != 1 and second.size != 1:
+            raise InputError("relax", "material_index", f"shape {second.shape} beside {first.shape} of configuration_index",
+                             "give (R,) row numbers both")
         first, second = np.broadcast_arrays(first, second)
     first, second = (np.ascontiguousarray(index, dtype=np.int64) for index in (first, second))
     for name, index, size in (("configuration_index", first, configurations), ("material_index", second, materials)):
         if index.ndim != 1 or (index.size and (index.min() < 0 or index.max() >= size)):
             raise InputError("relax", name, f"not a vector of rows below {size}", "give (R,) row numbers")
     return first, second
+
+
+def _index(name: str, index) -> np.ndarray:
+    """As an array, zero for none. Raises InputError for what is none."""
+    try:
+        return np.asarray(0 if index is None else index)
+    except ValueError:
+        raise InputError("relax", name, "not a vector of rows", "give (R,) row numbers") from None
 
 
 def _external_rows(external: External | None, index, count: int, edges: int) -> np.ndarray:

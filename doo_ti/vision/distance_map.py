@@ -42,6 +42,7 @@ class DistanceMaps:
     window: np.ndarray
 
 
+@runtime.exclusive
 def distance_maps(detections: list[list[Detection]], margin_px: int = 50) -> DistanceMaps:
     """The maps of A sets of C detections: each of the box around a detection and ``margin_px`` more, within the image.
 

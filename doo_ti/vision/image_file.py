@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, system_reason
 from doo_ti.vision.rig import Camera
 
 
@@ -21,8 +21,8 @@ def read_image(path: str | os.PathLike, camera: Camera | None = None) -> np.ndar
     path = Path(path)
     try:
         stored = np.fromfile(path, dtype=np.uint8)
-    except OSError as error:
-        raise InputError(path, "file", (error.strerror or str(error)).lower(), "name a readable image") from None
+    except (OSError, ValueError) as error:  # a name that holds a null byte
+        raise InputError(path, "file", system_reason(error), "name a readable image") from None
     try:
         image = cv2.imdecode(stored, cv2.IMREAD_GRAYSCALE) if stored.size else None
     except cv2.error:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, system_reason
 from doo_ti.vision.rig import Rig
 
 SEED = ("seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
@@ -88,7 +88,7 @@ def header_and_lines(path: Path) -> tuple[list[str], list[dict[str, str]]]:
             reader = csv.DictReader(file, restval="")
             return list(reader.fieldnames or []), list(reader)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        problem = (getattr(error, "strerror", None) or str(error)).lower()
+        problem = system_reason(error)
         raise InputError(path, "file", problem, "name a readable CSV file") from None
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, system_reason
 from doo_ti.vision.rig import Rig
 
 COLUMNS = ("observation", "camera", "mark", "u_px", "v_px")
@@ -121,7 +121,7 @@ def _table(path: Path, needed: tuple[str, ...]) -> dict[str, np.ndarray]:
         first = str(error).strip().splitlines()[0][:80]
         raise InputError(path, "file", f"is no CSV table ({first})", f"write the columns {','.join(needed)}") from None
     except OSError as error:
-        raise InputError(path, "file", (error.strerror or str(error)).lower(), "name a readable CSV file") from None
+        raise InputError(path, "file", system_reason(error), "name a readable CSV file") from None
     names = [name.strip() for name in table.column_names]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:

@@ -20,7 +20,7 @@ from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
 from doo_ti.relaxation.columns import MOST_NUMBERS
 from doo_ti.relaxation.external import ExternalFunctions
-from doo_ti.types import Material
+from doo_ti.types import Material, unit_up
 from doo_ti.vision.distance_map import DistanceMaps
 from doo_ti.vision.edge_integral import COLUMNS, POINTS, WINDOW, edge_integrals
 from doo_ti.vision.projection import camera_table
@@ -64,10 +64,11 @@ class Reprojection:
         _check_maps(self.maps, self.rig)
         for name in ("nu", "cap", "reach"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and (value > 0 or (name == "nu" and value == 0))):
-                raise InputError("Reprojection", name, f"{value}", "give a positive, finite number")
-        if not 1 <= self.points <= 64:
-            raise InputError("Reprojection", "points", f"{self.points}", "give 1 to 64")
+            number = isinstance(value, int | float | np.number) and np.isfinite(value)
+            if not (number and (value >= 1e-12 or (name == "nu" and value == 0))):
+                raise InputError("Reprojection", name, f"{value!r}", "give a positive, finite number")
+        if not (isinstance(self.points, int | np.integer) and 1 <= self.points <= 64):
+            raise InputError("Reprojection", "points", f"{self.points!r}", "give a whole number from 1 to 64")
 
     @property
     def count(self) -> int:
@@ -157,6 +158,7 @@ class Score:
     unseen: np.ndarray
 
 
+@runtime.exclusive
 def score(
     vertices: np.ndarray, maps: DistanceMaps, set_index, rig: Rig, nu: float, material: Material | None = None,
     *, material_index=None, points: int = 8, cap: float = 40.0, up=(0.0, 0.0, 1.0),
@@ -186,6 +188,7 @@ def score(
     if material_index is None and len(stiffness) not in (1, count):
         raise InputError("score", "material", f"{len(stiffness)} rows for {count} hypotheses", "give one, or one for each")
     result = np.empty((count, 1 + 2 * cameras), dtype=np.float32)
+    up = unit_up(up, "score")
     on_cpu = runtime.start() == "cpu"
     kernel = score_kernel(Number(16 if on_cpu else 1, 32), 1 if on_cpu else 64, vertices.dtype.itemsize * 8)
     if count:
@@ -217,10 +220,15 @@ def _stiffness(material: Material | None) -> np.ndarray:
 def _check_maps(maps: DistanceMaps, rig: Rig) -> None:
     """Raise InputError unless every window can be sampled and lies within the values."""
     window, cameras = np.asarray(maps.window), len(rig.cameras)
+    if np.ndim(maps.values) != 1 or np.asarray(maps.values).dtype.kind != "f":
+        raise InputError("maps", "values", f"shape {np.shape(maps.values)}", "give all maps' distances as one vector")
     if window.ndim != 3 or window.shape[1:] != (cameras, 5):
         raise InputError("maps", "window", f"shape {window.shape}", f"give (A, {cameras}, 5), a map for each camera of the rig")
-    if (window[..., 3:] < SMALLEST).any():
-        raise InputError("maps", "window", f"{window[..., 3:].min()} px across", f"give windows of {SMALLEST} px or more")
+    if window.dtype.kind not in "iu":
+        raise InputError("maps", "window", f"dtype {window.dtype}", "give whole numbers")
+    if ((window[..., 3:] < SMALLEST) | (window[..., 3:] > MOST_NUMBERS // SMALLEST)).any():
+        raise InputError("maps", "window", f"{window[..., 3:].min()} to {window[..., 3:].max()} px across",
+                         f"give windows of {SMALLEST} px or more that lie within the values")
     ends = window[..., 0] + window[..., 3] * window[..., 4]
     if (window[..., 0] < 0).any() or (ends > np.size(maps.values)).any() or np.size(maps.values) > MOST_NUMBERS:
         raise InputError("maps", "values", f"{np.size(maps.values)} distances", f"give the {ends.max()} that the windows name")

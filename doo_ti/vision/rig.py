@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.dataset import write_whole
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, system_reason
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
 
 COEFFICIENTS = 5
@@ -129,19 +129,19 @@ def load_rig(path: str | os.PathLike) -> Rig:
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
-        raise InputError(path, "file", (error.strerror or str(error)).lower(), "name a readable rig") from None
+        raise InputError(path, "file", system_reason(error), "name a readable rig") from None
     except UnicodeDecodeError:
         raise InputError(path, "file", "not text", "give an OpenCV FileStorage YAML file") from None
     try:
         storage = cv2.FileStorage(text, cv2.FileStorage_READ | cv2.FileStorage_MEMORY | cv2.FileStorage_FORMAT_YAML)
         nodes = storage.getNode("cameras")
         count = nodes.size() if nodes.isSeq() else 0
+        if not count:
+            raise InputError(path, "cameras", "missing or empty", "give a sequence of name, width, height, K, dist, R, t")
+        return Rig(tuple(_camera(path, nodes.at(index), index) for index in range(count)), str(path))
     except (cv2.error, SystemError) as error:
         reason = str(error).splitlines()[0][:80]
         raise InputError(path, "file", f"not a rig ({reason})", "give OpenCV FileStorage YAML") from None
-    if not count:
-        raise InputError(path, "cameras", "missing or empty", "give a sequence of name, width, height, K, dist, R, t")
-    return Rig(tuple(_camera(path, nodes.at(index), index) for index in range(count)), str(path))
 
 
 def _camera(path: Path, node, index: int) -> Camera:

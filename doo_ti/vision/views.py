@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, system_reason
 from doo_ti.vision.board import Board
 from doo_ti.vision.bundle import Sighting
 from doo_ti.vision.corners import find_corners
@@ -44,7 +44,7 @@ def read_views(path: Path) -> Views:
     try:
         rows = list(csv.reader(io.StringIO(path.read_bytes().decode("utf-8-sig")), strict=True))
     except OSError as error:
-        raise InputError(path, "file", (error.strerror or str(error)).lower(), "name a readable list of views") from None
+        raise InputError(path, "file", system_reason(error), "name a readable list of views") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, "file", f"is no CSV table ({str(error)[:60]})", remedy) from None
     rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]

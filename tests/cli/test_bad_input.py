@@ -212,11 +212,12 @@ def test_outputs_that_cannot_be(capsys, tmp_path):
         "convert": ["convert", good],
         "synth": ["synth", str(Path(__file__).resolve().parents[2] / "scenes" / "silk.toml"), "--out"],
     }
-    for argv in commands.values():
-        refused(capsys, tmp_path, [*argv, below], "--out", "good.npz", "below it")
+    named = {name: "OUT" if name == "convert" else "--out" for name in commands}
+    for name, argv in commands.items():
+        refused(capsys, tmp_path, [*argv, below], named[name], "good.npz", "below it")
     refused(capsys, tmp_path, [*commands["sweep"], good], "--out", "good.npz")
     for name in ("relax", "convert", "synth"):
-        refused(capsys, tmp_path, [*commands[name], str(tmp_path / "folder.npz")], "--out", "is a folder")
+        refused(capsys, tmp_path, [*commands[name], str(tmp_path / "folder.npz")], named[name], "is a folder")
         refused(capsys, tmp_path, [*commands[name], str(tmp_path / "F.txt")], "suffix '.txt'")
     (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
     refused(capsys, tmp_path, [*commands["sweep"], str(tmp_path / "dangling" / "run")], "--out", "dangling")
@@ -240,6 +241,12 @@ SCENES = {
     "B not positive definite": (f"[synthesis]\nbend = [[1, 3], [3, 1]]\ntwist = 1\n{GRID}", "synthesis.bend"),
     "absent file": ('[observations]\nfile = "absent.npz"\n[grid]\nbend = 3\n', "absent.npz", "no such file"),
     "no TOML": ("[synthesis\n", "not TOML"),
+    "TOML without end": (f"x={'[' * 20_000}", "not TOML"),
+    "a name that leads elsewhere": (f'name = "../../x"\n{LAB}{GRID}', "name", "names no folder"),
+    "a name that is none": (f'name = "a\\u0000b"\n{LAB}{GRID}', "name", "names no folder"),
+    "turns without end": (f"{LAB}end_rotations_deg = [1e18]\n{GRID}", "synthesis.end_rotations_deg", "1000 turns"),
+    "a rod without end": (f"{LAB}length_mm = 1e300\n{GRID}", "synthesis.length_mm"),
+    "a direction out of range": (f"{LAB}start_direction = [1e200, 0, 0]\n{GRID}", "synthesis.start_direction"),
 }
 
 
@@ -271,3 +278,18 @@ def test_in_a_process_of_its_own(tmp_path):
     assert done.stderr.count("\n") == 1 and "absent.npz" in done.stderr and not list(tmp_path.iterdir())
     done = subprocess.run([*program, "--help"], cwd=root, capture_output=True, text=True, encoding="utf-8")
     assert done.returncode == 0 and "sweep" in done.stdout and done.stderr == ""
+
+
+def test_a_slip_in_a_key(capsys, tmp_path):
+    """Other commands' files hold more keys than observations have, but end_frme is nobody's."""
+    keys = good_keys()
+    keys["end_frme"] = keys.pop("end_frame")
+    np.savez(tmp_path / "bad.npz", **keys)
+    argv = ["relax", str(tmp_path / "bad.npz"), *MATERIAL, "--out", str(tmp_path / "F.npz")]
+    refused(capsys, tmp_path, argv, "bad.npz", "end_frme", "name it end_frame")
+
+
+def test_a_plan_over_twist_that_rides_on_bend(capsys, tmp_path):
+    npz_bytes(tmp_path)
+    argv = ["plan", str(tmp_path / "good.npz"), "--bend", "1e5:1e6:3", "--out", str(tmp_path / "plan")]
+    refused(capsys, tmp_path, argv, "twist", "rides on bend", "--twist-ratio")

@@ -160,3 +160,11 @@ def test_too_large_a_grid_is_told_before_it_starts(tmp_path, observations):
     with pytest.raises(InputError, match="900,000,000 cells"):
         sweep(tmp_path / "run", observations, wide)
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("damage", [b"{", b"[]", b"null", b"{}", b"\xff\xfe", b"[" * 100_000])
+def test_a_damaged_summary_is_made_again(tmp_path, observations, damage):
+    summary = sweep(tmp_path / "run", observations, GRID)
+    (tmp_path / "run" / "summary.json").write_bytes(damage)
+    again = sweep(tmp_path / "run", observations, GRID)
+    assert again["best"] == summary["best"] and again["timing"]["relaxed_rods"] == 0
