@@ -140,3 +140,18 @@ def angle_about(tangent: np.ndarray, source: np.ndarray, target: np.ndarray) -> 
     """Angle in (−π, π] that turns ``source`` into ``target`` about ``tangent``, all unit (..., 3), rad."""
     sine = np.sum(np.cross(source, target) * tangent, axis=-1)
     return np.arctan2(sine, np.sum(source * target, axis=-1))
+
+
+def turned_about_tangent(frame: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) frames turned about their tangents by angles (...), rad."""
+    turn = quaternion_about(frame[..., 0], angle)
+    return matrix_from_quaternion(quaternion_product(turn, quaternion_from_matrix(frame)))
+
+
+def total_twist(quaternions: np.ndarray) -> np.ndarray:
+    """(...) Σ m_i in rad of chains of frames (..., E, 4): of each from the one before, transported, at most half a turn."""
+    before, after = quaternions[..., :-1, :], quaternions[..., 1:, :]
+    scalar = np.sum(before * after, axis=-1)
+    (a, b, c, d), (w, x, y, z) = np.moveaxis(before, -1, 0), np.moveaxis(after, -1, 0)
+    along = a * x - b * w - c * z + d * y
+    return np.sum(2 * np.arctan2(np.where(scalar < 0, -along, along), np.abs(scalar)), axis=-1)

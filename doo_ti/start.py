@@ -15,6 +15,7 @@ from doo_ti.frames import (
     quaternion_from_matrix,
     quaternion_product,
     smallest_rotation,
+    turned_about_tangent,
 )
 from doo_ti.types import Clamp, Clamps, Configuration
 
@@ -113,8 +114,8 @@ def held_spins(observations: Observations, clamps: Clamps, spin: np.ndarray) -> 
     whole = Clamps(Clamp.FRAME, Clamp.FRAME, clamps.start_position, clamps.end_position, clamps.start_frame, clamps.end_frame)
     bishop = _bishop(observations, whole)
     lacking = spin - _closing_angle(bishop, whole)
-    end_frame = _turned_about(whole.end_frame, np.where(unknown_end, lacking, 0.0))
-    start_frame = _turned_about(whole.start_frame, np.where(unknown_end, 0.0, -lacking))
+    end_frame = turned_about_tangent(whole.end_frame, np.where(unknown_end, lacking, 0.0))
+    start_frame = turned_about_tangent(whole.start_frame, np.where(unknown_end, 0.0, -lacking))
     return replace(whole, start_frame=start_frame, end_frame=end_frame)
 
 
@@ -207,12 +208,6 @@ def _directions(observations: Observations) -> np.ndarray:
     """(D, E, 3) unit directions of the observed edges."""
     edges = np.diff(fill_missing(observations), axis=1)
     return edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-
-
-def _turned_about(frame: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """(D, 3, 3) frames turned about their tangents by ``angle`` (D,), rad."""
-    turn = quaternion_about(frame[..., 0], angle)
-    return matrix_from_quaternion(quaternion_product(turn, quaternion_from_matrix(frame)))
 
 
 def _holds_spin(kind) -> np.ndarray:

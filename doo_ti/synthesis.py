@@ -10,13 +10,13 @@ import numpy as np
 from doo_ti.dataset import Observations
 from doo_ti.errors import InterruptedRunError
 from doo_ti.frames import (
-    angle_about,
     bishop_frames,
     matrix_from_quaternion,
     quaternion_about,
     quaternion_from_matrix,
     quaternion_product,
     smallest_rotation,
+    total_twist,
 )
 from doo_ti.motion.path import LARGEST_TURN, carried_clamps, carry
 from doo_ti.scene import Synthesis
@@ -159,7 +159,7 @@ def _labelled(synthesis: Synthesis, vertices: np.ndarray, frames: np.ndarray, ra
         angle = np.linalg.norm(wobble, axis=-1)
         turn = quaternion_about(wobble / np.maximum(angle, 1e-300)[..., None], angle)
         measured = matrix_from_quaternion(quaternion_product(turn, quaternion_from_matrix(frames[:, middle])))
-    twist = np.degrees(_total_twist(frames))
+    twist = np.degrees(total_twist(quaternion_from_matrix(frames)))
     return Observations(
         vertices=marks + noise,
         rest_length=np.full(synthesis.marks - 1, spacing),
@@ -172,11 +172,3 @@ def _labelled(synthesis: Synthesis, vertices: np.ndarray, frames: np.ndarray, ra
         name=synthesis.name,
         source=synthesis.source,
     )
-
-
-def _total_twist(frames: np.ndarray) -> np.ndarray:
-    """(R,) Σ m_i, rad: the angles from each frame's m1, transported, to the next one's."""
-    t, m1 = frames[..., 0], frames[..., 1]
-    transport = matrix_from_quaternion(smallest_rotation(t[:, :-1], t[:, 1:]))
-    reference = np.einsum("...ij,...j->...i", transport, m1[:, :-1])
-    return angle_about(t[:, 1:], reference, m1[:, 1:]).sum(axis=-1)

@@ -111,6 +111,11 @@ class Material:
     def count(self) -> int:
         return len(self.weight)
 
+    def take(self, index) -> "Material":
+        """The rows named by ``index``, in that order and as often."""
+        rest = None if self.rest_curvature is None else self.rest_curvature[index]
+        return Material(self.bend[index], self.twist[index], self.weight[index], rest)
+
     @property
     def is_isotropic(self) -> bool:
         """Uniform B = αI and β along every rod, straight at rest: the case with the shorter formulas."""

@@ -68,8 +68,7 @@ class Rods:
     def alone(self, rods: np.ndarray | slice) -> "Rods":
         """The rods named by ``rods``, with tables that hold no others: a row for each."""
         start, row = self.of_start[rods], self.of_material[rods]
-        material = Material(self.material.bend[row], self.material.twist[row], self.material.weight[row])
-        return paired(self.starts.take(start), self.clamps.take(start), material)
+        return paired(self.starts.take(start), self.clamps.take(start), self.material.take(row))
 
 
 def observed(*names: str) -> list[Observations]:

@@ -14,7 +14,7 @@ from itertools import accumulate
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.frames import angle_about, matrix_from_quaternion, smallest_rotation, vertices_from_quaternions
+from doo_ti.frames import angle_about, matrix_from_quaternion, smallest_rotation, total_twist, vertices_from_quaternions
 from doo_ti.motion.journey import Journey
 from doo_ti.motion.leg import lasting
 from doo_ti.motion.path import LARGEST_TURN, Motion, motion_between
@@ -149,15 +149,6 @@ def predict_step(
     journey = Journey(replace(motion, **still), material, sub_step, configuration.rest_length, up, precision=precision)
     solution, jumps = journey.end(configuration.take(rows), watch)
     return solution, jumps if watch else None
-
-
-def total_twist(quaternions: np.ndarray) -> np.ndarray:
-    """(...) Σ m_i in rad of chains of frames (..., E, 4): of each from the one before, transported, at most half a turn."""
-    before, after = quaternions[..., :-1, :], quaternions[..., 1:, :]
-    scalar = np.sum(before * after, axis=-1)
-    (a, b, c, d), (w, x, y, z) = np.moveaxis(before, -1, 0), np.moveaxis(after, -1, 0)
-    along = a * x - b * w - c * z + d * y
-    return np.sum(2 * np.arctan2(np.where(scalar < 0, -along, along), np.abs(scalar)), axis=-1)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import rerun.blueprint as blueprint
 
 from doo_ti import report
 from doo_ti.contact_sheet import Sheet, contact_sheet, known, observation_names
-from doo_ti.record.stream import panels, recording
+from doo_ti.record.stream import entity_name, panels, recording
 from doo_ti.record.wall import FAILED, drawn_strips, log_observations, vectors, wall_view
 
 BESIDE = 3
@@ -83,8 +83,8 @@ def record_cells(path, *, run_id: str, name: str, runs: list[CellsOfRun], cells:
 
 
 def entity(run: CellsOfRun) -> str:
-    """The path below which a run's entities lie: its name in letters, digits and underscores."""
-    return "".join(letter if letter.isalnum() else "_" for letter in run.name)
+    """The path below which a run's entities lie."""
+    return entity_name(run.name)
 
 
 def _times(cells: np.ndarray, rank: np.ndarray) -> list[rerun.TimeColumn]:

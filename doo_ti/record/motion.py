@@ -4,7 +4,7 @@ import numpy as np
 import rerun
 import rerun.blueprint as blueprint
 
-from doo_ti.record.stream import panels, recording
+from doo_ti.record.stream import entity_name, panels, recording
 from doo_ti.record.wall import FAILED, GROUND, drawn_strips, log_up
 
 COLORS = np.array([(45, 212, 191), (253, 231, 37), (125, 170, 255), (255, 159, 28), (198, 120, 221), (152, 195, 121)],
@@ -36,7 +36,7 @@ def record_motion(path, *, run_id: str, name: str, time: np.ndarray, vertices: n
             colors=colors.reshape(-1, 3)).partition([count] * moments))
         for title, values in curves.items():
             shown = values[:, :MOST_CURVES]
-            entity = f"curves/{_entity(title)}"
+            entity = f"curves/{entity_name(title)}"
             stream.log(entity, rerun.SeriesLines(names=names[:MOST_CURVES], widths=[2.0] * shown.shape[1],
                                                  colors=COLORS[np.arange(shown.shape[1]) % len(COLORS)]), static=True)
             stream.send_columns(entity, when, rerun.Scalars.columns(
@@ -45,10 +45,6 @@ def record_motion(path, *, run_id: str, name: str, time: np.ndarray, vertices: n
             stream.set_time("time", duration=float(time[moment]))
             stream.log("falls", rerun.TextLog(f"{names[rod]} falls to another branch", level=rerun.TextLogLevel.WARN))
         stream.log("summary", rerun.TextDocument(text, media_type="text/markdown"), static=True)
-
-
-def _entity(title: str) -> str:
-    return "".join(letter if letter.isalnum() else "_" for letter in title)
 
 
 def _layout(vertices: np.ndarray, titles: list[str], up: np.ndarray) -> blueprint.Blueprint:
@@ -64,7 +60,7 @@ def _layout(vertices: np.ndarray, titles: list[str], up: np.ndarray) -> blueprin
         eye_controls=blueprint.EyeControls3D(
             kind=blueprint.Eye3DKind.Orbital, look_target=middle, eye_up=up,
             position=middle - 1.1 * size * (into / np.linalg.norm(into) - 0.3 * up)))
-    plots = [blueprint.TimeSeriesView(name=title, origin=f"curves/{_entity(title)}") for title in titles]
+    plots = [blueprint.TimeSeriesView(name=title, origin=f"curves/{entity_name(title)}") for title in titles]
     words = blueprint.Horizontal(blueprint.TextDocumentView(name="Summary", origin="summary"),
                                  blueprint.TextLogView(name="Falls", origin="falls"))
     beside = blueprint.Vertical(*plots, words)

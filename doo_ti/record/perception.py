@@ -11,7 +11,7 @@ import rerun
 import rerun.blueprint as blueprint
 
 from doo_ti.perception.growth_steps import GrowthStep
-from doo_ti.record.stream import panels, recording
+from doo_ti.record.stream import entity_name, panels, recording
 from doo_ti.record.wall import FAILED, GROUND, drawn_strips, log_up
 from doo_ti.report.reprojections import BEST, DETECTED, RUNNER_UP, TRUTH, SeenRod
 from doo_ti.vision.rig import Camera, Rig
@@ -50,7 +50,7 @@ def record_perception(path, *, run_id: str, name: str, rig: Rig, rods: list[Seen
 
 def _entity(index: int, name: str) -> str:
     """The path below which a set's entities lie."""
-    return f"set{index}_{''.join(letter if letter.isalnum() else '_' for letter in name)}"
+    return f"set{index}_{entity_name(name)}"
 
 
 def _log_cameras(stream, place: str, rig: Rig, seen: SeenRod) -> None:

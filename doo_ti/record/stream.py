@@ -33,3 +33,8 @@ def panels(timeline: str) -> tuple:
     """The viewer's own panels folded away, and its cursor on the last step of ``timeline``."""
     return (blueprint.BlueprintPanel(state="collapsed"), blueprint.SelectionPanel(state="collapsed"),
             blueprint.TimePanel(state="collapsed", timeline=timeline, play_state="following"))
+
+
+def entity_name(title: str) -> str:
+    """``title`` in letters, digits and underscores, as a part of an entity's path."""
+    return "".join(letter if letter.isalnum() else "_" for letter in title)

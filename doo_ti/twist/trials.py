@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti.dataset import Observations
-from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_from_matrix, quaternion_product
+from doo_ti.frames import turned_about_tangent
 from doo_ti.twist.estimation import TwistEstimate, TwistOptions, end_offsets, estimate_twist
 from doo_ti.types import Material
 
@@ -62,16 +62,10 @@ def twist_trials(
     known, twist = observations.take(rows), np.asarray(total_twist)[rows]
     offset = np.zeros(len(rows))
     if together > 1:
-        turned = _turned(known.end_frame, hidden[group])
+        turned = turned_about_tangent(known.end_frame, hidden[group])
         offset = end_offsets(replace(known, end_frame=turned, total_twist=twist + hidden[group]), group)
     if material.count > 1:
-        material = Material(*(getattr(material, name)[rows] for name in ("bend", "twist", "weight")))
+        material = material.take(rows)
     estimate = estimate_twist(known, material, group, offset, options or TwistOptions(), advance)
     truth = (twist - offset).reshape(count, together).mean(axis=1)
     return Trials(chosen, truth, estimate)
-
-
-def _turned(frame: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """(N, 3, 3) frames turned about their tangents by angles (N,), rad."""
-    turn = quaternion_about(frame[..., 0], angle)
-    return matrix_from_quaternion(quaternion_product(turn, quaternion_from_matrix(frame)))

@@ -124,6 +124,6 @@ def test_wrong_places_scenes_and_rigs(capsys, tmp_path):
     refused(capsys, tmp_path, argv, "cameras.left", "does not see all of silk_42mm_000deg")
     ribbon = SCENE.replace("1.5e5", "[[6e6, 0], [0, 1e5]]")
     refused(capsys, tmp_path, prepared(tmp_path, scene=ribbon), "synthesis.bend", "not round")
-    refused(capsys, tmp_path, prepared(tmp_path, scene=SCENE.replace('"silk"', '"a/b"')), "names", "none for a file")
+    refused(capsys, tmp_path, prepared(tmp_path, scene=SCENE.replace('"silk"', '"a/b"')), "name", "names no folder")
     file = '[observations]\nfile = "x.npz"\n[grid]\nbend = 1e5\n'
     refused(capsys, tmp_path, prepared(tmp_path, scene=file), "observations", "[synthesis]")
