@@ -18,6 +18,8 @@ from doo_ti.types import LARGEST, Clamp
 SOURCE = "command line"
 MOST_BENCH_RODS = 1 << 22
 """Four times as many are relaxed at once to see what memory they need: some 20 GB."""
+LONGEST_NAME = 200
+"""Bytes of the name of a file: the system takes 255, and while it is written it has a longer one."""
 
 
 def grid(options: Namespace, base: Grid | None = None) -> Grid:
@@ -146,7 +148,7 @@ def jax(wanted: bool) -> bool:
     return wanted
 
 
-def output_file(text: str, suffix: str | None = None, option: str = "--out") -> Path:
+def output_file(text: str | Path, suffix: str | None = None, option: str = "--out") -> Path:
     """The file to write: of the format ``suffix``, or of observations, where a file can lie."""
     path = Path(text)
     if suffix is None:
@@ -155,6 +157,8 @@ def output_file(text: str, suffix: str | None = None, option: str = "--out") -> 
         raise InputError(SOURCE, option, f"suffix {path.suffix!r} of {path}", f"name a file that ends in {suffix}")
     if path.is_dir():
         raise InputError(SOURCE, option, f"{path} is a folder", "name a file")
+    if len(os.fsencode(path.name)) > LONGEST_NAME:
+        raise InputError(SOURCE, option, f"{path.name[:20]}… is too long a name", f"name a file in {LONGEST_NAME} bytes")
     _check_folder(path.parent, option)
     return path
 

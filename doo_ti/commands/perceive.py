@@ -57,7 +57,7 @@ def run(options: Namespace, words: list[str]) -> int:
     out = given.output_file(options.out, ".npz")
     task = checked_task(options)
     sources = [options.rig, options.sets, options.truth, *(path for line in task.sets.paths for path in line)]
-    for path in (out, out.with_suffix(".png"), out.with_suffix(".rrd")):
+    for path in (out, *(given.output_file(out.with_suffix(suffix), suffix) for suffix in (".png", ".rrd"))):
         for source in filter(None, sources):
             given.refuse_overwriting(path, source)
     with progress() as bar:

@@ -69,6 +69,7 @@ def angle_curves_picture(path_or_buffer, angles: np.ndarray, objective: np.ndarr
         axes.set_ylim(bottom=0)
         axes.set_xticks(np.arange(-360, 361, 180))
         axes.set_xlim(angles[0], angles[-1])
+        axes.tick_params(labelbottom=k + columns >= shown)  # the last row may be short
         axes.set_title(names[k], fontsize=9)
         axes.grid(alpha=0.25)
     more = f"; {len(objective) - shown} more are not drawn" if len(objective) > shown else ""

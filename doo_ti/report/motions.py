@@ -4,18 +4,19 @@ import numpy as np
 
 from doo_ti.report.canvas import new_figure
 
-MOST_RODS = 12
+MOST_RODS, COLUMNS = 12, 4
 SHOWN = 9
 """Moments of each rod, evenly chosen."""
 
 
 def motions_picture(path_or_buffer, time: np.ndarray, vertices: np.ndarray, names: list[str], jumps: np.ndarray, *, up,
                     title: str) -> None:
-    """Write the motions of R rods as a PNG, a column each, at most the first ``MOST_RODS``: from the front and from above.
+    """Write the motions of R rods as a PNG, at most the first ``MOST_RODS``, ``COLUMNS`` beside each other: each from the front
+    and below that from above.
 
     time      (T,) s, early moments dark
     vertices  (T, R, V, 3) mm, NaN where a rod came to nothing
-    jumps     (T, R) falls: the shapes before and after one are drawn thick and red
+    jumps     (T, R) falls: the shapes before one, dashed, and after it are drawn thick and red
     up        direction against gravity
     """
     shown = min(len(names), MOST_RODS)
@@ -23,21 +24,30 @@ def motions_picture(path_or_buffer, time: np.ndarray, vertices: np.ndarray, name
     views = _views(vertices[:, :shown], np.asarray(up, float))
     limits = [_limits(vertices[:, :shown] @ view.T) for view in views]
     heights = [np.ptp(limit[1]) / np.ptp(limit[0]) for limit in limits]
-    figure = new_figure((3.4 * shown + 0.8, 3.2 * sum(heights) + 1.6))
-    panels = figure.subplots(2, shown, squeeze=False, height_ratios=heights)
-    for row, (view, label) in enumerate(zip(views, ("from the front", "from above"), strict=True)):
-        for rod, axes in enumerate(panels[row]):
+    columns, blocks = min(shown, COLUMNS), -(-shown // COLUMNS)
+    figure = new_figure((3.4 * columns + 0.8, blocks * (3.2 * sum(heights) + 0.8) + 0.8))
+    panels = figure.subplots(2 * blocks, columns, squeeze=False, height_ratios=blocks * heights)
+    for rod in range(columns * blocks):
+        block, column = divmod(rod, columns)
+        for row, (view, label) in enumerate(zip(views, ("from the front", "from above"), strict=True)):
+            axes = panels[2 * block + row, column]
+            if rod >= shown:
+                axes.set_axis_off()
+                continue
             axes.set(xlim=limits[row][0], ylim=limits[row][1])
             _draw(axes, vertices[:, rod] @ view.T, time, moments, np.flatnonzero(jumps[:, rod]))
             axes.set_aspect("equal")
             axes.grid(alpha=0.2)
+            if column == 0:
+                axes.set_ylabel(f"{label} [mm]", fontsize=10)
             if row == 0:
                 falls = int(jumps[:, rod].sum())
                 axes.set_title(names[rod] + f": {falls} fall{'s' * (falls != 1)}" * (falls > 0), fontsize=10)
-        panels[row, 0].set_ylabel(f"{label} [mm]", fontsize=10)
+    figure.supxlabel("along the line between the ends [mm]", fontsize=10)
     figure.colorbar(_scale(time), ax=list(panels.ravel()), pad=0.01, aspect=40).set_label("time [s]", fontsize=10)
     more = f" ({len(names) - shown} more are not drawn)" if len(names) > shown else ""
-    figure.suptitle(f"{title}{more}; red: before and after a fall", fontsize=12)
+    red = "; red: before a fall (dashed) and after it" if jumps[:, :shown].any() else ""
+    figure.suptitle(f"{title}{more}{red}", fontsize=12)
     figure.canvas.print_png(path_or_buffer)
 
 

@@ -6,19 +6,15 @@ relative to the file, empty where that camera did not see the view.
 
 import csv
 import io
-import os
-import sys
 from collections.abc import Callable
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
 
 from doo_ti.errors import InputError, system_reason
 from doo_ti.vision.board import Board
 from doo_ti.vision.bundle import Sighting
 from doo_ti.vision.corners import find_corners
+from doo_ti.vision.image_file import read_image
 
 
 @dataclass(frozen=True)
@@ -85,7 +81,7 @@ def find_sightings(views: Views, board: Board,
     """
     sightings, sizes = [], {}
     for (view, camera), path in sorted(views.images.items()):
-        image = _read_image(path)
+        image = read_image(path)
         size = image.shape[1], image.shape[0]
         if sizes.setdefault(camera, size) != size:
             raise InputError(path, "size", f"{size[0]} x {size[1]} px, but {views.cameras[camera]}'s first image has "
@@ -98,31 +94,3 @@ def find_sightings(views: Views, board: Board,
     if missing is not None:
         raise InputError(views.source, missing, "no image of this camera", "give some, or leave the column out")
     return sightings, {name: sizes[camera] for camera, name in enumerate(views.cameras)}
-
-
-def _read_image(path: Path) -> np.ndarray:
-    """(height, width) uint8, grey. Raises InputError for a file that holds no image."""
-    import cv2
-
-    try:
-        with _silenced():
-            image = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
-    except (cv2.error, OSError):
-        image = None
-    if image is None:
-        raise InputError(path, "file", "is no image that can be read", "give a whole PNG, JPEG or TIFF")
-    return image
-
-
-@contextmanager
-def _silenced():
-    """Without what image libraries write to the standard error about files that the caller reports on in one line."""
-    sys.stderr.flush()
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 2)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)

@@ -131,7 +131,7 @@ def test_a_broken_image_is_told_in_one_line(pictures, tmp_path):
     argv = ["calibrate", str(tmp_path / "views.csv"), "--board", TEXT, "--out", str(tmp_path / "rig.yaml")]
     done = subprocess.run([sys.executable, "-m", "doo_ti", *argv], cwd=ROOT, capture_output=True, text=True, encoding="utf-8")
     assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.count("\n") == 1 and "half.png: file: is no image" in done.stderr
+    assert done.stderr.count("\n") == 1 and "half.png: file: cannot be read as an image" in done.stderr
 
 
 def test_a_list_that_is_not_there(capsys, tmp_path):
