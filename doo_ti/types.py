@@ -129,6 +129,11 @@ class Material:
         )
 
 
+def lasting(before: np.ndarray, status: np.ndarray) -> np.ndarray:
+    """(R,) the status of rods that have one already: what was not converged once stays so, whatever becomes of it."""
+    return np.where(before == Status.CONVERGED, status, before)
+
+
 @dataclass(frozen=True)
 class Configuration:
     """Γ = (V, E, M) of §III-A for R rods, kept as a chain of frames so that edge lengths hold exactly.

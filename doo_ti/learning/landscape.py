@@ -3,14 +3,14 @@
 Axes: G grid cells, N terms of the objective: observations under Eq. 2, pairs of observations under Eq. 3.
 """
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError, system_reason
+from doo_ti.errors import InputError
 from doo_ti.grid import Grid, Interval, valley
+from doo_ti.learning.summary import read_summary
 from doo_ti.types import Status
 
 PARAMETERS = ("bend_1", "bend_2", "twist", "weight")
@@ -75,7 +75,7 @@ class Landscape:
 
 def read_landscape(run: Path) -> Landscape:
     """The landscape in the folder of a finished sweep. Raises InputError where it holds none."""
-    summary = _summary(run)
+    summary = read_summary(run)
     grid = Grid.from_dict(summary.get("grid"), str(run / "summary.json"))
     return gather_landscape(run, grid, str(summary.get("material", run.name)))
 
@@ -130,20 +130,6 @@ def jumps_of(landscape: Landscape) -> dict[str, int]:
 def status_counts(status: np.ndarray) -> dict[str, int]:
     """How many rods ended how, by the status's name, none left out but those that never occurred."""
     return {kind.name.lower(): int((status == kind).sum()) for kind in Status if (status == kind).any()}
-
-
-def _summary(run: Path) -> dict:
-    path = run / "summary.json"
-    try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        problem = system_reason(error)
-        raise InputError(path, "file", problem, "name the folder of a finished sweep") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, "file", f"not JSON ({error})", "run the sweep again") from None
-    if not isinstance(summary, dict):
-        raise InputError(path, "file", "holds no table", "run the sweep again")
-    return summary
 
 
 def _as_keys(parameters: list[np.ndarray]) -> np.ndarray:

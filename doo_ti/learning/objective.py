@@ -12,10 +12,9 @@ from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.hypotheses import started
 from doo_ti.metric import distance
 from doo_ti.motion.journey import Journey
-from doo_ti.motion.leg import lasting
 from doo_ti.motion.path import motion_between
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Configuration, Material, Solution
+from doo_ti.types import Configuration, Material, Solution, lasting
 
 RESULTS = ("energy", "residual", "iterations", "status", "stable", "precision")
 """What a row tells of a solution."""

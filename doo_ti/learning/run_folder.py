@@ -20,11 +20,12 @@ import numpy as np
 
 from doo_ti import __version__
 from doo_ti.dataset import load_observations, save_observations, write_whole
-from doo_ti.errors import InputError, system_reason
+from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
 from doo_ti.learning.pairs import load_pairs, save_pairs
+from doo_ti.learning.summary import read_summary
 from doo_ti.types import Clamp
 
 OBSERVATIONS, PAIRS = "observations.npz", "pairs.csv"
@@ -75,19 +76,15 @@ def finished(run: Path, identity: str) -> dict | None:
 def read_experiment(run: Path) -> Experiment:
     """The experiment of a finished sweep, from its folder alone: with each observation's resolved hypothesis, so that its
     cells come out as they are stored. Raises InputError where the folder holds none."""
-    path = Path(run) / "summary.json"
+    path, summary = Path(run) / "summary.json", read_summary(run)
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
         told = summary["provenance"]
         options = SweepOptions.from_dict(told["options"])
         options = replace(options, seed=told["seed"])
         kept = summary["hypotheses"]
         hypotheses = None if kept is None else Hypotheses.from_dict(kept["kept"])
         material, digest = summary["material"], told["input_sha256"]
-    except OSError as error:
-        problem = system_reason(error)
-        raise InputError(path, "file", problem, "name the folder of a finished sweep") from None
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(path, "file", "does not describe a sweep", "run the sweep again") from None
     observations = replace(load_observations(Path(run) / OBSERVATIONS), name=material, sha256=digest)
     pairs = load_pairs(Path(run) / PAIRS, observations) if options.objective == "dynamic" else None

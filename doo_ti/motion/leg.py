@@ -13,7 +13,7 @@ from doo_ti.motion.path import Motion
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Configuration, Material, Solution, Status
+from doo_ti.types import Configuration, Material, Solution, lasting
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,3 @@ class Leg:
     def _motions(self) -> int:
         """N."""
         return len(self.motion.clamps.start_position)
-
-
-def lasting(before: np.ndarray, status: np.ndarray) -> np.ndarray:
-    """(R,) the status of rods that have one already: what was not converged once stays so, whatever becomes of it."""
-    return np.where(before == Status.CONVERGED, status, before)

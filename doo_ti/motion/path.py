@@ -14,7 +14,7 @@ from doo_ti.frames import (
 )
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
+from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, lasting
 
 LARGEST_TURN = np.radians(5.0)
 """Of a clamp in one sub-step, rad."""
@@ -94,14 +94,18 @@ def carried_clamps(clamps: Clamps, end_position: np.ndarray, turn: np.ndarray, s
 
 
 def carry(configuration: Configuration, material: Material, path: Iterator[Clamps], **options) -> tuple[Solution, Clamps]:
-    """Relax along the path, each sub-step from the one before; returns the last solution and its clamps.
+    """Relax along the path, each sub-step from the one before; returns the last solution and its clamps. A rod that does not
+    converge in some sub-step keeps that status.
 
     ``options`` go to :func:`doo_ti.relaxation.relax.relax`; the solver is the careful one, which keeps to the branch.
     """
     solution = clamps = None
     for clamps in path:
+        status = None if solution is None else solution.status
         solution = relax(configuration, material, clamps, Newton.careful(), **options)
         configuration = solution.configuration
+        if status is not None:
+            solution = replace(solution, status=lasting(status, solution.status))
     return solution, clamps
 
 
