@@ -10,15 +10,13 @@ from itertools import islice
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
 from socket import create_connection
-from threading import Lock, Thread
+from threading import Thread
 
 from doo_ti import runtime
 from doo_ti.errors import InputError
 
 ANSWER_SECONDS = 10
 """How long a scheduler may take to answer."""
-
-_busy = Lock()
 
 
 @dataclass(frozen=True)
@@ -37,19 +35,20 @@ class Crew:
     def results(self, work, chunks):
         """(chunk, ``work(*chunk)``) of each chunk in order; where one fails those done behind it come before the error."""
         chunks, waiting = iter(chunks), deque()
-        try:
-            while True:
-                for chunk in islice(chunks, self.ahead - len(waiting)):
-                    waiting.append((chunk, self.executor.submit(*self.through, work, *chunk)))
-                if not waiting:
-                    return
-                chunk, future = waiting.popleft()
-                yield chunk, future.result()
-        except BaseException:
-            for chunk, future in waiting:
-                if future.done() and not future.cancelled() and future.exception() is None:
-                    yield chunk, future.result()
-            raise
+        while True:
+            for chunk in islice(chunks, self.ahead - len(waiting)):
+                waiting.append((chunk, self.executor.submit(*self.through, work, *chunk)))
+            if not waiting:
+                return
+            chunk, future = waiting.popleft()
+            try:
+                result = future.result()
+            except BaseException:
+                for later, other in waiting:
+                    if other.done() and not other.cancelled() and other.exception() is None:
+                        yield later, other.result()
+                raise
+            yield chunk, result
 
 
 class Alone:
@@ -105,9 +104,8 @@ def _on_dask_worker(work, *chunk):
     """``work`` on all threads of a Dask worker, and so on one chunk at a time."""
     from distributed import get_worker
 
-    with _busy:
-        runtime.start(threads=get_worker().state.nthreads, pinned=False)
-        return work(*chunk)
+    runtime.start(threads=get_worker().state.nthreads, pinned=False)
+    return runtime.exclusive(work)(*chunk)
 
 
 def _start_worker(threads: int) -> None:

@@ -47,7 +47,7 @@ class Journey:
     def legs(self) -> Iterator[tuple[np.ndarray, Leg]]:
         """Motions (n,) that take as many sub-steps, in order, and their leg."""
         need = self.sub_steps
-        for steps in np.unique(need):
+        for steps in np.unique(need) if len(need) else [FEWEST_STEPS]:
             rows = np.flatnonzero(need == steps)
             yield rows, Leg(self.motion.take(rows), self.material, int(steps), self.rest_length, self.up, self.solver,
                             self.precision)

@@ -152,7 +152,7 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
     start = anchor[index]
     if table.external is not None:
         energy += table.external.energy_at_start(start, table.external_index)
-    rest_length = table.rest_length[0] if len(table.rest_length) == 1 else table.rest_length[index]
+    rest_length = table.rest_length[0].copy() if len(table.rest_length) == 1 else table.rest_length[index]
     configuration = Configuration(start, frames, rest_length)
     status, stable = results[:, STATUS].astype(np.int8), results[:, STABLE] == 1
     # The kernels reckon from the anchor and never see where that is.
