@@ -74,7 +74,7 @@ class Journey:
         """The rods (r,) of each leg, and the legs."""
         rows, legs = zip(*self.legs(), strict=True)
         motions = len(self.motion.clamps.start_position)
-        first = motions * np.arange(begin.count // motions)[:, None]
+        first = motions * np.arange(self.material.count)[:, None]
         return [(first + own).ravel() for own in rows], list(legs)
 
 

@@ -204,3 +204,11 @@ def test_a_rod_of_two_edges_goes_its_way():
         end, jumps = Journey(Motion(clamps, end_shift=shift), STRIP, np.radians(5), start.rest_length).end(at_rest)
     assert end.converged.all() and jumps.tolist() == [0]
     np.testing.assert_allclose(end.configuration.vertices[:, -1], clamps.end_position + shift, atol=1e-9)
+
+
+def test_a_journey_of_nobody():
+    _, start, clamps = bowed_strips()
+    none = np.arange(0)
+    journey = Journey(Motion(clamps.take(none), end_shift=np.zeros((0, 3))), STRIP, np.radians(10), start.rest_length)
+    end, jumps = journey.end(start.take(none))
+    assert len(end.status) == len(jumps) == 0
