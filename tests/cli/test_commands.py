@@ -102,7 +102,8 @@ def test_sweep_of_several_sources(capsys, tmp_path, swept):
     argv = ["sweep", *sources, "--bend", "1e5:1e7:3", "--out", str(tmp_path / "runs")]
     assert main(argv) == 0
     assert [call[0] for call in swept] == [tmp_path / "runs" / "good", tmp_path / "runs" / "silk"]
-    assert "100 rods in" in (out := capsys.readouterr().out) and "100 rods/s, loading the kernels included" in out and "MB of memory" in out
+    out = capsys.readouterr().out
+    assert "100 rods in" in out and "100 rods/s, loading the kernels included" in out and "MB of memory" in out
     assert main([*argv[:-1], str(tmp_path / "again"), "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)) == 2
     assert main(["sweep", sources[0], *argv[1:]]) == 2
