@@ -68,6 +68,8 @@ def _started(architecture: str, threads: int | None, pinned: bool) -> str:
             log_level=ti.ERROR,
             **count,
         )
+        # What only the thread that started Taichi may do, and would be done with the first kernel.
+        ti.lang.impl.get_runtime().materialize()
     if architecture == "cpu" and pinned and os.environ.get("DOO_TI_PINNED") != "0":
         _pin(sorted(_tasks() - others))
     if not os.environ.get("DOO_TI_DEBUG"):

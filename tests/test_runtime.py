@@ -40,3 +40,29 @@ def test_fewer_threads_go_where_the_system_likes():
 def test_an_environment_variable_leaves_it_to_the_system():
     threads, _ = places(len(PROCESSORS), DOO_TI_PINNED="0")
     assert threads == [PROCESSORS] * len(PROCESSORS)
+
+
+OTHER_THREADS = """
+from threading import Thread
+import numpy as np
+from doo_ti import Clamp, Clamps, Configuration, Material, relax, runtime
+
+rods = Configuration(np.zeros((1, 3)), np.tile([1.0, 0, 0, 0], (1, 9, 1)), np.full(9, 3.0))
+clamps = Clamps(Clamp.FRAME, Clamp.FREE, np.zeros((1, 3)), np.zeros((1, 3)), np.eye(3)[None], np.eye(3)[None])
+found = []
+
+def run(function):
+    thread = Thread(target=function)
+    thread.start()
+    thread.join()
+
+run(runtime.start)
+for precision in ("f64", "f32", "mixed"):
+    run(lambda: found.append(relax(rods, Material(6e5, 8e5), clamps, precision=precision).converged.all()))
+print(found)
+"""
+
+
+def test_any_thread_may_start_and_any_other_use_the_kernels():
+    done = subprocess.run([sys.executable, "-c", OTHER_THREADS], capture_output=True, text=True)
+    assert done.stdout.strip() in ("[True, True, True]", "[np.True_, np.True_, np.True_]"), done.stderr
