@@ -43,7 +43,7 @@ def test_an_environment_variable_leaves_it_to_the_system():
 
 
 OTHER_THREADS = """
-from threading import Thread
+from threading import Event, Thread
 import numpy as np
 from doo_ti import Clamp, Clamps, Configuration, Material, relax, runtime
 
@@ -51,14 +51,23 @@ rods = Configuration(np.zeros((1, 3)), np.tile([1.0, 0, 0, 0], (1, 9, 1)), np.fu
 clamps = Clamps(Clamp.FRAME, Clamp.FREE, np.zeros((1, 3)), np.zeros((1, 3)), np.eye(3)[None], np.eye(3)[None])
 found = []
 
+done, started = Event(), Event()
+
+def start():
+    runtime.start()
+    started.set()
+    done.wait()  # an ended thread's identity may be given to the next
+
 def run(function):
     thread = Thread(target=function)
     thread.start()
     thread.join()
 
-run(runtime.start)
+Thread(target=start).start()
+started.wait()
 for precision in ("f64", "f32", "mixed"):
     run(lambda: found.append(relax(rods, Material(6e5, 8e5), clamps, precision=precision).converged.all()))
+done.set()
 print(found)
 """
 
