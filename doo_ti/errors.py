@@ -3,6 +3,8 @@
 Numerical trouble is not an error: it is a per-rod :class:`~doo_ti.types.Status`.
 """
 
+from numbers import Integral, Real
+
 
 class InputError(ValueError):
     """Wrong input. The command line prints it as one line and exits with code 2.
@@ -22,6 +24,18 @@ class InputError(ValueError):
 
 class InterruptedRunError(RuntimeError):
     """A long run stopped on the way; what was finished is kept and the message says how to go on (exit code 1)."""
+
+
+def require_number(source: str, field: str, value) -> None:
+    """Raise InputError unless ``value`` is a real number."""
+    if not isinstance(value, Real):
+        raise InputError(source, field, f"{value!r} is no number", "give a number")
+
+
+def require_whole(source: str, field: str, value, least: int) -> None:
+    """Raise InputError unless ``value`` is a whole number from ``least`` up that kernels can count to."""
+    if not isinstance(value, Integral) or isinstance(value, bool) or not least <= value < 2**31:
+        raise InputError(source, field, f"{value!r}", f"give a whole number from {least} up, below 2**31")
 
 
 def system_reason(error: Exception) -> str:

@@ -26,8 +26,8 @@ def distance(configuration: Configuration, observations: Observations, index=Non
     and for numbers of edges or rods that do not match.
     """
     index = np.arange(observations.count) if index is None else np.asarray(index)
-    if np.ndim(index) != 1:
-        raise InputError(observations.source, "index", f"shape {np.shape(index)}", "give a row for each rod, (R,)")
+    if index.ndim != 1:
+        raise InputError(observations.source, "index", f"shape {index.shape}", "give a row for each rod, (R,)")
     if configuration.edges != observations.edges or len(index) != configuration.count:
         raise InputError(
             observations.source, "vertices_mm",

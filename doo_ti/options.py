@@ -76,6 +76,12 @@ def up(options: Namespace) -> np.ndarray | None:
     return direction
 
 
+def world_up(options: Namespace) -> np.ndarray:
+    """(3,) unit vector against gravity, by default z."""
+    direction = up(options)
+    return np.array([0.0, 0.0, 1.0]) if direction is None else direction / np.linalg.norm(direction)
+
+
 def clamp(name: str | None) -> Clamp | None:
     return None if name is None else Clamp[name.upper()]
 

@@ -28,5 +28,19 @@ def add_relaxation(parser: ArgumentParser, precision: str | None) -> None:
     add_json(parser)
 
 
+def add_seen_rod(parser: ArgumentParser) -> None:
+    """The cameras, and what is known of a rod before it is seen by them."""
+    parser.add_argument("--rig", required=True, metavar="RIG", help="cameras: OpenCV FileStorage YAML")
+    parser.add_argument("--rest-length", required=True, metavar="MM:COUNT|FILE",
+                        help="of the rod's edges: so many of one length, or a .npz with rest_length_mm, or a text of numbers")
+    parser.add_argument("--up", metavar="X,Y,Z", help="direction against gravity in the rig's world (default 0,0,1)")
+
+
+def add_thread(parser: ArgumentParser) -> None:
+    """What is known of how the rod looks in images; of a parser or a group of its arguments."""
+    parser.add_argument("--polarity", choices=("dark", "light"), help="of the thread (default: whichever stands out)")
+    parser.add_argument("--width", metavar="PX", help="of the thread in the images (default: as found)")
+
+
 def add_json(parser: ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print a summary for machines")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti import options as given
-from doo_ti.commands.arguments import add_json, add_material
+from doo_ti.commands.arguments import add_json, add_material, add_seen_rod, add_thread
 from doo_ti.commands.perceive_task import RECORDED, Task, checked_task
 from doo_ti.commands.perceive_text import summary_of, tell, verdict_text
 from doo_ti.commands.printing import plain
@@ -28,21 +28,17 @@ LEAST_SIGMA_MM = 1e-3
 def declare(add) -> None:
     parser = add("perceive", allow_abbrev=False, help="recover rods from images")
     parser.add_argument("images", nargs="*", metavar="IMAGE", help="one image per camera of the rig, for a single set")
-    parser.add_argument("--rig", required=True, metavar="RIG", help="cameras: OpenCV FileStorage YAML")
+    add_seen_rod(parser)
     parser.add_argument("--sets", metavar="SETS.csv", help="sets of images with their seeds, instead of IMAGEs")
     parser.add_argument("--seed-point", metavar="X,Y,Z", help="v⁰ of a single set, mm")
     parser.add_argument("--seed-direction", metavar="X,Y,Z", help="e⁰ of a single set")
-    parser.add_argument("--rest-length", required=True, metavar="MM:COUNT|FILE",
-                        help="of the rod's edges: so many of one length, or a .npz with rest_length_mm, or a text of numbers")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write; F.png and F.rrd lie beside it")
     add_material(parser, "one number each; perceived rods are round")
-    parser.add_argument("--up", metavar="X,Y,Z", help="direction against gravity in the rig's world (default 0,0,1)")
     search = parser.add_argument_group("search")
     search.add_argument("--nu", metavar="NU", help="ν, 1/(mm px²): weight of the images (default 0.005)")
     search.add_argument("--hypotheses", metavar="H", help="kept for each set and step (default 40)")
     search.add_argument("--detector", choices=("ridge", "canny"), default="ridge", help="default ridge; canny is the paper's")
-    search.add_argument("--polarity", choices=("dark", "light"), help="of the thread (default: whichever stands out)")
-    search.add_argument("--width", metavar="PX", help="of the thread in the images (default: as found)")
+    add_thread(search)
     shown = parser.add_argument_group("what is shown")
     shown.add_argument("--truth", metavar="OBS", help="the true rods, to compare with: observations, by name or in order")
     shown.add_argument("--no-picture", action="store_true", help="leave out F.png")

@@ -33,7 +33,7 @@ class Task:
 
 def checked_task(options: Namespace) -> Task:
     """Raises InputError naming the option or file at fault."""
-    grid, up = given.round_cell(options, "perceived"), given.up(options)
+    grid, up = given.round_cell(options, "perceived"), given.world_up(options)
     rest_length = read_rest_length(options.rest_length)
     nu, width = given.positive("--nu", options.nu), given.positive("--width", options.width, "px")
     hypotheses = given.whole("--hypotheses", options.hypotheses, 1)
@@ -51,8 +51,7 @@ def checked_task(options: Namespace) -> Task:
     return Task(sets, rest_length, grid.materials(),
                  PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None}),
                  DetectionOptions(options.detector, options.polarity, width),
-                 np.array([0.0, 0.0, 1.0]) if up is None else up / np.linalg.norm(up), truth,
-                 0 if options.no_recording else recorded or RECORDED)
+                 up, truth, 0 if options.no_recording else recorded or RECORDED)
 
 
 def read_rest_length(text: str) -> np.ndarray:

@@ -65,10 +65,11 @@ def run(options: Namespace, words: list[str]) -> int:
         before = _stamp(search.run)
         summary = sweep(search.run, search.observations, search.grid, options=search.options, pairs=search.pairs, command=words)
         summaries.append(summary)
-        if _stamp(search.run) != before:
+        finished_before = _stamp(search.run) == before
+        if not finished_before:
             relaxed.append(summary)
         if not options.json:
-            _tell(search, summary, finished_before=_stamp(search.run) == before)
+            _tell(search, summary, finished_before)
     if options.json:
         print(json.dumps(plain(summaries if len(options.sources) > 1 else summaries[0])))
     else:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti import options as given
-from doo_ti.commands.arguments import add_json, add_material
+from doo_ti.commands.arguments import add_json, add_material, add_seen_rod, add_thread
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
 from doo_ti.commands.printing import plain
 from doo_ti.commands.track_task import Task, checked_task
@@ -25,17 +25,13 @@ MOST_TOLD = 30
 
 def declare(add) -> None:
     parser = add("track", allow_abbrev=False, help="follow a rod through a video")
-    parser.add_argument("--rig", required=True, metavar="RIG", help="cameras: OpenCV FileStorage YAML")
+    add_seen_rod(parser)
     parser.add_argument("--frames", required=True, metavar="FRAMES.csv",
                         help="frame, a column of images per camera, time_s if known, and the seed: seed_x … dir_z")
-    parser.add_argument("--rest-length", required=True, metavar="MM:COUNT|FILE",
-                        help="of the rod's edges: so many of one length, or a .npz with rest_length_mm, or a text of numbers")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write; F.rrd lies beside it")
     add_material(parser, "one number each; tracked rods are round")
     parser.add_argument("--motion", metavar="PATH", help="poses of the far clamp, a moment for each frame: .npz or .csv")
-    parser.add_argument("--up", metavar="X,Y,Z", help="direction against gravity in the rig's world (default 0,0,1)")
-    parser.add_argument("--polarity", choices=("dark", "light"), help="of the thread (default: whichever stands out)")
-    parser.add_argument("--width", metavar="PX", help="of the thread in the images (default: as found)")
+    add_thread(parser)
     parser.add_argument("--no-recording", action="store_true", help="leave out F.rrd")
     add_json(parser)
     parser.set_defaults(run=run)

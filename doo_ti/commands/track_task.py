@@ -27,7 +27,7 @@ class Task:
 
 def checked_task(options: Namespace) -> Task:
     """Raises InputError naming the option or file at fault."""
-    grid, up = given.round_cell(options, "tracked"), given.up(options)
+    grid, up = given.round_cell(options, "tracked"), given.world_up(options)
     rest_length = read_rest_length(options.rest_length)
     width = given.positive("--width", options.width, "px")
 
@@ -37,7 +37,7 @@ def checked_task(options: Namespace) -> Task:
     frames, time = load_frames(Path(options.frames), load_rig(options.rig))
     far = None if options.motion is None else _far_motions(Path(options.motion), frames.count)
     return Task(frames, time, rest_length, grid.materials(), DetectionOptions(polarity=options.polarity, width_px=width),
-                np.array([0.0, 0.0, 1.0]) if up is None else up / np.linalg.norm(up), far)
+                up, far)
 
 
 def load_frames(path: Path, rig):

@@ -49,8 +49,7 @@ class Journey:
         need = self.sub_steps
         for steps in np.unique(need) if len(need) else [FEWEST_STEPS]:
             rows = np.flatnonzero(need == steps)
-            yield rows, Leg(self.motion.take(rows), self.material, int(steps), self.rest_length, self.up, self.solver,
-                            self.precision)
+            yield rows, Leg(self, self.motion.take(rows), int(steps))
 
     def end(self, begin: Configuration, watch: bool = True) -> tuple[Solution, np.ndarray]:
         """Where the R rods end, and how often each jumped on the way (R,); see :meth:`doo_ti.motion.leg.Leg.end`."""

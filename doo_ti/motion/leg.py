@@ -5,36 +5,32 @@ Axes: G materials, N motions, R = G·N rods, material by material, E edges.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from doo_ti.motion.jumps import PARTS, JumpCount
 from doo_ti.motion.path import Motion
-from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Configuration, Material, Solution, lasting
+from doo_ti.types import Configuration, Solution, lasting
+
+if TYPE_CHECKING:
+    from doo_ti.motion.journey import Journey
 
 
 @dataclass(frozen=True)
 class Leg:
-    """Each of N motions under each of G materials, all in the same number of sub-steps.
+    """Those N motions of a journey that take the same number of sub-steps, under each of its G materials.
 
-    motion       what the clamps do
-    steps        sub-steps, two at least: with less there is none beside to compare with
-    rest_length  (E,) mm
-    up           (3,) direction against gravity
-    solver       as :func:`doo_ti.relaxation.relax.relax` takes it; Newton goes without its first shift, closest to the branch
-    precision    where a rod ends; on the way f64 if that is asked for, else f32, with f64 for what f32 cannot finish
+    journey  whose material, lengths, gravity, solver and precision they share
+    motion   what the clamps do
+    steps    sub-steps, two at least: with less there is none beside to compare with
     """
 
+    journey: "Journey"
     motion: Motion
-    material: Material
     steps: int
-    rest_length: np.ndarray
-    up: np.ndarray = (0.0, 0.0, 1.0)
-    solver: Newton | Descent = Newton()
-    precision: str = "mixed"
 
     def end(self, begin: Configuration, watch: bool = True) -> tuple[Solution, np.ndarray]:
         """Where the R rods end, and how often each jumped on the way (R,), if that is watched.
@@ -58,12 +54,12 @@ class Leg:
             configuration = solution.configuration
             jumps.see(solution)
             yield solution
-        if self.precision != self._on_the_way:
-            yield self._relaxed(rods, configuration, 1.0, self.precision)
+        if self.journey.precision != self._on_the_way:
+            yield self._relaxed(rods, configuration, 1.0, self.journey.precision)
 
     def _finely(self, rods: np.ndarray, frames: np.ndarray, step: int, steps: int) -> Iterator[Solution]:
         """``rods`` after each part of ``steps`` sub-steps that begin with ``frames``, status and iterations since then."""
-        here = Configuration(self.motion.clamps.start_position[rods % self._motions], frames, self.rest_length)
+        here = Configuration(self.motion.clamps.start_position[rods % self._motions], frames, self.journey.rest_length)
         status, iterations = np.zeros(len(rods), dtype=np.int8), np.zeros(len(rods), dtype=np.int32)
         for part in range(1, PARTS * steps + 1):
             solution = self._relaxed(rods, here, (step + part / PARTS) / self.steps, self._on_the_way)
@@ -72,14 +68,16 @@ class Leg:
             yield replace(solution, status=status, iterations=iterations)
 
     def _relaxed(self, rods: np.ndarray, configuration: Configuration, share: float, precision: str) -> Solution:
-        solver = replace(self.solver, first_shift=0.0) if isinstance(self.solver, Newton) else self.solver
+        solver = self.journey.solver
+        if isinstance(solver, Newton):
+            solver = replace(solver, first_shift=0.0)
         clamps = self.motion.at(share).take(rods % self._motions)
-        return relax(configuration, self.material, clamps, solver, up=self.up, precision=precision,
+        return relax(configuration, self.journey.material, clamps, solver, up=self.journey.up, precision=precision,
                      configuration_index=np.arange(len(rods)), material_index=rods // self._motions)
 
     @property
     def _on_the_way(self) -> str:
-        return "f64" if self.precision == "f64" else "f32"
+        return "f64" if self.journey.precision == "f64" else "f32"
 
     @property
     def _motions(self) -> int:

@@ -10,10 +10,9 @@ fraction of an edge so that the path stays close to steepest descent, and accept
 from dataclasses import dataclass
 from functools import cache
 
-import numpy as np
 import taichi as ti
 
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
 from doo_ti.relaxation.columns import (
     CLOSED,
@@ -54,13 +53,10 @@ class Descent:
 
     def __post_init__(self):
         for name in ("tolerance", "largest_move"):
-            if not isinstance(getattr(self, name), float | int | np.number):
-                raise InputError("Descent", name, f"{getattr(self, name)!r} is no number", "give a number")
+            require_number("Descent", name, getattr(self, name))
+        require_whole("Descent", "max_iterations", self.max_iterations, 1)
         if not self.tolerance > 0:
             raise InputError("Descent", "tolerance", f"{self.tolerance} is not positive", "give a positive number")
-        if not isinstance(self.max_iterations, int | np.integer) or not 1 <= self.max_iterations < 2**31:
-            raise InputError("Descent", "max_iterations", f"{self.max_iterations!r}",
-                             "give a whole number from one up, below 2**31")
         if not 0 < self.largest_move <= 0.2:
             raise InputError("Descent", "largest_move", f"{self.largest_move}", "give a fraction above 0, at most 0.2")
 

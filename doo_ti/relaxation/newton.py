@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, require_number, require_whole
 
 
 @dataclass(frozen=True)
@@ -26,16 +24,12 @@ class Newton:
     max_escapes: int = 3
 
     def __post_init__(self):
-        for name in ("tolerance", "first_shift", "max_rotation"):
-            value = getattr(self, name)
-            if not isinstance(value, float | int | np.number) and not (name == "tolerance" and value is None):
-                raise InputError("Newton", name, f"{value!r} is no number", "give a number")
+        for name in ("first_shift", "max_rotation", *(() if self.tolerance is None else ("tolerance",))):
+            require_number("Newton", name, getattr(self, name))
         if self.tolerance is not None and not self.tolerance > 0:
             raise InputError("Newton", "tolerance", f"{self.tolerance} is not positive", "give a positive number")
         for name, least in (("max_iterations", 1), ("max_escapes", 0)):
-            value = getattr(self, name)
-            if not isinstance(value, int | np.integer) or isinstance(value, bool) or not least <= value < 2**31:
-                raise InputError("Newton", name, f"{value!r}", f"give a whole number from {least} up, below 2**31")
+            require_whole("Newton", name, getattr(self, name), least)
         if not 0 < self.max_rotation <= 1:
             raise InputError("Newton", "max_rotation", f"{self.max_rotation}", "give radians above 0, at most 1")
         if not 0 <= self.first_shift < float("inf"):

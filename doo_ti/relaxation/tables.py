@@ -309,7 +309,7 @@ def _kinds(clamps: Clamps, count: int) -> np.ndarray:
     kinds = np.empty((count, 2), dtype=np.int64)
     for end, (name, kind) in enumerate((("start", clamps.start), ("end", clamps.end))):
         if not isinstance(kind, Clamp):
-            kind = _index(name, kind)
+            kind = _as_array("clamps", name, kind, "give a Clamp, or one for each start")
             known = kind.dtype.kind in "iuf" and bool(((kind >= FREE) & (kind <= FRAME) & (kind == kind.astype(int))).all())
             if kind.shape not in ((), (1,), (count,)) or not known:
                 raise InputError("clamps", name, f"{kind.tolist()!r}", "give a Clamp, or one for each start")
@@ -324,8 +324,9 @@ def _pairs(configurations: int, materials: int, configuration_index, material_in
             raise InputError("relax", "material", f"{materials} rows for {configurations} rods", "give one, or one per rod")
         count = min(configurations, materials) and max(configurations, materials)
         return np.arange(count) % max(configurations, 1), np.arange(count) % max(materials, 1)
-    first = _index("configuration_index", configuration_index)
-    second = _index("material_index", material_index)
+    remedy = "give (R,) row numbers"
+    first = _as_array("relax", "configuration_index", 0 if configuration_index is None else configuration_index, remedy)
+    second = _as_array("relax", "material_index", 0 if material_index is None else material_index, remedy)
     for name, index in (("configuration_index", first), ("material_index", second)):
         if index.size and index.dtype.kind not in "iu":
             raise InputError("relax", name, f"dtype {index.dtype}", "give whole row numbers")
@@ -341,12 +342,12 @@ def _pairs(configurations: int, materials: int, configuration_index, material_in
     return first, second
 
 
-def _index(name: str, index) -> np.ndarray:
-    """As an array, zero for none. Raises InputError for what is none."""
+def _as_array(source: str, name: str, value, remedy: str) -> np.ndarray:
+    """``value`` as an array. Raises InputError for rows of unlike lengths."""
     try:
-        return np.asarray(0 if index is None else index)
+        return np.asarray(value)
     except ValueError:
-        raise InputError("relax", name, "not a vector of rows", "give (R,) row numbers") from None
+        raise InputError(source, name, "rows of unlike lengths", remedy) from None
 
 
 def _external_rows(external: External | None, index, count: int, edges: int) -> np.ndarray:
