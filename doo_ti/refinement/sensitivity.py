@@ -16,6 +16,14 @@ dx_{i+1} = dx_i + l_i (dω_i × t_i). Parameters by name, and the columns each o
     rest_curvature_per_joint  2 (E−1): joint by joint, its two components together; 1/mm
     up                        2: turns of up about the axes of :func:`tilt_axes`; rad
     gravity                   3: the vector μ up in the world
+    length                    ln of a factor on all rest lengths, the clamps staying where they are
+    end_shift                 3: displacement of the far clamp in the world, the start's staying where it is; mm per mm
+    start_turn, end_turn      3 each: rotations of a clamped frame in the world, its vertex on the clamp staying where it is;
+                              rad. What the clamp does not hold does not turn: the spin of a tangent, all of a position
+    modes                     M: changes of ω̄ along the rod, given as an array (M, E−1, 2); 1/mm per 1/mm
+
+With ``end_shift`` and the turns a rod follows its clamps. A straight, taut rod cannot: these columns and ``length`` are NaN
+where it has no slack.
 """
 
 from collections.abc import Sequence
@@ -29,18 +37,23 @@ from doo_ti.frames import matrix_from_quaternion, smallest_rotation
 from doo_ti.refinement.sensitivity_kernel import (
     BEND,
     DIRECTION_COLUMNS,
-    EVERY_JOINT,
-    JOINT,
+    MODE,
+    NO_MODE,
     PULL,
-    REST,
+    SHIFT,
+    STRETCH,
     TIMES_WEIGHT,
+    TURN_END,
+    TURN_START,
     TWIST,
     run_sensitivity,
 )
+from doo_ti.relaxation.columns import TILT_INNER
 from doo_ti.types import Configuration, Solution
 
-PARAMETERS = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "rest_curvature", "rest_curvature_per_joint", "up",
-              "gravity")
+CURVATURES = ("rest_curvature", "rest_curvature_per_joint", "modes")
+OF_CLAMPS = ("length", "end_shift", "start_turn", "end_turn")
+PARAMETERS = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "up", "gravity", *CURVATURES, *OF_CLAMPS)
 
 
 @dataclass(frozen=True)
@@ -69,28 +82,40 @@ class Sensitivity:
 
 
 @runtime.exclusive
-def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist", "weight")) -> Sensitivity:
+def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist", "weight"), modes: np.ndarray | None = None
+                ) -> Sensitivity:
     """dΓ*/dΘ of every rod of ``solution``, which also holds its materials, clamps and the direction of gravity.
 
     solution    of :func:`doo_ti.relaxation.relax.relax` in f64: an equilibrium reached to a residual r is off by about r, and
                 so are its derivatives
     parameters  from PARAMETERS, in the order of the columns
+    modes       (M, E−1, 2) where "modes" is among the parameters
 
     Rods that have not converged, are not certified stable, or are infeasible come out as NaN. A round rod with both spins
     free keeps its first spin; along other motions that cost nothing (a weightless bow about its chord, a rod that hangs from a
     point about up) a rod does not move either.
 
-    Raises InputError for unknown or repeated parameters, and for rods under an external energy.
+    Raises InputError for unknown or repeated parameters, modes of another shape, and for rods under an external energy.
     """
     table = solution.tables
     if table is None:
         raise InputError("sensitivity", "solution", "was put together of several calls", "relax where its rods ended")
     if table.external is not None:
         raise InputError("sensitivity", "solution", "rods under an external energy", "relax them without one")
-    names, directions = parameter_directions(parameters, table.edges, table.up)
+    _check(parameters, modes, table.edges)
+    names, directions, along = parameter_directions(parameters, table.edges, table.up, modes)
     usable = solution.converged & solution.stable
     runtime.start()
-    vertices, rotations, sound = run_sensitivity(solution, usable, directions)
+    vertices, rotations, sound = run_sensitivity(solution, usable, directions, along)
+    hanging = table.released[table.configuration_index]
+    if hanging.any() and "end_shift" in parameters:
+        first = names.index("end_shift[0]")
+        vertices[hanging, :, :, first : first + 3] += np.eye(3)  # held at the far end alone they go where it goes
+    taut = (table.clamp[:, TILT_INNER] == 0)[table.configuration_index]
+    if taut.any():
+        columns = [k for k, name in enumerate(names) if name.partition("[")[0] in OF_CLAMPS]
+        for array in (vertices, rotations):
+            array[np.ix_(taut, range(array.shape[1]), range(3), columns)] = np.nan
     return Sensitivity(names, vertices, rotations, sound, solution.configuration)
 
 
@@ -99,8 +124,27 @@ def tilt_axes(up: np.ndarray) -> np.ndarray:
     return matrix_from_quaternion(smallest_rotation(np.array([0.0, 0.0, 1.0]), up))[:, :2].T
 
 
-def parameter_directions(parameters: Sequence[str], edges: int, up: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
-    """Names (P,) of the columns of ``parameters`` and what changes along each (P, DIRECTION_COLUMNS)."""
+def parameter_directions(parameters: Sequence[str], edges: int, up: np.ndarray, modes: np.ndarray | None = None
+                         ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+    """Names (P,) of the columns of ``parameters``, what changes along each (P, DIRECTION_COLUMNS), and the changes of rest
+    curvature (M, E−1, 2) that these refer to."""
+    names, blocks, along = [], [], [np.zeros((0, edges - 1, 2))]
+    for name in parameters:
+        if name in CURVATURES:
+            own = _curvature_modes(name, edges, modes)
+            block = _unchanged(len(own))
+            block[:, MODE] = sum(map(len, along)) + np.arange(len(own))
+            along.append(own)
+        else:
+            block = _directions(name, up)
+        names += [name] if len(block) == 1 else [f"{name}[{k}]" for k in range(len(block))]
+        blocks.append(block)
+    along = np.concatenate(along)
+    # Kernels take no arrays without entries.
+    return tuple(names), np.concatenate(blocks), along if len(along) else np.zeros((1, edges - 1, 2))
+
+
+def _check(parameters: Sequence[str], modes: np.ndarray | None, edges: int) -> None:
     known = ", ".join(PARAMETERS)
     if isinstance(parameters, str) or not parameters:
         raise InputError("sensitivity", "parameters", f"{parameters!r}", f"give a list of {known}")
@@ -109,19 +153,30 @@ def parameter_directions(parameters: Sequence[str], edges: int, up: np.ndarray) 
             raise InputError("sensitivity", "parameters", f"{name!r} is unknown", f"use {known}")
     if len(set(parameters)) < len(parameters):
         raise InputError("sensitivity", "parameters", f"{', '.join(parameters)}", "give each parameter once")
-    names, blocks = [], []
-    for name in parameters:
-        block = _directions(name, edges, up)
-        names += [name] if len(block) == 1 else [f"{name}[{k}]" for k in range(len(block))]
-        blocks.append(block)
-    return tuple(names), np.concatenate(blocks)
+    if ("modes" in parameters) != (modes is not None):
+        raise InputError("sensitivity", "modes", "given without their parameter, or the parameter without them", "give both")
+    if modes is not None and (np.ndim(modes) != 3 or np.shape(modes)[1:] != (edges - 1, 2)):
+        raise InputError("sensitivity", "modes", f"shape {np.shape(modes)}", f"give (M, {edges - 1}, 2)")
 
 
-def _directions(name: str, edges: int, up: np.ndarray) -> np.ndarray:
-    """The rows of :func:`parameter_directions` of one parameter."""
-    counts = {"rest_curvature": 2, "rest_curvature_per_joint": 2 * (edges - 1), "up": 2, "gravity": 3}
-    rows = np.zeros((counts.get(name, 1), DIRECTION_COLUMNS))
-    rows[:, JOINT] = EVERY_JOINT
+def _curvature_modes(name: str, edges: int, modes: np.ndarray | None) -> np.ndarray:
+    """(M, E−1, 2) of a parameter among CURVATURES."""
+    if name == "modes":
+        return np.asarray(modes, dtype=np.float64)
+    if name == "rest_curvature":
+        return np.repeat(np.eye(2)[:, None], edges - 1, axis=1)
+    return np.einsum("ij,ab->iajb", np.eye(edges - 1), np.eye(2)).reshape(2 * (edges - 1), edges - 1, 2)
+
+
+def _unchanged(count: int) -> np.ndarray:
+    rows = np.zeros((count, DIRECTION_COLUMNS))
+    rows[:, MODE] = NO_MODE
+    return rows
+
+
+def _directions(name: str, up: np.ndarray) -> np.ndarray:
+    """The rows of :func:`parameter_directions` of one parameter that is no curvature."""
+    rows = _unchanged({"up": 2, "gravity": 3, "end_shift": 3, "start_turn": 3, "end_turn": 3}.get(name, 1))
     if name in ("bend", "bend_1", "bend_2", "bend_12"):
         rows[0, BEND : BEND + 3] = {"bend": (1, 1, 0), "bend_1": (1, 0, 0), "bend_2": (0, 1, 0), "bend_12": (0, 0, 1)}[name]
     elif name == "twist":
@@ -131,10 +186,9 @@ def _directions(name: str, edges: int, up: np.ndarray) -> np.ndarray:
     elif name == "up":
         rows[:, PULL : PULL + 3] = np.cross(tilt_axes(up), up)
         rows[:, TIMES_WEIGHT] = 1.0
-    elif name == "gravity":
-        rows[:, PULL : PULL + 3] = np.eye(3)
+    elif name == "length":
+        rows[0, STRETCH] = 1.0
     else:
-        rows[:, REST : REST + 2] = np.tile(np.eye(2), (len(rows) // 2, 1))
-        if name == "rest_curvature_per_joint":
-            rows[:, JOINT] = np.repeat(np.arange(edges - 1), 2)
+        first = {"gravity": PULL, "end_shift": SHIFT, "start_turn": TURN_START, "end_turn": TURN_END}[name]
+        rows[:, first : first + 3] = np.eye(3)
     return rows

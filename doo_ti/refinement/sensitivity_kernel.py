@@ -12,13 +12,22 @@ import taichi as ti
 
 from doo_ti import runtime
 from doo_ti.physics import pair
-from doo_ti.physics.algebra import forward, solve_symmetric, weighted
+from doo_ti.physics.algebra import dot, forward, solve_symmetric, weighted
 from doo_ti.physics.angle import twist_angle_function
-from doo_ti.physics.closure import linear_gradient
+from doo_ti.physics.closure import linear_gradient, linear_hessian
 from doo_ti.physics.number import Number
-from doo_ti.physics.quaternion import first_director, second_director
+from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.relaxation import chain
-from doo_ti.relaxation.columns import OF_MATERIAL, OF_RESULT, WEIGHT
+from doo_ti.relaxation.columns import (
+    OF_CLAMP,
+    OF_MATERIAL,
+    OF_RESULT,
+    SPIN_END,
+    SPIN_START,
+    TILT_END,
+    TILT_START,
+    WEIGHT,
+)
 from doo_ti.relaxation.loading import (
     ASKED_CLOSED,
     ASKED_FREE,
@@ -32,10 +41,11 @@ from doo_ti.relaxation.loading import (
 )
 from doo_ti.types import Solution
 
-# A column changes B by BEND = (11, 22, 12), β by TWIST, ω̄ at the vertex JOINT or at every one by REST, and gravity by PULL,
-# which is multiplied by μ where TIMES_WEIGHT is one.
-BEND, TWIST, REST, JOINT, PULL, TIMES_WEIGHT, DIRECTION_COLUMNS = 0, 3, 4, 6, 7, 10, 11
-EVERY_JOINT = -1
+# A column changes B by BEND = (11, 22, 12), β by TWIST, ω̄ along the rod by row MODE of the table of modes (NO_MODE: not at
+# all), gravity by PULL, which is multiplied by μ where TIMES_WEIGHT is one, all lengths by the factor 1 + STRETCH, the far point
+# by SHIFT, and the frames that the clamps hold by the rotations TURN_START and TURN_END, all three in the world.
+BEND, TWIST, MODE, PULL, TIMES_WEIGHT, STRETCH, SHIFT, TURN_START, TURN_END, DIRECTION_COLUMNS = 0, 3, 4, 5, 8, 9, 10, 13, 16, 19
+NO_MODE = -1
 
 NUMBER = Number(1, 64)
 KEPT = chain.GENERAL_ITEMS
@@ -47,8 +57,12 @@ TRACE = 1e-12
 MOST_THREADS_ON_A_GPU = 4096
 
 
-def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarray):
-    """dx (R, V, 3, P), dω (R, E, 3, P) and which rods (R,) have them, of those that are ``usable`` (R,); NaN in others."""
+def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarray, modes: np.ndarray):
+    """dx (R, V, 3, P), dω (R, E, 3, P) and which rods (R,) have them, of those that are ``usable`` (R,); NaN in others.
+
+    directions  (P, DIRECTION_COLUMNS)
+    modes       (M, E−1, 2) changes of ω̄ at the joints that ``directions`` name by their row
+    """
     table = solution.tables
     count, edges, columns = table.count, table.edges, len(directions)
     vertices = np.full((count, edges + 1, 3, columns), np.nan)
@@ -65,8 +79,8 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
         frames = frames / np.linalg.norm(frames, axis=-1, keepdims=True)
         sensitivity_kernel(stride, 1 if on_cpu else 64)(
             table.start.reshape(-1), table.rest_length, table.clamp, table.material, *table.up, rods, frames.reshape(-1),
-            np.ascontiguousarray(solution.end_force), np.ascontiguousarray(directions), threads, np.zeros(threads * items),
-            vertices, rotations, sound,
+            np.ascontiguousarray(solution.end_force), np.ascontiguousarray(directions), np.ascontiguousarray(modes), threads,
+            np.zeros(threads * items), vertices, rotations, sound,
         )
     lost = sound == 0
     vertices[lost], rotations[lost] = np.nan, np.nan
@@ -122,37 +136,92 @@ def sensitivity_kernel(stride: int, block: int):
         return (s0, s1, s2, s3, s4, s5)
 
     @ti.func
-    def changed_pair(scratch: ti.template(), at, joint, p, directions: ti.template(), unit):
+    def bend_changes(directions: ti.template(), p):
+        """Whether column ``p`` changes the pairs by more than their rest curvature."""
+        change = directions[p, STRETCH] * directions[p, STRETCH]
+        for k in ti.static(range(4)):
+            change += directions[p, BEND + k] * directions[p, BEND + k]
+        return change > 0.0
+
+    @ti.func
+    def changed_pair(scratch: ti.template(), at, joint, p, directions: ti.template(), modes: ti.template(), bends, unit):
         """∂g/∂θ of the pair at ``joint``, where the edge at ``at`` ends: (left, right)."""
         after = at + ti.static(items * stride)
         x, y, inverse, m, turn = sweep.load_bent(scratch, at + (KEPT - chain.BENT) * stride)
         b_left, b_right, inverse_length, twist, rest = sweep.stiffness(scratch, at, after, (unit, unit))
-        b = (directions[p, BEND] / unit, directions[p, BEND + 1] / unit, directions[p, BEND + 2] / unit)
-        stiffness = (b, b, inverse_length, directions[p, TWIST] / unit * inverse_length, rest)
-        left, right = pair.general_gradient(x, y, inverse, turn, m, stiffness)
-        l0, l1, l2, r0, r1, r2 = left + right
-        here = ti.cast(directions[p, JOINT], ti.i32)
-        if (here == EVERY_JOINT or here == joint) and (directions[p, REST] != 0.0 or directions[p, REST + 1] != 0.0):
-            # g is linear in u = ω − ω̄ l̄/2: what ω̄ adds is the difference it makes.
-            none = 0.0 * inverse_length
-            half = 0.5 / inverse_length
-            bent_at_rest = (half * directions[p, REST], half * directions[p, REST + 1])
-            with_left, with_right = pair.general_gradient(
-                x, y, inverse, turn, m, (b_left, b_right, inverse_length, none, bent_at_rest))
-            old_left, old_right = pair.general_gradient(
-                x, y, inverse, turn, m, (b_left, b_right, inverse_length, none, (none, none)))
-            l0, l1, l2 = (
-                l0 + with_left[0] - old_left[0], l1 + with_left[1] - old_left[1], l2 + with_left[2] - old_left[2])
-            r0, r1, r2 = (
-                r0 + with_right[0] - old_right[0], r1 + with_right[1] - old_right[1], r2 + with_right[2] - old_right[2])
+        none = 0.0 * inverse_length
+        l0, l1, l2, r0, r1, r2 = (none, none, none, none, none, none)
+        if bends:
+            # Stretched, B/l̄ and β/l̄ fall; what is left of the strain at rest, ω̄/2, does not depend on the lengths.
+            stretch = directions[p, STRETCH]
+            b = (directions[p, BEND] / unit, directions[p, BEND + 1] / unit, directions[p, BEND + 2] / unit)
+            changed = directions[p, TWIST] / unit * inverse_length - stretch * twist
+            left, right = pair.general_gradient(x, y, inverse, turn, m, (b, b, inverse_length, changed, rest))
+            l0, l1, l2, r0, r1, r2 = left + right
+            if stretch != 0.0:
+                stiff_left, stiff_right = pair.general_gradient(
+                    x, y, inverse, turn, m, (b_left, b_right, inverse_length, none, (none, none)))
+                l0, l1, l2 = (
+                    l0 - stretch * stiff_left[0], l1 - stretch * stiff_left[1], l2 - stretch * stiff_left[2])
+                r0, r1, r2 = (
+                    r0 - stretch * stiff_right[0], r1 - stretch * stiff_right[1], r2 - stretch * stiff_right[2])
+        mode = ti.cast(directions[p, MODE], ti.i32)
+        if mode != NO_MODE:
+            w0, w1 = modes[mode, joint, 0], modes[mode, joint, 1]
+            if w0 != 0.0 or w1 != 0.0:
+                # g is linear in u = ω − ω̄ l̄/2: what ω̄ adds is the difference it makes.
+                half = 0.5 / inverse_length
+                with_left, with_right = pair.general_gradient(
+                    x, y, inverse, turn, m, (b_left, b_right, inverse_length, none, (half * w0, half * w1)))
+                old_left, old_right = pair.general_gradient(
+                    x, y, inverse, turn, m, (b_left, b_right, inverse_length, none, (none, none)))
+                l0, l1, l2 = (
+                    l0 + with_left[0] - old_left[0], l1 + with_left[1] - old_left[1], l2 + with_left[2] - old_left[2])
+                r0, r1, r2 = (
+                    r0 + with_right[0] - old_right[0], r1 + with_right[1] - old_right[1], r2 + with_right[2] - old_right[2])
         return (l0, l1, l2), (r0, r1, r2)
 
     @ti.func
-    def eliminate_column(scratch: ti.template(), origin, edges, p, directions: ti.template(), pull, unit, free, total,
-                         released):
-        """W_b of b = −∂g/∂θ, into the place of the step; returns Σ W_Aᵀ D⁻¹ W_b. ``pull`` is the change of gravity."""
-        g0, g1, g2, r0, r1, r2, z0, z1, z2 = (0.0 * total, 0.0 * total, 0.0 * total, 0.0 * total, 0.0 * total, 0.0 * total,
-                                              0.0 * total, 0.0 * total, 0.0 * total)
+    def held_turn(scratch: ti.template(), at, directions: ti.template(), p, column: ti.template(), holds):
+        """The rotation of a clamped edge in column ``p``, given in the world, in its own axes: only what the clamp holds of it,
+        (spin, tilt) = ``holds``."""
+        q = load4(scratch, at)
+        w = (directions[p, column], directions[p, column + 1], directions[p, column + 2])
+        return (holds[0] * dot(w, tangent(q)), holds[1] * dot(w, first_director(q)), holds[1] * dot(w, second_director(q)))
+
+    @ti.func
+    def across_times(ha, w):
+        """U w of the block U = H_across [left row, right column]."""
+        return (
+            ha[0] * w[0] + ha[1] * w[1] + ha[2] * w[2],
+            ha[3] * w[0] + ha[4] * w[1] + ha[5] * w[2],
+            ha[6] * w[0] + ha[7] * w[1] + ha[8] * w[2],
+        )
+
+    @ti.func
+    def times_across(ha, w):
+        """Uᵀ w."""
+        return (
+            ha[0] * w[0] + ha[3] * w[1] + ha[6] * w[2],
+            ha[1] * w[0] + ha[4] * w[1] + ha[7] * w[2],
+            ha[2] * w[0] + ha[5] * w[1] + ha[8] * w[2],
+        )
+
+    @ti.func
+    def eliminate_column(scratch: ti.template(), origin, edges, p, directions: ti.template(), modes: ti.template(), pull,
+                         unit, free, total, released, gravity, multiplier, turn_start, turn_end):
+        """W_b of b = −∂g/∂θ, into the place of the step; returns Σ W_Aᵀ D⁻¹ W_b, less what closure is changed by.
+
+        ``pull`` is the change of gravity. Edges that clamps hold turn by ``turn_start`` and ``turn_end``: these stand in b where
+        the identity stands in H, and what they do to their neighbours goes over to the right-hand side.
+        """
+        none = 0.0 * total
+        g0, g1, g2, r0, r1, r2, z0, z1, z2 = (none, none, none, none, none, none, none, none, none)
+        bends = bend_changes(directions, p)
+        stretch = directions[p, STRETCH]
+        turned = turn_start[0] * turn_start[0] + turn_start[1] * turn_start[1] + turn_start[2] * turn_start[2] + (
+            turn_end[0] * turn_end[0] + turn_end[1] * turn_end[1] + turn_end[2] * turn_end[2]) > 0.0
+        moment1, moment2, end_moment1, end_moment2 = (none, none, none, none)
         remaining = total
         at = origin
         for e in range(edges):
@@ -160,19 +229,66 @@ def sensitivity_kernel(stride: int, block: int):
             length = scratch[at + chain.LENGTH * stride]
             remaining = remaining - length
             hang = sweep.hanging_weight(length, remaining, total, released)
-            c = (pull[0] * hang, pull[1] * hang, pull[2] * hang)
-            l1, l2 = linear_gradient(c, length, first_director(q), second_director(q))
-            next0, next1, next2 = (0.0 * total, 0.0 * total, 0.0 * total)
+            # Gravity's term grows with the square of the lengths, that of the multiplier with the first power.
+            c = (
+                pull[0] * hang + stretch * (2.0 * gravity[0] * hang + multiplier[0]),
+                pull[1] * hang + stretch * (2.0 * gravity[1] * hang + multiplier[1]),
+                pull[2] * hang + stretch * (2.0 * gravity[2] * hang + multiplier[2]),
+            )
+            m1 = first_director(q)
+            m2 = second_director(q)
+            l1, l2 = linear_gradient(c, length, m1, m2)
+            l0 = none
+            next0, next1, next2 = (none, none, none)
             if e < edges - 1:
-                left, right = changed_pair(scratch, at, e, p, directions, unit)
+                left, right = changed_pair(scratch, at, e, p, directions, modes, bends, unit)
                 g0, g1, g2 = (g0 + left[0], g1 + left[1], g2 + left[2])
                 next0, next1, next2 = right
-            spin, tilt = (1.0 + 0.0 * total, free[4])
+            if turned and (e == 0 or e >= edges - 2):
+                if e < edges - 1 and (e == 0 or e == edges - 2):
+                    after = at + ti.static(items * stride)
+                    own_left, own_right, hl, hr, ha = sweep.derivatives(
+                        sweep.load_bent(scratch, at + (KEPT - chain.BENT) * stride),
+                        sweep.stiffness(scratch, at, after, (unit, unit)))
+                    if e == 0:
+                        n0, n1, n2 = times_across(ha, turn_start)
+                        next0, next1, next2 = (next0 + n0, next1 + n1, next2 + n2)
+                        l0 = l0 + hl[1] * turn_start[1] + hl[2] * turn_start[2]
+                        moment1, moment2 = (own_left[1], own_left[2])
+                    if e == edges - 2:
+                        n0, n1, n2 = across_times(ha, turn_end)
+                        g0, g1, g2 = (g0 + n0, g1 + n1, g2 + n2)
+                        next0 = next0 + hr[1] * turn_end[1] + hr[2] * turn_end[2]
+                        end_moment1, end_moment2 = (own_right[1], own_right[2])
+                if e == 0 or e == edges - 1:
+                    w0, w1, w2 = turn_start
+                    if e == edges - 1:
+                        w0, w1, w2 = turn_end
+                        moment1, moment2 = (end_moment1, end_moment2)
+                    whole = (gravity[0] * hang + multiplier[0], gravity[1] * hang + multiplier[1],
+                             gravity[2] * hang + multiplier[2])
+                    lh = linear_hessian(whole, length, tangent(q), m1, m2)
+                    # Where a clamp holds the tangent, the moment g with which it does turns with it: dg = H w + ½ g × w.
+                    pull1, pull2 = linear_gradient(whole, length, m1, m2)
+                    l0 = l0 + lh[0] * w1 + lh[1] * w2 + 0.5 * ((moment1 + pull1) * w2 - (moment2 + pull2) * w1)
+                    z0, z1, z2 = (
+                        z0 + length * (w2 * m1[0] - w1 * m2[0]),
+                        z1 + length * (w2 * m1[1] - w1 * m2[1]),
+                        z2 + length * (w2 * m1[2] - w1 * m2[2]),
+                    )
+            if stretch != 0.0:
+                t = tangent(q)
+                z0, z1, z2 = (
+                    z0 + stretch * length * t[0], z1 + stretch * length * t[1], z2 + stretch * length * t[2])
+            spin, tilt = (1.0 + none, free[4])
+            held0, held1, held2 = (none, none, none)
             if e == 0:
                 spin, tilt = (free[0], free[1])
+                held0, held1, held2 = turn_start
             if e == edges - 1:
                 spin, tilt = (free[2], free[3])
-            b = (0.0 - spin * (g0 + r0), 0.0 - tilt * (g1 + l1 + r1), 0.0 - tilt * (g2 + l2 + r2))
+                held0, held1, held2 = turn_end
+            b = (held0 - spin * (g0 + l0 + r0), held1 - tilt * (g1 + l1 + r1), held2 - tilt * (g2 + l2 + r2))
             f, u, a = load_factors(scratch, at)
             w = forward(f, b)
             for k in ti.static(range(3)):
@@ -181,30 +297,31 @@ def sensitivity_kernel(stride: int, block: int):
             r0, r1, r2 = (weighted(f, u[0], w), weighted(f, u[1], w), weighted(f, u[2], w))
             g0, g1, g2 = (next0, next1, next2)
             at += ti.static(items * stride)
-        return (z0, z1, z2)
+        return (z0 - directions[p, SHIFT], z1 - directions[p, SHIFT + 1], z2 - directions[p, SHIFT + 2])
 
     @ti.func
-    def moved_end(scratch: ti.template(), at, x):
-        """x + l (dω × t): what the end of an edge moves by, where its start moves by ``x``."""
+    def moved_end(scratch: ti.template(), at, x, stretch):
+        """x + l (dω × t + stretch t): what the end of an edge moves by, where its start moves by ``x``."""
         q = load4(scratch, at)
         length = scratch[at + chain.LENGTH * stride]
         w = load3(scratch, at + chain.ROTATION * stride)
+        t = tangent(q)
         m1 = first_director(q)
         m2 = second_director(q)
         return (
-            x[0] + length * (w[2] * m1[0] - w[1] * m2[0]),
-            x[1] + length * (w[2] * m1[1] - w[1] * m2[1]),
-            x[2] + length * (w[2] * m1[2] - w[1] * m2[2]),
+            x[0] + length * (w[2] * m1[0] - w[1] * m2[0] + stretch * t[0]),
+            x[1] + length * (w[2] * m1[1] - w[1] * m2[1] + stretch * t[1]),
+            x[2] + length * (w[2] * m1[2] - w[1] * m2[2] + stretch * t[2]),
         )
 
     @ti.func
-    def store_column(scratch: ti.template(), origin, edges, released, row, p, vertices: ti.template(),
+    def store_column(scratch: ti.template(), origin, edges, released, stretch, row, p, vertices: ti.template(),
                      rotations: ti.template()):
         x0, x1, x2 = (0.0 * released, 0.0 * released, 0.0 * released)
         if released > 0.5:  # held at the far end, which then stays where it is
             at = origin
             for _ in range(edges):
-                x0, x1, x2 = moved_end(scratch, at, (x0, x1, x2))
+                x0, x1, x2 = moved_end(scratch, at, (x0, x1, x2), stretch)
                 at += ti.static(items * stride)
             x0, x1, x2 = (0.0 - x0, 0.0 - x1, 0.0 - x2)
         at = origin
@@ -212,7 +329,7 @@ def sensitivity_kernel(stride: int, block: int):
             vertices[row, e, 0, p], vertices[row, e, 1, p], vertices[row, e, 2, p] = (x0, x1, x2)
             for k in ti.static(range(3)):
                 rotations[row, e, k, p] = scratch[at + (chain.ROTATION + k) * stride]
-            x0, x1, x2 = moved_end(scratch, at, (x0, x1, x2))
+            x0, x1, x2 = moved_end(scratch, at, (x0, x1, x2), stretch)
             at += ti.static(items * stride)
         vertices[row, edges, 0, p], vertices[row, edges, 1, p], vertices[row, edges, 2, p] = (x0, x1, x2)
 
@@ -224,6 +341,7 @@ def sensitivity_kernel(stride: int, block: int):
         frames: table1,  # [row · edge · 4] the equilibria
         end_force: table2,  # [row, 3] −λ
         directions: table2,  # [column, DIRECTION_COLUMNS]
+        modes: ti.types.ndarray(dtype=ti.f64, ndim=3),  # [mode, joint, 2]
         threads: ti.i32, scratch: table1,
         vertices: table4, rotations: table4,  # [row, vertex or edge, 3, column] out
         sound: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [row] out: one where the inertia is a minimum's
@@ -264,12 +382,18 @@ def sensitivity_kernel(stride: int, block: int):
                     shift = ti.select(inertia == INERTIA_OF_A_MINIMUM, none, trace)
                 sound[row] = ti.cast(inertia == INERTIA_OF_A_MINIMUM, ti.i32)
                 schur = schur_complement(scratch, origin, edges, closed)
+                s = rods[rod, OF_CLAMP]
+                holds_start = (1.0 - clamp[s, SPIN_START], 1.0 - clamp[s, TILT_START])
+                holds_end = (1.0 - clamp[s, SPIN_END], 1.0 - clamp[s, TILT_END])
                 for p in range(directions.shape[0]):
                     factor = 1.0 / unit
                     if directions[p, TIMES_WEIGHT] == 1.0:
                         factor = material[rods[rod, OF_MATERIAL], WEIGHT] / unit
                     pull = (factor * directions[p, PULL], factor * directions[p, PULL + 1], factor * directions[p, PULL + 2])
-                    z = eliminate_column(scratch, origin, edges, p, directions, pull, unit, free, total, released)
+                    z = eliminate_column(
+                        scratch, origin, edges, p, directions, modes, pull, unit, free, total, released, gravity, multiplier,
+                        held_turn(scratch, origin, directions, p, TURN_START, holds_start),
+                        held_turn(scratch, last, directions, p, TURN_END, holds_end))
                     solved, minors = solve_symmetric(schur, z)
                     force = (solved[0] * closed, solved[1] * closed, solved[2] * closed)
                     w0, w1, w2 = (none, none, none)
@@ -277,7 +401,7 @@ def sensitivity_kernel(stride: int, block: int):
                     for _ in range(edges):
                         w0, w1, w2 = sweep.solved_edge(scratch, at, force, (w0, w1, w2))
                         at -= ti.static(items * stride)
-                    store_column(scratch, origin, edges, released, row, p, vertices, rotations)
+                    store_column(scratch, origin, edges, released, directions[p, STRETCH], row, p, vertices, rotations)
                 rod += threads
 
     return solve

@@ -1,0 +1,145 @@
+"""Marginal likelihood of the sizes in :mod:`doo_ti.refinement.scales`, unknowns and effects integrated out (empirical Bayes).
+
+With the linear model of :mod:`doo_ti.refinement.linear_model` and W = Σ_kinds 1/σ², effects of one observation go first,
+
+    M_d = ZᵀWZ + S⁻¹,    H = A + Σ_d (JᵀWJ − JᵀWZ M_d⁻¹ ZᵀWJ),
+
+and what is left, −2 ln of the evidence but for a constant, is
+
+    F = r'ᵀWr' + (x̂ − x̄)ᵀA(x̂ − x̄) + ẑᵀS⁻¹ẑ + Σ n ln σ² + Σ_d (ln |M_d| + ln |S|) + ln |H| − ln |A|,
+
+r' at the most probable x̂ and ẑ. Where the model is linear this is Laplace's approximation of the true one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from doo_ti.refinement.curvature_field import covariance
+from doo_ti.refinement.linear_model import Moments, effect_scales
+from doo_ti.refinement.scales import NAMES, Scales
+from doo_ti.refinement.unknowns import Unknowns
+
+STEPS = 60
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """What the linear model says at one set of sizes.
+
+    step        (P,) x̂
+    covariance  (P, P) of x
+    effects     (D, Q) ẑ
+    value       F
+    gradient    (H,) of F by the logarithms of the sizes that are learned, priors included
+    """
+
+    step: np.ndarray
+    covariance: np.ndarray
+    effects: np.ndarray
+    value: float
+    gradient: np.ndarray
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """F of one linear model.
+
+    unknowns  whose prior is A
+    moments   of the residuals, kind by kind
+    offset    (P,) where the fit is, from the middle of the prior: −x̄
+    basis     (P, P') of unknowns that stay free, x = basis y + along; None: all
+    along     (P,) step that is made in any case, such as along a direction that is held
+    """
+
+    unknowns: Unknowns
+    moments: tuple[Moments, ...]
+    offset: np.ndarray
+    basis: np.ndarray | None = None
+    along: np.ndarray | None = None
+
+    def posterior(self, scales: Scales) -> Posterior:
+        weights = [1 / scales[kind.scale] ** 2 for kind in self.moments]
+        kinds = effect_scales(self.moments[0].effects.shape[-1])
+        variance = np.array([scales[name] for name in kinds]) ** 2
+        mixed = sum(w * kind.mixed for w, kind in zip(weights, self.moments, strict=True))
+        inner = np.linalg.inv(sum(w * kind.effects for w, kind in zip(weights, self.moments, strict=True)) + np.diag(1 / variance))
+        slope_z = sum(w * kind.effects_slope for w, kind in zip(weights, self.moments, strict=True))
+        slope = sum(w * kind.shared_slope for w, kind in zip(weights, self.moments, strict=True))
+        passed = mixed @ inner
+        precision, log_prior = self.unknowns.precision(scales)
+        hessian = precision + sum(w * kind.shared for w, kind in zip(weights, self.moments, strict=True)) - (
+            passed @ np.swapaxes(mixed, 1, 2)).sum(axis=0)
+        slope = slope - (passed @ slope_z[..., None]).sum(axis=0)[:, 0] + precision @ self.offset
+        step, covariance_x, log_hessian = self._solved(hessian, slope)
+        effects = -(inner @ (slope_z + np.swapaxes(mixed, 1, 2) @ step)[..., None])[..., 0]
+        # The gradient of F is the expectation of that of the complete data's −2 ln likelihood (Fisher's identity).
+        crossed = np.swapaxes(passed, 1, 2) @ covariance_x
+        spread_z = inner + crossed @ passed
+        gradient = dict.fromkeys(NAMES, 0.0)
+        value = log_hessian - log_prior - float(np.linalg.slogdet(inner)[1].sum())
+        for w, kind in zip(weights, self.moments, strict=True):
+            squares = self._squares(kind, step, effects)
+            spread = (covariance_x * kind.shared).sum() + (spread_z * kind.effects).sum() - 2 * (
+                np.swapaxes(crossed, 1, 2) * kind.mixed).sum()
+            value += w * squares + 2 * kind.count * np.log(scales[kind.scale])
+            gradient[kind.scale] += 2 * (kind.count - w * (squares + spread))
+        rods = len(effects)
+        second = (effects**2).sum(axis=0) + np.einsum("dqq->q", spread_z)
+        value += float((effects**2 / variance).sum() + rods * np.log(variance).sum())
+        for q, name in enumerate(kinds):
+            gradient[name] += 2 * (rods - second[q] / variance[q])
+        x = self.offset + step
+        value += float(x @ precision @ x)
+        self._prior_gradient(gradient, scales, np.outer(x, x) + covariance_x)
+        extra, own = scales.prior()
+        learned = np.array([gradient[name] for name, free in zip(NAMES, scales.learned, strict=True) if free])
+        return Posterior(step, covariance_x, effects, value + extra, learned + own)
+
+    def best(self, scales: Scales, steps: int = STEPS) -> Scales:
+        """The sizes of the largest evidence that is reached from ``scales``."""
+        if not scales.learned.any():
+            return scales
+
+        def objective(free):
+            found = self.posterior(scales.at(free))
+            return found.value, found.gradient
+
+        found = minimize(objective, scales.free, jac=True, method="L-BFGS-B", bounds=scales.bounds,
+                         options={"maxiter": steps, "ftol": 1e-10, "gtol": 1e-3})
+        return scales.at(found.x)
+
+    def _solved(self, hessian: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """(x̂, covariance of x, ln |H|) over the unknowns that are free."""
+        if self.basis is None:
+            inverse = np.linalg.inv(hessian)
+            return -inverse @ slope, inverse, float(np.linalg.slogdet(hessian)[1])
+        reduced = self.basis.T @ hessian @ self.basis
+        inverse = self.basis @ np.linalg.inv(reduced) @ self.basis.T
+        return (self.along - inverse @ (slope + hessian @ self.along), inverse, float(np.linalg.slogdet(reduced)[1]))
+
+    @staticmethod
+    def _squares(kind: Moments, step: np.ndarray, effects: np.ndarray) -> float:
+        """Σ (r + J x + Z z)²."""
+        of_effects = (effects * (kind.effects @ effects[..., None])[..., 0]).sum() + 2 * (effects * kind.effects_slope).sum()
+        crossed = 2 * (step @ (kind.mixed @ effects[..., None])[..., 0].sum(axis=0))
+        return float(kind.squares + step @ kind.shared @ step + 2 * step @ kind.shared_slope + of_effects + crossed)
+
+    def _prior_gradient(self, gradient: dict[str, float], scales: Scales, second: np.ndarray) -> None:
+        """Adds the derivatives of the prior of the unknowns, whose second moments about its middle are ``second``."""
+        unknowns = self.unknowns
+        clamps = unknowns.columns("clamps")
+        for name, turns in (("turn", True), ("shift", False)):
+            own = clamps[unknowns.is_turn[: len(clamps)] == turns]
+            gradient[name] += 2 * float((1 - np.diag(second)[own] / scales[name] ** 2).sum())
+        knots = unknowns.columns("curvature")
+        if not len(knots):
+            return
+        matrix, slope = covariance(unknowns.knots, scales["curvature"] * unknowns.rod.length, scales["range"])
+        inverse = np.linalg.inv(matrix)
+        moment = second[np.ix_(knots, knots)]
+        both = moment[0::2, 0::2] + moment[1::2, 1::2]
+        gradient["curvature"] += 2 * float(len(knots) - (inverse * both).sum())
+        change = inverse @ slope
+        gradient["range"] += float(2 * np.trace(change) - (change @ inverse * both).sum())

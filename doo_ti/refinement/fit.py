@@ -1,0 +1,218 @@
+"""The most probable unknowns: Gauss–Newton on the posterior, sizes by marginal likelihood on the way (§III-E).
+
+Between steps every rod is relaxed from where it was, which keeps it on its branch of equilibria; rods that fit far worse than the
+others are tried from their observation again, whole turns more and less included, and do not count where that does not help.
+Axes: D observations, P unknowns.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.refinement.evidence import Evidence, Posterior
+from doo_ti.refinement.held_rod import POSE
+from doo_ti.refinement.linear_model import Moments, Residuals
+from doo_ti.refinement.residuals import Comparison
+from doo_ti.refinement.scales import Scales
+from doo_ti.refinement.unknowns import Unknowns, Values
+from doo_ti.relaxation.newton import Newton
+from doo_ti.types import Solution
+
+LARGEST_STEP = 1.0  # of an unknown of Θ or a clip: small steps keep rods on their branches
+LARGEST_TURN = 0.3  # rad, of a clamp
+SHORTENED = 1 / 3  # a step that does not help is tried so much shorter
+MOST_SHORTENED = 8
+SETTLED = 0.02  # standard errors by which Θ still moves when the fit is done
+ODD = 9.0
+"""Times the others' mean square, three times their size: a rod whose residuals are so is a misfit."""
+REFITTED = 0.5  # a misfit tried again counts as better where its squares fall below this share
+
+
+@dataclass(frozen=True)
+class State:
+    """Rods at one set of values.
+
+    values      of the unknowns
+    scales      sizes
+    solution    the rods, on the mesh
+    residuals   of each kind, (D, N), effects of the clamps included, the gap's not
+    used        (D,) bool: converged, stable, and no misfit
+    """
+
+    values: Values
+    scales: Scales
+    solution: Solution
+    residuals: tuple[np.ndarray, ...]
+    used: np.ndarray
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Where a fit ended, and the linear model there.
+
+    posterior   at the sizes of ``state``
+    linear      the residuals of each kind around ``state``
+    converged   False where the steps allowed did not do
+    steps       tried
+    """
+
+    state: State
+    evidence: Evidence
+    posterior: Posterior
+    linear: tuple[Residuals, ...]
+    converged: bool
+    steps: int
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What stays the same while the unknowns of one model are looked for.
+
+    comparison  what is compared, with the unknowns
+    origin      the values that the wide prior of Θ is about
+    solver      of the relaxations
+    """
+
+    comparison: Comparison
+    origin: Values
+    solver: Newton
+
+    @property
+    def unknowns(self) -> Unknowns:
+        return self.comparison.unknowns
+
+    def begin(self, values: Values, scales: Scales) -> State:
+        """Rods relaxed from their observations. Raises InputError where none is converged and stable."""
+        rod, unknowns = self.unknowns.rod, self.unknowns
+        solution = rod.relaxed(unknowns.material(values), values.clip, unknowns.pose(values), self.solver, values.theta.up)
+        state = self._state(values, scales, solution)
+        if not state.used.any():
+            raise InputError(rod.observations.source, "vertices_mm", "no rod is converged and stable at the first Θ",
+                             "begin elsewhere, or look at what relax says")
+        return state
+
+    def run(self, state: State, steps: int, held: tuple[np.ndarray, float] | None = None) -> Fitted:
+        """The best values that are reached from ``state``; with ``held`` = (v, a), those for which v·x is larger by a than at
+        ``state``, x being the unknowns."""
+        done, tried, left = False, 0, 0.0 if held is None else held[1]
+        for tried in range(1, steps + 1):
+            fitted = self._linear(state, None if held is None else (held[0], left))
+            if done:
+                break
+            found = fitted.posterior
+            share = self._share(found.step)
+            trial, share = self._stepped(fitted, share)
+            left *= 1 - share
+            if share == 0:
+                break
+            before = np.sqrt(np.diag(found.covariance)[: self._theta_count])
+            still = share == 1 and (np.abs(found.step[: self._theta_count]) <= SETTLED * np.maximum(before, 1e-9)).all()
+            trial, again = self._tried_again(trial)
+            done = still and not again and (trial.used == state.used).all()
+            state = trial
+        else:
+            fitted = self._linear(state, None if held is None else (held[0], left))
+        return replace(fitted, converged=done, steps=tried)
+
+    @property
+    def _theta_count(self) -> int:
+        return self.unknowns.theta_count
+
+    def _state(self, values: Values, scales: Scales, solution: Solution, before: np.ndarray | None = None) -> State:
+        residuals = self.comparison.values(solution, values)
+        good = solution.converged & solution.stable
+        residuals = tuple(np.where(good[:, None], kind, 0.0) for kind in residuals)
+        squares = self.mean_squares(residuals)
+        used = good & (self.comparison.count > 0)
+        if used.any():
+            used &= squares <= ODD * np.maximum(np.median(squares[used]), 1e-20)
+        return State(values, scales, solution, residuals, used)
+
+    def mean_squares(self, residuals: tuple[np.ndarray, ...]) -> np.ndarray:
+        """(D,) of the marks' residuals."""
+        return (residuals[0] ** 2).sum(axis=1) / np.maximum(self.comparison.count, 1)
+
+    def _linear(self, state: State, held) -> Fitted:
+        """The linear model around ``state``, its sizes fitted."""
+        linear, used = self.comparison.linear(state.solution, state.values, state.used)
+        basis, along = None, None
+        if held is not None:
+            direction, amount = held
+            basis, along = _across(direction), amount * direction / (direction @ direction)
+        evidence = Evidence(self.unknowns, tuple(Moments.of(kind) for kind in linear),
+                            self.unknowns.offset(state.values, self.origin), basis, along)
+        scales = evidence.best(state.scales)
+        return Fitted(replace(state, scales=scales, used=used), evidence, evidence.posterior(scales), linear, False, 0)
+
+    def _share(self, step: np.ndarray) -> float:
+        names = self.unknowns.names
+        limits = np.array([LARGEST_TURN if name.startswith("clamps") else np.inf if name.startswith("curvature")
+                           else LARGEST_STEP for name in names])
+        return float(min(1.0, 1 / max((np.abs(step) / limits).max(), 1e-300)))
+
+    def _stepped(self, fitted: Fitted, share: float) -> tuple[State, float]:
+        """A step that lowers −2 ln of the posterior, and how much of the whole it is; none where rounding is in the way."""
+        state, found, unknowns = fitted.state, fitted.posterior, self.unknowns
+        effects = found.effects[:, :POSE] if unknowns.clamps else 0 * state.values.scatter
+        effects = np.where(state.used[:, None], effects, 0.0)
+        before = self._objective(state, state.used, state.scales)
+        for _ in range(MOST_SHORTENED):
+            values = unknowns.moved(state.values, share * found.step, share * (effects - state.values.scatter))
+            trial = self._followed(state, values)
+            kept = trial.solution.converged & trial.solution.stable
+            if kept[state.used].all() and self._objective(trial, state.used, state.scales) <= before:
+                return trial, share
+            share *= SHORTENED
+        return state, 0.0
+
+    def _followed(self, state: State, values: Values) -> State:
+        unknowns = self.unknowns
+        solution = unknowns.rod.followed(state.solution, unknowns.material(values), values.clip, unknowns.pose(values),
+                                         self.solver, values.theta.up)
+        return self._state(values, state.scales, solution)
+
+    def _objective(self, state: State, used: np.ndarray, scales: Scales) -> float:
+        """−2 ln of the posterior but for a constant, the gap integrated out, over rods that are ``used``."""
+        gap = self.comparison.gap_weight(scales)
+        total = 0.0
+        for name, kind in zip(("marks", "frames"), state.residuals, strict=False):
+            rows = kind[used] / scales[name]
+            total += float((rows**2).sum())
+            if name == "marks":
+                total -= float(((rows @ gap) ** 2).sum())
+        precision, _ = self.unknowns.precision(scales)
+        offset = self.unknowns.offset(state.values, self.origin)
+        total += float(offset @ precision @ offset)
+        if self.unknowns.clamps:
+            sizes = np.repeat([scales["turn_scatter"], scales["shift_scatter"]], 6)
+            total += float(((state.values.scatter[used] / sizes) ** 2).sum())
+        return total
+
+    def _tried_again(self, state: State) -> tuple[State, bool]:
+        """``state`` with its misfits relaxed from their observations, where that brings them nearer."""
+        good = state.solution.converged & state.solution.stable
+        misfits = np.flatnonzero(~state.used & (self.comparison.count > 0))
+        if not len(misfits):
+            return state, False
+        unknowns, values = self.unknowns, state.values
+        values = replace(values, scatter=np.where(state.used[:, None], values.scatter, 0.0))
+        anew = unknowns.rod.relaxed(unknowns.material(values), values.clip, unknowns.pose(values), self.solver,
+                                    values.theta.up, misfits, any_turn=True)
+        quaternions = state.solution.configuration.quaternions.copy()
+        quaternions[misfits] = anew.configuration.quaternions
+        moved = replace(state.solution, configuration=replace(state.solution.configuration, quaternions=quaternions))
+        trial = self._followed(replace(state, solution=moved), values)
+        nearer = self.mean_squares(trial.residuals) < REFITTED * self.mean_squares(state.residuals)
+        nearer = (nearer | ~good) & trial.solution.converged & trial.solution.stable & ~state.used
+        if not nearer.any():
+            return state, False
+        keep = np.where(nearer[:, None, None], quaternions, state.solution.configuration.quaternions)
+        merged = replace(state.solution, configuration=replace(state.solution.configuration, quaternions=keep))
+        return self._followed(replace(state, solution=merged), values), True
+
+
+def _across(direction: np.ndarray) -> np.ndarray:
+    """(P, P − 1) orthonormal basis of what is across ``direction`` (P,)."""
+    full, _ = np.linalg.qr(np.column_stack([direction, np.eye(len(direction))]))
+    return full[:, 1 : len(direction)]

@@ -1,0 +1,314 @@
+"""What a fit looks for, as unknowns without bounds, and what is known of them before anything is seen.
+
+    bend                    ln α of B = αI
+    bend_1, bend_2          ln B₁₁, ln B₂₂; the correlation B₁₂/√(B₁₁B₂₂) stays
+    bend_12                 artanh of that correlation, so that B stays positive definite
+    twist, weight           ln β, ln μ
+    up                      two tilts from where up was, rad
+    clip_start, clip_end    ln of the length that a clip holds, from the outer mark on
+    curvature               L ω̄ at the knots of :mod:`doo_ti.refinement.curvature_field`, two components each, or of the whole rod
+    clamps                  constant errors of the clamps: 12 numbers in the axes of the reported frames, which turn with them,
+                            and 12 in the world's
+
+The prior of the first five is so wide that it matters only along directions that nothing determines.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.frames import matrix_from_quaternion, quaternion_about
+from doo_ti.refinement.curvature_field import covariance, knots_of, values_at
+from doo_ti.refinement.held_rod import POSE, HeldRod, Mesh
+from doo_ti.refinement.scales import Scales
+from doo_ti.refinement.sensitivity import tilt_axes
+from doo_ti.types import Material
+
+PARAMETERS = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "up")
+LOGARITHMIC = ("bend", "bend_1", "bend_2", "twist", "weight", "clip_start", "clip_end")
+CURVATURES = ("field", "uniform", "none")
+WIDE = 7.0  # standard deviation of the logarithm of what is positive: a factor of a thousand either way
+TILT = 0.1  # rad, of gravity's direction, where that is learned
+CLIP_MEDIAN, CLIP_FACTOR = 0.75, 0.7
+"""Of the prior of a clip's length: the median, in spacings of the outer marks, and the deviation of its logarithm."""
+
+
+@dataclass(frozen=True)
+class Theta:
+    """One material and the direction of gravity.
+
+    bend (2, 2) mm³, twist mm³, weight μ, rest_curvature None, (2,) or (E−1, 2) in 1/mm, up (3,) unit vector
+    """
+
+    bend: np.ndarray
+    twist: float
+    weight: float = 1.0
+    rest_curvature: np.ndarray | None = None
+    up: np.ndarray = (0.0, 0.0, 1.0)
+
+    def __post_init__(self):
+        for name in ("bend", "rest_curvature", "up"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64))
+
+    @classmethod
+    def of(cls, material: Material, row: int = 0, up=(0.0, 0.0, 1.0)) -> "Theta":
+        """Row ``row`` of a table of materials that are the same all along the rod, but for their rest curvature.
+
+        Raises InputError for others.
+        """
+        if material.bend.shape[1] > 1 or material.twist.shape[1] > 1:
+            raise InputError("refine", "material", "bend or twist vary along the rod", "give one value for the whole rod")
+        rest = material.rest_curvature
+        rest = None if rest is None else rest[row, 0] if rest.shape[1] == 1 else rest[row]
+        return cls(material.bend[row, 0], float(material.twist[row, 0]), float(material.weight[row]), rest, np.asarray(up))
+
+    @property
+    def material(self) -> Material:
+        """The table of this one material."""
+        rest = self.rest_curvature
+        return Material(self.bend, self.twist, self.weight, None if rest is None else rest[None])
+
+
+@dataclass(frozen=True)
+class Values:
+    """What the unknowns stand for.
+
+    theta      Θ without its rest curvature
+    clip       (2,) mm
+    curvature  (K, 2) 1/mm at the knots, (1, 2) of the whole rod, or (0, 2)
+    constant   (2 POSE,) constant errors of the clamps, in the reported frames' axes and in the world's
+    scatter    (D, POSE) what they are off besides in each observation
+    """
+
+    theta: Theta
+    clip: np.ndarray
+    curvature: np.ndarray
+    constant: np.ndarray
+    scatter: np.ndarray
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Which unknowns a fit has. P of them.
+
+    rod         the observed rod
+    parameters  of Θ, from PARAMETERS
+    clips       whether the clips' lengths are unknown
+    curvature   "field", "uniform" or "none"
+    clamps      whether clamps may be off
+
+    Raises InputError for parameters that are unknown, repeated or contradict each other.
+    """
+
+    rod: HeldRod
+    parameters: tuple[str, ...]
+    clips: bool = True
+    curvature: str = "field"
+    clamps: bool = True
+
+    def __post_init__(self):
+        names = self.parameters
+        for name in names:
+            if name not in PARAMETERS:
+                raise InputError("refine", "parameters", f"{name!r} is unknown", f"use {', '.join(PARAMETERS)}")
+        for other in ("bend_1", "bend_2", "bend_12"):
+            if "bend" in names and other in names:
+                raise InputError("refine", "parameters", f"bend beside {other}", "give one of them")
+        if not names or len(set(names)) < len(names):
+            raise InputError("refine", "parameters", f"{', '.join(names) or 'none'}", "give each parameter once")
+
+    @property
+    def knots(self) -> np.ndarray:
+        """(K,) mm; of one knot where the rest curvature is uniform, of none where there is none."""
+        if self.curvature == "field":
+            return knots_of(self.rod.observations.rest_length)
+        return np.full(int(self.curvature == "uniform"), 0.5 * self.rod.length)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(P,)"""
+        parts = [(name,) if name != "up" else ("up[0]", "up[1]") for name in self.parameters]
+        ends = [name for name, held in zip(("clip_start", "clip_end"), self.rod.clamped, strict=True) if held and self.clips]
+        knots = [f"curvature[{k}]" for k in range(2 * len(self.knots))]
+        return tuple(name for part in parts for name in part) + tuple(ends) + tuple(knots) + tuple(
+            f"clamps[{k}]" for k in range(2 * POSE if self.clamps else 0))
+
+    @property
+    def theta_count(self) -> int:
+        """How many unknowns are Θ's: the first ones."""
+        return len(self.parameters) + ("up" in self.parameters)
+
+    def columns(self, prefix: str) -> np.ndarray:
+        """Where unknowns whose names begin so stand."""
+        return np.array([k for k, name in enumerate(self.names) if name.startswith(prefix)], dtype=int)
+
+    def begun(self, theta: Theta, clip: np.ndarray) -> Values:
+        """Values to begin with: ``theta``, and no curvature or error of a clamp but what it has itself.
+
+        Raises InputError where ``theta`` does not fit the unknowns.
+        """
+        first, second, mixed = theta.bend[0, 0], theta.bend[1, 1], theta.bend[0, 1]
+        if "bend" in self.parameters and (first != second or mixed != 0):
+            raise InputError("refine", "parameters", "bend of a rod that is not round", "give bend_1 and bend_2")
+        if "weight" in self.parameters and not theta.weight > 0:
+            raise InputError("refine", "weight", f"{theta.weight:g} has no logarithm", "give a positive weight")
+        curvature = np.zeros((len(self.knots), 2))
+        if theta.rest_curvature is not None:
+            if not len(curvature):
+                raise InputError("refine", "rest_curvature", "given, but the fit has none", "leave the curvature unknown")
+            own = np.atleast_2d(theta.rest_curvature)
+            joints = np.cumsum(self.rod.observations.rest_length)[:-1]
+            curvature[:] = own if len(own) == 1 else np.stack([np.interp(self.knots, joints, c) for c in own.T], axis=1)
+        count = self.rod.observations.count
+        return Values(replace(theta, rest_curvature=None), np.array(clip, dtype=float), curvature, np.zeros(2 * POSE),
+                      np.zeros((count, POSE)))
+
+    def moved(self, values: Values, step: np.ndarray, scatter: np.ndarray) -> Values:
+        """``values`` with the unknowns changed by ``step`` (P,) and the clamps' scatter by ``scatter`` (D, POSE)."""
+        of = {name: amount for name, amount in zip(self.names, step, strict=True)}
+        theta = values.theta
+        root = np.sqrt(np.diag(theta.bend))
+        correlation = np.tanh(np.arctanh(theta.bend[0, 1] / root.prod()) + of.get("bend_12", 0.0))
+        both = of.get("bend", 0.0)
+        root = root * np.exp(0.5 * np.array([of.get(name, 0.0) + both for name in ("bend_1", "bend_2")]))
+        up = theta.up
+        if "up[0]" in of:
+            turn = np.array([of["up[0]"], of["up[1]"]]) @ tilt_axes(up)
+            angle = np.linalg.norm(turn)
+            up = matrix_from_quaternion(quaternion_about(turn / max(angle, 1e-300), angle)) @ up
+        theta = Theta(np.diag(root**2) + correlation * root.prod() * (1 - np.eye(2)),
+                      theta.twist * float(np.exp(of.get("twist", 0.0))), theta.weight * float(np.exp(of.get("weight", 0.0))),
+                      None, up / np.linalg.norm(up))
+        clip = values.clip * np.exp([of.get("clip_start", 0.0), of.get("clip_end", 0.0)])
+        curvature = values.curvature + step[self.columns("curvature")].reshape(-1, 2) / self.rod.length
+        constant = values.constant + (step[self.columns("clamps")] if self.clamps else 0.0)
+        return Values(theta, clip, curvature, constant, values.scatter + scatter)
+
+    def theta_at(self, values: Values) -> Theta:
+        """Θ with the rest curvature at the joints between the marks' edges (E−1, 2)."""
+        if not len(self.knots):
+            return values.theta
+        joints = np.cumsum(self.rod.observations.rest_length)[:-1]
+        return replace(values.theta, rest_curvature=values_at(joints, self.knots)[0] @ values.curvature)
+
+    def material(self, values: Values) -> Material:
+        """The material on the mesh."""
+        theta = values.theta
+        if not len(self.knots):
+            return theta.material
+        rest = values_at(self.rod.mesh(values.clip).joints, self.knots)[0] @ values.curvature
+        return Material(theta.bend, theta.twist, theta.weight, rest[None])
+
+    def pose(self, values: Values) -> np.ndarray:
+        """(D, POSE) how far each clamp is off in each observation."""
+        return values.scatter + np.einsum("dij,j->di", self.constant_slopes(), values.constant)
+
+    def constant_slopes(self) -> np.ndarray:
+        """(D, POSE, 2 POSE) derivative of :meth:`pose` by the constant errors."""
+        clamps, count = self.rod.clamps, self.rod.observations.count
+        slopes = np.zeros((count, POSE, 2 * POSE))
+        slopes[:, np.arange(POSE), np.arange(POSE)] = 1.0
+        for block in range(4):
+            frame = clamps.start_frame if block % 2 == 0 else clamps.end_frame
+            rows = slice(3 * block, 3 * block + 3)
+            slopes[:, rows, POSE + 3 * block : POSE + 3 * block + 3] = np.swapaxes(frame, 1, 2)
+        return slopes
+
+    def modes(self, values: Values) -> tuple[np.ndarray, Mesh]:
+        """(2 K + 2, N − 1, 2) changes of rest curvature on the mesh: by each unknown of the curvature, and by each clip, along
+        with which the joints slide over the rod; and that mesh."""
+        mesh = self.rod.mesh(values.clip)
+        weights, slopes = values_at(mesh.joints, self.knots) if len(self.knots) else (np.zeros((len(mesh.joints), 0)),) * 2
+        by_knot = np.einsum("jk,ab->kajb", weights, np.eye(2)).reshape(-1, len(mesh.joints), 2) / self.rod.length
+        by_clip = np.einsum("jk,kb,je->ejb", slopes, values.curvature, mesh.joint_slope)
+        return np.concatenate([by_knot, by_clip]), mesh
+
+    def chain(self, values: Values) -> tuple[tuple[str, ...], np.ndarray]:
+        """The parameters of :func:`doo_ti.refinement.sensitivity.sensitivity` that Θ's unknowns need, and the derivatives (Q, T)
+        of their Q columns by these T unknowns."""
+        theta, entries = values.theta, ("bend_1", "bend_2", "bend_12")
+        elementary = [name for name in self.parameters if name not in entries]
+        elementary += entries if len(elementary) < len(self.parameters) else ()
+        names = self.names[: self.theta_count]
+        rows = []
+        for name in elementary:
+            if name in entries:
+                rows.append([_bend_entry(name, unknown, theta.bend) if unknown in entries else 0.0 for unknown in names])
+            elif name == "up":
+                rows += [[float(unknown == f"up[{k}]") for unknown in names] for k in range(2)]
+            else:
+                value = theta.bend[0, 0] if name == "bend" else getattr(theta, name)
+                rows.append([value * (unknown == name) for unknown in names])
+        return tuple(elementary), np.array(rows)
+
+    def offset(self, values: Values, origin: Values) -> np.ndarray:
+        """(P,) how far the unknowns are from the middle of their prior, Θ's from ``origin``."""
+        theta, start, clips = values.theta, origin.theta, self.clip_prior
+        parts = []
+        for name in self.names[: self.theta_count]:
+            if name in ("bend", "bend_1", "bend_2"):
+                entry = int(name == "bend_2")
+                parts.append(np.log(theta.bend[entry, entry] / start.bend[entry, entry]))
+            elif name == "bend_12":
+                parts.append(np.arctanh(_correlation(theta.bend)) - np.arctanh(_correlation(start.bend)))
+            elif name in ("twist", "weight"):
+                parts.append(np.log(getattr(theta, name) / getattr(start, name)))
+            else:
+                parts.append(self._tilt(start.up, theta.up)[int(name[3])])
+        for end, name in enumerate(("clip_start", "clip_end")):
+            if name in self.names:
+                parts.append(np.log(values.clip[end] / clips[end]))
+        constant = values.constant if self.clamps else np.zeros(0)
+        return np.concatenate([parts, self.rod.length * values.curvature.ravel(), constant])
+
+    @property
+    def clip_prior(self) -> np.ndarray:
+        """(2,) median length of the clips before anything is seen, mm."""
+        lengths = self.rod.observations.rest_length
+        return CLIP_MEDIAN * np.array([lengths[0], lengths[-1]])
+
+    def precision(self, scales: Scales) -> tuple[np.ndarray, float]:
+        """(P, P) inverse covariance of the prior, and ln of its determinant."""
+        names, count = self.names, len(self.names)
+        spread = np.empty(count)
+        for k, name in enumerate(names):
+            spread[k] = TILT if name.startswith("up") else CLIP_FACTOR if name.startswith("clip") else WIDE
+        clamps = self.columns("clamps")
+        spread[clamps] = np.where(self.is_turn[: len(clamps)], scales["turn"], scales["shift"])
+        matrix, logarithm = np.diag(1 / spread**2), np.ones(count, dtype=bool)
+        knots = self.columns("curvature")
+        if len(knots):
+            spread_of, _ = covariance(self.knots, scales["curvature"] * self.rod.length, scales["range"])
+            matrix[np.ix_(knots, knots)] = np.kron(np.linalg.inv(spread_of), np.eye(2))
+            logarithm[knots] = False
+            own = -2 * np.linalg.slogdet(spread_of)[1]
+        return matrix, float(-2 * np.log(spread[logarithm]).sum()) + (own if len(knots) else 0.0)
+
+    @property
+    def is_turn(self) -> np.ndarray:
+        """(2 POSE,) bool: which constant errors are rotations."""
+        return np.tile(np.arange(POSE) < 6, 2)
+
+    @staticmethod
+    def _tilt(origin: np.ndarray, up: np.ndarray) -> np.ndarray:
+        """(2,) the step of ``up`` that leads from one direction to the other."""
+        turn = np.cross(origin, up)
+        sine = np.linalg.norm(turn)
+        return tilt_axes(origin) @ turn * (np.arctan2(sine, origin @ up) / max(sine, 1e-300))
+
+
+def _correlation(bend: np.ndarray) -> float:
+    return bend[0, 1] / np.sqrt(bend[0, 0] * bend[1, 1])
+
+
+def _bend_entry(entry: str, unknown: str, bend: np.ndarray) -> float:
+    """Derivative of an entry of B by one of its unknowns."""
+    first, second, mixed = bend[0, 0], bend[1, 1], bend[0, 1]
+    if unknown == "bend_12":
+        root = np.sqrt(first * second)
+        return root - mixed**2 / root if entry == "bend_12" else 0.0
+    if entry == "bend_12":
+        return 0.5 * mixed
+    return {"bend_1": first, "bend_2": second}[entry] if entry == unknown else 0.0
