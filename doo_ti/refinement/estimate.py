@@ -1,163 +1,203 @@
-"""What a fit says about Θ and what it does not: covariance, intervals, regions, and directions left open.
+"""What a fit says about Θ and what it does not: values, intervals, and regions of two parameters together.
 
-Everything is in the unknowns of :mod:`doo_ti.refinement.parametrisation`, where the landscape is nearest to a parabola;
-intervals are carried back from there, so those of positive parameters are factors and never reach zero.
+Positive parameters are estimated by their logarithms, so their intervals are factors and never reach zero. An end of an interval is
+None where the observations do not bound the parameter on that side.
 """
 
 from dataclasses import dataclass
-from math import exp, inf
 
 import numpy as np
+from scipy.stats import f as f_distribution
 
 from doo_ti.errors import InputError
-from doo_ti.refinement.confidence import f_quantile
+from doo_ti.refinement.fit import Fit, Fitted
 from doo_ti.refinement.linear_density import relative_stiffness
-from doo_ti.refinement.parametrisation import LOGARITHMIC, Parametrisation, Theta
+from doo_ti.refinement.profile import FARTHEST, Interval, interval
+from doo_ti.refinement.scales import Scales
+from doo_ti.refinement.unknowns import LOGARITHMIC, Theta, Values
 
-LEFT_OPEN = 1.5
-"""A direction whose standard error in units of the unknowns' scale is larger is not determined: a factor of 4.5 either way."""
-NAMED = 0.2  # components of a unit direction that are worth naming
+PROBABILITY = 0.95
+WIDE_FACTOR = 4.0
+"""An interval whose ends are such a factor apart is called wide."""
+UNITS = {"weight": "", "twist_ratio": "", "clip_start": "mm", "clip_end": "mm", "up[0]": "rad", "up[1]": "rad", "bend_12": "mm³"}
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One unknown's value with its 95 % interval, in ``unit``: "mm³", "1/mm", "rad" of tilt, or "" for the weight.
+    """One parameter with its 95 % interval, None where it is open.
 
-    error is the standard error of the unknown itself: a relative one where the parameter is positive.
+    unit   "mm³", "mm", "rad" of tilt, or "" for the weight and for ratios
+    error  standard deviation by the covariance: a relative one where the parameter is positive
     """
 
     name: str
     value: float
-    low: float
-    high: float
+    low: float | None
+    high: float | None
     error: float
     unit: str
+
+    @property
+    def determined(self) -> bool:
+        """Bounded on one side at least."""
+        return self.low is not None or self.high is not None
+
+    @property
+    def wide(self) -> bool:
+        """Open on a side, or with ends further apart than a factor of WIDE_FACTOR, if it is positive."""
+        if self.low is None or self.high is None:
+            return True
+        return self.low > 0 and self.high > WIDE_FACTOR * self.low
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Θ with its covariance.
+    """Θ, what goes with it, and how well both are known.
 
-    theta             the optimum
-    parametrisation   what was learned
-    covariance        (P, P) of the unknowns
-    degrees           degrees of freedom that the noise was estimated from; inf where σ was given and is reached
+    theta            with the rest curvature at the joints between the marks' edges
+    parameters       of Θ, the ratio of twist to bend, and the clips
+    over_weight      bend and twist over twice the weight: EI/w and GJ/w of the continuum in mm³
+    values           of all unknowns
+    scales           noise, curvature and the clamps' errors
+    names            of Θ's unknowns
+    covariance       (T, T) of these
+    degrees          degrees of freedom that the noise was learned from; inf where σ was given
     """
 
     theta: Theta
-    parametrisation: Parametrisation
+    parameters: tuple[Parameter, ...]
+    over_weight: tuple[Parameter, ...]
+    values: Values
+    scales: Scales
+    names: tuple[str, ...]
     covariance: np.ndarray
     degrees: float
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """(P,) the unknowns, in the order of the covariance."""
-        return self.parametrisation.names
-
-    @property
     def correlation(self) -> np.ndarray:
-        """(P, P)."""
+        """(T, T)."""
         error = np.sqrt(np.diag(self.covariance))
         return self.covariance / np.outer(error, error)
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The unknowns with their 95 % intervals, one by one."""
-        reach = np.sqrt(f_quantile(0.95, 1, self.degrees))
-        errors = np.sqrt(np.diag(self.covariance))
-        low, high = (self._values(sign * reach * errors) for sign in (-1.0, 1.0))
-        return tuple(Parameter(name, value, *ends, error, self._unit(name)) for name, value, *ends, error in zip(
-            self.names, self._values(0 * errors), low, high, errors.tolist(), strict=True))
-
-    def over_weight(self, name: str) -> tuple[float, float, float]:
-        """A stiffness over twice the weight, EI/w or GJ/w of the continuum in mm³, with its 95 % interval: which scale of bend,
-        twist and weight together is taken drops out. ``name``: bend, bend_1, bend_2 or twist, learned or not."""
-        theta, step = self.theta, np.zeros(len(self.names))
-        for unknown, sign in ((name, 1.0), ("weight", -1.0)):
-            if unknown in self.names:
-                step[self.names.index(unknown)] = sign
-        entry = int(name == "bend_2")
-        value = float(relative_stiffness(theta.twist if name == "twist" else theta.bend[entry, entry], theta.weight))
-        terms = np.outer(step, step) * self.covariance
-        # What rounding leaves of terms that cancel, unknowns that are left open together, says nothing.
-        variance = terms.sum() if terms.sum() >= 1e-9 * np.abs(terms).sum() else inf
-        reach = float(np.sqrt(f_quantile(0.95, 1, self.degrees) * variance))
-        return value, value * exp(-reach), value * exp(reach) if reach < 700 else inf
+    def parameter(self, name: str) -> Parameter:
+        """Raises InputError for one that was not learned."""
+        for one in self.parameters:
+            if one.name == name:
+                return one
+        raise InputError("estimate", name, "was not learned", f"give one of {', '.join(p.name for p in self.parameters)}")
 
     @property
     def left_open(self) -> tuple[str, ...]:
-        """The directions that the observations do not determine, each as a sum of unknowns."""
-        scale = self.parametrisation.scale
-        values, vectors = np.linalg.eigh(self.covariance / np.outer(scale, scale))
-        return tuple(_named(vector, self.names) for vector in vectors.T[values > LEFT_OPEN**2])
+        """Parameters that the observations bound on no side."""
+        return tuple(one.name for one in self.parameters if not one.determined)
 
-    def holds(self, theta: Theta, probability: float = 0.95) -> bool:
-        """Whether ``theta`` lies in the joint region of all unknowns that holds the truth with that probability."""
-        apart = self._unknowns(theta) - self._unknowns(self.theta)
-        squared = apart @ np.linalg.solve(self.covariance, apart)
-        return bool(squared <= len(apart) * f_quantile(probability, len(apart), self.degrees))
+    def region(self, first: str, second: str, points: int = 181) -> np.ndarray:
+        """(points, 2) the closed outline of the region that holds both parameters of Θ with 95 %, in their own units.
 
-    def region(self, first: str, second: str, probability: float = 0.95, points: int = 181) -> np.ndarray:
-        """(points, 2) the closed outline of the region of two parameters together, in their own units: an ellipse where
-        positive ones have logarithmic axes. Raises InputError for parameters that were not learned."""
+        An ellipse of the covariance, along whose long axis each half is stretched as the first parameter's interval is; where that
+        is open it goes as far as a factor of a thousand. Raises InputError for parameters that were not learned.
+        """
+        index = []
         for name in (first, second):
             if name not in self.names:
                 raise InputError("region", name, "was not learned", f"give two of {', '.join(self.names)}")
-        index = [self.names.index(first), self.names.index(second)]
-        # Where a direction is left open rounding may make the smaller of two unlike eigenvalues negative.
+            index.append(self.names.index(name))
         values, vectors = np.linalg.eigh(self.covariance[np.ix_(index, index)])
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        spread = np.sqrt(np.maximum(values, 0.0))
+        size = np.sqrt(2 * f_distribution.ppf(PROBABILITY, 2, self.degrees))
         angle = np.linspace(0.0, 2 * np.pi, points)
-        size = np.sqrt(2 * f_quantile(probability, 2, self.degrees))
-        outline = size * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ root.T
-        steps = np.zeros((points, len(self.names)))
-        steps[:, index] = outline
-        return np.array([[self._value(k, step[k]) for k in index] for step in steps])
+        along = np.stack([np.cos(angle), np.sin(angle)]) * size * spread[:, None]
+        sign = 1.0 if vectors[0, 1] >= 0 else -1.0
+        below, above = self._stretch(self.parameter(first))
+        along[1] *= np.where(sign * along[1] < 0, below, above)
+        steps = np.clip(vectors @ along, -FARTHEST, FARTHEST)
+        middle = [self.parameter(name).value for name in (first, second)]
+        return np.stack([_moved(name, value, step, self.theta.bend) for name, value, step in zip((first, second), middle, steps, strict=True)],
+                        axis=1)
 
-    def _values(self, step: np.ndarray) -> list[float]:
-        return [self._value(k, amount) for k, amount in enumerate(step)]
-
-    def _value(self, k: int, step: float) -> float:
-        """The parameter of unknown ``k`` at a distance from the optimum."""
-        name, theta = self.names[k], self.theta
-        if name in LOGARITHMIC:
-            value = {"bend": theta.bend[0, 0], "bend_1": theta.bend[0, 0], "bend_2": theta.bend[1, 1], "twist": theta.twist,
-                     "weight": theta.weight}[name]
-            return float(value * np.exp(step)) if step < 700 else inf
-        if name == "bend_12":
-            root = np.sqrt(theta.bend[0, 0] * theta.bend[1, 1])
-            return float(root * np.tanh(np.arctanh(theta.bend[0, 1] / root) + step))
-        return float(self._unknowns(theta)[k] + step)
-
-    def _unknowns(self, theta: Theta) -> np.ndarray:
-        """(P,) the unknowns' values; tilts are from the optimum."""
-        parts = []
-        for name in self.parametrisation.parameters:
-            if name in ("bend", "bend_1", "bend_2"):
-                entry = int(name == "bend_2")
-                parts.append([np.log(theta.bend[entry, entry])])
-            elif name == "bend_12":
-                parts.append([np.arctanh(theta.bend[0, 1] / np.sqrt(theta.bend[0, 0] * theta.bend[1, 1]))])
-            elif name in ("twist", "weight"):
-                parts.append([np.log(getattr(theta, name))])
-            elif name == "up":
-                parts.append(self.parametrisation.tilt(self.theta, theta))
+    def _stretch(self, parameter: Parameter) -> tuple[float, float]:
+        """How much longer each half of its interval is than the covariance has it."""
+        reach = np.sqrt(f_distribution.ppf(PROBABILITY, 1, self.degrees)) * parameter.error
+        ends = []
+        for end, sign in ((parameter.low, -1.0), (parameter.high, 1.0)):
+            if end is None:
+                ends.append(FARTHEST / reach)
+            elif parameter.name in LOGARITHMIC:
+                ends.append(sign * np.log(end / parameter.value) / reach)
             else:
-                rest = np.zeros(2) if theta.rest_curvature is None else theta.rest_curvature
-                size = (2,) if name == "rest_curvature" else (len(self.parametrisation.rest_length) - 1, 2)
-                parts.append(np.broadcast_to(rest, size).ravel())
-        return np.concatenate(parts)
-
-    def _unit(self, name: str) -> str:
-        return "1/mm" if name.startswith("rest") else {"weight": "", "up[0]": "rad", "up[1]": "rad"}.get(name, "mm³")
+                ends.append(sign * (end - parameter.value) / reach)
+        return ends[0], ends[1]
 
 
-def _named(direction: np.ndarray, names: tuple[str, ...]) -> str:
-    """A unit direction as the sum of its largest components."""
-    order = np.argsort(-np.abs(direction))
-    order = [k for k in order if abs(direction[k]) >= NAMED] or list(order[:1])
-    sign = np.sign(direction[order[0]])
-    if len(order) == 1:
-        return names[order[0]]
-    terms = [f"{'-' if sign * direction[k] < 0 else '+'} {abs(direction[k]):.2f} {names[k]}" for k in order[:4]]
-    return " ".join(terms).removeprefix("+ ") + " ..." * (len(order) > 4)
+def estimated(fit: Fit, fitted: Fitted, profiled: bool = True) -> Estimate:
+    """The estimate of a fit that has come to its end; ``profiled``: intervals of Θ from the marginal likelihood's profile."""
+    unknowns, values, scales = fit.unknowns, fitted.state.values, fitted.state.scales
+    count = unknowns.theta_count
+    degrees = np.inf
+    if unknowns.rod.observations.sigma is None:
+        degrees = max(float(sum(kind.count for kind in fitted.evidence.moments)) - len(unknowns.names), 1.0)
+    theta = unknowns.theta_at(values)
+    names = unknowns.names[:count]
+    found = {}
+    for name, direction in _directions(unknowns.names, count).items():
+        if profiled and not name.startswith("up"):
+            found[name] = interval(fit, fitted, direction, degrees, PROBABILITY)
+        else:
+            found[name] = _by_covariance(fitted.posterior.covariance, direction, degrees)
+    for k, name in enumerate(unknowns.names):
+        if name.startswith("clip"):
+            found[name] = _by_covariance(fitted.posterior.covariance, np.eye(len(unknowns.names))[k], degrees)
+    stiffness = {name.removesuffix("/weight"): one for name, one in found.items() if name.endswith("/weight")}
+    weightless = "weight" not in names
+    over = {name: found.get(name) if weightless else stiffness.get(name) for name in ("bend", "bend_1", "bend_2", "twist")}
+    return Estimate(
+        theta=theta,
+        parameters=tuple(_parameter(name, _value(name, theta, values), one, theta.bend)
+                         for name, one in found.items() if "/" not in name),
+        over_weight=tuple(_parameter(name, float(relative_stiffness(_value(name, theta, values), theta.weight)), one)
+                          for name, one in over.items() if one is not None),
+        values=values, scales=scales, names=names, covariance=fitted.posterior.covariance[:count, :count], degrees=degrees)
+
+
+def _directions(names: tuple[str, ...], count: int) -> dict[str, np.ndarray]:
+    """Combinations of unknowns that intervals are asked for: each of Θ's, the ratio of twist to bend, and, where the weight is
+    learned too, stiffness over weight."""
+    identity = {name: row for name, row in zip(names[:count], np.eye(len(names)), strict=False)}
+    found = dict(identity)
+    for bend in ("bend", "bend_1"):
+        if bend in identity and "twist" in identity:
+            found["twist_ratio"] = identity["twist"] - identity[bend]
+    if "weight" in identity:
+        for name in ("bend", "bend_1", "bend_2", "twist"):
+            if name in identity:
+                found[f"{name}/weight"] = identity[name] - identity["weight"]
+    return found
+
+
+def _by_covariance(covariance: np.ndarray, direction: np.ndarray, degrees: float) -> Interval:
+    error = float(np.sqrt(direction @ covariance @ direction))
+    reach = float(np.sqrt(f_distribution.ppf(PROBABILITY, 1, degrees))) * error
+    return Interval(-reach, reach, error) if reach < FARTHEST else Interval(None, None, error)
+
+
+def _value(name: str, theta: Theta, values: Values) -> float:
+    bend = theta.bend
+    known = {"bend": bend[0, 0], "bend_1": bend[0, 0], "bend_2": bend[1, 1], "bend_12": bend[0, 1], "twist": theta.twist,
+             "weight": theta.weight, "twist_ratio": theta.twist / bend[0, 0], "clip_start": values.clip[0],
+             "clip_end": values.clip[1]}
+    return float(known.get(name, 0.0))
+
+
+def _parameter(name: str, value: float, found: Interval, bend: np.ndarray | None = None) -> Parameter:
+    ends = [None if step is None else float(_moved(name, value, step, bend)) for step in (found.low, found.high)]
+    return Parameter(name, value, *ends, found.error, UNITS.get(name, "mm³"))
+
+
+def _moved(name: str, value: float, step, bend: np.ndarray | None = None):
+    """The parameter where its unknown is ``step`` from what it is; ``bend`` is B, for B₁₂."""
+    if name == "bend_12":
+        root = np.sqrt(bend[0, 0] * bend[1, 1])
+        return root * np.tanh(np.arctanh(value / root) + step)
+    if name in LOGARITHMIC or name == "twist_ratio":
+        return value * np.exp(step)
+    return value + step

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from doo_ti.refinement.curvature_field import covariance
-from doo_ti.refinement.linear_model import Moments, effect_scales
+from doo_ti.refinement.linear_model import Moments, Residuals, effect_scales
 from doo_ti.refinement.scales import NAMES, Scales
 from doo_ti.refinement.unknowns import Unknowns
 
@@ -96,6 +96,30 @@ class Evidence:
         extra, own = scales.prior()
         learned = np.array([gradient[name] for name, free in zip(NAMES, scales.learned, strict=True) if free])
         return Posterior(step, covariance_x, effects, value + extra, learned + own)
+
+    def left_out(self, linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
+        """(D,) ln of the probability density of each observation, given all others: leave-one-out, at these sizes.
+
+        ``linear``: the residuals that the moments are of. It is half of by how much F falls when the observation goes.
+        """
+        weights = [1 / scales[kind.scale] ** 2 for kind in linear]
+        kinds = effect_scales(linear[0].effects.shape[-1])
+        variance = np.array([scales[name] for name in kinds]) ** 2
+        pairs = list(zip(weights, linear, strict=True))
+        mixed = sum(w * np.swapaxes(k.shared, 1, 2) @ k.effects for w, k in pairs)
+        inner = np.linalg.inv(sum(w * np.swapaxes(k.effects, 1, 2) @ k.effects for w, k in pairs) + np.diag(1 / variance))
+        slope_z = sum(w * np.swapaxes(k.effects, 1, 2) @ k.values[..., None] for w, k in pairs)
+        own = sum(w * np.swapaxes(k.shared, 1, 2) @ k.shared for w, k in pairs) - mixed @ inner @ np.swapaxes(mixed, 1, 2)
+        slope = (sum(w * np.swapaxes(k.shared, 1, 2) @ k.values[..., None] for w, k in pairs) - mixed @ inner @ slope_z)[..., 0]
+        squares = sum(w * (k.values**2).sum(axis=1) for w, k in pairs) - (slope_z * (inner @ slope_z)).sum(axis=(1, 2))
+        noise = sum(k.count * np.log(2 * np.pi * scales[k.scale] ** 2) for k in linear)
+        constant = noise - np.linalg.slogdet(inner)[1] + np.log(variance).sum()
+        precision, _ = self.unknowns.precision(scales)
+        hessian, total = precision + own.sum(axis=0), slope.sum(axis=0) + precision @ self.offset
+        without, rest = hessian - own, total - slope
+        fell = squares - total @ np.linalg.solve(hessian, total) + np.einsum(
+            "dp,dp->d", rest, np.linalg.solve(without, rest[..., None])[..., 0])
+        return -0.5 * (fell + constant + np.linalg.slogdet(hessian)[1] - np.linalg.slogdet(without)[1])
 
     def best(self, scales: Scales, steps: int = STEPS) -> Scales:
         """The sizes of the largest evidence that is reached from ``scales``."""

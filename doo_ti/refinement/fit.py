@@ -24,6 +24,7 @@ LARGEST_TURN = 0.3  # rad, of a clamp
 SHORTENED = 1 / 3  # a step that does not help is tried so much shorter
 MOST_SHORTENED = 8
 SETTLED = 0.02  # standard errors by which Θ still moves when the fit is done
+SCALE_STEPS = 25  # of the search for the sizes, in each step
 ODD = 9.0
 """Times the others' mean square, three times their size: a rod whose residuals are so is a misfit."""
 REFITTED = 0.5  # a misfit tried again counts as better where its squares fall below this share
@@ -92,6 +93,12 @@ class Fit:
                              "begin elsewhere, or look at what relax says")
         return state
 
+    def at(self, values: Values, scales: Scales, solution: Solution) -> State:
+        """``values`` with rods relaxed from ``solution``, which is on the same mesh."""
+        unknowns = self.unknowns
+        return self._state(values, scales, unknowns.rod.followed(
+            solution, unknowns.material(values), values.clip, unknowns.pose(values), self.solver, values.theta.up))
+
     def run(self, state: State, steps: int, held: tuple[np.ndarray, float] | None = None) -> Fitted:
         """The best values that are reached from ``state``; with ``held`` = (v, a), those for which v·x is larger by a than at
         ``state``, x being the unknowns."""
@@ -142,7 +149,7 @@ class Fit:
             basis, along = _across(direction), amount * direction / (direction @ direction)
         evidence = Evidence(self.unknowns, tuple(Moments.of(kind) for kind in linear),
                             self.unknowns.offset(state.values, self.origin), basis, along)
-        scales = evidence.best(state.scales)
+        scales = evidence.best(state.scales, SCALE_STEPS)
         return Fitted(replace(state, scales=scales, used=used), evidence, evidence.posterior(scales), linear, False, 0)
 
     def _share(self, step: np.ndarray) -> float:
@@ -159,18 +166,12 @@ class Fit:
         before = self._objective(state, state.used, state.scales)
         for _ in range(MOST_SHORTENED):
             values = unknowns.moved(state.values, share * found.step, share * (effects - state.values.scatter))
-            trial = self._followed(state, values)
+            trial = self.at(values, state.scales, state.solution)
             kept = trial.solution.converged & trial.solution.stable
             if kept[state.used].all() and self._objective(trial, state.used, state.scales) <= before:
                 return trial, share
             share *= SHORTENED
         return state, 0.0
-
-    def _followed(self, state: State, values: Values) -> State:
-        unknowns = self.unknowns
-        solution = unknowns.rod.followed(state.solution, unknowns.material(values), values.clip, unknowns.pose(values),
-                                         self.solver, values.theta.up)
-        return self._state(values, state.scales, solution)
 
     def _objective(self, state: State, used: np.ndarray, scales: Scales) -> float:
         """−2 ln of the posterior but for a constant, the gap integrated out, over rods that are ``used``."""
@@ -202,14 +203,14 @@ class Fit:
         quaternions = state.solution.configuration.quaternions.copy()
         quaternions[misfits] = anew.configuration.quaternions
         moved = replace(state.solution, configuration=replace(state.solution.configuration, quaternions=quaternions))
-        trial = self._followed(replace(state, solution=moved), values)
+        trial = self.at(values, state.scales, moved)
         nearer = self.mean_squares(trial.residuals) < REFITTED * self.mean_squares(state.residuals)
         nearer = (nearer | ~good) & trial.solution.converged & trial.solution.stable & ~state.used
         if not nearer.any():
             return state, False
         keep = np.where(nearer[:, None, None], quaternions, state.solution.configuration.quaternions)
         merged = replace(state.solution, configuration=replace(state.solution.configuration, quaternions=keep))
-        return self._followed(replace(state, solution=merged), values), True
+        return self.at(values, state.scales, merged), True
 
 
 def _across(direction: np.ndarray) -> np.ndarray:

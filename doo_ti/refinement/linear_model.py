@@ -71,7 +71,7 @@ class Moments:
             (np.swapaxes(residuals.effects, 1, 2) @ values)[..., 0], float(residuals.count.sum()))
 
 
-def gap_modes(place: np.ndarray, held: tuple[bool, bool], count: int) -> np.ndarray:
+def smooth_modes(place: np.ndarray, held: tuple[bool, bool], count: int) -> np.ndarray:
     """(M, G) smooth displacements of marks at arc lengths ``place`` (M,) that are zero where an end is held, the k-th shrunk by
     1/k²."""
     share = (place - place[0]) / (place[-1] - place[0])

@@ -1,252 +1,246 @@
-"""Beyond the grid: the continuous optimum of Θ by least squares, and how well the observations determine it (§III-E).
+"""Beyond the grid: the Θ that observations speak for, and how far they bound it (§III-E).
 
-Levenberg–Marquardt on χ² of :mod:`doo_ti.refinement.misfit`, with derivatives by the implicit function theorem. Between steps
-every rod is relaxed from where it was, which keeps it on its branch; at the end it is relaxed from its observation, as Eq. 2
-has it, and where that leads elsewhere the fit goes on from there.
+The model is the rod between its clips (:mod:`.held_rod`), curved at rest (:mod:`.curvature_field`), its clamps a little off what was
+reported. What is unknown is Θ, the clips' lengths, the rest curvature and the clamps' errors; how large noise, curvature and errors
+are is learned from the same observations (:mod:`.evidence`). Intervals are those of the marginal likelihood (:mod:`.profile`).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
-from doo_ti.metric import distance
-from doo_ti.refinement.confidence import chi_square_probability
-from doo_ti.refinement.estimate import Estimate
-from doo_ti.refinement.least_squares import LeastSquares, Normal, State
-from doo_ti.refinement.misfit import misfit
-from doo_ti.refinement.parametrisation import Parametrisation, Theta
+from doo_ti.refinement.adequacy import Adequacy, adequacy
+from doo_ti.refinement.estimate import Estimate, estimated
+from doo_ti.refinement.fit import Fit, Fitted
+from doo_ti.refinement.held_rod import HeldRod
+from doo_ti.refinement.mesh_error import mesh_correction, relaxed_on
+from doo_ti.refinement.residuals import Comparison
+from doo_ti.refinement.scales import typical_scales
+from doo_ti.refinement.selection import Score, scores
+from doo_ti.refinement.unknowns import Theta, Unknowns
 from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
-from doo_ti.start import choose_hypothesis, start_configuration, turn_hypotheses
-from doo_ti.types import Clamp, Clamps, Solution, Status
+from doo_ti.types import Clamps, Status
 
-SAME_BRANCH = 0.02
-"""mm, mean over the vertices: two equilibria of a rod that are further apart are on different branches."""
-FIRST_TURN = 0.3
-"""rad, the turn of the whole rod's rest curvature to begin with where all spins are free: with none a rod has no preferred
-side, and with next to none it turns wildly."""
-WEAKEST = 1e-8
-"""Information about a direction, in units of the unknowns' scale, below which it counts as this much."""
-UNLIKELY = 0.01  # probability of a χ² as large, below which the model is said to miss the noise
-ODD = 9.0  # times the others' mean square, three times their size: a rod whose residuals are so is a misfit
-TOGETHER = 0.3  # correlation of neighbouring residuals above which they are no noise
+FEWEST_EDGES, MOST_EDGES = 24, 400
+TRIED_FIRST = 4
+"""Steps from each of several starts before the best of them goes on."""
+ASYMPTOTIC = 1.0
+"""Times the noise: a larger correction of the mesh is not to be trusted, and the mesh is made twice as fine."""
+CORRECTIONS = 2
 
 
 @dataclass(frozen=True)
 class RefinementOptions:
     """How a fit is made.
 
-    parameters        from :data:`doo_ti.refinement.parametrisation.UNKNOWNS`; the others stay. Bend, twist and weight are
+    parameters        of Θ, from :data:`doo_ti.refinement.unknowns.PARAMETERS`; the others stay. Bend, twist and weight are
                       determined only up to a common factor, so one of them should stay: weight, as a rule
-    frame_weight      w_m in mm: how much a frame's m1 counts beside the marks; 0 where frames are not measured
+    clip              length that a clip holds from the outer mark on, mm, both alike; None: unknown
+    curvature         rest curvature: "field", "uniform" along the rod, or "none"
+    clamps            whether clamps may be off what was reported
+    frame_weight      w_m of Eq. 1 in mm; where it is positive measured frames count, too
+    curvature_spread  standard deviation of the rest curvature, 1/mm; None: learned
+    curvature_range   distance over which it is about the same, mm; None: learned
+    edges             of the mesh, and no correction for their length; None: as many as the noise asks for, and corrected
     solver            of the relaxations from the observations
-    iterations        steps allowed, refused ones included
-    rounds            how often the fit may go on from other branches
-    curvature_spread  standard deviation of a joint's rest curvature before anything is seen, 1/mm; None: one over the length
-    curvature_range   distance over which neighbouring joints have about the same, mm; None: a tenth of the length
+    iterations        steps allowed
+    intervals         "profile", or "covariance", which takes no time
+    models            whether other models are fitted and compared
     """
 
     parameters: tuple[str, ...] = ("bend", "twist")
+    clip: float | None = None
+    curvature: str = "field"
+    clamps: bool = True
     frame_weight: float = 0.0
-    solver: Newton = Newton()
-    iterations: int = 200
-    rounds: int = 4
     curvature_spread: float | None = None
     curvature_range: float | None = None
-
-    def parametrisation(self, rest_length: np.ndarray) -> Parametrisation:
-        """The unknowns of rods with those edges (E,), mm."""
-        length = float(rest_length.sum())
-        return Parametrisation(tuple(self.parameters), rest_length, self.curvature_spread or 1 / length,
-                               self.curvature_range or length / 10)
+    edges: int | None = None
+    solver: Newton = Newton()
+    iterations: int = 60
+    intervals: str = "profile"
+    models: bool = False
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """The optimum and how far to trust it. D observations.
+    """The most probable Θ and how far to trust it. D observations.
 
-    estimate            Θ, its covariance, intervals and regions
-    chi_square          at the optimum; where σ is not known the squared residuals over the ``sigma`` estimated from them
-    degrees             numbers compared less unknowns
-    sigma               mm: estimated from the residuals, or None where the observations have their own
-    mean_squares        (D,) weighted squared residuals of each rod over their number; NaN in rods that do not count
-    neighbours          correlation of residuals of neighbouring marks: nearly zero if they are noise
-    mean_distance       Eq. 1 at the optimum, mm: the mean over rods that are converged and stable
-    start_mean_distance the same at the Θ that the fit began with
-    distance            (D,) Eq. 1 at the optimum, each rod relaxed from its observation; NaN if it came to nothing
-    status, stable      (D,) how those relaxations ended
+    estimate            Θ, intervals, covariance, clips, regions
+    adequacy            what the residuals say about the model
+    scores              of other models beside this one, if they were asked for
+    marks               (D, M, 3) where the model has the marks, mm; NaN in rods that failed
+    mean_squares        (D,) mean square of the marks' residuals, mm² or, where σ was given, over σ²
+    distance            (D,) Eq. 1 between marks and model, mm; NaN in rods that failed
+    status, stable      (D,) how the relaxations ended
     used                (D,) bool: rods that determined Θ
-    other_branch        (D,) bool: rods of which the fit followed another branch than their observation leads to
-    converged           False where the iterations did not do
-    iterations          steps tried, of all rounds
+    misfits             (D,) bool: rods that are converged and stable but far from what was observed
+    converged           False where the steps allowed did not do
+    steps               tried
+    mesh_edges          N
+    mesh_error          mm, root mean square of the correction for the length of the mesh's edges; None where it is off
     """
 
     estimate: Estimate
-    chi_square: float
-    degrees: float
-    sigma: float | None
+    adequacy: Adequacy
+    scores: tuple[Score, ...]
+    marks: np.ndarray
     mean_squares: np.ndarray
-    neighbours: float
-    mean_distance: float
-    start_mean_distance: float
     distance: np.ndarray
     status: np.ndarray
     stable: np.ndarray
     used: np.ndarray
-    other_branch: np.ndarray
+    misfits: np.ndarray
     converged: bool
-    iterations: int
+    steps: int
+    mesh_edges: int
+    mesh_error: float | None
 
     @property
     def theta(self) -> Theta:
         return self.estimate.theta
 
     @property
-    def reduced_chi_square(self) -> float:
-        """χ² over its degrees of freedom: one by construction where σ was estimated."""
-        return self.chi_square / self.degrees
-
-    @property
-    def reaches_noise(self) -> bool | None:
-        """Whether χ² is what the observations' σ leads to expect; None where σ was estimated."""
-        if self.sigma is not None:
-            return None
-        return 1 - chi_square_probability(self.chi_square, self.degrees) > UNLIKELY
-
-    @property
-    def misses_something(self) -> bool:
-        """The residuals are no noise: χ² is too large for the given σ, or neighbouring marks miss together."""
-        return self.reaches_noise is False or (self.sigma is not None and self.neighbours > TOGETHER)
-
-    @property
-    def misfits(self) -> np.ndarray:
-        """(D,) bool: rods that fit far worse than the median. They may have come to another equilibrium than was observed."""
-        return np.nan_to_num(self.mean_squares) > ODD * np.nanmedian(self.mean_squares)
+    def mean_distance(self) -> float:
+        """Eq. 1, mm: the mean over rods that determined Θ."""
+        return float(self.distance[self.used].mean()) if self.used.any() else np.nan
 
     @property
     def left_out(self) -> dict[str, int]:
         """Why how many rods did not determine Θ."""
-        reasons = np.array([kind.name.lower() for kind in Status])[self.status]
-        reasons = np.where(self.status == Status.CONVERGED, np.where(self.stable, "lost on the way", "unstable"), reasons)
+        reasons = np.array([kind.name.lower().replace("_", " ") for kind in Status])[self.status]
+        sound = self.status == Status.CONVERGED
+        reasons = np.where(sound, np.where(self.stable, "far from its marks", "unstable"), reasons)
         names, counts = np.unique(reasons[~self.used], return_counts=True)
         return dict(zip(names.tolist(), counts.tolist(), strict=True))
 
-    @property
-    def verdict(self) -> str:
-        """What the residuals say about the model, in plain words."""
-        reduced = f"reduced chi-square {self.reduced_chi_square:.3g}"
-        differ = "intervals are taken from how much observations differ"
-        if self.sigma is None:
-            return (f"the model explains the marks to their noise ({reduced})" if self.reaches_noise else
-                    f"the model does not reach the noise ({reduced}); {differ}")
-        if self.misses_something:
-            return (f"sigma is estimated ({self.sigma:.3g} mm), but neighbouring marks miss together (correlation "
-                    f"{self.neighbours:.2f}): the model lacks something; {differ}")
-        return f"sigma is estimated from the residuals ({self.sigma:.3g} mm), so reduced chi-square is one by construction"
 
+def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[Theta],
+           options: RefinementOptions = RefinementOptions()) -> Refinement:
+    """The most probable Θ that is reached from ``theta``, or from the best of several.
 
-def refine(observations: Observations, clamps: Clamps, theta: Theta, options: RefinementOptions = RefinementOptions()
-           ) -> Refinement:
-    """The Θ of the least χ² that is reached from ``theta``. Gravity's direction is the one of ``theta``.
-
-    Rods that do not converge, are unstable or infeasible do not count; how many there are is told. Raises InputError for
-    parameters that do not fit ``theta``, a frame weight without frames, and where no rod is left.
+    Gravity's direction is that of ``theta``. Rods that do not converge, are unstable, infeasible or far from their marks do not
+    count; how many there are is in the result. Raises InputError for options that do not fit the observations or each other, and
+    where no rod is left.
     """
+    thetas = (theta,) if isinstance(theta, Theta) else tuple(theta)
+    fit, fitted = _fitted(observations, clamps, thetas, options)
+    correction = None
+    if options.edges is None:
+        fit, fitted, correction = _corrected(fit, fitted, options)
+    found = scores(fit, fitted) if options.models else ()
+    return _refinement(fit, fitted, options, correction, found)
+
+
+def _fitted(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...], options: RefinementOptions):
+    """The fit on its first mesh, and where it came to from the best of ``thetas``."""
+    _check(observations, options)
+    edges = options.edges or int(np.clip(2 * observations.edges, FEWEST_EDGES, MOST_EDGES))
+    rod = HeldRod(observations, clamps, edges)
+    unknowns = Unknowns(rod, tuple(options.parameters), options.clip is None, options.curvature, options.clamps)
+    scales = _scales(unknowns, options)
+    comparison = Comparison.of(unknowns, options.frame_weight > 0)
+    clip = unknowns.clip_prior if options.clip is None else np.full(2, options.clip)
+    tried = []
+    for theta in thetas:
+        values = unknowns.begun(theta, clip)
+        fit = Fit(comparison, replace(values, theta=thetas[0]), options.solver)
+        try:
+            state = fit.begin(values, scales)
+        except InputError as error:
+            if len(thetas) == 1:
+                raise
+            last = error
+            continue
+        tried.append((fit, fit.run(state, TRIED_FIRST if len(thetas) > 1 else options.iterations)))
+    if not tried:
+        raise last
+    fit, fitted = min(tried, key=lambda one: (-one[1].state.used.sum(), one[1].posterior.value))
+    if len(thetas) > 1:
+        further = fit.run(fitted.state, options.iterations)
+        fitted = replace(further, steps=further.steps + fitted.steps)
+    return fit, fitted
+
+
+def _corrected(fit: Fit, fitted: Fitted, options: RefinementOptions):
+    """The fit with its mesh corrected, made finer before where the correction is too large."""
+    for _ in range(CORRECTIONS):
+        values, solution = fitted.state.values, fitted.state.solution
+        correction = mesh_correction(fit.unknowns, values, solution, fit.solver)
+        size = _root_mean_square(correction[fitted.state.used])
+        noise = fitted.state.scales["marks"] * (1.0 if fit.unknowns.rod.observations.sigma is None
+                                                else float(np.mean(fit.unknowns.rod.observations.sigma)))
+        edges = fit.unknowns.rod.edges
+        if size > ASYMPTOTIC * noise and 2 * edges <= MOST_EDGES:
+            finer = replace(fit.unknowns, rod=replace(fit.unknowns.rod, edges=2 * edges))
+            solution = relaxed_on(finer, values, solution, fit.unknowns.rod, fit.solver)
+            fit = replace(fit, comparison=replace(fit.comparison, unknowns=finer, correction=0.0))
+            correction = mesh_correction(finer, values, solution, fit.solver)
+        fit = replace(fit, comparison=replace(fit.comparison, correction=correction))
+        further = fit.run(fit.at(values, fitted.state.scales, solution), options.iterations)
+        fitted = replace(further, steps=further.steps + fitted.steps)
+    return fit, fitted, correction
+
+
+def _check(observations: Observations, options: RefinementOptions) -> None:
     if options.frame_weight > 0 and observations.frames is None:
-        raise InputError(observations.source, "frames", "missing, but a frame weight is given", "use --frame-weight 0")
-    unknowns = options.parametrisation(observations.rest_length)
-    fit = LeastSquares(observations, misfit(observations, clamps, options.frame_weight), unknowns)
-    loose = np.all((np.asarray(clamps.start) < Clamp.FRAME) & (np.asarray(clamps.end) < Clamp.FRAME))
-    theta = unknowns.begun(theta, FIRST_TURN if loose else 0.0)
-    solution = relax_observations(observations, clamps, theta, options.solver)
-    before = _mean_distance(observations, solution, options.frame_weight)
-    iterations, converged = 0, False
-    for _ in range(options.rounds):
-        state, tried, converged = fit.descend(theta, solution, options.iterations - iterations)
-        iterations, theta = iterations + tried, state.theta
-        solution = relax_observations(observations, clamps, theta, options.solver)
-        other = solution.converged & solution.stable & state.used & (_apart(solution, state.solution) > SAME_BRANCH)
-        if not other.any() or iterations >= options.iterations:
-            break
-    return _refinement(fit, state, solution, options.frame_weight, start_mean_distance=before, other_branch=other,
-                       converged=converged, iterations=iterations)
+        raise InputError(observations.source, "frames", "missing, but a frame weight is given", "use a frame weight of zero")
+    if options.clip is not None and not 0 < options.clip < 0.25 * observations.rest_length.sum():
+        raise InputError(observations.source, "clip", f"{options.clip:g} mm of a rod of {observations.rest_length.sum():g} mm",
+                         "give a positive length below a quarter of the rod's")
+    for name, value, known in (("curvature", options.curvature, ("field", "uniform", "none")),
+                               ("intervals", options.intervals, ("profile", "covariance"))):
+        if value not in known:
+            raise InputError("refine", name, f"{value!r} is unknown", f"give one of {', '.join(known)}")
+    if options.edges is not None and not 6 <= options.edges <= 4 * MOST_EDGES:
+        raise InputError("refine", "edges", f"{options.edges}", f"give 6 to {4 * MOST_EDGES}")
 
 
-def relax_observations(observations: Observations, clamps: Clamps, theta: Theta, solver: Newton) -> Solution:
-    """F on each of D observations in f64; of several whole-turn hypotheses the one nearest to what was seen (Eq. 2)."""
-    index, turns = turn_hypotheses(observations, clamps)
-    held = clamps.take(index)
-    starts = start_configuration(observations.take(index), held, turns)
-    solution = relax(starts, theta.material, held, solver, up=theta.up)
-    if len(index) == observations.count:
-        return solution
-    error = distance(solution.configuration, observations, index)
-    rows = choose_hypothesis(index, error, solution.converged & solution.stable)
-    return relax(starts.take(rows), theta.material, held.take(rows), solver, up=theta.up)
+def _scales(unknowns: Unknowns, options: RefinementOptions):
+    seen = unknowns.rod.observations
+    learned, fixed = {"gap"}, {}
+    if seen.sigma is None:
+        learned.add("marks")
+    else:
+        fixed["marks"] = 1.0
+    if options.frame_weight > 0:
+        learned.add("frames")
+    for name, value in (("curvature", options.curvature_spread), ("range", options.curvature_range)):
+        if value is not None:
+            fixed[name] = value
+    learned |= unknowns.scale_names - set(fixed)
+    return typical_scales(unknowns.rod.length, float(np.median(seen.rest_length)), learned, fixed)
 
 
-def _apart(first: Solution, second: Solution) -> np.ndarray:
-    """(R,) mean distance of the vertices, mm."""
-    return np.linalg.norm(first.configuration.vertices - second.configuration.vertices, axis=-1).mean(axis=-1)
+def _refinement(fit: Fit, fitted: Fitted, options: RefinementOptions, correction, found: tuple[Score, ...]) -> Refinement:
+    state, rod = fitted.state, fit.unknowns.rod
+    sound = state.solution.converged & state.solution.stable
+    marks = rod.marks(state.solution, state.values.clip) + fit.comparison.correction
+    marks = np.where(sound[:, None, None], marks, np.nan)
+    frames = rod.directors(state.solution, state.values.clip) if options.frame_weight > 0 else None
+    return Refinement(
+        estimate=estimated(fit, fitted, profiled=options.intervals == "profile"), adequacy=adequacy(fit, fitted), scores=found,
+        marks=marks, mean_squares=fit.mean_squares(state.residuals), distance=mark_distance(marks, rod.observations, frames,
+                                                                                          options.frame_weight),
+        status=state.solution.status, stable=state.solution.stable, used=state.used, misfits=sound & ~state.used,
+        converged=fitted.converged, steps=fitted.steps, mesh_edges=rod.edges,
+        mesh_error=None if correction is None else _root_mean_square(correction[state.used]))
 
 
-def _refinement(fit: LeastSquares, state: State, solution: Solution, frame_weight: float, **outcome) -> Refinement:
-    """What ``state``, where χ² is least, and the rods relaxed from their observations there, say."""
-    normal = fit.normal(state)
-    inverse = _inverse(normal.matrix)
-    learned = float(np.trace(inverse @ normal.data))  # unknowns less what the prior says about them
-    degrees = max(fit.numbers(state) - learned, 1.0)
-    given = fit.observations.sigma is not None
-    squares = float((state.residuals**2).sum())
-    draft = Refinement(
-        estimate=Estimate(state.theta, fit.unknowns, inverse, np.inf), chi_square=squares if given else degrees,
-        degrees=degrees, sigma=None if given else float(np.sqrt(squares / degrees)), neighbours=_neighbours(fit, state),
-        mean_squares=np.where(state.used, (state.residuals**2).sum(axis=1) / np.maximum(fit.misfit.numbers, 1), np.nan),
-        mean_distance=_mean_distance(fit.observations, solution, frame_weight),
-        distance=distance(solution.configuration, fit.observations, frame_weight=frame_weight),
-        status=solution.status, stable=solution.stable, used=state.used, **outcome)
-    freedom = np.inf if given else degrees
-    if draft.misses_something:
-        inverse, freedom = _by_observation(normal, inverse, state.used, draft.reduced_chi_square)
-    scale = fit.unknowns.scale
-    return replace(draft, estimate=Estimate(state.theta, fit.unknowns, inverse * np.outer(scale, scale), freedom))
+def mark_distance(marks: np.ndarray, observations: Observations, directors: np.ndarray | None = None,
+                  frame_weight: float = 0.0) -> np.ndarray:
+    """(D,) Eq. 1 in mm between ``marks`` (D, M, 3), and m1 half-way between them, and what was observed."""
+    valid = observations.valid
+    apart = np.linalg.norm(np.where(valid[..., None], marks - np.nan_to_num(observations.vertices), 0.0), axis=-1)
+    total = apart.sum(axis=1) / (valid.sum(axis=1) - 1)
+    if directors is not None:
+        turned = np.linalg.norm(directors - observations.frames[..., 1], axis=-1)
+        total = total + frame_weight * turned.sum(axis=1) / (observations.edges - 1)
+    return total
 
 
-def _mean_distance(observations: Observations, solution: Solution, frame_weight: float) -> float:
-    good = solution.converged & solution.stable
-    error = distance(solution.configuration, observations, frame_weight=frame_weight)
-    return float(error[good].mean()) if good.any() else np.nan
-
-
-def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """The inverse of a positive semidefinite matrix, in which directions without information have a large, finite variance."""
-    values, vectors = np.linalg.eigh(matrix)
-    known = values > max(WEAKEST, 1e-14 * values[-1])  # what is smaller beside the largest is rounding
-    return (vectors / np.where(known, values, WEAKEST)) @ vectors.T
-
-
-def _by_observation(normal: Normal, inverse: np.ndarray, used: np.ndarray, reduced: float) -> tuple[np.ndarray, float]:
-    """Covariance and degrees of freedom where the model misses something: marks of a rod then miss together, but rods are
-    independent of each other (the sandwich estimate); of few rods the usual one, σ scaled so that χ² is as expected."""
-    count, unknowns = int(used.sum()), len(inverse)
-    if count < 3 * unknowns:
-        return _inverse(normal.matrix + normal.data * (1 / max(reduced, 1.0) - 1)), max(count - 1.0, 1.0)
-    spread = normal.scores[used] - normal.scores[used].mean(axis=0)
-    sandwich = inverse @ (spread.T @ spread) @ inverse * (count / (count - unknowns))
-    # Where nothing is known the scores say nothing either.
-    values, vectors = np.linalg.eigh(inverse)
-    unknown = (vectors * (values > 0.1 / WEAKEST)) @ vectors.T
-    return sandwich + unknown / WEAKEST, float(count - unknowns)
-
-
-def _neighbours(fit: LeastSquares, state: State) -> float:
-    """Correlation of the residuals of neighbouring marks along the rods."""
-    size = 3 * (fit.observations.edges + 1)
-    marks = state.residuals[:, :size].reshape(len(state.residuals), -1, 3)
-    counts = (fit.misfit.vertex_weight > 0) & state.used[:, None]
-    pairs = counts[:, 1:] & counts[:, :-1]
-    together = (marks[:, 1:] * marks[:, :-1]).sum(axis=-1)[pairs].sum()
-    apart = 0.5 * (marks[:, 1:] ** 2 + marks[:, :-1] ** 2).sum(axis=-1)[pairs].sum()
-    return float(together / max(apart, 1e-300))
+def _root_mean_square(values: np.ndarray) -> float:
+    return float(np.sqrt((values**2).mean())) if values.size else 0.0

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti.refinement.held_rod import POSE
-from doo_ti.refinement.linear_model import GAP_MODES, Residuals, gap_modes
+from doo_ti.refinement.linear_model import GAP_MODES, Residuals, smooth_modes
 from doo_ti.refinement.scales import Scales
 from doo_ti.refinement.sensitivity import Sensitivity, sensitivity
 from doo_ti.refinement.unknowns import Unknowns, Values
@@ -24,14 +24,16 @@ RODS_AT_ONCE = 128
 class Comparison:
     """The numbers that are compared.
 
-    unknowns  of the fit
-    weight    (D, M) of marks: zero where one does not count
-    directors (D, M − 1) one where m1 of an edge counts; None where frames do not
+    unknowns    of the fit
+    weight      (D, M) of marks: zero where one does not count
+    directors   (D, M − 1) one where m1 of an edge counts; None where frames do not
+    correction  (D, M, 3) what a finer mesh adds to where the marks are, mm: see :mod:`doo_ti.refinement.mesh_error`
     """
 
     unknowns: Unknowns
     weight: np.ndarray
     directors: np.ndarray | None
+    correction: np.ndarray | float = 0.0
 
     @classmethod
     def of(cls, unknowns: Unknowns, with_frames: bool) -> "Comparison":
@@ -60,7 +62,7 @@ class Comparison:
         """(D, 3 M) residuals of the marks and, if these count, (D, 3 (M − 1)) of the directors."""
         rod = self.unknowns.rod
         seen = rod.observations
-        marks = self.weight[..., None] * (rod.marks(solution, values.clip) - np.nan_to_num(seen.vertices))
+        marks = self.weight[..., None] * (rod.marks(solution, values.clip) + self.correction - np.nan_to_num(seen.vertices))
         found = (np.where(self.weight[..., None] > 0, marks, 0.0).reshape(len(marks), -1),)
         if self.directors is None:
             return found
@@ -102,20 +104,20 @@ class Comparison:
     def gap_weight(self, scales: Scales) -> np.ndarray:
         """(3 M, 3 G) C of rᵀ(σ² + δ²ΦΦᵀ)⁻¹r = (|r|² − |rᵀC|²)/σ², Φ the smooth displacements of δ = ``gap``: the same for all
         observations, as if every mark counted."""
-        modes = self._gap_modes * scales["gap"] / scales["marks"]
+        modes = self.gap_modes * scales["gap"] / scales["marks"]
         left, sizes, _ = np.linalg.svd(modes, full_matrices=False)
         return left * np.sqrt(sizes**2 / (1 + sizes**2))
 
     @property
-    def _gap_modes(self) -> np.ndarray:
-        """(3 M, 3 G)"""
+    def gap_modes(self) -> np.ndarray:
+        """(3 M, 3 G) smooth displacements of the marks, those of unit amplitude."""
         rod = self.unknowns.rod
         held = tuple(bool(np.max(kind) >= Clamp.POSITION) for kind in (rod.clamps.start, rod.clamps.end))
-        return np.einsum("mg,ab->magb", gap_modes(rod.mark_place, held, GAP_MODES), np.eye(3)).reshape(-1, 3 * GAP_MODES)
+        return np.einsum("mg,ab->magb", smooth_modes(rod.mark_place, held, GAP_MODES), np.eye(3)).reshape(-1, 3 * GAP_MODES)
 
     def _with_gap(self, effects: list[np.ndarray]) -> list[np.ndarray]:
         """The effects with the smooth displacements of the marks besides; directors know none."""
-        modes = self._gap_modes
+        modes = self.gap_modes
         gaps = [np.broadcast_to(modes, (len(effects[0]), *modes.shape))]
         gaps += [np.zeros((*z.shape[:2], modes.shape[1])) for z in effects[1:]]
         return [np.concatenate([z, gap], axis=-1) for z, gap in zip(effects, gaps, strict=True)]

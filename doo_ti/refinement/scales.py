@@ -55,6 +55,11 @@ class Scales:
         value[self.learned] = np.exp(free)
         return replace(self, value=value)
 
+    def learning(self, names: set[str]) -> "Scales":
+        """The same, those of ``names`` that have stayed at what is typical learned too."""
+        new = np.array([name in names for name in NAMES]) & (self.value == self.typical)
+        return replace(self, learned=self.learned | new)
+
     def prior(self) -> tuple[float, np.ndarray]:
         """−2 ln of the priors of the learned sizes but for a constant, and its gradient (H,) by their logarithms."""
         apart = (np.log(self.value / self.typical) / self.factor)[self.learned]

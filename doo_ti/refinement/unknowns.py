@@ -140,6 +140,14 @@ class Unknowns:
         """How many unknowns are Θ's: the first ones."""
         return len(self.parameters) + ("up" in self.parameters)
 
+    @property
+    def scale_names(self) -> set[str]:
+        """Sizes of :mod:`doo_ti.refinement.scales` that the priors of the unknowns have."""
+        found = {"turn", "shift", "turn_scatter", "shift_scatter"} if self.clamps else set()
+        if self.curvature != "none":
+            found |= {"curvature"} | ({"range"} if self.curvature == "field" else set())
+        return found
+
     def columns(self, prefix: str) -> np.ndarray:
         """Where unknowns whose names begin so stand."""
         return np.array([k for k, name in enumerate(self.names) if name.startswith(prefix)], dtype=int)
