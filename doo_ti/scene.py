@@ -58,13 +58,15 @@ class Synthesis:
     rest_curvature_range_mm               0: independent at each joint of the fine mesh; above: a smooth Gaussian random field
                            along the rod in its material frame, whose correlation over a distance s is exp(-s²/(2 range²))
     clip_mm                length of rod held at each end, or a pair: held at the start, held at the end
+                           (the first joint beside it bends over a whole fine edge, so the continuous rod that this mesh
+                           stands for is held half a fine edge less)
     label_noise_mm         standard deviation of each coordinate of the marks
     end_mark_noise         whether the marks that clips hold have that noise too; else they are known exactly
     start_direction, end_direction        where the clips point along the rod; clips on one line would hide Θ
     frames                 whether the material frames are labelled too (ribbons)
 
-    A user's clamps do not hold a rod exactly as reported: it lies askew in the jaw, or the clamp's pose is calibrated
-    imperfectly. Frames, and marks inside clips, are reported as of the ideal clips; the rod is held as follows.
+    A user's clamps do not hold a rod exactly as reported: it lies at an angle in the jaw, or the clamp's pose is
+    calibrated imperfectly. Frames, and marks inside clips, are reported as of the ideal clips; the rod is held as follows.
 
     clip_tilt_deg          each clip is tilted about its outer end, by a rotation vector across its tangent; standard deviation
                            of its two components. Drawn once for each end; it turns with the clip

@@ -3,7 +3,7 @@
 A rod of fine edges, a little curved at rest, hangs between two clips. The far clip is brought to each end distance and
 turned through the end rotations, quasi-statically, as in the paper; its marks are then read off with label noise. Nothing
 of that is in the model that is fitted, whose edges are longer, straight at rest and clamped at single edges. On request the
-clips hold the rod askew, each by itself, while the poses of ideal clips are reported (:mod:`doo_ti.clip_errors`).
+real clips are tilted and displaced, each by itself, while the poses of ideal ones are reported (:mod:`doo_ti.clip_errors`).
 """
 
 from dataclasses import dataclass, replace
@@ -259,7 +259,9 @@ def _held_marks(synthesis: Synthesis, spacing: float) -> tuple[int, int]:
     return start, end
 
 
-def _put_ideal_marks(marks: np.ndarray, ideal: Clamps, reach: tuple[float, float], held: tuple[int, int], spacing: float) -> None:
+def _put_ideal_marks(
+    marks: np.ndarray, ideal: Clamps, reach: tuple[float, float], held: tuple[int, int], spacing: float
+) -> None:
     """Overwrite in ``marks`` (R, V, 3) those that clips hold: where ideal clips would have them."""
     tangent = ideal.start_frame[:, None, :, 0]
     marks[:, : held[0]] = ideal.start_position[:, None] + (np.arange(held[0])[:, None] * spacing - reach[0]) * tangent

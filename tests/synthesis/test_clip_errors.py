@@ -64,7 +64,8 @@ def test_a_tilt_turns_the_clip_about_its_outer_end_and_turns_with_it():
     rods, reported, tilt = fine_vertices(recipe), synthesise(recipe), errors_of(recipe).tilt
     np.testing.assert_allclose(rods[:, 0], reported.vertices[:, 0], atol=1e-9)
     np.testing.assert_allclose(rods[:, -1], reported.vertices[:, -1], atol=1e-9)
-    for end, frame, piece in ((0, reported.start_frame, rods[:, 3] - rods[:, 0]), (1, reported.end_frame, rods[:, -1] - rods[:, -4])):
+    pieces = rods[:, 3] - rods[:, 0], rods[:, -1] - rods[:, -4]
+    for end, frame, piece in zip((0, 1), (reported.start_frame, reported.end_frame), pieces, strict=True):
         size = np.linalg.norm(tilt[end])
         a, b = tilt[end] * np.sin(size) / size
         np.testing.assert_allclose(seen_in(frame, piece), np.tile(3 * np.array([np.cos(size), b, -a]), (9, 1)), atol=1e-8)

@@ -103,7 +103,7 @@ def coverage(intervals: list[Interval]) -> Coverage:
     logs = logs[np.isfinite(logs)]
     widths = np.sort([interval.width for interval in intervals])
     # An element of the sample: between a finite and an infinite width nothing can be interpolated.
-    quartiles = tuple(float(widths[round(share * (len(widths) - 1))]) if len(widths) else math.nan for share in (0.25, 0.5, 0.75))
+    places = [round(share * (len(widths) - 1)) for share in (0.25, 0.5, 0.75)]
     return Coverage(
         all=among(lambda interval: True),
         two_sided=among(lambda interval: interval.bounds == 2),
@@ -112,7 +112,7 @@ def coverage(intervals: list[Interval]) -> Coverage:
         wide=among(lambda interval: interval.bounds == 2 and interval.width > WIDE),
         bias=float(np.median(logs)) if len(logs) else math.nan,
         off=float(np.median(np.abs(logs))) if len(logs) else math.nan,
-        width=quartiles,
+        width=tuple(float(widths[place]) if len(widths) else math.nan for place in places),
     )
 
 
@@ -123,8 +123,9 @@ def wilson(count: Count) -> tuple[float, float]:
     return (middle - half) / (1 + z * z / n), (middle + half) / (1 + z * z / n)
 
 
-HEAD = ("| parameter | truth in the 95 % interval | coverage (its own 95 % range) | bias, median value / truth | median \\|ln factor\\| off "
-        "| width high / low: median (quartiles) | two-sided | wider than ×4 | one-sided | unbounded | 90–99 % |")
+HEAD = ("| parameter | truth in the 95 % interval | coverage (its own 95 % range) | bias, median value / truth "
+        "| median \\|ln factor\\| off | width high / low: median (quartiles) | two-sided | wider than ×4 | one-sided "
+        "| unbounded | 90–99 % |")
 
 
 def table(found: dict[str, Coverage]) -> str:

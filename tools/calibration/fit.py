@@ -26,7 +26,7 @@ def fitted(observations: Observations, run_folder: Path) -> list[dict]:
 
 def _command(*words: str) -> str:
     """What ``doo-ti`` prints on standard output."""
-    # Taichi greets a standard output that is not a file when it starts: before that is replaced.
+    # When it starts, Taichi writes a notice where standard output is replaced: so it starts before.
     runtime.start()
     printed, reported = io.StringIO(), io.StringIO()
     with redirect_stdout(printed), redirect_stderr(reported):

@@ -28,13 +28,14 @@ def _draw_intervals(axes, name: str, found: list[Interval]) -> None:
     found = sorted(found, key=lambda one: one.log_off if np.isfinite(one.log_off) else np.inf)
     for place, one in enumerate(found):
         color = HELD if one.holds else MISSED
-        low, high = (None if bound is None else np.clip(bound / one.truth, 1 / LARGEST, LARGEST) for bound in (one.low, one.high))
+        low, high, value = (None if number is None else np.clip(number / one.truth, 1 / LARGEST, LARGEST)
+                            for number in (one.low, one.high, one.value))
         axes.plot([place, place], [low or 1 / LARGEST, high or LARGEST], color=color, linewidth=1.6, alpha=0.8)
         for bound, end, marker in ((low, 1 / LARGEST, "v"), (high, LARGEST, "^")):
             if bound is None:
                 axes.plot(place, end, marker=marker, color=color, markersize=4, clip_on=False)
-        if one.value is not None:
-            axes.plot(place, np.clip(one.value / one.truth, 1 / LARGEST, LARGEST), "o", color=color, markersize=3)
+        if value is not None:
+            axes.plot(place, value, "o", color=color, markersize=3)
     axes.axhline(1.0, color="#404040", linewidth=1)
     axes.set_yscale("log")
     axes.set_ylim(1 / LARGEST, LARGEST)

@@ -133,7 +133,7 @@ def without_marks(observations: Observations, share: float, random: np.random.Ge
 
 def on_wrong_branch(recipe: Synthesis, observations: Observations, rows: np.ndarray, count: int,
                     random: np.random.Generator) -> Observations:
-    """``count`` observations with the marks of another equilibrium, or a total twist off by one turn, as lots are drawn.
+    """``count`` observations with the marks of another equilibrium, or a total twist off by one turn, at random.
 
     rows  (D,) which of the recipe's observations these are
 
