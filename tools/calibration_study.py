@@ -1,10 +1,11 @@
 """Do the 95 % intervals of the default pipeline hold the truth? ``python tools/calibration_study.py [OPTION ...]``.
 
 Draws specimens from the virtual lab with everything random, fits each as a user would (``doo-ti sweep``, then ``doo-ti refine
-RUN``), and prints a Markdown table of coverage, bias and width for bend, twist and their ratio. Rows go to
-FOLDER/specimens.csv, where rows that are already there are not computed again, failed ones neither: after a change of the
-estimator name another folder. FOLDER/calibration_….png shows every interval over the truth. Exit code 1 where a coverage is outside 90–99 % or a
-fit failed.
+RUN``), and prints a Markdown table of coverage, bias and width for bend, twist and their ratio. FOLDER/calibration_….png shows
+every interval over the truth. Exit code 1 where a coverage is outside 90–99 % or a fit failed.
+
+Rows go to FOLDER/specimens.csv. Rows that are already there, failed ones included, are not computed again: after a change of
+the estimator name another folder, or delete them.
 
     --observations 10   keeps as many of the 60, chosen at random
     --missing 0.2       makes that share of the marks invalid

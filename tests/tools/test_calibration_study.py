@@ -238,7 +238,8 @@ def test_a_failed_fit_is_reported_and_fails_the_study(tmp_path, monkeypatch, cap
 
     monkeypatch.setattr(study, "fitted", fitted)
     failed = study.studied(SEED, Variant())
-    assert failed.failure == "RuntimeError: doo-ti refine ended with 2: /run: cannot" and failed.redrawn == 1 and not failed.fitted
+    assert failed.failure == "RuntimeError: doo-ti refine ended with 2: /run: cannot"
+    assert failed.redrawn == 1 and not failed.fitted
     good = [row(seed, parameters=[{"name": name, "value": 1.0, "low": 1e3 if seed > 3 else None, "high": None}
                                   for name in ("bend", "twist")]) for seed in range(95)]
     bad = [row(seed, parameters=[{"name": name, "value": 1.0, "low": None, "high": 1.0} for name in ("bend", "twist")])
