@@ -68,7 +68,8 @@ def planned(synthesis: Synthesis) -> Observations:
     """
     spacing = synthesis.length_mm / (synthesis.marks - 1)
     return synthesise(replace(
-        synthesis, fine_edge_mm=spacing, clip_mm=spacing, rest_curvature_rms_per_mm=0.0, label_noise_mm=0.0))
+        synthesis, fine_edge_mm=spacing, clip_mm=spacing, rest_curvature_rms_per_mm=0.0, label_noise_mm=0.0,
+        clip_tilt_deg=0.0, clip_offset_mm=0.0, clip_scatter_deg=0.0))
 
 
 def plan(

@@ -39,6 +39,8 @@ PRECISIONS = ("f32", "f64", "mixed")
 MOST_SPINS = 360
 MOST_FINE_EDGES, MOST_TURNS = 100_000, 1000
 """Of a virtual rod."""
+LARGEST_TILT_DEG = 45.0
+"""Standard deviation of a virtual clip's tilt."""
 CLAMPS = tuple(kind.name.lower() for kind in Clamp)
 
 
@@ -48,15 +50,28 @@ class Synthesis:
 
     bend, twist, weight    Θ of the rod, mm³ and relative; bend is α or a 2×2 matrix B
     name                   what the rod is called
-    seed                   of rest curvature and label noise
+    seed                   of everything random
     length_mm, marks       the rod and the number V of marks on it, evenly spaced, ends included
     fine_edge_mm           edge length of the mesh that is relaxed; marks and clips lie on its vertices
     end_distances_mm, end_rotations_deg   every distance with every rotation
-    rest_curvature_rms_per_mm             of the random curvature of the rod at rest
-    clip_mm                length of rod held at each end
-    label_noise_mm         standard deviation of each coordinate of the marks that no clip holds
+    rest_curvature_rms_per_mm             of the random curvature of the rod at rest, pointwise, about each of m1 and m2
+    rest_curvature_range_mm               0: independent at each joint of the fine mesh; above: a smooth Gaussian random field
+                           along the rod in its material frame, whose correlation over a distance s is exp(-s²/(2 range²))
+    clip_mm                length of rod held at each end, or a pair: held at the start, held at the end
+                           (the first joint beside it bends over a whole fine edge, so the continuous rod that this mesh
+                           stands for is held half a fine edge less)
+    label_noise_mm         standard deviation of each coordinate of the marks
+    end_mark_noise         whether the marks that clips hold have that noise too; else they are known exactly
     start_direction, end_direction        where the clips point along the rod; clips on one line would hide Θ
     frames                 whether the material frames are labelled too (ribbons)
+
+    A user's clamps do not hold a rod exactly as reported: it lies at an angle in the jaw, or the clamp's pose is
+    calibrated imperfectly. Frames, and marks inside clips, are reported as of the ideal clips; the rod is held as follows.
+
+    clip_tilt_deg          each clip is tilted about its outer end, by a rotation vector across its tangent; standard deviation
+                           of its two components. Drawn once for each end; it turns with the clip
+    clip_offset_mm         each clip is displaced sideways; standard deviation of the two components, drawn likewise
+    clip_scatter_deg       a tilt of each clip in each observation by itself, added to the constant one
 
     Raises InputError for values out of range.
     """
@@ -72,11 +87,16 @@ class Synthesis:
     end_distances_mm: tuple[float, ...] = (30.0, 42.0, 54.0, 66.0, 78.0, 90.0)
     end_rotations_deg: tuple[float, ...] = tuple(30.0 * k for k in range(10))
     rest_curvature_rms_per_mm: float = 1 / 900
-    clip_mm: float = 3.0
+    clip_mm: float | tuple[float, float] = 3.0
     label_noise_mm: float = 0.12
     start_direction: tuple[float, float, float] = (0.94, 0.0, 0.34)
     end_direction: tuple[float, float, float] = (0.85, 0.22, -0.48)
     frames: bool = False
+    rest_curvature_range_mm: float = 0.0
+    end_mark_noise: bool = False
+    clip_tilt_deg: float = 0.0
+    clip_offset_mm: float = 0.0
+    clip_scatter_deg: float = 0.0
     source: str = "synthesis"
 
     def __post_init__(self):
@@ -85,17 +105,25 @@ class Synthesis:
             object.__setattr__(self, field.name, value)
         self._require("seed", self.seed >= 0, "0 or more")
         self._require("marks", self.marks >= 3, "3 or more")
-        for name in ("length_mm", "fine_edge_mm", "clip_mm", "twist"):
+        for name in ("length_mm", "fine_edge_mm", "twist"):
             self._require(name, getattr(self, name) > 0, "a positive number")
-        for name in ("weight", "rest_curvature_rms_per_mm", "label_noise_mm"):
+        self._require("clip_mm", min(self.clips_mm) > 0, "a positive number, or two of them")
+        for name in ("weight", "rest_curvature_rms_per_mm", "rest_curvature_range_mm", "label_noise_mm", "clip_tilt_deg",
+                     "clip_offset_mm", "clip_scatter_deg"):
             self._require(name, getattr(self, name) >= 0, "zero or a positive number")
+        self._require("rest_curvature_range_mm", self.rest_curvature_range_mm <= self.length_mm,
+                      f"a range of at most length_mm = {self.length_mm:g}")
+        for name in ("clip_tilt_deg", "clip_scatter_deg"):
+            self._require(name, getattr(self, name) <= LARGEST_TILT_DEG, f"at most {LARGEST_TILT_DEG:g} degrees")
+        self._require("clip_offset_mm", self.clip_offset_mm < self.length_mm, "an offset shorter than the rod")
         self._require("length_mm", self.length_mm <= MOST_FINE_EDGES * self.fine_edge_mm,
                       f"at most {MOST_FINE_EDGES} fine edges")
-        for name, length in (("marks", self.length_mm / (self.marks - 1)), ("clip_mm", self.clip_mm)):
+        spacing = ("marks", self.length_mm / (self.marks - 1))
+        for name, length in (spacing, *(("clip_mm", clip) for clip in self.clips_mm)):
             count = length / self.fine_edge_mm
             self._require(name, round(count) >= 1 and math.isclose(count, round(count), rel_tol=1e-6),
                           f"a spacing of marks and a clip that are multiples of fine_edge_mm = {self.fine_edge_mm:g}")
-        self._require("clip_mm", 2 * self.clip_mm < self.length_mm, "clips shorter than half the rod")
+        self._require("clip_mm", 2 * max(self.clips_mm) < self.length_mm, "clips shorter than half the rod")
         for name in ("end_distances_mm", "end_rotations_deg"):
             values = getattr(self, name)
             self._require(name, len(values) > 0 and len(set(values)) == len(values), "different numbers, at least one")
@@ -110,6 +138,11 @@ class Synthesis:
                           "a vector X, Y, Z")
         bend = self.bend * np.eye(2) if isinstance(self.bend, float) else np.array(self.bend)
         self._require("bend", (bend == bend.T).all() and np.linalg.eigvalsh(bend)[0] > 0, "a positive definite B")
+
+    @property
+    def clips_mm(self) -> tuple[float, float]:
+        """Lengths of rod held at the start and at the end."""
+        return self.clip_mm if isinstance(self.clip_mm, tuple) else (self.clip_mm, self.clip_mm)
 
     def material(self) -> Material:
         """Θ, straight at rest: the table of one material."""
@@ -268,22 +301,25 @@ def _convert(source: str, name: str, value):
     """A field of Synthesis in its type. Raises InputError where it has another."""
     kind = {field.name: field.type for field in fields(Synthesis)}[name]
     what = {str: "text", int: "a whole number", bool: "true or false", float: "a finite number"}.get(
-        kind, "a positive number or a matrix [[A1, A12], [A12, A2]]" if name == "bend" else "a list of finite numbers")
+        kind, {"bend": "a positive number or a matrix [[A1, A12], [A12, A2]]",
+               "clip_mm": "a length in mm, or two: [START, END]"}.get(name, "a list of finite numbers"))
+    shapes = {"bend": ((), (2, 2)), "clip_mm": ((), (2,))}.get(name, ((),) if kind is float else None)
     try:
         if kind in (str, int, bool):
             if type(value) is not kind:
                 raise TypeError
             return value
-        return _finite(value, matrix=name == "bend", scalar=kind is float)
+        return _finite(value, shapes)
     except (TypeError, ValueError):
         raise InputError(source, f"synthesis.{name}", f"{value!r} has the wrong type", f"give {what}") from None
 
 
-def _finite(value, matrix: bool, scalar: bool):
-    """A float, a tuple of floats, or for a matrix a 2×2 tuple of tuples, as the arguments allow; else TypeError."""
+def _finite(value, shapes: tuple | None):
+    """A float, or a tuple of as many levels as the array has, of one of these ``shapes``, None: of any one-dimensional shape;
+    else TypeError."""
     array = np.asarray(value)
-    shapes = ((), (2, 2)) if matrix else ((),) if scalar else ((len(array),),) if array.ndim else ()
-    if array.dtype.kind not in "iuf" or array.shape not in shapes or not np.isfinite(array).all():
+    fits = array.ndim == 1 if shapes is None else array.shape in shapes
+    if array.dtype.kind not in "iuf" or not fits or not np.isfinite(array).all():
         raise TypeError
     values = array.astype(float).tolist()
     return values if array.ndim == 0 else tuple(map(tuple, values)) if array.ndim == 2 else tuple(values)

@@ -2,11 +2,15 @@
 
 A rod of fine edges, a little curved at rest, hangs between two clips. The far clip is brought to each end distance and
 turned through the end rotations, quasi-statically, as in the paper; its marks are then read off with label noise. Nothing
-of that is in the model that is fitted, whose edges are longer, straight at rest and clamped at single edges.
+of that is in the model that is fitted, whose edges are longer, straight at rest and clamped at single edges. On request the
+real clips are tilted and displaced, each by itself, while the poses of ideal ones are reported (:mod:`doo_ti.clip_errors`).
 """
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from doo_ti.clip_errors import ClipErrors
 from doo_ti.dataset import Observations
 from doo_ti.errors import InterruptedRunError
 from doo_ti.frames import (
@@ -18,7 +22,7 @@ from doo_ti.frames import (
     smallest_rotation,
     total_twist,
 )
-from doo_ti.motion.path import LARGEST_TURN, carried_clamps, carry
+from doo_ti.motion.path import LARGEST_TURN, carried_clamps, carry, motion_between
 from doo_ti.scene import Synthesis
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
 
@@ -33,7 +37,7 @@ def synthesise(synthesis: Synthesis) -> Observations:
     to a stable equilibrium.
     """
     random = np.random.default_rng(synthesis.seed)
-    return _labelled(synthesis, *_shapes(synthesis, random), random)
+    return _labelled(synthesis, _rods(synthesis, random), random)
 
 
 def fine_vertices(synthesis: Synthesis) -> np.ndarray:
@@ -41,42 +45,109 @@ def fine_vertices(synthesis: Synthesis) -> np.ndarray:
 
     Raises InterruptedRunError as that does.
     """
-    return _shapes(synthesis, np.random.default_rng(synthesis.seed))[0]
+    return _rods(synthesis, np.random.default_rng(synthesis.seed)).vertices
 
 
-def _shapes(synthesis: Synthesis, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """(R, V_fine, 3) vertices of the whole rod, and the frames of the edges that were relaxed."""
+@dataclass(frozen=True)
+class _Rods:
+    """R rods at rest, one per observation.
+
+    vertices  (R, V_fine, 3) of the whole rods
+    frames    (R, E_relaxed, 3, 3) of the edges that were relaxed
+    reported  the ideal clamps of the relaxed edges, or None where the rods are held by these
+    """
+
+    vertices: np.ndarray
+    frames: np.ndarray
+    reported: Clamps | None
+
+
+def _rods(synthesis: Synthesis, random: np.random.Generator) -> _Rods:
+    """Every end distance at every end rotation."""
     material = _specimen(synthesis, random)
-    shapes, clamps = _brought_to_distances(synthesis, material)
-    vertices, frames = [], []
-    angles = np.radians(synthesis.end_rotations_deg)
+    errors = _clip_errors(synthesis)
+    shapes, ideal = _brought_to_distances(synthesis, material)
+    clamps = ideal
     at = [f"{distance:g} mm" for distance in synthesis.end_distances_mm]
-    for before, after in zip(np.concatenate([[0.0], angles]), angles):
-        axis = clamps.end_frame[..., 0]
+    if errors.any:
+        clamps = errors.held(ideal, _reach(synthesis))
+        shapes = _sound(_moved(shapes, material, ideal, clamps), synthesis, at)
+    vertices, frames, reported = [], [], []
+    angles = np.radians(synthesis.end_rotations_deg)
+    for row, (before, after) in enumerate(zip(np.concatenate([[0.0], angles]), angles)):
+        axis = ideal.end_frame[..., 0]
         steps = max(1, int(np.ceil(abs(after - before) / LARGEST_TURN)))
-        path = carried_clamps(clamps, clamps.end_position, (after - before) * axis, steps)
-        solution, clamps = carry(shapes, material, path)
-        shapes = _sound(solution, synthesis, [f"{place}, {np.degrees(after):g}°" for place in at])
-        vertices.append(_with_clips(synthesis, shapes))
-        frames.append(shapes.frames)
-    return np.concatenate(vertices), np.concatenate(frames)
+        path = list(carried_clamps(ideal, ideal.end_position, (after - before) * axis, steps))
+        ideal = path[-1]
+        held = (errors.held(step, _reach(synthesis)) for step in path) if errors.any else path
+        solution, clamps = carry(shapes, material, held)
+        places = [f"{place}, {np.degrees(after):g}°" for place in at]
+        shapes = seen = _sound(solution, synthesis, places)
+        if errors.vary:
+            # The path goes on without it: otherwise one observation's scatter would decide the branch of the next.
+            here = errors.held(ideal, _reach(synthesis), slice(row * len(at), (row + 1) * len(at)))
+            seen = _sound(_moved(shapes, material, clamps, here), synthesis, places)
+        vertices.append(_with_clips(synthesis, seen))
+        frames.append(seen.frames)
+        reported.append(ideal)
+    return _Rods(np.concatenate(vertices), np.concatenate(frames), _together(reported) if errors.any else None)
 
 
 def _specimen(synthesis: Synthesis, random: np.random.Generator) -> Material:
-    """Θ with a random rest curvature, independent at each joint of the fine mesh and the same in every observation."""
-    joints = _free_edges(synthesis) - 1
-    rest = synthesis.rest_curvature_rms_per_mm * random.normal(size=(1, joints, 2))
+    """Θ with a random rest curvature, the same in every observation."""
+    rest = synthesis.rest_curvature_rms_per_mm * _curvature_field(synthesis, random)[None]
     return Material(np.array(synthesis.bend), synthesis.twist, synthesis.weight, rest)
+
+
+def _curvature_field(synthesis: Synthesis, random: np.random.Generator) -> np.ndarray:
+    """(J, 2) Gaussian numbers of variance 1 at the joints of the fine mesh, about m2 and -m1."""
+    joints = _free_edges(synthesis) - 1
+    reach = synthesis.rest_curvature_range_mm / synthesis.fine_edge_mm
+    if reach == 0:
+        return random.normal(size=(joints, 2))
+    # White noise under a Gaussian window exp(-s²/range²) is correlated by exp(-s²/(2 range²)). At 4 ranges it is below 2e-7.
+    side = int(np.ceil(4 * reach))
+    window = np.exp(-((np.arange(-side, side + 1) / reach) ** 2))
+    noise = random.normal(size=(joints + 2 * side, 2))
+    smooth = np.stack([np.convolve(noise[:, k], window, mode="valid") for k in range(2)], axis=1)
+    return smooth / np.linalg.norm(window)
+
+
+def _clip_errors(synthesis: Synthesis) -> ClipErrors:
+    count = len(synthesis.end_distances_mm) * len(synthesis.end_rotations_deg)
+    return ClipErrors.drawn(
+        synthesis.seed, count, tilt=np.radians(synthesis.clip_tilt_deg), offset=synthesis.clip_offset_mm,
+        scatter=np.radians(synthesis.clip_scatter_deg))
+
+
+def _moved(shapes: Configuration, material: Material, clamps: Clamps, goal: Clamps) -> Solution:
+    """The rods after their clamps went from ``clamps`` to ``goal``."""
+    motion = motion_between(clamps, goal)
+    steps = int(motion.needed_steps(shapes.rest_length).max())
+    return carry(shapes, material, (motion.at(k / steps) for k in range(1, steps + 1)))[0]
+
+
+def _together(clamps: list[Clamps]) -> Clamps:
+    """Clamps of one kind, one after the other."""
+    arrays = ("start_position", "end_position", "start_frame", "end_frame")
+    return replace(clamps[0], **{name: np.concatenate([getattr(part, name) for part in clamps]) for name in arrays})
 
 
 def _free_edges(synthesis: Synthesis) -> int:
     """Fine edges that are relaxed: of each clip only the innermost edge, which is clamped."""
-    return round(synthesis.length_mm / synthesis.fine_edge_mm) - 2 * _clip_edges(synthesis)
+    return round(synthesis.length_mm / synthesis.fine_edge_mm) - sum(_clip_edges(synthesis))
 
 
-def _clip_edges(synthesis: Synthesis) -> int:
-    """Fine edges of a clip that are left out of the relaxed rod."""
-    return round(synthesis.clip_mm / synthesis.fine_edge_mm) - 1
+def _clip_edges(synthesis: Synthesis) -> tuple[int, int]:
+    """Fine edges of the clips at start and end that are left out of the relaxed rod."""
+    start, end = (round(clip / synthesis.fine_edge_mm) - 1 for clip in synthesis.clips_mm)
+    return start, end
+
+
+def _reach(synthesis: Synthesis) -> tuple[float, float]:
+    """mm from the outer ends of the rod to those of the relaxed one."""
+    start, end = (edges * synthesis.fine_edge_mm for edges in _clip_edges(synthesis))
+    return start, end
 
 
 def _brought_to_distances(synthesis: Synthesis, material: Material) -> tuple[Configuration, Clamps]:
@@ -84,10 +155,10 @@ def _brought_to_distances(synthesis: Synthesis, material: Material) -> tuple[Con
     first = _frame_along(synthesis.start_direction)
     last_tangent = np.array(synthesis.end_direction) / np.linalg.norm(synthesis.end_direction)
     turn = smallest_rotation(first[:, 0], last_tangent)
-    offset = _clip_edges(synthesis) * synthesis.fine_edge_mm
+    near, far = _reach(synthesis)
     edges = _free_edges(synthesis)
     lengths = np.full(edges, synthesis.fine_edge_mm)
-    start = offset * first[:, 0]
+    start = near * first[:, 0]
     shape = Configuration(start[None], np.tile(quaternion_from_matrix(first), (1, edges, 1)), lengths)
     held = dict(start=Clamp.FRAME, end=Clamp.FRAME, start_position=start[None], start_frame=first[None])
     clamps = Clamps(end_position=shape.vertices[:, -1], end_frame=first[None], **held)
@@ -96,14 +167,14 @@ def _brought_to_distances(synthesis: Synthesis, material: Material) -> tuple[Con
     found = {}
     steps = APPROACH_STEPS
     for distance in sorted(synthesis.end_distances_mm, reverse=True):
-        goal = np.array([distance, 0.0, 0.0]) - offset * last_tangent
+        goal = np.array([distance, 0.0, 0.0]) - far * last_tangent
         path = carried_clamps(clamps, goal[None], rotation[None], steps)
         solution, clamps = carry(shape, material, path)
         shape = _sound(solution, synthesis, [f"{distance:g} mm"])
         found[distance] = shape.quaternions[0]
         rotation, steps = np.zeros(3), max(1, int(np.ceil(_gap(synthesis) / STEP_MM)))
     count = len(found)
-    positions = np.array([[d, 0.0, 0.0] for d in synthesis.end_distances_mm]) - offset * last_tangent
+    positions = np.array([[d, 0.0, 0.0] for d in synthesis.end_distances_mm]) - far * last_tangent
     shapes = Configuration(np.tile(start, (count, 1)), np.stack([found[d] for d in synthesis.end_distances_mm]), lengths)
     last = np.tile(clamps.end_frame, (count, 1, 1))
     together = Clamps(Clamp.FRAME, Clamp.FRAME, shapes.start, positions, np.tile(first, (count, 1, 1)), last)
@@ -134,37 +205,45 @@ def _sound(solution: Solution, synthesis: Synthesis, places: list[str]) -> Confi
 def _with_clips(synthesis: Synthesis, shapes: Configuration) -> np.ndarray:
     """(R, V_fine, 3) vertices of the whole rod, the straight parts inside the clips put back."""
     inner = shapes.vertices
-    steps = (np.arange(_clip_edges(synthesis)) + 1.0)[:, None] * synthesis.fine_edge_mm
+    near, far = ((np.arange(edges) + 1.0)[:, None] * synthesis.fine_edge_mm for edges in _clip_edges(synthesis))
     tangents = shapes.frames[..., 0]
-    before = inner[:, :1] - steps[::-1] * tangents[:, :1]
-    after = inner[:, -1:] + steps * tangents[:, -1:]
+    before = inner[:, :1] - near[::-1] * tangents[:, :1]
+    after = inner[:, -1:] + far * tangents[:, -1:]
     return np.concatenate([before, inner, after], axis=1)
 
 
-def _labelled(synthesis: Synthesis, vertices: np.ndarray, frames: np.ndarray, random: np.random.Generator) -> Observations:
+def _labelled(synthesis: Synthesis, rods: _Rods, random: np.random.Generator) -> Observations:
     """What a person would write down: marks with noise, the clips' frames, the twist to the nearest rotation step."""
     spacing = synthesis.length_mm / (synthesis.marks - 1)
     every = round(spacing / synthesis.fine_edge_mm)
-    marks = vertices[:, ::every].copy()
-    held = round(synthesis.clip_mm / spacing) + 1 if synthesis.clip_mm >= spacing else 1
+    frames, start_frame, end_frame = rods.frames, rods.frames[:, 0], rods.frames[:, -1]
+    marks = rods.vertices[:, ::every].copy()
+    held = _held_marks(synthesis, spacing)
+    if rods.reported is not None:
+        start_frame, end_frame = rods.reported.start_frame, rods.reported.end_frame
+        _put_ideal_marks(marks, rods.reported, _reach(synthesis), held, spacing)
     noise = synthesis.label_noise_mm * random.normal(size=marks.shape)
-    noise[:, :held] = noise[:, -held:] = 0.0
+    if not synthesis.end_mark_noise:
+        noise[:, : held[0]] = noise[:, -held[1] :] = 0.0
     distances, rotations = len(synthesis.end_distances_mm), len(synthesis.end_rotations_deg)
     measured = None
     if synthesis.frames:
-        clip = _clip_edges(synthesis)
+        clip = _clip_edges(synthesis)[0]
         middle = np.clip(np.arange(synthesis.marks - 1) * every + every // 2 - clip, 0, frames.shape[1] - 1)
         wobble = synthesis.label_noise_mm * np.sqrt(2) / spacing * random.normal(size=(len(marks), synthesis.marks - 1, 3))
-        wobble[:, : max(held - 1, 1)] = wobble[:, -max(held - 1, 1) :] = 0.0
+        near, far = (max(count - 1, 1) for count in held)
+        wobble[:, :near] = wobble[:, -far:] = 0.0
         angle = np.linalg.norm(wobble, axis=-1)
         turn = quaternion_about(wobble / np.maximum(angle, 1e-300)[..., None], angle)
         measured = matrix_from_quaternion(quaternion_product(turn, quaternion_from_matrix(frames[:, middle])))
+        if rods.reported is not None:
+            measured[:, :near], measured[:, -far:] = start_frame[:, None], end_frame[:, None]
     twist = np.degrees(total_twist(quaternion_from_matrix(frames)))
     return Observations(
         vertices=marks + noise,
         rest_length=np.full(synthesis.marks - 1, spacing),
-        start_frame=frames[:, 0],
-        end_frame=frames[:, -1],
+        start_frame=start_frame,
+        end_frame=end_frame,
         frames=measured,
         total_twist=np.radians(30.0 * np.round(twist / 30.0) + 0.0),
         end_distance=np.tile(synthesis.end_distances_mm, rotations),
@@ -172,3 +251,19 @@ def _labelled(synthesis: Synthesis, vertices: np.ndarray, frames: np.ndarray, ra
         name=synthesis.name,
         source=synthesis.source,
     )
+
+
+def _held_marks(synthesis: Synthesis, spacing: float) -> tuple[int, int]:
+    """How many marks each clip holds, the outermost included; the tolerance is for clips of whole spacings."""
+    start, end = (int(clip / spacing + 1e-6) + 1 for clip in synthesis.clips_mm)
+    return start, end
+
+
+def _put_ideal_marks(
+    marks: np.ndarray, ideal: Clamps, reach: tuple[float, float], held: tuple[int, int], spacing: float
+) -> None:
+    """Overwrite in ``marks`` (R, V, 3) those that clips hold: where ideal clips would have them."""
+    tangent = ideal.start_frame[:, None, :, 0]
+    marks[:, : held[0]] = ideal.start_position[:, None] + (np.arange(held[0])[:, None] * spacing - reach[0]) * tangent
+    tangent = ideal.end_frame[:, None, :, 0]
+    marks[:, -held[1] :] = ideal.end_position[:, None] + (reach[1] - np.arange(held[1])[::-1, None] * spacing) * tangent

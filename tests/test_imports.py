@@ -17,7 +17,7 @@ LAYERS = [
     {"types"},
     {"physics", "runtime", "importers", "grid", "contact_sheet", "progress"},
     {"dataset", "named_arrays"},
-    {"metric", "start", "scene"},
+    {"metric", "start", "scene", "clip_errors"},
     {"relaxation"},
     {"vision", "motion"},
     {"synthesis", "twist", "report"},

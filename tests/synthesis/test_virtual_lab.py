@@ -97,6 +97,50 @@ def test_rest_curvature_has_the_asked_for_size():
     assert abs(np.corrcoef(rest[0, 1:, 0], rest[0, :-1, 0])[0, 1]) < 0.08
 
 
+@pytest.mark.parametrize("reach", [4.0, 25.0])
+def test_rest_curvature_is_smooth_over_its_range(reach):
+    """The same pointwise size on any mesh, correlated by exp(-s²/(2 range²)), the two directions independent."""
+    for edge in (0.5, 1.0):
+        recipe = replace(ROUND, length_mm=6000.0, marks=2001, fine_edge_mm=edge, end_distances_mm=(2000.0,),
+                         rest_curvature_range_mm=reach)
+        rest = lab._specimen(recipe, np.random.default_rng(recipe.seed)).rest_curvature[0] * 900
+        effective = 6000 / reach  # about as many independent values
+        np.testing.assert_allclose(rest.std(axis=0), 1.0, atol=3 / np.sqrt(effective))
+        assert abs(np.mean(rest[:, 0] * rest[:, 1])) < 4 / np.sqrt(effective)
+        for share in (0.5, 1.0, 2.0):
+            lag = round(share * reach / edge)
+            found, expected = np.mean(rest[lag:] * rest[:-lag]), np.exp(-(share**2) / 2)
+            print(f"mesh {edge} mm, {share} ranges apart: correlation {found:.3f}, expected {expected:.3f}")
+            assert abs(found - expected) < 4 / np.sqrt(effective)
+
+
+def test_clips_of_unequal_length():
+    """A pair of equal clips is one clip; each end holds its own length straight, marks on the clip's inner edge included."""
+    one, two = arrays(synthesise(ROUND)), arrays(synthesise(replace(ROUND, clip_mm=(3.0, 3.0))))
+    for name, value in one.items():
+        np.testing.assert_array_equal(value, two[name], err_msg=name)
+    recipe = replace(ROUND, clip_mm=(2.0, 7.0))
+    rods = lab.fine_vertices(recipe)
+    steps = np.diff(rods, axis=1)
+    near, far = (np.array(d) / np.linalg.norm(d) for d in (recipe.start_direction, recipe.end_direction))
+    np.testing.assert_allclose(steps[:, :2], np.broadcast_to(near, (12, 2, 3)), atol=1e-9)
+    np.testing.assert_allclose(steps[:, -7:], np.broadcast_to(far, (12, 7, 3)), atol=1e-9)
+    assert (np.linalg.norm(steps[:, 2] - near, axis=1) > 1e-4).all()
+    assert (np.linalg.norm(steps[:, -8] - far, axis=1) > 1e-4).all()
+    noise = synthesise(recipe).vertices - rods[:, ::3]
+    assert (noise[:, 0] == 0).all() and (noise[:, 1] != 0).all()
+    assert (noise[:, -3:] == 0).all() and (noise[:, -4] != 0).all()
+
+
+def test_noise_on_marks_that_clips_hold():
+    """On request; that of the free marks stays as it was."""
+    without, noisy = synthesise(ROUND).vertices, synthesise(replace(ROUND, end_mark_noise=True)).vertices
+    np.testing.assert_array_equal(noisy[:, 2:-2], without[:, 2:-2])
+    held = (noisy - without)[:, [0, 1, -2, -1]]
+    print(f"noise of held marks: {held.std():.3f} mm in {held.size} numbers")
+    assert held.std() == pytest.approx(ROUND.label_noise_mm, rel=0.25) and (held != 0).all()
+
+
 @both
 def test_the_mesh_is_finer_than_the_marks(recipe):
     """Between two marks lie bends: their chords fall short of the 3 mm of rod, if only by micrometres."""
