@@ -14,12 +14,14 @@ from doo_ti.commands.refine_text import summary_of, tell
 from doo_ti.dataset import Observations, load_observations, write_whole
 from doo_ti.errors import InputError, system_reason
 from doo_ti.importers import read_npz
-from doo_ti.refinement.clips import held_whole
 from doo_ti.scene import CLAMPS
 from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.types import Clamps
 
 STARTS = 3
+CURVATURES = ("field", "uniform", "none")
+OLD_CURVATURES = {"rest_curvature": "uniform", "rest_curvature_per_joint": "field"}
+"""Names of parameters that used to ask for a rest curvature."""
 
 
 def declare(add) -> None:
@@ -28,16 +30,24 @@ def declare(add) -> None:
                         help="folders that sweep wrote, whose best cells are begun from, or observations: .npz, .csv, .parquet")
     add_material(parser, "one number each, where observations are begun from, --bend also A1,A2 or A1,A2,A12")
     parser.add_argument("--parameters", metavar="A,B", default="bend,twist",
-                        help="what is learned, of bend, bend-1, bend-2, bend-12, twist, weight, rest-curvature, "
-                        "rest-curvature-per-joint, up (default bend,twist)")
+                        help="what is learned of the material, of bend, bend-1, bend-2, bend-12, twist, weight, up "
+                        "(default bend,twist)")
     parser.add_argument("--starts", metavar="N", help=f"cells of a run to begin from (default {STARTS})")
-    parser.add_argument("--sigma", metavar="MM", help="label uncertainty (default: the file's, else from the residuals)")
-    parser.add_argument("--clip", metavar="MM", help="clips hold the end edges up to the next mark: cut those to MM")
-    parser.add_argument("--curvature-spread", metavar="1/MM", help="expected rest curvature of a joint (default: 1/length)")
-    parser.add_argument("--curvature-range", metavar="MM", help="along which it is about the same (default: length/10)")
+    parser.add_argument("--sigma", metavar="MM", help="label uncertainty (default: the file's, else learned)")
+    model = parser.add_argument_group("the model of the experiment")
+    model.add_argument("--clip", metavar="MM|unknown", default="unknown",
+                       help="length of rod that a clip holds, from the outer mark on (default: unknown, learned)")
+    model.add_argument("--rest-curvature", choices=CURVATURES, default=None,
+                       help="of the rod when nothing bends it (default: field, a smooth function along it)")
+    model.add_argument("--clamps", choices=("loose", "exact"), default="loose",
+                       help="loose: the clamps may be off the poses that were reported (default)")
+    model.add_argument("--edges", metavar="N", help="edges of the mesh (default: twice the marks', corrected for their length)")
+    model.add_argument("--curvature-spread", metavar="1/MM", help="standard deviation of the rest curvature (default: learned)")
+    model.add_argument("--curvature-range", metavar="MM", help="along which it is about the same (default: learned)")
+    parser.add_argument("--no-models", action="store_true", help="leave out the comparison with other models")
     parser.add_argument("--folds", metavar="N", help="also cross-validate in N folds")
     parser.add_argument("--groups", metavar="FILE:KEY", help="a number per observation; equal ones stay in one fold")
-    parser.add_argument("--linear-density", metavar="G_PER_M", help="of the rod in g/m: tells EI and GJ in N m²")
+    parser.add_argument("--linear-density", metavar="G_PER_M", help="of the rod in g/m: adds EI and GJ in N m²")
     parser.add_argument("--clamp-start", choices=CLAMPS, help="default: the run's, else frame where it is given, else tangent")
     parser.add_argument("--clamp-end", choices=CLAMPS, help="default: the run's, else frame where it is given, else tangent")
     parser.add_argument("--frame-weight", metavar="MM", help="w_m of Eq. 1 (default 0, or the run's)")
@@ -66,18 +76,18 @@ def run(options: Namespace, words: list[str]) -> int:
     groups = [_groups(options.groups, task.observations) for task in tasks]
 
     from doo_ti.refinement.folds import folds_of, refine_held_out
-    from doo_ti.refinement.multi_start import refine_from
+    from doo_ti.refinement.refine import refine
 
     splits = [None if folds is None else folds_of(group, folds) for group in groups]
     summaries = []
     for task, split in zip(tasks, splits, strict=True):
         chosen = _refinement_options(options, task)
         with busy(f"refining {task.observations.name} (kernels are compiled once on a machine)"):
-            found = refine_from(task.observations, task.clamps, task.thetas, chosen)
+            found = refine(task.observations, task.clamps, task.thetas, chosen)
         held_out = None
         if split is not None:
             with busy(f"cross-validating {task.observations.name} in {folds} folds"):
-                held_out = refine_held_out(task.observations, task.clamps, found[0].theta, split, chosen)
+                held_out = refine_held_out(task.observations, task.clamps, replace(found.theta, rest_curvature=None), split, chosen)
         summaries.append(summary_of(task.observations, found, held_out, density))
         if not options.json:
             tell(summaries[-1])
@@ -99,9 +109,7 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
     else:
         observations = load_observations(source, given.up(options))
         thetas, kinds, weight = _of_file(options, observations), (None, None), given.frame_weight(options)
-    sigma, clip = given.length("--sigma", options.sigma), given.length("--clip", options.clip)
-    if clip is not None:
-        observations = held_whole(observations, clip)
+    sigma = given.length("--sigma", options.sigma)
     if sigma is not None:
         observations = replace(observations, sigma=np.array(sigma))
     asked = (given.clamp(options.clamp_start), given.clamp(options.clamp_end))
@@ -109,7 +117,7 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
     clamps = observation_clamps(observations, *kinds)
     check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight)
     task = Task(observations, clamps, thetas, weight)
-    _refinement_options(options, task).parametrisation(observations.rest_length).begun(thetas[0])
+    _check_model(_refinement_options(options, task), task)
     return task
 
 
@@ -147,11 +155,30 @@ def _of_file(options: Namespace, observations: Observations) -> tuple:
 def _refinement_options(options: Namespace, task: Task):
     from doo_ti.refinement.refine import RefinementOptions
 
-    names = tuple(name.strip().replace("-", "_") for name in options.parameters.split(",") if name.strip())
+    names = [name.strip().replace("-", "_") for name in options.parameters.split(",") if name.strip()]
+    curvature = options.rest_curvature
+    for name, own in OLD_CURVATURES.items():
+        if name in names:
+            names.remove(name)
+            curvature = curvature or own
     return RefinementOptions(
-        names, task.frame_weight,
+        tuple(names), None if options.clip == "unknown" else given.length("--clip", options.clip), curvature or "field",
+        options.clamps == "loose", task.frame_weight,
         curvature_spread=_positive("--curvature-spread", options.curvature_spread, "a curvature in 1/mm"),
-        curvature_range=given.length("--curvature-range", options.curvature_range))
+        curvature_range=given.length("--curvature-range", options.curvature_range),
+        edges=given.whole("--edges", options.edges, 6), models=not options.no_models)
+
+
+def _check_model(chosen, task: Task) -> None:
+    """Raise InputError for options that do not fit the observations or each other, before anything is relaxed."""
+    from doo_ti.refinement.held_rod import HeldRod
+    from doo_ti.refinement.refine import FEWEST_EDGES, check
+    from doo_ti.refinement.unknowns import Unknowns
+
+    check(task.observations, chosen)
+    rod = HeldRod(task.observations, task.clamps, FEWEST_EDGES)
+    unknowns = Unknowns(rod, chosen.parameters, chosen.clip is None, chosen.curvature, chosen.clamps)
+    unknowns.begun(task.thetas[0], unknowns.clip_prior)
 
 
 def _positive(option: str, text: str | None, wanted: str) -> float | None:

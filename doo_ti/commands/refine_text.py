@@ -1,7 +1,6 @@
-"""What ``doo-ti refine`` tells: a summary for machines, and lines made of it for a person."""
+"""What ``doo-ti refine`` prints: a summary for machines, and lines made of it for a person."""
 
 from dataclasses import asdict
-from itertools import combinations
 
 import numpy as np
 
@@ -9,33 +8,50 @@ from doo_ti.commands.printing import counted
 from doo_ti.dataset import Observations
 from doo_ti.refinement.linear_density import weight_per_length
 
-LISTED = 4  # unknowns named one by one, directions left open, observations on other branches
-JOINTS = "rest_curvature_per_joint"
+LISTED = 6  # observations named one by one
+SYMBOLS = {"bend": "EI", "bend_1": "EI_1", "bend_2": "EI_2", "twist": "GJ"}
+MODELS = {
+    "straight": "straight at rest, clamped in the middle of the outer edges",
+    "curved": "curved at rest, clamped there",
+    "clips": "curved, clips of unknown length, clamps exact",
+    "clamps": "curved, clips of unknown length, clamps loose",
+    "ribbon": "as fitted, bend stiffness different about m1 and m2",
+}
 
 
-def summary_of(observations: Observations, found: tuple, held_out, density: float | None) -> dict:
-    """The best of the refinements ``found`` with its intervals, and the others in short, as JSON holds it.
+def summary_of(observations: Observations, found, held_out, density: float | None) -> dict:
+    """A :class:`doo_ti.refinement.refine.Refinement` as JSON holds it.
 
     held_out  a :class:`doo_ti.refinement.folds.HeldOut`, or None
     density   of the rod in g/m, or None
     """
-    best, estimate = found[0], found[0].estimate
-    few = [name for name in estimate.names if not name.startswith(JOINTS)]
+    estimate, scales = found.estimate, found.estimate.scales
+    names = estimate.names
+    pairs = [(first, second) for k, first in enumerate(names) for second in names[k + 1 :]
+             if not (first.startswith("up") or second.startswith("up"))]
+    constant = estimate.values.constant.reshape(2, 2, 2, 3)
     return {
         "material": observations.name, "source": observations.source, "observations": observations.count,
-        "theta": _theta(best.theta), "parameters": [asdict(parameter) for parameter in estimate.parameters],
-        "unknowns": estimate.names, "covariance": estimate.covariance, "correlation": estimate.correlation,
-        "degrees_of_freedom": best.degrees, "chi_square": best.chi_square, "reduced_chi_square": best.reduced_chi_square,
-        "tilt_deg": float(np.degrees(np.arccos(np.clip(np.dot(best.theta.up, observations.up), -1.0, 1.0)))),
-        "sigma_mm": best.sigma, "reaches_noise": best.reaches_noise, "neighbour_correlation": best.neighbours,
-        "verdict": best.verdict, "not_determined": estimate.left_open, "stiffness": _stiffness(best, density),
-        "mean_distance_mm": best.mean_distance, "start_mean_distance_mm": best.start_mean_distance,
-        "distance_mm": best.distance, "rods_used": int(best.used.sum()), "left_out": best.left_out,
-        "misfits": np.flatnonzero(best.misfits),
-        "other_branch": np.flatnonzero(best.other_branch), "converged": best.converged, "iterations": best.iterations,
-        "regions": [{"parameters": pair, "outline": estimate.region(*pair)} for pair in combinations(few, 2)],
-        "other_starts": [{**_theta(other.theta), "mean_distance_mm": other.mean_distance, "rods_used": int(other.used.sum()),
-                          "converged": other.converged} for other in found[1:]],
+        "theta": _theta(found.theta), "parameters": [asdict(parameter) for parameter in estimate.parameters],
+        "unknowns": names, "covariance": estimate.covariance, "correlation": estimate.correlation,
+        "degrees_of_freedom": estimate.degrees, "not_determined": estimate.left_open,
+        "stiffness": _stiffness(estimate, density),
+        "rest_curvature_per_mm": {"spread": scales["curvature"], "range_mm": scales["range"],
+                                  "root_mean_square": _size(found.theta.rest_curvature)},
+        "clamp_errors": {"turn_deg": np.degrees(np.linalg.norm(constant[:, 0], axis=-1)).max(axis=0),
+                         "shift_mm": np.linalg.norm(constant[:, 1], axis=-1).max(axis=0),
+                         "turn_scatter_deg": float(np.degrees(scales["turn_scatter"])),
+                         "shift_scatter_mm": scales["shift_scatter"]},
+        "tilt_deg": float(np.degrees(np.arccos(np.clip(np.dot(found.theta.up, observations.up), -1.0, 1.0)))),
+        "sigma_mm": found.adequacy.noise, "sigma_stated": found.adequacy.stated, "excess": found.adequacy.excess,
+        "gap_mm": found.adequacy.gap, "neighbour_correlation": found.adequacy.correlation,
+        "reaches_noise": found.adequacy.reaches_noise, "advice": [asdict(one) for one in found.adequacy.advice],
+        "models": [asdict(score) for score in found.scores],
+        "mesh_edges": found.mesh_edges, "mesh_correction_mm": found.mesh_error,
+        "mean_distance_mm": found.mean_distance, "distance_mm": found.distance, "rods_used": int(found.used.sum()),
+        "left_out": found.reasons, "misfits": np.flatnonzero(found.misfits), "converged": found.converged,
+        "iterations": found.steps,
+        "regions": [{"parameters": pair, "outline": estimate.region(*pair)} for pair in pairs],
         "held_out": None if held_out is None else {
             "fold": held_out.fold, "distance_mm": held_out.distance, "mean_distance_mm": held_out.mean_distance,
             "standard_error_mm": held_out.standard_error, "sound": int(held_out.sound.sum()),
@@ -48,74 +64,103 @@ def _theta(theta) -> dict:
             "weight": theta.weight, "rest_curvature": theta.rest_curvature, "up": theta.up}
 
 
-def _stiffness(best, density: float | None) -> dict:
-    """Learned stiffness over weight per length in mm³, and with a linear density in N m²: value, low, high."""
-    bend = best.theta.bend
-    names = {"EI": "bend_1", "GJ": "twist"} if bend[0, 0] == bend[1, 1] else {"EI_1": "bend_1", "EI_2": "bend_2", "GJ": "twist"}
-    names |= {"EI": "bend"} if "bend" in best.estimate.names else {}
-    names = {name: parameter for name, parameter in names.items() if parameter in best.estimate.names}
+def _size(curvature: np.ndarray | None) -> float:
+    """Root mean square over the rod of one component, 1/mm."""
+    return 0.0 if curvature is None else float(np.sqrt((np.asarray(curvature) ** 2).mean()))
+
+
+def _stiffness(estimate, density: float | None) -> dict:
+    """Stiffness over weight per length in mm³, and with a linear density in N m²: value, low, high, None where open."""
     result = {}
-    for name, parameter in names.items():
-        over_weight = best.estimate.over_weight(parameter)
-        result[f"{name}_over_weight_mm3"] = over_weight
+    for parameter in estimate.over_weight:
+        ends = [parameter.value, parameter.low, parameter.high]
+        symbol = SYMBOLS[parameter.name]
+        result[f"{symbol}_over_weight_mm3"] = ends
         if density is not None:
-            result[f"{name}_Nm2"] = [value * weight_per_length(density) * 1e-9 for value in over_weight]
+            result[f"{symbol}_Nm2"] = [None if end is None else end * weight_per_length(density) * 1e-9 for end in ends]
     return result
 
 
 def tell(summary: dict) -> None:
     """Lines for a person."""
-    steps = f"{summary['iterations']} steps{'' if summary['converged'] else ', NOT at the least: stopped'}"
+    steps = f"{summary['iterations']} steps{'' if summary['converged'] else ', NOT converged: stopped'}"
     print(f"{summary['material']}: {summary['rods_used']} of {summary['observations']} observations, {steps}")
     for parameter in summary["parameters"]:
-        if not parameter["name"].startswith((JOINTS, "up[")):
-            print(f"  {parameter['name']:<18} {_interval(parameter['value'], parameter['low'], parameter['high'])} "
-                  f"{parameter['unit']}".rstrip())
-    if any(parameter["name"].startswith(JOINTS) for parameter in summary["parameters"]):
-        rest = np.asarray(summary["theta"]["rest_curvature"])
-        size = float(np.sqrt((rest**2).sum(axis=-1).mean()))
-        print(f"  {'rest curvature':<18} {size:.3g} 1/mm, root mean square over {len(rest)} joints")
-    print("                     (95 % intervals" + ("" if summary["reaches_noise"] else
-                                                    " of noise alone: the model lacks something, and may be off by more") + ")")
+        if not parameter["name"].startswith("up["):
+            print(_line(parameter["name"], interval_text(**{k: parameter[k] for k in ("value", "low", "high", "unit")})))
     if "up[0]" in summary["unknowns"]:
         x, y, z = summary["theta"]["up"]
-        print(f"  {'up':<18} ({x:.4f}, {y:.4f}, {z:.4f}), tilted by {summary['tilt_deg']:.2g}° from what was given")
-    for name, values in summary["stiffness"].items():
+        print(_line("up", f"({x:.4f}, {y:.4f}, {z:.4f}), tilted by {summary['tilt_deg']:.2g}° from what was given"))
+    for name, (value, low, high) in summary["stiffness"].items():
         what, unit = (name.removesuffix("_Nm2"), "N m²") if name.endswith("_Nm2") else (
             f"{name.removesuffix('_over_weight_mm3')} over weight", "mm³")
-        print(f"  {what:<18} {_interval(*values)} {unit}")
-    print(f"  distance           mean {summary['mean_distance_mm']:.4g} mm, {summary['start_mean_distance_mm']:.4g} mm where "
-          "it began (Eq. 1; least squares need not make it least)")
-    print(f"  residuals          {summary['verdict']}")
-    _tell_doubts(summary)
-    for other in summary["other_starts"]:
-        print(f"  another start      bend {other['bend_1']:.4g}, twist {other['twist']:.4g} mm³: mean "
-              f"{other['mean_distance_mm']:.4g} mm, {other['rods_used']} rods")
+        print(_line(what, interval_text(value, low, high, unit)))
+    print(_line("", "95 % intervals, everything else fitted anew"))
+    curvature = summary["rest_curvature_per_mm"]
+    if curvature["root_mean_square"]:
+        print(_line("rest curvature", f"{curvature['root_mean_square']:.3g} 1/mm (root mean square), "
+                                      f"over a range of {curvature['range_mm']:.3g} mm"))
+    errors = summary["clamp_errors"]
+    if max(errors["turn_deg"]) > 0:
+        (turn_start, turn_end), (shift_start, shift_end) = errors["turn_deg"], errors["shift_mm"]
+        print(_line("clamps off by", f"{turn_start:.2g}° and {shift_start:.2g} mm (start), {turn_end:.2g}° and "
+                                     f"{shift_end:.2g} mm (end); {errors['turn_scatter_deg']:.2g}° from one to the next"))
+    print(_line("distance", f"mean {summary['mean_distance_mm']:.4g} mm (Eq. 1)"))
+    _tell_adequacy(summary)
+    _tell_rods(summary)
+    _tell_models(summary)
     if summary["held_out"] is not None:
         held = summary["held_out"]
-        print(f"  held out           mean {held['mean_distance_mm']:.4g} ± {held['standard_error_mm']:.2g} mm over "
-              f"{held['sound']} rods in {len(held['theta'])} folds (Eq. 1)")
+        print(_line("held out", f"mean {held['mean_distance_mm']:.4g} ± {held['standard_error_mm']:.2g} mm over "
+                                f"{held['sound']} rods in {len(held['theta'])} folds (Eq. 1)"))
 
 
-def _tell_doubts(summary: dict) -> None:
-    """What is correlated, not determined, left out, or elsewhere."""
-    names, correlation = summary["unknowns"], summary["correlation"]
-    for first, second in combinations(range(min(len(names), LISTED)), 2):
-        if abs(correlation[first, second]) > 0.9:
-            print(f"  correlation        {correlation[first, second]:.3f} of {names[first]} and {names[second]}")
-    open_directions = summary["not_determined"]
-    for direction in open_directions[:LISTED]:
-        print(f"  not determined     {direction}")
-    if len(open_directions) > LISTED:
-        print(f"                     and {len(open_directions) - LISTED} more directions")
+def interval_text(value: float, low: float | None, high: float | None, unit: str) -> str:
+    """A value with its interval; bounded on one side only that bound; else that it is not determined."""
+    if low is None and high is None:
+        return "not determined"
+    if high is None:
+        return f"at least {low:.3g} {unit}".rstrip()
+    if low is None:
+        return f"at most {high:.3g} {unit}".rstrip()
+    wide = "  (wide: more than a factor of 4)" if low > 0 and high > 4 * low else ""
+    return f"{value:.4g} ({low:.4g} .. {high:.4g}) {unit}".rstrip() + wide
+
+
+def _line(label: str, text: str) -> str:
+    return f"  {label:<18} {text}"
+
+
+def _tell_adequacy(summary: dict) -> None:
+    noise = summary["sigma_mm"]
+    whose = "stated" if summary["sigma_stated"] else "learned"
+    print(_line("noise", f"{noise:.3g} mm per coordinate ({whose})"))
+    if summary["reaches_noise"]:
+        print(_line("residuals", "nothing but noise is left"))
+    elif summary["sigma_stated"] and summary["excess"] > 1.5:
+        print(_line("residuals", f"{summary['excess']:.3g} times the stated noise: it is larger, or the model lacks something"))
+    else:
+        print(_line("residuals", f"the model misses {summary['gap_mm']:.3g} mm besides, smooth along the rod; intervals allow "
+                                 "for that"))
+    for one in summary["advice"][:2]:
+        print(_line("try", f"{one['option']} ({one['meaning']}: twice the log evidence rises by {one['gain']:.3g})"))
+    if not summary["reaches_noise"] and not summary["advice"]:
+        print(_line("try", "none of the options explains it: look at the misfits, at --sigma, or at how the marks were made"))
+
+
+def _tell_rods(summary: dict) -> None:
+    """What was left out, and why."""
     if summary["left_out"]:
-        print(f"  left out           {counted(summary['left_out'])}")
-    for label, problem, rows in (("misfits", "fit far worse than the others", summary["misfits"]),
-                                 ("other branch", "than the observation leads to", summary["other_branch"])):
-        if len(rows):
-            more = f" and {len(rows) - LISTED} more" * (len(rows) > LISTED)
-            print(f"  {label:<18} {problem}: {', '.join(map(str, rows[:LISTED]))}{more}")
+        print(_line("left out", counted(summary["left_out"])))
+    rows = summary["misfits"]
+    if len(rows):
+        more = f" and {len(rows) - LISTED} more" * (len(rows) > LISTED)
+        print(_line("misfits", f"observations far from every equilibrium that was tried: {', '.join(map(str, rows[:LISTED]))}{more}"))
 
 
-def _interval(value: float, low: float, high: float) -> str:
-    return f"{value:.4g} ({low:.3g} .. {high:.3g})"
+def _tell_models(summary: dict) -> None:
+    for k, score in enumerate(summary["models"]):
+        verdict = "predicts worse" if score["difference"] < -2 * score["error"] else (
+            "predicts better" if score["difference"] > 2 * score["error"] else "predicts as well")
+        print(_line("other models" if k == 0 else "", f"{verdict}: {MODELS[score['model']]} ({score['difference']:+.3g} ± "
+                                                      f"{score['error']:.2g}, leave-one-out log score)"))

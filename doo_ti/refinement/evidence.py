@@ -11,17 +11,22 @@ and what is left, −2 ln of the evidence but for a constant, is
 r' at the most probable x̂ and ẑ. Where the model is linear this is Laplace's approximation of the true one.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize
 
 from doo_ti.refinement.curvature_field import covariance
-from doo_ti.refinement.linear_model import Moments, Residuals, effect_scales
+from doo_ti.refinement.held_rod import POSE
+from doo_ti.refinement.linear_model import GAP_MODES, Moments, Residuals, effect_scales
 from doo_ti.refinement.scales import NAMES, Scales
 from doo_ti.refinement.unknowns import Unknowns
 
 STEPS = 60
+WARMING = 4
+"""Steps of expectation and maximisation before the search, which sizes far off would lead astray."""
+SETTLED = 0.2
+FARTHEST = 2.0
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,11 @@ class Evidence:
     offset: np.ndarray
     basis: np.ndarray | None = None
     along: np.ndarray | None = None
+
+    def holding(self, direction: np.ndarray, amount: float = 0.0) -> "Evidence":
+        """The same with the step along ``direction`` (P,) held: direction · x is ``amount``."""
+        full, _ = np.linalg.qr(np.column_stack([direction, np.eye(len(direction))]))
+        return replace(self, basis=full[:, 1 : len(direction)], along=amount * direction / (direction @ direction))
 
     def posterior(self, scales: Scales) -> Posterior:
         weights = [1 / scales[kind.scale] ** 2 for kind in self.moments]
@@ -122,17 +132,35 @@ class Evidence:
         return -0.5 * (fell + constant + np.linalg.slogdet(hessian)[1] - np.linalg.slogdet(without)[1])
 
     def best(self, scales: Scales, steps: int = STEPS) -> Scales:
-        """The sizes of the largest evidence that is reached from ``scales``."""
+        """The sizes of the largest evidence that is reached from ``scales``, each within a factor e² of what it was."""
         if not scales.learned.any():
             return scales
+        counts = self._counts(scales)
+        for _ in range(WARMING):
+            # Expectation and maximisation: each squared size becomes what the posterior expects of its squares.
+            share = self.posterior(scales).gradient / (2 * counts)
+            if np.abs(share).max() < SETTLED:
+                break
+            scales = scales.at(scales.free + 0.5 * np.log(np.clip(1 - share, 0.1, 4.0)))
 
         def objective(free):
             found = self.posterior(scales.at(free))
             return found.value, found.gradient
 
-        found = minimize(objective, scales.free, jac=True, method="L-BFGS-B", bounds=scales.bounds,
+        begin = scales.free
+        bounds = [(max(low, now - FARTHEST), min(high, now + FARTHEST)) for (low, high), now in zip(
+            scales.bounds, begin, strict=True)]
+        found = minimize(objective, begin, jac=True, method="L-BFGS-B", bounds=bounds,
                          options={"maxiter": steps, "ftol": 1e-10, "gtol": 1e-3})
         return scales.at(found.x)
+
+    def _counts(self, scales: Scales) -> np.ndarray:
+        """(H,) how many squares each learned size is the mean of; the range is no such mean, and counts as the curvature."""
+        rods, knots = len(self.moments[0].effects), max(len(self.unknowns.columns("curvature")), 2)
+        counts = {"curvature": knots, "range": knots, "turn": POSE, "shift": POSE, "turn_scatter": 6 * rods,
+                  "shift_scatter": 6 * rods, "gap": 3 * GAP_MODES * rods}
+        counts |= {kind.scale: max(kind.count, 1.0) for kind in self.moments}
+        return np.array([counts.get(name, 1.0) for name, free in zip(NAMES, scales.learned, strict=True) if free], dtype=float)
 
     def _solved(self, hessian: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """(x̂, covariance of x, ln |H|) over the unknowns that are free."""

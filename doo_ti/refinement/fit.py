@@ -109,7 +109,7 @@ class Fit:
                 break
             found = fitted.posterior
             share = self._share(found.step)
-            trial, share = self._stepped(fitted, share)
+            trial, share = self._stepped(fitted, share, moving=left != 0.0)
             left *= 1 - share
             if share == 0:
                 break
@@ -143,12 +143,10 @@ class Fit:
     def _linear(self, state: State, held) -> Fitted:
         """The linear model around ``state``, its sizes fitted."""
         linear, used = self.comparison.linear(state.solution, state.values, state.used)
-        basis, along = None, None
-        if held is not None:
-            direction, amount = held
-            basis, along = _across(direction), amount * direction / (direction @ direction)
         evidence = Evidence(self.unknowns, tuple(Moments.of(kind) for kind in linear),
-                            self.unknowns.offset(state.values, self.origin), basis, along)
+                            self.unknowns.offset(state.values, self.origin))
+        if held is not None:
+            evidence = evidence.holding(*held)
         scales = evidence.best(state.scales, SCALE_STEPS)
         return Fitted(replace(state, scales=scales, used=used), evidence, evidence.posterior(scales), linear, False, 0)
 
@@ -158,8 +156,9 @@ class Fit:
                            else LARGEST_STEP for name in names])
         return float(min(1.0, 1 / max((np.abs(step) / limits).max(), 1e-300)))
 
-    def _stepped(self, fitted: Fitted, share: float) -> tuple[State, float]:
-        """A step that lowers −2 ln of the posterior, and how much of the whole it is; none where rounding is in the way."""
+    def _stepped(self, fitted: Fitted, share: float, moving: bool) -> tuple[State, float]:
+        """A step that lowers −2 ln of the posterior and loses no rod, and how much of the whole it is; none where rounding is in
+        the way. One that is ``moving`` what is held otherwise may raise it."""
         state, found, unknowns = fitted.state, fitted.posterior, self.unknowns
         effects = found.effects[:, :POSE] if unknowns.clamps else 0 * state.values.scatter
         effects = np.where(state.used[:, None], effects, 0.0)
@@ -168,7 +167,7 @@ class Fit:
             values = unknowns.moved(state.values, share * found.step, share * (effects - state.values.scatter))
             trial = self.at(values, state.scales, state.solution)
             kept = trial.solution.converged & trial.solution.stable
-            if kept[state.used].all() and self._objective(trial, state.used, state.scales) <= before:
+            if kept[state.used].all() and (moving or self._objective(trial, state.used, state.scales) <= before):
                 return trial, share
             share *= SHORTENED
         return state, 0.0
@@ -212,8 +211,3 @@ class Fit:
         merged = replace(state.solution, configuration=replace(state.solution.configuration, quaternions=keep))
         return self.at(values, state.scales, merged), True
 
-
-def _across(direction: np.ndarray) -> np.ndarray:
-    """(P, P − 1) orthonormal basis of what is across ``direction`` (P,)."""
-    full, _ = np.linalg.qr(np.column_stack([direction, np.eye(len(direction))]))
-    return full[:, 1 : len(direction)]

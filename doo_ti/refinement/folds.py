@@ -3,15 +3,14 @@
 Observations that belong together, frames of one recording, are left out together.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
-from doo_ti.metric import distance
-from doo_ti.refinement.parametrisation import Theta
-from doo_ti.refinement.refine import Refinement, RefinementOptions, refine, relax_observations
+from doo_ti.refinement.refine import Refinement, RefinementOptions, predicted, refine
+from doo_ti.refinement.unknowns import Theta
 from doo_ti.types import Clamps
 
 
@@ -61,13 +60,10 @@ def refine_held_out(observations: Observations, clamps: Clamps, theta: Theta, fo
                     options: RefinementOptions = RefinementOptions()) -> HeldOut:
     """Refine from ``theta`` without each fold (D,) in turn, and compare the observations of that fold."""
     error, sound = np.full(observations.count, np.nan), np.zeros(observations.count, dtype=bool)
-    refinements = []
+    options, refinements = replace(options, intervals="covariance", models=False), []
     for k in np.unique(fold):
         inside, outside = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
         found = refine(observations.take(inside), clamps.take(inside), theta, options)
-        tested = observations.take(outside)
-        solution = relax_observations(tested, clamps.take(outside), found.theta, options.solver)
-        error[outside] = distance(solution.configuration, tested, frame_weight=options.frame_weight)
-        sound[outside] = solution.converged & solution.stable
+        error[outside], sound[outside] = predicted(found, observations.take(outside), clamps.take(outside), options)
         refinements.append(found)
     return HeldOut(fold, tuple(refinements), error, sound)

@@ -1,14 +1,9 @@
-"""Where on a landscape to begin a refinement, and the best of several (§III-E)."""
-
-from collections.abc import Sequence
+"""Where on a landscape to begin a refinement (§III-E)."""
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.grid import Grid
-from doo_ti.refinement.parametrisation import Theta
-from doo_ti.refinement.refine import Refinement, RefinementOptions, refine
-from doo_ti.types import Clamps
+from doo_ti.refinement.unknowns import Theta
 
 
 def lowest_cells(grid: Grid, mean_distance: np.ndarray, count: int) -> np.ndarray:
@@ -31,10 +26,3 @@ def lowest_cells(grid: Grid, mean_distance: np.ndarray, count: int) -> np.ndarra
 def theta_of_cell(grid: Grid, cell: int, up) -> Theta:
     """Θ of a grid's cell."""
     return Theta.of(grid.materials(np.array([cell])), up=up)
-
-
-def refine_from(observations: Observations, clamps: Clamps, thetas: Sequence[Theta],
-                options: RefinementOptions = RefinementOptions()) -> tuple[Refinement, ...]:
-    """Refinements from each of ``thetas``, the best first: the one with most rods, and of those with the smallest misfit."""
-    found = [refine(observations, clamps, theta, options) for theta in thetas]
-    return tuple(sorted(found, key=lambda one: (-one.used.sum(), one.reduced_chi_square if one.sigma is None else one.sigma)))

@@ -36,13 +36,13 @@ def interval(fit: Fit, fitted: Fitted, direction: np.ndarray, degrees: float, pr
     """The interval of ``direction`` (P,) · x; ``degrees`` of freedom that the noise was learned from, or inf."""
     wanted = float(np.sqrt(f_distribution.ppf(probability, 1, degrees)))
     error = float(np.sqrt(direction @ fitted.posterior.covariance @ direction))
-    low, high = (_reach(fit, fitted, sign * direction, wanted, error) for sign in (-1.0, 1.0))
+    least = fitted.evidence.holding(direction).posterior(fitted.state.scales).value
+    low, high = (_reach(fit, fitted, sign * direction, wanted, error, least) for sign in (-1.0, 1.0))
     return Interval(None if low is None else -low, high, error)
 
 
-def _reach(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float, error: float) -> float | None:
-    """How far along ``direction`` the root of F's rise gets to ``wanted``; None beyond FARTHEST."""
-    least = fitted.posterior.value
+def _reach(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float, error: float, least: float) -> float | None:
+    """How far along ``direction`` the root of F's rise above ``least`` gets to ``wanted``; None beyond FARTHEST."""
     places, roots, states = [0.0], [0.0], [fitted.state]
     place = min(wanted * error, FIRST)
     for _ in range(TRIALS):
@@ -66,11 +66,8 @@ def _reach(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float, error
 
 def _held(fit: Fit, fitted: Fitted, state: State, direction: np.ndarray, amount: float) -> tuple[Fitted, float]:
     """The best fit ``amount`` further along ``direction`` than ``state``, and how far it got."""
-    unit = direction / np.linalg.norm(direction)
-    scale = np.linalg.norm(direction)
     origin = fit.unknowns.offset(state.values, fit.origin)
-    # Along the ridge at first: what the covariance expects of the others.
-    found = fit.run(state, STEPS, held=(unit, amount / scale))
+    found = fit.run(state, STEPS, held=(direction, amount))
     moved = fit.unknowns.offset(found.state.values, fit.origin) - origin
     return found, float(direction @ moved)
 

@@ -15,14 +15,14 @@ from doo_ti.errors import InputError
 from doo_ti.refinement.adequacy import Adequacy, adequacy
 from doo_ti.refinement.estimate import Estimate, estimated
 from doo_ti.refinement.fit import Fit, Fitted
-from doo_ti.refinement.held_rod import HeldRod
+from doo_ti.refinement.held_rod import POSE, HeldRod
 from doo_ti.refinement.mesh_error import mesh_correction, relaxed_on
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.scales import typical_scales
 from doo_ti.refinement.selection import Score, scores
 from doo_ti.refinement.unknowns import Theta, Unknowns
 from doo_ti.relaxation.newton import Newton
-from doo_ti.types import Clamps, Status
+from doo_ti.types import Clamp, Clamps, Status
 
 FEWEST_EDGES, MOST_EDGES = 24, 400
 TRIED_FIRST = 4
@@ -30,6 +30,9 @@ TRIED_FIRST = 4
 ASYMPTOTIC = 1.0
 """Times the noise: a larger correction of the mesh is not to be trusted, and the mesh is made twice as fine."""
 CORRECTIONS = 2
+FIRST_TURN = 0.3
+"""rad, the turn of the whole rod's rest curvature to begin with where all spins are free: with none a rod has no preferred
+side, and with next to none it turns wildly."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,7 @@ class Refinement:
         return float(self.distance[self.used].mean()) if self.used.any() else np.nan
 
     @property
-    def left_out(self) -> dict[str, int]:
+    def reasons(self) -> dict[str, int]:
         """Why how many rods did not determine Θ."""
         reasons = np.array([kind.name.lower().replace("_", " ") for kind in Status])[self.status]
         sound = self.status == Status.CONVERGED
@@ -135,9 +138,22 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
     return _refinement(fit, fitted, options, correction, found)
 
 
+def predicted(found: Refinement, observations: Observations, clamps: Clamps, options: RefinementOptions
+              ) -> tuple[np.ndarray, np.ndarray]:
+    """(D,) Eq. 1 in mm of observations that ``found`` has not seen, each rod relaxed from its observation, and which of them
+    (D,) are converged and stable. What the clamps are off in one observation is unknown there, and taken as none."""
+    rod = HeldRod(observations, clamps, 2 * found.mesh_edges if found.mesh_error is not None else found.mesh_edges)
+    unknowns = Unknowns(rod, tuple(options.parameters), options.clip is None, options.curvature, options.clamps)
+    values = replace(found.estimate.values, scatter=np.zeros((observations.count, POSE)))
+    solution = rod.relaxed(unknowns.material(values), values.clip, unknowns.pose(values), options.solver, values.theta.up)
+    frames = rod.directors(solution, values.clip) if options.frame_weight > 0 else None
+    return (mark_distance(rod.marks(solution, values.clip), observations, frames, options.frame_weight),
+            solution.converged & solution.stable)
+
+
 def _fitted(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...], options: RefinementOptions):
     """The fit on its first mesh, and where it came to from the best of ``thetas``."""
-    _check(observations, options)
+    check(observations, options)
     edges = options.edges or int(np.clip(2 * observations.edges, FEWEST_EDGES, MOST_EDGES))
     rod = HeldRod(observations, clamps, edges)
     unknowns = Unknowns(rod, tuple(options.parameters), options.clip is None, options.curvature, options.clamps)
@@ -147,6 +163,8 @@ def _fitted(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...
     tried = []
     for theta in thetas:
         values = unknowns.begun(theta, clip)
+        if _spins(clamps) and not values.curvature.any():
+            values.curvature[:] = [FIRST_TURN / rod.length, 0.0]
         fit = Fit(comparison, replace(values, theta=thetas[0]), options.solver)
         try:
             state = fit.begin(values, scales)
@@ -163,6 +181,11 @@ def _fitted(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...
         further = fit.run(fitted.state, options.iterations)
         fitted = replace(further, steps=further.steps + fitted.steps)
     return fit, fitted
+
+
+def _spins(clamps: Clamps) -> bool:
+    """Whether every rod may spin about itself at both ends."""
+    return bool(np.all((np.asarray(clamps.start) < Clamp.FRAME) & (np.asarray(clamps.end) < Clamp.FRAME)))
 
 
 def _corrected(fit: Fit, fitted: Fitted, options: RefinementOptions):
@@ -185,7 +208,8 @@ def _corrected(fit: Fit, fitted: Fitted, options: RefinementOptions):
     return fit, fitted, correction
 
 
-def _check(observations: Observations, options: RefinementOptions) -> None:
+def check(observations: Observations, options: RefinementOptions) -> None:
+    """Raise InputError for options that do not fit the observations or each other."""
     if options.frame_weight > 0 and observations.frames is None:
         raise InputError(observations.source, "frames", "missing, but a frame weight is given", "use a frame weight of zero")
     if options.clip is not None and not 0 < options.clip < 0.25 * observations.rest_length.sum():

@@ -17,8 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 NAMES = ("marks", "frames", "curvature", "range", "turn", "shift", "turn_scatter", "shift_scatter", "gap")
-REACH = 9.0
-"""A size stays within this many factors e of what is typical."""
+REACH, REACH_OF_RANGE = 9.0, 2.5
+"""A size stays within this many factors e of what is typical; the range of the rest curvature between about a hundredth of the
+rod's length and the whole."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,9 @@ class Scales:
 
     @property
     def bounds(self) -> list[tuple[float, float]]:
-        middle = np.log(self.typical[self.learned])
-        return [(low, high) for low, high in zip(middle - REACH, middle + REACH, strict=True)]
+        middle = np.log(self.typical)
+        reach = np.where(np.array(NAMES) == "range", REACH_OF_RANGE, REACH)
+        return list(zip((middle - reach)[self.learned], (middle + reach)[self.learned], strict=True))
 
     def at(self, free: np.ndarray) -> "Scales":
         """These sizes with the learned ones' logarithms at ``free`` (H,)."""
