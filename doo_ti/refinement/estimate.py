@@ -61,7 +61,7 @@ class Estimate:
     scales           noise, curvature and the clamps' errors
     names            of Θ's unknowns
     covariance       (T, T) of these
-    degrees          degrees of freedom that the noise was learned from; inf where σ was given
+    degrees          degrees of freedom of the intervals: observations less parameters of Θ
     """
 
     theta: Theta
@@ -133,9 +133,8 @@ def estimated(fit: Fit, fitted: Fitted, profiled: bool = True) -> Estimate:
     """The estimate of a fit that has come to its end; ``profiled``: intervals of Θ from the marginal likelihood's profile."""
     unknowns, values, scales = fit.unknowns, fitted.state.values, fitted.state.scales
     count = unknowns.theta_count
-    degrees = np.inf
-    if unknowns.rod.observations.sigma is None:
-        degrees = max(float(sum(kind.count for kind in fitted.evidence.moments)) - len(unknowns.names), 1.0)
+    # Marks of one rod are not independent where the rod's clamps are off: what counts is how many rods there are.
+    degrees = max(float(fitted.state.used.sum()) - count, 1.0)
     theta = unknowns.theta_at(values)
     names = unknowns.names[:count]
     found = {}

@@ -23,6 +23,8 @@ from doo_ti.refinement.scales import NAMES, Scales
 from doo_ti.refinement.unknowns import Unknowns
 
 STEPS = 60
+ENOUGH = 1e-7
+"""Relative change of F, some ten thousand, with which the search ends: a thousandth of what an interval is about."""
 WARMING = 4
 """Steps of expectation and maximisation before the search, which sizes far off would lead astray."""
 SETTLED = 0.2
@@ -151,7 +153,7 @@ class Evidence:
         bounds = [(max(low, now - FARTHEST), min(high, now + FARTHEST)) for (low, high), now in zip(
             scales.bounds, begin, strict=True)]
         found = minimize(objective, begin, jac=True, method="L-BFGS-B", bounds=bounds,
-                         options={"maxiter": steps, "ftol": 1e-10, "gtol": 1e-3})
+                         options={"maxiter": steps, "ftol": ENOUGH, "gtol": 1e-3})
         return scales.at(found.x)
 
     def _counts(self, scales: Scales) -> np.ndarray:

@@ -23,7 +23,7 @@ LARGEST_STEP = 1.0  # of an unknown of Θ or a clip: small steps keep rods on th
 LARGEST_TURN = 0.3  # rad, of a clamp
 SHORTENED = 1 / 3  # a step that does not help is tried so much shorter
 MOST_SHORTENED = 8
-SETTLED = 0.02  # standard errors by which Θ still moves when the fit is done
+SETTLED = 0.03  # standard errors by which Θ still moves when the fit is done
 SCALE_STEPS = 25  # of the search for the sizes, in each step
 ODD = 9.0
 """Times the others' mean square, three times their size: a rod whose residuals are so is a misfit."""
@@ -107,24 +107,20 @@ class Fit:
             fitted = self._linear(state, None if held is None else (held[0], left))
             if done:
                 break
-            found = fitted.posterior
-            share = self._share(found.step)
-            trial, share = self._stepped(fitted, share, moving=left != 0.0)
+            found, count = fitted.posterior, self.unknowns.theta_count
+            errors = np.maximum(np.sqrt(np.diag(found.covariance)[:count]), 1e-9)
+            settled = bool((np.abs(found.step[:count]) <= SETTLED * errors).all()) and left == 0.0
+            trial, share = self._stepped(fitted, self._share(found.step), moving=left != 0.0)
             left *= 1 - share
-            if share == 0:
+            if share == 0:  # rounding decides whether the posterior rises: it is at its most
+                done = settled
                 break
-            before = np.sqrt(np.diag(found.covariance)[: self._theta_count])
-            still = share == 1 and (np.abs(found.step[: self._theta_count]) <= SETTLED * np.maximum(before, 1e-9)).all()
             trial, again = self._tried_again(trial)
-            done = still and not again and (trial.used == state.used).all()
+            done = settled and share == 1 and not again and bool((trial.used == state.used).all())
             state = trial
         else:
             fitted = self._linear(state, None if held is None else (held[0], left))
         return replace(fitted, converged=done, steps=tried)
-
-    @property
-    def _theta_count(self) -> int:
-        return self.unknowns.theta_count
 
     def _state(self, values: Values, scales: Scales, solution: Solution, before: np.ndarray | None = None) -> State:
         residuals = self.comparison.values(solution, values)

@@ -33,7 +33,7 @@ class Interval:
 
 
 def interval(fit: Fit, fitted: Fitted, direction: np.ndarray, degrees: float, probability: float = 0.95) -> Interval:
-    """The interval of ``direction`` (P,) · x; ``degrees`` of freedom that the noise was learned from, or inf."""
+    """The interval of ``direction`` (P,) · x; ``degrees`` of freedom: of F(1, n)."""
     wanted = float(np.sqrt(f_distribution.ppf(probability, 1, degrees)))
     error = float(np.sqrt(direction @ fitted.posterior.covariance @ direction))
     least = fitted.evidence.holding(direction).posterior(fitted.state.scales).value

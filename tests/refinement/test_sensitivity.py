@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, InputError, Material, Newton, Springs, relax, relax_again
 from doo_ti.frames import matrix_from_quaternion, quaternion_about
@@ -171,3 +172,49 @@ def test_wrong_input_is_told(rng):
     springs = Springs(rods.vertices, np.full((2, 13), 50.0))
     with pytest.raises(InputError, match="external energy"):
         sensitivity(relax(rods, Material(1e5, 1e5), clamps, external=springs))
+
+
+@pytest.mark.parametrize("kind", ["round", "ribbon"])
+def test_rods_follow_their_lengths_and_clamps(rng, kind):
+    """Lengths, the far clamp's place and both clamps' turns against rods relaxed again, for every pair of clamps."""
+    rods = wandering(rng, len(PAIRS), 12, rest_length=rng.uniform(2, 4, 12))
+    clamps, up = with_kinds(clamps_at(rods), PAIRS), UP / np.linalg.norm(UP)
+    material = Material(2e5, 1.5e5) if kind == "round" else Material(
+        np.array([[2e5, 3e4], [3e4, 1e5]]), 1.5e5, 1.0, np.array([2e-3, -1e-3]))
+    solution = relax(rods, material, clamps, SHARP, up=up)
+    found = sensitivity(solution, ("length", "end_shift", "start_turn", "end_turn"))
+    assert found.usable.sum() > 0.8 * len(PAIRS)
+
+    def again(change):
+        start_turn, end_turn = (Rotation.from_rotvec(turn).as_matrix() for turn in (change[4:7], change[7:]))
+        there = replace(clamps, end_position=clamps.end_position + change[1:4], start_frame=start_turn @ clamps.start_frame,
+                        end_frame=end_turn @ clamps.end_frame)
+        begin = replace(solution.configuration, rest_length=rods.rest_length * np.exp(change[0]))
+        return relax(begin, material, there, replace(SHARP, first_shift=0.0), up=up)
+
+    for column, step in enumerate([1e-5, *[1e-4] * 3, *[1e-5] * 6]):
+        plus, minus = again(step * np.eye(10)[column]), again(-step * np.eye(10)[column])
+        expected = (plus.configuration.vertices - minus.configuration.vertices) / (2 * step)
+        rows = found.usable & plus.converged & minus.converged
+        size = np.maximum(np.abs(expected).max(axis=(1, 2)), 1e-2)
+        error = np.abs(found.vertices[..., column] - expected).max(axis=(1, 2)) / size
+        assert rows.sum() > 0.8 * len(PAIRS) and error[rows].max() < 2e-5, found.columns[column]
+
+
+def test_a_taut_rod_cannot_follow_its_clamps(rng):
+    rods = chain(np.tile([1.0, 0.0, 0.0], (8, 1)), [0, 0, 1], 3.0, spin=0.1 * np.arange(8))
+    solution = relax(rods, Material.diagonal(2e5, 1e5, 1e5), clamps_at(rods), SHARP)
+    found = sensitivity(solution, ("twist", "length", "end_shift"))
+    assert np.isnan(found.vertices[..., 1:]).all() and (found.vertices[..., 0] == 0).all()
+
+
+def test_modes_add_up_what_joints_do(rng):
+    rods = wandering(rng, 3, 12)
+    solution = relax(rods, Material(2e5, 1e5), clamps_at(rods), SHARP)
+    modes = rng.normal(size=(2, 11, 2))
+    found = sensitivity(solution, ("modes", "rest_curvature_per_joint"), modes)
+    joints = found.vertices[..., 2:].reshape(3, 13, 3, 11, 2)
+    np.testing.assert_allclose(found.vertices[..., :2], np.einsum("rvkjc,mjc->rvkm", joints, modes), atol=1e-9)
+    for given in (None, modes[:, 1:]):
+        with pytest.raises(InputError, match="modes"):
+            sensitivity(solution, ("modes",), given)

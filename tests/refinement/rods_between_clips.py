@@ -1,0 +1,37 @@
+"""Rods of the virtual lab for tests of refinement: small, quick, and not of the fit's own mesh."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from doo_ti.dataset import Observations
+from doo_ti.refinement.held_rod import HeldRod
+from doo_ti.refinement.residuals import Comparison
+from doo_ti.refinement.scales import Scales, typical_scales
+from doo_ti.refinement.unknowns import Theta, Unknowns
+from doo_ti.scene import Synthesis
+from doo_ti.start import observation_clamps
+from doo_ti.synthesis import synthesise
+
+BEND, TWIST, NOISE = 4e5, 3e5, 0.1
+TRUTH = Theta(BEND * np.eye(2), TWIST)
+
+
+def suture(rotations: int = 4, **fields) -> Observations:
+    """Observations of a rod with Θ = TRUTH at three end distances; ``fields`` of :class:`doo_ti.scene.Synthesis`."""
+    recipe = dict(bend=BEND, twist=TWIST, label_noise_mm=NOISE, seed=7, fine_edge_mm=0.5, clip_mm=2.5,
+                  rest_curvature_rms_per_mm=1 / 900, rest_curvature_range_mm=12.0, end_distances_mm=(42.0, 60.0, 78.0),
+                  end_rotations_deg=tuple(60.0 * k for k in range(rotations)))
+    return synthesise(Synthesis(**(recipe | fields)))
+
+
+def held(observations: Observations, edges: int = 40, kinds=(None, None)) -> HeldRod:
+    return HeldRod(observations, observation_clamps(observations, *kinds), edges)
+
+
+def model(rod: HeldRod, parameters=("bend", "twist"), with_frames: bool = False, **fields) -> tuple[Comparison, Scales]:
+    """A model of ``rod`` and sizes that are not typical in anything."""
+    unknowns = Unknowns(rod, parameters, **fields)
+    names = unknowns.scale_names | {"marks", "gap"} | ({"frames"} if with_frames else set())
+    scales = typical_scales(rod.length, 3.0, names, {})
+    return Comparison.of(unknowns, with_frames), replace(scales, value=scales.value * np.linspace(0.7, 1.4, len(scales.value)))

@@ -1,0 +1,72 @@
+"""The derivatives of everything that is compared by everything that is unknown, against rods relaxed again."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doo_ti import Clamp, Newton
+from doo_ti.refinement.fit import Fit
+from doo_ti.refinement.held_rod import POSE
+from doo_ti.refinement.unknowns import Theta
+from tests.refinement.rods_between_clips import TRUTH, held, model, suture
+
+SHARP = Newton(tolerance=1e-12)
+RIBBON = Theta([[6e5, 1e5], [1e5, 3e5]], 3e5, 1.2, up=np.array([0.1, -0.05, 1.0]) / np.sqrt(1.0125))
+
+
+def moved_residuals(comparison, fit, state, step, scatter):
+    values = fit.unknowns.moved(state.values, step, scatter)
+    return np.concatenate(comparison.values(fit.at(values, state.scales, state.solution).solution, values), axis=1)
+
+
+@pytest.mark.parametrize("theta, parameters, kinds, fields", [
+    (TRUTH, ("bend", "twist"), (None, None), {}),
+    (TRUTH, ("bend", "twist", "weight", "up"), (Clamp.TANGENT, Clamp.FRAME), {"curvature": "uniform"}),
+    (TRUTH, ("bend",), (Clamp.FRAME, Clamp.POSITION), {"clips": False}),
+    (TRUTH, ("bend", "up"), (Clamp.FRAME, Clamp.FREE), {}),
+    (RIBBON, ("bend_1", "bend_2", "bend_12", "twist"), (None, None), {"with_frames": True}),
+])
+def test_residuals_follow_the_unknowns(rng, theta, parameters, kinds, fields):
+    """J and Z of :class:`doo_ti.refinement.residuals.Comparison` by central differences, with clips of unequal lengths, a
+    curvature, and clamps that are already off."""
+    seen = suture(2, frames=fields.get("with_frames", False)).take([0, 1, 4])
+    rod = held(seen, 34, kinds)
+    comparison, scales = model(rod, parameters, **fields)
+    unknowns = comparison.unknowns
+    values = unknowns.begun(theta, np.array([2.1, 3.4]))
+    values = replace(values, curvature=1e-3 * rng.normal(size=values.curvature.shape))
+    if unknowns.clamps:
+        values = replace(values, constant=1e-2 * rng.normal(size=2 * POSE), scatter=5e-3 * rng.normal(size=(3, POSE)))
+    fit = Fit(comparison, values, SHARP)
+    state = fit.begin(values, scales)
+    assert (state.solution.converged & state.solution.stable).all()
+    linear, used = comparison.linear(state.solution, values, np.ones(3, dtype=bool))
+    assert used.all()
+    shared = np.concatenate([kind.shared for kind in linear], axis=1)
+    effects = np.concatenate([kind.effects for kind in linear], axis=1)
+    none, still = np.zeros(len(unknowns.names)), np.zeros((3, POSE))
+    columns = [(unknowns.names[k], none + np.eye(len(none))[k], still, shared[..., k]) for k in range(len(none))]
+    if unknowns.clamps:
+        columns += [(f"pose {q}", none, still + np.eye(POSE)[q], effects[..., q]) for q in range(POSE)]
+    largest = np.abs(shared).max()
+    for name, step, scatter, own in columns:
+        size = 1e-4
+        expected = (moved_residuals(comparison, fit, state, size * step, size * scatter)
+                    - moved_residuals(comparison, fit, state, -size * step, -size * scatter)) / (2 * size)
+        np.testing.assert_allclose(own, expected, atol=1e-5 * max(np.abs(expected).max(), 1e-3 * largest), err_msg=name)
+
+
+def test_marks_that_a_clamp_was_taken_from_do_not_count():
+    seen = suture(1)
+    counted = model(held(seen))[0].weight > 0
+    assert not counted[:, [0, -1]].any() and counted[:, 1:-1].all()
+    bare = replace(seen, start_frame=None)
+    counted = model(held(bare))[0].weight > 0
+    assert not counted[:, [0, 1, -1]].any() and counted[:, 2:-1].all()
+    free = model(held(seen, kinds=(None, Clamp.FREE)))[0].weight > 0
+    assert free[:, -1].all()
+    missing = seen.valid.copy()
+    missing[0, 9] = False
+    assert not model(held(replace(seen, valid=missing)))[0].weight[0, 9]
+    assert model(held(replace(seen, sigma=np.array(0.2))))[0].weight[0, 9] == pytest.approx(5.0)
