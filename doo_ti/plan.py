@@ -4,7 +4,11 @@ At an equilibrium the sensitivity J = ∂x*/∂log Θ says how far the marks mov
 known before the experiment, so J is taken in every cell of a grid, the prior: a rod that is near its snap in one cell must
 not speak for all.
 
-Axes: G grid cells, D configurations, P parameters, K picks.
+How fast Θ is narrowed down depends on what else is unknown. So the order is that of the model which ``refine`` fits: clips of
+unknown length, rest curvature, clamps that are off (:mod:`doo_ti.refinement`), all of them integrated out; in cells evenly
+taken from the grid.
+
+Axes: G grid cells, C cells of those, D configurations, P parameters, Q of them asked, U unknowns with the asked ones first, K picks.
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +19,13 @@ from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.progress import progress
+from doo_ti.refinement.evidence import information
+from doo_ti.refinement.held_rod import HeldRod
+from doo_ti.refinement.refine import FEWEST_EDGES, MOST_EDGES
+from doo_ti.refinement.residuals import Comparison
+from doo_ti.refinement.scales import typical_scales
 from doo_ti.refinement.sensitivity import sensitivity
+from doo_ti.refinement.unknowns import Theta, Unknowns
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.scene import Synthesis
@@ -25,6 +35,8 @@ from doo_ti.types import Clamp
 
 CHUNK_RODS = 4096
 MOST_RODS = 1_000_000
+MOST_CELLS = 24
+"""Cells in which everything that is unknown is looked at."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +52,9 @@ class Plan:
                  measuring so many of them
     sensed       (D,) cells in which the rod comes to a certified equilibrium; the other cells say nothing
     cells        G
-    information  (G, D, Q, Q) of one measurement about the logarithms of the Q parameters in ``asked``; zero where not sensed
+    information  (C, D, U, U) of one measurement about all unknowns, the logarithms of the Q parameters in ``asked`` first; zero
+                 where the rod comes to no certified equilibrium
+    prior        (U, U) what is known of them before
     asked        indices of the parameters that the grid varies
     """
 
@@ -52,6 +66,7 @@ class Plan:
     sensed: np.ndarray
     cells: int
     information: np.ndarray
+    prior: np.ndarray
     asked: tuple[int, ...]
 
     @property
@@ -84,8 +99,9 @@ def plan(
     picks           K, configurations to rank, none twice
     measured        rows that are measured already: they count, and are not picked
 
-    The order is greedy in the mean over the grid of log det of the information about the logarithms of the parameters that
-    the grid varies, on top of a prior as wide as the grid (Bayesian D-optimality). Raises InputError for wrong input.
+    The order is greedy in the mean over the cells of log det of the information about the logarithms of the parameters that
+    the grid varies, on top of a prior as wide as the grid (Bayesian D-optimality), everything else that ``refine`` learns
+    integrated out. Raises InputError for wrong input.
     """
     clamps = observation_clamps(configurations, clamp_start, clamp_end)
     check_experiment(configurations, clamps, grid.axes[-1].values[-1], 0.0)
@@ -103,9 +119,10 @@ def plan(
         strength = np.sqrt(_median(squares))
         total = np.sqrt(_median(squares[..., asked].sum(axis=-1)))
     sensed = np.isfinite(moved).all(axis=(2, 3))
-    information = np.nan_to_num(moved[:, :, asked][..., asked]) / sigma**2
-    order, volume = _greedy(information, _prior(grid, [parameters[k] for k in asked]), list(measured), picks)
-    return Plan(parameters, strength, total, order, volume, sensed.sum(axis=0), grid.size, information, asked)
+    names = tuple(parameters[k] for k in asked)
+    information, prior = _information(replace(configurations, sigma=np.array(sigma)), clamps, grid, names)
+    order, volume = _greedy(information, prior, len(asked), list(measured), picks)
+    return Plan(parameters, strength, total, order, volume, sensed.sum(axis=0), grid.size, information, prior, asked)
 
 
 def _asked(grid: Grid, parameters: tuple[str, ...]) -> tuple[int, ...]:
@@ -163,20 +180,44 @@ def _median(values: np.ndarray) -> np.ndarray:
     return found
 
 
-def _prior(grid: Grid, names: list[str]) -> np.ndarray:
-    """(Q, Q) information of a uniform prior over the grid about the logarithms: one over their covariance."""
+def _information(seen: Observations, clamps, grid: Grid, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """(C, D, U, U) of each configuration about the unknowns of ``refine``, and their prior (U, U), that of ``names`` as wide as
+    the grid."""
+    rod = HeldRod(seen, clamps, int(np.clip(2 * seen.edges, FEWEST_EDGES, MOST_EDGES)))
+    unknowns = Unknowns(rod, names)
+    comparison = Comparison.of(unknowns, with_frames=False)
+    scales = typical_scales(rod.length, float(np.median(seen.rest_length)), set(), {"marks": 1.0})
+    cells = np.unique(np.linspace(0, grid.size - 1, min(grid.size, MOST_CELLS)).round().astype(int))
+    found = []
+    with progress() as bar:
+        task = bar.add_task("information", total=len(cells), unit="cells")
+        for cell in cells:
+            theta = Theta.of(grid.materials(np.array([cell])), up=seen.up)
+            values = unknowns.begun(theta, unknowns.clip_prior)
+            solution = rod.relaxed(unknowns.material(values), values.clip, unknowns.pose(values), Newton(), theta.up)
+            sound = solution.converged & solution.stable
+            linear, _ = comparison.linear(solution, values, sound)
+            found.append(information(linear, scales))
+            bar.advance(task, 1)
+    prior, _ = unknowns.precision(scales)
     logs = np.log(_values(grid, slice(None), names))
-    return np.linalg.inv(np.atleast_2d(np.cov(logs.T)))
+    prior[: len(names), : len(names)] = np.linalg.inv(np.atleast_2d(np.cov(logs.T)))
+    return np.stack(found), prior
 
 
-def _greedy(information: np.ndarray, prior: np.ndarray, measured: list[int], picks: int):
-    """(K,) rows in the order of a greedy search, and (K,) the volume of the region left, relative to the start's."""
+def _greedy(information: np.ndarray, prior: np.ndarray, asked: int, measured: list[int], picks: int):
+    """(K,) rows in the order of a greedy search, and (K,) the volume of the region of the first ``asked`` unknowns that is left,
+    relative to the start's."""
+    def about(known: np.ndarray) -> np.ndarray:
+        """ln det of the information about the asked unknowns, the others integrated out."""
+        return np.linalg.slogdet(known)[1] - np.linalg.slogdet(known[..., asked:, asked:])[1]
+
     known = prior + information[:, measured].sum(axis=1)
-    begun = np.linalg.slogdet(known)[1].mean()
+    begun = about(known).mean()
     left = [row for row in range(information.shape[1]) if row not in set(measured)]
     order, volume = [], []
     for _ in range(min(picks, len(left))):
-        gain = np.linalg.slogdet(known[:, None] + information[:, left])[1].mean(axis=0)
+        gain = np.mean([about(cell + rows[left]) for cell, rows in zip(known, information, strict=True)], axis=0)
         best = int(np.argmax(gain))
         order.append(left.pop(best))
         known = known + information[:, order[-1]]

@@ -84,7 +84,7 @@ class Evidence:
         hessian = precision + sum(w * kind.shared for w, kind in zip(weights, self.moments, strict=True)) - (
             passed @ np.swapaxes(mixed, 1, 2)).sum(axis=0)
         slope = slope - (passed @ slope_z[..., None]).sum(axis=0)[:, 0] + precision @ self.offset
-        step, covariance_x, log_hessian = self._solved(hessian, slope)
+        step, covariance_x, log_hessian = self._solved(hessian, slope, precision)
         effects = -(inner @ (slope_z + np.swapaxes(mixed, 1, 2) @ step)[..., None])[..., 0]
         # The gradient of F is the expectation of that of the complete data's −2 ln likelihood (Fisher's identity).
         crossed = np.swapaxes(passed, 1, 2) @ covariance_x
@@ -114,18 +114,7 @@ class Evidence:
 
         ``linear``: the residuals that the moments are of. It is half of by how much F falls when the observation goes.
         """
-        weights = [1 / scales[kind.scale] ** 2 for kind in linear]
-        kinds = effect_scales(linear[0].effects.shape[-1])
-        variance = np.array([scales[name] for name in kinds]) ** 2
-        pairs = list(zip(weights, linear, strict=True))
-        mixed = sum(w * np.swapaxes(k.shared, 1, 2) @ k.effects for w, k in pairs)
-        inner = np.linalg.inv(sum(w * np.swapaxes(k.effects, 1, 2) @ k.effects for w, k in pairs) + np.diag(1 / variance))
-        slope_z = sum(w * np.swapaxes(k.effects, 1, 2) @ k.values[..., None] for w, k in pairs)
-        own = sum(w * np.swapaxes(k.shared, 1, 2) @ k.shared for w, k in pairs) - mixed @ inner @ np.swapaxes(mixed, 1, 2)
-        slope = (sum(w * np.swapaxes(k.shared, 1, 2) @ k.values[..., None] for w, k in pairs) - mixed @ inner @ slope_z)[..., 0]
-        squares = sum(w * (k.values**2).sum(axis=1) for w, k in pairs) - (slope_z * (inner @ slope_z)).sum(axis=(1, 2))
-        noise = sum(k.count * np.log(2 * np.pi * scales[k.scale] ** 2) for k in linear)
-        constant = noise - np.linalg.slogdet(inner)[1] + np.log(variance).sum()
+        own, slope, squares, constant = _integrated(linear, scales)
         precision, _ = self.unknowns.precision(scales)
         hessian, total = precision + own.sum(axis=0), slope.sum(axis=0) + precision @ self.offset
         without, rest = hessian - own, total - slope
@@ -143,13 +132,14 @@ class Evidence:
             share = self.posterior(scales).gradient / (2 * counts)
             if np.abs(share).max() < SETTLED:
                 break
-            scales = scales.at(scales.free + 0.5 * np.log(np.clip(1 - share, 0.1, 4.0)))
+            change = 0.5 * np.log(np.clip(1 - share, 0.1, 3.0))
+            scales = scales.at(np.clip(scales.free + change, *np.transpose(scales.bounds)))
 
         def objective(free):
             found = self.posterior(scales.at(free))
             return found.value, found.gradient
 
-        begin = scales.free
+        begin = np.clip(scales.free, *np.transpose(scales.bounds))
         bounds = [(max(low, now - FARTHEST), min(high, now + FARTHEST)) for (low, high), now in zip(
             scales.bounds, begin, strict=True)]
         found = minimize(objective, begin, jac=True, method="L-BFGS-B", bounds=bounds,
@@ -157,21 +147,21 @@ class Evidence:
         return scales.at(found.x)
 
     def _counts(self, scales: Scales) -> np.ndarray:
-        """(H,) how many squares each learned size is the mean of; the range is no such mean, and counts as the curvature."""
+        """(H,) how many squares each learned size is the mean of; the range is none, and stays meanwhile."""
         rods, knots = len(self.moments[0].effects), max(len(self.unknowns.columns("curvature")), 2)
-        counts = {"curvature": knots, "range": knots, "turn": POSE, "shift": POSE, "turn_scatter": 6 * rods,
+        counts = {"curvature": knots, "range": np.inf, "turn": POSE, "shift": POSE, "turn_scatter": 6 * rods,
                   "shift_scatter": 6 * rods, "gap": 3 * GAP_MODES * rods}
         counts |= {kind.scale: max(kind.count, 1.0) for kind in self.moments}
         return np.array([counts.get(name, 1.0) for name, free in zip(NAMES, scales.learned, strict=True) if free], dtype=float)
 
-    def _solved(self, hessian: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    def _solved(self, hessian: np.ndarray, slope: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """(x̂, covariance of x, ln |H|) over the unknowns that are free."""
-        if self.basis is None:
-            inverse = np.linalg.inv(hessian)
-            return -inverse @ slope, inverse, float(np.linalg.slogdet(hessian)[1])
-        reduced = self.basis.T @ hessian @ self.basis
-        inverse = self.basis @ np.linalg.inv(reduced) @ self.basis.T
-        return (self.along - inverse @ (slope + hessian @ self.along), inverse, float(np.linalg.slogdet(reduced)[1]))
+        basis = np.eye(len(slope)) if self.basis is None else self.basis
+        inverse, logarithm = _inverse(basis.T @ hessian @ basis, basis.T @ precision @ basis)
+        inverse = basis @ inverse @ basis.T
+        if self.along is None:
+            return -inverse @ slope, inverse, logarithm
+        return self.along - inverse @ (slope + hessian @ self.along), inverse, logarithm
 
     @staticmethod
     def _squares(kind: Moments, step: np.ndarray, effects: np.ndarray) -> float:
@@ -197,3 +187,38 @@ class Evidence:
         gradient["curvature"] += 2 * float(len(knots) - (inverse * both).sum())
         change = inverse @ slope
         gradient["range"] += float(2 * np.trace(change) - (change @ inverse * both).sum())
+
+
+def _inverse(hessian: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, float]:
+    """H⁻¹ and ln |H|, H being at least the prior's ``precision``: where rounding has it less, that is what it is set to."""
+    try:
+        root = np.linalg.cholesky(hessian)
+    except np.linalg.LinAlgError:
+        scale = np.linalg.cholesky(precision)
+        half = np.linalg.solve(scale, hessian)
+        values, vectors = np.linalg.eigh(0.5 * (half @ np.linalg.inv(scale).T + np.linalg.solve(scale, half.T)))
+        root = scale @ (vectors * np.sqrt(np.maximum(values, 1.0)))
+        inverse = np.linalg.inv(root)
+        return inverse.T @ inverse, 2 * float(np.linalg.slogdet(root)[1])
+    inverse = np.linalg.inv(root)
+    return inverse.T @ inverse, 2 * float(np.log(np.diag(root)).sum())
+
+
+def information(linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
+    """(D, P, P) what each observation says about the unknowns, its own effects integrated out."""
+    return _integrated(linear, scales)[0]
+
+
+def _integrated(linear: tuple[Residuals, ...], scales: Scales):
+    """−2 ln of the density of each observation's residuals, its effects integrated out, as c + q + 2 s·x + xᵀBx of the unknowns:
+    B (D, P, P), s (D, P), q and c (D,), c all that does not come from the residuals."""
+    pairs = [(1 / scales[kind.scale] ** 2, kind) for kind in linear]
+    variance = np.array([scales[name] for name in effect_scales(linear[0].effects.shape[-1])]) ** 2
+    mixed = sum(w * np.swapaxes(k.shared, 1, 2) @ k.effects for w, k in pairs)
+    inner = np.linalg.inv(sum(w * np.swapaxes(k.effects, 1, 2) @ k.effects for w, k in pairs) + np.diag(1 / variance))
+    slope_z = sum(w * np.swapaxes(k.effects, 1, 2) @ k.values[..., None] for w, k in pairs)
+    own = sum(w * np.swapaxes(k.shared, 1, 2) @ k.shared for w, k in pairs) - mixed @ inner @ np.swapaxes(mixed, 1, 2)
+    slope = (sum(w * np.swapaxes(k.shared, 1, 2) @ k.values[..., None] for w, k in pairs) - mixed @ inner @ slope_z)[..., 0]
+    squares = sum(w * (k.values**2).sum(axis=1) for w, k in pairs) - (slope_z * (inner @ slope_z)).sum(axis=(1, 2))
+    noise = sum(k.count * np.log(2 * np.pi * scales[k.scale] ** 2) for k in linear)
+    return own, slope, squares, noise - np.linalg.slogdet(inner)[1] + np.log(variance).sum()

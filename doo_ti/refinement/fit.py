@@ -23,6 +23,7 @@ LARGEST_STEP = 1.0  # of an unknown of Θ or a clip: small steps keep rods on th
 LARGEST_TURN = 0.3  # rad, of a clamp
 SHORTENED = 1 / 3  # a step that does not help is tried so much shorter
 MOST_SHORTENED = 8
+LEAST_SHARE = 2e-3  # of a step: one that has to be shorter leads nowhere
 SETTLED = 0.03  # standard errors by which Θ still moves when the fit is done
 SCALE_STEPS = 25  # of the search for the sizes, in each step
 ODD = 9.0
@@ -73,11 +74,13 @@ class Fit:
     comparison  what is compared, with the unknowns
     origin      the values that the wide prior of Θ is about
     solver      of the relaxations
+    rods        (D,) bool: those that count, whatever becomes of their residuals; None: all that are no misfits
     """
 
     comparison: Comparison
     origin: Values
     solver: Newton
+    rods: np.ndarray | None = None
 
     @property
     def unknowns(self) -> Unknowns:
@@ -112,7 +115,7 @@ class Fit:
             settled = bool((np.abs(found.step[:count]) <= SETTLED * errors).all()) and left == 0.0
             trial, share = self._stepped(fitted, self._share(found.step), moving=left != 0.0)
             left *= 1 - share
-            if share == 0:  # rounding decides whether the posterior rises: it is at its most
+            if share < LEAST_SHARE:  # rounding decides whether the posterior rises, or rods snap: no way on
                 done = settled
                 break
             trial, again = self._tried_again(trial)
@@ -122,13 +125,15 @@ class Fit:
             fitted = self._linear(state, None if held is None else (held[0], left))
         return replace(fitted, converged=done, steps=tried)
 
-    def _state(self, values: Values, scales: Scales, solution: Solution, before: np.ndarray | None = None) -> State:
+    def _state(self, values: Values, scales: Scales, solution: Solution) -> State:
         residuals = self.comparison.values(solution, values)
         good = solution.converged & solution.stable
         residuals = tuple(np.where(good[:, None], kind, 0.0) for kind in residuals)
         squares = self.mean_squares(residuals)
         used = good & (self.comparison.count > 0)
-        if used.any():
+        if self.rods is not None:
+            used &= self.rods
+        elif used.any():
             used &= squares <= ODD * np.maximum(np.median(squares[used]), 1e-20)
         return State(values, scales, solution, residuals, used)
 
@@ -138,7 +143,7 @@ class Fit:
 
     def _linear(self, state: State, held) -> Fitted:
         """The linear model around ``state``, its sizes fitted."""
-        linear, used = self.comparison.linear(state.solution, state.values, state.used)
+        linear, used = self.comparison.linear(state.solution, state.values, state.used, self.rods is None)
         evidence = Evidence(self.unknowns, tuple(Moments.of(kind) for kind in linear),
                             self.unknowns.offset(state.values, self.origin))
         if held is not None:
@@ -189,7 +194,7 @@ class Fit:
         """``state`` with its misfits relaxed from their observations, where that brings them nearer."""
         good = state.solution.converged & state.solution.stable
         misfits = np.flatnonzero(~state.used & (self.comparison.count > 0))
-        if not len(misfits):
+        if not len(misfits) or self.rods is not None:
             return state, False
         unknowns, values = self.unknowns, state.values
         values = replace(values, scatter=np.where(state.used[:, None], values.scatter, 0.0))

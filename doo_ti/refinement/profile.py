@@ -5,7 +5,7 @@ followed from its least until it has risen by the quantile of F(1, n). Where Θ 
 covariance; where data bound a parameter on one side only, it is open on the other.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import f as f_distribution
@@ -37,6 +37,7 @@ def interval(fit: Fit, fitted: Fitted, direction: np.ndarray, degrees: float, pr
     wanted = float(np.sqrt(f_distribution.ppf(probability, 1, degrees)))
     error = float(np.sqrt(direction @ fitted.posterior.covariance @ direction))
     least = fitted.evidence.holding(direction).posterior(fitted.state.scales).value
+    fit = replace(fit, rods=fitted.state.used)
     low, high = (_reach(fit, fitted, sign * direction, wanted, error, least) for sign in (-1.0, 1.0))
     return Interval(None if low is None else -low, high, error)
 
@@ -61,7 +62,8 @@ def _reach(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float, error
         if stuck and root < wanted:
             break
         place = _next(np.array(places), np.array(roots), wanted)
-    return _crossing(np.array(places), np.array(roots), wanted, wanted * error)
+    reach = _crossing(np.array(places), np.array(roots), wanted, wanted * error)
+    return reach if reach < FARTHEST else None
 
 
 def _held(fit: Fit, fitted: Fitted, state: State, direction: np.ndarray, amount: float) -> tuple[Fitted, float]:

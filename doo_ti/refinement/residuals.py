@@ -20,6 +20,10 @@ RODS_AT_ONCE = 128
 """Derivatives of as many rods are held in memory at a time."""
 
 
+SOFT = 30.0
+"""Times the median: rods whose derivatives are larger are about to snap."""
+
+
 @dataclass(frozen=True)
 class Comparison:
     """The numbers that are compared.
@@ -69,9 +73,10 @@ class Comparison:
         apart = rod.directors(solution, values.clip) - seen.frames[..., 1]
         return (*found, (self.directors[..., None] * apart).reshape(len(apart), -1))
 
-    def linear(self, solution: Solution, values: Values, used: np.ndarray) -> tuple[tuple[Residuals, ...], np.ndarray]:
+    def linear(self, solution: Solution, values: Values, used: np.ndarray, spare_soft: bool = True
+               ) -> tuple[tuple[Residuals, ...], np.ndarray]:
         """The residuals around ``values``, with all effects zero, of rods that are ``used`` (D,) bool; and which have
-        derivatives."""
+        derivatives, those that are about to snap not among them if they are to be spared."""
         unknowns = self.unknowns
         shared, effects = [], []
         usable = np.zeros(len(used), dtype=bool)
@@ -84,6 +89,10 @@ class Comparison:
         shared = [np.concatenate(parts) for parts in zip(*shared, strict=True)]
         effects = [np.concatenate(parts) for parts in zip(*effects, strict=True)]
         used = used & usable
+        # A rod about to snap answers to next to nothing with as much as it can: no linear model holds for it.
+        size = np.sqrt((shared[0] ** 2).mean(axis=(1, 2)))
+        if used.any() and spare_soft:
+            used &= size <= SOFT * np.median(size[used])
         weights = [np.repeat(self.weight, 3, axis=1)]
         counts = [self.count]
         if self.directors is not None:
@@ -169,7 +178,7 @@ class Comparison:
         if unknowns.clamps:
             parts.append(np.einsum("rmaq,rqc->rmac", pose, unknowns.constant_slopes()[block]))
         shared = np.concatenate(parts, axis=-1).reshape(count, -1, len(names))
-        return shared, (pose if unknowns.clamps else pose[..., :0]).reshape(count, shared.shape[1], -1)
+        return shared, (pose * unknowns.loose if unknowns.clamps else pose[..., :0]).reshape(count, shared.shape[1], -1)
 
 
 def _only(solution: Solution, rows: slice) -> Solution:

@@ -222,7 +222,15 @@ class Unknowns:
             frame = clamps.start_frame if block % 2 == 0 else clamps.end_frame
             rows = slice(3 * block, 3 * block + 3)
             slopes[:, rows, POSE + 3 * block : POSE + 3 * block + 3] = np.swapaxes(frame, 1, 2)
-        return slopes
+        return slopes * self.loose[:, None]
+
+    @property
+    def loose(self) -> np.ndarray:
+        """(POSE,) one for the numbers of a clamp whose pose was reported, which may be off; zero where position and tangent were
+        taken from the marks themselves."""
+        seen = self.rod.observations
+        ends = [frame is not None or seen.frames is not None for frame in (seen.start_frame, seen.end_frame)]
+        return np.repeat([*ends, *ends], 3).astype(float)
 
     def modes(self, values: Values) -> tuple[np.ndarray, Mesh]:
         """(2 K + 2, N − 1, 2) changes of rest curvature on the mesh: by each unknown of the curvature, and by each clip, along

@@ -21,7 +21,7 @@ def fitted(observations: Observations, run_folder: Path) -> list[dict]:
     file, run = run_folder / f"{observations.name}.npz", run_folder / "run"
     save_observations(file, observations)
     _command("sweep", str(file), *GRID, "--out", str(run), "--json")
-    return json.loads(_command("refine", str(run), "--json"))[0]["parameters"]
+    return json.loads(_command("refine", str(run), "--no-models", "--json"))[0]["parameters"]
 
 
 def _command(*words: str) -> str:
