@@ -6,7 +6,7 @@ threads is not cut into blocks.
 """
 
 import os
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from functools import wraps
 from io import StringIO
 from pathlib import Path
@@ -106,7 +106,8 @@ def _pin(tasks: list[int]) -> None:
     if hasattr(os, "sched_setaffinity") and thread_count() == len(free) > 1:
         # Those that compile come before those that run kernels, which follow each other.
         for place, task in enumerate(tasks):
-            os.sched_setaffinity(task, {free[place % len(free)]})
+            with suppress(ProcessLookupError):  # a thread that has ended in the meantime needs no processor
+                os.sched_setaffinity(task, {free[place % len(free)]})
 
 
 def processors() -> list[int]:

@@ -42,6 +42,24 @@ def test_an_environment_variable_leaves_it_to_the_system():
     assert threads == [PROCESSORS] * len(PROCESSORS)
 
 
+ENDED = """
+import os
+import subprocess
+from doo_ti import runtime
+
+ended = subprocess.Popen(["true"])
+ended.wait()  # its number names nobody any more
+runtime.thread_count = lambda: len(runtime.processors())
+runtime._pin([ended.pid, os.getpid()])
+print(len(os.sched_getaffinity(0)))
+"""
+
+
+def test_a_thread_that_has_ended_is_passed_over():
+    done = subprocess.run([sys.executable, "-c", ENDED], capture_output=True, text=True)
+    assert done.stdout.strip() == "1", done.stderr
+
+
 OTHER_THREADS = """
 from threading import Event, Thread
 import numpy as np
