@@ -6,10 +6,8 @@ mm and rad. Axes: D observations, V vertices, E = V − 1 edges.
 
 import hashlib
 import os
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
@@ -17,6 +15,7 @@ from doo_ti.errors import InputError, system_reason
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
 from doo_ti.importers import read_npz, read_table, write_table
 from doo_ti.types import LARGEST
+from doo_ti.whole_file import write_whole
 
 # Field of Observations: key of the file.
 KEYS = {
@@ -254,17 +253,6 @@ def save_observations(path: str | os.PathLike, observations: Observations) -> No
         write_whole(path, lambda file: write_table(file, path.suffix, keys))
     else:
         write_whole(path, lambda file: np.savez_compressed(file, **keys))
-
-
-def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Let ``write`` fill the file ``path``; a file that is already there stays until the new one is whole."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with open(partial, "wb") as file:
-            write(file)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def checked_suffix(path: Path) -> None:

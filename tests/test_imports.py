@@ -12,8 +12,8 @@ PACKAGE = ROOT / "doo_ti"
 
 # From the bottom up: a module imports from layers below its own, never from beside it.
 LAYERS = [
-    {"errors"},
-    {"frames"},
+    {"errors", "whole_file"},
+    {"frames", "kernel_cache"},
     {"types"},
     {"physics", "runtime", "importers", "grid", "contact_sheet", "progress"},
     {"dataset", "named_arrays"},

@@ -11,7 +11,7 @@ import numpy as np
 from doo_ti import options as given
 from doo_ti.commands.arguments import add_json, add_material
 from doo_ti.commands.printing import counted, plain
-from doo_ti.dataset import Observations, load_observations, write_whole
+from doo_ti.dataset import Observations, load_observations
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.learning.landscape import status_counts
 from doo_ti.prediction.motion_file import ClampPath, load_path
@@ -19,6 +19,7 @@ from doo_ti.progress import progress
 from doo_ti.scene import CLAMPS, PRECISIONS
 from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.types import Clamps, Configuration, Material
+from doo_ti.whole_file import write_whole
 
 MOST_TOLD = 30
 MOST_DEGREES = 30.0

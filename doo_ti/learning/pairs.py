@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.dataset import Observations, write_whole
+from doo_ti.dataset import Observations
 from doo_ti.errors import InputError, system_reason
 from doo_ti.types import Clamp, Clamps
+from doo_ti.whole_file import write_whole
 
 APART_DEG = 120.0
 """How far apart the end rotations of the paper's pairs are (footnote 7)."""

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.dataset import write_whole
 from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.hypotheses import resolved, scores
 from doo_ti.learning.run_folder import chunk_path
 from doo_ti.types import Status
+from doo_ti.whole_file import write_whole
 
 
 def resolve(run: Path, experiment: Experiment, chunks: list[tuple[int, int]]) -> dict:

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti import __version__
-from doo_ti.dataset import load_observations, save_observations, write_whole
+from doo_ti.dataset import load_observations, save_observations
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.learning.experiment import Experiment, SweepOptions
@@ -27,6 +27,7 @@ from doo_ti.learning.hypotheses import Hypotheses
 from doo_ti.learning.pairs import load_pairs, save_pairs
 from doo_ti.learning.summary import read_summary
 from doo_ti.types import Clamp
+from doo_ti.whole_file import write_whole
 
 OBSERVATIONS, PAIRS = "observations.npz", "pairs.csv"
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.dataset import Observations, write_whole
+from doo_ti.dataset import Observations
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.grid import Grid
 from doo_ti.learning.cells import relax_hypotheses
@@ -32,6 +32,7 @@ from doo_ti.learning.workers import Alone, Crew, crew
 from doo_ti.progress import progress
 from doo_ti.start import check_experiment
 from doo_ti.types import Status
+from doo_ti.whole_file import write_whole
 
 CHUNK_BYTES = 32 << 20
 """Memory for the frames of a chunk's rods, the larger part of what a sweep holds: 31 000 rods of 33 edges."""

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.dataset import write_whole
 from doo_ti.errors import InputError, system_reason
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
+from doo_ti.whole_file import write_whole
 
 COEFFICIENTS = 5
 """Of distortion: k1, k2, p1, p2, k3."""
