@@ -13,7 +13,12 @@ from pathlib import Path
 from threading import RLock
 
 from doo_ti.errors import InputError
+from doo_ti.kernel_cache import kernel_folder
 
+TAICHI_NAMES = {"cpu": ("x64", "arm64"), "cuda": ("cuda",)}
+"""What runs, and Taichi's names for it."""
+KERNELS = "TI_OFFLINE_CACHE_FILE_PATH"
+"""The variable that tells Taichi where compiled kernels are kept."""
 TASKS = Path("/proc/self/task")
 """Where Linux names a process's threads."""
 
@@ -28,13 +33,32 @@ def start(architecture: str | None = None, threads: int | None = None, pinned: b
     threads       on a CPU; by default one per processor
     pinned        whether threads may be kept on processors of their own: not in processes that share the machine out
 
-    Raises InputError for another architecture.
+    Raises InputError for another architecture, and for one that this machine does not have.
     """
     global _architecture
     with _one_at_a_time:
         if _architecture is None:
-            _architecture = _started(architecture or os.environ.get("DOO_TI_ARCHITECTURE", "cpu"), threads, pinned)
+            _architecture = _started(check_architecture(architecture), threads, pinned)
     return _architecture
+
+
+def check_architecture(architecture: str | None = None) -> str:
+    """The architecture to run on, by default the environment's. Raises InputError where it is unknown, where Taichi's own
+    variable would have another one run, and where this machine does not have it."""
+    architecture = architecture or os.environ.get("DOO_TI_ARCHITECTURE", "cpu")
+    if architecture not in TAICHI_NAMES:
+        raise InputError("environment", "DOO_TI_ARCHITECTURE", f"{architecture!r} is unknown", "give cpu or cuda")
+    instead = os.environ.get("TI_ARCH")
+    if instead is not None and instead not in TAICHI_NAMES[architecture]:
+        raise InputError("environment", "TI_ARCH", f"{instead!r} would run instead of {architecture}",
+                         "unset it; DOO_TI_ARCHITECTURE, cpu or cuda, says where to run")
+    if architecture == "cuda":
+        import taichi as ti
+
+        ti.set_logging_level(ti.ERROR)  # it would say itself that it finds no driver
+        if not ti.lang.misc.is_arch_supported(ti.cuda):
+            raise InputError("environment", "DOO_TI_ARCHITECTURE", "no CUDA device can be used", "unset it to run on the CPU")
+    return architecture
 
 
 def exclusive(function):
@@ -50,10 +74,12 @@ def exclusive(function):
 
 def _started(architecture: str, threads: int | None, pinned: bool) -> str:
     """The architecture, after starting Taichi there."""
-    if architecture not in ("cpu", "cuda"):
-        raise InputError("environment", "DOO_TI_ARCHITECTURE", f"{architecture!r} is unknown", "give cpu or cuda")
     import taichi as ti
 
+    # A process that this one starts keeps its kernels in the same place.
+    folder = kernel_folder(Path(os.environ.get(KERNELS) or Path(ti._lib.core.get_repo_dir()) / "ticache"))
+    # Even where it keeps nothing Taichi makes that folder as it ends, and fails where it cannot: the root is there.
+    os.environ[KERNELS] = str(folder or Path(os.sep))
     count = {} if threads is None else {"cpu_max_num_threads": threads}
     others = _tasks()
     with redirect_stdout(StringIO()):  # it greets on standard output, which belongs to the commands' results
@@ -64,7 +90,8 @@ def _started(architecture: str, threads: int | None, pinned: bool) -> str:
             real_matrix_scalarize=False,
             make_cpu_multithreading_loop=False,
             cpu_block_dim_adaptive=False,
-            offline_cache=True,
+            offline_cache=folder is not None,
+            enable_fallback=False,
             log_level=ti.ERROR,
             **count,
         )

@@ -93,3 +93,25 @@ print(found)
 def test_any_thread_may_start_and_any_other_use_the_kernels():
     done = subprocess.run([sys.executable, "-c", OTHER_THREADS], capture_output=True, text=True)
     assert done.stdout.strip() in ("[True, True, True]", "[np.True_, np.True_, np.True_]"), done.stderr
+
+
+START = "from doo_ti.cli import main; import sys; sys.exit(main(['relax', 'absent.npz', '--bend', '1e5', '--out', 'F.npz']))"
+
+
+@pytest.mark.parametrize(("name", "value"), [("DOO_TI_ARCHITECTURE", "gpu"), ("DOO_TI_ARCHITECTURE", ""), ("TI_ARCH", "cuda"),
+                                             ("TI_ARCH", "vulkan"), ("TI_ARCH", ""), ("TI_ARCH", "nothing")])
+def test_where_to_run_is_said_once(tmp_path, name, value):
+    done = subprocess.run([sys.executable, "-c", START], capture_output=True, text=True, env={**os.environ, name: value},
+                          cwd=tmp_path)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and f"environment: {name}" in done.stderr
+
+
+def test_cuda_without_a_device_is_refused(tmp_path):
+    script = "import taichi as ti; print(ti.lang.misc.is_arch_supported(ti.cuda))"
+    if "True" in subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout:
+        pytest.skip("there is a device")
+    for start in (START, "from doo_ti import runtime; runtime.start('cuda')"):
+        done = subprocess.run([sys.executable, "-c", start], capture_output=True, text=True,
+                              env={**os.environ, "DOO_TI_ARCHITECTURE": "cuda"}, cwd=tmp_path)
+        assert "environment: DOO_TI_ARCHITECTURE" in done.stderr.splitlines()[-1]
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1) or start is not START
