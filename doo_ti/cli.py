@@ -8,9 +8,7 @@ import argparse
 import logging
 import os
 import re
-import signal
 import sys
-import threading
 from collections.abc import Sequence
 from typing import NoReturn
 
@@ -68,9 +66,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(argv: list[str]) -> int:
-    if threading.current_thread() is threading.main_thread():
-        # Being told to end is like Ctrl-C: what is done is kept and the way to go on is printed.
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it cannot keep its fonts it warns, and draws none the less
     parser = _parser()
     try:

@@ -23,7 +23,19 @@ TASKS = Path("/proc/self/task")
 """Where Linux names a process's threads."""
 
 _architecture: str | None = None
+_begun = False
+_forked = False
 _one_at_a_time = RLock()
+
+
+def _after_fork() -> None:
+    """Note in a forked child that what it has of Taichi does not work: its threads stayed with the parent."""
+    global _forked
+    _forked = _begun
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 def start(architecture: str | None = None, threads: int | None = None, pinned: bool = True) -> str:
@@ -33,11 +45,13 @@ def start(architecture: str | None = None, threads: int | None = None, pinned: b
     threads       on a CPU; by default one per processor
     pinned        whether threads may be kept on processors of their own: not in processes that share the machine out
 
-    Raises InputError for another architecture, and for one that this machine does not have.
+    Raises InputError as :func:`check_architecture` does, and in a process forked from one that had started Taichi.
     """
-    global _architecture
+    global _architecture, _begun
+    _refuse_forked()
     with _one_at_a_time:
         if _architecture is None:
+            _begun = True
             _architecture = _started(check_architecture(architecture), threads, pinned)
     return _architecture
 
@@ -66,10 +80,18 @@ def exclusive(function):
     kernels' memory. A call takes all processors by itself."""
     @wraps(function)
     def alone(*arguments, **options):
+        _refuse_forked()
         with _one_at_a_time:
             return function(*arguments, **options)
 
     return alone
+
+
+def _refuse_forked() -> None:
+    """Raise InputError in a process that would wait for its parent's threads for ever."""
+    if _forked:
+        raise InputError("process", "fork", "forked from a process that had used the kernels, which do not work in a copy of it",
+                         "start processes by spawn or forkserver, or fork before the first use")
 
 
 def _started(architecture: str, threads: int | None, pinned: bool) -> str:

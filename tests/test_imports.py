@@ -12,7 +12,7 @@ PACKAGE = ROOT / "doo_ti"
 
 # From the bottom up: a module imports from layers below its own, never from beside it.
 LAYERS = [
-    {"errors", "whole_file"},
+    {"errors", "interruption", "whole_file"},
     {"frames", "kernel_cache"},
     {"types"},
     {"physics", "runtime", "importers", "grid", "contact_sheet", "progress"},

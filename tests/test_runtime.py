@@ -115,3 +115,41 @@ def test_cuda_without_a_device_is_refused(tmp_path):
                               env={**os.environ, "DOO_TI_ARCHITECTURE": "cuda"}, cwd=tmp_path)
         assert "environment: DOO_TI_ARCHITECTURE" in done.stderr.splitlines()[-1]
         assert (done.returncode, done.stderr.count("\n")) == (2, 1) or start is not START
+
+
+FORKED = """
+import os
+import signal
+from doo_ti import InputError, runtime
+from doo_ti.metric import distance
+
+runtime.start()
+child = os.fork()
+if child == 0:
+    signal.alarm(20)  # ends it where it waits
+    for use in (runtime.start, lambda: distance(None, None)):
+        try:
+            use()
+        except InputError as error:
+            print(error.field, flush=True)
+    os._exit(0)
+print(os.waitpid(child, 0)[1])
+"""
+FORKED_BEFORE = """
+import os
+from doo_ti import runtime
+
+child = os.fork()
+if child:
+    os.waitpid(child, 0)
+print(runtime.start(), flush=True)
+if child == 0:
+    os._exit(0)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="nothing forks here")
+@pytest.mark.parametrize(("script", "said"), [(FORKED, ["fork", "fork", "0"]), (FORKED_BEFORE, ["cpu", "cpu"])])
+def test_a_fork_says_that_it_cannot_use_its_parents_kernels(script, said):
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", script], capture_output=True, text=True)
+    assert done.stdout.split() == said, done.stderr

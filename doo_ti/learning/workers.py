@@ -14,6 +14,7 @@ from threading import Thread
 
 from doo_ti import runtime
 from doo_ti.errors import InputError
+from doo_ti.interruption import kept_from_children
 
 ANSWER_SECONDS = 10
 """How long a scheduler may take to answer."""
@@ -36,8 +37,9 @@ class Crew:
         """(chunk, ``work(*chunk)``) of each chunk in order; where one fails those done behind it come before the error."""
         chunks, waiting = iter(chunks), deque()
         while True:
-            for chunk in islice(chunks, self.ahead - len(waiting)):
-                waiting.append((chunk, self.executor.submit(*self.through, work, *chunk)))
+            with kept_from_children():  # work may start processes
+                for chunk in islice(chunks, self.ahead - len(waiting)):
+                    waiting.append((chunk, self.executor.submit(*self.through, work, *chunk)))
             if not waiting:
                 return
             chunk, future = waiting.popleft()
