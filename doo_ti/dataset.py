@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError, system_reason
+from doo_ti.errors import InputError, real_array, system_reason
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
 from doo_ti.importers import read_npz, read_table, write_table
 from doo_ti.types import LARGEST
@@ -110,9 +110,7 @@ class Observations:
 
     def _numbers(self, name: str, axes: tuple, size: dict[str, int] | None = None) -> np.ndarray:
         """A copy of the field in f64, its shape as ``axes`` with the letters' sizes put in."""
-        size, array = size or {}, np.asarray(getattr(self, name))
-        if array.dtype.kind not in "fiu":
-            raise self._error(name, f"dtype {array.dtype} is not numeric", "store real numbers")
+        size, array = size or {}, real_array(self.source, KEYS[name], getattr(self, name), "store real numbers")
         wanted = [size.get(axis, axis) for axis in axes]
         if array.ndim != len(axes) or any(w != n for w, n in zip(wanted, array.shape) if not isinstance(w, str)):
             shape = f"({', '.join(map(str, axes))}{',' * (len(axes) == 1)})"
@@ -136,8 +134,8 @@ class Observations:
                 raise self._error("vertices", f"{vertices[d, v].tolist()} at observation {d}, vertex {v}",
                                   "give finite numbers, or mark missing vertices false in `valid` (D, V)")
             return np.ones(vertices.shape[:2], dtype=bool)
-        valid = np.asarray(self.valid)
-        if valid.dtype.kind not in "biuf" or not np.isin(valid, (0, 1)).all():
+        valid = real_array(self.source, "valid", self.valid, "store booleans", "biuf")
+        if not np.isin(valid, (0, 1)).all():
             raise self._error("valid", f"dtype {valid.dtype} with other values than true and false", "store booleans")
         if valid.shape != vertices.shape[:2]:
             raise self._error("valid", f"shape {valid.shape}", f"make it (D, V) = {vertices.shape[:2]}")
@@ -167,7 +165,7 @@ class Observations:
                 raise self._error("rest_length", f"missing, and no rod shows edge {edge}", "give rest_length_mm (E,)")
             length = np.linalg.norm(np.diff(self.vertices, axis=1), axis=-1)
             return np.nanmedian(np.where(seen, length, np.nan), axis=0)
-        array = np.asarray(self.rest_length)
+        array = real_array(self.source, KEYS["rest_length"], self.rest_length, "store real numbers")
         if array.ndim == 1 and len(array) != size["E"]:
             raise self._error("rest_length", f"{len(array)} lengths for {size['E']} edges", "give one length per edge")
         length = self._finite("rest_length", self._numbers("rest_length", ("E",), size))
@@ -187,7 +185,7 @@ class Observations:
     def _checked_sigma(self, size: dict[str, int]) -> np.ndarray | None:
         if self.sigma is None:
             return None
-        scalar = np.ndim(self.sigma) == 0
+        scalar = real_array(self.source, KEYS["sigma"], self.sigma, "store real numbers").ndim == 0
         sigma = self._numbers("sigma", () if scalar else ("D", "V"), size)
         needed = True if scalar else self.valid
         self._finite("sigma", sigma, needed)

@@ -19,6 +19,7 @@ import zipfile
 import zlib
 from difflib import get_close_matches
 from pathlib import Path
+from tokenize import TokenError
 from typing import BinaryIO
 
 import numpy as np
@@ -45,7 +46,7 @@ _COLUMNS = {
 _SHARED = ("rest_length_mm", "up")
 # What reading a damaged npz may raise.
 _UNREADABLE = (ValueError, OSError, EOFError, KeyError, RuntimeError, MemoryError, OverflowError, SyntaxError,
-               TypeError, zipfile.BadZipFile, zlib.error)
+               TypeError, TokenError, zipfile.BadZipFile, zlib.error)
 
 NEARLY = 0.88
 """Letters that two keys share, over those of both, from which on one is taken for a slip of the other."""
@@ -66,6 +67,8 @@ def read_npz(path: Path, content: bytes, known=tuple(_COLUMNS)) -> dict[str, np.
         raise InputError(path, "file", "holds one bare array, not named ones", remedy)
     keys = {}
     with archive:
+        if len(set(archive.files)) < len(archive.files):
+            raise InputError(path, max(archive.files, key=archive.files.count), "the key is there twice", remedy)
         for key in known:
             if key not in archive:
                 # Files may hold more than is known here, but what is nearly known is a slip.

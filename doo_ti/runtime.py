@@ -90,7 +90,7 @@ def exclusive(function):
 def _refuse_forked() -> None:
     """Raise InputError in a process that would wait for its parent's threads for ever."""
     if _forked:
-        raise InputError("process", "fork", "forked from a process that had used the kernels, which do not work in a copy of it",
+        raise InputError("process", "fork", "forked from a process that had used the kernels, which do not work in a copy",
                          "start processes by spawn or forkserver, or fork before the first use")
 
 

@@ -59,7 +59,7 @@ def _remove_leftovers(path: Path) -> None:
 
 
 def _locked(file: BinaryIO, wait: bool) -> bool:
-    """Whether this process has locked ``file`` now; not where the system cannot lock, nor, without ``wait``, where another has."""
+    """Whether this process has locked ``file`` now: not where the system cannot, nor where another has and it does not wait."""
     if flock is None:
         return False
     try:

@@ -22,8 +22,8 @@ from doo_ti.types import Clamps, Configuration, Material
 from doo_ti.whole_file import write_whole
 
 MOST_TOLD = 30
-MOST_DEGREES = 30.0
-"""Of a sub-step: rods that are carried further at once may leave their branch."""
+LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0
+"""Of a sub-step: rods that are carried further at once may leave their branch, and less makes no difference."""
 MOST_BYTES = 8 << 30
 """Of frames: predictions are held in memory."""
 
@@ -101,9 +101,9 @@ def run(options: Namespace, words: list[str]) -> int:
 def _sub_step(options: Namespace) -> float:
     """rad."""
     given_degrees = given.numbers("--sub-step", options.sub_step) or (5.0,)
-    if len(given_degrees) > 1 or not 0 < given_degrees[0] <= MOST_DEGREES:
+    if len(given_degrees) > 1 or not LEAST_DEGREES <= given_degrees[0] <= MOST_DEGREES:
         raise InputError("command line", "--sub-step", f"{options.sub_step!r} is out of range",
-                         f"give one number above 0, at most {MOST_DEGREES:g} degrees")
+                         f"give one number of degrees from {LEAST_DEGREES:g} to {MOST_DEGREES:g}")
     return np.radians(given_degrees[0])
 
 

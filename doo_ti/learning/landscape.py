@@ -10,6 +10,7 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid, Interval, valley
+from doo_ti.learning.chunk_file import column_names, read_columns
 from doo_ti.learning.summary import read_summary
 from doo_ti.types import Status
 
@@ -88,7 +89,7 @@ def gather_landscape(run: Path, grid: Grid, name: str) -> Landscape:
     paths = sorted((run / "cells").glob("*.parquet"))
     if not paths:
         raise InputError(run / "cells", "cells", "no Parquet files", "run the sweep to its end")
-    dynamic = _names(paths[0]) >= {"from_observation"}
+    dynamic = column_names(paths[0]) >= {"from_observation"}
     ends = ("from_observation", "observation") if dynamic else ("observation",)
     terms = np.unique(np.concatenate([_terms(path, ends) for path in paths]))
     values = grid.cell_values()
@@ -100,7 +101,7 @@ def gather_landscape(run: Path, grid: Grid, name: str) -> Landscape:
     seen = np.zeros((grid.size, len(terms)), dtype=np.int8)
     complete = dynamic or bool((terms == np.arange(len(terms))).all())
     for path in paths:
-        columns = _columns(path, [*PARAMETERS, *ends, *found, *per_term])
+        columns = read_columns(path, [*PARAMETERS, *ends, *found, *per_term])
         keys = _as_keys([columns[parameter] for parameter in PARAMETERS])
         cell = order[np.minimum(np.searchsorted(wanted, keys, sorter=order), grid.size - 1)]
         term = np.searchsorted(terms, _term_keys(columns, ends))
@@ -145,32 +146,4 @@ def _term_keys(columns: dict[str, np.ndarray], ends: tuple[str, ...]) -> np.ndar
 
 
 def _terms(path: Path, ends: tuple[str, ...]) -> np.ndarray:
-    return np.unique(_term_keys(_columns(path, list(ends)), ends))
-
-
-def _names(path: Path) -> set[str]:
-    """The columns of one file of cells."""
-    import pyarrow
-    import pyarrow.parquet
-
-    try:
-        return set(pyarrow.parquet.read_schema(path).names)
-    except (pyarrow.ArrowException, OSError) as error:
-        raise _unreadable(path, error) from None
-
-
-def _columns(path: Path, names: list[str]) -> dict[str, np.ndarray]:
-    """The named columns of one file of cells."""
-    import pyarrow
-    import pyarrow.parquet
-
-    try:
-        table = pyarrow.parquet.read_table(path, columns=names)
-        return {name: table.column(name).to_numpy() for name in names}
-    except (pyarrow.ArrowException, OSError, KeyError) as error:
-        raise _unreadable(path, error) from None
-
-
-def _unreadable(path: Path, error: Exception) -> InputError:
-    reason = (str(error) or type(error).__name__).splitlines()[0]
-    return InputError(path, "cells", f"cannot be read ({reason})", "delete it and run the sweep again")
+    return np.unique(_term_keys(read_columns(path, list(ends)), ends))

@@ -48,7 +48,7 @@ def claim(run: Path, identity: str, experiment: Experiment) -> None:
     """Make the folder this sweep's, or raise InputError where it holds another one's cells."""
     path = run / "cells" / "identity.txt"
     if path.exists():
-        if path.read_text(encoding="utf-8").strip() != identity:
+        if path.read_bytes().strip() != identity.encode():
             raise InputError(run, "cells", "holds another sweep (other observations, grid or options)",
                              "name another folder with --out, or delete this one")
     elif run.exists() and any(run.iterdir()):
@@ -85,28 +85,13 @@ def read_experiment(run: Path) -> Experiment:
         kept = summary["hypotheses"]
         hypotheses = None if kept is None else Hypotheses.from_dict(kept["kept"])
         material, digest = summary["material"], told["input_sha256"]
+    except InputError as error:
+        raise InputError(path, error.field, "is none that a sweep can have", "run the sweep again") from None
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(path, "file", "does not describe a sweep", "run the sweep again") from None
     observations = replace(load_observations(Path(run) / OBSERVATIONS), name=material, sha256=digest)
     pairs = load_pairs(Path(run) / PAIRS, observations) if options.objective == "dynamic" else None
     return Experiment(observations, Grid.from_dict(summary.get("grid"), str(path)), options, pairs, hypotheses)
-
-
-def chunk_path(run: Path, part: str, first: int, last: int) -> Path:
-    """The file of the cells ``first`` to ``last`` in the folder's ``part``, "cells" or "hypotheses"."""
-    return run / part / f"{first:09d}-{last:09d}.parquet"
-
-
-def store(path: Path, columns: dict, material: str) -> None:
-    """Write the rows of a chunk as Parquet."""
-    import pyarrow
-    import pyarrow.parquet
-
-    count = len(columns["observation"])
-    names = pyarrow.DictionaryArray.from_arrays(np.zeros(count, dtype=np.int8), [material])
-    table = pyarrow.table({**columns, "material": names})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, lambda file: pyarrow.parquet.write_table(table, file))
 
 
 def provenance(experiment: Experiment, identity: str, command) -> dict:

@@ -21,12 +21,13 @@ from doo_ti.dataset import Observations
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.grid import Grid
 from doo_ti.learning.cells import relax_hypotheses
+from doo_ti.learning.chunk_file import chunk_path, write_chunk
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
 from doo_ti.learning.landscape import Landscape, gather_landscape, jumps_of, status_counts
 from doo_ti.learning.pairs import Pairs
 from doo_ti.learning.resolution import resolve
-from doo_ti.learning.run_folder import chunk_path, claim, finished, identity_of, provenance, store
+from doo_ti.learning.run_folder import claim, finished, identity_of, provenance
 from doo_ti.learning.trajectory import trajectory
 from doo_ti.learning.workers import Alone, Crew, crew
 from doo_ti.progress import progress
@@ -130,7 +131,7 @@ def _relax_chunks(
             task = bar.add_task(name, total=cells, completed=before, unit="cells", rate="compiling")
             done = 0
             for (first, last), columns in workers.results(partial(_rows, experiment), chunks):
-                store(chunk_path(run, part, first, last), columns, name)
+                write_chunk(chunk_path(run, part, first, last), columns, name)
                 done += last - first
                 rate = done * rods / (time.monotonic() - began)
                 bar.update(task, advance=last - first, rate=f"{rate:,.0f} rods/s")

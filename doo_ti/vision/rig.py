@@ -15,6 +15,8 @@ from doo_ti.whole_file import write_whole
 
 COEFFICIENTS = 5
 """Of distortion: k1, k2, p1, p2, k3."""
+OTHER_COLUMNS = ("name", "frame", "time_s", "view", "seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
+"""Of tables that have a column of images for each camera, named as it is."""
 
 
 @dataclass(frozen=True)
@@ -91,12 +93,9 @@ class Rig:
     source: str = "rig"
 
     def __post_init__(self):
-        names = [camera.name for camera in self.cameras]
-        if not names:
+        if not self.cameras:
             raise InputError(self.source, "cameras", "no camera", "describe at least two")
-        if len(set(names)) < len(names):
-            twice = max(names, key=names.count)
-            raise InputError(self.source, "cameras", f"the name {twice!r} occurs twice", "name them apart")
+        check_camera_names(self.source, [camera.name for camera in self.cameras])
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -113,6 +112,16 @@ class Rig:
             if name not in by_name:
                 raise InputError(self.source, "cameras", f"no camera {name!r}", f"the rig has {', '.join(by_name)}")
         return Rig(tuple(by_name[name] for name in names), self.source)
+
+
+def check_camera_names(source: str, names: list[str]) -> None:
+    """Raise InputError for names of cameras that occur twice, are empty, or name another column of tables of images."""
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(source, "cameras", f"the name {name!r} occurs twice", "name them apart")
+        if not name or name in OTHER_COLUMNS:
+            raise InputError(source, "cameras", f"{name!r} cannot be a camera's name, tables of images have another column of "
+                             "that name" if name else "a camera without a name", "name it otherwise, such as cam0")
 
 
 _KEYS = {"matrix": "K", "distortion": "dist", "rotation": "R", "translation": "t"}

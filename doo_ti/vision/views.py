@@ -15,6 +15,7 @@ from doo_ti.vision.board import Board
 from doo_ti.vision.bundle import Sighting
 from doo_ti.vision.corners import find_corners
 from doo_ti.vision.image_file import read_image
+from doo_ti.vision.rig import check_camera_names
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ def read_views(path: Path) -> Views:
     if len(set(header)) < len(header) or "" in header:
         raise InputError(path, "header", f"{', '.join(header)}: a name twice, or none", "name the columns apart")
     cameras = tuple(name for name in header if name != "view")
+    check_camera_names(str(path), list(cameras))
     if len(cameras) < 2:
         raise InputError(path, "header", f"{len(cameras)} camera", "a rig has two or more: give each a column of images")
     if len(rows) < 2:

@@ -57,6 +57,8 @@ def test_the_rig_of_the_images(shared_data):
 @pytest.mark.parametrize("spoil, word", [
     (lambda text: text.replace("cameras:", "kameras:"), "cameras"),
     (lambda text: text.replace("width: 1280", "width: x"), "width"),
+    (lambda text: text.replace("name: cam1", "name: seed_x"), "cameras"),
+    (lambda text: text.replace("name: cam1", "name: name"), "cameras"),
     (lambda text: text.replace("   K:", "   Q:"), "K"),
     (lambda text: "{{{", "not a rig"),
 ])
