@@ -4,6 +4,7 @@ Axes: G grid cells, N terms of the objective: observations under Eq. 2, pairs of
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -52,20 +53,36 @@ class Landscape:
     end_rotation: np.ndarray
     jumps: np.ndarray | None = None
 
-    @property
+    @cached_property
+    def sound(self) -> np.ndarray:
+        """(G, N) bool: rods that converged to a certified minimum. The others lie anywhere, at their observation too."""
+        return (self.status == Status.CONVERGED) & self.stable & np.isfinite(self.distance)
+
+    @cached_property
+    def compared(self) -> np.ndarray:
+        """(N,) bool: terms whose rod is sound in some cell. The others say nothing and are left out."""
+        return self.sound.any(axis=0)
+
+    @cached_property
+    def unsound(self) -> np.ndarray:
+        """(G,) rods of the compared terms that are not sound: cells with any do not compete."""
+        return (~self.sound[:, self.compared]).sum(axis=1)
+
+    @cached_property
     def mean_distance(self) -> np.ndarray:
-        """(G,) Eq. 2 or 3, mm, without terms that have no distance anywhere; other gaps make a cell NaN."""
-        useful = ~np.isnan(self.distance).all(axis=0)
-        if not useful.any():
+        """(G,) Eq. 2 or 3 over the compared terms, mm; NaN in cells that do not compete, since not all these rods are sound."""
+        weight = self.weight[self.compared]
+        if not len(weight):
             return np.full(len(self.distance), np.nan)
-        weight = self.weight[useful]
-        return (self.distance[:, useful] * weight).sum(axis=1) / weight.sum()
+        mean = (self.distance[:, self.compared] * weight).sum(axis=1) / weight.sum()
+        return np.where(self.unsound == 0, mean, np.nan)
 
     @property
     def best(self) -> int:
-        """The cell with the smallest mean distance. Raises InputError where no cell has one."""
+        """The competing cell with the smallest mean distance. Raises InputError where none competes."""
         if np.isnan(self.mean_distance).all():
-            raise InputError(self.run, "distance_mm", "no cell has an error", "look at the rods' status in cells/")
+            raise InputError(self.run, "distance_mm", "no cell has an error: in none did all rods converge to certified minima",
+                             "look at status and stable in cells/")
         return int(np.nanargmin(self.mean_distance))
 
     @property
@@ -126,6 +143,13 @@ def jumps_of(landscape: Landscape) -> dict[str, int]:
     """How many rods fell to another branch on their way, in all cells and in the best one."""
     fell = landscape.jumps > 0
     return {"rods": int(fell.sum()), "rods_at_best": int(fell[landscape.best].sum())}
+
+
+def competition_of(landscape: Landscape) -> dict[str, int]:
+    """How many cells compete, how many do not, and how many terms no cell can compare, as JSON holds it."""
+    out = int((landscape.unsound > 0).sum())
+    return {"cells_competing": len(landscape.unsound) - out if landscape.compared.any() else 0, "cells_not_competing": out,
+            "terms_left_out": int((~landscape.compared).sum())}
 
 
 def status_counts(status: np.ndarray) -> dict[str, int]:

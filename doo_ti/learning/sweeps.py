@@ -24,7 +24,7 @@ from doo_ti.learning.cells import relax_hypotheses
 from doo_ti.learning.chunk_file import chunk_path, write_chunk
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
-from doo_ti.learning.landscape import Landscape, gather_landscape, jumps_of, status_counts
+from doo_ti.learning.landscape import Landscape, competition_of, gather_landscape, jumps_of, status_counts
 from doo_ti.learning.pairs import Pairs
 from doo_ti.learning.resolution import resolve
 from doo_ti.learning.run_folder import claim, finished, identity_of, provenance
@@ -32,7 +32,6 @@ from doo_ti.learning.trajectory import trajectory
 from doo_ti.learning.workers import Alone, Crew, crew
 from doo_ti.progress import progress
 from doo_ti.start import check_experiment
-from doo_ti.types import Status
 from doo_ti.whole_file import write_whole
 
 CHUNK_BYTES = 32 << 20
@@ -78,7 +77,8 @@ def _swept(run: Path, experiment: Experiment, workers: Alone | Crew, command: li
         experiment = replace(experiment, hypotheses=Hypotheses.from_dict(resolution["kept"]))
     landscape = gather_landscape(run, grid, observations.name)
     if np.isnan(landscape.mean_distance).all():
-        raise InterruptedRunError(f"{run}: no cell has an error, every rod came to nothing; look at status in cells/")
+        raise InterruptedRunError(f"{run}: no cell has an error, in none did all rods converge to certified minima; "
+                                  "look at status and stable in cells/")
     summary = {
         **_result(experiment, landscape), "hypotheses": resolution,
         "timing": {"relaxed_rods": rods * sum(last - first for first, last in left), "relaxation_s": seconds},
@@ -103,6 +103,7 @@ def _result(experiment: Experiment, landscape: Landscape) -> dict:
         "units": {"bend_1": "mm3", "bend_2": "mm3", "bend_12": "mm3", "twist": "mm3", "weight": "relative"},
         "rods": {"count": int(landscape.status.size), **status_counts(landscape.status),
                  "stable": int(landscape.stable.sum())},
+        **competition_of(landscape),
         "rods_at_best": {**status_counts(landscape.status[best]), "stable": int(landscape.stable[best].sum())},
         "observations": experiment.observations.count,
         "cells": grid.size,
@@ -153,8 +154,7 @@ def _draw(run: Path, experiment: Experiment, landscape: Landscape, summary: dict
     axes = [(axis.name, axis.values, axis.log, axis.unit) for axis in grid.axes]
     values = landscape.mean_distance.reshape(grid.shape)
     minimum = np.unravel_index(landscape.best, grid.shape)
-    sound = (landscape.status == Status.CONVERGED) & landscape.stable
-    unfinished = (~sound).sum(axis=1).reshape(grid.shape)
+    unfinished = landscape.unsound.reshape(grid.shape)
     static = experiment.pairs is None
     label = "mean distance (Eq. 1) [mm]"
     terms = f"{observations.count} observations" if static else f"{experiment.pairs.count} pairs"
@@ -173,6 +173,7 @@ def _draw(run: Path, experiment: Experiment, landscape: Landscape, summary: dict
         axes=axes, landscape=values, minimum=minimum, unfinished=unfinished, intervals=landscape.intervals,
         properties={"bend_1_mm3": best["bend_1"], "bend_2_mm3": best["bend_2"], "twist_mm3": best["twist"],
                     "weight": best["weight"], "mean_distance_mm": best["mean_distance_mm"], "rods": rods["count"],
+                    "cells_competing": summary["cells_competing"],
                     "rods_converged": rods.get("converged", 0), "rods_stable": rods["stable"],
                     "recorded_iterations": "those of Newton" if static else "sub-steps of the motion"},
         up=observations.up,

@@ -13,7 +13,7 @@ from tests.sweeps.lab import small_lab
 
 # System call number of socket(2), and the number of the architecture that a seccomp filter is told.
 SOCKET = {"x86_64": (41, 0xC000003E), "aarch64": (198, 0xC00000B7)}
-pytestmark = pytest.mark.skipif(sys.platform != "linux" or platform.machine() not in SOCKET, reason="seccomp of this Linux only")
+pytestmark = pytest.mark.skipif(sys.platform != "linux" or platform.machine() not in SOCKET, reason="takes seccomp")
 
 # A filter that ends the process, and each one it starts, at socket(AF_INET or AF_INET6, …); sockets between processes of
 # this machine are not meant. Each step: operation, steps to skip if so, if not, number (linux/filter.h, linux/seccomp.h).
