@@ -12,6 +12,7 @@ import json
 import os
 import platform
 import time
+from contextlib import suppress
 from dataclasses import fields, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -27,9 +28,9 @@ from doo_ti.learning.hypotheses import Hypotheses
 from doo_ti.learning.pairs import load_pairs, save_pairs
 from doo_ti.learning.summary import read_summary
 from doo_ti.types import Clamp
-from doo_ti.whole_file import write_whole
+from doo_ti.whole_file import remove_leftovers, write_whole
 
-OBSERVATIONS, PAIRS = "observations.npz", "pairs.csv"
+OBSERVATIONS, PAIRS, IDENTITY = "observations.npz", "pairs.csv", "identity.txt"
 
 
 def identity_of(experiment: Experiment, *more) -> str:
@@ -45,21 +46,34 @@ def identity_of(experiment: Experiment, *more) -> str:
 
 
 def claim(run: Path, identity: str, experiment: Experiment) -> None:
-    """Make the folder this sweep's, or raise InputError where it holds another one's cells."""
-    path = run / "cells" / "identity.txt"
-    if path.exists():
-        if path.read_bytes().strip() != identity.encode():
-            raise InputError(run, "cells", "holds another sweep (other observations, grid or options)",
-                             "name another folder with --out, or delete this one")
-    elif run.exists() and any(run.iterdir()):
-        raise InputError(run, "--out", "the folder holds something else than a sweep", "name another folder")
-    else:
+    """Make the folder this sweep's, or raise InputError where it holds another one's cells; of sweeps that begin at one moment
+    one gets it. What killed processes left half written goes."""
+    path = run / "cells" / IDENTITY
+    for folder in (run, path.parent, run / "hypotheses"):
+        remove_leftovers(folder)
+    if not path.exists():
+        if not _is_free(run) and not path.exists():  # looked at again: another process may have claimed and filled it
+            raise InputError(run, "--out", "the folder holds something else than a sweep", "name another folder")
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, lambda file: file.write(f"{identity}\n".encode()))
+        with suppress(FileExistsError):  # another process was faster: whose the folder is now is seen below
+            write_whole(path, lambda file: file.write(f"{identity}\n".encode()), first=True)
+    if path.read_bytes().strip() != identity.encode():
+        raise InputError(run, "cells", "holds another sweep (other observations, grid or options)",
+                         "name another folder with --out, or delete this one")
     if not (run / OBSERVATIONS).exists():
         save_observations(run / OBSERVATIONS, experiment.observations)
     if experiment.pairs is not None and not (run / PAIRS).exists():
         save_pairs(run / PAIRS, experiment.pairs)
+
+
+def _is_free(run: Path) -> bool:
+    """Whether a folder holds nothing but what a claim leaves that came to no end."""
+    cells = run / "cells"
+    return all(path == cells for path in _inside(run)) and all(path.name.startswith(f".{IDENTITY}.") for path in _inside(cells))
+
+
+def _inside(folder: Path) -> list[Path]:
+    return list(folder.iterdir()) if folder.exists() else []
 
 
 def finished(run: Path, identity: str) -> dict | None:

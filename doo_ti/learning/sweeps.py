@@ -11,6 +11,8 @@ and what :mod:`doo_ti.learning.run_folder` names besides. A sweep that was stopp
 import json
 import shlex
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -63,32 +65,46 @@ def _swept(run: Path, experiment: Experiment, workers: Alone | Crew, command: li
                          f"give a grid of at most {MOST_RODS // rods:,} cells")
     together = CHUNK_BYTES // (32 * observations.edges)
     identity = identity_of(experiment, together)
-    claim(run, identity, experiment)
     step = max(1, together // rods)
     chunks = [(first, min(first + step, grid.size)) for first in range(0, grid.size, step)]
     part = "hypotheses" if experiment.hypotheses.are_several else "cells"
-    left = [chunk for chunk in chunks if not chunk_path(run, part, *chunk).exists()]
-    if not left and (done := finished(run, identity)):
-        return done
-    seconds = _relax_chunks(run, part, experiment, left, workers, command)
-    resolution = None
-    if part == "hypotheses":
-        resolution = resolve(run, experiment, chunks)
-        experiment = replace(experiment, hypotheses=Hypotheses.from_dict(resolution["kept"]))
-    landscape = gather_landscape(run, grid, observations.name)
-    if np.isnan(landscape.mean_distance).all():
-        raise InterruptedRunError(f"{run}: no cell has an error, in none did all rods converge to certified minima; "
-                                  "look at status and stable in cells/")
-    summary = {
-        **_result(experiment, landscape), "hypotheses": resolution,
-        "timing": {"relaxed_rods": rods * sum(last - first for first, last in left), "relaxation_s": seconds},
-        "provenance": provenance(experiment, identity, command),
-    }
-    _draw(run, experiment, landscape, summary)
-    summary["timing"]["total_s"] = time.monotonic() - began
-    text = json.dumps(summary, indent=2) + "\n"
-    write_whole(run / "summary.json", lambda file: file.write(text.encode()))
-    return summary
+    with _resumable(run, command):
+        claim(run, identity, experiment)
+        left = [chunk for chunk in chunks if not chunk_path(run, part, *chunk).exists()]
+        if not left and (done := finished(run, identity)):
+            return done
+        seconds = _relax_chunks(run, part, experiment, left, workers, command)
+        resolution = None
+        if part == "hypotheses":
+            resolution = resolve(run, experiment, chunks)
+            experiment = replace(experiment, hypotheses=Hypotheses.from_dict(resolution["kept"]))
+        landscape = gather_landscape(run, grid, observations.name)
+        if np.isnan(landscape.mean_distance).all():
+            raise InterruptedRunError(f"{run}: no cell has an error, in none did all rods converge to certified minima; "
+                                      "look at status and stable in cells/")
+        summary = {
+            **_result(experiment, landscape), "hypotheses": resolution,
+            "timing": {"relaxed_rods": rods * sum(last - first for first, last in left), "relaxation_s": seconds},
+            "provenance": provenance(experiment, identity, command),
+        }
+        _draw(run, experiment, landscape, summary)
+        summary["timing"]["total_s"] = time.monotonic() - began
+        text = json.dumps(summary, indent=2) + "\n"
+        write_whole(run / "summary.json", lambda file: file.write(text.encode()))
+        return summary
+
+
+@contextmanager
+def _resumable(run: Path, command: list[str]) -> Iterator[None]:
+    """Raises what ends a sweep on its way as an InterruptedRunError that says how to go on."""
+    try:
+        yield
+    except (InputError, InterruptedRunError):
+        raise
+    except (Exception, KeyboardInterrupt) as error:
+        reason = " ".join(str(error).split()) or {KeyboardInterrupt: "interrupted"}.get(type(error), type(error).__name__)
+        again = shlex.join(command) if command else "the same call"
+        raise InterruptedRunError(f"{run}: sweep stopped ({reason}); finished cells are kept, go on with: {again}") from error
 
 
 def _result(experiment: Experiment, landscape: Landscape) -> dict:
@@ -126,22 +142,15 @@ def _relax_chunks(
     """Have ``workers`` relax ``chunks`` and store them; returns the seconds it took."""
     began = time.monotonic()
     name, cells, rods = experiment.observations.name, experiment.grid.size, len(experiment.rods[0])
-    try:
-        with progress(lasting=True) as bar:
-            before = cells - sum(last - first for first, last in chunks)
-            task = bar.add_task(name, total=cells, completed=before, unit="cells", rate="compiling")
-            done = 0
-            for (first, last), columns in workers.results(partial(_rows, experiment), chunks):
-                write_chunk(chunk_path(run, part, first, last), columns, name)
-                done += last - first
-                rate = done * rods / (time.monotonic() - began)
-                bar.update(task, advance=last - first, rate=f"{rate:,.0f} rods/s")
-    except InputError:
-        raise
-    except (Exception, KeyboardInterrupt) as error:
-        reason = " ".join(str(error).split()) or {KeyboardInterrupt: "interrupted"}.get(type(error), type(error).__name__)
-        again = shlex.join(command) if command else "the same call"
-        raise InterruptedRunError(f"{run}: sweep stopped ({reason}); finished cells are kept, go on with: {again}") from error
+    with progress(lasting=True) as bar:
+        before = cells - sum(last - first for first, last in chunks)
+        task = bar.add_task(name, total=cells, completed=before, unit="cells", rate="compiling")
+        done = 0
+        for (first, last), columns in workers.results(partial(_rows, experiment), chunks):
+            write_chunk(chunk_path(run, part, first, last), columns, name)
+            done += last - first
+            rate = done * rods / (time.monotonic() - began)
+            bar.update(task, advance=last - first, rate=f"{rate:,.0f} rods/s")
     return time.monotonic() - began
 
 
