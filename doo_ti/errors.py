@@ -23,6 +23,10 @@ class InputError(ValueError):
         self.source, self.field, self.problem, self.remedy = str(source), str(field), problem, remedy
         super().__init__(" ".join(f"{source}: {field}: {problem}; {remedy}".split()))
 
+    def __reduce__(self):
+        """Its parts, so that one that was raised in another process arrives."""
+        return type(self), (self.source, self.field, self.problem, self.remedy)
+
 
 class InterruptedRunError(RuntimeError):
     """A long run stopped on the way; what was finished is kept and the message says how to go on (exit code 1)."""

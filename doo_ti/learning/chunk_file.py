@@ -1,13 +1,20 @@
-"""The file of a chunk of cells: rows as Parquet, one per cell and observation, or pair."""
+"""The file of a chunk of cells: rows as Parquet, one per cell and observation, or pair.
 
+Pages carry checksums, and the file's metadata say which sweep it belongs to and who made it.
+"""
+
+import json
 from pathlib import Path
 
 import numpy as np
 
 from doo_ti.errors import InputError
+from doo_ti.learning.maker import maker
 from doo_ti.types import LARGEST, Status
 from doo_ti.whole_file import write_whole
 
+IDENTITY, MAKER = "doo_ti_sweep", "doo_ti_maker"
+"""Keys of a file's metadata."""
 REMEDY = "delete it and run the sweep again"
 MOST_ROWS = 1 << 31
 
@@ -31,30 +38,51 @@ def chunk_path(run: Path, part: str, first: int, last: int) -> Path:
     return run / part / f"{first:09d}-{last:09d}.parquet"
 
 
-def write_chunk(path: Path, columns: dict, material: str) -> None:
-    """Write the rows of a chunk, whole or not at all."""
+def write_chunk(path: Path, columns: dict, material: str, identity: str) -> None:
+    """Write the rows of a chunk of the sweep ``identity``, whole or not at all."""
     import pyarrow
 
     count = len(columns["observation"])
     names = pyarrow.DictionaryArray.from_arrays(np.zeros(count, dtype=np.int8), [material])
-    write_rows(path, pyarrow.table({**columns, "material": names}))
+    write_rows(path, pyarrow.table({**columns, "material": names}, metadata={IDENTITY: identity, MAKER: json.dumps(maker())}))
 
 
 def write_rows(path: Path, table) -> None:
-    """Write a pyarrow table of a chunk's rows."""
+    """Write a pyarrow table of a chunk's rows, its metadata with it."""
     import pyarrow.parquet
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, lambda file: pyarrow.parquet.write_table(table, file))
+    write_whole(path, lambda file: pyarrow.parquet.write_table(table, file, write_page_checksum=True))
 
 
 def column_names(path: Path) -> set[str]:
     """The columns of a chunk. Raises InputError where it cannot be read."""
+    return set(_schema(path).names)
+
+
+def check_identity(paths: list[Path], identity: str | None) -> None:
+    """Raise InputError where a chunk belongs to another sweep than ``identity``, or than the others.
+
+    identity  None where the run does not say; chunks of older runs do not either
+    """
+    found = [_identity(path) for path in paths]
+    wanted = identity if any(found) else None
+    for path, own in zip(paths, found, strict=True):
+        if own != (wanted or found[0]):
+            raise InputError(path, "cells", "belongs to another sweep", REMEDY)
+
+
+def _identity(path: Path) -> str | None:
+    """Which sweep a chunk's metadata name."""
+    return (_schema(path).metadata or {}).get(IDENTITY.encode(), b"").decode(errors="replace") or None
+
+
+def _schema(path: Path):
     import pyarrow
     import pyarrow.parquet
 
     try:
-        return set(pyarrow.parquet.read_schema(path).names)
+        return pyarrow.parquet.read_schema(path)
     except (pyarrow.ArrowException, OSError) as error:
         raise _unreadable(path, error) from None
 
@@ -65,7 +93,7 @@ def read_rows(path: Path, names: list[str] | None = None):
     import pyarrow.parquet
 
     try:
-        table = pyarrow.parquet.read_table(path, columns=names)
+        table = pyarrow.parquet.read_table(path, columns=names, page_checksum_verification=True)
     except (pyarrow.ArrowException, OSError) as error:
         raise _unreadable(path, error) from None
     for name in names or ():

@@ -11,8 +11,8 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid, Interval, valley
-from doo_ti.learning.chunk_file import column_names, read_columns
-from doo_ti.learning.summary import read_summary
+from doo_ti.learning.chunk_file import check_identity, column_names, read_columns
+from doo_ti.learning.summary import check_cells, read_summary, sweep_identity
 from doo_ti.types import Status
 
 PARAMETERS = ("bend_1", "bend_2", "twist", "weight")
@@ -94,18 +94,23 @@ class Landscape:
 def read_landscape(run: Path) -> Landscape:
     """The landscape in the folder of a finished sweep. Raises InputError where it holds none."""
     summary = read_summary(run)
+    check_cells(run, summary)
     grid = Grid.from_dict(summary.get("grid"), str(run / "summary.json"))
-    return gather_landscape(run, grid, str(summary.get("material", run.name)))
+    return gather_landscape(run, grid, str(summary.get("material", run.name)), sweep_identity(summary))
 
 
-def gather_landscape(run: Path, grid: Grid, name: str) -> Landscape:
+def gather_landscape(run: Path, grid: Grid, name: str, identity: str | None) -> Landscape:
     """The landscape in the stored cells of ``run``, whatever files they lie in and in whatever order.
 
-    One file is in memory at a time. Raises InputError where they do not hold each cell and term of the objective once.
+    identity  of the sweep that they belong to, None where the run does not say
+
+    One file is in memory at a time. Raises InputError where they are another sweep's, or do not hold each cell and term of the
+    objective once.
     """
     paths = sorted((run / "cells").glob("*.parquet"))
     if not paths:
         raise InputError(run / "cells", "cells", "no Parquet files", "run the sweep to its end")
+    check_identity(paths, identity)
     dynamic = column_names(paths[0]) >= {"from_observation"}
     ends = ("from_observation", "observation") if dynamic else ("observation",)
     terms = np.unique(np.concatenate([_terms(path, ends) for path in paths]))

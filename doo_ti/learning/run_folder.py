@@ -16,6 +16,7 @@ from contextlib import suppress
 from dataclasses import fields, replace
 from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -25,8 +26,9 @@ from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
+from doo_ti.learning.maker import maker, maker_text
 from doo_ti.learning.pairs import load_pairs, save_pairs
-from doo_ti.learning.summary import read_summary
+from doo_ti.learning.summary import REMADE, changed_files, check_cells, read_summary, sweep_identity
 from doo_ti.types import Clamp
 from doo_ti.whole_file import remove_leftovers, write_whole
 
@@ -34,21 +36,21 @@ OBSERVATIONS, PAIRS, IDENTITY = "observations.npz", "pairs.csv", "identity.txt"
 
 
 def identity_of(experiment: Experiment, *more) -> str:
-    """sha256 of everything the cells depend on."""
+    """sha256 of everything the cells depend on, who makes them too."""
     digest = hashlib.sha256()
     for content in (experiment.observations, experiment.pairs, experiment.hypotheses):
         for field in () if content is None else fields(content):
             value = getattr(content, field.name)
             if isinstance(value, np.ndarray):
                 digest.update(field.name.encode() + str(value.shape).encode() + np.ascontiguousarray(value).tobytes())
-    digest.update(json.dumps([experiment.grid.as_dict(), experiment.options.as_dict(), *more]).encode())
+    digest.update(json.dumps([experiment.grid.as_dict(), experiment.options.as_dict(), maker(), *more]).encode())
     return digest.hexdigest()
 
 
 def claim(run: Path, identity: str, experiment: Experiment) -> None:
     """Make the folder this sweep's, or raise InputError where it holds another one's cells; of sweeps that begin at one moment
     one gets it. What killed processes left half written goes."""
-    path = run / "cells" / IDENTITY
+    path, made = run / "cells" / IDENTITY, maker_text(maker())
     for folder in (run, path.parent, run / "hypotheses"):
         remove_leftovers(folder)
     if not path.exists():
@@ -56,14 +58,27 @@ def claim(run: Path, identity: str, experiment: Experiment) -> None:
             raise InputError(run, "--out", "the folder holds something else than a sweep", "name another folder")
         path.parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileExistsError):  # another process was faster: whose the folder is now is seen below
-            write_whole(path, lambda file: file.write(f"{identity}\n".encode()), first=True)
-    if path.read_bytes().strip() != identity.encode():
+            write_whole(path, lambda file: file.write(f"{identity}\n{made}\n".encode()), first=True)
+    found, _, by = path.read_bytes().decode(errors="replace").strip().partition("\n")
+    if found != identity:
+        if by and by != made:
+            raise InputError(run, "cells", f"holds cells that {by} made, this is {made}",
+                             "go on with that one, or name another folder with --out")
         raise InputError(run, "cells", "holds another sweep (other observations, grid or options)",
                          "name another folder with --out, or delete this one")
-    if not (run / OBSERVATIONS).exists():
-        save_observations(run / OBSERVATIONS, experiment.observations)
-    if experiment.pairs is not None and not (run / PAIRS).exists():
-        save_pairs(run / PAIRS, experiment.pairs)
+    _save_once(run / OBSERVATIONS, save_observations, experiment.observations)
+    if experiment.pairs is not None:
+        _save_once(run / PAIRS, save_pairs, experiment.pairs)
+
+
+def _save_once(path: Path, save, content) -> None:
+    """Have ``save`` write ``content``, and again where a file that is there holds something else: it was torn, or changed."""
+    if path.exists():
+        with TemporaryDirectory() as folder:
+            save(Path(folder) / path.name, content)
+            if (Path(folder) / path.name).read_bytes() == path.read_bytes():
+                return
+    save(path, content)
 
 
 def _is_free(run: Path) -> bool:
@@ -77,15 +92,16 @@ def _inside(folder: Path) -> list[Path]:
 
 
 def finished(run: Path, identity: str) -> dict | None:
-    """The summary of a sweep that was finished before, or None."""
-    path = run / "summary.json"
-    if not (path.exists() and (run / "run.rrd").exists()):
-        return None
+    """The summary of a sweep that was finished before, or None where it, or a picture or recording, is gone or damaged: they
+    are made again from the cells. Raises InputError where cells are."""
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-        return summary if summary["provenance"]["sweep_sha256"] == identity else None
-    except (ValueError, KeyError, TypeError, RecursionError):  # damaged: it is made again from the cells
+        summary = read_summary(run)
+    except InputError:
         return None
+    if sweep_identity(summary) != identity or not isinstance(summary.get("files"), dict):
+        return None
+    check_cells(run, summary)
+    return None if changed_files(run, summary, REMADE) else summary
 
 
 def read_experiment(run: Path) -> Experiment:
@@ -103,6 +119,8 @@ def read_experiment(run: Path) -> Experiment:
         raise InputError(path, error.field, "is none that a sweep can have", "run the sweep again") from None
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(path, "file", "does not describe a sweep", "run the sweep again") from None
+    for name in changed_files(Path(run), summary, (OBSERVATIONS, PAIRS)):
+        raise InputError(Path(run) / name, "file", "gone, or not what the sweep wrote", "run the sweep again: it is made anew")
     observations = replace(load_observations(Path(run) / OBSERVATIONS), name=material, sha256=digest)
     pairs = load_pairs(Path(run) / PAIRS, observations) if options.objective == "dynamic" else None
     return Experiment(observations, Grid.from_dict(summary.get("grid"), str(path)), options, pairs, hypotheses)
@@ -117,6 +135,7 @@ def provenance(experiment: Experiment, identity: str, command) -> dict:
         "input": Path(observations.source).name,
         "input_sha256": observations.sha256,
         "sweep_sha256": identity,
+        "maker": maker(),
         "seed": experiment.options.seed,
         "options": {**experiment.options.as_dict(), "clamp_start": Clamp(clamps.start).name.lower(),
                     "clamp_end": Clamp(clamps.end).name.lower(), "up": observations.up.tolist()},

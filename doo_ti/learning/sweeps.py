@@ -8,7 +8,6 @@
 and what :mod:`doo_ti.learning.run_folder` names besides. A sweep that was stopped goes on where it was.
 """
 
-import json
 import shlex
 import time
 from collections.abc import Iterator
@@ -23,13 +22,14 @@ from doo_ti.dataset import Observations
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.grid import Grid
 from doo_ti.learning.cells import relax_hypotheses
-from doo_ti.learning.chunk_file import chunk_path, write_chunk
+from doo_ti.learning.chunk_file import check_identity, chunk_path, read_rows, write_chunk
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
 from doo_ti.learning.landscape import Landscape, competition_of, gather_landscape, jumps_of, status_counts
 from doo_ti.learning.pairs import Pairs
 from doo_ti.learning.resolution import resolve
 from doo_ti.learning.run_folder import claim, finished, identity_of, provenance
+from doo_ti.learning.summary import write_summary
 from doo_ti.learning.trajectory import trajectory
 from doo_ti.learning.workers import Alone, Crew, crew
 from doo_ti.progress import progress
@@ -73,12 +73,16 @@ def _swept(run: Path, experiment: Experiment, workers: Alone | Crew, command: li
         left = [chunk for chunk in chunks if not chunk_path(run, part, *chunk).exists()]
         if not left and (done := finished(run, identity)):
             return done
-        seconds = _relax_chunks(run, part, experiment, left, workers, command)
+        paths = [chunk_path(run, part, *chunk) for chunk in chunks if chunk not in set(left)]
+        check_identity(paths, identity)
+        for path in paths:  # what was stored before, whole, since its digest is about to be taken
+            read_rows(path)
+        seconds = _relax_chunks(run, part, experiment, left, workers, identity)
         resolution = None
         if part == "hypotheses":
             resolution = resolve(run, experiment, chunks)
             experiment = replace(experiment, hypotheses=Hypotheses.from_dict(resolution["kept"]))
-        landscape = gather_landscape(run, grid, observations.name)
+        landscape = gather_landscape(run, grid, observations.name, identity)
         if np.isnan(landscape.mean_distance).all():
             raise InterruptedRunError(f"{run}: no cell has an error, in none did all rods converge to certified minima; "
                                       "look at status and stable in cells/")
@@ -89,9 +93,7 @@ def _swept(run: Path, experiment: Experiment, workers: Alone | Crew, command: li
         }
         _draw(run, experiment, landscape, summary)
         summary["timing"]["total_s"] = time.monotonic() - began
-        text = json.dumps(summary, indent=2) + "\n"
-        write_whole(run / "summary.json", lambda file: file.write(text.encode()))
-        return summary
+        return write_summary(run, summary)
 
 
 @contextmanager
@@ -137,7 +139,7 @@ def _rows(experiment: Experiment, first: int, last: int) -> dict[str, np.ndarray
 
 
 def _relax_chunks(
-    run: Path, part: str, experiment: Experiment, chunks: list[tuple[int, int]], workers: Alone | Crew, command: list[str],
+    run: Path, part: str, experiment: Experiment, chunks: list[tuple[int, int]], workers: Alone | Crew, identity: str,
 ) -> float:
     """Have ``workers`` relax ``chunks`` and store them; returns the seconds it took."""
     began = time.monotonic()
@@ -147,7 +149,7 @@ def _relax_chunks(
         task = bar.add_task(name, total=cells, completed=before, unit="cells", rate="compiling")
         done = 0
         for (first, last), columns in workers.results(partial(_rows, experiment), chunks):
-            write_chunk(chunk_path(run, part, first, last), columns, name)
+            write_chunk(chunk_path(run, part, first, last), columns, name, identity)
             done += last - first
             rate = done * rods / (time.monotonic() - began)
             bar.update(task, advance=last - first, rate=f"{rate:,.0f} rods/s")
