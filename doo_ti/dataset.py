@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError, real_array, system_reason
+from doo_ti.errors import InputError, real_array
+from doo_ti.file_content import read_content
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
 from doo_ti.importers import read_npz, read_table, write_table
 from doo_ti.types import LARGEST
@@ -262,10 +263,7 @@ def checked_suffix(path: Path) -> None:
 
 def _read_bytes(path: Path) -> bytes:
     checked_suffix(path)
-    try:
-        content = path.read_bytes()
-    except (OSError, ValueError) as error:  # a name that holds a null byte
-        raise InputError(path, "file", system_reason(error), "name a readable file") from None
+    content = read_content(path)
     if not content:
         raise InputError(path, "file", "0 bytes, the file is empty", "write the observations again")
     return content

@@ -4,7 +4,8 @@ import hashlib
 import json
 from pathlib import Path
 
-from doo_ti.errors import InputError, system_reason
+from doo_ti.errors import InputError
+from doo_ti.file_content import MOST_TEXT_BYTES, read_content
 from doo_ti.whole_file import write_whole
 
 SUMMARY, SEAL = "summary.json", "sha256"
@@ -25,10 +26,9 @@ def read_summary(run: Path) -> dict:
     """The summary of a finished sweep. Raises InputError where the folder holds none that can be read, or another one than was
     written."""
     path = Path(run) / SUMMARY
+    content = read_content(path, MOST_TEXT_BYTES, "name the folder of a finished sweep")
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(path, "file", system_reason(error), "name the folder of a finished sweep") from None
+        summary = json.loads(content.decode())
     except (ValueError, RecursionError) as error:
         raise InputError(path, "file", f"not JSON ({error})", "run the sweep again") from None
     if not isinstance(summary, dict):

@@ -186,7 +186,8 @@ def test_coinciding_neighbours_are_named_across_missing_marks(rng):
         Observations(vertices, valid)
 
 
-@pytest.mark.parametrize("key", ["vertices", "valid", "rest_length", "start_frame", "sigma", "up", "end_distance", "total_twist"])
+@pytest.mark.parametrize("key", ["vertices", "valid", "rest_length", "start_frame", "sigma", "up", "end_distance",
+                                 "total_twist"])
 @pytest.mark.parametrize("value", [[[1.0], [1.0, 2.0]], [1j, 2j], ["a"]])
 def test_values_that_are_no_array_of_numbers(rng, key, value):
     with pytest.raises(InputError) as caught:
