@@ -18,6 +18,12 @@ __version__ = "0.1.0"
 
 # Taichi greets on standard output as soon as it is imported; that belongs to the commands' results.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+# And reports its use, with a number that stays, to its makers at the first start of a day: nothing here calls outward.
+os.environ["TI_SKIP_VERSION_CHECK"] = "ON"
+if os.name == "posix" and not {"HOME", "XDG_CACHE_HOME"} & os.environ.keys():
+    # It ends the process where neither is given. Nothing can be made below /dev/null: without a home nothing is kept there.
+    _home = os.path.expanduser("~")
+    os.environ["XDG_CACHE_HOME"] = f"{_home}/.cache" if os.path.isabs(_home) else os.devnull
 
 _HOMES = {
     "Clamp": "types", "Clamps": "types", "Configuration": "types", "Material": "types", "Solution": "types",

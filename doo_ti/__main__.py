@@ -1,8 +1,20 @@
-"""``python -m doo_ti``: the same as ``doo-ti``."""
+"""``python -m doo_ti``, and the console command ``doo-ti``."""
 
 import sys
 
-from doo_ti.cli import main
+from doo_ti.interruption import before_anything_is_begun, when_all_is_done, while_running
+
+
+def main() -> int:
+    """Import the command line and run it; returns the exit code."""
+    interruptible = before_anything_is_begun()
+    from doo_ti.cli import main as command_line
+
+    while_running(interruptible)
+    code = command_line()
+    when_all_is_done()
+    return code
+
 
 if __name__ == "__main__":
     sys.exit(main())

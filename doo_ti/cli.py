@@ -5,11 +5,10 @@ remedy, and nothing written.
 """
 
 import argparse
+import logging
 import os
 import re
-import signal
 import sys
-import threading
 from collections.abc import Sequence
 from typing import NoReturn
 
@@ -33,6 +32,7 @@ from doo_ti.commands import (
     view,
 )
 from doo_ti.errors import InputError, InterruptedRunError
+from doo_ti.runtime import check_architecture
 
 
 class _Parser(argparse.ArgumentParser):
@@ -66,9 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(argv: list[str]) -> int:
-    if threading.current_thread() is threading.main_thread():
-        # Being told to end is like Ctrl-C: what is done is kept and the way to go on is printed.
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it cannot keep its fonts it warns, and draws none the less
     parser = _parser()
     try:
         options, unknown = parser.parse_known_args(_joined(argv))
@@ -79,6 +77,7 @@ def _run(argv: list[str]) -> int:
         kind = "unknown option" if option.startswith("-") else "unexpected argument"
         prog = f"{parser.prog} {options.command}"
         raise InputError(prog, option.split("=")[0], kind, f"see {prog} --help")
+    check_architecture()
     return options.run(options, ["doo-ti", *argv])
 
 

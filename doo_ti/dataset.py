@@ -6,17 +6,17 @@ mm and rad. Axes: D observations, V vertices, E = V − 1 edges.
 
 import hashlib
 import os
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
-from doo_ti.errors import InputError, system_reason
+from doo_ti.errors import InputError, real_array
+from doo_ti.file_content import read_content
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
 from doo_ti.importers import read_npz, read_table, write_table
 from doo_ti.types import LARGEST
+from doo_ti.whole_file import write_whole
 
 # Field of Observations: key of the file.
 KEYS = {
@@ -111,9 +111,7 @@ class Observations:
 
     def _numbers(self, name: str, axes: tuple, size: dict[str, int] | None = None) -> np.ndarray:
         """A copy of the field in f64, its shape as ``axes`` with the letters' sizes put in."""
-        size, array = size or {}, np.asarray(getattr(self, name))
-        if array.dtype.kind not in "fiu":
-            raise self._error(name, f"dtype {array.dtype} is not numeric", "store real numbers")
+        size, array = size or {}, real_array(self.source, KEYS[name], getattr(self, name), "store real numbers")
         wanted = [size.get(axis, axis) for axis in axes]
         if array.ndim != len(axes) or any(w != n for w, n in zip(wanted, array.shape) if not isinstance(w, str)):
             shape = f"({', '.join(map(str, axes))}{',' * (len(axes) == 1)})"
@@ -137,8 +135,8 @@ class Observations:
                 raise self._error("vertices", f"{vertices[d, v].tolist()} at observation {d}, vertex {v}",
                                   "give finite numbers, or mark missing vertices false in `valid` (D, V)")
             return np.ones(vertices.shape[:2], dtype=bool)
-        valid = np.asarray(self.valid)
-        if valid.dtype.kind not in "biuf" or not np.isin(valid, (0, 1)).all():
+        valid = real_array(self.source, "valid", self.valid, "store booleans", "biuf")
+        if not np.isin(valid, (0, 1)).all():
             raise self._error("valid", f"dtype {valid.dtype} with other values than true and false", "store booleans")
         if valid.shape != vertices.shape[:2]:
             raise self._error("valid", f"shape {valid.shape}", f"make it (D, V) = {vertices.shape[:2]}")
@@ -168,7 +166,7 @@ class Observations:
                 raise self._error("rest_length", f"missing, and no rod shows edge {edge}", "give rest_length_mm (E,)")
             length = np.linalg.norm(np.diff(self.vertices, axis=1), axis=-1)
             return np.nanmedian(np.where(seen, length, np.nan), axis=0)
-        array = np.asarray(self.rest_length)
+        array = real_array(self.source, KEYS["rest_length"], self.rest_length, "store real numbers")
         if array.ndim == 1 and len(array) != size["E"]:
             raise self._error("rest_length", f"{len(array)} lengths for {size['E']} edges", "give one length per edge")
         length = self._finite("rest_length", self._numbers("rest_length", ("E",), size))
@@ -188,7 +186,7 @@ class Observations:
     def _checked_sigma(self, size: dict[str, int]) -> np.ndarray | None:
         if self.sigma is None:
             return None
-        scalar = np.ndim(self.sigma) == 0
+        scalar = real_array(self.source, KEYS["sigma"], self.sigma, "store real numbers").ndim == 0
         sigma = self._numbers("sigma", () if scalar else ("D", "V"), size)
         needed = True if scalar else self.valid
         self._finite("sigma", sigma, needed)
@@ -256,17 +254,6 @@ def save_observations(path: str | os.PathLike, observations: Observations) -> No
         write_whole(path, lambda file: np.savez_compressed(file, **keys))
 
 
-def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Let ``write`` fill the file ``path``; a file that is already there stays until the new one is whole."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with open(partial, "wb") as file:
-            write(file)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
-
-
 def checked_suffix(path: Path) -> None:
     """Raise InputError unless ``path`` names one of the formats of observations."""
     if path.suffix not in (".npz", *TABLES):
@@ -276,10 +263,7 @@ def checked_suffix(path: Path) -> None:
 
 def _read_bytes(path: Path) -> bytes:
     checked_suffix(path)
-    try:
-        content = path.read_bytes()
-    except (OSError, ValueError) as error:  # a name that holds a null byte
-        raise InputError(path, "file", system_reason(error), "name a readable file") from None
+    content = read_content(path)
     if not content:
         raise InputError(path, "file", "0 bytes, the file is empty", "write the observations again")
     return content

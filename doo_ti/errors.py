@@ -5,6 +5,8 @@ Numerical trouble is not an error: it is a per-rod :class:`~doo_ti.types.Status`
 
 from numbers import Integral, Real
 
+import numpy as np
+
 
 class InputError(ValueError):
     """Wrong input. The command line prints it as one line and exits with code 2.
@@ -21,6 +23,10 @@ class InputError(ValueError):
         self.source, self.field, self.problem, self.remedy = str(source), str(field), problem, remedy
         super().__init__(" ".join(f"{source}: {field}: {problem}; {remedy}".split()))
 
+    def __reduce__(self):
+        """Its parts, so that one that was raised in another process arrives."""
+        return type(self), (self.source, self.field, self.problem, self.remedy)
+
 
 class InterruptedRunError(RuntimeError):
     """A long run stopped on the way; what was finished is kept and the message says how to go on (exit code 1)."""
@@ -36,6 +42,21 @@ def require_whole(source: str, field: str, value, least: int) -> None:
     """Raise InputError unless ``value`` is a whole number from ``least`` up that kernels can count to."""
     if not isinstance(value, Integral) or isinstance(value, bool) or not least <= value < 2**31:
         raise InputError(source, field, f"{value!r}", f"give a whole number from {least} up, below 2**31")
+
+
+def real_array(source: str, field: str, value, remedy: str, kinds: str = "fiu") -> np.ndarray:
+    """``value`` as an array of real numbers. Raises InputError for rows of unlike lengths, text, booleans and complex numbers,
+    which NumPy would make into something else.
+
+    kinds  NumPy's letters for what is allowed, ``b`` for booleans
+    """
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(source, field, "no array: rows of unlike lengths, or no numbers", remedy) from None
+    if array.dtype.kind not in kinds:
+        raise InputError(source, field, f"dtype {array.dtype} is not numeric", remedy)
+    return array
 
 
 def system_reason(error: Exception) -> str:

@@ -19,6 +19,7 @@ import zipfile
 import zlib
 from difflib import get_close_matches
 from pathlib import Path
+from tokenize import TokenError
 from typing import BinaryIO
 
 import numpy as np
@@ -45,8 +46,10 @@ _COLUMNS = {
 _SHARED = ("rest_length_mm", "up")
 # What reading a damaged npz may raise.
 _UNREADABLE = (ValueError, OSError, EOFError, KeyError, RuntimeError, MemoryError, OverflowError, SyntaxError,
-               TypeError, zipfile.BadZipFile, zlib.error)
+               TypeError, TokenError, zipfile.BadZipFile, zlib.error)
 
+MOST_UNPACKED_BYTES = 1 << 30
+"""Of the arrays or columns of a file."""
 NEARLY = 0.88
 """Letters that two keys share, over those of both, from which on one is taken for a slip of the other."""
 
@@ -66,6 +69,11 @@ def read_npz(path: Path, content: bytes, known=tuple(_COLUMNS)) -> dict[str, np.
         raise InputError(path, "file", "holds one bare array, not named ones", remedy)
     keys = {}
     with archive:
+        large = sum(entry.file_size for entry in archive.zip.infolist() if entry.filename.removesuffix(".npy") in known)
+        if large > MOST_UNPACKED_BYTES:
+            raise InputError(path, "file", f"unpacks to {large:,} bytes", f"give arrays of at most {MOST_UNPACKED_BYTES:,}")
+        if len(set(archive.files)) < len(archive.files):
+            raise InputError(path, max(archive.files, key=archive.files.count), "the key is there twice", remedy)
         for key in known:
             if key not in archive:
                 # Files may hold more than is known here, but what is nearly known is a slip.
@@ -148,6 +156,8 @@ def _parse(path, content: bytes):
     kind = "CSV" if path.suffix == ".csv" else "Parquet"
     reader = pyarrow.csv.read_csv if kind == "CSV" else pyarrow.parquet.read_table
     try:
+        if kind == "Parquet":
+            _check_unpacked(path, pyarrow.parquet.read_metadata(pyarrow.BufferReader(content)))
         table = reader(pyarrow.BufferReader(content))
         names = table.column_names
     except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
@@ -159,6 +169,14 @@ def _parse(path, content: bytes):
     if table.num_rows == 0:
         raise InputError(path, "file", "holds no rows", "write one row per vertex")
     return table
+
+
+def _check_unpacked(path, metadata) -> None:
+    """Raise InputError where the columns of a Parquet file are large, however small they are packed."""
+    large = max(8 * metadata.num_rows * metadata.num_columns,
+                sum(metadata.row_group(group).total_byte_size for group in range(metadata.num_row_groups)))
+    if large > MOST_UNPACKED_BYTES:
+        raise InputError(path, "file", f"unpacks to {large:,} bytes", f"give columns of at most {MOST_UNPACKED_BYTES:,}")
 
 
 def _numbers(path, table, name: str) -> np.ndarray:

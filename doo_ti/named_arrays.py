@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError, system_reason
+from doo_ti.errors import InputError
+from doo_ti.file_content import read_content
 from doo_ti.importers import read_npz
 from doo_ti.types import LARGEST
 
@@ -39,10 +40,7 @@ def read_arrays(path: Path, known: dict[str, tuple[tuple[int, ...], tuple[str, .
     path = Path(path)
     if path.suffix not in (".npz", ".csv"):
         raise InputError(path, "file", f"suffix {path.suffix!r}", "name a .npz or .csv file")
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(path, "file", system_reason(error), "name a readable file") from None
+    content = read_content(path)
     keys = (*known, *only_npz)
     arrays = read_npz(path, content, keys) if path.suffix == ".npz" else _from_table(path, content, known)
     if not arrays:

@@ -6,19 +6,36 @@ threads is not cut into blocks.
 """
 
 import os
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from functools import wraps
 from io import StringIO
 from pathlib import Path
 from threading import RLock
 
 from doo_ti.errors import InputError
+from doo_ti.kernel_cache import kernel_folder
 
+TAICHI_NAMES = {"cpu": ("x64", "arm64"), "cuda": ("cuda",)}
+"""What runs, and Taichi's names for it."""
+KERNELS = "TI_OFFLINE_CACHE_FILE_PATH"
+"""The variable that tells Taichi where compiled kernels are kept."""
 TASKS = Path("/proc/self/task")
 """Where Linux names a process's threads."""
 
 _architecture: str | None = None
+_begun = False
+_forked = False
 _one_at_a_time = RLock()
+
+
+def _after_fork() -> None:
+    """Note in a forked child that what it has of Taichi does not work: its threads stayed with the parent."""
+    global _forked
+    _forked = _begun
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 def start(architecture: str | None = None, threads: int | None = None, pinned: bool = True) -> str:
@@ -28,13 +45,34 @@ def start(architecture: str | None = None, threads: int | None = None, pinned: b
     threads       on a CPU; by default one per processor
     pinned        whether threads may be kept on processors of their own: not in processes that share the machine out
 
-    Raises InputError for another architecture.
+    Raises InputError as :func:`check_architecture` does, and in a process forked from one that had started Taichi.
     """
-    global _architecture
+    global _architecture, _begun
+    _refuse_forked()
     with _one_at_a_time:
         if _architecture is None:
-            _architecture = _started(architecture or os.environ.get("DOO_TI_ARCHITECTURE", "cpu"), threads, pinned)
+            _begun = True
+            _architecture = _started(check_architecture(architecture), threads, pinned)
     return _architecture
+
+
+def check_architecture(architecture: str | None = None) -> str:
+    """The architecture to run on, by default the environment's. Raises InputError where it is unknown, where Taichi's own
+    variable would have another one run, and where this machine does not have it."""
+    architecture = architecture or os.environ.get("DOO_TI_ARCHITECTURE", "cpu")
+    if architecture not in TAICHI_NAMES:
+        raise InputError("environment", "DOO_TI_ARCHITECTURE", f"{architecture!r} is unknown", "give cpu or cuda")
+    instead = os.environ.get("TI_ARCH")
+    if instead is not None and instead not in TAICHI_NAMES[architecture]:
+        raise InputError("environment", "TI_ARCH", f"{instead!r} would run instead of {architecture}",
+                         "unset it; DOO_TI_ARCHITECTURE, cpu or cuda, says where to run")
+    if architecture == "cuda":
+        import taichi as ti
+
+        ti.set_logging_level(ti.ERROR)  # it would say itself that it finds no driver
+        if not ti.lang.misc.is_arch_supported(ti.cuda):
+            raise InputError("environment", "DOO_TI_ARCHITECTURE", "no CUDA device can be used", "unset it to run on the CPU")
+    return architecture
 
 
 def exclusive(function):
@@ -42,18 +80,28 @@ def exclusive(function):
     kernels' memory. A call takes all processors by itself."""
     @wraps(function)
     def alone(*arguments, **options):
+        _refuse_forked()
         with _one_at_a_time:
             return function(*arguments, **options)
 
     return alone
 
 
+def _refuse_forked() -> None:
+    """Raise InputError in a process that would wait for its parent's threads for ever."""
+    if _forked:
+        raise InputError("process", "fork", "forked from a process that had used the kernels, which do not work in a copy",
+                         "start processes by spawn or forkserver, or fork before the first use")
+
+
 def _started(architecture: str, threads: int | None, pinned: bool) -> str:
     """The architecture, after starting Taichi there."""
-    if architecture not in ("cpu", "cuda"):
-        raise InputError("environment", "DOO_TI_ARCHITECTURE", f"{architecture!r} is unknown", "give cpu or cuda")
     import taichi as ti
 
+    # A process that this one starts keeps its kernels in the same place.
+    folder = kernel_folder(Path(os.environ.get(KERNELS) or Path(ti._lib.core.get_repo_dir()) / "ticache"))
+    # Even where it keeps nothing Taichi makes that folder as it ends, and fails where it cannot: the root is there.
+    os.environ[KERNELS] = str(folder or Path(os.sep))
     count = {} if threads is None else {"cpu_max_num_threads": threads}
     others = _tasks()
     with redirect_stdout(StringIO()):  # it greets on standard output, which belongs to the commands' results
@@ -64,7 +112,8 @@ def _started(architecture: str, threads: int | None, pinned: bool) -> str:
             real_matrix_scalarize=False,
             make_cpu_multithreading_loop=False,
             cpu_block_dim_adaptive=False,
-            offline_cache=True,
+            offline_cache=folder is not None,
+            enable_fallback=False,
             log_level=ti.ERROR,
             **count,
         )
@@ -106,7 +155,8 @@ def _pin(tasks: list[int]) -> None:
     if hasattr(os, "sched_setaffinity") and thread_count() == len(free) > 1:
         # Those that compile come before those that run kernels, which follow each other.
         for place, task in enumerate(tasks):
-            os.sched_setaffinity(task, {free[place % len(free)]})
+            with suppress(ProcessLookupError):  # a thread that has ended in the meantime needs no processor
+                os.sched_setaffinity(task, {free[place % len(free)]})
 
 
 def processors() -> list[int]:

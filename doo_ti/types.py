@@ -13,7 +13,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, real_array
 from doo_ti.frames import matrix_from_quaternion, vertices_from_quaternions
 
 LARGEST = 1e30
@@ -236,20 +236,14 @@ class Solution:
 def unit_up(up, function: str) -> np.ndarray:
     """(3,) the unit vector along ``up``, what the argument of that name of ``function`` is. Raises InputError for what is no
     direction."""
-    try:
-        direction = np.asarray(up, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(function, "up", f"{up!r}", "give a direction of three numbers") from None
+    direction = real_array(function, "up", up, "give a direction of three numbers").astype(np.float64)
     if direction.shape != (3,) or not (np.abs(direction) <= LARGEST).all() or not (length := np.linalg.norm(direction)) > 0:
         raise InputError(function, "up", f"{direction.tolist()}", "give a direction of three finite numbers, not all zero")
     return direction / length
 
 
 def _finite(name: str, value) -> np.ndarray:
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError("material", name, f"{value!r} is not a number", "give numbers") from None
+    array = real_array("material", name, value, "give real numbers").astype(np.float64)
     if not (np.abs(array) <= LARGEST).all():
         raise InputError("material", name, f"not finite, or beyond {LARGEST:g}", "give finite numbers")
     return array

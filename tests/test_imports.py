@@ -12,8 +12,8 @@ PACKAGE = ROOT / "doo_ti"
 
 # From the bottom up: a module imports from layers below its own, never from beside it.
 LAYERS = [
-    {"errors"},
-    {"frames"},
+    {"errors", "interruption", "whole_file"},
+    {"file_content", "frames", "kernel_cache"},
     {"types"},
     {"physics", "runtime", "importers", "grid", "contact_sheet", "progress"},
     {"dataset", "named_arrays"},
@@ -35,7 +35,8 @@ LAYERS = [
 ]
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 APART = {"learning", "twist", "perception"}
-ONLY = {"rerun": {"record"}, "matplotlib": {"report"}, "jax": {"bench"}, "cv2": {"vision"}, "distributed": {"learning"}}
+ONLY = {"rerun": {"record"}, "matplotlib": {"report"}, "jax": {"bench"}, "cv2": {"vision"}, "yaml": {"vision"},
+        "distributed": {"learning"}}
 
 
 def modules() -> dict[str, Path]:

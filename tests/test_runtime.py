@@ -42,6 +42,24 @@ def test_an_environment_variable_leaves_it_to_the_system():
     assert threads == [PROCESSORS] * len(PROCESSORS)
 
 
+ENDED = """
+import os
+import subprocess
+from doo_ti import runtime
+
+ended = subprocess.Popen(["true"])
+ended.wait()  # its number names nobody any more
+runtime.thread_count = lambda: len(runtime.processors())
+runtime._pin([ended.pid, os.getpid()])
+print(len(os.sched_getaffinity(0)))
+"""
+
+
+def test_a_thread_that_has_ended_is_passed_over():
+    done = subprocess.run([sys.executable, "-c", ENDED], capture_output=True, text=True)
+    assert done.stdout.strip() == "1", done.stderr
+
+
 OTHER_THREADS = """
 from threading import Event, Thread
 import numpy as np
@@ -75,3 +93,63 @@ print(found)
 def test_any_thread_may_start_and_any_other_use_the_kernels():
     done = subprocess.run([sys.executable, "-c", OTHER_THREADS], capture_output=True, text=True)
     assert done.stdout.strip() in ("[True, True, True]", "[np.True_, np.True_, np.True_]"), done.stderr
+
+
+START = "from doo_ti.cli import main; import sys; sys.exit(main(['relax', 'absent.npz', '--bend', '1e5', '--out', 'F.npz']))"
+
+
+@pytest.mark.parametrize(("name", "value"), [("DOO_TI_ARCHITECTURE", "gpu"), ("DOO_TI_ARCHITECTURE", ""), ("TI_ARCH", "cuda"),
+                                             ("TI_ARCH", "vulkan"), ("TI_ARCH", ""), ("TI_ARCH", "nothing")])
+def test_where_to_run_is_said_once(tmp_path, name, value):
+    done = subprocess.run([sys.executable, "-c", START], capture_output=True, text=True, env={**os.environ, name: value},
+                          cwd=tmp_path)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and f"environment: {name}" in done.stderr
+
+
+def test_cuda_without_a_device_is_refused(tmp_path):
+    script = "import taichi as ti; print(ti.lang.misc.is_arch_supported(ti.cuda))"
+    if "True" in subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout:
+        pytest.skip("there is a device")
+    for start in (START, "from doo_ti import runtime; runtime.start('cuda')"):
+        done = subprocess.run([sys.executable, "-c", start], capture_output=True, text=True,
+                              env={**os.environ, "DOO_TI_ARCHITECTURE": "cuda"}, cwd=tmp_path)
+        assert "environment: DOO_TI_ARCHITECTURE" in done.stderr.splitlines()[-1]
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1) or start is not START
+
+
+FORKED = """
+import os
+import signal
+from doo_ti import InputError, runtime
+from doo_ti.metric import distance
+
+runtime.start()
+child = os.fork()
+if child == 0:
+    signal.alarm(20)  # ends it where it waits
+    for use in (runtime.start, lambda: distance(None, None)):
+        try:
+            use()
+        except InputError as error:
+            print(error.field, flush=True)
+    os._exit(0)
+print(os.waitpid(child, 0)[1])
+"""
+FORKED_BEFORE = """
+import os
+from doo_ti import runtime
+
+child = os.fork()
+if child:
+    os.waitpid(child, 0)
+print(runtime.start(), flush=True)
+if child == 0:
+    os._exit(0)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="nothing forks here")
+@pytest.mark.parametrize(("script", "said"), [(FORKED, ["fork", "fork", "0"]), (FORKED_BEFORE, ["cpu", "cpu"])])
+def test_a_fork_says_that_it_cannot_use_its_parents_kernels(script, said):
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", script], capture_output=True, text=True)
+    assert done.stdout.split() == said, done.stderr

@@ -15,13 +15,14 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from doo_ti.dataset import Observations, load_observations, write_whole
+from doo_ti.dataset import Observations, load_observations
 from doo_ti.learning.landscape import read_landscape
 from doo_ti.report import angle_errors_picture
 from doo_ti.scene import load_scene
 from doo_ti.synthesis import synthesise
 from doo_ti.twist.estimation import Verdict
 from doo_ti.twist.trials import SUCCESS, twist_trials
+from doo_ti.whole_file import write_whole
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 MATERIALS = ("nylon", "vicryl", "silk")

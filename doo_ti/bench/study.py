@@ -11,9 +11,9 @@ from doo_ti import runtime
 from doo_ti.bench import clock, process, scaling
 from doo_ti.bench.cases import FINE, Case, Specimens, cases, measure
 from doo_ti.bench.peak import peak_gflops
-from doo_ti.dataset import write_whole
 from doo_ti.progress import progress
 from doo_ti.report import Panel, panels_picture
+from doo_ti.whole_file import write_whole
 
 COMPARED = 4096  # rods whose shape in f32 is compared with f64's
 SAME_MM = 0.02

@@ -6,7 +6,7 @@ from argparse import Namespace
 from doo_ti import options as given
 from doo_ti.commands.arguments import add_json
 from doo_ti.commands.printing import plain
-from doo_ti.dataset import write_whole
+from doo_ti.whole_file import write_whole
 
 
 def declare(add) -> None:

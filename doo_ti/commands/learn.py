@@ -8,12 +8,12 @@ from shutil import get_terminal_size
 from doo_ti import options as given
 from doo_ti.commands.arguments import add_json
 from doo_ti.commands.printing import best_of, busy, plain, tell_landscape
-from doo_ti.dataset import write_whole
 from doo_ti.errors import InputError
 from doo_ti.learning.cross_validation import Scores, cross_validate
 from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.partition import FACTORS, check_comparable, partition, usual_factors
 from doo_ti.learning.score_table import caption, comma_separated, entries, file_stem, markdown, text
+from doo_ti.whole_file import write_whole
 
 
 def declare(add) -> None:

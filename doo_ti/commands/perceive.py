@@ -13,9 +13,9 @@ from doo_ti.commands.arguments import add_json, add_material, add_seen_rod, add_
 from doo_ti.commands.perceive_task import RECORDED, Task, checked_task
 from doo_ti.commands.perceive_text import summary_of, tell, verdict_text
 from doo_ti.commands.printing import plain
-from doo_ti.dataset import write_whole
 from doo_ti.errors import InputError
 from doo_ti.progress import progress
+from doo_ti.whole_file import write_whole
 
 MARGIN_PX = 60
 """Of the distance maps around what was detected."""

@@ -8,7 +8,8 @@ import numpy as np
 
 from doo_ti import options as given
 from doo_ti.dataset import load_observations
-from doo_ti.errors import InputError, system_reason
+from doo_ti.errors import InputError
+from doo_ti.file_content import MOST_TEXT_BYTES, read_content
 from doo_ti.importers import read_npz
 from doo_ti.types import Material
 
@@ -63,9 +64,9 @@ def read_rest_length(text: str) -> np.ndarray:
         return np.full(edges, given.length(option, length))
     path = Path(text)
     try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError("command line", option, f"{text!r}: {system_reason(error)}", remedy) from None
+        content = read_content(path, MOST_TEXT_BYTES, remedy)
+    except InputError as error:
+        raise InputError("command line", option, f"{text!r}: {error.problem}", remedy) from None
     try:
         values = read_npz(path, content, ("rest_length_mm",)).get("rest_length_mm") if path.suffix == ".npz" else \
             np.array(content.decode("utf-8").replace(",", " ").split(), dtype=np.float64)
@@ -108,7 +109,7 @@ def _sets(options: Namespace, rig):
 def _truth(path: str, names: tuple[str, ...]) -> np.ndarray:
     """(A, V, 3) mm: the rods of the file by the sets' names, or in order where it has no names."""
     vertices = load_observations(path).vertices
-    named = read_npz(Path(path), Path(path).read_bytes(), ("name", "names")) if Path(path).suffix == ".npz" else {}
+    named = read_npz(Path(path), read_content(Path(path)), ("name", "names")) if Path(path).suffix == ".npz" else {}
     known = next(iter(named.values()), None)
     if known is None:
         if len(vertices) != len(names):

@@ -11,7 +11,7 @@ import numpy as np
 from doo_ti import options as given
 from doo_ti.commands.arguments import add_json, add_material
 from doo_ti.commands.printing import counted, plain
-from doo_ti.dataset import Observations, load_observations, write_whole
+from doo_ti.dataset import Observations, load_observations
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.learning.landscape import status_counts
 from doo_ti.prediction.motion_file import ClampPath, load_path
@@ -19,10 +19,11 @@ from doo_ti.progress import progress
 from doo_ti.scene import CLAMPS, PRECISIONS
 from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.types import Clamps, Configuration, Material
+from doo_ti.whole_file import write_whole
 
 MOST_TOLD = 30
-MOST_DEGREES = 30.0
-"""Of a sub-step: rods that are carried further at once may leave their branch."""
+LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0
+"""Of a sub-step: rods that are carried further at once may leave their branch, and less makes no difference."""
 MOST_BYTES = 8 << 30
 """Of frames: predictions are held in memory."""
 
@@ -100,9 +101,9 @@ def run(options: Namespace, words: list[str]) -> int:
 def _sub_step(options: Namespace) -> float:
     """rad."""
     given_degrees = given.numbers("--sub-step", options.sub_step) or (5.0,)
-    if len(given_degrees) > 1 or not 0 < given_degrees[0] <= MOST_DEGREES:
+    if len(given_degrees) > 1 or not LEAST_DEGREES <= given_degrees[0] <= MOST_DEGREES:
         raise InputError("command line", "--sub-step", f"{options.sub_step!r} is out of range",
-                         f"give one number above 0, at most {MOST_DEGREES:g} degrees")
+                         f"give one number of degrees from {LEAST_DEGREES:g} to {MOST_DEGREES:g}")
     return np.radians(given_degrees[0])
 
 

@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from doo_ti.learning.landscape import Landscape, jumps_of, status_counts
+from doo_ti.learning.landscape import Landscape, competition_of, jumps_of, status_counts
 
 
 def busy(doing: str):
@@ -59,7 +59,7 @@ def best_of(landscape: Landscape) -> dict:
             **theta, "bend_12": landscape.grid.bend_12,
             "mean_distance_mm": landscape.mean_distance[landscape.best],
             "intervals": [asdict(interval) for interval in landscape.intervals],
-            "status": status_counts(landscape.status), "stable": landscape.stable.sum()}
+            "status": status_counts(landscape.status), "stable": landscape.stable.sum(), **competition_of(landscape)}
 
 
 def tell_landscape(landscape: Landscape) -> None:
@@ -73,6 +73,10 @@ def tell_landscape(landscape: Landscape) -> None:
         print(f"  within 5 %  {interval}{' (at the border of the grid: widen it)' * interval.at_border}")
     print("              (how flat the landscape is around its minimum; not a confidence interval)")
     print(f"  status      {counted(best['status'])}; {best['stable']} certified stable")
+    print(f"  competing   {best['cells_competing']} of {cells} cells, whose rods are all certified; "
+          f"{best['cells_not_competing']} are not")
+    if best["terms_left_out"]:
+        print(f"              left out: {best['terms_left_out']} of {count} {terms}, whose rods are certified in no cell")
     if landscape.jumps is not None:
         fell = best["jumps"]
         print(f"  jumps       {fell['rods_at_best']} of {count} rods fell to another branch on their way in the best cell, "

@@ -11,7 +11,6 @@ from doo_ti.errors import InputError
 from doo_ti.learning.landscape import Landscape
 from doo_ti.report import LandscapePanel
 from doo_ti.report.plane import Plane
-from doo_ti.types import Status
 
 MARKS = "minimum of all together; beside it, those of each end distance"
 
@@ -34,9 +33,8 @@ def plane_of(landscape: Landscape) -> Plane:
     """The landscape as it is drawn."""
     shape = landscape.grid.shape
     axes = [(axis.name, axis.values, axis.log, axis.unit) for axis in landscape.grid.axes]
-    unfinished = (~((landscape.status == Status.CONVERGED) & landscape.stable)).sum(axis=1)
     return Plane.of(axes, landscape.mean_distance.reshape(shape), np.unravel_index(landscape.best, shape), None,
-                    unfinished.reshape(shape))
+                    landscape.unsound.reshape(shape))
 
 
 def panels_of_runs(landscapes: list[Landscape]) -> list[list[LandscapePanel]]:

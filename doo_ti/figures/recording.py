@@ -110,7 +110,7 @@ def _texts(landscapes: list[Landscape], cells: Cells) -> list[str]:
 def _columns(name: str, landscape: Landscape, cell: np.ndarray) -> list[list[str]]:
     """What a run makes of the cells: each column of its table as text."""
     mean, (_, rods) = landscape.mean_distance, landscape.status.shape
-    unfinished = (~((landscape.status == Status.CONVERGED) & landscape.stable)).sum(axis=1)[cell]
+    unfinished = landscape.unsound[cell]
     jumped = None if landscape.jumps is None else (landscape.jumps > 0).sum(axis=1)[cell]
     return [[name] * len(cell), [f"**{quantity(value, 'mm')}**" for value in mean[cell]],
             [quantity(value) for value in mean[cell] / mean[landscape.best]],

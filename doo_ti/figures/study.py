@@ -5,7 +5,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from doo_ti.dataset import write_whole
 from doo_ti.errors import InputError
 from doo_ti.figures.panels import MARKS, in_rows, panels_by_end_distance, panels_of_runs, plane_of, run_name, title_of
 from doo_ti.figures.recording import Cells, cells_to_record, record_figure
@@ -16,6 +15,7 @@ from doo_ti.learning.partition import check_comparable
 from doo_ti.learning.run_folder import read_experiment
 from doo_ti.progress import progress
 from doo_ti.report import MEAN_DISTANCE, LandscapePanel, landscapes_picture
+from doo_ti.whole_file import write_whole
 
 OWN_SCALE = ", each on a colour scale of its own"
 

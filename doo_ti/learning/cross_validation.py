@@ -43,8 +43,8 @@ class Scores:
 
     @property
     def is_best(self) -> np.ndarray:
-        """(P, P) the smallest mean of each column, among the entries that score most of its terms: an entry does not win
-        by what it leaves out."""
+        """(P, P) the smallest mean of each column, among the entries that score most of its terms, and of those the ones with
+        fewest rods that are no certified minima: an entry wins neither by what it leaves out nor by such rods."""
         return self._eligible & (self.mean == self._lowest)
 
     @property
@@ -56,7 +56,8 @@ class Scores:
 
     @property
     def _eligible(self) -> np.ndarray:
-        return (self.count > 0) & (self.count == self.count.max(axis=0))
+        most = (self.count > 0) & (self.count == self.count.max(axis=0))
+        return most & (self.uncertified == np.where(most, self.uncertified, np.iinfo(int).max).min(axis=0))
 
     @property
     def _lowest(self) -> np.ndarray:
@@ -93,21 +94,21 @@ def cross_validate(partition: Partition) -> Scores:
 
 def chosen_cells(training: Part, tested: np.ndarray) -> np.ndarray:
     """(K,) for each tested term the cell with the smallest mean error of the training set without it; the first of equal
-    ones, and −1 where nothing is left to train on or every cell lacks an error.
+    ones, and −1 where nothing is left to train on or no cell is usable.
 
     tested  (K, 2) the observations of each tested term; −1 for none
 
     Left out is every training term that touches an observation of the tested term: of a static training set the tested
     observation, or both of a tested pair; of a dynamic one every pair with either of them. Observations are the same
-    where their numbers are, whatever the material or objective. A term without a distance in a cell makes the cell
-    unusable wherever it is kept; one without a distance in any cell is not used.
+    where their numbers are, whatever the material or objective. A term whose rod is no certified minimum in a cell makes the
+    cell unusable wherever it is kept; one whose rod is none in any cell is not used.
     """
     training = training.measurable
     landscape, terms = training.landscape, training.terms
     share = landscape.weight[terms] / landscape.weight[terms].max(initial=0.0)
     # Whole numbers add up exactly, in any order: cells that are equal tie, whatever machine adds them.
     error = np.rint(landscape.distance[:, terms] * (share * _PARTS_PER_MM))
-    error[~np.isfinite(error)] = _UNUSABLE
+    error[~landscape.sound[:, terms]] = _UNUSABLE
     # Tested terms that leave out the same are one.
     ends = np.sort(np.where(np.isin(tested, training.ends), tested, -1), axis=1)
     ends, of_tested = np.unique(ends, axis=0, return_inverse=True)

@@ -9,16 +9,19 @@ from functools import cached_property
 import numpy as np
 
 from doo_ti.dataset import Observations
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.grid import Grid
 from doo_ti.learning.hypotheses import Hypotheses, hypotheses_of
 from doo_ti.learning.pairs import Pairs, check_ways, pairs_from_labels
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import PRECISIONS
 from doo_ti.start import observation_clamps
-from doo_ti.types import Clamp, Clamps
+from doo_ti.types import LARGEST, Clamp, Clamps
 
 SOLVERS = {"newton": Newton, "descent": Descent}
+LEAST_SUB_STEP = 1e-5
+"""rad: smaller ones make no difference, and never end."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,19 @@ class SweepOptions:
     seed: int = 0
     workers: int | None = None
     scheduler: str | None = None
+
+    def __post_init__(self):
+        require_number("sweep", "frame_weight", self.frame_weight)
+        require_number("sweep", "sub_step", self.sub_step)
+        if not 0 <= self.frame_weight <= LARGEST:
+            raise InputError("sweep", "frame_weight", f"{self.frame_weight!r} is no length", "give zero or more mm")
+        if not LEAST_SUB_STEP <= self.sub_step <= np.pi:
+            raise InputError("sweep", "sub_step", f"{self.sub_step!r}", f"give radians from {LEAST_SUB_STEP:g} to pi")
+        require_whole("sweep", "spins", self.spins, 0)
+        require_number("sweep", "seed", self.seed)
+        for name, allowed in (("precision", PRECISIONS), ("objective", ("static", "dynamic"))):
+            if getattr(self, name) not in allowed:
+                raise InputError("sweep", name, f"{getattr(self, name)!r}", f"give one of {', '.join(allowed)}")
 
     def as_dict(self) -> dict:
         """What the cells depend on, as JSON holds it; :meth:`from_dict` reads it back."""

@@ -130,7 +130,7 @@ def resolved(distance: np.ndarray, sound: np.ndarray, weight: np.ndarray, hypoth
     cellwise = chosen = nearest(distance, sound, hypotheses)
     ambiguous, before = np.zeros(len(table), dtype=bool), None
     for _ in range(ROUNDS):
-        value = np.take_along_axis(distance, chosen, axis=1)
+        value = np.take_along_axis(np.where(sound, distance, np.inf), chosen, axis=1)
         useful = np.isfinite(value).any(axis=0)
         if not useful.any():
             return cellwise, np.ones(len(table), dtype=bool)

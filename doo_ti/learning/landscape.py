@@ -4,13 +4,15 @@ Axes: G grid cells, N terms of the objective: observations under Eq. 2, pairs of
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid, Interval, valley
-from doo_ti.learning.summary import read_summary
+from doo_ti.learning.chunk_file import check_identity, column_names, read_columns
+from doo_ti.learning.summary import check_cells, read_summary, sweep_identity
 from doo_ti.types import Status
 
 PARAMETERS = ("bend_1", "bend_2", "twist", "weight")
@@ -51,20 +53,36 @@ class Landscape:
     end_rotation: np.ndarray
     jumps: np.ndarray | None = None
 
-    @property
+    @cached_property
+    def sound(self) -> np.ndarray:
+        """(G, N) bool: rods that converged to a certified minimum. The others lie anywhere, at their observation too."""
+        return (self.status == Status.CONVERGED) & self.stable & np.isfinite(self.distance)
+
+    @cached_property
+    def compared(self) -> np.ndarray:
+        """(N,) bool: terms whose rod is sound in some cell. The others say nothing and are left out."""
+        return self.sound.any(axis=0)
+
+    @cached_property
+    def unsound(self) -> np.ndarray:
+        """(G,) rods of the compared terms that are not sound: cells with any do not compete."""
+        return (~self.sound[:, self.compared]).sum(axis=1)
+
+    @cached_property
     def mean_distance(self) -> np.ndarray:
-        """(G,) Eq. 2 or 3, mm, without terms that have no distance anywhere; other gaps make a cell NaN."""
-        useful = ~np.isnan(self.distance).all(axis=0)
-        if not useful.any():
+        """(G,) Eq. 2 or 3 over the compared terms, mm; NaN in cells that do not compete, since not all these rods are sound."""
+        weight = self.weight[self.compared]
+        if not len(weight):
             return np.full(len(self.distance), np.nan)
-        weight = self.weight[useful]
-        return (self.distance[:, useful] * weight).sum(axis=1) / weight.sum()
+        mean = (self.distance[:, self.compared] * weight).sum(axis=1) / weight.sum()
+        return np.where(self.unsound == 0, mean, np.nan)
 
     @property
     def best(self) -> int:
-        """The cell with the smallest mean distance. Raises InputError where no cell has one."""
+        """The competing cell with the smallest mean distance. Raises InputError where none competes."""
         if np.isnan(self.mean_distance).all():
-            raise InputError(self.run, "distance_mm", "no cell has an error", "look at the rods' status in cells/")
+            raise InputError(self.run, "distance_mm", "no cell has an error: in none did all rods converge to certified minima",
+                             "look at status and stable in cells/")
         return int(np.nanargmin(self.mean_distance))
 
     @property
@@ -76,19 +94,24 @@ class Landscape:
 def read_landscape(run: Path) -> Landscape:
     """The landscape in the folder of a finished sweep. Raises InputError where it holds none."""
     summary = read_summary(run)
+    check_cells(run, summary)
     grid = Grid.from_dict(summary.get("grid"), str(run / "summary.json"))
-    return gather_landscape(run, grid, str(summary.get("material", run.name)))
+    return gather_landscape(run, grid, str(summary.get("material", run.name)), sweep_identity(summary))
 
 
-def gather_landscape(run: Path, grid: Grid, name: str) -> Landscape:
+def gather_landscape(run: Path, grid: Grid, name: str, identity: str | None) -> Landscape:
     """The landscape in the stored cells of ``run``, whatever files they lie in and in whatever order.
 
-    One file is in memory at a time. Raises InputError where they do not hold each cell and term of the objective once.
+    identity  of the sweep that they belong to, None where the run does not say
+
+    One file is in memory at a time. Raises InputError where they are another sweep's, or do not hold each cell and term of the
+    objective once.
     """
     paths = sorted((run / "cells").glob("*.parquet"))
     if not paths:
         raise InputError(run / "cells", "cells", "no Parquet files", "run the sweep to its end")
-    dynamic = _names(paths[0]) >= {"from_observation"}
+    check_identity(paths, identity)
+    dynamic = column_names(paths[0]) >= {"from_observation"}
     ends = ("from_observation", "observation") if dynamic else ("observation",)
     terms = np.unique(np.concatenate([_terms(path, ends) for path in paths]))
     values = grid.cell_values()
@@ -100,7 +123,7 @@ def gather_landscape(run: Path, grid: Grid, name: str) -> Landscape:
     seen = np.zeros((grid.size, len(terms)), dtype=np.int8)
     complete = dynamic or bool((terms == np.arange(len(terms))).all())
     for path in paths:
-        columns = _columns(path, [*PARAMETERS, *ends, *found, *per_term])
+        columns = read_columns(path, [*PARAMETERS, *ends, *found, *per_term])
         keys = _as_keys([columns[parameter] for parameter in PARAMETERS])
         cell = order[np.minimum(np.searchsorted(wanted, keys, sorter=order), grid.size - 1)]
         term = np.searchsorted(terms, _term_keys(columns, ends))
@@ -127,6 +150,13 @@ def jumps_of(landscape: Landscape) -> dict[str, int]:
     return {"rods": int(fell.sum()), "rods_at_best": int(fell[landscape.best].sum())}
 
 
+def competition_of(landscape: Landscape) -> dict[str, int]:
+    """How many cells compete, how many do not, and how many terms no cell can compare, as JSON holds it."""
+    out = int((landscape.unsound > 0).sum())
+    return {"cells_competing": len(landscape.unsound) - out if landscape.compared.any() else 0, "cells_not_competing": out,
+            "terms_left_out": int((~landscape.compared).sum())}
+
+
 def status_counts(status: np.ndarray) -> dict[str, int]:
     """How many rods ended how, by the status's name, none left out but those that never occurred."""
     return {kind.name.lower(): int((status == kind).sum()) for kind in Status if (status == kind).any()}
@@ -145,32 +175,4 @@ def _term_keys(columns: dict[str, np.ndarray], ends: tuple[str, ...]) -> np.ndar
 
 
 def _terms(path: Path, ends: tuple[str, ...]) -> np.ndarray:
-    return np.unique(_term_keys(_columns(path, list(ends)), ends))
-
-
-def _names(path: Path) -> set[str]:
-    """The columns of one file of cells."""
-    import pyarrow
-    import pyarrow.parquet
-
-    try:
-        return set(pyarrow.parquet.read_schema(path).names)
-    except (pyarrow.ArrowException, OSError) as error:
-        raise _unreadable(path, error) from None
-
-
-def _columns(path: Path, names: list[str]) -> dict[str, np.ndarray]:
-    """The named columns of one file of cells."""
-    import pyarrow
-    import pyarrow.parquet
-
-    try:
-        table = pyarrow.parquet.read_table(path, columns=names)
-        return {name: table.column(name).to_numpy() for name in names}
-    except (pyarrow.ArrowException, OSError, KeyError) as error:
-        raise _unreadable(path, error) from None
-
-
-def _unreadable(path: Path, error: Exception) -> InputError:
-    reason = (str(error) or type(error).__name__).splitlines()[0]
-    return InputError(path, "cells", f"cannot be read ({reason})", "delete it and run the sweep again")
+    return np.unique(_term_keys(read_columns(path, list(ends)), ends))

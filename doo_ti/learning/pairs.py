@@ -10,9 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.dataset import Observations, write_whole
-from doo_ti.errors import InputError, system_reason
+from doo_ti.dataset import Observations
+from doo_ti.errors import InputError
+from doo_ti.file_content import MOST_TEXT_BYTES, read_content
 from doo_ti.types import Clamp, Clamps
+from doo_ti.whole_file import write_whole
 
 APART_DEG = 120.0
 """How far apart the end rotations of the paper's pairs are (footnote 7)."""
@@ -155,10 +157,9 @@ def check_ways(pairs: Pairs, clamps: Clamps) -> None:
 
 
 def _read_columns(path: Path) -> dict[str, np.ndarray]:
+    content = read_content(path, MOST_TEXT_BYTES, "name a readable CSV file")
     try:
-        rows = [row for row in csv.reader(StringIO(path.read_text(encoding="utf-8-sig"))) if row]
-    except OSError as error:
-        raise InputError(path, "file", system_reason(error), "name a readable CSV file") from None
+        rows = [row for row in csv.reader(StringIO(content.decode("utf-8-sig"))) if row]
     except (ValueError, csv.Error) as error:
         raise InputError(path, "file", f"not CSV ({error})", "give a CSV file of pairs") from None
     form = f"give the columns {','.join(NEEDED)}[,{'][,'.join(OPTIONAL)}]"

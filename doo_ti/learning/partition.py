@@ -9,7 +9,6 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.learning.landscape import Landscape
-from doo_ti.types import Status
 
 FACTORS = ("material", "objective", "end-distance")
 """What runs can be partitioned by, in the order in which a table's rows run."""
@@ -35,13 +34,12 @@ class Part:
 
     @property
     def measurable(self) -> "Part":
-        """The part without the terms that have no distance in any cell."""
-        return replace(self, terms=self.terms[np.isfinite(self.landscape.distance[:, self.terms]).any(axis=0)])
+        """The part without the terms whose rod is a certified minimum in no cell."""
+        return replace(self, terms=self.terms[self.landscape.compared[self.terms]])
 
     def certified(self, cells: np.ndarray | int) -> np.ndarray:
         """(N,) whether the rod of each term is a certified minimum in the cell of that term, or in the one of all."""
-        landscape = self.landscape
-        return (landscape.status[cells, self.terms] == Status.CONVERGED) & landscape.stable[cells, self.terms]
+        return self.landscape.sound[cells, self.terms]
 
     def jumped(self, cells: np.ndarray | int) -> np.ndarray:
         """(N,) whether the rod of each term fell to another branch on its way, in those cells; never under Eq. 2."""

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.dataset import write_whole
+from doo_ti.learning.chunk_file import chunk_path, read_columns, read_rows, write_rows
 from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.hypotheses import resolved, scores
-from doo_ti.learning.run_folder import chunk_path
 from doo_ti.types import Status
 
 
@@ -16,14 +15,11 @@ def resolve(run: Path, experiment: Experiment, chunks: list[tuple[int, int]]) ->
 
     ``kept`` are the hypotheses of all observations, of an ambiguous one all that it had.
     """
-    import pyarrow.parquet
-
     hypotheses, (of_rod, _) = experiment.hypotheses, experiment.rods
     distance, sound = [], []
     for first, last in chunks:
-        table = pyarrow.parquet.read_table(chunk_path(run, "hypotheses", first, last),
-                                           columns=[experiment.witness, "status", "stable"])
-        error, status, stable = (table.column(name).to_numpy() for name in table.column_names)
+        columns = read_columns(chunk_path(run, "hypotheses", first, last), [experiment.witness, "status", "stable"])
+        error, status, stable = columns.values()
         distance.append(error.reshape(last - first, -1))
         sound.append(((status == Status.CONVERGED) & stable).reshape(last - first, -1))
     score = scores(np.concatenate(distance), np.concatenate(sound), experiment.weight, of_rod)
@@ -33,9 +29,8 @@ def resolve(run: Path, experiment: Experiment, chunks: list[tuple[int, int]]) ->
         weight = np.bincount(experiment.pairs.from_index, experiment.pairs.weight)[observation]
     chosen, ambiguous = resolved(*score, weight, hypotheses)
     for first, last in chunks:
-        rows = pyarrow.parquet.read_table(chunk_path(run, "hypotheses", first, last))
-        rows = rows.take(experiment.rows_of(chosen[first:last]))
-        write_whole(chunk_path(run, "cells", first, last), lambda file: pyarrow.parquet.write_table(rows, file))  # noqa: B023
+        rows = read_rows(chunk_path(run, "hypotheses", first, last))
+        write_rows(chunk_path(run, "cells", first, last), rows.take(experiment.rows_of(chosen[first:last])))
     settled = np.isin(hypotheses.observation, observation[ambiguous]) | np.isin(np.arange(hypotheses.count), chosen[0])
     return {"hypotheses": hypotheses.count, "resolved": int((~ambiguous).sum()), "ambiguous": observation[ambiguous].tolist(),
             "kept": hypotheses.take(settled).as_dict()}

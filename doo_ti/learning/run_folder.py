@@ -12,65 +12,96 @@ import json
 import os
 import platform
 import time
+from contextlib import suppress
 from dataclasses import fields, replace
 from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from doo_ti import __version__
-from doo_ti.dataset import load_observations, save_observations, write_whole
+from doo_ti.dataset import load_observations, save_observations
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
+from doo_ti.learning.maker import maker, maker_text
 from doo_ti.learning.pairs import load_pairs, save_pairs
-from doo_ti.learning.summary import read_summary
+from doo_ti.learning.summary import REMADE, changed_files, check_cells, read_summary, sweep_identity
 from doo_ti.types import Clamp
+from doo_ti.whole_file import remove_leftovers, write_whole
 
-OBSERVATIONS, PAIRS = "observations.npz", "pairs.csv"
+OBSERVATIONS, PAIRS, IDENTITY = "observations.npz", "pairs.csv", "identity.txt"
 
 
 def identity_of(experiment: Experiment, *more) -> str:
-    """sha256 of everything the cells depend on."""
+    """sha256 of everything the cells depend on, who makes them too."""
     digest = hashlib.sha256()
     for content in (experiment.observations, experiment.pairs, experiment.hypotheses):
         for field in () if content is None else fields(content):
             value = getattr(content, field.name)
             if isinstance(value, np.ndarray):
                 digest.update(field.name.encode() + str(value.shape).encode() + np.ascontiguousarray(value).tobytes())
-    digest.update(json.dumps([experiment.grid.as_dict(), experiment.options.as_dict(), *more]).encode())
+    digest.update(json.dumps([experiment.grid.as_dict(), experiment.options.as_dict(), maker(), *more]).encode())
     return digest.hexdigest()
 
 
 def claim(run: Path, identity: str, experiment: Experiment) -> None:
-    """Make the folder this sweep's, or raise InputError where it holds another one's cells."""
-    path = run / "cells" / "identity.txt"
-    if path.exists():
-        if path.read_text(encoding="utf-8").strip() != identity:
-            raise InputError(run, "cells", "holds another sweep (other observations, grid or options)",
-                             "name another folder with --out, or delete this one")
-    elif run.exists() and any(run.iterdir()):
-        raise InputError(run, "--out", "the folder holds something else than a sweep", "name another folder")
-    else:
+    """Make the folder this sweep's, or raise InputError where it holds another one's cells; of sweeps that begin at one moment
+    one gets it. What killed processes left half written goes."""
+    path, made = run / "cells" / IDENTITY, maker_text(maker())
+    for folder in (run, path.parent, run / "hypotheses"):
+        remove_leftovers(folder)
+    if not path.exists():
+        if not _is_free(run) and not path.exists():  # looked at again: another process may have claimed and filled it
+            raise InputError(run, "--out", "the folder holds something else than a sweep", "name another folder")
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, lambda file: file.write(f"{identity}\n".encode()))
-    if not (run / OBSERVATIONS).exists():
-        save_observations(run / OBSERVATIONS, experiment.observations)
-    if experiment.pairs is not None and not (run / PAIRS).exists():
-        save_pairs(run / PAIRS, experiment.pairs)
+        with suppress(FileExistsError):  # another process was faster: whose the folder is now is seen below
+            write_whole(path, lambda file: file.write(f"{identity}\n{made}\n".encode()), first=True)
+    found, _, by = path.read_bytes().decode(errors="replace").strip().partition("\n")
+    if found != identity:
+        if by and by != made:
+            raise InputError(run, "cells", f"holds cells that {by} made, this is {made}",
+                             "go on with that one, or name another folder with --out")
+        raise InputError(run, "cells", "holds another sweep (other observations, grid or options)",
+                         "name another folder with --out, or delete this one")
+    _save_once(run / OBSERVATIONS, save_observations, experiment.observations)
+    if experiment.pairs is not None:
+        _save_once(run / PAIRS, save_pairs, experiment.pairs)
+
+
+def _save_once(path: Path, save, content) -> None:
+    """Have ``save`` write ``content``, and again where a file that is there holds something else: it was torn, or changed."""
+    if path.exists():
+        with TemporaryDirectory() as folder:
+            save(Path(folder) / path.name, content)
+            if (Path(folder) / path.name).read_bytes() == path.read_bytes():
+                return
+    save(path, content)
+
+
+def _is_free(run: Path) -> bool:
+    """Whether a folder holds nothing but what a claim leaves that came to no end."""
+    cells = run / "cells"
+    return all(path == cells for path in _inside(run)) and all(path.name.startswith(f".{IDENTITY}.") for path in _inside(cells))
+
+
+def _inside(folder: Path) -> list[Path]:
+    return list(folder.iterdir()) if folder.exists() else []
 
 
 def finished(run: Path, identity: str) -> dict | None:
-    """The summary of a sweep that was finished before, or None."""
-    path = run / "summary.json"
-    if not (path.exists() and (run / "run.rrd").exists()):
-        return None
+    """The summary of a sweep that was finished before, or None where it, or a picture or recording, is gone or damaged: they
+    are made again from the cells. Raises InputError where cells are."""
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-        return summary if summary["provenance"]["sweep_sha256"] == identity else None
-    except (ValueError, KeyError, TypeError, RecursionError):  # damaged: it is made again from the cells
+        summary = read_summary(run)
+    except InputError:
         return None
+    if sweep_identity(summary) != identity or not isinstance(summary.get("files"), dict):
+        return None
+    check_cells(run, summary)
+    return None if changed_files(run, summary, REMADE) else summary
 
 
 def read_experiment(run: Path) -> Experiment:
@@ -84,28 +115,15 @@ def read_experiment(run: Path) -> Experiment:
         kept = summary["hypotheses"]
         hypotheses = None if kept is None else Hypotheses.from_dict(kept["kept"])
         material, digest = summary["material"], told["input_sha256"]
+    except InputError as error:
+        raise InputError(path, error.field, "is none that a sweep can have", "run the sweep again") from None
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(path, "file", "does not describe a sweep", "run the sweep again") from None
+    for name in changed_files(Path(run), summary, (OBSERVATIONS, PAIRS)):
+        raise InputError(Path(run) / name, "file", "gone, or not what the sweep wrote", "run the sweep again: it is made anew")
     observations = replace(load_observations(Path(run) / OBSERVATIONS), name=material, sha256=digest)
     pairs = load_pairs(Path(run) / PAIRS, observations) if options.objective == "dynamic" else None
     return Experiment(observations, Grid.from_dict(summary.get("grid"), str(path)), options, pairs, hypotheses)
-
-
-def chunk_path(run: Path, part: str, first: int, last: int) -> Path:
-    """The file of the cells ``first`` to ``last`` in the folder's ``part``, "cells" or "hypotheses"."""
-    return run / part / f"{first:09d}-{last:09d}.parquet"
-
-
-def store(path: Path, columns: dict, material: str) -> None:
-    """Write the rows of a chunk as Parquet."""
-    import pyarrow
-    import pyarrow.parquet
-
-    count = len(columns["observation"])
-    names = pyarrow.DictionaryArray.from_arrays(np.zeros(count, dtype=np.int8), [material])
-    table = pyarrow.table({**columns, "material": names})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, lambda file: pyarrow.parquet.write_table(table, file))
 
 
 def provenance(experiment: Experiment, identity: str, command) -> dict:
@@ -117,6 +135,7 @@ def provenance(experiment: Experiment, identity: str, command) -> dict:
         "input": Path(observations.source).name,
         "input_sha256": observations.sha256,
         "sweep_sha256": identity,
+        "maker": maker(),
         "seed": experiment.options.seed,
         "options": {**experiment.options.as_dict(), "clamp_start": Clamp(clamps.start).name.lower(),
                     "clamp_end": Clamp(clamps.end).name.lower(), "up": observations.up.tolist()},

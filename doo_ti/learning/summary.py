@@ -1,20 +1,80 @@
-"""What a finished sweep says of itself: summary.json."""
+"""What a finished sweep says of itself, summary.json, with the sha256 of each file of its folder and of itself."""
 
+import hashlib
 import json
 from pathlib import Path
 
-from doo_ti.errors import InputError, system_reason
+from doo_ti.errors import InputError
+from doo_ti.file_content import MOST_TEXT_BYTES, read_content
+from doo_ti.whole_file import write_whole
+
+SUMMARY, SEAL = "summary.json", "sha256"
+REMADE = ("landscape.png", "run.rrd", "observations.npz", "pairs.csv")
+"""Files that a sweep makes again from its cells and what it was given."""
+
+
+def write_summary(run: Path, summary: dict) -> dict:
+    """Write the summary, with the digests of all files that are there now; returns it as it is written."""
+    summary = summary | {"files": file_digests(run)}
+    summary[SEAL] = _seal(summary)
+    text = json.dumps(summary, indent=2) + "\n"
+    write_whole(run / SUMMARY, lambda file: file.write(text.encode()))
+    return summary
 
 
 def read_summary(run: Path) -> dict:
-    """The summary of a finished sweep. Raises InputError where the folder holds none that can be read."""
-    path = Path(run) / "summary.json"
+    """The summary of a finished sweep. Raises InputError where the folder holds none that can be read, or another one than was
+    written."""
+    path = Path(run) / SUMMARY
+    content = read_content(path, MOST_TEXT_BYTES, "name the folder of a finished sweep")
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(path, "file", system_reason(error), "name the folder of a finished sweep") from None
+        summary = json.loads(content.decode())
     except (ValueError, RecursionError) as error:
         raise InputError(path, "file", f"not JSON ({error})", "run the sweep again") from None
     if not isinstance(summary, dict):
         raise InputError(path, "file", "holds no table", "run the sweep again")
+    if SEAL in summary and summary[SEAL] != _seal(summary):
+        raise InputError(path, "file", "is not what the sweep wrote", "run the sweep again")
     return summary
+
+
+def sweep_identity(summary: dict) -> str | None:
+    """Which sweep a summary is of; None where it does not say."""
+    told = summary.get("provenance")
+    identity = told.get("sweep_sha256") if isinstance(told, dict) else None
+    return identity if isinstance(identity, str) else None
+
+
+def file_digests(run: Path) -> dict[str, str]:
+    """sha256 of each file that belongs to a run, by its path in the folder."""
+    paths = [run / name for name in REMADE if (run / name).is_file()] + sorted((run / "cells").glob("*.parquet"))
+    return {path.relative_to(run).as_posix(): _digest(path) for path in paths}
+
+
+def changed_files(run: Path, summary: dict, names: tuple[str, ...] | None = None) -> list[str]:
+    """Those files of a finished run, or those of them called ``names``, that are gone or not what the sweep wrote."""
+    digests = summary.get("files")
+    told = digests if isinstance(digests, dict) else {}
+    return [name for name, digest in told.items()
+            if (names is None or name in names) and not ((run / name).is_file() and _digest(run / name) == digest)]
+
+
+def check_cells(run: Path, summary: dict) -> None:
+    """Raise InputError where a finished run's cells are not what the sweep wrote."""
+    for name in changed_files(run, summary):
+        if name not in REMADE:
+            problem, remedy = "gone", "run the sweep again"
+            if (run / name).exists():
+                problem, remedy = "not what the sweep wrote", "delete it and run the sweep again"
+            raise InputError(run / name, "cells", problem, remedy)
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _seal(summary: dict) -> str:
+    """sha256 of a summary without itself, however its keys are ordered."""
+    content = {key: value for key, value in summary.items() if key != SEAL}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

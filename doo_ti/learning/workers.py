@@ -14,6 +14,8 @@ from threading import Thread
 
 from doo_ti import runtime
 from doo_ti.errors import InputError
+from doo_ti.interruption import kept_from_children
+from doo_ti.learning.maker import as_made, maker, other_worker
 
 ANSWER_SECONDS = 10
 """How long a scheduler may take to answer."""
@@ -36,8 +38,9 @@ class Crew:
         """(chunk, ``work(*chunk)``) of each chunk in order; where one fails those done behind it come before the error."""
         chunks, waiting = iter(chunks), deque()
         while True:
-            for chunk in islice(chunks, self.ahead - len(waiting)):
-                waiting.append((chunk, self.executor.submit(*self.through, work, *chunk)))
+            with kept_from_children():  # work may start processes
+                for chunk in islice(chunks, self.ahead - len(waiting)):
+                    waiting.append((chunk, self.executor.submit(*self.through, work, *chunk)))
             if not waiting:
                 return
             chunk, future = waiting.popleft()
@@ -69,14 +72,15 @@ def crew(workers: int | None, scheduler: str | None) -> Iterator[Alone | Crew]:
     """
     if scheduler is not None:
         with _client(scheduler) as client:
-            yield Crew(client.get_executor(pure=False), max(4, 2 * len(client.nthreads())), (_on_dask_worker,))
+            _check_workers(client, maker())
+            yield Crew(client.get_executor(pure=False), max(4, 2 * len(client.nthreads())), (_on_dask_worker, maker()))
     elif workers is not None:
         if workers < 1:
             raise InputError("sweep", "workers", f"{workers} is below 1", "give at least one")
         share = max(1, len(runtime.processors()) // workers)
         executor = ProcessPoolExecutor(workers, get_context("spawn"), initializer=_start_worker, initargs=(share,))
         try:
-            yield Crew(executor, 2 * workers)
+            yield Crew(executor, 2 * workers, (as_made, maker()))
         finally:
             executor.shutdown(cancel_futures=True)
     else:
@@ -100,12 +104,29 @@ def _client(address: str):
                          "give the address that dask scheduler prints, tcp://HOST:8786") from None
 
 
-def _on_dask_worker(work, *chunk):
-    """``work`` on all threads of a Dask worker, and so on one chunk at a time."""
+def _check_workers(client, expected: dict[str, str]) -> None:
+    """Raise InputError unless there are workers, and all are the ``expected`` maker."""
+    try:
+        client.wait_for_workers(1, timeout=ANSWER_SECONDS)
+        makers = client.run(maker)
+    except TimeoutError:
+        raise InputError("sweep", "--dask", "the scheduler has no workers", "start some: dask worker ADDRESS") from None
+    except Exception as error:  # whatever a worker without the package, or with another one, answers
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError("sweep", "--dask", f"a worker cannot say what it runs ({reason})",
+                         "install doo_ti on the workers, the same as here, and start them anew") from None
+    for name, made in makers.items():
+        if made != expected:
+            raise other_worker(f"the worker {name}", made, expected)
+
+
+def _on_dask_worker(expected: dict[str, str], work, *chunk):
+    """``work`` on all threads of a Dask worker, and so on one chunk at a time; workers may come and go, so it is checked here
+    too what this one runs."""
     from distributed import get_worker
 
     runtime.start(threads=get_worker().state.nthreads, pinned=False)
-    return runtime.exclusive(work)(*chunk)
+    return runtime.exclusive(as_made)(expected, work, *chunk)
 
 
 def _start_worker(threads: int) -> None:

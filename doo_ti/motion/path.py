@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from doo_ti.errors import InputError
 from doo_ti.frames import (
     matrix_from_quaternion,
     quaternion_about,
@@ -20,6 +21,8 @@ LARGEST_TURN = np.radians(5.0)
 """Of a clamp in one sub-step, rad."""
 SHIFT_PER_TURN = 0.2
 """A clamp moves in one sub-step by at most this share of the rod's length for each radian that it may turn."""
+MOST_STEPS = 100_000
+"""Sub-steps of a motion."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +58,16 @@ class Motion:
             name: getattr(self, name)[rows] for name in parts if getattr(self, name) is not None})
 
     def needed_steps(self, rest_length: np.ndarray, largest_turn: float = LARGEST_TURN) -> np.ndarray:
-        """(R,) sub-steps that keep each clamp's turns below ``largest_turn`` (rad) and its shifts in proportion to it."""
+        """(R,) sub-steps that keep each clamp's turns below ``largest_turn`` (rad) and its shifts in proportion to it.
+
+        Raises InputError where that would take more than ``MOST_STEPS``.
+        """
         end_turn = _size(self.end_turn) + np.abs(0.0 if self.end_spin is None else self.end_spin)
         shift = np.maximum(_size(self.start_shift), _size(self.end_shift)) / (SHIFT_PER_TURN * rest_length.sum(axis=-1))
         need = np.maximum(np.maximum(_size(self.start_turn), end_turn), shift) / largest_turn
+        if not (need <= MOST_STEPS).all():
+            raise InputError("motion", "end_position, end_turn", f"{np.max(need):.3g} sub-steps",
+                             f"move in at most {MOST_STEPS:,}: by less, or with a larger sub_step")
         steps = np.maximum(np.ceil(need - 1e-9), 1).astype(np.int64)
         return np.broadcast_to(steps, len(self.clamps.start_position))
 

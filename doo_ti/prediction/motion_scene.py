@@ -31,7 +31,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError, system_reason
+from doo_ti.errors import InputError
+from doo_ti.file_content import MOST_TEXT_BYTES, read_content
 from doo_ti.frames import (
     across,
     bishop_frames,
@@ -74,10 +75,9 @@ class MotionScene:
 def load_motion_scene(path: str | os.PathLike) -> MotionScene:
     """The scene of a TOML file. Raises InputError for unreadable files, unknown keys, wrong types and values."""
     path = Path(path)
+    content = read_content(path, MOST_TEXT_BYTES, "name a readable scene")
     try:
-        table = tomllib.loads(path.read_bytes().decode())
-    except OSError as error:
-        raise InputError(path, "file", system_reason(error), "name a readable scene") from None
+        table = tomllib.loads(content.decode())
     except (ValueError, RecursionError) as error:
         raise InputError(path, "file", f"not TOML ({error})", "correct the scene") from None
     _check_keys(path, "", table, ("name", "between", "rod", "materials", "moments"))

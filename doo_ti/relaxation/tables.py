@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, real_array
 from doo_ti.relaxation.clamp_kernel import INFEASIBLE
 from doo_ti.relaxation.clamp_table import clamp_table, outer_edges, whole_start
 from doo_ti.relaxation.columns import (
@@ -220,11 +220,9 @@ def tables(
 def _lengths(configuration: Configuration) -> np.ndarray:
     """(1 or S, E) rest lengths. Raises InputError where they do not match or are not positive."""
     count, edges = configuration.count, configuration.edges
-    try:
-        # A copy: what becomes of the caller's own is none of the result's business.
-        lengths = np.array(configuration.rest_length, dtype=np.float64, order="C")
-    except (TypeError, ValueError):
-        raise InputError("configuration", "rest_length", "not an array of numbers", "give positive lengths in mm") from None
+    lengths = real_array("configuration", "rest_length", configuration.rest_length, "give positive lengths in mm")
+    # A copy: what becomes of the caller's own is none of the result's business.
+    lengths = np.array(lengths, dtype=np.float64, order="C")
     if lengths.ndim == 1:
         lengths = lengths[None]
     if lengths.shape not in ((1, edges), (count, edges)):
@@ -288,8 +286,8 @@ def _material_table(material: Material, isotropic: bool, edges: int) -> np.ndarr
 def _check_shapes(configuration: Configuration, clamps: Clamps) -> None:
     """Raise InputError unless starts and clamps are tables of the same rods."""
     shape = np.shape(configuration.quaternions)
-    if not isinstance(configuration.quaternions, np.ndarray) or configuration.quaternions.dtype.kind not in "fiu":
-        raise InputError("configuration", "quaternions", "not an array of real numbers", "give an array (R, E, 4)")
+    if not isinstance(configuration.quaternions, np.ndarray) or configuration.quaternions.dtype.kind != "f":
+        raise InputError("configuration", "quaternions", "not an array of floating-point numbers", "give an array (R, E, 4)")
     if len(shape) != 3 or shape[2] != 4 or shape[1] < 2:
         raise InputError("configuration", "quaternions", f"shape {shape}", "give an array (R, E, 4) with at least two edges")
     needed = {"start_position": (shape[0], 3), "end_position": (shape[0], 3),
@@ -300,7 +298,7 @@ def _check_shapes(configuration: Configuration, clamps: Clamps) -> None:
     ):
         if not isinstance(array, np.ndarray) or array.shape != wanted:
             raise InputError(source, field, f"shape {np.shape(array)}", f"give an array {wanted}, a row for each start")
-        if array.dtype.kind not in "fiub":
+        if array.dtype.kind not in "fiu":
             raise InputError(source, field, f"dtype {array.dtype}", "give real numbers")
 
 

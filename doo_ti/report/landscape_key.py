@@ -15,8 +15,8 @@ def key_of(plane: Plane, with_region: bool) -> list:
         keys += [_star(f"minimum at {values_text(plane.best)}"),
                  _valley(f"within 5 % of the minimum: {plane.valley.sum()} of {plane.values.size} cells", line)]
     if (count := (plane.unfinished > 0).sum()):
-        keys.append(_unfinished(f"rods not certified: {plane.unfinished.sum()} (cells: {count})", line))
-    if (count := np.isnan(plane.values).sum()):
+        keys.append(_unfinished(_not_competing(count, plane.unfinished.sum()), line))
+    if (count := _not_evaluated(plane)):
         keys.append(_missing(f"cells not evaluated: {count}", line))
     return keys + _extras([plane], with_region)
 
@@ -32,8 +32,8 @@ def key_of_panels(planes: list[Plane], with_region: bool, marks: str) -> list:
         keys.append(Line2D([], [], linestyle="", marker="o", markersize=8, markerfacecolor="white",
                            markeredgecolor="#202020", markeredgewidth=1.2, label=marks))
     if (count := sum(plane.unfinished.sum() for plane in planes)):
-        keys.append(_unfinished(f"cells with rods not certified (rods: {count})", line))
-    if (count := sum(np.isnan(plane.values).sum() for plane in planes)):
+        keys.append(_unfinished(_not_competing(sum((plane.unfinished > 0).sum() for plane in planes), count), line))
+    if (count := sum(map(_not_evaluated, planes))):
         keys.append(_missing(f"cells not evaluated: {count}", line))
     return keys + _extras(planes, with_region)
 
@@ -63,6 +63,15 @@ def _extras(planes: list[Plane], with_region: bool) -> list:
         keys += [Line2D([], [], linestyle="", marker=f"${number}$", markersize=9, color=BORDER, label=regime)
                  for number, regime in enumerate(REGIMES, start=1)]
     return keys
+
+
+def _not_evaluated(plane: Plane) -> int:
+    """Cells that have no value for another reason than their rods."""
+    return int((np.isnan(plane.values) & (plane.unfinished == 0)).sum())
+
+
+def _not_competing(cells: int, rods: int) -> str:
+    return f"cells not competing: {cells} (rods not certified: {rods})"
 
 
 def _star(text: str):

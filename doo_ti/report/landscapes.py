@@ -38,7 +38,7 @@ def landscape_picture(path_or_buffer, axes, values, *, minimum, valley=None, tit
     minimum     index of the minimum, one integer per axis; None where there is none
     valley      (grid) bool, the cells to outline; default: within 5 % of the minimum
     label       what the values are, with their unit: the colour bar's label
-    unfinished  (grid) number of rods that came to no certified minimum: those cells are hatched
+    unfinished  (grid) number of rods that came to no certified minimum: those cells do not compete, and are hatched
     region      (n, 2) outline of a confidence region in the units of the two axes drawn; not drawn over one axis
     """
     plane = Plane.of(axes, values, minimum, valley, unfinished)

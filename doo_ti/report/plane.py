@@ -22,7 +22,7 @@ class Plane:
     values      (A, B) mean distance in mm, NaN where not evaluated
     minimum     (a, b) cell of the minimum, None where no cell was evaluated
     valley      (A, B) bool: within 5 % of the minimum
-    unfinished  (A, B) number of rods that came to no certified minimum
+    unfinished  (A, B) number of rods that came to no certified minimum: cells with any do not compete
     hidden      names of further free axes, over which the values are the minimum
     best        (name, value, unit) of every free axis at the minimum
     at_border   the minimum lies at an end of a free axis: the true one may lie outside the grid

@@ -1,6 +1,7 @@
 """Images from files, as grey levels."""
 
 import os
+import struct
 import sys
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -8,8 +9,9 @@ from threading import Lock
 
 import numpy as np
 
-from doo_ti.errors import InputError, system_reason
-from doo_ti.vision.rig import Camera
+from doo_ti.errors import InputError
+from doo_ti.file_content import read_content
+from doo_ti.vision.rig import MOST_SIDE, Camera
 
 ENDS = ((b"\x89PNG", b"IEND"), (b"\xff\xd8", b"\xff\xd9"))
 """What whole PNG and JPEG files begin and end with."""
@@ -26,10 +28,8 @@ def read_image(path: str | os.PathLike, camera: Camera | None = None) -> np.ndar
     import cv2
 
     path = Path(path)
-    try:
-        stored = np.fromfile(path, dtype=np.uint8)
-    except (OSError, ValueError) as error:  # a name that holds a null byte
-        raise InputError(path, "file", system_reason(error), "name a readable image") from None
+    stored = np.frombuffer(read_content(path, remedy="name a readable image"), dtype=np.uint8)
+    _check_side(path, *_png_size(stored[:24].tobytes()))  # before it is unpacked
     try:
         with nullcontext() if _is_whole(stored[:8].tobytes(), stored[-16:].tobytes()) else _silenced():
             image = cv2.imdecode(stored, cv2.IMREAD_GRAYSCALE) if stored.size else None
@@ -37,10 +37,21 @@ def read_image(path: str | os.PathLike, camera: Camera | None = None) -> np.ndar
         image = None
     if image is None:
         raise InputError(path, "file", "cannot be read as an image", "give a PNG, JPEG or TIFF file")
+    _check_side(path, *image.shape)
     if camera is not None and image.shape != (camera.height, camera.width):
         raise InputError(path, "size", f"{image.shape[1]} x {image.shape[0]} px, but {camera.name} of {camera.source} takes "
                          f"{camera.width} x {camera.height}", "give the rig's own images, neither scaled nor cropped")
     return image
+
+
+def _png_size(head: bytes) -> tuple[int, ...]:
+    """Width and height of a PNG, from its first bytes; nothing for other files."""
+    return struct.unpack(">II", head[16:24]) if head.startswith(ENDS[0][0]) and len(head) == 24 else ()
+
+
+def _check_side(path: Path, *sides: int) -> None:
+    if max(sides, default=0) > MOST_SIDE:
+        raise InputError(path, "size", f"{' x '.join(map(str, sides))} px", f"give images of at most {MOST_SIDE:,} px a side")
 
 
 def _is_whole(head: bytes, tail: bytes) -> bool:

@@ -9,11 +9,13 @@ out of the whole file, not of a line: a set's score is a sum over cameras, and s
 import csv
 import os
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError, system_reason
+from doo_ti.errors import InputError
+from doo_ti.file_content import MOST_TEXT_BYTES, read_content
 from doo_ti.vision.rig import Rig
 
 SEED = ("seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
@@ -83,13 +85,12 @@ def load_sets(path: str | os.PathLike, rig: Rig) -> ImageSets:
 
 def header_and_lines(path: Path) -> tuple[list[str], list[dict[str, str]]]:
     """Columns and lines of a CSV file, with empty text where a line is short."""
+    content = read_content(path, MOST_TEXT_BYTES, "name a readable CSV file")
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            reader = csv.DictReader(file, restval="")
-            return list(reader.fieldnames or []), list(reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        problem = system_reason(error)
-        raise InputError(path, "file", problem, "name a readable CSV file") from None
+        reader = csv.DictReader(StringIO(content.decode(), newline=""), restval="")
+        return list(reader.fieldnames or []), list(reader)
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(path, "file", str(error), "name a readable CSV file") from None
 
 
 def number_in(path: Path, number: int, line: dict, key: str) -> float:

@@ -19,7 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError, system_reason
+from doo_ti.errors import InputError
+from doo_ti.file_content import MOST_TEXT_BYTES, read_content
 from doo_ti.vision.rig import Rig
 
 COLUMNS = ("observation", "camera", "mark", "u_px", "v_px")
@@ -112,16 +113,14 @@ def _table(path: Path, needed: tuple[str, ...]) -> dict[str, np.ndarray]:
     import pyarrow
     import pyarrow.csv
 
+    content = read_content(path, MOST_TEXT_BYTES, "name a readable CSV file")
     try:
-        content = path.read_bytes()
         header = content.splitlines()[0].decode("utf-8-sig").split(",") if content else []
         as_text = {name: pyarrow.string() for name in header}
         table = pyarrow.csv.read_csv(io.BytesIO(content), convert_options=pyarrow.csv.ConvertOptions(column_types=as_text))
     except (pyarrow.ArrowException, UnicodeDecodeError) as error:
         first = str(error).strip().splitlines()[0][:80]
         raise InputError(path, "file", f"is no CSV table ({first})", f"write the columns {','.join(needed)}") from None
-    except OSError as error:
-        raise InputError(path, "file", system_reason(error), "name a readable CSV file") from None
     names = [name.strip() for name in table.column_names]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:

@@ -9,12 +9,25 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.dataset import write_whole
-from doo_ti.errors import InputError, system_reason
+from doo_ti.errors import InputError, real_array
+from doo_ti.file_content import read_content
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
+from doo_ti.vision.opencv_yaml import read_opencv_yaml
+from doo_ti.whole_file import write_whole
 
 COEFFICIENTS = 5
 """Of distortion: k1, k2, p1, p2, k3."""
+MOST_FILE_BYTES = 1 << 20
+"""Of a rig: some thousand cameras."""
+MOST_SIDE = 20_000
+"""Pixels along a side of an image."""
+LEAST_FOCAL_PX, MOST_PX = 1.0, 1e6
+"""Of focal lengths; principal points lie as far off at most."""
+MOST_DISTORTION = 1e6
+MOST_MM = 1e6
+"""From the world's origin to a camera."""
+OTHER_COLUMNS = ("name", "frame", "time_s", "view", "seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
+"""Of tables that have a column of images for each camera, named as it is."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +39,8 @@ class Camera:
     rotation     (3, 3) R from world to camera, x right, y down, z forward
     translation  (3,) t, mm
 
-    Raises InputError for sizes that are not positive, shapes that do not match, and an R that is no rotation.
+    Raises InputError for sizes that are not positive, shapes that do not match, an R that is no rotation, and numbers beyond
+    the bounds of any camera, which are stated above.
     """
 
     name: str
@@ -40,7 +54,8 @@ class Camera:
 
     def __post_init__(self):
         for name, shape in (("matrix", (3, 3)), ("distortion", None), ("rotation", (3, 3)), ("translation", (3,))):
-            value = np.array(getattr(self, name), dtype=np.float64)
+            value = np.array(real_array(self.source, f"cameras.{self.name}.{_KEYS[name]}", getattr(self, name), "give numbers"),
+                             dtype=np.float64)
             value = value if name in ("matrix", "rotation") else value.reshape(-1)
             if name == "distortion" and value.size in (0, 4):
                 value = np.concatenate([value, np.zeros(COEFFICIENTS - value.size)])
@@ -49,11 +64,18 @@ class Camera:
                 raise self._error(_KEYS[name], f"shape {value.shape}, or not finite", wanted)
             value.setflags(write=False)
             object.__setattr__(self, name, value)
-        if self.width < 1 or self.height < 1:
-            raise self._error("width, height", f"{self.width} x {self.height}", "give the size of the images in pixels")
+        if not (1 <= self.width <= MOST_SIDE and 1 <= self.height <= MOST_SIDE):
+            raise self._error("width, height", f"{self.width} x {self.height}",
+                              f"give the size of the images in pixels, at most {MOST_SIDE:,} a side")
         (fx, skew, _), (lower, fy, _), last = self.matrix
         if not (fx > 0 and fy > 0) or skew != 0 or lower != 0 or (last != [0, 0, 1]).any():
             raise self._error("K", f"{self.matrix.tolist()}", "give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0")
+        for name, value, most in (("K", self.matrix[:2], MOST_PX), ("dist", self.distortion, MOST_DISTORTION),
+                                  ("t", self.translation, MOST_MM)):
+            if (np.abs(value) > most).any():
+                raise self._error(name, f"{value[np.abs(value) > most][0]:g}", f"give numbers up to {most:,.0f}")
+        if min(fx, fy) < LEAST_FOCAL_PX:
+            raise self._error("K", f"a focal length of {min(fx, fy):g} px", f"give {LEAST_FOCAL_PX:g} px or more")
         if orthonormality_error(self.rotation) > FRAME_TOLERANCE or handedness(self.rotation) < 0:
             raise self._error("R", f"{np.round(self.rotation, 4).tolist()} is no rotation", "give a right-handed rotation")
 
@@ -91,12 +113,9 @@ class Rig:
     source: str = "rig"
 
     def __post_init__(self):
-        names = [camera.name for camera in self.cameras]
-        if not names:
+        if not self.cameras:
             raise InputError(self.source, "cameras", "no camera", "describe at least two")
-        if len(set(names)) < len(names):
-            twice = max(names, key=names.count)
-            raise InputError(self.source, "cameras", f"the name {twice!r} occurs twice", "name them apart")
+        check_camera_names(self.source, [camera.name for camera in self.cameras])
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -115,6 +134,16 @@ class Rig:
         return Rig(tuple(by_name[name] for name in names), self.source)
 
 
+def check_camera_names(source: str, names: list[str]) -> None:
+    """Raise InputError for names of cameras that occur twice, are empty, or name another column of tables of images."""
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(source, "cameras", f"the name {name!r} occurs twice", "name them apart")
+        if not name or name in OTHER_COLUMNS:
+            raise InputError(source, "cameras", f"{name!r} cannot be a camera's name, tables of images have another column of "
+                             "that name" if name else "a camera without a name", "name it otherwise, such as cam0")
+
+
 _KEYS = {"matrix": "K", "distortion": "dist", "rotation": "R", "translation": "t"}
 
 
@@ -123,43 +152,32 @@ def load_rig(path: str | os.PathLike) -> Rig:
 
     Raises InputError for a file that cannot be read, for what is missing, and for whatever :class:`Camera` refuses.
     """
-    import cv2
-
     path = Path(path)
+    stored = read_content(path, MOST_FILE_BYTES, "name a readable rig")
     try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(path, "file", system_reason(error), "name a readable rig") from None
-    except UnicodeDecodeError:
-        raise InputError(path, "file", "not text", "give an OpenCV FileStorage YAML file") from None
-    try:
-        storage = cv2.FileStorage(text, cv2.FileStorage_READ | cv2.FileStorage_MEMORY | cv2.FileStorage_FORMAT_YAML)
-        nodes = storage.getNode("cameras")
-        count = nodes.size() if nodes.isSeq() else 0
-        if not count:
-            raise InputError(path, "cameras", "missing or empty", "give a sequence of name, width, height, K, dist, R, t")
-        return Rig(tuple(_camera(path, nodes.at(index), index) for index in range(count)), str(path))
-    except (cv2.error, SystemError) as error:
-        reason = str(error).splitlines()[0][:80]
-        raise InputError(path, "file", f"not a rig ({reason})", "give OpenCV FileStorage YAML") from None
+        content = read_opencv_yaml(stored.decode())
+    except ValueError as error:  # no text, or no YAML
+        raise InputError(path, "file", f"not a rig ({str(error)[:80]})", "give OpenCV FileStorage YAML") from None
+    found = content.get("cameras") if isinstance(content, dict) else None
+    if not isinstance(found, list) or not found:
+        raise InputError(path, "cameras", "missing or empty", "give a sequence of name, width, height, K, dist, R, t")
+    return Rig(tuple(_camera(path, entries, index) for index, entries in enumerate(found)), str(path))
 
 
-def _camera(path: Path, node, index: int) -> Camera:
+def _camera(path: Path, entries, index: int) -> Camera:
     """One camera of the file."""
-    if not node.isMap():
+    if not isinstance(entries, dict):
         raise InputError(path, f"cameras[{index}]", "is no map", "give name, width, height, K, dist, R, t")
-    entry = node.getNode("name")
-    name = entry.string() if entry.isString() else f"cam{index}"
+    name = entries.get("name") if isinstance(entries.get("name"), str) else f"cam{index}"
     size = {}
     for key in ("width", "height"):
-        entry = node.getNode(key)
-        if not entry.isInt():
+        size[key] = entries.get(key)
+        if type(size[key]) is not int:
             raise InputError(path, f"cameras.{name}.{key}", "missing or no whole number", "give the images' size in pixels")
-        size[key] = int(entry.real())
     values = {}
     for field, key in _KEYS.items():
-        found = None if node.getNode(key).empty() else node.getNode(key).mat()
-        if found is None:
+        found = entries.get(key)
+        if not isinstance(found, np.ndarray):
             raise InputError(path, f"cameras.{name}.{key}", "missing or no matrix",
                              "give K (3, 3), dist (1, 5), R (3, 3), t (3, 1)")
         values[field] = found

@@ -10,11 +10,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from doo_ti.errors import InputError, system_reason
+from doo_ti.errors import InputError
+from doo_ti.file_content import MOST_TEXT_BYTES, read_content
 from doo_ti.vision.board import Board
 from doo_ti.vision.bundle import Sighting
 from doo_ti.vision.corners import find_corners
 from doo_ti.vision.image_file import read_image
+from doo_ti.vision.rig import check_camera_names
 
 
 @dataclass(frozen=True)
@@ -37,10 +39,9 @@ def read_views(path: Path) -> Views:
     """The views of a CSV file. Raises InputError for what is no such file, for fewer than two cameras, names that occur twice,
     and images that are not there."""
     remedy = "write the columns view,cam0,cam1,…"
+    content = read_content(path, MOST_TEXT_BYTES, "name a readable list of views")
     try:
-        rows = list(csv.reader(io.StringIO(path.read_bytes().decode("utf-8-sig")), strict=True))
-    except OSError as error:
-        raise InputError(path, "file", system_reason(error), "name a readable list of views") from None
+        rows = list(csv.reader(io.StringIO(content.decode("utf-8-sig")), strict=True))
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, "file", f"is no CSV table ({str(error)[:60]})", remedy) from None
     rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
@@ -50,6 +51,7 @@ def read_views(path: Path) -> Views:
     if len(set(header)) < len(header) or "" in header:
         raise InputError(path, "header", f"{', '.join(header)}: a name twice, or none", "name the columns apart")
     cameras = tuple(name for name in header if name != "view")
+    check_camera_names(str(path), list(cameras))
     if len(cameras) < 2:
         raise InputError(path, "header", f"{len(cameras)} camera", "a rig has two or more: give each a column of images")
     if len(rows) < 2:

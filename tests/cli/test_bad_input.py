@@ -2,8 +2,11 @@
 
 import os
 import pickle
+import shutil
 import subprocess
 import sys
+import warnings
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +71,8 @@ KEYS = {
     "frame not orthonormal": (changed("start_frame", lambda f: 1.1 * f), "start_frame", "not orthonormal"),
     "frame left-handed": (changed("end_frame", lambda f: -f), "end_frame", "left-handed"),
     "non-numeric array": (changed("vertices_mm", lambda v: v.astype(str)), "vertices_mm", "not numeric"),
+    "complex array": (changed("vertices_mm", lambda v: v + 0j), "vertices_mm", "complex"),
+    "boolean array": (changed("vertices_mm", lambda v: v > 0), "vertices_mm", "bool"),
     "object array": (changed("vertices_mm", lambda v: v.astype(object)), "vertices_mm", "cannot be read"),
 }
 
@@ -107,6 +112,34 @@ def test_wrong_files(capsys, tmp_path, case, suffix):
                     ["sweep", str(path), "--bend", "1e5:1e6:3", "--out", str(tmp_path / "run")],
                     ["convert", str(path), str(tmp_path / "out.csv")]):
         refused(capsys, tmp_path, command, str(path))
+
+
+def zipped(folder: Path, *members: tuple[str, bytes]) -> Path:
+    """bad.npz of these members, among good ones."""
+    npz_bytes(folder)
+    shutil.copy(folder / "good.npz", folder / "bad.npz")
+    with warnings.catch_warnings(), zipfile.ZipFile(folder / "bad.npz", "a") as archive:
+        warnings.simplefilter("ignore")  # that a name is there twice
+        for name, content in members:
+            archive.writestr(name, content)
+    return folder / "bad.npz"
+
+
+@pytest.mark.parametrize(("member", "content"), [
+    ("vertices_mm.npy", b""),  # beside another of that name
+    ("sigma_mm.npy", b"\x93NUMPY\x01\x00\x10\x00{'descr': '<f8', "),  # a header that is never closed
+])
+def test_an_npz_of_wrong_members(capsys, tmp_path, member, content):
+    bad = zipped(tmp_path, (member, content))
+    refused(capsys, tmp_path, ["relax", str(bad), *MATERIAL, "--out", str(tmp_path / "F.npz")], member.removesuffix(".npy"))
+
+
+@pytest.mark.parametrize("degrees", ["1e-300", "0", "-5", "1e300"])
+def test_sub_steps_that_never_end(capsys, tmp_path, degrees):
+    npz_bytes(tmp_path)
+    argv = ["predict", str(tmp_path / "good.npz"), "--motion", str(tmp_path / "path.csv"), *MATERIAL, "--sub-step", degrees,
+            "--out", str(tmp_path / "moved.npz")]
+    refused(capsys, tmp_path, argv, "--sub-step")
 
 
 def test_files_that_are_not_there(capsys, tmp_path):

@@ -120,7 +120,7 @@ WRONG = {
     "infinite vertex": ("vertices_mm", lambda v: np.where(v == v[0, 0, 0], np.inf, v), "inf"),
     "valid misshapen": ("valid", lambda v: v[:, :-1], "shape (3, 8)"),
     "valid not boolean": ("valid", lambda v: v * 2, "other values than true and false"),
-    "valid text": ("valid", lambda v: v.astype(str), "other values than true and false"),
+    "valid text": ("valid", lambda v: v.astype(str), "not numeric"),
     "hardly any mark": ("valid", lambda v: v & (np.arange(9) == 1), "fewer than two"),
     "negative rest length": ("rest_length_mm", lambda v: np.where(np.arange(8) == 3, -v, v), "at edge 3"),
     "zero rest length": ("rest_length_mm", lambda v: v * (np.arange(8) != 5), "0 mm at edge 5"),
@@ -184,6 +184,15 @@ def test_coinciding_neighbours_are_named_across_missing_marks(rng):
     valid[2, 5] = False
     with pytest.raises(InputError, match="vertices 4 and 6 of observation 2 coincide"):
         Observations(vertices, valid)
+
+
+@pytest.mark.parametrize("key", ["vertices", "valid", "rest_length", "start_frame", "sigma", "up", "end_distance",
+                                 "total_twist"])
+@pytest.mark.parametrize("value", [[[1.0], [1.0, 2.0]], [1j, 2j], ["a"]])
+def test_values_that_are_no_array_of_numbers(rng, key, value):
+    with pytest.raises(InputError) as caught:
+        Observations(**{"vertices": wavy_vertices(rng), key: value})
+    assert key in caught.value.field
 
 
 def test_sigma_may_be_one_number_and_unknown_where_nothing_was_seen(rng):

@@ -119,7 +119,7 @@ def test_every_panel_and_key_is_inside_the_picture(rng):
         for box in boxes:
             assert 0 <= box.x0 < box.x1 <= width and 0 <= box.y0 < box.y1 <= height
         texts = [text.get_text() for text in figure.legends[0].get_texts()]
-        assert "cells with rods not certified (rods: 20)" in texts and "cells not evaluated: 41" in texts
+        assert "cells not competing: 5 (rods not certified: 20)" in texts and "cells not evaluated: 41" in texts
 
 
 def test_pictures_of_several_are_png(tmp_path, rng):

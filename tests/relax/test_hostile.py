@@ -33,7 +33,8 @@ OPTIONS = {
     "descent without end": lambda: Descent(max_iterations=2**31), "descent to nothing": lambda: Descent(tolerance=None),
     "no materials": lambda: Material([], 1.0), "a number too large": lambda: Material(10**400, 1.0),
     "twist of three axes": lambda: Material(1.0, np.ones((2, 3, 2))),
-    "unlike rows": lambda: Material.diagonal([1.0, 2.0], [1.0, 2.0, 3.0], 4.0), "springs of text": lambda: Springs("a", "b"),
+    "unlike rows": lambda: Material.diagonal([1.0, 2.0], [1.0, 2.0, 3.0], 4.0), "imaginary bend": lambda: Material(1e5 + 1j, 1.0), "a flag for twist": lambda: Material(1e5, True),
+    "springs of text": lambda: Springs("a", "b"),
 }
 
 
@@ -48,6 +49,9 @@ def test_arguments_that_do_not_match(rods):
     wrong = {
         "text": {"configuration": replace(rods, quaternions=np.full(rods.quaternions.shape, "a"))},
         "imaginary": {"configuration": replace(rods, start=rods.start + 0j)},
+        "imaginary lengths": {"configuration": replace(rods, rest_length=rods.rest_length + 0j)},
+        "whole quaternions": {"configuration": replace(rods, quaternions=rods.quaternions.round().astype(int))},
+        "flags as positions": {"configuration": replace(rods, start=rods.start > 0)},
         "ragged lengths": {"configuration": replace(rods, rest_length=[[1.0], [1.0, 2.0]])},
         "up of what is no number": {"up": [10**400, 0, 0]},
         "unlike indices": {"configuration_index": np.arange(3), "material_index": np.zeros(2, int)},

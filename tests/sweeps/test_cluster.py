@@ -6,6 +6,7 @@ import pytest
 
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.learning import sweeps, workers
+from doo_ti.learning.maker import maker
 from doo_ti.learning.sweeps import SweepOptions, sweep
 from tests.sweeps.lab import GRID, small_lab
 from tests.sweeps.test_sweep import assert_same_cells
@@ -49,6 +50,26 @@ def test_no_scheduler_is_told_before_anything_is_written(tmp_path, scheduler, mo
     for address in ("tcp://127.0.0.1:1", "nowhere at all"):
         with pytest.raises(InputError, match="--dask: no scheduler answers"):
             sweep(tmp_path / "run", small_lab(), GRID, options=SweepOptions(scheduler=address))
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.filterwarnings("default")
+def test_workers_of_another_version_are_refused(scheduler):
+    from distributed import Client
+
+    with Client(scheduler, set_as_default=False) as client:
+        workers._check_workers(client, maker())
+        with pytest.raises(InputError, match="tcp://.*sources 00000000"):
+            workers._check_workers(client, maker() | {"sources_sha256": "0" * 64})
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_cluster_without_workers_is_refused(tmp_path, monkeypatch):
+    distributed = pytest.importorskip("distributed", reason="no cluster without Dask")
+    monkeypatch.setattr(workers, "ANSWER_SECONDS", 1)
+    with distributed.LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address=":0") as cluster:
+        with pytest.raises(InputError, match="no workers"):
+            sweep(tmp_path / "run", small_lab(), GRID, options=SweepOptions(scheduler=cluster.scheduler_address))
     assert not (tmp_path / "run").exists()
 
 

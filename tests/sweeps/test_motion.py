@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, quaternion_about
 from doo_ti.motion.path import LARGEST_TURN, motion_between
 from doo_ti.types import Clamp, Clamps
@@ -87,3 +88,12 @@ def test_sub_steps_are_short(rng):
     for name in ("start_frame", "end_frame"):
         apart = angle_between(getattr(motion.at(0.5), name), getattr(motion.at(0.5 + 1 / count), name))
         assert (apart <= LARGEST_TURN + 1e-9).all()
+
+
+def test_motions_that_never_end_are_refused(rng):
+    here = clamps_of(rng, 2)
+    lengths = np.full(20, 3.0)
+    for motion, turn in ((motion_between(here, here, np.full(2, 2.0**32)), LARGEST_TURN),
+                         (motion_between(here, clamps_of(rng, 2)), 1e-300)):
+        with pytest.raises(InputError, match="sub-steps"):
+            motion.needed_steps(lengths, turn)

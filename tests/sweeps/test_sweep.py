@@ -168,3 +168,18 @@ def test_a_damaged_summary_is_made_again(tmp_path, observations, damage):
     (tmp_path / "run" / "summary.json").write_bytes(damage)
     again = sweep(tmp_path / "run", observations, GRID)
     assert again["best"] == summary["best"] and again["timing"]["relaxed_rods"] == 0
+
+
+def test_rods_that_stall_at_their_observation_do_not_win(tmp_path, capsys):
+    from doo_ti.cli import main
+    from doo_ti.dataset import save_observations
+    from tests.sweeps.lab import small_lab
+
+    save_observations(tmp_path / "o.npz", small_lab())
+    argv = ["sweep", str(tmp_path / "o.npz"), "--bend", "4e5", "--weight", "1:1e20:5", "--out", str(tmp_path / "run")]
+    assert main(argv) == 0
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["best"]["weight"] == 1.0 and summary["rods_at_best"] == {"converged": 6, "stable": 6}
+    out = capsys.readouterr().out
+    assert summary["cells_not_competing"] > 0
+    assert f"competing   {summary['cells_competing']} of 5" in out

@@ -1,10 +1,12 @@
 """Work in other processes: in order, no further than needed, and nothing lost that is done."""
 
+import pickle
 import time
 
 import pytest
 
 from doo_ti.errors import InputError
+from doo_ti.learning.maker import as_made, maker
 from doo_ti.learning.workers import crew
 
 
@@ -36,6 +38,14 @@ def test_what_is_done_behind_a_failure_comes_before_it_and_the_rest_is_not_begun
             found.append(chunk[0])
     assert found[:3] == [0, 1, 2] and 3 not in found and len(found) > 3
     assert len(asked) < 10
+
+
+def test_a_worker_that_runs_something_else_is_refused():
+    assert as_made(maker(), max, 3, 4) == 4
+    with pytest.raises(InputError, match="99.0") as caught:
+        as_made(maker() | {"doo_ti": "99.0"}, max, 3, 4)
+    again = pickle.loads(pickle.dumps(caught.value))  # as it comes from another process
+    assert (str(again), again.remedy) == (str(caught.value), caught.value.remedy)
 
 
 def test_no_workers_are_refused():

@@ -57,8 +57,21 @@ def test_the_rig_of_the_images(shared_data):
 @pytest.mark.parametrize("spoil, word", [
     (lambda text: text.replace("cameras:", "kameras:"), "cameras"),
     (lambda text: text.replace("width: 1280", "width: x"), "width"),
+    (lambda text: text.replace("name: cam1", "name: seed_x"), "cameras"),
+    (lambda text: text.replace("name: cam1", "name: name"), "cameras"),
     (lambda text: text.replace("   K:", "   Q:"), "K"),
     (lambda text: "{{{", "not a rig"),
+    (lambda text: "[" * 100_000, "not a rig"),
+    (lambda text: "<?xml version='1.0'?><opencv_storage><cameras/></opencv_storage>", "cameras"),
+    (lambda text: text.replace("         cols: 3\n", "", 1), "not a rig"),
+    (lambda text: text.replace("cols: 3", "cols: 2147483647", 1), "not a rig"),
+    (lambda text: text.replace("dt: d", "dt: 3d", 1), "not a rig"),
+    (lambda text: text.replace("rows: 3", "rows: *x", 1), "not a rig"),
+    (lambda text: text + "? [a]\n: b\n", "not a rig"),
+    (lambda text: text.replace("width: 1280", "width: 100000"), "width"),
+    (lambda text: text.replace("width: 1280", "width: 2147483647"), "width"),
+    (lambda text: text.replace("width: 1280", "width: 100000000000"), "width"),
+    (lambda text: text.replace("name: cam1", "name: cam1\n      width: !!python/object/apply:os.getcwd []"), "not a rig"),
 ])
 def test_a_bad_file_is_told(tmp_path, spoil, word):
     save_rig(tmp_path / "rig.yaml", rig())
@@ -72,7 +85,9 @@ def test_a_bad_file_is_told(tmp_path, spoil, word):
 
 @pytest.mark.parametrize("change", [
     {"rotation": np.diag([1.0, 1, -1])}, {"matrix": np.eye(3) * -1}, {"width": 0}, {"distortion": [1.0, 2]},
-    {"translation": [0, 0, np.nan]},
+    {"translation": [0, 0, np.nan]}, {"translation": [0, 0, 1e300]}, {"distortion": [1e300, 0, 0, 0, 0]},
+    {"matrix": [[1e300, 0, 0], [0, 1e300, 0], [0, 0, 1]]}, {"matrix": [[1e-300, 0, 0], [0, 1e-300, 0], [0, 0, 1]]},
+    {"matrix": [[1e3, 0, 1e300], [0, 1e3, 0], [0, 0, 1]]}, {"matrix": np.eye(3) + 1j}, {"height": 10**11},
 ])
 def test_what_is_no_camera_is_refused(change):
     from dataclasses import replace

@@ -1,0 +1,83 @@
+"""Ctrl-C, and being told to end, as a KeyboardInterrupt that comes up where commands expect one.
+
+Raised wherever the program happens to be it could be taken for a failed import, or be lost in a destructor.
+"""
+
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Timer
+from types import FrameType
+
+AGAIN_SECONDS = 0.05
+"""After which a signal that cannot be used where it came is sent again."""
+
+
+def before_anything_is_begun() -> bool:
+    """Have Ctrl-C end the process on the spot; False where whoever started this process has it ignored."""
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        return False
+    signal.signal(signal.SIGINT, _end)
+    return True
+
+
+def while_running(interruptible: bool) -> None:
+    """Have both signals raise KeyboardInterrupt: what is done is kept, and the way to go on is printed."""
+    if interruptible:
+        signal.signal(signal.SIGINT, _interrupt)
+    signal.signal(signal.SIGTERM, _interrupt)
+    sys.unraisablehook = _not_lost
+
+
+def when_all_is_done() -> None:
+    """Have Ctrl-C do nothing any more: the process is about to end."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def kept_from_children() -> Iterator[None]:
+    """Start processes inside: Ctrl-C, which a terminal sends to them as well, is for their parent alone, who ends them."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    os.write(2, b"doo-ti: interrupted\n")
+    os._exit(1)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    if _is_importing(frame):
+        _send_again(number)
+    else:
+        raise KeyboardInterrupt
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _not_lost(unraisable) -> None:
+    """As Python's own hook, for what cannot be raised where it came up, but for an interruption."""
+    if issubclass(unraisable.exc_type, KeyboardInterrupt):
+        _send_again(signal.SIGINT)
+    else:
+        sys.__unraisablehook__(unraisable)
+
+
+def _send_again(number: int) -> None:
+    later = Timer(AGAIN_SECONDS, os.kill, (os.getpid(), number))
+    later.daemon = True
+    later.start()
