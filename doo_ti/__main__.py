@@ -1,5 +1,6 @@
 """``python -m doo_ti``, and the console command ``doo-ti``."""
 
+import os
 import sys
 
 from doo_ti.interruption import before_anything_is_begun, when_all_is_done, while_running
@@ -8,6 +9,8 @@ from doo_ti.interruption import before_anything_is_begun, when_all_is_done, whil
 def main() -> int:
     """Import the command line and run it; returns the exit code."""
     interruptible = before_anything_is_begun()
+    # NumPy's own threads only wait for each other over matrices as small as ours, and take processors from the kernels.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from doo_ti.cli import main as command_line
 
     while_running(interruptible)

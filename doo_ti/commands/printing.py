@@ -67,11 +67,12 @@ def tell_landscape(landscape: Landscape) -> None:
     best = best_of(landscape)
     terms = "observations" if landscape.objective == "static" else "pairs of observations (Eq. 3)"
     print(f"{landscape.name}: {cells} cells x {count} {terms}")
-    print(f"  best Θ      {theta_text(best, landscape.grid.is_isotropic)}")
+    print(f"  best cell   {theta_text(best, landscape.grid.is_isotropic)}")
+    print("              (the cell that fits best if the rod is straight at rest and clamped as the marks say)")
     print(f"  distance    mean {best['mean_distance_mm']:.4g} mm (Eq. 1)")
     for interval in landscape.intervals:
-        print(f"  within 5 %  {interval}{' (at the border of the grid: widen it)' * interval.at_border}")
-    print("              (how flat the landscape is around its minimum; not a confidence interval)")
+        print(f"  flatness    {interval}{' (at the border of the grid: widen it)' * interval.at_border}")
+    print("              (cells within 5 % of the smallest error; this is not an uncertainty)")
     print(f"  status      {counted(best['status'])}; {best['stable']} certified stable")
     print(f"  competing   {best['cells_competing']} of {cells} cells, whose rods are all certified; "
           f"{best['cells_not_competing']} are not")

@@ -59,12 +59,13 @@ def declare(add) -> None:
 
 @dataclass(frozen=True)
 class Task:
-    """What one source asks for: observations, what holds them, and the Θ to begin from."""
+    """What one source asks for: observations, what holds them, and the Θ to begin from; the run that it is, or None."""
 
     observations: Observations
     clamps: Clamps
     thetas: tuple
     frame_weight: float
+    run: Path | None
 
 
 def run(options: Namespace, words: list[str]) -> int:
@@ -89,8 +90,11 @@ def run(options: Namespace, words: list[str]) -> int:
             with busy(f"cross-validating {task.observations.name} in {folds} folds"):
                 held_out = refine_held_out(task.observations, task.clamps, replace(found.theta, rest_curvature=None), split, chosen)
         summaries.append(summary_of(task.observations, found, held_out, density))
+        picture = None if task.run is None else _draw(task.run, found)
         if not options.json:
             tell(summaries[-1])
+            if picture is not None:
+                print(f"  picture            {picture}")
     if out is not None:
         content = json.dumps(plain(summaries), indent=2) + "\n"
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -100,6 +104,29 @@ def run(options: Namespace, words: list[str]) -> int:
     elif out is not None:
         print(f"written to {out}")
     return 0
+
+
+def _draw(run: Path, found) -> Path | None:
+    """RUN/refined.png: the landscape with the joint 95 % region; none where the grid has not two of the learned parameters."""
+    from doo_ti.learning.landscape import read_landscape
+    from doo_ti.report import landscape_picture
+
+    landscape = read_landscape(run)
+    grid, estimate = landscape.grid, found.estimate
+    free = [axis.name for axis in grid.axes if len(axis) > 1]
+    pair = [{"twist_ratio": "twist"}.get(name, name) for name in free]
+    if len(free) != 2 or not set(pair) <= set(estimate.names) or np.isnan(landscape.mean_distance).all():
+        return None
+    outline = estimate.region(*pair)
+    if "twist_ratio" in free:
+        outline[:, free.index("twist_ratio")] /= outline[:, 1 - free.index("twist_ratio")]
+    axes = [(axis.name, axis.values, axis.log, axis.unit) for axis in grid.axes]
+    path = run / "refined.png"
+    write_whole(path, lambda file: landscape_picture(
+        file, axes, landscape.mean_distance.reshape(grid.shape), minimum=np.unravel_index(landscape.best, grid.shape),
+        title=f"{landscape.name}: the grid's error, and the 95 % region of the refined model", label="mean distance (Eq. 1) [mm]",
+        unfinished=landscape.unsound.reshape(grid.shape), region=outline))
+    return path
 
 
 def _task(options: Namespace, source: str, starts: int) -> Task:
@@ -116,7 +143,7 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
     kinds = (kind if own is None else own for own, kind in zip(asked, kinds, strict=True))
     clamps = observation_clamps(observations, *kinds)
     check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight)
-    task = Task(observations, clamps, thetas, weight)
+    task = Task(observations, clamps, thetas, weight, Path(source) if Path(source).is_dir() else None)
     _check_model(_refinement_options(options, task), task)
     return task
 
@@ -136,7 +163,11 @@ def _of_run(options: Namespace, run: Path, starts: int):
         raise InputError(run, "objective", "a sweep of Eq. 3, or over unknown spins", "name a static one without --spins")
     up = given.up(options)
     observations = experiment.observations if up is None else replace(experiment.observations, up=up)
-    cells = lowest_cells(experiment.grid, landscape.mean_distance, starts)
+    height = landscape.mean_distance
+    if np.isnan(height).all():  # no cell has all its rods certified: those with most of them do to begin from
+        few = landscape.unsound == landscape.unsound.min()
+        height = np.where(few, landscape.distance_of_sound, np.nan)
+    cells = lowest_cells(experiment.grid, height, starts)
     if not len(cells):
         raise InputError(run, "distance_mm", "no cell has an error", "look at the rods' status in cells/")
     thetas = tuple(theta_of_cell(experiment.grid, cell, observations.up) for cell in cells)

@@ -1,6 +1,7 @@
 """The search over a grid (§III-E)."""
 
 import json
+import shlex
 import time
 from argparse import Namespace
 from dataclasses import dataclass, replace
@@ -22,6 +23,9 @@ from doo_ti.types import Clamp
 
 if TYPE_CHECKING:  # it brings the solvers, and Taichi with them
     from doo_ti.learning.experiment import SweepOptions
+
+
+RIBBON_PARAMETERS = " --parameters bend-1,bend-2,twist"
 
 
 def declare(add) -> None:
@@ -55,7 +59,8 @@ class _Search:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Eq. 2 or 3 over a grid; writes a folder per source and prints the best Θ with the ranges that fit nearly as well."""
+    """Eq. 2 or 3 over a grid; writes a folder per source and prints the best-fitting cell and how flat the
+    landscape is around it."""
     searches = _searches(options)
 
     from doo_ti.learning.sweeps import sweep
@@ -144,6 +149,8 @@ def _tell(search: _Search, summary: dict, finished_before: bool) -> None:
         recipe = search.scene.observations
         print(f"  true Θ      {_true_theta(recipe)} (the virtual lab's, seed {recipe.seed})")
     print(f"  {'finished before in' if finished_before else 'written to'} {search.run}")
+    if search.options.objective == "static" and not search.options.spins:
+        print(f"  intervals   doo-ti refine {shlex.quote(str(search.run))}{'' if search.grid.is_isotropic else RIBBON_PARAMETERS}")
 
 
 def _effort(summaries: list[dict], seconds: float) -> str:

@@ -78,6 +78,14 @@ class Landscape:
         return np.where(self.unsound == 0, mean, np.nan)
 
     @property
+    def distance_of_sound(self) -> np.ndarray:
+        """(G,) the same over the compared terms that are sound in each cell; NaN where none is. Cells are not comparable by it."""
+        weight = self.weight * self.sound
+        total = weight.sum(axis=1)
+        summed = np.where(self.sound, self.distance, 0.0) @ self.weight
+        return np.divide(summed, total, out=np.full(len(total), np.nan), where=total > 0)
+
+    @property
     def best(self) -> int:
         """The competing cell with the smallest mean distance. Raises InputError where none competes."""
         if np.isnan(self.mean_distance).all():
