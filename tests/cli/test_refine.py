@@ -34,11 +34,13 @@ def test_observations_for_a_machine(observed, tmp_path, capsys):
     assert main(argv) == 0
     (found,) = json.loads(capsys.readouterr().out)
     assert found == json.loads(out.read_text())[0]
-    bend, twist = found["parameters"]
+    bend, twist, ratio = found["parameters"][:3]
+    assert [one["name"] for one in (bend, twist, ratio)] == ["bend", "twist", "twist_ratio"] and bend["unit"] == "mm³"
     for parameter, truth in ((bend, BEND), (twist, TWIST)):
-        assert parameter["low"] < parameter["value"] < parameter["high"] and abs(parameter["value"] / truth - 1) < 0.3
-    assert found["converged"] and found["rods_used"] == 16 and found["reduced_chi_square"] == pytest.approx(1, abs=0.25)
-    assert found["start_mean_distance_mm"] > found["mean_distance_mm"] > 0
+        assert parameter["low"] < parameter["value"] < parameter["high"] and abs(parameter["value"] / truth - 1) < 0.4
+    assert found["converged"] and found["rods_used"] == 16 and found["excess"] == pytest.approx(1, abs=0.25)
+    assert found["sigma_stated"] and found["mean_distance_mm"] > 0
+    assert {score["model"] for score in found["models"]} >= {"straight", "curved"}
     value, low, high = found["stiffness"]["EI_Nm2"]
     assert value == pytest.approx(bend["value"] / 2 * 2e-3 * 9.80665e-9) and low < value < high
     assert found["stiffness"]["EI_over_weight_mm3"][0] == pytest.approx(bend["value"] / 2)
@@ -51,11 +53,10 @@ def test_observations_for_a_machine(observed, tmp_path, capsys):
 
 def test_observations_for_a_person(observed, capsys):
     argv = ["refine", str(observed), "--bend", "4e4", "--twist", "2e4", "--parameters", "bend,twist,rest-curvature-per-joint",
-            "--clip", "2", "--folds", "2"]
+            "--clip", "2", "--folds", "2", "--no-models"]
     assert main(argv) == 0
     out = capsys.readouterr().out
-    for words in ("rod: 16 of 16 observations", "95 % intervals", "root mean square over 11 joints", "sigma is estimated",
-                  "EI over weight", "held out"):
+    for words in ("rod: 16 of 16 observations", "95 % intervals", "rest curvature", "noise", "EI over weight", "held out"):
         assert words in out
     assert "N m²" not in out
 
@@ -64,10 +65,10 @@ def test_a_run_s_best_cells(observed, tmp_path, capsys):
     run = tmp_path / "run"
     assert main(["sweep", str(observed), "--bend", "1e4:1e5:4", "--twist-ratio", "0.3:3:3", "--out", str(run)]) == 0
     capsys.readouterr()
-    assert main(["refine", str(run), "--sigma", "0.05", "--starts", "2", "--json"]) == 0
+    assert main(["refine", str(run), "--sigma", "0.05", "--starts", "2", "--no-models", "--json"]) == 0
     (found,) = json.loads(capsys.readouterr().out)
-    assert abs(found["parameters"][0]["value"] / BEND - 1) < 0.3 and len(found["other_starts"]) <= 1
-    assert found["material"] == "rod"
+    assert abs(found["parameters"][0]["value"] / BEND - 1) < 0.4
+    assert found["material"] == "rod" and (run / "refined.png").stat().st_size > 10_000
     assert main(["refine", str(run), "--bend", "1e4"]) == 2
     assert "has cells to begin from" in capsys.readouterr().err
 
@@ -80,7 +81,8 @@ def test_a_run_s_best_cells(observed, tmp_path, capsys):
     (["--bend", "1e4", "--folds", "1"], "--folds: 1 is below 2"),
     (["--bend", "1e4", "--folds", "30"], "give 2 to 16 folds"),
     (["--bend", "1e4", "--linear-density", "-1"], "not a positive number"),
-    (["--bend", "1e4", "--clip", "7"], "below theirs"),
+    (["--bend", "1e4", "--clip", "20"], "below a quarter"),
+    (["--bend", "1e4", "--edges", "3"], "--edges"),
     (["--bend", "1e4", "--groups", "nothing"], "names no key"),
     (["--bend", "1e4", "--groups", "nothing.npz:key"], "name a readable .npz file"),
     (["--bend", "1e4", "--groups", "groups.npz:other"], "the key is missing"),
