@@ -13,6 +13,10 @@ from types import FrameType
 
 AGAIN_SECONDS = 0.05
 """After which a signal that cannot be used where it came is sent again."""
+MOST_POSTPONED = 200
+"""Times in succession: no import takes so long, but one that runs the program."""
+
+_postponed = 0
 
 
 def before_anything_is_begun() -> bool:
@@ -55,9 +59,12 @@ def _end(number: int, frame: FrameType | None) -> None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    if _is_importing(frame):
+    global _postponed
+    if _is_importing(frame) and _postponed < MOST_POSTPONED:
+        _postponed += 1
         _send_again(number)
     else:
+        _postponed = 0
         raise KeyboardInterrupt
 
 

@@ -98,11 +98,14 @@ def _started(architecture: str, threads: int | None, pinned: bool) -> str:
     """The architecture, after starting Taichi there."""
     import taichi as ti
 
-    # A process that this one starts keeps its kernels in the same place.
     folder = kernel_folder(Path(os.environ.get(KERNELS) or Path(ti._lib.core.get_repo_dir()) / "ticache"))
-    # Even where it keeps nothing Taichi makes that folder as it ends, and fails where it cannot: the root is there.
-    os.environ[KERNELS] = str(folder or Path(os.sep))
-    count = {} if threads is None else {"cpu_max_num_threads": threads}
+    options = {} if threads is None else {"cpu_max_num_threads": threads}
+    os.environ.pop(KERNELS, None)
+    if folder is not None:
+        os.environ[KERNELS] = str(folder)  # for the processes that this one starts, too
+    else:
+        # Even where it keeps no kernels Taichi makes that folder as it ends, and fails where it cannot: the root is there.
+        options["offline_cache_file_path"] = os.sep
     others = _tasks()
     with redirect_stdout(StringIO()):  # it greets on standard output, which belongs to the commands' results
         ti.init(
@@ -115,7 +118,7 @@ def _started(architecture: str, threads: int | None, pinned: bool) -> str:
             offline_cache=folder is not None,
             enable_fallback=False,
             log_level=ti.ERROR,
-            **count,
+            **options,
         )
         # What only the thread that started Taichi may do, and would be done with the first kernel.
         ti.lang.impl.get_runtime().materialize()

@@ -37,7 +37,11 @@ def whole_file(path: Path, first: bool = False) -> Iterator[BinaryIO]:
     try:
         with file:
             yield file
-        (_put_first if first else os.replace)(file.name, path)
+            file.flush()
+            if flock is None:
+                file.close()  # Windows moves no open file
+            # Still locked: another process would take it for a leftover.
+            (_put_first if first else os.replace)(file.name, path)
     finally:
         Path(file.name).unlink(missing_ok=True)
 

@@ -74,8 +74,8 @@ def tell_landscape(landscape: Landscape) -> None:
         print(f"  flatness    {interval}{' (at the border of the grid: widen it)' * interval.at_border}")
     print("              (cells within 5 % of the smallest error; this is not an uncertainty)")
     print(f"  status      {counted(best['status'])}; {best['stable']} certified stable")
-    print(f"  competing   {best['cells_competing']} of {cells} cells, whose rods are all certified; "
-          f"{best['cells_not_competing']} are not")
+    print(f"  competing   {best['cells_competing']} of {cells} cells; in {best['cells_not_competing']} some rod is no "
+          "certified minimum")
     if best["terms_left_out"]:
         print(f"              left out: {best['terms_left_out']} of {count} {terms}, whose rods are certified in no cell")
     if landscape.jumps is not None:

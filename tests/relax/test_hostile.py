@@ -33,7 +33,8 @@ OPTIONS = {
     "descent without end": lambda: Descent(max_iterations=2**31), "descent to nothing": lambda: Descent(tolerance=None),
     "no materials": lambda: Material([], 1.0), "a number too large": lambda: Material(10**400, 1.0),
     "twist of three axes": lambda: Material(1.0, np.ones((2, 3, 2))),
-    "unlike rows": lambda: Material.diagonal([1.0, 2.0], [1.0, 2.0, 3.0], 4.0), "imaginary bend": lambda: Material(1e5 + 1j, 1.0), "a flag for twist": lambda: Material(1e5, True),
+    "unlike rows": lambda: Material.diagonal([1.0, 2.0], [1.0, 2.0, 3.0], 4.0),
+    "imaginary bend": lambda: Material(1e5 + 1j, 1.0), "a flag for twist": lambda: Material(1e5, True),
     "springs of text": lambda: Springs("a", "b"),
 }
 
