@@ -8,7 +8,8 @@ How fast Θ is narrowed down depends on what else is unknown. So the order is th
 unknown length, rest curvature, clamps that are off (:mod:`doo_ti.refinement`), all of them integrated out; in cells evenly
 taken from the grid.
 
-Axes: G grid cells, C cells of those, D configurations, P parameters, Q of them asked, U unknowns with the asked ones first, K picks.
+Axes: G grid cells, C cells of those, D configurations, P parameters, Q of them asked, U unknowns with the asked ones first, K
+picks.
 """
 
 from dataclasses import dataclass, replace
@@ -206,8 +207,8 @@ def _information(seen: Observations, clamps, grid: Grid, names: tuple[str, ...])
 
 
 def _greedy(information: np.ndarray, prior: np.ndarray, asked: int, measured: list[int], picks: int):
-    """(K,) rows in the order of a greedy search, and (K,) the volume of the region of the first ``asked`` unknowns that is left,
-    relative to the start's."""
+    """(K,) rows in the order of a greedy search, and (K,) the volume of the region of the first ``asked`` unknowns that is
+    left, relative to the start's."""
     def about(known: np.ndarray) -> np.ndarray:
         """ln det of the information about the asked unknowns, the others integrated out."""
         return np.linalg.slogdet(known)[1] - np.linalg.slogdet(known[..., asked:, asked:])[1]

@@ -72,8 +72,8 @@ def specimens(data: Path) -> list[Check]:
             checks.append(Check(f"specimen {name}: bend, twist over the truth", "", f"{over(found['bend'], true['bend'])}, "
                                 f"{over(found['twist'], true['twist'])}", None))
     least = len(truth) - 1
-    checks += [Check(f"specimens: {key} in its interval", f"≥ {least} of {len(truth)}", f"{count} of {len(truth)}", count >= least)
-               for key, count in inside.items()]
+    checks += [Check(f"specimens: {key} in its interval", f"≥ {least} of {len(truth)}", f"{count} of {len(truth)}",
+                     count >= least) for key, count in inside.items()]
     middle = float(np.exp(np.median(factors)))
     return [*checks, Check("specimens: median factor off, bend", "≤ 1.2", f"{middle:.3f}", middle <= 1.2)]
 
@@ -114,7 +114,7 @@ def exact(data: Path) -> list[Check]:
         observations, (bend, _, twist) = load_observations(data / f"lab_a/{name}.npz"), TRUTH[name]
         true, clamps = Theta(bend * np.eye(2), twist), observation_clamps(observations)
         clean = relax(start_configuration(observations, clamps), true.material, clamps).configuration.vertices
-        options = RefinementOptions(clip=1.5, curvature="none", clamps=False, edges=33, intervals="covariance")
+        options = RefinementOptions(clip=1.5, curvature="none", clamps="exact", edges=33, intervals="covariance")
         found = refine(replace(observations, vertices=clean), clamps, Theta(1.4 * true.bend, 0.8 * twist), options)
         off = max(abs(found.theta.bend[0, 0] / bend - 1), abs(found.theta.twist / twist - 1))
         checks.append(Check(f"exact: {name}", "≤ 0.1 %", f"{off:.2e}", off <= 1e-3))

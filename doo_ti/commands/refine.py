@@ -39,8 +39,9 @@ def declare(add) -> None:
                        help="length of rod that a clip holds, from the outer mark on (default: unknown, learned)")
     model.add_argument("--rest-curvature", choices=CURVATURES, default=None,
                        help="of the rod when nothing bends it (default: field, a smooth function along it)")
-    model.add_argument("--clamps", choices=("loose", "exact"), default="loose",
-                       help="loose: the clamps may be off the poses that were reported (default)")
+    model.add_argument("--clamps", choices=("auto", "loose", "exact"), default="auto",
+                       help="loose: they may be off the poses that were reported; auto: unless the evidence says they are not "
+                       "(default)")
     model.add_argument("--edges", metavar="N", help="edges of the mesh (default: twice the marks', corrected for their length)")
     model.add_argument("--curvature-spread", metavar="1/MM", help="standard deviation of the rest curvature (default: learned)")
     model.add_argument("--curvature-range", metavar="MM", help="along which it is about the same (default: learned)")
@@ -88,7 +89,8 @@ def run(options: Namespace, words: list[str]) -> int:
         held_out = None
         if split is not None:
             with busy(f"cross-validating {task.observations.name} in {folds} folds"):
-                held_out = refine_held_out(task.observations, task.clamps, replace(found.theta, rest_curvature=None), split, chosen)
+                begin = replace(found.theta, rest_curvature=None)
+                held_out = refine_held_out(task.observations, task.clamps, begin, split, chosen)
         summaries.append(summary_of(task.observations, found, held_out, density))
         picture = None if task.run is None else _draw(task.run, found)
         if not options.json:
@@ -124,8 +126,8 @@ def _draw(run: Path, found) -> Path | None:
     path = run / "refined.png"
     write_whole(path, lambda file: landscape_picture(
         file, axes, landscape.mean_distance.reshape(grid.shape), minimum=np.unravel_index(landscape.best, grid.shape),
-        title=f"{landscape.name}: the grid's error, and the 95 % region of the refined model", label="mean distance (Eq. 1) [mm]",
-        unfinished=landscape.unsound.reshape(grid.shape), region=outline))
+        title=f"{landscape.name}: the grid's error, and the 95 % region of the refined model",
+        label="mean distance (Eq. 1) [mm]", unfinished=landscape.unsound.reshape(grid.shape), region=outline))
     return path
 
 
@@ -194,7 +196,7 @@ def _refinement_options(options: Namespace, task: Task):
             curvature = curvature or own
     return RefinementOptions(
         tuple(names), None if options.clip == "unknown" else given.length("--clip", options.clip), curvature or "field",
-        options.clamps == "loose", task.frame_weight,
+        options.clamps, task.frame_weight,
         curvature_spread=_positive("--curvature-spread", options.curvature_spread, "a curvature in 1/mm"),
         curvature_range=given.length("--curvature-range", options.curvature_range),
         edges=given.whole("--edges", options.edges, 6), models=not options.no_models)
@@ -208,7 +210,7 @@ def _check_model(chosen, task: Task) -> None:
 
     check(task.observations, chosen)
     rod = HeldRod(task.observations, task.clamps, FEWEST_EDGES)
-    unknowns = Unknowns(rod, chosen.parameters, chosen.clip is None, chosen.curvature, chosen.clamps)
+    unknowns = Unknowns(rod, chosen.parameters, chosen.clip is None, chosen.curvature)
     unknowns.begun(task.thetas[0], unknowns.clip_prior)
 
 

@@ -155,7 +155,8 @@ def _tell_rods(summary: dict) -> None:
     rows = summary["misfits"]
     if len(rows):
         more = f" and {len(rows) - LISTED} more" * (len(rows) > LISTED)
-        print(_line("misfits", f"observations far from every equilibrium that was tried: {', '.join(map(str, rows[:LISTED]))}{more}"))
+        listed = ", ".join(map(str, rows[:LISTED]))
+        print(_line("misfits", f"observations far from every equilibrium that was tried: {listed}{more}"))
 
 
 def _tell_models(summary: dict) -> None:

@@ -150,7 +150,8 @@ def _tell(search: _Search, summary: dict, finished_before: bool) -> None:
         print(f"  true Θ      {_true_theta(recipe)} (the virtual lab's, seed {recipe.seed})")
     print(f"  {'finished before in' if finished_before else 'written to'} {search.run}")
     if search.options.objective == "static" and not search.options.spins:
-        print(f"  intervals   doo-ti refine {shlex.quote(str(search.run))}{'' if search.grid.is_isotropic else RIBBON_PARAMETERS}")
+        more = "" if search.grid.is_isotropic else RIBBON_PARAMETERS
+        print(f"  intervals   doo-ti refine {shlex.quote(str(search.run))}{more}")
 
 
 def _effort(summaries: list[dict], seconds: float) -> str:

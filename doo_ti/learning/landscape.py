@@ -79,7 +79,8 @@ class Landscape:
 
     @property
     def distance_of_sound(self) -> np.ndarray:
-        """(G,) the same over the compared terms that are sound in each cell; NaN where none is. Cells are not comparable by it."""
+        """(G,) the same over the compared terms that are sound in each cell; NaN where none is. Cells are not comparable by
+        it."""
         weight = self.weight * self.sound
         total = weight.sum(axis=1)
         summed = np.where(self.sound, self.distance, 0.0) @ self.weight

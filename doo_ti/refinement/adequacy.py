@@ -1,8 +1,8 @@
 """Whether the model explains the marks, what it still misses, and which option would tell more.
 
-A model that explains its marks leaves residuals that are noise: of the stated size, if one is stated, and independent from mark to
-mark. What it misses shows as displacements of neighbouring marks together (the gap of :mod:`.scales`). Extensions that the fit did
-without are tried on the linear model at its end: each is worth by how much it raises the evidence.
+A model that explains its marks leaves residuals that are noise: of the stated size, if one is stated, and independent from
+mark to mark. What it misses shows as displacements of neighbouring marks together (the gap of :mod:`.scales`). Extensions
+that the fit did without are tried on the linear model at its end: each is worth by how much it raises the evidence.
 """
 
 from dataclasses import dataclass, replace

@@ -1,7 +1,7 @@
 """What a fit says about Θ and what it does not: values, intervals, and regions of two parameters together.
 
-Positive parameters are estimated by their logarithms, so their intervals are factors and never reach zero. An end of an interval is
-None where the observations do not bound the parameter on that side.
+Positive parameters are estimated by their logarithms, so their intervals are factors and never reach zero. An end of an
+interval is None where the observations do not bound the parameter on that side.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from doo_ti.refinement.unknowns import LOGARITHMIC, Theta, Values
 PROBABILITY = 0.95
 WIDE_FACTOR = 4.0
 """An interval whose ends are such a factor apart is called wide."""
-UNITS = {"weight": "", "twist_ratio": "", "clip_start": "mm", "clip_end": "mm", "up[0]": "rad", "up[1]": "rad", "bend_12": "mm³"}
+UNITS = {"weight": "", "twist_ratio": "", "clip_start": "mm", "clip_end": "mm", "up[0]": "rad", "up[1]": "rad"}
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,8 @@ class Estimate:
     def region(self, first: str, second: str, points: int = 181) -> np.ndarray:
         """(points, 2) the closed outline of the region that holds both parameters of Θ with 95 %, in their own units.
 
-        An ellipse of the covariance, along whose long axis each half is stretched as the first parameter's interval is; where that
-        is open it goes as far as a factor of a thousand. Raises InputError for parameters that were not learned.
+        An ellipse of the covariance, along whose long axis each half is stretched as the first parameter's interval is; where
+        that is open it goes as far as a factor of a thousand. Raises InputError for parameters that were not learned.
         """
         index = []
         for name in (first, second):
@@ -112,8 +112,8 @@ class Estimate:
         along[1] *= np.where(sign * along[1] < 0, below, above)
         steps = np.clip(vectors @ along, -FARTHEST, FARTHEST)
         middle = [self.parameter(name).value for name in (first, second)]
-        return np.stack([_moved(name, value, step, self.theta.bend) for name, value, step in zip((first, second), middle, steps, strict=True)],
-                        axis=1)
+        return np.stack([_moved(name, value, step, self.theta.bend) for name, value, step in zip(
+            (first, second), middle, steps, strict=True)], axis=1)
 
     def _stretch(self, parameter: Parameter) -> tuple[float, float]:
         """How much longer each half of its interval is than the covariance has it."""

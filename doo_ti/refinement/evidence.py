@@ -76,7 +76,8 @@ class Evidence:
         kinds = effect_scales(self.moments[0].effects.shape[-1])
         variance = np.array([scales[name] for name in kinds]) ** 2
         mixed = sum(w * kind.mixed for w, kind in zip(weights, self.moments, strict=True))
-        inner = np.linalg.inv(sum(w * kind.effects for w, kind in zip(weights, self.moments, strict=True)) + np.diag(1 / variance))
+        inner = np.linalg.inv(np.diag(1 / variance) + sum(
+            w * kind.effects for w, kind in zip(weights, self.moments, strict=True)))
         slope_z = sum(w * kind.effects_slope for w, kind in zip(weights, self.moments, strict=True))
         slope = sum(w * kind.shared_slope for w, kind in zip(weights, self.moments, strict=True))
         passed = mixed @ inner
@@ -210,8 +211,8 @@ def information(linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
 
 
 def _integrated(linear: tuple[Residuals, ...], scales: Scales):
-    """−2 ln of the density of each observation's residuals, its effects integrated out, as c + q + 2 s·x + xᵀBx of the unknowns:
-    B (D, P, P), s (D, P), q and c (D,), c all that does not come from the residuals."""
+    """−2 ln of the density of each observation's residuals, its effects integrated out, as c + q + 2 s·x + xᵀBx of the
+    unknowns: B (D, P, P), s (D, P), q and c (D,), c all that does not come from the residuals."""
     pairs = [(1 / scales[kind.scale] ** 2, kind) for kind in linear]
     variance = np.array([scales[name] for name in effect_scales(linear[0].effects.shape[-1])]) ** 2
     mixed = sum(w * np.swapaxes(k.shared, 1, 2) @ k.effects for w, k in pairs)

@@ -1,8 +1,8 @@
 """The most probable unknowns: Gauss–Newton on the posterior, sizes by marginal likelihood on the way (§III-E).
 
-Between steps every rod is relaxed from where it was, which keeps it on its branch of equilibria; rods that fit far worse than the
-others are tried from their observation again, whole turns more and less included, and do not count where that does not help.
-Axes: D observations, P unknowns.
+Between steps every rod is relaxed from where it was, which keeps it on its branch of equilibria; rods that fit far worse than
+the others are tried from their observation again, whole turns more and less included, and do not count where that does not
+help. Axes: D observations, P unknowns.
 """
 
 from dataclasses import dataclass, replace
@@ -158,8 +158,8 @@ class Fit:
         return float(min(1.0, 1 / max((np.abs(step) / limits).max(), 1e-300)))
 
     def _stepped(self, fitted: Fitted, share: float, moving: bool) -> tuple[State, float]:
-        """A step that lowers −2 ln of the posterior and loses no rod, and how much of the whole it is; none where rounding is in
-        the way. One that is ``moving`` what is held otherwise may raise it."""
+        """A step that lowers −2 ln of the posterior and loses no rod, and how much of the whole it is; none where rounding is
+        in the way. One that is ``moving`` what is held otherwise may raise it."""
         state, found, unknowns = fitted.state, fitted.posterior, self.unknowns
         effects = found.effects[:, :POSE] if unknowns.clamps else 0 * state.values.scatter
         effects = np.where(state.used[:, None], effects, 0.0)

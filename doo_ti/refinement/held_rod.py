@@ -1,7 +1,8 @@
 """An observed rod between its clips, on a mesh of its own: finer than its marks, and clamped where the clips end.
 
-A discrete rod whose first edge is held bends from the middle of that edge on. So the mesh lays the middle of its first edge on the
-point where the clip lets go, ``clip`` mm from the first mark, and likewise at the other end. All its edges have one length,
+A discrete rod whose first edge is held bends from the middle of that edge on. So the mesh lays the middle of its first edge
+on the point where the clip lets go, ``clip`` mm from the first mark, and likewise at the other end. All its edges have one
+length,
 
     h = (L − c_0 − c_1)/(N − 1)        with both ends clamped, L the length between the outer marks,
 
@@ -16,9 +17,9 @@ import numpy as np
 
 from doo_ti.dataset import Observations
 from doo_ti.frames import matrix_from_quaternion, quaternion_about
-from doo_ti.start import choose_hypothesis, fill_missing, start_configuration, turn_hypotheses
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
+from doo_ti.start import choose_hypothesis, fill_missing, start_configuration, turn_hypotheses
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
 
 POSE = 12
@@ -124,8 +125,8 @@ class HeldRod:
         return Clamps(self.clamps.start, self.clamps.end, *positions, *frames)
 
     def clamp_slopes(self, clip: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How the clamps of the mesh follow the clips and the poses: displacements (2, D, 3, 2 + Q) of the start's and the end's
-        vertex, and rotations in the world (2, D, 3, 2 + Q)."""
+        """How the clamps of the mesh follow the clips and the poses: displacements (2, D, 3, 2 + Q) of the start's and the
+        end's vertex, and rotations in the world (2, D, 3, 2 + Q)."""
         mesh, count = self.mesh(clip), self.observations.count
         moved, turned = np.zeros((2, 2, count, 3, 2 + POSE))
         for end, (_, frame) in enumerate(self._reported):

@@ -1,7 +1,7 @@
 """What the mesh's edges of finite length do to where the marks are, and its correction.
 
-A discrete rod clamped in the middle of an edge is off the continuum by h² to leading order. So with marks x_h and x_k on meshes of
-edges h and k < h,
+A discrete rod clamped in the middle of an edge is off the continuum by h² to leading order. So with marks x_h and x_k on
+meshes of edges h and k < h,
 
     x_0 ≈ x_h + (x_k − x_h) h²/(h² − k²),
 

@@ -1,8 +1,8 @@
 """Intervals that hold: how much the marginal likelihood falls when a parameter is moved and all else is fitted anew.
 
 Along a combination v·x of the unknowns F(t), −2 ln of the posterior with everything else integrated out (:mod:`.evidence`), is
-followed from its least until it has risen by the quantile of F(1, n). Where Θ enters nearly linearly that is the interval of the
-covariance; where data bound a parameter on one side only, it is open on the other.
+followed from its least until it has risen by the quantile of F(1, n). Where Θ enters nearly linearly that is the interval of
+the covariance; where data bound a parameter on one side only, it is open on the other.
 """
 
 from dataclasses import dataclass, replace

@@ -1,8 +1,9 @@
 """Beyond the grid: the Θ that observations speak for, and how far they bound it (§III-E).
 
-The model is the rod between its clips (:mod:`.held_rod`), curved at rest (:mod:`.curvature_field`), its clamps a little off what was
-reported. What is unknown is Θ, the clips' lengths, the rest curvature and the clamps' errors; how large noise, curvature and errors
-are is learned from the same observations (:mod:`.evidence`). Intervals are those of the marginal likelihood (:mod:`.profile`).
+The model is the rod between its clips (:mod:`.held_rod`), curved at rest (:mod:`.curvature_field`), its clamps a little off
+what was reported. What is unknown is Θ, the clips' lengths, the rest curvature and the clamps' errors; how large noise,
+curvature and errors are is learned from the same observations (:mod:`.evidence`). Intervals are those of the marginal
+likelihood (:mod:`.profile`).
 """
 
 from collections.abc import Sequence
@@ -19,7 +20,7 @@ from doo_ti.refinement.held_rod import POSE, HeldRod
 from doo_ti.refinement.mesh_error import mesh_correction, relaxed_on
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.scales import typical_scales
-from doo_ti.refinement.selection import Score, scores
+from doo_ti.refinement.selection import Score, fitted_variant, scores
 from doo_ti.refinement.unknowns import Theta, Unknowns
 from doo_ti.relaxation.newton import Newton
 from doo_ti.types import Clamp, Clamps, Status
@@ -30,6 +31,8 @@ TRIED_FIRST = 4
 ASYMPTOTIC = 1.0
 """Times the noise: a larger correction of the mesh is not to be trusted, and the mesh is made twice as fine."""
 CORRECTIONS = 2
+CLEAR = 6.0
+"""−2 ln of the evidence: by so much a simpler model has to be better to be taken."""
 FIRST_TURN = 0.3
 """rad, the turn of the whole rod's rest curvature to begin with where all spins are free: with none a rod has no preferred
 side, and with next to none it turns wildly."""
@@ -43,7 +46,7 @@ class RefinementOptions:
                       determined only up to a common factor, so one of them should stay: weight, as a rule
     clip              length that a clip holds from the outer mark on, mm, both alike; None: unknown
     curvature         rest curvature: "field", "uniform" along the rod, or "none"
-    clamps            whether clamps may be off what was reported
+    clamps            "loose": they may be off what was reported; "exact"; or "auto": exact where the evidence says so
     frame_weight      w_m of Eq. 1 in mm; where it is positive measured frames count, too
     curvature_spread  standard deviation of the rest curvature, 1/mm; None: learned
     curvature_range   distance over which it is about the same, mm; None: learned
@@ -57,7 +60,7 @@ class RefinementOptions:
     parameters: tuple[str, ...] = ("bend", "twist")
     clip: float | None = None
     curvature: str = "field"
-    clamps: bool = True
+    clamps: str = "auto"
     frame_weight: float = 0.0
     curvature_spread: float | None = None
     curvature_range: float | None = None
@@ -126,14 +129,16 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
     """The most probable Θ that is reached from ``theta``, or from the best of several.
 
     Gravity's direction is that of ``theta``. Rods that do not converge, are unstable, infeasible or far from their marks do not
-    count; how many there are is in the result. Raises InputError for options that do not fit the observations or each other, and
-    where no rod is left.
+    count; how many there are is in the result. Raises InputError for options that do not fit the observations or each other,
+    and where no rod is left.
     """
     thetas = (theta,) if isinstance(theta, Theta) else tuple(theta)
     fit, fitted = _fitted(observations, clamps, thetas, options)
     correction = None
     if options.edges is None:
         fit, fitted, correction = _corrected(fit, fitted, options)
+    if options.clamps == "auto":
+        fit, fitted = _simpler(fit, fitted)
     found = scores(fit, fitted) if options.models else ()
     return _refinement(fit, fitted, options, correction, found)
 
@@ -143,7 +148,7 @@ def predicted(found: Refinement, observations: Observations, clamps: Clamps, opt
     """(D,) Eq. 1 in mm of observations that ``found`` has not seen, each rod relaxed from its observation, and which of them
     (D,) are converged and stable. What the clamps are off in one observation is unknown there, and taken as none."""
     rod = HeldRod(observations, clamps, 2 * found.mesh_edges if found.mesh_error is not None else found.mesh_edges)
-    unknowns = Unknowns(rod, tuple(options.parameters), options.clip is None, options.curvature, options.clamps)
+    unknowns = Unknowns(rod, tuple(options.parameters), options.clip is None, options.curvature, options.clamps != "exact")
     values = replace(found.estimate.values, scatter=np.zeros((observations.count, POSE)))
     solution = rod.relaxed(unknowns.material(values), values.clip, unknowns.pose(values), options.solver, values.theta.up)
     frames = rod.directors(solution, values.clip) if options.frame_weight > 0 else None
@@ -156,7 +161,7 @@ def _fitted(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...
     check(observations, options)
     edges = options.edges or int(np.clip(2 * observations.edges, FEWEST_EDGES, MOST_EDGES))
     rod = HeldRod(observations, clamps, edges)
-    unknowns = Unknowns(rod, tuple(options.parameters), options.clip is None, options.curvature, options.clamps)
+    unknowns = Unknowns(rod, tuple(options.parameters), options.clip is None, options.curvature, options.clamps != "exact")
     scales = _scales(unknowns, options)
     comparison = Comparison.of(unknowns, options.frame_weight > 0)
     clip = unknowns.clip_prior if options.clip is None else np.full(2, options.clip)
@@ -208,6 +213,16 @@ def _corrected(fit: Fit, fitted: Fitted, options: RefinementOptions):
     return fit, fitted, correction
 
 
+def _simpler(fit: Fit, fitted: Fitted) -> tuple[Fit, Fitted]:
+    """The model whose clamps are exact, where the evidence of the same rods speaks for it; else what is given."""
+    exact = replace(fit, rods=fitted.state.used)
+    exact, found = fitted_variant(exact, fitted, replace(fit.unknowns, clamps=False))
+    same = found.state.used.sum() == fitted.state.used.sum()
+    if not (same and found.converged and found.posterior.value < fitted.posterior.value - CLEAR):
+        return fit, fitted
+    return replace(exact, rods=None), replace(found, steps=found.steps + fitted.steps)
+
+
 def check(observations: Observations, options: RefinementOptions) -> None:
     """Raise InputError for options that do not fit the observations or each other."""
     if options.frame_weight > 0 and observations.frames is None:
@@ -216,6 +231,7 @@ def check(observations: Observations, options: RefinementOptions) -> None:
         raise InputError(observations.source, "clip", f"{options.clip:g} mm of a rod of {observations.rest_length.sum():g} mm",
                          "give a positive length below a quarter of the rod's")
     for name, value, known in (("curvature", options.curvature, ("field", "uniform", "none")),
+                               ("clamps", options.clamps, ("auto", "loose", "exact")),
                                ("intervals", options.intervals, ("profile", "covariance"))):
         if value not in known:
             raise InputError("refine", name, f"{value!r} is unknown", f"give one of {', '.join(known)}")

@@ -5,14 +5,14 @@ left out. Marks come in mm, or over their σ where the observations state it; di
 marks, P unknowns, Q effects.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.linear_model import GAP_MODES, Residuals, smooth_modes
 from doo_ti.refinement.scales import Scales
-from doo_ti.refinement.sensitivity import Sensitivity, sensitivity
+from doo_ti.refinement.sensitivity import sensitivity
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.types import Clamp, Solution
 
@@ -137,27 +137,28 @@ class Comparison:
         rod = unknowns.rod
         elementary, chain = unknowns.chain(values)
         modes, mesh = unknowns.modes(values)
-        found = sensitivity(_only(solution, rows), (*elementary, "modes", "length", "end_shift", "start_turn", "end_turn"), modes)
-        block = np.arange(len(found.usable))[rows]
+        found = sensitivity(solution, (*elementary, "modes", "length", "end_shift", "start_turn", "end_turn"), modes,
+                            rows.start, rows.stop)
+        block = np.arange(rows.start, rows.stop)
         pose = unknowns.pose(values)
         moved, turned = (slopes[:, rows] for slopes in rod.clamp_slopes(values.clip, pose))
         place = rod.mark_place
         at_marks, by_mark = mesh.at(place)
-        configuration = solution.configuration.take(block)
+        configuration = found.configuration
         sliding = np.einsum("mv,rvk,me->rmke", by_mark, configuration.vertices, mesh.slide(place))
-        marks = self._combined(found, block, at_marks, found.vertices, moved, turned, chain, values, mesh, sliding, True)
+        marks = self._combined(block, at_marks, found.vertices, moved, turned, chain, values, mesh, sliding, True)
         directors = None
         if self.directors is not None:
             middles = 0.5 * (place[1:] + place[:-1])
             at_middles, by_middle = mesh.at_edges(middles)
             sliding = np.einsum("mv,rvk,me->rmke", by_middle, configuration.frames[..., 1], mesh.slide(middles))
-            directors = self._combined(found, block, at_middles, found.directors, moved, turned, chain, values, mesh, sliding, False)
-        return marks, directors, found.usable[rows]
+            directors = self._combined(block, at_middles, found.directors, moved, turned, chain, values, mesh, sliding, False)
+        return marks, directors, found.usable
 
-    def _combined(self, found: Sensitivity, block, weights, changes, moved, turned, chain, values, mesh, sliding, moves):
-        """(J, Z) of what ``weights`` (X, ·) take from ``changes`` (D, ·, 3, columns) of the mesh."""
+    def _combined(self, block, weights, changes, moved, turned, chain, values, mesh, sliding, moves):
+        """(J, Z) of what ``weights`` (X, ·) take from ``changes`` (rods of the block, ·, 3, columns) of the mesh."""
         unknowns, count = self.unknowns, len(block)
-        changes = np.nan_to_num(changes[block])
+        changes = np.nan_to_num(changes)
         at = (weights @ changes.reshape(count, changes.shape[1], -1)).reshape(count, len(weights), 3, -1)
         theta = chain.shape[0]
         knots = len(unknowns.columns("curvature"))
@@ -165,24 +166,19 @@ class Comparison:
         length, rest = at[..., theta + knots + 2], at[..., theta + knots + 3 :]
         shift, start_turn, end_turn = rest[..., :3], rest[..., 3:6], rest[..., 6:]
         # What the clamps do: columns of the two clips, then of the pose.
-        of_clamps = (np.einsum("rmab,rbq->rmaq", shift, moved[1] - moved[0]) + np.einsum("rmab,rbq->rmaq", start_turn, turned[0])
-                     + np.einsum("rmab,rbq->rmaq", end_turn, turned[1]))
+        of_clamps = np.einsum("rmab,rbq->rmaq", shift, moved[1] - moved[0])
+        of_clamps += np.einsum("rmab,rbq->rmaq", start_turn, turned[0]) + np.einsum("rmab,rbq->rmaq", end_turn, turned[1])
         if moves:
             of_clamps += moved[0][:, None]
         of_clips = of_clamps[..., :2] + of_sliding + length[..., None] * (mesh.edge_slope / mesh.edge) + sliding
         pose = of_clamps[..., 2:]
         parts = [at[..., :theta] @ chain]
         names = unknowns.names
-        parts += [of_clips[..., [end]] * values.clip[end] for end, name in enumerate(("clip_start", "clip_end")) if name in names]
+        ends = (end for end, name in enumerate(("clip_start", "clip_end")) if name in names)
+        parts += [of_clips[..., [end]] * values.clip[end] for end in ends]
         parts.append(of_knots)
         if unknowns.clamps:
             parts.append(np.einsum("rmaq,rqc->rmac", pose, unknowns.constant_slopes()[block]))
         shared = np.concatenate(parts, axis=-1).reshape(count, -1, len(names))
         return shared, (pose * unknowns.loose if unknowns.clamps else pose[..., :0]).reshape(count, shared.shape[1], -1)
 
-
-def _only(solution: Solution, rows: slice) -> Solution:
-    """``solution`` of which only ``rows`` count as stable, so that only these get derivatives."""
-    chosen = np.zeros(len(solution.stable), dtype=bool)
-    chosen[rows] = True
-    return replace(solution, stable=solution.stable & chosen)

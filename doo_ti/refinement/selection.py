@@ -6,7 +6,7 @@ densities of what was observed. Models:
     straight        no rest curvature, each clamp in the middle of the outermost edge, as Eq. 2 has it
     curved          with a field of rest curvature
     clips           curved, the clips' lengths unknown
-    clamps          clips, and clamps that may be off: the default
+    clamps          clips, and clamps that may be off
     ribbon          clamps, with bend stiffness about m1 and m2 for itself, for ends whose whole frames are held
 """
 
@@ -53,7 +53,7 @@ def scores(fit: Fit, fitted: Fitted) -> tuple[Score, ...]:
     own = fitted.evidence.left_out(fitted.linear, fitted.state.scales)
     found = []
     for name, unknowns in variants(fit.unknowns).items():
-        other = fitted_variant(fit, fitted, unknowns)
+        _, other = fitted_variant(fit, fitted, unknowns)
         both = fitted.state.used & other.state.used
         change = (other.evidence.left_out(other.linear, other.state.scales) - own)[both]
         error = np.std(change, ddof=1) * np.sqrt(len(change)) if len(change) > 1 else np.inf
@@ -61,8 +61,8 @@ def scores(fit: Fit, fitted: Fitted) -> tuple[Score, ...]:
     return tuple(found)
 
 
-def fitted_variant(fit: Fit, fitted: Fitted, unknowns: Unknowns, steps: int = STEPS) -> Fitted:
-    """``unknowns`` fitted to what ``fit`` compares, from the values and sizes where ``fitted`` ended."""
+def fitted_variant(fit: Fit, fitted: Fitted, unknowns: Unknowns, steps: int = STEPS) -> tuple[Fit, Fitted]:
+    """The fit of ``unknowns`` to what ``fit`` compares, and where it comes to from the values and sizes of ``fitted``."""
     before = fitted.state.values
     lengths = unknowns.rod.observations.rest_length
     clip = before.clip if unknowns.clips else 0.5 * np.array([lengths[0], lengths[-1]])
@@ -70,6 +70,6 @@ def fitted_variant(fit: Fit, fitted: Fitted, unknowns: Unknowns, steps: int = ST
         before, clip=clip, curvature=before.curvature if unknowns.curvature == fit.unknowns.curvature
         else np.zeros((len(unknowns.knots), 2)),
         constant=before.constant * unknowns.clamps, scatter=before.scatter * unknowns.clamps)
-    own = Fit(replace(fit.comparison, unknowns=unknowns), replace(fit.origin, clip=clip), fit.solver)
+    own = Fit(replace(fit.comparison, unknowns=unknowns), replace(fit.origin, clip=clip), fit.solver, fit.rods)
     scales = fitted.state.scales.learning(unknowns.scale_names)
-    return own.run(own.at(values, scales, fitted.state.solution), steps)
+    return own, own.run(own.at(values, scales, fitted.state.solution), steps)

@@ -82,14 +82,15 @@ class Sensitivity:
 
 
 @runtime.exclusive
-def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist", "weight"), modes: np.ndarray | None = None
-                ) -> Sensitivity:
+def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist", "weight"), modes: np.ndarray | None = None,
+                first: int = 0, last: int | None = None) -> Sensitivity:
     """dΓ*/dΘ of every rod of ``solution``, which also holds its materials, clamps and the direction of gravity.
 
     solution    of :func:`doo_ti.relaxation.relax.relax` in f64: an equilibrium reached to a residual r is off by about r, and
                 so are its derivatives
     parameters  from PARAMETERS, in the order of the columns
     modes       (M, E−1, 2) where "modes" is among the parameters
+    first, last of the rods of ``solution``: derivatives of all of them at once may be more than memory holds
 
     Rods that have not converged, are not certified stable, or are infeasible come out as NaN. A round rod with both spins
     free keeps its first spin; along other motions that cost nothing (a weightless bow about its chord, a rod that hangs from a
@@ -106,17 +107,19 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     names, directions, along = parameter_directions(parameters, table.edges, table.up, modes)
     usable = solution.converged & solution.stable
     runtime.start()
-    vertices, rotations, sound = run_sensitivity(solution, usable, directions, along)
-    hanging = table.released[table.configuration_index]
+    last = table.count if last is None else last
+    vertices, rotations, sound = run_sensitivity(solution, usable, directions, along, first, last)
+    start = table.configuration_index[first:last]
+    hanging = table.released[start]
     if hanging.any() and "end_shift" in parameters:
         first = names.index("end_shift[0]")
         vertices[hanging, :, :, first : first + 3] += np.eye(3)  # held at the far end alone they go where it goes
-    taut = (table.clamp[:, TILT_INNER] == 0)[table.configuration_index]
+    taut = (table.clamp[:, TILT_INNER] == 0)[start]
     if taut.any():
         columns = [k for k, name in enumerate(names) if name.partition("[")[0] in OF_CLAMPS]
         for array in (vertices, rotations):
             array[np.ix_(taut, range(array.shape[1]), range(3), columns)] = np.nan
-    return Sensitivity(names, vertices, rotations, sound, solution.configuration)
+    return Sensitivity(names, vertices, rotations, sound, solution.configuration.take(slice(first, last)))
 
 
 def tilt_axes(up: np.ndarray) -> np.ndarray:

@@ -42,9 +42,10 @@ from doo_ti.relaxation.loading import (
 from doo_ti.types import Solution
 
 # A column changes B by BEND = (11, 22, 12), β by TWIST, ω̄ along the rod by row MODE of the table of modes (NO_MODE: not at
-# all), gravity by PULL, which is multiplied by μ where TIMES_WEIGHT is one, all lengths by the factor 1 + STRETCH, the far point
-# by SHIFT, and the frames that the clamps hold by the rotations TURN_START and TURN_END, all three in the world.
-BEND, TWIST, MODE, PULL, TIMES_WEIGHT, STRETCH, SHIFT, TURN_START, TURN_END, DIRECTION_COLUMNS = 0, 3, 4, 5, 8, 9, 10, 13, 16, 19
+# all), gravity by PULL, which is multiplied by μ where TIMES_WEIGHT is one, all lengths by the factor 1 + STRETCH, the far
+# point by SHIFT, and the frames that the clamps hold by the rotations TURN_START and TURN_END, all three in the world.
+BEND, TWIST, MODE, PULL, TIMES_WEIGHT, STRETCH = 0, 3, 4, 5, 8, 9
+SHIFT, TURN_START, TURN_END, DIRECTION_COLUMNS = 10, 13, 16, 19
 NO_MODE = -1
 
 NUMBER = Number(1, 64)
@@ -57,30 +58,32 @@ TRACE = 1e-12
 MOST_THREADS_ON_A_GPU = 4096
 
 
-def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarray, modes: np.ndarray):
-    """dx (R, V, 3, P), dω (R, E, 3, P) and which rods (R,) have them, of those that are ``usable`` (R,); NaN in others.
+def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarray, modes: np.ndarray, first: int, last: int):
+    """dx (R, V, 3, P), dω (R, E, 3, P) and which rods (R,) have them, of the R rods from ``first`` to ``last`` of a solution
+    that are ``usable``; NaN in others.
 
     directions  (P, DIRECTION_COLUMNS)
     modes       (M, E−1, 2) changes of ω̄ at the joints that ``directions`` name by their row
     """
     table = solution.tables
-    count, edges, columns = table.count, table.edges, len(directions)
+    count, edges, columns = last - first, table.edges, len(directions)
     vertices = np.full((count, edges + 1, 3, columns), np.nan)
     rotations = np.full((count, edges, 3, columns), np.nan)
     sound = np.zeros(count, dtype=np.int32)
-    rods = table.continued(usable, np.flatnonzero(usable))
+    rods = table.continued(usable, first + np.flatnonzero(usable[first:last]))
+    rods[:, OF_RESULT] -= first
     if len(rods):
         on_cpu = runtime.start() == "cpu"
         threads = min(len(rods), runtime.thread_count() if on_cpu else MOST_THREADS_ON_A_GPU)
         stride = 1 if on_cpu else threads
         items = ASKED_ITEMS + (chain.GENERAL_ITEMS + KEPT_ITEMS) * edges
         # Those of f32 are unit quaternions to seven digits.
-        frames = solution.configuration.quaternions
+        frames = solution.configuration.quaternions[first:last]
         frames = frames / np.linalg.norm(frames, axis=-1, keepdims=True)
         sensitivity_kernel(stride, 1 if on_cpu else 64)(
             table.start.reshape(-1), table.rest_length, table.clamp, table.material, *table.up, rods, frames.reshape(-1),
-            np.ascontiguousarray(solution.end_force), np.ascontiguousarray(directions), np.ascontiguousarray(modes), threads,
-            np.zeros(threads * items), vertices, rotations, sound,
+            np.ascontiguousarray(solution.end_force[first:last]), np.ascontiguousarray(directions), np.ascontiguousarray(modes),
+            threads, np.zeros(threads * items), vertices, rotations, sound,
         )
     lost = sound == 0
     vertices[lost], rotations[lost] = np.nan, np.nan
@@ -212,8 +215,8 @@ def sensitivity_kernel(stride: int, block: int):
                          unit, free, total, released, gravity, multiplier, turn_start, turn_end):
         """W_b of b = −∂g/∂θ, into the place of the step; returns Σ W_Aᵀ D⁻¹ W_b, less what closure is changed by.
 
-        ``pull`` is the change of gravity. Edges that clamps hold turn by ``turn_start`` and ``turn_end``: these stand in b where
-        the identity stands in H, and what they do to their neighbours goes over to the right-hand side.
+        ``pull`` is the change of gravity. Edges that clamps hold turn by ``turn_start`` and ``turn_end``: these stand in b
+        where the identity stands in H, and what they do to their neighbours goes over to the right-hand side.
         """
         none = 0.0 * total
         g0, g1, g2, r0, r1, r2, z0, z1, z2 = (none, none, none, none, none, none, none, none, none)

@@ -6,7 +6,8 @@
     twist, weight           ln β, ln μ
     up                      two tilts from where up was, rad
     clip_start, clip_end    ln of the length that a clip holds, from the outer mark on
-    curvature               L ω̄ at the knots of :mod:`doo_ti.refinement.curvature_field`, two components each, or of the whole rod
+    curvature               L ω̄ at the knots of :mod:`doo_ti.refinement.curvature_field`, two components each, or of the
+                            whole rod
     clamps                  constant errors of the clamps: 12 numbers in the axes of the reported frames, which turn with them,
                             and 12 in the world's
 
@@ -226,8 +227,8 @@ class Unknowns:
 
     @property
     def loose(self) -> np.ndarray:
-        """(POSE,) one for the numbers of a clamp whose pose was reported, which may be off; zero where position and tangent were
-        taken from the marks themselves."""
+        """(POSE,) one for the numbers of a clamp whose pose was reported, which may be off; zero where position and tangent
+        were taken from the marks themselves."""
         seen = self.rod.observations
         ends = [frame is not None or seen.frames is not None for frame in (seen.start_frame, seen.end_frame)]
         return np.repeat([*ends, *ends], 3).astype(float)
@@ -242,8 +243,8 @@ class Unknowns:
         return np.concatenate([by_knot, by_clip]), mesh
 
     def chain(self, values: Values) -> tuple[tuple[str, ...], np.ndarray]:
-        """The parameters of :func:`doo_ti.refinement.sensitivity.sensitivity` that Θ's unknowns need, and the derivatives (Q, T)
-        of their Q columns by these T unknowns."""
+        """The parameters of :func:`doo_ti.refinement.sensitivity.sensitivity` that Θ's unknowns need, and the derivatives (Q,
+        T) of their Q columns by these T unknowns."""
         theta, entries = values.theta, ("bend_1", "bend_2", "bend_12")
         elementary = [name for name in self.parameters if name not in entries]
         elementary += entries if len(elementary) < len(self.parameters) else ()

@@ -92,7 +92,8 @@ def test_held_directions_stay(linear_model):
     direction = np.zeros(len(evidence.offset))
     direction[:2] = (1.0, -1.0)
     found = evidence.holding(direction, 0.3).posterior(scales)
-    assert direction @ found.step == pytest.approx(0.3) and direction @ found.covariance @ direction == pytest.approx(0, abs=1e-12)
+    assert direction @ found.step == pytest.approx(0.3)
+    assert direction @ found.covariance @ direction == pytest.approx(0, abs=1e-12)
 
 
 def test_left_out_is_what_the_evidence_falls_by(linear_model):
@@ -101,7 +102,8 @@ def test_left_out_is_what_the_evidence_falls_by(linear_model):
     linear = counted_by_rows(linear)
     evidence = replace(evidence, moments=tuple(Moments.of(kind) for kind in linear))
     own = evidence.left_out(linear, scales)
-    every = multivariate_normal(*dense(evidence, linear, scales)[1:], allow_singular=True).logpdf(dense(evidence, linear, scales)[0])
+    seen, mean, spread = dense(evidence, linear, scales)
+    every = multivariate_normal(mean, spread, allow_singular=True).logpdf(seen)
     for d in range(len(own)):
         others = tuple(kind.take(np.delete(np.arange(len(own)), d)) for kind in linear)
         rest = dense(evidence, others, scales)

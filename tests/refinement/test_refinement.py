@@ -47,7 +47,7 @@ def holds(parameter, truth: float) -> bool:
 
 def test_noise_free_straight_rods_between_known_clips_give_their_theta_back(rng):
     observations, truth = own_mesh(rng)
-    options = RefinementOptions(clip=1.5, curvature="none", clamps=False, edges=14, intervals="covariance")
+    options = RefinementOptions(clip=1.5, curvature="none", clamps="exact", edges=14, intervals="covariance")
     out = refine(observations, observation_clamps(observations), Theta(1.4 * truth.bend, 0.8 * truth.twist), options)
     assert out.converged and out.used.all() and out.mean_distance < 1e-4
     assert out.theta.bend[0, 0] == pytest.approx(truth.bend[0, 0], rel=1e-4)
@@ -55,8 +55,9 @@ def test_noise_free_straight_rods_between_known_clips_give_their_theta_back(rng)
 
 
 def test_uniform_curvature_and_up_come_back(rng):
-    observations, truth = own_mesh(rng, rest_curvature=np.array([4e-3, -2e-3]), up=np.array([0.05, -0.08, 1.0]) / np.sqrt(1.0089))
-    options = RefinementOptions(("bend", "twist", "up"), clip=1.5, curvature="uniform", clamps=False, edges=14,
+    up = np.array([0.05, -0.08, 1.0]) / np.sqrt(1.0089)
+    observations, truth = own_mesh(rng, rest_curvature=np.array([4e-3, -2e-3]), up=up)
+    options = RefinementOptions(("bend", "twist", "up"), clip=1.5, curvature="uniform", clamps="exact", edges=14,
                                 intervals="covariance")
     out = refine(observations, observation_clamps(observations), Theta(1.2 * truth.bend, truth.twist), options)
     assert out.theta.bend[0, 0] == pytest.approx(truth.bend[0, 0], rel=1e-3)
@@ -91,11 +92,19 @@ def test_straight_rods_clamped_at_their_marks_fit_worse(seen):
     out = refine(seen, observation_clamps(seen), BEGIN, replace(QUICK, models=True))
     scores = {score.model: score for score in out.scores}
     assert scores["straight"].difference < -5 * scores["straight"].error
-    assert abs(scores["clips"].difference) < 10
+    assert abs(scores["clamps"].difference) < 10  # these clamps are exact, and found to be
+
+
+def test_clamps_that_are_off_are_found_out():
+    """A constant tilt of a degree or so, and a scatter: the evidence keeps them, and intervals hold."""
+    crooked = suture(clip_tilt_deg=1.0, clip_scatter_deg=0.2)
+    out = refine(crooked, observation_clamps(crooked), BEGIN, QUICK)
+    assert np.abs(out.estimate.values.constant).max() > 5e-3
+    assert holds(out.estimate.parameter("bend"), BEND) and holds(out.estimate.parameter("twist"), TWIST)
 
 
 def test_what_a_model_lacks_is_named(seen):
-    poor = replace(QUICK, curvature="none", clip=1.0, clamps=False)
+    poor = replace(QUICK, curvature="none", clip=1.0, clamps="exact")
     out = refine(seen, observation_clamps(seen), BEGIN, poor)
     assert not out.adequacy.reaches_noise and out.adequacy.gap > NOISE
     options = " ".join(one.option for one in out.adequacy.advice)
@@ -143,7 +152,8 @@ def test_missing_marks_and_wrong_branches(seen):
 
 
 def test_a_stated_sigma_is_taken_and_checked(seen):
-    right, small = (refine(replace(seen, sigma=np.array(sigma)), observation_clamps(seen), BEGIN, QUICK) for sigma in (NOISE, 0.02))
+    right, small = (refine(replace(seen, sigma=np.array(sigma)), observation_clamps(seen), BEGIN, QUICK)
+                    for sigma in (NOISE, 0.02))
     assert right.adequacy.stated and right.adequacy.reaches_noise and right.adequacy.excess == pytest.approx(1, abs=0.1)
     assert not small.adequacy.reaches_noise
 

@@ -218,3 +218,14 @@ def test_modes_add_up_what_joints_do(rng):
     for given in (None, modes[:, 1:]):
         with pytest.raises(InputError, match="modes"):
             sensitivity(solution, ("modes",), given)
+
+
+def test_blocks_of_rods_have_the_derivatives_of_all(rng):
+    rods = wandering(rng, 6, 12)
+    kinds = [(Clamp.FRAME, Clamp.FRAME), (Clamp.FREE, Clamp.FRAME), (Clamp.FRAME, Clamp.FREE)] * 2
+    solution = relax(rods, Material(2e5, 1e5), with_kinds(clamps_at(rods), kinds), SHARP)
+    names = ("bend", "length", "end_shift", "end_turn")
+    whole, part = sensitivity(solution, names), sensitivity(solution, names, first=2, last=5)
+    np.testing.assert_array_equal(part.vertices, whole.vertices[2:5])
+    np.testing.assert_array_equal(part.usable, whole.usable[2:5])
+    assert part.configuration.count == 3
