@@ -1,9 +1,12 @@
 """Shared by all tests: where the development data lies, and one printed seed for everything random."""
 
+import os
 from pathlib import Path
 
-import numpy as np
-import pytest
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands set it, before NumPy reads it
+
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
 
 SEED = 2011
 

@@ -9,6 +9,7 @@ from doo_ti.dataset import Observations
 from doo_ti.refinement.linear_density import weight_per_length
 
 LISTED = 6  # observations named one by one
+CLEAR_ODDS = 3.0  # ln of the odds, about 20 to 1: models closer than that predict as well
 SYMBOLS = {"bend": "EI", "bend_1": "EI_1", "bend_2": "EI_2", "twist": "GJ"}
 MODELS = {
     "straight": "straight at rest, clamped in the middle of the outer edges",
@@ -161,7 +162,7 @@ def _tell_rods(summary: dict) -> None:
 
 def _tell_models(summary: dict) -> None:
     for k, score in enumerate(summary["models"]):
-        verdict = "predicts worse" if score["difference"] < -2 * score["error"] else (
-            "predicts better" if score["difference"] > 2 * score["error"] else "predicts as well")
+        clear = abs(score["difference"]) > max(2 * score["error"], CLEAR_ODDS)
+        verdict = "predicts as well" if not clear else "predicts better" if score["difference"] > 0 else "predicts worse"
         print(_line("other models" if k == 0 else "", f"{verdict}: {MODELS[score['model']]} ({score['difference']:+.3g} ± "
                                                       f"{score['error']:.2g}, leave-one-out log score)"))
