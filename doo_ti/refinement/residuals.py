@@ -112,8 +112,9 @@ class Comparison:
 
     def gap_weight(self, scales: Scales) -> np.ndarray:
         """(3 M, 3 G) C of rᵀ(σ² + δ²ΦΦᵀ)⁻¹r = (|r|² − |rᵀC|²)/σ², Φ the smooth displacements of δ = ``gap``: the same for all
-        observations, as if every mark counted."""
-        modes = self.gap_modes * scales["gap"] / scales["marks"]
+        observations, as if every mark counted as the mean of them does."""
+        weight = self.weight[self.weight > 0].mean() if (self.weight > 0).any() else 1.0
+        modes = self.gap_modes * weight * scales["gap"] / scales["marks"]
         left, sizes, _ = np.linalg.svd(modes, full_matrices=False)
         return left * np.sqrt(sizes**2 / (1 + sizes**2))
 
