@@ -10,6 +10,7 @@ import os
 import re
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from typing import NoReturn
 
 from doo_ti import __version__
@@ -33,6 +34,7 @@ from doo_ti.commands import (
 )
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.runtime import check_architecture
+from doo_ti.terminal import VisibleStream, visible
 
 
 class _Parser(argparse.ArgumentParser):
@@ -53,7 +55,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if hasattr(stream, "reconfigure"):  # a console that lacks Θ shows a question mark
             stream.reconfigure(errors="replace")
     try:
-        return _run(argv)
+        with redirect_stdout(VisibleStream(sys.stdout)):
+            return _run(argv)
     except InputError as error:
         return _report(error, 2)
     except BrokenPipeError:  # the reader, head or less, has seen enough
@@ -83,7 +86,7 @@ def _run(argv: list[str]) -> int:
 
 def _report(problem: object, code: int) -> int:
     # One line whatever the message holds.
-    print(f"doo-ti: {' '.join((str(problem) or type(problem).__name__).split())}", file=sys.stderr)
+    print(visible(f"doo-ti: {' '.join((str(problem) or type(problem).__name__).split())}"), file=sys.stderr)
     return code
 
 

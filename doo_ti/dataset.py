@@ -25,6 +25,8 @@ KEYS = {
     "end_distance": "end_distance_mm", "end_rotation": "end_rotation_deg",
 }
 TABLES = (".csv", ".parquet")
+LEAST_SIGMA_MM, MOST_SIGMA_MM = 1e-9, 1e6
+"""Of labels: information is the square of how much smaller they are than what they measure."""
 
 
 @dataclass(frozen=True)
@@ -190,9 +192,10 @@ class Observations:
         sigma = self._numbers("sigma", () if scalar else ("D", "V"), size)
         needed = True if scalar else self.valid
         self._finite("sigma", sigma, needed)
-        if (needed & (sigma <= 0)).any():
-            worst = sigma[needed & (sigma <= 0)].min()
-            raise self._error("sigma", f"{worst:g} mm", "give positive uncertainties in mm")
+        wrong = needed & ((sigma < LEAST_SIGMA_MM) | (sigma > MOST_SIGMA_MM))
+        if wrong.any():
+            raise self._error("sigma", f"{sigma[wrong].min():g} mm",
+                              f"give positive uncertainties in mm, {LEAST_SIGMA_MM:g} to {MOST_SIGMA_MM:g}")
         return sigma
 
     def _checked_frames(self, name: str, axes: tuple, size: dict[str, int]) -> np.ndarray:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.dataset import Observations
+from doo_ti.dataset import LEAST_SIGMA_MM, MOST_SIGMA_MM, Observations
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.progress import progress
@@ -106,8 +106,8 @@ def plan(
     """
     clamps = observation_clamps(configurations, clamp_start, clamp_end)
     check_experiment(configurations, clamps, grid.axes[-1].values[-1], 0.0)
-    if not (np.isfinite(sigma) and sigma > 0):
-        raise InputError("plan", "sigma", f"{sigma}", "give a positive label uncertainty in mm")
+    if not LEAST_SIGMA_MM <= sigma <= MOST_SIGMA_MM:
+        raise InputError("plan", "sigma", f"{sigma:g} mm", f"give a label uncertainty of {LEAST_SIGMA_MM:g} to {MOST_SIGMA_MM:g} mm")
     if configurations.count * grid.size > MOST_RODS:
         raise InputError(grid.source, "grid", f"{grid.size:,} cells for {configurations.count} configurations",
                          f"give at most {MOST_RODS // configurations.count:,} cells: a plan needs no fine grid")

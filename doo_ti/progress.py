@@ -1,5 +1,7 @@
 """How far a long piece of work has come, on standard error: a bar, how much of how much, the rate and the time left."""
 
+from doo_ti.terminal import visible
+
 
 def progress(*, lasting: bool = False):
     """A bar as a context, to which work is added: ``bar.add_task("growth", total=320, unit="edges")``.
@@ -18,7 +20,13 @@ def progress(*, lasting: bool = False):
             speed = "" if speed is None else f"{speed:,.{0 if speed >= 10 else 2}f} {task.fields['unit']}/s"
             return Text(task.fields.get("rate", speed))
 
+    class Description(ProgressColumn):
+        """A name may hold [markup] and escape sequences, which are shown as they are."""
+
+        def render(self, task) -> Text:
+            return Text(visible(task.description))
+
     console = Console(stderr=True)
     columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[unit]}"), Rate(), TimeRemainingColumn()
-    return Progress(TextColumn("{task.description}"), *columns, console=console, transient=not lasting,
+    return Progress(Description(), *columns, console=console, transient=not lasting,
                     disable=not (lasting or console.is_terminal))

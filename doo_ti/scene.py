@@ -30,7 +30,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError, system_reason
+from doo_ti.errors import InputError
+from doo_ti.file_content import MOST_TEXT_BYTES, read_content
 from doo_ti.grid import UNITS, Grid, parse_axis, parse_bend
 from doo_ti.types import LARGEST, Clamp, Material
 
@@ -183,11 +184,9 @@ class Scene:
 def load_scene(path: str | os.PathLike) -> Scene:
     """The scene of a TOML file. Raises InputError for unreadable files, unknown keys, wrong types and values."""
     path = Path(path)
+    content = read_content(path, MOST_TEXT_BYTES, "name a readable scene")
     try:
-        content = path.read_bytes()
         table = tomllib.loads(content.decode())
-    except OSError as error:
-        raise InputError(path, "file", system_reason(error), "name a readable scene") from None
     except (ValueError, RecursionError) as error:
         raise InputError(path, "file", f"not TOML ({error})", "correct the scene") from None
     known = ("name", "frame_weight_mm", "clamp_start", "clamp_end", "objective", "pairs", "spins", "precision",

@@ -12,7 +12,7 @@ PACKAGE = ROOT / "doo_ti"
 
 # From the bottom up: a module imports from layers below its own, never from beside it.
 LAYERS = [
-    {"errors", "interruption", "whole_file"},
+    {"errors", "interruption", "terminal", "whole_file"},
     {"file_content", "frames", "kernel_cache"},
     {"types"},
     {"physics", "runtime", "importers", "grid", "contact_sheet", "progress"},

@@ -27,6 +27,7 @@ def summary_of(task: Task, detected: list[list], found, written: list[Path]) -> 
         "detected_width_px": np.median([detection.width_px for line in detected for detection in line]),
         "status": status_counts(found.status),
         "stable": found.stable.sum(),
+        "not_certified": (~found.sound).sum(),
         "verdicts": {verdict.name.lower(): (found.verdict == verdict).sum() for verdict in Verdict},
         "written": [str(path) for path in written],
     }
@@ -68,6 +69,8 @@ def tell(summary: dict) -> None:
     if len(sets) > MOST_TOLD:
         print(f"  and {len(sets) - MOST_TOLD} more, which --json lists")
     print(f"  status      {counted(summary['status'])}; {summary['stable']} certified stable")
+    print(f"  certified   {len(sets) - summary['not_certified']} of {len(sets)} rods converged to certified minima; "
+          f"{summary['not_certified']} did not")
     print(f"  verdicts    {counted(summary['verdicts'])} (docs/perception.md)")
     for path in summary["written"]:
         print(f"  written to  {path}")

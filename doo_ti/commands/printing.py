@@ -6,13 +6,15 @@ from dataclasses import asdict
 import numpy as np
 
 from doo_ti.learning.landscape import Landscape, competition_of, jumps_of, status_counts
+from doo_ti.terminal import visible
 
 
 def busy(doing: str):
     """Says on a terminal what is being done, until it is."""
     from rich.console import Console
+    from rich.text import Text
 
-    return Console(stderr=True).status(doing)
+    return Console(stderr=True).status(Text(visible(doing)))  # not a string, whose [markup] would be obeyed
 
 
 def theta_text(theta: dict, isotropic: bool) -> str:

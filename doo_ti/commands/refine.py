@@ -12,7 +12,8 @@ from doo_ti.commands.arguments import add_json, add_material
 from doo_ti.commands.printing import busy, plain
 from doo_ti.commands.refine_text import summary_of, tell
 from doo_ti.dataset import Observations, load_observations, write_whole
-from doo_ti.errors import InputError, system_reason
+from doo_ti.errors import InputError
+from doo_ti.file_content import read_content
 from doo_ti.importers import read_npz
 from doo_ti.scene import CLAMPS
 from doo_ti.start import check_experiment, observation_clamps
@@ -228,10 +229,7 @@ def _groups(text: str | None, observations: Observations) -> np.ndarray:
     path, _, key = text.rpartition(":")
     if not path:
         raise InputError("command line", "--groups", f"{text!r} names no key", "give FILE.npz:KEY")
-    try:
-        content = Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(path, "file", system_reason(error), "name a readable .npz file") from None
+    content = read_content(Path(path), remedy="name a readable .npz file")
     groups = read_npz(Path(path), content, (key,)).get(key)
     if groups is None:
         raise InputError(path, key, "the key is missing", "name one that the file has")

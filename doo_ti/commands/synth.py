@@ -49,6 +49,9 @@ def _photograph(options: Namespace, scene: Scene) -> None:
         raise InputError(scene.source, "observations", "a file, of rods that are not known between their marks",
                          "give a scene with [synthesis]")
     from doo_ti.perception.lab_images import lab_rods, save_truth
+    from doo_ti.vision.render import check_diameter
+
+    check_diameter(diameter, given.SOURCE, "--diameter")
     from doo_ti.vision.image_synthesis import Photographs, save_photographs
 
     rods = lab_rods(scene.observations)

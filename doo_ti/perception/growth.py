@@ -74,20 +74,25 @@ def select_hypotheses(
     return kept[kept >= 0]
 
 
-def rank_distinct(score: np.ndarray, vertices: np.ndarray, of_set: np.ndarray, most: int, distance: float) -> np.ndarray:
+def rank_distinct(
+    score: np.ndarray, vertices: np.ndarray, of_set: np.ndarray, most: int, distance: float, certified: np.ndarray | None = None
+) -> np.ndarray:
     """(A, K) rows of each set's rods, the best first, without those that run along a better one; then −1.
 
-    score     (N,) E_vis; NaN and infinite ones are never taken
-    vertices  (N, V, 3) mm
-    of_set    (N,) image set, in increasing order, at least one rod of each
-    most      K
-    distance  mm: rods whose vertices are nearer than this on average are one
+    score      (N,) E_vis; NaN and infinite ones are never taken
+    vertices   (N, V, 3) mm
+    of_set     (N,) image set, in increasing order, at least one rod of each
+    most       K
+    distance   mm: rods whose vertices are nearer than this on average are one
+    certified  (N,) bool: these rank before all others of their set, since the score of a rod that is no minimum says little;
+               None: all alike
     """
+    certified = np.ones(len(score), dtype=bool) if certified is None else certified
     sets, first, count = np.unique(of_set, return_index=True, return_counts=True)
     ranked = np.full((len(sets), most), -1)
     taken = np.zeros(len(sets), dtype=np.int64)
     finite = np.isfinite(score)
-    order = np.lexsort((np.where(finite, score, np.inf), of_set))
+    order = np.lexsort((np.where(finite, score, np.inf), ~certified, of_set))
     # Round by round the next best of every set, unless a better one runs along it.
     for turn in range(count.max()):
         here = np.flatnonzero((turn < count) & (taken < most))

@@ -51,7 +51,7 @@ class Verdict(IntEnum):
 class Perception:
     """What the images of A sets say.
 
-    vertices          (A, V, 3) mm: the best rod of each set at its marks
+    vertices          (A, V, 3) mm: the best rod of each set at its marks, a certified minimum if there is one
     configuration     the same rod with every edge in pieces, as it was relaxed
     energy_vis        (A,) its E_vis, 1/mm
     camera_error      (A, C) px: its distance to the detection, mean along it, in each camera. A map is smooth at its crease,
@@ -63,7 +63,7 @@ class Perception:
     runner_up         (A, K, V, 3) mm: the next best rods that differ from all better ones; NaN where there are fewer
     runner_up_energy  (A, K) their E_vis, infinite where there are none
     gap               (A,) px: by how much E_vis of the best runner-up is worse, as a mean distance along all images;
-                      infinite without one
+                      infinite without one, negative where a rod that is no certified minimum scores better than this one
     edge_error        (A, C, E) px: distance to the detection along each edge of the best rod
     unsupported       (A, E) edges that no camera sees on the detection
     """
@@ -156,7 +156,8 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
     candidates = rank_distinct(kept.energy_vis, search.vertices(kept), kept.of_set, options.finalists, options.similar_distance)
     final, solution = search.relaxed(kept.take(np.sort(candidates[candidates >= 0])))
     marks = solution.configuration.vertices[:, :: options.pieces]
-    ranked = rank_distinct(final.energy_vis, marks, final.of_set, 1 + options.runners_up, options.similar_distance)
+    certified = (solution.status == Status.CONVERGED) & solution.stable
+    ranked = rank_distinct(final.energy_vis, marks, final.of_set, 1 + options.runners_up, options.similar_distance, certified)
     # A set whose rods all came to nothing keeps one, whose status says so.
     best = np.where(ranked[:, 0] >= 0, ranked[:, 0], np.searchsorted(final.of_set, np.arange(len(ranked))))
     others = ranked[:, 1:]

@@ -49,6 +49,11 @@ CONTRADICTION = np.radians(45.0)
 """Between what frames and a rotation tell of a turn. Rotations may be counted otherwise where the tangent swings, too."""
 
 
+MOST_MM = 1e6
+"""From the origin to a clamp."""
+MOST_TURNS = 1000.0
+
+
 @dataclass(frozen=True)
 class ClampPath:
     """Poses of both clamps of N rods, or of one motion for all, at T moments; None: it rests.
@@ -76,6 +81,11 @@ class ClampPath:
     def __post_init__(self):
         if self.time.ndim != 1 or len(self.time) < 2 or not (np.diff(self.time) > 0).all():
             raise InputError(self.source, "time_s", "not two or more rising times", "give the moments in their order")
+        for name, most, unit in (("start_position", MOST_MM, "mm"), ("end_position", MOST_MM, "mm"),
+                                 ("end_rotation", MOST_TURNS * 2 * np.pi, "rad")):
+            value = getattr(self, name)
+            if value is not None and not (np.abs(value) <= most).all():
+                raise InputError(self.source, name, f"{np.abs(value).max():g} {unit}", f"stay within {most:g} {unit}")
         for name in ("start_frame", "end_frame"):
             frames = getattr(self, name)
             if frames is not None:

@@ -7,20 +7,32 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from rerun.experimental import ViewerClient
 
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, InterruptedRunError
 
 FILE = "run.rrd"
 
 
-def open_viewer(path) -> int:
-    """Open a run's recording (the run's folder or the .rrd file) in the rerun viewer; returns the viewer's exit code.
+PROGRAM = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
+"""``python -m rerun_cli`` ends with 0 whatever became of the viewer."""
 
-    Raises InputError where there is no recording.
+
+def open_viewer(path) -> None:
+    """Open a run's recording (the run's folder or the .rrd file) in the rerun viewer, and wait until its window is closed.
+
+    Raises InputError where there is no recording, InterruptedRunError where the viewer fails, as without a window.
     """
-    return _viewer(path, "--port", "auto").wait()
+    with TemporaryFile() as log:
+        if not _viewer(path, "--port", "auto", log=log).wait():
+            return
+        log.seek(0)
+        reasons = [line for line in log.read().decode(errors="replace").splitlines() if line.startswith("Error: ")]
+    reason = reasons[-1].removeprefix("Error: ") if reasons else "it does not say why"
+    raise InterruptedRunError(f"view: the viewer opened no window, or failed ({reason}); set DISPLAY or WAYLAND_DISPLAY to a "
+                              "display that answers, or save a picture without one: tools/screenshot.py")
 
 
 def save_screenshot(path, picture, size=(1600, 900)) -> None:
@@ -56,10 +68,10 @@ def _connect(viewer: subprocess.Popen, port: int) -> ViewerClient:
     raise RuntimeError("the rerun viewer did not start; is a Vulkan driver installed?")
 
 
-def _viewer(path, *options: str, own_group: bool = False) -> subprocess.Popen:
+def _viewer(path, *options: str, own_group: bool = False, log=None) -> subprocess.Popen:
     file = Path(path) / FILE if Path(path).is_dir() else Path(path)
     if not file.is_file():
         raise InputError(path, FILE, "there is no recording", "name a folder that doo-ti sweep has written")
     # Left alone the viewer listens on every network interface and reports its use; CI=true stops the reports.
-    command = [sys.executable, "-m", "rerun_cli", "--bind", "127.0.0.1", *options, str(file)]
-    return subprocess.Popen(command, env=os.environ | {"CI": "true"}, start_new_session=own_group)
+    command = [sys.executable, "-c", PROGRAM, "--bind", "127.0.0.1", *options, str(file)]
+    return subprocess.Popen(command, env=os.environ | {"CI": "true"}, start_new_session=own_group, stderr=log)

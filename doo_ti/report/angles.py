@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from doo_ti.report.canvas import new_figure
+from doo_ti.report.canvas import literal, new_figure
 
 BAR, FAILED, MINIMUM, CURVE, SHADE = "#31688e", "#ff9f1c", "#ff2e63", "#31688e", "#fde725"
 BIN_DEG = 15.0
@@ -29,7 +29,7 @@ def angle_errors_picture(path_or_buffer, errors: dict[str, np.ndarray], *, succe
         axes.bar(edges[:-1], 100 * share, width=BIN_DEG, align="edge", color=colors, edgecolor="white", linewidth=0.6)
         axes.axvline(success_deg, color="#606060", linewidth=1, linestyle="--")
         lost = f", {len(error) - len(found)} undetermined" if len(found) < len(error) else ""
-        axes.set_title(f"{name}: {100 * np.mean(error <= success_deg):.1f} % within {success_deg:g}°{lost}", fontsize=10)
+        axes.set_title(f"{literal(name)}: {100 * np.mean(error <= success_deg):.1f} % within {success_deg:g}°{lost}", fontsize=10)
         axes.set_xticks(np.arange(0, LARGEST_DEG + 1, 45))
         axes.grid(axis="y", alpha=0.25)
     for axes in panels[len(errors):]:
@@ -37,7 +37,7 @@ def angle_errors_picture(path_or_buffer, errors: dict[str, np.ndarray], *, succe
     figure.supxlabel(f"|error of φ| [°], whole turns counted; the last bar holds all above {LARGEST_DEG - BIN_DEG:g}°",
                      fontsize=10)
     figure.supylabel("share of trials [%]", fontsize=10)
-    figure.suptitle(title, fontsize=12)
+    figure.suptitle(literal(title), fontsize=12)
     figure.canvas.print_png(path_or_buffer)
 
 
@@ -70,10 +70,10 @@ def angle_curves_picture(path_or_buffer, angles: np.ndarray, objective: np.ndarr
         axes.set_xticks(np.arange(-360, 361, 180))
         axes.set_xlim(angles[0], angles[-1])
         axes.tick_params(labelbottom=k + columns >= shown)  # the last row may be short
-        axes.set_title(names[k], fontsize=9)
+        axes.set_title(literal(names[k]), fontsize=9)
         axes.grid(alpha=0.25)
     more = f"; {len(objective) - shown} more are not drawn" if len(objective) > shown else ""
     figure.supxlabel(f"φ [°]; red: the minimum, yellow: nearly as good{more}", fontsize=10)
     figure.supylabel("Σ d [mm] (Eq. 4)", fontsize=10)
-    figure.suptitle(title, fontsize=12)
+    figure.suptitle(literal(title), fontsize=12)
     figure.canvas.print_png(path_or_buffer)

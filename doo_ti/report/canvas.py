@@ -20,6 +20,11 @@ def new_figure(inches: tuple[float, float] = PICTURE_INCHES, dpi: int = PICTURE_
     return figure
 
 
+def literal(text: str) -> str:
+    """A name as matplotlib shows it as it is: between dollar signs it would read mathematics, and fail where there are none."""
+    return text.replace("$", r"\$")
+
+
 def pixels(figure) -> np.ndarray:
     """(H, W, 3) uint8 of a figure, which is laid out by this."""
     figure.canvas.draw()

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.report.canvas import PICTURE_INCHES, new_figure, plain_ticks
+from doo_ti.report.canvas import PICTURE_INCHES, literal, new_figure, plain_ticks
 from doo_ti.report.colors import MISSING
 
 
@@ -31,7 +31,7 @@ def panels_picture(path_or_buffer, panels: list[Panel], title: str) -> None:
 
     width, height = PICTURE_INCHES
     figure = new_figure((max(width, 5.0 * len(panels)), height))
-    figure.suptitle(title, fontsize=14)
+    figure.suptitle(literal(title), fontsize=14)
     for place, panel in enumerate(panels):
         axes = figure.add_subplot(1, len(panels), place + 1)
         axes.set(xlabel=panel.x, ylabel=panel.y, title=panel.title)

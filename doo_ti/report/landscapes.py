@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.report.canvas import PICTURE_DPI, VIEWER_DPI, new_figure, pixels, plain_ticks
+from doo_ti.report.canvas import PICTURE_DPI, VIEWER_DPI, literal, new_figure, pixels, plain_ticks
 from doo_ti.report.colors import norm_of
 from doo_ti.report.landscape_axes import cell_boxes, draw_line, draw_map, draw_marks, draw_region, draw_star, tell_minimum
 from doo_ti.report.landscape_key import key_of, key_of_panels, remarks
@@ -86,7 +86,7 @@ def draw_landscape(plane: Plane, title: str, label: str, region=None):
     if plane.minimum is not None:
         draw_star(axes, plane)
         tell_minimum(axes, plane)
-    axes.set_title("\n".join([title, *remarks(plane)]), fontsize=14, pad=12)
+    axes.set_title("\n".join([literal(title), *remarks(plane)]), fontsize=14, pad=12)
     _put_key(figure, key_of(plane, region is not None), 1 if plane.hidden else 2)
     return figure
 
@@ -112,7 +112,7 @@ def _draw_panels(rows: list[list[LandscapePanel]], title: str, label: str, marks
     if relative:
         what = label.rpartition(" [")[0]
         _color_bar(figure, meshes[0], grid, f"{what}, in multiples of the panel's smallest", extend="max")
-    figure.suptitle(title, fontsize=14)
+    figure.suptitle(literal(title), fontsize=14)
     with_region = any(panel.region is not None for panel in panels)
     keys = key_of_panels([panel.plane for panel in panels], with_region, marks if any(p.marks for p in panels) else "")
     _put_key(figure, keys, 3 if columns <= 3 else 6)
@@ -132,10 +132,11 @@ def _draw_panel(figure, axes, panel: LandscapePanel, label: str, norm, size: flo
         mesh = draw_map(axes, replace(plane, values=_multiples(plane)), norm, size)
     if panel.region is not None and len(plane.axes) == 2:
         draw_region(axes, panel.region)
-    lines = [panel.title]
+    title = literal(panel.title)
+    lines = [title]
     if plane.minimum is not None:
         draw_star(axes, plane, size)
-        lines = [f"{panel.title}: {quantity(plane.values[plane.minimum], 'mm')}", f"at {values_text(plane.best)}"]
+        lines = [f"{title}: {quantity(plane.values[plane.minimum], 'mm')}", f"at {values_text(plane.best)}"]
     draw_marks(axes, plane, panel.marks, size)
     axes.set_title("\n".join(lines + remarks(plane)), fontsize=12 * size)
     return mesh

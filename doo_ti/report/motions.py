@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from doo_ti.report.canvas import new_figure
+from doo_ti.report.canvas import literal, new_figure
 
 MOST_RODS, COLUMNS = 12, 4
 SHOWN = 9
@@ -42,12 +42,12 @@ def motions_picture(path_or_buffer, time: np.ndarray, vertices: np.ndarray, name
                 axes.set_ylabel(f"{label} [mm]", fontsize=10)
             if row == 0:
                 falls = int(jumps[:, rod].sum())
-                axes.set_title(names[rod] + f": {falls} fall{'s' * (falls != 1)}" * (falls > 0), fontsize=10)
+                axes.set_title(literal(names[rod]) + f": {falls} fall{'s' * (falls != 1)}" * (falls > 0), fontsize=10)
     figure.supxlabel("along the line between the ends [mm]", fontsize=10)
     figure.colorbar(_scale(time), ax=list(panels.ravel()), pad=0.01, aspect=40).set_label("time [s]", fontsize=10)
     more = f" ({len(names) - shown} more are not drawn)" if len(names) > shown else ""
     red = "; red: before a fall (dashed) and after it" if jumps[:, :shown].any() else ""
-    figure.suptitle(f"{title}{more}{red}", fontsize=12)
+    figure.suptitle(f"{literal(title)}{more}{red}", fontsize=12)
     figure.canvas.print_png(path_or_buffer)
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.report.canvas import new_figure
+from doo_ti.report.canvas import literal, new_figure
 from doo_ti.vision.rig import Rig
 
 BEST, RUNNER_UP, TRUTH, DETECTED = "#2f7bff", "#ff2e4d", "#ffd400", "#00c08b"
@@ -62,7 +62,7 @@ def reprojections_picture(path_or_buffer, rig: Rig, sets: list[SeenRod], *, up, 
             axes = figure.add_subplot(grid[row, column])
             _draw_image(axes, camera, seen, column)
             if column == 0:
-                axes.set_title(f"{seen.name}: {seen.verdict}", fontsize=9, loc="left")
+                axes.set_title(f"{literal(seen.name)}: {seen.verdict}", fontsize=9, loc="left")
         _draw_space(figure.add_subplot(grid[row, -1], projection="3d"), seen, np.asarray(up, float))
     keys = [Line2D([], [], color=color, linewidth=2, label=name) for name, color in
             (("detected", DETECTED), ("best", BEST), ("runner-up", RUNNER_UP), ("truth", TRUTH))
@@ -82,7 +82,7 @@ def _draw_image(axes, camera, seen: SeenRod, column: int) -> None:
     for pixels, color in projected:
         axes.plot(*pixels.T, color=color, linewidth=WIDTHS[color], zorder=1 if color == TRUTH else 3)
     axes.plot(*detected.T, ".", color=DETECTED, markersize=2.6, markeredgewidth=0, zorder=2)
-    axes.annotate(camera.name, (0.02, 0.03), xycoords="axes fraction", fontsize=8, color="white")
+    axes.annotate(literal(camera.name), (0.02, 0.03), xycoords="axes fraction", fontsize=8, color="white")
     around = np.concatenate([detected] + [pixels for pixels, _ in projected])
     around = around[np.isfinite(around).all(axis=1)]
     low = np.maximum(around.min(axis=0) - MARGIN_PX, -0.5)

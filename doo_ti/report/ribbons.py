@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.report.canvas import new_figure
+from doo_ti.report.canvas import literal, new_figure
 
 VIEWS = {"from the front": (0.0, 0.0), "from the side and above": (50.0, 30.0)}
 """Name: the angles in degrees by which the viewer goes around to the right and up."""
@@ -59,7 +59,7 @@ def ribbons_picture(path_or_buffer, ribbons: list[Ribbons], which: int, *, basis
         _tell_view(places[0], name)
     for axes, kind in zip(grid[0], filled, strict=True):
         axes.set_title(kind.label, fontsize=9.5, color=np.array(kind.color) / 255)
-    figure.suptitle(title, fontsize=13)
+    figure.suptitle(literal(title), fontsize=13)
     if outlined:
         keys = [Line2D([], [], color=np.array(kind.color) / 255, label=kind.label) for kind in outlined]
         figure.legend(handles=keys, loc="outside lower center", ncols=len(keys), frameon=False, fontsize=10)
@@ -94,7 +94,7 @@ def _tell_view(axes, name: str) -> None:
     left, low = axes.get_xlim()[0] + 1, axes.get_ylim()[0] + 2
     axes.plot([left, left + 20], [low, low], color="#202020", linewidth=2)
     axes.annotate("20 mm", (left + 10, low), xytext=(0, 4), textcoords="offset points", ha="center", va="bottom", fontsize=9)
-    axes.annotate(name, (0.0, 1.0), xycoords="axes fraction", ha="left", va="top", fontsize=10, color="#606060")
+    axes.annotate(literal(name), (0.0, 1.0), xycoords="axes fraction", ha="left", va="top", fontsize=10, color="#606060")
 
 
 def _frames(points: np.ndarray, views: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -27,6 +27,8 @@ def read_image(path: str | os.PathLike, camera: Camera | None = None) -> np.ndar
     """
     import cv2
 
+    if hasattr(cv2, "setLogLevel"):
+        cv2.setLogLevel(0)  # its lines on the standard error would stand beside the caller's own
     path = Path(path)
     stored = np.frombuffer(read_content(path, remedy="name a readable image"), dtype=np.uint8)
     _check_side(path, *_png_size(stored[:24].tobytes()))  # before it is unpacked

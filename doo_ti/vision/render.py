@@ -10,12 +10,20 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from doo_ti.errors import InputError
+from doo_ti.types import LARGEST
 from doo_ti.vision.rig import Camera, Rig
 from doo_ti.vision.spline import smooth_curve
 from doo_ti.vision.tubes import DRAWN_BLUR_PX, Tube, draw
 
 PIXEL_BLUR_PX = 12**-0.5
 """Standard deviation of a pixel's square, which gathers the light behind the lens."""
+
+MOST_THINGS = 1000
+"""Of each kind, beside the thread; the memory for an image grows with them."""
+MOST_GREY = 1e4
+MOST_BLUR_PX = 100.0
+LEAST_MM, MOST_MM = 1e-3, 1e3
+"""Of diameters, and of marks and the distance between them."""
 
 BLOB_PX = 120
 """Size of the background's uneven patches."""
@@ -71,13 +79,20 @@ class RenderOptions:
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value >= 0):
                 raise InputError("rendering", name, f"{value}", "give a number that is not negative")
+            most = MOST.get(name, MOST_GREY)
+            if value is not None and value > most:
+                raise InputError("rendering", name, f"{value:g}", f"give at most {most:g}")
         if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
             raise InputError("rendering", "jpeg_quality", f"{self.jpeg_quality}", "give 1 to 100, or none")
-        if self.mark_spacing_mm == 0 or self.occluded_share > 1:
-            raise InputError("rendering", "mark_spacing_mm, occluded_share", f"{self.mark_spacing_mm}, {self.occluded_share}",
-                             "give a spacing above 0 and a share of at most 1")
-        if np.shape(self.light) != (3,) or not np.isfinite(self.light).all() or not np.any(self.light):
+        if self.mark_spacing_mm is not None and self.mark_spacing_mm < LEAST_MM:
+            raise InputError("rendering", "mark_spacing_mm", f"{self.mark_spacing_mm:g}", f"give {LEAST_MM:g} mm or more")
+        if np.shape(self.light) != (3,) or not (np.abs(self.light) <= LARGEST).all() or not np.linalg.norm(self.light) > 0:
             raise InputError("rendering", "light", f"{self.light}", "give a direction of three numbers, not all zero")
+
+
+MOST = {"occluders": MOST_THINGS, "clutter": MOST_THINGS, "specks": MOST_THINGS, "blur_px": MOST_BLUR_PX, "occluded_share": 1,
+        "mark_spacing_mm": MOST_MM, "mark_length_mm": MOST_MM}
+"""Of the options; MOST_GREY of all others."""
 
 
 def render(rig: Rig, rods: np.ndarray, diameter_mm: float, options: RenderOptions = RenderOptions(),
@@ -95,19 +110,25 @@ def render_set(rig: Rig, rod: np.ndarray, diameter_mm: float, options: RenderOpt
 
     seed  everything random follows from it: the same seed gives the same images
 
-    Raises InputError for a rod that is not (V, 3) finite numbers with V ≥ 2, coinciding neighbours, and a diameter ≤ 0.
+    Raises InputError for a rod that is not (V, 3) finite numbers with V ≥ 2, coinciding neighbours, and diameters that no thread
+    has.
     """
     rod = np.asarray(rod, dtype=np.float64)
     if rod.ndim != 2 or rod.shape[1] != 3 or len(rod) < 2 or not np.isfinite(rod).all():
         raise InputError("rendering", "rods", f"shape {rod.shape}, or not finite", "give two or more vertices of a rod in mm")
     if not np.linalg.norm(np.diff(rod, axis=0), axis=1).all():
         raise InputError("rendering", "rods", "neighbouring vertices coincide", "give edges of some length")
-    if not (np.isfinite(diameter_mm) and diameter_mm > 0):
-        raise InputError("rendering", "diameter_mm", f"{diameter_mm}", "give a diameter above 0")
+    check_diameter(diameter_mm)
     curve = smooth_curve(rod, _samples(rig, rod)) if options.smooth else rod
     scene = _scene(rig, curve, diameter_mm, options, np.random.default_rng([*np.atleast_1d(seed), 0]))
     return [_photograph(camera, scene, options, np.random.default_rng([*np.atleast_1d(seed), 1 + index]))
             for index, camera in enumerate(rig.cameras)]
+
+
+def check_diameter(diameter_mm: float, source: str = "rendering", field: str = "diameter_mm") -> None:
+    """Raise InputError for a diameter that no thread has."""
+    if not LEAST_MM <= diameter_mm <= MOST_MM:
+        raise InputError(source, field, f"{diameter_mm:g} mm", f"give {LEAST_MM:g} to {MOST_MM:g} mm")
 
 
 def _samples(rig: Rig, rod: np.ndarray) -> int:

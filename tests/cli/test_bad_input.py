@@ -313,6 +313,51 @@ def test_in_a_process_of_its_own(tmp_path):
     assert done.returncode == 0 and "sweep" in done.stdout and done.stderr == ""
 
 
+LIMITS = {
+    "label uncertainty": (["plan", "SCENE", "--sigma", "1e-300"], "sigma", "1e-09 to 1e+06"),
+    "occluders": (["synth", "SCENE", "--images", "OUT", "--rig", "RIG", "--render", "occluders=1000000"], "occluders", "1000"),
+    "noise": (["synth", "SCENE", "--images", "OUT", "--rig", "RIG", "--render", "noise=1e300"], "noise", "10000"),
+    "blur": (["synth", "SCENE", "--images", "OUT", "--rig", "RIG", "--render", "blur_px=1e9"], "blur_px", "100"),
+    "marks": (["synth", "SCENE", "--images", "OUT", "--rig", "RIG", "--render", "mark_spacing_mm=1e-300"], "mark_spacing_mm"),
+    "light": (["synth", "SCENE", "--images", "OUT", "--rig", "RIG", "--render", "light=1e300,0,0"], "light"),
+    "diameter": (["synth", "SCENE", "--images", "OUT", "--rig", "RIG", "--diameter", "1e300"], "--diameter", "1000"),
+    "distortion": (["synth", "SCENE", "--images", "OUT", "--rig", "WRONG_RIG"], "dist", "1,000,000"),
+    "positions": (["predict", "GOOD", "--motion", "FAR", *MATERIAL, "--out", "OUT"], "start_position", "1e+06 mm"),
+    "turns": (["predict", "GOOD", "--motion", "TURNS", *MATERIAL, "--out", "OUT"], "end_rotation", "rad"),
+}
+
+
+@pytest.fixture
+def limited(tmp_path) -> dict[str, Path]:
+    """The files that LIMITS names."""
+    scenes = Path(__file__).resolve().parents[2] / "scenes"
+    npz_bytes(tmp_path)
+    rig = (scenes / "rig.yaml").read_text()
+    first = rig.index("data: [", rig.index("dist:")) + len("data: [")
+    (tmp_path / "wrong.yaml").write_text(rig[:first] + " -1e300," + rig[rig.index(",", first) + 1 :])
+    marks = good_keys()["vertices_mm"][0]
+    np.savez(tmp_path / "far.npz", positions_mm=1e6 * np.stack([marks, 1.01 * marks]))
+    np.savez(tmp_path / "turns.npz", end_rotation_deg=np.array([0.0, 2.0**32]))
+    return {"SCENE": scenes / "silk.toml", "RIG": scenes / "rig.yaml", "WRONG_RIG": tmp_path / "wrong.yaml",
+            "GOOD": tmp_path / "good.npz", "FAR": tmp_path / "far.npz", "TURNS": tmp_path / "turns.npz",
+            "OUT": tmp_path / "out.npz"}
+
+
+@pytest.mark.parametrize("case", LIMITS)
+def test_limits_are_stated(capsys, tmp_path, limited, case):
+    words, *expected = LIMITS[case]
+    refused(capsys, tmp_path, [str(limited.get(word, word)) for word in words], *expected)
+
+
+@pytest.mark.parametrize("case", ["label uncertainty", "diameter", "positions"])
+def test_no_library_says_anything_beside_the_line(limited, case):
+    """In a process of its own, with Taichi loaded, whose standard error is its own."""
+    words = [str(limited.get(word, word)) for word in LIMITS[case][0]]
+    done = subprocess.run([sys.executable, "-m", "doo_ti", *words], cwd=Path(__file__).resolve().parents[2],
+                          capture_output=True, text=True, encoding="utf-8")
+    assert (done.returncode, done.stdout) == (2, "") and done.stderr.count("\n") == 1, done.stderr
+
+
 def test_a_slip_in_a_key(capsys, tmp_path):
     """Other commands' files hold more keys than observations have, but end_frme is nobody's."""
     keys = good_keys()

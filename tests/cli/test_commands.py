@@ -197,7 +197,8 @@ def test_view_opens_the_recording(tmp_path, monkeypatch):
 
     def open_viewer(path):
         opened.append(path)
-        return 3 if path.name == "broken" else 0
+        if path.name == "broken":
+            raise InterruptedRunError("no window")
 
     monkeypatch.setitem(sys.modules, "doo_ti.record", types.SimpleNamespace(open_viewer=open_viewer))
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)

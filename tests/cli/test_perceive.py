@@ -101,6 +101,7 @@ def test_one_set_is_the_same_alone(photographed, perceived, tmp_path, capsys):
     told = json.loads(capsys.readouterr().out)
     assert [path.name for path in tmp_path.iterdir()] == ["one.npz"]
     assert told["sets"][0]["name"] == "first_cam0" and told["status"] == {"converged": 1}
+    assert told["not_certified"] == 0
     assert told["written"] == [str(tmp_path / "one.npz")]
     # The seeds differ by rounding to 1e-6.
     np.testing.assert_allclose(np.load(tmp_path / "one.npz")["vertices_mm"][0], perceived[1]["vertices_mm"][0], atol=1e-4)

@@ -12,11 +12,14 @@ import pyarrow.parquet
 import pytest
 
 from doo_ti import importers
+from doo_ti.commands.refine import _groups
 from doo_ti.dataset import load_observations, save_observations
 from doo_ti.errors import InputError
 from doo_ti.file_content import read_content
 from doo_ti.learning.pairs import load_pairs
 from doo_ti.named_arrays import read_arrays
+from doo_ti.prediction.motion_scene import load_motion_scene
+from doo_ti.scene import load_scene
 from doo_ti.vision.image_file import read_image
 from doo_ti.vision.image_sets import header_and_lines
 from doo_ti.vision.marks import read_labels
@@ -28,6 +31,7 @@ READERS = {
     ".npz": load_observations, ".csv": load_observations, ".parquet": load_observations, ".yaml": load_rig, ".png": read_image,
     "_sets.csv": header_and_lines, "_views.csv": read_views, "_arrays.csv": lambda path: read_arrays(path, {"a": ((), ("a",))}),
     "_pairs.csv": lambda path: load_pairs(path, small_lab()), "_labels.csv": lambda path: read_labels(path, ("a",)),
+    ".toml": load_scene, "_motion.toml": load_motion_scene, "_groups.npz": lambda path: _groups(f"{path}:key", small_lab()),
 }
 
 

@@ -1,11 +1,13 @@
 """Algorithm 1: rods from maps of known curves, and from images of rods; what is told about how sure they are."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from doo_ti import InputError, Material
+from doo_ti.perception import search
 from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.perceive import Perception, PerceptionOptions, Verdict, perceive
 from doo_ti.perception.shape_uncertainty import _bending, vertex_sigma
@@ -143,10 +145,6 @@ def tangents(line: np.ndarray) -> np.ndarray:
 
 def test_rods_that_come_to_nothing_are_told(scene, found, monkeypatch):
     """Of the first set at the end, of the second in the midst of growing: neither spoils another."""
-    from dataclasses import replace
-
-    from doo_ti.perception import search
-
     def spoiled(self, hypotheses):
         final, solution = relaxed(self, hypotheses)
         lost = final.of_set == 0
@@ -189,6 +187,36 @@ def test_distinct_rods_are_ranked():
                 wanted.append(k)
         assert ranked[row][ranked[row] >= 0].tolist() == wanted
     assert (ranked == -1).any()
+
+
+def test_a_certified_rod_ranks_before_a_better_one_that_is_none():
+    """A rod that is no minimum may score best; it is a runner-up, or the answer where its set has no other."""
+    of_set = np.array([0, 0, 0, 1])
+    vertices = 100.0 * np.arange(4)[:, None, None] + np.zeros((4, 5, 3))
+    vertices[1] = vertices[0] + 0.1
+    energy, certified = np.array([1.0, 3.0, 2.0, 5.0]), np.array([False, True, True, False])
+    ranked = rank_distinct(energy, vertices, of_set, 3, 1.0, certified)
+    assert ranked.tolist() == [[2, 1, -1], [3, -1, -1]], "the best one runs along a certified one"
+    assert rank_distinct(energy, vertices, of_set, 3, 1.0).tolist() == [[0, 2, -1], [3, -1, -1]]
+
+
+def test_a_finalist_that_is_no_certified_minimum_does_not_win(loop, monkeypatch):
+    """All but the best finalist are reported as stalled where they score better than it."""
+    rig, rods, maps, found = loop
+    relaxed = search.Search.relaxed
+
+    def stalling(self, hypotheses):
+        final, solution = relaxed(self, hypotheses)
+        stalled = np.arange(len(final.of_set)) != np.argmin(final.energy_vis)
+        assert stalled.any()
+        return (replace(final, energy_vis=np.where(stalled, 0.1, 1.0) * final.energy_vis),
+                replace(solution, status=np.where(stalled, Status.STALLED, solution.status)))
+
+    monkeypatch.setattr(search.Search, "relaxed", stalling)
+    several = perceive(maps, rig, rods[:, 0], rods[:, 1] - rods[:, 0], found.configuration.rest_length.reshape(20, -1).sum(axis=1),
+                       MATERIAL, options=OPTIONS)
+    assert several.sound.all() and several.energy_vis == found.energy_vis
+    np.testing.assert_array_equal(several.vertices, found.vertices)
 
 
 def test_bending_is_the_second_derivative_of_a_straight_rod_s_energy(rng):

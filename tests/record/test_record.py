@@ -1,9 +1,11 @@
 """The recording, read back: entities, timelines and counts as docs/recording.md states them."""
 
+import sys
+
 import numpy as np
 import pytest
 
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.types import Status
 
 from . import runs
@@ -208,7 +210,7 @@ def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monke
     calls = []
 
     class Viewer:
-        def __init__(self, command, *, env, start_new_session):
+        def __init__(self, command, *, env, start_new_session, stderr):
             calls.append((command, env))
 
         def wait(self):
@@ -216,8 +218,21 @@ def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monke
 
     monkeypatch.setattr(viewer.subprocess, "Popen", Viewer)
     (tmp_path / "run.rrd").touch()
-    assert viewer.open_viewer(tmp_path) == 0
+    viewer.open_viewer(tmp_path)
     ((command, environment),) = calls
     assert command[command.index("--bind") + 1] == "127.0.0.1"
     assert command[-1] == str(tmp_path / "run.rrd")
     assert environment["CI"] == "true"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have one display, which is there")
+def test_a_viewer_without_a_window_is_an_error(tmp_path, rng, monkeypatch, capfd):
+    """A display is named, but does not answer."""
+    from doo_ti.record import open_viewer, record_sweep
+
+    record_sweep(tmp_path / "run.rrd", **runs.sweep(rng))
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setenv("DISPLAY", ":4242")
+    with pytest.raises(InterruptedRunError, match="DISPLAY"):
+        open_viewer(tmp_path)
+    assert capfd.readouterr().err == ""

@@ -33,6 +33,12 @@ def test_picture_and_image_are_one_drawing(tmp_path):
         np.testing.assert_array_equal(np.asarray(Image.open(source).convert("RGB")), image)
 
 
+def test_a_name_is_no_mathematics():
+    """Between dollar signs matplotlib reads a language of its own, in which this is an error."""
+    axes, values = run()
+    landscape_picture(io.BytesIO(), axes, values, minimum=(2, 1, 0), **WORDS | {"title": "a$^{$ b"})
+
+
 def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
     axes, values = run()
     words = WORDS | {"minimum": (2, 1, 0)}

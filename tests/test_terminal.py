@@ -1,0 +1,55 @@
+"""Names with escape sequences and markup: shown as text in printouts, in bars of progress and in messages."""
+
+import io
+import sys
+
+import pytest
+
+from doo_ti.cli import main
+from doo_ti.commands.printing import busy
+from doo_ti.progress import progress
+from doo_ti.terminal import visible
+from tests.cli.test_bad_input import MATERIAL, npz_bytes
+
+NAME = "a\x1b[2J\x9b1m\u202e[red]b[/red]"
+SHOWN = r"a\x1b[2J\x9b1m\u202e[red]b[/red]"
+
+
+class Terminal(io.StringIO):
+    """What a person sees; rich asks whether it is one."""
+
+    encoding = "utf-8"
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_what_is_visible():
+    assert visible(NAME) == SHOWN
+    assert visible("Θ ± 5 mm³\n  φ = 3°\n") == "Θ ± 5 mm³\n  φ = 3°\n" and visible("a\rb\x00") == r"a\rb\x00"
+
+
+@pytest.mark.parametrize("shown", ["bar", "busy"])
+def test_progress(monkeypatch, shown):
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    if shown == "bar":
+        with progress() as bar:
+            bar.advance(bar.add_task(NAME, total=2, unit="cells"))
+            bar.refresh()
+    else:
+        with busy(f"refining {NAME}"):
+            pass
+    assert SHOWN in terminal.getvalue() and "\u202e" not in terminal.getvalue()
+
+
+@pytest.mark.parametrize("code", [0, 2])
+def test_printouts_and_messages(tmp_path, capsys, code):
+    folder = tmp_path / "\x1b[2J[bold]"
+    folder.mkdir()
+    npz_bytes(folder)
+    argv = ["relax", str(folder / ("good.npz" if code == 0 else "absent.npz")), *MATERIAL, "--out", str(folder / "out.npz")]
+    assert main(argv) == code
+    out, err = capsys.readouterr()
+    assert r"\x1b[2J[bold]" in (err if code else out) and "\x1b" not in out + err
