@@ -8,7 +8,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from threading import Timer
+from threading import Timer, current_thread, main_thread
 from types import FrameType
 
 AGAIN_SECONDS = 0.05
@@ -42,15 +42,28 @@ def when_all_is_done() -> None:
 
 @contextmanager
 def kept_from_children() -> Iterator[None]:
-    """Start processes inside: Ctrl-C, which a terminal sends to them as well, is for their parent alone, who ends them."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    """Start processes inside: Ctrl-C, which a terminal sends to them as well, is for their parent alone, who ends them.
+
+    The parent hears of it, and of being told to end, afterwards: whatever thread of its own receives a signal, Python raises in
+    the main one, and there in the midst of starting a process, which then ends with a traceback or is never heard of again.
+    """
+    postponed: list[int] = []
+    before = {}
+    if current_thread() is main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            if callable(signal.getsignal(number)):
+                before[number] = signal.signal(number, lambda received, frame: postponed.append(received))
+    masked = hasattr(signal, "pthread_sigmask")  # not on Windows
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masked else None
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if masked:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if postponed:
+            signal.raise_signal(postponed[0])
 
 
 def _end(number: int, frame: FrameType | None) -> None:

@@ -1,10 +1,12 @@
 """Chunks of work in other processes, of this machine or of a Dask cluster, their results in order."""
 
+import logging
 import os
 from collections import deque
-from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor
+from concurrent.futures import wait as wait_for_futures
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
 from multiprocessing import get_context, parent_process
@@ -19,6 +21,9 @@ from doo_ti.learning.maker import as_made, maker, other_worker
 
 ANSWER_SECONDS = 10
 """How long a scheduler may take to answer."""
+CHECK_SECONDS = 1.0
+"""From one look at whether it is still there to the next."""
+SCHEDULER_ENDED = "the connection to the scheduler is lost"
 
 
 @dataclass(frozen=True)
@@ -28,11 +33,13 @@ class Crew:
     executor  takes the chunks
     ahead     how many it is given before the first is waited for
     through   what calls the work there, if anything does
+    connected whether they can still be reached
     """
 
     executor: Executor
     ahead: int
     through: tuple = ()
+    connected: Callable[[], bool] = lambda: True
 
     def results(self, work, chunks):
         """(chunk, ``work(*chunk)``) of each chunk in order; where one fails those done behind it come before the error."""
@@ -45,13 +52,22 @@ class Crew:
                 return
             chunk, future = waiting.popleft()
             try:
-                result = future.result()
-            except BaseException:
+                result = self._result(future)
+            except BaseException as error:
                 for later, other in waiting:
                     if other.done() and not other.cancelled() and other.exception() is None:
                         yield later, other.result()
+                if isinstance(error, CancelledError):  # Dask cancels what is waited for when its scheduler ends, or says nothing
+                    raise ConnectionError(SCHEDULER_ENDED) from None
                 raise
             yield chunk, result
+
+    def _result(self, future):
+        while not future.done() and self.connected():
+            wait_for_futures([future], timeout=CHECK_SECONDS)
+        if not future.done():
+            raise ConnectionError(SCHEDULER_ENDED)
+        return future.result()
 
 
 class Alone:
@@ -71,9 +87,10 @@ def crew(workers: int | None, scheduler: str | None) -> Iterator[Alone | Crew]:
     Raises InputError for fewer workers than one, where Dask is not installed and where no scheduler answers.
     """
     if scheduler is not None:
-        with _client(scheduler) as client:
+        with _quiet(), _client(scheduler) as client:
             _check_workers(client, maker())
-            yield Crew(client.get_executor(pure=False), max(4, 2 * len(client.nthreads())), (_on_dask_worker, maker()))
+            yield Crew(client.get_executor(pure=False), max(4, 2 * len(client.nthreads())), (_on_dask_worker, maker()),
+                       lambda: client.status == "running")
     elif workers is not None:
         if workers < 1:
             raise InputError("sweep", "workers", f"{workers} is below 1", "give at least one")
@@ -87,6 +104,23 @@ def crew(workers: int | None, scheduler: str | None) -> Iterator[Alone | Crew]:
         yield Alone()
 
 
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without what Dask logs, tracebacks among it, where a scheduler or a worker is lost: the sweep reports that in a line."""
+    with suppress(ImportError):
+        import distributed  # noqa: F401  its loggers are set up by that
+    loggers = [logger for name, logger in logging.root.manager.loggerDict.items()
+               if name.split(".")[0] in ("distributed", "tornado") and isinstance(logger, logging.Logger)]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
+
+
 def _client(address: str):
     try:
         from distributed import Client
@@ -96,8 +130,10 @@ def _client(address: str):
             "sweep", "--dask", "Dask is not installed", "pip install 'doo_ti[dask]', here and on the workers") from None
     try:
         # A client that finds nobody takes long to give up for good.
-        with create_connection(parse_host_port(parse_address(address)[1]), ANSWER_SECONDS):
-            pass
+        protocol, place = parse_address(address)
+        with create_connection(parse_host_port(place), ANSWER_SECONDS) as port:
+            if protocol == "tcp" and not port.recv(1):  # a scheduler speaks first; waiting for a mute port has no end
+                raise ConnectionError("it hangs up")
         return Client(address, timeout=ANSWER_SECONDS, set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError("sweep", "--dask", f"no scheduler answers at {address!r} ({error})",

@@ -4,10 +4,13 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
 import pytest
+
+from doo_ti import interruption
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals as a terminal does")
@@ -75,6 +78,25 @@ def test_a_program_whose_caller_ignores_it_does_so_too(tmp_path):
     script = f"import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n{STARTING}"
     done = run_script(script.replace("main()", "sys.argv[1:] = ['--version']; main()"), tmp_path)
     assert done.stdout.endswith("lost\n") and done.stderr == ""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_processes_are_started_waits_for_them(number):
+    """Another thread receives it, which the mask of the main one does not prevent."""
+    heard, before = [], signal.signal(number, lambda received, frame: heard.append(received))
+    stop = threading.Event()
+    other = threading.Thread(target=stop.wait)
+    other.start()
+    try:
+        with interruption.kept_from_children():
+            os.kill(os.getpid(), number)
+            time.sleep(0.05)
+            assert heard == []
+        assert heard == [number]
+    finally:
+        stop.set()
+        other.join()
+        signal.signal(number, before)
 
 
 def test_a_terminals_signal_to_workers_too(tmp_path):

@@ -1,9 +1,16 @@
 """A sweep whose work a Dask cluster does: the same rows, and one line where there is no cluster."""
 
+import os
+import re
+import socket
+import subprocess
 import sys
+import time
+from pathlib import Path
 
 import pytest
 
+from doo_ti.dataset import save_observations
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.learning import sweeps, workers
 from doo_ti.learning.maker import maker
@@ -51,6 +58,49 @@ def test_no_scheduler_is_told_before_anything_is_written(tmp_path, scheduler, mo
         with pytest.raises(InputError, match="--dask: no scheduler answers"):
             sweep(tmp_path / "run", small_lab(), GRID, options=SweepOptions(scheduler=address))
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_port_that_says_nothing_is_no_scheduler(tmp_path, monkeypatch):
+    pytest.importorskip("distributed", reason="no cluster without Dask")
+    monkeypatch.setattr(workers, "ANSWER_SECONDS", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        with pytest.raises(InputError, match="--dask: no scheduler answers"):
+            sweep(tmp_path / "run", small_lab(), GRID,
+                  options=SweepOptions(scheduler=f"tcp://127.0.0.1:{mute.getsockname()[1]}"))
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_scheduler_that_is_killed_is_one_line(tmp_path):
+    """The command, in a process of its own: exit code 1, how to go on, and nothing that Dask logs."""
+    pytest.importorskip("distributed", reason="no cluster without Dask")
+    save_observations(tmp_path / "o.npz", small_lab())
+    root = Path(__file__).resolve().parents[2]
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+
+    def dask(part: str, *words: str, **streams) -> subprocess.Popen:
+        return subprocess.Popen([sys.executable, "-m", f"distributed.cli.dask_{part}", *words, "--no-dashboard"], cwd=tmp_path,
+                                env=environment, **streams)
+
+    with dask("scheduler", "--host", "127.0.0.1", "--port", "0", stderr=subprocess.PIPE, text=True) as scheduler:
+        address = next(found[1] for line in scheduler.stderr if (found := re.search(r"Scheduler at:\s+(tcp://\S+)", line)))
+        worker = dask("worker", address, "--nthreads", "1", "--death-timeout", "2", stderr=subprocess.DEVNULL)
+        words = ["sweep", "o.npz", "--bend", "1e5:1e6:300", "--twist-ratio", "0.5:2:300", "--out", "run", "--dask", address]
+        command = subprocess.Popen([sys.executable, "-m", "doo_ti", *words], cwd=tmp_path, stdout=subprocess.PIPE,
+                                   stderr=subprocess.PIPE, text=True, env=environment)
+        try:
+            while command.poll() is None and not list(tmp_path.glob("run/cells/*.parquet")):
+                time.sleep(0.02)
+            scheduler.kill()
+            out, err = command.communicate(timeout=60)
+        finally:
+            command.kill()
+            scheduler.kill()
+            worker.kill()
+            worker.wait()
+    assert (command.returncode, out) == (1, ""), err
+    messages = [line for line in err.splitlines() if "cells" not in line or line.startswith("doo-ti")]
+    assert len(messages) == 1 and "scheduler" in messages[0] and "go on with: doo-ti sweep" in messages[0], err
 
 
 @pytest.mark.filterwarnings("default")
