@@ -12,8 +12,6 @@ def main() -> int:
     interruptible = before_anything_is_begun()
     # NumPy's own threads only wait for each other over matrices as small as ours, and take processors from the kernels.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Taichi takes a standard output that is not the process's own for a notebook's, says so, and prints through it.
-    os.environ.setdefault("TI_ENABLE_PYBUF", "0")
     if not sys.warnoptions:  # what libraries warn of, beside the one line of a refused input; python -W shows it
         warnings.simplefilter("ignore")
     from doo_ti.cli import main as command_line

@@ -54,6 +54,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a console that lacks Θ shows a question mark
             stream.reconfigure(errors="replace")
+    # Taichi takes a standard output that is not the process's own for a notebook's, says so, and prints through it.
+    os.environ.setdefault("TI_ENABLE_PYBUF", "0")
     try:
         with redirect_stdout(VisibleStream(sys.stdout)):
             return _run(argv)
