@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.frames import matrix_from_quaternion, quaternion_about
+from doo_ti.frames import rotation_matrix
 from doo_ti.types import Clamps
 
 STREAM = 1
@@ -63,8 +63,6 @@ class ClipErrors:
 def _real(position: np.ndarray, frame: np.ndarray, reach: float, tilt: np.ndarray, offset: np.ndarray):
     """(R, 3) positions ``reach`` along the rod from its outer end, and (R, 3, 3) frames, of one clip."""
     vector = np.concatenate([np.zeros_like(tilt[..., :1]), tilt], axis=-1)
-    angle = np.linalg.norm(vector, axis=-1)
-    turn = matrix_from_quaternion(quaternion_about(vector / np.maximum(angle, 1e-300)[..., None], angle))
     outer = position - reach * frame[..., 0] + frame[..., 1:] @ offset
-    turned = frame @ turn
+    turned = frame @ rotation_matrix(vector)
     return outer + reach * turned[..., 0], turned

@@ -142,6 +142,17 @@ def angle_about(tangent: np.ndarray, source: np.ndarray, target: np.ndarray) -> 
     return np.arctan2(sine, np.sum(source * target, axis=-1))
 
 
+def quaternion_of_turn(turn: np.ndarray) -> np.ndarray:
+    """(..., 4) rotations by the length of ``turn`` (..., 3), rad, about its direction."""
+    angle = np.linalg.norm(turn, axis=-1)
+    return quaternion_about(turn / np.where(angle > 0, angle, 1.0)[..., None], angle)
+
+
+def rotation_matrix(turn: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) the same as :func:`quaternion_of_turn`."""
+    return matrix_from_quaternion(quaternion_of_turn(turn))
+
+
 def turned_about_tangent(frame: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """(..., 3, 3) frames turned about their tangents by angles (...), rad."""
     turn = quaternion_about(frame[..., 0], angle)

@@ -74,6 +74,11 @@ class Grid:
             raise _indefinite(self.source, "bend", first, second, self.bend_12)
 
     @property
+    def picture_axes(self) -> list[tuple]:
+        """One (name, values, is_log, unit) per axis, as the pictures of :mod:`doo_ti.report` take them."""
+        return [(axis.name, axis.values, axis.log, axis.unit) for axis in self.axes]
+
+    @property
     def shape(self) -> tuple[int, ...]:
         """The number of values of each axis."""
         return tuple(len(axis) for axis in self.axes)

@@ -107,7 +107,8 @@ def plan(
     clamps = observation_clamps(configurations, clamp_start, clamp_end)
     check_experiment(configurations, clamps, grid.axes[-1].values[-1], 0.0)
     if not LEAST_SIGMA_MM <= sigma <= MOST_SIGMA_MM:
-        raise InputError("plan", "sigma", f"{sigma:g} mm", f"give a label uncertainty of {LEAST_SIGMA_MM:g} to {MOST_SIGMA_MM:g} mm")
+        raise InputError("plan", "sigma", f"{sigma:g} mm",
+                         f"give a label uncertainty of {LEAST_SIGMA_MM:g} to {MOST_SIGMA_MM:g} mm")
     if configurations.count * grid.size > MOST_RODS:
         raise InputError(grid.source, "grid", f"{grid.size:,} cells for {configurations.count} configurations",
                          f"give at most {MOST_RODS // configurations.count:,} cells: a plan needs no fine grid")

@@ -16,8 +16,8 @@ from doo_ti.errors import InterruptedRunError
 from doo_ti.frames import (
     bishop_frames,
     matrix_from_quaternion,
-    quaternion_about,
     quaternion_from_matrix,
+    quaternion_of_turn,
     quaternion_product,
     smallest_rotation,
     total_twist,
@@ -233,8 +233,7 @@ def _labelled(synthesis: Synthesis, rods: _Rods, random: np.random.Generator) ->
         wobble = synthesis.label_noise_mm * np.sqrt(2) / spacing * random.normal(size=(len(marks), synthesis.marks - 1, 3))
         near, far = (max(count - 1, 1) for count in held)
         wobble[:, :near] = wobble[:, -far:] = 0.0
-        angle = np.linalg.norm(wobble, axis=-1)
-        turn = quaternion_about(wobble / np.maximum(angle, 1e-300)[..., None], angle)
+        turn = quaternion_of_turn(wobble)
         measured = matrix_from_quaternion(quaternion_product(turn, quaternion_from_matrix(frames[:, middle])))
         if rods.reported is not None:
             measured[:, :near], measured[:, -far:] = start_frame[:, None], end_frame[:, None]

@@ -4,6 +4,7 @@ import json
 from argparse import Namespace
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from doo_ti.importers import read_npz
 from doo_ti.scene import CLAMPS
 from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.types import Clamps
+
+if TYPE_CHECKING:  # it reads Parquet
+    from doo_ti.learning.landscape import Landscape
 
 STARTS = 3
 CURVATURES = ("field", "uniform", "none")
@@ -61,13 +65,14 @@ def declare(add) -> None:
 
 @dataclass(frozen=True)
 class Task:
-    """What one source asks for: observations, what holds them, and the Θ to begin from; the run that it is, or None."""
+    """What one source asks for: observations, what holds them, and the Θ to begin from; the landscape of a run,
+    or None."""
 
     observations: Observations
     clamps: Clamps
     thetas: tuple
     frame_weight: float
-    run: Path | None
+    landscape: "Landscape | None"
 
 
 def run(options: Namespace, words: list[str]) -> int:
@@ -93,7 +98,7 @@ def run(options: Namespace, words: list[str]) -> int:
                 begin = replace(found.theta, rest_curvature=None)
                 held_out = refine_held_out(task.observations, task.clamps, begin, split, chosen)
         summaries.append(summary_of(task.observations, found, held_out, density))
-        picture = None if task.run is None else _draw(task.run, found)
+        picture = None if task.landscape is None else _draw(task.landscape, found)
         if not options.json:
             tell(summaries[-1])
             if picture is not None:
@@ -109,12 +114,11 @@ def run(options: Namespace, words: list[str]) -> int:
     return 0
 
 
-def _draw(run: Path, found) -> Path | None:
-    """RUN/refined.png: the landscape with the joint 95 % region; none where the grid has not two of the learned parameters."""
-    from doo_ti.learning.landscape import read_landscape
+def _draw(landscape, found) -> Path | None:
+    """RUN/refined.png: the landscape with the joint 95 % region; none where the grid has not two of the learned
+    parameters."""
     from doo_ti.report import landscape_picture
 
-    landscape = read_landscape(run)
     grid, estimate = landscape.grid, found.estimate
     free = [axis.name for axis in grid.axes if len(axis) > 1]
     pair = [{"twist_ratio": "twist"}.get(name, name) for name in free]
@@ -123,10 +127,9 @@ def _draw(run: Path, found) -> Path | None:
     outline = estimate.region(*pair)
     if "twist_ratio" in free:
         outline[:, free.index("twist_ratio")] /= outline[:, 1 - free.index("twist_ratio")]
-    axes = [(axis.name, axis.values, axis.log, axis.unit) for axis in grid.axes]
-    path = run / "refined.png"
+    path = landscape.run / "refined.png"
     write_whole(path, lambda file: landscape_picture(
-        file, axes, landscape.mean_distance.reshape(grid.shape), minimum=np.unravel_index(landscape.best, grid.shape),
+        file, grid.picture_axes, landscape.mean_distance.reshape(grid.shape), minimum=np.unravel_index(landscape.best, grid.shape),
         title=f"{landscape.name}: the grid's error, and the 95 % region of the refined model",
         label="mean distance (Eq. 1) [mm]", unfinished=landscape.unsound.reshape(grid.shape), region=outline))
     return path
@@ -135,10 +138,11 @@ def _draw(run: Path, found) -> Path | None:
 def _task(options: Namespace, source: str, starts: int) -> Task:
     """What ``source``, a run's folder or a file of observations, asks for, checked."""
     if Path(source).is_dir():
-        observations, thetas, kinds, weight = _of_run(options, Path(source), starts)
+        observations, thetas, kinds, weight, landscape = _of_run(options, Path(source), starts)
     else:
         observations = load_observations(source, given.up(options))
         thetas, kinds, weight = _of_file(options, observations), (None, None), given.frame_weight(options)
+        landscape = None
     sigma = given.length("--sigma", options.sigma)
     if sigma is not None:
         observations = replace(observations, sigma=np.array(sigma))
@@ -146,13 +150,13 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
     kinds = (kind if own is None else own for own, kind in zip(asked, kinds, strict=True))
     clamps = observation_clamps(observations, *kinds)
     check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight)
-    task = Task(observations, clamps, thetas, weight, Path(source) if Path(source).is_dir() else None)
+    task = Task(observations, clamps, thetas, weight, landscape)
     _check_model(_refinement_options(options, task), task)
     return task
 
 
 def _of_run(options: Namespace, run: Path, starts: int):
-    """(observations, the Θ of the lowest cells, kinds of clamps, frame weight) of a run's folder."""
+    """(observations, the Θ of the lowest cells, kinds of clamps, frame weight, landscape) of a run's folder."""
     from doo_ti.learning.landscape import read_landscape
     from doo_ti.learning.run_folder import read_experiment
     from doo_ti.refinement.multi_start import lowest_cells, theta_of_cell
@@ -175,7 +179,7 @@ def _of_run(options: Namespace, run: Path, starts: int):
         raise InputError(run, "distance_mm", "no cell has an error", "look at the rods' status in cells/")
     thetas = tuple(theta_of_cell(experiment.grid, cell, observations.up) for cell in cells)
     return (observations, thetas, (experiment.options.clamp_start, experiment.options.clamp_end),
-            given.frame_weight(options, experiment.options.frame_weight))
+            given.frame_weight(options, experiment.options.frame_weight), landscape)
 
 
 def _of_file(options: Namespace, observations: Observations) -> tuple:

@@ -6,7 +6,7 @@ import numpy as np
 
 from doo_ti.commands.printing import counted
 from doo_ti.dataset import Observations
-from doo_ti.refinement.linear_density import weight_per_length
+from doo_ti.refinement.linear_density import stiffness
 
 LISTED = 6  # observations named one by one
 CLEAR_ODDS = 3.0  # ln of the odds, about 20 to 1: models closer than that predict as well
@@ -78,7 +78,7 @@ def _stiffness(estimate, density: float | None) -> dict:
         symbol = SYMBOLS[parameter.name]
         result[f"{symbol}_over_weight_mm3"] = ends
         if density is not None:
-            result[f"{symbol}_Nm2"] = [None if end is None else end * weight_per_length(density) * 1e-9 for end in ends]
+            result[f"{symbol}_Nm2"] = [None if end is None else stiffness(end, density) for end in ends]
     return result
 
 
@@ -118,13 +118,15 @@ def tell(summary: dict) -> None:
 
 def interval_text(value: float, low: float | None, high: float | None, unit: str) -> str:
     """A value with its interval; bounded on one side only that bound; else that it is not determined."""
+    from doo_ti.refinement.estimate import WIDE_FACTOR
+
     if low is None and high is None:
         return "not determined"
     if high is None:
         return f"at least {low:.3g} {unit}".rstrip()
     if low is None:
         return f"at most {high:.3g} {unit}".rstrip()
-    wide = "  (wide: more than a factor of 4)" if low > 0 and high > 4 * low else ""
+    wide = f"  (wide: more than a factor of {WIDE_FACTOR:g})" if low > 0 and high > WIDE_FACTOR * low else ""
     return f"{value:.4g} ({low:.4g} .. {high:.4g}) {unit}".rstrip() + wide
 
 
@@ -133,12 +135,14 @@ def _line(label: str, text: str) -> str:
 
 
 def _tell_adequacy(summary: dict) -> None:
+    from doo_ti.refinement.adequacy import EXCESS
+
     noise = summary["sigma_mm"]
     whose = "stated" if summary["sigma_stated"] else "learned"
     print(_line("noise", f"{noise:.3g} mm per coordinate ({whose})"))
     if summary["reaches_noise"]:
         print(_line("residuals", "nothing but noise is left"))
-    elif summary["sigma_stated"] and summary["excess"] > 1.5:
+    elif summary["sigma_stated"] and summary["excess"] > EXCESS:
         print(_line("residuals", f"{summary['excess']:.3g} times the stated noise: it is larger, or the model lacks something"))
     else:
         print(_line("residuals", f"the model misses {summary['gap_mm']:.3g} mm besides, smooth along the rod; intervals allow "

@@ -32,9 +32,8 @@ def title_of(landscapes: list[Landscape]) -> str:
 def plane_of(landscape: Landscape) -> Plane:
     """The landscape as it is drawn."""
     shape = landscape.grid.shape
-    axes = [(axis.name, axis.values, axis.log, axis.unit) for axis in landscape.grid.axes]
-    return Plane.of(axes, landscape.mean_distance.reshape(shape), np.unravel_index(landscape.best, shape), None,
-                    landscape.unsound.reshape(shape))
+    return Plane.of(landscape.grid.picture_axes, landscape.mean_distance.reshape(shape),
+                    np.unravel_index(landscape.best, shape), None, landscape.unsound.reshape(shape))
 
 
 def panels_of_runs(landscapes: list[Landscape]) -> list[list[LandscapePanel]]:

@@ -162,7 +162,7 @@ def _draw(run: Path, experiment: Experiment, landscape: Landscape, summary: dict
     from doo_ti.report import landscape_picture
 
     observations, grid = experiment.observations, experiment.grid
-    axes = [(axis.name, axis.values, axis.log, axis.unit) for axis in grid.axes]
+    axes = grid.picture_axes
     values = landscape.mean_distance.reshape(grid.shape)
     minimum = np.unravel_index(landscape.best, grid.shape)
     unfinished = landscape.unsound.reshape(grid.shape)

@@ -42,13 +42,6 @@ class Parameter:
         """Bounded on one side at least."""
         return self.low is not None or self.high is not None
 
-    @property
-    def wide(self) -> bool:
-        """Open on a side, or with ends further apart than a factor of WIDE_FACTOR, if it is positive."""
-        if self.low is None or self.high is None:
-            return True
-        return self.low > 0 and self.high > WIDE_FACTOR * self.low
-
 
 @dataclass(frozen=True)
 class Estimate:

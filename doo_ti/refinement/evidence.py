@@ -11,6 +11,7 @@ and what is left, −2 ln of the evidence but for a constant, is
 r' at the most probable x̂ and ẑ. Where the model is linear this is Laplace's approximation of the true one.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +27,7 @@ STEPS = 60
 ENOUGH = 1e-7
 """Relative change of F, some ten thousand, with which the search ends: a thousandth of what an interval is about."""
 WARMING = 4
-"""Steps of expectation and maximisation before the search, which sizes far off would lead astray."""
+"""Steps of expectation and maximisation before the search, which fails from sizes that are far off."""
 SETTLED = 0.2
 FARTHEST = 2.0
 
@@ -72,13 +73,8 @@ class Evidence:
         return replace(self, basis=full[:, 1 : len(direction)], along=amount * direction / (direction @ direction))
 
     def posterior(self, scales: Scales) -> Posterior:
-        weights = [1 / scales[kind.scale] ** 2 for kind in self.moments]
         kinds = effect_scales(self.moments[0].effects.shape[-1])
-        variance = np.array([scales[name] for name in kinds]) ** 2
-        mixed = sum(w * kind.mixed for w, kind in zip(weights, self.moments, strict=True))
-        inner = np.linalg.inv(np.diag(1 / variance) + sum(
-            w * kind.effects for w, kind in zip(weights, self.moments, strict=True)))
-        slope_z = sum(w * kind.effects_slope for w, kind in zip(weights, self.moments, strict=True))
+        weights, variance, mixed, inner, slope_z = _effects(self.moments, scales)
         slope = sum(w * kind.shared_slope for w, kind in zip(weights, self.moments, strict=True))
         passed = mixed @ inner
         precision, log_prior = self.unknowns.precision(scales)
@@ -205,6 +201,16 @@ def _inverse(hessian: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, fl
     return inverse.T @ inverse, 2 * float(np.log(np.diag(root)).sum())
 
 
+def _effects(moments: Sequence[Moments], scales: Scales):
+    """1/σ² of each kind, the diagonal of S (Q,), and of each observation JᵀWZ (D, P, Q), M_d⁻¹ (D, Q, Q) and ZᵀWr (D, Q)."""
+    weights = [1 / scales[kind.scale] ** 2 for kind in moments]
+    variance = np.array([scales[name] for name in effect_scales(moments[0].effects.shape[-1])]) ** 2
+    pairs = list(zip(weights, moments, strict=True))
+    inner = np.linalg.inv(np.diag(1 / variance) + sum(w * kind.effects for w, kind in pairs))
+    mixed, slope_z = sum(w * kind.mixed for w, kind in pairs), sum(w * kind.effects_slope for w, kind in pairs)
+    return weights, variance, mixed, inner, slope_z
+
+
 def information(linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
     """(D, P, P) what each observation says about the unknowns, its own effects integrated out."""
     return _integrated(linear, scales)[0]
@@ -213,11 +219,8 @@ def information(linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
 def _integrated(linear: tuple[Residuals, ...], scales: Scales):
     """−2 ln of the density of each observation's residuals, its effects integrated out, as c + q + 2 s·x + xᵀBx of the
     unknowns: B (D, P, P), s (D, P), q and c (D,), c all that does not come from the residuals."""
-    pairs = [(1 / scales[kind.scale] ** 2, kind) for kind in linear]
-    variance = np.array([scales[name] for name in effect_scales(linear[0].effects.shape[-1])]) ** 2
-    mixed = sum(w * np.swapaxes(k.shared, 1, 2) @ k.effects for w, k in pairs)
-    inner = np.linalg.inv(sum(w * np.swapaxes(k.effects, 1, 2) @ k.effects for w, k in pairs) + np.diag(1 / variance))
-    slope_z = sum(w * np.swapaxes(k.effects, 1, 2) @ k.values[..., None] for w, k in pairs)
+    weights, variance, mixed, inner, slope_z = _effects([Moments.of(kind) for kind in linear], scales)
+    pairs, slope_z = list(zip(weights, linear, strict=True)), slope_z[..., None]
     own = sum(w * np.swapaxes(k.shared, 1, 2) @ k.shared for w, k in pairs) - mixed @ inner @ np.swapaxes(mixed, 1, 2)
     slope = (sum(w * np.swapaxes(k.shared, 1, 2) @ k.values[..., None] for w, k in pairs) - mixed @ inner @ slope_z)[..., 0]
     squares = sum(w * (k.values**2).sum(axis=1) for w, k in pairs) - (slope_z * (inner @ slope_z)).sum(axis=(1, 2))

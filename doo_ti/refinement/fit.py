@@ -23,7 +23,7 @@ LARGEST_STEP = 1.0  # of an unknown of Θ or a clip: small steps keep rods on th
 LARGEST_TURN = 0.3  # rad, of a clamp
 SHORTENED = 1 / 3  # a step that does not help is tried so much shorter
 MOST_SHORTENED = 8
-LEAST_SHARE = 2e-3  # of a step: one that has to be shorter leads nowhere
+LEAST_SHARE = 2e-3  # of a step: where it has to be shorter the fit stops
 SETTLED = 0.03  # standard errors by which Θ still moves when the fit is done
 SCALE_STEPS = 25  # of the search for the sizes, in each step
 ODD = 9.0
@@ -115,7 +115,7 @@ class Fit:
             settled = bool((np.abs(found.step[:count]) <= SETTLED * errors).all()) and left == 0.0
             trial, share = self._stepped(fitted, self._share(found.step), moving=left != 0.0)
             left *= 1 - share
-            if share < LEAST_SHARE:  # rounding decides whether the posterior rises, or rods snap: no way on
+            if share < LEAST_SHARE:  # rounding decides whether the posterior rises, or rods snap: no progress
                 done = settled
                 break
             trial, again = self._tried_again(trial)

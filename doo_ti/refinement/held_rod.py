@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti.dataset import Observations
-from doo_ti.frames import matrix_from_quaternion, quaternion_about
+from doo_ti.frames import rotation_matrix
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.start import choose_hypothesis, fill_missing, start_configuration, turn_hypotheses
@@ -209,12 +209,6 @@ class HeldRod:
             vertices=vertices, rest_length=np.full(self.edges, mesh.edge), start_frame=seen.start_frame,
             end_frame=seen.end_frame, frames=None if seen.frames is None else seen.frames[:, nearest],
             total_twist=seen.total_twist, up=seen.up, name=seen.name, source=seen.source)
-
-
-def rotation_matrix(turn: np.ndarray) -> np.ndarray:
-    """(D, 3, 3) rotations by the vectors ``turn`` (D, 3), rad."""
-    angle = np.linalg.norm(turn, axis=-1)
-    return matrix_from_quaternion(quaternion_about(turn / np.maximum(angle, 1e-300)[..., None], angle))
 
 
 def right_jacobian(turn: np.ndarray) -> np.ndarray:

@@ -20,6 +20,6 @@ def relative_stiffness(value, weight):
     return np.asarray(value) / (2.0 * np.asarray(weight))
 
 
-def stiffness(value, weight, linear_density: float):
-    """EI or GJ in N m² from bend or twist (mm³), the weight μ they are relative to, and the linear density in g/m."""
-    return relative_stiffness(value, weight) * weight_per_length(linear_density) * 1e-9
+def stiffness(over_weight: float, linear_density: float) -> float:
+    """EI or GJ in N m² from EI/w or GJ/w in mm³ and the linear density in g/m."""
+    return over_weight * weight_per_length(linear_density) * 1e-9

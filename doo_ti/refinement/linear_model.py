@@ -30,14 +30,6 @@ class Residuals:
     effects: np.ndarray
     count: np.ndarray
 
-    def take(self, rows) -> "Residuals":
-        """Those of the observations named by ``rows``."""
-        return Residuals(self.scale, self.values[rows], self.shared[rows], self.effects[rows], self.count[rows])
-
-    def along(self, basis: np.ndarray) -> "Residuals":
-        """With other unknowns y, x = basis y, ``basis`` being (P, P')."""
-        return Residuals(self.scale, self.values, self.shared @ basis, self.effects, self.count)
-
 
 @dataclass(frozen=True)
 class Moments:

@@ -18,8 +18,6 @@ from doo_ti.types import Clamp, Solution
 
 RODS_AT_ONCE = 128
 """Derivatives of as many rods are held in memory at a time."""
-
-
 SOFT = 30.0
 """Times the median: rods whose derivatives are larger are about to snap."""
 
@@ -89,7 +87,7 @@ class Comparison:
         shared = [np.concatenate(parts) for parts in zip(*shared, strict=True)]
         effects = [np.concatenate(parts) for parts in zip(*effects, strict=True)]
         used = used & usable
-        # A rod about to snap answers to next to nothing with as much as it can: no linear model holds for it.
+        # A rod about to snap moves far for tiny changes of the unknowns: the linear model does not hold for it.
         size = np.sqrt((shared[0] ** 2).mean(axis=(1, 2)))
         if used.any() and spare_soft:
             used &= size <= SOFT * np.median(size[used])

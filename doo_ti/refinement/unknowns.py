@@ -15,11 +15,12 @@ The prior of the first five is so wide that it matters only along directions tha
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.frames import matrix_from_quaternion, quaternion_about
+from doo_ti.frames import rotation_matrix
 from doo_ti.refinement.curvature_field import covariance, knots_of, values_at
 from doo_ti.refinement.held_rod import POSE, HeldRod, Mesh
 from doo_ti.refinement.scales import Scales
@@ -120,14 +121,14 @@ class Unknowns:
         if not names or len(set(names)) < len(names):
             raise InputError("refine", "parameters", f"{', '.join(names) or 'none'}", "give each parameter once")
 
-    @property
+    @cached_property
     def knots(self) -> np.ndarray:
         """(K,) mm; of one knot where the rest curvature is uniform, of none where there is none."""
         if self.curvature == "field":
             return knots_of(self.rod.observations.rest_length)
         return np.full(int(self.curvature == "uniform"), 0.5 * self.rod.length)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """(P,)"""
         parts = [(name,) if name != "up" else ("up[0]", "up[1]") for name in self.parameters]
@@ -184,9 +185,7 @@ class Unknowns:
         root = root * np.exp(0.5 * np.array([of.get(name, 0.0) + both for name in ("bend_1", "bend_2")]))
         up = theta.up
         if "up[0]" in of:
-            turn = np.array([of["up[0]"], of["up[1]"]]) @ tilt_axes(up)
-            angle = np.linalg.norm(turn)
-            up = matrix_from_quaternion(quaternion_about(turn / max(angle, 1e-300), angle)) @ up
+            up = rotation_matrix(np.array([of["up[0]"], of["up[1]"]]) @ tilt_axes(up)) @ up
         theta = Theta(np.diag(root**2) + correlation * root.prod() * (1 - np.eye(2)),
                       theta.twist * float(np.exp(of.get("twist", 0.0))), theta.weight * float(np.exp(of.get("weight", 0.0))),
                       None, up / np.linalg.norm(up))

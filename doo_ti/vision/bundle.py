@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.frames import matrix_from_quaternion, quaternion_about
+from doo_ti.frames import rotation_matrix
 from doo_ti.vision.jacobian import LENS, projection_jacobian
 from doo_ti.vision.rig import Camera
 
@@ -61,10 +61,10 @@ class Bundle:
             if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
                 return None
             cameras.append(replace(camera, matrix=matrix, distortion=camera.distortion + change[4:LENS],
-                                   rotation=_rotation(change[LENS:-3]) @ camera.rotation,
+                                   rotation=rotation_matrix(change[LENS:-3]) @ camera.rotation,
                                    translation=camera.translation + change[-3:]))
         poses = step[count * (LENS + POSE):].reshape(-1, POSE)
-        return Bundle(tuple(cameras), _rotation(poses[:, :3]) @ self.rotations, self.translations + poses[:, 3:])
+        return Bundle(tuple(cameras), rotation_matrix(poses[:, :3]) @ self.rotations, self.translations + poses[:, 3:])
 
 
 def adjusted(bundle: Bundle, points: np.ndarray, sightings: list[Sighting], free: np.ndarray) -> tuple[Bundle, np.ndarray]:
@@ -139,10 +139,3 @@ def cross_matrix(vector: np.ndarray) -> np.ndarray:
     result[..., 0, 1], result[..., 0, 2], result[..., 1, 2] = -z, y, -x
     result[..., 1, 0], result[..., 2, 0], result[..., 2, 1] = z, -y, x
     return result
-
-
-def _rotation(turn: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) rotations by the length of (..., 3) ``turn``, rad, about its direction."""
-    angle = np.linalg.norm(turn, axis=-1)
-    axis = turn / np.where(angle > 0, angle, 1.0)[..., None]
-    return matrix_from_quaternion(quaternion_about(axis, angle))
