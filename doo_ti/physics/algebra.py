@@ -1,16 +1,6 @@
-"""3-vectors and 3×3 matrices as tuples of numbers."""
+"""Functions of single numbers and of symmetric 3×3 matrices whose steps build on each other (others: :mod:`.tuples`)."""
 
 import taichi as ti
-
-
-@ti.func
-def dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@ti.func
-def cross(a, b):
-    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 @ti.func
@@ -75,27 +65,6 @@ def factor(m):
         + ti.select(ti.select(both < 0.0, 0.0 - p3, p3) < 0.0, one, none)
     )
     return (i1, d1 * ip2, both / p3, m[1] * i1, m[2] * i1, below * ip2, negative)
-
-
-@ti.func
-def forward(f, b):
-    """L⁻¹ b with the factors of :func:`factor`."""
-    y1 = b[1] - f[3] * b[0]
-    return (b[0], y1, b[2] - f[4] * b[0] - f[5] * y1)
-
-
-@ti.func
-def backward(f, y):
-    """L⁻ᵀ D⁻¹ y."""
-    x2 = y[2] * f[2]
-    x1 = y[1] * f[1] - f[5] * x2
-    return (y[0] * f[0] - f[3] * x1 - f[4] * x2, x1, x2)
-
-
-@ti.func
-def weighted(f, a, b):
-    """aᵀ D⁻¹ b."""
-    return a[0] * f[0] * b[0] + a[1] * f[1] * b[1] + a[2] * f[2] * b[2]
 
 
 @ti.func

@@ -5,7 +5,7 @@ The one constraint a chain of frames does not keep by itself is closure, Σ_j l_
 
 import taichi as ti
 
-from doo_ti.physics.algebra import cross, dot
+from doo_ti.physics.tuples import cross, dot, negated, repeated, scaled
 
 
 @ti.func
@@ -18,6 +18,12 @@ def linear_gradient(c, length, m1, m2):
 def linear_hessian(c, length, t, m1, m2):
     """∂²(l c·t)/∂w² = [[0, c1/2, c2/2], [c1/2, −ct, 0], [c2/2, 0, −ct]]: given as (c1/2, c2/2, −ct)."""
     return (0.5 * length * dot(c, m1), 0.5 * length * dot(c, m2), 0.0 - length * dot(c, t))
+
+
+@ti.func
+def closure_rows(length, m1, m2):
+    """A = l (0; −m2ᵀ; m1ᵀ), by which the far end follows the edge's rotation: nine numbers."""
+    return repeated(0.0 * length, 3) + negated(scaled(m2, length)) + scaled(m1, length)
 
 
 @ti.func
@@ -37,5 +43,4 @@ def normal_matrix(length, t):
 @ti.func
 def closing_rotation(length, t, x):
     """World rotation −l t × x that moves the end of the edge by −AᵀA x: the minimum norm for a shift of the far end."""
-    v = cross(t, x)
-    return (0.0 - length * v[0], 0.0 - length * v[1], 0.0 - length * v[2])
+    return negated(scaled(cross(t, x), length))

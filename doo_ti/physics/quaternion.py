@@ -2,7 +2,7 @@
 
 import taichi as ti
 
-from doo_ti.physics.algebra import cross, dot
+from doo_ti.physics.tuples import cross, dot, scaled
 
 
 @ti.func
@@ -48,7 +48,7 @@ def relative_rotation(p, q):
 @ti.func
 def normalised(q):
     scale = 1.0 / ti.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    return (q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale)
+    return scaled(q, scale)
 
 
 @ti.func
@@ -88,7 +88,7 @@ def transported(q, source, target):
     """q turned by the parallel transport that takes ``source`` to ``target``, unit vectors that are not opposite (§III-C)."""
     axis = cross(source, target)
     share = 2.0 / (1.0 + dot(source, target))
-    return turned_in_world(q, (share * axis[0], share * axis[1], share * axis[2]))
+    return turned_in_world(q, scaled(axis, share))
 
 
 @ti.func

@@ -9,7 +9,7 @@ material frame follows its own tangent by parallel transport in time, and the tw
 
 import taichi as ti
 
-from doo_ti.physics.algebra import cross, dot
+from doo_ti.physics.tuples import cross, dot
 
 
 @ti.func

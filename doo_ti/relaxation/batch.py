@@ -9,8 +9,9 @@ from doo_ti import runtime
 from doo_ti.frames import matrix_from_quaternion, quaternion_from_matrix, vertices_from_quaternions
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import chain, descent, newton
-from doo_ti.relaxation.columns import ITERATIONS, RESULTS, STATUS
-from doo_ti.relaxation.loading import ASKED_ITEMS, LANES, TRIPS
+from doo_ti.relaxation.columns import CLOSED, DRIFT, ITERATIONS, LOADED_RESULTS, LOOSE, RESULTS, STATUS
+from doo_ti.relaxation.loaded_elimination import FORCE_ITEMS
+from doo_ti.relaxation.loading import LANES, TRIPS
 from doo_ti.relaxation.memory import room
 from doo_ti.relaxation.newton_kernel import newton_kernel
 from doo_ti.relaxation.tables import Tables
@@ -35,15 +36,20 @@ def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution
 
     With ``moving`` false only the projection runs, which brings a start onto closure.
     """
-    frames, results = room(table.count, table.edges, 4), room(table.count, RESULTS)
+    frames = room(table.count, table.edges, 4)
+    results = room(table.count, RESULTS if table.external is None else LOADED_RESULTS)
+    results[:, DRIFT:] = 0.0
     if len(table.rods) < table.count:
         infeasible = ~table.feasible[table.configuration_index]
-        frames[infeasible], results[infeasible] = np.nan, UNTOUCHED
+        frames[infeasible], results[infeasible, :RESULTS] = np.nan, UNTOUCHED
     if begin is None:
         _launch_newton(table, table.start, table.rods, options, bits, frames, results, moving)
     else:
         ended = np.ascontiguousarray(begin.configuration.quaternions)
         usable = begin.status == int(Status.CONVERGED)
+        if table.external is not None:
+            moved = usable & (table.clamp[table.configuration_index, LOOSE] > 0)
+            results[moved, DRIFT:] = (begin.configuration.start - table.anchor[table.configuration_index])[moved]
         lost = np.flatnonzero(~usable & table.feasible[table.configuration_index])
         frames[lost] = table.start[table.configuration_index[lost]]
         _launch_newton(table, ended, table.resumed(usable), options, bits, frames, results)
@@ -74,18 +80,20 @@ def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int
     external = table.external
     kind = None if external is None else type(external)
     outer = () if external is None else (external.numbers(), external.field())
-    per_edge = chain.item_count(table.isotropic) + (0 if external is None else external.items)
     # By the call's rods, not by those of a launch, so that what few rods a large call leaves over needs no kernel of its own.
     # Nor has an external energy one, which takes long to compile.
     serial = block == 1 and table.count <= number.width and external is None
-    kernel = newton_kernel(number, table.isotropic, stride, block, serial, kind)
-    scratch, queue = _buffers(number, threads, ASKED_ITEMS + per_edge * table.edges)
+    any_ends = external is not None and bool((table.clamp[:, [CLOSED, LOOSE]] > 0).any())
+    kernel = newton_kernel(number, table.isotropic, stride, block, serial, kind, any_ends)
+    per_edge = chain.item_count(table.isotropic) + (0 if external is None else external.items + FORCE_ITEMS * any_ends)
+    per_rod = chain.LOADED_PARAMETERS + external.start_items if any_ends else chain.PARAMETERS
+    scratch, queue = _buffers(number, threads, per_rod + per_edge * table.edges)
+    policy = np.array([
+        *table.up, options.tolerance or (1e-6 if bits == 32 else 1e-9), options.max_iterations, options.first_shift,
+        options.max_rotation, options.max_escapes, newton.CLOSING_DISTANCE if moving else -1.0])
     kernel(
-        start.reshape(-1), table.rest_length, table.clamp, table.material, *table.up, rods,
-        options.tolerance or (1e-6 if bits == 32 else 1e-9), options.max_iterations, options.first_shift,
-        options.max_rotation, options.max_escapes, newton.CLOSING_DISTANCE if moving else -1.0, threads, scratch, queue,
-        frames.reshape(-1), results, *outer,
-    )
+        start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy, threads, scratch, queue,
+        frames.reshape(-1), results, *outer)
 
 
 def run_descent(table: Tables, options: descent.Descent, bits: int):

@@ -5,8 +5,9 @@ from functools import cache
 import taichi as ti
 
 from doo_ti.frames import FRAME_TOLERANCE
-from doo_ti.physics.algebra import absolute, cross, dot, larger
+from doo_ti.physics.algebra import absolute, larger
 from doo_ti.physics.quaternion import from_matrix, normalised, tangent, transported, turned_in_world
+from doo_ti.physics.tuples import cross, dot
 from doo_ti.relaxation.columns import (
     ANCHOR,
     CLOSED,
@@ -14,6 +15,7 @@ from doo_ti.relaxation.columns import (
     FRAME,
     HANGING,
     LONGEST,
+    LOOSE,
     POSITION,
     RELEASED,
     SHORTEST_PAIR,
@@ -136,6 +138,7 @@ def clamp_kernel(serial: bool, block: int):
         clamp[s, SPIN_END] = ti.cast(kind_end < FRAME, ti.f64)
         clamp[s, TILT_START], clamp[s, TILT_END], clamp[s, TILT_INNER] = (tilts[0], tilts[1], 1.0)
         clamp[s, RELEASED] = ti.cast(released, ti.f64)
+        clamp[s, LOOSE] = 0.0
         near0, near1, near2 = vector(origin, s)
         if kind_start >= POSITION:
             near0, near1, near2 = vector(start_position, s)

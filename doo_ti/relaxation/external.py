@@ -23,21 +23,27 @@ class ExternalFunctions(NamedTuple):
               of end − start, and the second derivatives by shift and shift, by shift and change (nine numbers, row by row),
               by change and change; symmetric ones as (11, 12, 13, 22, 23, 33).
               Where ``coarse`` is one the rod is far from rest, and K better positive semidefinite than exact.
+    load_start, evaluate_start  the same of vertex 0, whose energy no edge carries, with ``start_items`` of its own:
+              (scratch, at, slot, numbers, row, scale), and (scratch, at, place) giving (E, γ, K); None where it has none
     """
 
     load: Callable
     evaluate: Callable
+    load_start: Callable | None = None
+    evaluate_start: Callable | None = None
 
 
 class External(Protocol):
     """What the solver asks of an external energy. Rods take turns with its ``count`` rows as ``external_index`` says.
 
     items       numbers it needs in scratch per edge
+    start_items of vertex 0
     has_coarse  whether K far from rest differs from that near it
     vertices    of the rods it is for, None where it is for any number of them
     """
 
     items: ClassVar[int]
+    start_items: ClassVar[int]
     has_coarse: ClassVar[bool]
 
     @property
@@ -74,6 +80,7 @@ class Springs:
     points: np.ndarray
     stiffness: np.ndarray
     items: ClassVar[int] = 4
+    start_items: ClassVar[int] = 4
     has_coarse: ClassVar[bool] = False
 
     def __post_init__(self):
@@ -118,6 +125,8 @@ class Springs:
         """On the device, with its items from ``first`` on: each edge carries the spring of the vertex where it ends."""
         import taichi as ti
 
+        from doo_ti.physics.tuples import dot, minus, scaled
+
         put = number.lanes().put
 
         @ti.func
@@ -139,4 +148,17 @@ class Springs:
             mixed = (k, none, none, none, k, none, none, none, k)
             return energy, gradient, gradient, curvature, mixed, curvature
 
-        return ExternalFunctions(load, evaluate)
+        @ti.func
+        def load_start(scratch: ti.template(), at, slot, numbers: ti.template(), row, scale):
+            for k in ti.static(range(3)):
+                put(scratch, at + k * stride, slot, numbers[row, 0, k])
+            put(scratch, at + 3 * stride, slot, numbers[row, 0, 3] * scale)
+
+        @ti.func
+        def evaluate_start(scratch: ti.template(), at, place):
+            k = scratch[at + 3 * stride]
+            d = minus(place, (scratch[at], scratch[at + stride], scratch[at + 2 * stride]))
+            none = 0.0 * k
+            return 0.5 * k * dot(d, d), scaled(d, k), (k, none, none, k, none, k)
+
+        return ExternalFunctions(load, evaluate, load_start, evaluate_start)

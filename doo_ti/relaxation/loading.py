@@ -1,24 +1,21 @@
-"""Rods into lanes of scratch and out of them, one at a time, for the Newton kernel.
-
-Scratch of a thread holds first what is asked of the rods in its lanes, then the items of their edges (:mod:`.chain`).
-"""
-
-from types import SimpleNamespace
+"""A rod's start, clamps and material into one lane of a pack in scratch, and its frames out of it (§III-A, §III-B)."""
 
 import taichi as ti
 
-from doo_ti.physics.algebra import dot
 from doo_ti.physics.quaternion import normalised, tangent, transported
+from doo_ti.physics.tuples import dot
 from doo_ti.relaxation import chain
 from doo_ti.relaxation.columns import (
     ANCHOR,
     BEND,
     CLOSED,
+    DRIFT,
     ENDS,
     FROM_RESULTS,
     HANGING,
     LARGEST_BEND,
     LONGEST,
+    LOOSE,
     OF_CLAMP,
     OF_EXTERNAL,
     OF_MATERIAL,
@@ -45,11 +42,6 @@ from doo_ti.relaxation.columns import (
 # Entries of a launch's queue: the next rod that nobody has taken, the trips of all packs, and from LANES on every lane's rod.
 NEXT, TRIPS, LANES = 0, 1, 2
 
-# What is asked of a lane's rod. It lies in scratch, not in variables of the kernel's loop, because there a lane is set without
-# touching the others.
-ASKED_TARGET, ASKED_CLOSED, ASKED_FREE, ASKED_RELEASED, ASKED_TOTAL, ASKED_LONGEST = 0, 3, 4, 9, 10, 11
-ASKED_UNIT, ASKED_STIFFNESS, ASKED_GRAVITY, ASKED_ANCHOR, ASKED_SCALE, ASKED_ITEMS = 12, 13, 15, 18, 21, 22
-
 
 @ti.func
 def residual_divisor(material: ti.template(), clamp: ti.template(), g, s):
@@ -58,131 +50,156 @@ def residual_divisor(material: ti.template(), clamp: ti.template(), g, s):
     return ti.max(material[g, LARGEST_BEND], material[g, WEIGHT] * clamp[s, HANGING])
 
 
-def lane_loading(number, isotropic: bool, stride: int, items: int, outside=None) -> SimpleNamespace:
-    """``load`` and ``store_frames`` as Taichi functions; ``outside`` are the functions of the external energy, if any."""
-    lanes = number.lanes()
-    put, get = lanes.put, lanes.get
-    under_load = outside is not None
+@ti.data_oriented
+class Loading:
+    """Loading of rods into lanes of ``sweep`` (:class:`.Chain`), and storing of their frames.
+
+    ``tables`` is a record of the arrays that host and kernels share: start, rest_length, clamp, material, up, rods, frames,
+    results, and ``numbers`` of the external energy (see :mod:`doo_ti.relaxation.tables`). ``functions`` are that energy's, or
+    None.
+    """
+
+    def __init__(self, sweep: chain.Chain, functions=None):
+        lanes = sweep.number.lanes()
+        self.put, self.get = lanes.put, lanes.get
+        self.stride, self.edge_stride, self.isotropic = sweep.stride, sweep.edge_stride, sweep.isotropic
+        self.parameters, self.moves_start = sweep.parameters, sweep.moves_start
+        self.functions = functions
+        self.loaded = functions is not None
+        self.loads_start = self.loaded and functions.load_start is not None
 
     @ti.func
-    def frame_from(source: ti.template(), place):
+    def frame_from(self, source: ti.template(), place):
         """The frame at ``place`` of ``source``, of any length."""
         return (source[place], source[place + 1], source[place + 2], source[place + 3])
 
     @ti.func
-    def put_frame(scratch: ti.template(), at, slot, frame):
-        for k in ti.static(range(4)):
-            put(scratch, at + (chain.FRAME + k) * stride, slot, frame[k])
+    def put_items(self, scratch: ti.template(), at, slot, values):
+        """Numbers that follow each other into lane ``slot``."""
+        for k in ti.static(range(len(values))):
+            self.put(scratch, at + k * self.stride, slot, values[k])
 
     @ti.func
-    def load_frames(scratch: ti.template(), origin, edges, slot, source: ti.template(), row, clamp: ti.template(), s):
+    def load(self, tables, scratch: ti.template(), head, slot, rod, lengths_known):
+        """Row ``rod`` of the rods into lane ``slot``. Lengths are left where the lane has them and all rods share them."""
+        origin = head + self.parameters * self.stride
+        s = tables.rods[rod, OF_CLAMP]
+        g = tables.rods[rod, OF_MATERIAL]
+        divisor = residual_divisor(tables.material, tables.clamp, g, s)  # the unit of the rod's energies, too
+        if tables.rods[rod, OF_START] == FROM_RESULTS:
+            self.load_frames(tables, tables.frames, tables.rods[rod, OF_RESULT], scratch, origin, slot, s)
+        else:
+            self.load_frames(tables, tables.start, tables.rods[rod, OF_START], scratch, origin, slot, s)
+        row = ti.min(s, tables.rest_length.shape[0] - 1)
+        if lengths_known < 0.5 or tables.rest_length.shape[0] > 1:
+            self.load_lengths(tables, scratch, origin, slot, row)
+        if ti.static(not self.isotropic):
+            self.load_stiffness(tables, scratch, origin, slot, row, g, 1.0 / divisor)
+        if ti.static(self.loaded):
+            at = origin
+            for e in range(tables.rest_length.shape[1]):
+                self.functions.load(scratch, at, slot, tables.numbers, tables.rods[rod, OF_EXTERNAL], e, 1.0 / divisor)
+                at += self.edge_stride
+        self.load_parameters(tables, scratch, head, slot, s, g, divisor)
+        if ti.static(self.moves_start):
+            self.put(scratch, head + chain.OF_LOOSE * self.stride, slot, tables.clamp[s, LOOSE])
+            for k in ti.static(range(3)):
+                drift = tables.results[tables.rods[rod, OF_RESULT], DRIFT + k]
+                self.put(scratch, head + (chain.OF_DRIFT + k) * self.stride, slot, drift)
+            if ti.static(self.loads_start):
+                self.functions.load_start(
+                    scratch, head + chain.LOADED_PARAMETERS * self.stride, slot, tables.numbers,
+                    tables.rods[rod, OF_EXTERNAL], 1.0 / divisor)
+
+    @ti.func
+    def load_frames(self, tables, source: ti.template(), row, scratch: ti.template(), origin, slot, s):
         """The frames of ``source``'s row into lane ``slot``, those at the ends as clamp s holds them. The first step, of no
         length, makes unit quaternions of them."""
-        last = origin + (edges - 1) * ti.static(items * stride)
+        edges = tables.rest_length.shape[1]
         at = origin
         place = row * edges * 4
         for e in range(edges):
-            put_frame(scratch, at, slot, frame_from(source, place))
+            self.put_items(scratch, at, slot, self.frame_from(source, place))
             place += 4
-            at += ti.static(items * stride)
-        load_end(scratch, origin, slot, source, row * edges * 4, clamp, s, 0)
-        load_end(scratch, last, slot, source, place - 4, clamp, s, 1)
+            at += self.edge_stride
+        self.load_end(tables.clamp, s, 0, source, row * edges * 4, scratch, origin, slot)
+        self.load_end(tables.clamp, s, 1, source, place - 4, scratch, origin + (edges - 1) * self.edge_stride, slot)
 
     @ti.func
-    def load_end(scratch: ti.template(), at, slot, source: ti.template(), place, clamp: ti.template(), s, end: ti.template()):
+    def load_end(self, clamp: ti.template(), s, end: ti.template(), source: ti.template(), place, scratch: ti.template(), at,
+                 slot):
         """What clamp s holds of the first frame or the last, which is at ``place`` of ``source``, into lane ``slot``."""
         if clamp[s, TILT_START + end] == 0.0:
             column = ti.static(ENDS + 4 * end)
             held = (clamp[s, column], clamp[s, column + 1], clamp[s, column + 2], clamp[s, column + 3])
-            put_frame(scratch, at, slot, held)
+            self.put_items(scratch, at, slot, held)
             if clamp[s, SPIN_START + end] > 0.0:
                 # A tangent alone: by parallel transport, which there is not from the opposite one.
-                frame = normalised(frame_from(source, place))
+                frame = normalised(self.frame_from(source, place))
                 old, new = tangent(frame), tangent(held)
                 if 1.0 + dot(old, new) > 1e-14:
-                    put_frame(scratch, at, slot, transported(frame, old, new))
+                    self.put_items(scratch, at, slot, transported(frame, old, new))
 
     @ti.func
-    def store_frames(scratch: ti.template(), origin, edges, slot, target: ti.template(), row):
+    def store_frames(self, tables, row, scratch: ti.template(), origin, slot):
+        """The lane's frames into row ``row`` of the results' frames."""
+        edges = tables.rest_length.shape[1]
         at = origin
         place = row * edges * 4
         for e in range(edges):
             for k in ti.static(range(4)):
-                target[place + k] = get(scratch, at + (chain.FRAME + k) * stride, slot)
+                tables.frames[place + k] = self.get(scratch, at + (chain.FRAME + k) * self.stride, slot)
             place += 4
-            at += ti.static(items * stride)
+            at += self.edge_stride
 
     @ti.func
-    def load_lengths(scratch: ti.template(), origin, edges, slot, row, rest_length: ti.template()):
+    def load_lengths(self, tables, scratch: ti.template(), origin, slot, row):
+        """Edge lengths and 1/l̄ of row ``row`` into lane ``slot``."""
         at = origin
-        for e in range(edges):
-            put(scratch, at + chain.LENGTH * stride, slot, rest_length[row, e])
+        for e in range(tables.rest_length.shape[1]):
+            length = tables.rest_length[row, e]
+            self.put(scratch, at + chain.LENGTH * self.stride, slot, length)
             if e > 0:
-                put(scratch, at + chain.INVERSE_LENGTH * stride, slot, 1.0 / (rest_length[row, e - 1] + rest_length[row, e]))
-            at += ti.static(items * stride)
+                both = tables.rest_length[row, e - 1] + length
+                self.put(scratch, at + chain.INVERSE_LENGTH * self.stride, slot, 1.0 / both)
+            at += self.edge_stride
 
     @ti.func
-    def load_stiffness(scratch: ti.template(), origin, edges, slot, row, g, unit, rest_length: ti.template(),
-                       material: ti.template()):
+    def load_stiffness(self, tables, scratch: ti.template(), origin, slot, row, g, unit):
+        """B, β and ω̄ l̄/2 of material g into lane ``slot``, energies times ``unit``."""
         at = origin
-        for e in range(edges):
-            column = ti.min(STIFFNESS + e * STIFFNESS_COLUMNS, material.shape[1] - STIFFNESS_COLUMNS)
+        for e in range(tables.rest_length.shape[1]):
+            column = ti.min(STIFFNESS + e * STIFFNESS_COLUMNS, tables.material.shape[1] - STIFFNESS_COLUMNS)
             for k in ti.static(range(3)):
-                put(scratch, at + (chain.BEND + k) * stride, slot, material[g, column + (BEND + k)] * unit)
+                self.put(scratch, at + (chain.BEND + k) * self.stride, slot, tables.material[g, column + (BEND + k)] * unit)
             if e > 0:
-                put(scratch, at + chain.TWIST * stride, slot, material[g, column + TWIST] * unit)
-                both = rest_length[row, e - 1] + rest_length[row, e]
+                self.put(scratch, at + chain.TWIST * self.stride, slot, tables.material[g, column + TWIST] * unit)
+                both = tables.rest_length[row, e - 1] + tables.rest_length[row, e]
                 for k in ti.static(range(2)):
-                    put(scratch, at + (chain.REST + k) * stride, slot, 0.5 * both * material[g, column + (REST + k)])
-            at += ti.static(items * stride)
+                    rest = 0.5 * both * tables.material[g, column + (REST + k)]
+                    self.put(scratch, at + (chain.REST + k) * self.stride, slot, rest)
+            at += self.edge_stride
 
     @ti.func
-    def load_asked(scratch: ti.template(), head, slot, s, g, divisor, up, clamp: ti.template(), material: ti.template()):
-        """What is asked of the rod (configuration s, material g) into lane ``slot``, energies over ``divisor``."""
+    def load_parameters(self, tables, scratch: ti.template(), head, slot, s, g, divisor):
+        """Parameters of the rod (configuration s, material g) into lane ``slot``, energies over ``divisor``."""
         for k in ti.static(range(3)):
-            put(scratch, head + (ASKED_TARGET + k) * stride, slot, clamp[s, TARGET + k])
-            put(scratch, head + (ASKED_GRAVITY + k) * stride, slot, material[g, WEIGHT] * up[k] / divisor)
-            put(scratch, head + (ASKED_ANCHOR + k) * stride, slot, clamp[s, ANCHOR + k])
-        put(scratch, head + ASKED_CLOSED * stride, slot, clamp[s, CLOSED])
+            self.put(scratch, head + (chain.OF_TARGET + k) * self.stride, slot, tables.clamp[s, TARGET + k])
+            up = tables.material[g, WEIGHT] * tables.up[k] / divisor
+            self.put(scratch, head + (chain.OF_GRAVITY + k) * self.stride, slot, up)
+            self.put(scratch, head + (chain.OF_ANCHOR + k) * self.stride, slot, tables.clamp[s, ANCHOR + k])
         # A round rod with both spins free turns about itself at no cost: hold its first spin.
-        put(scratch, head + ASKED_FREE * stride, slot, clamp[s, SPIN_START] * (1.0 - material[g, ROUND] * clamp[s, SPIN_END]))
-        put(scratch, head + (ASKED_FREE + 1) * stride, slot, clamp[s, TILT_START])
-        put(scratch, head + (ASKED_FREE + 2) * stride, slot, clamp[s, SPIN_END])
-        put(scratch, head + (ASKED_FREE + 3) * stride, slot, clamp[s, TILT_END])
-        put(scratch, head + (ASKED_FREE + 4) * stride, slot, clamp[s, TILT_INNER])
-        put(scratch, head + ASKED_RELEASED * stride, slot, clamp[s, RELEASED])
-        put(scratch, head + ASKED_TOTAL * stride, slot, clamp[s, TOTAL])
-        put(scratch, head + ASKED_LONGEST * stride, slot, clamp[s, LONGEST])
-        put(scratch, head + ASKED_UNIT * stride, slot, divisor)
-        put(scratch, head + ASKED_STIFFNESS * stride, slot, material[g, STIFFNESS + BEND] / divisor)
-        put(scratch, head + (ASKED_STIFFNESS + 1) * stride, slot, material[g, STIFFNESS + TWIST] / divisor)
+        spin_start = tables.clamp[s, SPIN_START] * (1.0 - tables.material[g, ROUND] * tables.clamp[s, SPIN_END])
+        free = (spin_start, tables.clamp[s, TILT_START], tables.clamp[s, SPIN_END], tables.clamp[s, TILT_END],
+                tables.clamp[s, TILT_INNER])
+        self.put_items(scratch, head + chain.OF_FREE * self.stride, slot, free)
+        self.put(scratch, head + chain.OF_CLOSED * self.stride, slot, tables.clamp[s, CLOSED])
+        self.put(scratch, head + chain.OF_RELEASED * self.stride, slot, tables.clamp[s, RELEASED])
+        self.put(scratch, head + chain.OF_TOTAL * self.stride, slot, tables.clamp[s, TOTAL])
+        self.put(scratch, head + chain.OF_LONGEST * self.stride, slot, tables.clamp[s, LONGEST])
+        self.put(scratch, head + chain.OF_UNIT * self.stride, slot, divisor)
+        stiffness = (tables.material[g, STIFFNESS + BEND] / divisor, tables.material[g, STIFFNESS + TWIST] / divisor)
+        self.put_items(scratch, head + chain.OF_STIFFNESS * self.stride, slot, stiffness)
         # A first guess of H's largest diagonal entry.
-        put(scratch, head + ASKED_SCALE * stride, slot, 4.0 * material[g, STIFFEST] / divisor / clamp[s, SHORTEST_PAIR])
-
-    @ti.func
-    def load(
-        scratch: ti.template(), head, edges, slot, rod, lengths_known, up, rods: ti.template(), start: ti.template(),
-        frames: ti.template(), rest_length: ti.template(), clamp: ti.template(), material: ti.template(), outer: ti.template(),
-    ):
-        """Row ``rod`` of ``rods`` into lane ``slot``. Lengths are left where the lane has them and all rods share them."""
-        origin = head + ti.static(ASKED_ITEMS * stride)
-        s = rods[rod, OF_CLAMP]
-        g = rods[rod, OF_MATERIAL]
-        divisor = residual_divisor(material, clamp, g, s)  # the unit of the rod's energies, too
-        if rods[rod, OF_START] == FROM_RESULTS:
-            load_frames(scratch, origin, edges, slot, frames, rods[rod, OF_RESULT], clamp, s)
-        else:
-            load_frames(scratch, origin, edges, slot, start, rods[rod, OF_START], clamp, s)
-        row = ti.min(s, rest_length.shape[0] - 1)
-        if lengths_known < 0.5 or rest_length.shape[0] > 1:
-            load_lengths(scratch, origin, edges, slot, row, rest_length)
-        if ti.static(not isotropic):
-            load_stiffness(scratch, origin, edges, slot, row, g, 1.0 / divisor, rest_length, material)
-        if ti.static(under_load):
-            at = origin
-            for e in range(edges):
-                outside.load(scratch, at, slot, outer, rods[rod, OF_EXTERNAL], e, 1.0 / divisor)
-                at += ti.static(items * stride)
-        load_asked(scratch, head, slot, s, g, divisor, up, clamp, material)
-
-    return SimpleNamespace(load=load, store_frames=store_frames)
+        guess = 4.0 * tables.material[g, STIFFEST] / divisor / tables.clamp[s, SHORTEST_PAIR]
+        self.put(scratch, head + chain.OF_SCALE * self.stride, slot, guess)

@@ -54,3 +54,7 @@ PATIENCE = 25  # trips without progress
 PATIENCE_32 = 16  # the same in f32, after which f64 takes over
 NOTABLE = 1e-8  # of the energy's magnitude, which locked-in twist may dominate
 PATIENCE_AT_SADDLE = 8  # trips without noteworthy progress where the inertia is wrong
+
+# Columns of what a launch is given besides its tables: the unit vector up, the options of Newton, and above how many edge
+# lengths from closure a step only closes.
+UP, TOLERANCE, ITERATION_LIMIT, FIRST_SHIFT, ROTATION_LIMIT, ESCAPES, CLOSING, POLICY_COLUMNS = 0, 3, 4, 5, 6, 7, 8, 9

@@ -9,291 +9,340 @@ from functools import cache
 
 import taichi as ti
 
-from doo_ti.physics.algebra import dot
 from doo_ti.physics.number import Number
-from doo_ti.relaxation import chain, loaded_chain
-from doo_ti.relaxation.columns import CLOSURE, ENERGY, FORCE, ITERATIONS, OF_RESULT, RESIDUAL, RESULTS, STABLE, STATUS
-from doo_ti.relaxation.loading import (
-    ASKED_ANCHOR,
-    ASKED_CLOSED,
-    ASKED_FREE,
-    ASKED_GRAVITY,
-    ASKED_ITEMS,
-    ASKED_LONGEST,
-    ASKED_RELEASED,
-    ASKED_SCALE,
-    ASKED_STIFFNESS,
-    ASKED_TARGET,
-    ASKED_TOTAL,
-    ASKED_UNIT,
-    LANES,
-    NEXT,
-    TRIPS,
-    lane_loading,
-)
+from doo_ti.physics.tuples import chosen, dot, plus, record, repeated, scaled, variable
+from doo_ti.relaxation import chain
+from doo_ti.relaxation.columns import CLOSURE, DRIFT, ENERGY, FORCE, ITERATIONS, OF_RESULT, RESIDUAL, RESULTS, STABLE, STATUS
+from doo_ti.relaxation.elimination import Elimination
+from doo_ti.relaxation.loaded_elimination import LoadedElimination
+from doo_ti.relaxation.loading import LANES, NEXT, TRIPS, Loading
 from doo_ti.relaxation.newton import (
+    CLOSING,
     COARSE_ROTATION,
     DECAY,
     DECAY_TROUBLED,
     ESCAPE_ROTATION,
     ESCAPE_ROUNDS,
+    ESCAPES,
+    FIRST_SHIFT,
+    ITERATION_LIMIT,
     NEGLIGIBLE,
     NEGLIGIBLE_TROUBLED,
     NOTABLE,
     PATIENCE,
     PATIENCE_32,
     PATIENCE_AT_SADDLE,
+    ROTATION_LIMIT,
     SHIFT_REJECTED,
     SHIFT_WRONG_INERTIA,
+    TOLERANCE,
+    UP,
 )
 from doo_ti.types import Status
 
 
+@ti.data_oriented
+class NewtonLoop:
+    """What a thread does until the queue is empty.
+
+    Its functions pass on three records: ``tables``, the arrays that host and kernel share; ``rod``, the parameters of the rods
+    in the lanes (:class:`.Chain`); and ``lane``, where each lane's rod is and the step that is about to be tried:
+
+    energy, magnitude, miss, multiplier  of the frames that stand; ``residual`` their largest moment
+    change, longest                      δλ and the largest rotation of the step, rad
+    shift, scale                         added to the diagonal of H, and H's largest diagonal entry
+    step_scale                           share of the step that is taken
+    trying, closing, escaping            flags: the step is judged by its energy; it only closes; it leaves a saddle
+    rounds, heading, escapes             of leaving a saddle: inverse iterations made, the way taken, saddles left so far
+    best, idle_trips, aimless            the smallest residual so far, trips without progress and without notable progress
+    """
+
+    def __init__(self, sweep: Elimination, functions=None, has_coarse: bool = False):
+        number = sweep.number
+        self.sweep, self.stride, self.has_coarse = sweep, sweep.stride, has_coarse
+        self.loading = Loading(sweep, functions)
+        self.largest, self.lane, self.with_lane, self.constant, _, self.get = number.lanes()
+        self.width, self.scalar = number.width, number.scalar
+        single = number.bits == 32
+        self.rounding = 2e-6 if single else 1e-10
+        self.patience = PATIENCE_32 if single else PATIENCE
+        self.closure_tolerance = 1e-7 if single else 1e-12
+        # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a trace of H's
+        # scale on the diagonal lets them pass, always. f32 cannot tell them from soft saddles and leaves them to f64.
+        self.trace = 0.0 if single else 1e-12
+        self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
+        self.stalled, self.not_finite = int(Status.STALLED), int(Status.NOT_FINITE)
+
+    @ti.func
+    def work(self, tables, scratch: ti.template(), threads, thread):
+        """A thread's work, until the queue is empty."""
+        edges = tables.rest_length.shape[1]
+        head = thread
+        if ti.static(self.stride == 1):
+            head = thread * (self.sweep.parameters + self.sweep.items * edges)
+        # Rods taken at once from the queue: threads that ask for the same number wait for each other, but all are to end
+        # together.
+        batch = ti.max(1, ti.min(16, tables.rods.shape[0] // (16 * threads * self.width)))
+        lane = self.idle_lanes()
+        supply = record(next=0, end=0, batch=batch, places=LANES + thread * self.width)
+        pack_trips = 0
+        running = 1
+        while running == 1:
+            if self.largest(lane.finished) > 0.5:
+                for slot in range(self.width):
+                    if self.lane(lane.finished, slot) > 0.5:
+                        if self.lane(lane.active, slot) > 0.5:
+                            self.store(tables, scratch, head, slot, lane, tables.queue[supply.places + slot])
+                        self.refill(tables, scratch, head, slot, lane, supply)
+                self.begin(tables, scratch, head, lane)
+            if self.largest(lane.active) < 0.5:
+                running = 0
+            else:
+                self.trip(tables, scratch, head, lane)
+                pack_trips += 1
+        ti.atomic_add(tables.queue[TRIPS], pack_trips)
+
+    @ti.func
+    def idle_lanes(self):
+        """The record of lanes that have no rod yet."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        return record(
+            energy=zero, magnitude=zero, miss=repeated(zero, 3), multiplier=repeated(zero, 3), residual=zero,
+            change=repeated(zero, 3), longest=one, shift=zero, scale=one, step_scale=zero, coarse=zero, fresh=zero,
+            trying=zero, closing=zero, returned=zero, troubled=zero, escaping=zero, escapes=zero, rounds=zero, heading=one,
+            best=zero, idle_trips=zero, aimless=zero, rejects=zero, trips=zero, status=zero, stable=zero,
+            lengths_known=zero, active=zero, finished=one)
+
+    @ti.func
+    def store(self, tables, scratch: ti.template(), head, slot, lane, rod):
+        """Results of the rod in lane ``slot``, row ``rod`` of the rods."""
+        row = tables.rods[rod, OF_RESULT]
+        origin = head + self.sweep.parameters * self.stride
+        self.loading.store_frames(tables, row, scratch, origin, slot)
+        if self.lane(lane.status, slot) == self.not_finite:
+            for k in ti.static(range(RESULTS)):
+                tables.results[row, k] = ti.math.nan
+        else:
+            unit = ti.cast(self.get(scratch, head + chain.OF_UNIT * self.stride, slot), ti.f64)
+            tables.results[row, ENERGY] = ti.cast(self.lane(lane.energy, slot), ti.f64) * unit
+            tables.results[row, RESIDUAL] = self.lane(lane.residual, slot)
+            for k in ti.static(range(3)):
+                tables.results[row, FORCE + k] = 0.0 - ti.cast(self.lane(lane.multiplier[k], slot), ti.f64) * unit
+            miss = (self.lane(lane.miss[0], slot), self.lane(lane.miss[1], slot), self.lane(lane.miss[2], slot))
+            squares = miss[0] ** 2 + miss[1] ** 2 + miss[2] ** 2
+            tables.results[row, CLOSURE] = ti.sqrt(squares) / self.get(scratch, head + chain.OF_TOTAL * self.stride, slot)
+        if ti.static(self.sweep.moves_start):
+            for k in ti.static(range(3)):
+                tables.results[row, DRIFT + k] = self.get(scratch, head + (chain.OF_DRIFT + k) * self.stride, slot)
+        tables.results[row, ITERATIONS] = self.lane(lane.trips, slot)
+        tables.results[row, STATUS] = self.lane(lane.status, slot)
+        tables.results[row, STABLE] = self.lane(lane.stable, slot)
+
+    @ti.func
+    def refill(self, tables, scratch: ti.template(), head, slot, lane, supply):
+        """The next rod of the queue into lane ``slot``, if there is one; ``supply`` are the rods taken from it already."""
+        lane.active = self.with_lane(lane.active, slot, 0.0)
+        if supply.next == supply.end:
+            supply.next = ti.atomic_add(tables.queue[NEXT], supply.batch)
+            supply.end = ti.min(supply.next + supply.batch, tables.rods.shape[0])
+        if supply.next < supply.end:
+            rod = supply.next
+            supply.next += 1
+            tables.queue[supply.places + slot] = rod
+            self.loading.load(tables, scratch, head, slot, rod, self.lane(lane.lengths_known, slot))
+            lane.lengths_known = self.with_lane(lane.lengths_known, slot, 1.0)
+            lane.active = self.with_lane(lane.active, slot, 1.0)
+
+    @ti.func
+    def begin(self, tables, scratch: ti.template(), head, lane):
+        """The lanes that were refilled start anew."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        begun = lane.finished > 0.5
+        lane.scale = ti.select(begun, scratch[head + chain.OF_SCALE * self.stride], lane.scale)
+        lane.fresh = ti.select(begun, one, lane.fresh)
+        lane.best = ti.select(begun, self.constant(1e30), lane.best)
+        lane.shift = ti.select(begun, ti.cast(tables.policy[FIRST_SHIFT], self.scalar) * lane.scale, lane.shift)
+        lane.step_scale = ti.select(begun, zero, lane.step_scale)
+        lane.trips = ti.select(begun, zero, lane.trips)
+        lane.idle_trips = ti.select(begun, zero, lane.idle_trips)
+        lane.aimless = ti.select(begun, zero, lane.aimless)
+        lane.rejects = ti.select(begun, zero, lane.rejects)
+        lane.trying = ti.select(begun, zero, lane.trying)
+        lane.closing = ti.select(begun, zero, lane.closing)
+        lane.returned = ti.select(begun, zero, lane.returned)
+        lane.troubled = ti.select(begun, zero, lane.troubled)
+        lane.escaping = ti.select(begun, zero, lane.escaping)
+        lane.escapes = ti.select(begun, zero, lane.escapes)
+        lane.finished = zero
+
+    @ti.func
+    def trip(self, tables, scratch: ti.template(), head, lane):
+        """One step of every lane's rod, and its judgement."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        if ti.static(self.has_coarse):
+            lane.coarse = ti.max(lane.coarse, lane.fresh)
+        rod = self.sweep.rods(scratch, head, tables.rest_length.shape[1], tables.numbers, tables.field, lane.coarse)
+        # Take the step, hopefully: the shift is that for after it.
+        moving = ti.max(lane.trying, ti.max(lane.fresh, lane.closing))
+        x, normal = self.sweep.step(rod, lane.step_scale, moving)
+        decay = ti.select(lane.troubled > 0.5, self.constant(DECAY_TROUBLED), self.constant(DECAY))
+        negligible = ti.select(lane.troubled > 0.5, self.constant(NEGLIGIBLE_TROUBLED), self.constant(NEGLIGIBLE)) * lane.scale
+        smaller = ti.select(decay * lane.shift > negligible, decay * lane.shift, zero)
+        hoped = ti.select(lane.trying > 0.5, smaller, lane.shift)
+        # Off a saddle: once with noise, then on what came of it.
+        searching = (lane.escaping > 0.5) & (lane.trying < 0.5)
+        noise = ti.select(searching & (lane.rounds < 0.5), 1e-3 * lane.scale, zero)
+        echo = ti.select(searching & (lane.rounds > 0.5), lane.scale / (lane.longest + 1e-30), zero)
+        energy, magnitude, miss, fitted = self.sweep.close(rod, x, normal)
+        multiplier = self.multiplier(lane, fitted)
+        diagonal = ti.select(hoped > 0.0, hoped, self.trace * lane.scale)
+        found = self.sweep.eliminate(rod, diagonal, (noise, echo), multiplier, miss)
+        found.energy += energy
+        found.magnitude += magnitude
+        judged = self.judge_step(lane, found, miss, hoped)
+        if self.largest(ti.select(judged.uphill, one, zero)) > 0.5:
+            self.sweep.restore(rod, ti.select(judged.uphill, one, zero))
+        lane.longest = self.sweep.substitute(rod, found)
+        self.keep(lane, found, miss, multiplier, judged, hoped)
+        place = self.judge_place(tables, rod, lane, found.inertia, judged)
+        self.plan(tables, rod, lane, judged, place, searching, found.slope)
+        self.end(tables, lane, judged, place)
+
+    @ti.func
+    def multiplier(self, lane, fitted):
+        """λ at the frames stepped to: the least-squares one of closure, which knows no external energy, or where there is one
+        that of the Newton step."""
+        value = variable(fitted)
+        if ti.static(self.sweep.moves_start):
+            share = ti.select(lane.escaping < 0.5, lane.step_scale, self.constant(0.0))
+            stepped = plus(lane.multiplier, scaled(lane.change, share))
+            value = chosen(lane.fresh > 0.5, fitted, stepped)
+        return value
+
+    @ti.func
+    def judge_step(self, lane, found, miss, hoped):
+        """Judge the step by the Lagrangian: a record of flags."""
+        multiplier = plus(lane.multiplier, lane.change)
+        before = lane.energy + dot(multiplier, lane.miss)
+        after = found.energy + dot(multiplier, miss)
+        noise_level = self.rounding * lane.magnitude
+        finite = found.energy == found.energy
+        downhill = (lane.trying > 0.5) & (after <= before + noise_level)
+        taken = ti.select(((lane.trying < 0.5) & finite) | downhill, self.constant(1.0), self.constant(0.0))
+        stands = taken > 0.5
+        return record(
+            stands=stands, downhill=downhill, uphill=(lane.trying > 0.5) & (taken < 0.5),
+            gained=(after < before - noise_level) & downhill, notable=(after < before - NOTABLE * lane.magnitude) & downhill,
+            broken=(lane.fresh > 0.5) & ~stands)
+
+    @ti.func
+    def keep(self, lane, found, miss, multiplier, judged, hoped):
+        """What the lane knows after its step: of the new frames where it stands, of those from before where it led uphill."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        lane.energy = ti.select(judged.stands, found.energy, lane.energy)
+        lane.magnitude = ti.select(judged.stands, found.magnitude, lane.magnitude)
+        lane.miss = chosen(judged.stands, miss, lane.miss)
+        lane.multiplier = chosen(judged.stands, multiplier, lane.multiplier)
+        lane.scale = ti.select(judged.stands, found.scale, lane.scale)
+        lane.residual = ti.select(judged.stands, found.moment, lane.residual)
+        lane.change = found.change
+        lane.shift = ti.select(judged.stands, hoped, lane.shift)
+        stiffer = judged.uphill & (lane.escaping < 0.5)
+        lane.shift = ti.select(stiffer, ti.max(4.0 * lane.shift, SHIFT_REJECTED * lane.scale), lane.shift)
+        lane.rejects = ti.select(judged.downhill, zero, lane.rejects + ti.select(judged.uphill, one, zero))
+        lane.escaping = ti.select(judged.downhill, zero, lane.escaping)
+        lane.trips = lane.trips + lane.active
+
+    @ti.func
+    def judge_place(self, tables, rod, lane, inertia, judged):
+        """Judge where the rod is: a record of flags. What was eliminated says nothing of frames gone back to."""
+        gap = ti.sqrt(dot(lane.miss, lane.miss))
+        tolerance = ti.cast(tables.policy[TOLERANCE], self.scalar)
+        small = (lane.residual <= tolerance) & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
+        wrong = ((inertia < 2.5) | (inertia > 3.5)) & judged.stands
+        right = (inertia > 2.5) & (inertia < 3.5) & judged.stands
+        calm = small & (lane.escaping < 0.5) & judged.stands
+        bare = (lane.shift <= 0.0) & (lane.coarse < 0.5)
+        at_saddle = calm & bare & wrong
+        # Beside a saddle a rod may make no progress though its residual is not yet small.
+        aimless = wrong & (lane.aimless > PATIENCE_AT_SADDLE) & (lane.escaping < 0.5) & (lane.closing < 0.5)
+        limit = ti.cast(tables.policy[ESCAPES], self.scalar)
+        leaving = (at_saddle & (lane.escapes < limit)) | (aimless & (limit > 0.0))
+        return record(
+            gap=gap, small=small, right=right, wrong=wrong, at_minimum=calm & bare & right, at_saddle=at_saddle,
+            leaving=leaving, resting=at_saddle & (lane.escapes >= limit),
+            certify=calm & ((lane.shift > 0.0) | (lane.coarse > 0.5)))
+
+    @ti.func
+    def plan(self, tables, rod, lane, judged, place, searching, slope):
+        """The next step: whether to take one, how much of it, and under which shift."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        lane.escaping = ti.select(place.leaving, one, lane.escaping)
+        lane.shift = ti.select(place.leaving, zero, lane.shift)
+        lane.escapes = ti.select(place.leaving & place.at_saddle, lane.escapes + 1.0, lane.escapes)
+        lane.closing = ti.select(place.gap > ti.cast(tables.policy[CLOSING], self.scalar) * rod.longest, one, zero)
+        lane.rounds = ti.select((lane.escaping > 0.5) & place.right & ~place.leaving, lane.rounds + 1.0, lane.rounds)
+        lane.rounds = ti.select(place.leaving, zero, lane.rounds)
+        unready = (lane.escaping > 0.5) & (lane.rounds <= ESCAPE_ROUNDS)
+        held = place.certify | place.leaving | place.wrong | unready | (lane.closing > 0.5) | judged.uphill
+        lane.trying = ti.select(held, zero, one)
+        lane.troubled = ti.select(judged.uphill | (place.wrong & (lane.closing < 0.5)), one, lane.troubled)
+        floor = ti.select(lane.escaping > 0.5, NEGLIGIBLE_TROUBLED * lane.scale, SHIFT_WRONG_INERTIA * lane.scale)
+        lane.shift = ti.select(place.wrong & (lane.closing < 0.5), ti.max(4.0 * lane.shift, floor), lane.shift)
+        lane.shift = ti.select(place.certify, zero, lane.shift)
+        if ti.static(self.has_coarse):
+            far = (lane.longest > COARSE_ROTATION) & ~place.small & (lane.escaping < 0.5)
+            lane.coarse = ti.select(far, one, zero)
+        cap = ti.min(one, ti.cast(tables.policy[ROTATION_LIMIT], self.scalar) / (lane.longest + 1e-30))
+        lane.heading = ti.select(searching, ti.select(slope > 0.0, 0.0 - one, one), lane.heading)
+        leap = lane.heading * ESCAPE_ROTATION / ((1.0 + lane.rejects) * (1.0 + lane.rejects) * (lane.longest + 1e-30))
+        lane.step_scale = ti.select(lane.trying > 0.5, ti.select(lane.escaping > 0.5, leap, cap), zero)
+
+    @ti.func
+    def end(self, tables, lane, judged, place):
+        """Which lanes are done, and how."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        better = place.leaving | (lane.closing > 0.5) | ((lane.residual < 0.7 * lane.best) & judged.stands)
+        # A trip that only eliminates again after going back is no sign of a lack of progress.
+        waited = ti.select(lane.returned > 0.5, zero, one)
+        lane.aimless = ti.select(better | judged.notable, zero, lane.aimless + waited)
+        lane.idle_trips = ti.select(judged.gained | better, zero, lane.idle_trips + waited)
+        lane.best = ti.select(better & judged.stands, ti.min(lane.best, lane.residual), lane.best)
+        lane.returned = ti.select(judged.uphill, one, zero)
+        lane.fresh = zero
+        ended = place.at_minimum | place.resting
+        late = lane.trips >= ti.cast(tables.policy[ITERATION_LIMIT], self.scalar)
+        stuck = lane.idle_trips > self.patience
+        lost = judged.broken | ~(lane.residual == lane.residual)
+        lane.status = ti.select(stuck, self.constant(self.stalled), self.constant(self.limit))
+        lane.status = ti.select(lost, self.constant(self.not_finite), lane.status)
+        # At rest, though a neutral motion leaves the certificate undecided: converged, not certified.
+        at_rest = place.small & (late | stuck)
+        lane.status = ti.select(ended | at_rest, self.constant(self.converged), lane.status)
+        lane.stable = ti.select(place.at_minimum, one, zero)
+        lane.finished = ti.select((ended | late | stuck | lost) & (lane.active > 0.5), one, zero)
+
+
 @cache
-def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, serial: bool, external: type | None = None):
+def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, serial: bool, external: type | None = None,
+                  any_ends: bool = False):
     """The compiled-on-first-use kernel for one kind of number, of material and of external energy.
 
     stride: distance between the items of an edge in scratch, 1 on a CPU, the number of threads on a GPU.
     block: threads in a block, 1 on a CPU.
     serial: the threads' work is done on the caller's thread, on a CPU: to wake another takes as long as to relax a few rods.
-    external: the class of the external energy, whose numbers the kernel then takes as one more table.
+    external: the class of the external energy, whose numbers and field the kernel then takes as two more arrays.
+    any_ends: not all rods under the external energy have vertex 0 held and the far end free, which is faster.
     """
-    outside = None
     if external is None:
-        sweep = chain.chain_sweeps(number, isotropic, stride)
-        eliminate = loaded_chain.unloaded(sweep.eliminate)
-        has_coarse = False
+        loop = NewtonLoop(Elimination(number, isotropic, stride))
     else:
-        outside = external.functions(number, stride, chain.item_count(isotropic))
-        sweep = loaded_chain.loaded_sweeps(number, isotropic, stride, external, outside)
-        eliminate, has_coarse = sweep.eliminate, external.has_coarse
-    loading = lane_loading(number, isotropic, stride, sweep.items, outside)
-    largest, lane, with_lane, constant, put, get = number.lanes()
-    width = number.width
-    scalar = number.scalar
-    rounding = 2e-6 if number.bits == 32 else 1e-10
-    patience = PATIENCE_32 if number.bits == 32 else PATIENCE
-    closure_tolerance = 1e-7 if number.bits == 32 else 1e-12
-    # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a trace of H's
-    # scale on the diagonal lets them pass, always. f32 cannot tell them from soft saddles and leaves them to f64.
-    trace = 0.0 if number.bits == 32 else 1e-12
-    converged, limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
-    stalled, not_finite = int(Status.STALLED), int(Status.NOT_FINITE)
-    table1 = ti.types.ndarray(dtype=ti.f64, ndim=1)
-    table2 = ti.types.ndarray(dtype=ti.f64, ndim=2)
-    table3 = ti.types.ndarray(dtype=ti.f64, ndim=3)
-    index1 = ti.types.ndarray(dtype=ti.i32, ndim=1)
-    index2 = ti.types.ndarray(dtype=ti.i32, ndim=2)
-
-    @ti.func
-    def relax_rods(
-        start: ti.template(), rest_length: ti.template(), clamp: ti.template(), material: ti.template(), up,
-        rods: ti.template(), tolerance, max_iterations, first_shift, max_rotation, max_escapes, closing_distance, threads,
-        thread, scratch: ti.template(), queue: ti.template(), frames: ti.template(), results: ti.template(),
-        outer: ti.template(), field: ti.template(),
-    ):
-        """A thread's work, until the queue is empty; ``outer`` and ``field`` are the external energy's, if there is one."""
-        edges = rest_length.shape[1]
-        head = thread
-        if ti.static(stride == 1):
-            head = thread * (ASKED_ITEMS + sweep.items * edges)
-        origin = head + ti.static(ASKED_ITEMS * stride)
-        lane_rod = LANES + thread * width  # where the queue says which rods the lanes have
-        # Rods taken at once from the queue: threads that ask for the same number wait for each other, but all are to end
-        # together.
-        handful = ti.max(1, ti.min(16, rods.shape[0] // (16 * threads * width)))
-        zero = constant(0.0)
-        one = constant(1.0)
-        # Where the lane's rod is, and the step that is about to be tried.
-        energy, magnitude = (zero, zero)
-        miss0, miss1, miss2 = (zero, zero, zero)
-        lambda0, lambda1, lambda2 = (zero, zero, zero)
-        change0, change1, change2 = (zero, zero, zero)
-        shift, scale, step_scale = (zero, one, zero)
-        residual, longest, best, idle_trips, aimless, trips, rejects = (zero, one, zero, zero, zero, zero, zero)
-        fresh, trying, closing, returned, troubled = (zero, zero, zero, zero, zero)
-        escaping, escapes, rounds, heading = (zero, zero, zero, one)
-        status, stable = (zero, zero)
-        coarse = zero
-        lengths_known, active, finished = (zero, zero, one)
-        pack_trips = 0
-        taken_up, claimed = (0, 0)  # rods of the queue that are this thread's
-        running = 1
-        while running == 1:
-            if largest(finished) > 0.5:
-                for slot in range(width):
-                    if lane(finished, slot) > 0.5:
-                        if lane(active, slot) > 0.5:
-                            row = rods[queue[lane_rod + slot], OF_RESULT]
-                            loading.store_frames(scratch, origin, edges, slot, frames, row)
-                            if lane(status, slot) == not_finite:
-                                for k in ti.static(range(RESULTS)):
-                                    results[row, k] = ti.math.nan
-                            else:
-                                unit = ti.cast(get(scratch, head + ASKED_UNIT * stride, slot), ti.f64)
-                                results[row, ENERGY] = ti.cast(lane(energy, slot), ti.f64) * unit
-                                results[row, RESIDUAL] = lane(residual, slot)
-                                results[row, FORCE] = 0.0 - ti.cast(lane(lambda0, slot), ti.f64) * unit
-                                results[row, FORCE + 1] = 0.0 - ti.cast(lane(lambda1, slot), ti.f64) * unit
-                                results[row, FORCE + 2] = 0.0 - ti.cast(lane(lambda2, slot), ti.f64) * unit
-                                squares = lane(miss0, slot) ** 2 + lane(miss1, slot) ** 2 + lane(miss2, slot) ** 2
-                                results[row, CLOSURE] = ti.sqrt(squares) / get(scratch, head + ASKED_TOTAL * stride, slot)
-                            results[row, ITERATIONS] = lane(trips, slot)
-                            results[row, STATUS] = lane(status, slot)
-                            results[row, STABLE] = lane(stable, slot)
-                        active = with_lane(active, slot, 0.0)
-                        if taken_up == claimed:
-                            taken_up = ti.atomic_add(queue[NEXT], handful)
-                            claimed = ti.min(taken_up + handful, rods.shape[0])
-                        if taken_up < claimed:
-                            rod = taken_up
-                            taken_up += 1
-                            queue[lane_rod + slot] = rod
-                            loading.load(
-                                scratch, head, edges, slot, rod, lane(lengths_known, slot), up, rods, start, frames,
-                                rest_length, clamp, material, outer)
-                            lengths_known = with_lane(lengths_known, slot, 1.0)
-                            active = with_lane(active, slot, 1.0)
-                # The lanes that were refilled start anew.
-                begun = finished > 0.5
-                scale = ti.select(begun, scratch[head + ASKED_SCALE * stride], scale)
-                fresh = ti.select(begun, one, fresh)
-                best = ti.select(begun, constant(1e30), best)
-                shift = ti.select(begun, ti.cast(first_shift, scalar) * scale, shift)
-                step_scale = ti.select(begun, zero, step_scale)
-                trips = ti.select(begun, zero, trips)
-                idle_trips = ti.select(begun, zero, idle_trips)
-                aimless = ti.select(begun, zero, aimless)
-                rejects = ti.select(begun, zero, rejects)
-                trying = ti.select(begun, zero, trying)
-                closing = ti.select(begun, zero, closing)
-                returned = ti.select(begun, zero, returned)
-                troubled = ti.select(begun, zero, troubled)
-                escaping = ti.select(begun, zero, escaping)
-                escapes = ti.select(begun, zero, escapes)
-                finished = zero
-            if largest(active) < 0.5:
-                running = 0
-            else:
-                target = sweep.load3(scratch, head + ASKED_TARGET * stride)
-                closed = scratch[head + ASKED_CLOSED * stride]
-                free = sweep.load4(scratch, head + ASKED_FREE * stride) + (scratch[head + (ASKED_FREE + 4) * stride],)
-                released = scratch[head + ASKED_RELEASED * stride]
-                total = scratch[head + ASKED_TOTAL * stride]
-                stiffness = (scratch[head + ASKED_STIFFNESS * stride], scratch[head + (ASKED_STIFFNESS + 1) * stride])
-                gravity = sweep.load3(scratch, head + ASKED_GRAVITY * stride)
-                anchor = sweep.load3(scratch, head + ASKED_ANCHOR * stride)
-                # Take the step, hopefully: the shift is that for after it.
-                moving = ti.max(trying, ti.max(fresh, closing))
-                x, normal = sweep.step(scratch, origin, edges, step_scale, moving, target, closed, free)
-                decay = ti.select(troubled > 0.5, constant(DECAY_TROUBLED), constant(DECAY))
-                negligible = ti.select(troubled > 0.5, constant(NEGLIGIBLE_TROUBLED), constant(NEGLIGIBLE)) * scale
-                smaller = ti.select(decay * shift > negligible, decay * shift, zero)
-                hoped = ti.select(trying > 0.5, smaller, shift)
-                # Off a saddle: once with noise, then on what came of it.
-                searching = (escaping > 0.5) & (trying < 0.5)
-                noise = ti.select(searching & (rounds < 0.5), 1e-3 * scale, zero)
-                echo = ti.select(searching & (rounds > 0.5), scale / (longest + 1e-30), zero)
-                new_energy, new_magnitude, new_miss, new_lambda = sweep.close(
-                    scratch, origin, edges, x, normal, target, stiffness, gravity, closed, free, total, released)
-                diagonal = ti.select(hoped > 0.0, hoped, trace * scale)
-                if ti.static(has_coarse):
-                    coarse = ti.max(coarse, fresh)
-                moment, new_scale, change, inertia, slope, outer_energy, outer_magnitude = eliminate(
-                    scratch, origin, edges, diagonal, noise, echo, new_lambda, new_miss, stiffness, gravity, closed, free,
-                    total, released, anchor, outer, field, coarse)
-                new_energy += outer_energy
-                new_magnitude += outer_magnitude
-                # Judge the step by the Lagrangian, and go back where it led uphill.
-                multiplier = (lambda0 + change0, lambda1 + change1, lambda2 + change2)
-                before = energy + dot(multiplier, (miss0, miss1, miss2))
-                after = new_energy + dot(multiplier, new_miss)
-                noise_level = rounding * magnitude
-                finite = new_energy == new_energy
-                downhill = (trying > 0.5) & (after <= before + noise_level)
-                taken = ti.select(((trying < 0.5) & finite) | downhill, one, zero)
-                uphill = (trying > 0.5) & (taken < 0.5)
-                gained = (after < before - noise_level) & downhill
-                notable = (after < before - NOTABLE * magnitude) & downhill
-                if largest(ti.select(uphill, one, zero)) > 0.5:
-                    sweep.restore(scratch, origin, edges, ti.select(uphill, one, zero))
-                longest = sweep.substitute(scratch, origin, edges, change)
-                stands = taken > 0.5
-                energy = ti.select(stands, new_energy, energy)
-                magnitude = ti.select(stands, new_magnitude, magnitude)
-                miss0 = ti.select(stands, new_miss[0], miss0)
-                miss1 = ti.select(stands, new_miss[1], miss1)
-                miss2 = ti.select(stands, new_miss[2], miss2)
-                lambda0 = ti.select(stands, new_lambda[0], lambda0)
-                lambda1 = ti.select(stands, new_lambda[1], lambda1)
-                lambda2 = ti.select(stands, new_lambda[2], lambda2)
-                scale = ti.select(stands, new_scale, scale)
-                residual = ti.select(stands, moment, residual)
-                change0, change1, change2 = change
-                shift = ti.select(stands, hoped, shift)
-                stiffer = uphill & (escaping < 0.5)
-                shift = ti.select(stiffer, ti.max(4.0 * shift, SHIFT_REJECTED * scale), shift)
-                rejects = ti.select(downhill, zero, rejects + ti.select(uphill, one, zero))
-                escaping = ti.select(downhill, zero, escaping)
-                broken = (fresh > 0.5) & ~stands
-                trips = trips + active
-                # Judge where the rod is; what was eliminated tells nothing of frames gone back to.
-                gap = ti.sqrt(dot((miss0, miss1, miss2), (miss0, miss1, miss2)))
-                small = (residual <= ti.cast(tolerance, scalar)) & (gap <= closure_tolerance * total) & ~broken
-                right = (inertia > 2.5) & (inertia < 3.5) & stands
-                wrong = ((inertia < 2.5) | (inertia > 3.5)) & stands
-                calm = small & (escaping < 0.5) & stands
-                bare = (shift <= 0.0) & (coarse < 0.5)
-                at_minimum = calm & bare & right
-                at_saddle = calm & bare & wrong
-                # Beside a saddle a rod may get nowhere though its residual is not yet small.
-                adrift = wrong & (aimless > PATIENCE_AT_SADDLE) & (escaping < 0.5) & (closing < 0.5)
-                leaving = (at_saddle & (escapes < ti.cast(max_escapes, scalar))) | (adrift & (max_escapes > 0))
-                resting = at_saddle & (escapes >= ti.cast(max_escapes, scalar))
-                certify = calm & ((shift > 0.0) | (coarse > 0.5))
-                escaping = ti.select(leaving, one, escaping)
-                shift = ti.select(leaving, zero, shift)
-                escapes = ti.select(leaving & at_saddle, escapes + 1.0, escapes)
-                closing = ti.select(gap > ti.cast(closing_distance, scalar) * scratch[head + ASKED_LONGEST * stride], one, zero)
-                rounds = ti.select((escaping > 0.5) & right & ~leaving, rounds + 1.0, rounds)
-                rounds = ti.select(leaving, zero, rounds)
-                unready = (escaping > 0.5) & (rounds <= ESCAPE_ROUNDS)
-                held = certify | leaving | wrong | unready | (closing > 0.5) | uphill
-                trying = ti.select(held, zero, one)
-                troubled = ti.select(uphill | (wrong & (closing < 0.5)), one, troubled)
-                floor = ti.select(escaping > 0.5, NEGLIGIBLE_TROUBLED * scale, SHIFT_WRONG_INERTIA * scale)
-                shift = ti.select(wrong & (closing < 0.5), ti.max(4.0 * shift, floor), shift)
-                shift = ti.select(certify, zero, shift)
-                if ti.static(has_coarse):
-                    far = (longest > COARSE_ROTATION) & ~small & (escaping < 0.5)
-                    coarse = ti.select(far, one, zero)
-                cap = ti.min(one, ti.cast(max_rotation, scalar) / (longest + 1e-30))
-                heading = ti.select(searching, ti.select(slope > 0.0, 0.0 - one, one), heading)
-                leap = heading * ESCAPE_ROTATION / ((1.0 + rejects) * (1.0 + rejects) * (longest + 1e-30))
-                step_scale = ti.select(trying > 0.5, ti.select(escaping > 0.5, leap, cap), zero)
-                better = leaving | (closing > 0.5) | ((residual < 0.7 * best) & stands)
-                progress = gained | better
-                # A trip that only eliminates again after going back is no sign of getting nowhere.
-                waited = ti.select(returned > 0.5, zero, one)
-                aimless = ti.select(better | notable, zero, aimless + waited)
-                idle_trips = ti.select(progress, zero, idle_trips + waited)
-                best = ti.select(better & stands, ti.min(best, residual), best)
-                returned = ti.select(uphill, one, zero)
-                fresh = zero
-                # Who is done, and how.
-                ended = at_minimum | resting
-                late = trips >= ti.cast(max_iterations, scalar)
-                stuck = idle_trips > patience
-                lost = broken | ~(residual == residual)
-                status = ti.select(stuck, constant(stalled), constant(limit))
-                status = ti.select(lost, constant(not_finite), status)
-                # At rest, though a neutral motion leaves the certificate undecided: converged, not certified.
-                at_rest = small & (late | stuck)
-                status = ti.select(ended | at_rest, constant(converged), status)
-                stable = ti.select(at_minimum, one, zero)
-                finished = ti.select((ended | late | stuck | lost) & (active > 0.5), one, zero)
-                pack_trips += 1
-        ti.atomic_add(queue[TRIPS], pack_trips)
+        sweep = LoadedElimination(number, isotropic, stride, external, any_ends)
+        loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
+    table1, table2 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2))
+    index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
+    numbers = ti.types.ndarray(dtype=ti.f64, ndim=3)
+    field = ti.types.ndarray(dtype=ti.f32, ndim=1)
 
     @ti.kernel
     def newton(
@@ -301,16 +350,8 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
         rest_length: table2,  # [1 or configuration, edge] mm
         clamp: table2,  # [configuration, CLAMP_COLUMNS]
         material: table2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
-        up0: ti.f64,  # unit vector against gravity
-        up1: ti.f64,
-        up2: ti.f64,
         rods: index2,  # [rod, ROD_COLUMNS]
-        tolerance: ti.f64,
-        max_iterations: ti.i32,
-        first_shift: ti.f64,
-        max_rotation: ti.f64,
-        max_escapes: ti.i32,
-        closing_distance: ti.f64,
+        policy: table1,  # [POLICY_COLUMNS] of :mod:`doo_ti.relaxation.newton`
         threads: ti.i32,
         scratch: ti.types.ndarray(dtype=number.type, ndim=1),
         queue: index1,  # [NEXT, TRIPS, LANES + thread · lane] zero
@@ -319,24 +360,23 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
     ):
         ti.loop_config(block_dim=block, serialize=serial)
         for thread in range(threads):
-            relax_rods(
-                start, rest_length, clamp, material, (up0, up1, up2), rods, tolerance, max_iterations, first_shift,
-                max_rotation, max_escapes, closing_distance, threads, thread, scratch, queue, frames, results,
-                material, material)
+            up = (policy[UP], policy[UP + 1], policy[UP + 2])
+            tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
+                            policy=policy, queue=queue, frames=frames, results=results, numbers=material, field=material)
+            loop.work(tables, scratch, threads, thread)
 
     @ti.kernel
     def newton_under_load(
-        start: table1, rest_length: table2, clamp: table2, material: table2, up0: ti.f64, up1: ti.f64, up2: ti.f64,
-        rods: index2, tolerance: ti.f64, max_iterations: ti.i32, first_shift: ti.f64, max_rotation: ti.f64,
-        max_escapes: ti.i32, closing_distance: ti.f64, threads: ti.i32,
+        start: table1, rest_length: table2, clamp: table2, material: table2, rods: index2, policy: table1, threads: ti.i32,
         scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, results: table2,
-        outer: table3,  # the numbers of the external energy
-        field: ti.types.ndarray(dtype=ti.f32, ndim=1),  # and what it looks up in space
+        outer: numbers,  # of the external energy
+        space: field,  # what it looks up in space
     ):
         ti.loop_config(block_dim=block, serialize=serial)
         for thread in range(threads):
-            relax_rods(
-                start, rest_length, clamp, material, (up0, up1, up2), rods, tolerance, max_iterations, first_shift,
-                max_rotation, max_escapes, closing_distance, threads, thread, scratch, queue, frames, results, outer, field)
+            up = (policy[UP], policy[UP + 1], policy[UP + 2])
+            tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
+                            policy=policy, queue=queue, frames=frames, results=results, numbers=outer, field=space)
+            loop.work(tables, scratch, threads, thread)
 
     return newton if external is None else newton_under_load

@@ -16,10 +16,13 @@ from doo_ti.relaxation import batch
 from doo_ti.relaxation.columns import (
     ANCHOR,
     CLOSURE,
+    DRIFT,
     ENERGY,
     FORCE,
     ITERATIONS,
+    LOOSE,
     RESIDUAL,
+    RESULTS,
     STABLE,
     STATUS,
     TARGET,
@@ -59,7 +62,8 @@ def relax(
     up                     (3,) direction against gravity
     precision              "f64"; "f32", where f64 takes over only rods that f32 could not finish; or "mixed": f32 first,
                            then f64 from there to the f64 tolerance for all. ``Solution.precision`` says which ended a rod
-    external               an energy at the vertices besides the rod's own, for rods whose far end is free, with Newton only
+    external               an energy at the vertices besides the rod's own, with Newton only. Where the start is
+                           free it moves vertex 0, too
     configuration_index,   (R,) rows of the tables that make up each rod; without them rows are paired one to one and a
     material_index,        single row goes with every row of the other table
     external_index
@@ -151,7 +155,9 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
     energy = results[:, ENERGY] + table.weight[table.material_index] * lifted[index]
     start = anchor[index]
     if table.external is not None:
-        energy += table.external.energy_at_start(start, table.external_index)
+        held = table.clamp[index, LOOSE] == 0
+        energy += np.where(held, table.external.energy_at_start(start, table.external_index), 0.0)
+        start = start + results[:, DRIFT:]
     rest_length = table.rest_length[0].copy() if len(table.rest_length) == 1 else table.rest_length[index]
     configuration = Configuration(start, frames, rest_length)
     status, stable = results[:, STATUS].astype(np.int8), results[:, STABLE] == 1
@@ -159,7 +165,7 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
     nowhere = ~np.isfinite(anchor).all(axis=1)
     if nowhere.any():
         rods = nowhere[index] & (status != INFEASIBLE)
-        frames[rods], results[rods, :ITERATIONS], results[rods, FORCE:] = np.nan, np.nan, np.nan
+        frames[rods], results[rods, :ITERATIONS], results[rods, FORCE:RESULTS] = np.nan, np.nan, np.nan
         status[rods], stable[rods], energy[rods] = Status.NOT_FINITE, False, np.nan
     taut = np.flatnonzero((table.clamp[:, TILT_INNER] == 0)[index])
     if len(taut):  # straight, they end where they end
@@ -178,7 +184,7 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
         iterations=results[:, ITERATIONS].astype(np.int32),
         status=status,
         stable=stable,
-        end_force=results[:, FORCE:],
+        end_force=results[:, FORCE:RESULTS],
         precision=bits.astype(np.int8),
         tables=table,
     )

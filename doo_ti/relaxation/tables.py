@@ -14,11 +14,13 @@ from doo_ti.relaxation.clamp_table import clamp_table, outer_edges, whole_start
 from doo_ti.relaxation.columns import (
     ANCHOR,
     BEND,
+    CLOSED,
     ENDS,
     FRAME,
     FREE,
     FROM_RESULTS,
     LARGEST_BEND,
+    LOOSE,
     MOST_NUMBERS,
     OF_CLAMP,
     OF_EXTERNAL,
@@ -32,6 +34,7 @@ from doo_ti.relaxation.columns import (
     STIFFEST,
     STIFFNESS,
     STIFFNESS_COLUMNS,
+    TARGET,
     TWIST,
     WEIGHT,
 )
@@ -131,7 +134,7 @@ class Tables:
 
         Raises InputError where they do not match.
         """
-        _check_material(material, self.edges, self.floating)
+        _check_material(material, self.edges, self.floating and self.external is None)
         if index is None and material.count not in (1, self.count):
             index = self.material_index
             if material.count != len(self.material):
@@ -176,8 +179,8 @@ def tables(
 ) -> Tables:
     """Check what goes into F and lay it out for the kernels.
 
-    Raises InputError where shapes do not match, an index is out of range, both ends of a rod with weight are free, or a rod
-    under an external energy has another end than the far one free.
+    Raises InputError where shapes do not match, an index is out of range, or both ends of a rod with weight are free that no
+    external energy holds.
     """
     _check_shapes(configuration, clamps)
     count, edges = configuration.count, configuration.edges
@@ -190,12 +193,11 @@ def tables(
     index_e = _external_rows(external, external_index, rods, edges)
     kinds = _kinds(clamps, count)
     floating = not kinds.any(axis=1).all()
-    if external is not None and not (kinds[:, 0].all() and not kinds[:, 1].any()):
-        raise InputError("clamps", "start, end", "an external energy needs the start held and the far end free",
-                         "give Clamp.FREE as the end, another as the start")
-    _check_material(material, edges, floating)
+    _check_material(material, edges, floating and external is None)
     isotropic = material.is_isotropic
     clamp, found = clamp_table(configuration, lengths, kinds, clamps)
+    if external is not None:
+        _loosen(clamp, kinds, configuration, clamps)
     start = prepared(np.ascontiguousarray(configuration.quaternions, dtype=np.float64), lengths, clamp, found, up)
     feasible = found != INFEASIBLE
     sound = feasible[index_c]
@@ -215,6 +217,17 @@ def tables(
         up=up,
         floating=floating,
     )
+
+
+def _loosen(clamp: np.ndarray, kinds: np.ndarray, configuration: Configuration, clamps: Clamps) -> None:
+    """Have vertex 0 of rods whose start is free be an unknown, in place: an external energy may move it."""
+    loose = np.flatnonzero(kinds[:, 0] == FREE)
+    held = kinds[loose, 1] != FREE
+    anchor = np.asarray(configuration.start, dtype=np.float64)[loose]
+    clamp[loose, LOOSE], clamp[loose, RELEASED], clamp[loose, CLOSED] = 1.0, 0.0, held
+    clamp[loose[:, None], np.arange(ANCHOR, ANCHOR + 3)] = anchor
+    line = np.where(held[:, None], np.asarray(clamps.end_position)[loose] - anchor, 0.0)
+    clamp[loose[:, None], np.arange(TARGET, TARGET + 3)] = line
 
 
 def _lengths(configuration: Configuration) -> np.ndarray:

@@ -10,8 +10,9 @@ from types import SimpleNamespace
 import taichi as ti
 
 from doo_ti.physics import vertex_form
-from doo_ti.physics.algebra import absolute, cross, dot, larger
+from doo_ti.physics.algebra import absolute, larger
 from doo_ti.physics.angle import signed_angle_function
+from doo_ti.physics.tuples import cross, dot
 
 # Items in scratch, per vertex (with the edge that leaves it; the last vertex has a row of its own).
 POSITION = 0

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import taichi as ti
 
-from doo_ti.physics.algebra import dot
+from doo_ti.physics.tuples import dot
 from doo_ti.vision.rig import Rig
 
 # Columns of a camera: focal lengths and principal point in px, the distortion, the square X² + Y² up to which the lens maps

@@ -57,6 +57,7 @@ class Reprojection:
     cap: float = 40.0
     reach: float = 2.0
     items: ClassVar[int] = 2
+    start_items: ClassVar[int] = 0
     has_coarse: ClassVar[bool] = True
     vertices: ClassVar[None] = None
 

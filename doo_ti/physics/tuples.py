@@ -1,0 +1,274 @@
+"""Vectors and matrices of up to nine numbers as tuples, with an algebra that Taichi runs while it compiles a kernel.
+
+A kernel's numbers may be packs of lanes, of which Taichi builds no vectors. Vectors are therefore tuples of three numbers,
+symmetric matrices of six, (11, 12, 13, 22, 23, 33), and matrices of nine, row by row. The functions here are plain Python: they
+are called once, during compilation, and only what they build, expressions of single numbers, is part of the kernel.
+
+A tuple cannot be assigned again, which loops need: :func:`variable` makes a :class:`Variable` of it that can, and
+:func:`record` gives names to several.
+"""
+
+from collections.abc import Sequence
+from functools import wraps
+
+import taichi as ti
+from taichi.lang.any_array import AnyArray
+from taichi.lang.impl import expr_init
+
+
+class _Evaluated(tuple):
+    """Numbers that are variables of the kernel and belong to nobody else."""
+
+
+def picked(function):
+    """``function`` as one that kernels may call while they are compiled, for one that only arranges numbers."""
+    function._is_wrapped_kernel = True  # so that Taichi calls it without a warning
+    return function
+
+
+def traced(function):
+    """``function`` as one that kernels may call while they are compiled; what it computes is evaluated once, in its place."""
+
+    @picked
+    @wraps(function)
+    def call(*arguments):
+        value = expr_init(function(*arguments))
+        return _Evaluated(value) if isinstance(value, tuple) else value
+
+    return call
+
+
+class Variable(Sequence):
+    """A tuple of numbers that a kernel may assign again: ``g = plus(g, h)`` changes its items in place.
+
+    To give it a second name copies nothing.
+    """
+
+    _data_oriented = True  # so that Taichi passes it on as it is
+
+    def __init__(self, items: tuple):
+        self._items = items
+
+    def __getitem__(self, place):
+        return self._items[place]
+
+    def __add__(self, other):
+        return self._items + tuple(other)
+
+    def __len__(self):
+        return len(self._items)
+
+    def _assign(self, values):
+        if len(values) != len(self):
+            raise ValueError(f"{len(values)} numbers for a variable of {len(self)}")
+        # All values are read before the first is changed: they may be the variable's own, in another order.
+        read = values if isinstance(values, _Evaluated) else expr_init(tuple(values))
+        for item, value in zip(self._items, read, strict=True):
+            item._assign(value)
+
+
+class Record:
+    """Named variables of a kernel, numbers, :class:`Variable` and arrays, which are passed on and assigned by name."""
+
+    _data_oriented = True
+
+    def __init__(self, fields: dict):
+        self.__dict__.update(fields)
+
+
+@picked
+def variable(values) -> Variable:
+    """The tuple ``values``, to be assigned again."""
+    return Variable(tuple(expr_init(value) for value in values))
+
+
+@picked
+def record(**fields) -> Record:
+    """Variables named by the keywords; tuples among them may be assigned again."""
+    kept = {}
+    for name, value in fields.items():
+        if isinstance(value, Sequence):
+            kept[name] = Variable(tuple(expr_init(item) for item in value))
+        else:
+            kept[name] = value if isinstance(value, AnyArray) else expr_init(value)
+    return Record(kept)
+
+
+# --- of any size ----------------------------------------------------------------------------------------------------
+
+
+@picked
+def repeated(value, count: int) -> tuple:
+    """``count`` times the same number."""
+    return (value,) * count
+
+
+@traced
+def plus(a, b) -> tuple:
+    """a + b."""
+    return tuple(x + y for x, y in zip(a, b, strict=True))
+
+
+@traced
+def minus(a, b) -> tuple:
+    """a − b."""
+    return tuple(x - y for x, y in zip(a, b, strict=True))
+
+
+@traced
+def negated(a) -> tuple:
+    """−a."""
+    return tuple(0.0 - x for x in a)
+
+
+@traced
+def scaled(a, s) -> tuple:
+    """a s."""
+    return tuple(x * s for x in a)
+
+
+@traced
+def chosen(condition, a, b) -> tuple:
+    """The items of a where the condition holds, else those of b."""
+    return tuple(ti.select(condition, x, y) for x, y in zip(a, b, strict=True))
+
+
+@traced
+def products(a, b) -> tuple:
+    """The items of a times those of b."""
+    return tuple(x * y for x, y in zip(a, b, strict=True))
+
+
+# --- vectors of three -----------------------------------------------------------------------------------------------
+
+
+@traced
+def dot(a, b):
+    """a·b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@traced
+def cross(a, b) -> tuple:
+    """a × b."""
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+# --- matrices: nine numbers row by row, symmetric ones six (11, 12, 13, 22, 23, 33) -----------------------------------
+
+
+@picked
+def row(m, index: int) -> tuple:
+    """Row ``index`` of a matrix."""
+    return tuple(m[3 * index : 3 * index + 3])
+
+
+@picked
+def transposed(m) -> tuple:
+    """Mᵀ."""
+    return (m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8])
+
+
+@traced
+def identity(zero) -> tuple:
+    """I, of numbers like ``zero``."""
+    return tuple(zero + (1.0 if k % 4 == 0 else 0.0) for k in range(9))
+
+
+@traced
+def on_diagonal(m, s) -> tuple:
+    """M + s I of a symmetric M."""
+    return (m[0] + s, m[1], m[2], m[3] + s, m[4], m[5] + s)
+
+
+@picked
+def full(s) -> tuple:
+    """A symmetric matrix row by row."""
+    return (s[0], s[1], s[2], s[1], s[3], s[4], s[2], s[4], s[5])
+
+
+@traced
+def applied(m, b) -> tuple:
+    """M b."""
+    return tuple(m[k] * b[0] + m[k + 1] * b[1] + m[k + 2] * b[2] for k in (0, 3, 6))
+
+
+@traced
+def times_transposed(a, b) -> tuple:
+    """A Bᵀ of two matrices."""
+    return tuple(a[i] * b[j] + a[i + 1] * b[j + 1] + a[i + 2] * b[j + 2] for i in (0, 3, 6) for j in (0, 3, 6))
+
+
+@traced
+def quadratic(s, a, b):
+    """aᵀ S b of a symmetric S."""
+    return (
+        a[0] * (s[0] * b[0] + s[1] * b[1] + s[2] * b[2])
+        + a[1] * (s[1] * b[0] + s[3] * b[1] + s[4] * b[2])
+        + a[2] * (s[2] * b[0] + s[4] * b[1] + s[5] * b[2])
+    )
+
+
+@traced
+def row_scaled(m, s) -> tuple:
+    """diag(s) M."""
+    return tuple(s[k // 3] * m[k] for k in range(9))
+
+
+@traced
+def column_scaled(m, s) -> tuple:
+    """M diag(s)."""
+    return tuple(m[k] * s[k % 3] for k in range(9))
+
+
+@traced
+def row_and_column_scaled(m, s, t) -> tuple:
+    """diag(s) M diag(t)."""
+    return tuple(s[k // 3] * t[k % 3] * m[k] for k in range(9))
+
+
+# --- the factors of a symmetric matrix, M = L D Lᵀ, as :func:`doo_ti.physics.algebra.factor` gives them ---------------
+
+
+@traced
+def forward(f, b) -> tuple:
+    """L⁻¹ b."""
+    y1 = expr_init(b[1] - f[3] * b[0])
+    return (b[0], y1, b[2] - f[4] * b[0] - f[5] * y1)
+
+
+@traced
+def forward_rows(f, m) -> tuple:
+    """L⁻¹ of each row of a matrix, as rows."""
+    return forward(f, m[0:3]) + forward(f, m[3:6]) + forward(f, m[6:9])
+
+
+@traced
+def backward(f, y) -> tuple:
+    """L⁻ᵀ D⁻¹ y."""
+    x2 = expr_init(y[2] * f[2])
+    x1 = expr_init(y[1] * f[1] - f[5] * x2)
+    return (y[0] * f[0] - f[3] * x1 - f[4] * x2, x1, x2)
+
+
+def _weighted(f, a, b):
+    """aᵀ D⁻¹ b."""
+    return a[0] * f[0] * b[0] + a[1] * f[1] * b[1] + a[2] * f[2] * b[2]
+
+
+@traced
+def gram(f, a, b) -> tuple:
+    """A D⁻¹ Bᵀ of two matrices."""
+    return tuple(_weighted(f, a[i : i + 3], b[j : j + 3]) for i in (0, 3, 6) for j in (0, 3, 6))
+
+
+@traced
+def symmetric_gram(f, a) -> tuple:
+    """A D⁻¹ Aᵀ, symmetric."""
+    return tuple(_weighted(f, a[i : i + 3], a[j : j + 3]) for i in (0, 3, 6) for j in (0, 3, 6) if i <= j)
+
+
+@traced
+def against(f, a, b) -> tuple:
+    """A D⁻¹ b."""
+    return tuple(_weighted(f, a[i : i + 3], b) for i in (0, 3, 6))

@@ -1,0 +1,135 @@
+"""The Newton system of a chain of frames without external energy: block-tridiagonal elimination, bordered by closure (§III-D).
+
+The Hessian is block-tridiagonal with 3×3 blocks, bordered by the three columns A of closure:
+
+    | H + δI   A | | ω  |     | −g − Aλ |
+    | Aᵀ       0 | | δλ |  =  | −miss   |
+
+One forward sweep assembles and eliminates it, H + δI = L D Lᵀ edge by edge, one backward sweep gives the step ω. The signs of D
+and of the Schur complement S = Aᵀ (H + δI)⁻¹ A are the certificate that a rod rests at a minimum.
+"""
+
+import taichi as ti
+
+from doo_ti.physics.algebra import factor, largest_of, positive_eigenvalues, solve_symmetric
+from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian
+from doo_ti.physics.quaternion import first_director, second_director, tangent
+from doo_ti.physics.tuples import (
+    against,
+    forward,
+    forward_rows,
+    gram,
+    minus,
+    negated,
+    on_diagonal,
+    plus,
+    products,
+    record,
+    repeated,
+    row_and_column_scaled,
+    row_scaled,
+    scaled,
+    symmetric_gram,
+    transposed,
+    variable,
+)
+from doo_ti.relaxation.chain import LENGTH, Chain
+
+
+@ti.func
+def held_pivot(d, free):
+    """The diagonal block ``d`` with rows and columns of the identity where ``free`` (3,) is zero, so that held rotations stay
+    zero and add no negative pivot."""
+    return (
+        free[0] * d[0] + (1.0 - free[0]), free[0] * free[1] * d[1], free[0] * free[2] * d[2],
+        free[1] * d[3] + (1.0 - free[1]), free[1] * d[4], free[2] * d[5] + (1.0 - free[2]))
+
+
+@ti.data_oriented
+class Elimination(Chain):
+    """The chain with the elimination of its Newton system."""
+
+    @ti.func
+    def eliminate(self, rod, shift, search, multiplier, miss):
+        """Assemble H + shift at the closed frames and eliminate it from the first edge to the last.
+
+        search: (noise, echo) of :meth:`.Chain.stirred`, zero unless a saddle is to be left. Returns a record: ``moment``, the
+        largest on a free edge |g + Aλ|; ``scale``, the largest diagonal entry of H; ``change`` δλ; ``inertia``, negative pivots
+        plus positive eigenvalues of the Schur complement, three at a minimum (or saddle-free step); ``slope`` along the echo;
+        and ``energy`` and ``magnitude`` of an external energy, here none.
+        """
+        zero = 0.0 * rod.total
+        found = record(squared=zero, scale=zero, negative=zero, slope=zero)
+        h, g = variable(repeated(zero, 6)), variable(repeated(zero, 3))  # H and gradient of the pair before
+        ee = variable(repeated(zero, 6))  # W_Uᵀ D⁻¹ [W_U, W_A, W_r] of the edge before
+        ea, er = variable(repeated(zero, 9)), variable(repeated(zero, 3))
+        s, z = variable(repeated(zero, 6)), variable(repeated(zero, 3))  # W_Aᵀ D⁻¹ [W_A, W_r], summed
+        remaining = rod.total
+        at = rod.origin
+        some_taut = self.largest(1.0 - rod.free[4]) > 0.5
+        searching = self.largest(search[0] + search[1]) > 0.0
+        for e in range(rod.edges):
+            q = self.load4(rod.scratch, at)
+            t, m1, m2 = tangent(q), first_director(q), second_director(q)
+            length = rod.scratch[at + LENGTH * self.stride]
+            remaining = remaining - length
+            c = plus(scaled(rod.gravity, self.hanging_weight(rod, length, remaining)), multiplier)
+            l1, l2 = linear_gradient(c, length, m1, m2)
+            lh = linear_hessian(c, length, t, m1, m2)
+            g = (g[0], g[1] + l1, g[2] + l2)
+            h = (h[0], h[1] + lh[0], h[2] + lh[1], h[3] + lh[2], h[4], h[5] + lh[2])
+            u = variable(repeated(zero, 9))
+            h_next, g_next = variable(repeated(zero, 6)), variable(repeated(zero, 3))
+            if e < rod.edges - 1:
+                stiffness = self.stiffness(rod.scratch, at, at + self.edge_stride, rod.stiffness)
+                left, right, h_left, h_right, across = self.derivatives(self.bent(rod.scratch, at), stiffness)
+                g, h = plus(g, left), plus(h, h_left)
+                h_next, g_next, u = h_right, right, across
+            a = variable(minus(closure_rows(length * rod.closed, m1, m2), ea))
+            b = variable(minus(negated(g), er))
+            if searching:
+                b, along = self.stirred(rod, at, e, b, g, search)
+                found.slope = found.slope + along
+            d = variable(minus(on_diagonal(h, shift), ee))
+            if e == 0 or e >= rod.edges - 2 or some_taut:
+                free, after = self.freedom(rod, e), self.freedom(rod, e + 1)
+                g, b, a = products(free, g), products(free, b), row_scaled(a, free)
+                h = (free[0] * h[0], h[1], h[2], free[1] * h[3], h[4], free[2] * h[5])
+                d, u = held_pivot(d, free), row_and_column_scaled(u, free, after)
+            self.observe(found, g, h)
+            f = factor(d)
+            found.negative = found.negative + f[6]
+            wr, wu, wa = forward(f, b), forward_rows(f, transposed(u)), forward_rows(f, transposed(a))
+            self.store_eliminated(rod, at, f, wr, wu, wa)
+            s, z = plus(s, symmetric_gram(f, wa)), plus(z, against(f, wa, wr))
+            ee, ea, er = symmetric_gram(f, wu), gram(f, wu, wa), against(f, wu, wr)
+            h, g = h_next, g_next
+            at += self.edge_stride
+        change, positive = self.bordered(rod, s, plus(z, miss))
+        return record(moment=ti.sqrt(found.squared), scale=found.scale, change=change, inertia=found.negative + positive,
+                      slope=found.slope, energy=zero, magnitude=zero)
+
+    @ti.func
+    def observe(self, found, g, h):
+        """Take an edge's gradient and diagonal block into the largest of both."""
+        found.scale = largest_of(found.scale, largest_of(h[0], largest_of(h[3], h[5])))
+        found.squared = largest_of(found.squared, largest_of(g[0] * g[0], largest_of(g[1] * g[1], g[2] * g[2])))
+
+    @ti.func
+    def bordered(self, rod, s, z):
+        """(δλ = S⁻¹ z, positive eigenvalues of S). Without closure S is the identity: λ stays zero and three are counted."""
+        solved, minors = solve_symmetric(on_diagonal(s, 1.0 - rod.closed), z)
+        return scaled(solved, rod.closed), positive_eigenvalues(minors)
+
+    @ti.func
+    def substitute(self, rod, found):
+        """Back-substitution ω = L⁻ᵀ D⁻¹ (W_r − W_A δλ − W_U ω_next); returns the largest rotation, rad."""
+        zero = 0.0 * rod.total
+        w = variable(repeated(zero, 3))
+        longest = zero
+        at = rod.origin + (rod.edges - 1) * self.edge_stride
+        for _ in range(rod.edges):
+            w = self.solved_edge(rod, at, found.change, w)
+            longest = self.longer(longest, w)
+            at -= self.edge_stride
+        return ti.sqrt(longest)

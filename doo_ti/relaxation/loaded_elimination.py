@@ -1,0 +1,242 @@
+"""The Newton system of a chain of frames under an external energy at its vertices, in Riccati form (§III-D, docs/chain.md).
+
+Where a vertex is depends on every edge before it, so an energy at vertices fills the Hessian of the frames. It stays a chain
+in the displacement ξ of an edge's first vertex and the rotation ω of the edge before: eliminating from the last edge, the
+energy of all that follows is a quadratic form in the two,
+
+    ½ ξᵀC ξ + ξᵀZ ω + ½ ωᵀF ω + c·ξ + f·ω,
+
+and an edge passes it on to the one before by minimising over its own rotation. Forward, ξ grows by Aᵀω, A = l (0; −m2ᵀ; m1ᵀ).
+Where the far end is held, c begins at the multiplier λ, and three columns c_λ, which begin at I, go along with c and give the
+border of closure.
+"""
+
+import taichi as ti
+
+from doo_ti.physics.algebra import absolute, factor
+from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian
+from doo_ti.physics.quaternion import first_director, second_director, tangent
+from doo_ti.physics.tuples import (
+    against,
+    applied,
+    column_scaled,
+    dot,
+    forward,
+    forward_rows,
+    full,
+    gram,
+    identity,
+    minus,
+    negated,
+    plus,
+    products,
+    quadratic,
+    record,
+    repeated,
+    row,
+    scaled,
+    symmetric_gram,
+    times_transposed,
+    transposed,
+    variable,
+)
+from doo_ti.relaxation.chain import LENGTH, LOADED_PARAMETERS, PARAMETERS, ROTATION, item_count
+from doo_ti.relaxation.elimination import held_pivot
+from doo_ti.relaxation.loose_start import LooseStart
+
+FORCE_ITEMS = 9
+"""Items of an edge, after those of the external energy, for the columns of the multiplier."""
+
+
+@ti.data_oriented
+class LoadedElimination(LooseStart):
+    """The chain under an external energy of class ``external``, whose functions on the device are ``functions``.
+
+    any_ends: rods are among those relaxed whose far end is held or whose vertex 0 is not; without it λ with its columns and the
+    place of vertex 0 are left out.
+    """
+
+    def __init__(self, number, isotropic: bool, stride: int, external: type, any_ends: bool):
+        super().__init__(number, isotropic, stride, external.items + (FORCE_ITEMS if any_ends else 0))
+        self.functions = external.functions(number, stride, item_count(isotropic))
+        self.force_columns = item_count(isotropic) + external.items
+        self.moves_start = any_ends
+        self.pulls_start = self.functions.evaluate_start is not None
+        self.parameters = LOADED_PARAMETERS + external.start_items if any_ends else PARAMETERS
+
+    @ti.func
+    def tip(self, rod):
+        """The far end, found from the anchor on."""
+        x = variable(rod.anchor)
+        if ti.static(self.moves_start):
+            x = plus(x, self.drift(rod))
+        at = rod.origin
+        for e in range(rod.edges):
+            x = plus(x, scaled(tangent(self.load4(rod.scratch, at)), rod.scratch[at + LENGTH * self.stride]))
+            at += self.edge_stride
+        return x
+
+    @ti.func
+    def eliminate(self, rod, shift, search, multiplier, miss):
+        """Assemble H + shift and eliminate it from the far end to the start; as :meth:`.Elimination.eliminate`.
+
+        The nominal force p, the sum of all gradients further out, enters the geometric part of H and the residual; what
+        elimination made of it, c, the right-hand side.
+        """
+        zero = 0.0 * rod.total
+        found = record(squared=zero, scale=zero, negative=zero, slope=zero, energy=zero, magnitude=zero)
+        beyond = record(
+            force=repeated(zero, 3), c=repeated(zero, 3), f=repeated(zero, 3), cc=repeated(zero, 6), ff=repeated(zero, 6),
+            z=repeated(zero, 9), length=zero)
+        border = record(c=identity(zero), f=repeated(zero, 9), schur=repeated(zero, 6), right=repeated(zero, 3))
+        if ti.static(self.moves_start):
+            beyond.force = multiplier
+            beyond.c = multiplier
+        h, g = variable(repeated(zero, 6)), variable(repeated(zero, 3))  # H and gradient of the pair with the edge after
+        end = self.tip(rod)
+        searching = self.largest(search[0] + search[1]) > 0.0
+        some_taut = self.largest(1.0 - rod.free[4]) > 0.5
+        at = rod.origin + (rod.edges - 1) * self.edge_stride
+        for back in range(rod.edges):
+            e = rod.edges - 1 - back
+            q = self.load4(rod.scratch, at)
+            t, m1, m2 = tangent(q), first_director(q), second_director(q)
+            length = rod.scratch[at + LENGTH * self.stride]
+            start = minus(end, scaled(t, length))
+            load = self.load(rod, at, start, end, found)
+            end = start
+            hang = self.hanging_weight(rod, length, beyond.length)
+            beyond.length = beyond.length + length
+            own = plus(scaled(rod.gravity, hang), load.gradient_s)
+            force = plus(own, beyond.force)
+            l1, l2 = linear_gradient(force, length, m1, m2)
+            r1, r2 = linear_gradient(plus(own, beyond.c), length, m1, m2)
+            lh = linear_hessian(force, length, t, m1, m2)
+            # The pair with the edge before: its right block is this edge's, its left one is for the edge before.
+            u = variable(repeated(zero, 9))
+            h_before, g_before = variable(repeated(zero, 6)), variable(repeated(zero, 3))
+            if e > 0:
+                previous = at - self.edge_stride
+                left, right, h_left, h_right, across = self.derivatives(
+                    self.bent(rod.scratch, previous), self.stiffness(rod.scratch, previous, at, rod.stiffness))
+                g, h = plus(g, right), plus(h, h_right)
+                h_before, g_before, u = h_left, left, across
+            rows = closure_rows(length, m1, m2)
+            a1, a2 = row(rows, 1), row(rows, 2)
+            k = load.curvature_ss
+            h = (h[0], h[1] + lh[0], h[2] + lh[1], h[3] + lh[2] + quadratic(k, a1, a1), h[4] + quadratic(k, a1, a2),
+                 h[5] + lh[2] + quadratic(k, a2, a2))
+            d = variable(self.condensed(h, shift, beyond, a1, a2))
+            # What ξ adds, and the right-hand side that the step solves for.
+            stretched = plus(full(beyond.cc), load.curvature_s)
+            w1, w2 = applied(stretched, a1), applied(stretched, a2)
+            zz = variable((beyond.z[0], beyond.z[1] + w1[0], beyond.z[2] + w2[0],
+                           beyond.z[3], beyond.z[4] + w1[1], beyond.z[5] + w2[1],
+                           beyond.z[6], beyond.z[7] + w1[2], beyond.z[8] + w2[2]))
+            b = variable((0.0 - g[0] - beyond.f[0], 0.0 - g[1] - r1 - beyond.f[1], 0.0 - g[2] - r2 - beyond.f[2]))
+            g = (g[0], g[1] + l1, g[2] + l2)
+            if searching:
+                b, along = self.stirred(rod, at, e, b, g, search)
+                found.slope = found.slope + along
+            if e == 0 or e == rod.edges - 1 or some_taut:
+                free = self.freedom(rod, e)
+                g, b, d = products(free, g), products(free, b), held_pivot(d, free)
+                h = (free[0] * h[0], h[1], h[2], free[1] * h[3], h[4], free[2] * h[5])
+                zz, u = column_scaled(zz, free), column_scaled(u, free)
+            self.observe(found, g, h)
+            f = factor(d)
+            found.negative = found.negative + f[6]
+            wr, wz, wu = forward(f, b), forward_rows(f, zz), forward_rows(f, u)
+            self.store_eliminated(rod, at, f, wr, wu, wz)
+            self.pass_on(beyond, load, f, wr, wz, wu)
+            if ti.static(self.moves_start):
+                self.eliminate_border(rod, at, self.freedom(rod, e), border, rows, f, wr, wz, wu)
+            h, g = h_before, g_before
+            at -= self.edge_stride
+        change = variable(repeated(zero, 3))
+        positive = zero + 3.0  # what a minimum counts without closure
+        if ti.static(self.moves_start):
+            self.eliminate_start(rod, shift, beyond, border, found)
+            change, positive = self.bordered(rod, border.schur, plus(border.right, miss))
+        return record(moment=ti.sqrt(found.squared), scale=found.scale, change=change, inertia=found.negative + positive,
+                      slope=found.slope, energy=found.energy, magnitude=found.magnitude)
+
+    @ti.func
+    def load(self, rod, at, start, end, found):
+        """The external energy of an edge (:class:`doo_ti.relaxation.external.ExternalFunctions`): its value goes to ``found``,
+        and the record of its derivatives is returned."""
+        value, gradient, gradient_s, curvature, curvature_s, curvature_ss = self.functions.evaluate(
+            rod.scratch, at, rod.numbers, rod.field, start, end, rod.coarse)
+        found.energy = found.energy + value
+        found.magnitude = found.magnitude + absolute(value)
+        return record(gradient=gradient, gradient_s=gradient_s, curvature=curvature, curvature_s=curvature_s,
+                      curvature_ss=curvature_ss)
+
+    @ti.func
+    def condensed(self, h, shift, beyond, a1, a2):
+        """The edge's diagonal block with what lies beyond: H + shift + F + A Z + Zᵀ Aᵀ + A C Aᵀ."""
+        turned = transposed(beyond.z)
+        row1, row2 = applied(turned, a1), applied(turned, a2)
+        o, c = beyond.ff, beyond.cc
+        return (
+            h[0] + shift + o[0],
+            h[1] + o[1] + row1[0],
+            h[2] + o[2] + row2[0],
+            h[3] + shift + o[3] + 2.0 * row1[1] + quadratic(c, a1, a1),
+            h[4] + o[4] + row1[2] + row2[1] + quadratic(c, a1, a2),
+            h[5] + shift + o[5] + 2.0 * row2[2] + quadratic(c, a2, a2),
+        )
+
+    @ti.func
+    def eliminate_border(self, rod, at, free, border, rows, f, wr, wz, wu):
+        """The edge's part in closure: of each component of λ the columns c_λ and f_λ that the edge before is given, and the
+        Schur complement."""
+        turned = times_transposed(border.c, rows)
+        a = column_scaled(plus(border.f, turned), free)
+        wa = forward_rows(f, a)
+        self.store(rod.scratch, at + self.force_columns * self.stride, wa)
+        border.c = minus(border.c, gram(f, wa, wz))
+        border.f = negated(gram(f, wa, wu))
+        border.schur = plus(border.schur, symmetric_gram(f, wa))
+        border.right = plus(border.right, against(f, wa, wr))
+
+    @ti.func
+    def pass_on(self, beyond, load, f, wr, wz, wu):
+        """The quadratic form that the edge before is given: C, c, p, Z, F and f with the edge's rotation minimised over."""
+        beyond.cc = minus(plus(beyond.cc, load.curvature), symmetric_gram(f, wz))
+        beyond.c = plus(plus(beyond.c, load.gradient), against(f, wz, wr))
+        beyond.force = plus(beyond.force, load.gradient)
+        beyond.z = negated(gram(f, wz, wu))
+        beyond.ff = negated(symmetric_gram(f, wu))
+        beyond.f = against(f, wu, wr)
+
+    @ti.func
+    def substitute(self, rod, found):
+        """ω = L⁻ᵀ D⁻¹ (W_r − W_λ δλ − W_Z ξ − W_U ω_before) from the start on; returns the largest rotation, rad."""
+        zero = 0.0 * rod.total
+        w, x = variable(repeated(zero, 3)), variable(repeated(zero, 3))
+        longest = zero
+        if ti.static(self.moves_start):
+            x = self.solved_start(rod, found.change)
+            longest = dot(x, x) / (rod.total * rod.total)
+        at = rod.origin
+        for _ in range(rod.edges):
+            if ti.static(self.moves_start):
+                self.add_force(rod, at, found.change)
+            w = self.solved_edge(rod, at, x, w)
+            q = self.load4(rod.scratch, at)
+            length = rod.scratch[at + LENGTH * self.stride]
+            m1, m2 = first_director(q), second_director(q)
+            x = plus(x, scaled(minus(scaled(m1, w[2]), scaled(m2, w[1])), length))
+            longest = self.longer(longest, w)
+            at += self.edge_stride
+        return ti.sqrt(longest)
+
+    @ti.func
+    def add_force(self, rod, at, change):
+        """W_r − W_λ δλ in the place of W_r."""
+        right = variable(self.load3(rod.scratch, at + ROTATION * self.stride))
+        wa = self.load9(rod.scratch, at + self.force_columns * self.stride)
+        for k in ti.static(range(3)):
+            right = minus(right, scaled(wa[3 * k : 3 * k + 3], change[k]))
+        self.store(rod.scratch, at + ROTATION * self.stride, right)

@@ -1,0 +1,114 @@
+"""A chain whose vertex 0 is not held: its place is three more unknowns, which only an external energy determines.
+
+The chain hangs from the anchor, displaced by the drift. Where the far end is held the drift alone closes the chain, so that no
+rotation has to.
+"""
+
+import taichi as ti
+
+from doo_ti.physics.algebra import factor, largest_of
+from doo_ti.physics.tuples import (
+    against,
+    backward,
+    chosen,
+    dot,
+    forward,
+    forward_rows,
+    minus,
+    negated,
+    plus,
+    scaled,
+    symmetric_gram,
+    variable,
+)
+from doo_ti.relaxation.chain import LOADED_PARAMETERS, OF_DRIFT, OF_DRIFT_FACTORS, OF_DRIFT_STANDING, OF_DRIFT_STEP, OF_LOOSE
+from doo_ti.relaxation.elimination import Elimination, held_pivot
+
+
+@ti.data_oriented
+class LooseStart(Elimination):
+    """What :class:`.LoadedElimination` does with vertex 0. Lanes whose rods have it held stay as they are."""
+
+    @ti.func
+    def loose(self, rod):
+        """One where vertex 0 is free."""
+        return rod.scratch[rod.head + OF_LOOSE * self.stride]
+
+    @ti.func
+    def drift(self, rod):
+        """How far vertex 0 has moved from the anchor, mm."""
+        return self.load3(rod.scratch, rod.head + OF_DRIFT * self.stride)
+
+    @ti.func
+    def displaced(self, rod, reached):
+        """The far end from the anchor, where ``reached`` is from vertex 0."""
+        return plus(reached, self.drift(rod))
+
+    @ti.func
+    def lifted_start(self, rod):
+        """Potential of the rod's weight, moved from the anchor by the drift."""
+        return 2.0 * rod.total * dot(rod.gravity, self.drift(rod))
+
+    @ti.func
+    def step_start(self, rod, scale, moving, reached):
+        """Move vertex 0 by its share of the step, or to where the far end, ``reached`` from vertex 0, is held; returns where
+        rotations are still to close the chain."""
+        zero = 0.0 * scale
+        standing = self.drift(rod)
+        full = self.load3(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride)
+        stepping = (scale > 0.0) | (scale < 0.0)
+        drift = variable(chosen(stepping, plus(standing, scaled(full, scale)), standing))
+        tied = self.loose(rod) * rod.closed * moving
+        drift = chosen(tied > 0.5, minus(rod.target, reached), drift)
+        self.store(rod.scratch, rod.head + OF_DRIFT_STANDING * self.stride, standing)
+        self.store(rod.scratch, rod.head + OF_DRIFT * self.stride, drift)
+        return ti.select(self.loose(rod) > 0.5, zero, moving)
+
+    @ti.func
+    def restore_start(self, rod, lost):
+        """Vertex 0 back to where it was before the step in the lanes where it is not taken."""
+        standing = self.load3(rod.scratch, rod.head + OF_DRIFT_STANDING * self.stride)
+        self.store(rod.scratch, rod.head + OF_DRIFT * self.stride, chosen(lost > 0.5, standing, self.drift(rod)))
+
+    @ti.func
+    def eliminate_start(self, rod, shift, beyond, border, found):
+        """Eliminate ξ of vertex 0 from the quadratic form that edge 0 leaves, ½ ξᵀC ξ + c·ξ."""
+        loose = self.loose(rod)
+        free = (loose, loose, loose)
+        weight = scaled(rod.gravity, 2.0 * rod.total)
+        force, c = variable(plus(beyond.force, weight)), variable(plus(beyond.c, weight))
+        if ti.static(self.pulls_start):
+            energy, gradient, curvature = self.functions.evaluate_start(
+                rod.scratch, rod.head + LOADED_PARAMETERS * self.stride, plus(rod.anchor, self.drift(rod)))
+            found.energy = found.energy + loose * energy
+            found.magnitude = found.magnitude + loose * energy
+            force, c = plus(force, gradient), plus(c, gradient)
+            beyond.cc = plus(beyond.cc, curvature)
+        moment = scaled(force, loose * rod.total)
+        found.squared = largest_of(found.squared, largest_of(moment[0] * moment[0],
+                                                             largest_of(moment[1] * moment[1], moment[2] * moment[2])))
+        d = variable(beyond.cc)
+        stiff = shift / (rod.total * rod.total)
+        d = (d[0] + stiff, d[1], d[2], d[3] + stiff, d[4], d[5] + stiff)
+        f = factor(held_pivot(d, free))
+        found.negative = found.negative + f[6]
+        wr = forward(f, scaled(negated(c), loose))
+        wa = forward_rows(f, scaled(border.c, loose))
+        border.schur = plus(border.schur, symmetric_gram(f, wa))
+        border.right = plus(border.right, against(f, wa, wr))
+        at = rod.head + OF_DRIFT_STEP * self.stride
+        self.store(rod.scratch, at, wr)
+        kept = wa + (f[0], f[1], f[2], f[3], f[4], f[5])
+        self.store(rod.scratch, rod.head + OF_DRIFT_FACTORS * self.stride, kept)
+
+    @ti.func
+    def solved_start(self, rod, change):
+        """ξ = L⁻ᵀ D⁻¹ (W_c − W_λ δλ) of vertex 0, into its place."""
+        y = variable(self.load3(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride))
+        kept = rod.head + OF_DRIFT_FACTORS * self.stride
+        wa = self.load9(rod.scratch, kept)
+        for k in ti.static(range(3)):
+            y = minus(y, scaled(wa[3 * k : 3 * k + 3], change[k]))
+        shift = backward(self.load6(rod.scratch, kept + 9 * self.stride), y)
+        self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, shift)
+        return shift
