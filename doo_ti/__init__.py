@@ -34,8 +34,8 @@ _HOMES = {
     "relax_again": "relaxation.relax", "Springs": "relaxation.external",
     "sweep": "learning.sweeps", "SweepOptions": "learning.experiment", "read_landscape": "learning.landscape",
     "refine": "refinement.refine", "predict": "prediction.predict", "predict_step": "prediction.predict",
-    "load_rig": "vision.rig", "detect": "vision.detection", "distance_maps": "vision.distance_map",
-    "Reprojection": "vision.reprojection", "score": "vision.reprojection", "perceive": "perception.perceive",
+    "load_rig": "vision.cameras.rig", "detect": "vision.detection.detect", "distance_maps": "vision.reprojection.distance_map",
+    "Reprojection": "vision.reprojection.evidence", "score": "vision.reprojection.score", "perceive": "perception.perceive",
     "estimate_twist": "twist.estimation",
 }
 __all__ = sorted(_HOMES)

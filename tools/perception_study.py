@@ -32,12 +32,12 @@ from doo_ti.perception.trials import (
 )
 from doo_ti.scene import load_scene
 from doo_ti.types import Material
-from doo_ti.vision.detection import Detection, DetectionOptions
-from doo_ti.vision.distance_map import DistanceMaps, distance_maps
-from doo_ti.vision.image_synthesis import Photographs, take
-from doo_ti.vision.render import RenderOptions
-from doo_ti.vision.rig import Rig, load_rig
-from doo_ti.vision.spline import smooth_curve
+from doo_ti.vision.cameras.rig import Rig, load_rig
+from doo_ti.vision.detection.detect import Detection, DetectionOptions
+from doo_ti.vision.rendering.photographs import Photographs, take
+from doo_ti.vision.rendering.render import RenderOptions
+from doo_ti.vision.rendering.tubes import smooth_curve
+from doo_ti.vision.reprojection.distance_map import DistanceMaps, distance_maps
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 THREADS = ("nylon", "vicryl", "silk")

@@ -10,10 +10,10 @@ from doo_ti import options as given
 from doo_ti.commands.arguments import add_json
 from doo_ti.commands.printing import plain
 from doo_ti.progress import progress
-from doo_ti.vision.board import FORMS, Board, parse_board
-from doo_ti.vision.calibration import COEFFICIENTS, WORLDS, Calibration, CalibrationOptions, calibrate
-from doo_ti.vision.rig import save_rig
-from doo_ti.vision.views import Views, find_sightings, read_views
+from doo_ti.vision.cameras.board import FORMS, Board, parse_board
+from doo_ti.vision.cameras.calibration import COEFFICIENTS, WORLDS, Calibration, CalibrationOptions, calibrate
+from doo_ti.vision.cameras.rig import save_rig
+from doo_ti.vision.cameras.views import Views, find_sightings, read_views
 
 
 def declare(add) -> None:

@@ -73,8 +73,8 @@ def run(options: Namespace, words: list[str]) -> int:
 
 def _detected(task: Task, bar) -> list[list]:
     """A lists of C detections. Raises InputError for the first image that is none of the rig's or shows no thread."""
-    from doo_ti.vision.detection import detect
-    from doo_ti.vision.image_file import read_image
+    from doo_ti.vision.detection.detect import detect
+    from doo_ti.vision.detection.images import read_image
 
     def found(path: Path, camera):
         detection = detect(read_image(path, camera), task.detection)
@@ -101,7 +101,7 @@ def _perceived(task: Task, detected: list[list], bar):
     """(Perception of all sets, GrowthSteps of those that are recorded): in groups whose maps fit into memory."""
     from doo_ti.perception.growth_steps import GrowthSteps
     from doo_ti.perception.perceive import Perception, perceive
-    from doo_ti.vision.distance_map import distance_maps
+    from doo_ti.vision.reprojection.distance_map import distance_maps
 
     sets, edges = task.sets, len(task.rest_length)
     pixels = max(camera.width * camera.height for camera in sets.rig.cameras)
@@ -138,7 +138,7 @@ def _arrays(task: Task, found) -> dict[str, np.ndarray]:
 
 def _shown(options: Namespace, task: Task, detected: list[list], found, growth, out: Path) -> list[Path]:
     """Draw and record what was found, beside ``out``; returns the files."""
-    from doo_ti.vision.image_file import read_image
+    from doo_ti.vision.detection.images import read_image
 
     rig, written = task.sets.rig, []
     there = np.flatnonzero(np.isfinite(found.vertices).all(axis=(1, 2)))

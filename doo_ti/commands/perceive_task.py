@@ -40,8 +40,8 @@ def checked_task(options: Namespace) -> Task:
     hypotheses = given.whole("--hypotheses", options.hypotheses, 1)
     recorded = given.whole("--recorded", options.recorded, 1)
 
-    from doo_ti.vision.detection import DetectionOptions
-    from doo_ti.vision.rig import load_rig
+    from doo_ti.vision.cameras.rig import load_rig
+    from doo_ti.vision.detection.detect import DetectionOptions
 
     sets = _sets(options, load_rig(options.rig))
     truth = None if options.truth is None else _truth(options.truth, sets.names)
@@ -82,7 +82,7 @@ def read_rest_length(text: str) -> np.ndarray:
 
 def _sets(options: Namespace, rig):
     """The sets of the file, or the one that the command line spells out."""
-    from doo_ti.vision.image_sets import ImageSets, load_sets
+    from doo_ti.vision.detection.images import ImageSets, load_sets
 
     single = {"IMAGE": options.images, "--seed-point": options.seed_point, "--seed-direction": options.seed_direction}
     if options.sets is not None:

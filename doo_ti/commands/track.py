@@ -87,8 +87,8 @@ def _tracked(task: Task) -> tuple[list, str | None]:
 
 def _detected(task: Task) -> Iterator[list]:
     """C detections of each frame, found while others are tracked."""
-    from doo_ti.vision.detection import detect
-    from doo_ti.vision.image_file import read_image
+    from doo_ti.vision.detection.detect import detect
+    from doo_ti.vision.detection.images import read_image
 
     cameras = task.frames.rig.cameras
     with ThreadPoolExecutor(os.cpu_count()) as threads:

@@ -31,8 +31,8 @@ def checked_task(options: Namespace) -> Task:
     rest_length = read_rest_length(options.rest_length)
     width = given.positive("--width", options.width, "px")
 
-    from doo_ti.vision.detection import DetectionOptions
-    from doo_ti.vision.rig import load_rig
+    from doo_ti.vision.cameras.rig import load_rig
+    from doo_ti.vision.detection.detect import DetectionOptions
 
     frames, time = load_frames(Path(options.frames), load_rig(options.rig))
     far = None if options.motion is None else _far_motions(Path(options.motion), frames.count)
@@ -45,7 +45,7 @@ def load_frames(path: Path, rig):
 
     Raises InputError naming line and column for whatever is missing or no number, and for images that are not there.
     """
-    from doo_ti.vision.image_sets import SEED, ImageSets, header_and_lines, number_in
+    from doo_ti.vision.detection.images import SEED, ImageSets, header_and_lines, number_in
 
     header, lines = header_and_lines(path)
     missing = next((name for name in ("frame", *SEED) if name not in header), None)

@@ -11,10 +11,9 @@ from doo_ti.commands.arguments import add_json
 from doo_ti.commands.printing import counted, plain
 from doo_ti.dataset import save_observations
 from doo_ti.errors import InputError
-from doo_ti.vision.marked_rods import MarkedRods, observe
-from doo_ti.vision.marks import Marks, read_labels, read_marks
-from doo_ti.vision.rig import Rig, load_rig
-from doo_ti.vision.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
+from doo_ti.vision.cameras.rig import Rig, load_rig
+from doo_ti.vision.reprojection.marks import MarkedRods, Marks, observe, read_labels, read_marks
+from doo_ti.vision.reprojection.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
 
 MOST_TOLD = 20
 

@@ -21,9 +21,9 @@ from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.perception.shape_uncertainty import vertex_sigma
 from doo_ti.types import Configuration, Material, Status
-from doo_ti.vision.distance_map import DistanceMaps
-from doo_ti.vision.reprojection import score
-from doo_ti.vision.rig import Rig
+from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.reprojection.distance_map import DistanceMaps
+from doo_ti.vision.reprojection.score import score
 
 CLEAR_PX, AMBIGUOUS_PX = 0.1, 0.02
 """Of the gap: more than detected lines are off, all along them; and less than the rod's energy, which depends on a Θ that is

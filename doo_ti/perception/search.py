@@ -31,9 +31,10 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.tables import tables
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, Status
-from doo_ti.vision.distance_map import DistanceMaps
-from doo_ti.vision.reprojection import Reprojection, score
-from doo_ti.vision.rig import Rig
+from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.reprojection.distance_map import DistanceMaps
+from doo_ti.vision.reprojection.evidence import Reprojection
+from doo_ti.vision.reprojection.score import score
 
 LOST = 1e30
 """1/mm: E_vis of a rod that came to nothing while growing. It grows on from where it set out if its set has no better one."""

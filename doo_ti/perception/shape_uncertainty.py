@@ -18,7 +18,7 @@ Axes: A rods, C cameras, E edges, V vertices, S places along a rod, P = 2 (E −
 import numpy as np
 
 from doo_ti.frames import across
-from doo_ti.vision.rig import Rig
+from doo_ti.vision.cameras.rig import Rig
 
 CREASE_CURVATURE = 1.5
 """1/px: k of the distance to a line, sampled at pixels and smoothed by quadratic B-splines, mean over where the line passes."""

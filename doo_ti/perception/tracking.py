@@ -23,11 +23,11 @@ from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.perception.shape_uncertainty import vertex_sigma
 from doo_ti.prediction.predict import predict_step
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Status
-from doo_ti.vision.detection import Detection
-from doo_ti.vision.distance_map import distance_maps
-from doo_ti.vision.image_sets import FEWEST_CAMERAS
-from doo_ti.vision.reprojection import score
-from doo_ti.vision.rig import Rig
+from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.detection.detect import Detection
+from doo_ti.vision.detection.images import FEWEST_CAMERAS
+from doo_ti.vision.reprojection.distance_map import distance_maps
+from doo_ti.vision.reprojection.score import score
 
 ITERATIONS = 30
 """Newton's, in f32 and at most, from each place to set out from."""

@@ -11,9 +11,9 @@ import numpy as np
 from doo_ti.frames import bishop_frames, quaternion_from_matrix
 from doo_ti.perception.perceive import Perception
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
-from doo_ti.vision.detection import Detection, DetectionOptions, detect
-from doo_ti.vision.distance_map import DistanceMaps
-from doo_ti.vision.rig import Rig
+from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.detection.detect import Detection, DetectionOptions, detect
+from doo_ti.vision.reprojection.distance_map import DistanceMaps
 
 CORRECT_MM = 1.0
 """A rod whose vertices are off by less on average is recovered: it runs as the true one does."""

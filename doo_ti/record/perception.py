@@ -14,7 +14,8 @@ from doo_ti.perception.growth_steps import GrowthStep
 from doo_ti.record.stream import entity_name, panels, recording
 from doo_ti.record.wall import FAILED, GROUND, drawn_strips, log_up
 from doo_ti.report.reprojections import BEST, DETECTED, RUNNER_UP, TRUTH, SeenRod
-from doo_ti.vision.rig import Camera, Rig
+from doo_ti.vision.cameras.camera import Camera
+from doo_ti.vision.cameras.rig import Rig
 
 KEPT = (125, 170, 255)
 FRUSTUM_MM = 60.0

@@ -9,8 +9,8 @@ import rerun.blueprint as blueprint
 
 from doo_ti.record.stream import panels, recording
 from doo_ti.record.wall import GROUND, log_up
-from doo_ti.vision.image_file import read_image
-from doo_ti.vision.rig import Rig
+from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.detection.images import read_image
 
 COLORS = np.array([(47, 123, 255), (255, 159, 28), (255, 46, 77)], dtype=np.uint8)
 """Of rods that are tracked, that Algorithm 1 found, and, for the log, that are lost."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.report.canvas import literal, new_figure
-from doo_ti.vision.rig import Rig
+from doo_ti.vision.cameras.rig import Rig
 
 BEST, RUNNER_UP, TRUTH, DETECTED = "#2f7bff", "#ff2e4d", "#ffd400", "#00c08b"
 WIDTHS = {TRUTH: 2.8, RUNNER_UP: 1.8, BEST: 1.0}

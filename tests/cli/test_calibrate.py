@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.vision.board import Board
-from doo_ti.vision.rig import load_rig
+from doo_ti.vision.cameras.board import Board
+from doo_ti.vision.cameras.rig import load_rig
 from tests.cli.test_bad_input import refused
 from tests.conftest import SEED
 from tests.vision.boards import around, look, poses

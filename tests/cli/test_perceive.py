@@ -8,9 +8,9 @@ import pytest
 
 from doo_ti.cli import main
 from doo_ti.dataset import load_observations
-from doo_ti.vision.render import render_set
-from doo_ti.vision.rig import Rig, load_rig, save_rig
-from doo_ti.vision.spline import smooth_curve
+from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
+from doo_ti.vision.rendering.render import render_set
+from doo_ti.vision.rendering.tubes import smooth_curve
 from tests.cli.test_bad_input import refused
 from tests.vision.drawn_maps import curves, three_cameras
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.vision.rig import save_rig
+from doo_ti.vision.cameras.rig import save_rig
 from tests.cli.test_bad_input import refused
 from tests.tracking.videos import EDGES, FRAMES, LENGTH, far_motion, images, rods
 from tests.vision.drawn_maps import three_cameras

@@ -9,7 +9,7 @@ from doo_ti.cli import main
 from doo_ti.dataset import load_observations
 from doo_ti.start import observation_clamps, start_configuration
 from doo_ti.types import Clamp
-from doo_ti.vision.rig import Rig, save_rig
+from doo_ti.vision.cameras.rig import Rig, save_rig
 from tests.cli.test_bad_input import refused
 from tests.data.rods import wavy_vertices
 from tests.vision.boards import around

@@ -20,11 +20,10 @@ from doo_ti.learning.pairs import load_pairs
 from doo_ti.named_arrays import read_arrays
 from doo_ti.prediction.motion_scene import load_motion_scene
 from doo_ti.scene import load_scene
-from doo_ti.vision.image_file import read_image
-from doo_ti.vision.image_sets import header_and_lines
-from doo_ti.vision.marks import read_labels
-from doo_ti.vision.rig import load_rig
-from doo_ti.vision.views import read_views
+from doo_ti.vision.cameras.rig import load_rig
+from doo_ti.vision.cameras.views import read_views
+from doo_ti.vision.detection.images import header_and_lines, read_image
+from doo_ti.vision.reprojection.marks import read_labels
 from tests.sweeps.lab import small_lab
 
 READERS = {

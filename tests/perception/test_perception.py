@@ -12,14 +12,13 @@ from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.perceive import Perception, PerceptionOptions, Verdict, perceive
 from doo_ti.perception.shape_uncertainty import _bending, vertex_sigma
 from doo_ti.types import Status
-from doo_ti.vision.detection import Detection, detect
-from doo_ti.vision.distance_map import DistanceMaps, distance_maps
-from doo_ti.vision.image_file import read_image
-from doo_ti.vision.image_sets import load_sets
-from doo_ti.vision.render import render_set
-from doo_ti.vision.reprojection import score
-from doo_ti.vision.rig import load_rig
-from doo_ti.vision.spline import smooth_curve
+from doo_ti.vision.cameras.rig import load_rig
+from doo_ti.vision.detection.detect import Detection, detect
+from doo_ti.vision.detection.images import load_sets, read_image
+from doo_ti.vision.rendering.render import render_set
+from doo_ti.vision.rendering.tubes import smooth_curve
+from doo_ti.vision.reprojection.distance_map import DistanceMaps, distance_maps
+from doo_ti.vision.reprojection.score import score
 from tests.vision.drawn_maps import curves, drawn_maps, three_cameras
 
 EDGES, ALPHA, SETS = 14, 2e5, 3

@@ -25,12 +25,12 @@ from doo_ti.perception.trials import (
     without_camera,
 )
 from doo_ti.scene import load_scene
-from doo_ti.vision.detection import DetectionOptions
-from doo_ti.vision.distance_map import DistanceMaps, distance_maps
-from doo_ti.vision.image_synthesis import Photographs, take
-from doo_ti.vision.reprojection import score
-from doo_ti.vision.rig import Rig, load_rig
-from doo_ti.vision.spline import smooth_curve
+from doo_ti.vision.cameras.rig import Rig, load_rig
+from doo_ti.vision.detection.detect import DetectionOptions
+from doo_ti.vision.rendering.photographs import Photographs, take
+from doo_ti.vision.rendering.tubes import smooth_curve
+from doo_ti.vision.reprojection.distance_map import DistanceMaps, distance_maps
+from doo_ti.vision.reprojection.score import score
 from tests.vision.drawn_maps import curves, drawn_maps, three_cameras
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"

@@ -10,9 +10,9 @@ from doo_ti.perception.tracking import How, Tracker
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Configuration
-from doo_ti.vision.detection import detect
-from doo_ti.vision.render import render_set
-from doo_ti.vision.spline import smooth_curve
+from doo_ti.vision.detection.detect import detect
+from doo_ti.vision.rendering.render import render_set
+from doo_ti.vision.rendering.tubes import smooth_curve
 from tests.vision.drawn_maps import three_cameras
 
 EDGES, FRAMES = 33, 40

@@ -9,8 +9,8 @@ from doo_ti.motion.path import Motion
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material
-from doo_ti.vision.render import render_set
-from doo_ti.vision.spline import smooth_curve
+from doo_ti.vision.rendering.render import render_set
+from doo_ti.vision.rendering.tubes import smooth_curve
 from tests.vision.drawn_maps import curves, three_cameras
 
 EDGES, LENGTH, FRAMES = 20, 3.0, 16

@@ -5,9 +5,10 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from doo_ti.vision.board import Board
-from doo_ti.vision.bundle import Sighting
-from doo_ti.vision.rig import Camera, Rig
+from doo_ti.vision.cameras.board import Board
+from doo_ti.vision.cameras.bundle import Sighting
+from doo_ti.vision.cameras.camera import Camera
+from doo_ti.vision.cameras.rig import Rig
 
 OVERSAMPLING = 3
 

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from doo_ti.vision.distance_map import DistanceMaps
-from doo_ti.vision.rig import Camera, Rig
+from doo_ti.vision.cameras.camera import Camera
+from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from tests.oracle.reprojection import Map, polyline_distance
 
 

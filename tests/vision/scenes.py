@@ -3,8 +3,9 @@
 import cv2
 import numpy as np
 
-from doo_ti.vision.detection import Detection
-from doo_ti.vision.rig import Camera, Rig
+from doo_ti.vision.cameras.camera import Camera
+from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.detection.detect import Detection
 
 
 def small_rig(count: int = 2) -> Rig:

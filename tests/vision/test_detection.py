@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
-from doo_ti.vision.detection import DetectionOptions, detect
-from doo_ti.vision.image_file import read_image
-from doo_ti.vision.render import RenderOptions, render_set
-from doo_ti.vision.rig import load_rig
-from doo_ti.vision.spline import smooth_curve
+from doo_ti.vision.cameras.rig import load_rig
+from doo_ti.vision.detection.detect import DetectionOptions, detect
+from doo_ti.vision.detection.images import read_image
+from doo_ti.vision.rendering.render import RenderOptions, render_set
+from doo_ti.vision.rendering.tubes import smooth_curve
 from tests.vision.scenes import against, bow, small_rig
 
 PLAIN = RenderOptions(noise=2, shading=0, jpeg_quality=None)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
-from doo_ti.vision.detection import Detection, detect
-from doo_ti.vision.distance_map import NEAR_PX, distance_maps
-from doo_ti.vision.render import RenderOptions, render_set
-from doo_ti.vision.spline import smooth_curve
+from doo_ti.vision.detection.detect import Detection, detect
+from doo_ti.vision.rendering.render import RenderOptions, render_set
+from doo_ti.vision.rendering.tubes import smooth_curve
+from doo_ti.vision.reprojection.distance_map import NEAR_PX, distance_maps
 from tests.vision.scenes import bow, small_rig
 
 

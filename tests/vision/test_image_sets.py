@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
-from doo_ti.vision.image_sets import load_sets
-from doo_ti.vision.rig import load_rig
+from doo_ti.vision.cameras.rig import load_rig
+from doo_ti.vision.detection.images import load_sets
 from tests.vision.test_rig import rig
 
 HEADER = "name,cam0,cam2,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z\n"

@@ -6,8 +6,18 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from doo_ti.vision.projection import CAMERA_COLUMNS, WIDEST, camera_functions, camera_table
-from doo_ti.vision.rig import Camera, Rig
+from doo_ti.vision.cameras.camera import Camera
+from doo_ti.vision.cameras.projection import (
+    CAMERA_COLUMNS,
+    WIDEST,
+    Projection,
+    bent,
+    bent_curvature,
+    bent_slope,
+    bent_third,
+    camera_table,
+)
+from doo_ti.vision.cameras.rig import Rig
 from tests.oracle.reprojection import jacobian, project
 from tests.vision.device import NUMBERS, row_kernel
 from tests.vision.drawn_maps import three_cameras
@@ -19,7 +29,7 @@ every_number = pytest.mark.parametrize("number", NUMBERS, ids=lambda number: f"{
 @cache
 def point_kernel(number):
     """A point and a direction to (u, v, speed, seen, point and direction turned into the camera and back)."""
-    camera = camera_functions(number)
+    camera = Projection(number)
 
     @ti.func
     def function(scratch: ti.template(), numbers: ti.template(), values: ti.template()):
@@ -27,7 +37,7 @@ def point_kernel(number):
         d = camera.turned(numbers, CAMERA, (scratch[3], scratch[4], scratch[5]))
         lens = camera.lens(numbers, CAMERA)
         x0, x1, inverse, seen = camera.normalised(lens, y)
-        pixel, j = camera.bent(lens, x0, x1)
+        pixel, j = bent(lens, x0, x1), bent_slope(lens, x0, x1)
         zero = 0.0 * inverse
         back = camera.turned_back(numbers, CAMERA, d)
         return (pixel[0], pixel[1], camera.speed(lens, j, x0, x1, inverse, d), ti.select(seen, zero + 1.0, zero)) + back
@@ -38,13 +48,13 @@ def point_kernel(number):
 @cache
 def lens_kernel(number):
     """(X, Y) to the derivatives of the lens: three first, four second, five third."""
-    camera = camera_functions(number)
+    camera = Projection(number)
 
     @ti.func
     def function(scratch: ti.template(), numbers: ti.template(), values: ti.template()):
         lens = camera.lens(numbers, CAMERA)
-        pixel, j = camera.bent(lens, scratch[0], scratch[1])
-        return j + camera.bending(lens, scratch[0], scratch[1]) + camera.curling(lens, scratch[0], scratch[1])
+        x, y = scratch[0], scratch[1]
+        return bent_slope(lens, x, y) + bent_curvature(lens, x, y) + bent_third(lens, x, y)
 
     return row_kernel(number, 2, 12, function)
 

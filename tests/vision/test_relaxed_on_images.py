@@ -5,7 +5,8 @@ import pytest
 
 from doo_ti import Clamp, Clamps, Configuration, InputError, Material, Newton, relax
 from doo_ti.frames import bishop_frames, quaternion_from_matrix, quaternion_product, smallest_rotation, tangent_from_quaternion
-from doo_ti.vision.reprojection import Reprojection, score
+from doo_ti.vision.reprojection.evidence import Reprojection
+from doo_ti.vision.reprojection.score import score
 from tests.oracle.reprojection import edge_error, rod_energy
 from tests.relax.rods import assert_same
 from tests.vision.drawn_maps import curves, drawn_maps, map_of, three_cameras

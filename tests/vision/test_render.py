@@ -6,9 +6,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from doo_ti.errors import InputError
-from doo_ti.vision.render import RenderOptions, render, render_set
-from doo_ti.vision.spline import smooth_curve
-from doo_ti.vision.tubes import Tube, draw
+from doo_ti.vision.rendering.render import RenderOptions, render, render_set
+from doo_ti.vision.rendering.tubes import Tube, draw, smooth_curve
 from tests.vision.scenes import bow, normals, small_rig
 
 EXACT = RenderOptions(noise=0, jpeg_quality=None, unevenness=0, shading=0)

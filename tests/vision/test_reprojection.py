@@ -8,10 +8,11 @@ import taichi as ti
 
 from doo_ti.errors import InputError
 from doo_ti.types import Material
-from doo_ti.vision.distance_map import DistanceMaps
-from doo_ti.vision.edge_integral import UNSEEN
-from doo_ti.vision.reprojection import Reprojection, score
-from doo_ti.vision.rig import Rig
+from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.reprojection.distance_map import DistanceMaps
+from doo_ti.vision.reprojection.edge_integral import UNSEEN
+from doo_ti.vision.reprojection.evidence import Reprojection
+from doo_ti.vision.reprojection.score import score
 from tests.oracle.reprojection import edge_error, edge_gradient, edge_hessian, rod_energy
 from tests.vision.device import NUMBERS, row_kernel
 from tests.vision.drawn_maps import curves, drawn_maps, map_of, three_cameras

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
-from doo_ti.vision.rig import Camera, Rig, load_rig, save_rig
+from doo_ti.vision.cameras.camera import Camera
+from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
 
 
 def rig() -> Rig:

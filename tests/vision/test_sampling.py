@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from doo_ti.vision.sampling import map_sampling
+from doo_ti.vision.reprojection.sampling import MapSampling
 from tests.oracle.reprojection import STEP, Map
 from tests.vision.device import NUMBERS, row_kernel
 
@@ -16,7 +16,7 @@ every_number = pytest.mark.parametrize("number", NUMBERS, ids=lambda number: f"{
 @cache
 def sampling_kernel(number):
     """(set, u, v) to the value alone, and to the value with its derivatives."""
-    sampling = map_sampling(number, 0)
+    sampling = MapSampling(number, 0)
 
     @ti.func
     def function(scratch: ti.template(), numbers: ti.template(), values: ti.template()):

@@ -8,10 +8,10 @@ import scipy.optimize
 
 from doo_ti.errors import InputError
 from doo_ti.frames import handedness, orthonormality_error
-from doo_ti.vision.marked_rods import observe
-from doo_ti.vision.marks import Marks, read_labels, read_marks
-from doo_ti.vision.rig import Camera, Rig, load_rig
-from doo_ti.vision.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
+from doo_ti.vision.cameras.camera import Camera
+from doo_ti.vision.cameras.rig import Rig, load_rig
+from doo_ti.vision.reprojection.marks import Marks, observe, read_labels, read_marks
+from doo_ti.vision.reprojection.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
 from tests.data.rods import twisted_frames, wavy_vertices
 from tests.vision.boards import around
 

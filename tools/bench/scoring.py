@@ -17,10 +17,12 @@ if not __package__:
 from doo_ti import Clamp, Clamps, Configuration, Material, Newton, relax  # noqa: E402
 from doo_ti.bench.cases import Case, Outcome  # noqa: E402
 from doo_ti.frames import bishop_frames, quaternion_from_matrix  # noqa: E402
-from doo_ti.vision.detection import Detection  # noqa: E402
-from doo_ti.vision.distance_map import distance_maps  # noqa: E402
-from doo_ti.vision.reprojection import Reprojection, score  # noqa: E402
-from doo_ti.vision.rig import Camera, Rig  # noqa: E402
+from doo_ti.vision.cameras.camera import Camera  # noqa: E402
+from doo_ti.vision.cameras.rig import Rig  # noqa: E402
+from doo_ti.vision.detection.detect import Detection  # noqa: E402
+from doo_ti.vision.reprojection.distance_map import distance_maps  # noqa: E402
+from doo_ti.vision.reprojection.evidence import Reprojection  # noqa: E402
+from doo_ti.vision.reprojection.score import score  # noqa: E402
 from tools.bench.against_baseline import Benchmark, run  # noqa: E402
 
 BASELINE = Path(__file__).with_name("scoring.json")

@@ -1,8 +1,7 @@
 """Bundle adjustment: lenses and poses of all cameras and the poses of the board in all views at once.
 
-Minimises the squared pixel distances between seen and projected corners by Gauss-Newton steps with Levenberg-Marquardt damping.
-One pose is held, the one that the world's axes lie in, so that the normal matrix is regular and its inverse the covariance.
-Axes: C cameras, V views, N corners of the board, P unknowns.
+Minimises the squared pixel distances between seen and projected corners. One pose is held, the one that the world's axes lie
+in, so that the normal matrix is regular and its inverse the covariance. Axes: C cameras, V views, N corners of the board, P unknowns.
 """
 
 from dataclasses import dataclass, replace
@@ -10,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti.frames import rotation_matrix
-from doo_ti.vision.jacobian import LENS, projection_jacobian
-from doo_ti.vision.rig import Camera
+from doo_ti.vision.cameras.camera import LENS, Camera
+from doo_ti.vision.cameras.least_squares import least_squares
 
 POSE = 6
 MOST_STEPS = 100
@@ -47,11 +46,6 @@ class Bundle:
         """(n, 3) mm, in the world."""
         return points[sighting.found] @ self.rotations[sighting.view].T + self.translations[sighting.view]
 
-    def cost(self, points: np.ndarray, sightings: list[Sighting]) -> float:
-        """px², the sum of squares; infinite for corners that are not in front of their camera."""
-        total = sum(np.sum(self.residual(points, sighting) ** 2) for sighting in sightings)
-        return total if np.isfinite(total) else np.inf
-
     def moved(self, step: np.ndarray) -> "Bundle | None":
         """The bundle after a step (P,): rotations turn by it about the axes of what they lead to; None for no camera."""
         count, cameras = len(self.cameras), []
@@ -75,25 +69,17 @@ def adjusted(bundle: Bundle, points: np.ndarray, sightings: list[Sighting], free
 
     Raises LinAlgError where the sightings do not determine what is free.
     """
-    cost, damping = bundle.cost(points, sightings), 1e-3
-    for _ in range(MOST_STEPS):
-        normal, slope = _normal_equations(bundle, points, sightings, free)
-        better = None
-        while better is None and damping < 1e12:
-            step = np.zeros(len(free))
-            step[free] = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
-            trial = bundle.moved(step)
-            trial_cost = np.inf if trial is None else trial.cost(points, sightings)
-            better = trial if trial_cost <= cost else None
-            damping = damping / 10 if better is not None else damping * 10
-        if better is None:
-            break
-        gain, bundle, cost = cost - trial_cost, better, trial_cost
-        if gain <= LITTLE * cost:
-            break
-    normal, _ = _normal_equations(bundle, points, sightings, free)
+    def moved(bundle, steps):
+        step = np.zeros(len(free))
+        step[free] = steps[0]
+        return bundle.moved(step)
+
+    bundle, _, normal = least_squares(
+        bundle, lambda trial: _normal_equations(trial, points, sightings, free), moved,
+        lambda better, trial, before: trial if better[0] else before,
+        lambda step, gain, cost: (gain >= 0) & (gain <= LITTLE * cost), 1e-3, MOST_STEPS)
     covariance = np.zeros((len(free), len(free)))
-    covariance[np.ix_(free, free)] = _inverse(normal)
+    covariance[np.ix_(free, free)] = _inverse(normal[0])
     return bundle, covariance
 
 
@@ -104,14 +90,16 @@ def places(cameras: int, views: int) -> tuple[np.ndarray, np.ndarray, np.ndarray
     return of_cameras[:, :LENS], of_cameras[:, LENS:], of_views
 
 
-def _normal_equations(bundle: Bundle, points: np.ndarray, sightings: list[Sighting], free: np.ndarray):
-    """JᵀJ and Jᵀr of the unknowns that are free."""
-    lenses, of_cameras, of_views = places(len(bundle.cameras), len(bundle.rotations))
-    normal, slope = np.zeros((len(free), len(free))), np.zeros(len(free))
-    for sighting in sightings:
+def _normal_equations(bundle: Bundle | None, points: np.ndarray, sightings: list[Sighting], free: np.ndarray):
+    """(1,) px² the sum of squares, infinite for corners that are not in front of their camera and for no bundle, (1, F, F) JᵀJ
+    and (1, F) Jᵀr of the F unknowns that are free."""
+    normal, slope, cost = np.zeros((len(free), len(free))), np.zeros(len(free)), np.inf if bundle is None else 0.0
+    for sighting in [] if bundle is None else sightings:
+        lenses, of_cameras, of_views = places(len(bundle.cameras), len(bundle.rotations))
         camera = bundle.cameras[sighting.camera]
         world = bundle.corners(points, sighting)
-        by_point, by_lens = projection_jacobian(camera, world)
+        pixel, by_point, by_lens = camera.project_with_jacobian(world)
+        residual = (pixel - sighting.pixels).ravel()
         by_world = by_point @ camera.rotation
         jacobian = np.concatenate([
             by_lens, -by_point @ cross_matrix(world @ camera.rotation.T), by_point,
@@ -119,8 +107,10 @@ def _normal_equations(bundle: Bundle, points: np.ndarray, sightings: list[Sighti
         jacobian = jacobian.reshape(-1, jacobian.shape[-1])
         at = np.concatenate([lenses[sighting.camera], of_cameras[sighting.camera], of_views[sighting.view]])
         normal[np.ix_(at, at)] += jacobian.T @ jacobian
-        slope[at] += jacobian.T @ bundle.residual(points, sighting).ravel()
-    return normal[np.ix_(free, free)], slope[free]
+        slope[at] += jacobian.T @ residual
+        cost += residual @ residual
+    cost = cost if np.isfinite(cost) else np.inf
+    return np.array([cost]), normal[np.ix_(free, free)][None], slope[free][None]
 
 
 def _inverse(normal: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 """The thread's centre line in an image (§IV-A).
 
 The paper's binary image says of each pixel whether the thread is on it. Here the line is found to a fraction of a pixel:
-points with directions, which every later step is as exact as. The paper's way is in :mod:`doo_ti.vision.canny`.
+points with directions, which every later step is as exact as. The paper's way is in :mod:`doo_ti.vision.detection.detect`.
 """
 
 from dataclasses import dataclass
@@ -9,10 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.vision.appearance import BAR, SURE, Appearance, appearance, of_a_thread
-from doo_ti.vision.canny import canny_line
-from doo_ti.vision.profile import edges_across, gradient
-from doo_ti.vision.ridge import REACH_PX, Curvature, pieces
+from doo_ti.vision.detection.appearance import BAR, SURE, Appearance, appearance, of_a_thread
+from doo_ti.vision.detection.ridge import REACH_PX, Curvature, edges_across, gradient, pieces
 
 SIGMA_PER_WIDTH, SMALLEST_SIGMA = 0.35, 0.8
 """Of the ridges' smoothing, px: enough that a bar has one ridge, no more than that neighbours stay apart."""
@@ -22,6 +20,18 @@ WEAK, STRONG = 0.2, 0.5
 
 WIDTH_RATIO, FAINTEST = 1.5, 0.4
 """Of a piece to the most distinct one: width either way, as depth changes it, and mean strength."""
+
+CANNY_STRONG, CANNY_WEAK = 0.4, 0.15
+"""Canny's thresholds over the slope of the thread's edges."""
+
+VOTE_BLUR_PX = 1.0
+"""Standard deviation of a vote."""
+
+MEETING = 0.5
+"""Votes on the centre line over those of two whole edges, with an edge pixel per px of length."""
+
+STEEPEST = 8000
+"""What the thread's slope becomes in the whole numbers that Canny takes."""
 
 METHODS = ("ridge", "canny")
 POLARITIES = ("dark", "light")
@@ -97,7 +107,7 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
     points, direction, strength = np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
     if look is not None:
         left, top, right, bottom = look.box
-        find = {"ridge": _ridge_line, "canny": canny_line}[options.method]
+        find = {"ridge": _ridge_line, "canny": _canny_line}[options.method]
         points, direction, strength = find(grey[top:bottom, left:right], look, options.least_contrast, options.shortest_px)
         points = points + (left, top)
     if not len(points):
@@ -134,3 +144,48 @@ def _alike(piece: np.ndarray, width: np.ndarray, strength: np.ndarray) -> np.nda
     first = np.argmax(count * mean**2)
     ratio = median / median[first]
     return ((ratio < WIDTH_RATIO) & (ratio > 1 / WIDTH_RATIO) & (mean > FAINTEST * mean[first]))[piece]
+
+
+# --- the paper's way ----------------------------------------------------------------------------------------------------
+
+def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float,
+                shortest_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(N, 2) pixels of the centre line in an image (H, W) float32, their (N, 2) directions and (N,) strengths.
+
+    "A Canny edge detector with a blurred, offset Gaussian kernel" (§IV-A): every edge pixel votes for the place half a thread's
+    width further in, along the gradient; votes are blurred. Where the votes of both edges meet lies the centre line. Votes
+    carry their directions: those of a single edge do not cancel, and do not count.
+
+    look            of the thread: the offset is half its width
+    least_contrast  grey levels: fainter edges are none
+    shortest_px     of a piece of line
+    """
+    import cv2
+
+    slope = gradient(image)
+    whole = np.clip(np.rint(slope * (STEEPEST / look.slope)), -32767, 32767).astype(np.int16)
+    floor = 0.25 * least_contrast / look.slope
+    weak, strong = (STEEPEST * max(share, floor) for share in (CANNY_WEAK, CANNY_STRONG))
+    edge = cv2.Canny(np.ascontiguousarray(whole[..., 0]), np.ascontiguousarray(whole[..., 1]), weak, strong, L2gradient=True)
+    row, column = np.nonzero(edge)
+    outward = slope[row, column] / np.maximum(np.linalg.norm(slope[row, column], axis=1, keepdims=True), 1e-30)
+    meeting = _meeting(row, column, outward if look.polarity == "dark" else -outward, look.width_px / 2, image.shape)
+    curvature = Curvature(meeting, VOTE_BLUR_PX)
+    ridges = curvature.ridges("light", 1e-3)
+    ridges = ridges[(meeting[ridges.row, ridges.column] >= MEETING) & (np.abs(ridges.offset) <= REACH_PX)]
+    ridges = ridges[pieces(ridges, 0.0, shortest_px) > 0]
+    return np.stack([ridges.column, ridges.row], axis=1).astype(np.float64), ridges.tangent, look.slope * ridges.strength
+
+
+def _meeting(row: np.ndarray, column: np.ndarray, outward: np.ndarray, offset: float, shape: tuple[int, int]) -> np.ndarray:
+    """(H, W) float32: blurred votes of edge pixels that are met by votes from the other side, 1 for two whole edges."""
+    import cv2
+
+    x = np.rint(column - offset * outward[:, 0]).astype(np.int64)
+    y = np.rint(row - offset * outward[:, 1]).astype(np.int64)
+    inside = (x >= 0) & (x < shape[1]) & (y >= 0) & (y < shape[0])
+    place, length = (y * shape[1] + x)[inside], shape[0] * shape[1]
+    ballots = [np.bincount(place, weight, length).reshape(shape).astype(np.float32)
+               for weight in (None, outward[inside, 0], outward[inside, 1])]
+    votes, across, down = (cv2.GaussianBlur(ballot, (0, 0), VOTE_BLUR_PX, borderType=cv2.BORDER_CONSTANT) for ballot in ballots)
+    return (votes - np.sqrt(across * across + down * down)) * np.float32(VOTE_BLUR_PX * np.sqrt(2 * np.pi) / 2)

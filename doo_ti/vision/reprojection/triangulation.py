@@ -11,8 +11,9 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.types import LARGEST
-from doo_ti.vision.jacobian import projection_jacobian
-from doo_ti.vision.rig import Camera, Rig
+from doo_ti.vision.cameras.camera import Camera
+from doo_ti.vision.cameras.least_squares import least_squares
+from doo_ti.vision.cameras.rig import Rig
 
 SMALLEST_ANGLE = np.radians(0.5)
 """Rays that are closer to parallel have no point nearest to them."""
@@ -152,22 +153,13 @@ def _fitted(rig: Rig, pixels: np.ndarray, used: np.ndarray) -> tuple[np.ndarray,
     NaN and infinite for fewer than two labels, parallel rays, and points that are not in front of their cameras.
     """
     position, sound = _nearest_to_rays(rig, pixels, used)
-    cost, normal, slope = _linearised(rig, pixels, used, position)
-    damping = np.full(len(cost), 1e-6)
-    for _ in range(MOST_STEPS):
-        damped = normal * (1 + damping[:, None, None] * np.eye(3))
-        lost = ~(np.isfinite(cost) & sound)
-        damped[lost], slope[lost] = np.eye(3), 0.0
-        step = -np.linalg.solve(damped, slope[..., None])[..., 0]
-        trial = _linearised(rig, pixels, used, position + step)
-        better = trial[0] <= cost
-        position = np.where(better[:, None], position + step, position)
-        normal = np.where(better[:, None, None], trial[1], normal)
-        slope, cost = np.where(better[:, None], trial[2], slope), np.where(better, trial[0], cost)
-        damping = np.where(better, damping / 10, damping * 10)
-        if not (np.linalg.norm(step, axis=-1) > FINE_MM).any():
-            break
-    cost = np.where(sound, cost, np.inf)
+    def linearised(trial):
+        cost, normal, slope = _linearised(rig, pixels, used, trial)
+        return np.where(sound, cost, np.inf), normal, slope
+
+    position, cost, _ = least_squares(
+        position, linearised, np.add, lambda better, trial, before: np.where(better[:, None], trial, before),
+        lambda step, gain, cost: np.linalg.norm(step, axis=-1) <= FINE_MM, 1e-6, MOST_STEPS)
     return np.where(np.isfinite(cost)[:, None], position, np.nan), cost
 
 
@@ -177,8 +169,8 @@ def _linearised(rig: Rig, pixels: np.ndarray, used: np.ndarray, position: np.nda
     cost, normal, slope = np.zeros(count), np.zeros((count, 3, 3)), np.zeros((count, 3))
     for camera, labels, there in zip(rig.cameras, pixels, used):
         front = there & (camera.depth(position) > 0)
-        residual = camera.project(position[front]) - labels[front]
-        jacobian = projection_jacobian(camera, position[front])[0] @ camera.rotation
+        pixel, by_point, _ = camera.project_with_jacobian(position[front])
+        residual, jacobian = pixel - labels[front], by_point @ camera.rotation
         cost[front] += np.sum(residual**2, axis=-1)
         cost[there & ~front] = np.inf
         normal[front] += np.swapaxes(jacobian, 1, 2) @ jacobian

@@ -1,6 +1,7 @@
-"""Calibrated cameras around a scene: x_cam = R x_world + t, then K with radial and tangential distortion (§V-A).
+"""Cameras around a scene, and the file that describes them: OpenCV FileStorage YAML (§V-A).
 
-Axes: C cameras, V vertices. Millimetres in the world, pixels in images, pixel (0, 0) at the centre of the upper left one.
+FileStorage's own reader crashes on damaged files, so that what it writes is read without it; a matrix is a map
+``rows, cols, dt, data`` with the tag ``!!opencv-matrix``. Axes: C cameras, V vertices.
 """
 
 import os
@@ -9,100 +10,17 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.errors import InputError, real_array
+from doo_ti.errors import InputError
 from doo_ti.file_content import read_content
-from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
-from doo_ti.vision.opencv_yaml import read_opencv_yaml
+from doo_ti.vision.cameras.camera import COEFFICIENTS, KEYS, Camera
 from doo_ti.whole_file import write_whole
 
-COEFFICIENTS = 5
-"""Of distortion: k1, k2, p1, p2, k3."""
 MOST_FILE_BYTES = 1 << 20
 """Of a rig: some thousand cameras."""
-MOST_SIDE = 20_000
-"""Pixels along a side of an image."""
-LEAST_FOCAL_PX, MOST_PX = 1.0, 1e6
-"""Of focal lengths; principal points lie as far off at most."""
-MOST_DISTORTION = 1e6
-MOST_MM = 1e6
-"""From the world's origin to a camera."""
 OTHER_COLUMNS = ("name", "frame", "time_s", "view", "seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
 """Of tables that have a column of images for each camera, named as it is."""
-
-
-@dataclass(frozen=True)
-class Camera:
-    """One calibrated camera.
-
-    matrix       (3, 3) K, px: focal lengths and principal point, without skew
-    distortion   (5,) k1, k2, p1, p2, k3
-    rotation     (3, 3) R from world to camera, x right, y down, z forward
-    translation  (3,) t, mm
-
-    Raises InputError for sizes that are not positive, shapes that do not match, an R that is no rotation, and numbers beyond
-    the bounds of any camera, which are stated above.
-    """
-
-    name: str
-    width: int
-    height: int
-    matrix: np.ndarray
-    distortion: np.ndarray
-    rotation: np.ndarray
-    translation: np.ndarray
-    source: str = "rig"
-
-    def __post_init__(self):
-        for name, shape in (("matrix", (3, 3)), ("distortion", None), ("rotation", (3, 3)), ("translation", (3,))):
-            value = np.array(real_array(self.source, f"cameras.{self.name}.{_KEYS[name]}", getattr(self, name), "give numbers"),
-                             dtype=np.float64)
-            value = value if name in ("matrix", "rotation") else value.reshape(-1)
-            if name == "distortion" and value.size in (0, 4):
-                value = np.concatenate([value, np.zeros(COEFFICIENTS - value.size)])
-            if value.shape != (shape or (COEFFICIENTS,)) or not np.isfinite(value).all():
-                wanted = f"give {shape or (1, COEFFICIENTS)} numbers"
-                raise self._error(_KEYS[name], f"shape {value.shape}, or not finite", wanted)
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
-        if not (1 <= self.width <= MOST_SIDE and 1 <= self.height <= MOST_SIDE):
-            raise self._error("width, height", f"{self.width} x {self.height}",
-                              f"give the size of the images in pixels, at most {MOST_SIDE:,} a side")
-        (fx, skew, _), (lower, fy, _), last = self.matrix
-        if not (fx > 0 and fy > 0) or skew != 0 or lower != 0 or (last != [0, 0, 1]).any():
-            raise self._error("K", f"{self.matrix.tolist()}", "give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0")
-        for name, value, most in (("K", self.matrix[:2], MOST_PX), ("dist", self.distortion, MOST_DISTORTION),
-                                  ("t", self.translation, MOST_MM)):
-            if (np.abs(value) > most).any():
-                raise self._error(name, f"{value[np.abs(value) > most][0]:g}", f"give numbers up to {most:,.0f}")
-        if min(fx, fy) < LEAST_FOCAL_PX:
-            raise self._error("K", f"a focal length of {min(fx, fy):g} px", f"give {LEAST_FOCAL_PX:g} px or more")
-        if orthonormality_error(self.rotation) > FRAME_TOLERANCE or handedness(self.rotation) < 0:
-            raise self._error("R", f"{np.round(self.rotation, 4).tolist()} is no rotation", "give a right-handed rotation")
-
-    def _error(self, field: str, problem: str, remedy: str) -> InputError:
-        return InputError(self.source, f"cameras.{self.name}.{field}", problem, remedy)
-
-    @property
-    def centre(self) -> np.ndarray:
-        """(3,) mm: where the camera is in the world."""
-        return -self.rotation.T @ self.translation
-
-    def project(self, points: np.ndarray) -> np.ndarray:
-        """(..., 2) px of (..., 3) points in the world, distorted as the lens does; NaN for points that are not in front."""
-        seen = np.asarray(points, dtype=np.float64) @ self.rotation.T + self.translation
-        depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
-        x, y = seen[..., 0] / depth, seen[..., 1] / depth
-        k1, k2, p1, p2, k3 = self.distortion
-        square = x * x + y * y
-        radial = 1 + square * (k1 + square * (k2 + square * k3))
-        bent_x = x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x)
-        bent_y = y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y
-        (fx, _, cx), (_, fy, cy), _ = self.matrix
-        return np.stack([fx * bent_x + cx, fy * bent_y + cy], axis=-1)
-
-    def depth(self, points: np.ndarray) -> np.ndarray:
-        """(...) mm along the optical axis of (..., 3) points in the world."""
-        return np.asarray(points, dtype=np.float64) @ self.rotation[2] + self.translation[2]
+KINDS = ("u", "c", "w", "s", "i", "f", "d")
+"""Of numbers in a matrix of one channel."""
 
 
 @dataclass(frozen=True)
@@ -144,9 +62,6 @@ def check_camera_names(source: str, names: list[str]) -> None:
                              "that name" if name else "a camera without a name", "name it otherwise, such as cam0")
 
 
-_KEYS = {"matrix": "K", "distortion": "dist", "rotation": "R", "translation": "t"}
-
-
 def load_rig(path: str | os.PathLike) -> Rig:
     """The rig of an OpenCV FileStorage YAML file: a sequence ``cameras`` of maps name, width, height, K, dist, R, t.
 
@@ -175,7 +90,7 @@ def _camera(path: Path, entries, index: int) -> Camera:
         if type(size[key]) is not int:
             raise InputError(path, f"cameras.{name}.{key}", "missing or no whole number", "give the images' size in pixels")
     values = {}
-    for field, key in _KEYS.items():
+    for field, key in KEYS.items():
         found = entries.get(key)
         if not isinstance(found, np.ndarray):
             raise InputError(path, f"cameras.{name}.{key}", "missing or no matrix",
@@ -203,3 +118,60 @@ def save_rig(path: str | os.PathLike, rig: Rig) -> None:
     storage.endWriteStruct()
     text = storage.releaseAndGetString()
     write_whole(Path(path), lambda file: file.write(text.encode()))
+
+
+# --- what FileStorage writes ---------------------------------------------------------------------------------------------
+
+
+class DamagedError(ValueError):
+    """Text that FileStorage does not write."""
+
+
+def read_opencv_yaml(text: str):
+    """The values of one document: dictionaries, lists, text, numbers, and matrices as arrays (rows, cols) in f64.
+
+    Raises DamagedError for whatever is no YAML, and for matrices that are none. Nothing but these values is ever made.
+    """
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        def compose_node(self, parent, index):
+            if self.check_event(yaml.AliasEvent):  # FileStorage writes none, and they can unfold without end
+                raise DamagedError("an alias")
+            return super().compose_node(parent, index)
+
+        def matrix(self, node):
+            return _matrix(self.construct_mapping(node, deep=True))
+
+    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", Loader.matrix)
+    # FileStorage begins with a line that only OpenCV takes for a version of YAML, %YAML:1.0.
+    lines = text.splitlines(keepends=True)
+    body = "".join(lines[1:]) if lines and lines[0].startswith("%YAML") else text
+    try:
+        return yaml.load(body, Loader)
+    except (yaml.YAMLError, RecursionError, OverflowError) as error:
+        raise DamagedError((str(error) or type(error).__name__).splitlines()[0]) from None
+    except (TypeError, ValueError, AttributeError) as error:  # a key that is a list, a date that is none
+        raise DamagedError(str(error).splitlines()[0]) from None
+
+
+def _matrix(entries: dict) -> np.ndarray:
+    rows, columns, kind, data = (entries.get(key) for key in ("rows", "cols", "dt", "data"))
+    for name, value in (("rows", rows), ("cols", columns)):
+        if type(value) is not int or value < 1:
+            raise DamagedError(f"{name} of a matrix is {value!r}")
+    if kind not in KINDS:
+        raise DamagedError(f"dt of a matrix is {kind!r}")
+    if not isinstance(data, list) or len(data) != rows * columns:
+        raise DamagedError(f"data of a matrix are not {rows} x {columns} numbers")
+    return np.array([_number(value) for value in data]).reshape(rows, columns)
+
+
+def _number(value) -> float:
+    # YAML takes 1e3, without a point, for text.
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise DamagedError(f"{value!r} in a matrix is no number")
+    try:
+        return float(value)
+    except (ValueError, OverflowError):
+        raise DamagedError(f"{value!r} in a matrix is no number") from None

@@ -12,11 +12,10 @@ from pathlib import Path
 
 from doo_ti.errors import InputError
 from doo_ti.file_content import MOST_TEXT_BYTES, read_content
-from doo_ti.vision.board import Board
-from doo_ti.vision.bundle import Sighting
-from doo_ti.vision.corners import find_corners
-from doo_ti.vision.image_file import read_image
-from doo_ti.vision.rig import check_camera_names
+from doo_ti.vision.cameras.board import Board, find_corners
+from doo_ti.vision.cameras.bundle import Sighting
+from doo_ti.vision.cameras.rig import check_camera_names
+from doo_ti.vision.detection.images import read_image
 
 
 @dataclass(frozen=True)

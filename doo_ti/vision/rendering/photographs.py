@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.vision.image_sets import SEED
-from doo_ti.vision.render import RenderOptions, render_set
-from doo_ti.vision.rig import Rig, save_rig
+from doo_ti.vision.cameras.rig import Rig, save_rig
+from doo_ti.vision.detection.images import SEED
+from doo_ti.vision.rendering.render import RenderOptions, render_set
 from doo_ti.whole_file import write_whole
 
 SETS_FILE, RIG_FILE = "sets.csv", "rig.yaml"

@@ -12,7 +12,7 @@ import taichi as ti
 
 from doo_ti import runtime
 from doo_ti.errors import InputError
-from doo_ti.vision.detection import Detection
+from doo_ti.vision.detection.detect import Detection
 
 HALF_LENGTH_PX = 0.5
 """Of the straight piece around a point: half the largest spacing of points along the line."""

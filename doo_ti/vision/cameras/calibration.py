@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.vision.bundle import Bundle, Sighting, adjusted, cross_matrix, places
-from doo_ti.vision.rig import Camera, Rig
+from doo_ti.vision.cameras.bundle import Bundle, Sighting, adjusted, cross_matrix, places
+from doo_ti.vision.cameras.camera import Camera
+from doo_ti.vision.cameras.rig import Rig
 
 FEWEST_VIEWS = 3
 WORLDS = ("first-board", "camera")

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.vision.profile import Edges, edges_across, gradient
-from doo_ti.vision.ridge import POINTS_PER_PX, REACH_PX, Curvature, Ridges, pieces
+from doo_ti.vision.detection.ridge import POINTS_PER_PX, REACH_PX, Curvature, Edges, Ridges, edges_across, gradient, pieces
 
 LEVELS = 3
 """Of the pyramid above the image itself: halves to eighths, for threads up to some 40 px wide."""

@@ -11,9 +11,9 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.types import LARGEST
-from doo_ti.vision.rig import Camera, Rig
-from doo_ti.vision.spline import smooth_curve
-from doo_ti.vision.tubes import DRAWN_BLUR_PX, Tube, draw
+from doo_ti.vision.cameras.camera import Camera
+from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.rendering.tubes import DRAWN_BLUR_PX, Tube, draw, smooth_curve
 
 PIXEL_BLUR_PX = 12**-0.5
 """Standard deviation of a pixel's square, which gathers the light behind the lens."""
@@ -110,8 +110,8 @@ def render_set(rig: Rig, rod: np.ndarray, diameter_mm: float, options: RenderOpt
 
     seed  everything random follows from it: the same seed gives the same images
 
-    Raises InputError for a rod that is not (V, 3) finite numbers with V ≥ 2, coinciding neighbours, and diameters that no thread
-    has.
+    Raises InputError for a rod that is not (V, 3) finite numbers with V ≥ 2, coinciding neighbours, and diameters that no
+    thread has.
     """
     rod = np.asarray(rod, dtype=np.float64)
     if rod.ndim != 2 or rod.shape[1] != 3 or len(rod) < 2 or not np.isfinite(rod).all():

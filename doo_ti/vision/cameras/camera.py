@@ -1,0 +1,188 @@
+"""A calibrated camera: x_cam = R x_world + t, then a lens with radial and tangential distortion, then K (§V-A).
+
+A point y in the camera's axes has the normalised image (X, Y) = (y1, y2)/y3, which the lens bends to b(X, Y), OpenCV's model of
+five coefficients. The Jacobian of b is symmetric, and so are its second and third derivatives in all places: all are
+derivatives of one potential. A ``lens`` is fx, fy, cx, cy, k1, k2, p1, p2, k3, and what else follows. Its functions are
+arithmetic only, of arrays as of a kernel's numbers (:mod:`doo_ti.vision.cameras.projection`); ``kept`` is what makes a kernel
+evaluate a number once.
+
+Millimetres in the world, pixels in images, pixel (0, 0) at the centre of the upper left one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti.errors import InputError, real_array
+from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
+
+COEFFICIENTS = 5
+"""Of distortion: k1, k2, p1, p2, k3."""
+LENS = 4 + COEFFICIENTS
+"""Numbers of a lens."""
+MOST_SIDE = 20_000
+"""Pixels along a side of an image."""
+LEAST_FOCAL_PX, MOST_PX = 1.0, 1e6
+"""Of focal lengths; principal points lie as far off at most."""
+MOST_DISTORTION = 1e6
+MOST_MM = 1e6
+"""From the world's origin to a camera."""
+KEYS = {"matrix": "K", "distortion": "dist", "rotation": "R", "translation": "t"}
+"""How files name a camera's arrays."""
+
+
+def _as_it_is(value):
+    return value
+
+
+def bent(lens, x, y, kept=_as_it_is):
+    """The pixel (u, v) of (X, Y): b, times the focal lengths, from the principal point."""
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = lens[:LENS]
+    square = kept(x * x + y * y)
+    radial = kept(1.0 + square * (k1 + square * (k2 + square * k3)))
+    u = x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
+    v = y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
+    return (fx * u + cx, fy * v + cy)
+
+
+def bent_slope(lens, x, y, kept=_as_it_is):
+    """First derivatives of b: (11, 12, 22)."""
+    k1, k2, p1, p2, k3 = lens[4:LENS]
+    square = kept(x * x + y * y)
+    radial = kept(1.0 + square * (k1 + square * (k2 + square * k3)))
+    growth = kept(2.0 * (k1 + square * (2.0 * k2 + square * (3.0 * k3))))
+    return (
+        radial + growth * x * x + 2.0 * p1 * y + 6.0 * p2 * x,
+        growth * x * y + 2.0 * p1 * x + 2.0 * p2 * y,
+        radial + growth * y * y + 6.0 * p1 * y + 2.0 * p2 * x,
+    )
+
+
+def bent_curvature(lens, x, y, kept=_as_it_is):
+    """Second derivatives of b: (111, 112, 122, 222), the same in all orders."""
+    k1, k2, p1, p2, k3 = lens[4:LENS]
+    square = kept(x * x + y * y)
+    growth = kept(2.0 * (k1 + square * (2.0 * k2 + square * (3.0 * k3))))
+    more = kept(4.0 * (2.0 * k2 + 6.0 * k3 * square))
+    return (
+        3.0 * growth * x + more * x * x * x + 6.0 * p2,
+        growth * y + more * x * x * y + 2.0 * p1,
+        growth * x + more * x * y * y + 2.0 * p2,
+        3.0 * growth * y + more * y * y * y + 6.0 * p1,
+    )
+
+
+def bent_third(lens, x, y, kept=_as_it_is):
+    """Third derivatives of b: (1111, 1112, 1122, 1222, 2222), the same in all orders."""
+    k1, k2, p1, p2, k3 = lens[4:LENS]
+    square = kept(x * x + y * y)
+    first = kept(k1 + square * (2.0 * k2 + square * (3.0 * k3)))
+    second = kept(2.0 * k2 + 6.0 * k3 * square)
+    third = kept(48.0 * k3)
+    a, b, c = kept(x * x), kept(x * y), kept(y * y)
+    return (
+        6.0 * first + 24.0 * second * a + third * a * a,
+        b * (12.0 * second + third * a),
+        2.0 * first + 4.0 * second * square + third * b * b,
+        b * (12.0 * second + third * c),
+        6.0 * first + 24.0 * second * c + third * c * c,
+    )
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One calibrated camera.
+
+    matrix       (3, 3) K, px: focal lengths and principal point, without skew
+    distortion   (5,) k1, k2, p1, p2, k3
+    rotation     (3, 3) R from world to camera, x right, y down, z forward
+    translation  (3,) t, mm
+
+    Raises InputError for sizes that are not positive, shapes that do not match, an R that is no rotation, and numbers beyond
+    the bounds of any camera, which are stated above.
+    """
+
+    name: str
+    width: int
+    height: int
+    matrix: np.ndarray
+    distortion: np.ndarray
+    rotation: np.ndarray
+    translation: np.ndarray
+    source: str = "rig"
+
+    def __post_init__(self):
+        for name, shape in (("matrix", (3, 3)), ("distortion", None), ("rotation", (3, 3)), ("translation", (3,))):
+            value = np.array(real_array(self.source, f"cameras.{self.name}.{KEYS[name]}", getattr(self, name), "give numbers"),
+                             dtype=np.float64)
+            value = value if name in ("matrix", "rotation") else value.reshape(-1)
+            if name == "distortion" and value.size in (0, 4):
+                value = np.concatenate([value, np.zeros(COEFFICIENTS - value.size)])
+            if value.shape != (shape or (COEFFICIENTS,)) or not np.isfinite(value).all():
+                wanted = f"give {shape or (1, COEFFICIENTS)} numbers"
+                raise self._error(KEYS[name], f"shape {value.shape}, or not finite", wanted)
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        if not (1 <= self.width <= MOST_SIDE and 1 <= self.height <= MOST_SIDE):
+            raise self._error("width, height", f"{self.width} x {self.height}",
+                              f"give the size of the images in pixels, at most {MOST_SIDE:,} a side")
+        (fx, skew, _), (lower, fy, _), last = self.matrix
+        if not (fx > 0 and fy > 0) or skew != 0 or lower != 0 or (last != [0, 0, 1]).any():
+            raise self._error("K", f"{self.matrix.tolist()}", "give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0")
+        for name, value, most in (("K", self.matrix[:2], MOST_PX), ("dist", self.distortion, MOST_DISTORTION),
+                                  ("t", self.translation, MOST_MM)):
+            if (np.abs(value) > most).any():
+                raise self._error(name, f"{value[np.abs(value) > most][0]:g}", f"give numbers up to {most:,.0f}")
+        if min(fx, fy) < LEAST_FOCAL_PX:
+            raise self._error("K", f"a focal length of {min(fx, fy):g} px", f"give {LEAST_FOCAL_PX:g} px or more")
+        if orthonormality_error(self.rotation) > FRAME_TOLERANCE or handedness(self.rotation) < 0:
+            raise self._error("R", f"{np.round(self.rotation, 4).tolist()} is no rotation", "give a right-handed rotation")
+
+    def _error(self, field: str, problem: str, remedy: str) -> InputError:
+        return InputError(self.source, f"cameras.{self.name}.{field}", problem, remedy)
+
+    @property
+    def lens(self) -> np.ndarray:
+        """(9,) fx, fy, cx, cy and the distortion."""
+        return np.concatenate([self.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], self.distortion])
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(3,) mm: where the camera is in the world."""
+        return -self.rotation.T @ self.translation
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """(..., 2) px of (..., 3) points in the world, distorted as the lens does; NaN for points that are not in front."""
+        x, y, _ = self._normalised(points)
+        return np.stack(bent(self.lens, x, y), axis=-1)
+
+    def project_with_jacobian(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(..., 2) px as :meth:`project`, (..., 2, 3) px per mm that the points move along the **camera's** axes, and
+        (..., 2, 9) px by the lens. By a move in the world the first derivative is times ``rotation``."""
+        x, y, near = self._normalised(points)
+        lens = self.lens
+        pixel = np.stack(bent(lens, x, y), axis=-1)
+        focal = lens[:2]
+        by_ray = focal[:, None] * np.stack(bent_slope(lens, x, y), axis=-1)[..., [[0, 1], [1, 2]]]
+        ray_by_point = np.zeros((*x.shape, 2, 3))
+        ray_by_point[..., 0, 0] = ray_by_point[..., 1, 1] = near
+        ray_by_point[..., 0, 2], ray_by_point[..., 1, 2] = -x * near, -y * near
+        by_lens, square = np.zeros((*x.shape, 2, LENS)), x * x + y * y
+        for axis, along in enumerate((x, y)):
+            by_lens[..., axis, axis] = (pixel[..., axis] - lens[2 + axis]) / focal[axis]
+            by_lens[..., axis, 2 + axis] = 1
+            for column, power in ((4, 1), (5, 2), (8, 3)):
+                by_lens[..., axis, column] = focal[axis] * along * square**power
+            by_lens[..., axis, 6 + axis] = focal[axis] * 2 * x * y
+            by_lens[..., axis, 7 - axis] = focal[axis] * (square + 2 * along * along)
+        return pixel, by_ray @ ray_by_point, by_lens
+
+    def _normalised(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """X, Y and 1/depth of (..., 3) points in the world; NaN for those that are not in front."""
+        seen = np.asarray(points, dtype=np.float64) @ self.rotation.T + self.translation
+        depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
+        return seen[..., 0] / depth, seen[..., 1] / depth, 1 / depth
+
+    def depth(self, points: np.ndarray) -> np.ndarray:
+        """(...) mm along the optical axis of (..., 3) points in the world."""
+        return np.asarray(points, dtype=np.float64) @ self.rotation[2] + self.translation[2]

@@ -1,0 +1,1 @@
+"""Images from files, and the thread's centre line in them (§IV-A)."""
