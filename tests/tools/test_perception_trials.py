@@ -9,7 +9,15 @@ import pytest
 from doo_ti.perception.lab_images import LabRods, lab_rods
 from doo_ti.perception.perceive import perceive
 from doo_ti.perception.search import PerceptionOptions, Search
-from doo_ti.perception.trials import (
+from doo_ti.scene import load_scene
+from doo_ti.vision.detection import DetectionOptions
+from doo_ti.vision.distance_map import DistanceMaps, distance_maps
+from doo_ti.vision.image_synthesis import Photographs, take
+from doo_ti.vision.reprojection import score
+from doo_ti.vision.rig import Rig, load_rig
+from doo_ti.vision.spline import smooth_curve
+from tests.vision.drawn_maps import curves, drawn_maps, three_cameras
+from tools.trials.perception import (
     Trial,
     crossings,
     detected,
@@ -24,14 +32,6 @@ from doo_ti.perception.trials import (
     with_energy,
     without_camera,
 )
-from doo_ti.scene import load_scene
-from doo_ti.vision.detection import DetectionOptions
-from doo_ti.vision.distance_map import DistanceMaps, distance_maps
-from doo_ti.vision.image_synthesis import Photographs, take
-from doo_ti.vision.reprojection import score
-from doo_ti.vision.rig import Rig, load_rig
-from doo_ti.vision.spline import smooth_curve
-from tests.vision.drawn_maps import curves, drawn_maps, three_cameras
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 UP = np.array([0.0, 0.0, 1.0])
