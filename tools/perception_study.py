@@ -23,7 +23,7 @@ from doo_ti.scene import load_scene  # noqa: E402
 from doo_ti.types import Material  # noqa: E402
 from doo_ti.vision.detection import Detection, DetectionOptions  # noqa: E402
 from doo_ti.vision.distance_map import DistanceMaps, distance_maps  # noqa: E402
-from doo_ti.vision.image_synthesis import Photographs, take  # noqa: E402
+from doo_ti.vision.image_synthesis import Photographs  # noqa: E402
 from doo_ti.vision.render import RenderOptions  # noqa: E402
 from doo_ti.vision.rig import Rig, load_rig  # noqa: E402
 from doo_ti.vision.spline import smooth_curve  # noqa: E402
@@ -35,6 +35,7 @@ from tools.trials.perception import (  # noqa: E402
     judged,
     seeds_off,
     sets_of,
+    taken,
     truth_energy,
     unseen,
     usual_width,
@@ -155,7 +156,7 @@ def photographed(scene: str, sets: int | None, look: RenderOptions = RenderOptio
         rods = rods.take(np.flatnonzero((crossings(rig.project(rods.curve)) > 0).all(axis=0)))
     elif sets is not None and sets < len(rods.names):
         rods = rods.take(np.linspace(0, len(rods.names) - 1, sets).round().astype(int))
-    images = take(Photographs(rods.names, rods.curve, rods.point, rods.direction, DIAMETER_MM, rig, look, SEED))
+    images = taken(Photographs(rods.names, rods.curve, rods.point, rods.direction, DIAMETER_MM, rig, look, SEED))
     began = time.perf_counter()
     found = detected(images)
     if crossing:

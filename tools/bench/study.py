@@ -24,10 +24,10 @@ from doo_ti.bench.clock import Reference  # noqa: E402
 from doo_ti.bench.summary import Step, accuracy_step, begun, case_steps, completed  # noqa: E402
 from doo_ti.commands.printing import plain  # noqa: E402
 from doo_ti.errors import InterruptedRunError  # noqa: E402
-from doo_ti.report import Panel, panels_picture  # noqa: E402
 from doo_ti.whole_file import write_whole  # noqa: E402
 from tools.bench import process, scaling  # noqa: E402
 from tools.bench.cases import cases  # noqa: E402
+from tools.bench.curves import Panel, panels_picture  # noqa: E402
 from tools.bench.table import large_batches, text  # noqa: E402
 
 CALLS_IN_ROUND = 3  # of the processes with other numbers of threads
