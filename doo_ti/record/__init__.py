@@ -11,8 +11,8 @@ from doo_ti.record.perception import record_perception
 from doo_ti.record.ribbons import record_ribbons
 from doo_ti.record.sweep import record_sweep
 from doo_ti.record.tracking import record_track
-from doo_ti.record.viewer import FILE, open_viewer
+from doo_ti.record.viewer import FILE, open_viewer, save_screenshot
 from doo_ti.record.wall import FAILED
 
 __all__ = ["FAILED", "FILE", "CellsOfRun", "Rods", "open_viewer", "record_cells", "record_motion",
-           "record_perception", "record_ribbons", "record_sweep", "record_track"]
+           "record_perception", "record_ribbons", "record_sweep", "record_track", "save_screenshot"]

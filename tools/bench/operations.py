@@ -1,4 +1,4 @@
-"""Floating-point operations of a trip through Newton's loop, counted in the compiled kernel: ``python tools/bench/operations.py``.
+"""Operations of a trip through Newton's loop, counted in the compiled kernel: ``python tools/bench/operations.py [--check]``.
 
 Prints a line per kind of rod: operations in the loops over edges, for each edge, and outside, for each trip. What
 :data:`doo_ti.bench.cases.OPERATIONS` holds are these figures; ``--check`` exits with 1 where they differ by more than 3 %.
