@@ -13,7 +13,7 @@ from doo_ti.vision.cameras.rig import Rig, save_rig
 from tests.cli.test_bad_input import refused
 from tests.data.rods import wavy_vertices
 from tests.vision.boards import around
-from tests.vision.test_triangulation import HEADER, good_rows, ribbon, written
+from tests.vision.reprojection.test_triangulation import HEADER, good_rows, ribbon, written
 
 RIG = around()
 

@@ -212,8 +212,8 @@ def test_a_finalist_that_is_no_certified_minimum_does_not_win(loop, monkeypatch)
                 replace(solution, status=np.where(stalled, Status.STALLED, solution.status)))
 
     monkeypatch.setattr(search.Search, "relaxed", stalling)
-    several = perceive(maps, rig, rods[:, 0], rods[:, 1] - rods[:, 0], found.configuration.rest_length.reshape(20, -1).sum(axis=1),
-                       MATERIAL, options=OPTIONS)
+    several = perceive(maps, rig, rods[:, 0], rods[:, 1] - rods[:, 0],
+                       found.configuration.rest_length.reshape(20, -1).sum(axis=1), MATERIAL, options=OPTIONS)
     assert several.sound.all() and several.energy_vis == found.energy_vis
     np.testing.assert_array_equal(several.vertices, found.vertices)
 

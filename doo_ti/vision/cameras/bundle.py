@@ -1,7 +1,9 @@
 """Bundle adjustment: lenses and poses of all cameras and the poses of the board in all views at once.
 
 Minimises the squared pixel distances between seen and projected corners. One pose is held, the one that the world's axes lie
-in, so that the normal matrix is regular and its inverse the covariance. Axes: C cameras, V views, N corners of the board, P unknowns.
+in, so that the normal matrix is regular and its inverse the covariance.
+
+Axes: C cameras, V views, N corners of the board, P unknowns.
 """
 
 from dataclasses import dataclass, replace
