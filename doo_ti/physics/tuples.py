@@ -67,6 +67,12 @@ class Variable(Sequence):
             item._assign(value)
 
 
+@picked
+def itemwise(*values) -> tuple:
+    """``values`` to be assigned to a :class:`Variable` one by one: none depends on another item than its own."""
+    return _Evaluated(values)
+
+
 class Record:
     """Named variables of a kernel, numbers, :class:`Variable` and arrays, which are passed on and assigned by name."""
 

@@ -89,7 +89,8 @@ class LoadedElimination(LooseStart):
             force=repeated(zero, 3), c=repeated(zero, 3), f=repeated(zero, 3), cc=repeated(zero, 6), ff=repeated(zero, 6),
             z=repeated(zero, 9), length=zero)
         # Without closure the border stays zero, and with it the Schur complement that is to count for nothing.
-        # Without closure the border stays zero, and its Schur complement with it (:meth:`.Elimination.bordered`).
+        border = record(
+            c=scaled(identity(zero), rod.closed), f=repeated(zero, 9), schur=repeated(zero, 6), right=repeated(zero, 3))
         if ti.static(self.moves_start):
             beyond.force = multiplier
             beyond.c = multiplier

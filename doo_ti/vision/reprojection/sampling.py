@@ -7,7 +7,7 @@ own between all pixels, where a Newton iteration never settles.)
 
 import taichi as ti
 
-from doo_ti.physics.tuples import applied, dot, repeated, traced, variable
+from doo_ti.physics.tuples import applied, dot, itemwise, repeated, traced, variable
 from doo_ti.physics.tuples import row as row_of
 
 # Columns of a window: where its distances start in the values, and the pixels it covers.
@@ -54,7 +54,7 @@ class MapSampling:
         frame = variable(repeated(0.0 * row, 4))
         for slot in ti.static(range(self.width)):
             r = ti.cast(self.lane(row, slot), ti.i32)
-            frame = (
+            frame = itemwise(
                 self.with_lane(frame[0], slot, numbers[r, c, self.first + LEFT]),
                 self.with_lane(frame[1], slot, numbers[r, c, self.first + TOP]),
                 self.with_lane(frame[2], slot, numbers[r, c, self.first + WIDTH]),
@@ -80,7 +80,7 @@ class MapSampling:
             step = ti.cast(numbers[r, c, self.first + WIDTH], ti.i32)
             at = ti.cast(numbers[r, c, self.first + OFFSET], ti.i32)
             at += ti.cast(self.lane(line, slot), ti.i32) * step + ti.cast(self.lane(column, slot), ti.i32)
-            found = (
+            found = itemwise(
                 self.with_lane(found[0], slot, values[at - step - 1]),
                 self.with_lane(found[1], slot, values[at - step]),
                 self.with_lane(found[2], slot, values[at - step + 1]),
