@@ -204,7 +204,7 @@ class Solution:
 
     configuration  the relaxed rods
     energy         (R,) E(Γ) of §III-C, gravity measured from z = 0
-    residual       (R,) scaled residual, 1/mm: the largest moment left on a free edge over the largest eigenvalue of B
+    residual       (R,) the largest moment left on a free edge, times the length, over the largest eigenvalue of B
     closure        (R,) distance by which the far end misses its clamp over the rod's length
     iterations     (R,) steps taken
     status         (R,) Status

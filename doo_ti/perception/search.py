@@ -174,7 +174,7 @@ class Search:
         needs no f64 before."""
         options = self.options
         start, clamps = self._held(grown, self.rest_length[: grown.quaternions.shape[1]])
-        solver = Newton(max_iterations=options.growing_iterations, tolerance=1e-3)
+        solver = Newton(max_iterations=options.growing_iterations, tolerance=0.1)
         with np.errstate(all="ignore"):  # a rod that is not finite is data
             seen = self.seen(options.points, options.growing_nu, options.growing_cap)
             table = tables(start, self.material, clamps, self.up, external=seen, external_index=grown.of_set)

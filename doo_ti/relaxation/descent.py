@@ -31,9 +31,10 @@ from doo_ti.relaxation.columns import (
     TILT_END,
     TILT_INNER,
     TILT_START,
+    TOTAL,
     WEIGHT,
 )
-from doo_ti.relaxation.loading import LANES, NEXT, residual_divisor
+from doo_ti.relaxation.loading import LANES, NEXT, stiffness_scale
 from doo_ti.relaxation.vertex_chain import DIRECTOR, ITEMS, POSITION, TRIAL_POSITION, vertex_sweeps
 from doo_ti.types import Status
 
@@ -42,12 +43,12 @@ from doo_ti.types import Status
 class Descent:
     """Options of the descent solver.
 
-    tolerance       scaled residual to reach, 1/mm
+    tolerance       residual to reach: moment times length over stiffness, without a unit
     max_iterations  gradient steps allowed per rod
     largest_move    largest move of a vertex in one step, over its edge length: smaller follows the path more closely
     """
 
-    tolerance: float = 1e-6
+    tolerance: float = 1e-4
     max_iterations: int = 100_000
     largest_move: float = 0.05
 
@@ -148,7 +149,7 @@ def descent_kernel(number: Number, stride: int, block: int):
                                                              rest_length, bend, twist, rest)
                                 length = with_lane(length, slot, longest)
                                 limit_move = with_lane(limit_move, slot, largest_move * shortest)
-                                scale = with_lane(scale, slot, residual_divisor(material, clamp, g, s))
+                                scale = with_lane(scale, slot, stiffness_scale(material, clamp, g, s) / clamp[s, TOTAL])
                                 start_held = ti.max(clamp[s, CLOSED], 1.0 - clamp[s, RELEASED])
                                 end_held = ti.max(clamp[s, CLOSED], clamp[s, RELEASED])
                                 held_first = with_lane(held_first, slot, start_held)

@@ -15,7 +15,7 @@ from tests.oracle.sensitivity import dense_sensitivity
 from tests.references.rods import chain, clamps_at
 from tests.relax.rods import PAIRS, definite, wandering, with_kinds
 
-SHARP = Newton(tolerance=1e-12)
+SHARP = Newton(tolerance=1e-10)
 EVERY = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "rest_curvature", "rest_curvature_per_joint", "gravity")
 PENDULUMS = [(Clamp.FREE, Clamp.POSITION), (Clamp.POSITION, Clamp.FREE)]
 UP = np.array([0.2, -0.1, 1.0])

@@ -34,7 +34,7 @@ def test_converged(rng, precision):
     print(f"{precision}: residual up to {solution.residual.max():.1e}, closure up to {solution.closure.max():.1e}")
     assert solution.residual.max() <= tolerance and solution.closure.max() <= closure
     assert (solution.iterations > 1).all()
-    tight = relax(start, MATERIAL, clamps, Newton(tolerance=1e-12))
+    tight = relax(start, MATERIAL, clamps, Newton(tolerance=1e-10))
     assert tight.converged.all() and tight.residual.max() <= 1e-12
 
 
@@ -61,7 +61,7 @@ def test_iteration_limit_of_descent(rng):
 def test_stalled(rng):
     """A tolerance below rounding: the rod stops by itself, long before the limit, as good as it can be."""
     start, clamps = bows(rng)
-    solution = relax(start, MATERIAL, clamps, Newton(tolerance=1e-19))
+    solution = relax(start, MATERIAL, clamps, Newton(tolerance=1e-17))
     print(f"f64 floor: residuals {solution.residual.min():.1e} to {solution.residual.max():.1e}")
     assert (solution.status == Status.STALLED).all() and not solution.stable.any()
     assert (solution.iterations < 100).all() and (solution.residual < 1e-12).all()
