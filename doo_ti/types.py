@@ -8,7 +8,8 @@ Units are millimetres and radians; energies are relative to weight, so that with
 bend and twist come out in mm³ (footnote 6: only ratios of the parameters matter).
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
 from enum import IntEnum
 
 import numpy as np
@@ -170,6 +171,15 @@ class Configuration:
         lengths = self.rest_length if self.rest_length.ndim == 1 else self.rest_length[index]
         return Configuration(self.start[index], self.quaternions[index], lengths)
 
+    @classmethod
+    def concatenate(cls, parts: Sequence["Configuration"]) -> "Configuration":
+        """The rods of several, one after the other; their lengths are shared where all have the same."""
+        first = parts[0].rest_length
+        shared = all(part.rest_length.ndim == 1 and np.array_equal(part.rest_length, first) for part in parts)
+        lengths = first if shared else np.concatenate(
+            [np.broadcast_to(part.rest_length, (part.count, part.edges)) for part in parts])
+        return cls(np.concatenate([part.start for part in parts]), np.concatenate([part.quaternions for part in parts]), lengths)
+
 
 @dataclass(frozen=True)
 class Clamps:
@@ -213,7 +223,7 @@ class Solution:
     end_force      (R, 3) force of the far clamp on the rod where both ends are held, mm² in the units of energy: the energy
                    grows by end_force · d when the clamp moves by d. Zero where an end is free
     precision      (R,) 32 or 64: the arithmetic that finished the rod
-    tables         what went in, for :func:`doo_ti.relaxation.relax.relax_again`; None where several calls were put together
+    tables         what went in, for :func:`doo_ti.relaxation.relax.relax` to go on from; None where several calls were put together
     """
 
     configuration: Configuration
@@ -231,6 +241,21 @@ class Solution:
     def converged(self) -> np.ndarray:
         """(R,) bool."""
         return self.status == Status.CONVERGED
+
+    def take(self, index) -> "Solution":
+        """The rods named by ``index``, in that order, without what went in."""
+        return Solution(self.configuration.take(index), **{name: getattr(self, name)[index] for name in _PER_ROD})
+
+    @classmethod
+    def concatenate(cls, parts: Sequence["Solution"]) -> "Solution":
+        """The rods of several solutions one after the other, of equally many edges; without what went in, unless it is one."""
+        if len(parts) == 1:
+            return parts[0]
+        rods = Configuration.concatenate([part.configuration for part in parts])
+        return cls(rods, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _PER_ROD})
+
+
+_PER_ROD = tuple(entry.name for entry in fields(Solution) if entry.name not in ("configuration", "tables"))
 
 
 def unit_up(up, function: str) -> np.ndarray:

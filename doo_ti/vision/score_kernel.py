@@ -4,8 +4,8 @@ from functools import cache
 
 import taichi as ti
 
-from doo_ti.physics.tuples import cross, dot
 from doo_ti.physics.number import Number
+from doo_ti.physics.tuples import cross, dot
 from doo_ti.vision.edge_integral import edge_integrals
 
 

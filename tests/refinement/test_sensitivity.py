@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from doo_ti import Clamp, InputError, Material, Newton, Springs, relax, relax_again
+from doo_ti import Clamp, InputError, Material, Newton, Springs, relax
 from doo_ti.frames import matrix_from_quaternion, quaternion_about
 from doo_ti.refinement.sensitivity import sensitivity, tilt_axes
 from tests.oracle.chain_form import rod_of
@@ -87,7 +87,7 @@ def test_rods_relaxed_again_move_so(rng):
         towards = up if size == 0 else matrix_from_quaternion(quaternion_about(turn / size, size)) @ up
         tilted = replace(solution, tables=replace(solution.tables, up=towards))
         material = Material(b, twist + change[2], 1.0 + change[3], rest + change[4:6])
-        return relax_again(tilted, material, replace(SHARP, first_shift=0.0)).configuration
+        return relax(tilted, material, solver=replace(SHARP, first_shift=0.0)).configuration
 
     for column, step in enumerate(steps):
         plus, minus = moved(column, step), moved(column, -step)
