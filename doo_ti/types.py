@@ -16,6 +16,7 @@ import numpy as np
 
 from doo_ti.errors import InputError, real_array
 from doo_ti.frames import matrix_from_quaternion, vertices_from_quaternions
+from doo_ti.physical_units import bend_or_twist, force_in_newton
 
 LARGEST = 1e30
 """No quantity is larger: squares of larger ones overflow."""
@@ -108,6 +109,18 @@ class Material:
         first, second = np.broadcast_arrays(first, second)
         return cls(first[:, None, None] * np.diag([1.0, 0.0]) + second[:, None, None] * np.diag([0.0, 1.0]), twist, weight)
 
+    @classmethod
+    def from_physical(cls, EI, GJ, weight_per_length) -> "Material":  # noqa: N803  (the field's symbols)
+        """The round rods of stiffness EI and GJ in N m² that weigh ``weight_per_length`` in N/m, scalars or (R,); μ is 1.
+
+        Raises InputError as the class does, and for a rod without weight, which has no stiffness relative to it.
+        """
+        weight = np.atleast_1d(_finite("weight_per_length", weight_per_length))
+        if not (weight > 0).all():
+            raise InputError("material", "weight_per_length", f"{weight.min():g} N/m is not positive",
+                             "give N/m; for a rod without weight give Material(bend, twist, weight=0)")
+        return cls(bend_or_twist(_finite("EI", EI), weight), bend_or_twist(_finite("GJ", GJ), weight))
+
     @property
     def count(self) -> int:
         return len(self.weight)
@@ -178,7 +191,8 @@ class Configuration:
         shared = all(part.rest_length.ndim == 1 and np.array_equal(part.rest_length, first) for part in parts)
         lengths = first if shared else np.concatenate(
             [np.broadcast_to(part.rest_length, (part.count, part.edges)) for part in parts])
-        return cls(np.concatenate([part.start for part in parts]), np.concatenate([part.quaternions for part in parts]), lengths)
+        starts, frames = ([getattr(part, name) for part in parts] for name in ("start", "quaternions"))
+        return cls(np.concatenate(starts), np.concatenate(frames), lengths)
 
 
 @dataclass(frozen=True)
@@ -220,10 +234,10 @@ class Solution:
     status         (R,) Status
     stable         (R,) True where the inertia of its KKT matrix certifies the equilibrium: in no direction does the energy
                    fall. Neutral motions, such as a weightless bow turning about its chord, do not count against it
-    end_force      (R, 3) force of the far clamp on the rod where both ends are held, mm² in the units of energy: the energy
+    end_force      (R, 3) force of the far clamp on the rod where both ends are held, mm, energy (mm²) per mm: the energy
                    grows by end_force · d when the clamp moves by d. Zero where an end is free
     precision      (R,) 32 or 64: the arithmetic that finished the rod
-    tables         what went in, for :func:`doo_ti.relaxation.relax.relax` to go on from; None where several calls were put together
+    tables         what went in, for to go on from (:func:`doo_ti.relaxation.relax.relax`); None where several calls were put together
     """
 
     configuration: Configuration
@@ -241,6 +255,11 @@ class Solution:
     def converged(self) -> np.ndarray:
         """(R,) bool."""
         return self.status == Status.CONVERGED
+
+    def end_force_in_newton(self, weight_per_length, weight=1.0) -> np.ndarray:
+        """(R, 3) ``end_force`` in N, of rods that weigh ``weight_per_length`` in N/m, a scalar or (R, 1), and whose material's
+        weight μ is ``weight``."""
+        return force_in_newton(self.end_force, weight_per_length, weight)
 
     def take(self, index) -> "Solution":
         """The rods named by ``index``, in that order, without what went in."""

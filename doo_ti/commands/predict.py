@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti import options as given
-from doo_ti.commands.arguments import add_json, add_material
+from doo_ti.commands.arguments import MATERIAL, add_json, add_material
 from doo_ti.commands.printing import counted, plain
 from doo_ti.dataset import Observations, load_observations
 from doo_ti.errors import InputError, InterruptedRunError
@@ -110,8 +110,7 @@ def _sub_step(options: Namespace) -> float:
 def _scene(options: Namespace) -> _Task:
     from doo_ti.prediction.motion_scene import load_motion_scene
 
-    refused = ("motion", "bend", "bend_1", "bend_2", "twist", "twist_ratio", "weight", "clamp_start", "clamp_end")
-    for name in refused:
+    for name in ("motion", *MATERIAL, "clamp_start", "clamp_end"):
         if getattr(options, name) is not None:
             raise InputError("command line", f"--{name.replace('_', '-')}", "given, but the scene says it",
                              "leave it out, or give observations")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from doo_ti import options as given
-from doo_ti.commands.arguments import add_json, add_material
+from doo_ti.commands.arguments import MATERIAL, add_json, add_material
 from doo_ti.commands.printing import busy, plain
 from doo_ti.commands.refine_text import summary_of, tell
 from doo_ti.dataset import Observations, load_observations, write_whole
@@ -53,7 +53,6 @@ def declare(add) -> None:
     parser.add_argument("--no-models", action="store_true", help="leave out the comparison with other models")
     parser.add_argument("--folds", metavar="N", help="also cross-validate in N folds")
     parser.add_argument("--groups", metavar="FILE:KEY", help="a number per observation; equal ones stay in one fold")
-    parser.add_argument("--linear-density", metavar="G_PER_M", help="of the rod in g/m: adds EI and GJ in N m²")
     parser.add_argument("--clamp-start", choices=CLAMPS, help="default: the run's, else frame where it is given, else tangent")
     parser.add_argument("--clamp-end", choices=CLAMPS, help="default: the run's, else frame where it is given, else tangent")
     parser.add_argument("--frame-weight", metavar="MM", help="w_m of Eq. 1 (default 0, or the run's)")
@@ -161,7 +160,7 @@ def _of_run(options: Namespace, run: Path, starts: int):
     from doo_ti.learning.run_folder import read_experiment
     from doo_ti.refinement.multi_start import lowest_cells, theta_of_cell
 
-    for name in ("bend", "bend_1", "bend_2", "twist", "twist_ratio", "weight"):
+    for name in MATERIAL:
         if getattr(options, name) is not None:
             raise InputError("command line", f"--{name.replace('_', '-')}", f"given, but {run} has cells to begin from",
                              "leave it out, or name a file of observations")

@@ -6,7 +6,7 @@ import numpy as np
 
 from doo_ti.commands.printing import counted
 from doo_ti.dataset import Observations
-from doo_ti.refinement.linear_density import stiffness
+from doo_ti.physical_units import stiffness
 
 LISTED = 6  # observations named one by one
 CLEAR_ODDS = 3.0  # ln of the odds, about 20 to 1: models closer than that predict as well

@@ -277,8 +277,8 @@ class NewtonLoop:
         leaving = (at_saddle & (lane.escapes < limit)) | (aimless & (limit > 0.0))
         return record(
             gap=gap, small=small, settled=settled, right=right, wrong=wrong,
-            at_minimum=calm & bare & right & settled, at_saddle=at_saddle, leaving=leaving, resting=at_saddle & (lane.escapes >= limit),
-            certify=calm & ((lane.shift > 0.0) | (lane.coarse > 0.5)))
+            at_minimum=calm & bare & right & settled, at_saddle=at_saddle, leaving=leaving,
+            resting=at_saddle & (lane.escapes >= limit), certify=calm & ((lane.shift > 0.0) | (lane.coarse > 0.5)))
 
     @ti.func
     def plan(self, tables, rod, lane, judged, place, searching, slope):

@@ -60,8 +60,8 @@ def relax(
     x0                     where rods start: a table with S rows; or the Solution of an earlier call
     material               table with G rows
     clamps                 table with S rows: what holds their ends. None with a Solution: the same rods once more, from where
-                           they ended or, where they failed, from where they began; clamps, gravity, lengths and the external
-                           energy stay as they were, and only the material changes, which takes half the iterations
+                           they ended or, where they failed, from where they began; clamps, gravity, lengths and the
+                           external energy stay as they were, and only the material changes: half the iterations
     solver                 ``Newton()`` (default), ``Newton.careful()`` or the paper's ``Descent()``. Without clamps only Newton,
                            by default without a first shift, which keeps closest to the branch
     up                     (3,) direction against gravity, (0, 0, 1) unless given

@@ -48,18 +48,18 @@ def test_options_and_materials_that_are_none(case):
 def test_arguments_that_do_not_match(rods):
     clamps = clamps_at(rods)
     wrong = {
-        "text": {"configuration": replace(rods, quaternions=np.full(rods.quaternions.shape, "a"))},
-        "imaginary": {"configuration": replace(rods, start=rods.start + 0j)},
-        "imaginary lengths": {"configuration": replace(rods, rest_length=rods.rest_length + 0j)},
-        "whole quaternions": {"configuration": replace(rods, quaternions=rods.quaternions.round().astype(int))},
-        "flags as positions": {"configuration": replace(rods, start=rods.start > 0)},
-        "ragged lengths": {"configuration": replace(rods, rest_length=[[1.0], [1.0, 2.0]])},
+        "text": {"x0": replace(rods, quaternions=np.full(rods.quaternions.shape, "a"))},
+        "imaginary": {"x0": replace(rods, start=rods.start + 0j)},
+        "imaginary lengths": {"x0": replace(rods, rest_length=rods.rest_length + 0j)},
+        "whole quaternions": {"x0": replace(rods, quaternions=rods.quaternions.round().astype(int))},
+        "flags as positions": {"x0": replace(rods, start=rods.start > 0)},
+        "ragged lengths": {"x0": replace(rods, rest_length=[[1.0], [1.0, 2.0]])},
         "up of what is no number": {"up": [10**400, 0, 0]},
         "unlike indices": {"configuration_index": np.arange(3), "material_index": np.zeros(2, int)},
         "ragged index": {"configuration_index": [[0], [1, 2]]},
     }
     for name, changed in wrong.items():
-        arguments = {"configuration": rods, "material": MATERIAL, "clamps": clamps} | changed
+        arguments = {"x0": rods, "material": MATERIAL, "clamps": clamps} | changed
         with pytest.raises(InputError):
             relax(**arguments)
             pytest.fail(name)
