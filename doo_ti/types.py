@@ -237,7 +237,7 @@ class Solution:
     end_force      (R, 3) force of the far clamp on the rod where both ends are held, mm, energy (mm²) per mm: the energy
                    grows by end_force · d when the clamp moves by d. Zero where an end is free
     precision      (R,) 32 or 64: the arithmetic that finished the rod
-    tables         what went in, for to go on from (:func:`doo_ti.relaxation.relax.relax`); None where several calls were put together
+    tables         what went in, for :func:`doo_ti.relaxation.relax.relax` to go on; None where calls were put together
     """
 
     configuration: Configuration
