@@ -12,11 +12,12 @@ import taichi as ti
 
 from doo_ti import runtime
 from doo_ti.physics import pair
-from doo_ti.physics.algebra import dot, forward, solve_symmetric, weighted
+from doo_ti.physics.algebra import solve_symmetric
 from doo_ti.physics.angle import twist_angle_function
 from doo_ti.physics.closure import linear_gradient, linear_hessian
 from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import first_director, second_director, tangent
+from doo_ti.physics.tuples import dot, forward, record
 from doo_ti.relaxation import chain
 from doo_ti.relaxation.columns import (
     OF_CLAMP,
@@ -28,17 +29,8 @@ from doo_ti.relaxation.columns import (
     TILT_START,
     WEIGHT,
 )
-from doo_ti.relaxation.loading import (
-    ASKED_CLOSED,
-    ASKED_FREE,
-    ASKED_GRAVITY,
-    ASKED_ITEMS,
-    ASKED_RELEASED,
-    ASKED_SCALE,
-    ASKED_TOTAL,
-    ASKED_UNIT,
-    lane_loading,
-)
+from doo_ti.relaxation.elimination import Elimination
+from doo_ti.relaxation.loading import Loading
 from doo_ti.types import Solution
 
 # A column changes B by BEND = (11, 22, 12), β by TWIST, ω̄ along the rod by row MODE of the table of modes (NO_MODE: not at
@@ -76,7 +68,7 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
         on_cpu = runtime.start() == "cpu"
         threads = min(len(rods), runtime.thread_count() if on_cpu else MOST_THREADS_ON_A_GPU)
         stride = 1 if on_cpu else threads
-        items = ASKED_ITEMS + (chain.GENERAL_ITEMS + KEPT_ITEMS) * edges
+        items = chain.PARAMETERS + (chain.GENERAL_ITEMS + KEPT_ITEMS) * edges
         # Those of f32 are unit quaternions to seven digits.
         frames = solution.configuration.quaternions[first:last]
         frames = frames / np.linalg.norm(frames, axis=-1, keepdims=True)
@@ -93,13 +85,18 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
 @cache
 def sensitivity_kernel(stride: int, block: int):
     """The compiled-on-first-use kernel; ``stride`` and ``block`` as Newton's kernel has them."""
-    sweep = chain.chain_sweeps(NUMBER, False, stride, KEPT_ITEMS)
-    loading = lane_loading(NUMBER, False, stride, sweep.items)
+    sweep = Elimination(NUMBER, False, stride, KEPT_ITEMS)
+    loading = Loading(sweep)
     twist_angle = twist_angle_function(NUMBER)
     items, load3, load4 = sweep.items, sweep.load3, sweep.load4
     table1 = ti.types.ndarray(dtype=ti.f64, ndim=1)
     table2 = ti.types.ndarray(dtype=ti.f64, ndim=2)
     table4 = ti.types.ndarray(dtype=ti.f64, ndim=4)
+
+    @ti.func
+    def weighted(f, a, b):
+        """aᵀ D⁻¹ b."""
+        return a[0] * f[0] * b[0] + a[1] * f[1] * b[1] + a[2] * f[2] * b[2]
 
     @ti.func
     def load_factors(scratch: ti.template(), at):
@@ -108,9 +105,9 @@ def sensitivity_kernel(stride: int, block: int):
             load3(scratch, at + chain.PIVOTS * stride) + load3(scratch, at + (chain.PIVOTS + 3) * stride),
             (load3(scratch, at + chain.ELIMINATED_NEXT * stride), load3(scratch, at + (chain.ELIMINATED_NEXT + 3) * stride),
              load3(scratch, at + (chain.ELIMINATED_NEXT + 6) * stride)),
-            (load3(scratch, at + chain.ELIMINATED_CLOSURE * stride),
-             load3(scratch, at + (chain.ELIMINATED_CLOSURE + 3) * stride),
-             load3(scratch, at + (chain.ELIMINATED_CLOSURE + 6) * stride)),
+            (load3(scratch, at + chain.ELIMINATED_BORDER * stride),
+             load3(scratch, at + (chain.ELIMINATED_BORDER + 3) * stride),
+             load3(scratch, at + (chain.ELIMINATED_BORDER + 6) * stride)),
         )
 
     @ti.func
@@ -150,7 +147,7 @@ def sensitivity_kernel(stride: int, block: int):
     def changed_pair(scratch: ti.template(), at, joint, p, directions: ti.template(), modes: ti.template(), bends, unit):
         """∂g/∂θ of the pair at ``joint``, where the edge at ``at`` ends: (left, right)."""
         after = at + ti.static(items * stride)
-        x, y, inverse, m, turn = sweep.load_bent(scratch, at + (KEPT - chain.BENT) * stride)
+        x, y, inverse, m, turn = sweep.bent(scratch, at + (KEPT - chain.BENT) * stride)
         b_left, b_right, inverse_length, twist, rest = sweep.stiffness(scratch, at, after, (unit, unit))
         none = 0.0 * inverse_length
         l0, l1, l2, r0, r1, r2 = (none, none, none, none, none, none)
@@ -231,7 +228,7 @@ def sensitivity_kernel(stride: int, block: int):
             q = load4(scratch, at)
             length = scratch[at + chain.LENGTH * stride]
             remaining = remaining - length
-            hang = sweep.hanging_weight(length, remaining, total, released)
+            hang = length + 2.0 * remaining - 2.0 * total * released
             # Gravity's term grows with the square of the lengths, that of the multiplier with the first power.
             c = (
                 pull[0] * hang + stretch * (2.0 * gravity[0] * hang + multiplier[0]),
@@ -251,7 +248,7 @@ def sensitivity_kernel(stride: int, block: int):
                 if e < edges - 1 and (e == 0 or e == edges - 2):
                     after = at + ti.static(items * stride)
                     own_left, own_right, hl, hr, ha = sweep.derivatives(
-                        sweep.load_bent(scratch, at + (KEPT - chain.BENT) * stride),
+                        sweep.bent(scratch, at + (KEPT - chain.BENT) * stride),
                         sweep.stiffness(scratch, at, after, (unit, unit)))
                     if e == 0:
                         n0, n1, n2 = times_across(ha, turn_start)
@@ -354,34 +351,27 @@ def sensitivity_kernel(stride: int, block: int):
             edges = rest_length.shape[1]
             head = thread
             if ti.static(stride == 1):
-                head = thread * (ASKED_ITEMS + items * edges)
-            origin = head + ti.static(ASKED_ITEMS * stride)
+                head = thread * (chain.PARAMETERS + items * edges)
+            origin = head + ti.static(chain.PARAMETERS * stride)
             last = origin + (edges - 1) * ti.static(items * stride)
+            tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=(up0, up1, up2), rods=rods,
+                            frames=frames, results=material)
             rod = thread
             while rod < rods.shape[0]:
                 row = rods[rod, OF_RESULT]
-                loading.load(
-                    scratch, head, edges, 0, rod, 0.0, (up0, up1, up2), rods, start, frames, rest_length, clamp, material,
-                    material)
-                unit = scratch[head + ASKED_UNIT * stride]
-                closed = scratch[head + ASKED_CLOSED * stride]
-                released = scratch[head + ASKED_RELEASED * stride]
-                total = scratch[head + ASKED_TOTAL * stride]
-                gravity = load3(scratch, head + ASKED_GRAVITY * stride)
-                free = (load3(scratch, head + ASKED_FREE * stride)
-                        + (scratch[head + (ASKED_FREE + 3) * stride], scratch[head + (ASKED_FREE + 4) * stride]))
+                loading.load(tables, scratch, head, 0, rod, 0.0)
+                own = sweep.rods(scratch, head, edges, material, material, 0.0)
+                closed, released, total, gravity, free = own.closed, own.released, own.total, own.gravity, own.free
+                unit = scratch[head + chain.OF_UNIT * stride]
                 none = 0.0 * unit
                 multiplier = (none - end_force[row, 0] / unit, none - end_force[row, 1] / unit, none - end_force[row, 2] / unit)
                 # A neutral motion shows when H is lowered a trace. Raised by one instead, H keeps the rod from moving along it.
-                trace = TRACE * scratch[head + ASKED_SCALE * stride]
+                trace = TRACE * scratch[head + chain.OF_SCALE * stride]
                 shift = none - trace
                 inertia = none
                 for _ in range(2):
                     bend_pairs(scratch, origin, edges)
-                    residual, scale, change, inertia_here, slope, energy, magnitude = sweep.eliminate(
-                        scratch, origin, edges, shift, none, none, multiplier, (none, none, none), (unit, unit), gravity,
-                        closed, free, total, released, gravity)
-                    inertia = inertia_here
+                    inertia = sweep.eliminate(own, shift, (none, none), multiplier, (none, none, none)).inertia
                     shift = ti.select(inertia == INERTIA_OF_A_MINIMUM, none, trace)
                 sound[row] = ti.cast(inertia == INERTIA_OF_A_MINIMUM, ti.i32)
                 schur = schur_complement(scratch, origin, edges, closed)
@@ -402,7 +392,7 @@ def sensitivity_kernel(stride: int, block: int):
                     w0, w1, w2 = (none, none, none)
                     at = last
                     for _ in range(edges):
-                        w0, w1, w2 = sweep.solved_edge(scratch, at, force, (w0, w1, w2))
+                        w0, w1, w2 = sweep.solved_edge(own, at, force, (w0, w1, w2))
                         at -= ti.static(items * stride)
                     store_column(scratch, origin, edges, released, directions[p, STRETCH], row, p, vertices, rotations)
                 rod += threads
