@@ -34,7 +34,7 @@ import numpy as np
 from doo_ti import runtime
 from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, smallest_rotation
-from doo_ti.refinement.sensitivity_kernel import (
+from doo_ti.refinement.parameter_gradient import (
     BEND,
     DIRECTION_COLUMNS,
     MODE,
@@ -46,8 +46,8 @@ from doo_ti.refinement.sensitivity_kernel import (
     TURN_END,
     TURN_START,
     TWIST,
-    run_sensitivity,
 )
+from doo_ti.refinement.sensitivity_kernel import run_sensitivity
 from doo_ti.relaxation.columns import TILT_INNER
 from doo_ti.types import Configuration, Solution
 
