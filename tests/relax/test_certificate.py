@@ -79,7 +79,7 @@ def test_straight_rods_twisted_beyond_buckling():
     assert solution.converged.all() and solution.stable.all()
     for row in range(len(turns)):
         here = dense(rods, material, clamps, solution, row)
-        assert here.residual < 2e-9 and here.smallest_eigenvalue > 0
+        assert here.residual < 1e-8 and here.smallest_eigenvalue > 0
     gained = solution.energy[0] + 3e5 * (2 * np.pi * turns) ** 2 / (2 * 3.0 * (EDGES - 1)) - solution.energy
     saved = np.round(gained / solution.energy[0], 3)
     print(f"energy saved by writhing, over that of the planar bow, 0 to 6 turns: {saved}")
@@ -114,7 +114,7 @@ def test_certificate_is_the_sign_of_the_smallest_eigenvalue(rng):
         assert solution.converged.all()
         for row in range(24):
             here = dense(start, material, clamps, solution, row)
-            assert here.residual < 2e-9
+            assert here.residual < 1e-8
             assert solution.stable[row] == (here.smallest_eigenvalue > 0), (row, here.eigenvalues[:3])
 
 
