@@ -7,7 +7,6 @@ from pathlib import Path
 from doo_ti import options as given
 from doo_ti.commands.arguments import add_json
 from doo_ti.commands.printing import busy
-from doo_ti.errors import InterruptedRunError
 
 PARTS = ("end-distance",)
 MOST_CELLS = 700
@@ -39,15 +38,11 @@ def run(options: Namespace, words: list[str]) -> int:
     with busy("reading runs"):
         asked = study.read([Path(run) for run in options.runs], by_end_distance=options.by is not None,
                            observation=observation, most_cells=most)
-    try:
-        with busy("drawing landscapes"):
-            files = study.draw_landscapes(asked, out)
-        files += study.record_cells(asked, out)
-        with busy("drawing ribbons"):
-            files += study.draw_ribbons(asked, out)
-    except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InterruptedRunError(f"{out}: stopped ({reason}); finished files are kept, run it again") from error
+    with busy("drawing landscapes"):
+        files = study.draw_landscapes(asked, out)
+    files += study.record_cells(asked, out)
+    with busy("drawing ribbons"):
+        files += study.draw_ribbons(asked, out)
     _tell(options, asked, files)
     return 0
 

@@ -12,7 +12,7 @@ from doo_ti import options as given
 from doo_ti.commands.arguments import add_json, add_material
 from doo_ti.commands.printing import counted, plain
 from doo_ti.dataset import Observations, load_observations
-from doo_ti.errors import InputError, InterruptedRunError
+from doo_ti.errors import InputError
 from doo_ti.learning.landscape import status_counts
 from doo_ti.prediction.motion_file import ClampPath, load_path
 from doo_ti.progress import progress
@@ -199,13 +199,10 @@ def _draw(task: _Task, prediction, result: dict, pictures: dict) -> None:
 
         curves = {"Energy [mm²]": prediction.energy, "Total twist [°]": result["total_twist_deg"],
                   "Force at the far clamp [mm²]": np.linalg.norm(prediction.end_force, axis=-1)}
-        try:
-            record_motion(pictures[".rrd"], run_id=hashlib.sha256(vertices.tobytes()).hexdigest()[:32], name=task.name,
-                          time=prediction.time, vertices=vertices, names=task.names, sound=prediction.followed,
-                          jumps=prediction.jumps, curves=curves, up=task.up,
-                          text="\n\n".join(line.strip() for line in _lines(task, prediction, result)))
-        except (OSError, RuntimeError) as error:
-            raise InterruptedRunError(f"{pictures['.rrd']}: not recorded ({error}); the prediction itself is kept") from error
+        record_motion(pictures[".rrd"], run_id=hashlib.sha256(vertices.tobytes()).hexdigest()[:32], name=task.name,
+                      time=prediction.time, vertices=vertices, names=task.names, sound=prediction.followed,
+                      jumps=prediction.jumps, curves=curves, up=task.up,
+                      text="\n\n".join(line.strip() for line in _lines(task, prediction, result)))
 
 
 def _lines(task: _Task, prediction, result: dict) -> list[str]:

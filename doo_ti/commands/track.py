@@ -48,8 +48,8 @@ def run(options: Namespace, words: list[str]) -> int:
     out.parent.mkdir(parents=True, exist_ok=True)
     write_whole(out, lambda file: np.savez_compressed(file, **result))
     if problem is not None:
-        raise InterruptedRunError(f"{problem}; {len(found)} of {task.frames.count} frames are kept in {out}; track the others "
-                                  "as a video of their own, with the seed in its first line")
+        raise InterruptedRunError(f"{problem}; {len(found)} of {task.frames.count} frames are kept in {out}; the same command "
+                                  "starts anew; or track the others as a video of their own, with the seed in its first line")
     written = [out]
     if not options.no_recording:
         from doo_ti.record import record_track
