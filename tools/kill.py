@@ -56,7 +56,7 @@ CASES = {
     "sweep dynamic": f"{SWEEP} --objective dynamic",
     "sweep dynamic, 2 workers": f"{SWEEP} --objective dynamic --workers 2",
     "sweep dynamic, Dask": f"{SWEEP} --objective dynamic --dask ADDRESS",
-    "learn": "learn ../inputs/run ../inputs/run2 --by end-distance --by end-rotation --out tables",
+    "learn": "learn ../inputs/run ../inputs/run2 --by end-distance --out tables",
     "refine": "refine ../inputs/run/observations.npz " + MATERIAL + " --out f.json",
     "perceive": f"perceive {SEEN} --sets ../inputs/video/sets.csv --out f.npz",
     "track": f"track {SEEN} --frames ../inputs/video/frames.csv --out f.npz",
@@ -66,7 +66,7 @@ CASES = {
 }
 """Name and command of each case, given in a folder of its own."""
 MOST_SECONDS = 300
-MOST_SECONDS_TO_END = 2.0
+MOST_SECONDS_TO_END = 1.0
 """After which a command that ends well has not just been about to."""
 MOST_SECONDS_ON_CLUSTER = 120
 """For the command to end once its scheduler has been killed, or to go on without a worker."""
@@ -236,6 +236,7 @@ def main() -> int:
     parser.add_argument("--folder", type=Path, help="a new folder where runs are kept (default: a temporary one, which goes)")
     options = parser.parse_args()
     cases = options.case or list(CASES)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell has a program in the background ignore
     began, whole, results, good = time.monotonic(), {}, {}, True
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.folder or Path(temporary)

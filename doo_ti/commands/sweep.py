@@ -17,6 +17,7 @@ from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.pairs import Pairs, load_pairs
+from doo_ti.learning.summary import REMADE, SUMMARY
 from doo_ti.scene import MOST_SPINS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.types import Clamp
@@ -67,14 +68,15 @@ def run(options: Namespace, words: list[str]) -> int:
 
     began, summaries, relaxed = time.monotonic(), [], []
     for search in searches:
-        before = _stamp(search.run)
+        before = _stamps(search.run)
         summary = sweep(search.run, search.observations, search.grid, options=search.options, pairs=search.pairs, command=words)
         summaries.append(summary)
-        finished_before = _stamp(search.run) == before
+        now = _stamps(search.run)
+        finished_before = now[SUMMARY] == before.get(SUMMARY)
         if not finished_before:
             relaxed.append(summary)
         if not options.json:
-            _tell(search, summary, finished_before)
+            _tell(search, summary, finished_before, [name for name in before if now[name] != before[name]])
     if options.json:
         print(json.dumps(plain(summaries if len(options.sources) > 1 else summaries[0])))
     else:
@@ -82,10 +84,9 @@ def run(options: Namespace, words: list[str]) -> int:
     return 0
 
 
-def _stamp(run: Path) -> int | None:
-    """When the summary of a run was written; None where there is none."""
-    path = run / "summary.json"
-    return path.stat().st_mtime_ns if path.is_file() else None
+def _stamps(run: Path) -> dict[str, int]:
+    """When the files of a run were written that a sweep can make again."""
+    return {name: (run / name).stat().st_mtime_ns for name in (SUMMARY, *REMADE) if (run / name).is_file()}
 
 
 def _searches(options: Namespace) -> list[_Search]:
@@ -136,7 +137,7 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     return _Search(scene, observations, grid, chosen, pairs, run)
 
 
-def _tell(search: _Search, summary: dict, finished_before: bool) -> None:
+def _tell(search: _Search, summary: dict, finished_before: bool, made_again: list[str]) -> None:
     tell_landscape(read_landscape(search.run))
     tell_hypotheses(summary)
     clamps = observation_clamps(search.observations, search.options.clamp_start, search.options.clamp_end)
@@ -148,6 +149,8 @@ def _tell(search: _Search, summary: dict, finished_before: bool) -> None:
     if search.scene and isinstance(search.scene.observations, Synthesis):
         recipe = search.scene.observations
         print(f"  true Θ      {_true_theta(recipe)} (the virtual lab's, seed {recipe.seed})")
+    if made_again:
+        print(f"  made again  {', '.join(made_again)}")
     print(f"  {'finished before in' if finished_before else 'written to'} {search.run}")
     if search.options.objective == "static" and not search.options.spins:
         more = "" if search.grid.is_isotropic else RIBBON_PARAMETERS
