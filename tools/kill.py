@@ -217,7 +217,7 @@ def prepared(folder: Path, cases: list[str]) -> None:
         (inputs / f"{name}.toml").write_text(LAB.format(**values))
     shutil.copy(ROOT / "scenes" / "motion" / "three_materials.toml", inputs / "motion.toml")
     another_version(ROOT / "doo_ti", folder / "other")
-    made = [] if all(case.startswith("sweep") for case in cases) else [
+    made = [] if all(case.startswith(("sweep", "predict")) for case in cases) else [
         "sweep small.toml --out run", "sweep small.toml --objective dynamic --out run2",
         f"synth video.toml --images video --rig {ROOT / 'scenes' / 'rig.yaml'}"]
     for words in made:
