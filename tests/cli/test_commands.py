@@ -248,6 +248,20 @@ def test_failure_while_running_exits_with_one(capsys, tmp_path, swept, monkeypat
     assert out == "" and err.count("\n") == 1
 
 
+@pytest.mark.parametrize("command", ["refine", "perceive", "predict", "figures", "learn", "synth", "sweep"])
+@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt(), RuntimeError("no\nmemory")])
+def test_a_command_that_is_stopped_says_whether_it_starts_anew(capsys, monkeypatch, command, failure):
+    def fail(*args):
+        raise failure
+
+    monkeypatch.setattr(f"doo_ti.commands.{command}.run", fail)
+    rig = ["--rig", "R", "--rest-length", "3:3"] if command == "perceive" else []
+    assert main([command, "source", "--out", "F", *rig]) == 1
+    out, err = capsys.readouterr()
+    way = "goes on with what is finished" if command == "sweep" else "starts anew"
+    assert out == "" and err.count("\n") == 1 and f"; the same command {way}" in err
+
+
 def test_relax_writes_every_key(capsys, tmp_path):
     pytest.importorskip("doo_ti.metric", reason="Eq. 1 is not there yet")
     npz_bytes(tmp_path)

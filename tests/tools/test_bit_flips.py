@@ -28,7 +28,7 @@ def test_every_bit_is_noticed(laboratory):
     found = laboratory.judged(Flip("static", "observations.npz", 40, 3))
     assert found == {"figures": NAMED, "refine": NAMED, "sweep": REMADE}
     assert laboratory.judged(Flip("static", "cells/identity.txt", 3, 3)) == {"sweep": NAMED}
-    assert laboratory.judged(Flip("static", "cells/identity.txt", 70, 3)) == {"sweep": HARMLESS}, "who made it is in the first line"
+    assert laboratory.judged(Flip("static", "cells/identity.txt", 70, 3)) == {"sweep": HARMLESS}, "a remark: who made it"
 
 
 @pytest.mark.slow

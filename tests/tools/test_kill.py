@@ -56,7 +56,8 @@ def test_a_prediction_that_is_told_to_end_leaves_nothing_and_says_so(tmp_path):
 @signals
 def test_what_is_killed_and_repeated_is_as_undisturbed():
     pytest.importorskip("distributed", reason="no cluster without Dask")
-    done = subprocess.run([sys.executable, "tools/kill.py", "--kills", str(len(CASES))], cwd=ROOT, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "tools/kill.py", "--kills", str(len(CASES))], cwd=ROOT, capture_output=True,
+                          text=True)
     print(done.stdout)
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"{len(CASES)} of {len(CASES)} identical" in done.stdout
