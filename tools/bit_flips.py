@@ -36,7 +36,7 @@ RUNS = ("static", "dynamic")
 READERS = {
     ".parquet": ("learn", "figures", "refine", "sweep"), "summary.json": ("learn", "figures", "refine", "view", "sweep"),
     "observations.npz": ("figures", "refine", "sweep"), "pairs.csv": ("figures", "sweep"), "run.rrd": ("view", "sweep"),
-    "landscape.png": ("sweep",), "identity.txt": ("sweep",),
+    "landscape.png": ("sweep",), "identity.txt": ("sweep",), "plan.json": ("sweep",),
 }
 """By the end of a file's name; a reader that has been refused is not asked to do without."""
 COMMANDS = {

@@ -17,7 +17,7 @@ from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.pairs import Pairs, load_pairs
-from doo_ti.learning.summary import REMADE, SUMMARY
+from doo_ti.learning.summary import SUMMARY
 from doo_ti.scene import MOST_SPINS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.types import Clamp
@@ -76,7 +76,7 @@ def run(options: Namespace, words: list[str]) -> int:
         if not finished_before:
             relaxed.append(summary)
         if not options.json:
-            _tell(search, summary, finished_before, [name for name in before if now[name] != before[name]])
+            _tell(search, summary, finished_before, [name for name in now if now[name] != before.get(name, now[name])])
     if options.json:
         print(json.dumps(plain(summaries if len(options.sources) > 1 else summaries[0])))
     else:
@@ -85,8 +85,9 @@ def run(options: Namespace, words: list[str]) -> int:
 
 
 def _stamps(run: Path) -> dict[str, int]:
-    """When the files of a run were written that a sweep can make again."""
-    return {name: (run / name).stat().st_mtime_ns for name in (SUMMARY, *REMADE) if (run / name).is_file()}
+    """When the files of a run but its cells were written."""
+    paths = [path for path in (*run.glob("*.*"), *run.glob("cells/*.*")) if path.suffix != ".parquet" and path.is_file()]
+    return {path.relative_to(run).as_posix(): path.stat().st_mtime_ns for path in sorted(paths)}
 
 
 def _searches(options: Namespace) -> list[_Search]:

@@ -99,7 +99,7 @@ def test_no_command_on_images_opens_a_socket(tmp_path, pictures, rng, monkeypatc
     words = [synth, f"perceive {seen} --sets images/sets.csv --out p.npz",
              f"track {seen} --frames images/frames.csv --out t.npz",
              f"predict {ROOT}/scenes/motion/pulled_straight.toml --out m.npz --recording m.rrd --picture m.png",
-             f"calibrate {pictures}/views.csv --board {TEXT} --out rig.yaml", "plan lab.toml",
+             f"calibrate {pictures}/views.csv --board {TEXT} --out rig.yaml", "plan lab.toml --twist 4e5",
              " ".join([*prepared(tmp_path, rows_of(wavy_vertices(rng, count=2, marks=8), rng)), "--out", "marks.npz"])]
     done = guarded(COMMANDS, *words, folder=tmp_path)
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
