@@ -21,6 +21,8 @@ from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
 
+from rerun import bindings
+
 from doo_ti.cli import main as command_line
 from doo_ti.learning.summary import changed_files, read_summary
 
@@ -157,10 +159,10 @@ def main() -> int:
                 if verdict == UNNOTICED:
                     print(f"unnoticed by {reader}: {flip}", flush=True)
             if done % 50 == 0:
+                bindings.flush_and_cleanup_orphaned_recordings()  # rerun keeps the threads of each until it is asked
                 rate = done / (time.monotonic() - began)
                 print(f"{done} of {options.flips} flips, {rate:.1f} a second, "
-                      f"{(options.flips - done) / rate / 60:.1f} min left",
-                      file=sys.stderr)
+                      f"{(options.flips - done) / rate / 60:.1f} min left", file=sys.stderr)
     print(f"| file | reader | {' | '.join(VERDICTS)} |\n|---|---|{'--:|' * len(VERDICTS)}")
     for file, reader in dict.fromkeys((file, reader) for file, reader, _ in sorted(counts)):
         print(f"| {file} | {reader} | {' | '.join(str(counts[file, reader, verdict]) for verdict in VERDICTS)} |")

@@ -65,6 +65,7 @@ CASES = {
     "synth": "synth ../inputs/video.toml --out f.npz --images images --rig ../inputs/video/rig.yaml",
 }
 """Name and command of each case, given in a folder of its own."""
+EARLY = 0.2
 MOST_SECONDS = 300
 MOST_SECONDS_TO_END = 1.0
 """After which a command that ends well has not just been about to."""
@@ -173,7 +174,8 @@ def disturbed(kill: Kill, folder: Path, seconds: float, other: Path) -> tuple[in
         cluster = stack.enter_context(Cluster(ROOT)) if "Dask" in kill.case else None
         process = started(kill.case, folder, cluster)
         try:
-            message = process.communicate(timeout=kill.share * seconds)[1]
+            # A worker that joins late is given no work.
+            message = process.communicate(timeout=kill.share * seconds * (EARLY if kill.how == ON_CLUSTER[-1] else 1))[1]
             return process.returncode, faults(process.returncode, message)
         except subprocess.TimeoutExpired:
             pass
