@@ -199,7 +199,7 @@ def _ways(process: subprocess.Popen, cluster: Cluster | None, other: Path) -> di
 
 
 def faults(code: int, message: str) -> str:
-    """What is wrong with how a command ended: more than one line, or one that does not say how to go on."""
+    """What is wrong with how a command ended: more than one line, or one that neither refuses nor says how to go on."""
     own = [line for line in message.splitlines() if line.startswith("doo-ti: ")]
     if "Traceback" in message:
         return "traceback"
@@ -207,8 +207,9 @@ def faults(code: int, message: str) -> str:
         return ""
     if len(own) != 1:
         return f"{len(own)} lines of its own"
-    return "" if any(words in own[0] for words in ("go on with", "starts anew", "goes on")) or own[0] == "doo-ti: interrupted" \
-        or code == 2 and "on all" in own[0] else f"does not say how to go on: {own[0]}"
+    says = code == 2 or own[0] == "doo-ti: interrupted" or any(
+        words in own[0] for words in ("go on with", "starts anew", "goes on"))
+    return "" if says else f"does not say how to go on: {own[0]}"
 
 
 def prepared(folder: Path, cases: list[str]) -> None:
