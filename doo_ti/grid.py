@@ -112,6 +112,19 @@ class Grid:
         twist = given["twist"] if "twist" in given else given["twist_ratio"] * bend_1
         return {"bend_1": bend_1, "bend_2": bend_2, "twist": twist, "weight": given["weight"]}
 
+    def cells_of(self, values: dict[str, np.ndarray]) -> np.ndarray:
+        """(n,) the cells that hold ``values`` (n,) of bend_1, bend_2, twist and weight; −1 where none does."""
+        places = []
+        for axis in self.axes:
+            wanted, borders = values.get("bend_1" if axis.name == "bend" else axis.name), axis.values[1:]
+            if axis.name == "twist_ratio":  # the quotient is rounded: the nearest ratio is meant
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    wanted, borders = values["twist"] / values["bend_1"], 0.5 * (axis.values[1:] + axis.values[:-1])
+            places.append(np.searchsorted(borders, wanted, side="right"))
+        cells = np.ravel_multi_index(places, self.shape)
+        same = [values[name] == own for name, own in self.cell_values(cells).items()]
+        return np.where(np.all(same, axis=0), cells, -1)
+
     def materials(self, cells: np.ndarray | slice = slice(None)) -> Material:
         """The table of G materials, one per cell in C order, or only those of ``cells``: a chunk of a large grid."""
         values = self.cell_values(cells)

@@ -28,7 +28,7 @@ from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
 from doo_ti.learning.maker import maker, maker_text
 from doo_ti.learning.pairs import load_pairs, save_pairs
-from doo_ti.learning.summary import REMADE, changed_files, check_cells, read_summary, sweep_identity
+from doo_ti.learning.summary import changed_files, check_cells, read_summary, sweep_identity
 from doo_ti.types import Clamp
 from doo_ti.whole_file import remove_leftovers, write_whole
 
@@ -100,8 +100,9 @@ def finished(run: Path, identity: str) -> dict | None:
         return None
     if sweep_identity(summary) != identity or not isinstance(summary.get("files"), dict):
         return None
-    check_cells(run, summary)
-    return None if changed_files(run, summary, REMADE) else summary
+    changed = changed_files(run, summary)
+    check_cells(run, changed)
+    return None if changed else summary
 
 
 def read_experiment(run: Path) -> Experiment:
