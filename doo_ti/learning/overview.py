@@ -12,7 +12,7 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid, Interval, valley
-from doo_ti.learning.cell_sums import CellSums, counts_by_name, status_counts
+from doo_ti.learning.cell_sums import CellSums, counts_by_name, is_sound, status_counts
 from doo_ti.learning.stored_cells import RODS, cell_files, rods_in, terms_in, whole_rods_in
 
 
@@ -67,7 +67,7 @@ class Overview:
     def competition(self) -> dict[str, int]:
         """How many cells compete, how many do not, and how many terms no cell can compare, as JSON holds it."""
         out, compared = int((self.unsound > 0).sum()), self.sums.compared
-        return {"cells_competing": len(self.unsound) - out if compared.any() else 0, "cells_not_competing": out,
+        return {"cells_competing": int((self.sums.count > 0).sum()) - out if compared.any() else 0, "cells_not_competing": out,
                 "terms_left_out": int((~compared).sum())}
 
     def as_dict(self) -> dict:
@@ -101,6 +101,23 @@ def gather_overview(run: Path, grid: Grid, name: str, identity: str | None) -> O
     paths = cell_files(run, identity)
     terms = terms_in(paths)
     return _overview(run, grid, name, terms, whole_rods_in(run, paths, grid, terms))
+
+
+def gather_part(run: Path, grid: Grid, name: str, identity: str, part: str) -> Overview:
+    """The overview of those cells that an unfinished sweep has stored in the folder ``part``; of the rods of several
+    hypotheses about a term the nearest sound one counts in each cell."""
+    paths = cell_files(run, identity, part)
+    terms = terms_in(paths)
+
+    def nearest(path, cell, term, columns):
+        distance = columns["distance_mm"]
+        sound = is_sound(distance, columns["status"], columns["stable"])
+        order = np.lexsort((distance, ~sound, term, cell))
+        rod = cell[order] * np.int64(len(terms.key)) + term[order]
+        rows = order[np.diff(rod, prepend=-1) > 0]
+        return path, cell[rows], term[rows], {name: column[rows] for name, column in columns.items()}
+
+    return _overview(run, grid, name, terms, (nearest(*found) for found in rods_in(paths, grid, terms)))
 
 
 def _overview(run: Path, grid: Grid, name: str, terms, files) -> Overview:

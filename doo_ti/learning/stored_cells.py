@@ -84,21 +84,21 @@ def rods_in(paths: list[Path], grid: Grid, terms: Terms,
 
 
 def whole_rods_in(run: Path, paths: list[Path], grid: Grid, terms: Terms, more: tuple[str, ...] = ()) -> Iterator[tuple]:
-    """As :func:`rods_in`. Raises InputError, at the latest behind the last file, unless they hold each cell and term once, and
+    """As :func:`rods_in`. Raises InputError, at the latest after the last file, unless they hold each cell and term once, and
     nothing else."""
-    seen, count = np.zeros(-(-grid.size * len(terms.key) // 8), dtype=np.uint8), 0  # a bit for each rod
+    rods = grid.size * len(terms.key)
+    seen, count = np.zeros(-(-rods // 8), dtype=np.uint8), 0  # a bit for each rod
     fits = terms.dynamic or bool((terms.key == np.arange(len(terms.key))).all())
     for found in rods_in(paths, grid, terms, more):
         _, cell, term, _ = found
-        rod = cell * np.int64(len(terms.key)) + term
-        bit = np.left_shift(1, rod & 7, dtype=np.uint8, casting="unsafe")
-        fits &= bool((cell >= 0).all()) and not (seen[rod >> 3] & bit).any() and len(np.unique(rod)) == len(rod)
+        fits &= bool((cell >= 0).all())
         if not fits:
             break
-        np.bitwise_or.at(seen, rod >> 3, bit)
+        rod = cell * np.int64(len(terms.key)) + term
+        np.bitwise_or.at(seen, rod >> 3, np.uint8(1) << (rod & 7).astype(np.uint8))
         count += len(rod)
         yield found
-    if not fits or count != grid.size * len(terms.key):
+    if not fits or not count == np.bitwise_count(seen).sum(dtype=np.int64) == rods:
         term = "pair" if terms.dynamic else "observation"
         raise InputError(run, "cells", f"do not hold each cell and {term} of the grid once", "run the sweep to its end")
 

@@ -28,16 +28,22 @@ def read_summary(run: Path) -> dict:
     """The summary of a finished sweep. Raises InputError where the folder holds none that can be read, or another one than was
     written."""
     path = Path(run) / SUMMARY
-    content = read_content(path, MOST_TEXT_BYTES, "name the folder of a finished sweep")
-    try:
-        summary = json.loads(content.decode())
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, "file", f"not JSON ({error})", "run the sweep again") from None
-    if not isinstance(summary, dict):
-        raise InputError(path, "file", "holds no table", "run the sweep again")
+    summary = read_table(path)
     if SEAL in summary and summary[SEAL] != _seal(summary):
         raise InputError(path, "file", "is not what the sweep wrote", "run the sweep again")
     return summary
+
+
+def read_table(path: Path) -> dict:
+    """The JSON object in a file of a sweep. Raises InputError where it holds none."""
+    content = read_content(path, MOST_TEXT_BYTES, "name the folder of a finished sweep")
+    try:
+        table = json.loads(content.decode())
+    except (ValueError, RecursionError) as error:
+        raise InputError(path, "file", f"not JSON ({error})", "run the sweep again") from None
+    if not isinstance(table, dict):
+        raise InputError(path, "file", "holds no table", "run the sweep again")
+    return table
 
 
 def sweep_identity(summary: dict) -> str | None:

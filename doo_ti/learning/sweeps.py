@@ -134,8 +134,8 @@ def _relax_chunks(
     return time.monotonic() - began
 
 
-def draw(run: Path, experiment: Experiment, overview: Overview, identity: str) -> None:
-    """Write landscape.png and run.rrd into the folder ``run``."""
+def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str, remark: str = "") -> None:
+    """Write landscape.png and run.rrd into ``folder``, ``remark`` behind their title."""
     from doo_ti.record import record_sweep
     from doo_ti.report import MEAN_DISTANCE, landscape_picture
 
@@ -146,15 +146,15 @@ def draw(run: Path, experiment: Experiment, overview: Overview, identity: str) -
     unfinished = overview.unsound.reshape(grid.shape)
     static = experiment.pairs is None
     terms = f"{observations.count} observations" if static else f"{experiment.pairs.count} pairs"
-    title = f"{observations.name}: {overview.objective} error over {terms}"
+    title = f"{observations.name}: {overview.objective} error over {terms}{remark}"
     if grid.varying:
-        write_whole(run / "landscape.png", lambda file: landscape_picture(
+        write_whole(folder / "landscape.png", lambda file: landscape_picture(
             file, axes, values, minimum=minimum, title=title, label=MEAN_DISTANCE, unfinished=unfinished))
     seen = observations if static else observations.take(experiment.pairs.to_index)
     way = trajectory(experiment, overview.best)
     theta = {name: float(value[0]) for name, value in grid.cell_values(np.array([overview.best])).items()}
     record_sweep(
-        run / "run.rrd", run_id=identity[:32], name=title,
+        folder / "run.rrd", run_id=identity[:32], name=title,
         observations_vertices=np.where(seen.valid[..., None], seen.vertices, np.nan),
         labels={"end_distance_mm": seen.end_distance, "end_rotation_deg": seen.end_rotation},
         trajectory=way.vertices, energy=way.energy, residual=way.residual, status=way.status, distance=way.distance,
