@@ -3,7 +3,7 @@
 Nothing here grows with the rods of a cell. Axes: G grid cells, N terms of the objective.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid, Interval, valley
 from doo_ti.learning.cell_sums import CellSums, counts_by_name, is_sound, status_counts
-from doo_ti.learning.stored_cells import RODS, cell_files, rods_in, terms_in, whole_rods_in
+from doo_ti.learning.stored_cells import RODS, Terms, cell_files, rods_in, terms_in, whole_rods_in
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def gather_part(run: Path, grid: Grid, name: str, identity: str, part: str) -> O
     return _overview(run, grid, name, terms, (nearest(*found) for found in rods_in(paths, grid, terms)))
 
 
-def _overview(run: Path, grid: Grid, name: str, terms, files) -> Overview:
+def _overview(run: Path, grid: Grid, name: str, terms: Terms, files: Iterable[tuple]) -> Overview:
     """The overview of the rods in ``files``, as :func:`doo_ti.learning.stored_cells.rods_in` gives them."""
     sums, spans = CellSums(grid.size, len(terms.key)), {}
     for path, cell, term, columns in files:

@@ -125,7 +125,7 @@ def read_experiment(run: Path) -> Experiment:
 
 
 def read_plan(run: Path) -> tuple[Experiment, str]:
-    """The experiment and the identity of a sweep that may not be finished yet. Raises InputError where the folder holds none."""
+    """The experiment and the identity of a sweep that may not be finished. Raises InputError where the folder holds none."""
     path = Path(run) / "cells" / PLAN
     plan = read_table(path)
     experiment, identity = _experiment(Path(run), path, plan), sweep_identity(plan)
