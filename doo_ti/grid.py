@@ -198,15 +198,17 @@ def valley(grid: Grid, mean_distance: np.ndarray, fraction: float = 0.05) -> tup
     if np.isnan(mean).all():
         raise InputError(grid.source, "distance_mm", "no cell has an error", "look at the rods' status")
     best = int(np.nanargmin(mean))
-    near = np.nan_to_num(mean, nan=np.inf) <= mean[best] * (1 + fraction)
-    values = grid.axis_values()
+    near = np.flatnonzero(np.nan_to_num(mean, nan=np.inf) <= mean[best] * (1 + fraction))
     intervals = []
-    for axis in grid.varying:
-        spots = np.flatnonzero(np.isin(axis.values, values[axis.name][near]))
+    for number, axis in enumerate(grid.axes):
+        if len(axis) == 1:
+            continue
+        places, there = (np.unravel_index(cells, grid.shape)[number] for cells in (near, best))
+        spots = np.unique(places)
         between = np.sqrt(axis.values[1:] * axis.values[:-1]) if axis.log else 0.5 * (axis.values[1:] + axis.values[:-1])
         ends = np.concatenate([axis.values[:1], between, axis.values[-1:]])
         first, last = spots[0], spots[-1]
-        intervals.append(Interval(axis.name, float(values[axis.name][best]), float(ends[first]), float(ends[last + 1]),
+        intervals.append(Interval(axis.name, float(axis.values[there]), float(ends[first]), float(ends[last + 1]),
                                   bool(first == 0), bool(last == len(axis) - 1)))
     return tuple(intervals)
 
