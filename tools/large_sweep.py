@@ -2,8 +2,8 @@
 
     python tools/large_sweep.py [--values 648] [--workers N] [--folder FOLDER]
 
-48 observations of the virtual lab under VALUES × VALUES cells: 648 are 2·10⁷ rods. Memory is the largest resident set. Give an empty
-folder: a sweep that is there goes on. Exit code 1 where a bar is missed.
+48 observations of the virtual lab under VALUES × VALUES cells: 648 are 2·10⁷ rods. Memory is the largest resident set. Give an
+empty folder: a sweep that is there goes on. Exit code 1 where a bar is missed.
 """
 
 import argparse
