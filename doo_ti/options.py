@@ -5,7 +5,6 @@ Raises InputError naming the option, what was given and what would do.
 
 import os
 from argparse import Namespace
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -145,13 +144,6 @@ def bench_rods(text: str | None, default: int) -> int:
 def threads(text: str | None) -> int | None:
     """Threads of the kernels, at most one per processor, or None."""
     return whole("--threads", text, 1, os.cpu_count() or 1)
-
-
-def jax(wanted: bool) -> bool:
-    """Whether to compare with JAX. Raises InputError where it is wanted and not installed."""
-    if wanted and find_spec("jax") is None:
-        raise InputError(SOURCE, "--jax", "jax is not installed", "pip install 'doo_ti[bench]', or leave --jax out")
-    return wanted
 
 
 def output_file(text: str | Path, suffix: str | None = None, option: str = "--out") -> Path:

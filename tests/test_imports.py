@@ -35,7 +35,7 @@ LAYERS = [
 ]
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 APART = {"learning", "twist", "perception"}
-ONLY = {"rerun": {"record"}, "matplotlib": {"report"}, "jax": {"bench"}, "cv2": {"vision"}, "yaml": {"vision"},
+ONLY = {"rerun": {"record"}, "matplotlib": {"report"}, "jax": set(), "cv2": {"vision"}, "yaml": {"vision"},
         "distributed": {"learning"}}
 
 

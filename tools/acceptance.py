@@ -90,7 +90,7 @@ class Study:
     def searched(self) -> Iterator[tuple[str, Rods]]:
         """Every observation of the lab under every cell of its grid, material by material."""
         for name in lab.TRUTH:
-            yield name, workload.crossed(*self.started(name), lab.search_grid(name, self.sizes.cells).materials())
+            yield name, lab.crossed(*self.started(name), lab.search_grid(name, self.sizes.cells).materials())
 
     def swept(self, observations: Observations, grid: Grid, frame_weight: float = 0.0) -> Landscape:
         """The landscape of a sweep into a folder that is thrown away."""
@@ -195,7 +195,7 @@ def descent(study: Study) -> None:
                  f"×3; solved to 1e-7, counted as converged at a residual ≤ 1e-6, at most {limit} iterations")
     for name in lab.TRUTH:
         study.tell(f"Descent: {name}")
-        rods = workload.crossed(*study.started(name), lab.neighbours(name))
+        rods = lab.crossed(*study.started(name), lab.neighbours(name))
         slow = rods.relaxed(Descent(tolerance=1e-7, max_iterations=limit), "f64")
         fast = rods.relaxed(Newton(), "f64")
         done = slow.residual <= 1e-6
@@ -330,7 +330,7 @@ def in_doubles(solution: Solution) -> str:
 
 
 def intervals(landscape: Landscape) -> str:
-    return "within 5 % of the minimum " + ", ".join(map(str, landscape.intervals))
+    return "within 5 % of the minimum " + ", ".join(map(str, landscape.overview.intervals))
 
 
 def measure(study: Study, rows: list[str]) -> None:

@@ -22,18 +22,19 @@ if not __package__:
 
 from doo_ti import Newton, Status, runtime  # noqa: E402
 from doo_ti.bench import clock, peak, workload  # noqa: E402
-from doo_ti.bench.cases import COARSE, FINE, Specimens, cases, measure  # noqa: E402
-from doo_ti.bench.process import Children  # noqa: E402
+from doo_ti.bench.cases import COARSE, FINE, Specimens, measure  # noqa: E402
 from doo_ti.bench.table import machine  # noqa: E402
 from doo_ti.bench.workload import SUTURES, Rods  # noqa: E402
 from doo_ti.errors import InputError, InterruptedRunError  # noqa: E402
 from tools import hard_set  # noqa: E402
 from tools.acceptance import Check, Study, ended, in_doubles, percent, table  # noqa: E402
-from tools.bench import lab  # noqa: E402
+from tools.bench import lab, scaling  # noqa: E402
+from tools.bench.cases import cases  # noqa: E402
+from tools.bench.process import Children  # noqa: E402
 
 SPEED = {"newton f32": 450_000, "newton mixed": 250_000, "newton f32 general B": 200_000, "newton f32 batches of 256": 150_000,
          "newton f32 free end, springs": 150_000}
-"""Cases of :mod:`doo_ti.bench.cases`, and the rods/s that are asked of each."""
+"""Cases of :mod:`tools.bench.cases`, and the rods/s that are asked of each."""
 ONE, COLD, WARM = "newton f32 one rod", "newton f32", "newton f32 warm start"
 SPREAD = 0.15
 """How far the time for each may be from the median of all sizes, as a share of it."""
@@ -85,9 +86,10 @@ def speed(study: Engine) -> None:
     for name in (COLD, WARM, ONE, *(name for name in SPEED if name != COLD)):
         study.tell(f"speed: {name}")
         m = found[name] = measure(known[name], reference, study.sizes.repeats)
-        study.detail(f"{name}: {m.per_second:,.0f} rods/s, {m.gflops:.0f} GFlop/s; {hard_set.percent(m.converged)} converged, "
-                     f"{hard_set.percent(m.stable)} certified stable; iterations mean {m.iterations:.1f}, most "
-                     f"{len(m.histogram) - 1}; meanwhile NumPy {2e-9 * m.per_second / m.ratio:.1f} GFlop/s of dot products")
+        study.detail(f"{name}: {m.per_second:,.0f} rods/s, {sum(m.gflops.values()):.0f} GFlop/s; "
+                     f"{hard_set.percent(m.converged)} converged, {hard_set.percent(m.stable)} certified stable; "
+                     f"iterations mean {m.iterations:.1f}, most {len(m.histogram) - 1}; meanwhile NumPy "
+                     f"{2e-9 * m.per_second / m.ratio:.1f} GFlop/s of dot products")
     after = peak.peak_gflops()
     for name, bar in SPEED.items():
         rate = found[name].per_second
@@ -143,7 +145,7 @@ def growth(study: Engine) -> None:
     proportional(study, "time per rod, f32, of batches", "rods", each, "µs")
     study.tell("growth: edges")
     drawn = workload.isotropic_materials(sizes.rods_of_edges)
-    finer = [workload.paired(workload.refined(held[0], edges), held[1], drawn) for edges in sizes.edges]
+    finer = [workload.paired(scaling.refined(held[0], edges), held[1], drawn) for edges in sizes.edges]
     seconds, _, iterations = relaxed_in_turn(finer, FINE, "f64", sizes.repeats)
     each = dict(zip(sizes.edges, 1e9 * seconds / (iterations * sizes.edges), strict=True))
     proportional(study, f"time per rod, edge and iteration, f64, {sizes.rods_of_edges} rods", "edges", each, "ns", FEWEST_EDGES)

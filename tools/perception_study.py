@@ -11,12 +11,23 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands.printing import counted
-from doo_ti.learning.landscape import status_counts
-from doo_ti.perception.lab_images import LabRods, lab_rods
-from doo_ti.perception.perceive import perceive
-from doo_ti.perception.search import PerceptionOptions, Search
-from doo_ti.perception.trials import (
+if not __package__:
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from doo_ti.commands.printing import counted  # noqa: E402
+from doo_ti.learning.landscape import status_counts  # noqa: E402
+from doo_ti.perception.lab_images import LabRods, lab_rods  # noqa: E402
+from doo_ti.perception.perceive import perceive  # noqa: E402
+from doo_ti.perception.search import PerceptionOptions, Search  # noqa: E402
+from doo_ti.scene import load_scene  # noqa: E402
+from doo_ti.types import Material  # noqa: E402
+from doo_ti.vision.detection import Detection, DetectionOptions  # noqa: E402
+from doo_ti.vision.distance_map import DistanceMaps, distance_maps  # noqa: E402
+from doo_ti.vision.image_synthesis import Photographs  # noqa: E402
+from doo_ti.vision.render import RenderOptions  # noqa: E402
+from doo_ti.vision.rig import Rig, load_rig  # noqa: E402
+from doo_ti.vision.spline import smooth_curve  # noqa: E402
+from tools.trials.perception import (  # noqa: E402
     Trial,
     crossings,
     detected,
@@ -24,20 +35,13 @@ from doo_ti.perception.trials import (
     judged,
     seeds_off,
     sets_of,
+    taken,
     truth_energy,
     unseen,
     usual_width,
     with_energy,
     without_camera,
 )
-from doo_ti.scene import load_scene
-from doo_ti.types import Material
-from doo_ti.vision.detection import Detection, DetectionOptions
-from doo_ti.vision.distance_map import DistanceMaps, distance_maps
-from doo_ti.vision.image_synthesis import Photographs, take
-from doo_ti.vision.render import RenderOptions
-from doo_ti.vision.rig import Rig, load_rig
-from doo_ti.vision.spline import smooth_curve
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 THREADS = ("nylon", "vicryl", "silk")
@@ -152,7 +156,7 @@ def photographed(scene: str, sets: int | None, look: RenderOptions = RenderOptio
         rods = rods.take(np.flatnonzero((crossings(rig.project(rods.curve)) > 0).all(axis=0)))
     elif sets is not None and sets < len(rods.names):
         rods = rods.take(np.linspace(0, len(rods.names) - 1, sets).round().astype(int))
-    images = take(Photographs(rods.names, rods.curve, rods.point, rods.direction, DIAMETER_MM, rig, look, SEED))
+    images = taken(Photographs(rods.names, rods.curve, rods.point, rods.direction, DIAMETER_MM, rig, look, SEED))
     began = time.perf_counter()
     found = detected(images)
     if crossing:

@@ -5,22 +5,26 @@
 
 import argparse
 import json
+import sys
 import time
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti.dataset import Observations, load_observations
-from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_from_matrix, quaternion_product
-from doo_ti.metric import distance
-from doo_ti.motion.journey import Journey
-from doo_ti.motion.path import LARGEST_TURN, motion_between
-from doo_ti.prediction.motion_file import load_path
-from doo_ti.prediction.predict import predict_step
-from doo_ti.prediction.trials import moved_as_one, moved_by_blend, predict_marks, predict_steps, rotation_steps
-from doo_ti.relaxation.relax import relax
-from doo_ti.start import observation_clamps, start_configuration
-from doo_ti.types import Clamps, Material
+if not __package__:
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from doo_ti.dataset import Observations, load_observations  # noqa: E402
+from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_from_matrix, quaternion_product  # noqa: E402
+from doo_ti.metric import distance  # noqa: E402
+from doo_ti.motion.journey import Journey  # noqa: E402
+from doo_ti.motion.path import LARGEST_TURN, motion_between  # noqa: E402
+from doo_ti.prediction.motion_file import load_path  # noqa: E402
+from doo_ti.prediction.predict import predict_step  # noqa: E402
+from doo_ti.relaxation.relax import relax  # noqa: E402
+from doo_ti.start import observation_clamps, start_configuration  # noqa: E402
+from doo_ti.types import Clamps, Material  # noqa: E402
+from tools.trials.prediction import moved_as_one, moved_by_blend, predict_marks, predict_steps, rotation_steps  # noqa: E402
 
 CABLES = {"dlo1": 3.16e6, "dlo3": 4.47e7}
 """bend in mm³ at weight 1, the minimum of a sweep over the still frames (33 values over 2.4 decades; 14.07 and 15.76 mm). Twist

@@ -8,6 +8,7 @@ of scenes/MATERIAL.toml, SHAPES/MATERIAL.npz; then RUNS/MATERIAL is the sweep of
 """
 
 import argparse
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,14 +16,17 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from doo_ti.dataset import Observations, load_observations
-from doo_ti.learning.landscape import read_landscape
-from doo_ti.report import angle_errors_picture
-from doo_ti.scene import load_scene
-from doo_ti.synthesis import synthesise
-from doo_ti.twist.estimation import Verdict
-from doo_ti.twist.trials import SUCCESS, twist_trials
-from doo_ti.whole_file import write_whole
+if not __package__:
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from doo_ti.dataset import Observations, load_observations  # noqa: E402
+from doo_ti.learning.landscape import read_landscape  # noqa: E402
+from doo_ti.scene import load_scene  # noqa: E402
+from doo_ti.synthesis import synthesise  # noqa: E402
+from doo_ti.twist.estimation import Verdict  # noqa: E402
+from doo_ti.whole_file import write_whole  # noqa: E402
+from tools.trials.twist import SUCCESS, twist_trials  # noqa: E402
+from tools.trials.twist_picture import angle_errors_picture  # noqa: E402
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 MATERIALS = ("nylon", "vicryl", "silk")

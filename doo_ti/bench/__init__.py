@@ -1,1 +1,1 @@
-"""Throughput and accuracy on this machine: the rods, the clock, the cases, and what a person reads of them."""
+"""Throughput and accuracy on this machine: the rods, the clock, the cases and the table of ``doo-ti bench``."""

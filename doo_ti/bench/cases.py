@@ -1,4 +1,4 @@
-"""The cases that are timed: rods × material × precision, NumPy in to NumPy out, kernels warm.
+"""The cases that are timed: rods × material × precision, NumPy in to NumPy out, kernels compiled before.
 
     measured = measure(case, clock.Reference(threads), rounds)
 
@@ -15,19 +15,20 @@ import numpy as np
 from doo_ti.bench import clock, workload
 from doo_ti.bench.workload import Rods
 from doo_ti.dataset import Observations
-from doo_ti.metric import distance
 from doo_ti.relaxation import batch
-from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax_again
-from doo_ti.types import Configuration, Material, Solution
+from doo_ti.types import Material, Solution
 
 COARSE, FINE = Newton(tolerance=1e-6), Newton(tolerance=1e-9)
 CLOSE = Newton(tolerance=1e-6, first_shift=0.0)
-# Additions, multiplications, divisions and roots of one iteration over one edge, counted in the loops' machine code.
-FLOPS_PER_EDGE = {"isotropic": 890.0, "general": 1480.0, "springs": 1140.0}
+OPERATIONS = {"isotropic": (952, 241), "general": (1536, 241), "springs": (1206, 185)}
+"""Additions, multiplications, divisions and roots that a trip through Newton's loop executes for every rod: in the loops over
+free edges, for each of these, and outside. Counted in the compiled code by ``tools/bench/operations.py``."""
+HELD_EDGES = 2
+BATCH = 256
 ROUND_SECONDS = 0.3
-"""A round repeats its case for about this long, so that a neighbour's moment of work does not decide it."""
+"""A round repeats its case for about this long, so that a short interruption does not decide it."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,8 @@ class Outcome:
     converged, stable  shares of the rods
     residual    the largest of the rods that converged, 1/mm; None where nothing is relaxed
     iterations  (R,) of the rods, empty where nothing is relaxed
-    flops       floating-point operations by FLOPS_PER_EDGE, 0 where they are not counted
+    trips       through the kernels' loops, those of all lanes added up; 0 where they are not counted
+    operations  floating-point operations that the kernels executed, by precision
     """
 
     amount: float
@@ -46,21 +48,17 @@ class Outcome:
     stable: float | None = None
     residual: float | None = None
     iterations: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    flops: float = 0.0
+    trips: int = 0
+    operations: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Case:
-    """Something timed: ``run()`` once, warm, does an :class:`Outcome`, counted in ``unit``.
-
-    ``launches`` are the precisions in bits of the kernel's launches in a run, where a run is one call of them: then the
-    lanes that were busy can be told.
-    """
+    """Something timed: ``run()`` once does an :class:`Outcome`, counted in ``unit``."""
 
     name: str
     unit: str
     run: Callable[[], Outcome]
-    launches: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -70,8 +68,8 @@ class Measurement:
     per_second  of the case's unit
     ratio       that rate to the NumPy workload's of the same round
     iterations  mean over the rods
-    gflops      10⁹ operations per second by FLOPS_PER_EDGE, None where they are not counted
-    busy        share of the lanes' trips that were iterations of a rod, None where it cannot be told
+    gflops      10⁹ operations per second that the kernels executed, by precision
+    busy        share of the lanes' trips that were iterations of a rod, None where trips are not counted
     histogram   number of rods that took 0, 1, 2, … iterations
     """
 
@@ -82,13 +80,19 @@ class Measurement:
     iterations: float
     stable: float | None = None
     residual: float | None = None
-    gflops: float | None = None
+    gflops: dict[str, float] = field(default_factory=dict)
     busy: float | None = None
     histogram: tuple[int, ...] = ()
 
+    def share_of(self, peak: dict[str, float]) -> float | None:
+        """The time that the operations take at ``peak`` (10⁹ per second, by precision) as a share of the time that they took;
+        None where one of them is unknown."""
+        known = self.gflops and self.gflops.keys() <= peak.keys()
+        return sum(rate / peak[name] for name, rate in self.gflops.items()) if known else None
+
 
 class Specimens:
-    """The rods of all cases, made when they are first asked for; ``count`` of them where the size is not the point."""
+    """The rods of all cases, made on first use; ``count`` of them where the size is not the point."""
 
     def __init__(self, count: int):
         self.count = count
@@ -124,78 +128,69 @@ class Specimens:
         return workload.pulled(self.many)
 
     @cached_property
-    def handfuls(self) -> list[Rods]:
-        """Batches of 256 of ``many``, over tables that hold no other rods."""
-        return self._batches(256, max(self.count // 4096, 1))
+    def batches(self) -> list[Rods]:
+        """BATCH rods each."""
+        return self.alone(BATCH, max(self.count // 4096, 1))
 
-    @cached_property
-    def singles(self) -> list[Rods]:
-        """Rods of ``many``, each by itself."""
-        return self._batches(1, max(self.count // 512, 1))
-
-    def _batches(self, size: int, count: int) -> list[Rods]:
+    def alone(self, size: int, count: int) -> list[Rods]:
+        """``count`` batches of ``size`` of ``many``, over tables that hold no other rods."""
         return [self.many.alone(slice(at, at + size)) for at in (k * size % max(self.count - size, 1) for k in range(count))]
 
 
 def cases(rods: Specimens) -> list[Case]:
-    """The matrix."""
+    """The rows of ``doo-ti bench``."""
     return [
-        Case("newton f32", "rods/s", lambda: relaxed(rods.many, COARSE, "f32"), (32,)),
-        Case("newton f64", "rods/s", lambda: relaxed(rods.many, FINE, "f64"), (64,)),
-        Case("newton mixed", "rods/s", lambda: relaxed(rods.many, FINE, "mixed"), (32, 64)),
-        Case("newton f32 general B", "rods/s", lambda: relaxed(rods.band, COARSE, "f32"), (32,)),
-        Case("newton f32 warm start", "rods/s", lambda: followed(rods), (32,)),
-        Case("newton f32 free end, springs", "rods/s", lambda: relaxed(rods.pulled, COARSE, "f32"), (32,)),
-        Case("newton f32 batches of 256", "rods/s", lambda: one_by_one(rods.handfuls)),
-        Case("newton f32 one rod", "rods/s", lambda: one_by_one(rods.singles)),
-        Case("descent f64", "iterations/s", lambda: stepped(rods.many.take(slice(max(rods.count // 64, 1))))),
-        Case("metric", "rods/s", lambda: compared(rods.relaxed.configuration, rods.sutures[0])),
+        Case("newton f32", "rods/s", lambda: relaxed([rods.many], COARSE, "f32")),
+        Case("newton f64", "rods/s", lambda: relaxed([rods.many], FINE, "f64")),
+        Case("newton mixed", "rods/s", lambda: relaxed([rods.many], FINE, "mixed")),
+        Case("newton f32 general B", "rods/s", lambda: relaxed([rods.band], COARSE, "f32")),
+        Case("newton f32 warm start", "rods/s", lambda: followed(rods)),
+        Case("newton f32 free end, springs", "rods/s", lambda: relaxed([rods.pulled], COARSE, "f32")),
+        Case("newton f32 batches of 256", "rods/s", lambda: relaxed(rods.batches, COARSE, "f32")),
     ]
 
 
-def relaxed(rods: Rods, solver: Newton, precision: str) -> Outcome:
-    """All rods in one call."""
-    return converged(rods, rods.relaxed(solver, precision))
+def relaxed(batches: list[Rods], solver: Newton, precision: str) -> Outcome:
+    """One call after another, each of all rods of a batch."""
+    calls = []
+    for rods in batches:
+        solution = rods.relaxed(solver, precision)
+        calls.append((solution, *executed(rods, solution, precision)))
+    return converged(*calls)
 
 
 def followed(rods: Specimens) -> Outcome:
     """All rods from their solution, under materials near those it is for."""
-    return converged(rods.many, relax_again(rods.relaxed, rods.near, CLOSE, precision="f32"))
+    solution = relax_again(rods.relaxed, rods.near, CLOSE, precision="f32")
+    return converged((solution, *executed(rods.many, solution, "f32")))
 
 
-def one_by_one(batches: list[Rods]) -> Outcome:
-    """One call after another."""
-    return converged(batches[0], *(rods.relaxed(COARSE, "f32") for rods in batches))
+def executed(rods: Rods, solution: Solution, precision: str) -> tuple[int, dict[str, float]]:
+    """(trips of all lanes, operations by precision) of the call just made: of a launch in f32 unless f64 was asked for, and of
+    one in f64 where that ended any rod."""
+    kind = "springs" if rods.springs else "isotropic" if rods.material.is_isotropic else "general"
+    each, besides = OPERATIONS[kind]
+    per_trip = each * (rods.starts.edges - HELD_EDGES) + besides
+    launches = [32] * (precision != "f64") + [64] * bool((solution.precision == 64).any())
+    trips = {f"f{bits}": int(np.prod(batch.pack_trips(bits))) for bits in launches}
+    return sum(trips.values()), {name: float(count * per_trip) for name, count in trips.items()}
 
 
-def converged(rods: Rods, *solutions: Solution) -> Outcome:
-    """Only rods that converged count."""
+def converged(*calls: tuple[Solution, int, dict[str, float]]) -> Outcome:
+    """Calls as one outcome. Only rods that converged count."""
+    solutions, trips, operations = zip(*calls, strict=True)
     done, stable, residual, iterations = (
         np.concatenate([getattr(solution, name) for solution in solutions])
         for name in ("converged", "stable", "residual", "iterations"))
-    variant = "springs" if rods.springs else "isotropic" if rods.material.is_isotropic else "general"
-    flops = rods.starts.edges * FLOPS_PER_EDGE[variant]
+    names = sorted({name for counted in operations for name in counted})
     return Outcome(float(done.sum()), float(done.mean()), float(stable.mean()), float(np.max(residual[done], initial=0.0)),
-                   iterations, flops * float(iterations.sum()))
-
-
-def stepped(rods: Rods) -> Outcome:
-    """Gradient steps of the paper's scheme count, whether they were enough or not."""
-    iterations = rods.relaxed(Descent(max_iterations=1000), "f64").iterations
-    return Outcome(float(iterations.sum()), iterations=iterations)
-
-
-def compared(configuration: Configuration, observations: Observations) -> Outcome:
-    """Eq. 1 of all rods."""
-    error = distance(configuration, observations, np.arange(configuration.count) % observations.count)
-    return Outcome(float(configuration.count), float(np.isfinite(error).mean()))
+                   iterations, sum(trips), {name: sum(counted.get(name, 0.0) for counted in operations) for name in names})
 
 
 def measure(case: Case, reference: clock.Reference, rounds: int) -> Measurement:
-    """Warm up, then time the case between two runs of the reference, ``rounds`` times."""
+    """Run once so that kernels are compiled, then time the case between two runs of the reference, ``rounds`` times."""
     case.run()
     once, outcome = clock.timed(case.run)
-    busy = _busy(outcome, case.launches)
     calls = max(1, round(ROUND_SECONDS / once))
     rates, ratios = [], []
     for _ in range(rounds):
@@ -206,12 +201,7 @@ def measure(case: Case, reference: clock.Reference, rounds: int) -> Measurement:
     rate, iterations = median(rates), outcome.iterations
     return Measurement(
         case.unit, rate, median(ratios), outcome.converged, float(iterations.mean()) if len(iterations) else 0.0,
-        outcome.stable, outcome.residual, 1e-9 * outcome.flops * rate / outcome.amount if outcome.flops else None, busy,
-        tuple(np.bincount(iterations).tolist()),
+        outcome.stable, outcome.residual, {name: 1e-9 * count * rate / outcome.amount for name, count in
+                                           outcome.operations.items()} if outcome.amount else {},
+        float(iterations.sum()) / outcome.trips if outcome.trips else None, tuple(np.bincount(iterations).tolist()),
     )
-
-
-def _busy(outcome: Outcome, launches: tuple[int, ...]) -> float | None:
-    """The rods' iterations over the trips of all lanes in the run just made."""
-    trips = sum(int(trips) * lanes for trips, lanes in map(batch.pack_trips, launches))
-    return float(outcome.iterations.sum()) / trips if trips else None

@@ -62,11 +62,11 @@ class Rods:
                      external_index=None if self.springs is None else self.of_start)
 
     def take(self, rods: np.ndarray | slice) -> "Rods":
-        """The rods named by ``rods``, in that order, over the same tables."""
+        """Some of the rods, over the same tables."""
         return replace(self, of_start=self.of_start[rods], of_material=self.of_material[rods])
 
     def alone(self, rods: np.ndarray | slice) -> "Rods":
-        """The rods named by ``rods``, with tables that hold no others: a row for each."""
+        """Some of the rods, with tables that hold no others: a row for each."""
         start, row = self.of_start[rods], self.of_material[rods]
         return paired(self.starts.take(start), self.clamps.take(start), self.material.take(row))
 
@@ -74,12 +74,6 @@ class Rods:
 def observed(*names: str) -> list[Observations]:
     """The observations of rods of the lab."""
     return [synthesise(LAB[name]) for name in names]
-
-
-def crossed(starts: Configuration, clamps: Clamps, material: Material) -> Rods:
-    """Every start under every material: G·S rods, the starts running fastest."""
-    of_material, of_start = np.divmod(np.arange(material.count * starts.count), starts.count)
-    return Rods(starts, clamps, material, of_start, of_material)
 
 
 def paired(starts: Configuration, clamps: Clamps, material: Material) -> Rods:
@@ -124,24 +118,6 @@ def pulled(rods: Rods) -> Rods:
     clamps = Clamps(held.start, Clamp.FREE, held.start_position, held.end_position, held.start_frame, held.end_frame)
     points = starts.vertices
     return replace(rods, clamps=clamps, springs=Springs(points, np.full(points.shape[:2], SPRING)))
-
-
-def refined(starts: Configuration, edges: int) -> Configuration:
-    """The starts with ``edges`` equal edges: the same length, the frames between those that are given.
-
-    The far end comes out a little beside its clamp; the solver closes that.
-    """
-    total = np.atleast_2d(starts.rest_length).sum(axis=-1)
-    frames = starts.quaternions.copy()
-    alike = np.where(np.sum(frames[:, 1:] * frames[:, :-1], axis=-1) < 0, -1.0, 1.0)
-    frames[:, 1:] *= np.cumprod(alike, axis=1)[..., None]
-    place = np.clip((np.arange(edges) + 0.5) / edges * starts.edges - 0.5, 0, starts.edges - 1)
-    left = np.minimum(place.astype(int), starts.edges - 2)
-    share = (place - left)[:, None]
-    between = (1 - share) * frames[:, left] + share * frames[:, left + 1]
-    between /= np.linalg.norm(between, axis=-1, keepdims=True)
-    lengths = np.tile(total[:, None] / edges, (1, edges))
-    return Configuration(starts.start, between, lengths[0] if len(lengths) == 1 else lengths)
 
 
 def isotropic_materials(count: int) -> Material:

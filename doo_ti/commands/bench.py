@@ -14,28 +14,30 @@ def declare(add) -> None:
     parser.add_argument("--rods", metavar="N", help="rods in the large batches (default 65536)")
     parser.add_argument("--threads", metavar="N", help="threads of the kernels (default: one per processor)")
     parser.add_argument("--rounds", metavar="N", help="measurements of which the median counts (default 3)")
-    parser.add_argument("--scaling", action="store_true", help="also over rods, edges and threads; takes minutes")
-    parser.add_argument("--jax", action="store_true", help="also the same solver in JAX, which needs to be installed")
-    parser.add_argument("--out", metavar="FOLDER", help="folder for bench.json and pictures (default: none)")
+    parser.add_argument("--out", metavar="FOLDER", help="folder for bench.json (default: none)")
     add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Throughput and accuracy on this machine; with a folder also as JSON and pictures."""
-    given.jax(options.jax)
+    """Throughput and accuracy on this machine; with a folder also as JSON."""
     rods, threads = given.bench_rods(options.rods, 65_536), given.threads(options.threads)
     rounds = given.whole("--rounds", options.rounds, 1) or 3
     out = None if options.out is None else given.output_folder(options.out)
 
-    from doo_ti.bench import study
+    from doo_ti import runtime
+    from doo_ti.bench.cases import Specimens, cases
+    from doo_ti.bench.clock import Reference
+    from doo_ti.bench.summary import accuracy_step, begun, case_steps, completed
     from doo_ti.bench.table import text
 
-    summary = study.measured(study.Plan(rods, rounds, threads, options.scaling, options.jax))
+    specimens = Specimens(rods)
+    summary = begun(specimens, rounds, threads)
+    steps = case_steps(cases(specimens), Reference(runtime.thread_count()))
+    summary = completed(summary, [*steps, accuracy_step(specimens)])
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         content = json.dumps(plain(summary), indent=2) + "\n"
         write_whole(out / "bench.json", lambda file: file.write(content.encode()))
-        study.draw(out, summary)
     print(json.dumps(plain(summary)) if options.json else text(summary))
     return 0

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING
 from doo_ti import options as given
 from doo_ti.commands.arguments import add_material, add_relaxation
 from doo_ti.commands.experiment import observed
-from doo_ti.commands.printing import peak_memory, plain, tell_hypotheses, tell_landscape, theta_text
+from doo_ti.commands.printing import peak_memory, plain, tell_hypotheses, tell_result, theta_text
 from doo_ti.dataset import Observations, load_observations
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
-from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.pairs import Pairs, load_pairs
 from doo_ti.learning.summary import SUMMARY
 from doo_ti.scene import MOST_SPINS, OBJECTIVES, Scene, Synthesis, load_scene
@@ -139,7 +138,7 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
 
 
 def _tell(search: _Search, summary: dict, finished_before: bool, made_again: list[str]) -> None:
-    tell_landscape(read_landscape(search.run))
+    tell_result(summary)
     tell_hypotheses(summary)
     clamps = observation_clamps(search.observations, search.options.clamp_start, search.options.clamp_end)
     if search.grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not search.options.spins:

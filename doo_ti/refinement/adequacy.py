@@ -19,8 +19,6 @@ NOTABLE = 0.5
 EXCESS = 1.5  # times the stated σ: larger residuals say that it is too small, or the model wrong
 WORTH = 6.0
 """−2 ln of the evidence: an extension that lowers it by more is worth trying."""
-REACH = 3
-"""Neighbouring marks over which residuals are correlated at most."""
 
 
 @dataclass(frozen=True)

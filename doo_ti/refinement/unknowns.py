@@ -29,7 +29,6 @@ from doo_ti.types import Material
 
 PARAMETERS = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "up")
 LOGARITHMIC = ("bend", "bend_1", "bend_2", "twist", "weight", "clip_start", "clip_end")
-CURVATURES = ("field", "uniform", "none")
 WIDE = 7.0  # standard deviation of the logarithm of what is positive: a factor of a thousand either way
 TILT = 0.1  # rad, of gravity's direction, where that is learned
 CLIP_MEDIAN, CLIP_FACTOR = 0.75, 0.7

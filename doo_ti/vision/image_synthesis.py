@@ -60,18 +60,16 @@ class Photographs:
         return render_set(self.rig, self.curves[index], self.diameter_mm, self.options, (self.seed, index))
 
 
-def take(photographs: Photographs, threads: int = 2, on_set: Callable[[], None] | None = None) -> list[list[np.ndarray]]:
-    """All images, by set and camera, held in memory; ``on_set`` is called after each set."""
-    return _each(photographs, photographs.images, threads, on_set)
-
-
 def save_photographs(folder: Path, photographs: Photographs, threads: int = 2,
                      on_set: Callable[[], None] | None = None) -> None:
     """Write all images, ``sets.csv`` and ``rig.yaml`` to ``folder``, which exists; ``on_set`` is called after each set.
 
     Images are JPEG of the options' quality, or PNG without one. ``sets.csv`` comes last: where it is, all is.
     """
-    _each(photographs, partial(_save_set, folder, photographs), threads, on_set)
+    with ThreadPoolExecutor(threads) as executor:  # OpenCV and NumPy leave the interpreter to the other threads meanwhile
+        for _ in executor.map(partial(_save_set, folder, photographs), range(len(photographs.names))):
+            if on_set is not None:
+                on_set()
     save_rig(folder / RIG_FILE, photographs.rig)
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -80,17 +78,6 @@ def save_photographs(folder: Path, photographs: Photographs, threads: int = 2,
         seed = np.concatenate([photographs.point[index], photographs.direction[index]]).round(12) + 0.0
         writer.writerow((name, *_files(photographs, index), *seed.tolist()))
     write_whole(folder / SETS_FILE, lambda file: file.write(text.getvalue().encode()))
-
-
-def _each(photographs: Photographs, work, threads: int, on_set) -> list:
-    """The work on every set, in order; OpenCV and NumPy leave the interpreter to the other threads meanwhile."""
-    found = []
-    with ThreadPoolExecutor(threads) as executor:
-        for result in executor.map(work, range(len(photographs.names))):
-            found.append(result)
-            if on_set is not None:
-                on_set()
-    return found
 
 
 def _files(photographs: Photographs, index: int) -> list[str]:

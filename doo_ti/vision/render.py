@@ -95,15 +95,6 @@ MOST = {"occluders": MOST_THINGS, "clutter": MOST_THINGS, "specks": MOST_THINGS,
 """Of the options; MOST_GREY of all others."""
 
 
-def render(rig: Rig, rods: np.ndarray, diameter_mm: float, options: RenderOptions = RenderOptions(),
-           seed: int = 0) -> list[list[np.ndarray]]:
-    """A lists of C images (H, W) uint8: each of the rods (A, V, 3) mm, a scene of its own, as the rig's cameras see it.
-
-    Set a is :func:`render_set` with the seed (``seed``, a). Raises InputError as that does.
-    """
-    return [render_set(rig, rod, diameter_mm, options, (seed, index)) for index, rod in enumerate(np.asarray(rods))]
-
-
 def render_set(rig: Rig, rod: np.ndarray, diameter_mm: float, options: RenderOptions = RenderOptions(),
                seed: int | Sequence[int] = 0) -> list[np.ndarray]:
     """C images (H, W) uint8 of one rod (V, 3) mm of the given diameter.

@@ -45,16 +45,3 @@ def test_near_materials_are_a_tenth_away_and_take_fewer_iterations(sutures):
     solution = rods.relaxed(Newton(), "f64")
     moved = relax_again(solution, near)
     assert 1 < moved.iterations.mean() < solution.iterations.mean()
-
-
-@pytest.mark.parametrize("edges", [8, 33, 100])
-def test_refined_starts_keep_the_length_and_nearly_the_end(sutures, edges):
-    starts, clamps = sutures
-    fine = workload.refined(starts, edges)
-    assert fine.edges == edges
-    np.testing.assert_allclose(fine.rest_length.sum(axis=-1), starts.rest_length.sum(axis=-1))
-    np.testing.assert_allclose(np.linalg.norm(fine.quaternions, axis=-1), 1.0)
-    np.testing.assert_allclose(np.abs((fine.quaternions[:, 0] * starts.quaternions[:, 0]).sum(axis=-1)), 1.0, atol=0.1)
-    assert np.linalg.norm(fine.vertices[:, -1] - clamps.end_position, axis=-1).max() < 10.0
-    solution = workload.paired(fine, clamps, workload.isotropic_materials(60)).relaxed(Newton(), "f64")
-    assert solution.converged.all()

@@ -17,6 +17,7 @@ from doo_ti.dataset import Observations, load_observations, save_observations
 from doo_ti.errors import InterruptedRunError
 from doo_ti.frames import bishop_frames
 from doo_ti.grid import Grid
+from doo_ti.learning.overview import gather_overview
 from doo_ti.types import Clamp, Status
 from tests.cli.test_bad_input import MATERIAL, npz_bytes
 
@@ -56,7 +57,7 @@ def swept(monkeypatch) -> list:
     def sweep(run, observations, grid, *, options, pairs, command):
         calls.append((run, observations, grid, options, command))
         write_run(run, grid, np.linspace(2, 1, grid.size)[:, None] + np.zeros(observations.count), observations.name)
-        return {"best": np.float64(3), "gaps": [np.nan], "grid": grid.as_dict(), "hypotheses": None,
+        return {**gather_overview(run, grid, observations.name, None).as_dict(), "gaps": [np.nan], "hypotheses": None,
                 "timing": {"relaxed_rods": 50, "relaxation_s": 0.5}}
 
     monkeypatch.setitem(sys.modules, "doo_ti.learning.sweeps", types.SimpleNamespace(sweep=sweep))

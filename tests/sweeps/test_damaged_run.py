@@ -135,6 +135,16 @@ def test_what_is_drawn_or_summed_up_is_made_again(copy, name):
     assert name != "landscape.png" or (folder / name).read_bytes() == whole
 
 
+def test_a_damaged_plan_changes_nothing_and_is_made_again(copy):
+    folder = copy("static")
+    plan = folder / "cells" / "plan.json"
+    whole, best = plan.read_bytes(), read_landscape(folder).best
+    flipped(plan, 700, 1)
+    assert read_landscape(folder).best == best
+    sweep(folder, small_lab(), GRID)
+    assert plan.read_bytes() == whole
+
+
 def test_a_flipped_bit_in_a_finished_run_is_named_by_the_sweep(copy):
     folder = copy("static")
     chunk = min((folder / "cells").glob("*.parquet"))

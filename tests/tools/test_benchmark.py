@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from doo_ti.bench.cases import Specimens, cases
+from doo_ti.bench.cases import Specimens
+from tools.bench.cases import cases
 from tools.bench.relaxation import BASELINE, main
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.dataset import Observations, load_observations
+from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
 from doo_ti.frames import angle_about
 from doo_ti.metric import distance
@@ -13,31 +13,14 @@ from doo_ti.prediction.predict import total_twist
 from doo_ti.relaxation.relax import relax
 from doo_ti.start import held_spins, observation_clamps, start_configuration
 from doo_ti.twist.estimation import TwistOptions, Verdict, consecutive_groups, end_offsets, estimate_twist
-from doo_ti.twist.trials import twist_trials
 from doo_ti.types import Clamp, Material
-from tests.references.rods import chain, clamps_at, stacked
-
-MATERIAL = Material(6e5, 4e5)
-EDGES = 33
-TWIST = np.radians([-250.0, -100.0, 30.0, 140.0, 305.0])
+from tests.references.rods import chain
+from tests.twist.rods import EDGES, MATERIAL, twisted_rods
 
 
 @pytest.fixture(scope="module")
 def made():
-    """Rods of known twist, in shapes that differ, observed without noise."""
-    rods = []
-    for twist, size in zip(TWIST, (0.5, 0.7, 0.9, 0.6, 0.8), strict=True):
-        angle = np.linspace(-size, size, EDGES)
-        tangents = np.stack([np.cos(angle), 0.4 * np.sin(2 * angle), np.sin(angle)], axis=1)
-        rods.append(chain(tangents, [0, 1, 0], 3.0, spin=twist * np.arange(EDGES) / (EDGES - 1)))
-    rods = stacked(rods)
-    rods = replace(rods, rest_length=rods.rest_length[0])
-    solution = relax(rods, MATERIAL, clamps_at(rods))
-    assert (solution.converged & solution.stable).all()
-    shape = solution.configuration
-    known = Observations(shape.vertices, rest_length=np.full(EDGES, 3.0), start_frame=shape.frames[:, 0],
-                         end_frame=shape.frames[:, -1], total_twist=total_twist(shape.quaternions))
-    return known
+    return twisted_rods()
 
 
 def test_one_configuration_gives_its_total_twist(made):
@@ -158,25 +141,6 @@ def test_wrong_arguments_are_named(made):
         estimate_twist(replace(made, start_frame=None), Material.diagonal(1e6, 1e5, 1e5))
     with pytest.raises(InputError, match="step"):
         TwistOptions(step=0.0)
-
-
-def test_trials_turn_what_is_known_and_find_it_again(made):
-    trials = twist_trials(made, made.total_twist, MATERIAL, 3, 5, seed=4)
-    assert trials.configurations.shape == (5, 3) and (np.diff(np.sort(trials.configurations)) > 0).all()
-    assert np.ptp(trials.truth) > 1 and trials.successful.all() and trials.error.max() < np.radians(1.5)
-    again = twist_trials(made, made.total_twist, MATERIAL, 3, 5, seed=4)
-    np.testing.assert_array_equal(again.estimate.phi, trials.estimate.phi)
-
-
-def test_fig_7_on_the_lab(shared_data):
-    """A part of the study: success within a quarter turn, whole turns counted, under the lab's own Θ."""
-    observations = load_observations(shared_data / "lab_a" / "vicryl.npz")
-    with np.load(shared_data / "lab_a" / "vicryl_truth.npz") as file:
-        truth = np.radians(file["total_twist_deg"])
-    for together, least in ((1, 0.9), (6, 0.99)):
-        trials = twist_trials(observations, truth, Material(6e5, 8e5), together, 40, seed=1)
-        print(f"D = {together}: {trials.successful.mean():.0%}, median error {np.degrees(np.median(trials.error)):.1f}°")
-        assert trials.successful.mean() >= least
 
 
 def _about(angle: float) -> np.ndarray:

@@ -6,7 +6,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from doo_ti.errors import InputError
-from doo_ti.vision.render import RenderOptions, render, render_set
+from doo_ti.vision.render import RenderOptions, render_set
 from doo_ti.vision.spline import smooth_curve
 from doo_ti.vision.tubes import Tube, draw
 from tests.vision.scenes import bow, normals, small_rig
@@ -74,13 +74,11 @@ def test_the_lit_side_is_brighter():
 
 
 def test_the_same_seed_gives_the_same_images():
-    rods = np.stack([bow(), bow()[::-1]])
     options = RenderOptions(occluders=2, clutter=3, specks=5, mark_spacing_mm=3.0)
-    first, again = render(small_rig(), rods, 1.3, options, 4), render(small_rig(), rods, 1.3, options, 4)
+    first, again, other = (render_set(small_rig(), bow(), 1.3, options, (4, index)) for index in (0, 0, 1))
     np.testing.assert_array_equal(first, again)
-    assert np.shape(first) == (2, 2, 360, 480) and first[0][0].dtype == np.uint8
-    np.testing.assert_array_equal(first[1], render_set(small_rig(), rods[1], 1.3, options, (4, 1)))
-    assert (np.array(first) != np.array(render(small_rig(), rods, 1.3, options, 5))).any()
+    assert np.shape(first) == (2, 360, 480) and first[0].dtype == np.uint8
+    assert (np.array(first) != np.array(other)).any()
 
 
 def test_occluders_hide_about_the_share_that_was_asked_for():

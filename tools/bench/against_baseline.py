@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from doo_ti.bench import clock
-from doo_ti.bench.baseline import as_baseline, measured_again, regressions, table
 from doo_ti.bench.cases import Case, measure
 from doo_ti.runtime import start as start_runtime
 from doo_ti.runtime import thread_count
+from tools.bench.baseline import as_baseline, measured_again, regressions, table
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from doo_ti import Grid, Material
-from doo_ti.bench.workload import BEND_RANGE, RIBBON_TWIST, TWIST_RATIO_RANGE
+from doo_ti import Clamps, Configuration, Grid, Material
+from doo_ti.bench.workload import BEND_RANGE, RIBBON_TWIST, TWIST_RATIO_RANGE, Rods
 from doo_ti.grid import parse_axis
 
 TRUTH = {  # bend_1, bend_2, twist in mm³; weight 1
@@ -34,3 +34,9 @@ def neighbours(name: str) -> Material:
     if first == second:
         return Material(first * bend, twist * bend * ratio)
     return Material.diagonal(first * bend, second * bend, twist * bend * ratio)
+
+
+def crossed(starts: Configuration, clamps: Clamps, material: Material) -> Rods:
+    """Every start under every material: G·S rods, the starts running fastest."""
+    of_material, of_start = np.divmod(np.arange(material.count * starts.count), starts.count)
+    return Rods(starts, clamps, material, of_start, of_material)

@@ -2,7 +2,7 @@
 
 Prints one table: rods/s, the ratio to a NumPy workload timed in the same round, and that ratio over the baseline's.
 ``--check`` exits with 1 where a ratio falls below half the baseline or fewer rods converge; ``--write`` makes a new
-baseline, on an idle machine. ``doo-ti bench`` measures the same cases and more.
+baseline, on an idle machine. ``tools/bench/study.py`` measures the same cases and more.
 """
 
 import sys
@@ -11,8 +11,9 @@ from pathlib import Path
 if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti.bench.cases import Specimens, cases  # noqa: E402
+from doo_ti.bench.cases import Specimens  # noqa: E402
 from tools.bench.against_baseline import Benchmark, run  # noqa: E402
+from tools.bench.cases import cases  # noqa: E402
 
 BASELINE = Path(__file__).with_name("baseline.json")
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from doo_ti.bench import workload
-from doo_ti.bench.process import Children
 from doo_ti.errors import InterruptedRunError
+from tools.bench.process import Children
 
 
 @pytest.fixture(scope="module")

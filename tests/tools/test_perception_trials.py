@@ -9,7 +9,15 @@ import pytest
 from doo_ti.perception.lab_images import LabRods, lab_rods
 from doo_ti.perception.perceive import perceive
 from doo_ti.perception.search import PerceptionOptions, Search
-from doo_ti.perception.trials import (
+from doo_ti.scene import load_scene
+from doo_ti.vision.detection import DetectionOptions
+from doo_ti.vision.distance_map import DistanceMaps, distance_maps
+from doo_ti.vision.image_synthesis import Photographs
+from doo_ti.vision.reprojection import score
+from doo_ti.vision.rig import Rig, load_rig
+from doo_ti.vision.spline import smooth_curve
+from tests.vision.drawn_maps import curves, drawn_maps, three_cameras
+from tools.trials.perception import (
     Trial,
     crossings,
     detected,
@@ -18,20 +26,13 @@ from doo_ti.perception.trials import (
     judged,
     seeds_off,
     sets_of,
+    taken,
     truth_energy,
     unseen,
     usual_width,
     with_energy,
     without_camera,
 )
-from doo_ti.scene import load_scene
-from doo_ti.vision.detection import DetectionOptions
-from doo_ti.vision.distance_map import DistanceMaps, distance_maps
-from doo_ti.vision.image_synthesis import Photographs, take
-from doo_ti.vision.reprojection import score
-from doo_ti.vision.rig import Rig, load_rig
-from doo_ti.vision.spline import smooth_curve
-from tests.vision.drawn_maps import curves, drawn_maps, three_cameras
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 UP = np.array([0.0, 0.0, 1.0])
@@ -102,7 +103,7 @@ def test_fewer_cameras_and_sets(rng):
 def photographed(scene: str, rows: list[int]) -> tuple[LabRods, Rig, list]:
     rig = load_rig(SCENES / "rig.yaml")
     rods = lab_rods(load_scene(SCENES / f"{scene}.toml").observations).take(rows)
-    return rods, rig, take(Photographs(rods.names, rods.curve, rods.point, rods.direction, 0.5, rig, seed=5))
+    return rods, rig, taken(Photographs(rods.names, rods.curve, rods.point, rods.direction, 0.5, rig, seed=5))
 
 
 def recovered(rods: LabRods, rig: Rig, maps: DistanceMaps, scene: str, options=PerceptionOptions()) -> Trial:

@@ -13,6 +13,7 @@ from doo_ti.perception.perceive import Perception
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.vision.detection import Detection, DetectionOptions, detect
 from doo_ti.vision.distance_map import DistanceMaps
+from doo_ti.vision.image_synthesis import Photographs
 from doo_ti.vision.rig import Rig
 
 CORRECT_MM = 1.0
@@ -90,6 +91,12 @@ def detected(images: list[list[np.ndarray]], options: DetectionOptions = Detecti
     """What is seen in A lists of C images."""
     with ThreadPoolExecutor(threads) as executor:
         return list(executor.map(lambda views: [detect(image, options) for image in views], images))
+
+
+def taken(photographs: Photographs, threads: int = 2) -> list[list[np.ndarray]]:
+    """All images, by set and camera, held in memory."""
+    with ThreadPoolExecutor(threads) as executor:
+        return list(executor.map(photographs.images, range(len(photographs.names))))
 
 
 def usual_width(detections: list[list[Detection]]) -> float:

@@ -1,6 +1,6 @@
 """What only a fresh process shows: start-up, memory, and the number of threads.
 
-The parent calls :class:`Children`; a child is ``python -m doo_ti.bench.process TASK STARTS NUMBER ...`` and prints one JSON
+The parent calls :class:`Children`; a child is ``python tools/bench/process.py TASK STARTS NUMBER ...`` and prints one JSON
 object. Taichi's kernel cache is a temporary folder, so that nothing is left behind and the first child finds it empty.
 """
 
@@ -15,7 +15,10 @@ from statistics import median
 
 import numpy as np
 
-from doo_ti.errors import InterruptedRunError
+if not __package__:
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from doo_ti.errors import InterruptedRunError  # noqa: E402
 
 CALLS = 2000
 LARGEST_CALL = 256  # rods
@@ -75,7 +78,7 @@ class Children:
     def _words(self, task: str, *numbers: int) -> list[str]:
         if not self._starts.exists():
             _store(self._starts, *self._tables())
-        return ["-m", "doo_ti.bench.process", task, str(self._starts), *map(str, numbers)]
+        return [__file__, task, str(self._starts), *map(str, numbers)]
 
     def _told(self, words: list[str]) -> dict:
         environment = {**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": self._folder.name}
@@ -83,7 +86,7 @@ class Children:
                               text=True, encoding="utf-8")
         if done.returncode:
             reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
-            raise InterruptedRunError(f"bench: a process of its own failed ({reason})")
+            raise InterruptedRunError(f"benchmark: a process of its own failed ({reason})")
         return json.loads(done.stdout)
 
 

@@ -1,7 +1,7 @@
 """What counts as fallen behind a baseline."""
 
-from doo_ti.bench.baseline import regressions, table
 from doo_ti.bench.cases import Measurement
+from tools.bench.baseline import regressions, table
 
 BASELINE = {"cases": {"newton": {"ratio": 1.0, "converged": 1.0}}}
 

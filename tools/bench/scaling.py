@@ -2,10 +2,13 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from doo_ti.bench import clock, workload
 from doo_ti.bench.cases import COARSE, FINE
 from doo_ti.bench.workload import Rods
-from doo_ti.report import Panel
+from doo_ti.types import Configuration
+from tools.bench.curves import Panel
 
 RODS = tuple(2**k for k in range(8, 21, 2))
 EDGES = tuple(2**k for k in range(3, 10))
@@ -38,9 +41,27 @@ def with_rods(tables: Rods, count: int) -> Point:
 def with_edges(tables: Rods, edges: int) -> Point:
     """Rods of the same length and of ``edges`` edges, fewer the more edges they have. In f64: the shorter the edges, the
     more rods f32 would leave to it."""
-    starts = workload.refined(tables.starts, edges)
+    starts = refined(tables.starts, edges)
     count = max(EDGES_TOGETHER // edges, 1)
     return _point(workload.paired(starts, tables.clamps, workload.isotropic_materials(count)), "f64")
+
+
+def refined(starts: Configuration, edges: int) -> Configuration:
+    """The starts with ``edges`` equal edges: the same length, the frames between those that are given.
+
+    The far end comes out a little beside its clamp; the solver closes that.
+    """
+    total = np.atleast_2d(starts.rest_length).sum(axis=-1)
+    frames = starts.quaternions.copy()
+    alike = np.where(np.sum(frames[:, 1:] * frames[:, :-1], axis=-1) < 0, -1.0, 1.0)
+    frames[:, 1:] *= np.cumprod(alike, axis=1)[..., None]
+    place = np.clip((np.arange(edges) + 0.5) / edges * starts.edges - 0.5, 0, starts.edges - 1)
+    left = np.minimum(place.astype(int), starts.edges - 2)
+    share = (place - left)[:, None]
+    between = (1 - share) * frames[:, left] + share * frames[:, left + 1]
+    between /= np.linalg.norm(between, axis=-1, keepdims=True)
+    lengths = np.tile(total[:, None] / edges, (1, edges))
+    return Configuration(starts.start, between, lengths[0] if len(lengths) == 1 else lengths)
 
 
 def thread_counts(most: int) -> list[int]:

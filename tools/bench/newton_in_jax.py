@@ -12,7 +12,7 @@ a trip, µs of wall clock (of processor) a rod, 1024 rods in the trailing axis, 
   arctan2 for the polynomial            3.6 (5.8)
   no barrier behind the frames          an eighth more processor time
   scan unrolled by 2                    15 (27), against 3.2 (5.9) in that run
-derivatives of the pairs                0.7 (1.2); by autodiff see doo_ti/bench/pair_in_jax.py
+derivatives of the pairs                0.7 (1.2); by autodiff see tools/bench/pair_in_jax.py
 elimination and step                    1.5 (1.6)
   by jnp.linalg.solve on whole rods     64 (67), and that counts no inertia
   scan, elimination only                1.9; with blocks as (3, 7, W) arrays 7, with jnp.linalg.solve on blocks 13
@@ -53,8 +53,8 @@ else:
     import jax.numpy as jnp
     from jax import lax
 
-    from doo_ti.bench import chain_in_jax as chain
-    from doo_ti.bench.pair_in_jax import DERIVATIVES
+    from tools.bench import chain_in_jax as chain
+    from tools.bench.pair_in_jax import DERIVATIVES
 
 BATCH = 4096
 SHRINK = (1024, 256, 64)
@@ -134,7 +134,7 @@ def relaxed(
 def _precision(bits: int):
     """The context in which numbers have that many bits."""
     if jax is None:
-        raise InputError("bench", "--jax", "jax is not installed", "pip install 'doo_ti[bench]'")
+        raise InputError("study.py", "--jax", "jax is not installed", "pip install jax")
     if hasattr(jax, "enable_x64"):
         return jax.enable_x64(bits == 64)
     from jax.experimental import enable_x64  # before 0.8

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from doo_ti.bench.chain_in_jax import UPPER, Task, normalised, product
 from doo_ti.physics.angle import ARCTANGENT_32, ARCTANGENT_64
+from tools.bench.chain_in_jax import UPPER, Task, normalised, product
 
 ALL = tuple(range(6))  # the rotations (a, w2, w3) of the left edge, then of the right one
 

@@ -1,0 +1,33 @@
+"""Trials of Eq. 4 turn what is known by a hidden angle and find it again (Fig. 7)."""
+
+import numpy as np
+import pytest
+
+from doo_ti.dataset import load_observations
+from doo_ti.types import Material
+from tests.twist.rods import MATERIAL, twisted_rods
+from tools.trials.twist import twist_trials
+
+
+@pytest.fixture(scope="module")
+def made():
+    return twisted_rods()
+
+
+def test_trials_turn_what_is_known_and_find_it_again(made):
+    trials = twist_trials(made, made.total_twist, MATERIAL, 3, 5, seed=4)
+    assert trials.configurations.shape == (5, 3) and (np.diff(np.sort(trials.configurations)) > 0).all()
+    assert np.ptp(trials.truth) > 1 and trials.successful.all() and trials.error.max() < np.radians(1.5)
+    again = twist_trials(made, made.total_twist, MATERIAL, 3, 5, seed=4)
+    np.testing.assert_array_equal(again.estimate.phi, trials.estimate.phi)
+
+
+def test_fig_7_on_the_lab(shared_data):
+    """A part of the study: success within a quarter turn, whole turns counted, under the lab's own Θ."""
+    observations = load_observations(shared_data / "lab_a" / "vicryl.npz")
+    with np.load(shared_data / "lab_a" / "vicryl_truth.npz") as file:
+        truth = np.radians(file["total_twist_deg"])
+    for together, least in ((1, 0.9), (6, 0.99)):
+        trials = twist_trials(observations, truth, Material(6e5, 8e5), together, 40, seed=1)
+        print(f"D = {together}: {trials.successful.mean():.0%}, median error {np.degrees(np.median(trials.error)):.1f}°")
+        assert trials.successful.mean() >= least

@@ -1,0 +1,1 @@
+"""What the studies try on rods that are known: images to rods, motions, twist."""
