@@ -1,0 +1,173 @@
+"""A process that runs cases one after another, the commands in itself: ``python -m tools.fuzzing.worker FOLDER SEED IN OUT``.
+
+FOLDER holds ``corpus``, ``home`` and ``temporary``, the last two empty. The numbers of cases come line by line from the file
+descriptor IN; to OUT goes a line of JSON before each case, which says what it is, and one after it, which says what came of it.
+"""
+
+import json
+import os
+import random
+import re
+import shutil
+import sys
+import traceback
+from contextlib import contextmanager
+from pathlib import Path
+from time import monotonic
+
+from tools.fuzzing.commands import COMPANIONS, RECIPES, spoilt
+from tools.fuzzing.files import spoil
+
+PROGRESS = "━"
+"""Of the bar that some commands leave on the standard error."""
+OPTIONS_SHARE = 0.3
+WRITTEN_BESIDE = {"refine": ("refined.png",)}
+"""Files that commands document to write into the run that they read."""
+
+
+def main() -> None:
+    folder, seed, inward, outward = Path(sys.argv[1]).resolve(), sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
+    with os.fdopen(inward) as asked, os.fdopen(outward, "w", buffering=1) as told:
+        for line in asked:
+            case = folder / "case"
+            shutil.rmtree(case, ignore_errors=True)
+            case.mkdir()
+            os.chdir(case)
+            about = prepare(folder / "corpus", seed, int(line))
+            print(json.dumps(about), file=told)
+            print(json.dumps(about | run(about, folder)), file=told)
+
+
+def prepare(corpus: Path, seed: str, number: int) -> dict:
+    """Lay the files of a case into the working directory; returns what it is: the same for the same seed and number."""
+    chance = random.Random(f"{seed} {number}")
+    recipe = chance.choices(RECIPES, [recipe.weight for recipe in RECIPES])[0]
+    words, names = list(recipe.words), []
+    for word in recipe.words:
+        name = word.partition(":")[0]
+        for found in (name, *COMPANIONS.get(name, ())):
+            if (corpus / found).exists() and not word.startswith("--"):
+                names.append(found)
+    if recipe.held is not None:
+        names.append(recipe.held)
+    for name in sorted(set(names), key=len):
+        place = Path("out/run" if name == recipe.held else name)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        if (corpus / name).is_dir():
+            shutil.copytree(corpus / name, place, dirs_exist_ok=True)
+        elif not place.exists():
+            shutil.copyfile(corpus / name, place)
+    targets = sorted(path for path in Path().rglob("*") if path.is_file())
+    if chance.random() < OPTIONS_SHARE or not targets:
+        words, told = spoilt(words, chance)
+        shape, kind, target = "options", "options", recipe.words[0]
+    else:
+        path = chance.choice(targets)
+        shape, target = path.suffix, str(path)
+        kind, told = spoil(path, corpus, chance)
+    return {"number": number, "words": words, "recipe": " ".join(recipe.words), "format": shape, "kind": kind, "target": target,
+            "change": told}
+
+
+def run(about: dict, folder: Path) -> dict:
+    """What came of the command in the working directory: exit code, seconds, peak memory, and what is wrong with it."""
+    from doo_ti.__main__ import main as command
+
+    before, began = _everything(folder), monotonic()
+    sys.argv, failure, code = ["doo-ti", *about["words"]], "", None
+    with open("/proc/self/clear_refs", "w") as peak:
+        peak.write("5")
+    with _captured(folder) as captured:
+        try:
+            code = command()
+        except BaseException as error:
+            failure = _where(error)
+    seconds, (out, err), after = monotonic() - began, captured, _everything(folder)
+    written = {name for name in before.keys() | after.keys() if before.get(name) != after.get(name)}
+    outside = [name for name in sorted(written) if not name.startswith("case/out/") and name != "case/out"
+               and Path(name).name not in WRITTEN_BESIDE.get(about["words"][0], ())]
+    problem = failure or judged(code, out, err, "--json" in about["words"])
+    if not problem and outside:
+        problem = f"written outside --out: {outside[0]}"
+    if not problem and code == 2 and written:
+        problem = f"written though refused: {sorted(written)[0]}"
+    left = [name for name in after if name.endswith(".part")]
+    if not problem and left:
+        problem = f"left over: {left[0]}"
+    return {"code": code, "seconds": round(seconds, 3), "memory": _peak(), "problem": problem, "err": err[-2000:], "out": out[-300:]}
+
+
+def judged(code: int | None, out: str, err: str, as_json: bool) -> str:
+    """What is wrong with how a command ended; nothing where all is well."""
+    lines = [line for line in err.splitlines() if PROGRESS not in line]
+    ours = [line for line in lines if line.startswith("doo-ti: ")]
+    if "Traceback" in err:
+        return "traceback: " + lines[-1][:200]
+    if code not in (0, 1, 2):
+        return f"exit code {code}"
+    if len(lines) > len(ours):
+        other = next(line for line in lines if line not in ours)
+        return f"another line on stderr at exit {code}: {re.sub(r'[0-9]+', 'N', other)[:120]}"
+    if len(ours) != {0: 0, 1: min(len(ours), 1), 2: 1}[code] or code == 1 and not (ours or out):
+        return f"{len(ours)} lines at exit {code}"
+    if code == 2 and out:
+        return "something on stdout though refused"
+    if code == 2 and "; " not in err:
+        return "no remedy in the line"
+    if not (out + err).replace("\n", "").isprintable():
+        return "control characters are printed"
+    if as_json and code == 0 and out:
+        try:
+            json.loads(out, parse_constant=lambda word: 1 / 0)
+        except (ValueError, ZeroDivisionError):
+            return "no strict JSON"
+    return ""
+
+
+def _where(error: BaseException) -> str:
+    """An exception that came up through the command, and the last line of the package in it."""
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "/doo_ti/" in frame.filename]
+    place = f"{frames[-1].filename.rpartition('/doo_ti/')[2]}:{frames[-1].lineno} {frames[-1].name}" if frames else "?"
+    return f"traceback: {type(error).__name__} in {place}: {' '.join(str(error).split())[:160]}"
+
+
+@contextmanager
+def _captured(folder: Path):
+    """What the process writes to its standard output and error inside, by whichever way, as a list of two texts."""
+    kept, found = [os.dup(1), os.dup(2)], []
+    files = [open(folder / name, "w+b") for name in ("stdout", "stderr")]
+    for number, file in enumerate(files, 1):
+        os.dup2(file.fileno(), number)
+    try:
+        yield found
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        for number, (before, file) in enumerate(zip(kept, files, strict=True), 1):
+            os.dup2(before, number)
+            os.close(before)
+            file.seek(0)
+            found.append(file.read().decode(errors="replace"))
+            file.close()
+
+
+def _everything(folder: Path) -> dict[str, object]:
+    """What lies in the working directory, at home and among the temporary files: content of small files, size and time of others."""
+    found = {}
+    for part in ("case", "home", "temporary"):
+        for root, folders, files in os.walk(folder / part):
+            for name in (*folders, *files):
+                path = os.path.join(root, name)
+                stat = os.lstat(path)
+                found[os.path.relpath(path, folder)] = (stat.st_mode, stat.st_size, stat.st_mtime_ns) if name in files else stat.st_mode
+    return found
+
+
+def _peak() -> int:
+    """Bytes held at most since the case began."""
+    found = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
+    return 1024 * int(found[1])
+
+
+if __name__ == "__main__":
+    main()
