@@ -177,6 +177,8 @@ def refuse_overwriting(out: Path, source: str, option: str = "--out") -> None:
 
 def output_folder(text: str, option: str = "--out") -> Path:
     """The folder to write, which need not exist yet."""
+    if not text.strip():
+        raise InputError(SOURCE, option, f"{text!r} names no folder", "name one; . is the present one")
     _check_folder(Path(text), option)
     return Path(text)
 

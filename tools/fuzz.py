@@ -38,6 +38,8 @@ from tools.fuzzing import corpus  # noqa: E402
 MOST_SECONDS, MOST_BYTES = 60.0, 4 << 30
 CASES_OF_A_WORKER = 1000
 """After which it is replaced, lest what piles up over many commands is taken for a case's own."""
+MOST_AGAIN = 2
+"""Cases of one kind of failure that are run again."""
 LOOK_SECONDS = 0.05
 START_SECONDS = 120.0
 COUNTED = {0: "accepted", 1: "failed in one line", 2: "refused"}
@@ -145,7 +147,7 @@ def prepared(folder: Path) -> None:
 
 
 def campaign(folder: Path, seed: int, numbers: range, told: bool = True) -> list[dict]:
-    """What came of all cases with these numbers; those that fail are run once more, alone."""
+    """What came of all cases with these numbers; some that fail are run once more, alone."""
     prepared(folder)
     worker, results, began = Worker(folder, seed), [], time.monotonic()
     shown = began
@@ -160,8 +162,10 @@ def campaign(folder: Path, seed: int, numbers: range, told: bool = True) -> list
                 print(f"{len(results)} of {len(numbers)} cases, {rate:.1f} a second, "
                       f"{(len(numbers) - len(results)) / rate / 60:.0f} min left, "
                       f"{sum(bool(each['problem']) for each in results)} failures", flush=True)
+        again = Counter()
         for found in results:
-            if found["problem"]:
+            again[found["problem"]] += 1
+            if found["problem"] and again[found["problem"]] <= MOST_AGAIN:
                 worker.stop()
                 found["alone"] = worker.run(found["number"])["problem"] or "nothing"
     finally:

@@ -11,6 +11,7 @@ from doo_ti.dataset import load_observations
 from doo_ti.errors import InputError
 from doo_ti.file_content import MOST_TEXT_BYTES, read_content
 from doo_ti.importers import read_npz
+from doo_ti.terminal import in_line
 from doo_ti.types import Material
 
 MOST_EDGES = 2000
@@ -103,7 +104,7 @@ def _sets(options: Namespace, rig):
             raise InputError("command line", name, f"{len(numbers)} numbers", "give X,Y,Z")
         seed[name] = np.array([numbers])
     paths = tuple(Path(image) for image in options.images)
-    return ImageSets((paths[0].stem,), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], "command line")
+    return ImageSets((in_line(paths[0].stem),), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], "command line")
 
 
 def _truth(path: str, names: tuple[str, ...]) -> np.ndarray:

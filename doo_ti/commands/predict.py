@@ -18,6 +18,7 @@ from doo_ti.prediction.motion_file import ClampPath, load_path
 from doo_ti.progress import progress
 from doo_ti.scene import CLAMPS, PRECISIONS
 from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
+from doo_ti.terminal import in_line
 from doo_ti.types import Clamps, Configuration, Material
 from doo_ti.whole_file import write_whole
 
@@ -245,7 +246,7 @@ def _range(degrees: np.ndarray) -> str:
 
 def _tell(options: Namespace, task: _Task, prediction, result: dict, out: Path) -> None:
     if not options.json:
-        print("\n".join([*_lines(task, prediction, result), f"  written to {out}"]))
+        print("\n".join([*_lines(task, prediction, result), f"  written to {in_line(out)}"]))
         return
     falls = [{"rod": int(rod), "name": task.names[rod], "from_s": prediction.time[max(moment - 1, 0)],
               "to_s": prediction.time[moment], "end_rotation_deg": result["end_rotation_deg"][moment, rod]}

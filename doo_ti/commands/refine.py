@@ -18,6 +18,7 @@ from doo_ti.file_content import read_content
 from doo_ti.importers import read_npz
 from doo_ti.scene import CLAMPS
 from doo_ti.start import check_experiment, observation_clamps
+from doo_ti.terminal import in_line
 from doo_ti.types import Clamps
 
 if TYPE_CHECKING:  # it reads Parquet
@@ -102,7 +103,7 @@ def run(options: Namespace, words: list[str]) -> int:
         if not options.json:
             tell(summaries[-1])
             if picture is not None:
-                print(f"  picture            {picture}")
+                print(f"  picture            {in_line(picture)}")
     if out is not None:
         content = json.dumps(plain(summaries), indent=2) + "\n"
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -110,7 +111,7 @@ def run(options: Namespace, words: list[str]) -> int:
     if options.json:
         print(json.dumps(plain(summaries)))
     elif out is not None:
-        print(f"written to {out}")
+        print(f"written to {in_line(out)}")
     return 0
 
 

@@ -19,6 +19,7 @@ from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.pairs import Pairs, load_pairs
 from doo_ti.scene import MOST_SPINS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.start import check_experiment, observation_clamps
+from doo_ti.terminal import in_line
 from doo_ti.types import Clamp
 
 if TYPE_CHECKING:  # it brings the solvers, and Taichi with them
@@ -148,10 +149,10 @@ def _tell(search: _Search, summary: dict, finished_before: bool) -> None:
     if search.scene and isinstance(search.scene.observations, Synthesis):
         recipe = search.scene.observations
         print(f"  true Θ      {_true_theta(recipe)} (the virtual lab's, seed {recipe.seed})")
-    print(f"  {'finished before in' if finished_before else 'written to'} {search.run}")
+    print(f"  {'finished before in' if finished_before else 'written to'} {in_line(search.run)}")
     if search.options.objective == "static" and not search.options.spins:
         more = "" if search.grid.is_isotropic else RIBBON_PARAMETERS
-        print(f"  intervals   doo-ti refine {shlex.quote(str(search.run))}{more}")
+        print(f"  intervals   doo-ti refine {in_line(shlex.quote(str(search.run)))}{more}")
 
 
 def _effort(summaries: list[dict], seconds: float) -> str:

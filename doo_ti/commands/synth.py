@@ -9,6 +9,7 @@ from doo_ti.commands.experiment import observed, save
 from doo_ti.errors import InputError
 from doo_ti.progress import progress
 from doo_ti.scene import Scene, Synthesis, load_scene
+from doo_ti.terminal import in_line
 
 DIAMETER_MM = 0.5
 
@@ -61,7 +62,7 @@ def _photograph(options: Namespace, scene: Scene) -> None:
     with progress() as bar:
         shown = bar.add_task("photographs", total=len(rods.names), unit="sets")
         save_photographs(folder, photographs, on_set=lambda: bar.advance(shown))
-    print(f"{len(rods.names)} sets of {len(rig.cameras)} images of {scene.name} written to {folder}, seed {seed}")
+    print(f"{len(rods.names)} sets of {len(rig.cameras)} images of {scene.name} written to {in_line(folder)}, seed {seed}")
 
 
 def _rig(options: Namespace, folder: Path):

@@ -13,6 +13,7 @@ from doo_ti.errors import InputError
 from doo_ti.grid import Grid, Interval, valley
 from doo_ti.learning.chunk_file import check_identity, column_names, read_columns
 from doo_ti.learning.summary import check_cells, read_summary, sweep_identity
+from doo_ti.terminal import in_line
 from doo_ti.types import Status
 
 PARAMETERS = ("bend_1", "bend_2", "twist", "weight")
@@ -105,7 +106,7 @@ def read_landscape(run: Path) -> Landscape:
     summary = read_summary(run)
     check_cells(run, summary)
     grid = Grid.from_dict(summary.get("grid"), str(run / "summary.json"))
-    return gather_landscape(run, grid, str(summary.get("material", run.name)), sweep_identity(summary))
+    return gather_landscape(run, grid, in_line(summary.get("material", run.name)), sweep_identity(summary))
 
 
 def gather_landscape(run: Path, grid: Grid, name: str, identity: str | None) -> Landscape:

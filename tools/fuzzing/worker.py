@@ -15,12 +15,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
 
-from tools.fuzzing.commands import COMPANIONS, RECIPES, spoilt
-from tools.fuzzing.files import spoil
+from tools.fuzzing.commands import COMPANIONS, PATHS, RECIPES, spoilt
+from tools.fuzzing.files import STRUCTURED, spoil
 
 PROGRESS = "━"
 """Of the bar that some commands leave on the standard error."""
-OPTIONS_SHARE = 0.3
+OPTIONS_SHARE, TWICE_SHARE = 0.3, 0.3
+"""Of cases, where the options are changed; of changed values, where another change follows."""
 WRITTEN_BESIDE = {"refine": ("refined.png",)}
 """Files that commands document to write into the run that they read."""
 
@@ -65,6 +66,8 @@ def prepare(corpus: Path, seed: str, number: int) -> dict:
         path = chance.choice(targets)
         shape, target = path.suffix, str(path)
         kind, told = spoil(path, corpus, chance)
+        if kind == "values" and path.suffix in STRUCTURED and chance.random() < TWICE_SHARE:
+            told += "; " + spoil(path, corpus, chance)[1]
     return {"number": number, "words": words, "recipe": " ".join(recipe.words), "format": shape, "kind": kind, "target": target,
             "change": told}
 
@@ -84,8 +87,7 @@ def run(about: dict, folder: Path) -> dict:
             failure = _where(error)
     seconds, (out, err), after = monotonic() - began, captured, _everything(folder)
     written = {name for name in before.keys() | after.keys() if before.get(name) != after.get(name)}
-    outside = [name for name in sorted(written) if not name.startswith("case/out/") and name != "case/out"
-               and Path(name).name not in WRITTEN_BESIDE.get(about["words"][0], ())]
+    outside = [name for name in sorted(written) if not _asked_for(name, about["words"], name in before)]
     problem = failure or judged(code, out, err, "--json" in about["words"])
     if not problem and outside:
         problem = f"written outside --out: {outside[0]}"
@@ -95,6 +97,17 @@ def run(about: dict, folder: Path) -> dict:
     if not problem and left:
         problem = f"left over: {left[0]}"
     return {"code": code, "seconds": round(seconds, 3), "memory": _peak(), "problem": problem, "err": err[-2000:], "out": out[-300:]}
+
+
+def _asked_for(name: str, words: list[str], there: bool) -> bool:
+    """Whether a file that was written lies where the command line has it written; what was ``there`` is of the folder ``out`` or
+    an input."""
+    name = name.removeprefix("case/")
+    if name == "out" or name.startswith("out/") or Path(name).name in WRITTEN_BESIDE.get(words[0], ()):
+        return True
+    told = [os.path.normpath(word) for option, word in zip(words, words[1:]) if option in PATHS or words[0] == "convert"]
+    return not there and any(f"{name}/".startswith(f"{place}/") or place.startswith(f"{name}/")
+                             or Path(name).with_suffix("") == Path(place).with_suffix("") for place in told)
 
 
 def judged(code: int | None, out: str, err: str, as_json: bool) -> str:
