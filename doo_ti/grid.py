@@ -146,7 +146,7 @@ class Grid:
         try:
             axes = tuple(Axis(axis["name"], axis["values"], bool(axis["log"])) for axis in content["axes"])
             bend_12 = float(content["bend_12"])
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, OverflowError):
             raise InputError(source, "grid", "does not describe a grid", "run the sweep again") from None
         return cls(axes, bend_12, source)
 

@@ -2,10 +2,10 @@
 
     python tools/fuzz.py [--cases 500] [--seed 2011] [--first 0] [--case N] [--folder FOLDER]
 
-A case is a good command line over small files of every format (tools/fuzzing/corpus.py), with one thing changed: bytes of a file,
-its structure, a value, what lies in its place, or the options. Cases follow from the seed and their number, so that ``--case N``
-repeats one alone and prints what it is and what came of it. They run in a worker process, one after another; one that hangs or
-crashes costs the worker, and the next case gets another. What counts as a failure:
+A case is a good command line over small files of every format (tools/fuzzing/corpus.py), with one thing changed: bytes of a
+file, its structure, a value, what lies in its place, or the options. Cases follow from the seed and their number, so that
+``--case N`` repeats one alone and prints what it is and what came of it. They run in a worker process, one after another; one
+that hangs or crashes costs the worker, and the next case gets another. What counts as a failure:
 
 - an end by a signal, a traceback, an exit code other than 0, 1 and 2; at 2 other than one line ``doo-ti: …`` on the standard
   error, at 1 more than one; anything that is not of the package there;
@@ -13,7 +13,8 @@ crashes costs the worker, and the next case gets another. What counts as a failu
 - a file written outside ``--out``, or at all where the input is refused; part files left over;
 - control characters in what is printed, JSON that is none.
 
-Exit code 1 if there is any. Changes of values, structure and options that were accepted are listed for a reader to judge.
+Exit code 1 if there is any. Each result is a line of FOLDER/results.jsonl. Changes of values, structure and options that were
+accepted are listed for a reader to judge.
 """
 
 import argparse
@@ -51,24 +52,41 @@ class Worker:
     def __init__(self, folder: Path, seed: int):
         self.folder, self.seed, self.process, self.done = folder, seed, None, 0
         self.kernels = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH") or str(
-            Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "taichi" / "ticache")
+            Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "taichi" / "ticache"
+        )
 
     def start(self) -> None:
         for name in ("home", "temporary"):
             shutil.rmtree(self.folder / name, ignore_errors=True)
             (self.folder / name).mkdir()
         (self.folder / "matplotlib").mkdir(exist_ok=True)
-        environment = {name: value for name, value in os.environ.items()
-                       if not name.startswith("XDG_") and name not in ("DISPLAY", "WAYLAND_DISPLAY")}
-        environment |= {"HOME": str(self.folder / "home"), "TMPDIR": str(self.folder / "temporary"), "PYTHONPATH": str(ROOT),
-                        "TI_OFFLINE_CACHE_FILE_PATH": self.kernels, "MPLCONFIGDIR": str(self.folder / "matplotlib"),
-                        "OPENBLAS_NUM_THREADS": "1"}
+        environment = {
+            name: value
+            for name, value in os.environ.items()
+            if not name.startswith("XDG_") and name not in ("DISPLAY", "WAYLAND_DISPLAY")
+        }
+        environment |= {
+            "HOME": str(self.folder / "home"),
+            "TMPDIR": str(self.folder / "temporary"),
+            "PYTHONPATH": str(ROOT),
+            "TI_OFFLINE_CACHE_FILE_PATH": self.kernels,
+            "MPLCONFIGDIR": str(self.folder / "matplotlib"),
+            "OPENBLAS_NUM_THREADS": "1",
+        }
         inward, self.asked = os.pipe()
         self.told, outward = os.pipe()
         words = [sys.executable, "-m", "tools.fuzzing.worker", str(self.folder), str(self.seed), str(inward), str(outward)]
         with open(self.folder / "worker.log", "wb") as log:
-            self.process = subprocess.Popen(words, cwd=ROOT, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
-                                            pass_fds=(inward, outward), start_new_session=True)
+            self.process = subprocess.Popen(
+                words,
+                cwd=ROOT,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                pass_fds=(inward, outward),
+                start_new_session=True,
+            )
         os.close(inward)
         os.close(outward)
         self.waiting, self.done = b"", 0
@@ -104,8 +122,24 @@ class Worker:
                 return found
             about["seconds"] = time.monotonic() - began
         self.stop()
-        return {"number": number, "code": None, "memory": 0, "seconds": 0.0, "err": "", "out": "", "recipe": "?", "format": "?",
-                "kind": "?", "target": "?", "change": "?", "words": []} | about | {"problem": problem}
+        return (
+            {
+                "number": number,
+                "code": None,
+                "memory": 0,
+                "seconds": 0.0,
+                "err": "",
+                "out": "",
+                "recipe": "?",
+                "format": "?",
+                "kind": "?",
+                "target": "?",
+                "change": "?",
+                "words": [],
+            }
+            | about
+            | {"problem": problem}
+        )
 
     def _line(self, most: float) -> tuple[dict, str]:
         """(The next line that the worker tells, what is wrong where there is none)."""
@@ -138,9 +172,18 @@ def prepared(folder: Path) -> None:
     if not (folder / "corpus").is_dir():
         made = folder / "corpus.part"
         shutil.rmtree(made, ignore_errors=True)
-        done = subprocess.run([sys.executable, "-c", "import sys; from pathlib import Path; from tools.fuzzing import corpus; "
-                               "corpus.make(Path(sys.argv[1]))", str(made)], cwd=ROOT, capture_output=True, text=True,
-                              env={**os.environ, "PYTHONPATH": str(ROOT)})
+        done = subprocess.run(
+            [
+                sys.executable,
+                "-c",
+                "import sys; from pathlib import Path; from tools.fuzzing import corpus; corpus.make(Path(sys.argv[1]))",
+                str(made),
+            ],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )
         if done.returncode:
             raise SystemExit(done.stderr)
         made.rename(folder / "corpus")
@@ -154,14 +197,22 @@ def campaign(folder: Path, seed: int, numbers: range, told: bool = True) -> list
     try:
         for number in numbers:
             results.append(worker.run(number))
+            with open(folder / "results.jsonl", "a", encoding="utf-8") as kept:
+                print(json.dumps(results[-1]), file=kept)
             if results[-1]["problem"] and told:
-                print(f"case {number}: {results[-1]['problem']}\n    doo-ti {' '.join(results[-1]['words'])[:200]}\n    "
-                      f"{results[-1]['target']}: {results[-1]['change']}", flush=True)
+                print(
+                    f"case {number}: {results[-1]['problem']}\n    doo-ti {' '.join(results[-1]['words'])[:200]}\n    "
+                    f"{results[-1]['target']}: {results[-1]['change']}",
+                    flush=True,
+                )
             if told and time.monotonic() - shown > 30:
                 shown, rate = time.monotonic(), len(results) / (time.monotonic() - began)
-                print(f"{len(results)} of {len(numbers)} cases, {rate:.1f} a second, "
-                      f"{(len(numbers) - len(results)) / rate / 60:.0f} min left, "
-                      f"{sum(bool(each['problem']) for each in results)} failures", flush=True)
+                print(
+                    f"{len(results)} of {len(numbers)} cases, {rate:.1f} a second, "
+                    f"{(len(numbers) - len(results)) / rate / 60:.0f} min left, "
+                    f"{sum(bool(each['problem']) for each in results)} failures",
+                    flush=True,
+                )
         again = Counter()
         for found in results:
             again[found["problem"]] += 1
@@ -176,8 +227,11 @@ def campaign(folder: Path, seed: int, numbers: range, told: bool = True) -> list
 def report(results: list[dict]) -> str:
     """Tables: cases by command and by format, what was accepted, and what failed."""
     lines = []
-    for title, key in (("command", lambda found: found["recipe"].split()[0]), ("format", lambda found: found["format"]),
-                       ("kind", lambda found: found["kind"])):
+    for title, key in (
+        ("command", lambda found: found["recipe"].split()[0]),
+        ("format", lambda found: found["format"]),
+        ("kind", lambda found: found["kind"]),
+    ):
         counts = defaultdict(Counter)
         for found in results:
             counts[key(found)][COUNTED.get(found["code"], "crash or hang")] += 1
@@ -192,15 +246,19 @@ def report(results: list[dict]) -> str:
     slowest = max(results, key=lambda found: found["seconds"])
     largest = max(results, key=lambda found: found["memory"])
     failures = [found for found in results if found["problem"]]
-    lines.append(f"slowest {slowest['seconds']:.1f} s, case {slowest['number']}; most memory {largest['memory'] / 1e9:.2f} GB, case "
-                 f"{largest['number']}")
+    lines.append(
+        f"slowest {slowest['seconds']:.1f} s, case {slowest['number']}; most memory {largest['memory'] / 1e9:.2f} GB, case "
+        f"{largest['number']}"
+    )
     groups = defaultdict(list)
     for found in failures:
         groups[found["problem"]].append(found)
     for problem, same in sorted(groups.items(), key=lambda group: -len(group[1])):
         alone = Counter("the same" if found.get("alone") == problem else found.get("alone", "not run") for found in same)
-        lines.append(f"{len(same)} x {problem}: cases {', '.join(str(found['number']) for found in same[:8])}; alone: "
-                     f"{', '.join(f'{count} x {what}' for what, count in alone.items())}")
+        lines.append(
+            f"{len(same)} x {problem}: cases {', '.join(str(found['number']) for found in same[:8])}; alone: "
+            f"{', '.join(f'{count} x {what}' for what, count in alone.items())}"
+        )
     lines.append(f"{len(results)} cases, {len(failures)} failures")
     return "\n".join(lines)
 
@@ -212,8 +270,14 @@ def _accepted(results: list[dict]) -> list[str]:
         if each["code"] == 0 and not each["problem"] and each["kind"] in ("values", "structure", "options"):
             found[(each["recipe"].split()[0], each["target"], each["kind"], each["change"])].append(each["number"])
     lines = ["accepted changes of values, structure and options:"]
-    return [*lines, *(f"  {command:<11} {target}: {change}; case{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers[:5]))}"
-                      for (command, target, _, change), numbers in sorted(found.items())), ""]
+    return [
+        *lines,
+        *(
+            f"  {command:<11} {target}: {change}; case{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers[:5]))}"
+            for (command, target, _, change), numbers in sorted(found.items())
+        ),
+        "",
+    ]
 
 
 def main() -> int:
@@ -221,7 +285,9 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=500)
     parser.add_argument("--first", type=int, default=0, metavar="N", help="number of the first case (default 0)")
     parser.add_argument("--seed", type=int, default=corpus.SEED)
-    parser.add_argument("--case", type=int, metavar="N", help="repeat one case alone and print it; its files stay in FOLDER/case")
+    parser.add_argument(
+        "--case", type=int, metavar="N", help="repeat one case alone and print it; its files stay in FOLDER/case"
+    )
     parser.add_argument("--folder", type=Path, help="where everything lies (default: a temporary folder, which goes)")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:  # it brings the solvers, and Taichi with them
     from doo_ti.learning.experiment import SweepOptions
 
 
+MOST_WORKERS = 1024
 RIBBON_PARAMETERS = " --parameters bend-1,bend-2,twist"
 
 
@@ -108,7 +109,7 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     scene = load_scene(source) if Path(source).suffix == ".toml" else None
     grid = given.grid(options, scene.grid if scene else None)
     frame_weight = given.frame_weight(options, scene.frame_weight if scene else 0.0)
-    seed, workers = given.whole("--seed", options.seed, 0), given.whole("--workers", options.workers, 1)
+    seed, workers = given.whole("--seed", options.seed, 0), given.whole("--workers", options.workers, 1, MOST_WORKERS)
     if options.dask and workers:
         raise InputError("command line", "--dask", "given besides --workers", "give one of the two")
     if scene and isinstance(scene.observations, Synthesis):

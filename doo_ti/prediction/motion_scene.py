@@ -23,7 +23,6 @@
 The rod sets out straight from the first moment's start and is brought to that moment before time runs.
 """
 
-import math
 import os
 import tomllib
 from dataclasses import dataclass
@@ -44,7 +43,7 @@ from doo_ti.frames import (
 )
 from doo_ti.prediction.motion_file import ClampPath
 from doo_ti.terminal import in_line
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, Material
 
 MOMENT = {"time_s": 1, "start_position_mm": 3, "start_direction": 3, "end_position_mm": 3, "end_direction": 3,
           "end_rotation_deg": 1}
@@ -182,8 +181,8 @@ def _table(path: Path, table: dict, key: str) -> dict:
     return table[key]
 
 
-def _number(path: Path, key: str, value, least: float = -math.inf) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value < least:
+def _number(path: Path, key: str, value, least: float = -LARGEST) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not least <= value <= LARGEST:
         raise InputError(path, key, "missing" if value is None else f"{value!r} is out of range", "give a number in range")
     return float(value)
 

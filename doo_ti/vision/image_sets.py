@@ -84,8 +84,8 @@ def load_sets(path: str | os.PathLike, rig: Rig) -> ImageSets:
 
 
 def header_and_lines(path: Path) -> tuple[list[str], list[dict[str, str]]]:
-    """Columns and lines of a CSV file, with empty text where a line is short. Raises InputError for what is no such file, and for
-    cells that hold a line break, as after a quote that is not closed."""
+    """Columns and lines of a CSV file, with empty text where a line is short. Raises InputError for what is no such file, and
+    for cells that hold a line break, as after a quote that is not closed."""
     content = read_content(path, MOST_TEXT_BYTES, "name a readable CSV file")
     try:
         reader = csv.DictReader(StringIO(content.decode(), newline=""), restval="")

@@ -135,7 +135,8 @@ class Rig:
 
 
 def check_camera_names(source: str, names: list[str]) -> None:
-    """Raise InputError for names of cameras that occur twice, are empty, hold a line break, or name another column of tables of images."""
+    """Raise InputError for names of cameras that occur twice, are empty, hold a line break, or name another column of tables of
+    images."""
     for name in names:
         if names.count(name) > 1:
             raise InputError(source, "cameras", f"the name {name!r} occurs twice", "name them apart")

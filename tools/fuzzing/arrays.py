@@ -10,13 +10,24 @@ import numpy as np
 
 HUGE = (1e300, -1e300, 1e-300, 1e30, 1e-30, 1e6, -1e6, 0.0, -1.0, np.nan, np.inf, -np.inf, 2.0**31, 2.0**63, 5e-324)
 SHAPES = {
-    "without its first axis": lambda a: a[0], "one axis more": lambda a: a[None], "axes swapped": lambda a: a.T,
-    "flat": lambda a: a.ravel(), "empty": lambda a: a[:0], "first row only": lambda a: a[:1], "one row less": lambda a: a[:-1],
-    "one column less": lambda a: a[..., :-1], "one column more": lambda a: np.concatenate([a, a[..., :1]], axis=-1),
-    "twice as many rows": lambda a: np.concatenate([a, a]), "no dimension": lambda a: a.ravel()[0],
-    "many dimensions": lambda a: a.reshape((1,) * 20 + a.shape), "last axes swapped": lambda a: np.swapaxes(a, -1, -2),
-    "rows backwards": lambda a: a[::-1], "in columns first": np.asfortranarray, "zeros": np.zeros_like,
-    "the same row": lambda a: np.broadcast_to(a[:1], a.shape), "the middle axis halved": lambda a: a[:, ::2],
+    "without its first axis": lambda a: a[0],
+    "one axis more": lambda a: a[None],
+    "axes swapped": lambda a: a.T,
+    "flat": lambda a: a.ravel(),
+    "empty": lambda a: a[:0],
+    "first row only": lambda a: a[:1],
+    "one row less": lambda a: a[:-1],
+    "one column less": lambda a: a[..., :-1],
+    "one column more": lambda a: np.concatenate([a, a[..., :1]], axis=-1),
+    "twice as many rows": lambda a: np.concatenate([a, a]),
+    "no dimension": lambda a: a.ravel()[0],
+    "many dimensions": lambda a: a.reshape((1,) * 20 + a.shape),
+    "last axes swapped": lambda a: np.swapaxes(a, -1, -2),
+    "rows backwards": lambda a: a[::-1],
+    "in columns first": np.asfortranarray,
+    "zeros": np.zeros_like,
+    "the same row": lambda a: np.broadcast_to(a[:1], a.shape),
+    "the middle axis halved": lambda a: a[:, ::2],
 }
 TYPES = ("f4", "f2", "i4", "i1", "u8", "?", "c16", "U12", "S6", "O", "M8[s]", ">f8", "g", "V4", "i8,f4")
 
@@ -64,7 +75,9 @@ def spoil_npz(path: Path, chance: random.Random) -> tuple[str, str]:
     with np.load(path) as file:
         arrays = dict(file)
     key = chance.choice(sorted(arrays))
-    way = chance.choice(("values",) * 6 + ("shape",) * 4 + ("type",) * 2 + ("drop", "rename", "twice", "header", "member", "foreign"))
+    way = chance.choice(
+        ("values",) * 6 + ("shape",) * 4 + ("type",) * 2 + ("drop", "rename", "twice", "header", "member", "foreign")
+    )
     if way in ("values", "shape", "type"):
         change = {"values": spoilt_values, "shape": spoilt_shape, "type": spoilt_type}[way]
         arrays[key], told = change(arrays[key], chance)
@@ -73,7 +86,9 @@ def spoil_npz(path: Path, chance: random.Random) -> tuple[str, str]:
     if way == "drop":
         del arrays[key]
     elif way == "rename":
-        arrays[chance.choice((key + "_", key.upper(), key[:-1], "x" + key, "$" + key, key.replace("_mm", "_m")))] = arrays.pop(key)
+        arrays[chance.choice((key + "_", key.upper(), key[:-1], "x" + key, "$" + key, key.replace("_mm", "_m")))] = arrays.pop(
+            key
+        )
     elif way == "foreign":
         other = chance.choice(sorted(arrays))
         arrays[key], way = arrays[other], f"{other} in its place"
@@ -89,17 +104,28 @@ def _spoil_archive(path: Path, key: str, chance: random.Random) -> str:
         members = {name: archive.read(name) for name in archive.namelist()}
     name, good = f"{key}.npy", members[f"{key}.npy"]
     headers = {
-        "header not closed": b"\x93NUMPY\x01\x00\x10\x00{'descr': '<f8', ", "header of 4 GB": b"\x93NUMPY\x02\x00\xff\xff\xff\xff{",
-        "header of version 9": good[:6] + b"\x09\x00" + good[8:], "header that calls": good.replace(b"'<f8'", b"f(8)", 1),
-        "header of 1e12 numbers": _with_shape(good, (10**12,)), "header of negative shape": _with_shape(good, (-1, 3)),
-        "header of huge shapes": _with_shape(good, (2**40, 2**40)), "half a member": good[: len(good) // 2], "no content": b"",
-        "content twice": good + good, "header of no shape": good.replace(b"'shape'", b"'shabe'", 1),
-        "header of text": good.replace(b"'<f8'", b"'<U9'", 1), "header of objects": good.replace(b"'<f8'", b"'|O' ", 1),
+        "header not closed": b"\x93NUMPY\x01\x00\x10\x00{'descr': '<f8', ",
+        "header of 4 GB": b"\x93NUMPY\x02\x00\xff\xff\xff\xff{",
+        "header of version 9": good[:6] + b"\x09\x00" + good[8:],
+        "header that calls": good.replace(b"'<f8'", b"f(8)", 1),
+        "header of 1e12 numbers": _with_shape(good, (10**12,)),
+        "header of negative shape": _with_shape(good, (-1, 3)),
+        "header of huge shapes": _with_shape(good, (2**40, 2**40)),
+        "half a member": good[: len(good) // 2],
+        "no content": b"",
+        "content twice": good + good,
+        "header of no shape": good.replace(b"'shape'", b"'shabe'", 1),
+        "header of text": good.replace(b"'<f8'", b"'<U9'", 1),
+        "header of objects": good.replace(b"'<f8'", b"'|O' ", 1),
     }
     told = chance.choice(sorted(headers))
     way = chance.choice(("instead", "instead", "beside", "elsewhere", "method"))
-    with warnings.catch_warnings(), zipfile.ZipFile(path, "w", chance.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED,
-                                                                             zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA))) as archive:
+    with (
+        warnings.catch_warnings(),
+        zipfile.ZipFile(
+            path, "w", chance.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA))
+        ) as archive,
+    ):
         warnings.simplefilter("ignore")  # that a name is there twice
         for member, content in members.items():
             archive.writestr(member, headers[told] if member == name and way == "instead" else content)
@@ -108,7 +134,9 @@ def _spoil_archive(path: Path, key: str, chance: random.Random) -> str:
         elif way == "elsewhere":
             archive.writestr(chance.choice(("../" + name, "/tmp/" + name, "a/" + name, "vertices_mm", "\x1b[2J.npy")), good)
     if way == "method":
-        content = path.read_bytes().replace(b"PK\x01\x02\x14\x00\x14\x00\x00\x00\x00\x00", b"PK\x01\x02\x14\x00\x14\x00\x01\x00\x63\x00")
+        content = path.read_bytes().replace(
+            b"PK\x01\x02\x14\x00\x14\x00\x00\x00\x00\x00", b"PK\x01\x02\x14\x00\x14\x00\x01\x00\x63\x00"
+        )
         path.write_bytes(content)
     return {"instead": told, "beside": f"twice, {told}"}.get(way, way)
 
@@ -131,7 +159,11 @@ def spoil_parquet(path: Path, chance: random.Random) -> tuple[str, str]:
     kind, told = "structure", way
     if way in ("values", "type"):
         array = table.column(column).to_numpy()
-        new, told = (spoilt_values if way == "values" else spoilt_type)(array, chance) if array.dtype.kind in "fiub" else (array, "same")
+        new, told = (
+            (spoilt_values if way == "values" else spoilt_type)(array, chance)
+            if array.dtype.kind in "fiub"
+            else (array, "same")
+        )
         kind = "values" if way == "values" else kind
         table = table.set_column(column, name, _column(new))
     elif way == "drop":
@@ -144,7 +176,9 @@ def spoil_parquet(path: Path, chance: random.Random) -> tuple[str, str]:
         rows = list(range(table.num_rows))
         told = chance.choice(("rows shuffled", "a row twice", "a row less", "no rows"))
         chance.shuffle(rows)
-        table = table.take({"rows shuffled": rows, "a row twice": [*rows, rows[0]], "a row less": rows[1:], "no rows": []}[told])
+        table = table.take(
+            {"rows shuffled": rows, "a row twice": [*rows, rows[0]], "a row less": rows[1:], "no rows": []}[told]
+        )
     elif way == "null":
         table = table.set_column(column, name, pa.nulls(table.num_rows, table.schema.field(column).type))
     elif way == "list":

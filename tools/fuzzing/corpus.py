@@ -1,15 +1,15 @@
 """One small good file, or folder, of every format that the commands read, made by the package itself with fixed seeds.
 
-    scene.toml dynamic.toml file.toml          scenes: of the virtual lab, under Eq. 3, of a file
-    loop.toml                                  a scene of motion
-    rods.npz .csv .parquet, ribbons.npz, labs.npz   observations: with frames, on ribbons, of marks alone
-    groups.npz pairs.csv offsets.npz .csv      what goes with them
-    path.npz path.csv marks_path.npz           motions
-    run dynamic_run ribbon_run                 folders of finished sweeps
-    rig.yaml images/ frames.csv lengths.txt .npz   cameras, sets of images with SETS.csv and truth, a video, a rod
-    marks.csv labels.csv                       labelled marks
-    views.csv boards/                          images of a calibration board
-    perceived.npz                              what perceive wrote
+scene.toml dynamic.toml file.toml          scenes: of the virtual lab, under Eq. 3, of a file
+loop.toml                                  a scene of motion
+rods.npz .csv .parquet, ribbons.npz, labs.npz   observations: with frames, on ribbons, of marks alone
+groups.npz pairs.csv offsets.npz .csv      what goes with them
+path.npz path.csv marks_path.npz           motions
+run dynamic_run ribbon_run                 folders of finished sweeps
+rig.yaml images/ frames.csv lengths.txt .npz   cameras, sets of images with SETS.csv and truth, a video, a rod
+marks.csv labels.csv                       labelled marks
+views.csv boards/                          images of a calibration board
+perceived.npz                              what perceive wrote
 """
 
 import os
@@ -55,7 +55,7 @@ end_direction = [1, 0.2, 0]
 
 
 def make(folder: Path) -> None:
-    """Fill ``folder``, which is the working directory meanwhile. Raises RuntimeError where the package refuses its own files."""
+    """Fill ``folder``, the working directory meanwhile. Raises RuntimeError where the package refuses its own files."""
     before = Path.cwd()
     folder.mkdir(parents=True, exist_ok=True)
     os.chdir(folder)
@@ -94,8 +94,13 @@ def _observations() -> None:
         _command("convert", "rods.npz", name)
     keys = dict(np.load("rods.npz"))
     count = len(keys["vertices_mm"])
-    np.savez("labs.npz", vertices_mm=keys["vertices_mm"], valid=np.ones(keys["vertices_mm"].shape[:2], bool),
-             sigma_mm=np.array(0.12), up=np.array([0.0, 0.0, 1.0]))
+    np.savez(
+        "labs.npz",
+        vertices_mm=keys["vertices_mm"],
+        valid=np.ones(keys["vertices_mm"].shape[:2], bool),
+        sigma_mm=np.array(0.12),
+        up=np.array([0.0, 0.0, 1.0]),
+    )
     np.savez("groups.npz", group=np.arange(count) // 2)
     np.savez("offsets.npz", offset_deg=120.0 * (np.arange(count) // 2))
     Path("offsets.csv").write_text("offset_deg\n" + "".join(f"{120 * (row // 2)}\n" for row in range(count)))
@@ -106,14 +111,21 @@ def _motions() -> None:
     rod = dict(np.load("rods.npz"))
     first, last = rod["vertices_mm"][0, 0], rod["vertices_mm"][0, -1]
     shift = np.array([[0, 0, 0], [0.5, 0, 0], [1.0, 0.3, 0]])
-    held = {"time_s": np.arange(3.0), "start_position_mm": first + 0 * shift, "end_position_mm": last + shift,
-            "start_frame": np.tile(rod["start_frame"][0], (3, 1, 1)), "end_frame": np.tile(rod["end_frame"][0], (3, 1, 1)),
-            "end_rotation_deg": np.array([0.0, 5.0, 10.0])}
+    held = {
+        "time_s": np.arange(3.0),
+        "start_position_mm": first + 0 * shift,
+        "end_position_mm": last + shift,
+        "start_frame": np.tile(rod["start_frame"][0], (3, 1, 1)),
+        "end_frame": np.tile(rod["end_frame"][0], (3, 1, 1)),
+        "end_rotation_deg": np.array([0.0, 5.0, 10.0]),
+    }
     np.savez("path.npz", **{key: value for key, value in held.items() if key != "end_rotation_deg"})
     np.savez("marks_path.npz", positions_mm=rod["vertices_mm"][0] + np.linspace(0, 1, 9)[:, None] * shift[:, None])
     rows = zip(held["time_s"], held["end_position_mm"], strict=True)
-    Path("path.csv").write_text("time_s,end_x_mm,end_y_mm,end_z_mm\n" + "".join(
-        f"{time:g},{place[0]:.6f},{place[1]:.6f},{place[2]:.6f}\n" for time, place in rows))
+    Path("path.csv").write_text(
+        "time_s,end_x_mm,end_y_mm,end_z_mm\n"
+        + "".join(f"{time:g},{place[0]:.6f},{place[1]:.6f},{place[2]:.6f}\n" for time, place in rows)
+    )
 
 
 def _rig():
@@ -127,8 +139,17 @@ def _rig():
         right = np.cross(forward, [0.0, 0.0, 1.0])
         right /= np.linalg.norm(right)
         rotation = np.stack([right, np.cross(forward, right), forward])
-        cameras.append(Camera(f"cam{index}", 160, 120, [[225.0, 0, 80], [0, 226.0, 60], [0, 0, 1]],
-                              [-0.05, 0.02, 1e-4, -1e-4, 0], rotation, -rotation @ (middle - 70.0 * forward)))
+        cameras.append(
+            Camera(
+                f"cam{index}",
+                160,
+                120,
+                [[225.0, 0, 80], [0, 226.0, 60], [0, 0, 1]],
+                [-0.05, 0.02, 1e-4, -1e-4, 0],
+                rotation,
+                -rotation @ (middle - 70.0 * forward),
+            )
+        )
     return Rig(tuple(cameras))
 
 
@@ -144,19 +165,40 @@ def _images() -> None:
     cells = [f"images/{first[f'cam{index}']}" for index in range(3)]
     seed = [first[name] for name in names if name.startswith(("seed_", "dir_"))]
     Path("frames.csv").write_text(
-        "frame,cam0,cam1,cam2,time_s,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z\n" + "".join(
-            ",".join([f"f{row}", *cells, f"{row / 30:.4f}", *(seed if row == 0 else [""] * 6)]) + "\n" for row in range(2)))
+        "frame,cam0,cam1,cam2,time_s,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z\n"
+        + "".join(
+            ",".join([f"f{row}", *cells, f"{row / 30:.4f}", *(seed if row == 0 else [""] * 6)]) + "\n" for row in range(2)
+        )
+    )
     Path("lengths.txt").write_text("3.0\n" * 8)
     np.savez("lengths.npz", rest_length_mm=np.full(8, 3.0))
-    _command("perceive", "--rig", "rig.yaml", "--sets", "images/sets.csv", "--rest-length", "3:8", *MATERIAL, "--hypotheses", "6",
-             "--out", "perceived.npz", "--no-picture", "--no-recording")
+    _command(
+        "perceive",
+        "--rig",
+        "rig.yaml",
+        "--sets",
+        "images/sets.csv",
+        "--rest-length",
+        "3:8",
+        *MATERIAL,
+        "--hypotheses",
+        "6",
+        "--out",
+        "perceived.npz",
+        "--no-picture",
+        "--no-recording",
+    )
 
 
 def _marks() -> None:
     rig, vertices = _rig(), np.load("rods.npz")["vertices_mm"]
     pixels = rig.project(vertices) + np.random.default_rng(SEED).normal(0, 0.1, (3, *vertices.shape[:2], 2))
-    rows = [f"pose{pose},cam{camera},{mark},{pixels[camera, pose, mark, 0]:.3f},{pixels[camera, pose, mark, 1]:.3f}\n"
-            for pose in range(2) for camera in range(3) for mark in range(vertices.shape[1])]
+    rows = [
+        f"pose{pose},cam{camera},{mark},{pixels[camera, pose, mark, 0]:.3f},{pixels[camera, pose, mark, 1]:.3f}\n"
+        for pose in range(2)
+        for camera in range(3)
+        for mark in range(vertices.shape[1])
+    ]
     Path("marks.csv").write_text("observation,camera,mark,u_px,v_px\n" + "".join(rows))
     Path("labels.csv").write_text("observation,end_distance_mm,end_rotation_deg,total_twist_deg\npose0,14,0,0\npose1,19,0,0\n")
 

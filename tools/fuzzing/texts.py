@@ -5,17 +5,98 @@ import random
 import re
 from pathlib import Path
 
-from tools.fuzzing.commands import NAMES
+from tools.fuzzing.options import NAMES
 
 NUMBER = re.compile(rb"-?\d+\.?\d*(?:e[-+]?\d+)?")
 WORD = re.compile(rb"[A-Za-z_][\w.]*")
-NUMBERS = ("nan", "inf", "-inf", "1e300", "-1e300", "1e-300", "0", "-1", "1e400", "4294967296", "2147483647", "9223372036854775808",
-           "1e6", "-1e6", "100000", "", " ", "x", "true", "[]", "{}", "[1, 2]", "0x10", "1_0", "٣", "1e", "--1", "1;2", '"1"', "5e-324",
-           "9" * 400, "2024-01-01", "!!python/object:os.system", "&a", "*a", "null")
-BAD_BYTES = (b"\xff", b"\xc3\x28", b"\x00", b"\xef\xbb\xbf", b"\r", b"\x1b[2J", b"\x0c", b"\xed\xa0\x80", b'"', b"'", b"[", b"{", b",",
-             b"#", b"%YAML", b"---\n", b"\t", b"<?xml?>", b"[" * 20_000, b"a" * 200_000, b",\n" * 5_000)
-JSON_VALUES = (None, True, 0, -1, 1e300, -1e300, 1e-300, 2**70, "", "x", "$x_{", "\x1b[2J", "a\nb", "nan", [], {}, [1, 2], [[]],
-               {"a": 1}, float("nan"), float("inf"), "../x", 0.5, ["a"] * 3, [None])
+NUMBERS = (
+    "nan",
+    "inf",
+    "-inf",
+    "1e300",
+    "-1e300",
+    "1e-300",
+    "0",
+    "-1",
+    "1e400",
+    "4294967296",
+    "2147483647",
+    "9223372036854775808",
+    "1e6",
+    "-1e6",
+    "100000",
+    "",
+    " ",
+    "x",
+    "true",
+    "[]",
+    "{}",
+    "[1, 2]",
+    "0x10",
+    "1_0",
+    "٣",
+    "1e",
+    "--1",
+    "1;2",
+    '"1"',
+    "5e-324",
+    "9" * 400,
+    "2024-01-01",
+    "!!python/object:os.system",
+    "&a",
+    "*a",
+    "null",
+)
+BAD_BYTES = (
+    b"\xff",
+    b"\xc3\x28",
+    b"\x00",
+    b"\xef\xbb\xbf",
+    b"\r",
+    b"\x1b[2J",
+    b"\x0c",
+    b"\xed\xa0\x80",
+    b'"',
+    b"'",
+    b"[",
+    b"{",
+    b",",
+    b"#",
+    b"%YAML",
+    b"---\n",
+    b"\t",
+    b"<?xml?>",
+    b"[" * 20_000,
+    b"a" * 200_000,
+    b",\n" * 5_000,
+)
+JSON_VALUES = (
+    None,
+    True,
+    0,
+    -1,
+    1e300,
+    -1e300,
+    1e-300,
+    2**70,
+    "",
+    "x",
+    "$x_{",
+    "\x1b[2J",
+    "a\nb",
+    "nan",
+    [],
+    {},
+    [1, 2],
+    [[]],
+    {"a": 1},
+    float("nan"),
+    float("inf"),
+    "../x",
+    0.5,
+    ["a"] * 3,
+    [None],
+)
 
 
 def spoil_text(path: Path, chance: random.Random) -> tuple[str, str]:
@@ -25,7 +106,8 @@ def spoil_text(path: Path, chance: random.Random) -> tuple[str, str]:
     content = path.read_bytes()
     way = chance.choice(("number",) * 7 + ("word",) * 3 + ("line", "line", "cell", "cell", "bytes", "bytes", "form"))
     new, kind, told = {"number": _number, "word": _word, "line": _line, "cell": _cell, "bytes": _bytes, "form": _form}[way](
-        content, chance)
+        content, chance
+    )
     path.write_bytes(new)
     return kind, told
 
@@ -35,8 +117,8 @@ def _number(content: bytes, chance: random.Random) -> tuple[bytes, str, str]:
     if not found:
         return _bytes(content, chance)
     number, value = chance.choice(found), chance.choice(NUMBERS)
-    line = content[content.rfind(b"\n", 0, number.start()) + 1:number.start()].decode(errors="replace")[-20:].strip()
-    return content[: number.start()] + value.encode() + content[number.end():], "values", f"…{line} {value[:30]!r}"
+    line = content[content.rfind(b"\n", 0, number.start()) + 1 : number.start()].decode(errors="replace")[-20:].strip()
+    return content[: number.start()] + value.encode() + content[number.end() :], "values", f"…{line} {value[:30]!r}"
 
 
 def _word(content: bytes, chance: random.Random) -> tuple[bytes, str, str]:
@@ -46,8 +128,11 @@ def _word(content: bytes, chance: random.Random) -> tuple[bytes, str, str]:
     word = chance.choice(found)
     others = [chance.choice(found).group(), *(name.encode() for name in NAMES), b"", word.group() + b"_", word.group().upper()]
     value = chance.choice(others)
-    return (content[: word.start()] + value + content[word.end():], "structure",
-            f"{word.group().decode(errors='replace')} is {value.decode(errors='replace')[:30]!r}")
+    return (
+        content[: word.start()] + value + content[word.end() :],
+        "structure",
+        f"{word.group().decode(errors='replace')} is {value.decode(errors='replace')[:30]!r}",
+    )
 
 
 def _line(content: bytes, chance: random.Random) -> tuple[bytes, str, str]:
@@ -95,11 +180,18 @@ def _bytes(content: bytes, chance: random.Random) -> tuple[bytes, str, str]:
 
 
 def _form(content: bytes, chance: random.Random) -> tuple[bytes, str, str]:
-    forms = {"in UTF-16": lambda: content.decode(errors="replace").encode("utf-16"),
-             "in CR LF": lambda: content.replace(b"\n", b"\r\n"), "in CR": lambda: content.replace(b"\n", b"\r"),
-             "in semicolons": lambda: content.replace(b",", b";"), "without line ends": lambda: content.replace(b"\n", b""),
-             "ten times": lambda: content * 10, "in capitals": content.upper, "blank": lambda: b"\n" * 9,
-             "header only": lambda: content.split(b"\n")[0] + b"\n", "without a header": lambda: content.split(b"\n", 1)[-1]}
+    forms = {
+        "in UTF-16": lambda: content.decode(errors="replace").encode("utf-16"),
+        "in CR LF": lambda: content.replace(b"\n", b"\r\n"),
+        "in CR": lambda: content.replace(b"\n", b"\r"),
+        "in semicolons": lambda: content.replace(b",", b";"),
+        "without line ends": lambda: content.replace(b"\n", b""),
+        "ten times": lambda: content * 10,
+        "in capitals": content.upper,
+        "blank": lambda: b"\n" * 9,
+        "header only": lambda: content.split(b"\n")[0] + b"\n",
+        "without a header": lambda: content.split(b"\n", 1)[-1],
+    }
     way = chance.choice(sorted(forms))
     return forms[way](), "structure", way
 

@@ -15,13 +15,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
 
-from tools.fuzzing.commands import COMPANIONS, PATHS, RECIPES, spoilt
+from doo_ti.learning.summary import SEAL
+from tools.fuzzing.commands import PATHS, RECIPES
 from tools.fuzzing.files import STRUCTURED, spoil
+from tools.fuzzing.options import spoilt
 
 PROGRESS = "━"
 """Of the bar that some commands leave on the standard error."""
-OPTIONS_SHARE, TWICE_SHARE = 0.3, 0.3
-"""Of cases, where the options are changed; of changed values, where another change follows."""
+OPTIONS_SHARE, TWICE_SHARE, UNSEALED_SHARE = 0.3, 0.3, 0.5
+"""Of cases, where the options are changed; of changed values, where another change follows; of runs, whose sums are left
+out."""
 WRITTEN_BESIDE = {"refine": ("refined.png",)}
 """Files that commands document to write into the run that they read."""
 
@@ -42,22 +45,19 @@ def main() -> None:
 def prepare(corpus: Path, seed: str, number: int) -> dict:
     """Lay the files of a case into the working directory; returns what it is: the same for the same seed and number."""
     chance = random.Random(f"{seed} {number}")
-    recipe = chance.choices(RECIPES, [recipe.weight for recipe in RECIPES])[0]
-    words, names = list(recipe.words), []
-    for word in recipe.words:
-        name = word.partition(":")[0]
-        for found in (name, *COMPANIONS.get(name, ())):
-            if (corpus / found).exists() and not word.startswith("--"):
-                names.append(found)
-    if recipe.held is not None:
-        names.append(recipe.held)
-    for name in sorted(set(names), key=len):
+    usable = [recipe for recipe in RECIPES if all((corpus / name).exists() for name in recipe.names)]
+    recipe = chance.choices(usable, [recipe.weight for recipe in usable])[0]
+    words = list(recipe.words)
+    for name in sorted(recipe.names, key=len):
         place = Path("out/run" if name == recipe.held else name)
         place.parent.mkdir(parents=True, exist_ok=True)
         if (corpus / name).is_dir():
             shutil.copytree(corpus / name, place, dirs_exist_ok=True)
         elif not place.exists():
             shutil.copyfile(corpus / name, place)
+    for summary in Path().rglob("summary.json"):
+        if chance.random() < UNSEALED_SHARE:
+            _unseal(summary)
     targets = sorted(path for path in Path().rglob("*") if path.is_file())
     if chance.random() < OPTIONS_SHARE or not targets:
         words, told = spoilt(words, chance)
@@ -68,8 +68,24 @@ def prepare(corpus: Path, seed: str, number: int) -> dict:
         kind, told = spoil(path, corpus, chance)
         if kind == "values" and path.suffix in STRUCTURED and chance.random() < TWICE_SHARE:
             told += "; " + spoil(path, corpus, chance)[1]
-    return {"number": number, "words": words, "recipe": " ".join(recipe.words), "format": shape, "kind": kind, "target": target,
-            "change": told}
+    return {
+        "number": number,
+        "words": words,
+        "recipe": " ".join(recipe.words),
+        "format": shape,
+        "kind": kind,
+        "target": target,
+        "change": told,
+    }
+
+
+def _unseal(path: Path) -> None:
+    """Have a summary say nothing of the sums of files and of its own, as those of older versions, so that more of a changed
+    run is looked at."""
+    summary = json.loads(path.read_text())
+    for key in ("files", SEAL):
+        summary.pop(key, None)
+    path.write_text(json.dumps(summary))
 
 
 def run(about: dict, folder: Path) -> dict:
@@ -96,18 +112,29 @@ def run(about: dict, folder: Path) -> dict:
     left = [name for name in after if name.endswith(".part")]
     if not problem and left:
         problem = f"left over: {left[0]}"
-    return {"code": code, "seconds": round(seconds, 3), "memory": _peak(), "problem": problem, "err": err[-2000:], "out": out[-300:]}
+    return {
+        "code": code,
+        "seconds": round(seconds, 3),
+        "memory": _peak(),
+        "problem": problem,
+        "err": err[-2000:],
+        "out": out[-300:],
+    }
 
 
 def _asked_for(name: str, words: list[str], there: bool) -> bool:
-    """Whether a file that was written lies where the command line has it written; what was ``there`` is of the folder ``out`` or
-    an input."""
+    """Whether a file that was written lies where the command line has it written; what was ``there`` is of the folder
+    ``out``, or an input."""
     name = name.removeprefix("case/")
     if name == "out" or name.startswith("out/") or Path(name).name in WRITTEN_BESIDE.get(words[0], ()):
         return True
     told = [os.path.normpath(word) for option, word in zip(words, words[1:]) if option in PATHS or words[0] == "convert"]
-    return not there and any(f"{name}/".startswith(f"{place}/") or place.startswith(f"{name}/")
-                             or Path(name).with_suffix("") == Path(place).with_suffix("") for place in told)
+    return not there and any(
+        f"{name}/".startswith(f"{place}/")
+        or place.startswith(f"{name}/")
+        or Path(name).with_suffix("") == Path(place).with_suffix("")
+        for place in told
+    )
 
 
 def judged(code: int | None, out: str, err: str, as_json: bool) -> str:
@@ -165,14 +192,16 @@ def _captured(folder: Path):
 
 
 def _everything(folder: Path) -> dict[str, object]:
-    """What lies in the working directory, at home and among the temporary files: content of small files, size and time of others."""
+    """What lies in the working directory, at home and among the temporary files: kind, size and time of each."""
     found = {}
     for part in ("case", "home", "temporary"):
         for root, folders, files in os.walk(folder / part):
             for name in (*folders, *files):
                 path = os.path.join(root, name)
                 stat = os.lstat(path)
-                found[os.path.relpath(path, folder)] = (stat.st_mode, stat.st_size, stat.st_mtime_ns) if name in files else stat.st_mode
+                found[os.path.relpath(path, folder)] = (
+                    (stat.st_mode, stat.st_size, stat.st_mtime_ns) if name in files else stat.st_mode
+                )
     return found
 
 
