@@ -83,6 +83,8 @@ class Observations:
         for name in ("total_twist", "end_distance", "end_rotation"):
             if getattr(self, name) is not None:
                 self._set(**{name: self._finite(name, self._numbers(name, ("D",), size))})
+        if self.end_distance is not None and (self.end_distance < 0).any():
+            raise self._error("end_distance", f"{self.end_distance.min():g} mm", "give zero or positive distances in mm")
 
     @property
     def count(self) -> int:

@@ -19,6 +19,9 @@ from doo_ti.frames import (
 )
 from doo_ti.types import Clamp, Clamps, Configuration
 
+MOST_LENGTHS = 2.0
+"""Of a rod, between any of its marks and the first: more is no error of a label."""
+
 
 def observation_clamps(observations: Observations, start: Clamp | None = None, end: Clamp | None = None) -> Clamps:
     """The clamps of D observations; by default the whole frame where it is given, else the tangent.
@@ -42,7 +45,8 @@ def observation_clamps(observations: Observations, start: Clamp | None = None, e
 
 def check_experiment(observations: Observations, clamps: Clamps, weight: float, frame_weight: float) -> None:
     """Raise InputError for what no relaxation could make good: clamps that :func:`check_feasible` refuses, a rod with weight
-    that nothing holds, fewer than two edges left free, and a frame weight w_m without measured frames."""
+    that nothing holds, fewer than two edges left free, marks that no rod of that length reaches, and a frame weight w_m without
+    measured frames."""
     free = (np.asarray(clamps.start) == Clamp.FREE) & (np.asarray(clamps.end) == Clamp.FREE)
     if weight > 0 and free.any():
         raise InputError(observations.source, "clamps", "both ends are free and the rod has weight", "hold one end")
@@ -52,7 +56,20 @@ def check_experiment(observations: Observations, clamps: Clamps, weight: float, 
     if (observations.edges - clamped < 2).any():
         raise InputError(observations.source, "vertices_mm", f"{observations.edges} edges, too few of them free to relax",
                          "give more marks, or clamp only positions")
+    _check_reach(observations)
     check_feasible(observations, clamps)
+
+
+def _check_reach(observations: Observations) -> None:
+    """Raise InputError for marks further apart than :data:`MOST_LENGTHS` of the rod: of another unit, or of another rod."""
+    length = observations.rest_length.sum()
+    first = observations.vertices[np.arange(observations.count), observations.valid.argmax(axis=1)][:, None]
+    away = np.linalg.norm(np.where(observations.valid[..., None], observations.vertices, first) - first, axis=-1)
+    if (away > MOST_LENGTHS * length).any():
+        d, v = np.unravel_index(np.argmax(away), away.shape)
+        raise InputError(observations.source, "vertices_mm", f"vertex {v} of observation {d} is {away[d, v]:.4g} mm away from "
+                         f"the first one, and the rod {length:.4g} mm long",
+                         "correct it, or rest_length_mm, or mark it false in valid")
 
 
 def check_feasible(observations: Observations, clamps: Clamps) -> None:

@@ -14,7 +14,7 @@ from doo_ti.importers import read_npz
 from doo_ti.terminal import in_line
 from doo_ti.types import Material
 
-MOST_EDGES = 2000
+MOST_EDGES, MOST_HYPOTHESES = 2000, 100_000
 RECORDED = 3
 """Sets in a recording."""
 
@@ -38,7 +38,7 @@ def checked_task(options: Namespace) -> Task:
     grid, up = given.round_cell(options, "perceived"), given.world_up(options)
     rest_length = read_rest_length(options.rest_length)
     nu, width = given.positive("--nu", options.nu), given.positive("--width", options.width, "px")
-    hypotheses = given.whole("--hypotheses", options.hypotheses, 1)
+    hypotheses = given.whole("--hypotheses", options.hypotheses, 1, MOST_HYPOTHESES)
     recorded = given.whole("--recorded", options.recorded, 1)
 
     from doo_ti.vision.detection import DetectionOptions

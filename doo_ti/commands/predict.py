@@ -25,6 +25,8 @@ from doo_ti.whole_file import write_whole
 MOST_TOLD = 30
 LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0
 """Of a sub-step: rods that are carried further at once may leave their branch, and less makes no difference."""
+MOST_LENGTHS = 100.0
+"""Of a rod, between its clamps."""
 MOST_BYTES = 8 << 30
 """Of frames: predictions are held in memory."""
 
@@ -121,6 +123,7 @@ def _scene(options: Namespace) -> _Task:
     scene, up = load_motion_scene(options.source), given.up(options)
     theta = {"material_name": np.array(scene.names), "bend": scene.material.bend[:, 0], "twist": scene.material.twist[:, 0],
              "weight": scene.material.weight}
+    _check_reach(scene.path, scene.clamps, float(scene.start.rest_length.sum()))
     return _Task(scene.name, scene.start, scene.clamps, scene.path, scene.material, list(scene.names), theta, scene.between,
                  np.array([0.0, 0.0, 1.0]) if up is None else up)
 
@@ -142,11 +145,23 @@ def _observed(options: Namespace, out: Path) -> _Task:
     clamps = observation_clamps(observations, given.clamp(options.clamp_start), given.clamp(options.clamp_end))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], 0.0)
     path = path.relative_to(clamps) if options.relative else path
+    _check_reach(path, clamps, float(observations.rest_length.sum()))
     materials = grid.materials()
     start = _settled(observations, clamps, materials)
     cells, rows = np.divmod(np.arange(materials.count * observations.count), observations.count)
     names = [f"cell {cell}, " * (materials.count > 1) + f"observation {row}" for cell, row in zip(cells, rows, strict=True)]
     return _Task(observations.name, start, clamps, path, materials, names, grid.cell_values(), 1, observations.up)
+
+
+def _check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
+    """Raise InputError where clamps are further apart at a moment than :data:`MOST_LENGTHS` of the rod: that is no rod that
+    cannot follow, but another unit."""
+    for moment in range(path.moments):
+        held = path.at(moment, clamps)
+        apart = np.linalg.norm(held.end_position - held.start_position, axis=-1).max()
+        if apart > MOST_LENGTHS * length:
+            raise InputError(path.source, f"moment {moment}", f"the clamps are {apart:.4g} mm apart, and the rod {length:.4g} mm long",
+                             "correct the positions")
 
 
 def _with_frames(observations: Observations, path: ClampPath, relative: bool) -> Observations:

@@ -32,6 +32,10 @@ def run(options: Namespace, words: list[str]) -> int:
     """The observations of a scene to a file, and photographs of its rods to a folder."""
     if options.out is None and options.images is None:
         raise InputError(given.SOURCE, "--out", "missing", "give --out OBS, or --images FOLDER --rig RIG, or both")
+    of_images = {"--rig": options.rig, "--diameter": options.diameter, "--seed": options.seed, "--render": options.render}
+    alone = next((name for name, value in of_images.items() if value), None)
+    if options.images is None and alone is not None:
+        raise InputError(given.SOURCE, alone, "given without --images", "give --images FOLDER too, or leave it out")
     out = None if options.out is None else given.output_file(options.out)
     scene = load_scene(options.scene)
     if options.images is not None:

@@ -34,8 +34,10 @@ TYPES = ("f4", "f2", "i4", "i1", "u8", "?", "c16", "U12", "S6", "O", "M8[s]", ">
 
 def spoilt_values(array: np.ndarray, chance: random.Random) -> tuple[np.ndarray, str]:
     """A copy with one or all of its values replaced or scaled, and what was done."""
+    if array.dtype.kind not in "fiub":
+        return spoilt_type(array, chance)
     value, how = chance.choice(HUGE), chance.choice(("one", "one", "all", "times", "row"))
-    changed = np.array(array, dtype=np.float64 if array.dtype.kind in "fiub" else array.dtype)
+    changed = np.array(array, dtype=np.float64)
     with np.errstate(all="ignore"):
         if how == "times":
             changed = changed * value

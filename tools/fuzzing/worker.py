@@ -25,6 +25,8 @@ PROGRESS = "━"
 OPTIONS_SHARE, TWICE_SHARE, UNSEALED_SHARE = 0.3, 0.3, 0.5
 """Of cases, where the options are changed; of changed values, where another change follows; of runs, whose sums are left
 out."""
+SELDOM_READ = {"landscape.png": 0.1, "run.rrd": 0.1, "truth.npz": 0.3, "identity.txt": 0.3}
+"""Files that few commands look at, and how often they are changed beside the others."""
 WRITTEN_BESIDE = {"refine": ("refined.png",)}
 """Files that commands document to write into the run that they read."""
 
@@ -63,7 +65,7 @@ def prepare(corpus: Path, seed: str, number: int) -> dict:
         words, told = spoilt(words, chance)
         shape, kind, target = "options", "options", recipe.words[0]
     else:
-        path = chance.choice(targets)
+        path = chance.choices(targets, [SELDOM_READ.get(each.name, 1.0) for each in targets])[0]
         shape, target = path.suffix, str(path)
         kind, told = spoil(path, corpus, chance)
         if kind == "values" and path.suffix in STRUCTURED and chance.random() < TWICE_SHARE:
