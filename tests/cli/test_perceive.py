@@ -125,7 +125,8 @@ def test_people_are_told(photographed, tmp_path, capsys):
     (["--bend", "1e5:1e6:5"], ("--bend", "grid")), (["--bend", "1e5,2e5"], ("--bend", "round")),
     (["--rest-length", "3:x"], ("--rest-length",)), (["--rest-length", "-3:14"], ("--rest-length",)),
     (["--rest-length", "3:1"], ("--rest-length",)), (["--rest-length", "nowhere.txt"], ("--rest-length", "nowhere.txt")),
-    (["--nu", "-1"], ("--nu",)), (["--hypotheses", "0"], ("--hypotheses",)), (["--width", "1,2"], ("--width",)),
+    (["--nu", "-1"], ("--nu",)), (["--hypotheses", "0"], ("--hypotheses",)),
+    (["--hypotheses", "9223372036854775808"], ("--hypotheses", "above")), (["--width", "1,2"], ("--width",)),
     (["--seed-point", "1,2,3"], ("--seed-point", "--sets")), (["--up", "0,0"], ("--up",))])
 def test_wrong_options_are_told(photographed, tmp_path, capsys, change, words):
     argv = of_sets(photographed[0], "--out", str(tmp_path / "new" / "f.npz"))

@@ -21,7 +21,7 @@ def spoil(path: Path, corpus: Path, chance: random.Random) -> tuple[str, str]:
     if structured is not None and chance.random() < 0.7:
         try:
             return structured(path, chance)
-        except (OverflowError, UnicodeError, NotImplementedError) as error:  # a value that the format cannot hold
+        except (OverflowError, ValueError, NotImplementedError) as error:  # a value that the format cannot hold
             return "structure", f"none: {error}"[:60]
     if chance.random() < 0.85:
         return "bytes", spoil_bytes(path, chance)

@@ -106,7 +106,7 @@ def run(about: dict, folder: Path) -> dict:
     seconds, (out, err), after = monotonic() - began, captured, _everything(folder)
     written = {name for name in before.keys() | after.keys() if before.get(name) != after.get(name)}
     outside = [name for name in sorted(written) if not _asked_for(name, about["words"], name in before)]
-    problem = failure or judged(code, out, err, "--json" in about["words"])
+    problem = failure or judged(code, out, err, "--json" in about["words"] and "--help" not in about["words"])
     if not problem and outside:
         problem = f"written outside --out: {outside[0]}"
     if not problem and code == 2 and written:
