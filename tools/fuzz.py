@@ -9,7 +9,7 @@ that hangs or crashes costs the worker, and the next case gets another. What cou
 
 - an end by a signal, a traceback, an exit code other than 0, 1 and 2; at 2 other than one line ``doo-ti: …`` on the standard
   error, at 1 more than one; anything that is not of the package there;
-- more than 60 s, more than 4 GB;
+- more than 60 s, of the processor where others share it; more than 4 GB;
 - a file written outside ``--out``, or at all where the input is refused; part files left over;
 - control characters in what is printed, JSON that is none.
 
@@ -41,6 +41,8 @@ CASES_OF_A_WORKER = 1000
 """After which it is replaced, lest what piles up over many commands is taken for a case's own."""
 MOST_AGAIN = 2
 """Cases of one kind of failure that are run again."""
+MOST_WAITING = 5
+"""Times as long, where others take the processor: a case that works has so many seconds of the processor."""
 LOOK_SECONDS = 0.05
 START_SECONDS = 120.0
 COUNTED = {0: "accepted", 1: "failed in one line", 2: "refused"}
@@ -143,7 +145,7 @@ class Worker:
 
     def _line(self, most: float) -> tuple[dict, str]:
         """(The next line that the worker tells, what is wrong where there is none)."""
-        deadline = time.monotonic() + most
+        began, used = time.monotonic(), self._processor()
         while b"\n" not in self.waiting:
             if select.select([self.told], [], [], LOOK_SECONDS)[0]:
                 more = os.read(self.told, 1 << 16)
@@ -152,12 +154,22 @@ class Worker:
                     told = (self.folder / "worker.log").read_text(errors="replace")[-300:]
                     return {}, f"ended by signal {-code}" if code < 0 else f"the worker ended with {code}: {told}"
                 self.waiting += more
-            elif time.monotonic() > deadline:
+            elif time.monotonic() - began > most and not 0 < self._processor() - used < most or (
+                time.monotonic() - began > MOST_WAITING * most
+            ):
                 return {}, f"hangs: more than {most:.0f} s"
             elif self._held() > MOST_BYTES:
                 return {}, f"more than {MOST_BYTES / 1e9:.1f} GB"
         line, _, self.waiting = self.waiting.partition(b"\n")
         return json.loads(line), ""
+
+    def _processor(self) -> float:
+        """Seconds of the processor that the process has had."""
+        try:
+            words = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            return 0.0
+        return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
     def _held(self) -> int:
         try:

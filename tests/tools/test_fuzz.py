@@ -121,6 +121,7 @@ def test_what_goes_wrong_is_found(folder, monkeypatch, what, problem):
     """A worker whose command does something of the kind."""
     popen = subprocess.Popen
     monkeypatch.setattr(fuzz, "MOST_SECONDS", 1.0)
+    monkeypatch.setattr(fuzz, "MOST_WAITING", 1)
     monkeypatch.setattr(fuzz, "START_SECONDS", 1.0 if problem == "hangs" else 20.0)
     monkeypatch.setattr(fuzz, "MOST_BYTES", 1 << 29)
     monkeypatch.setattr(
