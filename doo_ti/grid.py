@@ -144,7 +144,7 @@ class Grid:
     def from_dict(cls, content: dict, source: str = "grid") -> "Grid":
         """The grid that :meth:`as_dict` wrote. Raises InputError where ``content`` is none."""
         try:
-            axes = tuple(Axis(axis["name"], axis["values"], bool(axis["log"])) for axis in content["axes"])
+            axes = tuple(Axis(str(axis["name"]), axis["values"], bool(axis["log"])) for axis in content["axes"])
             bend_12 = float(content["bend_12"])
         except (KeyError, TypeError, ValueError, OverflowError):
             raise InputError(source, "grid", "does not describe a grid", "run the sweep again") from None

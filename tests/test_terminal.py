@@ -64,7 +64,7 @@ def test_a_name_of_several_lines_takes_one(tmp_path, capsys):
     (tmp_path / "a\nb" / "good.npz").rename(source)
     for argv in (["relax", str(source), *MATERIAL, "--out", f"{out}.npz"], ["convert", str(source), f"{out}.csv"],
                  ["sweep", str(source), "--bend", "6e5", "--out", str(out)], ["learn", str(out), "--out", f"{out}.tables"],
-                 ["plan", str(source), "--bend", "4e5:8e5:2", "--out", f"{out}.plan"],
+                 ["plan", str(source), "--bend", "4e5:8e5:2", "--twist", "6e5", "--out", f"{out}.plan"],
                  ["twist", str(source), *MATERIAL, "--out", f"{out}.npz"]):
         assert main(argv) == 0
         told, err = capsys.readouterr()

@@ -116,6 +116,8 @@ def _truth(path: str, names: tuple[str, ...]) -> np.ndarray:
         if len(vertices) != len(names):
             raise InputError(path, "vertices_mm", f"{len(vertices)} rods for {len(names)} sets", "give one for each set")
         return vertices
+    if known.shape != (len(vertices),):
+        raise InputError(path, "name", f"shape {known.shape} for {len(vertices)} rods", "give one name for each")
     row = {str(name): index for index, name in enumerate(known)}
     missing = next((name for name in names if name not in row), None)
     if missing is not None:

@@ -213,7 +213,6 @@ GRIDS = {
     "seed negative": (["--bend", "1e5", "--seed", "-1"], "--seed", "below 0"),
     "workers": (["--bend", "1e5", "--workers", "0"], "--workers", "below 1"),
     "workers without end": (["--bend", "1e5", "--workers", "9223372036854775808"], "--workers", "above 1024"),
-    "a folder without a name": (["--bend", "1e5", "--out", ""], "--out", "names no folder"),
     "a cluster and workers": (["--bend", "1e5", "--workers", "2", "--dask", "tcp://127.0.0.1:1"], "--dask", "--workers"),
     "objective": (["--bend", "1e5", "--objective", "both"], "--objective", "'both'"),
 }
@@ -254,6 +253,7 @@ def test_outputs_that_cannot_be(capsys, tmp_path):
     for name, argv in commands.items():
         refused(capsys, tmp_path, [*argv, below], named[name], "good.npz", "below it")
     refused(capsys, tmp_path, [*commands["sweep"], good], "--out", "good.npz")
+    refused(capsys, tmp_path, [*commands["sweep"], ""], "--out", "names no folder")
     for name in ("relax", "convert", "synth"):
         refused(capsys, tmp_path, [*commands[name], str(tmp_path / "folder.npz")], named[name], "is a folder")
         refused(capsys, tmp_path, [*commands[name], str(tmp_path / "F.txt")], "suffix '.txt'")

@@ -172,6 +172,8 @@ def test_wrong_scenes_are_told(photographed, tmp_path, capsys):
     refused(capsys, tmp_path, [*argv[:2], *argv[4:]], "two cameras")
     np.savez(tmp_path / "truth.npz", vertices_mm=rods, name=np.array(["first", "third"]))
     refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(tmp_path / "truth.npz")), "second")
+    np.savez(tmp_path / "truth.npz", vertices_mm=rods, name=np.array(["first", "second", "third"]))
+    refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(tmp_path / "truth.npz")), "shape (3,) for 2 rods")
     np.savez(tmp_path / "unnamed.npz", vertices_mm=rods[:1])
     refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(tmp_path / "unnamed.npz")), "1 rods for 2 sets")
     np.savez(tmp_path / "lengths.npz", rest_length_mm=np.array([3.0, -1.0]))

@@ -73,6 +73,13 @@ def test_a_run_s_best_cells(observed, tmp_path, capsys):
     assert "has cells to begin from" in capsys.readouterr().err
 
 
+def test_rods_that_one_end_holds(observed, capsys):
+    argv = ["refine", str(observed), "--bend", "4e4", "--twist", "2e4", "--no-models", "--rest-curvature", "none", "--clamp-start",
+            "free", "--parameters", "bend", "--json"]
+    assert main(argv) in (0, 1)
+    assert "Traceback" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("more, message", [
     ([], "--bend: missing"),
     (["--bend", "1e4:1e5:3"], "refine the run of a sweep"),

@@ -211,7 +211,7 @@ CONTRADICTIONS = (
     "--bend 1e5,1e5,99999.9999",
     "--sub-step 31",
     "--rest-length 1e300:8",
-    "--rest-length 3:2000",
+    "--rest-length 3:2001",
     "--rest-length 1e-300:8",
     "--rest-length 3:8:2",
     "--polarity light",

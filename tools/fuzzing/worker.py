@@ -20,7 +20,7 @@ from tools.fuzzing.commands import PATHS, RECIPES
 from tools.fuzzing.files import STRUCTURED, spoil
 from tools.fuzzing.options import spoilt
 
-PROGRESS = "━"
+PROGRESS = re.compile(r"━|\d+/\d+ \w+ .*:")
 """Of the bar that some commands leave on the standard error."""
 OPTIONS_SHARE, TWICE_SHARE, UNSEALED_SHARE = 0.3, 0.3, 0.5
 """Of cases, where the options are changed; of changed values, where another change follows; of runs, whose sums are left
@@ -141,7 +141,7 @@ def _asked_for(name: str, words: list[str], there: bool) -> bool:
 
 def judged(code: int | None, out: str, err: str, as_json: bool) -> str:
     """What is wrong with how a command ended; nothing where all is well."""
-    lines = [line for line in err.splitlines() if PROGRESS not in line]
+    lines = [line for line in err.splitlines() if not PROGRESS.search(line)]
     ours = [line for line in lines if line.startswith("doo-ti: ")]
     if "Traceback" in err:
         return "traceback: " + lines[-1][:200]
