@@ -289,6 +289,8 @@ def _check_values(source: str, axis: Axis, option: str | None = None) -> None:
         raise InputError(source, name, "a grid of zero cells", "give at least one value")
     if not np.isfinite(values).all() or (np.diff(values) <= 0).any():
         raise InputError(source, name, f"{values.tolist()} are not increasing finite numbers", _FORM)
+    if axis.name in ("bend", "bend_1", "bend_2", "twist") and 0 < values[0] < 1 / LARGEST:
+        raise InputError(source, name, f"{values[0]:g} is below {1 / LARGEST:g}", "give a stiffness that numbers can hold")
     if values[0] < 0 or (values[0] == 0 and axis.name != "weight"):
         raise InputError(source, name, f"{values[0]:g} is not {'zero or ' * (axis.name == 'weight')}positive",
                          "give positive values")

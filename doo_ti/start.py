@@ -21,6 +21,8 @@ from doo_ti.types import Clamp, Clamps, Configuration
 
 MOST_LENGTHS = 2.0
 """Of a rod, between any of its marks and the first: more is no error of a label."""
+MOST_LENGTHS_OFF = 1e9
+"""Of a rod, from the origin to it."""
 
 
 def observation_clamps(observations: Observations, start: Clamp | None = None, end: Clamp | None = None) -> Clamps:
@@ -61,10 +63,14 @@ def check_experiment(observations: Observations, clamps: Clamps, weight: float, 
 
 
 def _check_reach(observations: Observations) -> None:
-    """Raise InputError for marks further apart than :data:`MOST_LENGTHS` of the rod: of another unit, or of another rod."""
+    """Raise InputError for marks further apart than :data:`MOST_LENGTHS` of the rod, of another unit or another rod, and for
+    such so far from the origin that numbers do not tell them apart."""
     length = observations.rest_length.sum()
     first = observations.vertices[np.arange(observations.count), observations.valid.argmax(axis=1)][:, None]
     away = np.linalg.norm(np.where(observations.valid[..., None], observations.vertices, first) - first, axis=-1)
+    if np.abs(first).max() > MOST_LENGTHS_OFF * length:
+        raise InputError(observations.source, "vertices_mm", f"{np.abs(first).max():.4g} mm from the origin, and the rod "
+                         f"{length:.4g} mm long", "choose an origin nearby")
     if (away > MOST_LENGTHS * length).any():
         d, v = np.unravel_index(np.argmax(away), away.shape)
         raise InputError(observations.source, "vertices_mm", f"vertex {v} of observation {d} is {away[d, v]:.4g} mm away from "

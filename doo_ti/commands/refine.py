@@ -238,6 +238,8 @@ def _groups(text: str | None, observations: Observations) -> np.ndarray:
     groups = read_npz(Path(path), content, (key,)).get(key)
     if groups is None:
         raise InputError(path, key, "the key is missing", "name one that the file has")
+    if groups.dtype.kind not in "biufU" or groups.dtype.kind == "f" and not np.isfinite(groups).all():
+        raise InputError(path, key, f"dtype {groups.dtype}, or not finite", "give a number for each observation")
     if groups.shape != (observations.count,):
         raise InputError(path, key, f"shape {groups.shape}", f"give ({observations.count},), one per observation")
     return groups

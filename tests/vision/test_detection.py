@@ -105,7 +105,8 @@ def test_images_of_another_renderer(shared_data):
     assert min(part[1] for part in parts) > 0.98 and max(part[2] for part in parts) < 0.01
 
 
-@pytest.mark.parametrize("change", [{"method": "sobel"}, {"polarity": "grey"}, {"width_px": 0}, {"width_px": 1e9}, {"least_contrast": np.nan}])
+@pytest.mark.parametrize("change", [{"method": "sobel"}, {"polarity": "grey"}, {"width_px": 0}, {"width_px": 1e9},
+                                    {"least_contrast": np.nan}])
 def test_bad_options_are_told(change):
     with pytest.raises(InputError, match=next(iter(change))):
         DetectionOptions(**change)
