@@ -21,6 +21,8 @@ from doo_ti.types import Clamp, Clamps, Configuration
 
 MOST_LENGTHS = 2.0
 """Of a rod, between any of its marks and the first: more is no error of a label."""
+LEAST_LENGTHS = 0.1
+"""Of the rod between marks, along these: a rod that is bent, however much, shows more to marks that are of any use."""
 MOST_LENGTHS_OFF = 1e9
 """Of a rod, from the origin to it."""
 
@@ -63,8 +65,9 @@ def check_experiment(observations: Observations, clamps: Clamps, weight: float, 
 
 
 def _check_reach(observations: Observations) -> None:
-    """Raise InputError for marks further apart than :data:`MOST_LENGTHS` of the rod, of another unit or another rod, and for
-    such so far from the origin that numbers do not tell them apart."""
+    """Raise InputError for marks further apart than :data:`MOST_LENGTHS` of the rod, or all of them closer to each other than
+    :data:`LEAST_LENGTHS`, of another unit or another rod, and for such so far from the origin that numbers do not tell them
+    apart."""
     length = observations.rest_length.sum()
     first = observations.vertices[np.arange(observations.count), observations.valid.argmax(axis=1)][:, None]
     away = np.linalg.norm(np.where(observations.valid[..., None], observations.vertices, first) - first, axis=-1)
@@ -76,6 +79,11 @@ def _check_reach(observations: Observations) -> None:
         raise InputError(observations.source, "vertices_mm", f"vertex {v} of observation {d} is {away[d, v]:.4g} mm away from "
                          f"the first one, and the rod {length:.4g} mm long",
                          "correct it, or rest_length_mm, or mark it false in valid")
+    both = observations.valid[:, 1:] & observations.valid[:, :-1]
+    steps = np.linalg.norm(np.diff(np.where(observations.valid[..., None], observations.vertices, first), axis=1), axis=-1)
+    if both.any() and (np.where(both, steps, 0.0).sum(axis=1) < LEAST_LENGTHS * both @ observations.rest_length).all():
+        raise InputError(observations.source, "rest_length_mm", f"{length:.4g} mm in all, but the marks are "
+                         f"{steps[both].mean():.4g} mm apart on average", "give lengths in mm of the edges between marks")
 
 
 def check_feasible(observations: Observations, clamps: Clamps) -> None:
