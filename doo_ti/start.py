@@ -23,6 +23,8 @@ MOST_LENGTHS = 2.0
 """Of a rod, between any of its marks and the first: more is no error of a label."""
 LEAST_LENGTHS = 0.1
 """Of the rod between marks, along these: a rod that is bent, however much, shows more to marks that are of any use."""
+LEAST_EDGE = 1e-6
+"""Of the mean edge."""
 MOST_LENGTHS_OFF = 1e9
 """Of a rod, from the origin to it."""
 
@@ -66,9 +68,12 @@ def check_experiment(observations: Observations, clamps: Clamps, weight: float, 
 
 def _check_reach(observations: Observations) -> None:
     """Raise InputError for marks further apart than :data:`MOST_LENGTHS` of the rod, or all of them closer to each other than
-    :data:`LEAST_LENGTHS`, of another unit or another rod, and for such so far from the origin that numbers do not tell them
-    apart."""
-    length = observations.rest_length.sum()
+    :data:`LEAST_LENGTHS`, of another unit or another rod, for such so far from the origin that numbers do not tell them apart,
+    and for edges that are nothing beside the others."""
+    edges, length = observations.rest_length, observations.rest_length.sum()
+    if edges.min() < LEAST_EDGE * edges.mean():
+        raise InputError(observations.source, "rest_length_mm", f"{edges.min():.4g} mm at edge {int(np.argmin(edges))}, and "
+                         f"{edges.mean():.4g} mm on average", "leave one of its two marks out")
     first = observations.vertices[np.arange(observations.count), observations.valid.argmax(axis=1)][:, None]
     away = np.linalg.norm(np.where(observations.valid[..., None], observations.vertices, first) - first, axis=-1)
     if np.abs(first).max() > MOST_LENGTHS_OFF * length:

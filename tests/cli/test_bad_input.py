@@ -75,6 +75,8 @@ KEYS = {
     "boolean array": (changed("vertices_mm", lambda v: v > 0), "vertices_mm", "bool"),
     "a label below zero": (lambda keys: keys.update(end_distance_mm=np.array([30.0, -1.0, 30.0])), "end_distance_mm", "-1 mm"),
     "lengths of another unit": (changed("rest_length_mm", lambda x: 1000 * x), "rest_length_mm", "mm apart on average"),
+    "an edge of no length": (changed("rest_length_mm", lambda x: np.where(np.arange(8) == 3, 5e-324, x)), "rest_length_mm",
+                             "at edge 3"),
     "a rod at no place": (changed("vertices_mm", lambda v: v + 1e13), "vertices_mm", "from the origin"),
     "a mark far away": (changed("vertices_mm", lambda v: np.where(v == v[1, 4, 0], 1e6, v)), "vertices_mm",
                         "vertex 4 of observation 1 is 1e+06 mm away"),
