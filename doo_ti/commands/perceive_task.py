@@ -15,6 +15,8 @@ from doo_ti.terminal import in_line
 from doo_ti.types import Material
 
 MOST_EDGES, MOST_HYPOTHESES = 2000, 100_000
+LEAST_MM, MOST_MM = 1e-3, 1e4
+"""Of an edge."""
 RECORDED = 3
 """Sets in a recording."""
 
@@ -61,8 +63,10 @@ def read_rest_length(text: str) -> np.ndarray:
     option, remedy = "--rest-length", "give MM:COUNT, such as 3:33, or a file of lengths in mm"
     length, _, count = text.partition(":")
     if count and not Path(text).exists():
-        edges = given.whole(option, count, 2, MOST_EDGES)
-        return np.full(edges, given.length(option, length))
+        edges, each = given.whole(option, count, 2, MOST_EDGES), given.length(option, length)
+        if not LEAST_MM <= each <= MOST_MM:
+            raise InputError("command line", option, f"edges of {each:g} mm", f"give {LEAST_MM:g} to {MOST_MM:g} mm")
+        return np.full(edges, each)
     path = Path(text)
     try:
         content = read_content(path, MOST_TEXT_BYTES, remedy)
@@ -76,8 +80,9 @@ def read_rest_length(text: str) -> np.ndarray:
             raise
         raise InputError(path, "file", "holds something that is no number", remedy) from None
     if values is None or values.dtype.kind not in "fiu" or values.ndim != 1 or not 2 <= len(values) <= MOST_EDGES \
-            or not (np.isfinite(values) & (values > 0)).all():
-        raise InputError(path, "rest_length_mm", "missing, or not 2 or more positive numbers", "give one for each edge")
+            or not ((values >= LEAST_MM) & (values <= MOST_MM)).all():
+        raise InputError(path, "rest_length_mm", f"missing, or not 2 or more numbers from {LEAST_MM:g} to {MOST_MM:g}",
+                         "give one for each edge, in mm")
     return values.astype(np.float64)
 
 

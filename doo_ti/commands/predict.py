@@ -160,8 +160,8 @@ def _check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
         held = path.at(moment, clamps)
         apart = np.linalg.norm(held.end_position - held.start_position, axis=-1).max()
         if apart > MOST_LENGTHS * length:
-            raise InputError(path.source, f"moment {moment}", f"the clamps are {apart:.4g} mm apart, and the rod {length:.4g} mm "
-                             "long", "correct the positions")
+            raise InputError(path.source, f"moment {moment}", f"the clamps are {apart:.4g} mm apart, and the rod "
+                             f"{length:.4g} mm long", "correct the positions")
 
 
 def _with_frames(observations: Observations, path: ClampPath, relative: bool) -> Observations:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:  # it reads Parquet
     from doo_ti.learning.landscape import Landscape
 
 STARTS = 3
+LEAST = 1e-6
+"""Of what a rest curvature is and how far it reaches, in 1/mm and mm; the inverse at most."""
 CURVATURES = ("field", "uniform", "none")
 OLD_CURVATURES = {"rest_curvature": "uniform", "rest_curvature_per_joint": "field"}
 """Names of parameters that used to ask for a rest curvature."""
@@ -200,11 +202,15 @@ def _refinement_options(options: Namespace, task: Task):
         if name in names:
             names.remove(name)
             curvature = curvature or own
+    spread = _positive("--curvature-spread", options.curvature_spread, "a curvature in 1/mm")
+    reach = given.length("--curvature-range", options.curvature_range)
+    for option, value in (("--curvature-spread", spread), ("--curvature-range", reach)):
+        if value is not None and not LEAST <= value <= 1 / LEAST:
+            raise InputError("command line", option, f"{value:g}", f"give {LEAST:g} to {1 / LEAST:g}")
     return RefinementOptions(
         tuple(names), None if options.clip == "unknown" else given.length("--clip", options.clip), curvature or "field",
         options.clamps, task.frame_weight,
-        curvature_spread=_positive("--curvature-spread", options.curvature_spread, "a curvature in 1/mm"),
-        curvature_range=given.length("--curvature-range", options.curvature_range),
+        curvature_spread=spread, curvature_range=reach,
         edges=given.whole("--edges", options.edges, 6), models=not options.no_models)
 
 

@@ -124,6 +124,7 @@ def test_people_are_told(photographed, tmp_path, capsys):
 @pytest.mark.parametrize("change, words", [
     (["--bend", "1e5:1e6:5"], ("--bend", "grid")), (["--bend", "1e5,2e5"], ("--bend", "round")),
     (["--rest-length", "3:x"], ("--rest-length",)), (["--rest-length", "-3:14"], ("--rest-length",)),
+    (["--rest-length", "9e18:14"], ("--rest-length", "9e+18 mm")),
     (["--rest-length", "3:1"], ("--rest-length",)), (["--rest-length", "nowhere.txt"], ("--rest-length", "nowhere.txt")),
     (["--nu", "-1"], ("--nu",)), (["--hypotheses", "0"], ("--hypotheses",)),
     (["--hypotheses", "9223372036854775808"], ("--hypotheses", "above")), (["--width", "1,2"], ("--width",)),
@@ -176,7 +177,7 @@ def test_wrong_scenes_are_told(photographed, tmp_path, capsys):
     refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(tmp_path / "truth.npz")), "shape (3,) for 2 rods")
     np.savez(tmp_path / "unnamed.npz", vertices_mm=rods[:1])
     refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(tmp_path / "unnamed.npz")), "1 rods for 2 sets")
-    np.savez(tmp_path / "lengths.npz", rest_length_mm=np.array([3.0, -1.0]))
+    np.savez(tmp_path / "lengths.npz", rest_length_mm=np.array([3.0, 9e18]))
     argv = of_sets(folder, *out)
     argv[argv.index("--rest-length") + 1] = str(tmp_path / "lengths.npz")
     refused(capsys, tmp_path, argv, "rest_length_mm")

@@ -90,6 +90,8 @@ def test_rods_that_one_end_holds(observed, capsys):
     (["--bend", "1e4", "--linear-density", "-1"], "not a positive number"),
     (["--bend", "1e4", "--clip", "20"], "below a quarter"),
     (["--bend", "1e4", "--edges", "3"], "--edges"),
+    (["--bend", "1e4", "--curvature-spread", "1e-300"], "--curvature-spread: 1e-300; give 1e-06"),
+    (["--bend", "1e4", "--curvature-range", "1e300"], "--curvature-range"),
     (["--bend", "1e4", "--groups", "nothing"], "names no key"),
     (["--bend", "1e4", "--groups", "nothing.npz:key"], "name a readable .npz file"),
     (["--bend", "1e4", "--groups", "groups.npz:other"], "the key is missing"),
