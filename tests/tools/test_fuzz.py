@@ -87,11 +87,11 @@ def test_how_a_command_ends_is_judged(code, out, err, problem):
 
 
 def test_a_short_campaign(folder):
-    results = fuzz.campaign(folder, 2011, range(40), told=False)
+    results = fuzz.campaign(folder, 2011, range(16), told=False)
     assert [each["problem"] for each in results if each["problem"]] == []
-    assert {each["code"] for each in results} >= {0, 2} and len({each["recipe"] for each in results}) > 4
+    assert {each["code"] for each in results} >= {0, 2} and len({each["recipe"] for each in results}) > 3
     told = fuzz.report(results)
-    assert "40 cases, 0 failures" in told and "| convert |" in told
+    assert "16 cases, 0 failures" in told and "| convert |" in told
 
 
 SPOILT = """
