@@ -157,9 +157,9 @@ class Grid:
     def from_dict(cls, content: dict, source: str = "grid") -> "Grid":
         """The grid that :meth:`as_dict` wrote. Raises InputError where ``content`` is none."""
         try:
-            axes = tuple(Axis(axis["name"], axis["values"], bool(axis["log"])) for axis in content["axes"])
+            axes = tuple(Axis(str(axis["name"]), axis["values"], bool(axis["log"])) for axis in content["axes"])
             bend_12 = float(content["bend_12"])
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, OverflowError):
             raise InputError(source, "grid", "does not describe a grid", "run the sweep again") from None
         return cls(axes, bend_12, source)
 
@@ -304,6 +304,8 @@ def _check_values(source: str, axis: Axis, option: str | None = None) -> None:
         raise InputError(source, name, "a grid of zero cells", "give at least one value")
     if not np.isfinite(values).all() or (np.diff(values) <= 0).any():
         raise InputError(source, name, f"{values.tolist()} are not increasing finite numbers", _FORM)
+    if axis.name in ("bend", "bend_1", "bend_2", "twist") and 0 < values[0] < 1 / LARGEST:
+        raise InputError(source, name, f"{values[0]:g} is below {1 / LARGEST:g}", "give a stiffness that numbers can hold")
     if values[0] < 0 or (values[0] == 0 and axis.name != "weight"):
         raise InputError(source, name, f"{values[0]:g} is not {'zero or ' * (axis.name == 'weight')}positive",
                          "give positive values")

@@ -7,6 +7,7 @@ from pathlib import Path
 from doo_ti import options as given
 from doo_ti.commands.arguments import add_json
 from doo_ti.commands.printing import busy
+from doo_ti.terminal import in_line
 
 PARTS = ("end-distance",)
 MOST_CELLS = 700
@@ -59,4 +60,4 @@ def _tell(options: Namespace, asked, files: list[dict]) -> None:
         parts = ", ".join(f"{count} of {of} values of {name}" for name, (count, of) in asked.recorded_values.items())
         print(f"  recorded    {recorded} cells: {parts}; each run's best cell is among them; --cells all records all")
     for file in files:
-        print(f"  written     {file['path']} ({file['bytes'] / 1e6:.1f} MB, {file['seconds']:.1f} s)")
+        print(f"  written     {in_line(file['path'])} ({file['bytes'] / 1e6:.1f} MB, {file['seconds']:.1f} s)")

@@ -13,6 +13,7 @@ from doo_ti.learning.cross_validation import Scores, cross_validate
 from doo_ti.learning.landscape import Landscape, read_landscape
 from doo_ti.learning.partition import FACTORS, check_comparable, partition, usual_factors
 from doo_ti.learning.score_table import caption, comma_separated, entries, file_stem, markdown, text
+from doo_ti.terminal import in_line
 from doo_ti.whole_file import write_whole
 
 
@@ -54,7 +55,7 @@ def run(options: Namespace, words: list[str]) -> int:
     for scores in (scores for found in tables.values() for scores in found):
         print(f"\n{text(scores, get_terminal_size((120, 24)).columns)}")
     if out is not None:
-        print(f"\nwritten to {out}")
+        print(f"\nwritten to {in_line(out)}")
     return 0
 
 

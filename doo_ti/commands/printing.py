@@ -58,7 +58,7 @@ def tell_result(result: dict) -> None:
     count, stable = rods.pop("count"), rods.pop("stable")
     cells, terms = result["cells"], "observations" if result["objective"] == "static" else "pairs of observations (Eq. 3)"
     per_cell = count // cells
-    print(f"{result['material']}: {cells} cells x {per_cell} {terms}")
+    print(f"{in_line(result['material'])}: {cells} cells x {per_cell} {terms}")
     print(f"  best cell   {theta_text(best, grid.is_isotropic)}")
     print("              (the cell that fits best if the rod is straight at rest and clamped as the marks say)")
     print(f"  distance    mean {best['mean_distance_mm']:.4g} mm (Eq. 1)")

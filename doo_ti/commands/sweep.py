@@ -19,12 +19,14 @@ from doo_ti.learning.pairs import Pairs, load_pairs
 from doo_ti.learning.summary import SUMMARY
 from doo_ti.scene import MOST_SPINS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.start import check_experiment, observation_clamps
+from doo_ti.terminal import in_line
 from doo_ti.types import Clamp
 
 if TYPE_CHECKING:  # it brings the solvers, and Taichi with them
     from doo_ti.learning.experiment import SweepOptions
 
 
+MOST_WORKERS = 1024
 RIBBON_PARAMETERS = " --parameters bend-1,bend-2,twist"
 
 
@@ -108,7 +110,7 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     scene = load_scene(source) if Path(source).suffix == ".toml" else None
     grid = given.grid(options, scene.grid if scene else None)
     frame_weight = given.frame_weight(options, scene.frame_weight if scene else 0.0)
-    seed, workers = given.whole("--seed", options.seed, 0), given.whole("--workers", options.workers, 1)
+    seed, workers = given.whole("--seed", options.seed, 0), given.whole("--workers", options.workers, 1, MOST_WORKERS)
     if options.dask and workers:
         raise InputError("command line", "--dask", "given besides --workers", "give one of the two")
     if scene and isinstance(scene.observations, Synthesis):
@@ -151,10 +153,10 @@ def _tell(search: _Search, summary: dict, finished_before: bool, made_again: lis
         print(f"  true Θ      {_true_theta(recipe)} (the virtual lab's, seed {recipe.seed})")
     if made_again:
         print(f"  made again  {', '.join(made_again)}")
-    print(f"  {'finished before in' if finished_before else 'written to'} {search.run}")
+    print(f"  {'finished before in' if finished_before else 'written to'} {in_line(search.run)}")
     if search.options.objective == "static" and not search.options.spins:
         more = "" if search.grid.is_isotropic else RIBBON_PARAMETERS
-        print(f"  intervals   doo-ti refine {shlex.quote(str(search.run))}{more}")
+        print(f"  intervals   doo-ti refine {in_line(shlex.quote(str(search.run)))}{more}")
 
 
 def _effort(summaries: list[dict], seconds: float) -> str:

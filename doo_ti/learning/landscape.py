@@ -14,6 +14,7 @@ from doo_ti.learning.cell_sums import CellSums, is_sound, status_counts  # noqa:
 from doo_ti.learning.overview import Overview
 from doo_ti.learning.stored_cells import cell_files, terms_in, whole_rods_in
 from doo_ti.learning.summary import changed_files, check_cells, read_summary, sweep_identity
+from doo_ti.terminal import in_line
 
 LABELS = ("end_distance_mm", "end_rotation_deg")
 RODS_AT_ONCE = 1 << 16
@@ -105,7 +106,7 @@ def read_landscape(run: Path) -> Landscape:
     summary = read_summary(run)
     check_cells(run, changed_files(run, summary))
     grid = Grid.from_dict(summary.get("grid"), str(run / "summary.json"))
-    return gather_landscape(run, grid, str(summary.get("material", run.name)), sweep_identity(summary))
+    return gather_landscape(run, grid, in_line(summary.get("material", run.name)), sweep_identity(summary))
 
 
 def gather_landscape(run: Path, grid: Grid, name: str, identity: str | None) -> Landscape:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from doo_ti.report.canvas import plain_ticks
+from doo_ti.report.canvas import literal, plain_ticks
 from doo_ti.report.colors import MISSING
 from doo_ti.report.plane import REGIMES, Plane, cell_edges, regime
 from doo_ti.report.quantities import axis_label, quantity
@@ -93,7 +93,7 @@ def draw_marks(axes, plane: Plane, marks, size: float = 1.0) -> None:
                   markeredgewidth=1.6 * size, zorder=5.5, path_effects=rim)
         if not any(texts[cell]):
             continue
-        axes.annotate(", ".join(texts[cell]), place_of(plane, cell), xytext=(
+        axes.annotate(literal(", ".join(texts[cell])), place_of(plane, cell), xytext=(
             0.62 if right else 0.38, 0.5 + 0.1 * (row - 0.5 * (len(texts) - 1))), textcoords="axes fraction", zorder=6,
             color="white", fontsize=11 * size, fontweight="bold", va="center", ha="left" if right else "right",
             path_effects=rim, arrowprops={"arrowstyle": "-", "color": "white", "linewidth": 0.9 * size, "shrinkB": 4 * size})

@@ -1,6 +1,7 @@
 """A run's folder that is not what a sweep wrote: refused in one line, never computed with."""
 
 import json
+import os
 import shutil
 from dataclasses import replace
 
@@ -199,3 +200,13 @@ def test_a_chunk_says_who_made_it(runs):
     summary = json.loads((runs / "static" / "summary.json").read_text())
     assert json.loads(told[b"doo_ti_maker"]) == maker() == summary["provenance"]["maker"]
     assert told[b"doo_ti_sweep"].decode() == summary["provenance"]["sweep_sha256"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="takes pipes with names")
+def test_a_pipe_in_the_place_of_cells_is_not_waited_for(capsys, copy):
+    run = copy("static")
+    unsealed(run)
+    path = min((run / "cells").glob("*.parquet"))
+    path.unlink()
+    os.mkfifo(path)
+    refused(capsys, ["learn", run], "a pipe")
