@@ -5,7 +5,7 @@ import sys
 import numpy as np
 
 from doo_ti.grid import Grid, Interval
-from doo_ti.terminal import visible
+from doo_ti.terminal import in_line, visible
 
 
 def busy(doing: str):
