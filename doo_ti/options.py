@@ -84,7 +84,11 @@ def frame_weight(options: Namespace, default: float = 0.0) -> float:
     """w_m of Eq. 1, mm."""
     if options.frame_weight is None:
         return default
-    return _decimal("--frame-weight", options.frame_weight, "zero or a positive number of mm", minimum=0.0)
+    wanted = f"zero or a positive number of mm up to {LARGEST:g}"
+    value = _decimal("--frame-weight", options.frame_weight, wanted, minimum=0.0)
+    if value > LARGEST:
+        raise InputError(SOURCE, "--frame-weight", f"{value:g} is out of range", f"give {wanted}")
+    return value
 
 
 def up(options: Namespace) -> np.ndarray | None:
@@ -191,6 +195,8 @@ def refuse_overwriting(out: Path, source: str, option: str = "--out") -> None:
 
 def output_folder(text: str, option: str = "--out") -> Path:
     """The folder to write, which need not exist yet."""
+    if not text.strip():
+        raise InputError(SOURCE, option, f"{text!r} names no folder", "name one; . is the present one")
     _check_folder(Path(text), option)
     return Path(text)
 

@@ -330,7 +330,7 @@ def in_doubles(solution: Solution) -> str:
 
 
 def intervals(landscape: Landscape) -> str:
-    return "within 5 % of the minimum " + ", ".join(map(str, landscape.intervals))
+    return "within 5 % of the minimum " + ", ".join(map(str, landscape.overview.intervals))
 
 
 def measure(study: Study, rows: list[str]) -> None:

@@ -112,8 +112,8 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     start = table.configuration_index[first:last]
     hanging = table.released[start]
     if hanging.any() and "end_shift" in parameters:
-        first = names.index("end_shift[0]")
-        vertices[hanging, :, :, first : first + 3] += np.eye(3)  # held at the far end alone they go where it goes
+        column = names.index("end_shift[0]")
+        vertices[hanging, :, :, column : column + 3] += np.eye(3)  # held at the far end alone they go where it goes
     taut = (table.clamp[:, TILT_INNER] == 0)[start]
     if taut.any():
         columns = [k for k, name in enumerate(names) if name.partition("[")[0] in OF_CLAMPS]

@@ -3,7 +3,7 @@
 import os
 import struct
 import sys
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
 
@@ -13,9 +13,9 @@ from doo_ti.errors import InputError
 from doo_ti.file_content import read_content
 from doo_ti.vision.rig import MOST_SIDE, Camera
 
-ENDS = ((b"\x89PNG", b"IEND"), (b"\xff\xd8", b"\xff\xd9"))
-"""What whole PNG and JPEG files begin and end with."""
-_alone = Lock()
+PNG = b"\x89PNG"
+_changing, _silent = Lock(), []
+"""What the standard error was, while images are decoded, and once for each that is."""
 
 
 def read_image(path: str | os.PathLike, camera: Camera | None = None) -> np.ndarray:
@@ -33,7 +33,7 @@ def read_image(path: str | os.PathLike, camera: Camera | None = None) -> np.ndar
     stored = np.frombuffer(read_content(path, remedy="name a readable image"), dtype=np.uint8)
     _check_side(path, *_png_size(stored[:24].tobytes()))  # before it is unpacked
     try:
-        with nullcontext() if _is_whole(stored[:8].tobytes(), stored[-16:].tobytes()) else _silenced():
+        with _silenced():
             image = cv2.imdecode(stored, cv2.IMREAD_GRAYSCALE) if stored.size else None
     except cv2.error:
         image = None
@@ -48,7 +48,7 @@ def read_image(path: str | os.PathLike, camera: Camera | None = None) -> np.ndar
 
 def _png_size(head: bytes) -> tuple[int, ...]:
     """Width and height of a PNG, from its first bytes; nothing for other files."""
-    return struct.unpack(">II", head[16:24]) if head.startswith(ENDS[0][0]) and len(head) == 24 else ()
+    return struct.unpack(">II", head[16:24]) if head.startswith(PNG) and len(head) == 24 else ()
 
 
 def _check_side(path: Path, *sides: int) -> None:
@@ -56,22 +56,24 @@ def _check_side(path: Path, *sides: int) -> None:
         raise InputError(path, "size", f"{' x '.join(map(str, sides))} px", f"give images of at most {MOST_SIDE:,} px a side")
 
 
-def _is_whole(head: bytes, tail: bytes) -> bool:
-    """Whether a file begins and ends as a PNG or a JPEG does."""
-    return any(head.startswith(begin) and end in tail for begin, end in ENDS)
-
-
 @contextmanager
 def _silenced():
-    """Without what image libraries write to the standard error about files that the caller reports on in one line; one
-    thread at a time, since there is one standard error."""
-    with _alone:
-        sys.stderr.flush()
-        kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, 2)
-        try:
-            yield
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
+    """Without what image libraries write to the standard error about a damaged file: the caller reports on it in one line. As
+    there is one standard error, the first thread to decode an image silences it, and the last one has it heard again."""
+    with _changing:
+        if not _silent:
+            sys.stderr.flush()
+            kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, 2)
             os.close(nowhere)
+        else:
+            kept = _silent[0]
+        _silent.append(kept)
+    try:
+        yield
+    finally:
+        with _changing:
+            _silent.pop()
+            if not _silent:
+                os.dup2(kept, 2)
+                os.close(kept)

@@ -84,13 +84,25 @@ def load_sets(path: str | os.PathLike, rig: Rig) -> ImageSets:
 
 
 def header_and_lines(path: Path) -> tuple[list[str], list[dict[str, str]]]:
-    """Columns and lines of a CSV file, with empty text where a line is short."""
+    """Columns and lines of a CSV file, with empty text where a line is short. Raises InputError for what is no such file,
+    for a column that is there twice, for lines that are longer, and for cells that hold a line break, as after a quote that is
+    not closed."""
     content = read_content(path, MOST_TEXT_BYTES, "name a readable CSV file")
     try:
         reader = csv.DictReader(StringIO(content.decode(), newline=""), restval="")
-        return list(reader.fieldnames or []), list(reader)
+        header, lines = list(reader.fieldnames or []), list(reader)
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, "file", str(error), "name a readable CSV file") from None
+    if len(set(header)) < len(header):
+        raise InputError(path, max(header, key=header.count), "the column is there twice", "keep one of them")
+    for number, line in enumerate(lines, 2):
+        if None in line:
+            raise InputError(path, f"line {number}", f"{len(header) + len(line[None])} cells under {len(header)} columns",
+                             "give one for each")
+        broken = next((key for key in header if "\n" in line[key]), None)
+        if broken is not None:
+            raise InputError(path, f"line {number}, {broken}", "a line break within a cell", "close the quote")
+    return header, lines
 
 
 def number_in(path: Path, number: int, line: dict, key: str) -> float:

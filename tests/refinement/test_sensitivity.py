@@ -98,6 +98,16 @@ def test_rods_relaxed_again_move_so(rng):
             np.testing.assert_allclose(own, difference / (2 * step), atol=1e-6 * np.abs(own).max())
 
 
+def test_parts_of_hanging_rods_are_those_of_the_whole(rng):
+    """Of rods that the far end holds alone, moved by it."""
+    rods = wandering(rng, 4, 12)
+    solution = relax(rods, Material(2e5, 1e5), with_kinds(clamps_at(rods), [(Clamp.FREE, Clamp.FRAME)] * 4), SHARP)
+    whole, part = (sensitivity(solution, ("bend", "twist", "end_shift"), None, *rows) for rows in ((), (1, 3)))
+    np.testing.assert_array_equal(part.configuration.vertices, solution.configuration.vertices[1:3])
+    np.testing.assert_allclose(part.vertices, whole.vertices[1:3], atol=1e-9)
+    assert len(whole.configuration.vertices) == 4
+
+
 def test_a_column_for_every_joint_adds_up_to_the_constant_one(rng):
     rods = wandering(rng, 3, 12)
     solution = relax(rods, Material(2e5, 1e5), clamps_at(rods), SHARP)

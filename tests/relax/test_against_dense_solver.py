@@ -67,7 +67,7 @@ def test_rods_at_rest_with_a_neutral_motion_have_converged(rng, kinds):
     material = Material(definite(rng, 64), 1e5, 0.0, 0.01 * rng.normal(size=(64, 2)))
     solution = relax(rods, material, with_kinds(clamps_at(rods), [kinds] * 64))
     print(f"residuals up to {solution.residual.max():.1e}, {np.sum(~solution.converged)} of 64 not converged")
-    assert solution.residual.max() < 1e-9 and np.abs(solution.energy).max() < 1e-6
+    assert solution.residual.max() < 1e-7 and np.abs(solution.energy).max() < 1e-6
     assert solution.converged.all()
 
 
