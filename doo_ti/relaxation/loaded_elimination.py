@@ -88,7 +88,8 @@ class LoadedElimination(LooseStart):
         beyond = record(
             force=repeated(zero, 3), c=repeated(zero, 3), f=repeated(zero, 3), cc=repeated(zero, 6), ff=repeated(zero, 6),
             z=repeated(zero, 9), length=zero)
-        border = record(c=identity(zero), f=repeated(zero, 9), schur=repeated(zero, 6), right=repeated(zero, 3))
+        border = record(c=scaled(identity(zero), rod.closed), f=repeated(zero, 9), schur=repeated(zero, 6),
+                        right=repeated(zero, 3))
         if ti.static(self.moves_start):
             beyond.force = multiplier
             beyond.c = multiplier

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start, equilibrium
 from tests.references.rods import chain, clamps_at, jiggled, stacked
-from tests.relax.rods import definite, wandering
+from tests.relax.rods import definite, wandering, with_kinds
 
 EDGES = 16
 
@@ -138,3 +139,19 @@ def test_ribbons_bent_exactly_about_their_stiff_axis_turn_over():
     print(f"{left.converged.sum()} of 90 converged; residuals of the others {left.residual[~left.converged]}")
     assert (left.energy[left.converged] < resting.energy[left.converged]).all()
     assert left.converged.all() and left.stable.all()
+
+
+@pytest.mark.parametrize("other", [Clamp.FREE, Clamp.FRAME])
+def test_an_upright_rod_under_springs_buckles_whatever_the_others_hold(other):
+    """60 mm upright with a free tip, of half the critical stiffness 2 μ L³/7.84: a saddle, also beside a rod held at both ends,
+    with which the kernel takes closure into account."""
+    upright = chain(np.tile([0.0, 0.0, 1.0], (20, 1)), [1, 0, 0], 3.0)
+    beside = chain(np.tile([1.0, 0.0, 0.0], (20, 1)), [0, 0, 1], 3.0, spin=0.05 * np.arange(20))
+    rods = stacked([upright, jiggled(beside, np.random.default_rng(0), 0.1)])
+    clamps = with_kinds(clamps_at(rods), [(Clamp.FRAME, Clamp.FREE), (Clamp.FRAME, other)])
+    springs = Springs(np.zeros((1, 21, 3)), np.zeros((1, 21)))
+    for bend, stands in ((8e4, True), (3e4, False)):
+        resting = relax(rods, Material(bend, 1e5), clamps, Newton(max_escapes=0), external=springs)
+        assert resting.converged[0] and resting.stable[0] == stands
+        left = relax(rods, Material(bend, 1e5), clamps, external=springs)
+        assert left.stable[0] and (abs(left.configuration.vertices[0, -1, 2] - 60.0) < 1e-6) == stands
