@@ -1,4 +1,4 @@
-"""The kernel behind :mod:`doo_ti.refinement.sensitivity`: the certificate's factors, and right-hand sides one after the other.
+"""The kernel behind :mod:`doo_ti.relaxation.sensitivity`: the certificate's factors, and right-hand sides one after the other.
 
 Everything about H is Newton's own (:mod:`doo_ti.relaxation.elimination`), on one rod at a time: H is assembled and eliminated
 without shift; then for every column b = −∂g/∂θ runs forward through the factors, S dλ = Σ W_Aᵀ D⁻¹ W_b, and back-substitution
@@ -25,10 +25,10 @@ from doo_ti.physics.tuples import (
     symmetric_gram,
     variable,
 )
-from doo_ti.refinement.parameter_gradient import KEPT_ITEMS, ParameterGradient
 from doo_ti.relaxation import chain
 from doo_ti.relaxation.columns import OF_RESULT
 from doo_ti.relaxation.loading import Loading
+from doo_ti.relaxation.parameter_gradient import KEPT_ITEMS, ParameterGradient
 from doo_ti.types import Solution
 
 INERTIA_OF_A_MINIMUM = 3.0

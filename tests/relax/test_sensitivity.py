@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, InputError, Material, Newton, Springs, relax
 from doo_ti.frames import matrix_from_quaternion, quaternion_about
-from doo_ti.refinement.sensitivity import sensitivity, tilt_axes
+from doo_ti.relaxation.sensitivity import sensitivity, tilt_axes
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import clamped_start, free_variables
 from tests.oracle.sensitivity import dense_sensitivity
@@ -157,7 +157,7 @@ def test_the_layout_of_a_gpu_gives_the_same_bits(rng, monkeypatch):
     rods = wandering(rng, 5, 12)
     solution = relax(rods, Material(np.geomspace(1e5, 3e5, 5), 1e5), clamps_at(rods))
     own = sensitivity(solution, EVERY)
-    monkeypatch.setattr("doo_ti.refinement.sensitivity_kernel.runtime.start", lambda: "cuda")
+    monkeypatch.setattr("doo_ti.relaxation.sensitivity_kernel.runtime.start", lambda: "cuda")
     there = sensitivity(solution, EVERY)
     np.testing.assert_array_equal(own.vertices, there.vertices)
     np.testing.assert_array_equal(own.rotations, there.rotations)

@@ -34,7 +34,8 @@ import numpy as np
 from doo_ti import runtime
 from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, smallest_rotation
-from doo_ti.refinement.parameter_gradient import (
+from doo_ti.relaxation.columns import TILT_INNER
+from doo_ti.relaxation.parameter_gradient import (
     BEND,
     DIRECTION_COLUMNS,
     MODE,
@@ -47,8 +48,7 @@ from doo_ti.refinement.parameter_gradient import (
     TURN_START,
     TWIST,
 )
-from doo_ti.refinement.sensitivity_kernel import run_sensitivity
-from doo_ti.relaxation.columns import TILT_INNER
+from doo_ti.relaxation.sensitivity_kernel import run_sensitivity
 from doo_ti.types import Configuration, Solution
 
 CURVATURES = ("rest_curvature", "rest_curvature_per_joint", "modes")
