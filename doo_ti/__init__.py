@@ -31,7 +31,7 @@ _HOMES = {
     "save_observations": "dataset", "observation_clamps": "start", "start_configuration": "start",
     "turn_hypotheses": "start", "choose_hypothesis": "start", "Grid": "grid", "Axis": "grid", "distance": "metric",
     "Newton": "relaxation.newton", "Descent": "relaxation.descent", "relax": "relaxation.relax",
-    "relax_again": "relaxation.relax", "Springs": "relaxation.external",
+    "Springs": "relaxation.external",
     "sweep": "learning.sweeps", "SweepOptions": "learning.experiment", "read_landscape": "learning.landscape",
     "refine": "refinement.refine", "predict": "prediction.predict", "predict_step": "prediction.predict",
     "load_rig": "vision.cameras.rig", "detect": "vision.detection.detect", "distance_maps": "vision.reprojection.distance_map",

@@ -64,10 +64,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader, head or less, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except KeyboardInterrupt:
-        return _report("interrupted", 1)
-    except (InterruptedRunError, OSError, MemoryError) as error:
+    except InterruptedRunError as error:
         return _report(error, 1)
+    except (KeyboardInterrupt, OSError, MemoryError, RuntimeError) as error:
+        reason = "interrupted" if isinstance(error, KeyboardInterrupt) else str(error) or type(error).__name__
+        return _report(f"{reason}; {_again(argv)}", 1)
 
 
 def _run(argv: list[str]) -> int:
@@ -84,6 +85,12 @@ def _run(argv: list[str]) -> int:
         raise InputError(prog, option.split("=")[0], kind, f"see {prog} --help")
     check_architecture()
     return options.run(options, ["doo-ti", *argv])
+
+
+def _again(argv: list[str]) -> str:
+    """What the same command does when it is given again: all but a sweep write their files, each whole, when all is done."""
+    goes_on = argv[:1] == ["sweep"]
+    return f"the same command {'goes on with what is finished' if goes_on else 'starts anew'}"
 
 
 def _report(problem: object, code: int) -> int:

@@ -15,6 +15,7 @@ from doo_ti.errors import InputError, real_array
 from doo_ti.file_content import read_content
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
 from doo_ti.importers import read_npz, read_table, write_table
+from doo_ti.terminal import in_line
 from doo_ti.types import LARGEST
 from doo_ti.whole_file import write_whole
 
@@ -82,6 +83,8 @@ class Observations:
         for name in ("total_twist", "end_distance", "end_rotation"):
             if getattr(self, name) is not None:
                 self._set(**{name: self._finite(name, self._numbers(name, ("D",), size))})
+        if self.end_distance is not None and (self.end_distance < 0).any():
+            raise self._error("end_distance", f"{self.end_distance.min():g} mm", "give zero or positive distances in mm")
 
     @property
     def count(self) -> int:
@@ -220,7 +223,7 @@ def load_observations(path: str | os.PathLike, up=None) -> Observations:
     if "vertices_mm" not in keys:
         raise InputError(path, "vertices_mm", "the key is missing", "store the vertices as vertices_mm (D, V, 3)")
     values = {name: keys[key] for name, key in KEYS.items() if key in keys}
-    observations = Observations(**values, name=path.stem, source=str(path), sha256=hashlib.sha256(content).hexdigest())
+    observations = Observations(**values, name=in_line(path.stem), source=str(path), sha256=hashlib.sha256(content).hexdigest())
     changed = {} if up is None else {"up": np.asarray(up)}
     if observations.total_twist is not None:
         _check_turns(observations)

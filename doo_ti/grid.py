@@ -112,6 +112,19 @@ class Grid:
         twist = given["twist"] if "twist" in given else given["twist_ratio"] * bend_1
         return {"bend_1": bend_1, "bend_2": bend_2, "twist": twist, "weight": given["weight"]}
 
+    def cells_of(self, values: dict[str, np.ndarray]) -> np.ndarray:
+        """(n,) the cells that hold ``values`` (n,) of bend_1, bend_2, twist and weight; −1 where none does."""
+        places = []
+        for axis in self.axes:
+            wanted, borders = values.get("bend_1" if axis.name == "bend" else axis.name), axis.values[1:]
+            if axis.name == "twist_ratio":  # the quotient is rounded: the nearest ratio is meant
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    wanted, borders = values["twist"] / values["bend_1"], 0.5 * (axis.values[1:] + axis.values[:-1])
+            places.append(np.searchsorted(borders, wanted, side="right"))
+        cells = np.ravel_multi_index(places, self.shape)
+        same = [values[name] == own for name, own in self.cell_values(cells).items()]
+        return np.where(np.all(same, axis=0), cells, -1)
+
     def materials(self, cells: np.ndarray | slice = slice(None)) -> Material:
         """The table of G materials, one per cell in C order, or only those of ``cells``: a chunk of a large grid."""
         values = self.cell_values(cells)
@@ -144,9 +157,9 @@ class Grid:
     def from_dict(cls, content: dict, source: str = "grid") -> "Grid":
         """The grid that :meth:`as_dict` wrote. Raises InputError where ``content`` is none."""
         try:
-            axes = tuple(Axis(axis["name"], axis["values"], bool(axis["log"])) for axis in content["axes"])
+            axes = tuple(Axis(str(axis["name"]), axis["values"], bool(axis["log"])) for axis in content["axes"])
             bend_12 = float(content["bend_12"])
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, OverflowError):
             raise InputError(source, "grid", "does not describe a grid", "run the sweep again") from None
         return cls(axes, bend_12, source)
 
@@ -185,15 +198,17 @@ def valley(grid: Grid, mean_distance: np.ndarray, fraction: float = 0.05) -> tup
     if np.isnan(mean).all():
         raise InputError(grid.source, "distance_mm", "no cell has an error", "look at the rods' status")
     best = int(np.nanargmin(mean))
-    near = np.nan_to_num(mean, nan=np.inf) <= mean[best] * (1 + fraction)
-    values = grid.axis_values()
+    near = np.flatnonzero(np.nan_to_num(mean, nan=np.inf) <= mean[best] * (1 + fraction))
     intervals = []
-    for axis in grid.varying:
-        spots = np.flatnonzero(np.isin(axis.values, values[axis.name][near]))
+    for number, axis in enumerate(grid.axes):
+        if len(axis) == 1:
+            continue
+        places, there = (np.unravel_index(cells, grid.shape)[number] for cells in (near, best))
+        spots = np.unique(places)
         between = np.sqrt(axis.values[1:] * axis.values[:-1]) if axis.log else 0.5 * (axis.values[1:] + axis.values[:-1])
         ends = np.concatenate([axis.values[:1], between, axis.values[-1:]])
         first, last = spots[0], spots[-1]
-        intervals.append(Interval(axis.name, float(values[axis.name][best]), float(ends[first]), float(ends[last + 1]),
+        intervals.append(Interval(axis.name, float(axis.values[there]), float(ends[first]), float(ends[last + 1]),
                                   bool(first == 0), bool(last == len(axis) - 1)))
     return tuple(intervals)
 
@@ -289,6 +304,8 @@ def _check_values(source: str, axis: Axis, option: str | None = None) -> None:
         raise InputError(source, name, "a grid of zero cells", "give at least one value")
     if not np.isfinite(values).all() or (np.diff(values) <= 0).any():
         raise InputError(source, name, f"{values.tolist()} are not increasing finite numbers", _FORM)
+    if axis.name in ("bend", "bend_1", "bend_2", "twist") and 0 < values[0] < 1 / LARGEST:
+        raise InputError(source, name, f"{values[0]:g} is below {1 / LARGEST:g}", "give a stiffness that numbers can hold")
     if values[0] < 0 or (values[0] == 0 and axis.name != "weight"):
         raise InputError(source, name, f"{values[0]:g} is not {'zero or ' * (axis.name == 'weight')}positive",
                          "give positive values")

@@ -35,11 +35,11 @@ KERNEL_HEADER, DIGEST = 24, 64
 def kernel_folder(usual: Path) -> Path | None:
     """The folder for kernels, mended: ``usual``, or where nothing can be written there a private one among the temporary files;
     None where neither can be used."""
-    for folder in (usual, _private()):
-        if folder is not None and _is_writable(folder):
-            mend(folder)
-            return folder
-    return None
+    folder = usual if _is_writable(usual) else _private()
+    if folder is None or not _is_writable(folder):
+        return None
+    mend(folder)
+    return folder
 
 
 def mend(folder: Path) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from doo_ti.dataset import checked_suffix
 from doo_ti.errors import InputError
 from doo_ti.grid import UNITS, Axis, Grid, parse_axis, parse_bend
+from doo_ti.physical_units import bend_or_twist, weight_per_length
 from doo_ti.types import LARGEST, Clamp
 
 SOURCE = "command line"
@@ -34,11 +35,32 @@ def grid(options: Namespace, base: Grid | None = None) -> Grid:
             axes += found
         else:
             axes.append(parse_axis(f"--{name.replace('_', '-')}", text, SOURCE))
+    axes += _physical_axes(options)
     if base is not None:
         return base.with_axes(tuple(axes), bend_12)
     if not any(axis.name in ("bend", "bend_1", "bend_2") for axis in axes):
         raise InputError(SOURCE, "--bend", "missing", "give --bend, or --bend-1 and --bend-2")
     return Grid(tuple(axes), bend_12, SOURCE)
+
+
+def _physical_axes(options: Namespace) -> list[Axis]:
+    """The axes that ``--EI`` and ``--GJ`` give in N m², as bend and twist relative to a weight of 1."""
+    axes = []
+    for physical, name, others in (("EI", "bend", ("bend", "bend_1", "bend_2", "weight")),
+                                   ("GJ", "twist", ("twist", "twist_ratio", "weight"))):
+        text = getattr(options, physical)
+        if text is None:
+            continue
+        for other in others:
+            if getattr(options, other) is not None:
+                option = f"--{other.replace('_', '-')}"
+                raise InputError(SOURCE, f"--{physical}", f"given beside {option}", f"give one of --{physical} and {option}")
+        density = positive("--linear-density", options.linear_density, "g/m")
+        if density is None:
+            raise InputError(SOURCE, "--linear-density", f"missing beside --{physical}", "give the rod's in g/m")
+        axis = parse_axis(f"--{physical}", text, SOURCE)
+        axes.append(Axis(name, bend_or_twist(axis.values, weight_per_length(density)), axis.log))
+    return axes
 
 
 def single_cell(options: Namespace, remedy: str = "give one number") -> Grid:
@@ -62,7 +84,11 @@ def frame_weight(options: Namespace, default: float = 0.0) -> float:
     """w_m of Eq. 1, mm."""
     if options.frame_weight is None:
         return default
-    return _decimal("--frame-weight", options.frame_weight, "zero or a positive number of mm", minimum=0.0)
+    wanted = f"zero or a positive number of mm up to {LARGEST:g}"
+    value = _decimal("--frame-weight", options.frame_weight, wanted, minimum=0.0)
+    if value > LARGEST:
+        raise InputError(SOURCE, "--frame-weight", f"{value:g} is out of range", f"give {wanted}")
+    return value
 
 
 def up(options: Namespace) -> np.ndarray | None:
@@ -169,6 +195,8 @@ def refuse_overwriting(out: Path, source: str, option: str = "--out") -> None:
 
 def output_folder(text: str, option: str = "--out") -> Path:
     """The folder to write, which need not exist yet."""
+    if not text.strip():
+        raise InputError(SOURCE, option, f"{text!r} names no folder", "name one; . is the present one")
     _check_folder(Path(text), option)
     return Path(text)
 

@@ -25,10 +25,10 @@ from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.refine import FEWEST_EDGES, MOST_EDGES
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.scales import typical_scales
-from doo_ti.refinement.sensitivity import sensitivity
 from doo_ti.refinement.unknowns import Theta, Unknowns
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
+from doo_ti.relaxation.sensitivity import sensitivity
 from doo_ti.scene import Synthesis
 from doo_ti.start import check_experiment, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.synthesis import synthesise

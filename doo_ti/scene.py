@@ -38,7 +38,7 @@ from doo_ti.types import LARGEST, Clamp, Material
 OBJECTIVES = ("static", "dynamic")
 PRECISIONS = ("f32", "f64", "mixed")
 MOST_SPINS = 360
-MOST_FINE_EDGES, MOST_TURNS = 100_000, 1000
+MOST_FINE_EDGES, MOST_TURNS = 10_000, 1000
 """Of a virtual rod."""
 LARGEST_TILT_DEG = 45.0
 """Standard deviation of a virtual clip's tilt."""
@@ -261,7 +261,7 @@ def _grid(path: Path, section: dict) -> Grid:
 
 
 def _weight(path: Path, value) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < math.inf:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value <= LARGEST:
         raise InputError(path, "frame_weight_mm", f"{value!r} is no length", "give zero or a positive number of mm")
     return float(value)
 
@@ -299,13 +299,13 @@ def _text(path: Path, key: str, value) -> str:
 def _convert(source: str, name: str, value):
     """A field of Synthesis in its type. Raises InputError where it has another."""
     kind = {field.name: field.type for field in fields(Synthesis)}[name]
-    what = {str: "text", int: "a whole number", bool: "true or false", float: "a finite number"}.get(
+    what = {str: "text", int: "a whole number below 2**63", bool: "true or false", float: "a finite number"}.get(
         kind, {"bend": "a positive number or a matrix [[A1, A12], [A12, A2]]",
                "clip_mm": "a length in mm, or two: [START, END]"}.get(name, "a list of finite numbers"))
     shapes = {"bend": ((), (2, 2)), "clip_mm": ((), (2,))}.get(name, ((),) if kind is float else None)
     try:
         if kind in (str, int, bool):
-            if type(value) is not kind:
+            if type(value) is not kind or kind is int and abs(value) >= 2**63:
                 raise TypeError
             return value
         return _finite(value, shapes)

@@ -19,6 +19,15 @@ from doo_ti.frames import (
 )
 from doo_ti.types import Clamp, Clamps, Configuration
 
+MOST_LENGTHS = 2.0
+"""Of a rod, between any of its marks and the first: more is no error of a label."""
+LEAST_LENGTHS = 0.1
+"""Of the rod between marks, along these: a rod that is bent, however much, shows more to marks that are of any use."""
+LEAST_EDGE = 1e-6
+"""Of the mean edge."""
+MOST_LENGTHS_OFF = 1e9
+"""Of a rod, from the origin to it."""
+
 
 def observation_clamps(observations: Observations, start: Clamp | None = None, end: Clamp | None = None) -> Clamps:
     """The clamps of D observations; by default the whole frame where it is given, else the tangent.
@@ -42,7 +51,8 @@ def observation_clamps(observations: Observations, start: Clamp | None = None, e
 
 def check_experiment(observations: Observations, clamps: Clamps, weight: float, frame_weight: float) -> None:
     """Raise InputError for what no relaxation could make good: clamps that :func:`check_feasible` refuses, a rod with weight
-    that nothing holds, fewer than two edges left free, and a frame weight w_m without measured frames."""
+    that nothing holds, fewer than two edges left free, marks that no rod of that length reaches, and a frame weight w_m without
+    measured frames."""
     free = (np.asarray(clamps.start) == Clamp.FREE) & (np.asarray(clamps.end) == Clamp.FREE)
     if weight > 0 and free.any():
         raise InputError(observations.source, "clamps", "both ends are free and the rod has weight", "hold one end")
@@ -52,7 +62,33 @@ def check_experiment(observations: Observations, clamps: Clamps, weight: float, 
     if (observations.edges - clamped < 2).any():
         raise InputError(observations.source, "vertices_mm", f"{observations.edges} edges, too few of them free to relax",
                          "give more marks, or clamp only positions")
+    _check_reach(observations)
     check_feasible(observations, clamps)
+
+
+def _check_reach(observations: Observations) -> None:
+    """Raise InputError for marks further apart than :data:`MOST_LENGTHS` of the rod, or all of them closer to each other than
+    :data:`LEAST_LENGTHS`, of another unit or another rod, for such so far from the origin that numbers do not tell them apart,
+    and for edges that are nothing beside the others."""
+    edges, length = observations.rest_length, observations.rest_length.sum()
+    if edges.min() < LEAST_EDGE * edges.mean():
+        raise InputError(observations.source, "rest_length_mm", f"{edges.min():.4g} mm at edge {int(np.argmin(edges))}, and "
+                         f"{edges.mean():.4g} mm on average", "leave one of its two marks out")
+    first = observations.vertices[np.arange(observations.count), observations.valid.argmax(axis=1)][:, None]
+    away = np.linalg.norm(np.where(observations.valid[..., None], observations.vertices, first) - first, axis=-1)
+    if np.abs(first).max() > MOST_LENGTHS_OFF * length:
+        raise InputError(observations.source, "vertices_mm", f"{np.abs(first).max():.4g} mm from the origin, and the rod "
+                         f"{length:.4g} mm long", "choose an origin nearby")
+    if (away > MOST_LENGTHS * length).any():
+        d, v = np.unravel_index(np.argmax(away), away.shape)
+        raise InputError(observations.source, "vertices_mm", f"vertex {v} of observation {d} is {away[d, v]:.4g} mm away from "
+                         f"the first one, and the rod {length:.4g} mm long",
+                         "correct it, or rest_length_mm, or mark it false in valid")
+    both = observations.valid[:, 1:] & observations.valid[:, :-1]
+    steps = np.linalg.norm(np.diff(np.where(observations.valid[..., None], observations.vertices, first), axis=1), axis=-1)
+    if both.any() and (np.where(both, steps, 0.0).sum(axis=1) < LEAST_LENGTHS * both @ observations.rest_length).all():
+        raise InputError(observations.source, "rest_length_mm", f"{length:.4g} mm in all, but the marks are "
+                         f"{steps[both].mean():.4g} mm apart on average", "give lengths in mm of the edges between marks")
 
 
 def check_feasible(observations: Observations, clamps: Clamps) -> None:

@@ -11,6 +11,11 @@ def visible(text: str) -> str:
     return "".join(sign if sign.isprintable() or sign == "\n" else sign.encode("unicode_escape").decode() for sign in text)
 
 
+def in_line(text: object) -> str:
+    """A name or path as part of a line: :func:`visible`, and its line ends written as ``\\n``, lest it forge lines."""
+    return visible(str(text)).replace("\n", "\\n")
+
+
 class VisibleStream:
     """A stream of text that writes what is :func:`visible`, and is the ``stream`` otherwise."""
 

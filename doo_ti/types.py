@@ -8,13 +8,15 @@ Units are millimetres and radians; energies are relative to weight, so that with
 bend and twist come out in mm³ (footnote 6: only ratios of the parameters matter).
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
 from enum import IntEnum
 
 import numpy as np
 
 from doo_ti.errors import InputError, real_array
 from doo_ti.frames import matrix_from_quaternion, vertices_from_quaternions
+from doo_ti.physical_units import bend_or_twist, force_in_newton
 
 LARGEST = 1e30
 """No quantity is larger: squares of larger ones overflow."""
@@ -107,6 +109,18 @@ class Material:
         first, second = np.broadcast_arrays(first, second)
         return cls(first[:, None, None] * np.diag([1.0, 0.0]) + second[:, None, None] * np.diag([0.0, 1.0]), twist, weight)
 
+    @classmethod
+    def from_physical(cls, EI, GJ, weight_per_length) -> "Material":  # noqa: N803  (the field's symbols)
+        """The round rods of stiffness EI and GJ in N m² that weigh ``weight_per_length`` in N/m, scalars or (R,); μ is 1.
+
+        Raises InputError as the class does, and for a rod without weight, which has no stiffness relative to it.
+        """
+        weight = np.atleast_1d(_finite("weight_per_length", weight_per_length))
+        if not (weight > 0).all():
+            raise InputError("material", "weight_per_length", f"{weight.min():g} N/m is not positive",
+                             "give N/m; for a rod without weight give Material(bend, twist, weight=0)")
+        return cls(bend_or_twist(_finite("EI", EI), weight), bend_or_twist(_finite("GJ", GJ), weight))
+
     @property
     def count(self) -> int:
         return len(self.weight)
@@ -170,6 +184,16 @@ class Configuration:
         lengths = self.rest_length if self.rest_length.ndim == 1 else self.rest_length[index]
         return Configuration(self.start[index], self.quaternions[index], lengths)
 
+    @classmethod
+    def concatenate(cls, parts: Sequence["Configuration"]) -> "Configuration":
+        """The rods of several, one after the other; their lengths are shared where all have the same."""
+        first = parts[0].rest_length
+        shared = all(part.rest_length.ndim == 1 and np.array_equal(part.rest_length, first) for part in parts)
+        lengths = first if shared else np.concatenate(
+            [np.broadcast_to(part.rest_length, (part.count, part.edges)) for part in parts])
+        starts, frames = ([getattr(part, name) for part in parts] for name in ("start", "quaternions"))
+        return cls(np.concatenate(starts), np.concatenate(frames), lengths)
+
 
 @dataclass(frozen=True)
 class Clamps:
@@ -204,16 +228,16 @@ class Solution:
 
     configuration  the relaxed rods
     energy         (R,) E(Γ) of §III-C, gravity measured from z = 0
-    residual       (R,) scaled residual, 1/mm: the largest moment left on a free edge over the largest eigenvalue of B
+    residual       (R,) the largest moment left on a free edge, times the length, over the largest eigenvalue of B
     closure        (R,) distance by which the far end misses its clamp over the rod's length
     iterations     (R,) steps taken
     status         (R,) Status
     stable         (R,) True where the inertia of its KKT matrix certifies the equilibrium: in no direction does the energy
                    fall. Neutral motions, such as a weightless bow turning about its chord, do not count against it
-    end_force      (R, 3) force of the far clamp on the rod where both ends are held, mm² in the units of energy: the energy
+    end_force      (R, 3) force of the far clamp on the rod where both ends are held, mm, energy (mm²) per mm: the energy
                    grows by end_force · d when the clamp moves by d. Zero where an end is free
     precision      (R,) 32 or 64: the arithmetic that finished the rod
-    tables         what went in, for :func:`doo_ti.relaxation.relax.relax_again`; None where several calls were put together
+    tables         what went in, for :func:`doo_ti.relaxation.relax.relax` to go on; None where calls were put together
     """
 
     configuration: Configuration
@@ -231,6 +255,26 @@ class Solution:
     def converged(self) -> np.ndarray:
         """(R,) bool."""
         return self.status == Status.CONVERGED
+
+    def end_force_in_newton(self, weight_per_length, weight=1.0) -> np.ndarray:
+        """(R, 3) ``end_force`` in N, of rods that weigh ``weight_per_length`` in N/m, a scalar or (R, 1), and whose material's
+        weight μ is ``weight``."""
+        return force_in_newton(self.end_force, weight_per_length, weight)
+
+    def take(self, index) -> "Solution":
+        """The rods named by ``index``, in that order, without what went in."""
+        return Solution(self.configuration.take(index), **{name: getattr(self, name)[index] for name in _PER_ROD})
+
+    @classmethod
+    def concatenate(cls, parts: Sequence["Solution"]) -> "Solution":
+        """The rods of several solutions one after the other, of equally many edges; without what went in, unless it is one."""
+        if len(parts) == 1:
+            return parts[0]
+        rods = Configuration.concatenate([part.configuration for part in parts])
+        return cls(rods, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _PER_ROD})
+
+
+_PER_ROD = tuple(entry.name for entry in fields(Solution) if entry.name not in ("configuration", "tables"))
 
 
 def unit_up(up, function: str) -> np.ndarray:

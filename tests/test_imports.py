@@ -13,7 +13,7 @@ PACKAGE = ROOT / "doo_ti"
 # From the bottom up: a module imports from layers below its own, never from beside it.
 LAYERS = [
     {"errors", "interruption", "terminal", "whole_file"},
-    {"file_content", "frames", "kernel_cache"},
+    {"file_content", "frames", "kernel_cache", "physical_units"},
     {"types"},
     {"physics", "runtime", "importers", "grid", "contact_sheet", "progress"},
     {"dataset", "named_arrays"},

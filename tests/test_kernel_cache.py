@@ -44,6 +44,12 @@ def test_a_process_without_a_home_ends_well(tmp_path):
     run_kernel(tmp_path, HOME=None, XDG_CACHE_HOME=None)
 
 
+def test_nothing_lies_among_the_temporary_files_where_the_home_does(tmp_path):
+    (tmp_path / "temporary").mkdir()
+    run_kernel(tmp_path, tmp_path / "temporary", XDG_CACHE_HOME=tmp_path)
+    assert list((tmp_path / "temporary").iterdir()) == [] and list(tmp_path.glob("taichi/ticache/*.tic"))
+
+
 @pytest.mark.parametrize("home", ["file", "/proc/self"])
 def test_where_the_home_cannot_be_written_kernels_are_kept_among_the_temporary_files(tmp_path, home):
     (tmp_path / "file").write_text("")

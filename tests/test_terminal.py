@@ -8,7 +8,7 @@ import pytest
 from doo_ti.cli import main
 from doo_ti.commands.printing import busy
 from doo_ti.progress import progress
-from doo_ti.terminal import visible
+from doo_ti.terminal import in_line, visible
 from tests.cli.test_bad_input import MATERIAL, npz_bytes
 
 NAME = "a\x1b[2J\x9b1m\u202e[red]b[/red]"
@@ -53,3 +53,19 @@ def test_printouts_and_messages(tmp_path, capsys, code):
     assert main(argv) == code
     out, err = capsys.readouterr()
     assert r"\x1b[2J[bold]" in (err if code else out) and "\x1b" not in out + err
+
+
+def test_a_name_of_several_lines_takes_one(tmp_path, capsys):
+    """Lest it forges lines of the printout."""
+    assert in_line("a\nb\x1b") == r"a\nb\x1b"
+    (tmp_path / "a\nb").mkdir()
+    npz_bytes(tmp_path / "a\nb")
+    source, out = tmp_path / "a\nb" / "c\nd.npz", tmp_path / "a\nb" / "f\ng"
+    (tmp_path / "a\nb" / "good.npz").rename(source)
+    for argv in (["relax", str(source), *MATERIAL, "--out", f"{out}.npz"], ["convert", str(source), f"{out}.csv"],
+                 ["sweep", str(source), "--bend", "6e5", "--out", str(out)], ["learn", str(out), "--out", f"{out}.tables"],
+                 ["plan", str(source), "--bend", "4e5:8e5:2", "--twist", "6e5", "--out", f"{out}.plan"],
+                 ["twist", str(source), *MATERIAL, "--out", f"{out}.npz"]):
+        assert main(argv) == 0
+        told, err = capsys.readouterr()
+        assert r"a\nb" in told and not any(line.startswith(("b/", "d", "g")) for line in (told + err).splitlines())

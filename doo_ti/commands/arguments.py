@@ -7,6 +7,10 @@ from doo_ti.scene import CLAMPS, PRECISIONS
 SOLVERS = ("newton", "descent")
 
 
+MATERIAL = ("bend", "bend_1", "bend_2", "twist", "twist_ratio", "weight", "EI", "GJ")
+"""What :func:`add_material` adds that says which Θ is meant."""
+
+
 def add_material(parser: ArgumentParser, form: str) -> None:
     group = parser.add_argument_group("material", f"bend and twist in mm³; {form}")
     group.add_argument("--bend", metavar="A", help="isotropic bend stiffness α")
@@ -15,6 +19,9 @@ def add_material(parser: ArgumentParser, form: str) -> None:
     group.add_argument("--twist", metavar="B", help="twist stiffness β")
     group.add_argument("--twist-ratio", metavar="R", help="β over α, or over A1 (default 1)")
     group.add_argument("--weight", metavar="M", help="half the weight per length, relative (default 1)")
+    group.add_argument("--EI", metavar="NM2", help="bend stiffness in N m², instead of --bend; with --linear-density")
+    group.add_argument("--GJ", metavar="NM2", help="twist stiffness in N m², instead of --twist; with --linear-density")
+    group.add_argument("--linear-density", metavar="G_PER_M", help="of the rod in g/m: for --EI, --GJ and results in N m²")
 
 
 def add_relaxation(parser: ArgumentParser, precision: str | None) -> None:

@@ -8,6 +8,8 @@ from doo_ti.commands.arguments import add_json
 from doo_ti.commands.printing import plain
 from doo_ti.whole_file import write_whole
 
+MOST_ROUNDS = 1000
+
 
 def declare(add) -> None:
     parser = add("bench", allow_abbrev=False, help="throughput and accuracy on this machine, one table")
@@ -22,7 +24,7 @@ def declare(add) -> None:
 def run(options: Namespace, words: list[str]) -> int:
     """Throughput and accuracy on this machine; with a folder also as JSON."""
     rods, threads = given.bench_rods(options.rods, 65_536), given.threads(options.threads)
-    rounds = given.whole("--rounds", options.rounds, 1) or 3
+    rounds = given.whole("--rounds", options.rounds, 1, MOST_ROUNDS) or 3
     out = None if options.out is None else given.output_folder(options.out)
 
     from doo_ti import runtime

@@ -10,6 +10,7 @@ from doo_ti import options as given
 from doo_ti.commands.arguments import add_json
 from doo_ti.commands.printing import plain
 from doo_ti.progress import progress
+from doo_ti.terminal import in_line
 from doo_ti.vision.cameras.board import FORMS, Board, parse_board
 from doo_ti.vision.cameras.calibration import COEFFICIENTS, WORLDS, Calibration, CalibrationOptions, calibrate
 from doo_ti.vision.cameras.rig import save_rig
@@ -99,4 +100,4 @@ def _tell(views: Views, calibration: Calibration, summary: dict) -> None:
               f"± {camera['focal_sigma_px'].max():.2f}")
     if summary["without_board"]:
         print(f"no board found in {len(summary['without_board'])} of {len(summary['images'])} images")
-    print(f"written to {summary['out']}")
+    print(f"written to {in_line(summary['out'])}")

@@ -7,6 +7,7 @@ import numpy as np
 
 from doo_ti.dataset import Observations, load_observations, save_observations
 from doo_ti.scene import Scene, Synthesis
+from doo_ti.terminal import in_line
 
 
 def observed(scene: Scene, up: np.ndarray | None) -> Observations:
@@ -24,4 +25,4 @@ def observed(scene: Scene, up: np.ndarray | None) -> Observations:
 def save(out: Path, observations: Observations) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
     save_observations(out, observations)
-    print(f"{observations.count} observations of {observations.edges + 1} vertices written to {out}")
+    print(f"{observations.count} observations of {observations.edges + 1} vertices written to {in_line(out)}")

@@ -7,7 +7,7 @@ from pathlib import Path
 from doo_ti import options as given
 from doo_ti.commands.arguments import add_json
 from doo_ti.commands.printing import busy
-from doo_ti.errors import InterruptedRunError
+from doo_ti.terminal import in_line
 
 PARTS = ("end-distance",)
 MOST_CELLS = 700
@@ -39,15 +39,11 @@ def run(options: Namespace, words: list[str]) -> int:
     with busy("reading runs"):
         asked = study.read([Path(run) for run in options.runs], by_end_distance=options.by is not None,
                            observation=observation, most_cells=most)
-    try:
-        with busy("drawing landscapes"):
-            files = study.draw_landscapes(asked, out)
-        files += study.record_cells(asked, out)
-        with busy("drawing ribbons"):
-            files += study.draw_ribbons(asked, out)
-    except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InterruptedRunError(f"{out}: stopped ({reason}); finished files are kept, run it again") from error
+    with busy("drawing landscapes"):
+        files = study.draw_landscapes(asked, out)
+    files += study.record_cells(asked, out)
+    with busy("drawing ribbons"):
+        files += study.draw_ribbons(asked, out)
     _tell(options, asked, files)
     return 0
 
@@ -64,4 +60,4 @@ def _tell(options: Namespace, asked, files: list[dict]) -> None:
         parts = ", ".join(f"{count} of {of} values of {name}" for name, (count, of) in asked.recorded_values.items())
         print(f"  recorded    {recorded} cells: {parts}; each run's best cell is among them; --cells all records all")
     for file in files:
-        print(f"  written     {file['path']} ({file['bytes'] / 1e6:.1f} MB, {file['seconds']:.1f} s)")
+        print(f"  written     {in_line(file['path'])} ({file['bytes'] / 1e6:.1f} MB, {file['seconds']:.1f} s)")

@@ -7,12 +7,13 @@ from shutil import get_terminal_size
 
 from doo_ti import options as given
 from doo_ti.commands.arguments import add_json
-from doo_ti.commands.printing import best_of, busy, plain, tell_landscape
+from doo_ti.commands.printing import busy, plain, tell_result
 from doo_ti.errors import InputError
 from doo_ti.learning.cross_validation import Scores, cross_validate
-from doo_ti.learning.landscape import read_landscape
+from doo_ti.learning.landscape import Landscape, read_landscape
 from doo_ti.learning.partition import FACTORS, check_comparable, partition, usual_factors
 from doo_ti.learning.score_table import caption, comma_separated, entries, file_stem, markdown, text
+from doo_ti.terminal import in_line
 from doo_ti.whole_file import write_whole
 
 
@@ -42,7 +43,7 @@ def run(options: Namespace, words: list[str]) -> int:
         raise InputError("command line", "--end-distances", "no table is by end distance", "add --by end-distance")
     with busy("cross-validating"):
         tables = {by: [cross_validate(one) for one in found] for by, found in partitions.items()}
-    summary = plain({"runs": [best_of(landscape) for landscape in landscapes],
+    summary = plain({"runs": [_best_of(landscape) for landscape in landscapes],
                      "tables": [_as_dict(scores) for found in tables.values() for scores in found]})
     if out is not None:
         _write(out, summary, tables)
@@ -50,12 +51,22 @@ def run(options: Namespace, words: list[str]) -> int:
         print(json.dumps(summary))
         return 0
     for landscape in landscapes:
-        tell_landscape(landscape)
+        tell_result(landscape.overview.as_dict())
     for scores in (scores for found in tables.values() for scores in found):
         print(f"\n{text(scores, get_terminal_size((120, 24)).columns)}")
     if out is not None:
-        print(f"\nwritten to {out}")
+        print(f"\nwritten to {in_line(out)}")
     return 0
+
+
+def _best_of(landscape: Landscape) -> dict:
+    """The best Θ of a run, as JSON holds it."""
+    result = landscape.overview.as_dict()
+    status = result.pop("rods")
+    del status["count"]
+    return {"run": str(landscape.run), **{name: result[name] for name in ("material", "objective", "jumps") if name in result},
+            **result["best"], "intervals": result["intervals_within_5_percent"], "stable": status.pop("stable"),
+            "status": status, **landscape.overview.competition}
 
 
 def _as_dict(scores: Scores) -> dict:

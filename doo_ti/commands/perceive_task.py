@@ -11,9 +11,12 @@ from doo_ti.dataset import load_observations
 from doo_ti.errors import InputError
 from doo_ti.file_content import MOST_TEXT_BYTES, read_content
 from doo_ti.importers import read_npz
+from doo_ti.terminal import in_line
 from doo_ti.types import Material
 
-MOST_EDGES = 2000
+MOST_EDGES, MOST_HYPOTHESES = 2000, 100_000
+LEAST_MM, MOST_MM = 1e-3, 1e4
+"""Of an edge."""
 RECORDED = 3
 """Sets in a recording."""
 
@@ -37,7 +40,7 @@ def checked_task(options: Namespace) -> Task:
     grid, up = given.round_cell(options, "perceived"), given.world_up(options)
     rest_length = read_rest_length(options.rest_length)
     nu, width = given.positive("--nu", options.nu), given.positive("--width", options.width, "px")
-    hypotheses = given.whole("--hypotheses", options.hypotheses, 1)
+    hypotheses = given.whole("--hypotheses", options.hypotheses, 1, MOST_HYPOTHESES)
     recorded = given.whole("--recorded", options.recorded, 1)
 
     from doo_ti.vision.cameras.rig import load_rig
@@ -60,8 +63,10 @@ def read_rest_length(text: str) -> np.ndarray:
     option, remedy = "--rest-length", "give MM:COUNT, such as 3:33, or a file of lengths in mm"
     length, _, count = text.partition(":")
     if count and not Path(text).exists():
-        edges = given.whole(option, count, 2, MOST_EDGES)
-        return np.full(edges, given.length(option, length))
+        edges, each = given.whole(option, count, 2, MOST_EDGES), given.length(option, length)
+        if not LEAST_MM <= each <= MOST_MM:
+            raise InputError("command line", option, f"edges of {each:g} mm", f"give {LEAST_MM:g} to {MOST_MM:g} mm")
+        return np.full(edges, each)
     path = Path(text)
     try:
         content = read_content(path, MOST_TEXT_BYTES, remedy)
@@ -75,8 +80,9 @@ def read_rest_length(text: str) -> np.ndarray:
             raise
         raise InputError(path, "file", "holds something that is no number", remedy) from None
     if values is None or values.dtype.kind not in "fiu" or values.ndim != 1 or not 2 <= len(values) <= MOST_EDGES \
-            or not (np.isfinite(values) & (values > 0)).all():
-        raise InputError(path, "rest_length_mm", "missing, or not 2 or more positive numbers", "give one for each edge")
+            or not ((values >= LEAST_MM) & (values <= MOST_MM)).all():
+        raise InputError(path, "rest_length_mm", f"missing, or not 2 or more numbers from {LEAST_MM:g} to {MOST_MM:g}",
+                         "give one for each edge, in mm")
     return values.astype(np.float64)
 
 
@@ -103,7 +109,7 @@ def _sets(options: Namespace, rig):
             raise InputError("command line", name, f"{len(numbers)} numbers", "give X,Y,Z")
         seed[name] = np.array([numbers])
     paths = tuple(Path(image) for image in options.images)
-    return ImageSets((paths[0].stem,), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], "command line")
+    return ImageSets((in_line(paths[0].stem),), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], "command line")
 
 
 def _truth(path: str, names: tuple[str, ...]) -> np.ndarray:
@@ -115,6 +121,8 @@ def _truth(path: str, names: tuple[str, ...]) -> np.ndarray:
         if len(vertices) != len(names):
             raise InputError(path, "vertices_mm", f"{len(vertices)} rods for {len(names)} sets", "give one for each set")
         return vertices
+    if known.shape != (len(vertices),):
+        raise InputError(path, "name", f"shape {known.shape} for {len(vertices)} rods", "give one name for each")
     row = {str(name): index for index, name in enumerate(known)}
     missing = next((name for name in names if name not in row), None)
     if missing is not None:

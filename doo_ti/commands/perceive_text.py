@@ -7,6 +7,7 @@ import numpy as np
 from doo_ti.commands.perceive_task import Task
 from doo_ti.commands.printing import counted
 from doo_ti.learning.landscape import status_counts
+from doo_ti.terminal import in_line
 from doo_ti.types import Status
 
 MOST_TOLD = 60
@@ -73,4 +74,4 @@ def tell(summary: dict) -> None:
           f"{summary['not_certified']} did not")
     print(f"  verdicts    {counted(summary['verdicts'])} (docs/perception.md)")
     for path in summary["written"]:
-        print(f"  written to  {path}")
+        print(f"  written to  {in_line(path)}")

@@ -16,6 +16,7 @@ from doo_ti.commands.printing import plain
 from doo_ti.dataset import Observations, load_observations, write_whole
 from doo_ti.errors import InputError
 from doo_ti.scene import CLAMPS, Synthesis, load_scene
+from doo_ti.terminal import in_line
 
 SIGMA_MM = 0.1
 """Label uncertainty where nobody says one."""
@@ -63,7 +64,7 @@ def run(options: Namespace, words: list[str]) -> int:
     else:
         _tell(configurations, found, sigma)
         if out is not None:
-            print(f"  written to {out}")
+            print(f"  written to {in_line(out)}")
     return 0
 
 

@@ -9,21 +9,24 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti import options as given
-from doo_ti.commands.arguments import add_json, add_material
+from doo_ti.commands.arguments import MATERIAL, add_json, add_material
 from doo_ti.commands.printing import counted, plain
 from doo_ti.dataset import Observations, load_observations
-from doo_ti.errors import InputError, InterruptedRunError
+from doo_ti.errors import InputError
 from doo_ti.learning.landscape import status_counts
 from doo_ti.prediction.motion_file import ClampPath, load_path
 from doo_ti.progress import progress
 from doo_ti.scene import CLAMPS, PRECISIONS
 from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
+from doo_ti.terminal import in_line
 from doo_ti.types import Clamps, Configuration, Material
 from doo_ti.whole_file import write_whole
 
 MOST_TOLD = 30
 LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0
 """Of a sub-step: rods that are carried further at once may leave their branch, and less makes no difference."""
+MOST_LENGTHS = 100.0
+"""Of a rod, between its clamps."""
 MOST_BYTES = 8 << 30
 """Of frames: predictions are held in memory."""
 
@@ -110,8 +113,7 @@ def _sub_step(options: Namespace) -> float:
 def _scene(options: Namespace) -> _Task:
     from doo_ti.prediction.motion_scene import load_motion_scene
 
-    refused = ("motion", "bend", "bend_1", "bend_2", "twist", "twist_ratio", "weight", "clamp_start", "clamp_end")
-    for name in refused:
+    for name in ("motion", *MATERIAL, "clamp_start", "clamp_end"):
         if getattr(options, name) is not None:
             raise InputError("command line", f"--{name.replace('_', '-')}", "given, but the scene says it",
                              "leave it out, or give observations")
@@ -120,6 +122,7 @@ def _scene(options: Namespace) -> _Task:
     scene, up = load_motion_scene(options.source), given.up(options)
     theta = {"material_name": np.array(scene.names), "bend": scene.material.bend[:, 0], "twist": scene.material.twist[:, 0],
              "weight": scene.material.weight}
+    _check_reach(scene.path, scene.clamps, float(scene.start.rest_length.sum()))
     return _Task(scene.name, scene.start, scene.clamps, scene.path, scene.material, list(scene.names), theta, scene.between,
                  np.array([0.0, 0.0, 1.0]) if up is None else up)
 
@@ -141,11 +144,23 @@ def _observed(options: Namespace, out: Path) -> _Task:
     clamps = observation_clamps(observations, given.clamp(options.clamp_start), given.clamp(options.clamp_end))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], 0.0)
     path = path.relative_to(clamps) if options.relative else path
+    _check_reach(path, clamps, float(observations.rest_length.sum()))
     materials = grid.materials()
     start = _settled(observations, clamps, materials)
     cells, rows = np.divmod(np.arange(materials.count * observations.count), observations.count)
     names = [f"cell {cell}, " * (materials.count > 1) + f"observation {row}" for cell, row in zip(cells, rows, strict=True)]
     return _Task(observations.name, start, clamps, path, materials, names, grid.cell_values(), 1, observations.up)
+
+
+def _check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
+    """Raise InputError where clamps are further apart at a moment than :data:`MOST_LENGTHS` of the rod: that is no rod that
+    cannot follow, but another unit."""
+    for moment in range(path.moments):
+        held = path.at(moment, clamps)
+        apart = np.linalg.norm(held.end_position - held.start_position, axis=-1).max()
+        if apart > MOST_LENGTHS * length:
+            raise InputError(path.source, f"moment {moment}", f"the clamps are {apart:.4g} mm apart, and the rod "
+                             f"{length:.4g} mm long", "correct the positions")
 
 
 def _with_frames(observations: Observations, path: ClampPath, relative: bool) -> Observations:
@@ -199,13 +214,10 @@ def _draw(task: _Task, prediction, result: dict, pictures: dict) -> None:
 
         curves = {"Energy [mm²]": prediction.energy, "Total twist [°]": result["total_twist_deg"],
                   "Force at the far clamp [mm²]": np.linalg.norm(prediction.end_force, axis=-1)}
-        try:
-            record_motion(pictures[".rrd"], run_id=hashlib.sha256(vertices.tobytes()).hexdigest()[:32], name=task.name,
-                          time=prediction.time, vertices=vertices, names=task.names, sound=prediction.followed,
-                          jumps=prediction.jumps, curves=curves, up=task.up,
-                          text="\n\n".join(line.strip() for line in _lines(task, prediction, result)))
-        except (OSError, RuntimeError) as error:
-            raise InterruptedRunError(f"{pictures['.rrd']}: not recorded ({error}); the prediction itself is kept") from error
+        record_motion(pictures[".rrd"], run_id=hashlib.sha256(vertices.tobytes()).hexdigest()[:32], name=task.name,
+                      time=prediction.time, vertices=vertices, names=task.names, sound=prediction.followed,
+                      jumps=prediction.jumps, curves=curves, up=task.up,
+                      text="\n\n".join(line.strip() for line in _lines(task, prediction, result)))
 
 
 def _lines(task: _Task, prediction, result: dict) -> list[str]:
@@ -245,7 +257,7 @@ def _range(degrees: np.ndarray) -> str:
 
 def _tell(options: Namespace, task: _Task, prediction, result: dict, out: Path) -> None:
     if not options.json:
-        print("\n".join([*_lines(task, prediction, result), f"  written to {out}"]))
+        print("\n".join([*_lines(task, prediction, result), f"  written to {in_line(out)}"]))
         return
     falls = [{"rod": int(rod), "name": task.names[rod], "from_s": prediction.time[max(moment - 1, 0)],
               "to_s": prediction.time[moment], "end_rotation_deg": result["end_rotation_deg"][moment, rod]}

@@ -1,12 +1,11 @@
 """How the commands tell their results: lines for a person, or strict JSON for a machine."""
 
 import sys
-from dataclasses import asdict
 
 import numpy as np
 
-from doo_ti.learning.landscape import Landscape, competition_of, jumps_of, status_counts
-from doo_ti.terminal import visible
+from doo_ti.grid import Grid, Interval
+from doo_ti.terminal import in_line, visible
 
 
 def busy(doing: str):
@@ -53,37 +52,28 @@ def peak_memory() -> int:
     return peak if sys.platform == "darwin" else 1024 * peak
 
 
-def best_of(landscape: Landscape) -> dict:
-    """The best Θ of a run, as JSON holds it."""
-    theta = {name: value[landscape.best] for name, value in landscape.grid.cell_values().items()}
-    jumps = {} if landscape.jumps is None else {"jumps": jumps_of(landscape)}
-    return {"run": str(landscape.run), "material": landscape.name, "objective": landscape.objective, **jumps,
-            **theta, "bend_12": landscape.grid.bend_12,
-            "mean_distance_mm": landscape.mean_distance[landscape.best],
-            "intervals": [asdict(interval) for interval in landscape.intervals],
-            "status": status_counts(landscape.status), "stable": landscape.stable.sum(), **competition_of(landscape)}
-
-
-def tell_landscape(landscape: Landscape) -> None:
-    cells, count = landscape.distance.shape
-    best = best_of(landscape)
-    terms = "observations" if landscape.objective == "static" else "pairs of observations (Eq. 3)"
-    print(f"{landscape.name}: {cells} cells x {count} {terms}")
-    print(f"  best cell   {theta_text(best, landscape.grid.is_isotropic)}")
+def tell_result(result: dict) -> None:
+    """What a run's overview, or its summary, holds."""
+    grid, rods, best = Grid.from_dict(result["grid"]), dict(result["rods"]), result["best"]
+    count, stable = rods.pop("count"), rods.pop("stable")
+    cells, terms = result["cells"], "observations" if result["objective"] == "static" else "pairs of observations (Eq. 3)"
+    per_cell = count // cells
+    print(f"{in_line(result['material'])}: {cells} cells x {per_cell} {terms}")
+    print(f"  best cell   {theta_text(best, grid.is_isotropic)}")
     print("              (the cell that fits best if the rod is straight at rest and clamped as the marks say)")
     print(f"  distance    mean {best['mean_distance_mm']:.4g} mm (Eq. 1)")
-    for interval in landscape.intervals:
+    for interval in (Interval(**entry) for entry in result["intervals_within_5_percent"]):
         print(f"  flatness    {interval}{' (at the border of the grid: widen it)' * interval.at_border}")
     print("              (cells within 5 % of the smallest error; this is not an uncertainty)")
-    print(f"  status      {counted(best['status'])}; {best['stable']} certified stable")
-    print(f"  competing   {best['cells_competing']} of {cells} cells; in {best['cells_not_competing']} some rod is no "
+    print(f"  status      {counted(rods)}; {stable} certified stable")
+    print(f"  competing   {result['cells_competing']} of {cells} cells; in {result['cells_not_competing']} some rod is no "
           "certified minimum")
-    if best["terms_left_out"]:
-        print(f"              left out: {best['terms_left_out']} of {count} {terms}, whose rods are certified in no cell")
-    if landscape.jumps is not None:
-        fell = best["jumps"]
-        print(f"  jumps       {fell['rods_at_best']} of {count} rods fell to another branch on their way in the best cell, "
-              f"{fell['rods']} of {landscape.jumps.size} in all")
+    if result["terms_left_out"]:
+        print(f"              left out: {result['terms_left_out']} of {per_cell} {terms}, whose rods are certified in no cell")
+    if "jumps" in result:
+        fell = result["jumps"]
+        print(f"  jumps       {fell['rods_at_best']} of {per_cell} rods fell to another branch on their way in the best cell, "
+              f"{fell['rods']} of {count} in all")
 
 
 def tell_hypotheses(summary: dict) -> None:

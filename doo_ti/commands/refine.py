@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from doo_ti import options as given
-from doo_ti.commands.arguments import add_json, add_material
+from doo_ti.commands.arguments import MATERIAL, add_json, add_material
 from doo_ti.commands.printing import busy, plain
 from doo_ti.commands.refine_text import summary_of, tell
 from doo_ti.dataset import Observations, load_observations, write_whole
@@ -18,12 +18,15 @@ from doo_ti.file_content import read_content
 from doo_ti.importers import read_npz
 from doo_ti.scene import CLAMPS
 from doo_ti.start import check_experiment, observation_clamps
+from doo_ti.terminal import in_line
 from doo_ti.types import Clamps
 
 if TYPE_CHECKING:  # it reads Parquet
     from doo_ti.learning.landscape import Landscape
 
 STARTS = 3
+LEAST = 1e-6
+"""Of what a rest curvature is and how far it reaches, in 1/mm and mm; the inverse at most."""
 CURVATURES = ("field", "uniform", "none")
 OLD_CURVATURES = {"rest_curvature": "uniform", "rest_curvature_per_joint": "field"}
 """Names of parameters that used to ask for a rest curvature."""
@@ -53,7 +56,6 @@ def declare(add) -> None:
     parser.add_argument("--no-models", action="store_true", help="leave out the comparison with other models")
     parser.add_argument("--folds", metavar="N", help="also cross-validate in N folds")
     parser.add_argument("--groups", metavar="FILE:KEY", help="a number per observation; equal ones stay in one fold")
-    parser.add_argument("--linear-density", metavar="G_PER_M", help="of the rod in g/m: adds EI and GJ in N m²")
     parser.add_argument("--clamp-start", choices=CLAMPS, help="default: the run's, else frame where it is given, else tangent")
     parser.add_argument("--clamp-end", choices=CLAMPS, help="default: the run's, else frame where it is given, else tangent")
     parser.add_argument("--frame-weight", metavar="MM", help="w_m of Eq. 1 (default 0, or the run's)")
@@ -102,7 +104,7 @@ def run(options: Namespace, words: list[str]) -> int:
         if not options.json:
             tell(summaries[-1])
             if picture is not None:
-                print(f"  picture            {picture}")
+                print(f"  picture            {in_line(picture)}")
     if out is not None:
         content = json.dumps(plain(summaries), indent=2) + "\n"
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -110,7 +112,7 @@ def run(options: Namespace, words: list[str]) -> int:
     if options.json:
         print(json.dumps(plain(summaries)))
     elif out is not None:
-        print(f"written to {out}")
+        print(f"written to {in_line(out)}")
     return 0
 
 
@@ -161,7 +163,7 @@ def _of_run(options: Namespace, run: Path, starts: int):
     from doo_ti.learning.run_folder import read_experiment
     from doo_ti.refinement.multi_start import lowest_cells, theta_of_cell
 
-    for name in ("bend", "bend_1", "bend_2", "twist", "twist_ratio", "weight"):
+    for name in MATERIAL:
         if getattr(options, name) is not None:
             raise InputError("command line", f"--{name.replace('_', '-')}", f"given, but {run} has cells to begin from",
                              "leave it out, or name a file of observations")
@@ -199,11 +201,15 @@ def _refinement_options(options: Namespace, task: Task):
         if name in names:
             names.remove(name)
             curvature = curvature or own
+    spread = _positive("--curvature-spread", options.curvature_spread, "a curvature in 1/mm")
+    reach = given.length("--curvature-range", options.curvature_range)
+    for option, value in (("--curvature-spread", spread), ("--curvature-range", reach)):
+        if value is not None and not LEAST <= value <= 1 / LEAST:
+            raise InputError("command line", option, f"{value:g}", f"give {LEAST:g} to {1 / LEAST:g}")
     return RefinementOptions(
         tuple(names), None if options.clip == "unknown" else given.length("--clip", options.clip), curvature or "field",
         options.clamps, task.frame_weight,
-        curvature_spread=_positive("--curvature-spread", options.curvature_spread, "a curvature in 1/mm"),
-        curvature_range=given.length("--curvature-range", options.curvature_range),
+        curvature_spread=spread, curvature_range=reach,
         edges=given.whole("--edges", options.edges, 6), models=not options.no_models)
 
 
@@ -237,6 +243,8 @@ def _groups(text: str | None, observations: Observations) -> np.ndarray:
     groups = read_npz(Path(path), content, (key,)).get(key)
     if groups is None:
         raise InputError(path, key, "the key is missing", "name one that the file has")
+    if groups.dtype.kind not in "biufU" or groups.dtype.kind == "f" and not np.isfinite(groups).all():
+        raise InputError(path, key, f"dtype {groups.dtype}, or not finite", "give a number for each observation")
     if groups.shape != (observations.count,):
         raise InputError(path, key, f"shape {groups.shape}", f"give ({observations.count},), one per observation")
     return groups

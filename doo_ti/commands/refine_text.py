@@ -6,7 +6,8 @@ import numpy as np
 
 from doo_ti.commands.printing import counted
 from doo_ti.dataset import Observations
-from doo_ti.refinement.linear_density import stiffness
+from doo_ti.physical_units import stiffness
+from doo_ti.terminal import in_line
 
 LISTED = 6  # observations named one by one
 CLEAR_ODDS = 3.0  # ln of the odds, about 20 to 1: models closer than that predict as well
@@ -85,7 +86,7 @@ def _stiffness(estimate, density: float | None) -> dict:
 def tell(summary: dict) -> None:
     """Lines for a person."""
     steps = f"{summary['iterations']} steps{'' if summary['converged'] else ', NOT converged: stopped'}"
-    print(f"{summary['material']}: {summary['rods_used']} of {summary['observations']} observations, {steps}")
+    print(f"{in_line(summary['material'])}: {summary['rods_used']} of {summary['observations']} observations, {steps}")
     for parameter in summary["parameters"]:
         if not parameter["name"].startswith("up["):
             print(_line(parameter["name"], interval_text(**{k: parameter[k] for k in ("value", "low", "high", "unit")})))

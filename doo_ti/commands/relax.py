@@ -19,6 +19,7 @@ from doo_ti.start import (
     start_configuration,
     turn_hypotheses,
 )
+from doo_ti.terminal import in_line
 from doo_ti.types import Status
 from doo_ti.whole_file import write_whole
 
@@ -82,4 +83,4 @@ def _tell_relaxation(options: Namespace, observations: Observations, grid: Grid,
         print(f"  distance    mean {finite.mean():.4g} mm, largest {finite.max():.4g} mm at observation "
               f"{int(np.nanargmax(distance))} (Eq. 1)")
     print(f"  iterations  median {summary['median_iterations']:.0f}, most {int(result['iterations'].max())}")
-    print(f"  written to {out}")
+    print(f"  written to {in_line(out)}")

@@ -11,20 +11,22 @@ from typing import TYPE_CHECKING
 from doo_ti import options as given
 from doo_ti.commands.arguments import add_material, add_relaxation
 from doo_ti.commands.experiment import observed
-from doo_ti.commands.printing import peak_memory, plain, tell_hypotheses, tell_landscape, theta_text
+from doo_ti.commands.printing import peak_memory, plain, tell_hypotheses, tell_result, theta_text
 from doo_ti.dataset import Observations, load_observations
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
-from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.pairs import Pairs, load_pairs
+from doo_ti.learning.summary import SUMMARY
 from doo_ti.scene import MOST_SPINS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.start import check_experiment, observation_clamps
+from doo_ti.terminal import in_line
 from doo_ti.types import Clamp
 
 if TYPE_CHECKING:  # it brings the solvers, and Taichi with them
     from doo_ti.learning.experiment import SweepOptions
 
 
+MOST_WORKERS = 1024
 RIBBON_PARAMETERS = " --parameters bend-1,bend-2,twist"
 
 
@@ -67,14 +69,15 @@ def run(options: Namespace, words: list[str]) -> int:
 
     began, summaries, relaxed = time.monotonic(), [], []
     for search in searches:
-        before = _stamp(search.run)
+        before = _stamps(search.run)
         summary = sweep(search.run, search.observations, search.grid, options=search.options, pairs=search.pairs, command=words)
         summaries.append(summary)
-        finished_before = _stamp(search.run) == before
+        now = _stamps(search.run)
+        finished_before = now[SUMMARY] == before.get(SUMMARY)
         if not finished_before:
             relaxed.append(summary)
         if not options.json:
-            _tell(search, summary, finished_before)
+            _tell(search, summary, finished_before, [name for name in now if now[name] != before.get(name, now[name])])
     if options.json:
         print(json.dumps(plain(summaries if len(options.sources) > 1 else summaries[0])))
     else:
@@ -82,10 +85,10 @@ def run(options: Namespace, words: list[str]) -> int:
     return 0
 
 
-def _stamp(run: Path) -> int | None:
-    """When the summary of a run was written; None where there is none."""
-    path = run / "summary.json"
-    return path.stat().st_mtime_ns if path.is_file() else None
+def _stamps(run: Path) -> dict[str, int]:
+    """When the files of a run but its cells were written."""
+    paths = [path for path in (*run.glob("*.*"), *run.glob("cells/*.*")) if path.suffix != ".parquet" and path.is_file()]
+    return {path.relative_to(run).as_posix(): path.stat().st_mtime_ns for path in sorted(paths)}
 
 
 def _searches(options: Namespace) -> list[_Search]:
@@ -107,7 +110,7 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     scene = load_scene(source) if Path(source).suffix == ".toml" else None
     grid = given.grid(options, scene.grid if scene else None)
     frame_weight = given.frame_weight(options, scene.frame_weight if scene else 0.0)
-    seed, workers = given.whole("--seed", options.seed, 0), given.whole("--workers", options.workers, 1)
+    seed, workers = given.whole("--seed", options.seed, 0), given.whole("--workers", options.workers, 1, MOST_WORKERS)
     if options.dask and workers:
         raise InputError("command line", "--dask", "given besides --workers", "give one of the two")
     if scene and isinstance(scene.observations, Synthesis):
@@ -136,8 +139,8 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     return _Search(scene, observations, grid, chosen, pairs, run)
 
 
-def _tell(search: _Search, summary: dict, finished_before: bool) -> None:
-    tell_landscape(read_landscape(search.run))
+def _tell(search: _Search, summary: dict, finished_before: bool, made_again: list[str]) -> None:
+    tell_result(summary)
     tell_hypotheses(summary)
     clamps = observation_clamps(search.observations, search.options.clamp_start, search.options.clamp_end)
     if search.grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not search.options.spins:
@@ -148,10 +151,12 @@ def _tell(search: _Search, summary: dict, finished_before: bool) -> None:
     if search.scene and isinstance(search.scene.observations, Synthesis):
         recipe = search.scene.observations
         print(f"  true Θ      {_true_theta(recipe)} (the virtual lab's, seed {recipe.seed})")
-    print(f"  {'finished before in' if finished_before else 'written to'} {search.run}")
+    if made_again:
+        print(f"  made again  {', '.join(made_again)}")
+    print(f"  {'finished before in' if finished_before else 'written to'} {in_line(search.run)}")
     if search.options.objective == "static" and not search.options.spins:
         more = "" if search.grid.is_isotropic else RIBBON_PARAMETERS
-        print(f"  intervals   doo-ti refine {shlex.quote(str(search.run))}{more}")
+        print(f"  intervals   doo-ti refine {in_line(shlex.quote(str(search.run)))}{more}")
 
 
 def _effort(summaries: list[dict], seconds: float) -> str:

@@ -9,6 +9,7 @@ from doo_ti.commands.experiment import observed, save
 from doo_ti.errors import InputError
 from doo_ti.progress import progress
 from doo_ti.scene import Scene, Synthesis, load_scene
+from doo_ti.terminal import in_line
 
 DIAMETER_MM = 0.5
 
@@ -31,6 +32,10 @@ def run(options: Namespace, words: list[str]) -> int:
     """The observations of a scene to a file, and photographs of its rods to a folder."""
     if options.out is None and options.images is None:
         raise InputError(given.SOURCE, "--out", "missing", "give --out OBS, or --images FOLDER --rig RIG, or both")
+    of_images = {"--rig": options.rig, "--diameter": options.diameter, "--seed": options.seed, "--render": options.render}
+    alone = next((name for name, value in of_images.items() if value), None)
+    if options.images is None and alone is not None:
+        raise InputError(given.SOURCE, alone, "given without --images", "give --images FOLDER too, or leave it out")
     out = None if options.out is None else given.output_file(options.out)
     scene = load_scene(options.scene)
     if options.images is not None:
@@ -61,7 +66,7 @@ def _photograph(options: Namespace, scene: Scene) -> None:
     with progress() as bar:
         shown = bar.add_task("photographs", total=len(rods.names), unit="sets")
         save_photographs(folder, photographs, on_set=lambda: bar.advance(shown))
-    print(f"{len(rods.names)} sets of {len(rig.cameras)} images of {scene.name} written to {folder}, seed {seed}")
+    print(f"{len(rods.names)} sets of {len(rig.cameras)} images of {scene.name} written to {in_line(folder)}, seed {seed}")
 
 
 def _rig(options: Namespace, folder: Path):

@@ -16,6 +16,7 @@ from doo_ti.commands.printing import plain
 from doo_ti.commands.track_task import Task, checked_task
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.progress import progress
+from doo_ti.terminal import in_line
 from doo_ti.whole_file import write_whole
 
 AHEAD = 16
@@ -48,8 +49,8 @@ def run(options: Namespace, words: list[str]) -> int:
     out.parent.mkdir(parents=True, exist_ok=True)
     write_whole(out, lambda file: np.savez_compressed(file, **result))
     if problem is not None:
-        raise InterruptedRunError(f"{problem}; {len(found)} of {task.frames.count} frames are kept in {out}; track the others "
-                                  "as a video of their own, with the seed in its first line")
+        raise InterruptedRunError(f"{problem}; {len(found)} of {task.frames.count} frames are kept in {out}; the same command "
+                                  "starts anew; or track the others as a video of their own, with the seed in its first line")
     written = [out]
     if not options.no_recording:
         from doo_ti.record import record_track
@@ -142,4 +143,4 @@ def _tell(summary: dict) -> None:
         print(f"  images      {max(summary['camera_error_px'], 0.0):.2f} px off on average; {summary['stable']} rods certified "
               "stable")
     for path in summary["written"]:
-        print(f"  written to  {path}")
+        print(f"  written to  {in_line(path)}")

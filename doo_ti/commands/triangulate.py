@@ -11,6 +11,7 @@ from doo_ti.commands.arguments import add_json
 from doo_ti.commands.printing import counted, plain
 from doo_ti.dataset import save_observations
 from doo_ti.errors import InputError
+from doo_ti.terminal import in_line
 from doo_ti.vision.cameras.rig import Rig, load_rig
 from doo_ti.vision.reprojection.marks import MarkedRods, Marks, observe, read_labels, read_marks
 from doo_ti.vision.reprojection.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
@@ -110,4 +111,4 @@ def _tell(marks: Marks, summary: dict) -> None:
     if marks.is_ribbon:
         print(f"  frames      {summary['frames_filled']} carried over from their neighbours; whole at "
               f"{' and '.join(summary['end_frames']) or 'neither end'} of all observations")
-    print(f"  written to {summary['out']}")
+    print(f"  written to {in_line(summary['out'])}")

@@ -15,6 +15,7 @@ from doo_ti.grid import Grid
 from doo_ti.progress import progress
 from doo_ti.scene import PRECISIONS
 from doo_ti.start import check_experiment, observation_clamps
+from doo_ti.terminal import in_line
 from doo_ti.whole_file import write_whole
 
 MOST_TOLD = 20
@@ -132,8 +133,8 @@ def _tell(options: Namespace, observations: Observations, grid: Grid, estimate, 
     for k in range(min(MOST_TOLD, len(estimate.phi))):
         _tell_group(estimate, k)
     if len(estimate.phi) > MOST_TOLD:
-        print(f"  and {len(estimate.phi) - MOST_TOLD} more, which {out.name} holds")
-    print(f"  written to {out}")
+        print(f"  and {len(estimate.phi) - MOST_TOLD} more, which {in_line(out.name)} holds")
+    print(f"  written to {in_line(out)}")
 
 
 def _tell_group(estimate, k: int) -> None:

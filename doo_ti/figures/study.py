@@ -54,7 +54,10 @@ def read(runs: list[Path], *, by_end_distance: bool, observation: int | None, mo
     landscapes = [read_landscape(run) for run in runs]
     check_comparable(landscapes)
     experiments = [read_experiment(run) for run in runs]
-    for landscape in landscapes:
+    for landscape, experiment in zip(landscapes, experiments, strict=True):
+        if len(landscape.observation) != experiment.terms:
+            raise InputError(landscape.run, "observations", f"{experiment.terms} terms, but the cells hold "
+                             f"{len(landscape.observation)}", "run the sweep again")
         if observation is not None and observation not in landscape.observation:
             raise InputError(landscape.run, "--observation", f"{observation} is not compared with",
                              f"give one of {landscape.observation.min()} to {landscape.observation.max()}")

@@ -82,7 +82,7 @@ def _schema(path: Path):
     import pyarrow.parquet
 
     try:
-        return pyarrow.parquet.read_schema(path)
+        return pyarrow.parquet.read_schema(_file(path))
     except (pyarrow.ArrowException, OSError) as error:
         raise _unreadable(path, error) from None
 
@@ -93,7 +93,7 @@ def read_rows(path: Path, names: list[str] | None = None):
     import pyarrow.parquet
 
     try:
-        table = pyarrow.parquet.read_table(path, columns=names, page_checksum_verification=True)
+        table = pyarrow.parquet.read_table(_file(path), columns=names, page_checksum_verification=True)
     except (pyarrow.ArrowException, OSError) as error:
         raise _unreadable(path, error) from None
     for name in names or ():
@@ -118,6 +118,13 @@ def read_columns(path: Path, names: list[str]) -> dict[str, np.ndarray]:
         if len(wrong):
             raise InputError(path, name, f"{values[wrong[0]]} in row {wrong[0]}", REMEDY)
     return columns
+
+
+def _file(path: Path) -> Path:
+    """``path``. Raises InputError for what is there and no file, such as a pipe, which would be waited for."""
+    if path.exists() and not path.is_file():
+        raise InputError(path, "cells", "a folder, a device or a pipe, no file", REMEDY)
+    return path
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:

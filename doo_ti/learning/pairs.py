@@ -22,6 +22,8 @@ SAME = 1e-6
 """Labels closer than this, in mm or degrees, are the same."""
 HALF_TURN = np.radians(1.0)
 """Frames that differ by half a turn but for this much do not say which way they turned."""
+MOST_TURNS = 100
+"""Of the end, from one observation of a pair to the other."""
 NEEDED, OPTIONAL = ("from", "to"), ("weight", "rotation_deg")
 
 
@@ -64,8 +66,9 @@ class Pairs:
             raise InputError(self.source, "weight", f"{self.weight[wrong[0]]:g} of pair {wrong[0]}", "give zero or more")
         if not (self.weight > 0).any():
             raise InputError(self.source, "weight", "all are zero", "give at least one pair some weight")
-        if self.rotation is not None and not np.isfinite(self.rotation).all():
-            raise InputError(self.source, "rotation_deg", "not finite", "give degrees for each pair, or leave the column out")
+        if self.rotation is not None and not (np.abs(self.rotation) <= 2 * np.pi * MOST_TURNS).all():
+            raise InputError(self.source, "rotation_deg", f"not finite, or more than {MOST_TURNS} turns",
+                             "give degrees for each pair, or leave the column out")
 
     @property
     def count(self) -> int:

@@ -3,6 +3,7 @@
     RUN/observations.npz, RUN/pairs.csv   what was observed, and the pairs of Eq. 3
     RUN/hypotheses/*.parquet              a row for each hypothesis, where there are several, until they are resolved
     RUN/cells/*.parquet                   one row per cell and observation, or pair
+    RUN/cells/identity.txt, plan.json     which sweep claimed the folder; its grid and options, for `view` until it is finished
 
 A chunk's file is written whole or not at all, so a sweep that was stopped finds what it had.
 """
@@ -28,11 +29,11 @@ from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
 from doo_ti.learning.maker import maker, maker_text
 from doo_ti.learning.pairs import load_pairs, save_pairs
-from doo_ti.learning.summary import REMADE, changed_files, check_cells, read_summary, sweep_identity
+from doo_ti.learning.summary import changed_files, check_cells, read_summary, read_table, sweep_identity
 from doo_ti.types import Clamp
 from doo_ti.whole_file import remove_leftovers, write_whole
 
-OBSERVATIONS, PAIRS, IDENTITY = "observations.npz", "pairs.csv", "identity.txt"
+OBSERVATIONS, PAIRS, IDENTITY, PLAN = "observations.npz", "pairs.csv", "identity.txt", "plan.json"
 
 
 def identity_of(experiment: Experiment, *more) -> str:
@@ -69,6 +70,13 @@ def claim(run: Path, identity: str, experiment: Experiment) -> None:
     _save_once(run / OBSERVATIONS, save_observations, experiment.observations)
     if experiment.pairs is not None:
         _save_once(run / PAIRS, save_pairs, experiment.pairs)
+    plan = {"material": experiment.observations.name, "grid": experiment.grid.as_dict(), "hypotheses": None,
+            "provenance": {**_inputs(experiment), "sweep_sha256": identity}}
+    _save_once(path.with_name(PLAN), _save_text, json.dumps(plan, indent=2) + "\n")
+
+
+def _save_text(path: Path, text: str) -> None:
+    write_whole(path, lambda file: file.write(text.encode()))
 
 
 def _save_once(path: Path, save, content) -> None:
@@ -100,45 +108,70 @@ def finished(run: Path, identity: str) -> dict | None:
         return None
     if sweep_identity(summary) != identity or not isinstance(summary.get("files"), dict):
         return None
-    check_cells(run, summary)
-    return None if changed_files(run, summary, REMADE) else summary
+    changed = changed_files(run, summary)
+    check_cells(run, changed)
+    is_whole = not changed and summary["files"].keys() >= {f"cells/{path.name}" for path in (run / "cells").glob("*.parquet")}
+    return summary if is_whole else None
 
 
 def read_experiment(run: Path) -> Experiment:
     """The experiment of a finished sweep, from its folder alone: with each observation's resolved hypothesis, so that its
     cells come out as they are stored. Raises InputError where the folder holds none."""
-    path, summary = Path(run) / "summary.json", read_summary(run)
+    summary = read_summary(run)
+    for name in changed_files(Path(run), summary, (OBSERVATIONS, PAIRS)):
+        raise InputError(Path(run) / name, "file", "gone, or not what the sweep wrote",
+                         "run the sweep again: it is made anew")
+    return _experiment(Path(run), Path(run) / "summary.json", summary)
+
+
+def read_plan(run: Path) -> tuple[Experiment, str]:
+    """The experiment and the identity of a sweep that may not be finished. Raises InputError where the folder holds none."""
+    path = Path(run) / "cells" / PLAN
+    plan = read_table(path)
+    experiment, identity = _experiment(Path(run), path, plan), sweep_identity(plan)
+    if identity is None:
+        raise InputError(path, "file", "does not describe a sweep", "run the sweep again")
+    return experiment, identity
+
+
+def _experiment(run: Path, path: Path, described: dict) -> Experiment:
+    """The experiment that ``path``, a summary or a plan, describes."""
     try:
-        told = summary["provenance"]
+        told = described["provenance"]
         options = SweepOptions.from_dict(told["options"])
         options = replace(options, seed=told["seed"])
-        kept = summary["hypotheses"]
+        kept = described["hypotheses"]
         hypotheses = None if kept is None else Hypotheses.from_dict(kept["kept"])
-        material, digest = summary["material"], told["input_sha256"]
+        material, digest = described["material"], told["input_sha256"]
     except InputError as error:
         raise InputError(path, error.field, "is none that a sweep can have", "run the sweep again") from None
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(path, "file", "does not describe a sweep", "run the sweep again") from None
-    for name in changed_files(Path(run), summary, (OBSERVATIONS, PAIRS)):
-        raise InputError(Path(run) / name, "file", "gone, or not what the sweep wrote", "run the sweep again: it is made anew")
-    observations = replace(load_observations(Path(run) / OBSERVATIONS), name=material, sha256=digest)
-    pairs = load_pairs(Path(run) / PAIRS, observations) if options.objective == "dynamic" else None
-    return Experiment(observations, Grid.from_dict(summary.get("grid"), str(path)), options, pairs, hypotheses)
+    observations = replace(load_observations(run / OBSERVATIONS), name=material, sha256=digest)
+    pairs = load_pairs(run / PAIRS, observations) if options.objective == "dynamic" else None
+    return Experiment(observations, Grid.from_dict(described.get("grid"), str(path)), options, pairs, hypotheses)
+
+
+def _inputs(experiment: Experiment) -> dict:
+    """What a sweep was given beside its grid, as JSON holds it."""
+    observations, clamps = experiment.observations, experiment.clamps
+    return {
+        "input": Path(observations.source).name,
+        "input_sha256": observations.sha256,
+        "seed": experiment.options.seed,
+        "options": {**experiment.options.as_dict(), "clamp_start": Clamp(clamps.start).name.lower(),
+                    "clamp_end": Clamp(clamps.end).name.lower(), "up": observations.up.tolist()},
+    }
 
 
 def provenance(experiment: Experiment, identity: str, command) -> dict:
     """What a reader needs to get the same numbers again."""
     packages = ("taichi", "numpy", "rerun-sdk", "pyarrow")
-    observations, clamps = experiment.observations, experiment.clamps
     return {
         "command": list(command),
-        "input": Path(observations.source).name,
-        "input_sha256": observations.sha256,
+        **_inputs(experiment),
         "sweep_sha256": identity,
         "maker": maker(),
-        "seed": experiment.options.seed,
-        "options": {**experiment.options.as_dict(), "clamp_start": Clamp(clamps.start).name.lower(),
-                    "clamp_end": Clamp(clamps.end).name.lower(), "up": observations.up.tolist()},
         "versions": {"doo_ti": __version__, "python": platform.python_version(), **{name: version(name) for name in packages}},
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
         "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),

@@ -2,6 +2,8 @@
 
 import hashlib
 import json
+import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from doo_ti.errors import InputError
@@ -26,16 +28,22 @@ def read_summary(run: Path) -> dict:
     """The summary of a finished sweep. Raises InputError where the folder holds none that can be read, or another one than was
     written."""
     path = Path(run) / SUMMARY
-    content = read_content(path, MOST_TEXT_BYTES, "name the folder of a finished sweep")
-    try:
-        summary = json.loads(content.decode())
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, "file", f"not JSON ({error})", "run the sweep again") from None
-    if not isinstance(summary, dict):
-        raise InputError(path, "file", "holds no table", "run the sweep again")
+    summary = read_table(path)
     if SEAL in summary and summary[SEAL] != _seal(summary):
         raise InputError(path, "file", "is not what the sweep wrote", "run the sweep again")
     return summary
+
+
+def read_table(path: Path) -> dict:
+    """The JSON object in a file of a sweep. Raises InputError where it holds none."""
+    content = read_content(path, MOST_TEXT_BYTES, "name the folder of a finished sweep")
+    try:
+        table = json.loads(content.decode())
+    except (ValueError, RecursionError) as error:
+        raise InputError(path, "file", f"not JSON ({error})", "run the sweep again") from None
+    if not isinstance(table, dict):
+        raise InputError(path, "file", "holds no table", "run the sweep again")
+    return table
 
 
 def sweep_identity(summary: dict) -> str | None:
@@ -47,21 +55,22 @@ def sweep_identity(summary: dict) -> str | None:
 
 def file_digests(run: Path) -> dict[str, str]:
     """sha256 of each file that belongs to a run, by its path in the folder."""
-    paths = [run / name for name in REMADE if (run / name).is_file()] + sorted((run / "cells").glob("*.parquet"))
-    return {path.relative_to(run).as_posix(): _digest(path) for path in paths}
+    names = [name for name in REMADE if (run / name).is_file()]
+    return _digests(run, names + [f"cells/{path.name}" for path in sorted((run / "cells").glob("*.parquet"))])
 
 
 def changed_files(run: Path, summary: dict, names: tuple[str, ...] | None = None) -> list[str]:
     """Those files of a finished run, or those of them called ``names``, that are gone or not what the sweep wrote."""
     digests = summary.get("files")
-    told = digests if isinstance(digests, dict) else {}
-    return [name for name, digest in told.items()
-            if (names is None or name in names) and not ((run / name).is_file() and _digest(run / name) == digest)]
+    told = {name: digest for name, digest in (digests if isinstance(digests, dict) else {}).items()
+            if names is None or name in names}
+    found = _digests(run, list(told))
+    return [name for name, digest in told.items() if found[name] != digest]
 
 
-def check_cells(run: Path, summary: dict) -> None:
-    """Raise InputError where a finished run's cells are not what the sweep wrote."""
-    for name in changed_files(run, summary):
+def check_cells(run: Path, changed: list[str]) -> None:
+    """Raise InputError where cells are among the ``changed`` files of a finished run."""
+    for name in changed:
         if name not in REMADE:
             problem, remedy = "gone", "run the sweep again"
             if (run / name).exists():
@@ -69,7 +78,15 @@ def check_cells(run: Path, summary: dict) -> None:
             raise InputError(run / name, "cells", problem, remedy)
 
 
-def _digest(path: Path) -> str:
+def _digests(run: Path, names: list[str]) -> dict[str, str | None]:
+    """sha256 of files by their names, None where there is none; every byte of them is read, on all processors at once."""
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        return dict(zip(names, threads.map(lambda name: _digest(run / name), names), strict=True))
+
+
+def _digest(path: Path) -> str | None:
+    if not path.is_file():
+        return None
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -12,7 +12,7 @@ import shlex
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from doo_ti.learning.cells import relax_hypotheses
 from doo_ti.learning.chunk_file import check_identity, chunk_path, read_rows, write_chunk
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
-from doo_ti.learning.landscape import Landscape, competition_of, gather_landscape, jumps_of, status_counts
+from doo_ti.learning.overview import Overview, gather_overview
 from doo_ti.learning.pairs import Pairs
 from doo_ti.learning.resolution import resolve
 from doo_ti.learning.run_folder import claim, finished, identity_of, provenance
@@ -34,6 +34,7 @@ from doo_ti.learning.trajectory import trajectory
 from doo_ti.learning.workers import Alone, Crew, crew
 from doo_ti.progress import progress
 from doo_ti.start import check_experiment
+from doo_ti.types import Status
 from doo_ti.whole_file import write_whole
 
 CHUNK_BYTES = 32 << 20
@@ -82,16 +83,17 @@ def _swept(run: Path, experiment: Experiment, workers: Alone | Crew, command: li
         if part == "hypotheses":
             resolution = resolve(run, experiment, chunks)
             experiment = replace(experiment, hypotheses=Hypotheses.from_dict(resolution["kept"]))
-        landscape = gather_landscape(run, grid, observations.name, identity)
-        if np.isnan(landscape.mean_distance).all():
+        overview = gather_overview(run, grid, observations.name, identity)
+        if not overview.has_best:
             raise InterruptedRunError(f"{run}: no cell has an error, in none did all rods converge to certified minima; "
                                       "look at status and stable in cells/")
         summary = {
-            **_result(experiment, landscape), "hypotheses": resolution,
+            **overview.as_dict(), "observations": observations.count,
+            **({} if experiment.pairs is None else {"pairs": experiment.pairs.count}), "hypotheses": resolution,
             "timing": {"relaxed_rods": rods * sum(last - first for first, last in left), "relaxation_s": seconds},
             "provenance": provenance(experiment, identity, command),
         }
-        _draw(run, experiment, landscape, summary)
+        draw(run, experiment, overview, identity)
         summary["timing"]["total_s"] = time.monotonic() - began
         return write_summary(run, summary)
 
@@ -107,30 +109,6 @@ def _resumable(run: Path, command: list[str]) -> Iterator[None]:
         reason = " ".join(str(error).split()) or {KeyboardInterrupt: "interrupted"}.get(type(error), type(error).__name__)
         again = shlex.join(command) if command else "the same call"
         raise InterruptedRunError(f"{run}: sweep stopped ({reason}); finished cells are kept, go on with: {again}") from error
-
-
-def _result(experiment: Experiment, landscape: Landscape) -> dict:
-    """What a landscape says, as the summary holds it."""
-    grid, best = experiment.grid, landscape.best
-    theta = {name: float(value[best]) for name, value in grid.cell_values().items()}
-    result = {
-        "material": landscape.name,
-        "objective": landscape.objective,
-        "best": {**theta, "bend_12": grid.bend_12, "mean_distance_mm": float(landscape.mean_distance[best])},
-        "intervals_within_5_percent": [asdict(interval) for interval in landscape.intervals],
-        "units": {"bend_1": "mm3", "bend_2": "mm3", "bend_12": "mm3", "twist": "mm3", "weight": "relative"},
-        "rods": {"count": int(landscape.status.size), **status_counts(landscape.status),
-                 "stable": int(landscape.stable.sum())},
-        **competition_of(landscape),
-        "rods_at_best": {**status_counts(landscape.status[best]), "stable": int(landscape.stable[best].sum())},
-        "observations": experiment.observations.count,
-        "cells": grid.size,
-        "grid": grid.as_dict(),
-    }
-    if experiment.pairs is not None:
-        result["pairs"] = experiment.pairs.count
-        result["jumps"] = jumps_of(landscape)
-    return result
 
 
 def _rows(experiment: Experiment, first: int, last: int) -> dict[str, np.ndarray]:
@@ -156,36 +134,35 @@ def _relax_chunks(
     return time.monotonic() - began
 
 
-def _draw(run: Path, experiment: Experiment, landscape: Landscape, summary: dict) -> None:
-    """landscape.png and run.rrd."""
+def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str, remark: str = "") -> None:
+    """Write landscape.png and run.rrd into ``folder``, ``remark`` behind their title."""
     from doo_ti.record import record_sweep
-    from doo_ti.report import landscape_picture
+    from doo_ti.report import MEAN_DISTANCE, landscape_picture
 
-    observations, grid = experiment.observations, experiment.grid
+    observations, grid, sums = experiment.observations, experiment.grid, overview.sums
     axes = grid.picture_axes
-    values = landscape.mean_distance.reshape(grid.shape)
-    minimum = np.unravel_index(landscape.best, grid.shape)
-    unfinished = landscape.unsound.reshape(grid.shape)
+    values = overview.mean_distance.reshape(grid.shape)
+    minimum = np.unravel_index(overview.best, grid.shape)
+    unfinished = overview.unsound.reshape(grid.shape)
     static = experiment.pairs is None
-    label = "mean distance (Eq. 1) [mm]"
     terms = f"{observations.count} observations" if static else f"{experiment.pairs.count} pairs"
-    title = f"{observations.name}: {landscape.objective} error over {terms}"
-    if any(len(axis) > 1 for axis in grid.axes):
-        write_whole(run / "landscape.png", lambda file: landscape_picture(
-            file, axes, values, minimum=minimum, title=title, label=label, unfinished=unfinished))
+    title = f"{observations.name}: {overview.objective} error over {terms}{remark}"
+    if grid.varying:
+        write_whole(folder / "landscape.png", lambda file: landscape_picture(
+            file, axes, values, minimum=minimum, title=title, label=MEAN_DISTANCE, unfinished=unfinished))
     seen = observations if static else observations.take(experiment.pairs.to_index)
-    way = trajectory(experiment, landscape.best)
-    best, rods = summary["best"], summary["rods"]
+    way = trajectory(experiment, overview.best)
+    theta = {name: float(value[0]) for name, value in grid.cell_values(np.array([overview.best])).items()}
     record_sweep(
-        run / "run.rrd", run_id=summary["provenance"]["sweep_sha256"][:32], name=title,
+        folder / "run.rrd", run_id=identity[:32], name=title,
         observations_vertices=np.where(seen.valid[..., None], seen.vertices, np.nan),
         labels={"end_distance_mm": seen.end_distance, "end_rotation_deg": seen.end_rotation},
         trajectory=way.vertices, energy=way.energy, residual=way.residual, status=way.status, distance=way.distance,
-        axes=axes, landscape=values, minimum=minimum, unfinished=unfinished, intervals=landscape.intervals,
-        properties={"bend_1_mm3": best["bend_1"], "bend_2_mm3": best["bend_2"], "twist_mm3": best["twist"],
-                    "weight": best["weight"], "mean_distance_mm": best["mean_distance_mm"], "rods": rods["count"],
-                    "cells_competing": summary["cells_competing"],
-                    "rods_converged": rods.get("converged", 0), "rods_stable": rods["stable"],
+        axes=axes, landscape=values, minimum=minimum, unfinished=unfinished, intervals=overview.intervals,
+        properties={"bend_1_mm3": theta["bend_1"], "bend_2_mm3": theta["bend_2"], "twist_mm3": theta["twist"],
+                    "weight": theta["weight"], "mean_distance_mm": float(overview.mean_distance[overview.best]),
+                    "rods": int(sums.count.sum()), "cells_competing": overview.competition["cells_competing"],
+                    "rods_converged": int(sums.status[Status.CONVERGED]), "rods_stable": sums.stable,
                     "recorded_iterations": "those of Newton" if static else "sub-steps of the motion"},
         up=observations.up,
     )

@@ -4,7 +4,7 @@ Axes: G materials, N motions, R = G·N rods, material by material, E edges.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -56,7 +56,7 @@ class Journey:
         rods, legs = self._split(begin)
         ends, jumps = zip(*(leg.end(begin.take(own), watch) for own, leg in zip(rods, legs, strict=True)), strict=True)
         order = np.argsort(np.concatenate(rods))
-        return joined(ends, order), np.concatenate(jumps)[order]
+        return _together(ends, order), np.concatenate(jumps)[order]
 
     def follow(self, begin: Configuration) -> Iterator[Solution]:
         """The R rods after each sub-step of those that take most, the others being shown at the nearest of theirs ahead; and
@@ -65,9 +65,9 @@ class Journey:
         order, most = np.argsort(np.concatenate(rods)), max(leg.steps for leg in legs)
         ways = [list(leg.follow(begin.take(own))) for own, leg in zip(rods, legs, strict=True)]
         for step in range(1, most + 1):
-            yield joined([way[-(-step * leg.steps // most) - 1] for way, leg in zip(ways, legs, strict=True)], order)
+            yield _together([way[-(-step * leg.steps // most) - 1] for way, leg in zip(ways, legs, strict=True)], order)
         if any(len(way) > leg.steps for way, leg in zip(ways, legs, strict=True)):
-            yield joined([way[-1] for way in ways], order)
+            yield _together([way[-1] for way in ways], order)
 
     def _split(self, begin: Configuration) -> tuple[list[np.ndarray], list[Leg]]:
         """The rods (r,) of each leg, and the legs."""
@@ -77,13 +77,6 @@ class Journey:
         return [(first + own).ravel() for own in rows], list(legs)
 
 
-def joined(parts: list[Solution], order: np.ndarray) -> Solution:
-    """One solution of several, its rods in ``order``; of more than one it cannot be relaxed again."""
-    if len(parts) == 1:
-        return parts[0]
-    names = [field.name for field in fields(Solution) if field.name not in ("configuration", "tables")]
-    shapes = [part.configuration for part in parts]
-    together = Configuration(np.concatenate([shape.start for shape in shapes])[order],
-                             np.concatenate([shape.quaternions for shape in shapes])[order], shapes[0].rest_length)
-    return Solution(configuration=together, **{
-        name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names})
+def _together(parts: list[Solution], order: np.ndarray) -> Solution:
+    """One solution of several, its rods in ``order``."""
+    return parts[0] if len(parts) == 1 else Solution.concatenate(parts).take(order)

@@ -96,9 +96,7 @@ class Perception:
     @classmethod
     def joined(cls, parts: list["Perception"]) -> "Perception":
         """Several of the same rig and rod, one after the other."""
-        rods = [part.configuration for part in parts]
-        whole = Configuration(np.concatenate([rod.start for rod in rods]), np.concatenate([rod.quaternions for rod in rods]),
-                              rods[0].rest_length)
+        whole = Configuration.concatenate([part.configuration for part in parts])
         values = {name: np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__
                   if name != "configuration"}
         return cls(configuration=whole, **values)

@@ -25,11 +25,8 @@ from doo_ti.frames import (
     tangent_from_quaternion,
 )
 from doo_ti.perception.growth import sampled_directions, select_hypotheses, suppress_similar
-from doo_ti.relaxation.batch import run_newton
-from doo_ti.relaxation.columns import ENERGY, STATUS
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.relaxation.tables import tables
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, Status
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
@@ -175,14 +172,13 @@ class Search:
         needs no f64 before."""
         options = self.options
         start, clamps = self._held(grown, self.rest_length[: grown.quaternions.shape[1]])
-        solver = Newton(max_iterations=options.growing_iterations, tolerance=1e-3)
-        with np.errstate(all="ignore"):  # a rod that is not finite is data
-            seen = self.seen(options.points, options.growing_nu, options.growing_cap)
-            table = tables(start, self.material, clamps, self.up, external=seen, external_index=grown.of_set)
-            quaternions, results = run_newton(table, solver, 32)
-            lost = results[:, STATUS] == Status.NOT_FINITE
-            quaternions[lost] = grown.quaternions[lost]
-            return Hypotheses(grown.of_set, quaternions, np.where(lost, LOST, results[:, ENERGY] / self.scale))
+        solver = Newton(max_iterations=options.growing_iterations, tolerance=0.1)
+        solution = relax(start, self.material, clamps, solver, up=self.up, precision="f32", handover=False,
+                         external=self.seen(options.points, options.growing_nu, options.growing_cap),
+                         external_index=grown.of_set)
+        lost = solution.status == Status.NOT_FINITE
+        quaternions = np.where(lost[:, None, None], grown.quaternions, solution.configuration.quaternions)
+        return Hypotheses(grown.of_set, quaternions, np.where(lost, LOST, solution.energy / self.scale))
 
     def relaxed(self, hypotheses: Hypotheses) -> tuple[Hypotheses, Solution]:
         """F(Γ, E_vis, C) to the end, each edge in pieces."""

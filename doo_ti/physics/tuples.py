@@ -55,6 +55,9 @@ class Variable(Sequence):
     def __add__(self, other):
         return self._items + tuple(other)
 
+    def __radd__(self, other):
+        return tuple(other) + self._items
+
     def __len__(self):
         return len(self._items)
 

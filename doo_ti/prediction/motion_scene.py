@@ -23,7 +23,6 @@
 The rod sets out straight from the first moment's start and is brought to that moment before time runs.
 """
 
-import math
 import os
 import tomllib
 from dataclasses import dataclass
@@ -43,7 +42,8 @@ from doo_ti.frames import (
     smallest_rotation,
 )
 from doo_ti.prediction.motion_file import ClampPath
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.terminal import in_line
+from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, Material
 
 MOMENT = {"time_s": 1, "start_position_mm": 3, "start_direction": 3, "end_position_mm": 3, "end_direction": 3,
           "end_rotation_deg": 1}
@@ -89,7 +89,7 @@ def load_motion_scene(path: str | os.PathLike) -> MotionScene:
     moments = _moments(path, table.get("moments"), length)
     start, clamps = _straight(moments, length, edges)
     return MotionScene(
-        name=str(table.get("name", path.stem)), names=names, material=material, start=start, clamps=clamps,
+        name=in_line(table.get("name", path.stem)), names=names, material=material, start=start, clamps=clamps,
         path=_path(moments, clamps, str(path)), between=_whole(path, "between", table.get("between", 1), 1, 100_000),
         source=str(path))
 
@@ -110,7 +110,7 @@ def _materials(path: Path, table: dict) -> tuple[tuple[str, ...], Material]:
         twist.append(_number(path, f"materials.{name}.twist", values.get("twist")))
         weight.append(_number(path, f"materials.{name}.weight", values.get("weight", 1.0)))
     try:
-        return tuple(table), Material(np.array(bend), np.array(twist), np.array(weight))
+        return tuple(map(in_line, table)), Material(np.array(bend), np.array(twist), np.array(weight))
     except InputError as error:
         raise InputError(path, f"materials: {error.field}", error.problem, error.remedy) from None
 
@@ -181,8 +181,8 @@ def _table(path: Path, table: dict, key: str) -> dict:
     return table[key]
 
 
-def _number(path: Path, key: str, value, least: float = -math.inf) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value < least:
+def _number(path: Path, key: str, value, least: float = -LARGEST) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not least <= value <= LARGEST:
         raise InputError(path, key, "missing" if value is None else f"{value!r} is out of range", "give a number in range")
     return float(value)
 

@@ -1,5 +1,7 @@
 """The landscape as a surface over its grid, and the cells as they come in."""
 
+from itertools import count
+
 import numpy as np
 import rerun
 import rerun.blueprint as blueprint
@@ -9,10 +11,12 @@ from doo_ti.record.wall import GROUND, TEXT
 from doo_ti.report.plane import Plane
 
 MINIMUM = (255, 255, 255)
+MOST_POINTS = 20_000
 
 
 def log_surface(stream, plane: Plane) -> None:
     """The landscape as a surface over the unit square (on log axes, of the logarithms), height in proportion to mm."""
+    plane, _ = plane.blocks()
     points, triangles = plane.surface()
     inside = np.isfinite(plane.values)
     if len(triangles):
@@ -44,12 +48,18 @@ def _log_surface_axes(stream, plane: Plane) -> None:
 
 
 def log_cells(stream, plane: Plane, landscape: np.ndarray, order) -> None:
-    """One point per evaluated cell, on the trial that evaluated it; cells without a value have none."""
+    """One point per evaluated cell, on the trial that evaluated it; cells without a value have none. Of a grid of more than
+    ``MOST_POINTS`` cells every second, third, … along each axis, and the best."""
     order = np.arange(landscape.size) if order is None else np.asarray(order).reshape(-1)
     values = landscape.reshape(-1)[order]
-    trial = np.flatnonzero(np.isfinite(values))
-    if not trial.size:
+    shown = np.isfinite(values)
+    if not shown.any():
         return
+    if landscape.size > MOST_POINTS:
+        step = next(step for step in count(2) if np.prod([-(-size // step) for size in landscape.shape]) <= MOST_POINTS)
+        shown &= np.all([place % step == 0 for place in np.unravel_index(order, landscape.shape)], axis=0)
+        shown[np.nanargmin(values)] = True
+    trial = np.flatnonzero(shown)
     x, y = plane.unit_axes
     first, second = plane.places(np.unravel_index(order[trial], landscape.shape))
     points = np.stack([x[first], y[second], plane.height(values[trial])], axis=-1)

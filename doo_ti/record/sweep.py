@@ -29,7 +29,7 @@ def record_sweep(path, *, run_id: str, name: str, observations_vertices, labels,
     labels                 {"end_distance_mm": (D,), "end_rotation_deg": (D,)}: the first makes the columns of the
                            contact sheet, the second its rows; None where unknown: reading order
     trajectory             (T, D, V, 3) mm, the rods of the best cell; a rod with a NaN in it is not drawn
-    energy, residual       (T, D): relative to weight, mm²; scaled residual, 1/mm. Where NaN the rod's last one stands
+    energy, residual       (T, D): relative to weight, mm²; residual, without a unit. Where NaN the rod's last one stands
     status, distance       (D,): Status; Eq. 1, mm
     properties             {name: number or text}: in the summary and as properties of the recording
     axes, landscape, minimum, valley, unfinished, region
@@ -89,8 +89,8 @@ def _log_curves(stream, energy: np.ndarray, residual: np.ndarray) -> None:
     curves = {
         "energy/mean": ("mean [mm²]", np.nanmean, energy, (45, 212, 191)),
         "energy/median": ("median [mm²]", np.nanmedian, energy, (125, 170, 255)),
-        "residual/median": ("median [log10 1/mm]", np.nanmedian, residual, (125, 170, 255)),
-        "residual/largest": ("largest [log10 1/mm]", np.nanmax, residual, FAILED),
+        "residual/median": ("median [log10]", np.nanmedian, residual, (125, 170, 255)),
+        "residual/largest": ("largest [log10]", np.nanmax, residual, FAILED),
     }
     for entity, (name, statistic, values, color) in curves.items():
         some = np.isfinite(values).any(axis=1)
@@ -104,7 +104,7 @@ def _layout(sheet: Sheet, plane: Plane | None) -> blueprint.Blueprint:
     """Rods and summary on the left, landscape and curves on the right; on the last iteration when opened."""
     rods = wall_view(sheet, "world", f"Rods on observed marks (white), mm; {sheet.meaning}".removesuffix("; "))
     plots = [blueprint.TimeSeriesView(name=name, origin=f"curves/{entity}", plot_legend=blueprint.Corner2D.RightTop)
-             for entity, name in (("energy", "Energy [mm²]"), ("residual", "log10 scaled residual [1/mm]"))]
+             for entity, name in (("energy", "Energy [mm²]"), ("residual", "log10 residual"))]
     summary = blueprint.TextDocumentView(name="Summary", origin="summary")
     left = blueprint.Vertical(rods, summary, row_shares=[3, 1.25])
     if plane is None:

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from doo_ti.errors import InputError
+from doo_ti.physical_units import relative_stiffness
 from doo_ti.refinement.fit import Fit, Fitted
-from doo_ti.refinement.linear_density import relative_stiffness
 from doo_ti.refinement.profile import FARTHEST, Interval, interval
 from doo_ti.refinement.scales import Scales
 from doo_ti.refinement.unknowns import LOGARITHMIC, Theta, Values

@@ -12,8 +12,8 @@ import numpy as np
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.linear_model import GAP_MODES, Residuals, smooth_modes
 from doo_ti.refinement.scales import Scales
-from doo_ti.refinement.sensitivity import sensitivity
 from doo_ti.refinement.unknowns import Unknowns, Values
+from doo_ti.relaxation.sensitivity import sensitivity
 from doo_ti.types import Clamp, Solution
 
 RODS_AT_ONCE = 128

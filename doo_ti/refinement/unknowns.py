@@ -24,7 +24,7 @@ from doo_ti.frames import rotation_matrix
 from doo_ti.refinement.curvature_field import covariance, knots_of, values_at
 from doo_ti.refinement.held_rod import POSE, HeldRod, Mesh
 from doo_ti.refinement.scales import Scales
-from doo_ti.refinement.sensitivity import tilt_axes
+from doo_ti.relaxation.sensitivity import tilt_axes
 from doo_ti.types import Material
 
 PARAMETERS = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "up")
@@ -241,7 +241,7 @@ class Unknowns:
         return np.concatenate([by_knot, by_clip]), mesh
 
     def chain(self, values: Values) -> tuple[tuple[str, ...], np.ndarray]:
-        """The parameters of :func:`doo_ti.refinement.sensitivity.sensitivity` that Θ's unknowns need, and the derivatives (Q,
+        """The parameters of :func:`doo_ti.relaxation.sensitivity.sensitivity` that Θ's unknowns need, and the derivatives (Q,
         T) of their Q columns by these T unknowns."""
         theta, entries = values.theta, ("bend_1", "bend_2", "bend_12")
         elementary = [name for name in self.parameters if name not in entries]

@@ -89,7 +89,7 @@ def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int
     per_rod = chain.LOADED_PARAMETERS + external.start_items if any_ends else chain.PARAMETERS
     scratch, queue = _buffers(number, threads, per_rod + per_edge * table.edges)
     policy = np.array([
-        *table.up, options.tolerance or (1e-6 if bits == 32 else 1e-9), options.max_iterations, options.first_shift,
+        *table.up, options.tolerance or newton.TOLERANCES[bits], options.max_iterations, options.first_shift,
         options.max_rotation, options.max_escapes, newton.CLOSING_DISTANCE if moving else -1.0])
     kernel(
         start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy, threads, scratch, queue,

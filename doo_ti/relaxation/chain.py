@@ -41,10 +41,10 @@ GENERAL_ITEMS = 43
 
 # Parameters of the rods of a pack, before the items of their edges (see :class:`Chain`).
 OF_TARGET, OF_CLOSED, OF_FREE, OF_RELEASED, OF_TOTAL, OF_LONGEST = 0, 3, 4, 9, 10, 11
-OF_UNIT, OF_STIFFNESS, OF_GRAVITY, OF_ANCHOR, OF_SCALE, PARAMETERS = 12, 13, 15, 18, 21, 22
+OF_ENERGY_UNIT, OF_STIFFNESS, OF_GRAVITY, OF_ANCHOR, OF_SCALE, OF_LENGTH_UNIT, PARAMETERS = 12, 13, 15, 18, 21, 22, 23
 # And those of rods whose vertex 0 may move: the flag, how far it has moved, its place before the step, its step, and what
 # the substitution needs of its elimination.
-OF_LOOSE, OF_DRIFT, OF_DRIFT_STANDING, OF_DRIFT_STEP, OF_DRIFT_FACTORS, LOADED_PARAMETERS = 22, 23, 26, 29, 32, 47
+OF_LOOSE, OF_DRIFT, OF_DRIFT_STANDING, OF_DRIFT_STEP, OF_DRIFT_FACTORS, LOADED_PARAMETERS = 23, 24, 27, 30, 33, 48
 
 
 def item_count(isotropic: bool) -> int:
@@ -68,6 +68,7 @@ class Chain:
     stiffness               (α, β) of isotropic rods, unused otherwise
     gravity                 μ times the unit vector up
     anchor                  the point that the chain hangs from
+    length_unit             of all these lengths, mm; energies have a unit of their own (:meth:`.Loading.load`)
     numbers, field, coarse  of an external energy (see :class:`doo_ti.relaxation.external.ExternalFunctions`)
 
     extra: items of an edge that belong to an external energy.
@@ -114,6 +115,7 @@ class Chain:
         return record(
             scratch=scratch, head=head, origin=head + self.parameters * self.stride, edges=edges,
             target=self.load3(scratch, head + OF_TARGET * self.stride),
+            length_unit=scratch[head + OF_LENGTH_UNIT * self.stride],
             closed=scratch[head + OF_CLOSED * self.stride],
             free=self.load4(scratch, head + OF_FREE * self.stride) + (scratch[head + (OF_FREE + 4) * self.stride],),
             released=scratch[head + OF_RELEASED * self.stride],

@@ -7,7 +7,7 @@ import taichi as ti
 from doo_ti.frames import FRAME_TOLERANCE
 from doo_ti.physics.algebra import absolute, larger
 from doo_ti.physics.quaternion import from_matrix, normalised, tangent, transported, turned_in_world
-from doo_ti.physics.tuples import cross, dot
+from doo_ti.physics.tuples import cross, dot, minus, record, repeated, row, scaled, transposed, variable
 from doo_ti.relaxation.columns import (
     ANCHOR,
     CLOSED,
@@ -42,30 +42,16 @@ TAUT_SLACK = 1e-7
 
 
 @ti.func
-def measured(rest_length: ti.template(), row):
-    """(length, longest edge, shortest two neighbours, largest moment arm of gravity seen from vertex 0, and from the far end)
-    of the rod with these rest lengths, mm, and mm² the arms."""
-    edges = rest_length.shape[1]
-    total, longest = (ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64))
-    shortest_pair = ti.cast(rest_length[row, 0] + rest_length[row, 1], ti.f64)
-    for e in range(edges):
-        length = rest_length[row, e]
-        total += length
-        longest = ti.max(longest, length)
-        if e > 0:
-            shortest_pair = ti.min(shortest_pair, length + rest_length[row, e - 1])
-    before, hanging, standing = (ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64))
-    for e in range(edges):
-        length = rest_length[row, e]
-        before += length
-        hanging = ti.max(hanging, absolute(length * (length + 2.0 * (total - before))))
-        standing = ti.max(standing, absolute(length * (length - 2.0 * before)))
-    return total, longest, shortest_pair, hanging, standing
+def vector(table: ti.template(), s):
+    """Row s of a table."""
+    return (table[s, 0], table[s, 1], table[s, 2])
 
 
 @ti.func
-def vector(table: ti.template(), row):
-    return (table[row, 0], table[row, 1], table[row, 2])
+def matrix(table: ti.template(), s):
+    """Matrix s of a table, row by row."""
+    return (table[s, 0, 0], table[s, 0, 1], table[s, 0, 2], table[s, 1, 0], table[s, 1, 1], table[s, 1, 2],
+            table[s, 2, 0], table[s, 2, 1], table[s, 2, 2])
 
 
 @ti.func
@@ -75,12 +61,11 @@ def frame_of(start: ti.template(), s, edge):
 
 
 @ti.func
-def can_hold(kind, frame: ti.template(), s):
-    """Whether frame s has what a clamp of that kind holds: for a whole frame orthonormal, right-handed columns, for a tangent a
-    unit vector. Not where anything is not a number."""
-    t = (frame[s, 0, 0], frame[s, 1, 0], frame[s, 2, 0])
-    m1 = (frame[s, 0, 1], frame[s, 1, 1], frame[s, 2, 1])
-    m2 = (frame[s, 0, 2], frame[s, 1, 2], frame[s, 2, 2])
+def can_hold(kind, frame):
+    """Whether a frame, row by row, has what a clamp of that kind holds: for a whole frame orthonormal, right-handed columns,
+    for a tangent a unit vector. Not where anything is not a number."""
+    columns = transposed(frame)
+    t, m1, m2 = row(columns, 0), row(columns, 1), row(columns, 2)
     off = absolute(dot(t, t) - 1.0)
     right_handed = True
     if kind == FRAME:
@@ -91,102 +76,145 @@ def can_hold(kind, frame: ti.template(), s):
 
 
 @ti.func
-def held_frame(kind, frame: ti.template(), s, own):
-    """The frame of an end edge as its clamp holds it, which is ``own`` where that does not care; a tangent clamp turns the edge
-    by parallel transport, keeping its spin."""
-    q0, q1, q2, q3 = own
+def held_frame(kind, frame, own):
+    """The frame of an end edge as its clamp holds it, ``frame`` row by row, or ``own`` where the clamp holds no direction; a
+    tangent clamp turns the edge by parallel transport, keeping its spin."""
+    q = variable(own)
     if kind == FRAME:
-        q0, q1, q2, q3 = from_matrix((
-            frame[s, 0, 0], frame[s, 0, 1], frame[s, 0, 2], frame[s, 1, 0], frame[s, 1, 1], frame[s, 1, 2],
-            frame[s, 2, 0], frame[s, 2, 1], frame[s, 2, 2]))
+        q = from_matrix(frame)
     if kind == TANGENT:
-        t = (frame[s, 0, 0], frame[s, 1, 0], frame[s, 2, 0])
-        unit = 1.0 / ti.sqrt(dot(t, t))
-        old, new = tangent(own), (unit * t[0], unit * t[1], unit * t[2])
-        q0, q1, q2, q3 = transported(own, old, new)
+        t = row(transposed(frame), 0)
+        old, new = tangent(own), scaled(t, 1.0 / ti.sqrt(dot(t, t)))
+        q = transported(own, old, new)
         if 1.0 + dot(old, new) < 1e-14:
             # From the opposite tangent there is none: half a turn about some axis across.
             far = ti.cast(1e30, ti.f64)
-            x, y, z = (0.0 * far, far * old[2], 0.0 - far * old[1])
+            axis = variable((0.0 * far, far * old[2], 0.0 - far * old[1]))
             if absolute(old[0]) > 0.9:
-                x, y, z = (0.0 - far * old[2], 0.0 * far, far * old[0])
-            q0, q1, q2, q3 = turned_in_world(own, (x, y, z))
-    return q0, q1, q2, q3
+                axis = (0.0 - far * old[2], 0.0 * far, far * old[0])
+            q = turned_in_world(own, axis)
+    return q
+
+
+@ti.data_oriented
+class ClampReader:
+    """Reads what holds the ends of starts. ``tables`` is the record of the kernel's arrays."""
+
+    @ti.func
+    def read_share(self, tables, threads, thread):
+        """Rows of one thread."""
+        zero = ti.cast(0.0, ti.f64)
+        size = record(total=zero, longest=zero, shortest_pair=zero, hanging=zero, standing=zero)
+        self.measure(tables.rest_length, 0, size)
+        share = (tables.start.shape[0] + threads - 1) // threads
+        for s in range(thread * share, ti.min((thread + 1) * share, tables.start.shape[0])):
+            if tables.rest_length.shape[0] > 1:
+                self.measure(tables.rest_length, s, size)
+            self.read(tables, size, s)
+
+    @ti.func
+    def measure(self, rest_length: ti.template(), s, size):
+        """Into the record ``size`` what rest lengths s measure: the ``total``, the ``longest`` edge, the ``shortest_pair`` of
+        neighbours, mm, and the largest moment arm of gravity seen from vertex 0, ``hanging``, and from the far end,
+        ``standing``, mm²."""
+        zero = ti.cast(0.0, ti.f64)
+        size.total, size.longest, size.hanging, size.standing = zero, zero, zero, zero
+        size.shortest_pair = rest_length[s, 0] + rest_length[s, 1]
+        for e in range(rest_length.shape[1]):
+            length = rest_length[s, e]
+            size.total += length
+            size.longest = ti.max(size.longest, length)
+            if e > 0:
+                size.shortest_pair = ti.min(size.shortest_pair, length + rest_length[s, e - 1])
+        before = zero
+        for e in range(rest_length.shape[1]):
+            length = rest_length[s, e]
+            before += length
+            size.hanging = ti.max(size.hanging, absolute(length * (length + 2.0 * (size.total - before))))
+            size.standing = ti.max(size.standing, absolute(length * (length - 2.0 * before)))
+
+    @ti.func
+    def put(self, clamp: ti.template(), s, column: ti.template(), values):
+        """Numbers into row s of the table of clamps, from ``column`` on."""
+        for k in ti.static(range(len(values))):
+            clamp[s, column + k] = values[k]
+
+    @ti.func
+    def read(self, tables, size, s):
+        """Row s of the table of clamps, and what is found of the start and of the frames."""
+        kind_start, kind_end = tables.kinds[s, 0], tables.kinds[s, 1]
+        closed = (kind_start >= POSITION) & (kind_end >= POSITION)
+        released = (kind_start < POSITION) & (kind_end >= POSITION)
+        self.read_flags(tables.clamp, s, kind_start, kind_end, closed, released)
+        anchor = variable(vector(tables.origin, s))
+        if kind_start >= POSITION:
+            anchor = vector(tables.start_position, s)
+        far = vector(tables.end_position, s)
+        line = variable(repeated(ti.cast(0.0, ti.f64), 3))
+        if closed:
+            line = minus(far, anchor)
+        hanging = size.hanging
+        if released:
+            anchor = far
+            hanging = size.standing
+        self.put(tables.clamp, s, TARGET, line)
+        self.put(tables.clamp, s, ANCHOR, anchor)
+        tables.clamp[s, TOTAL], tables.clamp[s, LONGEST] = size.total, size.longest
+        tables.clamp[s, SHORTEST_PAIR], tables.clamp[s, HANGING] = size.shortest_pair, hanging
+        frame_start, frame_end = matrix(tables.start_frame, s), matrix(tables.end_frame, s)
+        first = held_frame(kind_start, frame_start, frame_of(tables.start, s, 0))
+        last = held_frame(kind_end, frame_end, frame_of(tables.start, s, tables.start.shape[1] - 1))
+        self.put(tables.clamp, s, ENDS, first)
+        self.put(tables.clamp, s, ENDS + 4, last)
+        tables.found[s, OF_REACH] = SOUND
+        if closed:
+            tables.found[s, OF_REACH] = self.reached(tables, size, s, line, first, last)
+        frames = BOTH
+        if not can_hold(kind_end, frame_end):
+            frames = NOT_THE_LAST
+        if not can_hold(kind_start, frame_start):
+            frames = NOT_THE_FIRST
+        tables.found[s, OF_FRAMES] = frames
+
+    @ti.func
+    def read_flags(self, clamp: ti.template(), s, kind_start, kind_end, closed, released):
+        """Columns of row s that are one or zero."""
+        clamp[s, CLOSED], clamp[s, RELEASED] = ti.cast(closed, ti.f64), ti.cast(released, ti.f64)
+        clamp[s, SPIN_START], clamp[s, SPIN_END] = ti.cast(kind_start < FRAME, ti.f64), ti.cast(kind_end < FRAME, ti.f64)
+        clamp[s, TILT_START], clamp[s, TILT_END] = ti.cast(kind_start < TANGENT, ti.f64), ti.cast(kind_end < TANGENT, ti.f64)
+        clamp[s, TILT_INNER], clamp[s, LOOSE] = 1.0, 0.0
+
+    @ti.func
+    def reached(self, tables, size, s, line, first, last):
+        """What is found of a start whose vertex 0 and far end are held, ``line`` apart, with these frames at its ends."""
+        edges = tables.start.shape[1]
+        length = ti.min(s, tables.rest_length.shape[0] - 1)
+        tilts = (tables.clamp[s, TILT_START], tables.clamp[s, TILT_END])
+        # The line that the free edges have to bridge, and how far they reach.
+        held_first = (1.0 - tilts[0]) * tables.rest_length[length, 0]
+        held_last = (1.0 - tilts[1]) * tables.rest_length[length, edges - 1]
+        free = minus(minus(line, scaled(tangent(first), held_first)), scaled(tangent(last), held_last))
+        slack = 1.0 - ti.sqrt(dot(free, free)) / (size.total - held_first - held_last)
+        found = SOUND
+        # Two free edges at least leave the far point three ways to go.
+        if (slack >= -1e-12) & (tilts[0] + tilts[1] >= 4.0 - edges):
+            # Straight rods have their inner edges in line: two of them tell most others apart.
+            inner, middle = frame_of(tables.start, s, ti.min(1, edges - 1)), frame_of(tables.start, s, edges // 2)
+            apart = minus(tangent(inner), tangent(middle))
+            if slack < TAUT_SLACK:
+                found = TAUT
+            elif dot(apart, apart) < 1e-4:
+                found = STRAIGHT
+        else:
+            found = INFEASIBLE
+        return found
 
 
 @cache
 def clamp_kernel(serial: bool, block: int):
     """The kernel, compiled on first use; ``serial``: on the caller's thread; ``block``: threads in a block, 1 on a CPU."""
-    table2 = ti.types.ndarray(dtype=ti.f64, ndim=2)
-    table3 = ti.types.ndarray(dtype=ti.f64, ndim=3)
-
-    @ti.func
-    def read(
-        s, kind_start, kind_end, size, origin: ti.template(), start: ti.template(), rest_length: ti.template(),
-        start_position: ti.template(), end_position: ti.template(), start_frame: ti.template(), end_frame: ti.template(),
-        clamp: ti.template(),
-    ):
-        """Row s of the table of clamps; returns what is found of the start and of the frames."""
-        total, longest, shortest_pair, hanging, standing = size
-        edges = start.shape[1]
-        row = ti.min(s, rest_length.shape[0] - 1)
-        closed = (kind_start >= POSITION) & (kind_end >= POSITION)
-        released = (kind_start < POSITION) & (kind_end >= POSITION)
-        tilts = (ti.cast(kind_start < TANGENT, ti.f64), ti.cast(kind_end < TANGENT, ti.f64))
-        clamp[s, CLOSED] = ti.cast(closed, ti.f64)
-        clamp[s, SPIN_START] = ti.cast(kind_start < FRAME, ti.f64)
-        clamp[s, SPIN_END] = ti.cast(kind_end < FRAME, ti.f64)
-        clamp[s, TILT_START], clamp[s, TILT_END], clamp[s, TILT_INNER] = (tilts[0], tilts[1], 1.0)
-        clamp[s, RELEASED] = ti.cast(released, ti.f64)
-        clamp[s, LOOSE] = 0.0
-        near0, near1, near2 = vector(origin, s)
-        if kind_start >= POSITION:
-            near0, near1, near2 = vector(start_position, s)
-        far = vector(end_position, s)
-        line0, line1, line2 = (ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64))
-        if closed:
-            line0, line1, line2 = (far[0] - near0, far[1] - near1, far[2] - near2)
-        clamp[s, TARGET], clamp[s, TARGET + 1], clamp[s, TARGET + 2] = (line0, line1, line2)
-        if released:
-            near0, near1, near2 = far
-            hanging = standing
-        clamp[s, ANCHOR], clamp[s, ANCHOR + 1], clamp[s, ANCHOR + 2] = (near0, near1, near2)
-        clamp[s, TOTAL], clamp[s, LONGEST], clamp[s, SHORTEST_PAIR], clamp[s, HANGING] = (
-            total, longest, shortest_pair, hanging)
-        first = held_frame(kind_start, start_frame, s, frame_of(start, s, 0))
-        last = held_frame(kind_end, end_frame, s, frame_of(start, s, edges - 1))
-        for k in ti.static(range(4)):
-            clamp[s, ENDS + k] = first[k]
-            clamp[s, ENDS + 4 + k] = last[k]
-        found = SOUND
-        if closed:
-            # The line that the free edges have to bridge, and how far they reach.
-            reach = total
-            for end in ti.static(range(2)):
-                along = tangent((first, last)[end])
-                length = (1.0 - tilts[end]) * rest_length[row, (0, edges - 1)[end]]
-                line0, line1, line2 = (line0 - length * along[0], line1 - length * along[1], line2 - length * along[2])
-                reach -= length
-            share = ti.sqrt(line0 * line0 + line1 * line1 + line2 * line2) / reach
-            slack = 1.0 - share
-            # Two free edges at least leave the far point three ways to go.
-            if (slack >= -1e-12) & (tilts[0] + tilts[1] >= 4.0 - edges):
-                # Straight rods have their inner edges in line: two of them tell most others apart.
-                one = tangent(frame_of(start, s, ti.min(1, edges - 1)))
-                other = tangent(frame_of(start, s, edges // 2))
-                apart = (one[0] - other[0], one[1] - other[1], one[2] - other[2])
-                if slack < TAUT_SLACK:
-                    found = TAUT
-                elif dot(apart, apart) < 1e-4:
-                    found = STRAIGHT
-            else:
-                found = INFEASIBLE
-        frames = BOTH
-        if not can_hold(kind_end, end_frame, s):
-            frames = NOT_THE_LAST
-        if not can_hold(kind_start, start_frame, s):
-            frames = NOT_THE_FIRST
-        return found, frames
+    reader = ClampReader()
+    table2, table3 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (2, 3))
 
     @ti.kernel
     def read_clamps(
@@ -204,14 +232,9 @@ def clamp_kernel(serial: bool, block: int):
     ):
         ti.loop_config(block_dim=block, serialize=serial)
         for thread in range(threads):
-            share = (start.shape[0] + threads - 1) // threads
-            total, longest, shortest_pair, hanging, standing = measured(rest_length, 0)
-            for s in range(thread * share, ti.min((thread + 1) * share, start.shape[0])):
-                if rest_length.shape[0] > 1:
-                    total, longest, shortest_pair, hanging, standing = measured(rest_length, s)
-                size = (total, longest, shortest_pair, hanging, standing)
-                found[s, OF_REACH], found[s, OF_FRAMES] = read(
-                    s, kinds[s, 0], kinds[s, 1], size, origin, start, rest_length, start_position, end_position, start_frame,
-                    end_frame, clamp)
+            tables = record(
+                kinds=kinds, origin=origin, start=start, rest_length=rest_length, start_position=start_position,
+                end_position=end_position, start_frame=start_frame, end_frame=end_frame, clamp=clamp, found=found)
+            reader.read_share(tables, threads, thread)
 
     return read_clamps

@@ -14,6 +14,7 @@ import taichi as ti
 
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
+from doo_ti.physics.tuples import chosen, picked, record, repeated
 from doo_ti.relaxation.columns import (
     CLOSED,
     CLOSURE,
@@ -31,10 +32,12 @@ from doo_ti.relaxation.columns import (
     TILT_END,
     TILT_INNER,
     TILT_START,
+    TOTAL,
     WEIGHT,
 )
-from doo_ti.relaxation.loading import LANES, NEXT, residual_divisor
-from doo_ti.relaxation.vertex_chain import DIRECTOR, ITEMS, POSITION, TRIAL_POSITION, vertex_sweeps
+from doo_ti.relaxation.loading import LANES, NEXT, stiffness_scale
+from doo_ti.relaxation.vertex_chain import DIRECTOR, ITEMS, POSITION
+from doo_ti.relaxation.vertex_energy import VertexEnergy
 from doo_ti.types import Status
 
 
@@ -42,12 +45,12 @@ from doo_ti.types import Status
 class Descent:
     """Options of the descent solver.
 
-    tolerance       scaled residual to reach, 1/mm
+    tolerance       residual to reach: moment times length over stiffness, without a unit
     max_iterations  gradient steps allowed per rod
     largest_move    largest move of a vertex in one step, over its edge length: smaller follows the path more closely
     """
 
-    tolerance: float = 1e-6
+    tolerance: float = 1e-4
     max_iterations: int = 100_000
     largest_move: float = 0.05
 
@@ -66,16 +69,183 @@ MEMORY = 0.9  # weight of the past in the running mean of the energy
 PATIENCE = 20_000  # iterations in which neither energy nor residual came down noticeably
 
 
+@picked
+def with_lanes(with_lane, values, slot, new) -> tuple:
+    """``values`` with lane ``slot`` of each replaced, by ``with_lane`` of :class:`doo_ti.physics.number.Lanes`."""
+    return tuple(with_lane(value, slot, one) for value, one in zip(values, new, strict=True))
+
+
+@ti.data_oriented
+class DescentLoop:
+    """What a thread does until the queue is empty.
+
+    Its functions pass on three records: ``tables``, the arrays and options that host and kernel share; ``rod``
+    (:class:`.VertexChain`); and ``lane``, where each lane's rod is:
+
+    held, spin, gravity              of ``rod``, for the lane's rod
+    length, scale, limit_move        its longest edge, the divisor of its residual, and the largest move of a vertex in one step
+    energy, residual                 of the vertices that stand
+    mean, count                      running mean of the energy, and the weight of what is in it
+    lowest, best, still              the lowest energy and residual so far, and iterations without progress
+    step, short                      length of the next step, and the last three short steps s·y/y·y
+    fresh, trips, active, finished   flags, and iterations made
+    """
+
+    def __init__(self, number: Number, stride: int):
+        self.sweep, self.stride, self.row = VertexEnergy(number, stride), stride, ITEMS * stride
+        self.largest, self.lane, self.with_lane, self.constant, _, self.get = number.lanes()
+        self.width, self.scalar = number.width, number.scalar
+        self.rounding = 2e-6 if number.bits == 32 else 1e-13
+        self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
+        self.stalled, self.not_finite = int(Status.STALLED), int(Status.NOT_FINITE)
+
+    @ti.func
+    def work(self, tables, scratch: ti.template(), origin, thread):
+        """A thread's work, until the queue is empty; vertex 0 is at ``origin`` of scratch."""
+        lane = self.idle_lanes()
+        places = LANES + thread * self.width  # where the queue says which rods the lanes have
+        running = 1
+        while running == 1:
+            if self.largest(lane.finished) > 0.5:
+                for slot in range(self.width):
+                    if self.lane(lane.finished, slot) > 0.5:
+                        lane.finished = self.with_lane(lane.finished, slot, 0.0)
+                        if self.lane(lane.active, slot) > 0.5:
+                            self.store(tables, scratch, origin, slot, lane, tables.rods[tables.queue[places + slot], OF_RESULT])
+                        lane.active = self.with_lane(lane.active, slot, 0.0)
+                        index = ti.atomic_add(tables.queue[NEXT], 1)
+                        if index < tables.rods.shape[0]:
+                            tables.queue[places + slot] = index
+                            self.load(tables, scratch, origin, slot, lane, index)
+            if self.largest(lane.active) < 0.5:
+                running = 0
+            else:
+                self.trip(tables, scratch, origin, lane)
+
+    @ti.func
+    def idle_lanes(self):
+        """The record of lanes that have no rod yet."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        return record(
+            held=repeated(zero, 5), spin=repeated(zero, 2), gravity=repeated(zero, 3), length=one, scale=one, limit_move=one,
+            energy=zero, lowest=zero, mean=zero, count=zero, step=zero, residual=zero, best=one, fresh=zero, trips=zero,
+            still=zero, status=zero, short=repeated(one, 3), active=zero, finished=one)
+
+    @ti.func
+    def store(self, tables, scratch: ti.template(), origin, slot, lane, place):
+        """The rod in lane ``slot`` into row ``place`` of the results."""
+        edges = tables.directors.shape[1]
+        at = origin
+        for v in range(edges + 1):
+            for k in ti.static(range(3)):
+                tables.positions[place, v, k] = self.get(scratch, at + (POSITION + k) * self.stride, slot)
+                if v < edges:
+                    tables.material_axes[place, v, k] = self.get(scratch, at + (DIRECTOR + k) * self.stride, slot)
+            at += self.row
+        tables.results[place, ENERGY] = self.lane(lane.energy, slot)
+        tables.results[place, RESIDUAL] = self.lane(lane.residual, slot)
+        tables.results[place, CLOSURE] = 0.0
+        tables.results[place, ITERATIONS] = self.lane(lane.trips, slot)
+        tables.results[place, STATUS] = self.lane(lane.status, slot)
+        tables.results[place, STABLE] = 0.0
+
+    @ti.func
+    def load(self, tables, scratch: ti.template(), origin, slot, lane, index):
+        """Row ``index`` of the rods into lane ``slot``."""
+        s, g = tables.rods[index, OF_CLAMP], tables.rods[index, OF_MATERIAL]
+        longest, shortest = self.sweep.load_rod(tables, scratch, origin, slot, s, g)
+        start_held = ti.max(tables.clamp[s, CLOSED], 1.0 - tables.clamp[s, RELEASED])
+        end_held = ti.max(tables.clamp[s, CLOSED], tables.clamp[s, RELEASED])
+        held = (
+            start_held, start_held * (1.0 - tables.clamp[s, TILT_START]), end_held * (1.0 - tables.clamp[s, TILT_END]),
+            end_held, 1.0 - tables.clamp[s, TILT_INNER])
+        weight = tables.material[g, WEIGHT]
+        lane.held = with_lanes(self.with_lane, lane.held, slot, held)
+        lane.spin = with_lanes(self.with_lane, lane.spin, slot, (tables.clamp[s, SPIN_START], tables.clamp[s, SPIN_END]))
+        lane.gravity = with_lanes(
+            self.with_lane, lane.gravity, slot, (weight * tables.up[0], weight * tables.up[1], weight * tables.up[2]))
+        lane.length = self.with_lane(lane.length, slot, longest)
+        lane.limit_move = self.with_lane(lane.limit_move, slot, tables.largest_move * shortest)
+        scale = stiffness_scale(tables.material, tables.clamp, g, s) / tables.clamp[s, TOTAL]
+        lane.scale = self.with_lane(lane.scale, slot, scale)
+        lane.count = self.with_lane(lane.count, slot, 0.0)
+        lane.step = self.with_lane(lane.step, slot, 0.0)
+        lane.residual = self.with_lane(lane.residual, slot, 1e30)
+        lane.best = self.with_lane(lane.best, slot, 1e30)
+        lane.lowest = self.with_lane(lane.lowest, slot, 1e30)
+        lane.short = with_lanes(self.with_lane, lane.short, slot, (1e30, 1e30, 1e30))
+        lane.fresh = self.with_lane(lane.fresh, slot, 1.0)
+        lane.trips = self.with_lane(lane.trips, slot, 0.0)
+        lane.still = self.with_lane(lane.still, slot, 0.0)
+        lane.active = self.with_lane(lane.active, slot, 1.0)
+
+    @ti.func
+    def trip(self, tables, scratch: ti.template(), origin, lane):
+        """One step of every lane's rod, and its judgement."""
+        rod = record(scratch=scratch, origin=origin, edges=tables.directors.shape[1], held=lane.held, spin=lane.spin,
+                     gravity=lane.gravity)
+        self.sweep.move(rod, lane.step)
+        self.sweep.minimise_twist(rod)
+        found = self.sweep.evaluate(rod)
+        self.sweep.eliminate_lengths(rod, True)
+        force = self.sweep.apply_lengths(rod, True)
+        downhill = (lane.fresh > 0.5) | (found.energy <= lane.mean + self.rounding * found.magnitude)
+        finite = found.energy == found.energy
+        accepted = ti.select(finite & downhill, self.constant(1.0), self.constant(0.0))
+        change = self.sweep.adopt(rod, accepted)
+        # The largest moment is at most the longest edge times the sum of forces: an upper bound, no estimate.
+        bound = (lane.length * force + found.spin) / lane.scale
+        taken = accepted > 0.5
+        lane.residual = ti.select(taken, bound, lane.residual)
+        lane.energy = ti.select(taken, found.energy, lane.energy)
+        heavier = MEMORY * lane.count + 1.0
+        lane.mean = ti.select(taken, (MEMORY * lane.count * lane.mean + found.energy) / heavier, lane.mean)
+        lane.count = ti.select(taken, heavier, lane.count)
+        self.plan(lane, change, taken)
+        self.end(tables, lane, found.magnitude, accepted)
+
+    @ti.func
+    def plan(self, lane, change, taken):
+        """Length of the next step, by Barzilai and Borwein: the long step s·s/s·y, or where the gradient is mostly stiff
+        directions the shortest of the last four short ones s·y/y·y; now and then a long one all the same, to get on in narrow
+        valleys."""
+        short = change.sy / change.yy
+        curved = change.sy > 0.0
+        shortest = ti.min(ti.min(short, lane.short[0]), ti.min(lane.short[1], lane.short[2]))
+        phase = lane.trips - LONG_STEP_EVERY * ti.floor(lane.trips / LONG_STEP_EVERY)
+        stiff = change.sy * change.sy < 0.5 * change.ss * change.yy
+        spectral = ti.select(stiff & (phase > 0.5), shortest, change.ss / change.sy)
+        lane.short = chosen(curved & taken, (short, lane.short[0], lane.short[1]), lane.short)
+        longer = ti.select(curved, spectral, 2.0 * lane.step)
+        first = 0.05 * lane.limit_move / (change.top + 1e-30)
+        wanted = ti.select(lane.fresh > 0.5, first, longer)
+        lane.step = ti.select(taken, ti.min(wanted, lane.limit_move / (change.top + 1e-30)), 0.25 * lane.step)
+
+    @ti.func
+    def end(self, tables, lane, magnitude, accepted):
+        """Which lanes are done, and how."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        lost = ((lane.fresh > 0.5) & (accepted < 0.5)) | ~(lane.residual == lane.residual)
+        progress = (lane.residual < 0.9 * lane.best) | (lane.energy < lane.lowest - 1e-7 * magnitude)
+        lane.lowest = ti.select(progress, lane.energy, lane.lowest)
+        lane.best = ti.select(progress, ti.min(lane.best, lane.residual), lane.best)
+        lane.still = ti.select(progress, zero, lane.still + 1.0)
+        lane.fresh = zero
+        lane.trips = lane.trips + lane.active
+        ended = lane.residual <= ti.cast(tables.tolerance, self.scalar)
+        late = lane.trips >= ti.cast(tables.max_iterations, self.scalar)
+        stuck = lane.still > PATIENCE
+        lane.status = ti.select(stuck, self.constant(self.stalled), self.constant(self.limit))
+        lane.status = ti.select(lost, self.constant(self.not_finite), lane.status)
+        lane.status = ti.select(ended, self.constant(self.converged), lane.status)
+        lane.finished = ti.select((ended | late | stuck | lost) & (lane.active > 0.5), one, zero)
+
+
 @cache
 def descent_kernel(number: Number, stride: int, block: int):
     """The kernel for one kind of number; materials are always general. See :func:`.newton_kernel.newton_kernel`."""
-    largest, lane, with_lane, constant, put, get = number.lanes()
-    sweep = vertex_sweeps(number, stride)
-    width, scalar = number.width, number.scalar
-    rounding = 2e-6 if number.bits == 32 else 1e-13
-    row = ITEMS * stride
-    table2 = ti.types.ndarray(dtype=ti.f64, ndim=2)
-    table3 = ti.types.ndarray(dtype=ti.f64, ndim=3)
+    loop = DescentLoop(number, stride)
+    table2, table3 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (2, 3))
 
     @ti.kernel
     def descent(
@@ -102,125 +272,12 @@ def descent_kernel(number: Number, stride: int, block: int):
         material_axes: table3,  # [rod, edge, 3] out: m1
         results: table2,  # [rod, RESULTS] out
     ):
-        edges = directors.shape[1]
         ti.loop_config(block_dim=block)
         for thread in range(threads):
-            origin = thread * origin_stride
-            lane_rod = LANES + thread * width  # where the queue says which rods the lanes have
-            zero = constant(0.0)
-            one = constant(1.0)
-            held_first, held_second, held_inner, held_last, taut = (zero, zero, zero, zero, zero)
-            spin_start, spin_end, length, scale, limit_move = (zero, zero, one, one, one)
-            gravity0, gravity1, gravity2 = (zero, zero, zero)
-            energy, lowest, mean, count, step, residual, best = (zero, zero, zero, zero, zero, zero, one)
-            fresh, trips, still, status = (zero, zero, zero, zero)
-            short0, short1, short2 = (one, one, one)
-            active, finished = (zero, one)
-            running = 1
-            while running == 1:
-                if largest(finished) > 0.5:
-                    for slot in range(width):
-                        if lane(finished, slot) > 0.5:
-                            finished = with_lane(finished, slot, 0.0)
-                            if lane(active, slot) > 0.5:
-                                place = rods[queue[lane_rod + slot], OF_RESULT]
-                                at = origin
-                                for v in range(edges + 1):
-                                    for k in ti.static(range(3)):
-                                        positions[place, v, k] = get(scratch, at + (POSITION + k) * stride, slot)
-                                        if v < edges:
-                                            material_axes[place, v, k] = get(
-                                                scratch, at + (DIRECTOR + k) * stride, slot)
-                                    at += row
-                                results[place, ENERGY] = lane(energy, slot)
-                                results[place, RESIDUAL] = lane(residual, slot)
-                                results[place, CLOSURE] = 0.0
-                                results[place, ITERATIONS] = lane(trips, slot)
-                                results[place, STATUS] = lane(status, slot)
-                                results[place, STABLE] = 0.0
-                            active = with_lane(active, slot, 0.0)
-                            rod = ti.atomic_add(queue[NEXT], 1)
-                            if rod < rods.shape[0]:
-                                queue[lane_rod + slot] = rod
-                                s = rods[rod, OF_CLAMP]
-                                g = rods[rod, OF_MATERIAL]
-                                longest, shortest = sweep.load_rod(scratch, origin, edges, slot, s, g, vertices, directors,
-                                                             rest_length, bend, twist, rest)
-                                length = with_lane(length, slot, longest)
-                                limit_move = with_lane(limit_move, slot, largest_move * shortest)
-                                scale = with_lane(scale, slot, residual_divisor(material, clamp, g, s))
-                                start_held = ti.max(clamp[s, CLOSED], 1.0 - clamp[s, RELEASED])
-                                end_held = ti.max(clamp[s, CLOSED], clamp[s, RELEASED])
-                                held_first = with_lane(held_first, slot, start_held)
-                                held_second = with_lane(held_second, slot, start_held * (1.0 - clamp[s, TILT_START]))
-                                held_inner = with_lane(held_inner, slot, end_held * (1.0 - clamp[s, TILT_END]))
-                                held_last = with_lane(held_last, slot, end_held)
-                                taut = with_lane(taut, slot, 1.0 - clamp[s, TILT_INNER])
-                                spin_start = with_lane(spin_start, slot, clamp[s, SPIN_START])
-                                spin_end = with_lane(spin_end, slot, clamp[s, SPIN_END])
-                                gravity0 = with_lane(gravity0, slot, material[g, WEIGHT] * up0)
-                                gravity1 = with_lane(gravity1, slot, material[g, WEIGHT] * up1)
-                                gravity2 = with_lane(gravity2, slot, material[g, WEIGHT] * up2)
-                                count = with_lane(count, slot, 0.0)
-                                step = with_lane(step, slot, 0.0)
-                                residual = with_lane(residual, slot, 1e30)
-                                best = with_lane(best, slot, 1e30)
-                                lowest = with_lane(lowest, slot, 1e30)
-                                fresh = with_lane(fresh, slot, 1.0)
-                                short0 = with_lane(short0, slot, 1e30)
-                                short1 = with_lane(short1, slot, 1e30)
-                                short2 = with_lane(short2, slot, 1e30)
-                                trips = with_lane(trips, slot, 0.0)
-                                still = with_lane(still, slot, 0.0)
-                                active = with_lane(active, slot, 1.0)
-                if largest(active) < 0.5:
-                    running = 0
-                else:
-                    held = (held_first, held_second, held_inner, held_last, taut)
-                    sweep.move(scratch, origin, edges, step, held)
-                    sweep.minimise_twist(scratch, origin, edges, spin_start, spin_end)
-                    new_energy, magnitude, spin = sweep.evaluate(
-                        scratch, origin, edges, (gravity0, gravity1, gravity2), spin_start, spin_end)
-                    sweep.eliminate_lengths(scratch, origin, edges, TRIAL_POSITION, held, True)
-                    force = sweep.apply_lengths(scratch, origin, edges, held, True)
-                    tolerated = mean + rounding * magnitude
-                    sound = new_energy == new_energy
-                    accepted = ti.select(sound & ((fresh > 0.5) | (new_energy <= tolerated)), one, zero)
-                    ss, sy, yy, top = sweep.adopt(scratch, origin, edges, accepted)
-                    # The largest moment is at most the longest edge times the sum of forces: an upper bound, no estimate.
-                    bound = (length * force + spin) / scale
-                    residual = ti.select(accepted > 0.5, bound, residual)
-                    energy = ti.select(accepted > 0.5, new_energy, energy)
-                    heavier = MEMORY * count + 1.0
-                    mean = ti.select(accepted > 0.5, (MEMORY * count * mean + new_energy) / heavier, mean)
-                    count = ti.select(accepted > 0.5, heavier, count)
-                    # Barzilai–Borwein: the long step s·s/s·y, or where the gradient is mostly stiff directions the shortest of
-                    # the last four short ones s·y/y·y; now and then a long one all the same, to get on in narrow valleys.
-                    curved = sy > 0.0
-                    shortest_step = ti.min(ti.min(sy / yy, short0), ti.min(short1, short2))
-                    phase = trips - LONG_STEP_EVERY * ti.floor(trips / LONG_STEP_EVERY)
-                    spectral = ti.select((sy * sy < 0.5 * ss * yy) & (phase > 0.5), shortest_step, ss / sy)
-                    store_short = curved & (accepted > 0.5)
-                    short2 = ti.select(store_short, short1, short2)
-                    short1 = ti.select(store_short, short0, short1)
-                    short0 = ti.select(store_short, sy / yy, short0)
-                    longer = ti.select(curved, spectral, 2.0 * step)
-                    first = 0.05 * limit_move / (top + 1e-30)
-                    chosen = ti.select(fresh > 0.5, first, longer)
-                    step = ti.select(accepted > 0.5, ti.min(chosen, limit_move / (top + 1e-30)), 0.25 * step)
-                    lost = ((fresh > 0.5) & (accepted < 0.5)) | ~(residual == residual)
-                    progress = (residual < 0.9 * best) | (energy < lowest - 1e-7 * magnitude)
-                    lowest = ti.select(progress, energy, lowest)
-                    best = ti.select(progress, ti.min(best, residual), best)
-                    still = ti.select(progress, zero, still + 1.0)
-                    fresh = zero
-                    trips = trips + active
-                    ended = residual <= ti.cast(tolerance, scalar)
-                    late = trips >= ti.cast(max_iterations, scalar)
-                    stuck = still > PATIENCE
-                    status = ti.select(stuck, constant(int(Status.STALLED)), constant(int(Status.ITERATION_LIMIT)))
-                    status = ti.select(lost, constant(int(Status.NOT_FINITE)), status)
-                    status = ti.select(ended, constant(int(Status.CONVERGED)), status)
-                    finished = ti.select((ended | late | stuck | lost) & (active > 0.5), one, zero)
+            tables = record(
+                vertices=vertices, directors=directors, rest_length=rest_length, clamp=clamp, bend=bend, twist=twist, rest=rest,
+                material=material, up=(up0, up1, up2), rods=rods, tolerance=tolerance, max_iterations=max_iterations,
+                largest_move=largest_move, queue=queue, positions=positions, material_axes=material_axes, results=results)
+            loop.work(tables, scratch, thread * origin_stride, thread)
 
     return descent

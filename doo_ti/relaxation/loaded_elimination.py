@@ -88,9 +88,8 @@ class LoadedElimination(LooseStart):
         beyond = record(
             force=repeated(zero, 3), c=repeated(zero, 3), f=repeated(zero, 3), cc=repeated(zero, 6), ff=repeated(zero, 6),
             z=repeated(zero, 9), length=zero)
-        # Without closure the border stays zero, and with it the Schur complement that is to count for nothing.
-        border = record(
-            c=scaled(identity(zero), rod.closed), f=repeated(zero, 9), schur=repeated(zero, 6), right=repeated(zero, 3))
+        border = record(c=scaled(identity(zero), rod.closed), f=repeated(zero, 9), schur=repeated(zero, 6),
+                        right=repeated(zero, 3))
         if ti.static(self.moves_start):
             beyond.force = multiplier
             beyond.c = multiplier
@@ -167,12 +166,15 @@ class LoadedElimination(LooseStart):
     def load(self, rod, at, start, end, found):
         """The external energy of an edge (:class:`doo_ti.relaxation.external.ExternalFunctions`): its value goes to ``found``,
         and the record of its derivatives is returned."""
+        unit = rod.length_unit  # the energy is a function of places in mm
         value, gradient, gradient_s, curvature, curvature_s, curvature_ss = self.functions.evaluate(
-            rod.scratch, at, rod.numbers, rod.field, start, end, rod.coarse)
+            rod.scratch, at, rod.numbers, rod.field, scaled(start, unit), scaled(end, unit), rod.coarse)
         found.energy = found.energy + value
         found.magnitude = found.magnitude + absolute(value)
-        return record(gradient=gradient, gradient_s=gradient_s, curvature=curvature, curvature_s=curvature_s,
-                      curvature_ss=curvature_ss)
+        square = unit * unit
+        return record(
+            gradient=scaled(gradient, unit), gradient_s=scaled(gradient_s, unit), curvature=scaled(curvature, square),
+            curvature_s=scaled(curvature_s, square), curvature_ss=scaled(curvature_ss, square))
 
     @ti.func
     def condensed(self, h, shift, beyond, a1, a2):

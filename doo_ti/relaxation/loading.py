@@ -39,15 +39,31 @@ from doo_ti.relaxation.columns import (
     WEIGHT,
 )
 
+REFERENCE_LENGTH = 99.0
+"""mm: rods of about this length are computed in mm, others in units in which they have it."""
+
 # Entries of a launch's queue: the next rod that nobody has taken, the trips of all packs, and from LANES on every lane's rod.
 NEXT, TRIPS, LANES = 0, 1, 2
 
 
 @ti.func
-def residual_divisor(material: ti.template(), clamp: ti.template(), g, s):
-    """Divisor of the scaled residual of the rod (configuration s, material g): the largest eigenvalue of B, or the largest
-    gravity moment where that is more."""
-    return ti.max(material[g, LARGEST_BEND], material[g, WEIGHT] * clamp[s, HANGING])
+def stiffness_scale(material: ti.template(), clamp: ti.template(), g, s):
+    """Stiffness, mm³, by which the residual of the rod (configuration s, material g) is measured: the largest eigenvalue of B,
+    or where a hundredth of its weight's moment about the clamp, times the length, is more, that."""
+    weight = material[g, WEIGHT] * clamp[s, HANGING] * (clamp[s, TOTAL] / REFERENCE_LENGTH)
+    return ti.max(material[g, LARGEST_BEND], weight)
+
+
+@ti.func
+def length_unit(total):
+    """The power of two, in mm, that is nearest to ``total`` over REFERENCE_LENGTH: in it rods of any size are alike, to the
+    last bit where their sizes differ by a power of two."""
+    unit = ti.cast(1.0, ti.f64)
+    while total > ti.static(REFERENCE_LENGTH * 2**0.5) * unit and unit < 1e30:
+        unit *= 2.0
+    while total <= ti.static(REFERENCE_LENGTH * 0.5**0.5) * unit and unit > 1e-30:
+        unit *= 0.5
+    return unit
 
 
 @ti.data_oriented
@@ -56,15 +72,15 @@ class Loading:
 
     ``tables`` is a record of the arrays that host and kernels share: start, rest_length, clamp, material, up, rods, frames,
     results, and ``numbers`` of the external energy (see :mod:`doo_ti.relaxation.tables`). ``functions`` are that energy's, or
-    None.
+    None. ``in_millimetres``: lengths are left in mm, whatever the rods' size.
     """
 
-    def __init__(self, sweep: chain.Chain, functions=None):
+    def __init__(self, sweep: chain.Chain, functions=None, in_millimetres: bool = False):
         lanes = sweep.number.lanes()
         self.put, self.get = lanes.put, lanes.get
         self.stride, self.edge_stride, self.isotropic = sweep.stride, sweep.edge_stride, sweep.isotropic
         self.parameters, self.moves_start = sweep.parameters, sweep.moves_start
-        self.functions = functions
+        self.functions, self.in_millimetres = functions, in_millimetres
         self.loaded = functions is not None
         self.loads_start = self.loaded and functions.load_start is not None
 
@@ -81,35 +97,43 @@ class Loading:
 
     @ti.func
     def load(self, tables, scratch: ti.template(), head, slot, rod, lengths_known):
-        """Row ``rod`` of the rods into lane ``slot``. Lengths are left where the lane has them and all rods share them."""
+        """Row ``rod`` of the rods into lane ``slot``. Lengths are left where the lane has them and all rods share them.
+
+        Lengths are in a unit u in which all rods are about equally long, energies in that of a stiffness over u, so that what
+        rounds and what counts as small does not depend on a rod's size.
+        """
         origin = head + self.parameters * self.stride
         s = tables.rods[rod, OF_CLAMP]
         g = tables.rods[rod, OF_MATERIAL]
-        divisor = residual_divisor(tables.material, tables.clamp, g, s)  # the unit of the rod's energies, too
+        divisor = stiffness_scale(tables.material, tables.clamp, g, s)
+        unit = ti.cast(1.0, ti.f64)
+        if ti.static(not self.in_millimetres):
+            unit = length_unit(tables.clamp[s, TOTAL])
         if tables.rods[rod, OF_START] == FROM_RESULTS:
             self.load_frames(tables, tables.frames, tables.rods[rod, OF_RESULT], scratch, origin, slot, s)
         else:
             self.load_frames(tables, tables.start, tables.rods[rod, OF_START], scratch, origin, slot, s)
         row = ti.min(s, tables.rest_length.shape[0] - 1)
         if lengths_known < 0.5 or tables.rest_length.shape[0] > 1:
-            self.load_lengths(tables, scratch, origin, slot, row)
+            self.load_lengths(tables, scratch, origin, slot, row, unit)
         if ti.static(not self.isotropic):
             self.load_stiffness(tables, scratch, origin, slot, row, g, 1.0 / divisor)
         if ti.static(self.loaded):
             at = origin
             for e in range(tables.rest_length.shape[1]):
-                self.functions.load(scratch, at, slot, tables.numbers, tables.rods[rod, OF_EXTERNAL], e, 1.0 / divisor)
+                self.functions.load(scratch, at, slot, tables.numbers, tables.rods[rod, OF_EXTERNAL], e,
+                                    1.0 / divisor * unit)
                 at += self.edge_stride
-        self.load_parameters(tables, scratch, head, slot, s, g, divisor)
+        self.load_parameters(tables, scratch, head, slot, s, g, divisor, unit)
         if ti.static(self.moves_start):
             self.put(scratch, head + chain.OF_LOOSE * self.stride, slot, tables.clamp[s, LOOSE])
             for k in ti.static(range(3)):
                 drift = tables.results[tables.rods[rod, OF_RESULT], DRIFT + k]
-                self.put(scratch, head + (chain.OF_DRIFT + k) * self.stride, slot, drift)
+                self.put(scratch, head + (chain.OF_DRIFT + k) * self.stride, slot, drift / unit)
             if ti.static(self.loads_start):
                 self.functions.load_start(
                     scratch, head + chain.LOADED_PARAMETERS * self.stride, slot, tables.numbers,
-                    tables.rods[rod, OF_EXTERNAL], 1.0 / divisor)
+                    tables.rods[rod, OF_EXTERNAL], 1.0 / divisor * unit)
 
     @ti.func
     def load_frames(self, tables, source: ti.template(), row, scratch: ti.template(), origin, slot, s):
@@ -153,27 +177,27 @@ class Loading:
             at += self.edge_stride
 
     @ti.func
-    def load_lengths(self, tables, scratch: ti.template(), origin, slot, row):
-        """Edge lengths and 1/l̄ of row ``row`` into lane ``slot``."""
+    def load_lengths(self, tables, scratch: ti.template(), origin, slot, row, unit):
+        """Edge lengths and 1/l̄ of row ``row`` into lane ``slot``, in that unit."""
         at = origin
         for e in range(tables.rest_length.shape[1]):
-            length = tables.rest_length[row, e]
+            length = tables.rest_length[row, e] / unit
             self.put(scratch, at + chain.LENGTH * self.stride, slot, length)
             if e > 0:
-                both = tables.rest_length[row, e - 1] + length
+                both = tables.rest_length[row, e - 1] / unit + length
                 self.put(scratch, at + chain.INVERSE_LENGTH * self.stride, slot, 1.0 / both)
             at += self.edge_stride
 
     @ti.func
-    def load_stiffness(self, tables, scratch: ti.template(), origin, slot, row, g, unit):
-        """B, β and ω̄ l̄/2 of material g into lane ``slot``, energies times ``unit``."""
+    def load_stiffness(self, tables, scratch: ti.template(), origin, slot, row, g, scale):
+        """B, β and ω̄ l̄/2 of material g into lane ``slot``, stiffness times ``scale``."""
         at = origin
         for e in range(tables.rest_length.shape[1]):
             column = ti.min(STIFFNESS + e * STIFFNESS_COLUMNS, tables.material.shape[1] - STIFFNESS_COLUMNS)
             for k in ti.static(range(3)):
-                self.put(scratch, at + (chain.BEND + k) * self.stride, slot, tables.material[g, column + (BEND + k)] * unit)
+                self.put(scratch, at + (chain.BEND + k) * self.stride, slot, tables.material[g, column + (BEND + k)] * scale)
             if e > 0:
-                self.put(scratch, at + chain.TWIST * self.stride, slot, tables.material[g, column + TWIST] * unit)
+                self.put(scratch, at + chain.TWIST * self.stride, slot, tables.material[g, column + TWIST] * scale)
                 both = tables.rest_length[row, e - 1] + tables.rest_length[row, e]
                 for k in ti.static(range(2)):
                     rest = 0.5 * both * tables.material[g, column + (REST + k)]
@@ -181,13 +205,14 @@ class Loading:
             at += self.edge_stride
 
     @ti.func
-    def load_parameters(self, tables, scratch: ti.template(), head, slot, s, g, divisor):
-        """Parameters of the rod (configuration s, material g) into lane ``slot``, energies over ``divisor``."""
+    def load_parameters(self, tables, scratch: ti.template(), head, slot, s, g, divisor, unit):
+        """Parameters of the rod (configuration s, material g) into lane ``slot``, stiffness over ``divisor`` and lengths over
+        ``unit``."""
         for k in ti.static(range(3)):
-            self.put(scratch, head + (chain.OF_TARGET + k) * self.stride, slot, tables.clamp[s, TARGET + k])
-            up = tables.material[g, WEIGHT] * tables.up[k] / divisor
+            self.put(scratch, head + (chain.OF_TARGET + k) * self.stride, slot, tables.clamp[s, TARGET + k] / unit)
+            up = tables.material[g, WEIGHT] * tables.up[k] / divisor * (unit * unit * unit)
             self.put(scratch, head + (chain.OF_GRAVITY + k) * self.stride, slot, up)
-            self.put(scratch, head + (chain.OF_ANCHOR + k) * self.stride, slot, tables.clamp[s, ANCHOR + k])
+            self.put(scratch, head + (chain.OF_ANCHOR + k) * self.stride, slot, tables.clamp[s, ANCHOR + k] / unit)
         # A round rod with both spins free turns about itself at no cost: hold its first spin.
         spin_start = tables.clamp[s, SPIN_START] * (1.0 - tables.material[g, ROUND] * tables.clamp[s, SPIN_END])
         free = (spin_start, tables.clamp[s, TILT_START], tables.clamp[s, SPIN_END], tables.clamp[s, TILT_END],
@@ -195,11 +220,12 @@ class Loading:
         self.put_items(scratch, head + chain.OF_FREE * self.stride, slot, free)
         self.put(scratch, head + chain.OF_CLOSED * self.stride, slot, tables.clamp[s, CLOSED])
         self.put(scratch, head + chain.OF_RELEASED * self.stride, slot, tables.clamp[s, RELEASED])
-        self.put(scratch, head + chain.OF_TOTAL * self.stride, slot, tables.clamp[s, TOTAL])
-        self.put(scratch, head + chain.OF_LONGEST * self.stride, slot, tables.clamp[s, LONGEST])
-        self.put(scratch, head + chain.OF_UNIT * self.stride, slot, divisor)
+        self.put(scratch, head + chain.OF_TOTAL * self.stride, slot, tables.clamp[s, TOTAL] / unit)
+        self.put(scratch, head + chain.OF_LONGEST * self.stride, slot, tables.clamp[s, LONGEST] / unit)
+        self.put(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot, divisor / unit)
+        self.put(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot, unit)
         stiffness = (tables.material[g, STIFFNESS + BEND] / divisor, tables.material[g, STIFFNESS + TWIST] / divisor)
         self.put_items(scratch, head + chain.OF_STIFFNESS * self.stride, slot, stiffness)
         # A first guess of H's largest diagonal entry.
-        guess = 4.0 * tables.material[g, STIFFEST] / divisor / tables.clamp[s, SHORTEST_PAIR]
+        guess = 4.0 * tables.material[g, STIFFEST] / divisor / (tables.clamp[s, SHORTEST_PAIR] / unit)
         self.put(scratch, head + chain.OF_SCALE * self.stride, slot, guess)

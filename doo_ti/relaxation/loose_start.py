@@ -79,11 +79,13 @@ class LooseStart(Elimination):
         force, c = variable(plus(beyond.force, weight)), variable(plus(beyond.c, weight))
         if ti.static(self.pulls_start):
             energy, gradient, curvature = self.functions.evaluate_start(
-                rod.scratch, rod.head + LOADED_PARAMETERS * self.stride, plus(rod.anchor, self.drift(rod)))
+                rod.scratch, rod.head + LOADED_PARAMETERS * self.stride,
+                scaled(plus(rod.anchor, self.drift(rod)), rod.length_unit))
             found.energy = found.energy + loose * energy
             found.magnitude = found.magnitude + loose * energy
-            force, c = plus(force, gradient), plus(c, gradient)
-            beyond.cc = plus(beyond.cc, curvature)
+            slope = scaled(gradient, rod.length_unit)
+            force, c = plus(force, slope), plus(c, slope)
+            beyond.cc = plus(beyond.cc, scaled(curvature, rod.length_unit * rod.length_unit))
         moment = scaled(force, loose * rod.total)
         found.squared = largest_of(found.squared, largest_of(moment[0] * moment[0],
                                                              largest_of(moment[1] * moment[1], moment[2] * moment[2])))

@@ -9,7 +9,7 @@ from doo_ti.errors import InputError, require_number, require_whole
 class Newton:
     """Options of the Newton solver.
 
-    tolerance       scaled residual to reach, 1/mm; None: 1e-9 in f64, 1e-6 in f32
+    tolerance       residual to reach: moment times length over stiffness, without a unit; None: TOLERANCES
     max_iterations  factorisations allowed per rod
     first_shift     shift δ of the first factorisation over the largest diagonal entry of H. Zero follows the path of
                     descent more closely and takes more iterations (``careful``).
@@ -40,6 +40,11 @@ class Newton:
         """The policy that keeps closest to descent: use it where basins matter (ribbons)."""
         return cls(first_shift=0.0, **options)
 
+
+TOLERANCES = {32: 9.9e-5, 64: 9.9e-8}
+"""What counts as converged, by bits: of a rod of 99 mm a moment over stiffness of 1e-6 and 1e-9 1/mm."""
+SHAPE_TOLERANCE_32 = 1e-4
+"""rad: in f32 the next Newton step has to be smaller too, or f64 takes over."""
 
 # The policy's fixed numbers (shifts are over the largest diagonal entry of H).
 SHIFT_WRONG_INERTIA = 0.01

@@ -33,6 +33,7 @@ from doo_ti.relaxation.newton import (
     PATIENCE_32,
     PATIENCE_AT_SADDLE,
     ROTATION_LIMIT,
+    SHAPE_TOLERANCE_32,
     SHIFT_REJECTED,
     SHIFT_WRONG_INERTIA,
     TOLERANCE,
@@ -66,6 +67,7 @@ class NewtonLoop:
         single = number.bits == 32
         self.rounding = 2e-6 if single else 1e-10
         self.patience = PATIENCE_32 if single else PATIENCE
+        self.shape_tolerance = SHAPE_TOLERANCE_32 if single else 1e30
         self.closure_tolerance = 1e-7 if single else 1e-12
         # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a trace of H's
         # scale on the diagonal lets them pass, always. f32 cannot tell them from soft saddles and leaves them to f64.
@@ -123,17 +125,20 @@ class NewtonLoop:
             for k in ti.static(range(RESULTS)):
                 tables.results[row, k] = ti.math.nan
         else:
-            unit = ti.cast(self.get(scratch, head + chain.OF_UNIT * self.stride, slot), ti.f64)
+            unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
+            length_unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
+            total = self.get(scratch, head + chain.OF_TOTAL * self.stride, slot)
             tables.results[row, ENERGY] = ti.cast(self.lane(lane.energy, slot), ti.f64) * unit
-            tables.results[row, RESIDUAL] = self.lane(lane.residual, slot)
+            tables.results[row, RESIDUAL] = self.lane(lane.residual, slot) * total
             for k in ti.static(range(3)):
-                tables.results[row, FORCE + k] = 0.0 - ti.cast(self.lane(lane.multiplier[k], slot), ti.f64) * unit
+                tables.results[row, FORCE + k] = 0.0 - ti.cast(self.lane(lane.multiplier[k], slot), ti.f64) * unit / length_unit
             miss = (self.lane(lane.miss[0], slot), self.lane(lane.miss[1], slot), self.lane(lane.miss[2], slot))
             squares = miss[0] ** 2 + miss[1] ** 2 + miss[2] ** 2
-            tables.results[row, CLOSURE] = ti.sqrt(squares) / self.get(scratch, head + chain.OF_TOTAL * self.stride, slot)
+            tables.results[row, CLOSURE] = ti.sqrt(squares) / total
         if ti.static(self.sweep.moves_start):
             for k in ti.static(range(3)):
-                tables.results[row, DRIFT + k] = self.get(scratch, head + (chain.OF_DRIFT + k) * self.stride, slot)
+                drift = ti.cast(self.get(scratch, head + (chain.OF_DRIFT + k) * self.stride, slot), ti.f64)
+                tables.results[row, DRIFT + k] = drift * self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot)
         tables.results[row, ITERATIONS] = self.lane(lane.trips, slot)
         tables.results[row, STATUS] = self.lane(lane.status, slot)
         tables.results[row, STABLE] = self.lane(lane.stable, slot)
@@ -258,20 +263,22 @@ class NewtonLoop:
         """Judge where the rod is: a record of flags. What was eliminated says nothing of frames gone back to."""
         gap = ti.sqrt(dot(lane.miss, lane.miss))
         tolerance = ti.cast(tables.policy[TOLERANCE], self.scalar)
-        small = (lane.residual <= tolerance) & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
+        small = (lane.residual * rod.total <= tolerance) & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
         wrong = ((inertia < 2.5) | (inertia > 3.5)) & judged.stands
         right = (inertia > 2.5) & (inertia < 3.5) & judged.stands
         calm = small & (lane.escaping < 0.5) & judged.stands
         bare = (lane.shift <= 0.0) & (lane.coarse < 0.5)
+        # Where rounding of the moments hides the residual, the step that they would lead to says how far off the shape may be.
+        settled = lane.longest <= self.shape_tolerance
         at_saddle = calm & bare & wrong
         # Beside a saddle a rod may make no progress though its residual is not yet small.
         aimless = wrong & (lane.aimless > PATIENCE_AT_SADDLE) & (lane.escaping < 0.5) & (lane.closing < 0.5)
         limit = ti.cast(tables.policy[ESCAPES], self.scalar)
         leaving = (at_saddle & (lane.escapes < limit)) | (aimless & (limit > 0.0))
         return record(
-            gap=gap, small=small, right=right, wrong=wrong, at_minimum=calm & bare & right, at_saddle=at_saddle,
-            leaving=leaving, resting=at_saddle & (lane.escapes >= limit),
-            certify=calm & ((lane.shift > 0.0) | (lane.coarse > 0.5)))
+            gap=gap, small=small, settled=settled, right=right, wrong=wrong,
+            at_minimum=calm & bare & right & settled, at_saddle=at_saddle, leaving=leaving,
+            resting=at_saddle & (lane.escapes >= limit), certify=calm & ((lane.shift > 0.0) | (lane.coarse > 0.5)))
 
     @ti.func
     def plan(self, tables, rod, lane, judged, place, searching, slope):
@@ -317,7 +324,7 @@ class NewtonLoop:
         lane.status = ti.select(stuck, self.constant(self.stalled), self.constant(self.limit))
         lane.status = ti.select(lost, self.constant(self.not_finite), lane.status)
         # At rest, though a neutral motion leaves the certificate undecided: converged, not certified.
-        at_rest = place.small & (late | stuck)
+        at_rest = place.small & place.settled & (late | stuck)
         lane.status = ti.select(ended | at_rest, self.constant(self.converged), lane.status)
         lane.stable = ti.select(place.at_minimum, one, zero)
         lane.finished = ti.select((ended | late | stuck | lost) & (lane.active > 0.5), one, zero)

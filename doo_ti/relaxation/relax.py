@@ -42,13 +42,14 @@ PRECISIONS = ("f32", "f64", "mixed")
 
 @runtime.exclusive
 def relax(
-    configuration: Configuration,
+    x0: Configuration | Solution,
     material: Material,
-    clamps: Clamps,
-    solver: Newton | Descent = Newton(),
+    clamps: Clamps | None = None,
+    solver: Newton | Descent | None = None,
     *,
-    up=(0.0, 0.0, 1.0),
+    up=None,
     precision: str = "f64",
+    handover: bool = True,
     configuration_index=None,
     material_index=None,
     external: External | None = None,
@@ -56,67 +57,65 @@ def relax(
 ) -> Solution:
     """Relax rods from their starts to the constrained minimum of E_Θ they fall to (§III-D).
 
-    configuration, clamps  tables with S rows each: where rods start and what holds their ends
+    x0                     where rods start: a table with S rows; or the Solution of an earlier call
     material               table with G rows
-    solver                 ``Newton()`` (default), ``Newton.careful()`` or the paper's ``Descent()``
-    up                     (3,) direction against gravity
+    clamps                 table with S rows: what holds their ends. None with a Solution: the same rods once more, from where
+                           they ended or, where they failed, from where they began; clamps, gravity, lengths and the
+                           external energy stay as they were, and only the material changes: half the iterations
+    solver                 ``Newton()`` (default), ``Newton.careful()`` or the paper's ``Descent()``. Without clamps Newton only,
+                           by default without a first shift, which keeps closest to the branch
+    up                     (3,) direction against gravity, (0, 0, 1) unless given
     precision              "f64"; "f32", where f64 takes over only rods that f32 could not finish; or "mixed": f32 first,
                            then f64 from there to the f64 tolerance for all. ``Solution.precision`` says which ended a rod
-    external               an energy at the vertices besides the rod's own, with Newton only. Where the start is
-                           free it moves vertex 0, too
+    handover               False: with "f32", rods that f32 could not finish stay as they are
+    external               an energy at the vertices besides the rod's own, with Newton only; where the start is free it moves
+                           vertex 0, too
     configuration_index,   (R,) rows of the tables that make up each rod; without them rows are paired one to one and a
-    material_index,        single row goes with every row of the other table
-    external_index
+    material_index,        single row goes with every row of the other table. Without clamps ``material_index`` alone: by
+    external_index         default one row for each rod, one for all, or as many as before, each for the rods that had it
 
     Clamped frames overwrite the first and last frame of the start. Inputs are never modified, results are float64.
     Energies include the constant μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods get that
     status and NaN.
     """
-    up = unit_up(up, "relax")
-    if not isinstance(solver, Newton | Descent):
-        raise InputError("relax", "solver", f"{solver!r}", "give Newton(), Newton.careful() or Descent()")
-    if external is not None and isinstance(solver, Descent):
-        raise InputError("relax", "solver", "Descent knows no external energy", "give Newton() or Newton.careful()")
-    _check_precision("relax", precision)
+    once_more = isinstance(x0, Solution) and clamps is None
+    if solver is None:
+        solver = Newton(first_shift=0.0) if once_more else Newton()
+    _check_options(solver, precision, external, once_more)
     with np.errstate(all="ignore"):  # a rod that is not finite is data: it gets a status, not a warning
-        table = tables(
-            configuration, material, clamps, up, configuration_index, material_index, external, external_index)
+        if once_more:
+            _check_same_rods(x0, up, external, configuration_index, external_index)
+            table = x0.tables.under(material, material_index)
+        else:
+            start = x0.configuration if isinstance(x0, Solution) else x0
+            table = tables(start, material, clamps, unit_up((0.0, 0.0, 1.0) if up is None else up, "relax"),
+                           configuration_index, material_index, external, external_index)
         if isinstance(solver, Descent):
             frames, results, bits = _descent(table, solver, precision)
         else:
-            frames, results, bits = _newton(table, solver, precision)
+            frames, results, bits = _newton(table, solver, precision, handover, x0 if once_more else None)
         return _solution(table, frames, results, bits)
 
 
-@runtime.exclusive
-def relax_again(
-    solution: Solution, material: Material, solver: Newton = Newton(first_shift=0.0), *, precision: str = "f64",
-    material_index=None,
-) -> Solution:
-    """F once more, from where rods ended, under another material: what follows a parameter takes half the iterations.
-
-    solution        of :func:`relax` or of this function; clamps, gravity, lengths and an external energy stay as they were
-    material        table with G rows
-    solver          Newton; without a first shift, which keeps closest to the branch
-    material_index  (R,) rows of ``material``; without it one for each rod, the one row for all, or as many rows as before, each
-                    for the rods that had that row
-
-    Raises InputError for inputs that do not match. Rods that had come to nothing start where they first did.
-    """
-    if not isinstance(solver, Newton):
-        raise InputError("relax_again", "solver", f"{solver!r}", "give Newton() or Newton.careful()")
-    _check_precision("relax_again", precision)
-    if solution.tables is None:
-        raise InputError("relax_again", "solution", "was put together of several calls", "relax where its rods ended")
-    with np.errstate(all="ignore"):
-        table = solution.tables.under(material, material_index)
-        frames, results, bits = _newton(table, solver, precision, solution)
-        return _solution(table, frames, results, bits)
-
-
-def _check_precision(function: str, precision: str) -> None:
+def _check_options(solver, precision: str, external, once_more: bool) -> None:
+    """Raise InputError for a solver or a precision that is unknown, or that does not go with the rest."""
+    if not isinstance(solver, Newton | Descent):
+        raise InputError("relax", "solver", f"{solver!r}", "give Newton(), Newton.careful() or Descent()")
+    if isinstance(solver, Descent) and once_more:
+        raise InputError("relax", "solver", f"{solver!r} from a Solution", "give Newton() or Newton.careful()")
+    if isinstance(solver, Descent) and external is not None:
+        raise InputError("relax", "solver", "Descent knows no external energy", "give Newton() or Newton.careful()")
     if precision not in PRECISIONS:
-        raise InputError(function, "precision", f"{precision!r}", f"give one of {', '.join(PRECISIONS)}")
+        raise InputError("relax", "precision", f"{precision!r}", f"give one of {', '.join(PRECISIONS)}")
+
+
+def _check_same_rods(solution: Solution, *given) -> None:
+    """Raise InputError where rods are to be relaxed once more that cannot be, or of which something is to change."""
+    if any(value is not None for value in given):
+        raise InputError("relax", "clamps", "missing, though more than the material changes",
+                         "give the clamps, or only material and material_index")
+    if solution.tables is None:
+        raise InputError("relax", "x0", "was put together of several calls", "give clamps, and its configuration as x0")
 
 
 def _descent(table: Tables, solver: Descent, precision: str):
@@ -126,7 +125,7 @@ def _descent(table: Tables, solver: Descent, precision: str):
     return frames, results, np.full(table.count, bits)
 
 
-def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | None = None):
+def _newton(table: Tables, solver: Newton, precision: str, handover: bool, begin: Solution | None):
     """The precision ladder, from the starts or where another solution ended: (frames, results, bits per rod)."""
     if precision == "f64":
         frames, results = batch.run_newton(table, solver, 64, begin)
@@ -134,6 +133,8 @@ def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | Non
     coarse = solver if precision == "f32" else replace(solver, tolerance=None)
     frames, results = batch.run_newton(table, coarse, 32, begin)
     bits = np.full(len(results), 32)
+    if precision == "f32" and not handover:
+        return frames, results, bits
     feasible = results[:, STATUS] != INFEASIBLE
     short = (results[:, STATUS] != CONVERGED) | (results[:, STABLE] == 0)
     rows = np.flatnonzero(feasible & (short | (precision == "mixed")))

@@ -138,11 +138,11 @@ class Tables:
         if index is None and material.count not in (1, self.count):
             index = self.material_index
             if material.count != len(self.material):
-                raise InputError("relax_again", "material", f"{material.count} rows for {self.count} rods",
+                raise InputError("relax", "material", f"{material.count} rows for {self.count} rods",
                                  "give one, one per rod, as many as before, or material_index")
         rows = np.arange(self.count) % material.count if index is None else np.asarray(index)
         if rows.shape != (self.count,):
-            raise InputError("relax_again", "material_index", f"shape {rows.shape}", f"give ({self.count},) row numbers")
+            raise InputError("relax", "material_index", f"shape {rows.shape}", f"give ({self.count},) row numbers")
         _, rows = _pairs(len(self.start), material.count, self.configuration_index, rows)
         isotropic = material.is_isotropic
         table = _material_table(material, isotropic, self.edges)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from doo_ti.report.canvas import plain_ticks
+from doo_ti.report.canvas import literal, plain_ticks
 from doo_ti.report.colors import MISSING
 from doo_ti.report.plane import REGIMES, Plane, cell_edges, regime
 from doo_ti.report.quantities import axis_label, quantity
@@ -18,11 +18,11 @@ def draw_map(axes, plane: Plane, norm, size: float = 1.0):
     from matplotlib.collections import LineCollection, PolyCollection
 
     first, second = plane.axes
-    x, y = cell_edges(first), cell_edges(second)
+    drawn, (x, y) = plane.blocks()
     axes.set_facecolor(MISSING)
-    mesh = axes.pcolormesh(x, y, np.ma.masked_invalid(plane.values.T), cmap="viridis", norm=norm, rasterized=True)
+    mesh = axes.pcolormesh(x, y, np.ma.masked_invalid(drawn.values.T), cmap="viridis", norm=norm, rasterized=True)
     axes.add_collection(PolyCollection(
-        _rectangles(x, y, plane.unfinished > 0), facecolor=(0.6, 0.6, 0.6, 0.45), edgecolor=(0.15, 0.15, 0.15, 0.9),
+        _rectangles(x, y, drawn.unfinished > 0), facecolor=(0.6, 0.6, 0.6, 0.45), edgecolor=(0.15, 0.15, 0.15, 0.9),
         hatch="////", linewidth=0), autolim=False)
     for axis, edges, set_scale, set_label, grid in (
             (axes.xaxis, x, axes.set_xscale, axes.set_xlabel, first),
@@ -33,7 +33,7 @@ def draw_map(axes, plane: Plane, norm, size: float = 1.0):
     if plane.twist is not None:
         _draw_regimes(axes, plane, size)
     axes.add_collection(LineCollection(
-        _outline(x, y, plane.valley), colors="white", linewidths=0.6 + 1.6 * size, capstyle="projecting",
+        _outline(x, y, drawn.valley), colors="white", linewidths=0.6 + 1.6 * size, capstyle="projecting",
         path_effects=edged()), autolim=False)
     axes.set_xlim(x[0], x[-1])
     axes.set_ylim(y[0], y[-1])
@@ -43,11 +43,12 @@ def draw_map(axes, plane: Plane, norm, size: float = 1.0):
 
 def draw_line(axes, plane: Plane, label: str, size: float = 1.0) -> None:
     """Distance over the one free axis, log where it spans decades."""
-    axis = plane.axes[0]
-    x, edges = np.asarray(axis[1], float), cell_edges(axis)
-    values, finished = plane.values[:, 0], plane.unfinished[:, 0] == 0
-    for cells, color, alpha in ((plane.valley[:, 0], VALLEY, 0.35), (np.isnan(values), MISSING, 0.5)):
-        for left, right in zip(edges[:-1][cells], edges[1:][cells], strict=True):
+    drawn, (edges,) = plane.blocks()
+    axis = drawn.axes[0]
+    x, values, finished = np.asarray(axis[1], float), drawn.values[:, 0], drawn.unfinished[:, 0] == 0
+    for cells, color, alpha in ((drawn.valley[:, 0], VALLEY, 0.35), (np.isnan(values), MISSING, 0.5)):
+        _, first, behind = _stretches(cells[None])
+        for left, right in zip(edges[first], edges[behind], strict=True):
             axes.axvspan(left, right, color=color, alpha=alpha, linewidth=0)
     axes.plot(x, values, color=LINE, linewidth=2.2)
     axes.plot(x[finished], values[finished], "o", color=LINE, markersize=7)
@@ -92,7 +93,7 @@ def draw_marks(axes, plane: Plane, marks, size: float = 1.0) -> None:
                   markeredgewidth=1.6 * size, zorder=5.5, path_effects=rim)
         if not any(texts[cell]):
             continue
-        axes.annotate(", ".join(texts[cell]), place_of(plane, cell), xytext=(
+        axes.annotate(literal(", ".join(texts[cell])), place_of(plane, cell), xytext=(
             0.62 if right else 0.38, 0.5 + 0.1 * (row - 0.5 * (len(texts) - 1))), textcoords="axes fraction", zorder=6,
             color="white", fontsize=11 * size, fontweight="bold", va="center", ha="left" if right else "right",
             path_effects=rim, arrowprops={"arrowstyle": "-", "color": "white", "linewidth": 0.9 * size, "shrinkB": 4 * size})
@@ -156,10 +157,17 @@ def _draw_regimes(axes, plane: Plane, size: float) -> None:
 
 
 def _rectangles(x: np.ndarray, y: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """(N, 4, 2) corners of the cells in ``mask`` (A, B)."""
-    a, b = np.nonzero(mask)
-    left, right, low, high = x[a], x[a + 1], y[b], y[b + 1]
+    """(N, 4, 2) corners of the stretches along b of cells in ``mask`` (A, B)."""
+    a, first, behind = _stretches(mask)
+    left, right, low, high = x[a], x[a + 1], y[first], y[behind]
     return np.stack([np.stack([left, right, right, left], -1), np.stack([low, low, high, high], -1)], axis=-1)
+
+
+def _stretches(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(N,) row, first column and the column behind the last, of each unbroken stretch in the rows of ``mask`` (A, B)."""
+    turns = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    (row, first), (_, behind) = np.nonzero(turns == 1), np.nonzero(turns == -1)
+    return row, first, behind
 
 
 def _outline(x: np.ndarray, y: np.ndarray, mask: np.ndarray) -> np.ndarray:

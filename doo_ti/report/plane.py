@@ -3,7 +3,7 @@
 Axes of a grid are (name, values, is_log, unit); a landscape holds one mean distance (Eq. 1) per cell of the grid.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -11,6 +11,10 @@ import numpy as np
 REGIMES = ("β > B₁₁ and B₂₂", "B₂₂ > B₁₁ > β", "B₁₁ > B₂₂ > β")
 """The ways in which a ribbon behaves, as Fig. 5 numbers them: it bends sharply so as not to twist, it bends about the wrong
 axis, it twists so as not to bend about the stiff one."""
+
+
+MOST_DRAWN = 512
+"""Cells along an axis of a picture, whose axes are some 1100 × 800 pixels."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +98,32 @@ class Plane:
         """Distances in mm as heights of the surface, in proportion."""
         finite = self.values[np.isfinite(self.values)]
         return self.HEIGHT * values / (finite.max() if finite.size and finite.max() > 0 else 1.0)
+
+    def blocks(self) -> tuple["Plane", list[np.ndarray]]:
+        """The landscape in at most ``MOST_DRAWN`` cells along each axis, more than which no picture shows, and the borders of
+        those cells along each axis.
+
+        Blocks of cells become one, which has the smallest of their values, lies in the valley where any of them does, and is
+        unfinished where all of them are. A landscape of fewer cells stays as it is.
+        """
+        plane, borders = self, []
+        for number, axis in enumerate(self.axes):
+            name, values, is_log, unit = axis
+            step = -(-len(values) // MOST_DRAWN)
+            first = np.arange(0, len(values), step)
+            last = np.append(first[1:], len(values)) - 1
+            borders.append(cell_edges(axis)[np.append(first, len(values))])
+            if step > 1:
+                low, high = np.asarray(values, float)[first], np.asarray(values, float)[last]
+                middle = np.sqrt(low * high) if is_log else 0.5 * (low + high)
+                values = np.fmin.reduceat(plane.values, first, axis=number)
+                plane = replace(
+                    plane, axes=(*plane.axes[:number], (name, middle, is_log, unit), *plane.axes[number + 1:]), values=values,
+                    valley=np.logical_or.reduceat(plane.valley, first, axis=number),
+                    unfinished=np.where(np.isnan(values), np.maximum.reduceat(plane.unfinished, first, axis=number), 0),
+                    minimum=plane.minimum and tuple(
+                        place // step if k == number else place for k, place in enumerate(plane.minimum)))
+        return plane, borders
 
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """(A, B, 3) points over the unit square, NaN where not evaluated, and (N, 3) triangles between those that were,

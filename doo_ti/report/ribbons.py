@@ -58,10 +58,10 @@ def ribbons_picture(path_or_buffer, ribbons: list[Ribbons], which: int, *, basis
             axes.set_axis_off()
         _tell_view(places[0], name)
     for axes, kind in zip(grid[0], filled, strict=True):
-        axes.set_title(kind.label, fontsize=9.5, color=np.array(kind.color) / 255)
+        axes.set_title(literal(kind.label), fontsize=9.5, color=np.array(kind.color) / 255)
     figure.suptitle(literal(title), fontsize=13)
     if outlined:
-        keys = [Line2D([], [], color=np.array(kind.color) / 255, label=kind.label) for kind in outlined]
+        keys = [Line2D([], [], color=np.array(kind.color) / 255, label=literal(kind.label)) for kind in outlined]
         figure.legend(handles=keys, loc="outside lower center", ncols=len(keys), frameon=False, fontsize=10)
     figure.canvas.print_png(path_or_buffer)
 

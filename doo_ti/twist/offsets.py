@@ -17,6 +17,7 @@ from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
 from doo_ti.named_arrays import frame_columns, read_arrays
 
+MOST_DEG = 36_000.0
 _FIELDS = {"start_frame": "start_frame", "end_frame": "end_frame", "total_twist_deg": "total_twist"}
 KNOWN = {"offset_deg": ((), ("offset_deg",)), "total_twist_deg": ((), ("total_twist_deg",)),
          "start_frame": ((3, 3), frame_columns("start_frame")), "end_frame": ((3, 3), frame_columns("end_frame"))}
@@ -33,6 +34,8 @@ def load_offsets(path: Path, observations: Observations) -> tuple[Observations, 
         if value.shape != wanted:
             raise InputError(path, key, f"shape {value.shape}", f"make it {wanted}, one for each observation")
     if "offset_deg" in arrays:
+        if not (np.abs(arrays["offset_deg"]) <= MOST_DEG).all():
+            raise InputError(path, "offset_deg", "not finite, or more than 100 turns", "give degrees, whole turns included")
         return observations, np.radians(arrays["offset_deg"])
     if "end_frame" not in arrays:
         raise InputError(path, "end_frame", "missing", "give offset_deg or end_frame")

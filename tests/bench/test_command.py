@@ -56,6 +56,7 @@ WRONG = {
     "no threads": (["--threads", "0"], "--threads", "below 1"),
     "more threads than cores": (["--threads", "100000"], "--threads", "above"),
     "no rounds": (["--rounds", "0"], "--rounds", "below 1"),
+    "rounds without end": (["--rounds", "1000001"], "--rounds", "above 1000"),
     "unknown option": (["--fast"], "--fast", "unknown option"),
     "an argument": (["scenes"], "scenes", "unexpected argument"),
 }

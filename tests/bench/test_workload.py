@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti import Newton, relax_again
+from doo_ti import Newton, relax
 from doo_ti.bench import workload
 from doo_ti.scene import load_scene
 
@@ -43,5 +43,5 @@ def test_near_materials_are_a_tenth_away_and_take_fewer_iterations(sutures):
         there, here = getattr(rods.material, name), getattr(near, name)
         assert set(np.round(here[there > 0] / there[there > 0], 12)) == {0.9, 1.1}
     solution = rods.relaxed(Newton(), "f64")
-    moved = relax_again(solution, near)
+    moved = relax(solution, near)
     assert 1 < moved.iterations.mean() < solution.iterations.mean()

@@ -73,6 +73,13 @@ KEYS = {
     "non-numeric array": (changed("vertices_mm", lambda v: v.astype(str)), "vertices_mm", "not numeric"),
     "complex array": (changed("vertices_mm", lambda v: v + 0j), "vertices_mm", "complex"),
     "boolean array": (changed("vertices_mm", lambda v: v > 0), "vertices_mm", "bool"),
+    "a label below zero": (lambda keys: keys.update(end_distance_mm=np.array([30.0, -1.0, 30.0])), "end_distance_mm", "-1 mm"),
+    "lengths of another unit": (changed("rest_length_mm", lambda x: 1000 * x), "rest_length_mm", "mm apart on average"),
+    "an edge of no length": (changed("rest_length_mm", lambda x: np.where(np.arange(8) == 3, 5e-324, x)), "rest_length_mm",
+                             "at edge 3"),
+    "a rod at no place": (changed("vertices_mm", lambda v: v + 1e13), "vertices_mm", "from the origin"),
+    "a mark far away": (changed("vertices_mm", lambda v: np.where(v == v[1, 4, 0], 1e6, v)), "vertices_mm",
+                        "vertex 4 of observation 1 is 1e+06 mm away"),
     "object array": (changed("vertices_mm", lambda v: v.astype(object)), "vertices_mm", "cannot be read"),
 }
 
@@ -170,6 +177,8 @@ OPTIONS = {
     "weight negative": (["--weight", "-1e-3"], "--weight", "-0.001"),
     "weight no number": (["--weight", ""], "--weight", "''"),
     "frame weight no number": (["--frame-weight", "wide"], "--frame-weight", "'wide'"),
+    "frame weight beyond numbers": (["--frame-weight", "1e300"], "--frame-weight", "out of range"),
+    "twist below numbers": (["--twist", "1e-300"], "--twist", "below 1e-30"),
     "frame weight negative": (["--frame-weight", "-6.7"], "--frame-weight", "out of range"),
     "up no number": (["--up", "0,0,z"], "--up", "'z'"),
     "up too short": (["--up", "-1,0"], "--up", "no direction"),
@@ -209,6 +218,7 @@ GRIDS = {
     "seed": (["--bend", "1e5", "--seed", "x"], "--seed", "'x'"),
     "seed negative": (["--bend", "1e5", "--seed", "-1"], "--seed", "below 0"),
     "workers": (["--bend", "1e5", "--workers", "0"], "--workers", "below 1"),
+    "workers without end": (["--bend", "1e5", "--workers", "9223372036854775808"], "--workers", "above 1024"),
     "a cluster and workers": (["--bend", "1e5", "--workers", "2", "--dask", "tcp://127.0.0.1:1"], "--dask", "--workers"),
     "objective": (["--bend", "1e5", "--objective", "both"], "--objective", "'both'"),
 }
@@ -249,6 +259,7 @@ def test_outputs_that_cannot_be(capsys, tmp_path):
     for name, argv in commands.items():
         refused(capsys, tmp_path, [*argv, below], named[name], "good.npz", "below it")
     refused(capsys, tmp_path, [*commands["sweep"], good], "--out", "good.npz")
+    refused(capsys, tmp_path, [*commands["sweep"], ""], "--out", "names no folder")
     for name in ("relax", "convert", "synth"):
         refused(capsys, tmp_path, [*commands[name], str(tmp_path / "folder.npz")], named[name], "is a folder")
         refused(capsys, tmp_path, [*commands[name], str(tmp_path / "F.txt")], "suffix '.txt'")
@@ -279,6 +290,8 @@ SCENES = {
     "a name that is none": (f'name = "a\\u0000b"\n{LAB}{GRID}', "name", "names no folder"),
     "turns without end": (f"{LAB}end_rotations_deg = [1e18]\n{GRID}", "synthesis.end_rotations_deg", "1000 turns"),
     "a rod without end": (f"{LAB}length_mm = 1e300\n{GRID}", "synthesis.length_mm"),
+    "a weight of hundreds of digits": (f"frame_weight_mm = {'9' * 400}\n{LAB}{GRID}", "frame_weight_mm"),
+    "marks of hundreds of digits": (f"{LAB}marks = {'9' * 400}\n{GRID}", "synthesis.marks", "below 2**63"),
     "a direction out of range": (f"{LAB}start_direction = [1e200, 0, 0]\n{GRID}", "synthesis.start_direction"),
 }
 

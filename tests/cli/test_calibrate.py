@@ -76,6 +76,7 @@ TABLES = {
     "one camera": ("view,cam0\na,x.png\n", "a rig has two or more"),
     "a camera twice": ("view,cam0,cam0\na,x.png,x.png\n", "a name twice"),
     "a view twice": ("view,cam0,cam1\na,,\na,,\n", "'a' is no name, or there twice"),
+    "a quote that is not closed": ('view,cam0,cam1\n"a,x.png,y.png\nb,x.png,y.png"\n', "a line break within a cell"),
     "no views": ("view,cam0,cam1\n", "no views"),
     "a short row": ("view,cam0,cam1\na,x.png\n", "row 1: 2 cells under 3 columns"),
     "an image that is not there": ("view,cam0,cam1\na,x.png,\n", "cam0: no such file"),

@@ -17,6 +17,7 @@ from doo_ti.dataset import Observations, load_observations, save_observations
 from doo_ti.errors import InterruptedRunError
 from doo_ti.frames import bishop_frames
 from doo_ti.grid import Grid
+from doo_ti.learning.overview import gather_overview
 from doo_ti.types import Clamp, Status
 from tests.cli.test_bad_input import MATERIAL, npz_bytes
 
@@ -56,7 +57,7 @@ def swept(monkeypatch) -> list:
     def sweep(run, observations, grid, *, options, pairs, command):
         calls.append((run, observations, grid, options, command))
         write_run(run, grid, np.linspace(2, 1, grid.size)[:, None] + np.zeros(observations.count), observations.name)
-        return {"best": np.float64(3), "gaps": [np.nan], "grid": grid.as_dict(), "hypotheses": None,
+        return {**gather_overview(run, grid, observations.name, None).as_dict(), "gaps": [np.nan], "hypotheses": None,
                 "timing": {"relaxed_rods": 50, "relaxation_s": 0.5}}
 
     monkeypatch.setitem(sys.modules, "doo_ti.learning.sweeps", types.SimpleNamespace(sweep=sweep))
@@ -246,6 +247,20 @@ def test_failure_while_running_exits_with_one(capsys, tmp_path, swept, monkeypat
     assert main(["sweep", str(tmp_path / "good.npz"), "--bend", "1e5", "--out", str(tmp_path / "run")]) == 1
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["refine", "perceive", "predict", "figures", "learn", "synth", "sweep"])
+@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt(), RuntimeError("no\nmemory")])
+def test_a_command_that_is_stopped_says_whether_it_starts_anew(capsys, monkeypatch, command, failure):
+    def fail(*args):
+        raise failure
+
+    monkeypatch.setattr(f"doo_ti.commands.{command}.run", fail)
+    rig = ["--rig", "R", "--rest-length", "3:3"] if command == "perceive" else []
+    assert main([command, "source", "--out", "F", *rig]) == 1
+    out, err = capsys.readouterr()
+    way = "goes on with what is finished" if command == "sweep" else "starts anew"
+    assert out == "" and err.count("\n") == 1 and f"; the same command {way}" in err
 
 
 def test_relax_writes_every_key(capsys, tmp_path):

@@ -1,6 +1,7 @@
 """`doo-ti figures` on small sweeps of the virtual lab: what it writes, what it says, what it refuses."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from doo_ti.cli import main
 from doo_ti.grid import Axis, Grid
 from doo_ti.learning.landscape import read_landscape
+from doo_ti.learning.summary import SEAL
 from doo_ti.learning.sweeps import SweepOptions, sweep
 from doo_ti.scene import Synthesis
 from doo_ti.synthesis import synthesise
@@ -104,6 +106,19 @@ def test_wrong_input_is_one_line_and_nothing_is_written(lab, tmp_path, capsys, w
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1 and problem in err
     assert not (tmp_path / "out").exists()
+
+
+def test_pairs_that_are_not_those_of_the_cells(lab, tmp_path, capsys):
+    """In a run that does not say what its files were, as those of older versions."""
+    run = tmp_path / "dynamic"
+    shutil.copytree(lab / "dynamic", run)
+    summary = json.loads((run / "summary.json").read_text())
+    for key in ("files", SEAL):
+        del summary[key]
+    (run / "summary.json").write_text(json.dumps(summary))
+    (run / "pairs.csv").write_text("".join((run / "pairs.csv").read_text().splitlines(keepends=True)[:-1]))
+    assert main(["figures", str(run), "--out", str(tmp_path / "out")]) == 2
+    assert "the cells hold" in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
 def test_a_failure_on_the_way_keeps_what_is_done(lab, tmp_path, capsys, monkeypatch):

@@ -124,8 +124,10 @@ def test_people_are_told(photographed, tmp_path, capsys):
 @pytest.mark.parametrize("change, words", [
     (["--bend", "1e5:1e6:5"], ("--bend", "grid")), (["--bend", "1e5,2e5"], ("--bend", "round")),
     (["--rest-length", "3:x"], ("--rest-length",)), (["--rest-length", "-3:14"], ("--rest-length",)),
+    (["--rest-length", "9e18:14"], ("--rest-length", "9e+18 mm")),
     (["--rest-length", "3:1"], ("--rest-length",)), (["--rest-length", "nowhere.txt"], ("--rest-length", "nowhere.txt")),
-    (["--nu", "-1"], ("--nu",)), (["--hypotheses", "0"], ("--hypotheses",)), (["--width", "1,2"], ("--width",)),
+    (["--nu", "-1"], ("--nu",)), (["--hypotheses", "0"], ("--hypotheses",)),
+    (["--hypotheses", "9223372036854775808"], ("--hypotheses", "above")), (["--width", "1,2"], ("--width",)),
     (["--seed-point", "1,2,3"], ("--seed-point", "--sets")), (["--up", "0,0"], ("--up",))])
 def test_wrong_options_are_told(photographed, tmp_path, capsys, change, words):
     argv = of_sets(photographed[0], "--out", str(tmp_path / "new" / "f.npz"))
@@ -171,9 +173,11 @@ def test_wrong_scenes_are_told(photographed, tmp_path, capsys):
     refused(capsys, tmp_path, [*argv[:2], *argv[4:]], "two cameras")
     np.savez(tmp_path / "truth.npz", vertices_mm=rods, name=np.array(["first", "third"]))
     refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(tmp_path / "truth.npz")), "second")
+    np.savez(tmp_path / "truth.npz", vertices_mm=rods, name=np.array(["first", "second", "third"]))
+    refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(tmp_path / "truth.npz")), "shape (3,) for 2 rods")
     np.savez(tmp_path / "unnamed.npz", vertices_mm=rods[:1])
     refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(tmp_path / "unnamed.npz")), "1 rods for 2 sets")
-    np.savez(tmp_path / "lengths.npz", rest_length_mm=np.array([3.0, -1.0]))
+    np.savez(tmp_path / "lengths.npz", rest_length_mm=np.array([3.0, 9e18]))
     argv = of_sets(folder, *out)
     argv[argv.index("--rest-length") + 1] = str(tmp_path / "lengths.npz")
     refused(capsys, tmp_path, argv, "rest_length_mm")

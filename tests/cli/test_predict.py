@@ -107,9 +107,11 @@ def test_a_rod_that_is_lost_is_told(folder, capsys):
     (["--motion", "turn.csv", "--sub-step", "90"], "--sub-step"), (["--motion", "turn.csv", "--sub-step", "x"], "--sub-step"),
     (["--motion", "turn.csv", "--out", "f.csv"], "--out"), (["--motion", "turn.csv", "--between", "100000000"], "--between"),
     (["--motion", "turn.csv", "--recording", "f.png"], "ends in .rrd"), (["--motion", "turn.csv", "--bend", "-1"], "--bend"),
+    (["--motion", "metres.npz"], "moment 1: the clamps are 9e+04 mm apart"),
 ])
 def test_wrong_input_is_one_line(folder, capsys, monkeypatch, more, told):
     monkeypatch.chdir(folder)
+    np.savez("metres.npz", end_position_mm=[[90.0, 0, 0], [90000.0, 0, 0]])
     assert main(["predict", "seen.npz", *MATERIAL, "--out", "f.npz", *more]) == 2
     line = capsys.readouterr().err
     assert told in line and line.count("\n") == 1

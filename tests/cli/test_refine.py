@@ -73,6 +73,13 @@ def test_a_run_s_best_cells(observed, tmp_path, capsys):
     assert "has cells to begin from" in capsys.readouterr().err
 
 
+def test_rods_that_one_end_holds(observed, capsys):
+    argv = ["refine", str(observed), "--bend", "4e4", "--twist", "2e4", "--no-models", "--rest-curvature", "none",
+            "--clamp-start", "free", "--parameters", "bend", "--json"]
+    assert main(argv) in (0, 1)
+    assert "Traceback" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("more, message", [
     ([], "--bend: missing"),
     (["--bend", "1e4:1e5:3"], "refine the run of a sweep"),
@@ -83,14 +90,18 @@ def test_a_run_s_best_cells(observed, tmp_path, capsys):
     (["--bend", "1e4", "--linear-density", "-1"], "not a positive number"),
     (["--bend", "1e4", "--clip", "20"], "below a quarter"),
     (["--bend", "1e4", "--edges", "3"], "--edges"),
+    (["--bend", "1e4", "--curvature-spread", "1e-300"], "--curvature-spread: 1e-300; give 1e-06"),
+    (["--bend", "1e4", "--curvature-range", "1e300"], "--curvature-range"),
     (["--bend", "1e4", "--groups", "nothing"], "names no key"),
     (["--bend", "1e4", "--groups", "nothing.npz:key"], "name a readable .npz file"),
     (["--bend", "1e4", "--groups", "groups.npz:other"], "the key is missing"),
+    (["--bend", "1e4", "--groups", "nan.npz:recording"], "not finite"),
     (["--bend", "1e4", "--frame-weight", "3"], "a frame weight is given"),
     (["--bend", "1e4", "--out", "found.txt"], "ends in .json"),
 ])
 def test_what_is_wrong_is_told_in_a_line_and_nothing_is_written(observed, tmp_path, capsys, monkeypatch, more, message):
     monkeypatch.chdir(tmp_path)
+    np.savez("nan.npz", recording=np.full(16, np.nan))
     before = sorted(tmp_path.iterdir())
     assert main(["refine", str(observed), *more]) == 2
     captured = capsys.readouterr()

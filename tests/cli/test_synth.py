@@ -116,6 +116,12 @@ def test_wrong_options(capsys, tmp_path, case):
     refused(capsys, tmp_path, argv, *told)
 
 
+@pytest.mark.parametrize("words", [["--rig", "absent.yaml"], ["--diameter", "0.5"], ["--seed", "3"], ["--render", "noise=2"]])
+def test_options_of_images_need_images(capsys, tmp_path, words):
+    argv = [word for word in prepared(tmp_path)[:2]]
+    refused(capsys, tmp_path, [*argv, "--out", str(tmp_path / "o.npz"), *words], words[0], "--images")
+
+
 def test_wrong_places_scenes_and_rigs(capsys, tmp_path):
     argv = prepared(tmp_path)
     refused(capsys, tmp_path, ["synth", argv[1]], "--out", "missing")

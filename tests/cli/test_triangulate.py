@@ -96,6 +96,7 @@ def test_two_labels_that_contradict_each_other_are_told(tmp_path, rng, capsys):
 
 WRONG = {
     "unknown camera": ([*good_rows(), ("a", "cam7", 0, 5, 5)], [], "marks.csv", "'cam7'"),
+    "a name of two lines": ([('"a\nb"', *row[1:]) for row in good_rows()], [], "marks.csv", "holds a line break"),
     "too few views": ([row for row in good_rows() if row[1] == "cam0"], [], "'a' has 0 vertices with a position"),
     "sigma": (good_rows(), ["--sigma-px", "0"], "sigma_px", "positive"),
     "sigma of text": (good_rows(), ["--sigma-px", "half"], "--sigma-px", "'half'"),

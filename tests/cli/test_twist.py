@@ -100,6 +100,7 @@ def test_wrong_input_is_one_line(files, capsys, words, told):
 
 
 @pytest.mark.parametrize("text, told", [
+    ("offset_deg\n1\n2\n3\n1e6\n", "more than 100 turns"),
     ("offset_deg\n1\n2\n", "one for each"), ("total_twist_deg\n1\n2\n3\n4\n", "end_frame"), ("colour\n1\n", "colour"),
 ])
 def test_wrong_offsets_are_named(files, capsys, text, told):

@@ -116,7 +116,8 @@ def test_a_grid_comes_back_from_json_exactly():
     grid = Grid(axes, 7.0)
     again = Grid.from_dict(json.loads(json.dumps(grid.as_dict())))
     assert again.as_dict() == grid.as_dict() and again.shape == grid.shape
-    for wrong in (None, {}, {"axes": 3, "bend_12": 0}, {"axes": [{"name": "bend"}], "bend_12": 0}):
+    for wrong in (None, {}, {"axes": 3, "bend_12": 0}, {"axes": [{"name": "bend"}], "bend_12": 0},
+                  {"axes": [{"name": ["bend"], "values": [1e5], "log": True}], "bend_12": 0}, {"axes": [], "bend_12": 10**400}):
         with pytest.raises(InputError):
             Grid.from_dict(wrong)
 

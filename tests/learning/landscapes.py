@@ -29,4 +29,4 @@ def dynamic(name: str, distance: np.ndarray, pairs: list[tuple[int, int]], weigh
     labels = np.full(count, end_distance) if np.isscalar(end_distance) else end_distance[target]
     return Landscape(Path(f"{name}_dynamic"), name, grid_of(cells), "dynamic", distance,
                      np.full(distance.shape, Status.CONVERGED), np.ones(distance.shape, bool), target, start,
-                     np.broadcast_to(np.float64(weight), count), labels, np.full(count, np.nan))
+                     np.broadcast_to(np.float64(weight), count), labels, np.full(count, np.nan), np.zeros(distance.shape, int))

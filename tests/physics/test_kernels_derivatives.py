@@ -17,42 +17,10 @@ from doo_ti.physics.number import Number
 from tests.oracle import algebra as oracle
 from tests.oracle.pair import linear_gradient_hessian, pair_energy, pair_gradient_hessian
 from tests.oracle.vertex_form import curvature_binormal, material_curvature
+from tests.physics.columns import ROWS, columns_kernel, every_number
 
-NUMBERS = [Number(width, bits) for bits in (32, 64) for width in (1, 8, 16)]
-ROWS = 48  # a multiple of every width
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 STEP = 1e-100  # of the complex step
-
-every_number = pytest.mark.parametrize("number", NUMBERS, ids=lambda number: f"{number.width} x f{number.bits}")
-table = ti.types.ndarray(dtype=ti.f64, ndim=2)
-
-
-def columns_kernel(number: Number, inputs: int, outputs: int, function):
-    """A kernel that applies ``function``, from a tuple of ``inputs`` numbers to a tuple of ``outputs``, to its rows."""
-    largest, lane, with_lane, constant, put, get = number.lanes()
-    width = number.width
-    pack = ti.types.ndarray(dtype=number.type, ndim=1)
-
-    @ti.kernel
-    def apply(source: table, scratch: pack, result: table):
-        for _ in range(1):
-            for group in range(source.shape[0] // width):
-                for k in range(inputs):
-                    for l in range(width):
-                        put(scratch, k, l, source[group * width + l, k])
-                values = function(scratch)
-                for k in ti.static(range(outputs)):
-                    scratch[k] = values[k]
-                for k in range(outputs):
-                    for l in range(width):
-                        result[group * width + l, k] = lane(scratch[k], l)
-
-    def run(values: np.ndarray) -> np.ndarray:
-        result = np.zeros((len(values), outputs))
-        apply(np.ascontiguousarray(values), ti.ndarray(number.type, max(inputs, outputs)), result)
-        return result
-
-    return run
 
 
 @cache

@@ -8,14 +8,9 @@ import pytest
 import taichi as ti
 
 from doo_ti import runtime
-from doo_ti.physics import algebra, angle
+from doo_ti.physics import algebra, angle, tuples
 from doo_ti.physics.number import Number
-
-NUMBERS = [Number(width, bits) for bits in (32, 64) for width in (1, 8, 16)]
-ROWS = 48  # a multiple of every width
-
-every_number = pytest.mark.parametrize("number", NUMBERS, ids=lambda number: f"{number.width} x f{number.bits}")
-table = ti.types.ndarray(dtype=ti.f64, ndim=2)
+from tests.physics.columns import ROWS, every_number, table
 
 
 def lanes_kernel(number: Number, inputs: int, function):
@@ -27,12 +22,12 @@ def lanes_kernel(number: Number, inputs: int, function):
     def apply(source: table, result: table):
         for group in range(source.shape[0] // width):
             a, b, c = (constant(0.0), constant(0.0), constant(0.0))
-            for l in range(width):
-                a = with_lane(a, l, source[group * width + l, 0])
+            for slot in range(width):
+                a = with_lane(a, slot, source[group * width + slot, 0])
                 if ti.static(inputs > 1):
-                    b = with_lane(b, l, source[group * width + l, 1])
+                    b = with_lane(b, slot, source[group * width + slot, 1])
                 if ti.static(inputs > 2):
-                    c = with_lane(c, l, source[group * width + l, 2])
+                    c = with_lane(c, slot, source[group * width + slot, 2])
             value = constant(0.0)
             if ti.static(inputs == 1):
                 value = function(a)
@@ -40,8 +35,8 @@ def lanes_kernel(number: Number, inputs: int, function):
                 value = function(a, b)
             else:
                 value = function(a, b, c)
-            for l in range(width):
-                result[group * width + l, 0] = lane(value, l)
+            for slot in range(width):
+                result[group * width + slot, 0] = lane(value, slot)
 
     return apply
 
@@ -237,8 +232,8 @@ def largest_of_three(a, b, c):
 @ti.func
 def crossed(a, b, c):
     """Tuples in, tuples out, taken apart, through two functions."""
-    x, y, z = algebra.cross((a, b, c), (b, c, a))
-    return algebra.dot((x, y, z), (c, a, b))
+    x, y, z = tuples.cross((a, b, c), (b, c, a))
+    return tuples.dot((x, y, z), (c, a, b))
 
 
 @every_number
@@ -276,18 +271,18 @@ def test_lanes_are_read_written_and_compared_one_by_one(rng, number):
     @ti.kernel
     def shuffle(source: table, scratch: ti.types.ndarray(dtype=number.type, ndim=1), result: table):
         for group in range(source.shape[0] // width):
-            for l in range(width):
-                put(scratch, group, l, source[group * width + l, 0])
+            for slot in range(width):
+                put(scratch, group, slot, source[group * width + slot, 0])
             value = scratch[group]
             flags = constant(0.0)
-            for l in range(width):
+            for slot in range(width):
                 # The lane's own number comes out doubled, whatever its neighbours hold.
-                value = with_lane(value, l, 2.0 * lane(value, l))
-                if lane(value, l) > 0.0:
-                    flags = with_lane(flags, l, 1.0)
-            for l in range(width):
-                result[group * width + l, 0] = lane(value, l)
-                result[group * width + l, 1] = largest(flags)
+                value = with_lane(value, slot, 2.0 * lane(value, slot))
+                if lane(value, slot) > 0.0:
+                    flags = with_lane(flags, slot, 1.0)
+            for slot in range(width):
+                result[group * width + slot, 0] = lane(value, slot)
+                result[group * width + slot, 1] = largest(flags)
 
     values = sampled(rng, number, 1)
     result, scratch = np.zeros((ROWS, 2)), ti.ndarray(number.type, ROWS // width)
@@ -312,8 +307,8 @@ def test_literals_are_exact_to_one_unit_in_the_last_place(number):
         for _ in range(1):
             for k in ti.static(range(len(LITERALS))):
                 value = constant(1.0) * scalar(LITERALS[k])
-                for l in range(width):
-                    result[l, k] = lane(value, l)
+                for slot in range(width):
+                    result[slot, k] = lane(value, slot)
 
     result = np.zeros((width, len(LITERALS)))
     fill(result)

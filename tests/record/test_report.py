@@ -5,7 +5,20 @@ import io
 import numpy as np
 import pytest
 
-from doo_ti.report import distance_colors, landscape_colors, landscape_image, landscape_picture, quantity
+from doo_ti.report import (
+    LandscapePanel,
+    Panel,
+    angle_curves_picture,
+    angle_errors_picture,
+    distance_colors,
+    landscape_colors,
+    landscape_image,
+    landscape_picture,
+    landscapes_picture,
+    motions_picture,
+    panels_picture,
+    quantity,
+)
 from doo_ti.report.plane import Plane, cell_edges, valley_cells
 
 from . import runs
@@ -37,6 +50,20 @@ def test_a_name_is_no_mathematics():
     """Between dollar signs matplotlib reads a language of its own, in which this is an error."""
     axes, values = run()
     landscape_picture(io.BytesIO(), axes, values, minimum=(2, 1, 0), **WORDS | {"title": "a$^{$ b"})
+
+
+def test_names_in_titles_legends_and_panels_are_no_mathematics():
+    name, vertices = "a$^{$ b", np.cumsum(np.ones((3, 1, 5, 3)), axis=2)
+    axes, values = run()
+    panels = [[LandscapePanel(name, Plane.of(axes, values, minimum=(2, 1, 0)), ((name, (0, 0)),))]]
+    landscapes_picture(io.BytesIO(), panels, title=name, **{"label": WORDS["label"]})
+    panels_picture(io.BytesIO(), [Panel(name, "rods", "rods a second", {name: ([1, 2, 4], [1, 2, 3])}, grown) for grown in
+                                  (True, False)], name)
+    motions_picture(io.BytesIO(), np.arange(3.0), vertices, [name], np.zeros((3, 1), int), up=np.array([0, 0, 1.0]), title=name)
+    angle_errors_picture(io.BytesIO(), {name: np.arange(9.0)}, success_deg=5.0, title=name)
+    angle = np.arange(0.0, 360.0, 90.0)
+    angle_curves_picture(io.BytesIO(), angle, angle[None], phi=[0.0], low=[0.0], high=[9.0], names=[name],
+                         unsound=np.zeros((1, 4), bool), title=name)
 
 
 def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():

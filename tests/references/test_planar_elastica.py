@@ -84,7 +84,7 @@ def test_second_mode_is_named_a_saddle_and_left():
     first = clamped_rod(33, 0.9, one_wave)
     rods = stacked([second, first])
     clamps = clamps_at(first).take([0, 0])
-    stopped = relax(rods, MATERIAL, clamps, Newton(tolerance=1e-6, max_escapes=0))
+    stopped = relax(rods, MATERIAL, clamps, Newton(tolerance=1e-4, max_escapes=0))
     assert stopped.converged.all() and list(stopped.stable) == [False, True]
     left = relax(stopped.configuration, MATERIAL, clamps)
     assert left.converged.all() and left.stable.all()

@@ -27,7 +27,7 @@ def circle_is_stable(joints: int, turns) -> np.ndarray:
     """The certificate at the twisted circle itself: the tolerance is above the trace of weight, so no step is taken."""
     rings = stacked([ring(joints, turn) for turn in turns])
     material = Material(ALPHA, BETA, 1e-8 * ALPHA / RADIUS**3)
-    solution = relax(rings, material, clamps_at(rings), Newton(tolerance=1e-6, max_escapes=0), up=HANGING)
+    solution = relax(rings, material, clamps_at(rings), Newton(tolerance=1e-4, max_escapes=0), up=HANGING)
     assert solution.converged.all()
     np.testing.assert_allclose(solution.configuration.vertices, rings.vertices, atol=1e-6 * RADIUS)
     np.testing.assert_allclose(solution.energy, circle_energy(joints, turns), rtol=1e-6)

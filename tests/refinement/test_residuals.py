@@ -11,7 +11,7 @@ from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.unknowns import Theta
 from tests.refinement.rods_between_clips import TRUTH, held, model, suture
 
-SHARP = Newton(tolerance=1e-12)
+SHARP = Newton(tolerance=1e-10)
 RIBBON = Theta([[6e5, 1e5], [1e5, 3e5]], 3e5, 1.2, up=np.array([0.1, -0.05, 1.0]) / np.sqrt(1.0125))
 
 

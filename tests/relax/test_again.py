@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Descent, InputError, Material, Springs, Status, relax, relax_again
+from doo_ti import Clamp, Descent, InputError, Material, Springs, Status, relax
 from tests.references.rods import clamps_at, jiggled
 from tests.relax.rods import assert_same, wandering, with_kinds
 
@@ -25,7 +25,7 @@ def solution(rng):
 def test_another_material_gives_what_relax_gives_from_there(rng, solution, precision):
     near = Material(rng.uniform(1e5, 3e5, COUNT), rng.uniform(1e5, 3e5, COUNT), 1.0)
     before = solution.configuration.quaternions.copy()
-    again = relax_again(solution, near, precision=precision)
+    again = relax(solution, near, precision=precision)
     np.testing.assert_array_equal(solution.configuration.quaternions, before)
     assert again.converged.all() and again.stable.all()
     energies = [relax(again.configuration.take([row]), Material(near.bend[[row]], near.twist[[row]]),
@@ -36,19 +36,19 @@ def test_another_material_gives_what_relax_gives_from_there(rng, solution, preci
 def test_the_same_material_is_done_at_once(solution):
     index = np.arange(COUNT) // 3
     material = Material(solution.tables.bend[:, 0, 0], solution.tables.twist[:, 0], 1.0)
-    again = relax_again(solution, material, material_index=index)
+    again = relax(solution, material, material_index=index)
     np.testing.assert_allclose(again.energy, solution.energy, rtol=1e-12)
     assert again.iterations.max() <= 2
 
 
 def test_one_material_serves_all_and_again_again(solution):
-    soft = relax_again(solution, Material(1e5, 1e5))
-    stiff = relax_again(relax_again(soft, Material(4e5, 4e5)), Material(1e5, 1e5))
+    soft = relax(solution, Material(1e5, 1e5))
+    stiff = relax(relax(soft, Material(4e5, 4e5)), Material(1e5, 1e5))
     np.testing.assert_allclose(stiff.energy, soft.energy, rtol=1e-9)
 
 
 def test_isotropic_rods_go_on_as_ribbons(solution):
-    again = relax_again(solution, Material.diagonal(3e5, 1e5, 1e5))
+    again = relax(solution, Material.diagonal(3e5, 1e5, 1e5))
     assert again.converged.all() and (again.energy != solution.energy).all()
 
 
@@ -57,7 +57,7 @@ def test_rods_that_came_to_nothing_start_where_they_did(rng):
     clamps = clamps_at(rods)
     clamps.end_position[1] += 1000.0
     first = relax(rods, Material(1e5, 1e5), clamps)
-    again = relax_again(first, Material(2e5, 1e5))
+    again = relax(first, Material(2e5, 1e5))
     assert list(first.status) == list(again.status) == [Status.CONVERGED, Status.INFEASIBLE]
     assert np.isnan(again.energy[1])
 
@@ -67,7 +67,7 @@ def test_clamps_are_held_as_given(rng, precision, rounding):
     rods = wandering(rng, 3, 12)
     clamps = with_kinds(clamps_at(rods), [(Clamp.FRAME, Clamp.TANGENT)] * 3)
     first = relax(jiggled(rods, rng, 0.05), Material(1e5, 1e5), clamps, precision=precision)
-    for solution in (first, relax_again(first, Material(2e5, 1e5), precision=precision)):
+    for solution in (first, relax(first, Material(2e5, 1e5), precision=precision)):
         assert solution.converged.all()
         frames = solution.configuration.frames
         np.testing.assert_allclose(frames[:, 0], clamps.start_frame, atol=rounding)
@@ -78,7 +78,7 @@ def test_springs_stay(rng):
     rods = wandering(rng, 4, 12)
     clamps = with_kinds(clamps_at(rods), [(Clamp.FRAME, Clamp.FREE)] * 4)
     springs = Springs(rods.vertices, np.full((4, 13), 50.0))
-    again = relax_again(relax(rods, Material(1e5, 1e5), clamps, external=springs), Material(2e5, 1e5))
+    again = relax(relax(rods, Material(1e5, 1e5), clamps, external=springs), Material(2e5, 1e5))
     direct = relax(again.configuration, Material(2e5, 1e5), clamps, external=springs)
     np.testing.assert_allclose(again.energy, direct.energy, rtol=1e-10)
 
@@ -86,17 +86,17 @@ def test_springs_stay(rng):
 def test_a_rod_is_the_same_in_any_company(rng):
     rods = wandering(rng, 40, 12)
     material, near = Material(np.full(40, 1e5), 1e5), Material(np.linspace(1e5, 2e5, 40), 1e5)
-    together = relax_again(relax(rods, material, clamps_at(rods)), near)
-    alone = relax_again(relax(rods.take([7]), Material(1e5, 1e5), clamps_at(rods).take([7])), Material(near.bend[[7]], 1e5))
+    together = relax(relax(rods, material, clamps_at(rods)), near)
+    alone = relax(relax(rods.take([7]), Material(1e5, 1e5), clamps_at(rods).take([7])), Material(near.bend[[7]], 1e5))
     assert_same(together, [7], alone, [0])
 
 
 def test_wrong_input_is_told(solution):
     with pytest.raises(InputError, match="give one, one per rod, as many as before, or material_index"):
-        relax_again(solution, Material(np.full(5, 1e5), 1e5))
+        relax(solution, Material(np.full(5, 1e5), 1e5))
     with pytest.raises(InputError, match="material_index"):
-        relax_again(solution, Material(np.full(5, 1e5), 1e5), material_index=np.full(COUNT, 5))
+        relax(solution, Material(np.full(5, 1e5), 1e5), material_index=np.full(COUNT, 5))
     with pytest.raises(InputError, match="solver"):
-        relax_again(solution, Material(1e5, 1e5), Descent())
+        relax(solution, Material(1e5, 1e5), solver=Descent())
     with pytest.raises(InputError, match="entries along the rod"):
-        relax_again(solution, Material(1e5, np.full((1, 5), 1e5)))
+        relax(solution, Material(1e5, np.full((1, 5), 1e5)))

@@ -32,7 +32,7 @@ def general_rods(rng, weight: float):
 @pytest.mark.parametrize("weight", WEIGHTS)
 def test_every_pair_of_clamps(rng, weight):
     start, clamps, material = general_rods(rng, WEIGHTS[weight])
-    solution = relax(start, material, clamps, Newton(tolerance=1e-11), up=UP)
+    solution = relax(start, material, clamps, Newton(tolerance=1e-9), up=UP)
     worst_energy = worst_shape = worst_residual = 0.0
     for row, kinds in enumerate(PAIRS):
         rod = rod_of(start, material, row, up=UP)
@@ -47,7 +47,7 @@ def test_every_pair_of_clamps(rng, weight):
         assert solution.status[row] == 0, names
         assert abs(solution.energy[row] - here.energy) < 1e-12 * (abs(here.energy) + scale), names
         assert energy_error < 1e-9, names
-        assert here.residual < 2e-11 and here.closure < 1e-12, names
+        assert here.residual < 1e-10 and here.closure < 1e-12, names
         worst_energy, worst_residual = max(worst_energy, energy_error), max(worst_residual, here.residual)
         # Rods that nothing holds against a rigid turn have no shape of their own, and no strict minimum.
         strict = dense.smallest_eigenvalue > 1e-7 * dense.eigenvalues[-1]
@@ -67,7 +67,7 @@ def test_rods_at_rest_with_a_neutral_motion_have_converged(rng, kinds):
     material = Material(definite(rng, 64), 1e5, 0.0, 0.01 * rng.normal(size=(64, 2)))
     solution = relax(rods, material, with_kinds(clamps_at(rods), [kinds] * 64))
     print(f"residuals up to {solution.residual.max():.1e}, {np.sum(~solution.converged)} of 64 not converged")
-    assert solution.residual.max() < 1e-9 and np.abs(solution.energy).max() < 1e-6
+    assert solution.residual.max() < 1e-7 and np.abs(solution.energy).max() < 1e-6
     assert solution.converged.all()
 
 
@@ -76,7 +76,7 @@ def test_isotropic_rods_that_may_spin(rng):
     kinds = [(Clamp.POSITION, Clamp.POSITION), (Clamp.TANGENT, Clamp.POSITION), (Clamp.TANGENT, Clamp.TANGENT)]
     rods = wandering(rng, 3, EDGES, rng.uniform(1, 6, EDGES), wander=0.25, twist=0.2)
     start, clamps, material = jiggled(rods, rng, 0.03), with_kinds(clamps_at(rods), kinds), Material(2e5, 1.5e5, 300.0)
-    solution = relax(start, material, clamps, Newton(tolerance=1e-11), up=UP)
+    solution = relax(start, material, clamps, Newton(tolerance=1e-9), up=UP)
     assert solution.converged.all() and solution.stable.all()
     errors = [abs(solution.energy[row] / relaxed(start, material, clamps, row, up=UP).energy - 1) for row in range(3)]
     print(f"isotropic, spins free: energies within {max(errors):.1e}")

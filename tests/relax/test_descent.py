@@ -40,7 +40,7 @@ def test_every_pair_of_clamps(rng, kind):
     bend = 2e5 if kind == "isotropic" else definite(rng, len(PAIRS), 8)
     material = Material(bend, 1.5e5, 200.0)
     newton = relax(start, material, clamps, Newton.careful())
-    descent = relax(start, material, clamps, Descent(tolerance=1e-7, max_iterations=60_000))
+    descent = relax(start, material, clamps, Descent(tolerance=1e-5, max_iterations=60_000))
     apart = vertex_distance(newton.configuration, descent.configuration)
     # Two that hang by one point may turn about the vertical.
     settled = np.array([{Clamp.FREE, Clamp.POSITION} != set(pair) for pair in PAIRS])
@@ -50,7 +50,7 @@ def test_every_pair_of_clamps(rng, kind):
     assert newton.converged.all() and descent.converged.all()
     np.testing.assert_allclose(descent.energy, newton.energy, rtol=1e-7)
     assert (apart[settled] < SAME).all()
-    assert descent.residual.max() <= 1e-7 and descent.closure.max() <= 1e-12
+    assert descent.residual.max() <= 1e-5 and descent.closure.max() <= 1e-12
 
 
 def test_energy_only_falls_with_more_iterations(rng):
@@ -68,12 +68,12 @@ def test_energy_only_falls_with_more_iterations(rng):
 def test_statuses(rng):
     rods = wandering(rng, 3, 10)
     clamps, start, material = clamps_at(rods), jiggled(rods, rng, 0.05), Material(3e5, 2e5, 1.0)
-    loose = relax(start, material, clamps, Descent(tolerance=1e-3))
-    assert loose.converged.all() and loose.residual.max() <= 1e-3
-    assert loose.iterations.max() < relax(start, material, clamps, Descent(tolerance=1e-5)).iterations.min()
+    loose = relax(start, material, clamps, Descent(tolerance=1e-1))
+    assert loose.converged.all() and loose.residual.max() <= 1e-1
+    assert loose.iterations.max() < relax(start, material, clamps, Descent(tolerance=1e-3)).iterations.min()
     short = relax(start, material, clamps, Descent(max_iterations=3))
     assert (short.status == Status.ITERATION_LIMIT).all() and not short.stable.any()
-    single = relax(start, material, clamps, Descent(tolerance=1e-3), precision="f32")
+    single = relax(start, material, clamps, Descent(tolerance=1e-1), precision="f32")
     print(f"f32: {np.bincount(single.status, minlength=5)} by status")
     assert single.converged.all()
     np.testing.assert_allclose(single.energy, loose.energy, rtol=1e-3)
@@ -88,7 +88,7 @@ def test_far_starts_are_closed_or_said_not_to_be(rng):
     far = replace(clamps, end_position=clamps.start_position + away, end_frame=turned)
     newton = relax(rods, Material(3e5, 2e5, 1.0), far)
     assert newton.converged.all() and newton.closure.max() < 1e-12
-    descent = relax(rods, Material(3e5, 2e5, 1.0), far, Descent(tolerance=1e-5, max_iterations=30_000))
+    descent = relax(rods, Material(3e5, 2e5, 1.0), far, Descent(tolerance=1e-3, max_iterations=30_000))
     open_ended = descent.closure > 1e-12
     print(f"{open_ended.sum()} of 40 not closed, by up to {descent.closure.max():.1e} of the length; "
           f"{(open_ended & descent.converged).sum()} of them converged; {descent.stable.sum()} of 40 certified")

@@ -42,7 +42,7 @@ def dense(springs: Springs, row: int) -> DenseSprings:
 @pytest.mark.parametrize("isotropic", [True, False], ids=["isotropic", "general"])
 def test_minima_are_those_of_dense_linear_algebra(rng, isotropic):
     start, clamps, material, springs = rods_under_springs(rng, 4, isotropic)
-    solution = relax(start, material, clamps, Newton.careful(tolerance=1e-11), up=UP, external=springs)
+    solution = relax(start, material, clamps, Newton.careful(tolerance=1e-9), up=UP, external=springs)
     assert solution.converged.all() and solution.stable.all()
     apart = []
     for row in range(start.count):
@@ -51,7 +51,7 @@ def test_minima_are_those_of_dense_linear_algebra(rng, isotropic):
         state, ends = clamped_start(start, clamps, row)
         assert solution.energy[row] == pytest.approx(total_energy(rod, dense(springs, row), found), rel=1e-12)
         here = minimum(rod, dense(springs, row), found, ends, max_iterations=0)
-        assert here.residual < 2e-11
+        assert here.residual < 1e-10
         expected = minimum(rod, dense(springs, row), state, ends)
         apart.append(abs(solution.energy[row] - expected.energy) / abs(expected.energy))
     print(f"energies off by up to {max(apart):.1e}")
@@ -63,7 +63,7 @@ def test_minima_are_those_of_dense_linear_algebra(rng, isotropic):
 def test_any_ends_may_be_held(rng, isotropic):
     """All sixteen pairs of clamps: both ends held, or vertex 0 free to move; minimum, energy and force of the far clamp."""
     start, clamps, material, springs = rods_under_springs(rng, 2, isotropic, ends=ALL_ENDS)
-    solution = relax(start, material, clamps, Newton.careful(tolerance=1e-11), up=UP, external=springs)
+    solution = relax(start, material, clamps, Newton.careful(tolerance=1e-9), up=UP, external=springs)
     assert solution.converged.all() and solution.stable.all()
     assert solution.closure.max() < 1e-12
     for row in range(start.count):
@@ -72,7 +72,7 @@ def test_any_ends_may_be_held(rng, isotropic):
         _, ends = clamped_start(start, clamps, row)
         assert solution.energy[row] == pytest.approx(total_energy(rod, dense(springs, row), found), rel=1e-12)
         here = minimum(rod, dense(springs, row), found, ends, max_iterations=0)
-        assert here.residual < 5e-11 and here.eigenvalues[0] > -1e-9 * here.eigenvalues[-1]  # a round rod may spin freely
+        assert here.residual < 1e-9 and here.eigenvalues[0] > -1e-9 * here.eigenvalues[-1]  # a round rod may spin freely
         if ends.end != Clamp.FREE:
             np.testing.assert_allclose(-solution.end_force[row], here.force, atol=1e-8 * np.abs(here.force).max())
 
@@ -90,9 +90,9 @@ def test_precisions_agree_with_any_ends(rng):
 def test_one_step_is_the_dense_one(rng, isotropic):
     """Second trip of the loop: the frames the first step leads to."""
     start, clamps, material, springs = rods_under_springs(rng, 3, isotropic)
-    near = relax(start, material, clamps, Newton(tolerance=1e-9), up=UP, external=springs).configuration
+    near = relax(start, material, clamps, Newton(tolerance=1e-7), up=UP, external=springs).configuration
     start = jiggled(near, rng, 0.004)
-    option = Newton(first_shift=0.0, max_iterations=2, max_rotation=1.0, tolerance=1e-30, max_escapes=0)
+    option = Newton(first_shift=0.0, max_iterations=2, max_rotation=1.0, tolerance=1e-28, max_escapes=0)
     after = relax(start, material, clamps, option, up=UP, external=springs)
     steps = 0
     for row in range(start.count):

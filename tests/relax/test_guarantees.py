@@ -13,7 +13,7 @@ from tests.references.rods import clamps_at, jiggled
 from tests.relax.rods import PAIRS, assert_same, definite, wandering, with_kinds
 
 EDGES = 20
-SOLVERS = {"newton": Newton(), "descent": Descent(tolerance=1e-4, max_iterations=300)}
+SOLVERS = {"newton": Newton(), "descent": Descent(tolerance=1e-2, max_iterations=300)}
 BAD = 37  # the place of the bad rod
 
 

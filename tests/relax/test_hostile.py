@@ -12,7 +12,7 @@ from doo_ti.metric import distance
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax, relax_again
+from doo_ti.relaxation.relax import relax
 from doo_ti.types import Configuration, Material
 from tests.references.rods import clamps_at
 from tests.relax.rods import wandering
@@ -48,18 +48,18 @@ def test_options_and_materials_that_are_none(case):
 def test_arguments_that_do_not_match(rods):
     clamps = clamps_at(rods)
     wrong = {
-        "text": {"configuration": replace(rods, quaternions=np.full(rods.quaternions.shape, "a"))},
-        "imaginary": {"configuration": replace(rods, start=rods.start + 0j)},
-        "imaginary lengths": {"configuration": replace(rods, rest_length=rods.rest_length + 0j)},
-        "whole quaternions": {"configuration": replace(rods, quaternions=rods.quaternions.round().astype(int))},
-        "flags as positions": {"configuration": replace(rods, start=rods.start > 0)},
-        "ragged lengths": {"configuration": replace(rods, rest_length=[[1.0], [1.0, 2.0]])},
+        "text": {"x0": replace(rods, quaternions=np.full(rods.quaternions.shape, "a"))},
+        "imaginary": {"x0": replace(rods, start=rods.start + 0j)},
+        "imaginary lengths": {"x0": replace(rods, rest_length=rods.rest_length + 0j)},
+        "whole quaternions": {"x0": replace(rods, quaternions=rods.quaternions.round().astype(int))},
+        "flags as positions": {"x0": replace(rods, start=rods.start > 0)},
+        "ragged lengths": {"x0": replace(rods, rest_length=[[1.0], [1.0, 2.0]])},
         "up of what is no number": {"up": [10**400, 0, 0]},
         "unlike indices": {"configuration_index": np.arange(3), "material_index": np.zeros(2, int)},
         "ragged index": {"configuration_index": [[0], [1, 2]]},
     }
     for name, changed in wrong.items():
-        arguments = {"configuration": rods, "material": MATERIAL, "clamps": clamps} | changed
+        arguments = {"x0": rods, "material": MATERIAL, "clamps": clamps} | changed
         with pytest.raises(InputError):
             relax(**arguments)
             pytest.fail(name)
@@ -78,7 +78,7 @@ def test_a_result_shares_no_memory_with_what_the_caller_keeps(rods):
     vertices = solution.configuration.vertices.copy()
     lengths *= 2
     np.testing.assert_array_equal(solution.configuration.vertices, vertices)
-    again = relax_again(solution, MATERIAL)
+    again = relax(solution, MATERIAL)
     np.testing.assert_allclose(again.energy, solution.energy, rtol=1e-9)
     stiffness = np.ones((1, 10))
     springs = Springs(np.zeros((1, 10, 3)), stiffness)
@@ -122,6 +122,6 @@ def test_threads_take_turns(rods):
 def test_materials_as_many_as_before_take_their_places(rods):
     clamps, index = clamps_at(rods), np.array([0, 1, 0, 1, 1, 0])
     before = relax(rods, Material([2e5, 3e5], 1e5), clamps, configuration_index=np.arange(6), material_index=index)
-    after = relax_again(before, Material([2.2e5, 2.7e5], 1.1e5))
-    told = relax_again(before, Material([2.2e5, 2.7e5], 1.1e5), material_index=index)
+    after = relax(before, Material([2.2e5, 2.7e5], 1.1e5))
+    told = relax(before, Material([2.2e5, 2.7e5], 1.1e5), material_index=index)
     np.testing.assert_array_equal(after.energy, told.energy)

@@ -59,7 +59,7 @@ def test_descent():
     rods = wandering(rng, 5, 9)
     clamps = with_kinds(clamps_at(rods), [(3, 3), (2, 1), (3, 0), (1, 3), (0, 2)])
     start, material = jiggled(rods, rng, 0.05), Material([3e5, 2e6], 4e5, 1.0)
-    options = Descent(tolerance=1e-4, max_iterations=400)
+    options = Descent(tolerance=1e-2, max_iterations=400)
     rows = rng.integers(0, [5, 2], (90, 2))
     batch = relax(start, material, clamps, options, configuration_index=rows[:, 0], material_index=rows[:, 1])
     print(f"seed 6: {np.bincount(batch.status, minlength=5)} rods by status")

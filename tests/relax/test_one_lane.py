@@ -24,7 +24,7 @@ def rods(rng, count: int = 20, edges: int = 12):
     return start, clamps
 
 
-DESCENT = Descent(tolerance=1e-5, max_iterations=20_000)
+DESCENT = Descent(tolerance=1e-3, max_iterations=20_000)
 CASES = {"newton f64": (Newton(), "f64"), "newton f32": (Newton(), "f32"), "descent f64": (DESCENT, "f64")}
 
 

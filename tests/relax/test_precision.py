@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from doo_ti.relaxation.newton import TOLERANCES
 from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.types import Material
 from tests.references.rods import clamps_at, jiggled
@@ -31,7 +32,7 @@ def test_random_rods(rng, kind):
     for name, solution in solutions.items():
         assert (solution.converged & solution.stable).all(), name
         assert (vertex_distance(solution.configuration, solutions["f64"].configuration) < SAME).mean() >= 0.9, name
-        assert solution.residual.max() <= (1e-6 if name == "f32" else 1e-9)
+        assert solution.residual.max() <= TOLERANCES[32 if name == "f32" else 64]
     assert (solutions["f64"].precision == 64).all() and (solutions["mixed"].precision == 64).all()
     assert (solutions["f32"].precision == 32).mean() > 0.9
 
@@ -42,16 +43,16 @@ def test_f64_takes_over_what_f32_cannot_finish(rng):
     material = Material(2e5, 1e5, 1.0)
     plain = relax(start, material, clamps, precision="f32")
     assert (plain.precision == 32).all() and plain.configuration.quaternions.dtype == np.float64
-    demanding = relax(start, material, clamps, Newton(tolerance=1e-11), precision="f32")
-    assert (demanding.precision == 64).all() and demanding.converged.all() and demanding.residual.max() <= 1e-11
+    demanding = relax(start, material, clamps, Newton(tolerance=1e-9), precision="f32")
+    assert (demanding.precision == 64).all() and demanding.converged.all() and demanding.residual.max() <= 1e-9
     np.testing.assert_allclose(demanding.energy, relax(start, material, clamps).energy, rtol=1e-10)
 
 
 def test_mixed_reaches_the_tolerance_of_f64(rng):
     rods = wandering(rng, 10, 12)
     start, clamps = jiggled(rods, rng, 0.05), clamps_at(rods)
-    solution = relax(start, Material(2e5, 1e5, 1.0), clamps, Newton(tolerance=1e-12), precision="mixed")
-    assert solution.converged.all() and solution.residual.max() <= 1e-12 and solution.closure.max() <= 1e-12
+    solution = relax(start, Material(2e5, 1e5, 1.0), clamps, Newton(tolerance=1e-10), precision="mixed")
+    assert solution.converged.all() and solution.residual.max() <= 1e-10 and solution.closure.max() <= 1e-12
 
 
 @pytest.mark.parametrize(("name", "share"), [*((suture, 0.99) for suture in SUTURES), ("ribbon", 0.97)])

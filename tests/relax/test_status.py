@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
+from doo_ti.relaxation.newton import TOLERANCES
 from doo_ti.relaxation.relax import Descent, Newton, relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Status
 from tests.references.rods import chain, clamps_at, jiggled
@@ -30,12 +31,12 @@ def test_converged(rng, precision):
     start, clamps = bows(rng)
     solution = relax(start, MATERIAL, clamps, precision=precision)
     assert (solution.status == Status.CONVERGED).all() and solution.converged.all() and solution.stable.all()
-    tolerance, closure = (1e-6, 1e-7) if precision == "f32" else (1e-9, 1e-12)
+    tolerance, closure = (TOLERANCES[32], 1e-7) if precision == "f32" else (TOLERANCES[64], 1e-12)
     print(f"{precision}: residual up to {solution.residual.max():.1e}, closure up to {solution.closure.max():.1e}")
     assert solution.residual.max() <= tolerance and solution.closure.max() <= closure
     assert (solution.iterations > 1).all()
-    tight = relax(start, MATERIAL, clamps, Newton(tolerance=1e-12))
-    assert tight.converged.all() and tight.residual.max() <= 1e-12
+    tight = relax(start, MATERIAL, clamps, Newton(tolerance=1e-10))
+    assert tight.converged.all() and tight.residual.max() <= 1e-10
 
 
 @pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
@@ -55,16 +56,16 @@ def test_iteration_limit_of_descent(rng):
     start, clamps = bows(rng)
     solution = relax(start, MATERIAL, clamps, Descent(max_iterations=7))
     assert (solution.status == Status.ITERATION_LIMIT).all() and (solution.iterations == 7).all()
-    assert (solution.residual > 1e-6).all() and np.isfinite(solution.energy).all()
+    assert (solution.residual > 1e-4).all() and np.isfinite(solution.energy).all()
 
 
 def test_stalled(rng):
     """A tolerance below rounding: the rod stops by itself, long before the limit, as good as it can be."""
     start, clamps = bows(rng)
-    solution = relax(start, MATERIAL, clamps, Newton(tolerance=1e-19))
+    solution = relax(start, MATERIAL, clamps, Newton(tolerance=1e-17))
     print(f"f64 floor: residuals {solution.residual.min():.1e} to {solution.residual.max():.1e}")
     assert (solution.status == Status.STALLED).all() and not solution.stable.any()
-    assert (solution.iterations < 100).all() and (solution.residual < 1e-12).all()
+    assert (solution.iterations < 100).all() and (solution.residual < 1e-10).all()
 
 
 @pytest.mark.parametrize("solver", [Newton(), Descent(max_iterations=20)], ids=["newton", "descent"])

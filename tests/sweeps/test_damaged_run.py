@@ -1,6 +1,7 @@
 """A run's folder that is not what a sweep wrote: refused in one line, never computed with."""
 
 import json
+import os
 import shutil
 from dataclasses import replace
 
@@ -135,6 +136,16 @@ def test_what_is_drawn_or_summed_up_is_made_again(copy, name):
     assert name != "landscape.png" or (folder / name).read_bytes() == whole
 
 
+def test_a_damaged_plan_changes_nothing_and_is_made_again(copy):
+    folder = copy("static")
+    plan = folder / "cells" / "plan.json"
+    whole, best = plan.read_bytes(), read_landscape(folder).best
+    flipped(plan, 700, 1)
+    assert read_landscape(folder).best == best
+    sweep(folder, small_lab(), GRID)
+    assert plan.read_bytes() == whole
+
+
 def test_a_flipped_bit_in_a_finished_run_is_named_by_the_sweep(copy):
     folder = copy("static")
     chunk = min((folder / "cells").glob("*.parquet"))
@@ -189,3 +200,13 @@ def test_a_chunk_says_who_made_it(runs):
     summary = json.loads((runs / "static" / "summary.json").read_text())
     assert json.loads(told[b"doo_ti_maker"]) == maker() == summary["provenance"]["maker"]
     assert told[b"doo_ti_sweep"].decode() == summary["provenance"]["sweep_sha256"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="takes pipes with names")
+def test_a_pipe_in_the_place_of_cells_is_not_waited_for(capsys, copy):
+    run = copy("static")
+    unsealed(run)
+    path = min((run / "cells").glob("*.parquet"))
+    path.unlink()
+    os.mkfifo(path)
+    refused(capsys, ["learn", run], "a pipe")

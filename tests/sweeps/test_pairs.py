@@ -56,6 +56,7 @@ def test_files_are_read_and_written(tmp_path):
     ("from,to,weight\n0,1,nan\n", "weight: nan of pair 0"),
     ("from,to,weight\n0,1,0\n", "weight: all are zero"),
     ("from,to,rotation_deg\n0,1,inf\n", "rotation_deg: not finite"),
+    ("from,to,rotation_deg\n0,1,1e6\n", "more than 100 turns"),
     ("from,to\n0\n", "line 2 has 1 entries"),
     ("from,to\n0,x\n", "an entry is no number"),
     ("from\n0\n", "to: the column is missing"),

@@ -34,7 +34,7 @@ def panels_picture(path_or_buffer, panels: list[Panel], title: str) -> None:
     figure.suptitle(literal(title), fontsize=14)
     for place, panel in enumerate(panels):
         axes = figure.add_subplot(1, len(panels), place + 1)
-        axes.set(xlabel=panel.x, ylabel=panel.y, title=panel.title)
+        axes.set(xlabel=panel.x, ylabel=panel.y, title=literal(panel.title))
         axes.set_xscale("log", base=2)
         axes.set_yscale("log")
         for name, (x, y) in panel.lines.items():
@@ -42,7 +42,7 @@ def panels_picture(path_or_buffer, panels: list[Panel], title: str) -> None:
             if panel.growth:
                 _draw_growth(axes, name, x, y)
             else:
-                axes.plot(x, y, linewidth=2, drawstyle="steps-mid", label=name)
+                axes.plot(x, y, linewidth=2, drawstyle="steps-mid", label=literal(name))
         plain_ticks(axes.yaxis, True, *axes.get_ylim())
         axes.xaxis.set_major_locator(LogLocator(base=2, numticks=9))
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
@@ -58,5 +58,5 @@ def _draw_growth(axes, name: str, x: np.ndarray, y: np.ndarray) -> None:
     log_x, log_y = np.log(x), np.log(y)
     slope = np.polyfit(log_x[later], log_y[later], 1)[0] if len(x) > 1 else np.nan
     linear = np.exp(log_y[later].mean() + log_x - log_x[later].mean())
-    axes.plot(x, y, "o-", linewidth=2, label=f"{name}, slope {slope:.2f}")
+    axes.plot(x, y, "o-", linewidth=2, label=f"{literal(name)}, slope {slope:.2f}")
     axes.plot(x, linear, "--", color=MISSING, linewidth=1.5, label="linear growth, slope 1")

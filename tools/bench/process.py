@@ -111,7 +111,7 @@ def _specimens(path: str, count: int | None = None):
 def _relaxed(rods):
     from doo_ti.relaxation.newton import Newton
 
-    return rods.relaxed(Newton(tolerance=1e-6), "f32")
+    return rods.relaxed(Newton(tolerance=1e-4), "f32")
 
 
 def _first(path: str) -> dict:

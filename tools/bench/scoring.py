@@ -31,7 +31,7 @@ EDGES, LENGTH = 33, 3.0  # mm
 SETS, CAMERAS = 10, 3
 MATERIAL = Material(2e5, 2e5)
 NU = 100.0  # mm²/px²
-SEARCH, FINE = Newton(tolerance=1e-4), Newton(tolerance=1e-9)
+SEARCH, FINE = Newton(tolerance=1e-2), Newton(tolerance=1e-7)
 
 
 class Specimens:

@@ -53,10 +53,13 @@ class Rig:
 
 
 def check_camera_names(source: str, names: list[str]) -> None:
-    """Raise InputError for names of cameras that occur twice, are empty, or name another column of tables of images."""
+    """Raise InputError for names of cameras that occur twice, are empty, hold a line break, or name another column of tables of
+    images."""
     for name in names:
         if names.count(name) > 1:
             raise InputError(source, "cameras", f"the name {name!r} occurs twice", "name them apart")
+        if "\n" in name:
+            raise InputError(source, "cameras", f"{name!r} holds a line break", "name it in one line, such as cam0")
         if not name or name in OTHER_COLUMNS:
             raise InputError(source, "cameras", f"{name!r} cannot be a camera's name, tables of images have another column of "
                              "that name" if name else "a camera without a name", "name it otherwise, such as cam0")

@@ -43,6 +43,8 @@ def read_views(path: Path) -> Views:
         rows = list(csv.reader(io.StringIO(content.decode("utf-8-sig")), strict=True))
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, "file", f"is no CSV table ({str(error)[:60]})", remedy) from None
+    if any("\n" in cell for row in rows for cell in row):
+        raise InputError(path, "file", "a line break within a cell", "close the quote")
     rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
     header = rows[0] if rows else []
     if "view" not in header:

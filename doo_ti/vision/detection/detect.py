@@ -35,6 +35,8 @@ STEEPEST = 8000
 
 METHODS = ("ridge", "canny")
 POLARITIES = ("dark", "light")
+MOST_WIDTH_PX = 1000.0
+"""Of a thread: samples are taken across it."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,8 @@ class DetectionOptions:
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise InputError("detection", name, f"{value}", "give a number above 0")
+        if self.width_px is not None and self.width_px > MOST_WIDTH_PX:
+            raise InputError("detection", "width_px", f"{self.width_px:g}", f"give {MOST_WIDTH_PX:g} px at most")
 
 
 @dataclass(frozen=True)

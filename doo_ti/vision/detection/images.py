@@ -10,7 +10,7 @@ import csv
 import os
 import struct
 import sys
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -23,9 +23,11 @@ from doo_ti.file_content import MOST_TEXT_BYTES, read_content
 from doo_ti.vision.cameras.camera import MOST_SIDE, Camera
 from doo_ti.vision.cameras.rig import Rig
 
-ENDS = ((b"\x89PNG", b"IEND"), (b"\xff\xd8", b"\xff\xd9"))
-"""What whole PNG and JPEG files begin and end with."""
-_alone = Lock()
+SEED = ("seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
+FEWEST_CAMERAS = 2
+PNG = b"\x89PNG"
+_changing, _silent = Lock(), []
+"""What the standard error was, while images are decoded, and once for each that is."""
 
 
 def read_image(path: str | os.PathLike, camera: Camera | None = None) -> np.ndarray:
@@ -43,7 +45,7 @@ def read_image(path: str | os.PathLike, camera: Camera | None = None) -> np.ndar
     stored = np.frombuffer(read_content(path, remedy="name a readable image"), dtype=np.uint8)
     _check_side(path, *_png_size(stored[:24].tobytes()))  # before it is unpacked
     try:
-        with nullcontext() if _is_whole(stored[:8].tobytes(), stored[-16:].tobytes()) else _silenced():
+        with _silenced():
             image = cv2.imdecode(stored, cv2.IMREAD_GRAYSCALE) if stored.size else None
     except cv2.error:
         image = None
@@ -58,7 +60,7 @@ def read_image(path: str | os.PathLike, camera: Camera | None = None) -> np.ndar
 
 def _png_size(head: bytes) -> tuple[int, ...]:
     """Width and height of a PNG, from its first bytes; nothing for other files."""
-    return struct.unpack(">II", head[16:24]) if head.startswith(ENDS[0][0]) and len(head) == 24 else ()
+    return struct.unpack(">II", head[16:24]) if head.startswith(PNG) and len(head) == 24 else ()
 
 
 def _check_side(path: Path, *sides: int) -> None:
@@ -66,29 +68,27 @@ def _check_side(path: Path, *sides: int) -> None:
         raise InputError(path, "size", f"{' x '.join(map(str, sides))} px", f"give images of at most {MOST_SIDE:,} px a side")
 
 
-def _is_whole(head: bytes, tail: bytes) -> bool:
-    """Whether a file begins and ends as a PNG or a JPEG does."""
-    return any(head.startswith(begin) and end in tail for begin, end in ENDS)
-
-
 @contextmanager
 def _silenced():
-    """Without what image libraries write to the standard error about files that the caller reports on in one line; one
-    thread at a time, since there is one standard error."""
-    with _alone:
-        sys.stderr.flush()
-        kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, 2)
-        try:
-            yield
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
+    """Without what image libraries write to the standard error about a damaged file: the caller reports on it in one line. As
+    there is one standard error, the first thread to decode an image silences it, and the last one has it heard again."""
+    with _changing:
+        if not _silent:
+            sys.stderr.flush()
+            kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, 2)
             os.close(nowhere)
-
-
-SEED = ("seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
-FEWEST_CAMERAS = 2
+        else:
+            kept = _silent[0]
+        _silent.append(kept)
+    try:
+        yield
+    finally:
+        with _changing:
+            _silent.pop()
+            if not _silent:
+                os.dup2(kept, 2)
+                os.close(kept)
 
 
 @dataclass(frozen=True)
@@ -153,13 +153,25 @@ def load_sets(path: str | os.PathLike, rig: Rig) -> ImageSets:
 
 
 def header_and_lines(path: Path) -> tuple[list[str], list[dict[str, str]]]:
-    """Columns and lines of a CSV file, with empty text where a line is short."""
+    """Columns and lines of a CSV file, with empty text where a line is short. Raises InputError for what is no such file,
+    for a column that is there twice, for lines that are longer, and for cells that hold a line break, as after a quote that is
+    not closed."""
     content = read_content(path, MOST_TEXT_BYTES, "name a readable CSV file")
     try:
         reader = csv.DictReader(StringIO(content.decode(), newline=""), restval="")
-        return list(reader.fieldnames or []), list(reader)
+        header, lines = list(reader.fieldnames or []), list(reader)
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, "file", str(error), "name a readable CSV file") from None
+    if len(set(header)) < len(header):
+        raise InputError(path, max(header, key=header.count), "the column is there twice", "keep one of them")
+    for number, line in enumerate(lines, 2):
+        if None in line:
+            raise InputError(path, f"line {number}", f"{len(header) + len(line[None])} cells under {len(header)} columns",
+                             "give one for each")
+        broken = next((key for key in header if "\n" in line[key]), None)
+        if broken is not None:
+            raise InputError(path, f"line {number}, {broken}", "a line break within a cell", "close the quote")
+    return header, lines
 
 
 def number_in(path: Path, number: int, line: dict, key: str) -> float:

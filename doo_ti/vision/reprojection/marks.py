@@ -70,6 +70,7 @@ def read_marks(path: str | os.PathLike, rig: Rig) -> Marks:
     table = _table(path, COLUMNS)
     for name in ("observation", "camera", "mark"):
         _refuse(path, table, name, table[name] == "", "is empty", "name it in every row")
+        _refuse(path, table, name, np.char.find(table[name], "\n") >= 0, "holds a line break", "close the quote")
     camera = _places(path, table, "camera", rig.names)
     names, observation = _names(table["observation"])
     vertex, side, is_ribbon = _vertices(path, table)

@@ -60,6 +60,7 @@ def test_the_rig_of_the_images(shared_data):
     (lambda text: text.replace("width: 1280", "width: x"), "width"),
     (lambda text: text.replace("name: cam1", "name: seed_x"), "cameras"),
     (lambda text: text.replace("name: cam1", "name: name"), "cameras"),
+    (lambda text: text.replace("name: cam1", 'name: "cam\\n1"'), "line break"),
     (lambda text: text.replace("   K:", "   Q:"), "K"),
     (lambda text: "{{{", "not a rig"),
     (lambda text: "[" * 100_000, "not a rig"),

@@ -34,7 +34,8 @@ import numpy as np
 from doo_ti import runtime
 from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, smallest_rotation
-from doo_ti.refinement.sensitivity_kernel import (
+from doo_ti.relaxation.columns import TILT_INNER
+from doo_ti.relaxation.parameter_gradient import (
     BEND,
     DIRECTION_COLUMNS,
     MODE,
@@ -46,9 +47,8 @@ from doo_ti.refinement.sensitivity_kernel import (
     TURN_END,
     TURN_START,
     TWIST,
-    run_sensitivity,
 )
-from doo_ti.relaxation.columns import TILT_INNER
+from doo_ti.relaxation.sensitivity_kernel import run_sensitivity
 from doo_ti.types import Configuration, Solution
 
 CURVATURES = ("rest_curvature", "rest_curvature_per_joint", "modes")
@@ -112,8 +112,8 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     start = table.configuration_index[first:last]
     hanging = table.released[start]
     if hanging.any() and "end_shift" in parameters:
-        first = names.index("end_shift[0]")
-        vertices[hanging, :, :, first : first + 3] += np.eye(3)  # held at the far end alone they go where it goes
+        column = names.index("end_shift[0]")
+        vertices[hanging, :, :, column : column + 3] += np.eye(3)  # held at the far end alone they go where it goes
     taut = (table.clamp[:, TILT_INNER] == 0)[start]
     if taut.any():
         columns = [k for k, name in enumerate(names) if name.partition("[")[0] in OF_CLAMPS]

@@ -1,0 +1,191 @@
+"""How the balance of a rod at rest changes with a parameter, ∂(g + Aλ)/∂θ and ∂c/∂θ, edge by edge (§III-E).
+
+g is the gradient of the energy by the rotations of the frames, c closure, A its Jacobian. The derivatives are those at the
+frames and the multiplier λ of the equilibrium. Edges that a clamp holds may turn with it: then what their turn does to
+themselves and to their neighbours is part of the derivative.
+"""
+
+import taichi as ti
+
+from doo_ti.physics import pair
+from doo_ti.physics.closure import linear_gradient, linear_hessian
+from doo_ti.physics.number import Number
+from doo_ti.physics.quaternion import first_director, second_director, tangent
+from doo_ti.physics.tuples import applied, dot, minus, plus, record, repeated, scaled, transposed, variable
+from doo_ti.relaxation import chain
+from doo_ti.relaxation.columns import OF_CLAMP, OF_MATERIAL, SPIN_END, SPIN_START, TILT_END, TILT_START, WEIGHT
+from doo_ti.relaxation.elimination import Elimination
+
+# A column changes B by BEND = (11, 22, 12), β by TWIST, ω̄ along the rod by row MODE of the table of modes (NO_MODE: not at
+# all), gravity by PULL, which is multiplied by μ where TIMES_WEIGHT is one, all lengths by the factor 1 + STRETCH, the far
+# point by SHIFT, and the frames that the clamps hold by the rotations TURN_START and TURN_END, all three in the world.
+BEND, TWIST, MODE, PULL, TIMES_WEIGHT, STRETCH = 0, 3, 4, 5, 8, 9
+SHIFT, TURN_START, TURN_END, DIRECTION_COLUMNS = 10, 13, 16, 19
+NO_MODE = -1
+
+KEPT = chain.GENERAL_ITEMS
+"""Curvature and twist at the vertex where an edge ends, kept: eliminating writes over the place where chain has them."""
+KEPT_ITEMS = 8
+
+
+@ti.data_oriented
+class ParameterGradient(Elimination):
+    """The chain with its derivatives by parameters, one rod at a time, in f64.
+
+    Its functions take a record ``column`` (:meth:`column`) of what changes along one direction:
+
+    bends                    whether pairs change by more than their rest curvature
+    bend, twist              of B = (11, 22, 12) and of β, in the unit of the rod's energies
+    mode, modes              row of the table of changes of ω̄, or NO_MODE, and that table
+    pull                     of gravity
+    stretch                  of the logarithm of all lengths
+    shift                    of the far point
+    turned                   whether edges that clamps hold turn
+    turn_start, turn_end     rotations of the first edge and the last, in their own axes
+    multiplier               λ of the equilibrium
+    """
+
+    def __init__(self, stride: int):
+        super().__init__(Number(1, 64), False, stride, KEPT_ITEMS)
+
+    @ti.func
+    def bend_pairs(self, rod):
+        """Curvature and twist at every vertex, to where they are eliminated from and to where they are kept."""
+        at = rod.origin
+        for _ in range(rod.edges - 1):
+            after = at + self.edge_stride
+            x, y, inverse, turn, r = pair.curvature(self.load4(rod.scratch, at), self.load4(rod.scratch, after))
+            bent = x + y + (inverse, self.twist_angle(r)) + turn
+            self.store(rod.scratch, at + chain.BENT * self.stride, bent)
+            self.store(rod.scratch, at + KEPT * self.stride, bent)
+            at = after
+
+    @ti.func
+    def kept_pair(self, rod, at):
+        """Curvature and twist, and the stiffness, at the vertex where the edge at ``at`` ends."""
+        kept = self.bent(rod.scratch, at + (KEPT - chain.BENT) * self.stride)
+        return kept, self.stiffness(rod.scratch, at, at + self.edge_stride, rod.stiffness)
+
+    @ti.func
+    def column(self, tables, rod, index, p, multiplier):
+        """The record of direction ``p`` for row ``index`` of the rods."""
+        unit = rod.scratch[rod.head + chain.OF_ENERGY_UNIT * self.stride]
+        factor = 1.0 / unit
+        if tables.directions[p, TIMES_WEIGHT] == 1.0:
+            factor = tables.material[tables.rods[index, OF_MATERIAL], WEIGHT] / unit
+        stretch = tables.directions[p, STRETCH]
+        change = stretch * stretch
+        for k in ti.static(range(BEND, TWIST + 1)):
+            change += tables.directions[p, k] * tables.directions[p, k]
+        bend = self.three(tables.directions, p, BEND)
+        s = tables.rods[index, OF_CLAMP]
+        last = rod.origin + (rod.edges - 1) * self.edge_stride
+        holds_start = (1.0 - tables.clamp[s, SPIN_START], 1.0 - tables.clamp[s, TILT_START])
+        holds_end = (1.0 - tables.clamp[s, SPIN_END], 1.0 - tables.clamp[s, TILT_END])
+        start = self.held_turn(rod, rod.origin, self.three(tables.directions, p, TURN_START), holds_start)
+        end = self.held_turn(rod, last, self.three(tables.directions, p, TURN_END), holds_end)
+        return record(
+            bends=change > 0.0, bend=(bend[0] / unit, bend[1] / unit, bend[2] / unit),
+            twist=tables.directions[p, TWIST] / unit, mode=ti.cast(tables.directions[p, MODE], ti.i32), modes=tables.modes,
+            pull=scaled(self.three(tables.directions, p, PULL), factor), stretch=stretch,
+            shift=self.three(tables.directions, p, SHIFT), turned=dot(start, start) + dot(end, end) > 0.0,
+            turn_start=start, turn_end=end, multiplier=multiplier)
+
+    @ti.func
+    def three(self, table: ti.template(), row, column: ti.template()):
+        """Three numbers of a table's row from ``column`` on."""
+        return (table[row, column], table[row, column + 1], table[row, column + 2])
+
+    @ti.func
+    def held_turn(self, rod, at, w, holds):
+        """The part that a clamp holds, (spin, tilt) = ``holds``, of its edge's rotation ``w`` in the world: in the edge's own
+        axes."""
+        q = self.load4(rod.scratch, at)
+        return (holds[0] * dot(w, tangent(q)), holds[1] * dot(w, first_director(q)), holds[1] * dot(w, second_director(q)))
+
+    @ti.func
+    def bent_to_rest(self, bent, s, rest):
+        """Gradient of a pair's bend energy at the strain ``rest`` = ω̄ l̄/2."""
+        return self.gradient_of(bent, (s[0], s[1], s[2], 0.0 * s[2], rest))
+
+    @ti.func
+    def pair_change(self, rod, at, joint, column):
+        """∂g/∂θ of the pair at ``joint``, where the edge at ``at`` ends: (left, right)."""
+        bent, s = self.kept_pair(rod, at)
+        none = 0.0 * s[2]
+        left, right = variable(repeated(none, 3)), variable(repeated(none, 3))
+        if column.bends:
+            # Stretched, B/l̄ and β/l̄ fall; what is left of the strain at rest, ω̄ l̄/2, does not depend on the lengths.
+            twist = column.twist * s[2] - column.stretch * s[3]
+            left, right = self.gradient_of(bent, (column.bend, column.bend, s[2], twist, s[4]))
+            if column.stretch != 0.0:
+                stiff_left, stiff_right = self.bent_to_rest(bent, s, (none, none))
+                left = minus(left, scaled(stiff_left, column.stretch))
+                right = minus(right, scaled(stiff_right, column.stretch))
+        if column.mode != NO_MODE:
+            w0, w1 = column.modes[column.mode, joint, 0], column.modes[column.mode, joint, 1]
+            if w0 != 0.0 or w1 != 0.0:
+                # g is linear in u = ω − ω̄ l̄/2: what ω̄ adds is the difference it makes.
+                half = 0.5 / s[2]
+                with_left, with_right = self.bent_to_rest(bent, s, (half * w0, half * w1))
+                old_left, old_right = self.bent_to_rest(bent, s, (none, none))
+                left = minus(plus(left, with_left), old_left)
+                right = minus(plus(right, with_right), old_right)
+        return left, right
+
+    @ti.func
+    def edge(self, rod, at, remaining):
+        """The record of an edge: length, frame, and the coefficient of gravity on it, where ``remaining`` is the length of the
+        edges after it."""
+        q = self.load4(rod.scratch, at)
+        length = rod.scratch[at + chain.LENGTH * self.stride]
+        return record(length=length, hang=self.hanging_weight(rod, length, remaining), t=tangent(q), m1=first_director(q),
+                      m2=second_director(q))
+
+    @ti.func
+    def linear_change(self, rod, edge, column):
+        """∂g/∂θ of the linear potentials of an edge, gravity and λ: its last two numbers. With the lengths gravity's term grows
+        by their square, that of λ by the first power."""
+        grown = plus(scaled(rod.gravity, 2.0 * edge.hang), column.multiplier)
+        change = plus(scaled(column.pull, edge.hang), scaled(grown, column.stretch))
+        return linear_gradient(change, edge.length, edge.m1, edge.m2)
+
+    @ti.func
+    def turn_neighbours(self, rod, at, e, column, change):
+        """Add what the turns of the first edge and the last do through their pairs to ``change`` (:meth:`turn_end`)."""
+        if e < rod.edges - 1 and (e == 0 or e == rod.edges - 2):
+            bent, s = self.kept_pair(rod, at)
+            left, right, h_left, h_right, across = self.derivatives(bent, s)
+            if e == 0:
+                w = column.turn_start
+                change.after = plus(change.after, applied(transposed(across), w))
+                change.own = (change.own[0] + h_left[1] * w[1] + h_left[2] * w[2], change.own[1], change.own[2])
+                change.moment = (left[1], left[2])
+            if e == rod.edges - 2:
+                w = column.turn_end
+                change.pair = plus(change.pair, applied(across, w))
+                change.after = (change.after[0] + h_right[1] * w[1] + h_right[2] * w[2], change.after[1], change.after[2])
+                change.end_moment = (right[1], right[2])
+
+    @ti.func
+    def turn_end(self, rod, edge, e, column, change):
+        """Add what the turn of the first edge or the last does to itself and to closure to ``change``, a record:
+
+        pair, own, after     of ∂g/∂θ: what pairs add to this edge, its own potentials, what pairs add to the edge after
+        closure              ∂c/∂θ, summed
+        moment, end_moment   of the pair beside the first edge and beside the last, about m1 and m2
+        """
+        if e == 0 or e == rod.edges - 1:
+            w = variable(column.turn_start)
+            if e == rod.edges - 1:
+                w = column.turn_end
+                change.moment = change.end_moment
+            pull = plus(scaled(rod.gravity, edge.hang), column.multiplier)
+            h = linear_hessian(pull, edge.length, edge.t, edge.m1, edge.m2)
+            # Where a clamp holds the tangent, the moment g with which it does turns with it: dg = H w + ½ g × w.
+            l1, l2 = linear_gradient(pull, edge.length, edge.m1, edge.m2)
+            g1, g2 = change.moment[0] + l1, change.moment[1] + l2
+            own = change.own
+            change.own = (own[0] + h[0] * w[1] + h[1] * w[2] + 0.5 * (g1 * w[2] - g2 * w[1]), own[1], own[2])
+            moved = minus(scaled(edge.m1, w[2]), scaled(edge.m2, w[1]))
+            change.closure = plus(change.closure, scaled(moved, edge.length))

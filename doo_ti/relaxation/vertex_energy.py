@@ -1,0 +1,182 @@
+"""Energy and gradient of a rod in vertices and material frames, and its twist angles minimised (§III-C, §III-D)."""
+
+import taichi as ti
+
+from doo_ti.physics import vertex_form
+from doo_ti.physics.algebra import absolute, larger
+from doo_ti.physics.angle import signed_angle_function
+from doo_ti.physics.tuples import cross, dot, minus, plus, record, repeated, scaled, variable
+from doo_ti.relaxation.vertex_chain import (
+    BEND,
+    INVERSE_LENGTH,
+    LENGTH,
+    RATIO,
+    REST,
+    RIGHT,
+    TRIAL_DIRECTOR,
+    TRIAL_FORCE,
+    TRIAL_POSITION,
+    TWIST,
+    VertexChain,
+    direction,
+)
+
+
+@ti.data_oriented
+class VertexEnergy(VertexChain):
+    """The energy of the trial vertices and directors."""
+
+    def __init__(self, number, stride: int):
+        super().__init__(number, stride)
+        self.signed_angle = signed_angle_function(number)
+
+    @ti.func
+    def edge(self, rod, at):
+        """The record of an edge: e, |e|, t, m1, m2 and B."""
+        e = self.edge_vector(rod, at, TRIAL_POSITION)
+        t, m1 = direction(e), self.load3(rod, at, TRIAL_DIRECTOR)
+        return record(e=e, length=self.load(rod, at, LENGTH), t=t, m1=m1, m2=cross(t, m1), bend=self.load3(rod, at, BEND))
+
+    @ti.func
+    def joint(self, rod, at):
+        """The record of the vertex between the edges at ``at`` and after it:
+
+        left, right              the edges (:meth:`edge`)
+        binormal, bottom         κb and its denominator
+        omega_left, omega_right  ω as either frame sees it; moment_left, moment_right  B (ω − u̅)/l̄
+        rest                     u̅ = ω̄ l̄/2
+        inverse, twist           1/l̄, and the angle of twist
+        stiffness                β/l̄
+        """
+        after = at + self.row
+        left, right = self.edge(rod, at), self.edge(rod, after)
+        inverse = self.load(rod, after, INVERSE_LENGTH)
+        binormal, bottom = vertex_form.curvature_binormal(left.e, right.e, left.length, right.length)
+        reference = vertex_form.transported(left.t, right.t, left.m1)
+        rest = (self.load(rod, after, REST), self.load(rod, after, REST + 1))
+        omega_left = vertex_form.material_curvature(binormal, left.m1, left.m2)
+        omega_right = vertex_form.material_curvature(binormal, right.m1, right.m2)
+        return record(
+            left=left, right=right, binormal=binormal, bottom=bottom, omega_left=omega_left, omega_right=omega_right,
+            moment_left=vertex_form.bend_moment(left.bend, omega_left, rest, inverse),
+            moment_right=vertex_form.bend_moment(right.bend, omega_right, rest, inverse), rest=rest, inverse=inverse,
+            twist=self.signed_angle(dot(reference, right.m1), dot(cross(reference, right.m1), right.t)),
+            stiffness=self.load(rod, after, TWIST) * inverse)
+
+    @ti.func
+    def spins(self, joint):
+        """First and second derivatives of a joint's bend energy by the spins of its frames: ((first, second) of the left frame,
+        of the right one)."""
+        left = vertex_form.spin_derivatives(joint.left.bend, joint.moment_left, joint.omega_left, joint.inverse)
+        right = vertex_form.spin_derivatives(joint.right.bend, joint.moment_right, joint.omega_right, joint.inverse)
+        return left, right
+
+    @ti.func
+    def bend_force(self, joint):
+        """Derivatives of a joint's bend energy by the edge before and the edge after."""
+        left, right = joint.left, joint.right
+        return vertex_form.bend_force(joint.moment_left, joint.moment_right, left.m1, left.m2, right.m1, right.m2,
+                                      joint.binormal, joint.bottom, left.e, right.e)
+
+    @ti.func
+    def minimise_twist(self, rod):
+        """One Newton round on the twist angles, the vertices held: a scalar tridiagonal system."""
+        one = 0.0 * rod.spin[0] + 1.0
+        zero = 0.0 * one
+        gradient, curvature = (zero, zero)  # of the joint before
+        ratio, right, coupling = (zero, zero, zero)
+        at = rod.origin
+        for e in range(rod.edges):
+            g, h = gradient, curvature
+            gradient, curvature = (zero, zero)
+            b2 = zero
+            if e < rod.edges - 1:
+                joint = self.joint(rod, at)
+                b2 = 2.0 * joint.stiffness
+                of_left, of_right = self.spins(joint)
+                g, h = g + of_left[0] - b2 * joint.twist, h + of_left[1] + b2
+                gradient, curvature = of_right[0] + b2 * joint.twist, of_right[1] + b2
+            free, after_free = (one, one)
+            if e == 0:
+                free = rod.spin[0]
+            if e == rod.edges - 1:
+                free = rod.spin[1]
+            if e == rod.edges - 2:
+                after_free = rod.spin[1]
+            pivot = h - coupling * ratio
+            pivot = ti.select((free > 0.5) & (pivot > 0.0), pivot, one)
+            right = free * (0.0 - g - coupling * right) / pivot
+            coupling = 0.0 - b2 * free * after_free
+            ratio = coupling / pivot
+            rod.scratch[at + RIGHT * self.stride] = right
+            rod.scratch[at + RATIO * self.stride] = ratio
+            at += self.row
+        self.spin_frames(rod)
+
+    @ti.func
+    def spin_frames(self, rod):
+        """Turn the trial directors by the angles of :meth:`minimise_twist`, half a radian at most."""
+        angle = 0.0 * rod.spin[0]
+        at = rod.origin + (rod.edges - 1) * self.row
+        for _ in range(rod.edges):
+            angle = self.load(rod, at, RIGHT) - self.load(rod, at, RATIO) * angle
+            t = direction(self.edge_vector(rod, at, TRIAL_POSITION))
+            m1 = self.load3(rod, at, TRIAL_DIRECTOR)
+            turn = ti.min(ti.max(angle, 0.0 * angle - 0.5), 0.0 * angle + 0.5)
+            self.store3(rod, at, TRIAL_DIRECTOR, vertex_form.spun(m1, cross(t, m1), turn))
+            at -= self.row
+
+    @ti.func
+    def evaluate(self, rod):
+        """The record of ``energy``, its ``magnitude`` (sum of absolute terms) and ``spin``, the largest moment of spin; the
+        gradient goes to TRIAL_FORCE.
+
+        ∂E/∂x_v = N_{v−1} − N_v + μ l̄_v up, N_j the derivative with respect to edge j.
+        """
+        zero = 0.0 * rod.spin[0]
+        found = record(energy=zero, magnitude=zero, spin=zero)
+        potential, before, carried = (zero, zero, zero)
+        n = variable(repeated(zero, 3))
+        at = rod.origin
+        for v in range(rod.edges + 1):
+            length = zero
+            if v < rod.edges:
+                length = self.load(rod, at, LENGTH)
+            weight = before + length
+            before = length
+            height = weight * dot(rod.gravity, self.load3(rod, at, TRIAL_POSITION))
+            potential = potential + height
+            found.magnitude = found.magnitude + absolute(height)
+            f = plus(n, scaled(rod.gravity, weight))
+            # Take the next edge's derivative: what the vertex before left for it, and the joint after it.
+            n = repeated(zero, 3)
+            if v < rod.edges:
+                if v > 0:
+                    n = self.load3(rod, at, TRIAL_FORCE)
+                moment = carried
+                carried = zero
+                if v < rod.edges - 1:
+                    joint = self.joint(rod, at)
+                    left, right = joint.left, joint.right
+                    torque = joint.stiffness * joint.twist
+                    found.energy = (found.energy + torque * joint.twist
+                                    + vertex_form.bend_energy(joint.moment_left, joint.omega_left, joint.rest)
+                                    + vertex_form.bend_energy(joint.moment_right, joint.omega_right, joint.rest))
+                    of_left, of_right = self.bend_force(joint)
+                    # Holonomy: δm = ½ κb·(δe⁻/|e⁻| + δe⁺/|e⁺|).
+                    n = plus(plus(n, of_left), scaled(joint.binormal, torque / left.length))
+                    self.store3(rod, at + self.row, TRIAL_FORCE,
+                                plus(of_right, scaled(joint.binormal, torque / right.length)))
+                    spin_left, spin_right = self.spins(joint)
+                    moment = moment + spin_left[0] - 2.0 * torque
+                    carried = spin_right[0] + 2.0 * torque
+                if v == 0:
+                    moment = moment * rod.spin[0]
+                if v == rod.edges - 1:
+                    moment = moment * rod.spin[1]
+                found.spin = larger(found.spin, absolute(moment))
+            self.store3(rod, at, TRIAL_FORCE, minus(f, n))
+            at += self.row
+        found.magnitude = found.energy + found.magnitude
+        found.energy = found.energy + potential
+        return found

@@ -1,0 +1,224 @@
+"""The algebra of tuples on every kind of number against NumPy, and what may be assigned again."""
+
+import numpy as np
+import pytest
+import taichi as ti
+
+from doo_ti import runtime
+from doo_ti.physics import tuples
+from doo_ti.physics.number import Number
+from tests.physics.columns import ROWS, columns_kernel, every_number
+
+SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+UPPER = np.triu_indices(3)
+INPUTS = 25
+
+# Of the columns x of a table: vectors, a number, matrices, a symmetric matrix, and factors.
+A, B, S, M, N, P, F = slice(0, 3), slice(3, 6), 24, slice(0, 9), slice(9, 18), slice(18, 24), slice(18, 24)
+
+
+def vectors(x, place) -> np.ndarray:
+    """(ROWS, 3)"""
+    return x[:, place]
+
+
+def matrices(x, place) -> np.ndarray:
+    """(ROWS, 3, 3)"""
+    return x[:, place].reshape(-1, 3, 3)
+
+
+def symmetric(x) -> np.ndarray:
+    """(ROWS, 3, 3)"""
+    return x[:, P][:, SYMMETRIC]
+
+
+def lower(x) -> np.ndarray:
+    """(ROWS, 3, 3) L of the factors."""
+    f = x[:, F]
+    result = np.tile(np.eye(3), (len(x), 1, 1))
+    result[:, 1, 0], result[:, 2, 0], result[:, 2, 1] = f[:, 3:].T
+    return result
+
+
+def inverse_diagonal(x) -> np.ndarray:
+    """(ROWS, 3, 3) D⁻¹ of the factors."""
+    return x[:, F][:, :3, None] * np.eye(3)
+
+
+def upper(m) -> np.ndarray:
+    """(ROWS, 6) of symmetric matrices."""
+    return m[:, *UPPER]
+
+
+# Name: (the function on the numbers of a row, what NumPy makes of all rows), both as rows of numbers.
+CASES = {
+    "plus": (lambda x: tuples.plus(x[A], x[B]), lambda x: x[:, A] + x[:, B]),
+    "minus": (lambda x: tuples.minus(x[A], x[B]), lambda x: x[:, A] - x[:, B]),
+    "negated": (lambda x: tuples.negated(x[A]), lambda x: -x[:, A]),
+    "scaled": (lambda x: tuples.scaled(x[A], x[S]), lambda x: x[:, A] * x[:, [S]]),
+    "products": (lambda x: tuples.products(x[A], x[B]), lambda x: x[:, A] * x[:, B]),
+    "chosen": (lambda x: tuples.chosen(x[S] > 0.0, x[A], x[B]), lambda x: np.where(x[:, [S]] > 0, x[:, A], x[:, B])),
+    "repeated": (lambda x: tuples.repeated(x[S], 4), lambda x: np.repeat(x[:, [S]], 4, axis=1)),
+    "dot": (lambda x: (tuples.dot(x[A], x[B]),), lambda x: (x[:, A] * x[:, B]).sum(axis=1)[:, None]),
+    "cross": (lambda x: tuples.cross(x[A], x[B]), lambda x: np.cross(x[:, A], x[:, B])),
+    "row": (lambda x: tuples.row(x[M], 1), lambda x: matrices(x, M)[:, 1]),
+    "transposed": (lambda x: tuples.transposed(x[M]), lambda x: matrices(x, M).swapaxes(1, 2)),
+    "identity": (lambda x: tuples.identity(0.0 * x[S]), lambda x: np.tile(np.eye(3), (len(x), 1, 1))),
+    "on_diagonal": (lambda x: tuples.on_diagonal(x[P], x[0]), lambda x: upper(symmetric(x) + x[:, 0, None, None] * np.eye(3))),
+    "full": (lambda x: tuples.full(x[P]), symmetric),
+    "applied": (lambda x: tuples.applied(x[M], x[9:12]), lambda x: np.einsum("nij,nj->ni", matrices(x, M), x[:, 9:12])),
+    "times_transposed": (lambda x: tuples.times_transposed(x[M], x[N]),
+                         lambda x: matrices(x, M) @ matrices(x, N).swapaxes(1, 2)),
+    "quadratic": (lambda x: (tuples.quadratic(x[P], x[A], x[B]),),
+                  lambda x: np.einsum("ni,nij,nj->n", x[:, A], symmetric(x), x[:, B])[:, None]),
+    "row_scaled": (lambda x: tuples.row_scaled(x[M], x[9:12]), lambda x: x[:, 9:12, None] * matrices(x, M)),
+    "column_scaled": (lambda x: tuples.column_scaled(x[M], x[9:12]), lambda x: matrices(x, M) * x[:, None, 9:12]),
+    "row_and_column_scaled": (lambda x: tuples.row_and_column_scaled(x[M], x[9:12], x[12:15]),
+                              lambda x: x[:, 9:12, None] * matrices(x, M) * x[:, None, 12:15]),
+    "forward": (lambda x: tuples.forward(x[F], x[A]), lambda x: np.linalg.solve(lower(x), x[:, A, None])),
+    "forward_rows": (lambda x: tuples.forward_rows(x[F], x[M]),
+                     lambda x: np.linalg.solve(lower(x), matrices(x, M).swapaxes(1, 2)).swapaxes(1, 2)),
+    "backward": (lambda x: tuples.backward(x[F], x[A]),
+                 lambda x: np.linalg.solve(lower(x).swapaxes(1, 2), inverse_diagonal(x) @ x[:, A, None])),
+    "gram": (lambda x: tuples.gram(x[F], x[M], x[N]),
+             lambda x: matrices(x, M) @ inverse_diagonal(x) @ matrices(x, N).swapaxes(1, 2)),
+    "symmetric_gram": (lambda x: tuples.symmetric_gram(x[F], x[M]),
+                       lambda x: upper(matrices(x, M) @ inverse_diagonal(x) @ matrices(x, M).swapaxes(1, 2))),
+    "against": (lambda x: tuples.against(x[F], x[M], x[9:12]),
+                lambda x: matrices(x, M) @ inverse_diagonal(x) @ x[:, 9:12, None]),
+}
+
+
+def sampled(rng, number: Number, columns: int) -> np.ndarray:
+    """(ROWS, columns) of about one, exact in ``number``."""
+    values = rng.uniform(-1, 1, (ROWS, columns))
+    return values.astype(np.float32).astype(np.float64) if number.bits == 32 else values
+
+
+@ti.func
+def numbers(v: ti.template()):
+    """The columns of a row as a tuple."""
+    return (v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11], v[12], v[13], v[14], v[15], v[16],
+            v[17], v[18], v[19], v[20], v[21], v[22], v[23], v[24])
+
+
+def batches(sizes: dict[str, int], most: int) -> list[list[str]]:
+    """The names in order, in as few lists as hold ``most`` numbers each."""
+    result = [[]]
+    for name, size in sizes.items():
+        if sum(sizes[other] for other in result[-1]) + size > most:
+            result.append([])
+        result[-1].append(name)
+    return result
+
+
+@every_number
+def test_every_function_is_numpys(rng, number):
+    """Several of them in one kernel: it takes long to compile one for each, and Taichi warns of more than 32 results."""
+    runtime.start()
+    values = sampled(rng, number, INPUTS)
+    expected = {name: reference(values).reshape(ROWS, -1) for name, (_, reference) in CASES.items()}
+    sizes = {name: array.shape[1] for name, array in expected.items()}
+    for names in batches(sizes, 32):
+        found = columns_kernel(number, INPUTS, sum(sizes[name] for name in names), together(names))(values)
+        array = np.hstack([expected[name] for name in names])
+        rounding = np.finfo(np.float32 if number.bits == 32 else np.float64).eps
+        np.testing.assert_allclose(found, array, rtol=0, atol=30 * rounding, err_msg=", ".join(names))
+
+
+def together(names: list[str]):
+    """The Taichi function of a row that gives the results of the functions ``names``."""
+
+    @tuples.picked
+    def every(x):
+        return sum((tuple(CASES[name][0](x)) for name in names), ())
+
+    @ti.func
+    def function(v: ti.template()):
+        return every(numbers(v))
+
+    return function
+
+
+def test_no_function_is_left_out():
+    public = {name for name, value in vars(tuples).items() if getattr(value, "_is_wrapped_kernel", False)}
+    assert public - {"variable", "record"} == set(CASES)
+
+
+@every_number
+def test_a_variable_takes_its_own_items_in_another_order(rng, number):
+    """All are read before the first is changed, written out or by a function of the algebra, and in loops."""
+    runtime.start()
+
+    @ti.func
+    def function(v: ti.template()):
+        a = tuples.variable((v[0], v[1], v[2]))
+        b = tuples.variable((v[0], v[1], v[2]))
+        m = tuples.variable((v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8]))
+        for _ in range(2):
+            a = (a[1], a[2], a[0])
+            b = tuples.plus((b[1], b[2], b[0]), b)
+        m = tuples.transposed(m)
+        return a + b + m
+
+    x = sampled(rng, number, 9)
+    turned = x[:, :3] + x[:, [1, 2, 0]]
+    expected = np.hstack([x[:, [2, 0, 1]], turned + turned[:, [1, 2, 0]], x[:, [0, 3, 6, 1, 4, 7, 2, 5, 8]]])
+    rounding = np.finfo(np.float32 if number.bits == 32 else np.float64).eps
+    np.testing.assert_allclose(columns_kernel(number, 9, 15, function)(x), expected, rtol=0, atol=4 * rounding)
+
+
+@every_number
+def test_values_stay_when_what_they_came_from_changes(rng, number):
+    """What a function returned is computed in its place; a second name of a variable is no copy, ``variable`` makes one."""
+    runtime.start()
+
+    @ti.func
+    def function(v: ti.template()):
+        a = tuples.variable((v[0], v[1], v[2]))
+        same, copy = a, tuples.variable(a)
+        double = tuples.plus(a, a)
+        squared = tuples.dot(a, a)
+        a = tuples.negated(a)
+        return same + copy + double + (squared,)
+
+    x = sampled(rng, number, 3)
+    found = columns_kernel(number, 3, 10, function)(x)
+    np.testing.assert_array_equal(found[:, :9], np.hstack([-x, x, 2 * x]))
+    np.testing.assert_allclose(found[:, 9], (x**2).sum(axis=1), rtol=1e-6)
+
+
+@every_number
+def test_a_function_changes_the_record_it_is_given(rng, number):
+    """Numbers, tuples and arrays by name, through functions and loops; the array is the kernel's own."""
+    runtime.start()
+
+    @ti.func
+    def take(state):
+        state.total = state.total + state.place[0] * state.source[1]
+        state.place = (state.place[1], state.place[2], state.place[0])
+
+    @ti.func
+    def function(v: ti.template()):
+        state = tuples.record(total=0.0 * v[0], place=(v[0], v[1], v[2]), source=v)
+        for _ in range(3):
+            take(state)
+        return (state.total,) + state.place
+
+    x = sampled(rng, number, 3)
+    found = columns_kernel(number, 3, 4, function)(x)
+    np.testing.assert_array_equal(found[:, 1:], x)
+    np.testing.assert_allclose(found[:, 0], x.sum(axis=1) * x[:, 1], atol=1e-6)
+
+
+def test_a_variable_takes_as_many_numbers_as_it_has():
+    runtime.start()
+
+    @ti.func
+    def function(v: ti.template()):
+        a = tuples.variable((v[0], v[1], v[2]))
+        a = (v[0], v[1])
+        return a
+
+    with pytest.raises(Exception, match="2 numbers for a variable of 3"):
+        columns_kernel(Number(1, 64), 3, 3, function)(np.zeros((ROWS, 3)))

@@ -1,0 +1,232 @@
+"""One small good file, or folder, of every format that the commands read, made by the package itself with fixed seeds.
+
+scene.toml dynamic.toml file.toml          scenes: of the virtual lab, under Eq. 3, of a file
+loop.toml                                  a scene of motion
+rods.npz .csv .parquet, ribbons.npz, labs.npz   observations: with frames, on ribbons, of marks alone
+groups.npz pairs.csv offsets.npz .csv      what goes with them
+path.npz path.csv marks_path.npz           motions
+run dynamic_run ribbon_run                 folders of finished sweeps
+rig.yaml images/ frames.csv lengths.txt .npz   cameras, sets of images with SETS.csv and truth, a video, a rod
+marks.csv labels.csv                       labelled marks
+views.csv boards/                          images of a calibration board
+perceived.npz                              what perceive wrote
+"""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+SEED = 2011
+BOARD = "chessboard:4x3:8"
+MATERIAL = ("--bend", "4e5", "--twist", "4e5", "--weight", "1")
+RODS = """[synthesis]
+bend = 4e5
+twist = 4e5
+length_mm = 24.0
+marks = 9
+end_distances_mm = [14.0, 19.0]
+end_rotations_deg = [0.0, 120.0]
+"""
+GRID = '[grid]\nbend = "2e5:8e5:3"\ntwist_ratio = "0.5:2:2"\n'
+LOOP = """name = "loop"
+between = 2
+[rod]
+length_mm = 24.0
+edges = 8
+[materials.silk]
+bend = 1.5e5
+twist = 5e4
+[materials.ribbon]
+bend = [[4e5, 0], [0, 1e5]]
+twist = 2e5
+weight = 0.5
+[[moments]]
+time_s = 0.0
+end_position_mm = [22.0, 0, 0]
+[[moments]]
+time_s = 1.0
+end_rotation_deg = 20.0
+[[moments]]
+time_s = 2.0
+end_position_mm = [20.0, 1.0, 0]
+end_direction = [1, 0.2, 0]
+"""
+
+
+def make(folder: Path) -> None:
+    """Fill ``folder``, the working directory meanwhile. Raises RuntimeError where the package refuses its own files."""
+    before = Path.cwd()
+    folder.mkdir(parents=True, exist_ok=True)
+    os.chdir(folder)
+    try:
+        _scenes()
+        _observations()
+        _motions()
+        _images()
+        _marks()
+        _boards()
+        _runs()
+    finally:
+        os.chdir(before)
+
+
+def _command(*words: str) -> None:
+    from doo_ti.cli import main
+
+    if main(words) != 0:
+        raise RuntimeError(f"the corpus: doo-ti {' '.join(words)} failed")
+
+
+def _scenes() -> None:
+    Path("scene.toml").write_text(f'name = "silk"\nclamp_start = "frame"\nclamp_end = "frame"\n{RODS}{GRID}')
+    Path("ribbon.toml").write_text(f"{RODS.replace('4e5', '[[4e5, 0], [0, 1e5]]', 1)}frames = true\n{GRID}")
+    Path("dynamic.toml").write_text(f'name = "dynamic"\nobjective = "dynamic"\npairs = "pairs.csv"\n{RODS}{GRID}')
+    Path("file.toml").write_text(f'name = "file"\nframe_weight_mm = 1.0\n[observations]\nfile = "rods.npz"\n{GRID}')
+    Path("loop.toml").write_text(LOOP)
+    Path("pairs.csv").write_text("from,to,weight,rotation_deg\n0,2,1,120\n1,3,0.5,120\n2,0,1,-120\n")
+
+
+def _observations() -> None:
+    for name, scene in (("rods.npz", "scene.toml"), ("ribbons.npz", "ribbon.toml")):
+        _command("synth", scene, "--out", name)
+    for name in ("rods.csv", "rods.parquet"):
+        _command("convert", "rods.npz", name)
+    keys = dict(np.load("rods.npz"))
+    count = len(keys["vertices_mm"])
+    np.savez(
+        "labs.npz",
+        vertices_mm=keys["vertices_mm"],
+        valid=np.ones(keys["vertices_mm"].shape[:2], bool),
+        sigma_mm=np.array(0.12),
+        up=np.array([0.0, 0.0, 1.0]),
+    )
+    np.savez("groups.npz", group=np.arange(count) // 2)
+    np.savez("offsets.npz", offset_deg=120.0 * (np.arange(count) // 2))
+    Path("offsets.csv").write_text("offset_deg\n" + "".join(f"{120 * (row // 2)}\n" for row in range(count)))
+
+
+def _motions() -> None:
+    """Three moments, each from where the observations' first rod is held."""
+    rod = dict(np.load("rods.npz"))
+    first, last = rod["vertices_mm"][0, 0], rod["vertices_mm"][0, -1]
+    shift = np.array([[0, 0, 0], [0.5, 0, 0], [1.0, 0.3, 0]])
+    held = {
+        "time_s": np.arange(3.0),
+        "start_position_mm": first + 0 * shift,
+        "end_position_mm": last + shift,
+        "start_frame": np.tile(rod["start_frame"][0], (3, 1, 1)),
+        "end_frame": np.tile(rod["end_frame"][0], (3, 1, 1)),
+        "end_rotation_deg": np.array([0.0, 5.0, 10.0]),
+    }
+    np.savez("path.npz", **{key: value for key, value in held.items() if key != "end_rotation_deg"})
+    np.savez("marks_path.npz", positions_mm=rod["vertices_mm"][0] + np.linspace(0, 1, 9)[:, None] * shift[:, None])
+    rows = zip(held["time_s"], held["end_position_mm"], strict=True)
+    Path("path.csv").write_text(
+        "time_s,end_x_mm,end_y_mm,end_z_mm\n"
+        + "".join(f"{time:g},{place[0]:.6f},{place[1]:.6f},{place[2]:.6f}\n" for time, place in rows)
+    )
+
+
+def _rig():
+    """Three small cameras that look at the rods from about 70 mm."""
+    from doo_ti.vision.cameras.camera import Camera
+    from doo_ti.vision.cameras.rig import Rig
+
+    middle, cameras = np.load("rods.npz")["vertices_mm"].mean(axis=(0, 1)), []
+    for index, angle in enumerate((0.3, 2.1, 4.2)):
+        back = np.array([np.cos(angle), np.sin(angle), 0.5 + 0.1 * index])
+        forward = -back / np.linalg.norm(back)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        rotation = np.stack([right, np.cross(forward, right), forward])
+        cameras.append(
+            Camera(
+                f"cam{index}",
+                160,
+                120,
+                [[225.0, 0, 80], [0, 226.0, 60], [0, 0, 1]],
+                [-0.05, 0.02, 1e-4, -1e-4, 0],
+                rotation,
+                -rotation @ (middle - 70.0 * forward),
+            )
+        )
+    return Rig(tuple(cameras))
+
+
+def _images() -> None:
+    from doo_ti.vision.cameras.rig import save_rig
+
+    save_rig(Path("rig.yaml"), _rig())
+    _command("synth", "scene.toml", "--images", "images", "--rig", "rig.yaml", "--diameter", "0.6")
+    header, *lines = (Path("images") / "sets.csv").read_text().splitlines()
+    names = header.split(",")
+    Path("images/sets.csv").write_text("\n".join([header, *lines[:2]]) + "\n")
+    first = dict(zip(names, lines[0].split(","), strict=True))
+    cells = [f"images/{first[f'cam{index}']}" for index in range(3)]
+    seed = [first[name] for name in names if name.startswith(("seed_", "dir_"))]
+    Path("frames.csv").write_text(
+        "frame,cam0,cam1,cam2,time_s,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z\n"
+        + "".join(
+            ",".join([f"f{row}", *cells, f"{row / 30:.4f}", *(seed if row == 0 else [""] * 6)]) + "\n" for row in range(2)
+        )
+    )
+    Path("lengths.txt").write_text("3.0\n" * 8)
+    np.savez("lengths.npz", rest_length_mm=np.full(8, 3.0))
+    _command(
+        "perceive",
+        "--rig",
+        "rig.yaml",
+        "--sets",
+        "images/sets.csv",
+        "--rest-length",
+        "3:8",
+        *MATERIAL,
+        "--hypotheses",
+        "6",
+        "--out",
+        "perceived.npz",
+        "--no-picture",
+        "--no-recording",
+    )
+
+
+def _marks() -> None:
+    rig, vertices = _rig(), np.load("rods.npz")["vertices_mm"]
+    pixels = rig.project(vertices) + np.random.default_rng(SEED).normal(0, 0.1, (3, *vertices.shape[:2], 2))
+    rows = [
+        f"pose{pose},cam{camera},{mark},{pixels[camera, pose, mark, 0]:.3f},{pixels[camera, pose, mark, 1]:.3f}\n"
+        for pose in range(2)
+        for camera in range(3)
+        for mark in range(vertices.shape[1])
+    ]
+    Path("marks.csv").write_text("observation,camera,mark,u_px,v_px\n" + "".join(rows))
+    Path("labels.csv").write_text("observation,end_distance_mm,end_rotation_deg,total_twist_deg\npose0,14,0,0\npose1,19,0,0\n")
+
+
+def _boards() -> None:
+    """Four views of a chessboard by two of the cameras, drawn eight times as fine and shrunk."""
+    import cv2
+
+    rig, squares, fine = _rig(), np.indices((5, 4)).reshape(2, -1).T, 8
+    chance, middle = np.random.default_rng(SEED), np.load("rods.npz")["vertices_mm"].mean(axis=(0, 1))
+    lines = ["view,cam0,cam1"]
+    Path("boards").mkdir(exist_ok=True)
+    for view in range(4):
+        turn = cv2.Rodrigues(np.array([0, 0, 0.8]) + chance.uniform(-0.35, 0.35, 3) * (view > 0))[0]
+        for camera in rig.cameras[:2]:
+            image = np.full((camera.height * fine, camera.width * fine), 235, np.uint8)
+            for column, row in squares[squares.sum(axis=1) % 2 == 0]:
+                corners = np.array([[column, row], [column + 1, row], [column + 1, row + 1], [column, row + 1]]) - [2.5, 2.0]
+                places = np.column_stack([8.0 * corners, np.zeros(4)]) @ turn.T + middle
+                cv2.fillPoly(image, [np.round(camera.project(places) * fine).astype(np.int32)], 25)
+            small = cv2.resize(cv2.GaussianBlur(image, (0, 0), 4), (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+            cv2.imwrite(f"boards/{view}_{camera.name}.png", small)
+        lines.append(f"view{view},boards/{view}_cam0.png,boards/{view}_cam1.png")
+    Path("views.csv").write_text("\n".join(lines) + "\n")
+
+
+def _runs() -> None:
+    _command("sweep", "scene.toml", "--out", "run")
+    _command("sweep", "dynamic.toml", "--out", "dynamic_run")
+    _command("sweep", "ribbon.toml", "--bend-1", "3e5:6e5:2", "--bend-2", "1e5", "--twist", "2e5", "--out", "ribbon_run")
