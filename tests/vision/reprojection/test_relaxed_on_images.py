@@ -128,7 +128,7 @@ def test_grown_rods_converge(nu, scene, rng):
     fine = relax(grown, material, held(grown), external=external, external_index=sets)
     print(f"nu {nu}: {fine.converged.mean():.3f} converged, {fine.iterations.mean():.1f} iterations")
     assert fine.converged.mean() >= 0.99 and fine.stable[fine.converged].all()
-    assert (fine.residual[fine.converged] <= 1e-9).all()
+    assert (fine.residual[fine.converged] <= 1e-7).all()
 
 
 def test_single_precision_ends_where_double_does(scene, rng):
