@@ -16,8 +16,28 @@ from taichi.lang.any_array import AnyArray
 from taichi.lang.impl import expr_init
 
 
-class _Evaluated(tuple):
-    """Numbers that are variables of the kernel and belong to nobody else."""
+class _Evaluated(Sequence):
+    """A tuple of numbers that are variables of the kernel already and never change: names and functions share them.
+
+    (No ``tuple``: Taichi copies those number by number wherever one is given a name or passed to a function.)
+    """
+
+    _data_oriented = True  # so that Taichi passes it on as it is
+
+    def __init__(self, items: tuple):
+        self._items = items
+
+    def __getitem__(self, place):
+        return self._items[place]
+
+    def __add__(self, other):
+        return self._items + tuple(other)
+
+    def __radd__(self, other):
+        return tuple(other) + self._items
+
+    def __len__(self):
+        return len(self._items)
 
 
 def picked(function):
@@ -36,6 +56,11 @@ def traced(function):
         return _Evaluated(value) if isinstance(value, tuple) else value
 
     return call
+
+
+def unevaluated(function):
+    """A :func:`traced` function as one of expressions: what it computes is evaluated where it is used, each time."""
+    return picked(function.__wrapped__)
 
 
 class Variable(Sequence):

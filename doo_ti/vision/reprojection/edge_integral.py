@@ -15,8 +15,9 @@ length of the edge's image there, A the lens' Jacobian in px and w = (d1 − X d
 
 import taichi as ti
 
+from doo_ti.physics import tuples
 from doo_ti.physics.algebra import largest_of
-from doo_ti.physics.tuples import chosen, full, minus, picked, plus, products, record, repeated, scaled, traced
+from doo_ti.physics.tuples import full, itemwise, picked, record, repeated, unevaluated
 from doo_ti.vision.cameras.projection import (
     CAMERA_COLUMNS,
     Projection,
@@ -42,28 +43,39 @@ SLOWEST = 1e-6
 """px: an edge that points at the camera is no shorter."""
 
 
+# Here most numbers are used once: they are evaluated where they get a name.
+plus, minus, scaled, products, chosen = (
+    unevaluated(function) for function in (tuples.plus, tuples.minus, tuples.scaled, tuples.products, tuples.chosen))
+
+
+@picked
+def added(total, terms) -> tuple:
+    """``total`` + ``terms``, for ``total`` itself."""
+    return itemwise(*plus(total, terms))
+
+
 # --- in the image plane -----------------------------------------------------------------------------------------------
 
 
-@traced
+@picked
 def contracted(t, v) -> tuple:
     """Σ_i t_i… v_i: a derivative along v, of one order less."""
     return tuple(v[0] * t[k] + v[1] * t[k + 1] for k in range(len(t) - 1))
 
 
-@traced
+@picked
 def square_of(v, s) -> tuple:
     """s v vᵀ, symmetric."""
     return (s * v[0] * v[0], s * v[0] * v[1], s * v[1] * v[1])
 
 
-@traced
+@picked
 def twice_symmetric(a, b) -> tuple:
     """a bᵀ + b aᵀ."""
     return (2.0 * a[0] * b[0], a[0] * b[1] + a[1] * b[0], 2.0 * a[1] * b[1])
 
 
-@traced
+@picked
 def dyad(a, b) -> tuple:
     """a bᵀ, row by row."""
     return (a[0] * b[0], a[0] * b[1], a[1] * b[0], a[1] * b[1])
@@ -75,7 +87,7 @@ def square(s) -> tuple:
     return (s[0], s[1], s[1], s[2])
 
 
-@traced
+@picked
 def congruent(c, j) -> tuple:
     """J C J of symmetric matrices."""
     return (
@@ -102,7 +114,7 @@ def convex(second):
 # --- from the image plane to points in space: X = y1/y3, Y = y2/y3, and w = (d1 − X d3, d2 − Y d3) ----------------------------
 
 
-@traced
+@picked
 def by_point(e, rest, x, inverse) -> tuple:
     """A first derivative by y of one by (X, Y), ``rest`` that by 1/y3 times 1/y3."""
     return (inverse * e[0], inverse * e[1], 0.0 - inverse * (x[0] * e[0] + x[1] * e[1] + rest))
@@ -124,7 +136,7 @@ def twice_by_point(form, mixed, slope, x, inverse):
             scale * form[2], 0.0 - scale * (b + slope[1]), scale * (c + d))
 
 
-@traced
+@picked
 def twice_by_direction(b, x) -> tuple:
     """A second derivative by w as one by d, six numbers."""
     b02 = 0.0 - x[0] * b[0] - x[1] * b[1]
@@ -144,13 +156,13 @@ def by_point_and_direction(a, steady, along, x, inverse):
             0.0 - inverse * (x[0] * a02 + x[1] * a12 - steady * (x[0] * along[0] + x[1] * along[1])))
 
 
-@traced
+@picked
 def mixed_moments(k, n, s) -> tuple:
     """s K + N: of the edge's start by its direction, nine numbers."""
     return tuple(s * a + b for a, b in zip(full(k), n, strict=True))
 
 
-@traced
+@picked
 def direction_moments(k, n, m, s) -> tuple:
     """s² K + s (N + Nᵀ) + M: of the edge's direction, symmetric."""
     return (
@@ -229,13 +241,13 @@ class EdgeIntegral:
         u = (focal[0] * v[0] * slower, focal[1] * v[1] * slower)
         n = (0.0 - focal[0] * v[1] * slower, focal[1] * v[0] * slower)
         along, across = contracted(j, u), contracted(j, n)
-        turn = contracted(t, u)
-        swing = minus(contracted(contracted(t, n), w), scaled(across, d[2]))
-        slope = minus(contracted(turn, w), scaled(along, d[2]))
-        third = contracted(contracted(bent_third(view.lens, x[0], x[1]), u), w)
-        curvature = plus(minus(third, scaled(turn, 2.0 * d[2])), square_of(swing, slower))
-        return record(value=m, slower=slower, slope=slope, curvature=curvature, along=along, across=across, turn=turn,
-                      swing=swing)
+        turn, turn_across = contracted(t, u), contracted(t, n)
+        swing = minus(contracted(turn_across, w), scaled(across, d[2]))
+        third = contracted(bent_third(view.lens, x[0], x[1]), u)
+        return record(
+            value=m, slower=slower, slope=minus(contracted(turn, w), scaled(along, d[2])),
+            curvature=plus(minus(contracted(third, w), scaled(turn, 2.0 * d[2])), square_of(swing, slower)),
+            along=along, across=across, turn=turn, swing=swing)
 
     @ti.func
     def distance(self, view, x, j, t, coarse):
@@ -255,10 +267,10 @@ class EdgeIntegral:
         own = (own + 2.0 * slope[0] * slope[1] * part[1]) / grade
         more = largest_of(1.0 / largest_of(far, 0.0 * far + view.reach) - own, 0.0 * far) * steep / grade
         rank = ti.select(coarse > 0.5, more, fade)
-        curved = plus(scaled(chosen(coarse > 0.5, part, second), steep), square_of(slope, rank))
-        c = products((focal[0] * focal[0], focal[0] * focal[1], focal[1] * focal[1]), curved)
-        curvature = plus(congruent(c, j), scaled(contracted(t, s), 1.0 - coarse))
-        return record(value=far * root, slope=contracted(j, s), curvature=curvature)
+        c = products((focal[0] * focal[0], focal[0] * focal[1], focal[1] * focal[1]),
+                     plus(scaled(chosen(coarse > 0.5, part, second), steep), square_of(slope, rank)))
+        return record(value=far * root, slope=contracted(j, s),
+                      curvature=plus(congruent(c, j), scaled(contracted(t, s), 1.0 - coarse)))
 
     @ti.func
     def place(self, view, y, d, coarse):
@@ -272,14 +284,15 @@ class EdgeIntegral:
         # F m by (X, Y), and with 1/y3.
         i = plus(scaled(f.slope, m.value), scaled(m.slope, f.value))
         e = scaled(i, inverse)
-        bending = scaled(plus(twice_symmetric(f.slope, m.slope), scaled(m.curvature, f.value)), fine)
-        form = scaled(plus(scaled(f.curvature, m.value), bending), inverse)
+        form = scaled(plus(scaled(f.curvature, m.value), scaled(
+            plus(twice_symmetric(f.slope, m.slope), scaled(m.curvature, f.value)), fine)), inverse)
         gradient_y = by_point(e, inverse * f.value * m.value, x, inverse)
         curvature_yy = twice_by_point(
             form, scaled(i, fine), scaled(e, fine) + (fine * f.value * m.value,), x, inverse)
         g = inverse * f.value
         gradient_d = (g * m.along[0], g * m.along[1], 0.0 - g * (x0 * m.along[0] + x1 * m.along[1]))
-        turning = plus(dyad(scaled(m.swing, m.slower), m.across), square(m.turn))
+        swing = scaled(m.swing, m.slower)
+        turning = plus(dyad(swing, m.across), square(m.turn))
         a = scaled(plus(dyad(f.slope, m.along), scaled(turning, f.value)), rise)
         curvature_yd = by_point_and_direction(a, rise * f.value, m.along, x, inverse)
         curvature_dd = twice_by_direction(square_of(m.across, g * m.slower), x)
@@ -302,11 +315,11 @@ class EdgeIntegral:
             e, y, z, k, n, m, seen = self.place(view, plus(a, scaled(d, s)), d, coarse)
             weight = ti.select(seen, zero + step, zero)
             found.energy = found.energy + ti.select(seen, step * e, zero + step * UNSEEN)
-            found.gradient = plus(found.gradient, scaled(y, weight))
-            found.gradient_s = plus(found.gradient_s, scaled(plus(scaled(y, s), z), weight))
-            found.curvature = plus(found.curvature, scaled(k, weight))
-            found.curvature_s = plus(found.curvature_s, scaled(mixed_moments(k, n, s), weight))
-            found.curvature_ss = plus(found.curvature_ss, scaled(direction_moments(k, n, m, s), weight))
+            found.gradient = added(found.gradient, scaled(y, weight))
+            found.gradient_s = added(found.gradient_s, scaled(plus(scaled(y, s), z), weight))
+            found.curvature = added(found.curvature, scaled(k, weight))
+            found.curvature_s = added(found.curvature_s, scaled(mixed_moments(k, n, s), weight))
+            found.curvature_ss = added(found.curvature_ss, scaled(direction_moments(k, n, m, s), weight))
             s += step
         return found
 

@@ -15,13 +15,13 @@ import numpy as np
 import taichi as ti
 
 from doo_ti.errors import InputError
-from doo_ti.physics.tuples import minus, plus, scaled
+from doo_ti.physics.tuples import minus, scaled
 from doo_ti.relaxation.columns import MOST_NUMBERS
 from doo_ti.relaxation.external import ExternalFunctions
 from doo_ti.vision.cameras.projection import camera_table
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
-from doo_ti.vision.reprojection.edge_integral import COLUMNS, POINTS, WINDOW, EdgeIntegral, no_moments
+from doo_ti.vision.reprojection.edge_integral import COLUMNS, POINTS, WINDOW, EdgeIntegral, added, no_moments
 from doo_ti.vision.reprojection.sampling import SMALLEST
 
 NU = COLUMNS
@@ -122,11 +122,11 @@ class ImageEnergy:
             seen = self.edge.moments(self.edge.view(numbers, values, row, c), camera.entered(numbers, c, start),
                                      camera.turned(numbers, c, minus(end, start)), coarse)
             total.energy = total.energy + seen.energy
-            total.gradient = plus(total.gradient, camera.turned_back(numbers, c, seen.gradient))
-            total.gradient_s = plus(total.gradient_s, camera.turned_back(numbers, c, seen.gradient_s))
-            total.curvature = plus(total.curvature, camera.form_turned_back(numbers, c, seen.curvature))
-            total.curvature_s = plus(total.curvature_s, camera.matrix_turned_back(numbers, c, seen.curvature_s))
-            total.curvature_ss = plus(total.curvature_ss, camera.form_turned_back(numbers, c, seen.curvature_ss))
+            total.gradient = added(total.gradient, camera.turned_back(numbers, c, seen.gradient))
+            total.gradient_s = added(total.gradient_s, camera.turned_back(numbers, c, seen.gradient_s))
+            total.curvature = added(total.curvature, camera.form_turned_back(numbers, c, seen.curvature))
+            total.curvature_s = added(total.curvature_s, camera.matrix_turned_back(numbers, c, seen.curvature_s))
+            total.curvature_ss = added(total.curvature_ss, camera.form_turned_back(numbers, c, seen.curvature_ss))
         return (nu * total.energy, scaled(total.gradient, nu), scaled(total.gradient_s, nu), scaled(total.curvature, nu),
                 scaled(total.curvature_s, nu), scaled(total.curvature_ss, nu))
 
