@@ -6,7 +6,7 @@ import pytest
 from doo_ti.errors import InputError
 from doo_ti.vision.cameras.rig import load_rig
 from doo_ti.vision.detection.images import load_sets
-from tests.vision.test_rig import rig
+from tests.vision.cameras.test_rig import rig
 
 HEADER = "name,cam0,cam2,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z\n"
 LINE = "a,a0.png,a2.png,1,2,3,0,3,4\n"
