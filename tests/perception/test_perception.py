@@ -152,15 +152,16 @@ def test_rods_that_come_to_nothing_are_told(scene, found, monkeypatch):
         return final, replace(solution, status=np.where(lost, Status.NOT_FINITE, solution.status),
                               configuration=replace(solution.configuration, quaternions=quaternions))
 
-    def cut_short(self, hypotheses):
-        kept = nearly_relaxed(self, hypotheses)
-        if kept.quaternions.shape[1] != 7:
-            return kept
-        return replace(kept, energy_vis=np.where(kept.of_set == 1, search.LOST, kept.energy_vis))
+    def cut_short(start, *rest, external_index, **options):
+        solution = relax(start, *rest, external_index=external_index, **options)
+        lost = (external_index == 1) & (start.edges == 7)
+        quaternions = np.where(lost[:, None, None], np.nan, solution.configuration.quaternions)
+        return replace(solution, status=np.where(lost, Status.NOT_FINITE, solution.status),
+                       configuration=replace(solution.configuration, quaternions=quaternions))
 
-    relaxed, nearly_relaxed = search.Search.relaxed, search.Search.nearly_relaxed
+    relaxed, relax = search.Search.relaxed, search.relax
     monkeypatch.setattr(search.Search, "relaxed", spoiled)
-    monkeypatch.setattr(search.Search, "nearly_relaxed", cut_short)
+    monkeypatch.setattr(search, "relax", cut_short)
     several = recovered(scene)
     assert several.status.tolist() == [Status.NOT_FINITE, Status.CONVERGED, Status.CONVERGED]
     assert np.isnan(several.vertices[0]).any() and several.energy_vis[0] == np.inf and several.verdict[0] == Verdict.AMBIGUOUS
