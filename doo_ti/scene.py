@@ -38,7 +38,7 @@ from doo_ti.types import LARGEST, Clamp, Material
 OBJECTIVES = ("static", "dynamic")
 PRECISIONS = ("f32", "f64", "mixed")
 MOST_SPINS = 360
-MOST_FINE_EDGES, MOST_TURNS = 10_000, 1000
+MOST_FINE_EDGES, MOST_TURNS = 20_000, 1000
 """Of a virtual rod."""
 LARGEST_TILT_DEG = 45.0
 """Standard deviation of a virtual clip's tilt."""

@@ -207,7 +207,7 @@ ROWS: dict[str, Callable[[np.random.Generator, int], Rods]] = {
 class Line:
     """What one precision made of one row; shares and extremes are over its feasible rods.
 
-    residual in 1/mm and edge_error in mm are the worst; in_doubles counts rods whose last arithmetic was f64.
+    residual has no unit, edge_error in mm are the worst; in_doubles counts rods whose last arithmetic was f64.
     """
 
     row: str

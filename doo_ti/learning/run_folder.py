@@ -24,6 +24,7 @@ import numpy as np
 from doo_ti import __version__
 from doo_ti.dataset import load_observations, save_observations
 from doo_ti.errors import InputError
+from doo_ti.file_content import MOST_TEXT_BYTES, read_content
 from doo_ti.grid import Grid
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
@@ -60,7 +61,7 @@ def claim(run: Path, identity: str, experiment: Experiment) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileExistsError):  # another process was faster: whose the folder is now is seen below
             write_whole(path, lambda file: file.write(f"{identity}\n{made}\n".encode()), first=True)
-    found, _, by = path.read_bytes().decode(errors="replace").strip().partition("\n")
+    found, _, by = read_content(path, MOST_TEXT_BYTES, "name another folder").decode(errors="replace").strip().partition("\n")
     if found != identity:
         if by and by != made:
             raise InputError(run, "cells", f"holds cells that {by} made, this is {made}",
@@ -81,10 +82,11 @@ def _save_text(path: Path, text: str) -> None:
 
 def _save_once(path: Path, save, content) -> None:
     """Have ``save`` write ``content``, and again where a file that is there holds something else: it was torn, or changed."""
-    if path.exists():
+    if path.is_file():
         with TemporaryDirectory() as folder:
-            save(Path(folder) / path.name, content)
-            if (Path(folder) / path.name).read_bytes() == path.read_bytes():
+            own = Path(folder) / path.name
+            save(own, content)
+            if own.stat().st_size == path.stat().st_size and own.read_bytes() == path.read_bytes():
                 return
     save(path, content)
 

@@ -128,12 +128,7 @@ class LoadedElimination(LooseStart):
             h = (h[0], h[1] + lh[0], h[2] + lh[1], h[3] + lh[2] + quadratic(k, a1, a1), h[4] + quadratic(k, a1, a2),
                  h[5] + lh[2] + quadratic(k, a2, a2))
             d = variable(self.condensed(h, shift, beyond, a1, a2))
-            # What ξ adds, and the right-hand side that the step solves for.
-            stretched = plus(full(beyond.cc), load.curvature_s)
-            w1, w2 = applied(stretched, a1), applied(stretched, a2)
-            zz = variable((beyond.z[0], beyond.z[1] + w1[0], beyond.z[2] + w2[0],
-                           beyond.z[3], beyond.z[4] + w1[1], beyond.z[5] + w2[1],
-                           beyond.z[6], beyond.z[7] + w1[2], beyond.z[8] + w2[2]))
+            zz = variable(self.coupled(beyond, load, a1, a2))
             b = variable((0.0 - g[0] - beyond.f[0], 0.0 - g[1] - r1 - beyond.f[1], 0.0 - g[2] - r2 - beyond.f[2]))
             g = (g[0], g[1] + l1, g[2] + l2)
             if searching:
@@ -190,6 +185,14 @@ class LoadedElimination(LooseStart):
             h[4] + o[4] + row1[2] + row2[1] + quadratic(c, a1, a2),
             h[5] + shift + o[5] + 2.0 * row2[2] + quadratic(c, a2, a2),
         )
+
+    @ti.func
+    def coupled(self, beyond, load, a1, a2):
+        """Z with what the edge adds, (C + K_s) Aᵀ: a row for each direction of ξ, a column for each rotation of the edge."""
+        stretched = plus(full(beyond.cc), load.curvature_s)
+        w1, w2 = applied(stretched, a1), applied(stretched, a2)
+        z = beyond.z
+        return (z[0], z[1] + w1[0], z[2] + w2[0], z[3], z[4] + w1[1], z[5] + w2[1], z[6], z[7] + w1[2], z[8] + w2[2])
 
     @ti.func
     def eliminate_border(self, rod, at, free, border, rows, f, wr, wz, wu):

@@ -62,7 +62,7 @@ def relax(
     clamps                 table with S rows: what holds their ends. None with a Solution: the same rods once more, from where
                            they ended or, where they failed, from where they began; clamps, gravity, lengths and the
                            external energy stay as they were, and only the material changes: half the iterations
-    solver                 ``Newton()`` (default), ``Newton.careful()`` or the paper's ``Descent()``. Without clamps Newton only,
+    solver                 ``Newton()`` (default), ``Newton.careful()`` or the paper's ``Descent()``. Without clamps Newton,
                            by default without a first shift, which keeps closest to the branch
     up                     (3,) direction against gravity, (0, 0, 1) unless given
     precision              "f64"; "f32", where f64 takes over only rods that f32 could not finish; or "mixed": f32 first,

@@ -28,7 +28,7 @@ from doo_ti.physics.tuples import (
 from doo_ti.relaxation import chain
 from doo_ti.relaxation.columns import OF_RESULT
 from doo_ti.relaxation.loading import Loading
-from doo_ti.relaxation.parameter_gradient import KEPT_ITEMS, ParameterGradient
+from doo_ti.relaxation.parameter_gradient import KEPT_ITEMS, NO_MODE, ParameterGradient
 from doo_ti.types import Solution
 
 INERTIA_OF_A_MINIMUM = 3.0
@@ -156,7 +156,7 @@ class SensitivitySweep(ParameterGradient):
             l1, l2 = self.linear_change(rod, edge, column)
             change.own = (zero, l1, l2)
             change.after = repeated(zero, 3)
-            if e < rod.edges - 1:
+            if e < rod.edges - 1 and (column.bends or column.mode != NO_MODE):
                 left, right = self.pair_change(rod, at, e, column)
                 change.pair = plus(change.pair, left)
                 change.after = right

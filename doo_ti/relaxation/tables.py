@@ -8,7 +8,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.errors import InputError, real_array
+from doo_ti.errors import InputError
+from doo_ti.relaxation.checked_input import (
+    check_material,
+    check_shapes,
+    clamp_kinds,
+    external_rows,
+    paired_rows,
+    rest_lengths,
+)
 from doo_ti.relaxation.clamp_kernel import INFEASIBLE
 from doo_ti.relaxation.clamp_table import clamp_table, outer_edges, whole_start
 from doo_ti.relaxation.columns import (
@@ -16,7 +24,6 @@ from doo_ti.relaxation.columns import (
     BEND,
     CLOSED,
     ENDS,
-    FRAME,
     FREE,
     FROM_RESULTS,
     LARGEST_BEND,
@@ -41,7 +48,7 @@ from doo_ti.relaxation.columns import (
 from doo_ti.relaxation.external import External
 from doo_ti.relaxation.memory import room
 from doo_ti.relaxation.prepared_start import prepared
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.types import Clamps, Configuration, Material
 
 
 @dataclass(frozen=True)
@@ -134,7 +141,7 @@ class Tables:
 
         Raises InputError where they do not match.
         """
-        _check_material(material, self.edges, self.floating and self.external is None)
+        check_material(material, self.edges, self.floating and self.external is None)
         if index is None and material.count not in (1, self.count):
             index = self.material_index
             if material.count != len(self.material):
@@ -143,7 +150,7 @@ class Tables:
         rows = np.arange(self.count) % material.count if index is None else np.asarray(index)
         if rows.shape != (self.count,):
             raise InputError("relax", "material_index", f"shape {rows.shape}", f"give ({self.count},) row numbers")
-        _, rows = _pairs(len(self.start), material.count, self.configuration_index, rows)
+        _, rows = paired_rows(len(self.start), material.count, self.configuration_index, rows)
         isotropic = material.is_isotropic
         table = _material_table(material, isotropic, self.edges)
         rods = self.rods.copy()
@@ -182,18 +189,18 @@ def tables(
     Raises InputError where shapes do not match, an index is out of range, or both ends of a rod with weight are free that no
     external energy holds.
     """
-    _check_shapes(configuration, clamps)
+    check_shapes(configuration, clamps)
     count, edges = configuration.count, configuration.edges
-    lengths = _lengths(configuration)
-    index_c, index_m = _pairs(count, material.count, configuration_index, material_index)
+    lengths = rest_lengths(configuration)
+    index_c, index_m = paired_rows(count, material.count, configuration_index, material_index)
     rods = len(index_c)
     if max(count, rods) * edges * 4 > MOST_NUMBERS:
         raise InputError("relax", "configuration", f"{max(count, rods):,} rods of {edges} edges in one call",
                          f"give at most {MOST_NUMBERS // (4 * edges):,} at a time")
-    index_e = _external_rows(external, external_index, rods, edges)
-    kinds = _kinds(clamps, count)
+    index_e = external_rows(external, external_index, rods, edges)
+    kinds = clamp_kinds(clamps, count)
     floating = not kinds.any(axis=1).all()
-    _check_material(material, edges, floating and external is None)
+    check_material(material, edges, floating and external is None)
     isotropic = material.is_isotropic
     clamp, found = clamp_table(configuration, lengths, kinds, clamps)
     if external is not None:
@@ -228,33 +235,6 @@ def _loosen(clamp: np.ndarray, kinds: np.ndarray, configuration: Configuration, 
     clamp[loose[:, None], np.arange(ANCHOR, ANCHOR + 3)] = anchor
     line = np.where(held[:, None], np.asarray(clamps.end_position)[loose] - anchor, 0.0)
     clamp[loose[:, None], np.arange(TARGET, TARGET + 3)] = line
-
-
-def _lengths(configuration: Configuration) -> np.ndarray:
-    """(1 or S, E) rest lengths. Raises InputError where they do not match or are not positive."""
-    count, edges = configuration.count, configuration.edges
-    lengths = real_array("configuration", "rest_length", configuration.rest_length, "give positive lengths in mm")
-    # A copy: what becomes of the caller's own is none of the result's business.
-    lengths = np.array(lengths, dtype=np.float64, order="C")
-    if lengths.ndim == 1:
-        lengths = lengths[None]
-    if lengths.shape not in ((1, edges), (count, edges)):
-        raise InputError("configuration", "rest_length", f"shape {lengths.shape}", f"give ({edges},) or ({count}, {edges})")
-    if lengths.size and not (lengths.min() > 0 and lengths.max() < np.inf):
-        raise InputError("configuration", "rest_length", f"{lengths.min():g}", "give positive lengths in mm")
-    return lengths
-
-
-def _check_material(material: Material, edges: int, floating: bool) -> None:
-    """Raise InputError where ``material`` does not go with rods of so many edges, or of which some float, held by nothing."""
-    if floating and (material.weight > 0).any():
-        raise InputError("clamps", "start, end", "both ends are free and the rod has weight", "hold one end, or set weight 0")
-    for name, array, length in (("twist", material.twist, edges - 1), ("bend", material.bend, edges)):
-        if array.shape[1] not in (1, length):
-            raise InputError("material", name, f"{array.shape[1]} entries along the rod", f"give one or {length}")
-    rest = material.rest_curvature
-    if rest is not None and rest.shape[1] not in (1, edges - 1):
-        raise InputError("material", "rest_curvature", f"{rest.shape[1]} joints", f"give one or {edges - 1}")
 
 
 def _edges(material: np.ndarray) -> np.ndarray:
@@ -294,87 +274,3 @@ def _material_table(material: Material, isotropic: bool, edges: int) -> np.ndarr
     table[:, LARGEST_BEND] = largest.max(axis=1)
     table[:, STIFFEST] = np.maximum(table[:, LARGEST_BEND], twist.max(axis=1))
     return table
-
-
-def _check_shapes(configuration: Configuration, clamps: Clamps) -> None:
-    """Raise InputError unless starts and clamps are tables of the same rods."""
-    shape = np.shape(configuration.quaternions)
-    if not isinstance(configuration.quaternions, np.ndarray) or configuration.quaternions.dtype.kind != "f":
-        raise InputError("configuration", "quaternions", "not an array of floating-point numbers", "give an array (R, E, 4)")
-    if len(shape) != 3 or shape[2] != 4 or shape[1] < 2:
-        raise InputError("configuration", "quaternions", f"shape {shape}", "give an array (R, E, 4) with at least two edges")
-    needed = {"start_position": (shape[0], 3), "end_position": (shape[0], 3),
-              "start_frame": (shape[0], 3, 3), "end_frame": (shape[0], 3, 3)}
-    for source, field, array, wanted in (
-        ("configuration", "start", configuration.start, (shape[0], 3)),
-        *(("clamps", name, getattr(clamps, name), size) for name, size in needed.items()),
-    ):
-        if not isinstance(array, np.ndarray) or array.shape != wanted:
-            raise InputError(source, field, f"shape {np.shape(array)}", f"give an array {wanted}, a row for each start")
-        if array.dtype.kind not in "fiu":
-            raise InputError(source, field, f"dtype {array.dtype}", "give real numbers")
-
-
-def _kinds(clamps: Clamps, count: int) -> np.ndarray:
-    """(S, 2) Clamp numbers of both ends. Raises InputError for anything that is not one Clamp, or one for each start."""
-    kinds = np.empty((count, 2), dtype=np.int64)
-    for end, (name, kind) in enumerate((("start", clamps.start), ("end", clamps.end))):
-        if not isinstance(kind, Clamp):
-            kind = _as_array("clamps", name, kind, "give a Clamp, or one for each start")
-            known = kind.dtype.kind in "iuf" and bool(((kind >= FREE) & (kind <= FRAME) & (kind == kind.astype(int))).all())
-            if kind.shape not in ((), (1,), (count,)) or not known:
-                raise InputError("clamps", name, f"{kind.tolist()!r}", "give a Clamp, or one for each start")
-        kinds[:, end] = kind
-    return kinds
-
-
-def _pairs(configurations: int, materials: int, configuration_index, material_index) -> tuple[np.ndarray, np.ndarray]:
-    """The two index vectors, (R,) each; without them tables are paired one to one, a single row with every row."""
-    if configuration_index is None and material_index is None:
-        if configurations != materials and 1 not in (configurations, materials):
-            raise InputError("relax", "material", f"{materials} rows for {configurations} rods", "give one, or one per rod")
-        count = min(configurations, materials) and max(configurations, materials)
-        return np.arange(count) % max(configurations, 1), np.arange(count) % max(materials, 1)
-    remedy = "give (R,) row numbers"
-    first = _as_array("relax", "configuration_index", 0 if configuration_index is None else configuration_index, remedy)
-    second = _as_array("relax", "material_index", 0 if material_index is None else material_index, remedy)
-    for name, index in (("configuration_index", first), ("material_index", second)):
-        if index.size and index.dtype.kind not in "iu":
-            raise InputError("relax", name, f"dtype {index.dtype}", "give whole row numbers")
-    if first.shape != second.shape:
-        if first.size != 1 and second.size != 1:
-            raise InputError("relax", "material_index", f"shape {second.shape} beside {first.shape} of configuration_index",
-                             "give (R,) row numbers both")
-        first, second = np.broadcast_arrays(first, second)
-    first, second = (np.ascontiguousarray(index, dtype=np.int64) for index in (first, second))
-    for name, index, size in (("configuration_index", first, configurations), ("material_index", second, materials)):
-        if index.ndim != 1 or (index.size and (index.min() < 0 or index.max() >= size)):
-            raise InputError("relax", name, f"not a vector of rows below {size}", "give (R,) row numbers")
-    return first, second
-
-
-def _as_array(source: str, name: str, value, remedy: str) -> np.ndarray:
-    """``value`` as an array. Raises InputError for rows of unlike lengths."""
-    try:
-        return np.asarray(value)
-    except ValueError:
-        raise InputError(source, name, "rows of unlike lengths", remedy) from None
-
-
-def _external_rows(external: External | None, index, count: int, edges: int) -> np.ndarray:
-    """(R,) rows of the external energy; without ``index`` rods and rows are paired one to one, or all have the one row."""
-    if external is None:
-        if index is not None:
-            raise InputError("relax", "external_index", "given without an external energy", "give both, or neither")
-        return np.zeros(count, dtype=np.int64)
-    if external.vertices not in (None, edges + 1):
-        raise InputError("external", "points", f"{external.vertices} vertices", f"give {edges + 1}, as the rods have")
-    if index is None:
-        if external.count not in (1, count):
-            raise InputError("relax", "external", f"{external.count} rows for {count} rods", "give one, or one for each rod")
-        return np.arange(count) % external.count
-    rows = np.asarray(index)
-    whole = rows.shape == (count,) and rows.dtype.kind in "iu"
-    if not whole or (rows.size and (rows.min() < 0 or rows.max() >= external.count)):
-        raise InputError("relax", "external_index", f"not {count} rows below {external.count}", "give (R,) row numbers")
-    return rows.astype(np.int64)

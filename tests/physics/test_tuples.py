@@ -142,7 +142,7 @@ def together(names: list[str]):
 
 def test_no_function_is_left_out():
     public = {name for name, value in vars(tuples).items() if getattr(value, "_is_wrapped_kernel", False)}
-    assert public - {"variable", "record"} == set(CASES)
+    assert public - {"variable", "record", "itemwise"} == set(CASES)
 
 
 @every_number
@@ -159,13 +159,16 @@ def test_a_variable_takes_its_own_items_in_another_order(rng, number):
             a = (a[1], a[2], a[0])
             b = tuples.plus((b[1], b[2], b[0]), b)
         m = tuples.transposed(m)
-        return a + b + m
+        c = tuples.variable((v[0], v[1], v[2]))
+        c = tuples.itemwise(c[0] + c[0], c[1], 3.0 * c[2])
+        return a + b + m + c
 
     x = sampled(rng, number, 9)
     turned = x[:, :3] + x[:, [1, 2, 0]]
-    expected = np.hstack([x[:, [2, 0, 1]], turned + turned[:, [1, 2, 0]], x[:, [0, 3, 6, 1, 4, 7, 2, 5, 8]]])
+    expected = np.hstack([x[:, [2, 0, 1]], turned + turned[:, [1, 2, 0]], x[:, [0, 3, 6, 1, 4, 7, 2, 5, 8]],
+                          x[:, :3] * [2, 1, 3]])
     rounding = np.finfo(np.float32 if number.bits == 32 else np.float64).eps
-    np.testing.assert_allclose(columns_kernel(number, 9, 15, function)(x), expected, rtol=0, atol=4 * rounding)
+    np.testing.assert_allclose(columns_kernel(number, 9, 18, function)(x), expected, rtol=0, atol=4 * rounding)
 
 
 @every_number

@@ -133,6 +133,6 @@ def test_wrong_input_is_told(configurations):
         plan(configurations, Grid((parse_axis("--bend", "1e6"),)), sigma=0.1)
     with pytest.raises(InputError, match="ratios"):
         plan(configurations, grid("--weight=1:2:2"), sigma=0.1)
-    with pytest.raises(InputError, match="further apart"):
+    with pytest.raises(InputError, match="away from the first"):
         apart = replace(configurations, vertices=configurations.vertices * 4)
         plan(replace(apart, rest_length=configurations.rest_length), grid(), sigma=0.1)

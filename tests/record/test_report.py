@@ -7,19 +7,18 @@ import pytest
 
 from doo_ti.report import (
     LandscapePanel,
-    Panel,
     angle_curves_picture,
-    angle_errors_picture,
     distance_colors,
     landscape_colors,
     landscape_image,
     landscape_picture,
     landscapes_picture,
     motions_picture,
-    panels_picture,
     quantity,
 )
 from doo_ti.report.plane import Plane, cell_edges, valley_cells
+from tools.bench.curves import Panel, panels_picture
+from tools.trials.twist_picture import angle_errors_picture
 
 from . import runs
 

@@ -210,3 +210,23 @@ def test_a_pipe_in_the_place_of_cells_is_not_waited_for(capsys, copy):
     path.unlink()
     os.mkfifo(path)
     refused(capsys, ["learn", run], "a pipe")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="takes pipes with names")
+@pytest.mark.parametrize("name", ["observations.npz", "pairs.csv", "cells/plan.json"])
+def test_a_pipe_in_the_place_of_what_is_known_is_replaced(copy, name):
+    """Nor a device, which never ends: neither is read."""
+    run = copy("dynamic")
+    whole = (run / name).read_bytes()
+    (run / name).unlink()
+    os.mkfifo(run / name)
+    sweep(run, small_lab(), GRID, options=DYNAMIC)
+    assert (run / name).read_bytes() == whole
+
+
+def test_a_device_in_the_place_of_the_identity_is_refused(copy):
+    run = copy("static")
+    (run / "cells" / "identity.txt").unlink()
+    (run / "cells" / "identity.txt").symlink_to("/dev/zero")
+    with pytest.raises(InputError, match="a device"):
+        sweep(run, small_lab(), GRID)

@@ -1,0 +1,322 @@
+"""What a thread of the Newton kernel does: trips through its lanes' rods, each a step, its judgement and the plan of the next
+(§III-D, docs/chain.md)."""
+
+
+import taichi as ti
+
+from doo_ti.physics.tuples import chosen, dot, plus, record, repeated, scaled, variable
+from doo_ti.relaxation import chain
+from doo_ti.relaxation.columns import CLOSURE, DRIFT, ENERGY, FORCE, ITERATIONS, OF_RESULT, RESIDUAL, RESULTS, STABLE, STATUS
+from doo_ti.relaxation.elimination import Elimination
+from doo_ti.relaxation.loading import LANES, NEXT, TRIPS, Loading
+from doo_ti.relaxation.newton import (
+    CLOSING,
+    COARSE_ROTATION,
+    DECAY,
+    DECAY_TROUBLED,
+    ESCAPE_ROTATION,
+    ESCAPE_ROUNDS,
+    ESCAPES,
+    FIRST_SHIFT,
+    ITERATION_LIMIT,
+    NEGLIGIBLE,
+    NEGLIGIBLE_TROUBLED,
+    NOTABLE,
+    PATIENCE,
+    PATIENCE_32,
+    PATIENCE_AT_SADDLE,
+    ROTATION_LIMIT,
+    SHAPE_TOLERANCE_32,
+    SHIFT_REJECTED,
+    SHIFT_WRONG_INERTIA,
+    TOLERANCE,
+)
+from doo_ti.types import Status
+
+
+@ti.data_oriented
+class NewtonLoop:
+    """What a thread does until the queue is empty.
+
+    Its functions pass on three records: ``tables``, the arrays that host and kernel share; ``rod``, the parameters of the rods
+    in the lanes (:class:`.Chain`); and ``lane``, where each lane's rod is and the step that is about to be tried:
+
+    energy, magnitude, miss, multiplier  of the frames that stand; ``residual`` their largest moment
+    change, longest                      δλ and the largest rotation of the step, rad
+    shift, scale                         added to the diagonal of H, and H's largest diagonal entry
+    step_scale                           share of the step that is taken
+    trying, closing, escaping            flags: the step is judged by its energy; it only closes; it leaves a saddle
+    rounds, heading, escapes             of leaving a saddle: inverse iterations made, the way taken, saddles left so far
+    best, idle_trips, aimless            the smallest residual so far, trips without progress and without notable progress
+    """
+
+    def __init__(self, sweep: Elimination, functions=None, has_coarse: bool = False):
+        number = sweep.number
+        self.sweep, self.stride, self.has_coarse = sweep, sweep.stride, has_coarse
+        self.loading = Loading(sweep, functions)
+        self.largest, self.lane, self.with_lane, self.constant, _, self.get = number.lanes()
+        self.width, self.scalar = number.width, number.scalar
+        single = number.bits == 32
+        self.rounding = 2e-6 if single else 1e-10
+        self.patience = PATIENCE_32 if single else PATIENCE
+        self.shape_tolerance = SHAPE_TOLERANCE_32 if single else 1e30
+        self.closure_tolerance = 1e-7 if single else 1e-12
+        # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a trace of H's
+        # scale on the diagonal lets them pass, always. f32 cannot tell them from soft saddles and leaves them to f64.
+        self.trace = 0.0 if single else 1e-12
+        self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
+        self.stalled, self.not_finite = int(Status.STALLED), int(Status.NOT_FINITE)
+
+    @ti.func
+    def work(self, tables, scratch: ti.template(), threads, thread):
+        """A thread's work, until the queue is empty."""
+        edges = tables.rest_length.shape[1]
+        head = thread
+        if ti.static(self.stride == 1):
+            head = thread * (self.sweep.parameters + self.sweep.items * edges)
+        # Rods taken at once from the queue: threads that ask for the same number wait for each other, but all are to end
+        # together.
+        batch = ti.max(1, ti.min(16, tables.rods.shape[0] // (16 * threads * self.width)))
+        lane = self.idle_lanes()
+        supply = record(next=0, end=0, batch=batch, places=LANES + thread * self.width)
+        pack_trips = 0
+        running = 1
+        while running == 1:
+            if self.largest(lane.finished) > 0.5:
+                for slot in range(self.width):
+                    if self.lane(lane.finished, slot) > 0.5:
+                        if self.lane(lane.active, slot) > 0.5:
+                            self.store(tables, scratch, head, slot, lane, tables.queue[supply.places + slot])
+                        self.refill(tables, scratch, head, slot, lane, supply)
+                self.begin(tables, scratch, head, lane)
+            if self.largest(lane.active) < 0.5:
+                running = 0
+            else:
+                self.trip(tables, scratch, head, lane)
+                pack_trips += 1
+        ti.atomic_add(tables.queue[TRIPS], pack_trips)
+
+    @ti.func
+    def idle_lanes(self):
+        """The record of lanes that have no rod yet."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        return record(
+            energy=zero, magnitude=zero, miss=repeated(zero, 3), multiplier=repeated(zero, 3), residual=zero,
+            change=repeated(zero, 3), longest=one, shift=zero, scale=one, step_scale=zero, coarse=zero, fresh=zero,
+            trying=zero, closing=zero, returned=zero, troubled=zero, escaping=zero, escapes=zero, rounds=zero, heading=one,
+            best=zero, idle_trips=zero, aimless=zero, rejects=zero, trips=zero, status=zero, stable=zero,
+            lengths_known=zero, active=zero, finished=one)
+
+    @ti.func
+    def store(self, tables, scratch: ti.template(), head, slot, lane, rod):
+        """Results of the rod in lane ``slot``, row ``rod`` of the rods."""
+        row = tables.rods[rod, OF_RESULT]
+        origin = head + self.sweep.parameters * self.stride
+        self.loading.store_frames(tables, row, scratch, origin, slot)
+        if self.lane(lane.status, slot) == self.not_finite:
+            for k in ti.static(range(RESULTS)):
+                tables.results[row, k] = ti.math.nan
+        else:
+            unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
+            length_unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
+            total = self.get(scratch, head + chain.OF_TOTAL * self.stride, slot)
+            tables.results[row, ENERGY] = ti.cast(self.lane(lane.energy, slot), ti.f64) * unit
+            tables.results[row, RESIDUAL] = self.lane(lane.residual, slot) * total
+            for k in ti.static(range(3)):
+                tables.results[row, FORCE + k] = 0.0 - ti.cast(self.lane(lane.multiplier[k], slot), ti.f64) * unit / length_unit
+            miss = (self.lane(lane.miss[0], slot), self.lane(lane.miss[1], slot), self.lane(lane.miss[2], slot))
+            squares = miss[0] ** 2 + miss[1] ** 2 + miss[2] ** 2
+            tables.results[row, CLOSURE] = ti.sqrt(squares) / total
+        if ti.static(self.sweep.moves_start):
+            for k in ti.static(range(3)):
+                drift = ti.cast(self.get(scratch, head + (chain.OF_DRIFT + k) * self.stride, slot), ti.f64)
+                tables.results[row, DRIFT + k] = drift * self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot)
+        tables.results[row, ITERATIONS] = self.lane(lane.trips, slot)
+        tables.results[row, STATUS] = self.lane(lane.status, slot)
+        tables.results[row, STABLE] = self.lane(lane.stable, slot)
+
+    @ti.func
+    def refill(self, tables, scratch: ti.template(), head, slot, lane, supply):
+        """The next rod of the queue into lane ``slot``, if there is one; ``supply`` are the rods taken from it already."""
+        lane.active = self.with_lane(lane.active, slot, 0.0)
+        if supply.next == supply.end:
+            supply.next = ti.atomic_add(tables.queue[NEXT], supply.batch)
+            supply.end = ti.min(supply.next + supply.batch, tables.rods.shape[0])
+        if supply.next < supply.end:
+            rod = supply.next
+            supply.next += 1
+            tables.queue[supply.places + slot] = rod
+            self.loading.load(tables, scratch, head, slot, rod, self.lane(lane.lengths_known, slot))
+            lane.lengths_known = self.with_lane(lane.lengths_known, slot, 1.0)
+            lane.active = self.with_lane(lane.active, slot, 1.0)
+
+    @ti.func
+    def begin(self, tables, scratch: ti.template(), head, lane):
+        """The lanes that were refilled start anew."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        begun = lane.finished > 0.5
+        lane.scale = ti.select(begun, scratch[head + chain.OF_SCALE * self.stride], lane.scale)
+        lane.fresh = ti.select(begun, one, lane.fresh)
+        lane.best = ti.select(begun, self.constant(1e30), lane.best)
+        lane.shift = ti.select(begun, ti.cast(tables.policy[FIRST_SHIFT], self.scalar) * lane.scale, lane.shift)
+        lane.step_scale = ti.select(begun, zero, lane.step_scale)
+        lane.trips = ti.select(begun, zero, lane.trips)
+        lane.idle_trips = ti.select(begun, zero, lane.idle_trips)
+        lane.aimless = ti.select(begun, zero, lane.aimless)
+        lane.rejects = ti.select(begun, zero, lane.rejects)
+        lane.trying = ti.select(begun, zero, lane.trying)
+        lane.closing = ti.select(begun, zero, lane.closing)
+        lane.returned = ti.select(begun, zero, lane.returned)
+        lane.troubled = ti.select(begun, zero, lane.troubled)
+        lane.escaping = ti.select(begun, zero, lane.escaping)
+        lane.escapes = ti.select(begun, zero, lane.escapes)
+        lane.finished = zero
+
+    @ti.func
+    def trip(self, tables, scratch: ti.template(), head, lane):
+        """One step of every lane's rod, and its judgement."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        if ti.static(self.has_coarse):
+            lane.coarse = ti.max(lane.coarse, lane.fresh)
+        rod = self.sweep.rods(scratch, head, tables.rest_length.shape[1], tables.numbers, tables.field, lane.coarse)
+        # Take the step, hopefully: the shift is that for after it.
+        moving = ti.max(lane.trying, ti.max(lane.fresh, lane.closing))
+        x, normal = self.sweep.step(rod, lane.step_scale, moving)
+        decay = ti.select(lane.troubled > 0.5, self.constant(DECAY_TROUBLED), self.constant(DECAY))
+        negligible = ti.select(lane.troubled > 0.5, self.constant(NEGLIGIBLE_TROUBLED), self.constant(NEGLIGIBLE)) * lane.scale
+        smaller = ti.select(decay * lane.shift > negligible, decay * lane.shift, zero)
+        hoped = ti.select(lane.trying > 0.5, smaller, lane.shift)
+        # Off a saddle: once with noise, then on what came of it.
+        searching = (lane.escaping > 0.5) & (lane.trying < 0.5)
+        noise = ti.select(searching & (lane.rounds < 0.5), 1e-3 * lane.scale, zero)
+        echo = ti.select(searching & (lane.rounds > 0.5), lane.scale / (lane.longest + 1e-30), zero)
+        energy, magnitude, miss, fitted = self.sweep.close(rod, x, normal)
+        multiplier = self.multiplier(lane, fitted)
+        diagonal = ti.select(hoped > 0.0, hoped, self.trace * lane.scale)
+        found = self.sweep.eliminate(rod, diagonal, (noise, echo), multiplier, miss)
+        found.energy += energy
+        found.magnitude += magnitude
+        judged = self.judge_step(lane, found, miss, hoped)
+        if self.largest(ti.select(judged.uphill, one, zero)) > 0.5:
+            self.sweep.restore(rod, ti.select(judged.uphill, one, zero))
+        lane.longest = self.sweep.substitute(rod, found)
+        self.keep(lane, found, miss, multiplier, judged, hoped)
+        place = self.judge_place(tables, rod, lane, found.inertia, judged)
+        self.plan(tables, rod, lane, judged, place, searching, found.slope)
+        self.end(tables, lane, judged, place)
+
+    @ti.func
+    def multiplier(self, lane, fitted):
+        """λ at the frames stepped to: the least-squares one of closure, which knows no external energy, or where there is one
+        that of the Newton step."""
+        value = variable(fitted)
+        if ti.static(self.sweep.moves_start):
+            share = ti.select(lane.escaping < 0.5, lane.step_scale, self.constant(0.0))
+            stepped = plus(lane.multiplier, scaled(lane.change, share))
+            value = chosen(lane.fresh > 0.5, fitted, stepped)
+        return value
+
+    @ti.func
+    def judge_step(self, lane, found, miss, hoped):
+        """Judge the step by the Lagrangian: a record of flags."""
+        multiplier = plus(lane.multiplier, lane.change)
+        before = lane.energy + dot(multiplier, lane.miss)
+        after = found.energy + dot(multiplier, miss)
+        noise_level = self.rounding * lane.magnitude
+        finite = found.energy == found.energy
+        downhill = (lane.trying > 0.5) & (after <= before + noise_level)
+        taken = ti.select(((lane.trying < 0.5) & finite) | downhill, self.constant(1.0), self.constant(0.0))
+        stands = taken > 0.5
+        return record(
+            stands=stands, downhill=downhill, uphill=(lane.trying > 0.5) & (taken < 0.5),
+            gained=(after < before - noise_level) & downhill, notable=(after < before - NOTABLE * lane.magnitude) & downhill,
+            broken=(lane.fresh > 0.5) & ~stands)
+
+    @ti.func
+    def keep(self, lane, found, miss, multiplier, judged, hoped):
+        """What the lane knows after its step: of the new frames where it stands, of those from before where it led uphill."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        lane.energy = ti.select(judged.stands, found.energy, lane.energy)
+        lane.magnitude = ti.select(judged.stands, found.magnitude, lane.magnitude)
+        lane.miss = chosen(judged.stands, miss, lane.miss)
+        lane.multiplier = chosen(judged.stands, multiplier, lane.multiplier)
+        lane.scale = ti.select(judged.stands, found.scale, lane.scale)
+        lane.residual = ti.select(judged.stands, found.moment, lane.residual)
+        lane.change = found.change
+        lane.shift = ti.select(judged.stands, hoped, lane.shift)
+        stiffer = judged.uphill & (lane.escaping < 0.5)
+        lane.shift = ti.select(stiffer, ti.max(4.0 * lane.shift, SHIFT_REJECTED * lane.scale), lane.shift)
+        lane.rejects = ti.select(judged.downhill, zero, lane.rejects + ti.select(judged.uphill, one, zero))
+        lane.escaping = ti.select(judged.downhill, zero, lane.escaping)
+        lane.trips = lane.trips + lane.active
+
+    @ti.func
+    def judge_place(self, tables, rod, lane, inertia, judged):
+        """Judge where the rod is: a record of flags. What was eliminated says nothing of frames gone back to."""
+        gap = ti.sqrt(dot(lane.miss, lane.miss))
+        tolerance = ti.cast(tables.policy[TOLERANCE], self.scalar)
+        small = (lane.residual * rod.total <= tolerance) & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
+        wrong = ((inertia < 2.5) | (inertia > 3.5)) & judged.stands
+        right = (inertia > 2.5) & (inertia < 3.5) & judged.stands
+        calm = small & (lane.escaping < 0.5) & judged.stands
+        bare = (lane.shift <= 0.0) & (lane.coarse < 0.5)
+        # Where rounding of the moments hides the residual, the step that they would lead to says how far off the shape may be.
+        settled = lane.longest <= self.shape_tolerance
+        at_saddle = calm & bare & wrong
+        # Beside a saddle a rod may make no progress though its residual is not yet small.
+        aimless = wrong & (lane.aimless > PATIENCE_AT_SADDLE) & (lane.escaping < 0.5) & (lane.closing < 0.5)
+        limit = ti.cast(tables.policy[ESCAPES], self.scalar)
+        leaving = (at_saddle & (lane.escapes < limit)) | (aimless & (limit > 0.0))
+        return record(
+            gap=gap, small=small, settled=settled, right=right, wrong=wrong,
+            at_minimum=calm & bare & right & settled, at_saddle=at_saddle, leaving=leaving,
+            resting=at_saddle & (lane.escapes >= limit), certify=calm & ((lane.shift > 0.0) | (lane.coarse > 0.5)))
+
+    @ti.func
+    def plan(self, tables, rod, lane, judged, place, searching, slope):
+        """The next step: whether to take one, how much of it, and under which shift."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        lane.escaping = ti.select(place.leaving, one, lane.escaping)
+        lane.shift = ti.select(place.leaving, zero, lane.shift)
+        lane.escapes = ti.select(place.leaving & place.at_saddle, lane.escapes + 1.0, lane.escapes)
+        lane.closing = ti.select(place.gap > ti.cast(tables.policy[CLOSING], self.scalar) * rod.longest, one, zero)
+        lane.rounds = ti.select((lane.escaping > 0.5) & place.right & ~place.leaving, lane.rounds + 1.0, lane.rounds)
+        lane.rounds = ti.select(place.leaving, zero, lane.rounds)
+        unready = (lane.escaping > 0.5) & (lane.rounds <= ESCAPE_ROUNDS)
+        held = place.certify | place.leaving | place.wrong | unready | (lane.closing > 0.5) | judged.uphill
+        lane.trying = ti.select(held, zero, one)
+        lane.troubled = ti.select(judged.uphill | (place.wrong & (lane.closing < 0.5)), one, lane.troubled)
+        floor = ti.select(lane.escaping > 0.5, NEGLIGIBLE_TROUBLED * lane.scale, SHIFT_WRONG_INERTIA * lane.scale)
+        lane.shift = ti.select(place.wrong & (lane.closing < 0.5), ti.max(4.0 * lane.shift, floor), lane.shift)
+        lane.shift = ti.select(place.certify, zero, lane.shift)
+        if ti.static(self.has_coarse):
+            far = (lane.longest > COARSE_ROTATION) & ~place.small & (lane.escaping < 0.5)
+            lane.coarse = ti.select(far, one, zero)
+        cap = ti.min(one, ti.cast(tables.policy[ROTATION_LIMIT], self.scalar) / (lane.longest + 1e-30))
+        lane.heading = ti.select(searching, ti.select(slope > 0.0, 0.0 - one, one), lane.heading)
+        leap = lane.heading * ESCAPE_ROTATION / ((1.0 + lane.rejects) * (1.0 + lane.rejects) * (lane.longest + 1e-30))
+        lane.step_scale = ti.select(lane.trying > 0.5, ti.select(lane.escaping > 0.5, leap, cap), zero)
+
+    @ti.func
+    def end(self, tables, lane, judged, place):
+        """Which lanes are done, and how."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        better = place.leaving | (lane.closing > 0.5) | ((lane.residual < 0.7 * lane.best) & judged.stands)
+        # A trip that only eliminates again after going back is no sign of a lack of progress.
+        waited = ti.select(lane.returned > 0.5, zero, one)
+        lane.aimless = ti.select(better | judged.notable, zero, lane.aimless + waited)
+        lane.idle_trips = ti.select(judged.gained | better, zero, lane.idle_trips + waited)
+        lane.best = ti.select(better & judged.stands, ti.min(lane.best, lane.residual), lane.best)
+        lane.returned = ti.select(judged.uphill, one, zero)
+        lane.fresh = zero
+        ended = place.at_minimum | place.resting
+        late = lane.trips >= ti.cast(tables.policy[ITERATION_LIMIT], self.scalar)
+        stuck = lane.idle_trips > self.patience
+        lost = judged.broken | ~(lane.residual == lane.residual)
+        lane.status = ti.select(stuck, self.constant(self.stalled), self.constant(self.limit))
+        lane.status = ti.select(lost, self.constant(self.not_finite), lane.status)
+        # At rest, though a neutral motion leaves the certificate undecided: converged, not certified.
+        at_rest = place.small & place.settled & (late | stuck)
+        lane.status = ti.select(ended | at_rest, self.constant(self.converged), lane.status)
+        lane.stable = ti.select(place.at_minimum, one, zero)
+        lane.finished = ti.select((ended | late | stuck | lost) & (lane.active > 0.5), one, zero)
