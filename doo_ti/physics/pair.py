@@ -14,13 +14,15 @@ first and second variations through Im and Re of X Ω̄ and Y Ω̄, because a fr
 
 Two variants of the same energy: isotropic (B = αI, ω̄ = 0), and any symmetric positive definite B per edge with rest
 curvature. Stiffness is passed as a tuple: isotropic (α/l̄, β/l̄), general (B_left, B_right, 1/l̄, β/l̄, u̅) with
-B = (11, 22, 12) and u̅ = ω̄ l̄/2 as (real, imaginary). The derivatives come as
+B = (11, 22, 12) and u̅ = ω̄ l̄/2 as (real, imaginary), or (…, u̅_left, u̅_right, m̅) where each frame has a rest curvature of its
+own and the joint a rest twist: E is then that of ω^left − u̅_left, ω^right − u̅_right and m − m̅. The derivatives come as
 (g_left, g_right, H_left, H_right, H_across): two 3-tuples, two symmetric 6-tuples and a 9-tuple [left row, right column].
 """
 
 import taichi as ti
 
 from doo_ti.physics.quaternion import relative_rotation
+from doo_ti.physics.tuples import picked, traced
 
 
 @ti.func
@@ -114,6 +116,24 @@ def _applied(b, u):
     return (b[0] * u[0] + b[2] * u[1], b[2] * u[0] + b[1] * u[1])
 
 
+@picked
+def _rest_left(stiffness):
+    """u̅ of the left frame."""
+    return stiffness[4]
+
+
+@picked
+def _rest_right(stiffness):
+    """u̅ of the right frame."""
+    return stiffness[5] if len(stiffness) > 5 else stiffness[4]
+
+
+@traced
+def _twist(m, stiffness):
+    """m − m̅."""
+    return m - stiffness[6] if len(stiffness) > 5 else m
+
+
 @ti.func
 def _strain(x, rest):
     """u = ω − u̅ with ω = −2i X."""
@@ -122,12 +142,13 @@ def _strain(x, rest):
 
 @ti.func
 def general_energy(x, y, m, stiffness):
-    left = _strain(x, stiffness[4])
-    right = _strain(y, stiffness[4])
+    left = _strain(x, _rest_left(stiffness))
+    right = _strain(y, _rest_right(stiffness))
     f = _applied(stiffness[0], left)
     g = _applied(stiffness[1], right)
     bend = left[0] * f[0] + left[1] * f[1] + right[0] * g[0] + right[1] * g[1]
-    return 0.5 * stiffness[2] * bend + stiffness[3] * m * m
+    twist = _twist(m, stiffness)
+    return 0.5 * stiffness[2] * bend + stiffness[3] * twist * twist
 
 
 @ti.func
@@ -188,9 +209,9 @@ def _first_variation(x, y, inverse, turn):
 @ti.func
 def general_gradient(x, y, inverse, turn, m, stiffness):
     """⟨μ, δX⟩ + ⟨ν, δY⟩ + M δm with μ, ν the moments of the left and right frame and M = 2 b m."""
-    mu = _moment(stiffness[0], _strain(x, stiffness[4]), stiffness[2])
-    nu = _moment(stiffness[1], _strain(y, stiffness[4]), stiffness[2])
-    t = 2.0 * stiffness[3] * m
+    mu = _moment(stiffness[0], _strain(x, _rest_left(stiffness)), stiffness[2])
+    nu = _moment(stiffness[1], _strain(y, _rest_right(stiffness)), stiffness[2])
+    t = 2.0 * stiffness[3] * _twist(m, stiffness)
     dx, dy, xx, yy, c = _first_variation(x, y, inverse, turn)
     left = (
         _inner(mu, dx[0]) - t,
@@ -210,11 +231,11 @@ def general_hessian(x, y, inverse, turn, m, stiffness):
     """Σ (δu)ᵀB(δu)/l̄ + 2b δm² + ⟨μ, δ²X⟩ + ⟨ν, δ²Y⟩ + M δ²m."""
     b_left = stiffness[0]
     b_right = stiffness[1]
-    mu = _moment(b_left, _strain(x, stiffness[4]), stiffness[2])
-    nu = _moment(b_right, _strain(y, stiffness[4]), stiffness[2])
+    mu = _moment(b_left, _strain(x, _rest_left(stiffness)), stiffness[2])
+    nu = _moment(b_right, _strain(y, _rest_right(stiffness)), stiffness[2])
     f = 4.0 * stiffness[2]
     b2 = 2.0 * stiffness[3]
-    h = 0.5 * b2 * m  # M/2
+    h = 0.5 * b2 * _twist(m, stiffness)  # M/2
     dx, dy, xx, yy, c = _first_variation(x, y, inverse, turn)
     xxx = _times(xx, x)
     yyy = _times(yy, y)

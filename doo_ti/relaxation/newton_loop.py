@@ -83,11 +83,7 @@ class NewtonLoop:
         running = 1
         while running == 1:
             if self.largest(lane.finished) > 0.5:
-                for slot in range(self.width):
-                    if self.lane(lane.finished, slot) > 0.5:
-                        if self.lane(lane.active, slot) > 0.5:
-                            self.store(tables, scratch, head, slot, lane, tables.queue[supply.places + slot])
-                        self.refill(tables, scratch, head, slot, lane, supply)
+                self.exchange(tables, scratch, head, lane, supply)
                 self.begin(tables, scratch, head, lane)
             if self.largest(lane.active) < 0.5:
                 running = 0
@@ -95,6 +91,15 @@ class NewtonLoop:
                 self.trip(tables, scratch, head, lane)
                 pack_trips += 1
         ti.atomic_add(tables.queue[TRIPS], pack_trips)
+
+    @ti.func
+    def exchange(self, tables, scratch: ti.template(), head, lane, supply):
+        """Store the rods of the finished lanes and load others."""
+        for slot in range(self.width):
+            if self.lane(lane.finished, slot) > 0.5:
+                if self.lane(lane.active, slot) > 0.5:
+                    self.store(tables, scratch, head, slot, lane, tables.queue[supply.places + slot])
+                self.refill(tables, scratch, head, slot, lane, supply)
 
     @ti.func
     def idle_lanes(self):
