@@ -146,13 +146,11 @@ class TimeSweep(LoadedElimination):
         """u̅ and m̅ of the joint where the edge at ``at`` begins: the material's share and that of damping."""
         s = self.stride
         own, previous = at + self.motion * s, at - self.edge_stride + self.motion * s
-        x1, y1, _, _, r1 = pair.curvature(self.load4(rod.scratch, previous + FRAME_1 * s),
-                                          self.load4(rod.scratch, own + FRAME_1 * s))
-        x2, y2, _, _, r2 = pair.curvature(self.load4(rod.scratch, previous + FRAME_2 * s),
-                                          self.load4(rod.scratch, own + FRAME_2 * s))
-        m1, m2 = self.twist_angle(r1), self.twist_angle(r2)
-        x = plus(x1, scaled(minus(x1, x2), time.extrapolation))
-        y = plus(y1, scaled(minus(y1, y2), time.extrapolation))
+        last = pair.curvature(self.load4(rod.scratch, previous + FRAME_1 * s), self.load4(rod.scratch, own + FRAME_1 * s))
+        before = pair.curvature(self.load4(rod.scratch, previous + FRAME_2 * s), self.load4(rod.scratch, own + FRAME_2 * s))
+        m1, m2 = self.twist_angle(last[4]), self.twist_angle(before[4])
+        x = plus(last[0], scaled(minus(last[0], before[0]), time.extrapolation))
+        y = plus(last[1], scaled(minus(last[1], before[1]), time.extrapolation))
         bend = rod.scratch[rod.head + (self.time_parameters + OF_BEND_SHARE) * s]
         twist = rod.scratch[rod.head + (self.time_parameters + OF_TWIST_SHARE) * s]
         rest1, rest2 = rod.scratch[at + REST * s], rod.scratch[at + (REST + 1) * s]
