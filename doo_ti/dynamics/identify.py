@@ -1,0 +1,183 @@
+"""Identification: the Θ under which rods move as they were recorded (Eq. 3 for rods in motion).
+
+Σ ρ(x_simulated − x_recorded) over markers and frames, each recording rolled out open loop from its first two frames, is made
+small by Levenberg–Marquardt; ρ(r) = δ (√(δ² + r²) − δ) grows linearly beyond δ, so that glitches of the capture do not decide.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti.dynamics.recorded import RecordedMotion, rollout
+from doo_ti.dynamics.simulate import simulate
+from doo_ti.dynamics.theta import MotionTheta, Unknowns, simulated
+from doo_ti.types import Clamp, Status
+
+STEP = 0.01
+"""Of an entry of p, for differences."""
+
+
+@dataclass(frozen=True)
+class IdentifyOptions:
+    """How Θ is found.
+
+    modes         Legendre modes of the rest curvature in each direction
+    fitted        parameters besides bend and the rest curvature
+    horizons      frames that are rolled out, one fit after the other: short ones find the region, long ones the parameters
+    delta         mm, beyond which a difference counts linearly
+    substeps      time steps between frames
+    scheme        of :func:`.simulate`
+    iterations    most of each fit
+    end           what the far gripper holds
+    """
+
+    modes: int = 3
+    fitted: tuple[str, ...] = ("bend_damping", "drag", "quadratic_drag")
+    horizons: tuple[int, ...] = (60, 200, 10**6)
+    delta: float = 5.0
+    substeps: int = 1
+    scheme: str = "bdf2"
+    iterations: int = 20
+    end: Clamp = Clamp.TANGENT
+
+
+def predicted(motion: RecordedMotion, thetas: list[MotionTheta], options: IdentifyOptions, precision: str = "f64",
+              progress=None):
+    """((R, G, T, V, 3) positions of the recordings under each Θ, (R, G, T) status): frames 0 and 1 and the grippers' vertices
+    as given, the rest predicted; NaN where a rod failed."""
+    begun = rollout(motion, thetas[0].rest_length, thetas[0].reference, end=options.end)
+    count, each = motion.count, len(thetas)
+    pairs = np.repeat(np.arange(count), each), np.tile(np.arange(each), count)
+    material, dynamics = simulated(thetas)
+    found = simulate(begun.start, material, begun.grippers, dynamics, begun.rate, velocity=begun.velocity,
+                     substeps=options.substeps, scheme=options.scheme, precision=precision, pairs=pairs, smooth_start=False,
+                     progress=progress)
+    at = begun.steps[:, 1:] - 1
+    rods = np.arange(count)[:, None]
+    positions = np.repeat(motion.positions[:, None], each, axis=1)
+    inner = found.positions.reshape(count, each, -1, *motion.positions.shape[2:])
+    for g in range(each):
+        positions[:, g, 2:, 2:-2] = inner[rods, g, at][:, :, 2:-2]
+    status = np.zeros(positions.shape[:3], dtype=np.int8)
+    status[:, :, 2:] = np.moveaxis(found.status.reshape(count, each, -1)[rods, :, at], 2, 1)
+    return positions, status
+
+
+def mean_error(positions: np.ndarray, recorded: np.ndarray) -> np.ndarray:
+    """(R, T) mm: mean of |difference| over all markers and coordinates (L1), positions (R, T, V, 3)."""
+    return np.abs(positions - recorded).mean(axis=(-1, -2))
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What :func:`identify` found.
+
+    theta       Θ
+    names       (P,) of the entries of p
+    vector      (P,) p
+    covariance  (P, P) of p, recordings taken as independent
+    error       (R,) mm, the mean over frames from 2 on of :func:`mean_error`; NaN for recordings that failed
+    failed      (R,) bool: some step of the recording did not converge, and it was left out
+    cost        Σ ρ, mm²
+    iterations  in all
+    """
+
+    theta: MotionTheta
+    names: list[str]
+    vector: np.ndarray
+    covariance: np.ndarray
+    error: np.ndarray
+    failed: np.ndarray
+    cost: float
+    iterations: int
+
+
+def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOptions = IdentifyOptions(),
+             report: Callable[[str, int, float], None] | None = None) -> Identified:
+    """The Θ of the rod that all recordings of ``motion`` show, from ``begin`` on.
+
+    report  called with the horizon, the iteration and the mean error in mm
+    """
+    unknowns = Unknowns(begin, options.modes, options.fitted)
+    p = unknowns.vector(begin)
+    made = 0
+    frames = motion.positions.shape[1]
+    for horizon in sorted({min(h + 2, frames) for h in options.horizons}):
+        part = RecordedMotion(motion.positions[:, :horizon], motion.rate, motion.names, motion.elapsed[:, :horizon])
+        fit = _Fit(part, unknowns, options)
+        p, cost, iterations = fit.minimise(p, lambda k, error, horizon=horizon: report and report(horizon, k, error))
+        made += iterations
+    residual, slopes, status = fit.linearised(p)
+    failed = (status != Status.CONVERGED).any(axis=(1, 2))
+    theta = unknowns.theta(p)
+    error = np.where(failed, np.nan, np.abs(residual).mean(axis=(1, 2, 3)) * (residual.shape[2] / motion.positions.shape[2]))
+    return Identified(theta, unknowns.names, p, fit.covariance(residual, slopes, ~failed), error, failed, cost, made)
+
+
+class _Fit:
+    """Levenberg–Marquardt over the recordings of one horizon."""
+
+    def __init__(self, motion: RecordedMotion, unknowns: Unknowns, options: IdentifyOptions):
+        self.motion, self.unknowns, self.options = motion, unknowns, options
+        self.seen = motion.positions[:, 2:, 2:-2]
+
+    def residuals(self, vectors) -> tuple[np.ndarray, np.ndarray]:
+        """((R, G, T − 2, V − 4, 3) mm, (R, G, T) status) under each p."""
+        positions, status = predicted(self.motion, [self.unknowns.theta(p) for p in vectors], self.options)
+        return positions[:, :, 2:, 2:-2] - self.seen[:, None], status
+
+    def linearised(self, p):
+        """(residuals (R, …) at p, their slopes (R, P, …), status (R, P + 1, T))."""
+        residual, status = self.residuals([p, *(p + STEP * np.eye(len(p)))])
+        return residual[:, 0], (residual[:, 1:] - residual[:, :1]) / STEP, status
+
+    def cost(self, residual: np.ndarray) -> np.ndarray:
+        """(R,) Σ ρ of each recording, mm²; infinite where it failed."""
+        delta = self.options.delta
+        value = (delta * (np.sqrt(delta**2 + residual**2) - delta)).sum(axis=(1, 2, 3))
+        return np.where(np.isfinite(value), value, np.inf)
+
+    def normal(self, residual, slopes, used):
+        """(A, (R, P) gradients of the recordings): the normal equations of the reweighted squares."""
+        weight = 1.0 / np.sqrt(1.0 + (residual / self.options.delta) ** 2)
+        count, p = slopes.shape[:2]
+        a, gradients = np.zeros((p, p)), np.zeros((count, p))
+        for r in np.flatnonzero(used):
+            j, w = slopes[r].reshape(p, -1), weight[r].ravel()
+            a += (j * w) @ j.T
+            gradients[r] = (j * w) @ residual[r].ravel()
+        return a, gradients
+
+    def covariance(self, residual, slopes, used) -> np.ndarray:
+        """(P, P) of p: A⁻¹ (Σ g gᵀ) A⁻¹ over recordings, whose errors are as one each."""
+        a, gradients = self.normal(residual, slopes, used)
+        number = max(2, int(used.sum()))
+        inverse = np.linalg.pinv(a)
+        return inverse @ (gradients.T @ gradients) @ inverse * (number / (number - 1))
+
+    def minimise(self, p, report) -> tuple[np.ndarray, float, int]:
+        """(p, cost, iterations)."""
+        damping = 1e-2
+        for k in range(self.options.iterations):
+            residual, slopes, status = self.linearised(p)
+            used = (status == Status.CONVERGED).all(axis=(1, 2))
+            each = self.cost(residual)
+            cost = each[used].sum()
+            report(k, float(np.abs(residual[used]).mean()))
+            a, gradients = self.normal(residual, slopes, used)
+            improved = np.inf
+            while damping < 1e6:
+                step = -np.linalg.solve(a + damping * np.diag(np.diag(a) + 1e-9 * np.trace(a)), gradients.sum(axis=0))
+                step *= min(1.0, 1.0 / np.abs(step[0])) if step[0] else 1.0
+                trial = self.cost(self.residuals([p + step])[0][:, 0])
+                improved = trial[used].sum()
+                if improved < cost:
+                    break
+                damping *= 5.0
+            if not improved < cost:
+                return p, cost, k + 1
+            p, damping = p + step, max(damping / 5.0, 1e-6)
+            if cost - improved < 1e-4 * cost:
+                return p, improved, k + 1
+        return p, improved, self.options.iterations
