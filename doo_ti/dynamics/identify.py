@@ -158,26 +158,28 @@ class _Fit:
 
     def minimise(self, p, report) -> tuple[np.ndarray, float, int]:
         """(p, cost, iterations)."""
-        damping = 1e-2
+        damping, lower, upper = 1e-3, self.unknowns.lower, self.unknowns.upper
         for k in range(self.options.iterations):
             residual, slopes, status = self.linearised(p)
             used = (status == Status.CONVERGED).all(axis=(1, 2))
-            each = self.cost(residual)
-            cost = each[used].sum()
+            cost = self.cost(residual)[used].sum()
             report(k, float(np.abs(residual[used]).mean()))
             a, gradients = self.normal(residual, slopes, used)
+            g = gradients.sum(axis=0)
+            free = ~((p <= lower) & (g > 0) | (p >= upper) & (g < 0))
+            a, g = a[np.ix_(free, free)], g[free]
             improved = np.inf
             while damping < 1e6:
-                step = -np.linalg.solve(a + damping * np.diag(np.diag(a) + 1e-9 * np.trace(a)), gradients.sum(axis=0))
-                step *= min(1.0, 1.0 / np.abs(step[0])) if step[0] else 1.0
-                trial = self.cost(self.residuals([p + step])[0][:, 0])
-                improved = trial[used].sum()
+                step = np.zeros_like(p)
+                step[free] = -np.linalg.solve(a + damping * (np.diag(np.diag(a)) + 1e-3 * np.trace(a) * np.eye(len(a))), g)
+                trial = np.clip(p + np.clip(step, -1.0, 1.0), lower, upper)
+                improved = self.cost(self.residuals([trial])[0][:, 0])[used].sum()
                 if improved < cost:
                     break
-                damping *= 5.0
+                damping *= 4.0
             if not improved < cost:
                 return p, cost, k + 1
-            p, damping = p + step, max(damping / 5.0, 1e-6)
-            if cost - improved < 1e-4 * cost:
+            p, damping = trial, max(damping / 4.0, 1e-7)
+            if cost - improved < 1e-3 * cost:
                 return p, improved, k + 1
         return p, improved, self.options.iterations

@@ -63,14 +63,17 @@ def simulated(thetas: list[MotionTheta]) -> tuple[Material, Dynamics]:
 
 
 class Unknowns:
-    """Θ as a vector p: log α, and of what is not negative the square root, in units in which a step of 0.01 is small."""
+    """Θ as a vector p: log α, and the others in units in which a tenth is a small change."""
 
-    def __init__(self, begin: MotionTheta, modes: int, fitted=("bend_damping", "drag", "quadratic_drag", "marker_share")):
-        self.begin, self.modes, self.fitted = begin, modes, tuple(fitted)
-
-    SIZES = {"bend_damping": 0.1, "drag": 1.0, "quadratic_drag": 1e-3}
+    SIZES = {"bend_damping": 0.03, "drag": 0.3, "quadratic_drag": 1e-4, "marker_share": 0.3, "twist_ratio": 1.0}
     CURVATURE = 1e-3
     """1/mm"""
+
+    def __init__(self, begin: MotionTheta, modes: int, fitted: tuple[str, ...]):
+        self.begin, self.modes, self.fitted = begin, modes, tuple(fitted)
+        unbounded = 2 * modes
+        self.lower = np.array([-np.inf, *[0.02 if name == "twist_ratio" else 0.0 for name in fitted], *[-np.inf] * unbounded])
+        self.upper = np.array([np.inf, *[3.0 if name == "marker_share" else np.inf for name in fitted], *[np.inf] * unbounded])
 
     @property
     def names(self) -> list[str]:
@@ -79,19 +82,14 @@ class Unknowns:
 
     def vector(self, theta: MotionTheta) -> np.ndarray:
         """(P,) p of Θ."""
-        p = [np.log(theta.bend)]
-        for name in self.fitted:
-            value = getattr(theta, name)
-            p.append(np.arcsin(np.sqrt(value)) if name == "marker_share" else np.sqrt(value / self.SIZES[name]))
         rest = np.zeros((2, self.modes))
         common = min(self.modes, theta.rest.shape[1])
         rest[:, :common] = theta.rest[:, :common]
-        return np.array([*p, *(rest / self.CURVATURE).ravel()])
+        return np.array([np.log(theta.bend), *(getattr(theta, name) / self.SIZES[name] for name in self.fitted),
+                         *(rest / self.CURVATURE).ravel()])
 
     def theta(self, p: np.ndarray) -> MotionTheta:
         """Θ of p."""
-        values = {"bend": float(np.exp(p[0]))}
-        for name, entry in zip(self.fitted, p[1:], strict=False):
-            values[name] = float(min(np.sin(entry) ** 2, 0.99) if name == "marker_share" else self.SIZES[name] * entry**2)
+        values = {name: float(self.SIZES[name] * entry) for name, entry in zip(self.fitted, p[1:], strict=False)}
         rest = p[1 + len(self.fitted) :].reshape(2, self.modes) * self.CURVATURE
-        return replace(self.begin, rest=rest, **values)
+        return replace(self.begin, bend=float(np.exp(p[0])), rest=rest, **values)
