@@ -104,8 +104,7 @@ def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOption
     made = 0
     frames = motion.positions.shape[1]
     for horizon in sorted({min(h + 2, frames) for h in options.horizons}):
-        part = RecordedMotion(motion.positions[:, :horizon], motion.rate, motion.names, motion.elapsed[:, :horizon])
-        fit = _Fit(part, unknowns, options)
+        fit = _Fit(motion.until(horizon), unknowns, options)
         p, cost, iterations = fit.minimise(p, lambda k, error, horizon=horizon: report and report(horizon, k, error))
         made += iterations
     residual, slopes, status = fit.linearised(p)

@@ -15,6 +15,12 @@ NEIGHBOURS = 3
 """Frames on either side that tell how fast a gripper is."""
 MOST_LOST = 100
 """Frames that may be missing at one place."""
+LARGEST_TURN = np.radians(60.0)
+"""A gripper that turns by more in one frame was not seen right: markers were confused."""
+MOST_CONFUSED = 50
+"""Frames after which it is believed that it did turn."""
+LARGEST_REACH = 0.999
+"""Share of the rod's length between grippers, at most: beyond, the far gripper is moved back."""
 GRIPPED = (0, 1, -2, -1)
 """Vertices of the first and last edge."""
 
@@ -27,6 +33,8 @@ class RecordedMotion:
     rate       frames per second
     names      (R,) of the recordings
     elapsed    (R, T) steps of 1/rate since the frame before: more than one where frames are missing from the recording
+    confused   (R, T, 2) where the start gripper's and the end gripper's markers contradict the frames around; the gripper is then
+               taken from those
 
     Raises InputError for shapes that do not fit and numbers that are not finite.
     """
@@ -35,6 +43,7 @@ class RecordedMotion:
     rate: float
     names: tuple[str, ...]
     elapsed: np.ndarray
+    confused: np.ndarray
 
     @classmethod
     def of(cls, positions, rate: float, names=None, source: str = "motion") -> "RecordedMotion":
@@ -52,7 +61,7 @@ class RecordedMotion:
         if not (np.isfinite(rate) and rate > 0):
             raise InputError(source, "rate_hz", f"{rate}", "give frames per second")
         names = tuple(str(k) for k in range(len(positions))) if names is None else tuple(names)
-        return cls(positions, float(rate), names, elapsed_steps(positions))
+        return cls(positions, float(rate), names, elapsed_steps(positions), confused_frames(positions))
 
     @property
     def count(self) -> int:
@@ -62,7 +71,13 @@ class RecordedMotion:
     def take(self, rows) -> "RecordedMotion":
         """The recordings named by ``rows``."""
         rows = np.atleast_1d(rows)
-        return RecordedMotion(self.positions[rows], self.rate, tuple(np.array(self.names)[rows]), self.elapsed[rows])
+        return RecordedMotion(self.positions[rows], self.rate, tuple(np.array(self.names)[rows]), self.elapsed[rows],
+                              self.confused[rows])
+
+    def until(self, frames: int) -> "RecordedMotion":
+        """The first ``frames`` frames."""
+        return RecordedMotion(self.positions[:, :frames], self.rate, self.names, self.elapsed[:, :frames],
+                              self.confused[:, :frames])
 
     def edge_lengths(self) -> np.ndarray:
         """(E,) median lengths of the edges, mm."""
@@ -96,6 +111,51 @@ def elapsed_steps(positions: np.ndarray) -> np.ndarray:
     return steps
 
 
+def confused_frames(positions: np.ndarray) -> np.ndarray:
+    """(R, T, 2) frames of (R, T, V, 3) positions in which the first or the last edge points elsewhere than before, for a while."""
+    edges = np.stack([positions[:, :, 1] - positions[:, :, 0], positions[:, :, -1] - positions[:, :, -2]], axis=2)
+    direction = edges / np.maximum(np.linalg.norm(edges, axis=-1, keepdims=True), 1e-12)
+    count, frames = direction.shape[:2]
+    confused = np.zeros((count, frames, 2), dtype=bool)
+    believed, since = direction[:, 1].copy(), np.zeros((count, 2), dtype=np.int64)
+    for t in range(2, frames):
+        turned = np.sum(direction[:, t] * believed, axis=-1) < np.cos(LARGEST_TURN)
+        since = np.where(turned, since + 1, 0)
+        real = since > MOST_CONFUSED
+        for r, end in np.argwhere(real):
+            confused[r, t - MOST_CONFUSED : t, end] = False
+        confused[:, t] = turned & ~real
+        believed = np.where((turned & ~real)[..., None], believed, direction[:, t])
+        since[real] = 0
+    return confused
+
+
+def _believable(held: np.ndarray, confused: np.ndarray, elapsed: np.ndarray) -> np.ndarray:
+    """Gripper markers (R, T, 4, 3), where ``confused`` (R, T, 2) on lines between the frames around."""
+    if not confused.any():
+        return held
+    result, instants = held.copy(), np.cumsum(elapsed, axis=1)
+    for r, end in np.argwhere(confused.any(axis=1)):
+        good = ~confused[r, :, end]
+        for marker in (2 * end, 2 * end + 1):
+            for axis in range(3):
+                result[r, :, marker, axis] = np.interp(instants[r], instants[r, good], held[r, good, marker, axis])
+    return result
+
+
+def _within_reach(held: np.ndarray, rest_length: np.ndarray) -> np.ndarray:
+    """Gripper markers (R, T, 4, 3) with the far gripper moved towards the near one where the rod would not reach it."""
+    first, last = held[:, :, 1] - held[:, :, 0], held[:, :, 3] - held[:, :, 2]
+    first = first * (rest_length[0] / np.linalg.norm(first, axis=-1, keepdims=True))
+    last = last * (rest_length[-1] / np.linalg.norm(last, axis=-1, keepdims=True))
+    line = held[:, :, 3] - last - held[:, :, 0] - first
+    span = np.linalg.norm(line, axis=-1, keepdims=True)
+    excess = np.maximum(span - LARGEST_REACH * rest_length[1:-1].sum(), 0.0) / span
+    result = held.copy()
+    result[:, :, 2:] -= (excess * line)[:, :, None]
+    return result
+
+
 @dataclass(frozen=True)
 class Rollout:
     """A recorded motion as a simulation begins it: from frames 0 and 1.
@@ -114,18 +174,15 @@ class Rollout:
     rate: float
 
 
-def rollout(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarray, smoothing: int = 0,
-            end: Clamp = Clamp.TANGENT) -> Rollout:
+def rollout(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarray, end: Clamp = Clamp.TANGENT) -> Rollout:
     """Lay out the recordings of ``motion`` for :func:`doo_ti.dynamics.simulate.simulate`.
 
     rest_length  (E,) mm
     reference    (3,) direction towards which m1 of the first edge points at frame 1
-    smoothing    frames on either side over which gripper markers are smoothed
     end          what the far gripper holds
     """
-    held = motion.positions[:, 1:][:, :, GRIPPED]
-    if smoothing:
-        held = _smoothed(held, motion.elapsed[:, 1:], smoothing)
+    held = _believable(motion.positions[:, 1:][:, :, GRIPPED], motion.confused[:, 1:], motion.elapsed[:, 1:])
+    held = _within_reach(held, rest_length)
     expanded, steps = _with_missing(held, motion.elapsed[:, 1:])
     first = edge_frames(expanded[:, :, 1] - expanded[:, :, 0], np.broadcast_to(reference, (motion.count, 3)))
     last = edge_frames(expanded[:, :, 3] - expanded[:, :, 2])
@@ -159,20 +216,3 @@ def _with_missing(held: np.ndarray, elapsed: np.ndarray) -> tuple[np.ndarray, np
             (1 + 2 * u) * (1 - u) ** 2 * here + u**2 * (3 - 2 * u) * there
             + n * (u * (1 - u) ** 2 * before + u**2 * (u - 1) * after))
     return result, steps
-
-
-def _smoothed(held: np.ndarray, elapsed: np.ndarray, reach: int) -> np.ndarray:
-    """Markers (R, T, 4, 3) fitted by quadratics over ``reach`` frames on either side, never across missing frames."""
-    count, frames = held.shape[:2]
-    segment = np.cumsum(elapsed > 1, axis=1)
-    offsets = np.arange(-reach, reach + 1)
-    result = np.empty_like(held)
-    for t in range(frames):
-        at = np.clip(t + offsets, 0, frames - 1)
-        inside = (t + offsets >= 0) & (t + offsets < frames)
-        weight = (inside & (segment[:, at] == segment[:, t : t + 1])).astype(float)  # (R, K)
-        basis = np.stack([np.ones_like(offsets), offsets, offsets**2], axis=1).astype(float)
-        normal = np.einsum("rk,ki,kj->rij", weight, basis, basis) + 1e-9 * np.eye(3)
-        right = np.einsum("rk,ki,rkvc->rivc", weight, basis, held[:, at])
-        result[:, t] = np.linalg.solve(normal, right.reshape(count, 3, -1))[:, 0].reshape(count, 4, 3)
-    return result
