@@ -16,10 +16,10 @@ from taichi.lang.any_array import AnyArray
 from taichi.lang.impl import expr_init
 
 
-class _Evaluated(Sequence):
-    """A tuple of numbers that are variables of the kernel already and never change: names and functions share them.
+class _Numbers(Sequence):
+    """Several numbers of a kernel, which names and functions share.
 
-    (No ``tuple``: Taichi copies those number by number wherever one is given a name or passed to a function.)
+    (Not a ``tuple``: Taichi copies those number by number wherever one is given a name or passed to a function.)
     """
 
     _data_oriented = True  # so that Taichi passes it on as it is
@@ -38,6 +38,25 @@ class _Evaluated(Sequence):
 
     def __len__(self):
         return len(self._items)
+
+
+class _Evaluated(_Numbers):
+    """Numbers that are variables of the kernel already and never change."""
+
+
+class Variable(_Numbers):
+    """Numbers that a kernel may assign again: ``g = plus(g, h)`` changes the items of ``g`` in place.
+
+    To give it a second name copies nothing.
+    """
+
+    def _assign(self, values):
+        if len(values) != len(self):
+            raise ValueError(f"{len(values)} numbers for a variable of {len(self)}")
+        # All values are read before the first is changed: they may be the variable's own, in another order.
+        read = values if isinstance(values, _Evaluated) else expr_init(tuple(values))
+        for item, value in zip(self._items, read, strict=True):
+            item._assign(value)
 
 
 def picked(function):
@@ -61,38 +80,6 @@ def traced(function):
 def unevaluated(function):
     """A :func:`traced` function as one of expressions: what it computes is evaluated where it is used, each time."""
     return picked(function.__wrapped__)
-
-
-class Variable(Sequence):
-    """A tuple of numbers that a kernel may assign again: ``g = plus(g, h)`` changes its items in place.
-
-    To give it a second name copies nothing.
-    """
-
-    _data_oriented = True  # so that Taichi passes it on as it is
-
-    def __init__(self, items: tuple):
-        self._items = items
-
-    def __getitem__(self, place):
-        return self._items[place]
-
-    def __add__(self, other):
-        return self._items + tuple(other)
-
-    def __radd__(self, other):
-        return tuple(other) + self._items
-
-    def __len__(self):
-        return len(self._items)
-
-    def _assign(self, values):
-        if len(values) != len(self):
-            raise ValueError(f"{len(values)} numbers for a variable of {len(self)}")
-        # All values are read before the first is changed: they may be the variable's own, in another order.
-        read = values if isinstance(values, _Evaluated) else expr_init(tuple(values))
-        for item, value in zip(self._items, read, strict=True):
-            item._assign(value)
 
 
 @picked
@@ -225,6 +212,12 @@ def full(s) -> tuple:
 def applied(m, b) -> tuple:
     """M b."""
     return tuple(m[k] * b[0] + m[k + 1] * b[1] + m[k + 2] * b[2] for k in (0, 3, 6))
+
+
+@traced
+def minus_combination(y, m, x) -> tuple:
+    """y − Mᵀ x: ``y`` less the rows of M, each times its item of x."""
+    return tuple(y[k] - m[k] * x[0] - m[3 + k] * x[1] - m[6 + k] * x[2] for k in range(3))
 
 
 @traced

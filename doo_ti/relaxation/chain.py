@@ -8,20 +8,11 @@ how many rods a value holds and ``stride`` how far apart the items of an edge li
 import taichi as ti
 
 from doo_ti.physics import pair
-from doo_ti.physics.algebra import absolute, largest_of, solve_symmetric
+from doo_ti.physics.algebra import absolute, solve_symmetric
 from doo_ti.physics.angle import twist_angle_function
 from doo_ti.physics.closure import closing_rotation, linear_gradient, normal_matrix
 from doo_ti.physics.quaternion import first_director, second_director, tangent, turned_in_body, turned_in_world
-from doo_ti.physics.tuples import (
-    backward,
-    dot,
-    minus,
-    plus,
-    record,
-    repeated,
-    scaled,
-    variable,
-)
+from doo_ti.physics.tuples import dot, minus, plus, record, repeated, scaled, variable
 
 # Items of an edge in scratch. Those of a vertex (1/l̄, β, ω̄) lie with the edge that leaves it.
 FRAME = 0
@@ -328,56 +319,3 @@ class Chain:
             at += self.edge_stride
         if ti.static(self.moves_start):
             self.restore_start(rod, lost)
-
-    # --- what eliminations share ---
-
-    @ti.func
-    def stirred(self, rod, at, edge, right, gradient, search):
-        """(right-hand side with the noise and the echo of ``search`` (noise, echo), slope along the echo).
-
-        Inverse iterations from there lead towards the softest direction, off a saddle: the noise is a fixed perturbation, the
-        echo that many times the last step.
-        """
-        noise, echo = search
-        none = 0.0 * echo
-        w = self.load3(rod.scratch, at + ROTATION * self.stride)
-        # A lane without an echo may hold anything there, even what is not a number.
-        k = (
-            ti.select(echo > 0.0, echo * w[0], none),
-            ti.select(echo > 0.0, echo * w[1], none),
-            ti.select(echo > 0.0, echo * w[2], none),
-        )
-        perturbed = (
-            right[0] + noise * ((5 * edge + 2) % 7 - 2.5) + k[0],
-            right[1] + noise * ((3 * edge + 1) % 7 - 2.5) + k[1],
-            right[2] + noise * ((4 * edge + 3) % 7 - 2.5) + k[2],
-        )
-        return perturbed, gradient[0] * k[0] + gradient[1] * k[1] + gradient[2] * k[2]
-
-    @ti.func
-    def store_eliminated(self, rod, at, f, right, neighbour, border):
-        """What :meth:`solved_edge` needs of an edge: its factors, W_r, and the columns of W_U and of the border."""
-        self.store(rod.scratch, at + PIVOTS * self.stride, (f[0], f[1], f[2], f[3], f[4], f[5]))
-        self.store(rod.scratch, at + ROTATION * self.stride, right)
-        self.store(rod.scratch, at + ELIMINATED_NEXT * self.stride, neighbour)
-        self.store(rod.scratch, at + ELIMINATED_BORDER * self.stride, border)
-
-    @ti.func
-    def solved_edge(self, rod, at, border, w):
-        """ω = L⁻ᵀ D⁻¹ (W_r − W_border border − W_U ω_neighbour) of an edge, into its place."""
-        f = self.load6(rod.scratch, at + PIVOTS * self.stride)
-        y = variable(self.load3(rod.scratch, at + ROTATION * self.stride))
-        wu = self.load9(rod.scratch, at + ELIMINATED_NEXT * self.stride)
-        wb = self.load9(rod.scratch, at + ELIMINATED_BORDER * self.stride)
-        for k in ti.static(range(3)):
-            y = minus(y, scaled(wb[3 * k : 3 * k + 3], border[k]))
-        for k in ti.static(range(3)):
-            y = minus(y, scaled(wu[3 * k : 3 * k + 3], w[k]))
-        rotation = backward(f, y)
-        self.store(rod.scratch, at + ROTATION * self.stride, rotation)
-        return rotation
-
-    @ti.func
-    def longer(self, longest, w):
-        """The larger of a square and |w|²."""
-        return largest_of(longest, dot(w, w))

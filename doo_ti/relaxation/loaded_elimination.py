@@ -27,6 +27,7 @@ from doo_ti.physics.tuples import (
     gram,
     identity,
     minus,
+    minus_combination,
     negated,
     plus,
     products,
@@ -242,8 +243,6 @@ class LoadedElimination(LooseStart):
     @ti.func
     def add_force(self, rod, at, change):
         """W_r − W_λ δλ in the place of W_r."""
-        right = variable(self.load3(rod.scratch, at + ROTATION * self.stride))
-        wa = self.load9(rod.scratch, at + self.force_columns * self.stride)
-        for k in ti.static(range(3)):
-            right = minus(right, scaled(wa[3 * k : 3 * k + 3], change[k]))
-        self.store(rod.scratch, at + ROTATION * self.stride, right)
+        right = self.load3(rod.scratch, at + ROTATION * self.stride)
+        columns = self.load9(rod.scratch, at + self.force_columns * self.stride)
+        self.store(rod.scratch, at + ROTATION * self.stride, minus_combination(right, columns, change))

@@ -1,7 +1,6 @@
 """What a thread of the Newton kernel does: trips through its lanes' rods, each a step, its judgement and the plan of the next
 (§III-D, docs/chain.md)."""
 
-
 import taichi as ti
 
 from doo_ti.physics.tuples import chosen, dot, plus, record, repeated, scaled, variable
@@ -179,28 +178,28 @@ class NewtonLoop:
         if ti.static(self.has_coarse):
             lane.coarse = ti.max(lane.coarse, lane.fresh)
         rod = self.sweep.rods(scratch, head, tables.rest_length.shape[1], tables.numbers, tables.field, lane.coarse)
-        # Take the step, hopefully: the shift is that for after it.
+        # Take the step, and judge it afterwards. The factorisation at its end has the shift that follows a good step.
         moving = ti.max(lane.trying, ti.max(lane.fresh, lane.closing))
         x, normal = self.sweep.step(rod, lane.step_scale, moving)
         decay = ti.select(lane.troubled > 0.5, self.constant(DECAY_TROUBLED), self.constant(DECAY))
         negligible = ti.select(lane.troubled > 0.5, self.constant(NEGLIGIBLE_TROUBLED), self.constant(NEGLIGIBLE)) * lane.scale
         smaller = ti.select(decay * lane.shift > negligible, decay * lane.shift, zero)
-        hoped = ti.select(lane.trying > 0.5, smaller, lane.shift)
+        next_shift = ti.select(lane.trying > 0.5, smaller, lane.shift)
         # Off a saddle: once with noise, then on what came of it.
         searching = (lane.escaping > 0.5) & (lane.trying < 0.5)
         noise = ti.select(searching & (lane.rounds < 0.5), 1e-3 * lane.scale, zero)
         echo = ti.select(searching & (lane.rounds > 0.5), lane.scale / (lane.longest + 1e-30), zero)
         energy, magnitude, miss, fitted = self.sweep.close(rod, x, normal)
         multiplier = self.multiplier(lane, fitted)
-        diagonal = ti.select(hoped > 0.0, hoped, self.trace * lane.scale)
+        diagonal = ti.select(next_shift > 0.0, next_shift, self.trace * lane.scale)
         found = self.sweep.eliminate(rod, diagonal, (noise, echo), multiplier, miss)
         found.energy += energy
         found.magnitude += magnitude
-        judged = self.judge_step(lane, found, miss, hoped)
+        judged = self.judge_step(lane, found, miss)
         if self.largest(ti.select(judged.uphill, one, zero)) > 0.5:
             self.sweep.restore(rod, ti.select(judged.uphill, one, zero))
         lane.longest = self.sweep.substitute(rod, found)
-        self.keep(lane, found, miss, multiplier, judged, hoped)
+        self.keep(lane, found, miss, multiplier, judged, next_shift)
         place = self.judge_place(tables, rod, lane, found.inertia, judged)
         self.plan(tables, rod, lane, judged, place, searching, found.slope)
         self.end(tables, lane, judged, place)
@@ -217,7 +216,7 @@ class NewtonLoop:
         return value
 
     @ti.func
-    def judge_step(self, lane, found, miss, hoped):
+    def judge_step(self, lane, found, miss):
         """Judge the step by the Lagrangian: a record of flags."""
         multiplier = plus(lane.multiplier, lane.change)
         before = lane.energy + dot(multiplier, lane.miss)
@@ -233,7 +232,7 @@ class NewtonLoop:
             broken=(lane.fresh > 0.5) & ~stands)
 
     @ti.func
-    def keep(self, lane, found, miss, multiplier, judged, hoped):
+    def keep(self, lane, found, miss, multiplier, judged, next_shift):
         """What the lane knows after its step: of the new frames where it stands, of those from before where it led uphill."""
         zero, one = self.constant(0.0), self.constant(1.0)
         lane.energy = ti.select(judged.stands, found.energy, lane.energy)
@@ -243,7 +242,7 @@ class NewtonLoop:
         lane.scale = ti.select(judged.stands, found.scale, lane.scale)
         lane.residual = ti.select(judged.stands, found.moment, lane.residual)
         lane.change = found.change
-        lane.shift = ti.select(judged.stands, hoped, lane.shift)
+        lane.shift = ti.select(judged.stands, next_shift, lane.shift)
         stiffer = judged.uphill & (lane.escaping < 0.5)
         lane.shift = ti.select(stiffer, ti.max(4.0 * lane.shift, SHIFT_REJECTED * lane.scale), lane.shift)
         lane.rejects = ti.select(judged.downhill, zero, lane.rejects + ti.select(judged.uphill, one, zero))
