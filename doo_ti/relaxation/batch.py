@@ -9,21 +9,20 @@ from doo_ti import runtime
 from doo_ti.frames import matrix_from_quaternion, quaternion_from_matrix, vertices_from_quaternions
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import chain, descent, newton
-from doo_ti.relaxation.columns import CLOSED, DRIFT, ITERATIONS, LOADED_RESULTS, LOOSE, RESULTS, STATUS
+from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loaded_elimination import FORCE_ITEMS
 from doo_ti.relaxation.loading import LANES, TRIPS
-from doo_ti.relaxation.memory import room
-from doo_ti.relaxation.newton_kernel import newton_kernel
-from doo_ti.relaxation.tables import Tables
+from doo_ti.relaxation.newton_loop import CLOSING_DISTANCE
+from doo_ti.relaxation.tables import Tables, room
 from doo_ti.relaxation.vertex_chain import ITEMS
 from doo_ti.types import Solution, Status
 
 PROJECTIONS = 100
 """Rounds in which Descent's starts are brought onto closure."""
 
-UNTOUCHED = np.full(RESULTS, np.nan)
+UNTOUCHED = np.full(of.RESULTS, np.nan)
 """The results of a rod that no kernel has seen, since it is infeasible."""
-UNTOUCHED[[ITERATIONS, STATUS]] = 0.0, Status.INFEASIBLE
+UNTOUCHED[[of.ITERATIONS, of.STATUS]] = 0.0, Status.INFEASIBLE
 
 _scratch: dict = {}
 _queues: dict[Number, np.ndarray] = {}
@@ -37,19 +36,19 @@ def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution
     With ``moving`` false only the projection runs, which brings a start onto closure.
     """
     frames = room(table.count, table.edges, 4)
-    results = room(table.count, RESULTS if table.external is None else LOADED_RESULTS)
-    results[:, DRIFT:] = 0.0
+    results = room(table.count, of.RESULTS if table.external is None else of.LOADED_RESULTS)
+    results[:, of.DRIFT:] = 0.0
     if len(table.rods) < table.count:
         infeasible = ~table.feasible[table.configuration_index]
-        frames[infeasible], results[infeasible, :RESULTS] = np.nan, UNTOUCHED
+        frames[infeasible], results[infeasible, :of.RESULTS] = np.nan, UNTOUCHED
     if begin is None:
         _launch_newton(table, table.start, table.rods, options, bits, frames, results, moving)
     else:
         ended = np.ascontiguousarray(begin.configuration.quaternions)
         usable = begin.status == int(Status.CONVERGED)
         if table.external is not None:
-            moved = usable & (table.clamp[table.configuration_index, LOOSE] > 0)
-            results[moved, DRIFT:] = (begin.configuration.start - table.anchor[table.configuration_index])[moved]
+            moved = usable & (table.clamp[table.configuration_index, of.LOOSE] > 0)
+            results[moved, of.DRIFT:] = (begin.configuration.start - table.anchor[table.configuration_index])[moved]
         lost = np.flatnonzero(~usable & table.feasible[table.configuration_index])
         frames[lost] = table.start[table.configuration_index[lost]]
         _launch_newton(table, ended, table.resumed(usable), options, bits, frames, results)
@@ -63,7 +62,7 @@ def continue_newton(table: Tables, options: newton.Newton, bits: int, frames, re
 
 def _untouched(count: int) -> np.ndarray:
     """(R, RESULTS) of rods that no kernel has seen."""
-    results = np.empty((count, RESULTS))
+    results = np.empty((count, of.RESULTS))
     results[:] = UNTOUCHED
     return results
 
@@ -83,14 +82,14 @@ def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int
     # By the call's rods, not by those of a launch, so that what few rods a large call leaves over needs no kernel of its own.
     # Nor has an external energy one, which takes long to compile.
     serial = block == 1 and table.count <= number.width and external is None
-    any_ends = external is not None and bool((table.clamp[:, [CLOSED, LOOSE]] > 0).any())
-    kernel = newton_kernel(number, table.isotropic, stride, block, serial, kind, any_ends)
+    any_ends = external is not None and bool((table.clamp[:, [of.CLOSED, of.LOOSE]] > 0).any())
+    kernel = newton.newton_kernel(number, table.isotropic, stride, block, serial, kind, any_ends)
     per_edge = chain.item_count(table.isotropic) + (0 if external is None else external.items + FORCE_ITEMS * any_ends)
     per_rod = chain.LOADED_PARAMETERS + external.start_items if any_ends else chain.PARAMETERS
     scratch, queue = _buffers(number, threads, per_rod + per_edge * table.edges)
     policy = np.array([
         *table.up, options.tolerance or newton.TOLERANCES[bits], options.max_iterations, options.first_shift,
-        options.max_rotation, options.max_escapes, newton.CLOSING_DISTANCE if moving else -1.0])
+        options.max_rotation, options.max_escapes, CLOSING_DISTANCE if moving else -1.0])
     kernel(
         start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy, threads, scratch, queue,
         frames.reshape(-1), results, *outer)
@@ -121,11 +120,11 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     certificate = newton.Newton(tolerance=options.tolerance, max_iterations=1, first_shift=0.0, max_escapes=0)
     certified = _untouched(table.count)
     continue_newton(table, certificate, 64, frames, certified, np.arange(table.count), np.isfinite(frames[:, 0, 0]))
-    good = certified[:, STATUS] == Status.CONVERGED
+    good = certified[:, of.STATUS] == Status.CONVERGED
     # What came to rest by its own account but not by that of the chain (its clamp not reached, say) has stalled.
-    own = np.where(results[:, STATUS] == Status.CONVERGED, Status.STALLED, results[:, STATUS])
-    certified[:, STATUS] = np.where(good, Status.CONVERGED, own)
-    certified[:, ITERATIONS] = results[:, ITERATIONS]
+    own = np.where(results[:, of.STATUS] == Status.CONVERGED, Status.STALLED, results[:, of.STATUS])
+    certified[:, of.STATUS] = np.where(good, Status.CONVERGED, own)
+    certified[:, of.ITERATIONS] = results[:, of.ITERATIONS]
     return frames, certified
 
 

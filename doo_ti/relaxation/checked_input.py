@@ -6,8 +6,8 @@ Raises InputError naming the argument, what was given and what would do.
 import numpy as np
 
 from doo_ti.errors import InputError, real_array
-from doo_ti.relaxation.columns import FRAME, FREE
 from doo_ti.relaxation.external import External
+from doo_ti.relaxation.tables import FRAME, FREE
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 
 

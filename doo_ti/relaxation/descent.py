@@ -15,26 +15,7 @@ import taichi as ti
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import chosen, picked, record, repeated
-from doo_ti.relaxation.columns import (
-    CLOSED,
-    CLOSURE,
-    ENERGY,
-    ITERATIONS,
-    OF_CLAMP,
-    OF_MATERIAL,
-    OF_RESULT,
-    RELEASED,
-    RESIDUAL,
-    SPIN_END,
-    SPIN_START,
-    STABLE,
-    STATUS,
-    TILT_END,
-    TILT_INNER,
-    TILT_START,
-    TOTAL,
-    WEIGHT,
-)
+from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loading import LANES, NEXT, stiffness_scale
 from doo_ti.relaxation.vertex_chain import DIRECTOR, ITEMS, POSITION
 from doo_ti.relaxation.vertex_energy import VertexEnergy
@@ -111,7 +92,8 @@ class DescentLoop:
                     if self.lane(lane.finished, slot) > 0.5:
                         lane.finished = self.with_lane(lane.finished, slot, 0.0)
                         if self.lane(lane.active, slot) > 0.5:
-                            self.store(tables, scratch, origin, slot, lane, tables.rods[tables.queue[places + slot], OF_RESULT])
+                            row = tables.rods[tables.queue[places + slot], of.RESULT_ROW]
+                            self.store(tables, scratch, origin, slot, lane, row)
                         lane.active = self.with_lane(lane.active, slot, 0.0)
                         index = ti.atomic_add(tables.queue[NEXT], 1)
                         if index < tables.rods.shape[0]:
@@ -142,31 +124,31 @@ class DescentLoop:
                 if v < edges:
                     tables.material_axes[place, v, k] = self.get(scratch, at + (DIRECTOR + k) * self.stride, slot)
             at += self.row
-        tables.results[place, ENERGY] = self.lane(lane.energy, slot)
-        tables.results[place, RESIDUAL] = self.lane(lane.residual, slot)
-        tables.results[place, CLOSURE] = 0.0
-        tables.results[place, ITERATIONS] = self.lane(lane.trips, slot)
-        tables.results[place, STATUS] = self.lane(lane.status, slot)
-        tables.results[place, STABLE] = 0.0
+        tables.results[place, of.ENERGY] = self.lane(lane.energy, slot)
+        tables.results[place, of.RESIDUAL] = self.lane(lane.residual, slot)
+        tables.results[place, of.CLOSURE] = 0.0
+        tables.results[place, of.ITERATIONS] = self.lane(lane.trips, slot)
+        tables.results[place, of.STATUS] = self.lane(lane.status, slot)
+        tables.results[place, of.STABLE] = 0.0
 
     @ti.func
     def load(self, tables, scratch: ti.template(), origin, slot, lane, index):
         """Row ``index`` of the rods into lane ``slot``."""
-        s, g = tables.rods[index, OF_CLAMP], tables.rods[index, OF_MATERIAL]
+        s, g = tables.rods[index, of.CLAMP_ROW], tables.rods[index, of.MATERIAL_ROW]
         longest, shortest = self.sweep.load_rod(tables, scratch, origin, slot, s, g)
-        start_held = ti.max(tables.clamp[s, CLOSED], 1.0 - tables.clamp[s, RELEASED])
-        end_held = ti.max(tables.clamp[s, CLOSED], tables.clamp[s, RELEASED])
+        start_held = ti.max(tables.clamp[s, of.CLOSED], 1.0 - tables.clamp[s, of.RELEASED])
+        end_held = ti.max(tables.clamp[s, of.CLOSED], tables.clamp[s, of.RELEASED])
         held = (
-            start_held, start_held * (1.0 - tables.clamp[s, TILT_START]), end_held * (1.0 - tables.clamp[s, TILT_END]),
-            end_held, 1.0 - tables.clamp[s, TILT_INNER])
-        weight = tables.material[g, WEIGHT]
+            start_held, start_held * (1.0 - tables.clamp[s, of.TILT_START]), end_held * (1.0 - tables.clamp[s, of.TILT_END]),
+            end_held, 1.0 - tables.clamp[s, of.TILT_INNER])
+        weight = tables.material[g, of.WEIGHT]
         lane.held = with_lanes(self.with_lane, lane.held, slot, held)
-        lane.spin = with_lanes(self.with_lane, lane.spin, slot, (tables.clamp[s, SPIN_START], tables.clamp[s, SPIN_END]))
+        lane.spin = with_lanes(self.with_lane, lane.spin, slot, (tables.clamp[s, of.SPIN_START], tables.clamp[s, of.SPIN_END]))
         lane.gravity = with_lanes(
             self.with_lane, lane.gravity, slot, (weight * tables.up[0], weight * tables.up[1], weight * tables.up[2]))
         lane.length = self.with_lane(lane.length, slot, longest)
         lane.limit_move = self.with_lane(lane.limit_move, slot, tables.largest_move * shortest)
-        scale = stiffness_scale(tables.material, tables.clamp, g, s) / tables.clamp[s, TOTAL]
+        scale = stiffness_scale(tables.material, tables.clamp, g, s) / tables.clamp[s, of.TOTAL]
         lane.scale = self.with_lane(lane.scale, slot, scale)
         lane.count = self.with_lane(lane.count, slot, 0.0)
         lane.step = self.with_lane(lane.step, slot, 0.0)

@@ -5,32 +5,31 @@ import taichi as ti
 
 from doo_ti.physics.tuples import chosen, dot, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import chain
-from doo_ti.relaxation.columns import CLOSURE, DRIFT, ENERGY, FORCE, ITERATIONS, OF_RESULT, RESIDUAL, RESULTS, STABLE, STATUS
+from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.loading import LANES, NEXT, TRIPS, Loading
-from doo_ti.relaxation.newton import (
-    CLOSING,
-    COARSE_ROTATION,
-    DECAY,
-    DECAY_TROUBLED,
-    ESCAPE_ROTATION,
-    ESCAPE_ROUNDS,
-    ESCAPES,
-    FIRST_SHIFT,
-    ITERATION_LIMIT,
-    NEGLIGIBLE,
-    NEGLIGIBLE_TROUBLED,
-    NOTABLE,
-    PATIENCE,
-    PATIENCE_32,
-    PATIENCE_AT_SADDLE,
-    ROTATION_LIMIT,
-    SHAPE_TOLERANCE_32,
-    SHIFT_REJECTED,
-    SHIFT_WRONG_INERTIA,
-    TOLERANCE,
-)
 from doo_ti.types import Status
+
+SHAPE_TOLERANCE_32 = 1e-4
+"""rad: in f32 the next Newton step has to be smaller too, or f64 takes over."""
+
+# The policy's fixed numbers (shifts are over the largest diagonal entry of H).
+SHIFT_WRONG_INERTIA = 0.01
+SHIFT_REJECTED = 1e-5
+DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # after a step that was taken the shift falls by DECAY, below NEGLIGIBLE to zero;
+DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # more slowly once a step was refused or the inertia wrong
+CLOSING_DISTANCE = 0.1  # edge lengths: above it a step only projects
+ESCAPE_ROTATION = 0.1  # rad
+ESCAPE_ROUNDS = 3.0  # inverse iterations before the first leap off a saddle
+COARSE_ROTATION = 0.2  # rad: while steps are larger, an external energy gives its coarse curvature, if it has one
+PATIENCE = 25  # trips without progress
+PATIENCE_32 = 16  # the same in f32, after which f64 takes over
+NOTABLE = 1e-8  # of the energy's magnitude, which locked-in twist may dominate
+PATIENCE_AT_SADDLE = 8  # trips without noteworthy progress where the inertia is wrong
+
+# Columns of what a launch is given besides its tables: the unit vector up, the options of Newton, and above how many edge
+# lengths from closure a step only closes.
+UP, TOLERANCE, ITERATION_LIMIT, FIRST_SHIFT, ROTATION_LIMIT, ESCAPES, CLOSING, POLICY_COLUMNS = 0, 3, 4, 5, 6, 7, 8, 9
 
 
 @ti.data_oriented
@@ -109,30 +108,31 @@ class NewtonLoop:
     @ti.func
     def store(self, tables, scratch: ti.template(), head, slot, lane, rod):
         """Results of the rod in lane ``slot``, row ``rod`` of the rods."""
-        row = tables.rods[rod, OF_RESULT]
+        row = tables.rods[rod, of.RESULT_ROW]
         origin = head + self.sweep.parameters * self.stride
         self.loading.store_frames(tables, row, scratch, origin, slot)
         if self.lane(lane.status, slot) == self.not_finite:
-            for k in ti.static(range(RESULTS)):
+            for k in ti.static(range(of.RESULTS)):
                 tables.results[row, k] = ti.math.nan
         else:
             unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
             length_unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
             total = self.get(scratch, head + chain.OF_TOTAL * self.stride, slot)
-            tables.results[row, ENERGY] = ti.cast(self.lane(lane.energy, slot), ti.f64) * unit
-            tables.results[row, RESIDUAL] = self.lane(lane.residual, slot) * total
+            tables.results[row, of.ENERGY] = ti.cast(self.lane(lane.energy, slot), ti.f64) * unit
+            tables.results[row, of.RESIDUAL] = self.lane(lane.residual, slot) * total
             for k in ti.static(range(3)):
-                tables.results[row, FORCE + k] = 0.0 - ti.cast(self.lane(lane.multiplier[k], slot), ti.f64) * unit / length_unit
+                force = 0.0 - ti.cast(self.lane(lane.multiplier[k], slot), ti.f64)
+                tables.results[row, of.FORCE + k] = force * unit / length_unit
             miss = (self.lane(lane.miss[0], slot), self.lane(lane.miss[1], slot), self.lane(lane.miss[2], slot))
             squares = miss[0] ** 2 + miss[1] ** 2 + miss[2] ** 2
-            tables.results[row, CLOSURE] = ti.sqrt(squares) / total
+            tables.results[row, of.CLOSURE] = ti.sqrt(squares) / total
         if ti.static(self.sweep.moves_start):
             for k in ti.static(range(3)):
                 drift = ti.cast(self.get(scratch, head + (chain.OF_DRIFT + k) * self.stride, slot), ti.f64)
-                tables.results[row, DRIFT + k] = drift * self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot)
-        tables.results[row, ITERATIONS] = self.lane(lane.trips, slot)
-        tables.results[row, STATUS] = self.lane(lane.status, slot)
-        tables.results[row, STABLE] = self.lane(lane.stable, slot)
+                tables.results[row, of.DRIFT + k] = drift * self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot)
+        tables.results[row, of.ITERATIONS] = self.lane(lane.trips, slot)
+        tables.results[row, of.STATUS] = self.lane(lane.status, slot)
+        tables.results[row, of.STABLE] = self.lane(lane.stable, slot)
 
     @ti.func
     def refill(self, tables, scratch: ti.template(), head, slot, lane, supply):

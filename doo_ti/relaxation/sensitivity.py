@@ -34,7 +34,7 @@ import numpy as np
 from doo_ti import runtime
 from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, smallest_rotation
-from doo_ti.relaxation.columns import TILT_INNER
+from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.parameter_gradient import (
     BEND,
     DIRECTION_COLUMNS,
@@ -114,7 +114,7 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     if hanging.any() and "end_shift" in parameters:
         column = names.index("end_shift[0]")
         vertices[hanging, :, :, column : column + 3] += np.eye(3)  # held at the far end alone they go where it goes
-    taut = (table.clamp[:, TILT_INNER] == 0)[start]
+    taut = (table.clamp[:, of.TILT_INNER] == 0)[start]
     if taut.any():
         columns = [k for k, name in enumerate(names) if name.partition("[")[0] in OF_CLAMPS]
         for array in (vertices, rotations):
