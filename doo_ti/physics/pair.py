@@ -1,6 +1,6 @@
 """Bend and twist energy of two neighbouring edges, with gradient and Hessian (§III-C E_bend, E_twist).
 
-The relative rotation q = conj(Q_left) Q_right = (q0, q1, q2, q3) of the two material frames says everything. With
+It depends on the relative rotation q = conj(Q_left) Q_right = (q0, q1, q2, q3) of the two material frames. With
 z = q0 + i q1, ζ = q2 + i q3 and s = |z|² two complex numbers X = ζ/z̄, Y = ζ/z hold the curvature as each frame sees it,
 
     ω^left = −2i X,   ω^right = −2i Y   (real part: κb·m2, imaginary part: −κb·m1),

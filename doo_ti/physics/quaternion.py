@@ -54,33 +54,19 @@ def normalised(q):
 @ti.func
 def turned_in_body(q, w):
     """q (1, w/2) normalised: turned by the rotation vector w given in q's own axes, to second order."""
-    a = 0.5 * w[0]
-    b = 0.5 * w[1]
-    c = 0.5 * w[2]
-    return normalised(
-        (
-            q[0] - q[1] * a - q[2] * b - q[3] * c,
-            q[1] + q[0] * a + q[2] * c - q[3] * b,
-            q[2] + q[0] * b + q[3] * a - q[1] * c,
-            q[3] + q[0] * c + q[1] * b - q[2] * a,
-        )
-    )
+    a, b, c = 0.5 * w[0], 0.5 * w[1], 0.5 * w[2]
+    return normalised((
+        q[0] - q[1] * a - q[2] * b - q[3] * c, q[1] + q[0] * a + q[2] * c - q[3] * b,
+        q[2] + q[0] * b + q[3] * a - q[1] * c, q[3] + q[0] * c + q[1] * b - q[2] * a))
 
 
 @ti.func
 def turned_in_world(q, w):
     """(1, w/2) q normalised: turned by the rotation vector w given in world axes, to second order."""
-    a = 0.5 * w[0]
-    b = 0.5 * w[1]
-    c = 0.5 * w[2]
-    return normalised(
-        (
-            q[0] - a * q[1] - b * q[2] - c * q[3],
-            q[1] + a * q[0] + b * q[3] - c * q[2],
-            q[2] + b * q[0] + c * q[1] - a * q[3],
-            q[3] + c * q[0] + a * q[2] - b * q[1],
-        )
-    )
+    a, b, c = 0.5 * w[0], 0.5 * w[1], 0.5 * w[2]
+    return normalised((
+        q[0] - a * q[1] - b * q[2] - c * q[3], q[1] + a * q[0] + b * q[3] - c * q[2],
+        q[2] + b * q[0] + c * q[1] - a * q[3], q[3] + c * q[0] + a * q[2] - b * q[1]))
 
 
 @ti.func

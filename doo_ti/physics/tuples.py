@@ -115,6 +115,25 @@ def record(**fields) -> Record:
     return Record(kept)
 
 
+@picked
+def choose(fields: Record, condition, **values) -> None:
+    """Assign ``values`` to the fields of those names where the condition holds."""
+    for name, value in values.items():
+        field = getattr(fields, name)
+        field._assign(ti.select(condition, value, field))
+
+
+@picked
+def put_lane(fields: Record, with_lane, slot, **values) -> None:
+    """Lane ``slot`` of the fields of those names, by ``with_lane`` of :class:`doo_ti.physics.number.Lanes`."""
+    for name, value in values.items():
+        field = getattr(fields, name)
+        if isinstance(field, Variable):
+            field._assign([with_lane(item, slot, one) for item, one in zip(field, value, strict=True)])
+        else:
+            field._assign(with_lane(field, slot, value))
+
+
 # --- of any size ----------------------------------------------------------------------------------------------------
 
 

@@ -1,6 +1,6 @@
-"""The one door between host and device: tables in, results per rod out.
+"""Launches of the kernels: from the tables of rods to their results.
 
-Device scratch is allocated once per thread and reused, whatever the number of rods.
+Scratch memory is allocated once per thread and reused, independent of the number of rods.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ PROJECTIONS = 100
 """Rounds in which Descent's starts are brought onto closure."""
 
 UNTOUCHED = np.full(of.RESULTS, np.nan)
-"""The results of a rod that no kernel has seen, since it is infeasible."""
+"""The results of an infeasible rod, which no kernel relaxes."""
 UNTOUCHED[[of.ITERATIONS, of.STATUS]] = 0.0, Status.INFEASIBLE
 
 _scratch: dict = {}
@@ -61,7 +61,7 @@ def continue_newton(table: Tables, options: newton.Newton, bits: int, frames, re
 
 
 def _untouched(count: int) -> np.ndarray:
-    """(R, RESULTS) of rods that no kernel has seen."""
+    """(R, RESULTS), UNTOUCHED everywhere."""
     results = np.empty((count, of.RESULTS))
     results[:] = UNTOUCHED
     return results
@@ -79,8 +79,8 @@ def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int
     external = table.external
     kind = None if external is None else type(external)
     outer = () if external is None else (external.numbers(), external.field())
-    # By the call's rods, not by those of a launch, so that what few rods a large call leaves over needs no kernel of its own.
-    # Nor has an external energy one, which takes long to compile.
+    # Decided by the rods of the call, not of this launch: the few rods that a large call leaves to f64 need no second kernel.
+    # An external energy has no serial kernel, because it takes long to compile.
     serial = block == 1 and table.count <= number.width and external is None
     any_ends = external is not None and bool((table.clamp[:, [of.CLOSED, of.LOOSE]] > 0).any())
     kernel = newton.newton_kernel(number, table.isotropic, stride, block, serial, kind, any_ends)
@@ -121,7 +121,7 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     certified = _untouched(table.count)
     continue_newton(table, certificate, 64, frames, certified, np.arange(table.count), np.isfinite(frames[:, 0, 0]))
     good = certified[:, of.STATUS] == Status.CONVERGED
-    # What came to rest by its own account but not by that of the chain (its clamp not reached, say) has stalled.
+    # A rod that converged by the criterion of descent but not by Newton's (its clamp is not reached, say) has stalled.
     own = np.where(results[:, of.STATUS] == Status.CONVERGED, Status.STALLED, results[:, of.STATUS])
     certified[:, of.STATUS] = np.where(good, Status.CONVERGED, own)
     certified[:, of.ITERATIONS] = results[:, of.ITERATIONS]
@@ -157,8 +157,8 @@ def _machine(rods: int, bits: int) -> tuple[Number, int, int, int]:
 def _buffers(number: Number, threads: int, items: int):
     """(scratch for every thread, kept from call to call, and the queue, all zero).
 
-    Scratch grows at least twofold: Taichi never gives back arrays of packs, so those outgrown stay, together less than the
-    last. The queue is NumPy's, because to fill an array of Taichi's is a launch of its own.
+    Scratch at least doubles when it grows: Taichi never frees arrays of packs, and so all earlier ones together are smaller
+    than the last. The queue is a NumPy array, because filling a Taichi array takes a launch.
     """
     import taichi as ti
 

@@ -1,4 +1,4 @@
-"""A chain of frames whose state lies in scratch: where its numbers are, the step, closure and the energy (§III-B to §III-D).
+"""A chain of frames in scratch memory: its layout, the step, closure and the energy (§III-B to §III-D).
 
 Scratch holds, for every pack of rods, the parameters of its rods, and then for each edge the items named below; ``number`` says
 how many rods a value holds and ``stride`` how far apart the items of an edge lie. :mod:`doo_ti.relaxation.elimination` and
@@ -12,17 +12,17 @@ from doo_ti.physics.algebra import absolute, solve_symmetric
 from doo_ti.physics.angle import twist_angle_function
 from doo_ti.physics.closure import closing_rotation, linear_gradient, normal_matrix
 from doo_ti.physics.quaternion import first_director, second_director, tangent, turned_in_body, turned_in_world
-from doo_ti.physics.tuples import dot, minus, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import dot, minus, on_diagonal, plus, record, repeated, scaled, variable
 
 # Items of an edge in scratch. Those of a vertex (1/l̄, β, ω̄) lie with the edge that leaves it.
 FRAME = 0
-STANDING = 4  # the frame to go back to where the step is not taken
+STANDING = 4  # the frame before the step, restored where the step is rejected
 LENGTH = 8
 INVERSE_LENGTH = 9
 ROTATION = 10  # the right-hand side while eliminating, the step after back-substitution
 ELIMINATED_NEXT = 13
 ELIMINATED_BORDER = 22
-BENT = 22  # until then: curvature and twist at the vertex where the edge ends
+BENT = 22  # before eliminating: curvature and twist at the vertex where the edge ends
 PIVOTS = 31
 ISOTROPIC_ITEMS = 37
 BEND = 37
@@ -75,7 +75,8 @@ class Chain:
         self.moves_start = False
         self.largest = number.lanes().largest
         self.twist_angle = twist_angle_function(number)
-        self.regular = 1e-6 if number.bits == 32 else 1e-13
+        # What makes AᵀA regular: a share of its trace, and where that is zero a number whose cube is not.
+        self.regular, self.least = (1e-6, 1e-12) if number.bits == 32 else (1e-13, 1e-30)
 
     # --- access to scratch ---
 
@@ -164,7 +165,7 @@ class Chain:
         else:
             return self.gradient_of(bent, s) + pair.general_hessian(x, y, inverse, turn, m, s)
 
-    # --- what the clamps leave free ---
+    # --- free rotations and weight ---
 
     @ti.func
     def freedom(self, rod, edge):
@@ -184,8 +185,8 @@ class Chain:
 
     @ti.func
     def summed(self, total, lost, values):
-        """(``total`` + ``values``, what rounding lost of it), to be made good with the next: the far end of a chain comes to
-        1e-7 of its length in f32 only so."""
+        """Compensated summation: (``total`` + ``values``, the rounding error, which is corrected with the next values). In f32
+        the far end of a chain would otherwise be off by more than 1e-7 of its length."""
         if ti.static(self.number.bits == 32):
             wanted = minus(values, lost)
             reached = plus(total, wanted)
@@ -206,7 +207,7 @@ class Chain:
         at = rod.origin
         for e in range(rod.edges):
             rotation = self.load3(rod.scratch, at + ROTATION * self.stride)
-            # A lane that does not step may hold anything there, even what is not a number.
+            # In a lane that does not step the rotation is undefined and may be NaN.
             w = (
                 ti.select(stepping, rotation[0] * scale, zero),
                 ti.select(stepping, rotation[1] * scale, zero),
@@ -234,9 +235,8 @@ class Chain:
 
     @ti.func
     def _regular(self, n):
-        """AᵀA made regular where all free edges are parallel."""
-        e = self.regular * (n[0] + n[3] + n[5]) + 1e-30
-        return (n[0] + e, n[1], n[2], n[3] + e, n[4], n[5] + e)
+        """AᵀA made regular where all free edges are parallel, or none may tilt."""
+        return on_diagonal(n, self.regular * (n[0] + n[3] + n[5]) + self.least)
 
     @ti.func
     def close(self, rod, x, normal):
@@ -244,8 +244,8 @@ class Chain:
 
         Returns energy (gravity from vertex 0 or the far point), its magnitude (sum of absolute terms, the scale of its
         rounding), what closure is left, and the least-squares multiplier λ = −(AᵀA)⁻¹ Aᵀ g, with AᵀA from before the closing.
-        This loop and that of :meth:`step` keep apart what edges do by themselves from the elimination, where each waits for
-        the one before: here there is always another edge to get on with.
+        This loop and that of :meth:`step` compute all that edges do not wait for each other for, so that the processor works on
+        several at a time; in the elimination each edge waits for the one before.
         """
         zero = 0.0 * rod.total
         energy, potential, magnitude = (zero, zero, zero)
@@ -309,7 +309,7 @@ class Chain:
 
     @ti.func
     def restore(self, rod, lost):
-        """Go back to the frames from before the step in the lanes where it is not taken."""
+        """Restore the frames from before the step in the lanes that reject it."""
         at = rod.origin
         for e in range(rod.edges):
             for k in ti.static(range(4)):

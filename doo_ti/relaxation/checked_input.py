@@ -1,6 +1,6 @@
-"""What ``relax`` is given, checked before any work (§III-B): shapes, kinds of clamps, and the rows that make up each rod.
+"""Checks of the input of ``relax`` before any work (§III-B): shapes, kinds of clamps, and the rows that make up each rod.
 
-Raises InputError naming the argument, what was given and what would do.
+Raises InputError that names the argument, its value and a remedy.
 """
 
 import numpy as np
@@ -34,7 +34,7 @@ def rest_lengths(configuration: Configuration) -> np.ndarray:
     """(1 or S, E) rest lengths. Raises InputError where they do not match or are not positive."""
     count, edges = configuration.count, configuration.edges
     lengths = real_array("configuration", "rest_length", configuration.rest_length, "give positive lengths in mm")
-    # A copy: what becomes of the caller's own is none of the result's business.
+    # A copy: the result must not change when the caller's array does.
     lengths = np.array(lengths, dtype=np.float64, order="C")
     if lengths.ndim == 1:
         lengths = lengths[None]
@@ -46,7 +46,8 @@ def rest_lengths(configuration: Configuration) -> np.ndarray:
 
 
 def check_material(material: Material, edges: int, floating: bool) -> None:
-    """Raise InputError where ``material`` does not go with rods of so many edges, or of which some float, held by nothing."""
+    """Raise InputError where ``material`` does not fit that many edges, or has weight while a rod has two free ends
+    (``floating``)."""
     if floating and (material.weight > 0).any():
         raise InputError("clamps", "start, end", "both ends are free and the rod has weight", "hold one end, or set weight 0")
     for name, array, length in (("twist", material.twist, edges - 1), ("bend", material.bend, edges)):

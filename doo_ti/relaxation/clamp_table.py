@@ -1,4 +1,4 @@
-"""The table of clamps: what holds each rod's ends and what it measures between them, read by a kernel in doubles (§III-B)."""
+"""The table of clamps: how each rod's ends are held, and its lengths, filled by a kernel in f64 (§III-B)."""
 
 from functools import cache
 
@@ -15,18 +15,18 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.tables import FRAME, POSITION, TANGENT
 from doo_ti.types import Clamps, Configuration
 
-# Columns of what the kernel finds: of a start, and of the frames that are to hold it.
+# Columns of the kernel's findings: about the start, and about the clamped frames.
 OF_REACH, OF_FRAMES, FINDINGS = 0, 1, 2
-# Of a start: nothing, that no rod of its length can be held so, that it may be too straight to be brought onto closure as it
-# is, and that it has to be one straight line.
+# About a start: it is sound; no rod of its length can be held so; it may be too straight to be projected onto closure; it is
+# taut, so that it can only be one straight line.
 SOUND, INFEASIBLE, STRAIGHT, TAUT = range(4)
-# Of frames: that both can hold what they are to, or which cannot.
+# About the frames: both are valid, or which one is not.
 BOTH, NOT_THE_FIRST, NOT_THE_LAST = range(3)
-# Slack, over the reach, below which a rod is straight, within a hundred-thousandth of a millimetre of its clamps: f64 bows no
-# rod by so little.
+# Slack over the reach below which a rod is taut: its straight line misses a clamp by 1e-5 mm at most if it is 99 mm long. f64
+# cannot resolve the bow of a smaller slack.
 TAUT_SLACK = 1e-7
 FEW = 512
-"""Starts that the caller's thread reads by itself: to wake another takes as long."""
+"""Up to so many starts are read on the caller's thread: to wake another takes as long."""
 
 
 @ti.func
@@ -51,7 +51,7 @@ def frame_of(start: ti.template(), s, edge):
 @ti.func
 def can_hold(kind, frame):
     """Whether a frame, row by row, has what a clamp of that kind holds: for a whole frame orthonormal, right-handed columns,
-    for a tangent a unit vector. Not where anything is not a number."""
+    for a tangent a unit vector. False where anything is NaN."""
     columns = transposed(frame)
     t, m1, m2 = row(columns, 0), row(columns, 1), row(columns, 2)
     off = absolute(dot(t, t) - 1.0)
@@ -75,7 +75,7 @@ def held_frame(kind, frame, own):
         old, new = tangent(own), scaled(t, 1.0 / ti.sqrt(dot(t, t)))
         q = transported(own, old, new)
         if 1.0 + dot(old, new) < 1e-14:
-            # From the opposite tangent there is none: half a turn about some axis across.
+            # There is no parallel transport from the opposite tangent: half a turn about some axis across.
             far = ti.cast(1e30, ti.f64)
             axis = variable((0.0 * far, far * old[2], 0.0 - far * old[1]))
             if absolute(old[0]) > 0.9:
@@ -86,7 +86,7 @@ def held_frame(kind, frame, own):
 
 @ti.data_oriented
 class ClampReader:
-    """Reads what holds the ends of starts. ``tables`` is the record of the kernel's arrays."""
+    """Fills the table of clamps. ``tables`` is the record of the kernel's arrays."""
 
     @ti.func
     def read_share(self, tables, threads, thread):
@@ -102,7 +102,7 @@ class ClampReader:
 
     @ti.func
     def measure(self, rest_length: ti.template(), s, size):
-        """Into the record ``size`` what rest lengths s measure: the ``total``, the ``longest`` edge, the ``shortest_pair`` of
+        """Into the record ``size`` from the rest lengths s: the ``total``, the ``longest`` edge, the ``shortest_pair`` of
         neighbours, mm, and the largest moment arm of gravity seen from vertex 0, ``hanging``, and from the far end,
         ``standing``, mm²."""
         zero = ti.cast(0.0, ti.f64)
@@ -129,7 +129,7 @@ class ClampReader:
 
     @ti.func
     def read(self, tables, size, s):
-        """Row s of the table of clamps, and what is found of the start and of the frames."""
+        """Fill row s of the table of clamps, and of the findings."""
         kind_start, kind_end = tables.kinds[s, 0], tables.kinds[s, 1]
         closed = (kind_start >= POSITION) & (kind_end >= POSITION)
         released = (kind_start < POSITION) & (kind_end >= POSITION)
@@ -175,7 +175,7 @@ class ClampReader:
 
     @ti.func
     def reached(self, tables, size, s, line, first, last):
-        """What is found of a start whose vertex 0 and far end are held, ``line`` apart, with these frames at its ends."""
+        """The finding about a start whose vertex 0 and far end are held, ``line`` apart, with these frames at its ends."""
         edges = tables.start.shape[1]
         length = ti.min(s, tables.rest_length.shape[0] - 1)
         tilts = (tables.clamp[s, of.TILT_START], tables.clamp[s, of.TILT_END])
@@ -236,7 +236,7 @@ def clamp_table(configuration: Configuration, lengths: np.ndarray, kinds: np.nda
     lengths  (1 or S, E) mm
     kinds    (S, 2) Clamp numbers
 
-    Raises InputError where a frame that is to be held is no rotation, or a tangent no direction.
+    Raises InputError where a clamped frame is not a rotation, or a clamped tangent not a unit vector.
     """
     count = len(kinds)
     table, found = np.empty((count, of.CLAMP_COLUMNS)), np.empty((count, FINDINGS), dtype=np.int32)
@@ -254,8 +254,8 @@ def clamp_table(configuration: Configuration, lengths: np.ndarray, kinds: np.nda
 
 
 def _check_frames(found: np.ndarray, clamps: Clamps) -> None:
-    """Raise InputError where a frame was found to be no rotation, or its tangent no direction. Frames that are not finite
-    are data: their rods get a status."""
+    """Raise InputError where a frame was found not to be a rotation, or its tangent not a unit vector. A rod whose frame is not
+    finite gets a status instead."""
     for name, which in (("start_frame", NOT_THE_FIRST), ("end_frame", NOT_THE_LAST)):
         frames = getattr(clamps, name)[found == which]
         wrong = frames[np.isfinite(frames).all(axis=(1, 2))]

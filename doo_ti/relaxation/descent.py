@@ -14,7 +14,7 @@ import taichi as ti
 
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
-from doo_ti.physics.tuples import chosen, picked, record, repeated
+from doo_ti.physics.tuples import chosen, put_lane, record, repeated
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loading import LANES, NEXT, stiffness_scale
 from doo_ti.relaxation.vertex_chain import DIRECTOR, ITEMS, POSITION
@@ -50,22 +50,16 @@ MEMORY = 0.9  # weight of the past in the running mean of the energy
 PATIENCE = 20_000  # iterations in which neither energy nor residual came down noticeably
 
 
-@picked
-def with_lanes(with_lane, values, slot, new) -> tuple:
-    """``values`` with lane ``slot`` of each replaced, by ``with_lane`` of :class:`doo_ti.physics.number.Lanes`."""
-    return tuple(with_lane(value, slot, one) for value, one in zip(values, new, strict=True))
-
-
 @ti.data_oriented
 class DescentLoop:
-    """What a thread does until the queue is empty.
+    """The work of a thread, until the queue is empty.
 
-    Its functions pass on three records: ``tables``, the arrays and options that host and kernel share; ``rod``
-    (:class:`.VertexChain`); and ``lane``, where each lane's rod is:
+    Its functions share three records: ``tables``, the arrays and options that host and kernel share; ``rod``
+    (:class:`.VertexChain`); and ``lane``, the state of each lane's rod:
 
     held, spin, gravity              of ``rod``, for the lane's rod
     length, scale, limit_move        its longest edge, the divisor of its residual, and the largest move of a vertex in one step
-    energy, residual                 of the vertices that stand
+    energy, residual                 of the accepted vertices
     mean, count                      running mean of the energy, and the weight of what is in it
     lowest, best, still              the lowest energy and residual so far, and iterations without progress
     step, short                      length of the next step, and the last three short steps s·y/y·y
@@ -142,24 +136,12 @@ class DescentLoop:
             start_held, start_held * (1.0 - tables.clamp[s, of.TILT_START]), end_held * (1.0 - tables.clamp[s, of.TILT_END]),
             end_held, 1.0 - tables.clamp[s, of.TILT_INNER])
         weight = tables.material[g, of.WEIGHT]
-        lane.held = with_lanes(self.with_lane, lane.held, slot, held)
-        lane.spin = with_lanes(self.with_lane, lane.spin, slot, (tables.clamp[s, of.SPIN_START], tables.clamp[s, of.SPIN_END]))
-        lane.gravity = with_lanes(
-            self.with_lane, lane.gravity, slot, (weight * tables.up[0], weight * tables.up[1], weight * tables.up[2]))
-        lane.length = self.with_lane(lane.length, slot, longest)
-        lane.limit_move = self.with_lane(lane.limit_move, slot, tables.largest_move * shortest)
         scale = stiffness_scale(tables.material, tables.clamp, g, s) / tables.clamp[s, of.TOTAL]
-        lane.scale = self.with_lane(lane.scale, slot, scale)
-        lane.count = self.with_lane(lane.count, slot, 0.0)
-        lane.step = self.with_lane(lane.step, slot, 0.0)
-        lane.residual = self.with_lane(lane.residual, slot, 1e30)
-        lane.best = self.with_lane(lane.best, slot, 1e30)
-        lane.lowest = self.with_lane(lane.lowest, slot, 1e30)
-        lane.short = with_lanes(self.with_lane, lane.short, slot, (1e30, 1e30, 1e30))
-        lane.fresh = self.with_lane(lane.fresh, slot, 1.0)
-        lane.trips = self.with_lane(lane.trips, slot, 0.0)
-        lane.still = self.with_lane(lane.still, slot, 0.0)
-        lane.active = self.with_lane(lane.active, slot, 1.0)
+        put_lane(
+            lane, self.with_lane, slot, held=held, spin=(tables.clamp[s, of.SPIN_START], tables.clamp[s, of.SPIN_END]),
+            gravity=(weight * tables.up[0], weight * tables.up[1], weight * tables.up[2]), length=longest, scale=scale,
+            limit_move=tables.largest_move * shortest, count=0.0, step=0.0, residual=1e30, best=1e30, lowest=1e30,
+            short=(1e30, 1e30, 1e30), fresh=1.0, trips=0.0, still=0.0, active=1.0)
 
     @ti.func
     def trip(self, tables, scratch: ti.template(), origin, lane):
@@ -189,7 +171,7 @@ class DescentLoop:
     @ti.func
     def plan(self, lane, change, taken):
         """Length of the next step, by Barzilai and Borwein: the long step s·s/s·y, or where the gradient is mostly stiff
-        directions the shortest of the last four short ones s·y/y·y; now and then a long one all the same, to get on in narrow
+        directions the shortest of the last four short ones s·y/y·y; but every twelfth step is a long one, for narrow
         valleys."""
         short = change.sy / change.yy
         curved = change.sy > 0.0
@@ -205,7 +187,7 @@ class DescentLoop:
 
     @ti.func
     def end(self, tables, lane, magnitude, accepted):
-        """Which lanes are done, and how."""
+        """Which lanes are finished, and with which status."""
         zero, one = self.constant(0.0), self.constant(1.0)
         lost = ((lane.fresh > 0.5) & (accepted < 0.5)) | ~(lane.residual == lane.residual)
         progress = (lane.residual < 0.9 * lane.best) | (lane.energy < lane.lowest - 1e-7 * magnitude)
@@ -225,7 +207,7 @@ class DescentLoop:
 
 @cache
 def descent_kernel(number: Number, stride: int, block: int):
-    """The kernel for one kind of number; materials are always general. See :func:`.newton_kernel.newton_kernel`."""
+    """The kernel for one kind of number; materials are always general. See :func:`.newton.newton_kernel`."""
     loop = DescentLoop(number, stride)
     table2, table3 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (2, 3))
 

@@ -56,7 +56,7 @@ class Elimination(Chain):
     def eliminate(self, rod, shift, search, multiplier, miss):
         """Assemble H + shift at the closed frames and eliminate it from the first edge to the last.
 
-        search: (noise, echo) of :meth:`.Chain.stirred`, zero unless a saddle is to be left. Returns a record: ``moment``, the
+        search: (noise, echo) of :meth:`stirred`, zero except while leaving a saddle. Returns a record: ``moment``, the
         largest on a free edge |g + Aλ|; ``scale``, the largest diagonal entry of H; ``change`` δλ; ``inertia``, negative pivots
         plus positive eigenvalues of the Schur complement, three at a minimum (or saddle-free step); ``slope`` along the echo;
         and ``energy`` and ``magnitude`` of an external energy, here none.
@@ -154,7 +154,7 @@ class Elimination(Chain):
         noise, echo = search
         none = 0.0 * echo
         w = self.load3(rod.scratch, at + ROTATION * self.stride)
-        # A lane without an echo may hold anything there, even what is not a number.
+        # In a lane without an echo the step is undefined and may be NaN.
         k = (
             ti.select(echo > 0.0, echo * w[0], none),
             ti.select(echo > 0.0, echo * w[1], none),
@@ -169,7 +169,7 @@ class Elimination(Chain):
 
     @ti.func
     def store_eliminated(self, rod, at, f, right, neighbour, border):
-        """What :meth:`solved_edge` needs of an edge: its factors, W_r, and the columns of W_U and of the border."""
+        """Store for :meth:`solved_edge`: the factors of an edge, W_r, and the columns of W_U and of the border."""
         self.store(rod.scratch, at + PIVOTS * self.stride, (f[0], f[1], f[2], f[3], f[4], f[5]))
         self.store(rod.scratch, at + ROTATION * self.stride, right)
         self.store(rod.scratch, at + ELIMINATED_NEXT * self.stride, neighbour)

@@ -1,4 +1,4 @@
-"""What ``relax`` is given, laid out as tables: materials row by row, and starts that can be projected onto closure (§III-B)."""
+"""The input of ``relax`` as tables: materials row by row, and starts that can be projected onto closure (§III-B)."""
 
 from dataclasses import dataclass, replace
 
@@ -24,7 +24,7 @@ def tables(
     configuration: Configuration, material: Material, clamps: Clamps, up: np.ndarray,
     configuration_index=None, material_index=None, external: External | None = None, external_index=None,
 ) -> Tables:
-    """Check what goes into F and lay it out for the kernels.
+    """Check the input of F and lay it out for the kernels.
 
     Raises InputError where shapes do not match, an index is out of range, or both ends of a rod with weight are free that no
     external energy holds.
@@ -56,7 +56,7 @@ def tables(
 
 
 def _loosen(clamp: np.ndarray, kinds: np.ndarray, configuration: Configuration, clamps: Clamps) -> None:
-    """Have vertex 0 of rods whose start is free be an unknown, in place: an external energy may move it."""
+    """Make vertex 0 an unknown where the start is free, in place: an external energy may move it."""
     loose = np.flatnonzero(kinds[:, 0] == FREE)
     held = kinds[loose, 1] != FREE
     anchor = np.asarray(configuration.start, dtype=np.float64)[loose]
@@ -67,8 +67,8 @@ def _loosen(clamp: np.ndarray, kinds: np.ndarray, configuration: Configuration, 
 
 
 def under(table: Tables, material: Material, index=None) -> Tables:
-    """The same rods under another material: one row for each, one for all, or as many as before, each in the place of
-    what was there; or as ``index`` (R,) says.
+    """The same rods with another material: one row for each, one for all, as many as before, each for the rods that had it, or
+    the rows ``index`` (R,).
 
     Raises InputError where they do not match.
     """
@@ -130,8 +130,8 @@ def _projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, foun
 
 @dataclass(frozen=True)
 class _FreePart:
-    """What the clamps leave of some rods N: which of the end edges may tilt (N, 2), as all inner ones may, the line (N, 3) and
-    its length, the span (N,), that the free edges have to bridge, and how far they reach (N,), mm."""
+    """The free part of N rods: which of the end edges may tilt (N, 2), as all inner ones may, the line (N, 3) that the
+    free edges have to bridge and its length, the span (N,), and how far they reach (N,), mm."""
 
     tilting: np.ndarray
     line: np.ndarray

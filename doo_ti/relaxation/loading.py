@@ -10,7 +10,7 @@ from doo_ti.relaxation import tables as of
 REFERENCE_LENGTH = 99.0
 """mm: rods of about this length are computed in mm, others in units in which they have it."""
 
-# Entries of a launch's queue: the next rod that nobody has taken, the trips of all packs, and from LANES on every lane's rod.
+# Entries of a launch's queue: the next rod that is not yet taken, the trips of all packs, and from LANES on every lane's rod.
 NEXT, TRIPS, LANES = 0, 1, 2
 
 
@@ -40,7 +40,7 @@ class Loading:
 
     ``tables`` is a record of the arrays that host and kernels share: start, rest_length, clamp, material, up, rods, frames,
     results, and ``numbers`` of the external energy (see :mod:`doo_ti.relaxation.tables`). ``functions`` are that energy's, or
-    None. ``in_millimetres``: lengths are left in mm, whatever the rods' size.
+    None. ``in_millimetres``: lengths stay in mm.
     """
 
     def __init__(self, sweep: chain.Chain, functions=None, in_millimetres: bool = False):
@@ -65,10 +65,10 @@ class Loading:
 
     @ti.func
     def load(self, tables, scratch: ti.template(), head, slot, rod, lengths_known):
-        """Row ``rod`` of the rods into lane ``slot``. Lengths are left where the lane has them and all rods share them.
+        """Row ``rod`` of the rods into lane ``slot``. Lengths that all rods share are loaded once per lane.
 
-        Lengths are in a unit u in which all rods are about equally long, energies in that of a stiffness over u, so that what
-        rounds and what counts as small does not depend on a rod's size.
+        Lengths are in a unit u in which all rods are about equally long, energies in that of a stiffness over u, so that
+        rounding and tolerances do not depend on a rod's size.
         """
         origin = head + self.parameters * self.stride
         s = tables.rods[rod, of.CLAMP_ROW]
@@ -105,8 +105,8 @@ class Loading:
 
     @ti.func
     def load_frames(self, tables, source: ti.template(), row, scratch: ti.template(), origin, slot, s):
-        """The frames of ``source``'s row into lane ``slot``, those at the ends as clamp s holds them. The first step, of no
-        length, makes unit quaternions of them."""
+        """The frames of ``source``'s row into lane ``slot``, those at the ends as clamp s holds them. The first step, of length
+        zero, normalises them."""
         edges = tables.rest_length.shape[1]
         at = origin
         place = row * edges * 4
@@ -126,7 +126,7 @@ class Loading:
             held = (clamp[s, column], clamp[s, column + 1], clamp[s, column + 2], clamp[s, column + 3])
             self.put_items(scratch, at, slot, held)
             if clamp[s, of.SPIN_START + end] > 0.0:
-                # A tangent alone: by parallel transport, which there is not from the opposite one.
+                # A tangent alone: by parallel transport, which does not exist from the opposite tangent.
                 frame = normalised(self.frame_from(source, place))
                 old, new = tangent(frame), tangent(held)
                 if 1.0 + dot(old, new) > 1e-14:

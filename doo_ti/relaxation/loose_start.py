@@ -29,7 +29,7 @@ from doo_ti.relaxation.elimination import Elimination, held_pivot
 
 @ti.data_oriented
 class LooseStart(Elimination):
-    """What :class:`.LoadedElimination` does with vertex 0. Lanes whose rods have it held stay as they are."""
+    """The part of :class:`.LoadedElimination` for vertex 0. Lanes whose rods hold it are not changed."""
 
     @ti.func
     def loose(self, rod):
@@ -68,7 +68,7 @@ class LooseStart(Elimination):
 
     @ti.func
     def restore_start(self, rod, lost):
-        """Vertex 0 back to where it was before the step in the lanes where it is not taken."""
+        """Restore vertex 0 in the lanes that reject the step."""
         standing = self.load3(rod.scratch, rod.head + OF_DRIFT_STANDING * self.stride)
         self.store(rod.scratch, rod.head + OF_DRIFT * self.stride, chosen(lost > 0.5, standing, self.drift(rod)))
 

@@ -1,8 +1,8 @@
 """Newton's method on the chain of frames for all rods at once: its options and its kernel (§III-D, docs/chain.md).
 
-A trip through the kernel's loop gives every lane one step and one factorisation. A lane whose rod is done stores it and takes
-the next from a queue, so that all lanes stay busy whatever the rods need. What a rod does depends on nothing but itself: the
-result is the same alone and in any batch, in any place.
+A trip through the kernel's loop gives every lane one step and one factorisation. A lane whose rod is finished stores it and
+takes the next from a queue, so that all lanes stay busy. The result of a rod does not depend on the others: it is the same
+alone and in any batch, in any place.
 """
 
 from dataclasses import dataclass
@@ -50,12 +50,12 @@ class Newton:
 
     @classmethod
     def careful(cls, **options) -> "Newton":
-        """The policy that keeps closest to descent: use it where basins matter (ribbons)."""
+        """The options that stay closest to descent: use them where the basin matters (ribbons)."""
         return cls(first_shift=0.0, **options)
 
 
 TOLERANCES = {32: 9.9e-5, 64: 9.9e-8}
-"""What counts as converged, by bits: of a rod of 99 mm a moment over stiffness of 1e-6 and 1e-9 1/mm."""
+"""The residual that counts as converged, by bits: of a rod of 99 mm a moment over stiffness of 1e-6 and 1e-9 1/mm."""
 
 
 @cache
@@ -65,7 +65,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
 
     stride: distance between the items of an edge in scratch, 1 on a CPU, the number of threads on a GPU.
     block: threads in a block, 1 on a CPU.
-    serial: the threads' work is done on the caller's thread, on a CPU: to wake another takes as long as to relax a few rods.
+    serial: on a CPU, work on the caller's thread: to wake another takes as long as to relax a few rods.
     external: the class of the external energy, whose numbers and field the kernel then takes as two more arrays.
     any_ends: not all rods under the external energy have vertex 0 held and the far end free, which is faster.
     """

@@ -1,9 +1,9 @@
-"""What a thread of the Newton kernel does: trips through its lanes' rods, each a step, its judgement and the plan of the next
+"""The loop of a thread of the Newton kernel: trips through its lanes' rods, each a step, its judgement and the plan of the next
 (§III-D, docs/chain.md)."""
 
 import taichi as ti
 
-from doo_ti.physics.tuples import chosen, dot, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import choose, chosen, dot, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.elimination import Elimination
@@ -34,12 +34,12 @@ UP, TOLERANCE, ITERATION_LIMIT, FIRST_SHIFT, ROTATION_LIMIT, ESCAPES, CLOSING, P
 
 @ti.data_oriented
 class NewtonLoop:
-    """What a thread does until the queue is empty.
+    """The work of a thread, until the queue is empty.
 
-    Its functions pass on three records: ``tables``, the arrays that host and kernel share; ``rod``, the parameters of the rods
-    in the lanes (:class:`.Chain`); and ``lane``, where each lane's rod is and the step that is about to be tried:
+    Its functions share three records: ``tables``, the arrays that host and kernel share; ``rod``, the parameters of the rods
+    in the lanes (:class:`.Chain`); and ``lane``, the state of each lane's rod and its next step:
 
-    energy, magnitude, miss, multiplier  of the frames that stand; ``residual`` their largest moment
+    energy, magnitude, miss, multiplier  of the accepted frames; ``residual`` their largest moment
     change, longest                      δλ and the largest rotation of the step, rad
     shift, scale                         added to the diagonal of H, and H's largest diagonal entry
     step_scale                           share of the step that is taken
@@ -59,8 +59,8 @@ class NewtonLoop:
         self.patience = PATIENCE_32 if single else PATIENCE
         self.shape_tolerance = SHAPE_TOLERANCE_32 if single else 1e30
         self.closure_tolerance = 1e-7 if single else 1e-12
-        # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a trace of H's
-        # scale on the diagonal lets them pass, always. f32 cannot tell them from soft saddles and leaves them to f64.
+        # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a small part of
+        # H's scale on the diagonal makes it positive. f32 cannot tell them from soft saddles and leaves them to f64.
         self.trace = 0.0 if single else 1e-12
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
         self.stalled, self.not_finite = int(Status.STALLED), int(Status.NOT_FINITE)
@@ -72,8 +72,7 @@ class NewtonLoop:
         head = thread
         if ti.static(self.stride == 1):
             head = thread * (self.sweep.parameters + self.sweep.items * edges)
-        # Rods taken at once from the queue: threads that ask for the same number wait for each other, but all are to end
-        # together.
+        # Rods taken from the queue at a time: with fewer, threads wait for each other at the queue; with more, some end early.
         batch = ti.max(1, ti.min(16, tables.rods.shape[0] // (16 * threads * self.width)))
         lane = self.idle_lanes()
         supply = record(next=0, end=0, batch=batch, places=LANES + thread * self.width)
@@ -155,20 +154,10 @@ class NewtonLoop:
         zero, one = self.constant(0.0), self.constant(1.0)
         begun = lane.finished > 0.5
         lane.scale = ti.select(begun, scratch[head + chain.OF_SCALE * self.stride], lane.scale)
-        lane.fresh = ti.select(begun, one, lane.fresh)
-        lane.best = ti.select(begun, self.constant(1e30), lane.best)
-        lane.shift = ti.select(begun, ti.cast(tables.policy[FIRST_SHIFT], self.scalar) * lane.scale, lane.shift)
-        lane.step_scale = ti.select(begun, zero, lane.step_scale)
-        lane.trips = ti.select(begun, zero, lane.trips)
-        lane.idle_trips = ti.select(begun, zero, lane.idle_trips)
-        lane.aimless = ti.select(begun, zero, lane.aimless)
-        lane.rejects = ti.select(begun, zero, lane.rejects)
-        lane.trying = ti.select(begun, zero, lane.trying)
-        lane.closing = ti.select(begun, zero, lane.closing)
-        lane.returned = ti.select(begun, zero, lane.returned)
-        lane.troubled = ti.select(begun, zero, lane.troubled)
-        lane.escaping = ti.select(begun, zero, lane.escaping)
-        lane.escapes = ti.select(begun, zero, lane.escapes)
+        shift = ti.cast(tables.policy[FIRST_SHIFT], self.scalar) * lane.scale
+        choose(
+            lane, begun, shift=shift, fresh=one, best=self.constant(1e30), step_scale=zero, trips=zero, idle_trips=zero,
+            aimless=zero, rejects=zero, trying=zero, closing=zero, returned=zero, troubled=zero, escaping=zero, escapes=zero)
         lane.finished = zero
 
     @ti.func
@@ -185,7 +174,7 @@ class NewtonLoop:
         negligible = ti.select(lane.troubled > 0.5, self.constant(NEGLIGIBLE_TROUBLED), self.constant(NEGLIGIBLE)) * lane.scale
         smaller = ti.select(decay * lane.shift > negligible, decay * lane.shift, zero)
         next_shift = ti.select(lane.trying > 0.5, smaller, lane.shift)
-        # Off a saddle: once with noise, then on what came of it.
+        # To leave a saddle: inverse iteration, first from noise, then from its last result.
         searching = (lane.escaping > 0.5) & (lane.trying < 0.5)
         noise = ti.select(searching & (lane.rounds < 0.5), 1e-3 * lane.scale, zero)
         echo = ti.select(searching & (lane.rounds > 0.5), lane.scale / (lane.longest + 1e-30), zero)
@@ -206,8 +195,8 @@ class NewtonLoop:
 
     @ti.func
     def multiplier(self, lane, fitted):
-        """λ at the frames stepped to: the least-squares one of closure, which knows no external energy, or where there is one
-        that of the Newton step."""
+        """λ at the new frames: the least-squares one of closure or, under an external energy, which that leaves out, the one of
+        the Newton step."""
         value = variable(fitted)
         if ti.static(self.sweep.moves_start):
             share = ti.select(lane.escaping < 0.5, lane.step_scale, self.constant(0.0))
@@ -233,7 +222,7 @@ class NewtonLoop:
 
     @ti.func
     def keep(self, lane, found, miss, multiplier, judged, next_shift):
-        """What the lane knows after its step: of the new frames where it stands, of those from before where it led uphill."""
+        """Update the lane after its step: from the new frames where it is accepted, with a larger shift where it led uphill."""
         zero, one = self.constant(0.0), self.constant(1.0)
         lane.energy = ti.select(judged.stands, found.energy, lane.energy)
         lane.magnitude = ti.select(judged.stands, found.magnitude, lane.magnitude)
@@ -251,7 +240,7 @@ class NewtonLoop:
 
     @ti.func
     def judge_place(self, tables, rod, lane, inertia, judged):
-        """Judge where the rod is: a record of flags. What was eliminated says nothing of frames gone back to."""
+        """Judge where the rod is: a record of flags. The elimination, at the new frames, says nothing about restored ones."""
         gap = ti.sqrt(dot(lane.miss, lane.miss))
         tolerance = ti.cast(tables.policy[TOLERANCE], self.scalar)
         small = (lane.residual * rod.total <= tolerance) & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
@@ -259,7 +248,7 @@ class NewtonLoop:
         right = (inertia > 2.5) & (inertia < 3.5) & judged.stands
         calm = small & (lane.escaping < 0.5) & judged.stands
         bare = (lane.shift <= 0.0) & (lane.coarse < 0.5)
-        # Where rounding of the moments hides the residual, the step that they would lead to says how far off the shape may be.
+        # Where rounding limits the residual, the size of the next step tells how far off the shape may be.
         settled = lane.longest <= self.shape_tolerance
         at_saddle = calm & bare & wrong
         # Beside a saddle a rod may make no progress though its residual is not yet small.
@@ -298,10 +287,10 @@ class NewtonLoop:
 
     @ti.func
     def end(self, tables, lane, judged, place):
-        """Which lanes are done, and how."""
+        """Which lanes are finished, and with which status."""
         zero, one = self.constant(0.0), self.constant(1.0)
         better = place.leaving | (lane.closing > 0.5) | ((lane.residual < 0.7 * lane.best) & judged.stands)
-        # A trip that only eliminates again after going back is no sign of a lack of progress.
+        # A trip that only repeats the elimination after a rejected step does not count.
         waited = ti.select(lane.returned > 0.5, zero, one)
         lane.aimless = ti.select(better | judged.notable, zero, lane.aimless + waited)
         lane.idle_trips = ti.select(judged.gained | better, zero, lane.idle_trips + waited)

@@ -1,4 +1,4 @@
-"""How a rod at rest answers to its parameters: dΓ*/dΘ at stable equilibria by the implicit function theorem (§III-E).
+"""Derivatives of rods at rest by their parameters: dΓ*/dΘ at stable equilibria, by the implicit function theorem (§III-E).
 
 At rest g(ω, Θ) + Aλ = 0 and closure c = 0 hold, so a small change of a parameter θ turns the frames by the solution of
 
@@ -100,7 +100,7 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     """
     table = solution.tables
     if table is None:
-        raise InputError("sensitivity", "solution", "was put together of several calls", "relax where its rods ended")
+        raise InputError("sensitivity", "solution", "joins several calls", "relax where its rods ended")
     if table.external is not None:
         raise InputError("sensitivity", "solution", "rods under an external energy", "relax them without one")
     _check(parameters, modes, table.edges)

@@ -71,7 +71,7 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
 
 @ti.data_oriented
 class SensitivitySweep(ParameterGradient):
-    """What a thread does for the rods it is given. ``tables`` is the record of the kernel's arrays."""
+    """The work of a thread. ``tables`` is the record of the kernel's arrays."""
 
     def __init__(self, stride: int):
         super().__init__(stride)

@@ -51,7 +51,8 @@ _pool: list[np.ndarray] = []
 
 
 def room(*shape: int) -> np.ndarray:
-    """Doubles of any value: memory that nobody holds any more, neither whole nor by a view, where there is some that fits."""
+    """An uninitialised f64 array, where it fits in memory of an earlier one that nothing refers to any more, not even a view: a
+    fresh page costs as much as a rod's step."""
     size = prod(shape)
     if size < SMALLEST:
         return np.empty(shape)

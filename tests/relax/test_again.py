@@ -91,7 +91,7 @@ def test_a_rod_is_the_same_in_any_company(rng):
     assert_same(together, [7], alone, [0])
 
 
-def test_wrong_input_is_told(solution):
+def test_wrong_input_is_reported(solution):
     with pytest.raises(InputError, match="give one, one per rod, as many as before, or material_index"):
         relax(solution, Material(np.full(5, 1e5), 1e5))
     with pytest.raises(InputError, match="material_index"):
