@@ -13,7 +13,7 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loaded_elimination import FORCE_ITEMS
 from doo_ti.relaxation.loading import LANES, TRIPS
 from doo_ti.relaxation.newton_loop import CLOSING_DISTANCE
-from doo_ti.relaxation.tables import Tables, room
+from doo_ti.relaxation.tables import Tables, room, whole_start
 from doo_ti.relaxation.vertex_chain import ITEMS
 from doo_ti.types import Solution, Status
 
@@ -112,8 +112,8 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     axes = np.full((table.count, table.edges, 3), np.nan)
     results = _untouched(table.count)
     descent.descent_kernel(number, stride, block)(
-        vertices, directors, table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.material, *table.up,
-        table.rods, options.tolerance, options.max_iterations, options.largest_move, threads, items if stride == 1 else 1,
+        vertices, directors, table.rest_length, table.clamp, table.material, *table.up, table.rods,
+        options.tolerance, options.max_iterations, options.largest_move, threads, items if stride == 1 else 1,
         scratch, queue, positions, axes, results,
     )
     frames = _chain_form(positions, axes)
@@ -130,7 +130,7 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
 
 def _vertex_form(table: Tables) -> tuple[np.ndarray, np.ndarray]:
     """Starts as vertices from the anchor (S, V, 3) and m1 (S, E, 3)."""
-    start = table.whole
+    start = whole_start(table.start, table.clamp)
     vertices = vertices_from_quaternions(np.zeros((len(start), 3)), start, table.rest_length)
     vertices = np.where(table.released[:, None, None], vertices - vertices[:, -1:], vertices)
     return np.ascontiguousarray(vertices), np.ascontiguousarray(matrix_from_quaternion(start)[..., 1])

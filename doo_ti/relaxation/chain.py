@@ -12,7 +12,7 @@ from doo_ti.physics.algebra import absolute, solve_symmetric
 from doo_ti.physics.angle import twist_angle_function
 from doo_ti.physics.closure import closing_rotation, linear_gradient, normal_matrix
 from doo_ti.physics.quaternion import first_director, second_director, tangent, turned_in_body, turned_in_world
-from doo_ti.physics.tuples import dot, minus, on_diagonal, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import chosen, dot, minus, negated, on_diagonal, plus, record, repeated, scaled, variable
 
 # Items of an edge in scratch. Those of a vertex (1/l̄, β, ω̄) lie with the edge that leaves it.
 FRAME = 0
@@ -206,13 +206,9 @@ class Chain:
         normal = variable(repeated(zero, 6))
         at = rod.origin
         for e in range(rod.edges):
-            rotation = self.load3(rod.scratch, at + ROTATION * self.stride)
             # In a lane that does not step the rotation is undefined and may be NaN.
-            w = (
-                ti.select(stepping, rotation[0] * scale, zero),
-                ti.select(stepping, rotation[1] * scale, zero),
-                ti.select(stepping, rotation[2] * scale, zero),
-            )
+            rotation = self.load3(rod.scratch, at + ROTATION * self.stride)
+            w = chosen(stepping, scaled(rotation, scale), repeated(zero, 3))
             standing = self.load4(rod.scratch, at)
             self.store(rod.scratch, at + STANDING * self.stride, standing)
             q = turned_in_body(standing, w)
@@ -294,8 +290,7 @@ class Chain:
             potential = potential + self.lifted_start(rod)
         miss = scaled(minus(reached, rod.target), rod.closed)
         fit, minors = solve_symmetric(normal, moment)
-        multiplier = (0.0 - fit[0] * rod.closed, 0.0 - fit[1] * rod.closed, 0.0 - fit[2] * rod.closed)
-        return energy + potential, energy + magnitude, miss, multiplier
+        return energy + potential, energy + magnitude, miss, negated(scaled(fit, rod.closed))
 
     @ti.func
     def _bend(self, rod, at, before, q):
@@ -311,11 +306,9 @@ class Chain:
     def restore(self, rod, lost):
         """Restore the frames from before the step in the lanes that reject it."""
         at = rod.origin
-        for e in range(rod.edges):
-            for k in ti.static(range(4)):
-                here = rod.scratch[at + k * self.stride]
-                rod.scratch[at + k * self.stride] = ti.select(
-                    lost > 0.5, rod.scratch[at + (STANDING + k) * self.stride], here)
+        for _ in range(rod.edges):
+            standing = self.load4(rod.scratch, at + STANDING * self.stride)
+            self.store(rod.scratch, at, chosen(lost > 0.5, standing, self.load4(rod.scratch, at)))
             at += self.edge_stride
         if ti.static(self.moves_start):
             self.restore_start(rod, lost)

@@ -217,10 +217,7 @@ def descent_kernel(number: Number, stride: int, block: int):
         directors: table3,  # [configuration, edge, 3] m1
         rest_length: table2,  # [1 or configuration, edge] mm
         clamp: table2,  # [configuration, CLAMP_COLUMNS]
-        bend: table3,  # [material, 1 or edge, (11, 22, 12)] mm³
-        twist: table2,  # [material, 1 or inner vertex] mm³
-        rest: table3,  # [material, 1 or inner vertex, 2] 1/mm
-        material: table2,  # [material, STIFFNESS and more columns]
+        material: table2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
         up0: ti.f64,  # unit vector against gravity
         up1: ti.f64,
         up2: ti.f64,
@@ -239,9 +236,9 @@ def descent_kernel(number: Number, stride: int, block: int):
         ti.loop_config(block_dim=block)
         for thread in range(threads):
             tables = record(
-                vertices=vertices, directors=directors, rest_length=rest_length, clamp=clamp, bend=bend, twist=twist, rest=rest,
-                material=material, up=(up0, up1, up2), rods=rods, tolerance=tolerance, max_iterations=max_iterations,
-                largest_move=largest_move, queue=queue, positions=positions, material_axes=material_axes, results=results)
+                vertices=vertices, directors=directors, rest_length=rest_length, clamp=clamp, material=material,
+                up=(up0, up1, up2), rods=rods, tolerance=tolerance, max_iterations=max_iterations, largest_move=largest_move,
+                queue=queue, positions=positions, material_axes=material_axes, results=results)
             loop.work(tables, scratch, thread * origin_stride, thread)
 
     return descent

@@ -17,6 +17,7 @@ from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import (
     against,
     backward,
+    chosen,
     dot,
     forward,
     forward_rows,
@@ -152,20 +153,15 @@ class Elimination(Chain):
         echo that many times the last step.
         """
         noise, echo = search
-        none = 0.0 * echo
-        w = self.load3(rod.scratch, at + ROTATION * self.stride)
         # In a lane without an echo the step is undefined and may be NaN.
-        k = (
-            ti.select(echo > 0.0, echo * w[0], none),
-            ti.select(echo > 0.0, echo * w[1], none),
-            ti.select(echo > 0.0, echo * w[2], none),
-        )
+        w = self.load3(rod.scratch, at + ROTATION * self.stride)
+        k = chosen(echo > 0.0, scaled(w, echo), repeated(0.0 * echo, 3))
         perturbed = (
             right[0] + noise * ((5 * edge + 2) % 7 - 2.5) + k[0],
             right[1] + noise * ((3 * edge + 1) % 7 - 2.5) + k[1],
             right[2] + noise * ((4 * edge + 3) % 7 - 2.5) + k[2],
         )
-        return perturbed, gradient[0] * k[0] + gradient[1] * k[1] + gradient[2] * k[2]
+        return perturbed, dot(gradient, k)
 
     @ti.func
     def store_eliminated(self, rod, at, f, right, neighbour, border):

@@ -1,6 +1,6 @@
 """The input of ``relax`` as tables: materials row by row, and starts that can be projected onto closure (§III-B)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_kinds, external_rows, paired_rows, rest_lengths
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, TAUT, TAUT_SLACK, clamp_table
 from doo_ti.relaxation.external import External
-from doo_ti.relaxation.tables import FREE, Tables, along_edges, along_joints, outer_edges, rod_rows, room, whole_start
+from doo_ti.relaxation.tables import FREE, Tables, outer_edges, rod_rows, room, whole_start
 from doo_ti.types import Clamps, Configuration, Material
 
 
@@ -99,7 +99,8 @@ def _material_table(material: Material, isotropic: bool, edges: int) -> np.ndarr
                          f"give at most {of.MOST_NUMBERS // columns:,} at a time")
     table = room(material.count, columns)
     table[:] = 0.0
-    along, joints = along_edges(table), along_joints(table)
+    along = table[:, of.STIFFNESS :].reshape(material.count, -1, of.STIFFNESS_COLUMNS)
+    joints = along[:, 1:] if along.shape[1] > 1 else along  # no joint is where the first edge begins
     first, second, mixed = bend[..., 0, 0], bend[..., 1, 1], bend[..., 0, 1]
     along[..., of.BEND], along[..., of.BEND + 1], along[..., of.BEND + 2] = first, second, mixed
     joints[..., of.TWIST] = twist
@@ -128,24 +129,14 @@ def _projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, foun
     return start
 
 
-@dataclass(frozen=True)
-class _FreePart:
-    """The free part of N rods: which of the end edges may tilt (N, 2), as all inner ones may, the line (N, 3) that the
-    free edges have to bridge and its length, the span (N,), and how far they reach (N,), mm."""
-
-    tilting: np.ndarray
-    line: np.ndarray
-    span: np.ndarray
-    reach: np.ndarray
-
-
-def _free_part(lengths: np.ndarray, clamp: np.ndarray) -> _FreePart:
-    """The free part of rods with these lengths (N, E) and clamps (N, CLAMP_COLUMNS)."""
+def _free_part(lengths: np.ndarray, clamp: np.ndarray):
+    """Of N rods with these lengths (N, E) and clamps (N, CLAMP_COLUMNS): which of the end edges may tilt (N, 2), as all inner
+    ones may, the line (N, 3) that the free edges have to bridge and its length (N,), and how far they reach (N,), mm."""
     tangents = tangent_from_quaternion(clamp[:, of.ENDS:].reshape(-1, 2, 4))
     tilting = clamp[:, of.TILT_START : of.TILT_END + 1]
     held = lengths[:, outer_edges(lengths.shape[1])] * (1 - tilting)
     line = clamp[:, of.TARGET : of.TARGET + 3] - (held[..., None] * tangents).sum(axis=1)
-    return _FreePart(tilting, line, np.linalg.norm(line, axis=1), clamp[:, of.TOTAL] - held.sum(axis=1))
+    return tilting, line, np.linalg.norm(line, axis=1), clamp[:, of.TOTAL] - held.sum(axis=1)
 
 
 def _rows(lengths: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -160,15 +151,15 @@ def _bowed(start, lengths, clamp, rows, up) -> np.ndarray:
     Where they are they are bowed to the needed chord, downwards, or towards m1 where the line is upright.
     """
     edges, own = start.shape[1], _rows(lengths, rows)
-    free = _free_part(own, clamp[rows])
+    ends, _, span, reach = _free_part(own, clamp[rows])
     tilting = np.ones((len(rows), edges))
-    tilting[:, outer_edges(edges)] = free.tilting
+    tilting[:, outer_edges(edges)] = ends
     whole = whole_start(start[rows], clamp[rows])
     matrix = matrix_from_quaternion(whole)
     chord = np.linalg.norm(((own * tilting)[..., None] * matrix[..., 0]).sum(axis=1), axis=-1)
-    straight = chord > free.reach * (1 - TAUT_SLACK)
+    straight = chord > reach * (1 - TAUT_SLACK)
     rows, tilting, whole, matrix = rows[straight], tilting[straight], whole[straight], matrix[straight]
-    share = (free.span / free.reach)[straight]
+    share = (span / reach)[straight]
     middle = matrix[:, edges // 2]
     axis = np.cross(-up, middle[..., 0])
     upright = np.linalg.norm(axis, axis=-1, keepdims=True) < 1e-3
@@ -187,13 +178,12 @@ def _stretched(start, lengths, clamp, rows) -> np.ndarray:
 
     Their clamps are changed to say so; the turns of their frames are kept by parallel transport.
     """
-    free = _free_part(_rows(lengths, rows), clamp[rows])
+    tilting, line, span, _ = _free_part(_rows(lengths, rows), clamp[rows])
     whole = whole_start(start[rows], clamp[rows])
-    turn = smallest_rotation(tangent_from_quaternion(whole), (free.line / free.span[:, None])[:, None])
+    turn = smallest_rotation(tangent_from_quaternion(whole), (line / span[:, None])[:, None])
     straight = quaternion_product(turn, whole)
-    held = free.tilting == 0
     outer = outer_edges(start.shape[1])
-    straight[:, outer] = np.where(held[..., None], whole[:, outer], straight[:, outer])
+    straight[:, outer] = np.where((tilting == 0)[..., None], whole[:, outer], straight[:, outer])
     clamp[rows[:, None], [of.CLOSED, of.TILT_START, of.TILT_END, of.TILT_INNER]] = 0.0
     return _changed(start, clamp, rows, straight)
 

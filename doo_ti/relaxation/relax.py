@@ -139,7 +139,7 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
     # Not a matrix product, whose rounding depends on how many rods there are.
     height = anchor[:, 0] * up[0] + anchor[:, 1] * up[1] + anchor[:, 2] * up[2]
     lifted = 2 * height * table.clamp[:, of.TOTAL]
-    energy = results[:, of.ENERGY] + table.weight[table.material_index] * lifted[index]
+    energy = results[:, of.ENERGY] + table.material[table.material_index, of.WEIGHT] * lifted[index]
     start = anchor[index]
     if table.external is not None:
         held = table.clamp[index, of.LOOSE] == 0

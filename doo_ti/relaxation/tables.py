@@ -110,31 +110,6 @@ class Tables:
         """(S, 3) mm."""
         return self.clamp[:, ANCHOR : ANCHOR + 3]
 
-    @property
-    def weight(self) -> np.ndarray:
-        """(G,) μ."""
-        return self.material[:, WEIGHT]
-
-    @property
-    def bend(self) -> np.ndarray:
-        """(G, 1 or E, 3) B as (11, 22, 12), mm³."""
-        return np.ascontiguousarray(along_edges(self.material)[..., BEND : BEND + 3])
-
-    @property
-    def twist(self) -> np.ndarray:
-        """(G, 1 or E−1) β, mm³."""
-        return np.ascontiguousarray(along_joints(self.material)[..., TWIST])
-
-    @property
-    def rest(self) -> np.ndarray:
-        """(G, 1 or E−1, 2) ω̄, 1/mm."""
-        return np.ascontiguousarray(along_joints(self.material)[..., REST : REST + 2])
-
-    @property
-    def whole(self) -> np.ndarray:
-        """(S, E, 4) starts, normalised and with their ends imposed."""
-        return whole_start(self.start, self.clamp)
-
     def continued(self, usable: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """``rods`` for another launch over the feasible ones of ``rows``: from their frames where ``usable`` (R,), else from
         their starts."""
@@ -172,17 +147,6 @@ def rod_rows(of_clamp, of_material, of_result, of_start, of_external) -> np.ndar
     rods[:, CLAMP_ROW], rods[:, MATERIAL_ROW], rods[:, RESULT_ROW] = of_clamp, of_material, of_result
     rods[:, START_ROW], rods[:, EXTERNAL_ROW] = of_start, of_external
     return rods
-
-
-def along_edges(material: np.ndarray) -> np.ndarray:
-    """(G, 1 or E, STIFFNESS_COLUMNS), the part of the material table that may change along the rod, as a view."""
-    return material[:, STIFFNESS:].reshape(len(material), -1, STIFFNESS_COLUMNS)
-
-
-def along_joints(material: np.ndarray) -> np.ndarray:
-    """(G, 1 or E−1, STIFFNESS_COLUMNS), the same without the first edge, at which there is no joint."""
-    edges = along_edges(material)
-    return edges[:, 1:] if edges.shape[1] > 1 else edges
 
 
 def outer_edges(edges: int) -> slice:

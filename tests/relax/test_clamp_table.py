@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, smallest_rotation, vertices_from_quaternions
-from doo_ti.relaxation import columns as of
+from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.clamp_table import FEW, INFEASIBLE, SOUND, STRAIGHT, TAUT, clamp_table
 from doo_ti.types import Clamp, Clamps, Configuration
 
