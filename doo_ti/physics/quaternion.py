@@ -7,31 +7,19 @@ from doo_ti.physics.tuples import cross, dot, scaled
 
 @ti.func
 def tangent(q):
-    return (
-        1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3]),
-        2.0 * (q[1] * q[2] + q[0] * q[3]),
-        2.0 * (q[1] * q[3] - q[0] * q[2]),
-    )
+    return (1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3]), 2.0 * (q[1] * q[2] + q[0] * q[3]), 2.0 * (q[1] * q[3] - q[0] * q[2]))
 
 
 @ti.func
 def first_director(q):
     """m1."""
-    return (
-        2.0 * (q[1] * q[2] - q[0] * q[3]),
-        1.0 - 2.0 * (q[1] * q[1] + q[3] * q[3]),
-        2.0 * (q[2] * q[3] + q[0] * q[1]),
-    )
+    return (2.0 * (q[1] * q[2] - q[0] * q[3]), 1.0 - 2.0 * (q[1] * q[1] + q[3] * q[3]), 2.0 * (q[2] * q[3] + q[0] * q[1]))
 
 
 @ti.func
 def second_director(q):
     """m2."""
-    return (
-        2.0 * (q[1] * q[3] + q[0] * q[2]),
-        2.0 * (q[2] * q[3] - q[0] * q[1]),
-        1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]),
-    )
+    return (2.0 * (q[1] * q[3] + q[0] * q[2]), 2.0 * (q[2] * q[3] - q[0] * q[1]), 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]))
 
 
 @ti.func

@@ -267,12 +267,6 @@ def column_scaled(m, s) -> tuple:
     return tuple(m[k] * s[k % 3] for k in range(9))
 
 
-@traced
-def row_and_column_scaled(m, s, t) -> tuple:
-    """diag(s) M diag(t)."""
-    return tuple(s[k // 3] * t[k % 3] * m[k] for k in range(9))
-
-
 # --- the factors of a symmetric matrix, M = L D Lᵀ, as :func:`doo_ti.physics.algebra.factor` gives them ---------------
 
 

@@ -18,6 +18,7 @@ from doo_ti.physics.tuples import (
     against,
     backward,
     chosen,
+    column_scaled,
     dot,
     forward,
     forward_rows,
@@ -30,7 +31,6 @@ from doo_ti.physics.tuples import (
     products,
     record,
     repeated,
-    row_and_column_scaled,
     row_scaled,
     scaled,
     symmetric_gram,
@@ -99,7 +99,7 @@ class Elimination(Chain):
                 free, after = self.freedom(rod, e), self.freedom(rod, e + 1)
                 g, b, a = products(free, g), products(free, b), row_scaled(a, free)
                 h = (free[0] * h[0], h[1], h[2], free[1] * h[3], h[4], free[2] * h[5])
-                d, u = held_pivot(d, free), row_and_column_scaled(u, free, after)
+                d, u = held_pivot(d, free), column_scaled(row_scaled(u, free), after)
             self.observe(found, g, h)
             f = factor(d)
             found.negative = found.negative + f[6]
