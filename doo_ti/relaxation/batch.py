@@ -40,7 +40,7 @@ def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution
     results[:, of.DRIFT:] = 0.0
     if len(table.rods) < table.count:
         infeasible = ~table.feasible[table.configuration_index]
-        frames[infeasible], results[infeasible, :of.RESULTS] = np.nan, UNTOUCHED
+        frames[infeasible], results[infeasible, : of.RESULTS] = np.nan, UNTOUCHED
     if begin is None:
         _launch_newton(table, table.start, table.rods, options, bits, frames, results, moving)
     else:
