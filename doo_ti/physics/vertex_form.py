@@ -53,8 +53,7 @@ def material_curvature(kb, m1, m2):
 @ti.func
 def bend_moment(b, omega, rest, inverse_length):
     """B (ω − u̅)/l̄."""
-    u0 = omega[0] - rest[0]
-    u1 = omega[1] - rest[1]
+    u0, u1 = omega[0] - rest[0], omega[1] - rest[1]
     return (inverse_length * (b[0] * u0 + b[2] * u1), inverse_length * (b[2] * u0 + b[1] * u1))
 
 
@@ -70,8 +69,7 @@ def spin_derivatives(b, moment, omega, inverse_length):
 
     The second is without its negative part, so that minimising over θ never climbs.
     """
-    s0 = omega[1]
-    s1 = 0.0 - omega[0]
+    s0, s1 = omega[1], 0.0 - omega[0]
     first = moment[0] * s0 + moment[1] * s1
     form = inverse_length * (b[0] * s0 * s0 + 2.0 * b[2] * s0 * s1 + b[1] * s1 * s1)
     return first, ti.max(form - moment[0] * omega[0] - moment[1] * omega[1], 0.0 * first)
