@@ -16,7 +16,8 @@ from doo_ti.frames import (
 )
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.tables import Tables, tables
+from doo_ti.relaxation.tables import Tables, whole_start
+from doo_ti.relaxation.input_tables import tables
 from doo_ti.relaxation.time_loop import END_FORCE, MOMENT, PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_TARGET, STATE, TRIPS
 from doo_ti.relaxation.time_steps import Memory, make_steps
 from doo_ti.relaxation.time_sweep import (
@@ -220,7 +221,7 @@ class _Motion:
         """The memory of rods that start with ``velocity`` (S, V, 3)."""
         table = self.table(1.0)
         index = table.configuration_index
-        frames = table.whole[index]
+        frames = whole_start(table.start, table.clamp)[index]
         x = self.start.vertices[index]
         v = velocity[index]
         a = np.zeros_like(v)

@@ -6,7 +6,7 @@ import taichi as ti
 
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import record
-from doo_ti.relaxation.newton import UP
+from doo_ti.relaxation.newton_loop import UP
 from doo_ti.relaxation.time_loop import TimeLoop
 from doo_ti.relaxation.time_sweep import TimeSweep
 

@@ -5,7 +5,7 @@ import taichi as ti
 from doo_ti.physics.quaternion import normalised, tangent, transported
 from doo_ti.physics.tuples import dot, plus, record, scaled
 from doo_ti.relaxation import chain
-from doo_ti.relaxation.columns import DRIFT, OF_CLAMP, OF_EXTERNAL, OF_RESULT, SPIN_START, TILT_START
+from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loading import LANES, Loading
 from doo_ti.relaxation.newton_loop import NewtonLoop
 from doo_ti.relaxation.time_sweep import (
@@ -45,7 +45,7 @@ class MotionLoading(Loading):
     @ti.func
     def load_motion(self, tables, scratch: ti.template(), head, slot, rod):
         """What rod ``rod`` remembers, and what moves it, into lane ``slot``."""
-        row, numbers = tables.rods[rod, OF_RESULT], tables.rods[rod, OF_EXTERNAL]
+        row, numbers = tables.rods[rod, of.RESULT_ROW], tables.rods[rod, of.EXTERNAL_ROW]
         own = head + self.time_parameters * self.stride
         if ti.static(self.damped):
             for k in ti.static(range(2)):
@@ -73,7 +73,7 @@ class MotionLoading(Loading):
     @ti.func
     def load_path(self, tables, scratch: ti.template(), head, slot, rod, step):
         """The clamps of step ``step`` into lane ``slot``: of frames as far as they are held."""
-        s = tables.rods[rod, OF_CLAMP]
+        s = tables.rods[rod, of.CLAMP_ROW]
         unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
         for k in ti.static(range(3)):
             self.put(scratch, head + (chain.OF_ANCHOR + k) * self.stride, slot, tables.path[s, step, PATH_ANCHOR + k] / unit)
@@ -92,11 +92,11 @@ class MotionLoading(Loading):
     @ti.func
     def load_path_end(self, tables, s, step, end: ti.template(), scratch: ti.template(), at, slot):
         """The frame of an end edge, whose items begin at ``at``."""
-        if tables.clamp[s, TILT_START + end] == 0.0:
+        if tables.clamp[s, of.TILT_START + end] == 0.0:
             column = ti.static(PATH_ENDS + 4 * end)
             held = (tables.path[s, step, column], tables.path[s, step, column + 1], tables.path[s, step, column + 2],
                     tables.path[s, step, column + 3])
-            if tables.clamp[s, SPIN_START + end] > 0.0:
+            if tables.clamp[s, of.SPIN_START + end] > 0.0:
                 # A tangent alone: the frame goes with it, by parallel transport from where it was.
                 frame = self.lane_frame(scratch, at + (self.motion + FRAME_1) * self.stride, slot)
                 old, new = tangent(frame), tangent(held)
@@ -120,7 +120,7 @@ class MotionLoading(Loading):
         if ti.static(self.moves_start):
             unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
             for k in ti.static(range(3)):
-                tables.results[row, DRIFT + k] = unit * self.get(scratch, head + (chain.OF_DRIFT + k) * self.stride, slot)
+                tables.results[row, of.DRIFT + k] = unit * self.get(scratch, head + (chain.OF_DRIFT + k) * self.stride, slot)
 
     @ti.func
     def store_vertices(self, target: ti.template(), row, count: ti.template(), scratch: ti.template(), head, slot, edges):
@@ -183,7 +183,7 @@ class TimeLoop(NewtonLoop):
     @ti.func
     def conclude(self, tables, scratch: ti.template(), head, slot, lane, rod, step):
         """Report the step that the rod in lane ``slot`` has made; returns one where it is to make another."""
-        row, edges = tables.rods[rod, OF_RESULT], tables.rest_length.shape[1]
+        row, edges = tables.rods[rod, of.RESULT_ROW], tables.rest_length.shape[1]
         frames = tables.outcome.shape[1]
         frame = step // tables.every
         status = self.lane(lane.status, slot)

@@ -6,9 +6,10 @@ import numpy as np
 
 from doo_ti import runtime
 from doo_ti.relaxation import newton
+from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import _buffers, _machine
-from doo_ti.relaxation.columns import DRIFT, FROM_RESULTS, LOADED_RESULTS, OF_EXTERNAL, OF_RESULT, OF_START
 from doo_ti.relaxation.loading import LANES
+from doo_ti.relaxation.newton_loop import CLOSING_DISTANCE
 from doo_ti.relaxation.tables import Tables
 from doo_ti.relaxation.time_kernel import time_kernel
 from doo_ti.relaxation.time_loop import OUTCOMES, STATE
@@ -44,10 +45,10 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
 
     Returns positions (R, frames, V, 3) mm, NaN from where a rod failed, and outcomes (R, frames, OUTCOMES).
     """
-    rods = table.rods[memory.status[table.rods[:, OF_RESULT]] == Status.CONVERGED]
+    rods = table.rods[memory.status[table.rods[:, of.RESULT_ROW]] == Status.CONVERGED]
     rods = np.ascontiguousarray(rods)
-    rods[:, OF_START] = FROM_RESULTS
-    rods[:, OF_EXTERNAL] = table.external_index[rods[:, OF_RESULT]]
+    rods[:, of.START_ROW] = of.FROM_RESULTS
+    rods[:, of.EXTERNAL_ROW] = table.external_index[rods[:, of.RESULT_ROW]]
     steps = path.shape[1]
     frames = steps // every
     positions = np.full((table.count * frames, table.edges + 1, 3), np.nan)
@@ -58,14 +59,14 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
         kernel, items, parameters = time_kernel(number, table.isotropic, stride, block)
         scratch, _ = _buffers(number, threads, parameters + items * table.edges)
         queue = np.zeros(LANES + 2 * threads * number.width, dtype=np.int32)
-        results = np.zeros((table.count, LOADED_RESULTS))
-        results[:, DRIFT:] = memory.drift
+        results = np.zeros((table.count, of.LOADED_RESULTS))
+        results[:, of.DRIFT:] = memory.drift
         policy = np.array([
             *table.up, options.tolerance or newton.TOLERANCES[bits], options.max_iterations, options.first_shift,
-            options.max_rotation, options.max_escapes, newton.CLOSING_DISTANCE])
+            options.max_rotation, options.max_escapes, CLOSING_DISTANCE])
         kernel(table.rest_length, table.clamp, path, table.material, numbers, shares, rods, policy, time, steps, every, threads,
                scratch, queue, memory.frames.reshape(-1), memory.frames_before.reshape(-1), memory.places, results, positions,
                outcome)
-        memory.drift[:] = results[:, DRIFT:]
+        memory.drift[:] = results[:, of.DRIFT:]
         memory.status[:] = outcome[:, -1, STATE].astype(memory.status.dtype)
     return positions.reshape(table.count, frames, table.edges + 1, 3), outcome
