@@ -15,9 +15,9 @@ from doo_ti.frames import (
     tangent_from_quaternion,
 )
 from doo_ti.relaxation.external import Springs
+from doo_ti.relaxation.input_tables import tables
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.tables import Tables, whole_start
-from doo_ti.relaxation.input_tables import tables
 from doo_ti.relaxation.time_loop import END_FORCE, MOMENT, PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_TARGET, STATE, TRIPS
 from doo_ti.relaxation.time_steps import Memory, make_steps
 from doo_ti.relaxation.time_sweep import (
@@ -29,7 +29,6 @@ from doo_ti.relaxation.time_sweep import (
     SPRING,
     SPRING_POINT,
     VELOCITY_1,
-    VELOCITY_2,
     VERTEX_ITEMS,
 )
 from doo_ti.types import Clamp, Configuration, Material, Status, unit_up

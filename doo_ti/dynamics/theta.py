@@ -1,14 +1,11 @@
 """Θ of a rod in motion: material, rest shape, mass of its markers, damping and drag, as a vector to fit and as a file."""
 
-import json
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from doo_ti.dynamics.parameters import Dynamics
-from doo_ti.errors import InputError
 from doo_ti.types import Material
 
 UNITS = {"bend": "mm³", "twist": "mm³", "bend_damping": "s", "drag": "1/s", "quadratic_drag": "1/mm", "marker_share": "",

@@ -15,7 +15,6 @@ from doo_ti.relaxation.time_sweep import (
     INERTIA,
     OF_BEND_SHARE,
     OF_VERTEX,
-    PLACE_1,
     RATE,
     SPRING_POINT,
     STEP,

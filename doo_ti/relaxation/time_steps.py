@@ -13,7 +13,6 @@ from doo_ti.relaxation.newton_loop import CLOSING_DISTANCE
 from doo_ti.relaxation.tables import Tables
 from doo_ti.relaxation.time_kernel import time_kernel
 from doo_ti.relaxation.time_loop import OUTCOMES, STATE
-from doo_ti.relaxation.time_sweep import INERTIA
 from doo_ti.types import Status
 
 
