@@ -9,14 +9,16 @@ from doo_ti.errors import InputError
 from doo_ti.frames import bishop_frames, quaternion_from_matrix
 from doo_ti.types import Clamp, Configuration
 
-JUMP = 4.0
-"""A gripper that moves so many times as far in one frame as in those around it was not seen in between."""
+LEAST_JUMP, LARGEST_MISFIT, SMALLEST_JUMP = 1.7, 0.2, 10.0
+"""Frames are missing where all gripper markers together move by more than this multiple of their usual move, but for this share
+of the squares, and by so many mm (root of the sum of squares)."""
 NEIGHBOURS = 3
 """Frames on either side that tell how fast a gripper is."""
 MOST_LOST = 100
 """Frames that may be missing at one place."""
 LARGEST_TURN = np.radians(60.0)
 """A gripper that turns by more in one frame was not seen right: markers were confused."""
+FINE, SWAPPED, LOST = 0, 1, 2
 MOST_CONFUSED = 50
 """Frames after which it is believed that it did turn."""
 LARGEST_REACH = 0.999
@@ -33,8 +35,8 @@ class RecordedMotion:
     rate       frames per second
     names      (R,) of the recordings
     elapsed    (R, T) steps of 1/rate since the frame before: more than one where frames are missing from the recording
-    confused   (R, T, 2) where the start gripper's and the end gripper's markers contradict the frames around; the gripper is then
-               taken from those
+    confused   (R, T, 2) of the start gripper's and the end gripper's markers: FINE, SWAPPED, or LOST, where they contradict the
+               frames around, from which the gripper is then taken
 
     Raises InputError for shapes that do not fit and numbers that are not finite.
     """
@@ -91,55 +93,61 @@ class RecordedMotion:
 def elapsed_steps(positions: np.ndarray) -> np.ndarray:
     """(R, T) steps since the frame before, from (R, T, V, 3) positions.
 
-    A capture that loses frames leaves a jump: all markers of the grippers move many times as far as in the frames around, each
-    by the same multiple, which is the number of steps that have passed.
+    A capture that loses frames leaves a jump: all markers of the grippers move by the same multiple n of what they do in the
+    frames around, in the same directions. With moves d of the four and the median u of their moves around, n = Σ d·u / Σ u·u.
     """
-    count, frames = positions.shape[:2]
-    steps = np.ones((count, frames), dtype=np.int64)
-    way = np.linalg.norm(np.diff(positions[:, :, GRIPPED], axis=1), axis=-1)  # (R, T − 1, 4) of the frame after
-    around = np.full((2 * NEIGHBOURS + 1, *way.shape), np.nan)
-    for k in range(-NEIGHBOURS, NEIGHBOURS + 1):
-        if k and abs(k) < way.shape[1]:
-            around[k + NEIGHBOURS, :, max(0, -k) : way.shape[1] - max(0, k)] = way[:, max(0, k) : way.shape[1] + min(0, k)]
+    moves = np.diff(positions[:, :, GRIPPED], axis=1)  # (R, T − 1, 4, 3)
+    around = np.full((2 * NEIGHBOURS, *moves.shape), np.nan)
+    for k, offset in enumerate([*range(-NEIGHBOURS, 0), *range(1, NEIGHBOURS + 1)]):
+        if abs(offset) < moves.shape[1]:
+            around[k, :, max(0, -offset) : moves.shape[1] - max(0, offset)] = (
+                moves[:, max(0, offset) : moves.shape[1] + min(0, offset)])
     usual = np.nanmedian(around, axis=0)
-    # Of each gripper's two markers together; slow grippers tell nothing of how long it was.
-    both, usually = way[..., :2].sum(-1) + way[..., 2:].sum(-1), usual.sum(-1)
-    noise = np.median(usually, axis=1, keepdims=True)
-    ratio = both / np.maximum(usually, 0.2 * noise + 1e-9)
-    lost = (ratio > JUMP) & (both > JUMP * noise)
-    steps[:, 1:][lost] = np.clip(np.rint(ratio[lost]), 1, MOST_LOST).astype(np.int64)
+    square = np.sum(usual**2, axis=(-2, -1))
+    number = np.sum(moves * usual, axis=(-2, -1)) / np.maximum(square, 1e-12)
+    left = np.sum((moves - number[..., None, None] * usual) ** 2, axis=(-2, -1))
+    all_moves = np.sum(moves**2, axis=(-2, -1))
+    lost = (number > LEAST_JUMP) & (left < LARGEST_MISFIT * all_moves) & (all_moves > SMALLEST_JUMP**2)
+    steps = np.ones(positions.shape[:2], dtype=np.int64)
+    steps[:, 1:][lost] = np.clip(np.rint(number[lost]), 1, MOST_LOST).astype(np.int64)
     return steps
 
 
 def confused_frames(positions: np.ndarray) -> np.ndarray:
-    """(R, T, 2) frames of (R, T, V, 3) positions in which the first or the last edge points elsewhere than before, for a while."""
+    """(R, T, 2) frames of (R, T, V, 3) positions in which the first or the last edge points elsewhere than before, for a while:
+    SWAPPED where it points the opposite way, else LOST. Before frame 0 it continues the edge beside it."""
     edges = np.stack([positions[:, :, 1] - positions[:, :, 0], positions[:, :, -1] - positions[:, :, -2]], axis=2)
     direction = edges / np.maximum(np.linalg.norm(edges, axis=-1, keepdims=True), 1e-12)
-    count, frames = direction.shape[:2]
-    confused = np.zeros((count, frames, 2), dtype=bool)
-    believed, since = direction[:, 1].copy(), np.zeros((count, 2), dtype=np.int64)
-    for t in range(2, frames):
-        turned = np.sum(direction[:, t] * believed, axis=-1) < np.cos(LARGEST_TURN)
-        since = np.where(turned, since + 1, 0)
-        real = since > MOST_CONFUSED
-        for r, end in np.argwhere(real):
-            confused[r, t - MOST_CONFUSED : t, end] = False
-        confused[:, t] = turned & ~real
-        believed = np.where((turned & ~real)[..., None], believed, direction[:, t])
-        since[real] = 0
+    beside = np.stack([positions[:, 0, 2] - positions[:, 0, 1], positions[:, 0, -2] - positions[:, 0, -3]], axis=1)
+    kinked = np.sum(direction[:, 0] * beside, axis=-1) < -0.5 * np.linalg.norm(beside, axis=-1)
+    believed = np.where(kinked[..., None], -direction[:, 0], direction[:, 0])
+    confused = np.full(direction.shape[:3], FINE, dtype=np.int8)
+    since = np.zeros(kinked.shape, dtype=np.int64)
+    for t in range(direction.shape[1]):
+        along = np.sum(direction[:, t] * believed, axis=-1)
+        swapped, lost = along < -np.cos(LARGEST_TURN), np.abs(along) < np.cos(LARGEST_TURN)
+        since = np.where(lost, since + 1, 0)
+        for r, end in np.argwhere(since > MOST_CONFUSED):
+            confused[r, t - MOST_CONFUSED : t, end], lost[r, end] = FINE, False
+        since[~lost] = 0
+        confused[:, t] = np.where(lost, LOST, np.where(swapped, SWAPPED, FINE))
+        believed = np.where(lost[..., None], believed, np.where(swapped[..., None], -direction[:, t], direction[:, t]))
     return confused
 
 
 def _believable(held: np.ndarray, confused: np.ndarray, elapsed: np.ndarray) -> np.ndarray:
-    """Gripper markers (R, T, 4, 3), where ``confused`` (R, T, 2) on lines between the frames around."""
-    if not confused.any():
-        return held
+    """Gripper markers (R, T, 4, 3), changed back where ``confused`` (R, T, 2) says they are swapped, and on lines between the
+    frames around where they are lost."""
     result, instants = held.copy(), np.cumsum(elapsed, axis=1)
-    for r, end in np.argwhere(confused.any(axis=1)):
-        good = ~confused[r, :, end]
-        for marker in (2 * end, 2 * end + 1):
-            for axis in range(3):
-                result[r, :, marker, axis] = np.interp(instants[r], instants[r, good], held[r, good, marker, axis])
+    for end in range(2):
+        pair = slice(2 * end, 2 * end + 2)
+        swapped = confused[:, :, end] == SWAPPED
+        result[swapped, pair] = held[swapped, pair][:, ::-1]
+        for r in np.flatnonzero((confused[:, :, end] == LOST).any(axis=1)):
+            good = confused[r, :, end] != LOST
+            for marker, axis in np.ndindex(2, 3):
+                column = result[r, :, 2 * end + marker, axis]
+                result[r, :, 2 * end + marker, axis] = np.interp(instants[r], instants[r, good], column[good])
     return result
 
 
@@ -181,17 +189,19 @@ def rollout(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarr
     reference    (3,) direction towards which m1 of the first edge points at frame 1
     end          what the far gripper holds
     """
-    held = _believable(motion.positions[:, 1:][:, :, GRIPPED], motion.confused[:, 1:], motion.elapsed[:, 1:])
-    held = _within_reach(held, rest_length)
+    believed = _believable(motion.positions[:, :, GRIPPED], motion.confused, motion.elapsed)
+    held = _within_reach(believed[:, 1:], rest_length)
     expanded, steps = _with_missing(held, motion.elapsed[:, 1:])
     first = edge_frames(expanded[:, :, 1] - expanded[:, :, 0], np.broadcast_to(reference, (motion.count, 3)))
     last = edge_frames(expanded[:, :, 3] - expanded[:, :, 2])
     grippers = Grippers(Clamp.FRAME, end, expanded[:, :, 0], expanded[:, :, 3], first, last)
-    x = motion.positions[:, 1]
+    first_two = motion.positions[:, :2].copy()
+    first_two[:, :, GRIPPED] = believed[:, :2]
+    x = first_two[:, 1]
     edges = np.diff(x, axis=1)
     tangents = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
     frames = quaternion_from_matrix(bishop_frames(tangents, first[:, 0, :, 1]))
-    velocity = (x - motion.positions[:, 0]) * motion.rate / motion.elapsed[:, 1, None, None]
+    velocity = (x - first_two[:, 0]) * motion.rate / motion.elapsed[:, 1, None, None]
     return Rollout(Configuration(x[:, 0].copy(), frames, rest_length), velocity, grippers, steps, motion.rate)
 
 
