@@ -27,8 +27,9 @@ if os.name == "posix" and not {"HOME", "XDG_CACHE_HOME"} & os.environ.keys():
 
 _HOMES = {
     "Clamp": "types", "Clamps": "types", "Configuration": "types", "Material": "types", "Solution": "types",
-    "Status": "types", "InputError": "errors", "Observations": "dataset", "load_observations": "dataset",
-    "save_observations": "dataset", "observation_clamps": "start", "start_configuration": "start",
+    "Status": "types", "InputError": "errors", "Observations": "io.observations",
+    "load_observations": "io.observations",
+    "save_observations": "io.observations", "observation_clamps": "start", "start_configuration": "start",
     "turn_hypotheses": "start", "choose_hypothesis": "start", "Grid": "grid", "Axis": "grid", "distance": "metric",
     "Newton": "relaxation.newton", "Descent": "relaxation.descent", "relax": "relaxation.relax",
     "Springs": "relaxation.external",

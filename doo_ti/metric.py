@@ -9,8 +9,8 @@ import numpy as np
 import taichi as ti
 
 from doo_ti import runtime
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
+from doo_ti.io.observations import Observations
 from doo_ti.physics.quaternion import first_director, tangent
 from doo_ti.types import Configuration
 

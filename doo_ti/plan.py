@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.dataset import LEAST_SIGMA_MM, MOST_SIGMA_MM, Observations
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
-from doo_ti.progress import progress
+from doo_ti.io.observations import LEAST_SIGMA_MM, MOST_SIGMA_MM, Observations
+from doo_ti.io.scene import Synthesis
 from doo_ti.refinement.evidence import information
 from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.refine import FEWEST_EDGES, MOST_EDGES
@@ -29,9 +29,9 @@ from doo_ti.refinement.unknowns import Theta, Unknowns
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import sensitivity
-from doo_ti.scene import Synthesis
 from doo_ti.start import check_experiment, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.synthesis import synthesise
+from doo_ti.terminal import progress
 from doo_ti.types import Clamp
 
 CHUNK_RODS = 4096

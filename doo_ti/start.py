@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
 from doo_ti.frames import (
     across,
@@ -17,6 +16,7 @@ from doo_ti.frames import (
     smallest_rotation,
     turned_about_tangent,
 )
+from doo_ti.io.observations import Observations
 from doo_ti.types import Clamp, Clamps, Configuration
 
 MOST_LENGTHS = 2.0

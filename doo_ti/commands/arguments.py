@@ -2,7 +2,7 @@
 
 from argparse import ArgumentParser
 
-from doo_ti.scene import CLAMPS, PRECISIONS
+from doo_ti.io.scene import CLAMPS, PRECISIONS
 
 SOLVERS = ("newton", "descent")
 

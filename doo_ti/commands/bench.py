@@ -3,10 +3,10 @@
 import json
 from argparse import Namespace
 
-from doo_ti import options as given
+from doo_ti.commands import options as given
 from doo_ti.commands.arguments import add_json
 from doo_ti.commands.printing import plain
-from doo_ti.whole_file import write_whole
+from doo_ti.io.files import write_whole
 
 MOST_ROUNDS = 1000
 

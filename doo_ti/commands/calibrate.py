@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti import options as given
+from doo_ti.commands import options as given
 from doo_ti.commands.arguments import add_json
 from doo_ti.commands.printing import plain
-from doo_ti.progress import progress
-from doo_ti.terminal import in_line
+from doo_ti.terminal import in_line, progress
 from doo_ti.vision.cameras.board import FORMS, Board, parse_board
 from doo_ti.vision.cameras.calibration import COEFFICIENTS, WORLDS, Calibration, CalibrationOptions, calibrate
 from doo_ti.vision.cameras.rig import save_rig

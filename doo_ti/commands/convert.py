@@ -2,9 +2,9 @@
 
 from argparse import Namespace
 
-from doo_ti import options as given
+from doo_ti.commands import options as given
 from doo_ti.commands.experiment import save
-from doo_ti.dataset import load_observations
+from doo_ti.io.observations import load_observations
 
 
 def declare(add) -> None:

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.dataset import Observations, load_observations, save_observations
-from doo_ti.scene import Scene, Synthesis
+from doo_ti.io.observations import Observations, load_observations, save_observations
+from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.terminal import in_line
 
 

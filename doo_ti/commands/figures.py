@@ -4,7 +4,7 @@ import json
 from argparse import Namespace
 from pathlib import Path
 
-from doo_ti import options as given
+from doo_ti.commands import options as given
 from doo_ti.commands.arguments import add_json
 from doo_ti.commands.printing import busy
 from doo_ti.terminal import in_line

@@ -5,16 +5,16 @@ from argparse import Namespace
 from pathlib import Path
 from shutil import get_terminal_size
 
-from doo_ti import options as given
+from doo_ti.commands import options as given
 from doo_ti.commands.arguments import add_json
 from doo_ti.commands.printing import busy, plain, tell_result
 from doo_ti.errors import InputError
+from doo_ti.io.files import write_whole
 from doo_ti.learning.cross_validation import Scores, cross_validate
 from doo_ti.learning.landscape import Landscape, read_landscape
 from doo_ti.learning.partition import FACTORS, check_comparable, partition, usual_factors
 from doo_ti.learning.score_table import caption, comma_separated, entries, file_stem, markdown, text
 from doo_ti.terminal import in_line
-from doo_ti.whole_file import write_whole
 
 
 def declare(add) -> None:

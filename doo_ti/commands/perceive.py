@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti import options as given
+from doo_ti.commands import options as given
 from doo_ti.commands.arguments import add_json, add_material, add_seen_rod, add_thread
 from doo_ti.commands.perceive_task import RECORDED, Task, checked_task
 from doo_ti.commands.perceive_text import summary_of, tell, verdict_text
 from doo_ti.commands.printing import plain
 from doo_ti.errors import InputError
-from doo_ti.progress import progress
-from doo_ti.whole_file import write_whole
+from doo_ti.io.files import write_whole
+from doo_ti.terminal import progress
 
 MARGIN_PX = 60
 """Of the distance maps around what was detected."""

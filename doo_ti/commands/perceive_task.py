@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti import options as given
-from doo_ti.dataset import load_observations
+from doo_ti.commands import options as given
 from doo_ti.errors import InputError
-from doo_ti.file_content import MOST_TEXT_BYTES, read_content
-from doo_ti.importers import read_npz
+from doo_ti.io.arrays import read_npz
+from doo_ti.io.files import MOST_TEXT_BYTES, read_content
+from doo_ti.io.observations import load_observations
 from doo_ti.terminal import in_line
 from doo_ti.types import Material
 

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti import options as given
+from doo_ti.commands import options as given
 from doo_ti.commands.arguments import add_json, add_material
 from doo_ti.commands.experiment import observed
 from doo_ti.commands.printing import plain
-from doo_ti.dataset import Observations, load_observations, write_whole
 from doo_ti.errors import InputError
-from doo_ti.scene import CLAMPS, Synthesis, load_scene
+from doo_ti.io.observations import Observations, load_observations, write_whole
+from doo_ti.io.scene import CLAMPS, Synthesis, load_scene
 from doo_ti.terminal import in_line
 
 SIGMA_MM = 0.1

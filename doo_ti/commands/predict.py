@@ -8,19 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti import options as given
+from doo_ti.commands import options as given
 from doo_ti.commands.arguments import MATERIAL, add_json, add_material
 from doo_ti.commands.printing import counted, plain
-from doo_ti.dataset import Observations, load_observations
 from doo_ti.errors import InputError
+from doo_ti.io.files import write_whole
+from doo_ti.io.motion_file import ClampPath, load_path
+from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.scene import CLAMPS, PRECISIONS
 from doo_ti.learning.landscape import status_counts
-from doo_ti.prediction.motion_file import ClampPath, load_path
-from doo_ti.progress import progress
-from doo_ti.scene import CLAMPS, PRECISIONS
 from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
-from doo_ti.terminal import in_line
+from doo_ti.terminal import in_line, progress
 from doo_ti.types import Clamps, Configuration, Material
-from doo_ti.whole_file import write_whole
 
 MOST_TOLD = 30
 LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0
@@ -111,7 +110,7 @@ def _sub_step(options: Namespace) -> float:
 
 
 def _scene(options: Namespace) -> _Task:
-    from doo_ti.prediction.motion_scene import load_motion_scene
+    from doo_ti.io.motion_scene import load_motion_scene
 
     for name in ("motion", *MATERIAL, "clamp_start", "clamp_end"):
         if getattr(options, name) is not None:

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti import options as given
+from doo_ti.commands import options as given
 from doo_ti.commands.arguments import MATERIAL, add_json, add_material
 from doo_ti.commands.printing import busy, plain
 from doo_ti.commands.refine_text import summary_of, tell
-from doo_ti.dataset import Observations, load_observations, write_whole
 from doo_ti.errors import InputError
-from doo_ti.file_content import read_content
-from doo_ti.importers import read_npz
-from doo_ti.scene import CLAMPS
+from doo_ti.io.arrays import read_npz
+from doo_ti.io.files import read_content
+from doo_ti.io.observations import Observations, load_observations, write_whole
+from doo_ti.io.scene import CLAMPS
 from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.terminal import in_line
 from doo_ti.types import Clamps

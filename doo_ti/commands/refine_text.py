@@ -5,7 +5,7 @@ from dataclasses import asdict
 import numpy as np
 
 from doo_ti.commands.printing import counted
-from doo_ti.dataset import Observations
+from doo_ti.io.observations import Observations
 from doo_ti.physical_units import stiffness
 from doo_ti.terminal import in_line
 

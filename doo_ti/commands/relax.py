@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti import options as given
+from doo_ti.commands import options as given
 from doo_ti.commands.arguments import add_material, add_relaxation
 from doo_ti.commands.printing import busy, counted, plain, theta_text
-from doo_ti.dataset import Observations, load_observations
 from doo_ti.grid import Grid
+from doo_ti.io.files import write_whole
+from doo_ti.io.observations import Observations, load_observations
 from doo_ti.learning.landscape import status_counts
 from doo_ti.start import (
     check_experiment,
@@ -21,7 +22,6 @@ from doo_ti.start import (
 )
 from doo_ti.terminal import in_line
 from doo_ti.types import Status
-from doo_ti.whole_file import write_whole
 
 
 def declare(add) -> None:

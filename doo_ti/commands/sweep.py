@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from doo_ti import options as given
+from doo_ti.commands import options as given
 from doo_ti.commands.arguments import add_material, add_relaxation
 from doo_ti.commands.experiment import observed
 from doo_ti.commands.printing import peak_memory, plain, tell_hypotheses, tell_result, theta_text
-from doo_ti.dataset import Observations, load_observations
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
+from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.scene import MOST_SPINS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.learning.pairs import Pairs, load_pairs
 from doo_ti.learning.summary import SUMMARY
-from doo_ti.scene import MOST_SPINS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.terminal import in_line
 from doo_ti.types import Clamp

@@ -4,12 +4,11 @@ from argparse import Namespace
 from dataclasses import fields, replace
 from pathlib import Path
 
-from doo_ti import options as given
+from doo_ti.commands import options as given
 from doo_ti.commands.experiment import observed, save
 from doo_ti.errors import InputError
-from doo_ti.progress import progress
-from doo_ti.scene import Scene, Synthesis, load_scene
-from doo_ti.terminal import in_line
+from doo_ti.io.scene import Scene, Synthesis, load_scene
+from doo_ti.terminal import in_line, progress
 
 DIAMETER_MM = 0.5
 

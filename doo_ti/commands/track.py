@@ -9,15 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti import options as given
+from doo_ti.commands import options as given
 from doo_ti.commands.arguments import add_json, add_material, add_seen_rod, add_thread
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
 from doo_ti.commands.printing import plain
 from doo_ti.commands.track_task import Task, checked_task
 from doo_ti.errors import InputError, InterruptedRunError
-from doo_ti.progress import progress
-from doo_ti.terminal import in_line
-from doo_ti.whole_file import write_whole
+from doo_ti.io.files import write_whole
+from doo_ti.terminal import in_line, progress
 
 AHEAD = 16
 """Frames whose thread is detected while one is tracked."""

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti import options as given
+from doo_ti.commands import options as given
 from doo_ti.commands.perceive_task import read_rest_length
 from doo_ti.errors import InputError
+from doo_ti.io.csv_table import read_csv
 from doo_ti.types import Clamp, Clamps, Material
 
 
@@ -45,40 +46,27 @@ def load_frames(path: Path, rig):
 
     Raises InputError naming line and column for whatever is missing or no number, and for images that are not there.
     """
-    from doo_ti.vision.detection.images import SEED, ImageSets, header_and_lines, number_in
+    from doo_ti.vision.detection.images import SEED, ImageSets, cameras_in, images_in
 
-    header, lines = header_and_lines(path)
-    missing = next((name for name in ("frame", *SEED) if name not in header), None)
-    if missing or not lines:
-        raise InputError(path, missing or "frame", "the column is missing" if missing else "no line",
-                         f"give frame, a column per camera, and {', '.join(SEED)}, a line for each frame")
-    unknown = next((name for name in header if name not in ("frame", "time_s", *SEED, *rig.names)), None)
-    if unknown is not None:
-        raise InputError(path, unknown, "no camera of the rig", f"the rig has {', '.join(rig.names)}")
-    cameras, seeds, paths = [name for name in rig.names if name in header], [], []
-    for number, line in enumerate(lines, 2):
-        if not seeds or any(line[key] for key in SEED):
-            seeds.append([number_in(path, number, line, key) for key in SEED])
-        else:
-            seeds.append(seeds[-1])
-        paths.append(tuple(path.parent / line[name] for name in cameras))
-        absent = next((name for name, image in zip(cameras, paths[-1], strict=True) if not image.is_file()), None)
-        if absent is not None:
-            raise InputError(path, f"line {number}, {absent}", f"{line[absent]!r} is no file", "name an image beside the file")
-    time = None
-    if "time_s" in header:
-        time = np.array([number_in(path, number, line, "time_s") for number, line in enumerate(lines, 2)])
-        if not (np.diff(time) > 0).all():
-            raise InputError(path, "time_s", "does not rise", "give frames in their order")
-    seeds = np.array(seeds)
-    return ImageSets(tuple(line["frame"] for line in lines), tuple(paths), rig.only(cameras) if cameras else rig, seeds[:, :3],
-                     seeds[:, 3:], str(path)), time
+    table = read_csv(path, ("frame", *SEED), form=f"frame, one per camera, {', '.join(SEED)}", short_lines=True)
+    cameras = cameras_in(table, rig, ("frame", "time_s", *SEED))
+    paths = images_in(table, cameras)
+    for camera, name in enumerate(cameras):
+        table.refuse(name, np.array([not images[camera].is_file() for images in paths]), "is not a file",
+                     "name an image, relative to this file")
+    seeded = np.array([row == 0 or any(table.columns[key][row] for key in SEED) for row in range(table.count)])
+    seeds = np.stack([table.rows(seeded).numbers(key) for key in SEED], axis=-1)[np.cumsum(seeded) - 1]
+    time = table.numbers("time_s") if "time_s" in table.columns else None
+    if time is not None and not (np.diff(time) > 0).all():
+        raise InputError(path, "time_s", "does not rise", "give frames in their order")
+    return ImageSets(tuple(table.columns["frame"]), paths, rig.only(cameras) if cameras else rig, seeds[:, :3], seeds[:, 3:],
+                     str(path)), time
 
 
 def _far_motions(path: Path, frames: int) -> list:
     """What the far clamp does from each frame to the next, tangents only."""
+    from doo_ti.io.motion_file import load_path
     from doo_ti.motion.path import motion_between
-    from doo_ti.prediction.motion_file import load_path
 
     motion = load_path(path)
     if motion.moments != frames or motion.count > 1:

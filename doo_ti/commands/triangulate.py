@@ -6,14 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti import options as given
+from doo_ti.commands import options as given
 from doo_ti.commands.arguments import add_json
 from doo_ti.commands.printing import counted, plain
-from doo_ti.dataset import save_observations
 from doo_ti.errors import InputError
+from doo_ti.io.marks import Marks, read_labels, read_marks
+from doo_ti.io.observations import save_observations
 from doo_ti.terminal import in_line
 from doo_ti.vision.cameras.rig import Rig, load_rig
-from doo_ti.vision.reprojection.marks import MarkedRods, Marks, observe, read_labels, read_marks
+from doo_ti.vision.reprojection.marks import MarkedRods, observe
 from doo_ti.vision.reprojection.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
 
 MOST_TOLD = 20

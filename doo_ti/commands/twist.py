@@ -7,16 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti import options as given
+from doo_ti.commands import options as given
 from doo_ti.commands.arguments import add_json, add_material
 from doo_ti.commands.printing import counted, plain, theta_text
-from doo_ti.dataset import Observations, load_observations
 from doo_ti.grid import Grid
-from doo_ti.progress import progress
-from doo_ti.scene import PRECISIONS
+from doo_ti.io.files import write_whole
+from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.scene import PRECISIONS
 from doo_ti.start import check_experiment, observation_clamps
-from doo_ti.terminal import in_line
-from doo_ti.whole_file import write_whole
+from doo_ti.terminal import in_line, progress
 
 MOST_TOLD = 20
 

@@ -6,7 +6,7 @@ from argparse import Namespace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from doo_ti import options as given
+from doo_ti.commands import options as given
 from doo_ti.commands.printing import busy, theta_text
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.learning.summary import SUMMARY, changed_files, read_summary

@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.grid import Grid
+from doo_ti.io.observations import Observations
 from doo_ti.learning.hypotheses import Hypotheses, hypotheses_of
 from doo_ti.learning.pairs import Pairs, check_ways, pairs_from_labels
 from doo_ti.relaxation.descent import Descent

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
+from doo_ti.io.observations import Observations
 from doo_ti.start import held_spins, start_configuration, turn_hypotheses
 from doo_ti.types import Clamp, Clamps, Configuration
 

@@ -22,17 +22,16 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from doo_ti import __version__
-from doo_ti.dataset import load_observations, save_observations
 from doo_ti.errors import InputError
-from doo_ti.file_content import MOST_TEXT_BYTES, read_content
 from doo_ti.grid import Grid
+from doo_ti.io.files import MOST_TEXT_BYTES, read_content, remove_leftovers, write_whole
+from doo_ti.io.observations import load_observations, save_observations
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
 from doo_ti.learning.maker import maker, maker_text
 from doo_ti.learning.pairs import load_pairs, save_pairs
 from doo_ti.learning.summary import changed_files, check_cells, read_summary, read_table, sweep_identity
 from doo_ti.types import Clamp
-from doo_ti.whole_file import remove_leftovers, write_whole
 
 OBSERVATIONS, PAIRS, IDENTITY, PLAN = "observations.npz", "pairs.csv", "identity.txt", "plan.json"
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, smallest_rotation
+from doo_ti.io.observations import Observations
 from doo_ti.metric import distance
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax

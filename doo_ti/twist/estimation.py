@@ -20,9 +20,9 @@ from enum import IntEnum
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
 from doo_ti.frames import angle_about
+from doo_ti.io.observations import Observations
 from doo_ti.relaxation.newton import Newton
 from doo_ti.twist.curves import TwistCurves, without_twist
 from doo_ti.types import Material

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.dataset import save_observations
+from doo_ti.io.observations import save_observations
 from tests.cli.test_bad_input import refused
 from tests.sweeps.lab import small_lab
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
-from doo_ti.scene import Synthesis, load_scene
+from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.types import Clamp
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"

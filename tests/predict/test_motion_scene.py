@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
-from doo_ti.prediction.motion_scene import load_motion_scene
+from doo_ti.io.motion_scene import load_motion_scene
 from doo_ti.prediction.predict import predict
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes" / "motion"

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.errors import InputError, real_array
-from doo_ti.file_content import read_content
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
-from doo_ti.importers import read_npz, read_table, write_table
+from doo_ti.io.arrays import read_npz
+from doo_ti.io.files import read_content, write_whole
+from doo_ti.io.observation_tables import KEYS_IN_TABLES, read_table, write_table
 from doo_ti.terminal import in_line
 from doo_ti.types import LARGEST
-from doo_ti.whole_file import write_whole
 
 # Field of Observations: key of the file.
 KEYS = {
@@ -219,7 +219,7 @@ def load_observations(path: str | os.PathLike, up=None) -> Observations:
     """
     path = Path(path)
     content = _read_bytes(path)
-    keys = read_table(path, content) if path.suffix in TABLES else read_npz(path, content)
+    keys = read_table(path, content) if path.suffix in TABLES else read_npz(path, content, tuple(KEYS_IN_TABLES))
     if "vertices_mm" not in keys:
         raise InputError(path, "vertices_mm", "the key is missing", "store the vertices as vertices_mm (D, V, 3)")
     values = {name: keys[key] for name, key in KEYS.items() if key in keys}

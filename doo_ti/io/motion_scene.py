@@ -31,7 +31,6 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.file_content import MOST_TEXT_BYTES, read_content
 from doo_ti.frames import (
     across,
     bishop_frames,
@@ -41,7 +40,8 @@ from doo_ti.frames import (
     quaternion_product,
     smallest_rotation,
 )
-from doo_ti.prediction.motion_file import ClampPath
+from doo_ti.io.files import MOST_TEXT_BYTES, read_content
+from doo_ti.io.motion_file import ClampPath
 from doo_ti.terminal import in_line
 from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, Material
 

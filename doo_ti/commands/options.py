@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.dataset import checked_suffix
 from doo_ti.errors import InputError
 from doo_ti.grid import UNITS, Axis, Grid, parse_axis, parse_bend
+from doo_ti.io.observations import checked_suffix
 from doo_ti.physical_units import bend_or_twist, weight_per_length
 from doo_ti.types import LARGEST, Clamp
 

@@ -31,8 +31,8 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.file_content import MOST_TEXT_BYTES, read_content
 from doo_ti.grid import UNITS, Grid, parse_axis, parse_bend
+from doo_ti.io.files import MOST_TEXT_BYTES, read_content
 from doo_ti.types import LARGEST, Clamp, Material
 
 OBJECTIVES = ("static", "dynamic")

@@ -32,7 +32,7 @@ from doo_ti.frames import (
     quaternion_product,
     smallest_rotation,
 )
-from doo_ti.named_arrays import frame_columns, position_columns, read_arrays
+from doo_ti.io.arrays import frame_columns, position_columns, read_arrays
 from doo_ti.types import Clamps
 
 KNOWN = {
