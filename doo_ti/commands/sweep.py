@@ -15,7 +15,7 @@ from doo_ti.commands.printing import peak_memory, plain, tell_hypotheses, tell_r
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.io.observations import Observations, load_observations
-from doo_ti.io.scene import MOST_SPINS, OBJECTIVES, Scene, Synthesis, load_scene
+from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.learning.pairs import Pairs, load_pairs
 from doo_ti.learning.summary import SUMMARY
 from doo_ti.start import check_experiment, observation_clamps
@@ -125,7 +125,7 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     clamps = observation_clamps(observations, clamp_start, clamp_end)
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
     objective = options.objective or (scene.objective if scene else "static")
-    spins = given.whole("--spins", options.spins, 0, MOST_SPINS)
+    spins = given.whole("--spins", options.spins, 0, MOST_ROLLS)
     pairs = _pairs(options, scene, observations, objective)
 
     from doo_ti.learning.experiment import SweepOptions
@@ -133,8 +133,8 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     chosen = SweepOptions(
         frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=given.solver(options.solver),
         precision=options.precision or (scene.precision if scene else "mixed"),
-        objective=objective, spins=(scene.spins if scene else 0) if spins is None else spins, seed=seed or 0, workers=workers,
-        scheduler=options.dask,
+        objective=objective, spins=(scene.roll_hypotheses if scene else 0) if spins is None else spins, seed=seed or 0,
+        workers=workers, scheduler=options.dask,
     )
     return _Search(scene, observations, grid, chosen, pairs, run)
 

@@ -20,15 +20,16 @@
     end_direction = [1, 0, 0]          # of the last edge
     end_rotation_deg = 0.0             # of the last edge about itself, whole turns included
 
-The rod sets out straight from the first moment's start and is brought to that moment before time runs.
+The rod is straight at first, at the start position of the first moment, and is brought to that moment before the time begins.
 """
 
 import os
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
 from doo_ti.errors import InputError
 from doo_ti.frames import (
@@ -40,14 +41,11 @@ from doo_ti.frames import (
     quaternion_product,
     smallest_rotation,
 )
-from doo_ti.io.files import MOST_TEXT_BYTES, read_content
 from doo_ti.io.motion_file import ClampPath
+from doo_ti.io.toml_file import Finite, NumberOrMatrix, Table, Vector, checked, read_toml
 from doo_ti.terminal import in_line
 from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, Material
 
-MOMENT = {"time_s": 1, "start_position_mm": 3, "start_direction": 3, "end_position_mm": 3, "end_direction": 3,
-          "end_rotation_deg": 1}
-"""The keys of a moment, and how many numbers each holds."""
 MOST_EDGES = 10_000
 
 
@@ -72,74 +70,79 @@ class MotionScene:
     source: str
 
 
+class _File(Table):
+    """A scene of motion as it is written."""
+
+    rod: dict
+    materials: Annotated[dict, Meta(min_length=1)]
+    moments: Annotated[list, Meta(min_length=2)]
+    name: str | None = None
+    between: Annotated[int, Meta(ge=1, le=100_000)] = 1
+
+
+class _Rod(Table):
+    length_mm: Annotated[float, Meta(ge=1e-6, le=LARGEST)]
+    edges: Annotated[int, Meta(ge=4, le=MOST_EDGES)]
+
+
+class _Material(Table):
+    bend: NumberOrMatrix
+    twist: Finite
+    weight: Finite = 1.0
+
+
+class _Moment(Table):
+    """What is left out is as at the moment before."""
+
+    time_s: Finite | None = None
+    start_position_mm: Vector | None = None
+    start_direction: Vector | None = None
+    end_position_mm: Vector | None = None
+    end_direction: Vector | None = None
+    end_rotation_deg: Finite | None = None
+
+
 def load_motion_scene(path: str | os.PathLike) -> MotionScene:
     """The scene of a TOML file. Raises InputError for unreadable files, unknown keys, wrong types and values."""
     path = Path(path)
-    content = read_content(path, MOST_TEXT_BYTES, "name a readable scene")
-    try:
-        table = tomllib.loads(content.decode())
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, "file", f"not TOML ({error})", "correct the scene") from None
-    _check_keys(path, "", table, ("name", "between", "rod", "materials", "moments"))
-    rod = _table(path, table, "rod")
-    _check_keys(path, "rod", rod, ("length_mm", "edges"))
-    length = _number(path, "rod.length_mm", rod.get("length_mm"), least=1e-6)
-    edges = _whole(path, "rod.edges", rod.get("edges"), 4, MOST_EDGES)
-    names, material = _materials(path, _table(path, table, "materials"))
-    moments = _moments(path, table.get("moments"), length)
-    start, clamps = _straight(moments, length, edges)
-    return MotionScene(
-        name=in_line(table.get("name", path.stem)), names=names, material=material, start=start, clamps=clamps,
-        path=_path(moments, clamps, str(path)), between=_whole(path, "between", table.get("between", 1), 1, 100_000),
-        source=str(path))
+    file = checked(path, "", read_toml(path)[0], _File)
+    rod = checked(path, "rod", file.rod, _Rod)
+    names, material = _materials(path, file.materials)
+    moments = _moments(path, file.moments, rod.length_mm)
+    start, clamps = _straight(moments, rod.length_mm, rod.edges)
+    return MotionScene(name=in_line(path.stem if file.name is None else file.name), names=names, material=material, start=start,
+                       clamps=clamps, path=_path(moments, clamps, str(path)), between=file.between, source=str(path))
 
 
 def _materials(path: Path, table: dict) -> tuple[tuple[str, ...], Material]:
-    if not table:
-        raise InputError(path, "materials", "none", "add [materials.NAME] with bend and twist")
-    bend, twist, weight = [], [], []
-    for name, values in table.items():
-        if not isinstance(values, dict):
-            raise InputError(path, f"materials.{name}", f"{values!r} is no table", "give it bend and twist")
-        _check_keys(path, f"materials.{name}", values, ("bend", "twist", "weight"))
-        own = np.array(values.get("bend", np.nan), dtype=object)
-        if own.shape not in ((), (2, 2)):
-            raise InputError(path, f"materials.{name}.bend", f"{values['bend']!r}", "give α or a matrix [[A1, A12], [A12, A2]]")
-        entries = [_number(path, f"materials.{name}.bend", entry) for entry in own.ravel()]
-        bend.append(np.array(entries).reshape(2, 2) if own.shape else entries[0] * np.eye(2))
-        twist.append(_number(path, f"materials.{name}.twist", values.get("twist")))
-        weight.append(_number(path, f"materials.{name}.weight", values.get("weight", 1.0)))
+    found = [checked(path, f"materials.{name}", values, _Material) for name, values in table.items()]
+    bend = [one.bend * np.eye(2) if isinstance(one.bend, float) else np.array(one.bend) for one in found]
     try:
-        return tuple(map(in_line, table)), Material(np.array(bend), np.array(twist), np.array(weight))
+        material = Material(np.array(bend), np.array([one.twist for one in found]), np.array([one.weight for one in found]))
     except InputError as error:
         raise InputError(path, f"materials: {error.field}", error.problem, error.remedy) from None
+    return tuple(map(in_line, table)), material
 
 
-def _moments(path: Path, rows, length: float) -> dict[str, np.ndarray]:
-    """The keys of MOMENT, (T) or (T, 3) each."""
-    if not isinstance(rows, list) or len(rows) < 2 or not all(isinstance(row, dict) for row in rows):
-        raise InputError(path, "moments", "not two or more tables", "add [[moments]] in the order of their times")
-    along = np.array([1.0, 0.0, 0.0])
-    first = rows[0].get("start_direction", along.tolist())
-    before = {"time_s": 0.0, "start_position_mm": np.zeros(3), "start_direction": along, "end_position_mm": None,
-              "end_direction": along, "end_rotation_deg": 0.0}
-    found = {key: [] for key in MOMENT}
+def _moments(path: Path, rows: list, length: float) -> dict[str, np.ndarray]:
+    """The keys of a moment, (T) or (T, 3) each."""
+    now = {"time_s": 0.0, "start_position_mm": (0.0, 0.0, 0.0), "start_direction": (1.0, 0.0, 0.0), "end_position_mm": None,
+           "end_direction": (1.0, 0.0, 0.0), "end_rotation_deg": 0.0}
+    found = {key: [] for key in now}
     for number, row in enumerate(rows):
-        _check_keys(path, f"moments[{number}]", row, MOMENT)
-        if number and "time_s" not in row:
+        moment = checked(path, f"moments[{number}]", row, _Moment)
+        if number and moment.time_s is None:
             raise InputError(path, f"moments[{number}].time_s", "missing", "give every moment after the first its time")
-        for key, size in MOMENT.items():
-            if key in row:
-                before[key] = _vector(path, f"moments[{number}].{key}", row[key], size)
+        for key in now:
+            value = now[key] if getattr(moment, key) is None else np.array(getattr(moment, key))
             if key.endswith("direction"):
-                if not (norm := np.linalg.norm(before[key])) > 0:
+                if not (norm := np.linalg.norm(value)) > 0:
                     raise InputError(path, f"moments[{number}].{key}", "no direction", "give a vector X, Y, Z that is not zero")
-                before[key] = before[key] / norm
-        if before["end_position_mm"] is None:
-            direction = _vector(path, "moments[0].start_direction", first, 3)
-            before["end_position_mm"] = before["start_position_mm"] + length * direction / np.linalg.norm(direction)
-        for key in MOMENT:
-            found[key].append(before[key])
+                value = value / norm
+            if key == "end_position_mm" and value is None:
+                value = now["start_position_mm"] + length * now["start_direction"]
+            now[key] = value
+            found[key].append(value)
     return {key: np.array(values) for key, values in found.items()}
 
 
@@ -167,35 +170,3 @@ def _carried(frame: np.ndarray, directions: np.ndarray) -> np.ndarray:
         frame = matrix_from_quaternion(smallest_rotation(frame[:, 0], direction)) @ frame
         frames.append(frame)
     return np.array(frames)
-
-
-def _check_keys(path: Path, section: str, table: dict, known) -> None:
-    unknown = [key for key in table if key not in known]
-    if unknown:
-        raise InputError(path, f"{section}.{unknown[0]}".lstrip("."), "unknown key", f"the keys are {', '.join(known)}")
-
-
-def _table(path: Path, table: dict, key: str) -> dict:
-    if not isinstance(table.get(key), dict):
-        raise InputError(path, key, "missing, or no table", f"add the table [{key}]")
-    return table[key]
-
-
-def _number(path: Path, key: str, value, least: float = -LARGEST) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not least <= value <= LARGEST:
-        raise InputError(path, key, "missing" if value is None else f"{value!r} is out of range", "give a number in range")
-    return float(value)
-
-
-def _whole(path: Path, key: str, value, least: int, most: int) -> int:
-    if type(value) is not int or not least <= value <= most:
-        raise InputError(path, key, "missing" if value is None else f"{value!r} is out of range", f"give {least} to {most}")
-    return value
-
-
-def _vector(path: Path, key: str, value, size: int):
-    if size == 1:
-        return _number(path, key, value)
-    if not isinstance(value, list) or len(value) != size:
-        raise InputError(path, key, f"{value!r} is no vector", "give [X, Y, Z]")
-    return np.array([_number(path, key, entry) for entry in value])
