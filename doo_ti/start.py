@@ -20,9 +20,9 @@ from doo_ti.io.observations import Observations
 from doo_ti.types import Clamp, Clamps, Configuration
 
 MOST_LENGTHS = 2.0
-"""Of a rod, between any of its marks and the first: more is no error of a label."""
+"""Of a rod, between any of its marks and the first: a larger distance is not just a label's error."""
 LEAST_LENGTHS = 0.1
-"""Of the rod between marks, along these: a rod that is bent, however much, shows more to marks that are of any use."""
+"""Of the rod between marks, along the marks: useful marks show more of a rod, however much it is bent."""
 LEAST_EDGE = 1e-6
 """Of the mean edge."""
 MOST_LENGTHS_OFF = 1e9
@@ -33,9 +33,9 @@ def observation_clamps(observations: Observations, start: Clamp | None = None, e
     """The clamps of D observations; by default the whole frame where it is given, else the tangent.
 
     Positions are the observed vertices 0 and E, tangents those of the given frame, else of the observed edge; a rest
-    length other than the observed one moves no clamp. A frame asked for may also come from the measured ``frames``.
+    length other than the observed one moves no clamp. A required frame may also come from the measured ``frames``.
 
-    Raises InputError for a frame nobody gave, and for a missing mark that the clamp rests on.
+    Raises InputError for a frame that is not given, and for a missing mark that defines a clamp.
     """
     kinds, positions, frames = [], [], []
     for end_name, kind, given in (("start", start, observations.start_frame), ("end", end, observations.end_frame)):
@@ -50,14 +50,14 @@ def observation_clamps(observations: Observations, start: Clamp | None = None, e
 
 
 def check_experiment(observations: Observations, clamps: Clamps, weight: float, frame_weight: float) -> None:
-    """Raise InputError for what no relaxation could make good: clamps that :func:`check_feasible` refuses, a rod with weight
-    that nothing holds, fewer than two edges left free, marks that no rod of that length reaches, and a frame weight w_m without
-    measured frames."""
+    """Raise InputError for an experiment that cannot be relaxed: clamps that :func:`check_feasible` refuses, a rod with weight
+    that is not held, fewer than two free edges, marks that a rod of that length cannot reach, and a frame weight w_m
+    without measured frames."""
     free = (np.asarray(clamps.start) == Clamp.FREE) & (np.asarray(clamps.end) == Clamp.FREE)
     if weight > 0 and free.any():
         raise InputError(observations.source, "clamps", "both ends are free and the rod has weight", "hold one end")
     if frame_weight > 0 and observations.frames is None:
-        raise InputError(observations.source, "frames", "missing, but a frame weight is given", "use --frame-weight 0")
+        raise InputError(observations.source, "frames", "missing, but a frame weight is given", "give `frame_weight` 0")
     clamped = sum(np.asarray(kind) >= Clamp.TANGENT for kind in (clamps.start, clamps.end))
     if (observations.edges - clamped < 2).any():
         raise InputError(observations.source, "vertices_mm", f"{observations.edges} edges, too few of them free to relax",
@@ -67,9 +67,9 @@ def check_experiment(observations: Observations, clamps: Clamps, weight: float, 
 
 
 def _check_reach(observations: Observations) -> None:
-    """Raise InputError for marks further apart than :data:`MOST_LENGTHS` of the rod, or all of them closer to each other than
-    :data:`LEAST_LENGTHS`, of another unit or another rod, for such so far from the origin that numbers do not tell them apart,
-    and for edges that are nothing beside the others."""
+    """Raise InputError for marks further apart than :data:`MOST_LENGTHS` of the rod, or all closer together than
+    :data:`LEAST_LENGTHS`, which are in another unit or of another rod; for marks so far from the origin that rounding hides
+    their distances; and for edges that are tiny beside the others."""
     edges, length = observations.rest_length, observations.rest_length.sum()
     if edges.min() < LEAST_EDGE * edges.mean():
         raise InputError(observations.source, "rest_length_mm", f"{edges.min():.4g} mm at edge {int(np.argmin(edges))}, and "
@@ -94,7 +94,7 @@ def _check_reach(observations: Observations) -> None:
 def check_feasible(observations: Observations, clamps: Clamps) -> None:
     """Raise InputError where clamps are further apart than the rod is long, naming the observation and by how much."""
     excess = span_excess(clamps, observations.rest_length)
-    # A taut rod has no slack at all: rounding must not decide about it.
+    # A taut rod has no slack: the tolerance is for rounding.
     bad = np.flatnonzero(excess > 1e-9 * observations.rest_length.sum())
     if len(bad):
         worst = bad[np.argmax(excess[bad])]
@@ -123,7 +123,7 @@ def turn_hypotheses(observations: Observations, clamps: Clamps) -> tuple[np.ndar
 
     The turns are added to the angle in (−π, π] that the clamped frames leave. Between two whole frames without a hint
     they may be −1, 0 or +1, one rod each; a hint (``total_twist``) gives the one turn nearest to it; measured
-    ``frames`` carry their own turns and a spin-free end has none, so there it is 0.
+    ``frames`` contain their own turns and an end that rolls freely has none, so there it is 0.
     """
     both = np.broadcast_to(_holds_spin(clamps.start) & _holds_spin(clamps.end), observations.count)
     turns = np.zeros(observations.count, dtype=np.int64)
@@ -140,10 +140,10 @@ def turn_hypotheses(observations: Observations, clamps: Clamps) -> tuple[np.ndar
 
 
 def held_spins(observations: Observations, clamps: Clamps, spin: np.ndarray) -> Clamps:
-    """Clamps on whole frames where the tangent alone was known: ends that leave the angle ``spin`` (D,), rad, between the
+    """Clamps on whole frames where only the tangent was known: such that ``spin`` (D,), rad, is the angle between the
     parallel-transported m1 of the first edge and the last edge's.
 
-    Of two such ends the last one takes the angle: what both turn by together is felt by no round rod.
+    Of two such ends the last one takes the angle: a round rod does not feel a common rotation of both.
     """
     count = observations.count
     unknown_end = np.broadcast_to(np.asarray(clamps.end) == Clamp.TANGENT, count)
@@ -157,7 +157,7 @@ def held_spins(observations: Observations, clamps: Clamps, spin: np.ndarray) -> 
 
 def choose_hypothesis(observation_index: np.ndarray, score: np.ndarray, sound: np.ndarray) -> np.ndarray:
     """(D,) rows of the (N,) hypotheses with the smallest score of each observation, among those that are ``sound`` (N,)
-    where there are any: a rod that was stopped on the way is near its start, and no witness. NaN counts as the largest.
+    where there are any: a rod whose relaxation was stopped is still near its start and does not count. NaN is the largest.
 
     Equal scores go to the first row.
     """
@@ -172,10 +172,10 @@ def start_configuration(
     """The start Γ of D rods: observed edge directions, rest lengths, and frames that meet the clamped ones.
 
     Between two whole frames the total twist is the angle that the parallel-transported m1 of the first edge lacks to
-    the last edge's, plus ``turns`` (D,) whole turns, spread in proportion to l̄_i; a spin-free end leaves no twist.
+    the last edge's, plus ``turns`` (D,) whole turns, spread in proportion to l̄_i; an end that rolls freely leaves no twist.
     Without ``turns`` the turn is the one nearest to the hint, and 0 without one. Measured ``frames`` are started from
-    as they are. Missing marks are interpolated along the rod. The chain keeps the rest lengths, so its far end need
-    not meet the clamp: F closes it. For several hypotheses per observation take the rows first:
+    as they are. Missing marks are interpolated along the rod. The chain keeps the rest lengths, so that its far end may
+    miss the clamp: F closes the gap. For several hypotheses per observation take the rows first:
 
         index, turns = turn_hypotheses(observations, clamps)
         start_configuration(observations.take(index), clamps.take(index), turns)
@@ -216,7 +216,7 @@ def fill_missing(observations: Observations) -> np.ndarray:
 
 def _check_clamp(observations: Observations, end: str, kind: Clamp, has_frame: bool) -> None:
     if kind == Clamp.FRAME and not has_frame:
-        raise InputError(observations.source, f"{end}_frame", f"missing, but --clamp-{end} frame needs it",
+        raise InputError(observations.source, f"{end}_frame", f"missing, but `clamp_{end}` frame needs it",
                          f"add {end}_frame (D, 3, 3), or clamp that end's tangent or position")
     needed = 0 if kind == Clamp.FREE else 1 if kind == Clamp.POSITION or has_frame else 2
     for step in range(needed):
@@ -224,8 +224,8 @@ def _check_clamp(observations: Observations, end: str, kind: Clamp, has_frame: b
         missing = np.flatnonzero(~observations.valid[:, vertex])
         if len(missing):
             raise InputError(observations.source, "valid",
-                             f"vertex {vertex} of observation {missing[0]} is missing, but the {end} clamp rests on it",
-                             f"leave the observation out, or use --clamp-{end} free")
+                             f"vertex {vertex} of observation {missing[0]} is missing, but it defines the {end} clamp",
+                             f"leave the observation out, or give `clamp_{end}` free")
 
 
 def _end_positions(observations: Observations, end: str) -> np.ndarray:
@@ -262,7 +262,7 @@ def _bishop(observations: Observations, clamps: Clamps) -> np.ndarray:
 
 
 def _closing_angle(bishop: np.ndarray, clamps: Clamps) -> np.ndarray:
-    """(D,) angle in (−π, π] from the last twist-free m1 to the last clamped m1; 0 where its spin is free."""
+    """(D,) angle in (−π, π] from the last twist-free m1 to the last clamped m1; 0 where it rolls freely."""
     angle = angle_about(bishop[:, -1, :, 0], bishop[:, -1, :, 1], clamps.end_frame[..., 1])
     return np.where(_holds_spin(clamps.end), angle, 0.0)
 
@@ -273,7 +273,7 @@ def _twist_angles(bishop: np.ndarray, clamps: Clamps, rest_length: np.ndarray, t
     spread = rest_length[:-1] + rest_length[1:]
     share = np.concatenate([[0.0], np.cumsum(spread) / spread.sum()])
     both = _holds_spin(clamps.start) & _holds_spin(clamps.end)
-    # With the start's spin free the whole rod turns to meet the end's frame, without twist.
+    # Where the start rolls freely the whole rod turns to meet the end's frame, without twist.
     total = np.where(both, closing + 2 * np.pi * turns, 0.0)
     offset = np.where(both, 0.0, closing)
     return offset[:, None] + total[:, None] * share

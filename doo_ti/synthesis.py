@@ -1,9 +1,9 @@
-"""The virtual lab: the paper's experiment (§V-A) on rods we make ourselves.
+"""The virtual lab: the paper's experiment (§V-A) on computed rods.
 
 A rod of fine edges, a little curved at rest, hangs between two clips. The far clip is brought to each end distance and
-turned through the end rotations, quasi-statically, as in the paper; its marks are then read off with label noise. Nothing
-of that is in the model that is fitted, whose edges are longer, straight at rest and clamped at single edges. On request the
-real clips are tilted and displaced, each by itself, while the poses of ideal ones are reported (:class:`ClipErrors`).
+turned through the end rotations, quasi-statically, as in the paper; the positions of the marks are then recorded with label
+noise. The fitted model has none of that: its edges are longer, straight at rest, and its clamps hold single edges. The real
+clips may be tilted and displaced independently, while the poses of ideal ones are reported (:class:`ClipErrors`).
 """
 
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
 APPROACH_STEPS = 60
 STEP_MM = 1.0
 CLIP_STREAM = 1
-"""Key of the clip errors' own generator: rest curvature and label noise of a seed do not depend on them."""
+"""Key of the clip errors' own random generator: rest curvature and label noise of a seed do not depend on them."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class ClipErrors:
 
     tilt     (2, 2) rad, about m1 and m2, the same in all observations
     offset   (2, 2) mm, along m1 and m2, likewise
-    scatter  (D, 2, 2) rad, added to ``tilt`` in each observation by itself
+    scatter  (D, 2, 2) rad, added to ``tilt``, different in each observation
     """
 
     tilt: np.ndarray
@@ -141,7 +141,7 @@ def _rods(synthesis: Synthesis, random: np.random.Generator) -> _Rods:
         places = [f"{place}, {np.degrees(after):g}°" for place in at]
         shapes = seen = _sound(solution, synthesis, places)
         if errors.vary:
-            # The path goes on without it: otherwise one observation's scatter would decide the branch of the next.
+            # The path continues without it: otherwise one observation's scatter would decide the branch of the next.
             here = errors.held(ideal, _reach(synthesis), slice(row * len(at), (row + 1) * len(at)))
             seen = _sound(_moved(shapes, material, clamps, here), synthesis, places)
         vertices.append(_with_clips(synthesis, seen))
@@ -208,7 +208,7 @@ def _reach(synthesis: Synthesis) -> tuple[float, float]:
 
 
 def _brought_to_distances(synthesis: Synthesis, material: Material) -> tuple[Configuration, Clamps]:
-    """One rod per end distance at end rotation 0: from straight, the far clip comes to the largest distance, then closer."""
+    """One rod per end distance at end rotation 0: from straight, the far clip moves to the largest distance, then closer."""
     first = _frame_along(synthesis.start_direction)
     last_tangent = np.array(synthesis.end_direction) / np.linalg.norm(synthesis.end_direction)
     turn = smallest_rotation(first[:, 0], last_tangent)
@@ -244,7 +244,7 @@ def _gap(synthesis: Synthesis) -> float:
 
 
 def _frame_along(direction) -> np.ndarray:
-    """A frame with t along ``direction`` and m1 as near to the y axis as it can be, else to x."""
+    """A frame with t along ``direction`` and m1 as close as possible to the y axis, else to x."""
     t = np.array(direction) / np.linalg.norm(direction)
     across = np.array([0.0, 1.0, 0.0]) if abs(t[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     return bishop_frames(t[None], across - (across @ t) * t)[0]
@@ -270,7 +270,7 @@ def _with_clips(synthesis: Synthesis, shapes: Configuration) -> np.ndarray:
 
 
 def _labelled(synthesis: Synthesis, rods: _Rods, random: np.random.Generator) -> Observations:
-    """What a person would write down: marks with noise, the clips' frames, the twist to the nearest rotation step."""
+    """The observations as a person would record them: marks with noise, the clips' frames, the twist rounded to 30 degrees."""
     spacing = synthesis.length_mm / (synthesis.marks - 1)
     every = round(spacing / synthesis.fine_edge_mm)
     frames, start_frame, end_frame = rods.frames, rods.frames[:, 0], rods.frames[:, -1]
@@ -318,7 +318,7 @@ def _held_marks(synthesis: Synthesis, spacing: float) -> tuple[int, int]:
 def _put_ideal_marks(
     marks: np.ndarray, ideal: Clamps, reach: tuple[float, float], held: tuple[int, int], spacing: float
 ) -> None:
-    """Overwrite in ``marks`` (R, V, 3) those that clips hold: where ideal clips would have them."""
+    """Overwrite in ``marks`` (R, V, 3) those inside clips with where ideal clips would hold them."""
     tangent = ideal.start_frame[:, None, :, 0]
     marks[:, : held[0]] = ideal.start_position[:, None] + (np.arange(held[0])[:, None] * spacing - reach[0]) * tangent
     tangent = ideal.end_frame[:, None, :, 0]

@@ -58,7 +58,7 @@ def options(**given):
     """What the parser makes of a material's options."""
     from argparse import ArgumentParser
 
-    from doo_ti.commands.arguments import add_material
+    from doo_ti.commands.options import add_material
 
     parser = ArgumentParser()
     add_material(parser, "")

@@ -14,7 +14,7 @@ import numpy as np
 if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from doo_ti.commands.printing import counted  # noqa: E402
+from doo_ti.commands.results import counted  # noqa: E402
 from doo_ti.io.scene import load_scene  # noqa: E402
 from doo_ti.learning.landscape import status_counts  # noqa: E402
 from doo_ti.perception.lab_images import LabRods, lab_rods  # noqa: E402

@@ -59,7 +59,7 @@ def read(runs: list[Path], *, by_end_distance: bool, observation: int | None, mo
             raise InputError(landscape.run, "observations", f"{experiment.terms} terms, but the cells hold "
                              f"{len(landscape.observation)}", "run the sweep again")
         if observation is not None and observation not in landscape.observation:
-            raise InputError(landscape.run, "--observation", f"{observation} is not compared with",
+            raise InputError("study", "observation", f"{observation} is not compared with in {landscape.run}",
                              f"give one of {landscape.observation.min()} to {landscape.observation.max()}")
     return Study(landscapes, experiments, panels_of_runs(landscapes),
                  panels_by_end_distance(landscapes) if by_end_distance else None,

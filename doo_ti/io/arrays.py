@@ -42,7 +42,7 @@ def frame_columns(name: str) -> tuple[str, ...]:
 def read_npz(path: Path, content: bytes, known: tuple[str, ...]) -> dict[str, np.ndarray]:
     """The arrays of the ``known`` keys from the bytes of an npz file, never unpickled; ``path`` names it in messages.
 
-    Raises InputError for whatever is not an npz of plain arrays, and for a misspelt key, nearly a known one that is missing.
+    Raises InputError for whatever is not an npz of plain arrays, and for a misspelt key.
     """
     remedy = "write it with numpy.savez from plain numeric arrays"
     try:
@@ -89,7 +89,7 @@ def read_arrays(path: Path, known: dict[str, tuple[tuple[int, ...], tuple[str, .
     keys = (*known, *only_npz)
     arrays = read_npz(path, read_content(path), keys) if path.suffix == ".npz" else _from_table(path, known)
     if not arrays:
-        raise InputError(path, "file", "holds none of the known keys", f"give some of {', '.join(keys)}")
+        raise InputError(path, "file", "has none of the known keys", f"give some of {', '.join(keys)}")
     for key, value in arrays.items():
         if value.dtype.kind not in "fiu":
             raise InputError(path, key, f"dtype {value.dtype} is not numeric", "store real numbers")

@@ -12,7 +12,7 @@
     twist = 8e5                        # mm³
     weight = 1.0                       # (1)
 
-    [[moments]]                        # two or more; what is left out is as at the moment before
+    [[moments]]                        # two or more; what is left out stays as it was
     time_s = 0.0
     start_position_mm = [0, 0, 0]      # at first the origin
     start_direction = [1, 0, 0]        # of the first edge, at first along x
@@ -51,11 +51,11 @@ MOST_EDGES = 10_000
 
 @dataclass(frozen=True)
 class MotionScene:
-    """What a scene of motion says.
+    """A scene of motion, checked.
 
     names      G of the materials
     material   G rows
-    start      one rod, straight, and clamps what holds it there
+    start      one rod, straight, and ``clamps`` that hold it there
     path       where the clamps go
     between    moments kept from one to the next
     """
@@ -92,7 +92,7 @@ class _Material(Table):
 
 
 class _Moment(Table):
-    """What is left out is as at the moment before."""
+    """One moment; what is left out stays as at the moment before."""
 
     time_s: Finite | None = None
     start_position_mm: Vector | None = None

@@ -27,20 +27,20 @@ KEYS = {
 }
 TABLES = (".csv", ".parquet")
 LEAST_SIGMA_MM, MOST_SIGMA_MM = 1e-9, 1e6
-"""Of labels: information is the square of how much smaller they are than what they measure."""
+"""Of labels: the information in them grows with the inverse square."""
 
 
 @dataclass(frozen=True)
 class Observations:
-    """D observed configurations Γ^d of one rod, with what is known about its ends.
+    """D observed configurations Γ^d of one rod, and how its ends were held.
 
     vertices     (D, V, 3) mm; anything, NaN too, at a mark that is not valid
     valid        (D, V) bool: marks that were seen; all of them by default
     rest_length  (E,) mm; by default the median over D of the observed edge lengths
-    start_frame  (D, 3, 3) columns t, m1, m2 of the first edge, or None: tangent as observed, spin unknown
+    start_frame  (D, 3, 3) columns t, m1, m2 of the first edge, or None: tangent as observed, roll unknown
     end_frame    the same for the last edge
     frames       (D, E, 3, 3) measured material frames (ribbons), or None
-    total_twist  (D,) rad, Σ m_i with its whole turns, or None; only picks the whole turn
+    total_twist  (D,) rad, Σ m_i with its whole turns, or None; only used to choose the whole turn
     up           (3,) unit vector against gravity
     sigma        label uncertainty in mm: None, () or (D, V)
     end_distance, end_rotation  (D,) labels to partition by, in mm and **degrees** as written in the file, or None
@@ -153,7 +153,7 @@ class Observations:
         return valid
 
     def _check_neighbours(self) -> None:
-        """Each valid mark away from the valid mark before it: between them a direction is needed."""
+        """Raise InputError where a valid mark coincides with the valid mark before it: the edge would have no direction."""
         index = np.where(self.valid, np.arange(self.valid.shape[1]), -1)
         before = np.maximum.accumulate(index, axis=1)[:, :-1]
         previous = np.take_along_axis(self.vertices, np.maximum(before, 0)[..., None], axis=1)
@@ -232,7 +232,7 @@ def load_observations(path: str | os.PathLike, up=None) -> Observations:
 
 
 def _check_turns(observations: Observations) -> None:
-    """Raise InputError for a hint, still in degrees, of more twist than joints of up to half a turn each can hold."""
+    """Raise InputError for a total twist, still in degrees, above half a turn at each joint."""
     most = 180.0 * (observations.edges - 1)
     bad = np.flatnonzero(np.abs(observations.total_twist) > most)
     if len(bad):
@@ -261,9 +261,9 @@ def save_observations(path: str | os.PathLike, observations: Observations) -> No
 
 
 def checked_suffix(path: Path) -> None:
-    """Raise InputError unless ``path`` names one of the formats of observations."""
+    """Raise InputError unless the suffix of ``path`` is that of a format of observations."""
     if path.suffix not in (".npz", *TABLES):
-        raise InputError(path, "file", f"suffix {path.suffix!r} names no format of observations",
+        raise InputError(path, "file", f"suffix {path.suffix!r} is not a format of observations",
                          f"use one of .npz, {', '.join(TABLES)}")
 
 

@@ -17,13 +17,13 @@ class DamagedError(ValueError):
 def read_opencv_yaml(text: str):
     """The values of one document: dictionaries, lists, text, numbers, and matrices as arrays (rows, cols) in f64.
 
-    Raises DamagedError for whatever is no YAML, and for matrices that are none. Nothing but these values is ever made.
+    Raises DamagedError for text that is not such YAML, and for damaged matrices. No other kind of object is created.
     """
     import yaml
 
     class Loader(yaml.SafeLoader):
         def compose_node(self, parent, index):
-            if self.check_event(yaml.AliasEvent):  # FileStorage writes none, and they can unfold without end
+            if self.check_event(yaml.AliasEvent):  # FileStorage writes none, and they can expand without end
                 raise DamagedError("an alias")
             return super().compose_node(parent, index)
 

@@ -94,9 +94,9 @@ class Synthesis:
     twist: Positive
     weight: NotNegative = 1.0
     name: str = "rod"
-    seed: Annotated[int, Meta(ge=0)] = 0
+    seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     length_mm: Positive = 99.0
-    marks: Annotated[int, Meta(ge=3)] = 34
+    marks: Annotated[int, Meta(ge=3, le=MOST_FINE_EDGES + 1)] = 34
     fine_edge_mm: Positive = 1.0
     end_distances_mm: tuple[Positive, ...] = (30.0, 42.0, 54.0, 66.0, 78.0, 90.0)
     end_rotations_deg: tuple[_Rotation, ...] = tuple(30.0 * k for k in range(10))

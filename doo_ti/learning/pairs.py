@@ -90,14 +90,14 @@ def pairs_from_labels(observations: Observations) -> Pairs:
     for key, label in (("end_distance_mm", distance), ("end_rotation_deg", rotation)):
         if label is None:
             raise InputError(observations.source, key, "missing, so that there are no pairs for the dynamic objective",
-                             "add the labels, or name the pairs with --pairs FILE")
+                             "add the labels, or give `pairs`")
     same = np.abs(distance[:, None] - distance) < SAME
     apart = np.abs(np.abs(rotation[:, None] - rotation) - APART_DEG) < SAME
     x, y = np.nonzero(same & apart)
     if not len(x):
         raise InputError(observations.source, "end_rotation_deg",
                          f"no two observations of the same end distance are {APART_DEG:g} degrees apart",
-                         "name the pairs with --pairs FILE")
+                         "give `pairs`")
     return Pairs(x, y, np.ones(len(x)), np.radians(rotation[y] - rotation[x]), f"labels of {observations.source}")
 
 

@@ -61,7 +61,7 @@ class TwistCurves:
                              "give one, or one each")
         if observations.start_frame is None and not material.is_isotropic:
             raise InputError(observations.source, "start_frame", "missing, and the rod is not round",
-                             "give start_frame, or a scalar --bend")
+                             "give start_frame, or a scalar `bend`")
         free, clamps = without_twist(observations)
         first = np.append(np.flatnonzero(steps), count)
         return cls(replace(observations, frames=None), material, free, clamps, group, first, offset, solver, precision,

@@ -159,8 +159,8 @@ def end_offsets(observations: Observations, group: np.ndarray) -> np.ndarray:
     Raises InputError where ``end_frame`` is missing.
     """
     if observations.end_frame is None:
-        raise InputError(observations.source, "end_frame", "missing, so that nobody knows how the end frames lie to each other",
-                         "give end_frame or --offsets, or --observations 1")
+        raise InputError(observations.source, "end_frame", "missing, so that the angles between the end frames are unknown",
+                         "give end_frame or `offset`, or put each observation in a `group` of its own")
     free, clamps = without_twist(observations)
     last = free.frames[:, -1]
     angle = angle_about(last[..., 0], last[..., 1], clamps.end_frame[..., 1])

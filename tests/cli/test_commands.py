@@ -255,7 +255,8 @@ def test_a_command_that_is_stopped_says_whether_it_starts_anew(capsys, monkeypat
     def fail(*args):
         raise failure
 
-    monkeypatch.setattr(f"doo_ti.commands.{command}.run", fail)
+    name, module = ("run_figures", "view") if command == "figures" else ("run", command)
+    monkeypatch.setattr(f"doo_ti.commands.{module}.{name}", fail)
     rig = ["--rig", "R", "--rest-length", "3:3"] if command == "perceive" else []
     assert main([command, "source", "--out", "F", *rig]) == 1
     out, err = capsys.readouterr()

@@ -51,7 +51,7 @@ def observe(marks: Marks, points: Points, rest_length: float | None = None, up=(
     unseen = np.flatnonzero(~(valid[:, 1:] & valid[:, :-1]).any(axis=0))
     if rest_length is None and len(unseen):
         raise InputError(marks.source, "mark", f"no observation has positions for both {unseen[0]} and {unseen[0] + 1}",
-                         "label them in two images or more, or give --rest-length")
+                         "label them in two images or more, or give `rest_length`")
     lengths = None if rest_length is None else np.full(shape[1] - 1, rest_length)
     observations = Observations(position.mean(axis=2), valid, lengths, up=up, sigma=np.sqrt(variance.sum(axis=-1)) / shape[2],
                                 name=name, source=marks.source, **labels)
