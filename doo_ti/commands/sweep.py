@@ -12,7 +12,7 @@ from doo_ti.commands import options as given
 from doo_ti.commands.results import hypotheses_lines, observed, peak_memory, plain, run_lines, theta_text
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
-from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.observations import Observations
 from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.learning.pairs import Pairs, load_pairs
 from doo_ti.learning.summary import SUMMARY
@@ -50,9 +50,9 @@ def declare(add) -> None:
 
 @dataclass(frozen=True)
 class _Search:
-    """One source with all that its sweep needs, checked."""
+    """One source and everything for its sweep, checked."""
 
-    scene: Scene | None
+    scene: Scene
     observations: Observations
     grid: Grid
     options: "SweepOptions"
@@ -87,13 +87,13 @@ def run(options: Namespace, words: list[str]) -> int:
 
 
 def _stamps(run: Path) -> dict[str, int]:
-    """When the files of a run but its cells were written."""
+    """The times at which the files of a run, except its cells, were written."""
     paths = [path for path in (*run.glob("*.*"), *run.glob("cells/*.*")) if path.suffix != ".parquet" and path.is_file()]
     return {path.relative_to(run).as_posix(): path.stat().st_mtime_ns for path in sorted(paths)}
 
 
 def _searches(options: Namespace) -> list[_Search]:
-    """What to sweep, all of it checked before any of it begins; several sources get a folder each below --out."""
+    """The sweeps to run, all checked before the first one starts; each of several sources gets a folder below --out."""
     out = given.output_folder(options.out)
     searches = [_search(options, source, out) for source in options.sources]
     if len(searches) == 1:
@@ -108,24 +108,23 @@ def _searches(options: Namespace) -> list[_Search]:
 
 
 def _search(options: Namespace, source: str, run: Path) -> _Search:
-    scene = load_scene(source) if Path(source).suffix == ".toml" else None
-    grid = given.grid(options, scene.grid if scene else None)
-    frame_weight = given.frame_weight(options, scene.frame_weight if scene else 0.0)
+    if Path(source).suffix == ".toml":
+        scene = load_scene(source)
+    else:
+        scene = Scene(in_line(Path(source).stem), Path(source), given.grid(options))
+    grid, frame_weight = given.grid(options, scene.grid), given.frame_weight(options, scene.frame_weight)
     seed, workers = given.whole("--seed", options.seed, 0), given.whole("--workers", options.workers, 1, MOST_WORKERS)
     if options.scheduler and workers:
-        raise InputError(given.SOURCE, "--dask", "given besides --workers", "give one of the two")
-    if scene and isinstance(scene.observations, Synthesis):
+        raise InputError(given.SOURCE, "--dask", "given beside --workers", "give one of the two")
+    if isinstance(scene.observations, Synthesis):
         seed = scene.observations.seed if seed is None else seed
         scene = replace(scene, observations=replace(scene.observations, seed=seed))
-    up = given.up(options)
-    observations = observed(scene, up) if scene else load_observations(source, up)
-    clamp_start, clamp_end = given.clamps(options)
-    if scene:
-        clamp_start = scene.clamp_start if clamp_start is None else clamp_start
-        clamp_end = scene.clamp_end if clamp_end is None else clamp_end
+    observations = observed(scene, given.up(options))
+    clamp_start, clamp_end = (own if chosen is None else chosen for own, chosen in zip(
+        (scene.clamp_start, scene.clamp_end), given.clamps(options), strict=True))
     clamps = observation_clamps(observations, clamp_start, clamp_end)
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
-    objective = options.objective or (scene.objective if scene else "static")
+    objective = options.objective or scene.objective
     spins = given.whole("--roll-hypotheses", options.spins, 0, MOST_ROLLS)
     pairs = _pairs(options, scene, observations, objective)
 
@@ -133,10 +132,8 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
 
     chosen = SweepOptions(
         frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=given.solver(options.solver),
-        precision=options.precision or (scene.precision if scene else "mixed"),
-        objective=objective, spins=(scene.roll_hypotheses if scene else 0) if spins is None else spins, seed=seed or 0,
-        workers=workers, scheduler=options.scheduler,
-    )
+        precision=options.precision or scene.precision, objective=objective,
+        spins=scene.roll_hypotheses if spins is None else spins, seed=seed or 0, workers=workers, scheduler=options.scheduler)
     return _Search(scene, observations, grid, chosen, pairs, run)
 
 
@@ -149,7 +146,7 @@ def _lines(search: _Search, summary: dict, finished_before: bool, made_again: li
     if "weight" in varied and len(varied) > 1 and not any(axis.name == "twist" and len(axis) == 1 for axis in search.grid.axes):
         lines.append("  note        only ratios matter: shapes stay the same when stiffness and weight grow together, so the "
                      "data do not determine both")
-    if search.scene and isinstance(search.scene.observations, Synthesis):
+    if isinstance(search.scene.observations, Synthesis):
         recipe = search.scene.observations
         lines.append(f"  true Θ      {_true_theta(recipe)} (the virtual lab's, seed {recipe.seed})")
     if made_again:
@@ -162,18 +159,18 @@ def _lines(search: _Search, summary: dict, finished_before: bool, made_again: li
 
 
 def _effort(summaries: list[dict], seconds: float) -> str:
-    """``450,000 rods in 15.1 s, 29,800 rods/s; …``, of what was relaxed now: nothing where all was finished before."""
+    """``450,000 rods in 15.1 s, 29,800 rods/s; …``, of the rods relaxed now; none where all was finished before."""
     rods = sum(summary["timing"]["relaxed_rods"] for summary in summaries)
     relaxing = sum(summary["timing"]["relaxation_s"] for summary in summaries)
     rate = f" ({rods / relaxing:,.0f} rods/s, loading the kernels included)" if rods else ""
     return f"{rods:,} rods in {seconds:.1f} s{rate}; {peak_memory() / 2**20:,.0f} MB of memory at most"
 
 
-def _pairs(options: Namespace, scene: Scene | None, observations: Observations, objective: str) -> Pairs | None:
-    """The pairs of a file, of which the command line's comes before the scene's, or None."""
+def _pairs(options: Namespace, scene: Scene, observations: Observations, objective: str) -> Pairs | None:
+    """The pairs of the command line's file, else of the scene's, else None."""
     if options.pairs is not None and objective != "dynamic":
         raise InputError(given.SOURCE, "--pairs", "given, but the objective is static", "add --objective dynamic")
-    file = options.pairs or (scene.pairs if scene else None)
+    file = options.pairs or scene.pairs
     return load_pairs(Path(file), observations) if file is not None and objective == "dynamic" else None
 
 
