@@ -1,4 +1,4 @@
-"""Where a recording draws each observation: in a grid view, side by side in an upright plane, because in space they overlap.
+"""Where a recording draws each observation: side by side on a wall, because in space they lie in each other.
 
 Axes: D observations, V vertices.
 """
@@ -12,13 +12,13 @@ UNITS = {"mm": " mm", "deg": "°"}
 
 @dataclass(frozen=True)
 class Sheet:
-    """A grid view: each observation and its rod in a cell of its own in an upright plane, gravity pointing down.
+    """A contact sheet: each observation and its rod in a place of its own on an upright wall, gravity down it.
 
     offset         (D, 3) mm, added to rod and observation alike: subtract it for true coordinates. The first is zero
     headings       [(text, (3,) mm)] of columns and rows
     meaning        what columns and rows stand for
     centre, extent (3,) mm, and (width, height) mm
-    basis          (3, 3) rows right, into the plane, up
+    basis          (3, 3) rows right, into the wall, up
     """
 
     offset: np.ndarray
@@ -30,18 +30,18 @@ class Sheet:
 
 
 def contact_sheet(vertices: np.ndarray, labels: dict, up=(0, 0, 1)) -> Sheet:
-    """Arrange (D, V, 3) observations, NaN at missing marks, in a grid along their main horizontal direction.
+    """Lay (D, V, 3) observations, NaN at missing marks, out on a wall along their main horizontal direction.
 
-    Two labels that differ for all observations, and leave at most half of the cells empty, become columns and rows,
-    ascending to the right and down; else the observations are in reading order.
+    Two labels that name every observation apart, and leave at most half of the places empty, make columns and rows,
+    ascending to the right and down; else reading order.
     """
-    basis = _plane(vertices, np.asarray(up, float))
+    basis = _wall(vertices, np.asarray(up, float))
     local = vertices @ basis.T
     low, high = np.nanmin(local, axis=1), np.nanmax(local, axis=1)
     size = (high - low).max(axis=0)
     pitch = np.array([1.12 * size[0], 0.0, -1.1 * size[2] - 0.1 * size[0]])
     column, row, titles, meaning = _places(labels, len(vertices), abs(pitch[2]) / pitch[0])
-    # Centred in its column and across the plane, standing on the bottom of its row.
+    # Centred in its column, astride the wall, standing on its row's floor.
     anchor = np.stack([0.5 * (low + high)[:, 0], 0.5 * (low + high)[:, 1], low[:, 2]], axis=-1)
     target = np.stack([column, 0 * column, row], axis=-1) * pitch
     shift = anchor[0] - target[0]
@@ -59,12 +59,12 @@ def known(labels: dict | None) -> dict:
     return {label: values for label, values in (labels or {}).items() if values is not None}
 
 
-def _plane(vertices: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """(3, 3) rows: the main horizontal direction of the observations, into the plane, up."""
+def _wall(vertices: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(3, 3) rows: the main horizontal direction of the observations, into the wall, up."""
     up = up / np.linalg.norm(up)
     spread = vertices - np.nanmean(vertices, axis=1, keepdims=True)
     spread = np.nan_to_num(spread - (spread @ up)[..., None] * up).reshape(-1, 3)
-    # Up is a null direction of the spread; the small term keeps it last also for rods without any horizontal spread.
+    # Up is a null direction of the spread; the nudge keeps it last for rods that stand on one point.
     right = np.linalg.eigh(spread.T @ spread - 1e-9 * (1 + np.sum(spread**2)) * np.outer(up, up))[1][:, -1]
     right = -right if right @ np.nansum(vertices[:, -1] - vertices[:, 0], axis=0) < 0 else right
     return np.stack([right, np.cross(up, right), up])
@@ -81,7 +81,7 @@ def _places(labels: dict, count: int, aspect: float) -> tuple[np.ndarray, np.nda
         if apart and len(columns) * len(rows) <= 2 * count:
             return (column, row, [(True, k, _quantity(across, value)) for k, value in enumerate(columns)]
                     + [(False, k, _quantity(down, value)) for k, value in enumerate(rows)],
-                    f"columns: {_title(across)}, rows: {_title(down)}")
+                    f"columns: {_spoken(across)}, rows: {_spoken(down)}")
     width = min(count, int(np.ceil(np.sqrt(1.2 * count * aspect))))
     index = np.arange(count)
     titles = [(False, k, f"from {k * width}") for k in range(-(-count // width))] if count > 1 else []
@@ -99,5 +99,5 @@ def _quantity(label: str, value: float) -> str:
     return f"{value:g}{UNITS.get(label.rpartition('_')[2], '')}"
 
 
-def _title(label: str) -> str:
+def _spoken(label: str) -> str:
     return label.rpartition("_")[0].replace("_", " ")

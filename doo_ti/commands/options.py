@@ -15,7 +15,7 @@ from doo_ti.grid import UNITS, Axis, Grid, parse_axis, parse_bend
 from doo_ti.io.observations import checked_suffix
 from doo_ti.io.scene import CLAMPS, PRECISIONS
 from doo_ti.physical_units import bend_or_twist, weight_per_length
-from doo_ti.types import LARGEST, Clamp
+from doo_ti.types import LARGEST, Clamp, unit_up
 
 SOURCE = "command line"
 SOLVERS = ("newton", "descent")
@@ -168,19 +168,14 @@ def frame_weight(options: Namespace, default: float = 0.0) -> float:
 
 
 def up(options: Namespace) -> np.ndarray | None:
-    """(3,) direction against gravity, or None."""
-    if options.up is None:
-        return None
-    direction = np.array([_decimal("--up", part, "three numbers X,Y,Z") for part in options.up.split(",")])
-    if direction.shape != (3,) or not (np.abs(direction) <= LARGEST).all() or not np.linalg.norm(direction) > 0:
-        raise InputError(SOURCE, "--up", f"{options.up!r} is not a direction", "give X,Y,Z, such as 0,0,1")
-    return direction
+    """(3,) unit vector against gravity, or None."""
+    return None if options.up is None else unit_up(numbers("--up", options.up), SOURCE)
 
 
 def world_up(options: Namespace) -> np.ndarray:
     """(3,) unit vector against gravity, by default z."""
     direction = up(options)
-    return np.array([0.0, 0.0, 1.0]) if direction is None else direction / np.linalg.norm(direction)
+    return np.array([0.0, 0.0, 1.0]) if direction is None else direction
 
 
 def clamps(options: Namespace) -> tuple[Clamp | None, Clamp | None]:

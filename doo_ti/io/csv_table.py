@@ -8,6 +8,7 @@ A message names file, column, the cell's text, its line (the header is line 1) a
 import csv
 from dataclasses import dataclass
 from io import StringIO
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -51,12 +52,10 @@ class CsvTable:
     def numbers(self, name: str, *, may_be_empty: bool = False) -> np.ndarray:
         """(N,) f64: the finite numbers of a column; NaN where it may be empty and is. Raises InputError for anything else."""
         cells = self.columns[name]
-        if may_be_empty:
-            cells = ["nan" if cell.lower() in EMPTY else TRUTH.get(cell.lower(), cell) for cell in cells]
         try:
-            values = np.array(cells, dtype=np.float64)
-        except ValueError:
-            values = np.array([_number(cell) for cell in cells])
+            values = np.array([float(cell or "nan") if may_be_empty else float(cell) for cell in cells])
+        except ValueError:  # the slower way, which knows more words and does not stop at what is not a number
+            values = np.array([_number(cell, may_be_empty) for cell in cells])
         allowed = np.isfinite(values) | (np.isnan(values) if may_be_empty else False)
         self.refuse(name, ~allowed, "is not a finite number", "give decimal numbers")
         return values
@@ -69,10 +68,12 @@ class CsvTable:
         return values.astype(np.int64)
 
 
-def _number(cell: str) -> float:
-    """Its number, or infinity where it is none."""
+def _number(cell: str, may_be_empty: bool) -> float:
+    """The number in a cell, NaN where it is missing and may be, infinity where there is none."""
+    if may_be_empty and cell.lower() in EMPTY:
+        return np.nan
     try:
-        return float(cell)
+        return float(TRUTH.get(cell.lower(), cell) if may_be_empty else cell)
     except ValueError:
         return np.inf
 
@@ -100,9 +101,13 @@ def parse_csv(path: Path, content: bytes, needed: tuple[str, ...], optional: tup
     remedy = f"give the columns {form or ', '.join(needed)}"
     try:
         reader = csv.reader(StringIO(content.decode("utf-8-sig"), newline=""), strict=True)
-        rows = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
+        ends = [(reader.line_num, row) for row in reader]  # the line on which each row ends
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, "file", f"is not a CSV table ({str(error)[:80]})", remedy) from None
+    for (before, _), (line, _) in pairwise([(0, []), *ends]):
+        if line > before + 1:
+            raise InputError(path, f"line {line}", "a line break within a cell", "close the quote")
+    rows = [(line, row) for line, row in ends if any(row) and any(map(str.strip, row))]
     names = [name.strip() for name in rows[0][1]] if rows else []
     for name in needed:
         if name not in names:
@@ -115,10 +120,11 @@ def parse_csv(path: Path, content: bytes, needed: tuple[str, ...], optional: tup
     if len(rows) < 2:
         raise InputError(path, "file", "holds no rows", "write one line or more below the names of the columns")
     for line, row in rows[1:]:
-        if any("\n" in cell or "\r" in cell for cell in row):
-            raise InputError(path, f"line {line}", "a line break within a cell", "close the quote")
         if len(row) > len(names) or len(row) < len(names) and not short_lines:
             raise InputError(path, f"line {line}", f"{len(row)} cells under {len(names)} columns", "give one for each column")
-        row += [""] * (len(names) - len(row))
-    columns = zip(*(map(str.strip, row) for _, row in rows[1:]), strict=True)
-    return CsvTable(path, dict(zip(names, map(list, columns), strict=True)), [line for line, _ in rows[1:]])
+        if len(row) < len(names):
+            row += [""] * (len(names) - len(row))
+    columns = {name: list(cells) for name, cells in zip(names, zip(*(row for _, row in rows[1:]), strict=True), strict=True)}
+    if any(byte in content for byte in (b" ", b"\t")):
+        columns = {name: [cell.strip() for cell in cells] for name, cells in columns.items()}
+    return CsvTable(path, columns, [line for line, _ in rows[1:]])

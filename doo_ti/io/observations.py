@@ -14,7 +14,7 @@ import numpy as np
 from doo_ti.errors import InputError, real_array
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
 from doo_ti.io.arrays import read_npz
-from doo_ti.io.files import read_content, write_whole
+from doo_ti.io.files import MOST_BYTES, read_content, write_whole
 from doo_ti.io.observation_tables import KEYS_IN_TABLES, read_table, write_table
 from doo_ti.terminal import in_line
 from doo_ti.types import LARGEST
@@ -26,6 +26,8 @@ KEYS = {
     "end_distance": "end_distance_mm", "end_rotation": "end_rotation_deg",
 }
 TABLES = (".csv", ".parquet")
+MOST_CSV_BYTES = 1 << 28
+"""Reading CSV takes some fifteen times as much memory."""
 LEAST_SIGMA_MM, MOST_SIGMA_MM = 1e-9, 1e6
 """Of labels: the information in them grows with the inverse square."""
 
@@ -269,7 +271,7 @@ def checked_suffix(path: Path) -> None:
 
 def _read_bytes(path: Path) -> bytes:
     checked_suffix(path)
-    content = read_content(path)
+    content = read_content(path, MOST_CSV_BYTES if path.suffix == ".csv" else MOST_BYTES)
     if not content:
         raise InputError(path, "file", "0 bytes, the file is empty", "write the observations again")
     return content
