@@ -122,11 +122,12 @@ class Synthesis:
         self._require("rest_curvature_range_mm", self.rest_curvature_range_mm <= length, f"at most length_mm = {length:g}")
         self._require("clip_offset_mm", self.clip_offset_mm < length, "an offset shorter than the rod")
         self._require("length_mm", length <= MOST_FINE_EDGES * edge, f"at most {MOST_FINE_EDGES} fine edges")
+        fit = all(0 < clip < length / 2 for clip in self.clips_mm)
+        self._require("clip_mm", fit, "positive lengths shorter than half the rod")
         for name, spacing in (("marks", length / (self.marks - 1)), *(("clip_mm", clip) for clip in self.clips_mm)):
             count = spacing / edge
             self._require(name, round(count) >= 1 and math.isclose(count, round(count), rel_tol=1e-6),
                           f"a spacing of marks and a clip that are multiples of fine_edge_mm = {edge:g}")
-        self._require("clip_mm", min(self.clips_mm) > 0 and 2 * max(self.clips_mm) < length, "clips shorter than half the rod")
         for name in ("end_distances_mm", "end_rotations_deg"):
             values = getattr(self, name)
             self._require(name, len(values) > 0 and len(set(values)) == len(values), "different numbers, at least one")
