@@ -56,7 +56,7 @@ def claim(run: Path, identity: str, experiment: Experiment) -> None:
         remove_leftovers(folder)
     if not path.exists():
         if not _is_free(run) and not path.exists():  # looked at again: another process may have claimed and filled it
-            raise InputError(run, "folder", "the folder holds something else than a sweep", "name another folder")
+            raise InputError(run, "run", "the folder holds something else than a sweep", "name another folder")
         path.parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileExistsError):  # another process was faster: whose the folder is now is seen below
             write_whole(path, lambda file: file.write(f"{identity}\n{made}\n".encode()), first=True)
@@ -64,7 +64,7 @@ def claim(run: Path, identity: str, experiment: Experiment) -> None:
     if found != identity:
         if by and by != made:
             raise InputError(run, "cells", f"holds cells that {by} made, this is {made}",
-                             "go on with that one, or name another folder")
+                             "resume it with that version, or name another folder")
         raise InputError(run, "cells", "holds another sweep (other observations, grid or options)",
                          "name another folder, or delete this one")
     _save_once(run / OBSERVATIONS, save_observations, experiment.observations)

@@ -149,7 +149,7 @@ def _check_workers(client, expected: dict[str, str]) -> None:
         raise InputError("sweep", "scheduler", "the scheduler has no workers", "start some: dask worker ADDRESS") from None
     except Exception as error:  # whatever a worker without the package, or with another one, answers
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError("sweep", "scheduler", f"a worker cannot say what it runs ({reason})",
+        raise InputError("sweep", "scheduler", f"a worker does not report its version ({reason})",
                          "install doo_ti on the workers, the same as here, and start them anew") from None
     for name, made in makers.items():
         if made != expected:
