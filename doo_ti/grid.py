@@ -244,6 +244,19 @@ def parse_bend(text: str, option: str = "bend", source: str = "grid") -> tuple[t
     return (Axis("bend_1", first), Axis("bend_2", second)), mixed
 
 
+def parse_axes(texts: dict[str, str], source: str = "grid", prefix: str = "") -> tuple[list[Axis], float]:
+    """The axes that ``texts`` give by their names, and the off-diagonal entry of B; messages name ``prefix`` and the axis."""
+    axes, bend_12 = [], 0.0
+    for name, text in texts.items():
+        option = name if not prefix else prefix + name.replace("_", "-")
+        if name == "bend":
+            found, bend_12 = parse_bend(text, option, source)
+            axes += found
+        else:
+            axes.append(parse_axis(option, text, source))
+    return axes, bend_12
+
+
 def _indefinite(source: str, option: str, first: float, second: float, mixed: float) -> InputError:
     return InputError(source, option, f"[[{first:g}, {mixed:g}], [{mixed:g}, {second:g}]] is not positive definite",
                       "give A1 > 0, A2 > 0 and |A12| < sqrt(A1 A2)")

@@ -1,11 +1,14 @@
 """How fast this machine relaxes rods, and how accurately."""
 
+import os
 from argparse import Namespace
 
 from doo_ti.commands import options as given
 from doo_ti.commands.results import report, save_json
 
 MOST_ROUNDS = 1000
+MOST_RODS = 1 << 22
+"""Four times as many are relaxed at once to measure the memory they need: some 20 GB."""
 
 
 def declare(add) -> None:
@@ -18,7 +21,8 @@ def declare(add) -> None:
 
 def run(options: Namespace, words: list[str]) -> int:
     """Throughput and accuracy on this machine; with a folder also as JSON."""
-    rods, threads = given.bench_rods(options.rods, 65_536), given.threads(options.threads)
+    rods = given.whole("--rods", options.rods, 1, MOST_RODS) or 65_536
+    threads = given.whole("--threads", options.threads, 1, os.cpu_count() or 1)
     rounds = given.whole("--rounds", options.rounds, 1, MOST_ROUNDS) or 3
     out = given.output_folder(options.out)
 

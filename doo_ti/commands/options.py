@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.grid import UNITS, Axis, Grid, parse_axis, parse_bend
+from doo_ti.grid import UNITS, Axis, Grid, parse_axes, parse_axis
 from doo_ti.io.observations import checked_suffix
 from doo_ti.io.scene import CLAMPS, PRECISIONS
 from doo_ti.physical_units import bend_or_twist, weight_per_length
@@ -22,8 +22,6 @@ SOLVERS = ("newton", "descent")
 MATERIAL = ("bend", "bend_1", "bend_2", "twist", "twist_ratio", "weight", "EI", "GJ")
 """The options that state Θ."""
 CLAMP_DEFAULT = "frame where the file gives one, else tangent"
-MOST_BENCH_RODS = 1 << 22
-"""Four times as many are relaxed at once to measure the memory they need: some 20 GB."""
 LONGEST_NAME = 200
 """Bytes in the name of a file: systems allow 255, and while the file is written it has a longer name."""
 
@@ -100,17 +98,8 @@ def add_thread(parser: ArgumentParser) -> None:
 
 def grid(options: Namespace, base: Grid | None = None) -> Grid:
     """The axes given, on top of those of ``base`` (a scene's grid) where there is one."""
-    axes: list[Axis] = []
-    bend_12 = 0.0
-    for name in UNITS:
-        text = getattr(options, name)
-        if text is None:
-            continue
-        if name == "bend":
-            found, bend_12 = parse_bend(text, "--bend", SOURCE)
-            axes += found
-        else:
-            axes.append(parse_axis(f"--{name.replace('_', '-')}", text, SOURCE))
+    texts = {name: getattr(options, name) for name in UNITS if getattr(options, name) is not None}
+    axes, bend_12 = parse_axes(texts, SOURCE, "--")
     axes += _physical_axes(options)
     if base is not None:
         return base.with_axes(tuple(axes), bend_12)
@@ -233,16 +222,6 @@ def rows(option: str, text: str | None, count: int) -> tuple[int, ...]:
     if len(set(found)) < len(found):
         raise InputError(SOURCE, option, f"{text!r} names a row twice", "name each once")
     return found
-
-
-def bench_rods(text: str | None, default: int) -> int:
-    """Rods in the large batches of the benchmark."""
-    return whole("--rods", text, 1, MOST_BENCH_RODS) or default
-
-
-def threads(text: str | None) -> int | None:
-    """Threads of the kernels, at most one per processor, or None."""
-    return whole("--threads", text, 1, os.cpu_count() or 1)
 
 
 def output_file(text: str | Path, suffix: str | None = None, option: str = "--out") -> Path:

@@ -138,9 +138,11 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
     if Path(source).is_dir():
         observations, thetas, kinds, weight, landscape = _of_run(options, Path(source), starts)
     else:
-        observations = load_observations(source, given.up(options))
-        thetas, kinds, weight = _of_file(options, observations), (None, None), given.frame_weight(options)
-        landscape = None
+        from doo_ti.refinement.multi_start import theta_of_cell
+
+        observations, landscape = load_observations(source, given.up(options)), None
+        grid = given.single_cell(options, "give one, or refine the run of a sweep")
+        thetas, kinds, weight = (theta_of_cell(grid, 0, observations.up),), (None, None), given.frame_weight(options)
     sigma = given.length("--sigma", options.sigma)
     if sigma is not None:
         observations = replace(observations, sigma=np.array(sigma))
@@ -178,14 +180,6 @@ def _of_run(options: Namespace, run: Path, starts: int):
     thetas = tuple(theta_of_cell(experiment.grid, cell, observations.up) for cell in cells)
     return (observations, thetas, (experiment.options.clamp_start, experiment.options.clamp_end),
             given.frame_weight(options, experiment.options.frame_weight), landscape)
-
-
-def _of_file(options: Namespace, observations: Observations) -> tuple:
-    """The one Θ that the command line names."""
-    from doo_ti.refinement.multi_start import theta_of_cell
-
-    grid = given.single_cell(options, "give one, or refine the run of a sweep")
-    return (theta_of_cell(grid, 0, observations.up),)
 
 
 def _refinement_options(options: Namespace, task: Task):

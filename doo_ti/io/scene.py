@@ -32,7 +32,7 @@ import numpy as np
 from msgspec import Meta
 
 from doo_ti.errors import InputError
-from doo_ti.grid import UNITS, Grid, parse_axis, parse_bend
+from doo_ti.grid import UNITS, Grid, parse_axes
 from doo_ti.io.toml_file import (
     NotNegative,
     NumberOrMatrix,
@@ -235,16 +235,11 @@ def _synthesis(path: Path, name: str, table: dict) -> Synthesis:
 
 
 def _grid(path: Path, table: dict) -> Grid:
-    axes, bend_12 = [], 0.0
-    for name, value in table.items():
+    for name in table:
         if name not in UNITS:
             raise unknown_key(path, f"grid.{name}", UNITS)
-        text = str(checked(path, f"grid.{name}", value, float | str))
-        if name == "bend":
-            found, bend_12 = parse_bend(text, name, str(path))
-            axes += found
-        else:
-            axes.append(parse_axis(name, text, str(path)))
+    texts = {name: str(checked(path, f"grid.{name}", value, float | str)) for name, value in table.items()}
+    axes, bend_12 = parse_axes(texts, str(path))
     return Grid(tuple(axes), bend_12, str(path))
 
 
