@@ -1,12 +1,15 @@
 """Recorded motion: markers along rods held by grippers, frame by frame, as what a simulation starts from and is compared with."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from doo_ti.dynamics.grippers import Grippers, edge_frames
 from doo_ti.errors import InputError
 from doo_ti.frames import bishop_frames, quaternion_from_matrix
+from doo_ti.io.arrays import read_npz
+from doo_ti.io.files import read_content
 from doo_ti.types import Clamp, Configuration
 
 LEAST_JUMP, LARGEST_MISFIT, SMALLEST_JUMP = 1.7, 0.2, 10.0
@@ -23,6 +26,8 @@ MOST_CONFUSED = 50
 """Frames after which it is believed that it did turn."""
 LARGEST_REACH = 0.999
 """Share of the rod's length between grippers, at most: beyond, the far gripper is moved back."""
+MOST_MM = 1e6
+"""From the origin."""
 GRIPPED = (0, 1, -2, -1)
 """Vertices of the first and last edge."""
 
@@ -59,16 +64,50 @@ class RecordedMotion:
         wrong = np.argwhere(~np.isfinite(positions).all(axis=(2, 3)))
         if len(wrong):
             raise InputError(source, "positions_mm", f"not finite in {len(wrong)} frames, first recording {wrong[0, 0]}, "
-                             f"frame {wrong[0, 1]}", "fill the gaps first (--fill-gaps), or leave those recordings out")
+                             f"frame {wrong[0, 1]}", "have them filled (`fill_gaps`), or leave those recordings out")
         if not (np.isfinite(rate) and rate > 0):
             raise InputError(source, "rate_hz", f"{rate}", "give frames per second")
-        names = tuple(str(k) for k in range(len(positions))) if names is None else tuple(names)
+        if (np.abs(positions) > MOST_MM).any():
+            raise InputError(source, "positions_mm", f"up to {np.abs(positions).max():.3g} mm from the origin", "give mm")
+        names = tuple(str(k) for k in (range(len(positions)) if names is None else names))
         return cls(positions, float(rate), names, elapsed_steps(positions), confused_frames(positions))
+
+    @classmethod
+    def load(cls, path: str | Path, fill_gaps: bool = False) -> "RecordedMotion":
+        """The recordings of an npz file: ``positions_mm`` (R, T, V, 3) or (T, V, 3), ``rate_hz``, and names in ``recording``.
+
+        fill_gaps  positions that are not finite are taken from lines between the frames around
+
+        Raises InputError for files that cannot be read, and as the class does.
+        """
+        path = Path(path)
+        found = read_npz(path, read_content(path), ("positions_mm", "rate_hz", "recording"))
+        for key in ("positions_mm", "rate_hz"):
+            if key not in found:
+                raise InputError(path, key, "missing", "give positions_mm (R, T, V, 3) or (T, V, 3) and rate_hz")
+            if found[key].dtype.kind not in "fiu":
+                raise InputError(path, key, f"dtype {found[key].dtype} is not numeric", "store real numbers")
+        positions, rate = found["positions_mm"].astype(np.float64), found["rate_hz"]
+        if rate.size != 1:
+            raise InputError(path, "rate_hz", f"shape {rate.shape}", "give one number: frames per second")
+        if positions.ndim == 3:
+            positions = positions[None]
+        if fill_gaps and positions.ndim == 4:
+            positions = _filled(positions, path)
+        names = found.get("recording")
+        if names is not None and names.shape != positions.shape[:1]:
+            raise InputError(path, "recording", f"shape {names.shape}", f"give ({len(positions)},) names")
+        return cls.of(positions, float(rate.reshape(())), None if names is None else names.tolist(), str(path))
 
     @property
     def count(self) -> int:
         """R."""
         return len(self.positions)
+
+    @property
+    def edges(self) -> int:
+        """E."""
+        return self.positions.shape[2] - 1
 
     def take(self, rows) -> "RecordedMotion":
         """The recordings named by ``rows``."""
@@ -85,9 +124,28 @@ class RecordedMotion:
         """(E,) median lengths of the edges, mm."""
         return np.median(np.linalg.norm(np.diff(self.positions, axis=2), axis=-1), axis=(0, 1))
 
-    def jumps(self) -> list[tuple[str, int, int]]:
-        """(recording, frame, frames missing before it) of every place where frames are missing."""
-        return [(self.names[r], int(t), int(self.elapsed[r, t]) - 1) for r, t in np.argwhere(self.elapsed > 1)]
+    def glitches(self) -> list[str]:
+        """What is wrong with the recordings, one line each."""
+        lines = [f"recording {self.names[r]}, frame {t}: {self.elapsed[r, t] - 1} frames are missing before it"
+                 for r, t in np.argwhere(self.elapsed > 1)]
+        for kind, problem in ((SWAPPED, "are swapped"), (LOST, "contradict the frames around")):
+            for r, end in np.argwhere((self.confused == kind).any(axis=1)):
+                frames = np.flatnonzero(self.confused[r, :, end] == kind)
+                lines.append(f"recording {self.names[r]}, {len(frames)} frames from {frames[0]} to {frames[-1]}: the two markers "
+                             f"of the {('start', 'end')[end]} gripper {problem}")
+        return lines
+
+
+def _filled(positions: np.ndarray, path: Path) -> np.ndarray:
+    """Positions (R, T, V, 3) with gaps closed by lines in time. Raises InputError for a marker that was never seen."""
+    result = positions.copy()
+    for r, v in np.argwhere(~np.isfinite(positions).all(axis=(1, 3))):
+        seen = np.isfinite(positions[r, :, v]).all(axis=-1)
+        if not seen.any():
+            raise InputError(path, "positions_mm", f"marker {v} of recording {r} is nowhere finite", "leave that recording out")
+        for axis in range(3):
+            result[r, :, v, axis] = np.interp(np.arange(len(seen)), np.flatnonzero(seen), positions[r, seen, v, axis])
+    return result
 
 
 def elapsed_steps(positions: np.ndarray) -> np.ndarray:

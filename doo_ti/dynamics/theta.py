@@ -1,15 +1,20 @@
 """Θ of a rod in motion: material, rest shape, mass of its markers, damping and drag, as a vector to fit and as a file."""
 
+import json
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from doo_ti.dynamics.parameters import Dynamics
-from doo_ti.types import Material
+from doo_ti.errors import InputError
+from doo_ti.io.files import MOST_TEXT_BYTES, read_content
+from doo_ti.types import LARGEST, Material
 
-UNITS = {"bend": "mm³", "twist": "mm³", "bend_damping": "s", "drag": "1/s", "quadratic_drag": "1/mm", "marker_share": "",
-         "rest_curvature": "1/mm"}
+FILE_KEYS = {"bend": "bend_mm3", "twist_ratio": "twist_ratio", "bend_damping": "bend_damping_s", "drag": "drag_per_s",
+             "quadratic_drag": "quadratic_drag_per_mm", "marker_share": "marker_share"}
+"""Numbers of Θ and their names in a file."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,55 @@ class MotionTheta:
         along = 2.0 * np.cumsum(self.rest_length)[:-1] / np.sum(self.rest_length) - 1.0
         return np.stack([legendre.legval(along, coefficients) if len(coefficients) else 0.0 * along
                          for coefficients in self.rest], axis=-1)
+
+
+def save_form(theta: MotionTheta) -> dict:
+    """What a file holds of Θ."""
+    return {key: getattr(theta, name) for name, key in FILE_KEYS.items()} | {
+        "twist_mm3": theta.bend * theta.twist_ratio, "weight": 1.0, "rest_curvature_modes_per_mm": theta.rest,
+        "rest_curvature_per_mm": theta.rest_curvature, "rest_length_mm": theta.rest_length,
+        "roll_reference": theta.reference}
+
+
+def load_theta(path: str | Path) -> MotionTheta:
+    """Θ of a JSON file that ``doo-ti identify`` has written. Raises InputError for files that cannot be read, missing keys and
+    values that no rod has."""
+    try:
+        content = json.loads(read_content(Path(path), MOST_TEXT_BYTES, "name a file that doo-ti identify has written"))
+        if not isinstance(content, dict):
+            raise ValueError("no object")
+    except (ValueError, RecursionError) as error:
+        raise InputError(path, "file", f"not JSON ({str(error).splitlines()[0]})",
+                         "name a file that doo-ti identify has written") from None
+    numbers = {name: float(_numbers(path, content, key, (), name == "bend" or name == "twist_ratio"))
+               for name, key in FILE_KEYS.items()}
+    if not numbers["marker_share"] < 1:
+        raise InputError(path, "marker_share", f"{numbers['marker_share']:g}", "give a share from 0 to below 1")
+    modes = _numbers(path, content, "rest_curvature_modes_per_mm", (2, None))
+    length = _numbers(path, content, "rest_length_mm", (None,))
+    reference = _numbers(path, content, "roll_reference", (3,))
+    if not (length > 0).all() or len(length) < 4:
+        raise InputError(path, "rest_length_mm", "not the lengths of four edges or more", "give positive lengths in mm")
+    if not np.linalg.norm(reference) > 0:
+        raise InputError(path, "roll_reference", "no direction", "give three numbers, not all zero")
+    return MotionTheta(**numbers, rest=modes, rest_length=length, reference=reference)
+
+
+def _numbers(path, content: dict, key: str, shape: tuple, positive: bool = False) -> np.ndarray:
+    """The numbers of ``key`` in that shape, None standing for any length."""
+    if key not in content:
+        raise InputError(path, key, "missing", "name a file that doo-ti identify has written")
+    try:
+        value = np.array(content[key], dtype=np.float64)
+    except (TypeError, ValueError):
+        value = np.array(np.nan)
+    fits = value.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, value.shape, strict=True))
+    if not fits or not (np.abs(value) <= LARGEST).all():
+        form = "a number" if not shape else f"an array of shape ({', '.join('N' if n is None else str(n) for n in shape)})"
+        raise InputError(path, key, f"{str(content[key])[:60]!r} is not {form}", f"give {form}")
+    if not shape and (value < 0 or positive and value == 0):
+        raise InputError(path, key, f"{value:g}", f"give a number {'above' if positive else 'from'} zero")
+    return value
 
 
 def simulated(thetas: list[MotionTheta]) -> tuple[Material, Dynamics]:
