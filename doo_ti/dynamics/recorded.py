@@ -99,6 +99,22 @@ class RecordedMotion:
             raise InputError(path, "recording", f"shape {names.shape}", f"give ({len(positions)},) names")
         return cls.of(positions, float(rate.reshape(())), None if names is None else names.tolist(), str(path))
 
+    @classmethod
+    def together(cls, parts: list["RecordedMotion"], sources: list[str]) -> "RecordedMotion":
+        """The recordings of several files, as long as the shortest. Raises InputError where markers or rates differ."""
+        first = parts[0]
+        for part, source in zip(parts, sources, strict=True):
+            if part.positions.shape[2] != first.positions.shape[2] or part.rate != first.rate:
+                raise InputError(source, "positions_mm", f"{part.positions.shape[2]} markers at {part.rate:g}/s, the first file "
+                                 f"has {first.positions.shape[2]} at {first.rate:g}/s", "give recordings of one rod alike")
+        frames = min(part.positions.shape[1] for part in parts)
+        cut = [part.until(frames) for part in parts]
+        several = len(parts) > 1
+        names = tuple(f"{Path(source).stem} {name}" if several else name
+                      for part, source in zip(parts, sources, strict=True) for name in part.names)
+        return cls(np.concatenate([part.positions for part in cut]), first.rate, names,
+                   np.concatenate([part.elapsed for part in cut]), np.concatenate([part.confused for part in cut]))
+
     @property
     def count(self) -> int:
         """R."""
@@ -238,6 +254,13 @@ class Rollout:
     grippers: Grippers
     steps: np.ndarray
     rate: float
+
+
+def roll_reference(motion: RecordedMotion) -> np.ndarray:
+    """(3,) the coordinate axis most across the first edges where the recordings begin."""
+    first = motion.positions[:, 1, 1] - motion.positions[:, 1, 0]
+    direction = first / np.linalg.norm(first, axis=-1, keepdims=True)
+    return np.eye(3)[int(np.argmin((direction**2).mean(axis=0)))]
 
 
 def rollout(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarray, end: Clamp = Clamp.TANGENT) -> Rollout:

@@ -49,7 +49,7 @@ from msgspec import Meta
 from doo_ti.dynamics.grippers import Grippers, edge_frames
 from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.errors import InputError
-from doo_ti.frames import bishop_frames, across, quaternion_from_matrix
+from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
 from doo_ti.io.toml_file import Finite, NotNegative, Positive, Table, Vector, checked, read_toml
 from doo_ti.terminal import in_line
 from doo_ti.types import Clamp, Configuration, Material

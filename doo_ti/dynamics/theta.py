@@ -1,7 +1,7 @@
 """Θ of a rod in motion: material, rest shape, mass of its markers, damping and drag, as a vector to fit and as a file."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.polynomial import legendre
 from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.errors import InputError
 from doo_ti.io.files import MOST_TEXT_BYTES, read_content
-from doo_ti.types import LARGEST, Material
+from doo_ti.types import LARGEST, Material, unit_up
 
 FILE_KEYS = {"bend": "bend_mm3", "twist_ratio": "twist_ratio", "bend_damping": "bend_damping_s", "drag": "drag_per_s",
              "quadratic_drag": "quadratic_drag_per_mm", "marker_share": "marker_share"}
@@ -30,6 +30,7 @@ class MotionTheta:
     rest            (2, K) Legendre coefficients of the rest curvature about m2 and −m1 along the rod, 1/mm
     rest_length     (E,) mm
     reference       (3,) towards which m1 of the first edge points where a recording begins
+    up              (3,) unit vector against gravity
     """
 
     bend: float
@@ -41,6 +42,7 @@ class MotionTheta:
     rest: np.ndarray
     rest_length: np.ndarray
     reference: np.ndarray
+    up: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
 
     @property
     def rest_curvature(self) -> np.ndarray:
@@ -55,7 +57,7 @@ def save_form(theta: MotionTheta) -> dict:
     return {key: getattr(theta, name) for name, key in FILE_KEYS.items()} | {
         "twist_mm3": theta.bend * theta.twist_ratio, "weight": 1.0, "rest_curvature_modes_per_mm": theta.rest,
         "rest_curvature_per_mm": theta.rest_curvature, "rest_length_mm": theta.rest_length,
-        "roll_reference": theta.reference}
+        "roll_reference": theta.reference, "up": theta.up}
 
 
 def load_theta(path: str | Path) -> MotionTheta:
@@ -79,7 +81,8 @@ def load_theta(path: str | Path) -> MotionTheta:
         raise InputError(path, "rest_length_mm", "not the lengths of four edges or more", "give positive lengths in mm")
     if not np.linalg.norm(reference) > 0:
         raise InputError(path, "roll_reference", "no direction", "give three numbers, not all zero")
-    return MotionTheta(**numbers, rest=modes, rest_length=length, reference=reference)
+    return MotionTheta(**numbers, rest=modes, rest_length=length, reference=reference,
+                       up=unit_up(_numbers(path, content, "up", (3,)), str(path)))
 
 
 def _numbers(path, content: dict, key: str, shape: tuple, positive: bool = False) -> np.ndarray:
@@ -114,11 +117,16 @@ def simulated(thetas: list[MotionTheta]) -> tuple[Material, Dynamics]:
 
 
 class Unknowns:
-    """Θ as a vector p: log α, and the others in units in which a tenth is a small change."""
+    """Θ as a vector p: log α, and the others in units in which a tenth is a small change.
 
+    lower, upper  (P,) bounds of p
+    """
+
+    UNITS = {"bend_damping": "s", "drag": "1/s", "quadratic_drag": "1/mm", "marker_share": "", "twist_ratio": ""}
     SIZES = {"bend_damping": 0.03, "drag": 0.3, "quadratic_drag": 1e-4, "marker_share": 0.3, "twist_ratio": 1.0}
+    """In which an entry of p is counted."""
     CURVATURE = 1e-3
-    """1/mm"""
+    """1/mm, the same of the rest curvature's coefficients."""
 
     def __init__(self, begin: MotionTheta, modes: int, fitted: tuple[str, ...]):
         self.begin, self.modes, self.fitted = begin, modes, tuple(fitted)
@@ -144,3 +152,18 @@ class Unknowns:
         values = {name: float(self.SIZES[name] * entry) for name, entry in zip(self.fitted, p[1:], strict=False)}
         rest = p[1 + len(self.fitted) :].reshape(2, self.modes) * self.CURVATURE
         return replace(self.begin, bend=float(np.exp(p[0])), rest=rest, **values)
+
+    def intervals(self, p: np.ndarray, covariance: np.ndarray) -> list[dict]:
+        """Name, value, 95 % interval (``low`` None where it ends at a bound) and unit of every parameter."""
+        deviation = 1.96 * np.sqrt(np.diag(covariance))
+        rows = []
+        for k, name in enumerate(self.names):
+            size = self.SIZES.get(name, self.CURVATURE)
+            value, low, high = p[k], p[k] - deviation[k], p[k] + deviation[k]
+            bounded = low <= self.lower[k]
+            if name == "bend":
+                value, low, high = np.exp([value, low, high])
+                size = 1.0
+            rows.append({"name": name, "value": value * size, "low": None if bounded else low * size, "high": high * size,
+                         "unit": "mm³" if name == "bend" else self.UNITS.get(name, "1/mm")})
+        return rows
