@@ -20,8 +20,8 @@ def declare(add) -> None:
                         help="recorded markers of one rod: positions_mm (R, T, V, 3) or (T, V, 3), rate_hz; the first and last "
                         "edges are the grippers")
     parser.add_argument("--out", required=True, metavar="THETA.json", help="file to write")
-    parser.add_argument("--modes", default="5", metavar="K",
-                        help="Legendre modes of the rest curvature in each direction; 0: straight at rest (default 5)")
+    parser.add_argument("--modes", default="7", metavar="K",
+                        help="Legendre modes of the rest curvature in each direction; 0: straight at rest (default 7)")
     parser.add_argument("--fit", metavar="NAME,…", default=",".join(FITTED[:3]),
                         help=f"parameters besides bend and rest curvature: some of {', '.join(FITTED)} (default: the first three)")
     parser.add_argument("--bend", metavar="A", help="bend stiffness α to begin with, mm³ (default: several are tried)")
