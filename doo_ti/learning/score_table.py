@@ -1,7 +1,7 @@
-"""Tables of leave-one-out scores for a person, a page and a machine: aligned text, Markdown, CSV and JSON (Tables I to III).
+"""Tables of leave-one-out scores as aligned text, Markdown, CSV and JSON (Tables I to III).
 
 An entry is mean ± standard error in mm. Text marks the best entry of a column with ``*`` (the paper: bold) and those
-within one standard error of it with ``~``; Markdown sets them bold and italic. The diagonal stands in brackets.
+within one standard error of it with ``~``; Markdown sets them bold and italic. The diagonal is in brackets.
 """
 
 import csv
@@ -16,16 +16,16 @@ NUMBERS = {("material",): "Table I", ("material", "end-distance"): "Table II", (
 EQUATIONS = {"static": "static (Eq. 2)", "dynamic": "dynamic (Eq. 3)"}
 
 LISTED = 12
-"""Entries that a note lists, at most."""
+"""Most entries that a note lists."""
 
 
 def file_stem(by: tuple[str, ...]) -> str:
-    """What the files of a partition are called: ``by_material_and_end_distance``."""
+    """Name of a partition's files: ``by_material_and_end_distance``."""
     return "by_" + "_and_".join(factor.replace("-", "_") for factor in by)
 
 
 def caption(scores: Scores) -> str:
-    """One line: the paper's number where it has this table, what the rows and columns are, and what they share."""
+    """One line: the paper's number of this table if it has one, what rows and columns are, and what they have in common."""
     partition = scores.partition
     title = "eave-one-out error by " + " and ".join(factor.replace("-", " ") for factor in partition.by)
     title = f"{NUMBERS[partition.by]}: l{title}" if partition.by in NUMBERS else f"L{title}"
@@ -34,7 +34,7 @@ def caption(scores: Scores) -> str:
 
 
 def text(scores: Scores, width: int) -> str:
-    """The table and the Θ of its training sets, in lines of at most ``width`` characters where columns allow."""
+    """The table and the Θ of its training sets, in lines of at most ``width`` characters if no column is wider."""
     marks = np.select([scores.is_best, scores.is_near], ["*", "~"], " ")
     rows = [[label, *(f"{entry if entry[0] == '[' else f' {entry} '}{mark}" for entry, mark in zip(line, row, strict=True))]
             for label, line, row in zip(_labels(scores), _figures(scores), marks, strict=True)]
@@ -66,7 +66,7 @@ def comma_separated(tables: list[Scores]) -> str:
 
 
 def entries(scores: Scores) -> list[dict]:
-    """One dictionary per entry, row by row: its numbers, and the Θ that its whole training set chooses."""
+    """One dictionary per entry, row by row: its numbers, and the Θ chosen by its whole training set."""
     labels, lines = _labels(scores), []
     for row, train in enumerate(labels):
         theta = _theta(scores, row)
@@ -82,15 +82,15 @@ def entries(scores: Scores) -> list[dict]:
 
 
 def notes(scores: Scores) -> list[str]:
-    """What stands under the table: terms that are in no part, tested terms without a score, rods that are not certified or
+    """Lines below the table: terms that are in no part, tested terms without a score, rods that are not certified or
     jumped."""
     found, labels = [], _labels(scores)
     if scores.partition.unlabelled:
         found.append(f"{scores.partition.unlabelled} terms without an end distance are in no part")
     for what, counts, out_of in (
-            ("left out, for want of a distance or of something to learn from", scores.left_out, scores.left_out + scores.count),
-            ("scored, though no certified minimum at the chosen cell", scores.uncertified, scores.count),
-            ("scored, though fallen to another branch on the way", scores.jumped, scores.count)):
+            ("left out: no distance, or no training terms left", scores.left_out, scores.left_out + scores.count),
+            ("scored, but no certified minimum at the chosen cell", scores.uncertified, scores.count),
+            ("scored, but jumped to another branch", scores.jumped, scores.count)):
         places = np.argwhere(counts)
         listed = [f"{labels[row]} -> {labels[column]} {counts[row, column]} of {out_of[row, column]}"
                   for row, column in places[:LISTED]]
@@ -99,7 +99,7 @@ def notes(scores: Scores) -> list[str]:
         if listed:
             found.append(f"{what}: {', '.join(listed)}")
     if not scores.uncertified.any():
-        found.append("every rod behind the scores is a certified minimum")
+        found.append("every scored rod is a certified minimum")
     return found
 
 
@@ -120,7 +120,7 @@ def _figures(scores: Scores) -> list[list[str]]:
 
 
 def _theta(scores: Scores, row: int) -> dict[str, float]:
-    """The Θ of a training set, its units in the names; NaN where it chooses none."""
+    """The Θ of a training set, units in the names; NaN where it chooses none."""
     grid, best = scores.partition.parts[row].landscape.grid, scores.best[row]
     first, second, twist, weight = (float(value[0]) if best >= 0 else np.nan
                                     for value in grid.cell_values(np.array([max(best, 0)])).values())
@@ -128,7 +128,7 @@ def _theta(scores: Scores, row: int) -> dict[str, float]:
 
 
 def _choices(scores: Scores) -> tuple[list[str], list[list[str]]]:
-    """Heads and rows of the training sets' own table: Θ, its error on them, and which axes it ends at the border of."""
+    """Heads and rows of the training sets' table: Θ, its error, and the axes at whose border it lies."""
     grid = scores.partition.parts[0].landscape.grid
     shown = {"bend_1_mm3": "bend_1 [mm³]", "bend_2_mm3": "bend_2 [mm³]", "bend_12_mm3": "bend_12 [mm³]"}
     if grid.is_isotropic:
@@ -151,7 +151,7 @@ def _choices(scores: Scores) -> tuple[list[str], list[list[str]]]:
 
 
 def _aligned(heads: list[str], rows: list[list[str]], width: int) -> str:
-    """Columns padded to their widest entry; those that do not fit into ``width`` follow below, beside the first again."""
+    """Columns padded to their widest entry; those that do not fit into ``width`` follow below, with the first column again."""
     table = [heads, *rows]
     widths = [max(len(line[column]) for line in table) for column in range(len(heads))]
     blocks, block, used = [], [], widths[0]

@@ -31,7 +31,7 @@ class Journey:
     up           (3,) direction against gravity
     solver       as :func:`doo_ti.relaxation.relax.relax` takes it; Newton runs without its first shift, which stays closest to
                  the branch
-    precision    of the last state; sub-steps run in f64 if that is chosen, else in f32, with f64 for rods that f32 cannot finish
+    precision    of the last state; sub-steps run in f64 if that is chosen, else in f32, with f64 where f32 does not converge
     """
 
     motion: Motion

@@ -1,9 +1,9 @@
 """Jumps: a rod whose clamps move loses its equilibrium and snaps to another one (§III-D).
 
 A rod that stays on its branch changes by nearly as much in one sub-step as in the next. Where it does not, the sub-step is
-repeated in eighths, and their result replaces it: a branch that still exists is then followed, not skipped. A continuous change
-spreads over the eighths, even in front of a fold, where the last eighth holds a third of the change, two and a half times the one
-before. A jump lies within one eighth, and of two jumps in a sub-step each exceeds the eighths beside it.
+repeated in eighths, and their result replaces it: a branch that still exists is then followed, not skipped. A continuous
+change spreads over the eighths, even in front of a fold, where the last eighth holds a third of it, two and a half times the
+one before. A jump lies within one eighth, and of two jumps in a sub-step each exceeds the eighths beside it.
 
 Axes: R rods, E edges.
 """

@@ -149,7 +149,7 @@ def _size(vector: np.ndarray | None) -> np.ndarray:
 
 
 def _frame_turn(frame: np.ndarray, goal: np.ndarray, kind) -> np.ndarray:
-    """(R, 3) the shortest rotation vector from frames to goals; from tangent to tangent where only these are held, else zero."""
+    """(R, 3) the shortest rotation vector from frames to goals, between tangents where only these are held; else zero."""
     kind = np.broadcast_to(kind, len(frame))[:, None]
     whole = quaternion_product(quaternion_from_matrix(goal), quaternion_from_matrix(frame) * [1, -1, -1, -1])
     swing = rotation_vector(smallest_rotation(frame[..., 0], goal[..., 0]))

@@ -1,11 +1,10 @@
-"""What the marks of an error landscape mean: the entries of its key, and remarks for its title."""
+"""The legend of an error landscape, and remarks for its title."""
 
 import numpy as np
 
-from doo_ti.report.colors import MISSING
+from doo_ti.report.canvas import MISSING, SYMBOLS, quantity, values_text
 from doo_ti.report.landscape_axes import BORDER, REGION, STAR, VALLEY, edged
 from doo_ti.report.plane import REGIMES, Plane
-from doo_ti.report.quantities import SYMBOLS, quantity, values_text
 
 
 def key_of(plane: Plane, with_region: bool) -> list:
@@ -39,7 +38,7 @@ def key_of_panels(planes: list[Plane], with_region: bool, marks: str) -> list:
 
 
 def remarks(plane: Plane) -> list[str]:
-    """What a reader must know of a landscape before its colours: lines for its title."""
+    """Lines for the title: axes that are not shown, and a minimum at the border."""
     lines = []
     if plane.hidden:
         lines.append(f"minimum over {', '.join(SYMBOLS.get(name, name) for name in plane.hidden)}")
@@ -66,7 +65,7 @@ def _extras(planes: list[Plane], with_region: bool) -> list:
 
 
 def _not_evaluated(plane: Plane) -> int:
-    """Cells that have no value for another reason than their rods."""
+    """Number of cells without a value that were not evaluated."""
     return int((np.isnan(plane.values) & (plane.unfinished == 0)).sum())
 
 

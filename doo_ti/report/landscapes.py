@@ -4,19 +4,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.report.canvas import PICTURE_DPI, VIEWER_DPI, literal, new_figure, pixels, plain_ticks
-from doo_ti.report.colors import norm_of
-from doo_ti.report.landscape_axes import cell_boxes, draw_line, draw_map, draw_marks, draw_region, draw_star, tell_minimum
+from doo_ti.report.canvas import (
+    MEAN_DISTANCE,
+    PICTURE_DPI,
+    VIEWER_DPI,
+    literal,
+    new_figure,
+    norm_of,
+    pixels,
+    plain_ticks,
+    quantity,
+    values_text,
+)
+from doo_ti.report.landscape_axes import cell_boxes, draw_line, draw_map, draw_marks, draw_region, draw_star, label_minimum
 from doo_ti.report.landscape_key import key_of, key_of_panels, remarks
 from doo_ti.report.plane import Plane
-from doo_ti.report.quantities import quantity, values_text
 
 
 @dataclass(frozen=True)
 class LandscapePanel:
-    """One landscape among several.
+    """One landscape among several, with its title.
 
-    title   of what
     plane   the landscape
     marks   (text, (a, b)) of further cells to mark with circles, such as the minima of the panels beside it
     region  (n, 2) outline of a confidence region in the units of the plane's two axes, or None
@@ -28,70 +36,61 @@ class LandscapePanel:
     region: np.ndarray | None = None
 
 
-def landscape_picture(path_or_buffer, axes, values, *, minimum, valley=None, title, label, unfinished=None,
-                      region=None) -> None:
-    """Write the landscape as a 1600 × 1200 PNG.
+def landscape_picture(path_or_buffer, plane: Plane, *, title: str, region: np.ndarray | None = None) -> None:
+    """Write the landscape as a 1600 × 1200 PNG: a line over one free axis, else a map; cells without a value are grey, cells that
+    do not compete hatched.
 
-    axes        one (name, values, is_log, unit) per grid axis; those with one value are not drawn. One free axis gives
-                a line, two a map; with more the map is of the first two, over the minimum of the others
-    values      (grid) mean distance in mm, NaN where not evaluated (drawn grey)
-    minimum     index of the minimum, one integer per axis; None where there is none
-    valley      (grid) bool, the cells to outline; default: within 5 % of the minimum
-    label       what the values are, with their unit: the colour bar's label
-    unfinished  (grid) number of rods that came to no certified minimum: those cells do not compete, and are hatched
-    region      (n, 2) outline of a confidence region in the units of the two axes drawn; not drawn over one axis
+    region  (n, 2) outline of a confidence region in the units of the two axes drawn; not drawn over one axis
     """
-    plane = Plane.of(axes, values, minimum, valley, unfinished)
-    draw_landscape(plane, title, label, region).canvas.print_png(path_or_buffer)
+    draw_landscape(plane, title, region).canvas.print_png(path_or_buffer)
 
 
-def landscape_image(axes, values, *, minimum, valley=None, title, label, unfinished=None, region=None) -> np.ndarray:
+def landscape_image(plane: Plane, *, title: str, region: np.ndarray | None = None) -> np.ndarray:
     """The same drawing as (1200, 1600, 3) uint8."""
-    return pixels(draw_landscape(Plane.of(axes, values, minimum, valley, unfinished), title, label, region))
+    return pixels(draw_landscape(plane, title, region))
 
 
-def landscapes_picture(path_or_buffer, rows: list[list[LandscapePanel]], *, title: str, label: str, marks: str = "",
+def landscapes_picture(path_or_buffer, rows: list[list[LandscapePanel]], *, title: str, marks: str = "",
                        relative: bool = False) -> None:
     """Write rows of panels as one PNG.
 
-    label     what the values are, with their unit
-    marks     what the panels' marks are, for the key
+    marks     what the panels' marks are, for the legend
     relative  one colour scale for all maps, in multiples of each one's minimum; else each has its own, which shows more
     """
-    figure, _ = _draw_panels(rows, title, label, marks, relative)
+    figure, _ = _draw_panels(rows, title, marks, relative)
     figure.canvas.print_png(path_or_buffer)
 
 
-def cells_image(rows: list[list[LandscapePanel]], index: tuple, *, title: str, label: str, marks: str = "",
+def cells_image(rows: list[list[LandscapePanel]], index: tuple, *, marks: str = "",
                 relative: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """The same drawing, small, as (H, W, 3) uint8, and (N, P, 4) left, top, width and height in pixels of N cells in each of
-    the P panels. ``index`` holds (N,) indices per axis of the grid."""
-    figure, drawn = _draw_panels(rows, title, label, marks, relative, VIEWER_DPI)
+    """The same drawing, small and without a title, as (H, W, 3) uint8, and (N, P, 4) left, top, width and height in pixels of N
+    cells in each of the P panels. ``index`` holds (N,) indices per axis of the grid."""
+    figure, drawn = _draw_panels(rows, "", marks, relative, VIEWER_DPI)
     image = pixels(figure)
     boxes = [cell_boxes(axes, panel.plane, panel.plane.places(index)) for axes, panel in drawn]
     return image, np.stack(boxes, axis=1)
 
 
-def draw_landscape(plane: Plane, title: str, label: str, region=None):
-    """The figure of one landscape, with its key below."""
+def draw_landscape(plane: Plane, title: str, region=None):
+    """The figure of one landscape, its legend below."""
     figure = new_figure()
     axes = figure.add_subplot()
     region = region if len(plane.axes) == 2 else None
     if len(plane.axes) == 2:
-        _color_bar(figure, draw_map(axes, plane, norm_of(plane.values)), axes, label)
+        _color_bar(figure, draw_map(axes, plane, norm_of(plane.values)), axes)
     else:
-        draw_line(axes, plane, label)
+        draw_line(axes, plane)
     if region is not None:
         draw_region(axes, region)
     if plane.minimum is not None:
         draw_star(axes, plane)
-        tell_minimum(axes, plane)
+        label_minimum(axes, plane)
     axes.set_title("\n".join([literal(title), *remarks(plane)]), fontsize=14, pad=12)
     _put_key(figure, key_of(plane, region is not None), 1 if plane.hidden else 2)
     return figure
 
 
-def _draw_panels(rows: list[list[LandscapePanel]], title: str, label: str, marks: str, relative: bool, dpi: int = PICTURE_DPI):
+def _draw_panels(rows: list[list[LandscapePanel]], title: str, marks: str, relative: bool, dpi: int = PICTURE_DPI):
     """The figure of several landscapes, and its (axes, panel) in reading order."""
     panels, columns = [panel for row in rows for panel in row], max(len(row) for row in rows)
     size, width, height = (0.9, 5.4, 4.4) if columns <= 3 else (0.75, 3.2, 3.0)
@@ -105,13 +104,13 @@ def _draw_panels(rows: list[list[LandscapePanel]], title: str, label: str, marks
             axes.set_axis_off()
             continue
         panel = rows[place[0]][place[1]]
-        meshes.append(_draw_panel(figure, axes, panel, label, norm, size))
+        meshes.append(_draw_panel(figure, axes, panel, norm, size))
         drawn.append((axes, panel))
         if relative:
             _leave_inner_labels(axes, at_left=place[1] == 0, at_bottom=all(place[1] >= len(row) for row in rows[place[0] + 1:]))
     if relative:
-        what = label.rpartition(" [")[0]
-        _color_bar(figure, meshes[0], grid, f"{what}, in multiples of the panel's smallest", extend="max")
+        label = MEAN_DISTANCE.rpartition(" [")[0] + ", in multiples of the panel's smallest"
+        _color_bar(figure, meshes[0], grid, label, extend="max")
     figure.suptitle(literal(title), fontsize=14)
     with_region = any(panel.region is not None for panel in panels)
     keys = key_of_panels([panel.plane for panel in panels], with_region, marks if any(p.marks for p in panels) else "")
@@ -119,15 +118,15 @@ def _draw_panels(rows: list[list[LandscapePanel]], title: str, label: str, marks
     return figure, drawn
 
 
-def _draw_panel(figure, axes, panel: LandscapePanel, label: str, norm, size: float):
-    """One panel, on a colour scale of its own unless a common one, ``norm``, is given; returns what is coloured, None
-    for a line."""
+def _draw_panel(figure, axes, panel: LandscapePanel, norm, size: float):
+    """One panel, on a colour scale of its own unless a common one, ``norm``, is given; returns the coloured mesh, None for a
+    line."""
     plane, mesh = panel.plane, None
     if len(plane.axes) == 1:
-        draw_line(axes, plane, label, size)
+        draw_line(axes, plane, size)
     elif norm is None:
         mesh = draw_map(axes, plane, norm_of(plane.values), size)
-        _color_bar(figure, mesh, axes, label, size)
+        _color_bar(figure, mesh, axes, size=size)
     else:
         mesh = draw_map(axes, replace(plane, values=_multiples(plane)), norm, size)
     if panel.region is not None and len(plane.axes) == 2:
@@ -158,14 +157,14 @@ def _multiples(plane: Plane) -> np.ndarray:
 
 
 def _common_norm(planes: list[Plane]):
-    """One colour scale for multiples of the smallest value of several landscapes, up to where the flattest one reaches."""
+    """One colour scale for multiples of the smallest value of several landscapes, up to the largest multiple in the flattest one."""
     from matplotlib.colors import LogNorm
 
     largest = [np.nanmax(_multiples(plane)) for plane in planes if plane.minimum is not None]
     return LogNorm(1.0, max(min(largest, default=2.0), 2.0))
 
 
-def _color_bar(figure, mesh, axes, label: str, size: float = 1.0, extend: str = "neither") -> None:
+def _color_bar(figure, mesh, axes, label: str = MEAN_DISTANCE, size: float = 1.0, extend: str = "neither") -> None:
     from matplotlib.colors import LogNorm
 
     bar = figure.colorbar(mesh, ax=axes, pad=0.02, aspect=28, extend=extend)
@@ -175,7 +174,7 @@ def _color_bar(figure, mesh, axes, label: str, size: float = 1.0, extend: str = 
 
 
 def _put_key(figure, keys: list, columns: int) -> None:
-    """The key below the axes, in rows: a legend fills its columns first."""
+    """The legend below the axes, its entries in rows: matplotlib fills columns first."""
     if keys:
         rows = [key for column in range(columns) for key in keys[column::columns]]
         figure.legend(handles=rows, loc="outside lower center", ncols=min(columns, len(keys)), frameon=False, fontsize=10,

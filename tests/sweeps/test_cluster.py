@@ -13,7 +13,7 @@ import pytest
 from doo_ti.dataset import save_observations
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.learning import sweeps, workers
-from doo_ti.learning.maker import maker
+from doo_ti.learning.summary import maker
 from doo_ti.learning.sweeps import SweepOptions, sweep
 from tests.sweeps.lab import GRID, small_lab
 from tests.sweeps.test_sweep import assert_same_cells

@@ -5,8 +5,8 @@ import pytest
 
 from doo_ti.frames import quaternion_from_matrix
 from doo_ti.grid import Axis, Grid
+from doo_ti.learning.cells import carried, journey, relaxed
 from doo_ti.learning.experiment import Experiment
-from doo_ti.learning.objective import carried, journey, relaxed
 from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import Motion
 from doo_ti.relaxation.newton import Newton
