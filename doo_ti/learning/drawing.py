@@ -30,7 +30,7 @@ def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str
     """Write landscape.png and run.rrd into ``folder``; their title ends with ``remark``."""
     from doo_ti.record import record_sweep
     from doo_ti.report import landscape_picture
-    from doo_ti.report.contact_sheet import Observed
+    from doo_ti.report.grid_view import Observed
 
     observations, grid, sums, best = experiment.observations, experiment.grid, overview.sums, overview.best
     static = experiment.pairs is None
@@ -58,7 +58,7 @@ def plane_of(landscape: Summed):
 
     shape = landscape.grid.shape
     return Plane.of(landscape.grid.picture_axes, landscape.mean_distance.reshape(shape),
-                    np.unravel_index(landscape.best, shape), None, landscape.unsound.reshape(shape))
+                    np.unravel_index(landscape.best, shape), landscape.unsound.reshape(shape))
 
 
 def trajectory(experiment: Experiment, cell: int):

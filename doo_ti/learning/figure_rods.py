@@ -228,7 +228,7 @@ def draw_regimes(stem: Path, name: str, experiment: Experiment, landscape: Lands
 
 
 def _ribbons(experiment: Experiment, landscape: Landscape, regimes: list[Regime]) -> list[Ribbons]:
-    """Those of each regime, after the observed ones where frames were measured; their width is w_m of Eq. 1 if that is given."""
+    """Those of each regime, after the observed ones where frames were measured; their width is w_m of Eq. 1, if given."""
     observed, seen = experiment.observations, landscape.observation
     width = experiment.options.frame_weight or observed.rest_length.sum() / 15
     ribbons = []

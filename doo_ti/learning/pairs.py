@@ -156,8 +156,8 @@ def check_ways(pairs: Pairs, clamps: Clamps) -> None:
         if len(unclear):
             x, y = pairs.from_index[unclear[0]], pairs.to_index[unclear[0]]
             remedy = "give rotation_deg, or end_rotation_deg" if name == "end" else "leave the pair out"
-            raise InputError(pairs.source, "from, to", f"from {x} to {y} the {name} turns by half a turn, which has two directions",
-                             remedy)
+            raise InputError(pairs.source, "from, to",
+                             f"from {x} to {y} the {name} turns by half a turn, which has two directions", remedy)
 
 
 def _read_columns(path: Path) -> dict[str, np.ndarray]:

@@ -1,7 +1,7 @@
 """Recordings of rods in images: Algorithm 1, whose hypotheses grow and are pruned, and a rod tracked through a video.
 
-Images are shown as they were taken, and curves are projected onto them with the lens' distortion, which the viewer's own cameras
-do not have; their frusta are shown in space.
+Images are shown as they were taken, and curves are projected onto them with the lens' distortion, which the viewer's own
+cameras do not have; their frusta are shown in space.
 
 Axes: T frames, C cameras, n hypotheses of a set at a step, V vertices.
 """
@@ -29,8 +29,8 @@ TRACKED_WORDS = ("tracked", "found by Algorithm 1", "lost")
 
 def record_perception(path, *, run_id: str, name: str, rig: Rig, rods: list[SeenRod], growth: list[list[GrowthStep]],
                       up=(0, 0, 1)) -> None:
-    """Write the recording ``path``: the timeline ``edges`` is the number of edges of the hypotheses; one step after the last are
-    the rods that remain, relaxed to the end.
+    """Write the recording ``path``: the timeline ``edges`` is the number of edges of the hypotheses; one step after the last
+    are the rods that remain, relaxed to the end.
 
     rods    sets of images with the rods that explain them
     growth  of each of them, from two edges on
@@ -117,7 +117,7 @@ def _log_answer(stream, place: str, rig: Rig, seen: SeenRod) -> None:
 
 
 def _drawn(pixels: np.ndarray) -> np.ndarray:
-    """(n, 2) px as the viewer counts them, with the corners of pixels at whole numbers; points that are not visible are left out."""
+    """(n, 2) px as the viewer counts them, with the corners of pixels at whole numbers; points far outside are left out."""
     return (pixels[(np.abs(pixels) < FARTHEST_PX).all(axis=1)] + 0.5).astype(np.float32)
 
 

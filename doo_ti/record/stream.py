@@ -24,8 +24,8 @@ BACKGROUND = (16, 18, 22)
 
 @contextmanager
 def recording(path, run_id: str, name: str, layout: blueprint.Blueprint) -> Iterator[rerun.RecordingStream]:
-    """The stream of the file ``path``, which contains its layout. The file appears when it is complete, and not at all where the
-    recording fails. Raises OSError where it cannot be written."""
+    """The stream of the file ``path``, which contains its layout. The file appears when it is complete, and not at all where
+    the recording fails. Raises OSError where it cannot be written."""
     path = Path(path)
     stream = rerun.RecordingStream("doo_ti", recording_id=run_id)
     stream.set_log_time_enabled(False)

@@ -1,5 +1,5 @@
-"""What data determine: a map over configurations of how strongly each informs each parameter (§V-A), and the curves of Eq. 4 over
-the twist angle."""
+"""What data determine: maps over configurations of how strongly each informs each parameter (§V-A), and the curves of Eq. 4
+over the twist angle."""
 
 import numpy as np
 

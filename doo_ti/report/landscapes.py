@@ -37,8 +37,8 @@ class LandscapePanel:
 
 
 def landscape_picture(path_or_buffer, plane: Plane, *, title: str, region: np.ndarray | None = None) -> None:
-    """Write the landscape as a 1600 × 1200 PNG: a line over one free axis, else a map; cells without a value are grey, cells that
-    do not compete hatched.
+    """Write the landscape as a 1600 × 1200 PNG: a line over one free axis, else a map; cells without a value are grey, cells
+    that do not compete hatched.
 
     region  (n, 2) outline of a confidence region in the units of the two axes drawn; not drawn over one axis
     """
@@ -157,7 +157,7 @@ def _multiples(plane: Plane) -> np.ndarray:
 
 
 def _common_norm(planes: list[Plane]):
-    """One colour scale for multiples of the smallest value of several landscapes, up to the largest multiple in the flattest one."""
+    """One colour scale for several landscapes, in multiples of their minima, up to the largest of the flattest one."""
     from matplotlib.colors import LogNorm
 
     largest = [np.nanmax(_multiples(plane)) for plane in planes if plane.minimum is not None]

@@ -9,8 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 REGIMES = ("β > B₁₁ and B₂₂", "B₂₂ > B₁₁ > β", "B₁₁ > B₂₂ > β")
-"""The regimes of a ribbon in the order of Fig. 5: it bends sharply instead of twisting, it bends about the stiff axis, it twists
-instead of bending about the stiff axis."""
+"""The regimes of a ribbon in the order of Fig. 5: it bends sharply instead of twisting, it bends about the stiff axis, it
+twists instead of bending about the stiff axis."""
 MOST_DRAWN = 512
 """Cells along an axis of a picture, whose axes are some 1100 × 800 pixels."""
 

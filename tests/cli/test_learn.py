@@ -42,7 +42,7 @@ def test_tables_of_the_paper(capsys, tmp_path, runs):
     for words in ("Table I: leave-one-out error by material; static (Eq. 2)", "Table II: leave-one-out",
                   "Table III: leave-one-out error by objective and end distance; silk;",
                   "[ ] trained and tested on the same part", "What each training set chooses as a whole",
-                  "every rod behind the scores is a certified minimum"):
+                  "every scored rod is a certified minimum"):
         assert words in out
     files = sorted(path.name for path in (tmp_path / "new" / "tables").iterdir())
     stems = ("by_material", "by_material_and_end_distance", "by_objective_and_end_distance")

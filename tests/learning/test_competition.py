@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
-from doo_ti.figures.panels import plane_of
 from doo_ti.learning.cross_validation import cross_validate
+from doo_ti.learning.drawing import plane_of
 from doo_ti.learning.hypotheses import Hypotheses, resolved
 from doo_ti.learning.partition import partition
 from doo_ti.types import Status
