@@ -67,7 +67,7 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
     figure.supxlabel("along the line between the ends [mm]", fontsize=10)
     figure.colorbar(_time_scale(time), ax=list(panels.ravel()), pad=0.01, aspect=40).set_label("time [s]", fontsize=10)
     more = f" ({len(rods.names) - shown} more are not drawn)" if len(rods.names) > shown else ""
-    red = "; red: before a jump (dashed) and after it" if jumps.any() else ""
+    red = "\nred: before a jump (dashed) and after it" if jumps.any() else ""
     figure.suptitle(f"{literal(title)}{more}{red}", fontsize=12)
     figure.canvas.print_png(path_or_buffer)
 

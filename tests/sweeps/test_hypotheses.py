@@ -149,5 +149,5 @@ def test_spins_that_are_not_unknown_are_refused():
     bare = replace(observations, start_frame=None, end_frame=None, total_twist=None)
     assert Experiment(bare, SMALL, SweepOptions(spins=4)).hypotheses.count == 6 * 4 * 3
     flat = Grid((Axis("bend_1", [1e5, 1e6]), Axis("bend_2", 1e5)))
-    with pytest.raises(InputError, match="both ends' spins are unknown and the rod is not round"):
+    with pytest.raises(InputError, match="rolls of both clamps are unknown and the rod is not round"):
         Experiment(bare, flat, SweepOptions(spins=4))
