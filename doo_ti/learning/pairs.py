@@ -3,16 +3,14 @@
 Axes: P pairs.
 """
 
-import csv
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
 from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
-from doo_ti.file_content import MOST_TEXT_BYTES, read_content
+from doo_ti.named_arrays import read_arrays
 from doo_ti.types import Clamp, Clamps
 from doo_ti.whole_file import write_whole
 
@@ -24,7 +22,7 @@ HALF_TURN = np.radians(1.0)
 """rad: two frames that differ by half a turn, to within this, do not determine the direction of the turn."""
 MOST_TURNS = 100
 """Of the far clamp, from one observation of a pair to the other."""
-NEEDED, OPTIONAL = ("from", "to"), ("weight", "rotation_deg")
+COLUMNS = ("from", "to", "weight", "rotation_deg")
 
 
 @dataclass(frozen=True)
@@ -108,9 +106,13 @@ def load_pairs(path: Path, observations: Observations) -> Pairs:
     ``end_rotation``, if observations have them. Raises InputError for unreadable files, other columns, entries that are no
     numbers or no rows, and as :class:`Pairs` does.
     """
-    columns = _read_columns(Path(path))
+    if Path(path).suffix != ".csv":
+        raise InputError(path, "file", f"suffix {Path(path).suffix!r}", "name a .csv file")
+    columns = read_arrays(path, {name: ((), (name,)) for name in COLUMNS})
     ends = []
-    for name in NEEDED:
+    for name in COLUMNS[:2]:
+        if name not in columns:
+            raise InputError(path, name, "the column is missing", "give the columns from,to[,weight][,rotation_deg]")
         rows = columns[name]
         wrong = np.flatnonzero(~((rows >= 0) & (rows < observations.count) & (rows == np.floor(rows))))
         if len(wrong):
@@ -128,14 +130,12 @@ def load_pairs(path: Path, observations: Observations) -> Pairs:
 
 def save_pairs(path: Path, pairs: Pairs) -> None:
     """Write ``pairs`` to a CSV file that :func:`load_pairs` reads."""
-    names, columns = ["from", "to", "weight"], [pairs.from_index, pairs.to_index, pairs.weight]
+    columns = [pairs.from_index, pairs.to_index, pairs.weight]
     if pairs.rotation is not None:
-        names, columns = [*names, "rotation_deg"], [*columns, np.degrees(pairs.rotation)]
-    text = StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows(zip(*(column.tolist() for column in columns), strict=True))
-    write_whole(Path(path), lambda file: file.write(text.getvalue().encode()))
+        columns.append(np.degrees(pairs.rotation))
+    rows = [COLUMNS[:len(columns)], *zip(*(column.tolist() for column in columns), strict=True)]
+    text = "".join(",".join(map(str, row)) + "\n" for row in rows)
+    write_whole(Path(path), lambda file: file.write(text.encode()))
 
 
 def check_ways(pairs: Pairs, clamps: Clamps) -> None:
@@ -158,27 +158,3 @@ def check_ways(pairs: Pairs, clamps: Clamps) -> None:
             remedy = "give rotation_deg, or end_rotation_deg" if name == "end" else "leave the pair out"
             raise InputError(pairs.source, "from, to",
                              f"from {x} to {y} the {name} turns by half a turn, which has two directions", remedy)
-
-
-def _read_columns(path: Path) -> dict[str, np.ndarray]:
-    content = read_content(path, MOST_TEXT_BYTES, "name a readable CSV file")
-    try:
-        rows = [row for row in csv.reader(StringIO(content.decode("utf-8-sig"))) if row]
-    except (ValueError, csv.Error) as error:
-        raise InputError(path, "file", f"not CSV ({error})", "give a CSV file of pairs") from None
-    form = f"give the columns {','.join(NEEDED)}[,{'][,'.join(OPTIONAL)}]"
-    names = [name.strip() for name in rows[0]] if rows else []
-    for name in NEEDED:
-        if name not in names:
-            raise InputError(path, name, "the column is missing", form)
-    for name in names:
-        if name not in (*NEEDED, *OPTIONAL) or names.count(name) > 1:
-            raise InputError(path, name or "header", "unknown column, or one given twice", form)
-    if any(len(row) != len(names) for row in rows):
-        line = next(number for number, row in enumerate(rows, 1) if len(row) != len(names))
-        raise InputError(path, "file", f"line {line} has {len(rows[line - 1])} entries", f"give {len(names)} in each line")
-    try:
-        values = np.array(rows[1:], dtype=np.float64).reshape(-1, len(names))
-    except ValueError as error:
-        raise InputError(path, "file", f"an entry is no number ({error})", "give numbers below the names") from None
-    return {name: values[:, k] for k, name in enumerate(names)}
