@@ -66,7 +66,7 @@ class Journey:
         ways = [(list(group._states(begin.take(rods), steps)), steps) for rods, steps, group in groups]
         for step in range(1, most + 1):
             yield _together([states[-(-step * steps // most) - 1] for states, steps in ways], order)
-        if self.precision != self._on_the_way:
+        if self.precision != self._step_precision:
             yield _together([states[-1] for states, _ in ways], order)
 
     def _groups(self) -> Iterator[tuple[np.ndarray, int, "Journey"]]:
@@ -87,11 +87,11 @@ class Journey:
         jumps = jumps or JumpCount(configuration.quaternions, self._finely(steps))
         rods = np.arange(configuration.count)
         for step in range(steps):
-            solution = self._relaxed(rods, configuration, (step + 1) / steps, self._on_the_way)
+            solution = self._relaxed(rods, configuration, (step + 1) / steps, self._step_precision)
             configuration = solution.configuration
             jumps.see(solution)
             yield solution
-        if self.precision != self._on_the_way:
+        if self.precision != self._step_precision:
             yield self._relaxed(rods, configuration, 1.0, self.precision)
 
     def _finely(self, steps: int):
@@ -100,7 +100,7 @@ class Journey:
             here = Configuration(self.motion.clamps.start_position[rods % self._motions], frames, self.rest_length)
             status, iterations = np.zeros(len(rods), dtype=np.int8), np.zeros(len(rods), dtype=np.int32)
             for part in range(1, PARTS * repeats + 1):
-                solution = self._relaxed(rods, here, (step + part / PARTS) / steps, self._on_the_way)
+                solution = self._relaxed(rods, here, (step + part / PARTS) / steps, self._step_precision)
                 status, iterations = lasting(status, solution.status), iterations + solution.iterations
                 here = solution.configuration
                 yield replace(solution, status=status, iterations=iterations)
@@ -113,7 +113,7 @@ class Journey:
                      precision=precision, configuration_index=np.arange(len(rods)), material_index=rods // self._motions)
 
     @property
-    def _on_the_way(self) -> str:
+    def _step_precision(self) -> str:
         """Precision of the sub-steps."""
         return "f64" if self.precision == "f64" else "f32"
 

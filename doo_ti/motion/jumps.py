@@ -81,10 +81,10 @@ class JumpCount:
                 _put(solution, rows, here)
             elif part == PARTS * (steps - 1):
                 _put(self._before, rows, here)
-        way = np.nan_to_num(np.array(sizes))
-        around = np.pad(way, ((1, 1), (0, 0)))
+        size = np.nan_to_num(np.array(sizes))
+        around = np.pad(size, ((1, 1), (0, 0)))
         beside = np.maximum(around[:-2], around[2:])
-        self.count[rows] += ((way > NOTABLE) & (way > np.minimum(UNDIVIDED * way.sum(axis=0), ABRUPT * beside))).sum(axis=0)
+        self.count[rows] += ((size > NOTABLE) & (size > np.minimum(UNDIVIDED * size.sum(axis=0), ABRUPT * beside))).sum(axis=0)
 
 
 def _put(solution: Solution, rows: np.ndarray, other: Solution) -> None:

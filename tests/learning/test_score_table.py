@@ -19,7 +19,7 @@ LABELS = np.repeat([30.0, 54.0], 4)
 
 @pytest.fixture
 def scores(rng):
-    """Two materials at two end distances; one rod came to nothing, one is no certified minimum."""
+    """Two materials at two end distances; one rod has no distance, one is no certified minimum."""
     runs = []
     for name, cell in (("nylon", 1), ("silk", 3)):
         distance = 1 + rng.uniform(0, 0.1, (5, 8)) + np.abs(np.arange(5) - cell)[:, None]

@@ -196,10 +196,10 @@ def test_another_version_does_not_go_on_with_a_run(copy, monkeypatch):
 
 def test_a_chunk_says_who_made_it(runs):
     chunk = min((runs / "static" / "cells").glob("*.parquet"))
-    told = pyarrow.parquet.read_schema(chunk).metadata
+    metadata = pyarrow.parquet.read_schema(chunk).metadata
     summary = json.loads((runs / "static" / "summary.json").read_text())
-    assert json.loads(told[b"doo_ti_maker"]) == maker() == summary["provenance"]["maker"]
-    assert told[b"doo_ti_sweep"].decode() == summary["provenance"]["sweep_sha256"]
+    assert json.loads(metadata[b"doo_ti_maker"]) == maker() == summary["provenance"]["maker"]
+    assert metadata[b"doo_ti_sweep"].decode() == summary["provenance"]["sweep_sha256"]
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="takes pipes with names")

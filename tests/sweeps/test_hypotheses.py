@@ -60,7 +60,7 @@ def test_what_explains_an_observation_stands_for_it_in_all_cells(rng):
     chosen, ambiguous = resolved(distance, sound, np.ones(4), THREE)
     assert ambiguous.tolist() == [False, True, False, False] and (chosen[:, [0, 2, 3]] == true[[0, 2, 3]]).all()
     np.testing.assert_array_equal(chosen[:, 1], nearest(distance, sound, THREE)[:, 1])
-    # What did not come to rest is no witness, and what is no number is none either.
+    # Rods that did not converge are not chosen, nor are those whose distance is NaN.
     sound[best, 3], distance[best, 2] = False, np.inf
     chosen, ambiguous = resolved(distance, sound, np.ones(4), THREE)
     assert (chosen[:, 1] == 4).all() and chosen[0, 0] != 2
