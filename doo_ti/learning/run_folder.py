@@ -101,11 +101,7 @@ def _save_once(path: Path, save, content) -> None:
 def _is_free(run: Path) -> bool:
     """Whether a folder holds nothing but what an interrupted claim leaves."""
     cells = run / "cells"
-    return all(path == cells for path in _inside(run)) and all(path.name.startswith(f".{IDENTITY}.") for path in _inside(cells))
-
-
-def _inside(folder: Path) -> list[Path]:
-    return list(folder.iterdir()) if folder.exists() else []
+    return all(path == cells or (path.parent == cells and path.name.startswith(f".{IDENTITY}.")) for path in run.rglob("*"))
 
 
 def finished(run: Path, identity: str) -> dict | None:

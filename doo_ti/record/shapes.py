@@ -21,10 +21,10 @@ def record_motion(path, *, run_id: str, name: str, rods: MovingRods, curves: dic
     curves  title, with its unit: (T, R), a line for each of the first ``MOST_CURVES`` rods
     text    Markdown
     """
-    count, moments, up = len(rods.names), len(rods.time), np.asarray(rods.up, float)
+    count, moments = len(rods.names), len(rods.time)
     when = [rerun.TimeColumn("time", duration=rods.time)]
-    with recording(path, run_id, name, _motion_layout(rods.vertices, list(curves), up)) as stream:
-        log_up(stream, "rods", up)
+    with recording(path, run_id, name, _motion_layout(rods, list(curves))) as stream:
+        log_up(stream, "rods", rods.basis[2])
         stream.log("rods", rerun.LineStrips3D.from_fields(
             radii=rerun.Radius.ui_points(2.0), labels=rods.names, show_labels=count <= len(COLORS)), static=True)
         colors = np.where(rods.sound[..., None], COLORS[np.arange(count) % len(COLORS)], np.uint8(FAILED)).astype(np.uint8)
@@ -44,15 +44,12 @@ def record_motion(path, *, run_id: str, name: str, rods: MovingRods, curves: dic
         stream.log("summary", rerun.TextDocument(text, media_type="text/markdown"), static=True)
 
 
-def _motion_layout(vertices: np.ndarray, titles: list[str], up: np.ndarray) -> blueprint.Blueprint:
+def _motion_layout(rods: MovingRods, titles: list[str]) -> blueprint.Blueprint:
     """Rods on the left, seen from the front and a little above; curves, jumps and text on the right."""
-    low, high = np.nanmin(vertices, axis=(0, 1, 2)), np.nanmax(vertices, axis=(0, 1, 2))
+    low, high = np.nanmin(rods.vertices, axis=(0, 1, 2)), np.nanmax(rods.vertices, axis=(0, 1, 2))
     middle, size = 0.5 * (low + high), max(np.linalg.norm(high - low), 1.0)
-    up = up / np.linalg.norm(up)
-    chord = np.nanmean(vertices[:, :, -1] - vertices[:, :, 0], axis=(0, 1))
-    into = np.cross(up, chord)
-    into = np.cross(up, np.eye(3)[np.argmin(np.abs(up))]) if np.linalg.norm(into) < 1e-6 * size else into
-    view = space_view("Rods, mm", "rods", (middle - 1.1 * size * (into / np.linalg.norm(into) - 0.3 * up), middle, up))
+    _, into, up = rods.basis
+    view = space_view("Rods, mm", "rods", (middle - 1.1 * size * (into - 0.3 * up), middle, up))
     plots = [blueprint.TimeSeriesView(name=title, origin=f"curves/{entity_name(title)}") for title in titles]
     words = blueprint.Horizontal(blueprint.TextDocumentView(name="Summary", origin="summary"),
                                  blueprint.TextLogView(name="Jumps", origin="falls"))

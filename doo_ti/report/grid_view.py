@@ -95,15 +95,22 @@ def upright_basis(vertices: np.ndarray, up) -> np.ndarray:
     return np.stack([right, np.cross(up, right), up])
 
 
+def label_table(first, second) -> tuple | None:
+    """(columns, (D,) column of each observation, rows, (D,) row) by two labels, (D,) each; None where these do not distinguish
+    all observations."""
+    columns, column = np.unique(np.asarray(first, float), return_inverse=True)
+    rows, row = np.unique(np.asarray(second, float), return_inverse=True)
+    return (columns, column, rows, row) if len(np.unique(row * len(columns) + column)) == len(row) else None
+
+
 def _places(labels: dict, count: int, aspect: float) -> tuple[np.ndarray, np.ndarray, list, str]:
     """Column and row (D,) of each observation; titles (above a column or left of a row, its number, text); what columns and
     rows are."""
     if len(labels) >= 2:
         (across, first), (down, second) = list(labels.items())[:2]
-        columns, column = np.unique(np.asarray(first, float), return_inverse=True)
-        rows, row = np.unique(np.asarray(second, float), return_inverse=True)
-        apart = len(np.unique(row * len(columns) + column)) == count
-        if apart and len(columns) * len(rows) <= 2 * count:
+        found = label_table(first, second)
+        if found and len(found[0]) * len(found[2]) <= 2 * count:
+            columns, column, rows, row = found
             return (column, row, [(True, k, _quantity(across, value)) for k, value in enumerate(columns)]
                     + [(False, k, _quantity(down, value)) for k, value in enumerate(rows)],
                     f"columns: {_words(across)}, rows: {_words(down)}")

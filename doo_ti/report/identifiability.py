@@ -4,6 +4,7 @@ over the twist angle."""
 import numpy as np
 
 from doo_ti.report.canvas import MISSING, SYMBOLS, literal, new_figure
+from doo_ti.report.grid_view import label_table
 
 RANK = MINIMUM = "#ff2e63"
 CURVE, SHADE = "#31688e", "#fde725"
@@ -21,7 +22,9 @@ def identifiability_picture(path_or_buffer, parameters, strength, rank, end_dist
     """
     from matplotlib.colors import LogNorm
 
-    columns, column, rows, row = _places(len(strength), end_distance, end_rotation)
+    number = np.arange(len(strength))
+    labelled = None if end_distance is None or end_rotation is None else label_table(end_distance, end_rotation)
+    columns, column, rows, row = labelled or (number, number, np.zeros(1), 0 * number)
     finite = strength[np.isfinite(strength) & (strength > 0)]
     low, high = (finite.min(), finite.max()) if finite.size else (1e-3, 1.0)
     # Of a parameter without any effect only rounding errors are left: the scale does not extend to these.
@@ -51,17 +54,6 @@ def identifiability_picture(path_or_buffer, parameters, strength, rank, end_dist
     figure.suptitle("Effect of each parameter in each configuration (median over the grid); red: the order in which to measure",
                     fontsize=13)
     figure.canvas.print_png(path_or_buffer)
-
-
-def _places(count: int, end_distance, end_rotation):
-    """(columns, (D,) column of each configuration, rows, (D,) row): by their labels where these distinguish all."""
-    number = np.arange(count)
-    if end_distance is not None and end_rotation is not None:
-        columns, column = np.unique(end_distance, return_inverse=True)
-        rows, row = np.unique(end_rotation, return_inverse=True)
-        if len(np.unique(row * len(columns) + column)) == count:
-            return columns, column, rows, row
-    return number, number, np.zeros(1), np.zeros(count, dtype=np.int64)
 
 
 def angle_curves_picture(path_or_buffer, angles: np.ndarray, objective: np.ndarray, *, phi, low, high, names: list[str],

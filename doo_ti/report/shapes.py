@@ -35,6 +35,17 @@ class MovingRods:
     sound: np.ndarray
     up: np.ndarray = (0.0, 0.0, 1.0)
 
+    @property
+    def basis(self) -> np.ndarray:
+        """(3, 3) rows right, along the mean line between the ends, into the picture, and up."""
+        up = np.asarray(self.up, float) / np.linalg.norm(self.up)
+        chord = np.nanmean(self.vertices[..., -1, :] - self.vertices[..., 0, :], axis=(0, 1))
+        right = chord - (chord @ up) * up
+        if not np.linalg.norm(right) > 1e-6 * (np.linalg.norm(chord) + 1e-9):
+            right = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+        right /= np.linalg.norm(right)
+        return np.stack([right, np.cross(up, right), up])
+
 
 def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
     """Write the motions as a PNG, at most the first ``MOST_RODS``, ``COLUMNS`` beside each other: each from the front and
@@ -42,7 +53,7 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
     shown, time = min(len(rods.names), MOST_RODS), rods.time
     vertices, jumps = rods.vertices[:, :shown], rods.jumps[:, :shown]
     moments = np.unique(np.linspace(0, len(time) - 1, SHOWN).round().astype(int))
-    views = _front_and_above(vertices, np.asarray(rods.up, float))
+    views = [rods.basis[[0, 2]], rods.basis[:2]]
     limits = [_limits(vertices @ view.T) for view in views]
     heights = [np.ptp(limit[1]) / np.ptp(limit[0]) for limit in limits]
     columns, blocks = min(shown, COLUMNS), -(-shown // COLUMNS)
@@ -97,17 +108,6 @@ def _time_scale(time: np.ndarray):
     from matplotlib.colors import Normalize
 
     return ScalarMappable(Normalize(time[0], time[-1]), colormaps["viridis"])
-
-
-def _front_and_above(vertices: np.ndarray, up: np.ndarray) -> list[np.ndarray]:
-    """(2, 3) right and up from the front, and right and back from above: right is along the mean line between the ends."""
-    up = up / np.linalg.norm(up)
-    chord = np.nanmean(vertices[..., -1, :] - vertices[..., 0, :], axis=(0, 1))
-    right = chord - (chord @ up) * up
-    if not np.linalg.norm(right) > 1e-6 * (np.linalg.norm(chord) + 1e-9):
-        right = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-    right /= np.linalg.norm(right)
-    return [np.stack([right, up]), np.stack([right, np.cross(up, right)])]
 
 
 @dataclass(frozen=True)

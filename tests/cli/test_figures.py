@@ -96,7 +96,7 @@ def test_a_large_grid_is_thinned_and_that_is_told(lab, tmp_path, capsys):
 
 @pytest.mark.parametrize(("words", "problem"), [
     (["silk", "static"], "another grid"), (["silk", "silk"], "static silk"), (["nowhere"], "finished sweep"),
-    (["unlabelled", "--by", "end-distance"], "end_distance_mm"), (["silk", "--observation", "8"], "--observation"),
+    (["unlabelled", "--by", "end-distance"], "end_distance_mm"), (["silk", "--observation", "8"], "observation"),
     (["silk", "--observation", "x"], "not a whole number"), (["silk", "--cells", "some"], "not a whole number"),
     (["silk", "--by", "colour"], "--by"), ([], "RUN"),
 ])
