@@ -19,7 +19,7 @@ from doo_ti.record import CellsOfRun, Rods, record_cells, record_ribbons
 from doo_ti.report import LandscapePanel, Ribbons, cells_image, quantity, ribbon_sides, ribbons_picture, values_text
 from doo_ti.report.grid_view import Observed, upright_basis
 from doo_ti.report.plane import REGIMES, regime
-from doo_ti.types import Status
+from doo_ti.types import Configuration, Status
 from doo_ti.whole_file import write_whole
 
 if TYPE_CHECKING:
@@ -150,21 +150,17 @@ class Regime:
     """The ribbons of one regime, under the cell in its middle.
 
     number    1 to 3, as `REGIMES` counts them
-    cell      that cell, where the regime's number is drawn in the landscape
     mean      mm, the mean distance there
     theta     Θ of the cell, as text
-    vertices  (D, V, 3) mm
-    across    (D, V - 1, 3) m1 of each edge
+    ribbons   D of them
     distance  (D,) Eq. 1, mm
     sound     (D,) bool: certified minima
     """
 
     number: int
-    cell: int
     mean: float
     theta: str
-    vertices: np.ndarray
-    across: np.ndarray
+    ribbons: Configuration
     distance: np.ndarray
     sound: np.ndarray
 
@@ -186,8 +182,7 @@ def regimes_of(experiment: Experiment, landscape: Landscape) -> list[Regime]:
         cell = int(cells[np.argmin(np.linalg.norm(bends[cells] - bends[cells].mean(axis=0), axis=-1))])
         columns, configuration = relax_cells(experiment, cell, cell + 1)
         theta = values_text([(name, values[name][cell], "mm³") for name in ("bend_1", "bend_2")])
-        found.append(Regime(number, cell, float(landscape.mean_distance[cell]), theta, configuration.vertices,
-                            configuration.frames[..., 1], columns["distance_mm"],
+        found.append(Regime(number, float(landscape.mean_distance[cell]), theta, configuration, columns["distance_mm"],
                             (columns["status"] == Status.CONVERGED) & columns["stable"]))
     return found
 
@@ -195,7 +190,7 @@ def regimes_of(experiment: Experiment, landscape: Landscape) -> list[Regime]:
 def difference(regimes: list[Regime]) -> np.ndarray:
     """(D,) mm between the ribbons of a term, on average over vertices and pairs of regimes; −1 where one of them is no
     certified minimum."""
-    shapes = np.stack([found.vertices for found in regimes])
+    shapes = np.stack([found.ribbons.vertices for found in regimes])
     apart = np.linalg.norm(shapes[:, None] - shapes[None], axis=-1).mean(axis=(0, 1, 3))
     return np.where(np.all([found.sound for found in regimes], axis=0), apart, -1.0)
 
@@ -221,7 +216,7 @@ def draw_regimes(stem: Path, name: str, experiment: Experiment, landscape: Lands
         title += f"\nno certified minimum in regime {', '.join(lost)}"
     picture, recording = stem.with_suffix(".png"), stem.with_suffix(".rrd")
     write_whole(picture, lambda file: ribbons_picture(file, ribbons, term, basis=basis, title=title))
-    record_ribbons(recording, run_id=_run_id([found.vertices for found in regimes]), name=f"{name}: regimes", ribbons=ribbons,
+    record_ribbons(recording, run_id=_run_id([found.ribbons.vertices for found in regimes]), name=f"{name}: regimes", ribbons=ribbons,
                    observation=seen, rank=rank, texts=[_regime_text(names[k], regimes, k) for k in range(len(seen))],
                    basis=basis)
     return [picture, recording]
@@ -237,7 +232,8 @@ def _ribbons(experiment: Experiment, landscape: Landscape, regimes: list[Regime]
         ribbons = [Ribbons("observed", OBSERVED, sides, filled=False)]
     label = "{}\n{}\nmean distance {} over all observations"
     return ribbons + [Ribbons(label.format(found.label, found.theta, quantity(found.mean, "mm")), COLORS[found.number - 1],
-                              ribbon_sides(found.vertices, found.across, width)) for found in regimes]
+                              ribbon_sides(found.ribbons.vertices, found.ribbons.frames[..., 1], width))
+                      for found in regimes]
 
 
 def _regime_text(name: str, regimes: list[Regime], term: int) -> str:

@@ -35,9 +35,7 @@ def caption(scores: Scores) -> str:
 
 def text(scores: Scores, width: int) -> str:
     """The table and the Θ of its training sets, in lines of at most ``width`` characters if no column is wider."""
-    marks = np.select([scores.is_best, scores.is_near], ["*", "~"], " ")
-    rows = [[label, *(f"{entry if entry[0] == '[' else f' {entry} '}{mark}" for entry, mark in zip(line, row, strict=True))]
-            for label, line, row in zip(_labels(scores), _figures(scores), marks, strict=True)]
+    rows = _rows(scores, ("*", "~", " "), lambda entry, mark: (entry if entry[0] == "[" else f" {entry} ") + mark)
     heads = ["train \\ test", *(f" {label}" for label in _labels(scores))]
     legend = "[ ] trained and tested on the same part   * best of its column   ~ within one standard error of it"
     return "\n".join([caption(scores), "", _aligned(heads, rows, width), "", legend, *notes(scores), "",
@@ -46,9 +44,7 @@ def text(scores: Scores, width: int) -> str:
 
 def markdown(scores: Scores) -> str:
     """The same as Markdown."""
-    marks = np.select([scores.is_best, scores.is_near], ["**", "_"], "")
-    rows = [[label, *(f"{mark}{entry}{mark}" for entry, mark in zip(line, row, strict=True))]
-            for label, line, row in zip(_labels(scores), _figures(scores), marks, strict=True)]
+    rows = _rows(scores, ("**", "_", ""), lambda entry, mark: f"{mark}{entry}{mark}")
     below = ["In brackets: trained and tested on the same part", "**bold**: best of its column",
              "_italic_: within one standard error of it", *notes(scores)]
     return "\n\n".join([f"**{caption(scores)}**", _markdown(["train / test", *_labels(scores)], rows), "; ".join(below) + ".",
@@ -107,16 +103,17 @@ def _labels(scores: Scores) -> list[str]:
     return [part.label for part in scores.partition.parts]
 
 
-def _figures(scores: Scores) -> list[list[str]]:
-    """Mean ± standard error of every entry, the diagonal in brackets."""
-    size, figures = range(len(scores.mean)), []
-    for row in size:
-        figures.append([])
-        for column in size:
-            mean, error = scores.mean[row, column], scores.standard_error[row, column]
-            figure = "–" if np.isnan(mean) else f"{mean:.3f}" if np.isnan(error) else f"{mean:.3f} ± {error:.3f}"
-            figures[row].append(f"[{figure}]" if row == column else figure)
-    return figures
+def _rows(scores: Scores, marks: tuple[str, str, str], marked) -> list[list[str]]:
+    """A line per training set: its label, then mean ± standard error of every entry, the diagonal in brackets; ``marked``
+    adds to an entry the mark of the best, of those near it, or of all others."""
+    of_entry = np.select([scores.is_best, scores.is_near], marks[:2], marks[2])
+    rows = []
+    for row, label in enumerate(_labels(scores)):
+        rows.append([label])
+        for column, (mean, error) in enumerate(zip(scores.mean[row], scores.standard_error[row], strict=True)):
+            entry = "–" if np.isnan(mean) else f"{mean:.3f}" if np.isnan(error) else f"{mean:.3f} ± {error:.3f}"
+            rows[-1].append(marked(f"[{entry}]" if row == column else entry, of_entry[row, column]))
+    return rows
 
 
 def _theta(scores: Scores, row: int) -> dict[str, float]:

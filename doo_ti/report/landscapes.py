@@ -6,7 +6,9 @@ import numpy as np
 
 from doo_ti.report.canvas import (
     MEAN_DISTANCE,
+    MISSING,
     PICTURE_DPI,
+    SYMBOLS,
     VIEWER_DPI,
     literal,
     new_figure,
@@ -16,9 +18,21 @@ from doo_ti.report.canvas import (
     quantity,
     values_text,
 )
-from doo_ti.report.landscape_axes import cell_boxes, draw_line, draw_map, draw_marks, draw_region, draw_star, label_minimum
-from doo_ti.report.landscape_key import key_of, key_of_panels, remarks
-from doo_ti.report.plane import Plane
+from doo_ti.report.landscape_axes import (
+    BORDER,
+    REGION,
+    STAR,
+    VALLEY,
+    cell_boxes,
+    draw_line,
+    draw_map,
+    draw_marks,
+    draw_region,
+    draw_star,
+    edged,
+    label_minimum,
+)
+from doo_ti.report.plane import REGIMES, Plane
 
 
 @dataclass(frozen=True)
@@ -27,13 +41,11 @@ class LandscapePanel:
 
     plane   the landscape
     marks   (text, (a, b)) of further cells to mark with circles, such as the minima of the panels beside it
-    region  (n, 2) outline of a confidence region in the units of the plane's two axes, or None
     """
 
     title: str
     plane: Plane
     marks: tuple = ()
-    region: np.ndarray | None = None
 
 
 def landscape_picture(path_or_buffer, plane: Plane, *, title: str, region: np.ndarray | None = None) -> None:
@@ -71,22 +83,18 @@ def cells_image(rows: list[list[LandscapePanel]], index: tuple, *, marks: str = 
     return image, np.stack(boxes, axis=1)
 
 
-def draw_landscape(plane: Plane, title: str, region=None):
+def draw_landscape(plane: Plane, title: str, region: np.ndarray | None = None):
     """The figure of one landscape, its legend below."""
     figure = new_figure()
     axes = figure.add_subplot()
+    _draw(figure, axes, plane, None, 1.0)
     region = region if len(plane.axes) == 2 else None
-    if len(plane.axes) == 2:
-        _color_bar(figure, draw_map(axes, plane, norm_of(plane.values)), axes)
-    else:
-        draw_line(axes, plane)
     if region is not None:
         draw_region(axes, region)
     if plane.minimum is not None:
-        draw_star(axes, plane)
         label_minimum(axes, plane)
-    axes.set_title("\n".join([literal(title), *remarks(plane)]), fontsize=14, pad=12)
-    _put_key(figure, key_of(plane, region is not None), 1 if plane.hidden else 2)
+    axes.set_title("\n".join([literal(title), *_remarks(plane)]), fontsize=14, pad=12)
+    _put_legend(figure, [plane], 1 if plane.hidden else 2, with_region=region is not None)
     return figure
 
 
@@ -112,16 +120,26 @@ def _draw_panels(rows: list[list[LandscapePanel]], title: str, marks: str, relat
         label = MEAN_DISTANCE.rpartition(" [")[0] + ", in multiples of the panel's smallest"
         _color_bar(figure, meshes[0], grid, label, extend="max")
     figure.suptitle(literal(title), fontsize=14)
-    with_region = any(panel.region is not None for panel in panels)
-    keys = key_of_panels([panel.plane for panel in panels], with_region, marks if any(p.marks for p in panels) else "")
-    _put_key(figure, keys, 3 if columns <= 3 else 6)
+    _put_legend(figure, [panel.plane for panel in panels], 3 if columns <= 3 else 6,
+                marks if any(panel.marks for panel in panels) else "")
     return figure, drawn
 
 
 def _draw_panel(figure, axes, panel: LandscapePanel, norm, size: float):
-    """One panel, on a colour scale of its own unless a common one, ``norm``, is given; returns the coloured mesh, None for a
-    line."""
-    plane, mesh = panel.plane, None
+    """One panel with its title; returns as :func:`_draw`."""
+    plane, lines = panel.plane, [literal(panel.title)]
+    mesh = _draw(figure, axes, plane, norm, size)
+    if plane.minimum is not None:
+        lines = [f"{lines[0]}: {quantity(plane.values[plane.minimum], 'mm')}", f"at {values_text(plane.best)}"]
+    draw_marks(axes, plane, panel.marks, size)
+    axes.set_title("\n".join(lines + _remarks(plane)), fontsize=12 * size)
+    return mesh
+
+
+def _draw(figure, axes, plane: Plane, norm, size: float):
+    """A line or a map, on a colour scale of its own unless a common one, ``norm``, is given, and the minimum; returns the
+    coloured mesh, None for a line."""
+    mesh = None
     if len(plane.axes) == 1:
         draw_line(axes, plane, size)
     elif norm is None:
@@ -129,15 +147,8 @@ def _draw_panel(figure, axes, panel: LandscapePanel, norm, size: float):
         _color_bar(figure, mesh, axes, size=size)
     else:
         mesh = draw_map(axes, replace(plane, values=_multiples(plane)), norm, size)
-    if panel.region is not None and len(plane.axes) == 2:
-        draw_region(axes, panel.region)
-    title = literal(panel.title)
-    lines = [title]
     if plane.minimum is not None:
         draw_star(axes, plane, size)
-        lines = [f"{title}: {quantity(plane.values[plane.minimum], 'mm')}", f"at {values_text(plane.best)}"]
-    draw_marks(axes, plane, panel.marks, size)
-    axes.set_title("\n".join(lines + remarks(plane)), fontsize=12 * size)
     return mesh
 
 
@@ -173,9 +184,72 @@ def _color_bar(figure, mesh, axes, label: str = MEAN_DISTANCE, size: float = 1.0
     plain_ticks(bar.ax.yaxis, isinstance(mesh.norm, LogNorm), mesh.norm.vmin, mesh.norm.vmax)
 
 
-def _put_key(figure, keys: list, columns: int) -> None:
-    """The legend below the axes, its entries in rows: matplotlib fills columns first."""
+def _remarks(plane: Plane) -> list[str]:
+    """Lines for the title: axes that are not shown, and a minimum at the border."""
+    lines = []
+    if plane.hidden:
+        lines.append(f"minimum over {', '.join(SYMBOLS.get(name, name) for name in plane.hidden)}")
+    if plane.at_border:
+        lines.append("minimum at the border of the grid: widen it")
+    return lines
+
+
+def _put_legend(figure, planes: list[Plane], columns: int, marks: str | None = None, with_region: bool = False) -> None:
+    """The legend below the axes, its entries in rows: matplotlib fills columns first.
+
+    marks  what the panels' marks are, empty where there are none; None: of one landscape, with its numbers
+    """
+    keys = _legend(planes, marks) + (_region_key() if with_region else []) + _regime_keys(planes)
     if keys:
         rows = [key for column in range(columns) for key in keys[column::columns]]
         figure.legend(handles=rows, loc="outside lower center", ncols=min(columns, len(keys)), frameon=False, fontsize=10,
                       handlelength=1.6, handletextpad=0.6, columnspacing=1.4)
+
+
+def _legend(planes: list[Plane], marks: str | None) -> list:
+    """Entries for the minimum, the valley, marks, and cells that do not compete or have no value."""
+    from matplotlib.patches import Patch
+
+    line, keys = all(len(plane.axes) == 1 for plane in planes), []
+    if any(plane.minimum is not None for plane in planes):
+        at = cells = ""
+        if marks is None:
+            at, cells = f" at {values_text(planes[0].best)}", f": {planes[0].valley.sum()} of {planes[0].values.size} cells"
+        style = {"facecolor": VALLEY, "alpha": 0.35} if line else {
+            "facecolor": "none", "edgecolor": "white", "linewidth": 2.2, "path_effects": edged()}
+        keys += [_point(f"minimum{at}", marker="*", markersize=14, color=STAR, markeredgecolor="white"),
+                 Patch(label=f"within 5 % of the minimum{cells}", **style)]
+    if marks:
+        keys.append(_point(marks, marker="o", markersize=8, markerfacecolor="white", markeredgecolor="#202020",
+                           markeredgewidth=1.2))
+    if rods := sum(plane.unfinished.sum() for plane in planes):
+        label = f"cells not competing: {sum((plane.unfinished > 0).sum() for plane in planes)} (rods not certified: {rods})"
+        keys.append(_point(label, marker="o", markerfacecolor="white", color=MISSING, markersize=8) if line else Patch(
+            facecolor="#c4c4c4", edgecolor="#262626", hatch="////", linewidth=0, label=label))
+    if missing := sum((np.isnan(plane.values) & (plane.unfinished == 0)).sum() for plane in planes):
+        keys.append(Patch(facecolor=MISSING, alpha=0.5 if line else 1, label=f"cells not evaluated: {missing}"))
+    return keys
+
+
+def _region_key() -> list:
+    from matplotlib.lines import Line2D
+
+    return [Line2D([], [], color=REGION, linewidth=2.2, linestyle="--", path_effects=edged(), label="confidence region")]
+
+
+def _regime_keys(planes: list[Plane]) -> list:
+    """Entries for the regimes of a ribbon and the lines between them, where there are any."""
+    from matplotlib.lines import Line2D
+
+    twists = sorted({plane.twist for plane in planes if plane.twist is not None})
+    if not twists:
+        return []
+    label = f"B₁₁ = B₂₂, B₁₁ = β and B₂₂ = β, β = {', '.join(quantity(twist, 'mm³') for twist in twists)}"
+    return [Line2D([], [], color=BORDER, linewidth=1.4, linestyle=(0, (5, 3)), label=label),
+            *(_point(regime, marker=f"${number}$", markersize=9, color=BORDER) for number, regime in enumerate(REGIMES, 1))]
+
+
+def _point(label: str, **style):
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], linestyle="", label=label, **style)
