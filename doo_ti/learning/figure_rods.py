@@ -216,9 +216,9 @@ def draw_regimes(stem: Path, name: str, experiment: Experiment, landscape: Lands
         title += f"\nno certified minimum in regime {', '.join(lost)}"
     picture, recording = stem.with_suffix(".png"), stem.with_suffix(".rrd")
     write_whole(picture, lambda file: ribbons_picture(file, ribbons, term, basis=basis, title=title))
-    record_ribbons(recording, run_id=_run_id([found.ribbons.vertices for found in regimes]), name=f"{name}: regimes", ribbons=ribbons,
-                   observation=seen, rank=rank, texts=[_regime_text(names[k], regimes, k) for k in range(len(seen))],
-                   basis=basis)
+    record_ribbons(recording, run_id=_run_id([found.ribbons.vertices for found in regimes]), name=f"{name}: regimes",
+                   ribbons=ribbons, observation=seen, rank=rank, basis=basis,
+                   texts=[_regime_text(names[k], regimes, k) for k in range(len(seen))])
     return [picture, recording]
 
 
@@ -231,9 +231,10 @@ def _ribbons(experiment: Experiment, landscape: Landscape, regimes: list[Regime]
         sides = ribbon_sides(observed.vertices, observed.frames[..., 1], width)[seen]
         ribbons = [Ribbons("observed", OBSERVED, sides, filled=False)]
     label = "{}\n{}\nmean distance {} over all observations"
-    return ribbons + [Ribbons(label.format(found.label, found.theta, quantity(found.mean, "mm")), COLORS[found.number - 1],
-                              ribbon_sides(found.ribbons.vertices, found.ribbons.frames[..., 1], width))
-                      for found in regimes]
+    for found in regimes:
+        ribbons.append(Ribbons(label.format(found.label, found.theta, quantity(found.mean, "mm")), COLORS[found.number - 1],
+                               ribbon_sides(found.ribbons.vertices, found.ribbons.frames[..., 1], width)))
+    return ribbons
 
 
 def _regime_text(name: str, regimes: list[Regime], term: int) -> str:
