@@ -125,7 +125,7 @@ def read_experiment(run: Path) -> Experiment:
     summary = read_summary(run)
     for name in changed_files(Path(run), summary, (OBSERVATIONS, PAIRS)):
         raise InputError(Path(run) / name, "file", "gone, or not what the sweep wrote",
-                         "run the sweep again: it is made anew")
+                         "run the sweep again, which writes it")
     return _experiment(Path(run), Path(run) / "summary.json", summary)
 
 

@@ -150,7 +150,7 @@ def _check_workers(client, expected: dict[str, str]) -> None:
     except Exception as error:  # such as that of a worker without the package
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError("sweep", "scheduler", f"a worker does not report its version ({reason})",
-                         "install doo_ti on the workers, the same as here, and start them anew") from None
+                         "install the same version of doo_ti on the workers, and restart them") from None
     for name, made in makers.items():
         if made != expected:
             raise _other_version(f"the worker {name}", made, expected)
@@ -165,7 +165,7 @@ def as_made(expected: dict[str, str], work, *chunk):
 
 def _other_version(name: str, made: dict[str, str], expected: dict[str, str]) -> InputError:
     return InputError("sweep", "workers", f"{name} runs {maker_text(made)}, this process {maker_text(expected)}",
-                      "install the same on all, and start the workers anew")
+                      "install the same version on all, and restart the workers")
 
 
 def _on_dask_worker(expected: dict[str, str], work, *chunk):
