@@ -44,9 +44,11 @@ def record_perception(path, *, run_id: str, name: str, rig: Rig, rods: list[Seen
             _log_styles(stream, place, rig)
             for number, step in enumerate(steps, 2):
                 stream.set_time("edges", sequence=number)
-                _log_step(stream, place, rig, step)
+                stream.log(f"{place}/energy_vis", rerun.AnyValues(per_mm=step.energy_vis, kept=step.kept))
+                _log_curves(stream, place, rig, _step_curves(step))
             stream.set_time("edges", sequence=len(steps) + 2)
-            _log_answer(stream, place, rig, seen)
+            _log_curves(stream, place, rig, {
+                "best": [seen.best], "runner_up": [] if seen.runner_up is None else [seen.runner_up], "kept": [], "pruned": []})
             stream.reset_time()
 
 
@@ -92,28 +94,21 @@ def _log_styles(stream, place: str, rig: Rig) -> None:
                        static=True)
 
 
-def _log_step(stream, place: str, rig: Rig, step: GrowthStep) -> None:
-    """The hypotheses of a step in space and in every image: the best, the others that are kept, and those that are pruned."""
+def _step_curves(step: GrowthStep) -> dict[str, list[np.ndarray]]:
+    """The hypotheses of a step: the best, the others that are kept, and those that are pruned."""
     kept = np.flatnonzero(step.kept)
-    groups = {"best": kept[:1], "kept": kept[1:], "pruned": np.flatnonzero(~step.kept)}
-    stream.log(f"{place}/energy_vis", rerun.AnyValues(per_mm=step.energy_vis, kept=step.kept))
-    for name, rows in groups.items():
-        curves = step.vertices[rows]
-        stream.log(f"{place}/world/{name}", rerun.LineStrips3D.from_fields(strips=drawn_strips(curves)))
-        for camera in rig.cameras:
-            pixels = [_drawn(line) for line in camera.project(curves)]
-            stream.log(f"{place}/{camera.name}/{name}", rerun.LineStrips2D.from_fields(strips=pixels))
+    rows = {"best": kept[:1], "kept": kept[1:], "pruned": np.flatnonzero(~step.kept)}
+    return {name: list(step.vertices[own]) for name, own in rows.items()}
 
 
-def _log_answer(stream, place: str, rig: Rig, seen: SeenRod) -> None:
-    """The best rod and its runner-up instead of hypotheses."""
-    groups = {"best": [seen.best], "runner_up": [] if seen.runner_up is None else [seen.runner_up], "kept": [], "pruned": []}
-    for name, curves in groups.items():
+def _log_curves(stream, place: str, rig: Rig, curves: dict[str, list[np.ndarray]]) -> None:
+    """Curves (V, 3) by the name of their entity, in space and in every image."""
+    for name, some in curves.items():
         stream.log(f"{place}/world/{name}", rerun.LineStrips3D.from_fields(
-            strips=[strip for curve in curves for strip in drawn_strips(curve[None])]))
+            strips=[strip for curve in some for strip in drawn_strips(curve[None])]))
         for camera in rig.cameras:
             stream.log(f"{place}/{camera.name}/{name}", rerun.LineStrips2D.from_fields(
-                strips=[_drawn(camera.project(curve)) for curve in curves]))
+                strips=[_drawn(camera.project(curve)) for curve in some]))
 
 
 def _drawn(pixels: np.ndarray) -> np.ndarray:
