@@ -203,6 +203,8 @@ def _arrays(task: _Task, prediction) -> dict[str, np.ndarray]:
 
 
 def _draw(task: _Task, prediction, result: dict, pictures: dict) -> None:
+    if not any(pictures.values()):
+        return
     from doo_ti.report import MovingRods, motions_picture
 
     rods = MovingRods(prediction.time, result["vertices_mm"], task.names, prediction.jumps, prediction.followed, task.up)
