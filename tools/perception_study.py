@@ -16,7 +16,7 @@ if not __package__:
 
 from doo_ti.commands.results import counted  # noqa: E402
 from doo_ti.io.scene import load_scene  # noqa: E402
-from doo_ti.learning.landscape import status_counts  # noqa: E402
+from doo_ti.learning.objective import status_counts  # noqa: E402
 from doo_ti.perception.lab_images import LabRods, lab_rods  # noqa: E402
 from doo_ti.perception.perceive import perceive  # noqa: E402
 from doo_ti.perception.search import PerceptionOptions, Search  # noqa: E402

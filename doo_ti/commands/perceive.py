@@ -12,7 +12,7 @@ from doo_ti.commands.results import counted, report, save_arrays, shortened
 from doo_ti.commands.seen_rods import RECORDED, PerceptionTask, perception_task
 from doo_ti.errors import InputError
 from doo_ti.io.files import write_whole
-from doo_ti.learning.landscape import status_counts
+from doo_ti.learning.objective import status_counts
 from doo_ti.terminal import in_line, progress
 from doo_ti.types import Status
 
