@@ -22,9 +22,9 @@ from doo_ti.grid import Grid
 from doo_ti.progress import progress
 from doo_ti.refinement.evidence import information
 from doo_ti.refinement.held_rod import HeldRod
+from doo_ti.refinement.priors import typical_scales
 from doo_ti.refinement.refine import FEWEST_EDGES, MOST_EDGES
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.scales import typical_scales
 from doo_ti.refinement.unknowns import Theta, Unknowns
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax

@@ -161,7 +161,7 @@ def _of_run(options: Namespace, run: Path, starts: int):
     """(observations, the Θ of the lowest cells, kinds of clamps, frame weight, landscape) of a run's folder."""
     from doo_ti.learning.landscape import read_landscape
     from doo_ti.learning.run_folder import read_experiment
-    from doo_ti.refinement.multi_start import lowest_cells, theta_of_cell
+    from doo_ti.refinement.fit import lowest_cells, theta_of_cell
 
     for name in MATERIAL:
         if getattr(options, name) is not None:
@@ -186,7 +186,7 @@ def _of_run(options: Namespace, run: Path, starts: int):
 
 def _of_file(options: Namespace, observations: Observations) -> tuple:
     """The one Θ that the command line names."""
-    from doo_ti.refinement.multi_start import theta_of_cell
+    from doo_ti.refinement.fit import theta_of_cell
 
     grid = given.single_cell(options, "give one, or refine the run of a sweep")
     return (theta_of_cell(grid, 0, observations.up),)

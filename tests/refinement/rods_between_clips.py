@@ -6,8 +6,8 @@ import numpy as np
 
 from doo_ti.dataset import Observations
 from doo_ti.refinement.held_rod import HeldRod
+from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.scales import Scales, typical_scales
 from doo_ti.refinement.unknowns import Theta, Unknowns
 from doo_ti.scene import Synthesis
 from doo_ti.start import observation_clamps

@@ -7,8 +7,8 @@ import pytest
 
 from doo_ti import Clamp, Grid, InputError, Observations, observation_clamps, relax
 from doo_ti.grid import Axis
+from doo_ti.refinement.fit import lowest_cells, theta_of_cell
 from doo_ti.refinement.folds import folds_of, refine_held_out
-from doo_ti.refinement.multi_start import lowest_cells, theta_of_cell
 from doo_ti.refinement.refine import RefinementOptions, refine
 from doo_ti.refinement.unknowns import Theta
 from doo_ti.types import Status
