@@ -23,8 +23,10 @@ from doo_ti.scene import load_scene  # noqa: E402
 from doo_ti.types import Material  # noqa: E402
 from doo_ti.vision.cameras.rig import Rig, load_rig  # noqa: E402
 from doo_ti.vision.detection.detect import Detection, DetectionOptions  # noqa: E402
-from doo_ti.vision.rendering.photographs import Photographs  # noqa: E402
-from doo_ti.vision.rendering.render import RenderOptions  # noqa: E402
+from doo_ti.vision.rendering.render import (
+    Photographs,  # noqa: E402
+    RenderOptions,  # noqa: E402
+)
 from doo_ti.vision.rendering.tubes import smooth_curve  # noqa: E402
 from doo_ti.vision.reprojection.distance_map import DistanceMaps, distance_maps  # noqa: E402
 from tools.trials.perception import (  # noqa: E402

@@ -30,7 +30,7 @@ from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, Status
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
-from doo_ti.vision.reprojection.evidence import Reprojection
+from doo_ti.vision.reprojection.image_energy import Reprojection
 from doo_ti.vision.reprojection.score import score
 
 LOST = 1e30

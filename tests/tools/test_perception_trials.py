@@ -12,7 +12,7 @@ from doo_ti.perception.search import PerceptionOptions, Search
 from doo_ti.scene import load_scene
 from doo_ti.vision.cameras.rig import Rig, load_rig
 from doo_ti.vision.detection.detect import DetectionOptions
-from doo_ti.vision.rendering.photographs import Photographs
+from doo_ti.vision.rendering.render import Photographs
 from doo_ti.vision.rendering.tubes import smooth_curve
 from doo_ti.vision.reprojection.distance_map import DistanceMaps, distance_maps
 from doo_ti.vision.reprojection.score import score

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from doo_ti.vision.cameras.board import Board
-from doo_ti.vision.cameras.bundle import Sighting
+from doo_ti.vision.cameras.calibration import Sighting
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig
 

@@ -13,7 +13,7 @@ from doo_ti.perception.perceive import Perception
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.detect import Detection, DetectionOptions, detect
-from doo_ti.vision.rendering.photographs import Photographs
+from doo_ti.vision.rendering.render import Photographs
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 
 CORRECT_MM = 1.0

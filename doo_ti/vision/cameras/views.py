@@ -13,7 +13,7 @@ from pathlib import Path
 from doo_ti.errors import InputError
 from doo_ti.file_content import MOST_TEXT_BYTES, read_content
 from doo_ti.vision.cameras.board import Board, find_corners
-from doo_ti.vision.cameras.bundle import Sighting
+from doo_ti.vision.cameras.calibration import Sighting
 from doo_ti.vision.cameras.rig import check_camera_names
 from doo_ti.vision.detection.images import read_image
 

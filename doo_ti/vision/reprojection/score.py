@@ -1,4 +1,4 @@
-"""E_vis of hypotheses by the thousand: E of rods without twist, and E_proj in every camera (§IV-A).
+"""E_vis = E + ν Σ_c E_proj^c of thousands of hypotheses, E of rods without twist (§IV-A).
 
     maps = distance_maps(detections)
     score(vertices, maps, set_index, rig, nu, Material(bend=6e5, twist=8e5))  # Score, one entry per hypothesis
@@ -19,7 +19,7 @@ from doo_ti.types import Material, unit_up
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from doo_ti.vision.reprojection.edge_integral import EdgeIntegral
-from doo_ti.vision.reprojection.evidence import Reprojection
+from doo_ti.vision.reprojection.image_energy import Reprojection
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Score:
     energy        (N,) E of the rod itself, mm²: bend and gravity, without twist; zero without a material
     camera_error  (N, C) E_proj of each camera, px²
     total         (N,) E_vis = E + ν Σ_c E_proj, mm²; NaN where a vertex is not finite
-    unseen        (N, C) share of the rod that a camera cannot see, for being behind it: its error says nothing then
+    unseen        (N, C) share of the rod that is behind a camera; where it is not 0, the camera's error has no meaning
     """
 
     energy: np.ndarray
@@ -43,16 +43,17 @@ def score(
     vertices: np.ndarray, maps: DistanceMaps, set_index, rig: Rig, nu: float, material: Material | None = None,
     *, material_index=None, points: int = 8, cap: float = 40.0, up=(0.0, 0.0, 1.0),
 ) -> Score:
-    """E_vis of N hypotheses (§IV-A), in f32: terms are good to six digits.
+    """E_vis of N hypotheses (§IV-A), in f32, with six correct digits.
 
     vertices        (N, V, 3) mm, float32 or float64; of relaxed rods ``configuration.vertices``
     set_index       (N,) which of the A sets of images each hypothesis is compared with, or one for all
-    material        isotropic, G rows: then E is that of the rod without twist, which a free end leaves it; None: no E
+    material        isotropic, G rows: E is that of a rod with a free end, which has no twist; None: no E
     material_index  (N,) its row for each hypothesis; without it one row for all, or one each
     up              (3,) direction against gravity, of length one
 
-    ``maps``, ``rig``, ``nu``, ``points`` and ``cap`` are those of :class:`Reprojection`. The same hypothesis has the same
-    score in any company. Raises InputError for shapes that do not match, rows out of range, and another material.
+    ``maps``, ``rig``, ``nu``, ``points`` and ``cap`` are those of :class:`Reprojection`. The score of a hypothesis does not
+    depend on the others. Raises InputError for shapes that do not match, rows out of range, and materials that are not
+    isotropic.
     """
     reprojection = Reprojection(maps, rig, nu, points, cap)
     vertices = np.asarray(vertices)
@@ -89,7 +90,7 @@ def _rows(name: str, index, count: int, size: int) -> np.ndarray:
 
 
 def _stiffness(material: Material | None) -> np.ndarray:
-    """(G, 2) α and μ. Raises InputError for a material whose energy vertices do not tell."""
+    """(G, 2) α and μ. Raises InputError for a material whose energy does not follow from vertices alone."""
     if material is None:
         return np.zeros((1, 2))
     if not material.is_isotropic:
@@ -109,7 +110,7 @@ class Scoring:
 
     @ti.func
     def vertex(self, vertices: ti.template(), first, v):
-        """Vertex v of the pack's hypotheses; the last one fills up."""
+        """Vertex v of the pack's hypotheses; the last hypothesis fills an incomplete pack."""
         x = variable(repeated(self.constant(0.0), 3))
         for slot in ti.static(range(self.width)):
             rod = ti.min(first + slot, vertices.shape[0] - 1)

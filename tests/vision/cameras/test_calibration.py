@@ -8,8 +8,7 @@ import pytest
 
 from doo_ti.errors import InputError
 from doo_ti.vision.cameras.board import Board, find_corners, parse_board
-from doo_ti.vision.cameras.bundle import Bundle, Sighting, adjusted, places
-from doo_ti.vision.cameras.calibration import CalibrationOptions, calibrate
+from doo_ti.vision.cameras.calibration import Bundle, CalibrationOptions, Sighting, adjusted, calibrate, places
 from doo_ti.vision.cameras.rig import Rig
 from tests.vision.boards import around, look, poses, sightings
 

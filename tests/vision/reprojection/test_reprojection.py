@@ -11,7 +11,7 @@ from doo_ti.types import Material
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from doo_ti.vision.reprojection.edge_integral import UNSEEN
-from doo_ti.vision.reprojection.evidence import Reprojection
+from doo_ti.vision.reprojection.image_energy import Reprojection
 from doo_ti.vision.reprojection.score import score
 from tests.oracle.reprojection import edge_error, edge_gradient, edge_hessian, rod_energy
 from tests.vision.device import NUMBERS, row_kernel
