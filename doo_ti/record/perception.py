@@ -10,7 +10,7 @@ import numpy as np
 import rerun
 import rerun.blueprint as blueprint
 
-from doo_ti.perception.growth_steps import GrowthStep
+from doo_ti.perception.growth import GrowthStep
 from doo_ti.record.stream import entity_name, panels, recording
 from doo_ti.record.wall import FAILED, GROUND, drawn_strips, log_up
 from doo_ti.report.reprojections import BEST, DETECTED, RUNNER_UP, TRUTH, SeenRod
