@@ -1,4 +1,7 @@
-"""The virtual lab's rods for images (§V-A), and their true shapes. Axes: S observations, V marks, n vertices of the fine mesh."""
+"""The virtual lab's rods for images (§V-A), and their true shapes.
+
+Axes: S observations, V marks, n vertices of the fine mesh.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -64,7 +64,7 @@ def _vertex_movement(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
 
 
 def _movement_across(rig: Rig, vertices: np.ndarray, turns: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """((A, C S, P) px per rad: movement of places of the rod's images across them; (A, C S) px of image that each represents)."""
+    """((A, C S, P) px per rad: movement of places of the rod's images across these; (A, C S) px: length of image per place)."""
     rods, edges = length.shape
     moved = _vertex_movement(turns, length)
     rows, shares = [], []

@@ -162,8 +162,8 @@ class Tracker:
                     solution.stable[0])
 
     def _starts(self, search: Search, far: Motion | None) -> np.ndarray:
-        """(K, E, 4): the last rod unchanged, rotated with the seed, rotated as in the step before, and carried by its far clamp.
-        The first edge of each is then held at the seed."""
+        """(K, E, 4): the last rod unchanged, rotated with the seed, rotated as in the step before, and carried by the far
+        clamp. The first edge of each is then held at the seed."""
         last = self._whole(self._last)
         edges = last.quaternions[0]
         starts = [edges, _aimed(edges, search.direction)]

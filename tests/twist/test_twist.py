@@ -12,7 +12,8 @@ from doo_ti.metric import distance
 from doo_ti.prediction.predict import total_twist
 from doo_ti.relaxation.relax import relax
 from doo_ti.start import held_spins, observation_clamps, start_configuration
-from doo_ti.twist.estimation import TwistOptions, Verdict, consecutive_groups, end_offsets, estimate_twist
+from doo_ti.twist.curves import consecutive_groups, end_offsets
+from doo_ti.twist.estimation import TwistOptions, Verdict, estimate_twist
 from doo_ti.types import Clamp, Material
 from tests.references.rods import chain
 from tests.twist.rods import EDGES, MATERIAL, twisted_rods
