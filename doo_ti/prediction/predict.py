@@ -130,8 +130,8 @@ def predict_step(
     configuration: Configuration, material: Material, clamps: Clamps, goal: Clamps, *, rotation=None,
     sub_step: float = LARGEST_TURN, up=(0.0, 0.0, 1.0), precision: str = "f32", watch: bool = True,
 ) -> tuple[Solution, np.ndarray | None]:
-    """One rod after each of K candidate motions of its clamps, for planners: the solution, K rods, and how often each has jumped
-    to another branch (K,).
+    """One rod after each of K candidate motions of its clamps, for planners: the solution, K rods, and (K,) how often each has
+    jumped to another branch.
 
     configuration  one rod at rest under ``clamps``, one row
     material       one row
