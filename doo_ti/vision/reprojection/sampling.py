@@ -26,6 +26,7 @@ from doo_ti.physics.tuples import (
     variable,
 )
 from doo_ti.physics.tuples import row as row_of
+from doo_ti.relaxation.descent import with_lanes
 from doo_ti.vision.cameras import camera
 from doo_ti.vision.cameras.rig import Rig
 
@@ -188,12 +189,9 @@ class MapSampling:
         frame = variable(repeated(0.0 * row, 4))
         for slot in ti.static(range(self.width)):
             r = ti.cast(self.lane(row, slot), ti.i32)
-            frame = itemwise(
-                self.with_lane(frame[0], slot, numbers[r, c, self.first + LEFT]),
-                self.with_lane(frame[1], slot, numbers[r, c, self.first + TOP]),
-                self.with_lane(frame[2], slot, numbers[r, c, self.first + WIDTH]),
-                self.with_lane(frame[3], slot, numbers[r, c, self.first + HEIGHT]),
-            )
+            frame = itemwise(*with_lanes(self.with_lane, frame, slot, (
+                numbers[r, c, self.first + LEFT], numbers[r, c, self.first + TOP], numbers[r, c, self.first + WIDTH],
+                numbers[r, c, self.first + HEIGHT])))
         return frame
 
     @ti.func
@@ -214,17 +212,9 @@ class MapSampling:
             step = ti.cast(numbers[r, c, self.first + WIDTH], ti.i32)
             at = ti.cast(numbers[r, c, self.first + OFFSET], ti.i32)
             at += ti.cast(self.lane(line, slot), ti.i32) * step + ti.cast(self.lane(column, slot), ti.i32)
-            found = itemwise(
-                self.with_lane(found[0], slot, values[at - step - 1]),
-                self.with_lane(found[1], slot, values[at - step]),
-                self.with_lane(found[2], slot, values[at - step + 1]),
-                self.with_lane(found[3], slot, values[at - 1]),
-                self.with_lane(found[4], slot, values[at]),
-                self.with_lane(found[5], slot, values[at + 1]),
-                self.with_lane(found[6], slot, values[at + step - 1]),
-                self.with_lane(found[7], slot, values[at + step]),
-                self.with_lane(found[8], slot, values[at + step + 1]),
-            )
+            found = itemwise(*with_lanes(self.with_lane, found, slot, (
+                values[at - step - 1], values[at - step], values[at - step + 1], values[at - 1], values[at], values[at + 1],
+                values[at + step - 1], values[at + step], values[at + step + 1])))
         return found
 
     @ti.func

@@ -15,6 +15,7 @@ from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import cross, dot, itemwise, minus, repeated, variable
 from doo_ti.relaxation.columns import MOST_NUMBERS
+from doo_ti.relaxation.descent import with_lanes
 from doo_ti.types import Material, unit_up
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
@@ -114,8 +115,8 @@ class Scoring:
         x = variable(repeated(self.constant(0.0), 3))
         for slot in ti.static(range(self.width)):
             rod = ti.min(first + slot, vertices.shape[0] - 1)
-            x = itemwise(self.with_lane(x[0], slot, vertices[rod, v, 0]), self.with_lane(x[1], slot, vertices[rod, v, 1]),
-                         self.with_lane(x[2], slot, vertices[rod, v, 2]))
+            x = itemwise(*with_lanes(self.with_lane, x, slot, (
+                vertices[rod, v, 0], vertices[rod, v, 1], vertices[rod, v, 2])))
         return x
 
     @ti.func
@@ -124,9 +125,8 @@ class Scoring:
         row = variable(repeated(self.constant(0.0), 3))
         for slot in ti.static(range(self.width)):
             rod = ti.min(first + slot, set_index.shape[0] - 1)
-            row = itemwise(self.with_lane(row[0], slot, set_index[rod]),
-                           self.with_lane(row[1], slot, stiffness[material_index[rod], 0]),
-                           self.with_lane(row[2], slot, stiffness[material_index[rod], 1]))
+            row = itemwise(*with_lanes(self.with_lane, row, slot, (
+                set_index[rod], stiffness[material_index[rod], 0], stiffness[material_index[rod], 1])))
         return row
 
     @ti.func
