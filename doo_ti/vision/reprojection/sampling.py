@@ -18,6 +18,7 @@ from doo_ti.physics.tuples import (
     dot,
     full,
     itemwise,
+    picked,
     plus,
     repeated,
     times_transposed,
@@ -26,7 +27,6 @@ from doo_ti.physics.tuples import (
     variable,
 )
 from doo_ti.physics.tuples import row as row_of
-from doo_ti.relaxation.descent import with_lanes
 from doo_ti.vision.cameras import camera
 from doo_ti.vision.cameras.rig import Rig
 
@@ -151,6 +151,12 @@ SMALLEST = 3
 """Pixels across a window that can be sampled."""
 
 
+@picked
+def with_lanes(with_lane, values, slot, new) -> tuple:
+    """``values`` with lane ``slot`` of each replaced, by ``with_lane`` of :class:`doo_ti.physics.number.Lanes`."""
+    return itemwise(*(with_lane(value, slot, one) for value, one in zip(values, new, strict=True)))
+
+
 @traced
 def _spline(t) -> tuple:
     """The weights of three neighbours, at −½ ≤ t ≤ ½ from the middle one."""
@@ -189,9 +195,9 @@ class MapSampling:
         frame = variable(repeated(0.0 * row, 4))
         for slot in ti.static(range(self.width)):
             r = ti.cast(self.lane(row, slot), ti.i32)
-            frame = itemwise(*with_lanes(self.with_lane, frame, slot, (
+            frame = with_lanes(self.with_lane, frame, slot, (
                 numbers[r, c, self.first + LEFT], numbers[r, c, self.first + TOP], numbers[r, c, self.first + WIDTH],
-                numbers[r, c, self.first + HEIGHT])))
+                numbers[r, c, self.first + HEIGHT]))
         return frame
 
     @ti.func
@@ -212,9 +218,9 @@ class MapSampling:
             step = ti.cast(numbers[r, c, self.first + WIDTH], ti.i32)
             at = ti.cast(numbers[r, c, self.first + OFFSET], ti.i32)
             at += ti.cast(self.lane(line, slot), ti.i32) * step + ti.cast(self.lane(column, slot), ti.i32)
-            found = itemwise(*with_lanes(self.with_lane, found, slot, (
+            found = with_lanes(self.with_lane, found, slot, (
                 values[at - step - 1], values[at - step], values[at - step + 1], values[at - 1], values[at], values[at + 1],
-                values[at + step - 1], values[at + step], values[at + step + 1])))
+                values[at + step - 1], values[at + step], values[at + step + 1]))
         return found
 
     @ti.func

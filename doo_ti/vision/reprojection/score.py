@@ -13,14 +13,14 @@ import taichi as ti
 from doo_ti import runtime
 from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
-from doo_ti.physics.tuples import cross, dot, itemwise, minus, repeated, variable
+from doo_ti.physics.tuples import cross, dot, minus, repeated, variable
 from doo_ti.relaxation.columns import MOST_NUMBERS
-from doo_ti.relaxation.descent import with_lanes
 from doo_ti.types import Material, unit_up
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from doo_ti.vision.reprojection.edge_integral import EdgeIntegral
 from doo_ti.vision.reprojection.image_energy import Reprojection
+from doo_ti.vision.reprojection.sampling import with_lanes
 
 
 @dataclass(frozen=True)
@@ -115,8 +115,7 @@ class Scoring:
         x = variable(repeated(self.constant(0.0), 3))
         for slot in ti.static(range(self.width)):
             rod = ti.min(first + slot, vertices.shape[0] - 1)
-            x = itemwise(*with_lanes(self.with_lane, x, slot, (
-                vertices[rod, v, 0], vertices[rod, v, 1], vertices[rod, v, 2])))
+            x = with_lanes(self.with_lane, x, slot, (vertices[rod, v, 0], vertices[rod, v, 1], vertices[rod, v, 2]))
         return x
 
     @ti.func
@@ -125,8 +124,8 @@ class Scoring:
         row = variable(repeated(self.constant(0.0), 3))
         for slot in ti.static(range(self.width)):
             rod = ti.min(first + slot, set_index.shape[0] - 1)
-            row = itemwise(*with_lanes(self.with_lane, row, slot, (
-                set_index[rod], stiffness[material_index[rod], 0], stiffness[material_index[rod], 1])))
+            row = with_lanes(self.with_lane, row, slot, (
+                set_index[rod], stiffness[material_index[rod], 0], stiffness[material_index[rod], 1]))
         return row
 
     @ti.func
