@@ -21,10 +21,8 @@ from doo_ti.vision.cameras.rig import Rig
 
 CREASE_CURVATURE = 1.5
 """1/px: k of the distance to a line, sampled at pixels and smoothed by quadratic B-splines, mean over places of the line."""
-
 PLACES = (0.25, 0.75)
 """Places along an edge where its image is evaluated."""
-
 STEP_MM = 1e-3
 """Step of the difference quotients of the projection."""
 

@@ -169,10 +169,8 @@ def _directions(names: tuple[str, ...], count: int) -> dict[str, np.ndarray]:
 
 
 def _value(name: str, theta: Theta, values: Values) -> float:
-    bend = theta.bend
-    known = {"bend": bend[0, 0], "bend_1": bend[0, 0], "bend_2": bend[1, 1], "bend_12": bend[0, 1], "twist": theta.twist,
-             "weight": theta.weight, "twist_ratio": theta.twist / bend[0, 0], "clip_start": values.clip[0],
-             "clip_end": values.clip[1]}
+    known = theta.entries | {"twist_ratio": theta.twist / theta.bend[0, 0], "clip_start": values.clip[0],
+                             "clip_end": values.clip[1]}
     return float(known.get(name, 0.0))
 
 

@@ -62,6 +62,12 @@ class Theta:
         return cls(material.bend[row, 0], float(material.twist[row, 0]), float(material.weight[row]), rest, np.asarray(up))
 
     @property
+    def entries(self) -> dict[str, float]:
+        """Parameter: value, in mm³, the weight μ without unit; ``bend`` is α of a round rod."""
+        return {"bend": self.bend[0, 0], "bend_1": self.bend[0, 0], "bend_2": self.bend[1, 1], "bend_12": self.bend[0, 1],
+                "twist": self.twist, "weight": self.weight}
+
+    @property
     def material(self) -> Material:
         """The same as a table of one row."""
         rest = self.rest_curvature
@@ -245,8 +251,7 @@ class Unknowns:
             elif name == "up":
                 rows += [[float(unknown == f"up[{k}]") for unknown in names] for k in range(2)]
             else:
-                value = theta.bend[0, 0] if name == "bend" else getattr(theta, name)
-                rows.append([value * (unknown == name) for unknown in names])
+                rows.append([theta.entries[name] * (unknown == name) for unknown in names])
         return tuple(elementary), np.array(rows)
 
     def offset(self, values: Values, origin: Values) -> np.ndarray:
@@ -254,15 +259,12 @@ class Unknowns:
         theta, start, clips = values.theta, origin.theta, self.clip_prior
         parts = []
         for name in self.names[: self.theta_count]:
-            if name in ("bend", "bend_1", "bend_2"):
-                entry = int(name == "bend_2")
-                parts.append(np.log(theta.bend[entry, entry] / start.bend[entry, entry]))
+            if name in LOGARITHMIC:
+                parts.append(np.log(theta.entries[name] / start.entries[name]))
             elif name == "bend_12":
                 parts.append(np.arctanh(_correlation(theta.bend)) - np.arctanh(_correlation(start.bend)))
-            elif name in ("twist", "weight"):
-                parts.append(np.log(getattr(theta, name) / getattr(start, name)))
             else:
-                parts.append(self._tilt(start.up, theta.up)[int(name[3])])
+                parts.append(_tilt(start.up, theta.up)[int(name[3])])
         for end, name in enumerate(("clip_start", "clip_end")):
             if name in self.names:
                 parts.append(np.log(values.clip[end] / clips[end]))
@@ -293,16 +295,16 @@ class Unknowns:
         """(2 POSE,) bool: which constant errors are rotations."""
         return np.tile(np.arange(POSE) < 6, 2)
 
-    @staticmethod
-    def _tilt(origin: np.ndarray, up: np.ndarray) -> np.ndarray:
-        """(2,) the tilts of ``up`` that lead from ``origin`` to ``up``."""
-        turn = np.cross(origin, up)
-        sine = np.linalg.norm(turn)
-        return tilt_axes(origin) @ turn * (np.arctan2(sine, origin @ up) / max(sine, 1e-300))
-
 
 def _correlation(bend: np.ndarray) -> float:
     return bend[0, 1] / np.sqrt(bend[0, 0] * bend[1, 1])
+
+
+def _tilt(origin: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(2,) the tilts of ``up`` that lead from ``origin`` to ``up``."""
+    turn = np.cross(origin, up)
+    sine = np.linalg.norm(turn)
+    return tilt_axes(origin) @ turn * (np.arctan2(sine, origin @ up) / max(sine, 1e-300))
 
 
 def _bend_entry(entry: str, unknown: str, bend: np.ndarray) -> float:

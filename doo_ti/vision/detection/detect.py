@@ -26,25 +26,18 @@ from doo_ti.vision.detection.ridge import (
 
 SIGMA_PER_WIDTH, SMALLEST_SIGMA = 0.35, 0.8
 """Standard deviation of the ridges' smoothing, px: a bar gets a single ridge, and neighbouring strands stay apart."""
-
 WEAK, STRONG = 0.2, 0.5
 """Shares of the typical strength: all of a piece of thread exceeds the first, some of it the second."""
-
 WIDTH_RATIO, FAINTEST = 1.5, 0.4
 """Largest ratio of widths, which differ with depth, and least ratio of mean strengths, of a piece and the most distinct one."""
-
 CANNY_STRONG, CANNY_WEAK = 0.4, 0.15
 """Canny's thresholds over the slope of the thread's edges."""
-
 VOTE_BLUR_PX = 1.0
 """Standard deviation of a vote."""
-
 MEETING = 0.5
 """Least share of votes on the centre line, of those of two complete edges with an edge pixel per px of length."""
-
 STEEPEST = 8000
 """Slope of the thread's edges in the whole numbers that Canny takes."""
-
 METHODS = ("ridge", "canny")
 POLARITIES = ("dark", "light")
 MOST_WIDTH_PX = 1000.0
@@ -228,28 +221,20 @@ def _meeting(row: np.ndarray, column: np.ndarray, outward: np.ndarray, offset: f
 
 LEVELS = 3
 """Levels of the pyramid above the image itself: halves to eighths, for threads up to some 40 px wide."""
-
 SIGMA = 1.2
 """Smoothing, px of a level."""
-
 SURE = 7.0
 """Times the noise: strength of lines that are certainly not noise."""
-
 BAR = 0.4
 """Strength over contrast of a line at the level that fits it."""
-
 SHORTEST = 5.0
 """px of a level: shorter pieces are regarded as noise."""
-
 SLENDER = 16.0
 """px of a level: least length of a slender piece, a few px wide."""
-
 BLUR_PX = 4.0
 """Largest standard deviation of the blur of a thread's edge; edges with more are shading of the background."""
-
 LEAST_BALANCE = 0.25
 """Least ratio of the slopes of a thread's two edges; with less, the line is the border of something else."""
-
 SAMPLES = 400
 """Largest number of points where the width is measured."""
 

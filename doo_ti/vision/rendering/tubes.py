@@ -14,7 +14,6 @@ from doo_ti.vision.cameras.camera import Camera
 
 DRAWN_BLUR_PX = 6**-0.5
 """Standard deviation of the hat function over which a pixel integrates."""
-
 ACROSS = 4
 """Number of places across the covered part of a pixel where shading is evaluated."""
 
