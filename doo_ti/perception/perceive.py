@@ -55,7 +55,7 @@ class Verdict(IntEnum):
 
 @dataclass(frozen=True)
 class Perception:
-    """What the images of A sets say.
+    """The rods in A sets of images.
 
     vertices          (A, V, 3) mm: the best rod of each set at its marks, a certified minimum if there is one
     configuration     the same rod with every edge in pieces, as it was relaxed

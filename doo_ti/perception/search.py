@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, require_whole
 from doo_ti.frames import (
     across,
     bishop_frames,
@@ -90,11 +90,8 @@ class PerceptionOptions:
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise InputError("PerceptionOptions", name, f"{getattr(self, name)}", "give a positive number")
         for name in ("hypotheses", "samples", "children", "points", "growing_iterations", "finalists", "pieces",
-                     "final_points"):
-            if getattr(self, name) < 1:
-                raise InputError("PerceptionOptions", name, f"{getattr(self, name)}", "give 1 or more")
-        if self.runners_up < 0:
-            raise InputError("PerceptionOptions", "runners_up", f"{self.runners_up}", "give 0 or more")
+                     "final_points", "runners_up"):
+            require_whole("PerceptionOptions", name, getattr(self, name), 0 if name == "runners_up" else 1)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ Axes: D observations, P unknowns, G cells of a grid.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import generate_binary_structure, minimum_filter
 
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
@@ -224,14 +225,8 @@ def lowest_cells(grid: Grid, mean_distance: np.ndarray, count: int) -> np.ndarra
     """Up to ``count`` local minima of a landscape (G,) over the cells of ``grid``, the lowest first: cells with no lower
     neighbour along any axis. Cells that are NaN count as infinitely high."""
     height = np.nan_to_num(np.asarray(mean_distance, dtype=np.float64), nan=np.inf).reshape(grid.shape)
-    lowest = np.isfinite(height)
-    for axis in range(height.ndim):
-        border = np.full_like(np.take(height, [0], axis=axis), np.inf)
-        beside = np.concatenate([border, height, border], axis=axis)
-        size = height.shape[axis]
-        for shift in (0, 2):
-            lowest &= height <= np.take(beside, np.arange(shift, shift + size), axis=axis)
-    cells = np.flatnonzero(lowest)
+    neighbours = generate_binary_structure(height.ndim, 1)
+    cells = np.flatnonzero(np.isfinite(height) & (height <= minimum_filter(height, footprint=neighbours, mode="nearest")))
     return cells[np.argsort(height.ravel()[cells], kind="stable")][:count]
 
 

@@ -6,7 +6,7 @@ Each component of the rest curvature in the material frame is a Gaussian process
 
 d the standard deviation in 1/mm and ρ the range in mm. It is the same in all observations; between K knots it is linear.
 
-All sizes are positive and have a wide log-normal prior around what is typical of a rod with such marks. They are chosen by
+All sizes are positive and have a wide log-normal prior around values typical of a rod with such marks. They are chosen by
 marginal likelihood (:mod:`doo_ti.refinement.evidence`).
 
     marks           σ of a mark's coordinate, mm; fixed at one where the observations state their own σ

@@ -5,7 +5,8 @@ A mark's residual is x − x', a director's m1 − m1', of model and observation
     r_d = r_d(now) + J_d x + Z_d z_d + noise,    x ~ N(x̄, A⁻¹), z_d ~ N(0, S), noise ~ N(0, σ²),
 
 with the P unknowns x that all observations share, and the Q effects z_d of one observation: errors of its clamps, and
-amplitudes of smooth displacements that nothing else explains, the gap. x counts from the present values, z_d from zero.
+amplitudes of smooth displacements that the rest of the model does not explain (the gap). x counts from the present values,
+z_d from zero.
 
 Marks from which a clamp's position or tangent was taken are left out: there the model agrees by construction. Residuals of
 marks are in mm, or in units of σ where the observations state it; those of directors have no unit.

@@ -28,7 +28,7 @@ from doo_ti.types import Material
 
 PARAMETERS = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "up")
 LOGARITHMIC = ("bend", "bend_1", "bend_2", "twist", "weight", "clip_start", "clip_end")
-WIDE = 7.0  # standard deviation of the logarithm of what is positive: a factor of a thousand either way
+WIDE = 7.0  # standard deviation of the logarithm of a positive unknown: a factor of a thousand either way
 TILT = 0.1  # rad, of gravity's direction, where that is learned
 CLIP_MEDIAN, CLIP_FACTOR = 0.75, 0.7
 """Prior of a clip's length: median, in spacings of the outer marks, and standard deviation of its logarithm."""
@@ -118,7 +118,7 @@ class Unknowns:
                 raise InputError("refine", "parameters", f"{name!r} is unknown", f"use {', '.join(PARAMETERS)}")
         for other in ("bend_1", "bend_2", "bend_12"):
             if "bend" in names and other in names:
-                raise InputError("refine", "parameters", f"bend beside {other}", "give one of them")
+                raise InputError("refine", "parameters", f"both bend and {other}", "give one of them")
         if not names or len(set(names)) < len(names):
             raise InputError("refine", "parameters", f"{', '.join(names) or 'none'}", "give each parameter once")
 

@@ -225,7 +225,7 @@ def test_spins_that_are_free_do_not_keep_rest_curvature_from_being_learned(rng):
     assert np.linalg.norm(out.theta.rest_curvature[0]) == pytest.approx(0.02, rel=0.05)
 
 
-def test_wrong_options_are_told(seen):
+def test_wrong_options_are_refused(seen):
     clamps = observation_clamps(seen)
     for change, word in ((dict(frame_weight=5.0), "frame"), (dict(clip=60.0), "clip"), (dict(curvature="bent"), "curvature"),
                          (dict(parameters=("bent",)), "'bent' is unknown"), (dict(parameters=("bend", "bend_1")), "bend_1"),

@@ -98,7 +98,7 @@ def test_offsets_without_a_hint_follow_from_one_to_the_next(made):
         end_offsets(replace(known, end_frame=None), np.zeros(5, dtype=int))
 
 
-def test_a_group_tells_the_same_in_any_company(made):
+def test_a_group_does_not_depend_on_the_others(made):
     together = estimate_twist(made, MATERIAL)
     alone = estimate_twist(made.take([3]), MATERIAL)
     for name in ("phi", "least", "objective", "minima", "verdict"):

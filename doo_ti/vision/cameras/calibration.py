@@ -1,7 +1,7 @@
 """From boards seen by several cameras to a rig: lenses, poses, and the uncertainty of both (§V-A).
 
 Each camera's lens is first found alone; the cameras are then placed relative to each other through views that two of them
-share; and at last lenses and poses of all cameras and the poses of the board in all views are adjusted at once. This bundle
+share; finally lenses and poses of all cameras and the poses of the board in all views are adjusted together. This bundle
 adjustment minimises
 
     Σ |u − p(R_c (R_v x + t_v) + t_c)|²      over the corners x of the board seen at u, in px,
@@ -285,7 +285,7 @@ def adjusted(bundle: Bundle, points: np.ndarray, sightings: list[Sighting], free
 
     free  (P,) bool: unknowns that are fitted; the others are fixed, with zero covariance. At least one pose must be fixed.
 
-    Raises LinAlgError where the sightings do not determine what is free.
+    Raises LinAlgError where the sightings do not determine the free unknowns.
     """
     def moved(bundle, steps):
         step = np.zeros(len(free))
@@ -343,8 +343,4 @@ def _inverse(normal: np.ndarray) -> np.ndarray:
 
 def cross_matrix(vector: np.ndarray) -> np.ndarray:
     """(..., 3, 3) matrix of u → ``vector`` × u."""
-    result = np.zeros((*vector.shape, 3))
-    x, y, z = (vector[..., k] for k in range(3))
-    result[..., 0, 1], result[..., 0, 2], result[..., 1, 2] = -z, y, -x
-    result[..., 1, 0], result[..., 2, 0], result[..., 2, 1] = z, -y, x
-    return result
+    return np.swapaxes(np.cross(vector[..., None, :], np.eye(3)), -1, -2)

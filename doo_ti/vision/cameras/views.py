@@ -75,10 +75,10 @@ def read_views(path: Path) -> Views:
 
 
 def find_sightings(views: Views, board: Board,
-                   told: Callable[[], object] = lambda: None) -> tuple[list[Sighting], dict[str, tuple[int, int]]]:
+                   advance: Callable[[], object] = lambda: None) -> tuple[list[Sighting], dict[str, tuple[int, int]]]:
     """The board's corners in all images that show it, and the width and height of each camera's images.
 
-    told  is called after each image
+    advance  called after each image
 
     Raises InputError for an image that cannot be read and for one of another size than the camera's others.
     """
@@ -92,7 +92,7 @@ def find_sightings(views: Views, board: Board,
         found, pixels = find_corners(image, board)
         if len(found):
             sightings.append(Sighting(view, camera, found, pixels))
-        told()
+        advance()
     missing = next((name for camera, name in enumerate(views.cameras) if camera not in sizes), None)
     if missing is not None:
         raise InputError(views.source, missing, "no image of this camera", "give some, or leave the column out")

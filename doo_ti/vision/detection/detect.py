@@ -1,6 +1,6 @@
 """The thread's centre line in an image (§IV-A).
 
-The paper's binary image says of each pixel whether the thread is on it. Here the line is found to a fraction of a pixel, as
+The paper's binary image marks the pixels of the thread. Here the line is found to a fraction of a pixel, as
 points with directions; all later steps are as exact as these. The paper's way, a Canny edge detector with an offset Gaussian,
 is :func:`_canny_line`.
 

@@ -202,7 +202,7 @@ class MapSampling:
 
     @ti.func
     def clamped(self, place, size):
-        """(place inside, how far outside, pixel in the middle of the three, place beside it) along one axis."""
+        """(place inside, distance outside, middle one of the three pixels, distance from it) along one axis."""
         low = ti.select(place > 0.5, place, 0.0 * size + 0.5)
         inside = ti.select(low < size - 1.5, low, size - 1.5)
         middle = ti.floor(inside + 0.5)

@@ -165,7 +165,7 @@ def test_two_cameras_agree_with_opencv(rng):
     assert (np.abs(found[1].centre - centre) < 0.1 * calibration.centre_sigma[1]).all()
 
 
-def test_uncertainties_are_honest(rng):
+def test_uncertainties_match_the_errors(rng):
     """Over many rigs, errors of centres and focal lengths in units of their standard deviations have mean square 1."""
     rig, scores = around(), []
     for _ in range(12):
