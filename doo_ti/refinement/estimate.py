@@ -1,9 +1,10 @@
 """Θ with its intervals: values, 95 % intervals by the profile of the marginal likelihood, and joint regions (§III-E).
 
-Along a combination v·x of the unknowns F(t), −2 ln of the posterior with everything else fitted again
-(:mod:`doo_ti.refinement.evidence`), is followed from its minimum until it has risen by the quantile of F(1, n). Where Θ enters
-nearly linearly that is the interval of the covariance. An end of an interval is None where the observations do not bound the
-parameter on that side.
+    interval of v·x = {t : F(t) − min F ≤ quantile of F(1, n)},    F(t) = −2 ln p(marks | v·x = t),
+
+with all else integrated out or fitted again at every t (:mod:`doo_ti.refinement.evidence`). F is followed from its minimum
+both ways. Where Θ enters nearly linearly this is the interval by the covariance. An end of an interval is None where the
+observations do not bound the parameter on that side.
 
 Positive parameters are estimated by their logarithms, so their intervals are factors and never reach zero.
 """

@@ -9,7 +9,8 @@ and −2 ln of the evidence, without its constant, is
 
     F = r'ᵀWr' + (x̂ − x̄)ᵀA(x̂ − x̄) + ẑᵀS⁻¹ẑ + Σ n ln σ² + Σ_d (ln |M_d| + ln |S|) + ln |H| − ln |A|,
 
-with r' the residuals at the most probable x̂ and ẑ. It is Laplace's approximation of the evidence of the nonlinear model.
+with r' the residuals at the most probable x̂ and ẑ. It is Laplace's approximation of the evidence of the nonlinear model
+(MacKay, *Bayesian Interpolation*, 1992).
 
 Axes: D observations, P unknowns, Q effects of an observation, H learned sizes.
 """

@@ -1,6 +1,7 @@
 """Priors of a fit whose sizes are learned: noise, errors of the clamps, and rest curvature as a random field along the rod.
 
-Each component of the rest curvature in the material frame is a Gaussian process of zero mean with the covariance of Matérn 3/2,
+Each component of the rest curvature in the material frame is a Gaussian process of zero mean with the covariance of Matérn 3/2
+(Rasmussen and Williams, *Gaussian Processes for Machine Learning*, 2006),
 
     cov(s, s') = d² (1 + r) e^{−r},   r = √3 |s − s'|/ρ,
 

@@ -9,7 +9,8 @@ meshes of edges h and k < h,
 
     x_0 ≈ x_h + (x_k − x_h) h²/(h² − k²);
 
-the second term, computed once at the end of a fit and then kept, makes a repeated fit one of the continuum up to h⁴.
+the second term (Richardson's extrapolation), computed once at the end of a fit and then kept, makes a repeated fit one of the
+continuum up to h⁴.
 """
 
 from collections.abc import Sequence

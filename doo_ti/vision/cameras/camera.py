@@ -1,10 +1,14 @@
 """A calibrated camera: x_cam = R x_world + t, then a lens with radial and tangential distortion, then K (§V-A).
 
-A point y in the camera's axes has the normalised image (X, Y) = (y1, y2)/y3, which the lens bends to b(X, Y), OpenCV's model of
-five coefficients. The Jacobian of b is symmetric, and so are its second and third derivatives in all indices: all are
-derivatives of one potential. A ``lens`` is fx, fy, cx, cy, k1, k2, p1, p2, k3, and possibly more. The functions of a lens use
-arithmetic only, so that they serve arrays as well as kernels (:mod:`doo_ti.vision.reprojection.sampling`); ``kept`` makes a
-kernel evaluate a number once.
+A point y in the camera's axes has the normalised image (X, Y) = (y1, y2)/y3, which the lens bends to b(X, Y), Brown's model
+(1971) with OpenCV's five coefficients,
+
+    b = (X, Y) (1 + k1 r² + k2 r⁴ + k3 r⁶) + (2 p1 X Y + p2 (r² + 2 X²), p1 (r² + 2 Y²) + 2 p2 X Y),    r² = X² + Y².
+
+The Jacobian of b is symmetric, and so are its second and third derivatives in all indices: all are derivatives of one
+potential. A ``lens`` is fx, fy, cx, cy, k1, k2, p1, p2, k3, and possibly more. The functions of a lens use arithmetic only, so
+that they serve arrays as well as kernels (:mod:`doo_ti.vision.reprojection.sampling`); ``kept`` makes a kernel evaluate a
+number once.
 
 Millimetres in the world, pixels in images, pixel (0, 0) at the centre of the upper left one.
 """
