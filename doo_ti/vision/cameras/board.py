@@ -36,35 +36,32 @@ class Board:
     square: float
     marker: float | None = None
     dictionary: str = DICTIONARY
-    source: str = "board"
 
     def __post_init__(self):
+        size = f"{self.columns} x {self.rows}"
         if min(self.columns, self.rows) < 3:
-            raise self._error(f"{self.columns} x {self.rows} is too small", "use a board of at least 3 x 4")
+            raise InputError("Board", "columns, rows", f"{size} is too small", "use a board of at least 3 x 4")
         if not 0 < self.square < np.inf:
-            raise self._error(f"squares of {self.square:g} mm", "give the edge of a square in mm")
-        if self.marker is None:
-            if (self.columns + self.rows) % 2 == 0:
-                raise self._error(f"{self.columns} x {self.rows} corners look the same after half a turn",
-                                  "use a board with one number even and the other odd, or ChArUco")
-        else:
+            raise InputError("Board", "square", f"squares of {self.square:g} mm", "give the edge of a square in mm")
+        if self.marker is not None:
             self._check_markers()
+        elif (self.columns + self.rows) % 2 == 0:
+            raise InputError("Board", "columns, rows", f"{size} corners look the same after half a turn",
+                             "use a board with one number even and the other odd, or ChArUco")
 
     def _check_markers(self) -> None:
         if not 0 < self.marker < self.square:
-            raise self._error(f"markers of {self.marker:g} mm in squares of {self.square:g} mm",
-                              "give the edge of a marker in mm, smaller than a square")
+            raise InputError("Board", "marker", f"markers of {self.marker:g} mm in squares of {self.square:g} mm",
+                             "give the edge of a marker in mm, smaller than a square")
         import cv2
 
         if not (self.dictionary.startswith("DICT_") and hasattr(cv2.aruco, self.dictionary)):
             known = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
-            raise self._error(f"dictionary {self.dictionary!r}", f"use one of {', '.join(known)}")
+            raise InputError("Board", "dictionary", f"dictionary {self.dictionary!r}", f"use one of {', '.join(known)}")
         wanted, there = self.columns * self.rows // 2, len(self._markers().bytesList)
         if wanted > there:
-            raise self._error(f"{wanted} markers, but {self.dictionary} has {there}", "name a larger dictionary")
-
-    def _error(self, problem: str, remedy: str) -> InputError:
-        return InputError(self.source, "--board", problem, remedy)
+            raise InputError("Board", "dictionary", f"{wanted} markers, but {self.dictionary} has {there}",
+                             "name a larger dictionary")
 
     def _markers(self):
         import cv2
@@ -92,14 +89,18 @@ class Board:
 
 
 def parse_board(text: str, source: str = "command line") -> Board:
-    """The board that ``chessboard:9x6:10`` or ``charuco:9x6:10:7[:DICTIONARY]`` describes; InputError for anything else."""
+    """The board that the text of ``--board`` describes, ``chessboard:9x6:10`` or ``charuco:9x6:10:7[:DICTIONARY]``; InputError
+    for anything else."""
     number = r"(\d+(?:\.\d*)?|\.\d+)"
     match = re.fullmatch(rf"(?:chessboard:(\d+)x(\d+):{number}|charuco:(\d+)x(\d+):{number}:{number}(?::(\w+))?)", text)
     if match is None:
         raise InputError(source, "--board", f"{text!r}", f"give {FORMS}")
     columns, rows, square = (match[at] or match[at + 3] for at in (1, 2, 3))
     marker = None if match[7] is None else float(match[7])
-    return Board(int(columns), int(rows), float(square), marker, match[8] or DICTIONARY, source)
+    try:
+        return Board(int(columns), int(rows), float(square), marker, match[8] or DICTIONARY)
+    except InputError as error:
+        raise InputError(source, "--board", error.problem, error.remedy) from None
 
 
 # --- where the corners lie in an image ---------------------------------------------------------------------------------
