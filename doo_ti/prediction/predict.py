@@ -39,8 +39,8 @@ class Prediction:
     quaternions   (T, R, E, 4) frames
     rest_length   (E,) mm
     energy, residual, iterations, status, stable (T, R), end_force (T, R, 3)
-                  as in :class:`doo_ti.types.Solution`; iterations since the moment before, and the first status since then
-                  that is not converged
+                  as in :class:`doo_ti.types.Solution`; iterations since the moment before, and of the statuses so far the
+                  first one that is not converged
     jumps         (T, R) jumps to another branch since the moment before
     end_rotation  (T, R) rad by which the far clamp has turned the rod about its tangent, whole turns included
     material, motion  (R,) rows
