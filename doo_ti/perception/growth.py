@@ -40,7 +40,7 @@ def sampled_directions(count: int) -> np.ndarray:
     """(M, 3) unit vectors evenly over the half sphere around the first axis, those nearest to it first."""
     number = np.arange(count)
     along = 1 - (number + 0.5) / count * (1 - np.cos(LARGEST_ANGLE))
-    around = number * np.pi * (3 - np.sqrt(5))  # the golden angle leaves no two of them close
+    around = number * np.pi * (3 - np.sqrt(5))  # with the golden angle no two of them are close
     across = np.sqrt(1 - along**2)
     return np.stack([along, across * np.cos(around), across * np.sin(around)], axis=-1)
 

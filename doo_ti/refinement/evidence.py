@@ -146,7 +146,7 @@ class Evidence:
         return scales.at(found.x)
 
     def _counts(self, scales: Scales) -> np.ndarray:
-        """(H,) how many squares each learned size is the mean of; the range is no mean, and stays."""
+        """(H,) how many squares each learned size is the mean of; the range is not one, and is not changed here."""
         rods, knots = len(self.moments[0].effects), max(len(self.unknowns.columns("curvature")), 2)
         counts = {"curvature": knots, "range": np.inf, "turn": POSE, "shift": POSE, "turn_scatter": 6 * rods,
                   "shift_scatter": 6 * rods, "gap": 3 * GAP_MODES * rods}

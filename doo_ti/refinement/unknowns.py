@@ -124,7 +124,7 @@ class Unknowns:
 
     @cached_property
     def knots(self) -> np.ndarray:
-        """(K,) mm: one knot for a uniform rest curvature, no knot without."""
+        """(K,) mm: one knot for a uniform rest curvature, no knots for none."""
         if self.curvature == "field":
             return knots_of(self.rod.observations.rest_length)
         return np.full(int(self.curvature == "uniform"), 0.5 * self.rod.length)

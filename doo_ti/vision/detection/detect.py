@@ -183,7 +183,7 @@ def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float,
     coincide. Votes have directions: those of opposite edges cancel, and only votes that cancel count.
 
     look            of the thread: the offset is half its width
-    least_contrast  grey levels: fainter edges are none
+    least_contrast  grey levels: fainter edges are ignored
     shortest_px     of a piece of line
     """
     import cv2

@@ -135,7 +135,7 @@ class Projection:
 
     @ti.func
     def speed(self, lens, slope, x0, x1, inverse, d):
-        """How far the pixel moves with the point along d, px, by the ``slope`` of the lens."""
+        """px that the pixel moves as the point moves by d, from the ``slope`` of the lens."""
         w0 = d[0] - x0 * d[2]
         w1 = d[1] - x1 * d[2]
         v0 = lens[0] * (slope[0] * w0 + slope[1] * w1)
@@ -165,7 +165,7 @@ def _spline(t) -> tuple:
 
 @traced
 def _spline_slope(t) -> tuple:
-    """How they change with t."""
+    """Their derivatives by t."""
     return (t - 0.5, 0.0 - 2.0 * t, t + 0.5)
 
 

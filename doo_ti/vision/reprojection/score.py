@@ -95,7 +95,7 @@ def _stiffness(material: Material | None) -> np.ndarray:
     if material is None:
         return np.zeros((1, 2))
     if not material.is_isotropic:
-        raise InputError("score", "material", "not isotropic", "give one α and no rest curvature: E is that of vertices")
+        raise InputError("score", "material", "not isotropic", "give one α and no rest curvature: E is computed from vertices")
     return np.ascontiguousarray(np.stack([material.bend[:, 0, 0, 0], material.weight], axis=-1))
 
 
