@@ -50,7 +50,7 @@ OCCLUDED = {
     "2 gaps": RenderOptions(occluders=2, occluded_share=0.14),
     "6 gaps": RenderOptions(occluders=6, occluded_share=0.19),
 }
-"""A fifth of the thread is unseen in these: occluders hide more of it than the share, from cameras that look askance."""
+"""A fifth of the thread is hidden in these: seen from the side, occluders hide more than their share."""
 CLUTTERED = RenderOptions(clutter=6, specks=20)
 OPTIONS, UP = PerceptionOptions(), np.array([0.0, 0.0, 1.0])
 FOR_GAPS = PerceptionOptions(nu=0.0005, cap=20.0)
@@ -111,7 +111,7 @@ def shares(what: str, case: Case) -> None:
 
 
 def seed(sets: int) -> None:
-    """v⁰ and e⁰ as a careless person gives them."""
+    """v⁰ and e⁰ with errors of 1 mm and 5°."""
     for name in THREADS:
         case, _ = photographed(name, sets)
         off = seeds_off(case.rods.point, case.rods.direction, 1.0, np.radians(5.0), np.random.default_rng(SEED))
@@ -119,7 +119,7 @@ def seed(sets: int) -> None:
 
 
 def camera(sets: int) -> None:
-    """Two cameras: a third of the sets, drawn by lot, without each of the three."""
+    """Two cameras: each of the three is left out of a third of the sets, drawn at random."""
     for name in THREADS:
         case, _ = photographed(name, sets)
         lot = np.random.default_rng(SEED).permutation(len(case.rods.names))
