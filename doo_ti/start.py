@@ -1,4 +1,4 @@
-"""From an observation to what F needs: its clamps C, the start Γ, and the whole turns it may hold (§III-B, §III-D)."""
+"""From an observation to the input of F: its clamps C, the start Γ, and the whole turns it may hold (§III-B, §III-D)."""
 
 from dataclasses import replace
 
@@ -20,22 +20,22 @@ from doo_ti.frames import (
 from doo_ti.types import Clamp, Clamps, Configuration
 
 MOST_LENGTHS = 2.0
-"""Of a rod, between any of its marks and the first: more is no error of a label."""
+"""Largest distance of a mark from the first, over the rod's length: a label is never that wrong."""
 LEAST_LENGTHS = 0.1
-"""Of the rod between marks, along these: a rod that is bent, however much, shows more to marks that are of any use."""
+"""Smallest sum of the distances between neighbouring marks, over the rod's length between them."""
 LEAST_EDGE = 1e-6
-"""Of the mean edge."""
+"""Shortest edge, over the mean edge."""
 MOST_LENGTHS_OFF = 1e9
-"""Of a rod, from the origin to it."""
+"""Largest coordinate, over the rod's length."""
 
 
 def observation_clamps(observations: Observations, start: Clamp | None = None, end: Clamp | None = None) -> Clamps:
     """The clamps of D observations; by default the whole frame where it is given, else the tangent.
 
-    Positions are the observed vertices 0 and E, tangents those of the given frame, else of the observed edge; a rest
-    length other than the observed one moves no clamp. A frame asked for may also come from the measured ``frames``.
+    Positions are the observed vertices 0 and E, tangents those of the given frame, else of the observed edge; they do not
+    depend on the rest lengths. A FRAME clamp may also use the measured ``frames``.
 
-    Raises InputError for a frame nobody gave, and for a missing mark that the clamp rests on.
+    Raises InputError for a FRAME clamp without a frame, and for a missing mark that the clamp needs.
     """
     kinds, positions, frames = [], [], []
     for end_name, kind, given in (("start", start, observations.start_frame), ("end", end, observations.end_frame)):
@@ -50,8 +50,8 @@ def observation_clamps(observations: Observations, start: Clamp | None = None, e
 
 
 def check_experiment(observations: Observations, clamps: Clamps, weight: float, frame_weight: float) -> None:
-    """Raise InputError for what no relaxation could make good: clamps that :func:`check_feasible` refuses, a rod with weight
-    that nothing holds, fewer than two edges left free, marks that no rod of that length reaches, and a frame weight w_m without
+    """Raise InputError for an observation that cannot be relaxed: clamps that :func:`check_feasible` refuses, a rod with weight
+    and two free ends, fewer than two free edges, marks that no rod of that length reaches, and a frame weight w_m without
     measured frames."""
     free = (np.asarray(clamps.start) == Clamp.FREE) & (np.asarray(clamps.end) == Clamp.FREE)
     if weight > 0 and free.any():
@@ -67,9 +67,9 @@ def check_experiment(observations: Observations, clamps: Clamps, weight: float, 
 
 
 def _check_reach(observations: Observations) -> None:
-    """Raise InputError for marks further apart than :data:`MOST_LENGTHS` of the rod, or all of them closer to each other than
-    :data:`LEAST_LENGTHS`, of another unit or another rod, for such so far from the origin that numbers do not tell them apart,
-    and for edges that are nothing beside the others."""
+    """Raise InputError for marks too far apart (:data:`MOST_LENGTHS`) or too close together (:data:`LEAST_LENGTHS`), which are
+    in another unit or of another rod, for marks so far from the origin that rounding hides them, and for edges far shorter than
+    the others."""
     edges, length = observations.rest_length, observations.rest_length.sum()
     if edges.min() < LEAST_EDGE * edges.mean():
         raise InputError(observations.source, "rest_length_mm", f"{edges.min():.4g} mm at edge {int(np.argmin(edges))}, and "
@@ -94,7 +94,7 @@ def _check_reach(observations: Observations) -> None:
 def check_feasible(observations: Observations, clamps: Clamps) -> None:
     """Raise InputError where clamps are further apart than the rod is long, naming the observation and by how much."""
     excess = span_excess(clamps, observations.rest_length)
-    # A taut rod has no slack at all: rounding must not decide about it.
+    # A taut rod has no slack: rounding must not make it infeasible.
     bad = np.flatnonzero(excess > 1e-9 * observations.rest_length.sum())
     if len(bad):
         worst = bad[np.argmax(excess[bad])]
@@ -143,7 +143,7 @@ def held_spins(observations: Observations, clamps: Clamps, spin: np.ndarray) -> 
     """Clamps on whole frames where the tangent alone was known: ends that leave the angle ``spin`` (D,), rad, between the
     parallel-transported m1 of the first edge and the last edge's.
 
-    Of two such ends the last one takes the angle: what both turn by together is felt by no round rod.
+    Of two such ends the last one takes the angle: a common turn of both changes nothing in a round rod.
     """
     count = observations.count
     unknown_end = np.broadcast_to(np.asarray(clamps.end) == Clamp.TANGENT, count)
@@ -157,7 +157,8 @@ def held_spins(observations: Observations, clamps: Clamps, spin: np.ndarray) -> 
 
 def choose_hypothesis(observation_index: np.ndarray, score: np.ndarray, sound: np.ndarray) -> np.ndarray:
     """(D,) rows of the (N,) hypotheses with the smallest score of each observation, among those that are ``sound`` (N,)
-    where there are any: a rod that was stopped on the way is near its start, and no witness. NaN counts as the largest.
+    where there are any: a rod that did not converge is still near its start, so that its score means little. NaN counts as the
+    largest.
 
     Equal scores go to the first row.
     """

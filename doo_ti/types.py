@@ -1,4 +1,4 @@
-"""What goes into F and comes out of it, as NumPy arrays (§III-A, §III-B).
+"""Inputs and results of F as NumPy arrays (§III-A, §III-B).
 
 Axes, one letter each throughout the package:
 
@@ -33,7 +33,7 @@ class Status(IntEnum):
 
 
 class Clamp(IntEnum):
-    """What holds one end of a rod (§III-B). Each kind holds what the kinds before it hold."""
+    """How one end of a rod is held (§III-B). Each kind holds all that the kinds before it hold."""
 
     FREE = 0
     POSITION = 1
@@ -144,7 +144,7 @@ class Material:
 
 
 def lasting(before: np.ndarray, status: np.ndarray) -> np.ndarray:
-    """(R,) the status of rods that have one already: what was not converged once stays so, whatever becomes of it."""
+    """(R,) the status of rods relaxed several times in a row: the first one that is not CONVERGED, else the last."""
     return np.where(before == Status.CONVERGED, status, before)
 
 
@@ -197,7 +197,7 @@ class Configuration:
 
 @dataclass(frozen=True)
 class Clamps:
-    """C of §III-B: what holds the two ends of R rods. Inextensibility needs no entry, the chain keeps it.
+    """C of §III-B: how the two ends of R rods are held. Inextensibility needs no entry: the chain of frames is inextensible.
 
     start, end                    Clamp, one for all rods or (R,) of them
     start_position, end_position  (R, 3) mm; unused where the end is free
@@ -224,20 +224,23 @@ class Clamps:
 
 @dataclass(frozen=True)
 class Solution:
-    """What F returns: one entry per rod, nothing averaged.
+    """The result of F: one entry per rod.
 
     configuration  the relaxed rods
     energy         (R,) E(Γ) of §III-C, gravity measured from z = 0
-    residual       (R,) the largest moment left on a free edge, times the length, over the largest eigenvalue of B
+    residual       (R,) the largest moment left on a free edge, times the length, over the largest eigenvalue of B; of a taut
+                   rod, whose edges cannot tilt, the largest moment about a tangent
     closure        (R,) distance by which the far end misses its clamp over the rod's length
     iterations     (R,) steps taken
     status         (R,) Status
-    stable         (R,) True where the inertia of its KKT matrix certifies the equilibrium: in no direction does the energy
-                   fall. Neutral motions, such as a weightless bow turning about its chord, do not count against it
-    end_force      (R, 3) force of the far clamp on the rod where both ends are held, mm, energy (mm²) per mm: the energy
-                   grows by end_force · d when the clamp moves by d. Zero where an end is free
+    stable         (R,) True where the inertia of its KKT matrix certifies a minimum: the energy falls in no direction.
+                   Neutral motions, such as a weightless bow turning about its chord, are allowed
+    end_force      (R, 3) force of the far clamp on the rod where both ends are held, energy (mm²) per mm: the energy
+                   grows by end_force · d when the clamp moves by d. Zero where an end is free. NaN in a taut rod, one that
+                   can only be straight because its clamps are as far apart as it reaches, to 1e-7 of that: any pull above
+                   the buckling load holds it, and under a weight across it no finite one does
     precision      (R,) 32 or 64: the arithmetic that finished the rod
-    tables         what went in, for :func:`doo_ti.relaxation.relax.relax` to go on; None where calls were put together
+    tables         the input, from which :func:`doo_ti.relaxation.relax.relax` can continue; None where solutions were joined
     """
 
     configuration: Configuration
@@ -262,12 +265,13 @@ class Solution:
         return force_in_newton(self.end_force, weight_per_length, weight)
 
     def take(self, index) -> "Solution":
-        """The rods named by ``index``, in that order, without what went in."""
+        """The rods named by ``index``, in that order, without their input."""
         return Solution(self.configuration.take(index), **{name: getattr(self, name)[index] for name in _PER_ROD})
 
     @classmethod
     def concatenate(cls, parts: Sequence["Solution"]) -> "Solution":
-        """The rods of several solutions one after the other, of equally many edges; without what went in, unless it is one."""
+        """The rods of several solutions one after the other, of equally many edges, without their input; a single solution as
+        it is."""
         if len(parts) == 1:
             return parts[0]
         rods = Configuration.concatenate([part.configuration for part in parts])
@@ -278,8 +282,7 @@ _PER_ROD = tuple(entry.name for entry in fields(Solution) if entry.name not in (
 
 
 def unit_up(up, function: str) -> np.ndarray:
-    """(3,) the unit vector along ``up``, what the argument of that name of ``function`` is. Raises InputError for what is no
-    direction."""
+    """(3,) the unit vector along ``up``, an argument of ``function``. Raises InputError where it is not a direction."""
     direction = real_array(function, "up", up, "give a direction of three numbers").astype(np.float64)
     if direction.shape != (3,) or not (np.abs(direction) <= LARGEST).all() or not (length := np.linalg.norm(direction)) > 0:
         raise InputError(function, "up", f"{direction.tolist()}", "give a direction of three finite numbers, not all zero")

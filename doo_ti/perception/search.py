@@ -152,7 +152,7 @@ class Search:
         options = self.options
         start, clamps = self._held(grown, self.rest_length[: grown.quaternions.shape[1]])
         solver = Newton(max_iterations=options.growing_iterations, tolerance=0.1)
-        solution = relax(start, self.material, clamps, solver, up=self.up, precision="f32", handover=False,
+        solution = relax(start, self.material, clamps, solver, up=self.up, precision="f32 only",
                          external=self.seen(options.points, options.growing_nu, options.growing_cap),
                          external_index=grown.of_set)
         lost = solution.status == Status.NOT_FINITE

@@ -5,22 +5,22 @@ import taichi as ti
 
 @ti.func
 def absolute(a):
-    """|a|. (``ti.max`` would do, and ``ti.min``, but on packs they look for what is not a number: three instructions.)"""
+    """|a|. Not by ``ti.max``, which on packs also tests for NaN: three instructions."""
     return ti.select(a < 0.0, 0.0 - a, a)
 
 
 @ti.func
 def larger(a, b):
-    """The larger of two numbers; not a number as soon as either is not, which ti.max would pass over.
+    """The larger of two numbers, NaN where either is NaN (``ti.max`` would return the other one).
 
-    (Taichi's ``a != a`` is false for what is not a number, as every comparison with it is.)
+    NaN is found by ~(a == a): Taichi's ``a != a`` is false for it, as every comparison is.
     """
     return ti.select((b <= a) | ~(a == a), a, b)
 
 
 @ti.func
 def largest_of(a, b):
-    """The larger of two numbers where both are known to be numbers."""
+    """The larger of two numbers, neither of which is NaN."""
     return ti.select(a < b, b, a)
 
 
@@ -47,8 +47,8 @@ def solve_symmetric(m, b):
 def factor(m):
     """M = L D Lᵀ of a symmetric 3×3: (1/d1, 1/d2, 1/d3, l21, l31, l32, negative pivots).
 
-    Elimination without division first, d2 = p2/d1 and d3 = p3/(d1 p2), so that the three quotients do not wait for each
-    other: a lane's time here is time its whole chain waits.
+    Products first, d2 = p2/d1 and d3 = p3/(d1 p2), so that the three divisions do not wait for each other: every edge of a
+    chain waits for the factors of the edge before.
     """
     tiny = 1e-30  # against a pivot that is exactly zero
     d1 = m[0] + tiny

@@ -41,7 +41,7 @@ ARCTANGENT_64 = _arctangent_coefficients(20)
 def arctangent_function(number):
     """atan(t) for |t| ≤ 1 by an odd polynomial, to the rounding of ``number``.
 
-    Four chains of every fourth term run side by side: a single chain would have each lane wait for its own last product.
+    Four sums, each of every fourth term, run in parallel: in a single one every product would wait for the one before.
     """
     coefficients = ARCTANGENT_32 if number.bits == 32 else ARCTANGENT_64
     rows = [coefficients[k : k + 4] for k in range(0, len(coefficients), 4)]

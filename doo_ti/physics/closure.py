@@ -30,14 +30,8 @@ def closure_rows(length, m1, m2):
 def normal_matrix(length, t):
     """AᵀA = l² (I − t tᵀ), symmetric 6-tuple."""
     s = length * length
-    return (
-        s - s * t[0] * t[0],
-        0.0 - s * t[0] * t[1],
-        0.0 - s * t[0] * t[2],
-        s - s * t[1] * t[1],
-        0.0 - s * t[1] * t[2],
-        s - s * t[2] * t[2],
-    )
+    return (s - s * t[0] * t[0], 0.0 - s * t[0] * t[1], 0.0 - s * t[0] * t[2],
+            s - s * t[1] * t[1], 0.0 - s * t[1] * t[2], s - s * t[2] * t[2])
 
 
 @ti.func

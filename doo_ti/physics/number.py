@@ -1,8 +1,7 @@
-"""A number per rod: the one place that knows how many rods a value holds.
+"""The values that kernels compute with: one number for each of one or several rods.
 
 On a CPU a value is a pack of lanes, one rod in each, so that the vector unit works on all of them at once; on a GPU, and as
-the fallback, it is a scalar and every thread has a rod of its own. Everything else in the kernels is written without
-knowing which.
+the fallback, it is a scalar and every thread has a rod of its own. The rest of the kernels is the same for both.
 """
 
 from collections.abc import Callable
@@ -30,7 +29,7 @@ class Number:
         return self.scalar if self.width == 1 else ti.types.vector(self.width, self.scalar)
 
     def lanes(self) -> "Lanes":
-        """What touches single lanes, as Taichi functions."""
+        """Access to single lanes, as Taichi functions."""
         return _scalar_lanes(self.scalar) if self.width == 1 else _pack_lanes(self.type, self.scalar)
 
 
@@ -78,7 +77,7 @@ def _pack_lanes(pack, scalar):
 
     @ti.func
     def largest(value):
-        """The largest lane. Lanes that are not a number are passed over: ask it about flags only."""
+        """The largest lane. NaN is ignored: use it for flags only."""
         return value.max()
 
     @ti.func
@@ -88,8 +87,7 @@ def _pack_lanes(pack, scalar):
 
     @ti.func
     def with_lane(value, index, new):
-        """The value with one lane replaced. Not by setting it where the value lies in memory: to read that back as a pack
-        waits until all that was stored before has arrived."""
+        """The value with one lane replaced. Not by a store into that lane: to read the pack back would wait for it."""
         return ti.select(pack(numbered) == ti.cast(index, scalar), pack(ti.cast(new, scalar)), value)
 
     @ti.func

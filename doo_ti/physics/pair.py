@@ -1,6 +1,6 @@
 """Bend and twist energy of two neighbouring edges, with gradient and Hessian (§III-C E_bend, E_twist).
 
-The relative rotation q = conj(Q_left) Q_right = (q0, q1, q2, q3) of the two material frames says everything. With
+It depends on the relative rotation q = conj(Q_left) Q_right = (q0, q1, q2, q3) of the two material frames. With
 z = q0 + i q1, ζ = q2 + i q3 and s = |z|² two complex numbers X = ζ/z̄, Y = ζ/z hold the curvature as each frame sees it,
 
     ω^left = −2i X,   ω^right = −2i Y   (real part: κb·m2, imaginary part: −κb·m1),
@@ -63,12 +63,8 @@ def isotropic_hessian(x, y, inverse, turn, m, stiffness):
     h = 1.5 * n
     ht = 0.5 * t
     hn = 0.5 * n
-    xrr = x[0] * x[0]
-    xri = x[0] * x[1]
-    xii = x[1] * x[1]
-    yrr = y[0] * y[0]
-    yri = y[0] * y[1]
-    yii = y[1] * y[1]
+    xrr, xri, xii = x[0] * x[0], x[0] * x[1], x[1] * x[1]
+    yrr, yri, yii = y[0] * y[0], y[0] * y[1], y[1] * y[1]
     left = (
         b2,
         ht * x[0] + k * x[1],
@@ -87,10 +83,7 @@ def isotropic_hessian(x, y, inverse, turn, m, stiffness):
     )
     p = hn * turn[0] + ht * turn[1]
     v = hn * turn[1] - ht * turn[0]
-    rr = x[0] * y[0]
-    ri = x[0] * y[1]
-    ir = x[1] * y[0]
-    ii = x[1] * y[1]
+    rr, ri, ir, ii = x[0] * y[0], x[0] * y[1], x[1] * y[0], x[1] * y[1]
     across = (
         0.0 - b2,
         b2 * y[1],

@@ -7,31 +7,19 @@ from doo_ti.physics.tuples import cross, dot, scaled
 
 @ti.func
 def tangent(q):
-    return (
-        1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3]),
-        2.0 * (q[1] * q[2] + q[0] * q[3]),
-        2.0 * (q[1] * q[3] - q[0] * q[2]),
-    )
+    return (1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3]), 2.0 * (q[1] * q[2] + q[0] * q[3]), 2.0 * (q[1] * q[3] - q[0] * q[2]))
 
 
 @ti.func
 def first_director(q):
     """m1."""
-    return (
-        2.0 * (q[1] * q[2] - q[0] * q[3]),
-        1.0 - 2.0 * (q[1] * q[1] + q[3] * q[3]),
-        2.0 * (q[2] * q[3] + q[0] * q[1]),
-    )
+    return (2.0 * (q[1] * q[2] - q[0] * q[3]), 1.0 - 2.0 * (q[1] * q[1] + q[3] * q[3]), 2.0 * (q[2] * q[3] + q[0] * q[1]))
 
 
 @ti.func
 def second_director(q):
     """m2."""
-    return (
-        2.0 * (q[1] * q[3] + q[0] * q[2]),
-        2.0 * (q[2] * q[3] - q[0] * q[1]),
-        1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]),
-    )
+    return (2.0 * (q[1] * q[3] + q[0] * q[2]), 2.0 * (q[2] * q[3] - q[0] * q[1]), 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]))
 
 
 @ti.func
@@ -54,33 +42,19 @@ def normalised(q):
 @ti.func
 def turned_in_body(q, w):
     """q (1, w/2) normalised: turned by the rotation vector w given in q's own axes, to second order."""
-    a = 0.5 * w[0]
-    b = 0.5 * w[1]
-    c = 0.5 * w[2]
-    return normalised(
-        (
-            q[0] - q[1] * a - q[2] * b - q[3] * c,
-            q[1] + q[0] * a + q[2] * c - q[3] * b,
-            q[2] + q[0] * b + q[3] * a - q[1] * c,
-            q[3] + q[0] * c + q[1] * b - q[2] * a,
-        )
-    )
+    a, b, c = 0.5 * w[0], 0.5 * w[1], 0.5 * w[2]
+    return normalised((
+        q[0] - q[1] * a - q[2] * b - q[3] * c, q[1] + q[0] * a + q[2] * c - q[3] * b,
+        q[2] + q[0] * b + q[3] * a - q[1] * c, q[3] + q[0] * c + q[1] * b - q[2] * a))
 
 
 @ti.func
 def turned_in_world(q, w):
     """(1, w/2) q normalised: turned by the rotation vector w given in world axes, to second order."""
-    a = 0.5 * w[0]
-    b = 0.5 * w[1]
-    c = 0.5 * w[2]
-    return normalised(
-        (
-            q[0] - a * q[1] - b * q[2] - c * q[3],
-            q[1] + a * q[0] + b * q[3] - c * q[2],
-            q[2] + b * q[0] + c * q[1] - a * q[3],
-            q[3] + c * q[0] + a * q[2] - b * q[1],
-        )
-    )
+    a, b, c = 0.5 * w[0], 0.5 * w[1], 0.5 * w[2]
+    return normalised((
+        q[0] - a * q[1] - b * q[2] - c * q[3], q[1] + a * q[0] + b * q[3] - c * q[2],
+        q[2] + b * q[0] + c * q[1] - a * q[3], q[3] + c * q[0] + a * q[2] - b * q[1]))
 
 
 @ti.func

@@ -16,10 +16,10 @@ from taichi.lang.any_array import AnyArray
 from taichi.lang.impl import expr_init
 
 
-class _Evaluated(Sequence):
-    """A tuple of numbers that are variables of the kernel already and never change: names and functions share them.
+class _Numbers(Sequence):
+    """Several numbers of a kernel, which names and functions share.
 
-    (No ``tuple``: Taichi copies those number by number wherever one is given a name or passed to a function.)
+    (Not a ``tuple``: Taichi copies those number by number wherever one is given a name or passed to a function.)
     """
 
     _data_oriented = True  # so that Taichi passes it on as it is
@@ -38,6 +38,25 @@ class _Evaluated(Sequence):
 
     def __len__(self):
         return len(self._items)
+
+
+class _Evaluated(_Numbers):
+    """Numbers that are variables of the kernel already and never change."""
+
+
+class Variable(_Numbers):
+    """Numbers that a kernel may assign again: ``g = plus(g, h)`` changes the items of ``g`` in place.
+
+    To give it a second name copies nothing.
+    """
+
+    def _assign(self, values):
+        if len(values) != len(self):
+            raise ValueError(f"{len(values)} numbers for a variable of {len(self)}")
+        # All values are read before the first is changed: they may be the variable's own, in another order.
+        read = values if isinstance(values, _Evaluated) else expr_init(tuple(values))
+        for item, value in zip(self._items, read, strict=True):
+            item._assign(value)
 
 
 def picked(function):
@@ -61,38 +80,6 @@ def traced(function):
 def unevaluated(function):
     """A :func:`traced` function as one of expressions: what it computes is evaluated where it is used, each time."""
     return picked(function.__wrapped__)
-
-
-class Variable(Sequence):
-    """A tuple of numbers that a kernel may assign again: ``g = plus(g, h)`` changes its items in place.
-
-    To give it a second name copies nothing.
-    """
-
-    _data_oriented = True  # so that Taichi passes it on as it is
-
-    def __init__(self, items: tuple):
-        self._items = items
-
-    def __getitem__(self, place):
-        return self._items[place]
-
-    def __add__(self, other):
-        return self._items + tuple(other)
-
-    def __radd__(self, other):
-        return tuple(other) + self._items
-
-    def __len__(self):
-        return len(self._items)
-
-    def _assign(self, values):
-        if len(values) != len(self):
-            raise ValueError(f"{len(values)} numbers for a variable of {len(self)}")
-        # All values are read before the first is changed: they may be the variable's own, in another order.
-        read = values if isinstance(values, _Evaluated) else expr_init(tuple(values))
-        for item, value in zip(self._items, read, strict=True):
-            item._assign(value)
 
 
 @picked
@@ -126,6 +113,25 @@ def record(**fields) -> Record:
         else:
             kept[name] = value if isinstance(value, AnyArray) else expr_init(value)
     return Record(kept)
+
+
+@picked
+def choose(fields: Record, condition, **values) -> None:
+    """Assign ``values`` to the fields of those names where the condition holds."""
+    for name, value in values.items():
+        field = getattr(fields, name)
+        field._assign(ti.select(condition, value, field))
+
+
+@picked
+def put_lane(fields: Record, with_lane, slot, **values) -> None:
+    """Lane ``slot`` of the fields of those names, by ``with_lane`` of :class:`doo_ti.physics.number.Lanes`."""
+    for name, value in values.items():
+        field = getattr(fields, name)
+        if isinstance(field, Variable):
+            field._assign([with_lane(item, slot, one) for item, one in zip(field, value, strict=True)])
+        else:
+            field._assign(with_lane(field, slot, value))
 
 
 # --- of any size ----------------------------------------------------------------------------------------------------
@@ -228,6 +234,12 @@ def applied(m, b) -> tuple:
 
 
 @traced
+def minus_combination(y, m, x) -> tuple:
+    """y − Mᵀ x: ``y`` less the rows of M, each times its item of x."""
+    return tuple(y[k] - m[k] * x[0] - m[3 + k] * x[1] - m[6 + k] * x[2] for k in range(3))
+
+
+@traced
 def times_transposed(a, b) -> tuple:
     """A Bᵀ of two matrices."""
     return tuple(a[i] * b[j] + a[i + 1] * b[j + 1] + a[i + 2] * b[j + 2] for i in (0, 3, 6) for j in (0, 3, 6))
@@ -253,12 +265,6 @@ def row_scaled(m, s) -> tuple:
 def column_scaled(m, s) -> tuple:
     """M diag(s)."""
     return tuple(m[k] * s[k % 3] for k in range(9))
-
-
-@traced
-def row_and_column_scaled(m, s, t) -> tuple:
-    """diag(s) M diag(t)."""
-    return tuple(s[k // 3] * t[k % 3] * m[k] for k in range(9))
 
 
 # --- the factors of a symmetric matrix, M = L D Lᵀ, as :func:`doo_ti.physics.algebra.factor` gives them ---------------

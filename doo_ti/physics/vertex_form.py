@@ -9,16 +9,14 @@ material frame follows its own tangent by parallel transport in time, and the tw
 
 import taichi as ti
 
-from doo_ti.physics.tuples import cross, dot
+from doo_ti.physics.tuples import cross, dot, minus, negated, plus, scaled
 
 
 @ti.func
 def curvature_binormal(before, after, length_before, length_after):
     """κb = 2 e⁻ × e⁺ / (|e⁻||e⁺| + e⁻·e⁺) and the denominator (§III-A)."""
     bottom = length_before * length_after + dot(before, after)
-    c = cross(before, after)
-    scale = 2.0 / bottom
-    return (c[0] * scale, c[1] * scale, c[2] * scale), bottom
+    return scaled(cross(before, after), 2.0 / bottom), bottom
 
 
 @ti.func
@@ -26,22 +24,14 @@ def transported(source, target, vector):
     """P(vector), P the smallest rotation with P(source) = target for unit vectors (§III-C)."""
     axis = cross(source, target)
     once = cross(axis, vector)
-    twice = cross(axis, once)
-    scale = 1.0 / (1.0 + dot(source, target))
-    return (
-        vector[0] + once[0] + scale * twice[0],
-        vector[1] + once[1] + scale * twice[1],
-        vector[2] + once[2] + scale * twice[2],
-    )
+    return plus(plus(vector, once), scaled(cross(axis, once), 1.0 / (1.0 + dot(source, target))))
 
 
 @ti.func
 def across(vector, tangent):
-    """The unit vector along what of ``vector`` is perpendicular to ``tangent``."""
-    along = dot(vector, tangent)
-    rest = (vector[0] - along * tangent[0], vector[1] - along * tangent[1], vector[2] - along * tangent[2])
-    scale = 1.0 / ti.sqrt(dot(rest, rest))
-    return (rest[0] * scale, rest[1] * scale, rest[2] * scale)
+    """The unit vector along the part of ``vector`` that is perpendicular to ``tangent``."""
+    rest = minus(vector, scaled(tangent, dot(vector, tangent)))
+    return scaled(rest, 1.0 / ti.sqrt(dot(rest, rest)))
 
 
 @ti.func
@@ -51,7 +41,7 @@ def spun(m1, m2, angle):
     scale = 1.0 / (1.0 + half * half)
     c = (1.0 - half * half) * scale
     s = 2.0 * half * scale
-    return (c * m1[0] + s * m2[0], c * m1[1] + s * m2[1], c * m1[2] + s * m2[2])
+    return plus(scaled(m1, c), scaled(m2, s))
 
 
 @ti.func
@@ -63,8 +53,7 @@ def material_curvature(kb, m1, m2):
 @ti.func
 def bend_moment(b, omega, rest, inverse_length):
     """B (ω − u̅)/l̄."""
-    u0 = omega[0] - rest[0]
-    u1 = omega[1] - rest[1]
+    u0, u1 = omega[0] - rest[0], omega[1] - rest[1]
     return (inverse_length * (b[0] * u0 + b[2] * u1), inverse_length * (b[2] * u0 + b[1] * u1))
 
 
@@ -80,8 +69,7 @@ def spin_derivatives(b, moment, omega, inverse_length):
 
     The second is without its negative part, so that minimising over θ never climbs.
     """
-    s0 = omega[1]
-    s1 = 0.0 - omega[0]
+    s0, s1 = omega[1], 0.0 - omega[0]
     first = moment[0] * s0 + moment[1] * s1
     form = inverse_length * (b[0] * s0 * s0 + 2.0 * b[2] * s0 * s1 + b[1] * s1 * s1)
     return first, ti.max(form - moment[0] * omega[0] - moment[1] * omega[1], 0.0 * first)
@@ -90,11 +78,7 @@ def spin_derivatives(b, moment, omega, inverse_length):
 @ti.func
 def _pull(moment, m1, m2):
     """moment_1 m2 − moment_2 m1: the derivative of one frame's bend energy with respect to κb."""
-    return (
-        moment[0] * m2[0] - moment[1] * m1[0],
-        moment[0] * m2[1] - moment[1] * m1[1],
-        moment[0] * m2[2] - moment[1] * m1[2],
-    )
+    return minus(scaled(m2, moment[0]), scaled(m1, moment[1]))
 
 
 @ti.func
@@ -104,18 +88,9 @@ def bend_force(moment_left, moment_right, m1_left, m2_left, m1_right, m2_right, 
     With P = Σ_frames (moment_1 m2 − moment_2 m1), δE = P·δκb; the frames' own motion adds nothing, κb being
     perpendicular to both tangents.
     """
-    left = _pull(moment_left, m1_left, m2_left)
-    right = _pull(moment_right, m1_right, m2_right)
-    p = (left[0] + right[0], left[1] + right[1], left[2] + right[2])
+    p = plus(_pull(moment_left, m1_left, m2_left), _pull(moment_right, m1_right, m2_right))
     scale = 1.0 / bottom
     along = dot(kb, p) * scale
-    a = cross(after, p)
-    b = cross(before, p)
-    double = 2.0 * scale
-    of_before = (double * a[0] - along * after[0], double * a[1] - along * after[1], double * a[2] - along * after[2])
-    of_after = (
-        0.0 - double * b[0] - along * before[0],
-        0.0 - double * b[1] - along * before[1],
-        0.0 - double * b[2] - along * before[2],
-    )
+    of_before = minus(scaled(cross(after, p), 2.0 * scale), scaled(after, along))
+    of_after = minus(negated(scaled(cross(before, p), 2.0 * scale)), scaled(before, along))
     return of_before, of_after

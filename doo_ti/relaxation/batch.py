@@ -1,6 +1,6 @@
-"""The one door between host and device: tables in, results per rod out.
+"""Launches of the kernels: from the tables of rods to their results.
 
-Device scratch is allocated once per thread and reused, whatever the number of rods.
+Scratch memory is allocated once per thread and reused, independent of the number of rods.
 """
 
 import numpy as np
@@ -9,21 +9,20 @@ from doo_ti import runtime
 from doo_ti.frames import matrix_from_quaternion, quaternion_from_matrix, vertices_from_quaternions
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import chain, descent, newton
-from doo_ti.relaxation.columns import CLOSED, DRIFT, ITERATIONS, LOADED_RESULTS, LOOSE, RESULTS, STATUS
+from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loaded_elimination import FORCE_ITEMS
 from doo_ti.relaxation.loading import LANES, TRIPS
-from doo_ti.relaxation.memory import room
-from doo_ti.relaxation.newton_kernel import newton_kernel
-from doo_ti.relaxation.tables import Tables
+from doo_ti.relaxation.newton_loop import CLOSING_DISTANCE
+from doo_ti.relaxation.tables import Tables, room, whole_start
 from doo_ti.relaxation.vertex_chain import ITEMS
 from doo_ti.types import Solution, Status
 
 PROJECTIONS = 100
 """Rounds in which Descent's starts are brought onto closure."""
 
-UNTOUCHED = np.full(RESULTS, np.nan)
-"""The results of a rod that no kernel has seen, since it is infeasible."""
-UNTOUCHED[[ITERATIONS, STATUS]] = 0.0, Status.INFEASIBLE
+UNTOUCHED = np.full(of.RESULTS, np.nan)
+"""The results of an infeasible rod, which no kernel relaxes."""
+UNTOUCHED[[of.ITERATIONS, of.STATUS]] = 0.0, Status.INFEASIBLE
 
 _scratch: dict = {}
 _queues: dict[Number, np.ndarray] = {}
@@ -37,19 +36,19 @@ def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution
     With ``moving`` false only the projection runs, which brings a start onto closure.
     """
     frames = room(table.count, table.edges, 4)
-    results = room(table.count, RESULTS if table.external is None else LOADED_RESULTS)
-    results[:, DRIFT:] = 0.0
+    results = room(table.count, of.RESULTS if table.external is None else of.LOADED_RESULTS)
+    results[:, of.DRIFT:] = 0.0
     if len(table.rods) < table.count:
         infeasible = ~table.feasible[table.configuration_index]
-        frames[infeasible], results[infeasible, :RESULTS] = np.nan, UNTOUCHED
+        frames[infeasible], results[infeasible, : of.RESULTS] = np.nan, UNTOUCHED
     if begin is None:
         _launch_newton(table, table.start, table.rods, options, bits, frames, results, moving)
     else:
         ended = np.ascontiguousarray(begin.configuration.quaternions)
         usable = begin.status == int(Status.CONVERGED)
         if table.external is not None:
-            moved = usable & (table.clamp[table.configuration_index, LOOSE] > 0)
-            results[moved, DRIFT:] = (begin.configuration.start - table.anchor[table.configuration_index])[moved]
+            moved = usable & (table.clamp[table.configuration_index, of.LOOSE] > 0)
+            results[moved, of.DRIFT:] = (begin.configuration.start - table.anchor[table.configuration_index])[moved]
         lost = np.flatnonzero(~usable & table.feasible[table.configuration_index])
         frames[lost] = table.start[table.configuration_index[lost]]
         _launch_newton(table, ended, table.resumed(usable), options, bits, frames, results)
@@ -62,8 +61,8 @@ def continue_newton(table: Tables, options: newton.Newton, bits: int, frames, re
 
 
 def _untouched(count: int) -> np.ndarray:
-    """(R, RESULTS) of rods that no kernel has seen."""
-    results = np.empty((count, RESULTS))
+    """(R, RESULTS), UNTOUCHED everywhere."""
+    results = np.empty((count, of.RESULTS))
     results[:] = UNTOUCHED
     return results
 
@@ -80,17 +79,17 @@ def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int
     external = table.external
     kind = None if external is None else type(external)
     outer = () if external is None else (external.numbers(), external.field())
-    # By the call's rods, not by those of a launch, so that what few rods a large call leaves over needs no kernel of its own.
-    # Nor has an external energy one, which takes long to compile.
+    # Decided by the rods of the call, not of this launch: the few rods that a large call leaves to f64 need no second kernel.
+    # An external energy has no serial kernel, because it takes long to compile.
     serial = block == 1 and table.count <= number.width and external is None
-    any_ends = external is not None and bool((table.clamp[:, [CLOSED, LOOSE]] > 0).any())
-    kernel = newton_kernel(number, table.isotropic, stride, block, serial, kind, any_ends)
+    any_ends = external is not None and bool((table.clamp[:, [of.CLOSED, of.LOOSE]] > 0).any())
+    kernel = newton.newton_kernel(number, table.isotropic, stride, block, serial, kind, any_ends)
     per_edge = chain.item_count(table.isotropic) + (0 if external is None else external.items + FORCE_ITEMS * any_ends)
     per_rod = chain.LOADED_PARAMETERS + external.start_items if any_ends else chain.PARAMETERS
     scratch, queue = _buffers(number, threads, per_rod + per_edge * table.edges)
     policy = np.array([
         *table.up, options.tolerance or newton.TOLERANCES[bits], options.max_iterations, options.first_shift,
-        options.max_rotation, options.max_escapes, newton.CLOSING_DISTANCE if moving else -1.0])
+        options.max_rotation, options.max_escapes, CLOSING_DISTANCE if moving else -1.0])
     kernel(
         start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy, threads, scratch, queue,
         frames.reshape(-1), results, *outer)
@@ -113,25 +112,25 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     axes = np.full((table.count, table.edges, 3), np.nan)
     results = _untouched(table.count)
     descent.descent_kernel(number, stride, block)(
-        vertices, directors, table.rest_length, table.clamp, table.bend, table.twist, table.rest, table.material, *table.up,
-        table.rods, options.tolerance, options.max_iterations, options.largest_move, threads, items if stride == 1 else 1,
+        vertices, directors, table.rest_length, table.clamp, table.material, *table.up, table.rods,
+        options.tolerance, options.max_iterations, options.largest_move, threads, items if stride == 1 else 1,
         scratch, queue, positions, axes, results,
     )
     frames = _chain_form(positions, axes)
     certificate = newton.Newton(tolerance=options.tolerance, max_iterations=1, first_shift=0.0, max_escapes=0)
     certified = _untouched(table.count)
     continue_newton(table, certificate, 64, frames, certified, np.arange(table.count), np.isfinite(frames[:, 0, 0]))
-    good = certified[:, STATUS] == Status.CONVERGED
-    # What came to rest by its own account but not by that of the chain (its clamp not reached, say) has stalled.
-    own = np.where(results[:, STATUS] == Status.CONVERGED, Status.STALLED, results[:, STATUS])
-    certified[:, STATUS] = np.where(good, Status.CONVERGED, own)
-    certified[:, ITERATIONS] = results[:, ITERATIONS]
+    good = certified[:, of.STATUS] == Status.CONVERGED
+    # A rod that converged by the criterion of descent but not by Newton's (its clamp is not reached, say) has stalled.
+    own = np.where(results[:, of.STATUS] == Status.CONVERGED, Status.STALLED, results[:, of.STATUS])
+    certified[:, of.STATUS] = np.where(good, Status.CONVERGED, own)
+    certified[:, of.ITERATIONS] = results[:, of.ITERATIONS]
     return frames, certified
 
 
 def _vertex_form(table: Tables) -> tuple[np.ndarray, np.ndarray]:
     """Starts as vertices from the anchor (S, V, 3) and m1 (S, E, 3)."""
-    start = table.whole
+    start = whole_start(table.start, table.clamp)
     vertices = vertices_from_quaternions(np.zeros((len(start), 3)), start, table.rest_length)
     vertices = np.where(table.released[:, None, None], vertices - vertices[:, -1:], vertices)
     return np.ascontiguousarray(vertices), np.ascontiguousarray(matrix_from_quaternion(start)[..., 1])
@@ -158,8 +157,8 @@ def _machine(rods: int, bits: int) -> tuple[Number, int, int, int]:
 def _buffers(number: Number, threads: int, items: int):
     """(scratch for every thread, kept from call to call, and the queue, all zero).
 
-    Scratch grows at least twofold: Taichi never gives back arrays of packs, so those outgrown stay, together less than the
-    last. The queue is NumPy's, because to fill an array of Taichi's is a launch of its own.
+    Scratch at least doubles when it grows: Taichi never frees arrays of packs, and so all earlier ones together are smaller
+    than the last. The queue is a NumPy array, because filling a Taichi array takes a launch.
     """
     import taichi as ti
 

@@ -1,4 +1,4 @@
-"""A chain of frames whose state lies in scratch: where its numbers are, the step, closure and the energy (§III-B to §III-D).
+"""A chain of frames in scratch memory: its layout, the step, closure and the energy (§III-B to §III-D).
 
 Scratch holds, for every pack of rods, the parameters of its rods, and then for each edge the items named below; ``number`` says
 how many rods a value holds and ``stride`` how far apart the items of an edge lie. :mod:`doo_ti.relaxation.elimination` and
@@ -8,30 +8,21 @@ how many rods a value holds and ``stride`` how far apart the items of an edge li
 import taichi as ti
 
 from doo_ti.physics import pair
-from doo_ti.physics.algebra import absolute, largest_of, solve_symmetric
+from doo_ti.physics.algebra import absolute, solve_symmetric
 from doo_ti.physics.angle import twist_angle_function
 from doo_ti.physics.closure import closing_rotation, linear_gradient, normal_matrix
 from doo_ti.physics.quaternion import first_director, second_director, tangent, turned_in_body, turned_in_world
-from doo_ti.physics.tuples import (
-    backward,
-    dot,
-    minus,
-    plus,
-    record,
-    repeated,
-    scaled,
-    variable,
-)
+from doo_ti.physics.tuples import chosen, dot, minus, negated, on_diagonal, plus, record, repeated, scaled, variable
 
 # Items of an edge in scratch. Those of a vertex (1/l̄, β, ω̄) lie with the edge that leaves it.
 FRAME = 0
-STANDING = 4  # the frame to go back to where the step is not taken
+STANDING = 4  # the frame before the step, restored where the step is rejected
 LENGTH = 8
 INVERSE_LENGTH = 9
 ROTATION = 10  # the right-hand side while eliminating, the step after back-substitution
 ELIMINATED_NEXT = 13
 ELIMINATED_BORDER = 22
-BENT = 22  # until then: curvature and twist at the vertex where the edge ends
+BENT = 22  # before eliminating: curvature and twist at the vertex where the edge ends
 PIVOTS = 31
 ISOTROPIC_ITEMS = 37
 BEND = 37
@@ -84,7 +75,8 @@ class Chain:
         self.moves_start = False
         self.largest = number.lanes().largest
         self.twist_angle = twist_angle_function(number)
-        self.regular = 1e-6 if number.bits == 32 else 1e-13
+        # What makes AᵀA regular: a share of its trace, and where that is zero a number whose cube is not.
+        self.regular, self.least = (1e-6, 1e-12) if number.bits == 32 else (1e-13, 1e-30)
 
     # --- access to scratch ---
 
@@ -173,7 +165,7 @@ class Chain:
         else:
             return self.gradient_of(bent, s) + pair.general_hessian(x, y, inverse, turn, m, s)
 
-    # --- what the clamps leave free ---
+    # --- free rotations and weight ---
 
     @ti.func
     def freedom(self, rod, edge):
@@ -193,8 +185,8 @@ class Chain:
 
     @ti.func
     def summed(self, total, lost, values):
-        """(``total`` + ``values``, what rounding lost of it), to be made good with the next: the far end of a chain comes to
-        1e-7 of its length in f32 only so."""
+        """Compensated summation: (``total`` + ``values``, the rounding error, which is corrected with the next values). In f32
+        the far end of a chain would otherwise be off by more than 1e-7 of its length."""
         if ti.static(self.number.bits == 32):
             wanted = minus(values, lost)
             reached = plus(total, wanted)
@@ -214,13 +206,9 @@ class Chain:
         normal = variable(repeated(zero, 6))
         at = rod.origin
         for e in range(rod.edges):
+            # In a lane that does not step the rotation is undefined and may be NaN.
             rotation = self.load3(rod.scratch, at + ROTATION * self.stride)
-            # A lane that does not step may hold anything there, even what is not a number.
-            w = (
-                ti.select(stepping, rotation[0] * scale, zero),
-                ti.select(stepping, rotation[1] * scale, zero),
-                ti.select(stepping, rotation[2] * scale, zero),
-            )
+            w = chosen(stepping, scaled(rotation, scale), repeated(zero, 3))
             standing = self.load4(rod.scratch, at)
             self.store(rod.scratch, at + STANDING * self.stride, standing)
             q = turned_in_body(standing, w)
@@ -243,9 +231,8 @@ class Chain:
 
     @ti.func
     def _regular(self, n):
-        """AᵀA made regular where all free edges are parallel."""
-        e = self.regular * (n[0] + n[3] + n[5]) + 1e-30
-        return (n[0] + e, n[1], n[2], n[3] + e, n[4], n[5] + e)
+        """AᵀA made regular where all free edges are parallel, or none may tilt."""
+        return on_diagonal(n, self.regular * (n[0] + n[3] + n[5]) + self.least)
 
     @ti.func
     def close(self, rod, x, normal):
@@ -253,8 +240,8 @@ class Chain:
 
         Returns energy (gravity from vertex 0 or the far point), its magnitude (sum of absolute terms, the scale of its
         rounding), what closure is left, and the least-squares multiplier λ = −(AᵀA)⁻¹ Aᵀ g, with AᵀA from before the closing.
-        This loop and that of :meth:`step` keep apart what edges do by themselves from the elimination, where each waits for
-        the one before: here there is always another edge to get on with.
+        This loop and that of :meth:`step` compute all that edges do not wait for each other for, so that the processor works on
+        several at a time; in the elimination each edge waits for the one before.
         """
         zero = 0.0 * rod.total
         energy, potential, magnitude = (zero, zero, zero)
@@ -303,8 +290,7 @@ class Chain:
             potential = potential + self.lifted_start(rod)
         miss = scaled(minus(reached, rod.target), rod.closed)
         fit, minors = solve_symmetric(normal, moment)
-        multiplier = (0.0 - fit[0] * rod.closed, 0.0 - fit[1] * rod.closed, 0.0 - fit[2] * rod.closed)
-        return energy + potential, energy + magnitude, miss, multiplier
+        return energy + potential, energy + magnitude, miss, negated(scaled(fit, rod.closed))
 
     @ti.func
     def _bend(self, rod, at, before, q):
@@ -318,66 +304,11 @@ class Chain:
 
     @ti.func
     def restore(self, rod, lost):
-        """Go back to the frames from before the step in the lanes where it is not taken."""
+        """Restore the frames from before the step in the lanes that reject it."""
         at = rod.origin
-        for e in range(rod.edges):
-            for k in ti.static(range(4)):
-                here = rod.scratch[at + k * self.stride]
-                rod.scratch[at + k * self.stride] = ti.select(
-                    lost > 0.5, rod.scratch[at + (STANDING + k) * self.stride], here)
+        for _ in range(rod.edges):
+            standing = self.load4(rod.scratch, at + STANDING * self.stride)
+            self.store(rod.scratch, at, chosen(lost > 0.5, standing, self.load4(rod.scratch, at)))
             at += self.edge_stride
         if ti.static(self.moves_start):
             self.restore_start(rod, lost)
-
-    # --- what eliminations share ---
-
-    @ti.func
-    def stirred(self, rod, at, edge, right, gradient, search):
-        """(right-hand side with the noise and the echo of ``search`` (noise, echo), slope along the echo).
-
-        Inverse iterations from there lead towards the softest direction, off a saddle: the noise is a fixed perturbation, the
-        echo that many times the last step.
-        """
-        noise, echo = search
-        none = 0.0 * echo
-        w = self.load3(rod.scratch, at + ROTATION * self.stride)
-        # A lane without an echo may hold anything there, even what is not a number.
-        k = (
-            ti.select(echo > 0.0, echo * w[0], none),
-            ti.select(echo > 0.0, echo * w[1], none),
-            ti.select(echo > 0.0, echo * w[2], none),
-        )
-        perturbed = (
-            right[0] + noise * ((5 * edge + 2) % 7 - 2.5) + k[0],
-            right[1] + noise * ((3 * edge + 1) % 7 - 2.5) + k[1],
-            right[2] + noise * ((4 * edge + 3) % 7 - 2.5) + k[2],
-        )
-        return perturbed, gradient[0] * k[0] + gradient[1] * k[1] + gradient[2] * k[2]
-
-    @ti.func
-    def store_eliminated(self, rod, at, f, right, neighbour, border):
-        """What :meth:`solved_edge` needs of an edge: its factors, W_r, and the columns of W_U and of the border."""
-        self.store(rod.scratch, at + PIVOTS * self.stride, (f[0], f[1], f[2], f[3], f[4], f[5]))
-        self.store(rod.scratch, at + ROTATION * self.stride, right)
-        self.store(rod.scratch, at + ELIMINATED_NEXT * self.stride, neighbour)
-        self.store(rod.scratch, at + ELIMINATED_BORDER * self.stride, border)
-
-    @ti.func
-    def solved_edge(self, rod, at, border, w):
-        """ω = L⁻ᵀ D⁻¹ (W_r − W_border border − W_U ω_neighbour) of an edge, into its place."""
-        f = self.load6(rod.scratch, at + PIVOTS * self.stride)
-        y = variable(self.load3(rod.scratch, at + ROTATION * self.stride))
-        wu = self.load9(rod.scratch, at + ELIMINATED_NEXT * self.stride)
-        wb = self.load9(rod.scratch, at + ELIMINATED_BORDER * self.stride)
-        for k in ti.static(range(3)):
-            y = minus(y, scaled(wb[3 * k : 3 * k + 3], border[k]))
-        for k in ti.static(range(3)):
-            y = minus(y, scaled(wu[3 * k : 3 * k + 3], w[k]))
-        rotation = backward(f, y)
-        self.store(rod.scratch, at + ROTATION * self.stride, rotation)
-        return rotation
-
-    @ti.func
-    def longer(self, longest, w):
-        """The larger of a square and |w|²."""
-        return largest_of(longest, dot(w, w))

@@ -1,13 +1,13 @@
-"""What ``relax`` is given, checked before any work (§III-B): shapes, kinds of clamps, and the rows that make up each rod.
+"""Checks of the input of ``relax`` before any work (§III-B): shapes, kinds of clamps, and the rows that make up each rod.
 
-Raises InputError naming the argument, what was given and what would do.
+Raises InputError that names the argument, its value and a remedy.
 """
 
 import numpy as np
 
 from doo_ti.errors import InputError, real_array
-from doo_ti.relaxation.columns import FRAME, FREE
 from doo_ti.relaxation.external import External
+from doo_ti.relaxation.tables import FRAME, FREE
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 
 
@@ -34,7 +34,7 @@ def rest_lengths(configuration: Configuration) -> np.ndarray:
     """(1 or S, E) rest lengths. Raises InputError where they do not match or are not positive."""
     count, edges = configuration.count, configuration.edges
     lengths = real_array("configuration", "rest_length", configuration.rest_length, "give positive lengths in mm")
-    # A copy: what becomes of the caller's own is none of the result's business.
+    # A copy: the result must not change when the caller's array does.
     lengths = np.array(lengths, dtype=np.float64, order="C")
     if lengths.ndim == 1:
         lengths = lengths[None]
@@ -46,7 +46,8 @@ def rest_lengths(configuration: Configuration) -> np.ndarray:
 
 
 def check_material(material: Material, edges: int, floating: bool) -> None:
-    """Raise InputError where ``material`` does not go with rods of so many edges, or of which some float, held by nothing."""
+    """Raise InputError where ``material`` does not fit that many edges, or has weight while a rod has two free ends
+    (``floating``)."""
     if floating and (material.weight > 0).any():
         raise InputError("clamps", "start, end", "both ends are free and the rod has weight", "hold one end, or set weight 0")
     for name, array, length in (("twist", material.twist, edges - 1), ("bend", material.bend, edges)):
@@ -62,9 +63,9 @@ def clamp_kinds(clamps: Clamps, count: int) -> np.ndarray:
     kinds = np.empty((count, 2), dtype=np.int64)
     for end, (name, kind) in enumerate((("start", clamps.start), ("end", clamps.end))):
         if not isinstance(kind, Clamp):
-            kind = _as_array("clamps", name, kind, "give a Clamp, or one for each start")
-            known = kind.dtype.kind in "iuf" and bool(((kind >= FREE) & (kind <= FRAME) & (kind == kind.astype(int))).all())
-            if kind.shape not in ((), (1,), (count,)) or not known:
+            kind = real_array("clamps", name, kind, "give a Clamp, or one for each start")
+            known = (kind >= FREE) & (kind <= FRAME) & (kind == np.round(kind))
+            if kind.shape not in ((), (1,), (count,)) or not known.all():
                 raise InputError("clamps", name, f"{kind.tolist()!r}", "give a Clamp, or one for each start")
         kinds[:, end] = kind
     return kinds
@@ -77,22 +78,17 @@ def paired_rows(configurations: int, materials: int, configuration_index, materi
             raise InputError("relax", "material", f"{materials} rows for {configurations} rods", "give one, or one per rod")
         count = min(configurations, materials) and max(configurations, materials)
         return np.arange(count) % max(configurations, 1), np.arange(count) % max(materials, 1)
-    remedy = "give (R,) row numbers"
-    first = _as_array("relax", "configuration_index", 0 if configuration_index is None else configuration_index, remedy)
-    second = _as_array("relax", "material_index", 0 if material_index is None else material_index, remedy)
-    for name, index in (("configuration_index", first), ("material_index", second)):
-        if index.size and index.dtype.kind not in "iu":
-            raise InputError("relax", name, f"dtype {index.dtype}", "give whole row numbers")
+    first = _row_numbers("configuration_index", 0 if configuration_index is None else configuration_index)
+    second = _row_numbers("material_index", 0 if material_index is None else material_index)
     if first.shape != second.shape:
         if first.size != 1 and second.size != 1:
             raise InputError("relax", "material_index", f"shape {second.shape} beside {first.shape} of configuration_index",
                              "give (R,) row numbers both")
         first, second = np.broadcast_arrays(first, second)
-    first, second = (np.ascontiguousarray(index, dtype=np.int64) for index in (first, second))
     for name, index, size in (("configuration_index", first, configurations), ("material_index", second, materials)):
         if index.ndim != 1 or (index.size and (index.min() < 0 or index.max() >= size)):
             raise InputError("relax", name, f"not a vector of rows below {size}", "give (R,) row numbers")
-    return first, second
+    return np.ascontiguousarray(first), np.ascontiguousarray(second)
 
 
 def external_rows(external: External | None, index, count: int, edges: int) -> np.ndarray:
@@ -107,16 +103,15 @@ def external_rows(external: External | None, index, count: int, edges: int) -> n
         if external.count not in (1, count):
             raise InputError("relax", "external", f"{external.count} rows for {count} rods", "give one, or one for each rod")
         return np.arange(count) % external.count
-    rows = np.asarray(index)
-    whole = rows.shape == (count,) and rows.dtype.kind in "iu"
-    if not whole or (rows.size and (rows.min() < 0 or rows.max() >= external.count)):
+    rows = _row_numbers("external_index", index)
+    if rows.shape != (count,) or (rows.size and (rows.min() < 0 or rows.max() >= external.count)):
         raise InputError("relax", "external_index", f"not {count} rows below {external.count}", "give (R,) row numbers")
+    return rows
+
+
+def _row_numbers(name: str, value) -> np.ndarray:
+    """``value`` as an int64 array. Raises InputError for anything but whole numbers."""
+    rows = real_array("relax", name, value, "give (R,) row numbers")
+    if rows.size and rows.dtype.kind not in "iu":
+        raise InputError("relax", name, f"dtype {rows.dtype}", "give whole row numbers")
     return rows.astype(np.int64)
-
-
-def _as_array(source: str, name: str, value, remedy: str) -> np.ndarray:
-    """``value`` as an array. Raises InputError for rows of unlike lengths."""
-    try:
-        return np.asarray(value)
-    except ValueError:
-        raise InputError(source, name, "rows of unlike lengths", remedy) from None

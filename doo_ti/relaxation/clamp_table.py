@@ -1,20 +1,232 @@
-"""The table of clamps: what holds each rod's ends and what it measures between them, as the kernels read it (§III-B)."""
+"""The table of clamps: how each rod's ends are held, and its lengths, filled by a kernel in f64 (§III-B)."""
+
+from functools import cache
 
 import numpy as np
+import taichi as ti
 
 from doo_ti import runtime
 from doo_ti.errors import InputError
-from doo_ti.relaxation.clamp_kernel import FINDINGS, NOT_THE_FIRST, NOT_THE_LAST, OF_FRAMES, OF_REACH, clamp_kernel
-from doo_ti.relaxation.columns import CLAMP_COLUMNS, ENDS
+from doo_ti.frames import FRAME_TOLERANCE
+from doo_ti.physics.algebra import absolute, larger
+from doo_ti.physics.quaternion import from_matrix, normalised, tangent, transported, turned_in_world
+from doo_ti.physics.tuples import cross, dot, minus, record, repeated, row, scaled, transposed, variable
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.tables import FRAME, POSITION, TANGENT
 from doo_ti.types import Clamps, Configuration
 
+# Columns of the kernel's findings: about the start, and about the clamped frames.
+OF_REACH, OF_FRAMES, FINDINGS = 0, 1, 2
+# About a start: it is sound; no rod of its length can be held so; it may be too straight to be projected onto closure; it is
+# taut, so that it can only be one straight line.
+SOUND, INFEASIBLE, STRAIGHT, TAUT = range(4)
+# About the frames: both are valid, or which one is not.
+BOTH, NOT_THE_FIRST, NOT_THE_LAST = range(3)
+# Slack over the reach below which a rod is taut: its straight line misses a clamp by 1e-5 mm at most if it is 99 mm long. f64
+# cannot resolve the bow of a smaller slack.
+TAUT_SLACK = 1e-7
 FEW = 512
-"""Starts that the caller's thread reads by itself: to wake another takes as long."""
+"""Up to so many starts are read on the caller's thread: to wake another takes as long."""
 
 
-def outer_edges(edges: int) -> slice:
-    """The first edge and the last."""
-    return slice(None, None, edges - 1)
+@ti.func
+def vector(table: ti.template(), s):
+    """Row s of a table."""
+    return (table[s, 0], table[s, 1], table[s, 2])
+
+
+@ti.func
+def matrix(table: ti.template(), s):
+    """Matrix s of a table, row by row."""
+    return (table[s, 0, 0], table[s, 0, 1], table[s, 0, 2], table[s, 1, 0], table[s, 1, 1], table[s, 1, 2],
+            table[s, 2, 0], table[s, 2, 1], table[s, 2, 2])
+
+
+@ti.func
+def frame_of(start: ti.template(), s, edge):
+    """The frame of an edge of start s, as a unit quaternion."""
+    return normalised((start[s, edge, 0], start[s, edge, 1], start[s, edge, 2], start[s, edge, 3]))
+
+
+@ti.func
+def can_hold(kind, frame):
+    """Whether a frame, row by row, has what a clamp of that kind holds: for a whole frame orthonormal, right-handed columns,
+    for a tangent a unit vector. False where anything is NaN."""
+    columns = transposed(frame)
+    t, m1, m2 = row(columns, 0), row(columns, 1), row(columns, 2)
+    off = absolute(dot(t, t) - 1.0)
+    right_handed = True
+    if kind == FRAME:
+        off = larger(off, larger(absolute(dot(m1, m1) - 1.0), absolute(dot(m2, m2) - 1.0)))
+        off = larger(off, larger(larger(absolute(dot(t, m1)), absolute(dot(m1, m2))), absolute(dot(m2, t))))
+        right_handed = dot(m2, cross(t, m1)) > 0.0
+    return (kind < TANGENT) | ((off <= FRAME_TOLERANCE) & right_handed)
+
+
+@ti.func
+def held_frame(kind, frame, own):
+    """The frame of an end edge as its clamp holds it, ``frame`` row by row, or ``own`` where the clamp holds no direction; a
+    tangent clamp turns the edge by parallel transport, keeping its spin."""
+    q = variable(own)
+    if kind == FRAME:
+        q = from_matrix(frame)
+    if kind == TANGENT:
+        t = row(transposed(frame), 0)
+        old, new = tangent(own), scaled(t, 1.0 / ti.sqrt(dot(t, t)))
+        q = transported(own, old, new)
+        if 1.0 + dot(old, new) < 1e-14:
+            # There is no parallel transport from the opposite tangent: half a turn about some axis across.
+            far = ti.cast(1e30, ti.f64)
+            axis = variable((0.0 * far, far * old[2], 0.0 - far * old[1]))
+            if absolute(old[0]) > 0.9:
+                axis = (0.0 - far * old[2], 0.0 * far, far * old[0])
+            q = turned_in_world(own, axis)
+    return q
+
+
+@ti.data_oriented
+class ClampReader:
+    """Fills the table of clamps. ``tables`` is the record of the kernel's arrays."""
+
+    @ti.func
+    def read_share(self, tables, threads, thread):
+        """Rows of one thread."""
+        zero = ti.cast(0.0, ti.f64)
+        size = record(total=zero, longest=zero, shortest_pair=zero, hanging=zero, standing=zero)
+        self.measure(tables.rest_length, 0, size)
+        share = (tables.start.shape[0] + threads - 1) // threads
+        for s in range(thread * share, ti.min((thread + 1) * share, tables.start.shape[0])):
+            if tables.rest_length.shape[0] > 1:
+                self.measure(tables.rest_length, s, size)
+            self.read(tables, size, s)
+
+    @ti.func
+    def measure(self, rest_length: ti.template(), s, size):
+        """Into the record ``size`` from the rest lengths s: the ``total``, the ``longest`` edge, the ``shortest_pair`` of
+        neighbours, mm, and the largest moment arm of gravity seen from vertex 0, ``hanging``, and from the far end,
+        ``standing``, mm²."""
+        zero = ti.cast(0.0, ti.f64)
+        size.total, size.longest, size.hanging, size.standing = zero, zero, zero, zero
+        size.shortest_pair = rest_length[s, 0] + rest_length[s, 1]
+        for e in range(rest_length.shape[1]):
+            length = rest_length[s, e]
+            size.total += length
+            size.longest = ti.max(size.longest, length)
+            if e > 0:
+                size.shortest_pair = ti.min(size.shortest_pair, length + rest_length[s, e - 1])
+        before = zero
+        for e in range(rest_length.shape[1]):
+            length = rest_length[s, e]
+            before += length
+            size.hanging = ti.max(size.hanging, absolute(length * (length + 2.0 * (size.total - before))))
+            size.standing = ti.max(size.standing, absolute(length * (length - 2.0 * before)))
+
+    @ti.func
+    def put(self, clamp: ti.template(), s, column: ti.template(), values):
+        """Numbers into row s of the table of clamps, from ``column`` on."""
+        for k in ti.static(range(len(values))):
+            clamp[s, column + k] = values[k]
+
+    @ti.func
+    def read(self, tables, size, s):
+        """Fill row s of the table of clamps, and of the findings."""
+        kind_start, kind_end = tables.kinds[s, 0], tables.kinds[s, 1]
+        closed = (kind_start >= POSITION) & (kind_end >= POSITION)
+        released = (kind_start < POSITION) & (kind_end >= POSITION)
+        self.read_flags(tables.clamp, s, kind_start, kind_end, closed, released)
+        anchor = variable(vector(tables.origin, s))
+        if kind_start >= POSITION:
+            anchor = vector(tables.start_position, s)
+        far = vector(tables.end_position, s)
+        line = variable(repeated(ti.cast(0.0, ti.f64), 3))
+        if closed:
+            line = minus(far, anchor)
+        hanging = size.hanging
+        if released:
+            anchor = far
+            hanging = size.standing
+        self.put(tables.clamp, s, of.TARGET, line)
+        self.put(tables.clamp, s, of.ANCHOR, anchor)
+        tables.clamp[s, of.TOTAL], tables.clamp[s, of.LONGEST] = size.total, size.longest
+        tables.clamp[s, of.SHORTEST_PAIR], tables.clamp[s, of.HANGING] = size.shortest_pair, hanging
+        frame_start, frame_end = matrix(tables.start_frame, s), matrix(tables.end_frame, s)
+        first = held_frame(kind_start, frame_start, frame_of(tables.start, s, 0))
+        last = held_frame(kind_end, frame_end, frame_of(tables.start, s, tables.start.shape[1] - 1))
+        self.put(tables.clamp, s, of.ENDS, first)
+        self.put(tables.clamp, s, of.ENDS + 4, last)
+        tables.found[s, OF_REACH] = SOUND
+        if closed:
+            tables.found[s, OF_REACH] = self.reached(tables, size, s, line, first, last)
+        frames = BOTH
+        if not can_hold(kind_end, frame_end):
+            frames = NOT_THE_LAST
+        if not can_hold(kind_start, frame_start):
+            frames = NOT_THE_FIRST
+        tables.found[s, OF_FRAMES] = frames
+
+    @ti.func
+    def read_flags(self, clamp: ti.template(), s, kind_start, kind_end, closed, released):
+        """Columns of row s that are one or zero."""
+        clamp[s, of.CLOSED], clamp[s, of.RELEASED] = ti.cast(closed, ti.f64), ti.cast(released, ti.f64)
+        clamp[s, of.SPIN_START], clamp[s, of.SPIN_END] = ti.cast(kind_start < FRAME, ti.f64), ti.cast(kind_end < FRAME, ti.f64)
+        clamp[s, of.TILT_START] = ti.cast(kind_start < TANGENT, ti.f64)
+        clamp[s, of.TILT_END] = ti.cast(kind_end < TANGENT, ti.f64)
+        clamp[s, of.TILT_INNER], clamp[s, of.LOOSE] = 1.0, 0.0
+
+    @ti.func
+    def reached(self, tables, size, s, line, first, last):
+        """The finding about a start whose vertex 0 and far end are held, ``line`` apart, with these frames at its ends."""
+        edges = tables.start.shape[1]
+        length = ti.min(s, tables.rest_length.shape[0] - 1)
+        tilts = (tables.clamp[s, of.TILT_START], tables.clamp[s, of.TILT_END])
+        # The line that the free edges have to bridge, and how far they reach.
+        held_first = (1.0 - tilts[0]) * tables.rest_length[length, 0]
+        held_last = (1.0 - tilts[1]) * tables.rest_length[length, edges - 1]
+        free = minus(minus(line, scaled(tangent(first), held_first)), scaled(tangent(last), held_last))
+        slack = 1.0 - ti.sqrt(dot(free, free)) / (size.total - held_first - held_last)
+        found = SOUND
+        # Two free edges at least leave the far point three ways to go.
+        if (slack >= -1e-12) & (tilts[0] + tilts[1] >= 4.0 - edges):
+            # Straight rods have their inner edges in line: two of them tell most others apart.
+            inner, middle = frame_of(tables.start, s, ti.min(1, edges - 1)), frame_of(tables.start, s, edges // 2)
+            apart = minus(tangent(inner), tangent(middle))
+            if slack < TAUT_SLACK:
+                found = TAUT
+            elif dot(apart, apart) < 1e-4:
+                found = STRAIGHT
+        else:
+            found = INFEASIBLE
+        return found
+
+
+@cache
+def clamp_kernel(serial: bool, block: int):
+    """The kernel, compiled on first use; ``serial``: on the caller's thread; ``block``: threads in a block, 1 on a CPU."""
+    reader = ClampReader()
+    table2, table3 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (2, 3))
+
+    @ti.kernel
+    def read_clamps(
+        kinds: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [start, 2]
+        origin: table2,  # [start, 3] mm
+        start: table3,  # [start, edge, 4] of any length
+        rest_length: table2,  # [1 or start, edge] mm
+        start_position: table2,  # [start, 3] mm
+        end_position: table2,
+        start_frame: table3,  # [start, 3, 3]
+        end_frame: table3,
+        threads: ti.i32,
+        clamp: table2,  # [start, CLAMP_COLUMNS] out
+        found: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [start, FINDINGS] out
+    ):
+        ti.loop_config(block_dim=block, serialize=serial)
+        for thread in range(threads):
+            tables = record(
+                kinds=kinds, origin=origin, start=start, rest_length=rest_length, start_position=start_position,
+                end_position=end_position, start_frame=start_frame, end_frame=end_frame, clamp=clamp, found=found)
+            reader.read_share(tables, threads, thread)
+
+    return read_clamps
 
 
 def clamp_table(configuration: Configuration, lengths: np.ndarray, kinds: np.ndarray, clamps: Clamps):
@@ -24,10 +236,10 @@ def clamp_table(configuration: Configuration, lengths: np.ndarray, kinds: np.nda
     lengths  (1 or S, E) mm
     kinds    (S, 2) Clamp numbers
 
-    Raises InputError where a frame that is to be held is no rotation, or a tangent no direction.
+    Raises InputError where a clamped frame is not a rotation, or a clamped tangent not a unit vector.
     """
     count = len(kinds)
-    table, found = np.empty((count, CLAMP_COLUMNS)), np.empty((count, FINDINGS), dtype=np.int32)
+    table, found = np.empty((count, of.CLAMP_COLUMNS)), np.empty((count, FINDINGS), dtype=np.int32)
     on_cpu = runtime.start() == "cpu"
     serial = on_cpu and count <= FEW
     threads = 1 if serial else runtime.thread_count() if on_cpu else max(1, count)
@@ -42,18 +254,11 @@ def clamp_table(configuration: Configuration, lengths: np.ndarray, kinds: np.nda
 
 
 def _check_frames(found: np.ndarray, clamps: Clamps) -> None:
-    """Raise InputError where a frame was found to be no rotation, or its tangent no direction. Frames that are not finite
-    are data: their rods get a status."""
+    """Raise InputError where a frame was found not to be a rotation, or its tangent not a unit vector. A rod whose frame is not
+    finite gets a status instead."""
     for name, which in (("start_frame", NOT_THE_FIRST), ("end_frame", NOT_THE_LAST)):
         frames = getattr(clamps, name)[found == which]
         wrong = frames[np.isfinite(frames).all(axis=(1, 2))]
         if len(wrong):
             raise InputError("clamps", name, f"{np.round(wrong[0], 4).tolist()} is no frame that can be held",
                              "give unit, orthogonal columns t, m1, m2 with m2 = t x m1; of a tangent t at least")
-
-
-def whole_start(start: np.ndarray, clamp: np.ndarray) -> np.ndarray:
-    """(S, E, 4) ``start`` normalised, with the frames of ``clamp`` at its ends."""
-    result = start / np.linalg.norm(start, axis=-1, keepdims=True)
-    result[:, outer_edges(start.shape[1])] = clamp[:, ENDS:].reshape(-1, 2, 4)
-    return result

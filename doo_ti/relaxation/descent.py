@@ -14,27 +14,8 @@ import taichi as ti
 
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
-from doo_ti.physics.tuples import chosen, picked, record, repeated
-from doo_ti.relaxation.columns import (
-    CLOSED,
-    CLOSURE,
-    ENERGY,
-    ITERATIONS,
-    OF_CLAMP,
-    OF_MATERIAL,
-    OF_RESULT,
-    RELEASED,
-    RESIDUAL,
-    SPIN_END,
-    SPIN_START,
-    STABLE,
-    STATUS,
-    TILT_END,
-    TILT_INNER,
-    TILT_START,
-    TOTAL,
-    WEIGHT,
-)
+from doo_ti.physics.tuples import chosen, put_lane, record, repeated
+from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loading import LANES, NEXT, stiffness_scale
 from doo_ti.relaxation.vertex_chain import DIRECTOR, ITEMS, POSITION
 from doo_ti.relaxation.vertex_energy import VertexEnergy
@@ -69,22 +50,16 @@ MEMORY = 0.9  # weight of the past in the running mean of the energy
 PATIENCE = 20_000  # iterations in which neither energy nor residual came down noticeably
 
 
-@picked
-def with_lanes(with_lane, values, slot, new) -> tuple:
-    """``values`` with lane ``slot`` of each replaced, by ``with_lane`` of :class:`doo_ti.physics.number.Lanes`."""
-    return tuple(with_lane(value, slot, one) for value, one in zip(values, new, strict=True))
-
-
 @ti.data_oriented
 class DescentLoop:
-    """What a thread does until the queue is empty.
+    """The work of a thread, until the queue is empty.
 
-    Its functions pass on three records: ``tables``, the arrays and options that host and kernel share; ``rod``
-    (:class:`.VertexChain`); and ``lane``, where each lane's rod is:
+    Its functions share three records: ``tables``, the arrays and options that host and kernel share; ``rod``
+    (:class:`.VertexChain`); and ``lane``, the state of each lane's rod:
 
     held, spin, gravity              of ``rod``, for the lane's rod
     length, scale, limit_move        its longest edge, the divisor of its residual, and the largest move of a vertex in one step
-    energy, residual                 of the vertices that stand
+    energy, residual                 of the accepted vertices
     mean, count                      running mean of the energy, and the weight of what is in it
     lowest, best, still              the lowest energy and residual so far, and iterations without progress
     step, short                      length of the next step, and the last three short steps s·y/y·y
@@ -111,7 +86,8 @@ class DescentLoop:
                     if self.lane(lane.finished, slot) > 0.5:
                         lane.finished = self.with_lane(lane.finished, slot, 0.0)
                         if self.lane(lane.active, slot) > 0.5:
-                            self.store(tables, scratch, origin, slot, lane, tables.rods[tables.queue[places + slot], OF_RESULT])
+                            row = tables.rods[tables.queue[places + slot], of.RESULT_ROW]
+                            self.store(tables, scratch, origin, slot, lane, row)
                         lane.active = self.with_lane(lane.active, slot, 0.0)
                         index = ti.atomic_add(tables.queue[NEXT], 1)
                         if index < tables.rods.shape[0]:
@@ -142,42 +118,30 @@ class DescentLoop:
                 if v < edges:
                     tables.material_axes[place, v, k] = self.get(scratch, at + (DIRECTOR + k) * self.stride, slot)
             at += self.row
-        tables.results[place, ENERGY] = self.lane(lane.energy, slot)
-        tables.results[place, RESIDUAL] = self.lane(lane.residual, slot)
-        tables.results[place, CLOSURE] = 0.0
-        tables.results[place, ITERATIONS] = self.lane(lane.trips, slot)
-        tables.results[place, STATUS] = self.lane(lane.status, slot)
-        tables.results[place, STABLE] = 0.0
+        tables.results[place, of.ENERGY] = self.lane(lane.energy, slot)
+        tables.results[place, of.RESIDUAL] = self.lane(lane.residual, slot)
+        tables.results[place, of.CLOSURE] = 0.0
+        tables.results[place, of.ITERATIONS] = self.lane(lane.trips, slot)
+        tables.results[place, of.STATUS] = self.lane(lane.status, slot)
+        tables.results[place, of.STABLE] = 0.0
 
     @ti.func
     def load(self, tables, scratch: ti.template(), origin, slot, lane, index):
         """Row ``index`` of the rods into lane ``slot``."""
-        s, g = tables.rods[index, OF_CLAMP], tables.rods[index, OF_MATERIAL]
+        s, g = tables.rods[index, of.CLAMP_ROW], tables.rods[index, of.MATERIAL_ROW]
         longest, shortest = self.sweep.load_rod(tables, scratch, origin, slot, s, g)
-        start_held = ti.max(tables.clamp[s, CLOSED], 1.0 - tables.clamp[s, RELEASED])
-        end_held = ti.max(tables.clamp[s, CLOSED], tables.clamp[s, RELEASED])
+        start_held = ti.max(tables.clamp[s, of.CLOSED], 1.0 - tables.clamp[s, of.RELEASED])
+        end_held = ti.max(tables.clamp[s, of.CLOSED], tables.clamp[s, of.RELEASED])
         held = (
-            start_held, start_held * (1.0 - tables.clamp[s, TILT_START]), end_held * (1.0 - tables.clamp[s, TILT_END]),
-            end_held, 1.0 - tables.clamp[s, TILT_INNER])
-        weight = tables.material[g, WEIGHT]
-        lane.held = with_lanes(self.with_lane, lane.held, slot, held)
-        lane.spin = with_lanes(self.with_lane, lane.spin, slot, (tables.clamp[s, SPIN_START], tables.clamp[s, SPIN_END]))
-        lane.gravity = with_lanes(
-            self.with_lane, lane.gravity, slot, (weight * tables.up[0], weight * tables.up[1], weight * tables.up[2]))
-        lane.length = self.with_lane(lane.length, slot, longest)
-        lane.limit_move = self.with_lane(lane.limit_move, slot, tables.largest_move * shortest)
-        scale = stiffness_scale(tables.material, tables.clamp, g, s) / tables.clamp[s, TOTAL]
-        lane.scale = self.with_lane(lane.scale, slot, scale)
-        lane.count = self.with_lane(lane.count, slot, 0.0)
-        lane.step = self.with_lane(lane.step, slot, 0.0)
-        lane.residual = self.with_lane(lane.residual, slot, 1e30)
-        lane.best = self.with_lane(lane.best, slot, 1e30)
-        lane.lowest = self.with_lane(lane.lowest, slot, 1e30)
-        lane.short = with_lanes(self.with_lane, lane.short, slot, (1e30, 1e30, 1e30))
-        lane.fresh = self.with_lane(lane.fresh, slot, 1.0)
-        lane.trips = self.with_lane(lane.trips, slot, 0.0)
-        lane.still = self.with_lane(lane.still, slot, 0.0)
-        lane.active = self.with_lane(lane.active, slot, 1.0)
+            start_held, start_held * (1.0 - tables.clamp[s, of.TILT_START]), end_held * (1.0 - tables.clamp[s, of.TILT_END]),
+            end_held, 1.0 - tables.clamp[s, of.TILT_INNER])
+        weight = tables.material[g, of.WEIGHT]
+        scale = stiffness_scale(tables.material, tables.clamp, g, s) / tables.clamp[s, of.TOTAL]
+        put_lane(
+            lane, self.with_lane, slot, held=held, spin=(tables.clamp[s, of.SPIN_START], tables.clamp[s, of.SPIN_END]),
+            gravity=(weight * tables.up[0], weight * tables.up[1], weight * tables.up[2]), length=longest, scale=scale,
+            limit_move=tables.largest_move * shortest, count=0.0, step=0.0, residual=1e30, best=1e30, lowest=1e30,
+            short=(1e30, 1e30, 1e30), fresh=1.0, trips=0.0, still=0.0, active=1.0)
 
     @ti.func
     def trip(self, tables, scratch: ti.template(), origin, lane):
@@ -207,7 +171,7 @@ class DescentLoop:
     @ti.func
     def plan(self, lane, change, taken):
         """Length of the next step, by Barzilai and Borwein: the long step s·s/s·y, or where the gradient is mostly stiff
-        directions the shortest of the last four short ones s·y/y·y; now and then a long one all the same, to get on in narrow
+        directions the shortest of the last four short ones s·y/y·y; but every twelfth step is a long one, for narrow
         valleys."""
         short = change.sy / change.yy
         curved = change.sy > 0.0
@@ -223,7 +187,7 @@ class DescentLoop:
 
     @ti.func
     def end(self, tables, lane, magnitude, accepted):
-        """Which lanes are done, and how."""
+        """Which lanes are finished, and with which status."""
         zero, one = self.constant(0.0), self.constant(1.0)
         lost = ((lane.fresh > 0.5) & (accepted < 0.5)) | ~(lane.residual == lane.residual)
         progress = (lane.residual < 0.9 * lane.best) | (lane.energy < lane.lowest - 1e-7 * magnitude)
@@ -243,7 +207,7 @@ class DescentLoop:
 
 @cache
 def descent_kernel(number: Number, stride: int, block: int):
-    """The kernel for one kind of number; materials are always general. See :func:`.newton_kernel.newton_kernel`."""
+    """The kernel for one kind of number; materials are always general. See :func:`.newton.newton_kernel`."""
     loop = DescentLoop(number, stride)
     table2, table3 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (2, 3))
 
@@ -253,10 +217,7 @@ def descent_kernel(number: Number, stride: int, block: int):
         directors: table3,  # [configuration, edge, 3] m1
         rest_length: table2,  # [1 or configuration, edge] mm
         clamp: table2,  # [configuration, CLAMP_COLUMNS]
-        bend: table3,  # [material, 1 or edge, (11, 22, 12)] mm³
-        twist: table2,  # [material, 1 or inner vertex] mm³
-        rest: table3,  # [material, 1 or inner vertex, 2] 1/mm
-        material: table2,  # [material, STIFFNESS and more columns]
+        material: table2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
         up0: ti.f64,  # unit vector against gravity
         up1: ti.f64,
         up2: ti.f64,
@@ -275,9 +236,9 @@ def descent_kernel(number: Number, stride: int, block: int):
         ti.loop_config(block_dim=block)
         for thread in range(threads):
             tables = record(
-                vertices=vertices, directors=directors, rest_length=rest_length, clamp=clamp, bend=bend, twist=twist, rest=rest,
-                material=material, up=(up0, up1, up2), rods=rods, tolerance=tolerance, max_iterations=max_iterations,
-                largest_move=largest_move, queue=queue, positions=positions, material_axes=material_axes, results=results)
+                vertices=vertices, directors=directors, rest_length=rest_length, clamp=clamp, material=material,
+                up=(up0, up1, up2), rods=rods, tolerance=tolerance, max_iterations=max_iterations, largest_move=largest_move,
+                queue=queue, positions=positions, material_axes=material_axes, results=results)
             loop.work(tables, scratch, thread * origin_stride, thread)
 
     return descent

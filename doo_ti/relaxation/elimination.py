@@ -16,24 +16,28 @@ from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import (
     against,
+    backward,
+    chosen,
+    column_scaled,
+    dot,
     forward,
     forward_rows,
     gram,
     minus,
+    minus_combination,
     negated,
     on_diagonal,
     plus,
     products,
     record,
     repeated,
-    row_and_column_scaled,
     row_scaled,
     scaled,
     symmetric_gram,
     transposed,
     variable,
 )
-from doo_ti.relaxation.chain import LENGTH, Chain
+from doo_ti.relaxation.chain import ELIMINATED_BORDER, ELIMINATED_NEXT, LENGTH, PIVOTS, ROTATION, Chain
 
 
 @ti.func
@@ -53,7 +57,7 @@ class Elimination(Chain):
     def eliminate(self, rod, shift, search, multiplier, miss):
         """Assemble H + shift at the closed frames and eliminate it from the first edge to the last.
 
-        search: (noise, echo) of :meth:`.Chain.stirred`, zero unless a saddle is to be left. Returns a record: ``moment``, the
+        search: (noise, echo) of :meth:`stirred`, zero except while leaving a saddle. Returns a record: ``moment``, the
         largest on a free edge |g + Aλ|; ``scale``, the largest diagonal entry of H; ``change`` δλ; ``inertia``, negative pivots
         plus positive eigenvalues of the Schur complement, three at a minimum (or saddle-free step); ``slope`` along the echo;
         and ``energy`` and ``magnitude`` of an external energy, here none.
@@ -95,7 +99,7 @@ class Elimination(Chain):
                 free, after = self.freedom(rod, e), self.freedom(rod, e + 1)
                 g, b, a = products(free, g), products(free, b), row_scaled(a, free)
                 h = (free[0] * h[0], h[1], h[2], free[1] * h[3], h[4], free[2] * h[5])
-                d, u = held_pivot(d, free), row_and_column_scaled(u, free, after)
+                d, u = held_pivot(d, free), column_scaled(row_scaled(u, free), after)
             self.observe(found, g, h)
             f = factor(d)
             found.negative = found.negative + f[6]
@@ -113,6 +117,11 @@ class Elimination(Chain):
     def observe(self, found, g, h):
         """Take an edge's gradient and diagonal block into the largest of both."""
         found.scale = largest_of(found.scale, largest_of(h[0], largest_of(h[3], h[5])))
+        self.observe_moment(found, g)
+
+    @ti.func
+    def observe_moment(self, found, g):
+        """Take a gradient into the largest square of a moment."""
         found.squared = largest_of(found.squared, largest_of(g[0] * g[0], largest_of(g[1] * g[1], g[2] * g[2])))
 
     @ti.func
@@ -133,3 +142,47 @@ class Elimination(Chain):
             longest = self.longer(longest, w)
             at -= self.edge_stride
         return ti.sqrt(longest)
+
+    # --- shared with the elimination under an external energy ---
+
+    @ti.func
+    def stirred(self, rod, at, edge, right, gradient, search):
+        """(right-hand side with the noise and the echo of ``search`` (noise, echo), slope along the echo).
+
+        Inverse iterations from there lead towards the softest direction, off a saddle: the noise is a fixed perturbation, the
+        echo that many times the last step.
+        """
+        noise, echo = search
+        # In a lane without an echo the step is undefined and may be NaN.
+        w = self.load3(rod.scratch, at + ROTATION * self.stride)
+        k = chosen(echo > 0.0, scaled(w, echo), repeated(0.0 * echo, 3))
+        perturbed = (
+            right[0] + noise * ((5 * edge + 2) % 7 - 2.5) + k[0],
+            right[1] + noise * ((3 * edge + 1) % 7 - 2.5) + k[1],
+            right[2] + noise * ((4 * edge + 3) % 7 - 2.5) + k[2],
+        )
+        return perturbed, dot(gradient, k)
+
+    @ti.func
+    def store_eliminated(self, rod, at, f, right, neighbour, border):
+        """Store for :meth:`solved_edge`: the factors of an edge, W_r, and the columns of W_U and of the border."""
+        self.store(rod.scratch, at + PIVOTS * self.stride, (f[0], f[1], f[2], f[3], f[4], f[5]))
+        self.store(rod.scratch, at + ROTATION * self.stride, right)
+        self.store(rod.scratch, at + ELIMINATED_NEXT * self.stride, neighbour)
+        self.store(rod.scratch, at + ELIMINATED_BORDER * self.stride, border)
+
+    @ti.func
+    def solved_edge(self, rod, at, border, w):
+        """ω = L⁻ᵀ D⁻¹ (W_r − W_border border − W_U ω_neighbour) of an edge, into its place."""
+        f = self.load6(rod.scratch, at + PIVOTS * self.stride)
+        right = self.load3(rod.scratch, at + ROTATION * self.stride)
+        wu = self.load9(rod.scratch, at + ELIMINATED_NEXT * self.stride)
+        wb = self.load9(rod.scratch, at + ELIMINATED_BORDER * self.stride)
+        rotation = backward(f, minus_combination(minus_combination(right, wb, border), wu, w))
+        self.store(rod.scratch, at + ROTATION * self.stride, rotation)
+        return rotation
+
+    @ti.func
+    def longer(self, longest, w):
+        """The larger of a square and |w|²."""
+        return largest_of(longest, dot(w, w))

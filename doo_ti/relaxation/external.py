@@ -1,7 +1,7 @@
-"""Energies at the vertices of a rod, from outside it: what pulls or pushes it besides bending, twist and gravity.
+"""External energies at the vertices of a rod, besides bending, twist and gravity.
 
 A kind of external energy is a table of numbers and a field of values on the host, and two Taichi functions on the device,
-``load`` and ``evaluate``; the solver knows no more of it. Springs are the quadratic one, and need no field.
+``load`` and ``evaluate``; the solver needs nothing else. Springs are the simplest kind, and need no field.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from doo_ti.errors import InputError
 
 
 class ExternalFunctions(NamedTuple):
-    """What an external energy is to the kernels.
+    """An external energy as Taichi functions.
 
     load      (scratch, at, slot, numbers, row, edge, scale): those of ``numbers``' row, energies times ``scale``
     evaluate  (scratch, at, numbers, field, start, end, coarse): an edge's energy E with its vertices at ``start`` and ``end``,
@@ -34,7 +34,7 @@ class ExternalFunctions(NamedTuple):
 
 
 class External(Protocol):
-    """What the solver asks of an external energy. Rods take turns with its ``count`` rows as ``external_index`` says.
+    """The interface of an external energy. ``external_index`` gives each rod one of its ``count`` rows.
 
     items       numbers it needs in scratch per edge
     start_items of vertex 0
@@ -71,9 +71,9 @@ class Springs:
     """½ k |x_i − p_i|² at every vertex: the simplest external energy.
 
     points     (A, V, 3) mm
-    stiffness  (A, V) k ≥ 0 in the units of energy over mm²: with weight 1, 1 holds with 1 mm² per mm²
+    stiffness  (A, V) k ≥ 0, energy over mm²
 
-    Rods take turns with the A rows as ``external_index`` says. Raises InputError for shapes that do not match, and for
+    ``external_index`` gives each rod one of the A rows. Raises InputError for shapes that do not match, and for
     numbers that are negative or not finite.
     """
 

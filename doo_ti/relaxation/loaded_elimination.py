@@ -27,6 +27,7 @@ from doo_ti.physics.tuples import (
     gram,
     identity,
     minus,
+    minus_combination,
     negated,
     plus,
     products,
@@ -52,8 +53,8 @@ FORCE_ITEMS = 9
 class LoadedElimination(LooseStart):
     """The chain under an external energy of class ``external``, whose functions on the device are ``functions``.
 
-    any_ends: rods are among those relaxed whose far end is held or whose vertex 0 is not; without it λ with its columns and the
-    place of vertex 0 are left out.
+    any_ends: some rods have their far end held or vertex 0 free; otherwise λ with its columns and the place of vertex 0 are
+    left out.
     """
 
     def __init__(self, number, isotropic: bool, stride: int, external: type, any_ends: bool):
@@ -80,8 +81,8 @@ class LoadedElimination(LooseStart):
     def eliminate(self, rod, shift, search, multiplier, miss):
         """Assemble H + shift and eliminate it from the far end to the start; as :meth:`.Elimination.eliminate`.
 
-        The nominal force p, the sum of all gradients further out, enters the geometric part of H and the residual; what
-        elimination made of it, c, the right-hand side.
+        The force p, the sum of all gradients further out, enters the geometric part of H and the residual; the force c, which
+        elimination changes, enters the right-hand side.
         """
         zero = 0.0 * rod.total
         found = record(squared=zero, scale=zero, negative=zero, slope=zero, energy=zero, magnitude=zero)
@@ -242,8 +243,6 @@ class LoadedElimination(LooseStart):
     @ti.func
     def add_force(self, rod, at, change):
         """W_r − W_λ δλ in the place of W_r."""
-        right = variable(self.load3(rod.scratch, at + ROTATION * self.stride))
-        wa = self.load9(rod.scratch, at + self.force_columns * self.stride)
-        for k in ti.static(range(3)):
-            right = minus(right, scaled(wa[3 * k : 3 * k + 3], change[k]))
-        self.store(rod.scratch, at + ROTATION * self.stride, right)
+        right = self.load3(rod.scratch, at + ROTATION * self.stride)
+        columns = self.load9(rod.scratch, at + self.force_columns * self.stride)
+        self.store(rod.scratch, at + ROTATION * self.stride, minus_combination(right, columns, change))

@@ -5,44 +5,12 @@ import taichi as ti
 from doo_ti.physics.quaternion import normalised, tangent, transported
 from doo_ti.physics.tuples import dot
 from doo_ti.relaxation import chain
-from doo_ti.relaxation.columns import (
-    ANCHOR,
-    BEND,
-    CLOSED,
-    DRIFT,
-    ENDS,
-    FROM_RESULTS,
-    HANGING,
-    LARGEST_BEND,
-    LONGEST,
-    LOOSE,
-    OF_CLAMP,
-    OF_EXTERNAL,
-    OF_MATERIAL,
-    OF_RESULT,
-    OF_START,
-    RELEASED,
-    REST,
-    ROUND,
-    SHORTEST_PAIR,
-    SPIN_END,
-    SPIN_START,
-    STIFFEST,
-    STIFFNESS,
-    STIFFNESS_COLUMNS,
-    TARGET,
-    TILT_END,
-    TILT_INNER,
-    TILT_START,
-    TOTAL,
-    TWIST,
-    WEIGHT,
-)
+from doo_ti.relaxation import tables as of
 
 REFERENCE_LENGTH = 99.0
 """mm: rods of about this length are computed in mm, others in units in which they have it."""
 
-# Entries of a launch's queue: the next rod that nobody has taken, the trips of all packs, and from LANES on every lane's rod.
+# Entries of a launch's queue: the next rod that is not yet taken, the trips of all packs, and from LANES on every lane's rod.
 NEXT, TRIPS, LANES = 0, 1, 2
 
 
@@ -50,8 +18,8 @@ NEXT, TRIPS, LANES = 0, 1, 2
 def stiffness_scale(material: ti.template(), clamp: ti.template(), g, s):
     """Stiffness, mm³, by which the residual of the rod (configuration s, material g) is measured: the largest eigenvalue of B,
     or where a hundredth of its weight's moment about the clamp, times the length, is more, that."""
-    weight = material[g, WEIGHT] * clamp[s, HANGING] * (clamp[s, TOTAL] / REFERENCE_LENGTH)
-    return ti.max(material[g, LARGEST_BEND], weight)
+    weight = material[g, of.WEIGHT] * clamp[s, of.HANGING] * (clamp[s, of.TOTAL] / REFERENCE_LENGTH)
+    return ti.max(material[g, of.LARGEST_BEND], weight)
 
 
 @ti.func
@@ -72,7 +40,7 @@ class Loading:
 
     ``tables`` is a record of the arrays that host and kernels share: start, rest_length, clamp, material, up, rods, frames,
     results, and ``numbers`` of the external energy (see :mod:`doo_ti.relaxation.tables`). ``functions`` are that energy's, or
-    None. ``in_millimetres``: lengths are left in mm, whatever the rods' size.
+    None. ``in_millimetres``: lengths stay in mm.
     """
 
     def __init__(self, sweep: chain.Chain, functions=None, in_millimetres: bool = False):
@@ -97,22 +65,22 @@ class Loading:
 
     @ti.func
     def load(self, tables, scratch: ti.template(), head, slot, rod, lengths_known):
-        """Row ``rod`` of the rods into lane ``slot``. Lengths are left where the lane has them and all rods share them.
+        """Row ``rod`` of the rods into lane ``slot``. Lengths that all rods share are loaded once per lane.
 
-        Lengths are in a unit u in which all rods are about equally long, energies in that of a stiffness over u, so that what
-        rounds and what counts as small does not depend on a rod's size.
+        Lengths are in a unit u in which all rods are about equally long, energies in that of a stiffness over u, so that
+        rounding and tolerances do not depend on a rod's size.
         """
         origin = head + self.parameters * self.stride
-        s = tables.rods[rod, OF_CLAMP]
-        g = tables.rods[rod, OF_MATERIAL]
+        s = tables.rods[rod, of.CLAMP_ROW]
+        g = tables.rods[rod, of.MATERIAL_ROW]
         divisor = stiffness_scale(tables.material, tables.clamp, g, s)
         unit = ti.cast(1.0, ti.f64)
         if ti.static(not self.in_millimetres):
-            unit = length_unit(tables.clamp[s, TOTAL])
-        if tables.rods[rod, OF_START] == FROM_RESULTS:
-            self.load_frames(tables, tables.frames, tables.rods[rod, OF_RESULT], scratch, origin, slot, s)
+            unit = length_unit(tables.clamp[s, of.TOTAL])
+        if tables.rods[rod, of.START_ROW] == of.FROM_RESULTS:
+            self.load_frames(tables, tables.frames, tables.rods[rod, of.RESULT_ROW], scratch, origin, slot, s)
         else:
-            self.load_frames(tables, tables.start, tables.rods[rod, OF_START], scratch, origin, slot, s)
+            self.load_frames(tables, tables.start, tables.rods[rod, of.START_ROW], scratch, origin, slot, s)
         row = ti.min(s, tables.rest_length.shape[0] - 1)
         if lengths_known < 0.5 or tables.rest_length.shape[0] > 1:
             self.load_lengths(tables, scratch, origin, slot, row, unit)
@@ -121,24 +89,24 @@ class Loading:
         if ti.static(self.loaded):
             at = origin
             for e in range(tables.rest_length.shape[1]):
-                self.functions.load(scratch, at, slot, tables.numbers, tables.rods[rod, OF_EXTERNAL], e,
+                self.functions.load(scratch, at, slot, tables.numbers, tables.rods[rod, of.EXTERNAL_ROW], e,
                                     1.0 / divisor * unit)
                 at += self.edge_stride
         self.load_parameters(tables, scratch, head, slot, s, g, divisor, unit)
         if ti.static(self.moves_start):
-            self.put(scratch, head + chain.OF_LOOSE * self.stride, slot, tables.clamp[s, LOOSE])
+            self.put(scratch, head + chain.OF_LOOSE * self.stride, slot, tables.clamp[s, of.LOOSE])
             for k in ti.static(range(3)):
-                drift = tables.results[tables.rods[rod, OF_RESULT], DRIFT + k]
+                drift = tables.results[tables.rods[rod, of.RESULT_ROW], of.DRIFT + k]
                 self.put(scratch, head + (chain.OF_DRIFT + k) * self.stride, slot, drift / unit)
             if ti.static(self.loads_start):
                 self.functions.load_start(
                     scratch, head + chain.LOADED_PARAMETERS * self.stride, slot, tables.numbers,
-                    tables.rods[rod, OF_EXTERNAL], 1.0 / divisor * unit)
+                    tables.rods[rod, of.EXTERNAL_ROW], 1.0 / divisor * unit)
 
     @ti.func
     def load_frames(self, tables, source: ti.template(), row, scratch: ti.template(), origin, slot, s):
-        """The frames of ``source``'s row into lane ``slot``, those at the ends as clamp s holds them. The first step, of no
-        length, makes unit quaternions of them."""
+        """The frames of ``source``'s row into lane ``slot``, those at the ends as clamp s holds them. The first step, of length
+        zero, normalises them."""
         edges = tables.rest_length.shape[1]
         at = origin
         place = row * edges * 4
@@ -153,12 +121,12 @@ class Loading:
     def load_end(self, clamp: ti.template(), s, end: ti.template(), source: ti.template(), place, scratch: ti.template(), at,
                  slot):
         """What clamp s holds of the first frame or the last, which is at ``place`` of ``source``, into lane ``slot``."""
-        if clamp[s, TILT_START + end] == 0.0:
-            column = ti.static(ENDS + 4 * end)
+        if clamp[s, of.TILT_START + end] == 0.0:
+            column = ti.static(of.ENDS + 4 * end)
             held = (clamp[s, column], clamp[s, column + 1], clamp[s, column + 2], clamp[s, column + 3])
             self.put_items(scratch, at, slot, held)
-            if clamp[s, SPIN_START + end] > 0.0:
-                # A tangent alone: by parallel transport, which there is not from the opposite one.
+            if clamp[s, of.SPIN_START + end] > 0.0:
+                # A tangent alone: by parallel transport, which does not exist from the opposite tangent.
                 frame = normalised(self.frame_from(source, place))
                 old, new = tangent(frame), tangent(held)
                 if 1.0 + dot(old, new) > 1e-14:
@@ -193,14 +161,14 @@ class Loading:
         """B, β and ω̄ l̄/2 of material g into lane ``slot``, stiffness times ``scale``."""
         at = origin
         for e in range(tables.rest_length.shape[1]):
-            column = ti.min(STIFFNESS + e * STIFFNESS_COLUMNS, tables.material.shape[1] - STIFFNESS_COLUMNS)
+            column = ti.min(of.STIFFNESS + e * of.STIFFNESS_COLUMNS, tables.material.shape[1] - of.STIFFNESS_COLUMNS)
             for k in ti.static(range(3)):
-                self.put(scratch, at + (chain.BEND + k) * self.stride, slot, tables.material[g, column + (BEND + k)] * scale)
+                self.put(scratch, at + (chain.BEND + k) * self.stride, slot, tables.material[g, column + (of.BEND + k)] * scale)
             if e > 0:
-                self.put(scratch, at + chain.TWIST * self.stride, slot, tables.material[g, column + TWIST] * scale)
+                self.put(scratch, at + chain.TWIST * self.stride, slot, tables.material[g, column + of.TWIST] * scale)
                 both = tables.rest_length[row, e - 1] + tables.rest_length[row, e]
                 for k in ti.static(range(2)):
-                    rest = 0.5 * both * tables.material[g, column + (REST + k)]
+                    rest = 0.5 * both * tables.material[g, column + (of.REST + k)]
                     self.put(scratch, at + (chain.REST + k) * self.stride, slot, rest)
             at += self.edge_stride
 
@@ -209,23 +177,23 @@ class Loading:
         """Parameters of the rod (configuration s, material g) into lane ``slot``, stiffness over ``divisor`` and lengths over
         ``unit``."""
         for k in ti.static(range(3)):
-            self.put(scratch, head + (chain.OF_TARGET + k) * self.stride, slot, tables.clamp[s, TARGET + k] / unit)
-            up = tables.material[g, WEIGHT] * tables.up[k] / divisor * (unit * unit * unit)
+            self.put(scratch, head + (chain.OF_TARGET + k) * self.stride, slot, tables.clamp[s, of.TARGET + k] / unit)
+            up = tables.material[g, of.WEIGHT] * tables.up[k] / divisor * (unit * unit * unit)
             self.put(scratch, head + (chain.OF_GRAVITY + k) * self.stride, slot, up)
-            self.put(scratch, head + (chain.OF_ANCHOR + k) * self.stride, slot, tables.clamp[s, ANCHOR + k] / unit)
+            self.put(scratch, head + (chain.OF_ANCHOR + k) * self.stride, slot, tables.clamp[s, of.ANCHOR + k] / unit)
         # A round rod with both spins free turns about itself at no cost: hold its first spin.
-        spin_start = tables.clamp[s, SPIN_START] * (1.0 - tables.material[g, ROUND] * tables.clamp[s, SPIN_END])
-        free = (spin_start, tables.clamp[s, TILT_START], tables.clamp[s, SPIN_END], tables.clamp[s, TILT_END],
-                tables.clamp[s, TILT_INNER])
+        spin_start = tables.clamp[s, of.SPIN_START] * (1.0 - tables.material[g, of.ROUND] * tables.clamp[s, of.SPIN_END])
+        free = (spin_start, tables.clamp[s, of.TILT_START], tables.clamp[s, of.SPIN_END], tables.clamp[s, of.TILT_END],
+                tables.clamp[s, of.TILT_INNER])
         self.put_items(scratch, head + chain.OF_FREE * self.stride, slot, free)
-        self.put(scratch, head + chain.OF_CLOSED * self.stride, slot, tables.clamp[s, CLOSED])
-        self.put(scratch, head + chain.OF_RELEASED * self.stride, slot, tables.clamp[s, RELEASED])
-        self.put(scratch, head + chain.OF_TOTAL * self.stride, slot, tables.clamp[s, TOTAL] / unit)
-        self.put(scratch, head + chain.OF_LONGEST * self.stride, slot, tables.clamp[s, LONGEST] / unit)
+        self.put(scratch, head + chain.OF_CLOSED * self.stride, slot, tables.clamp[s, of.CLOSED])
+        self.put(scratch, head + chain.OF_RELEASED * self.stride, slot, tables.clamp[s, of.RELEASED])
+        self.put(scratch, head + chain.OF_TOTAL * self.stride, slot, tables.clamp[s, of.TOTAL] / unit)
+        self.put(scratch, head + chain.OF_LONGEST * self.stride, slot, tables.clamp[s, of.LONGEST] / unit)
         self.put(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot, divisor / unit)
         self.put(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot, unit)
-        stiffness = (tables.material[g, STIFFNESS + BEND] / divisor, tables.material[g, STIFFNESS + TWIST] / divisor)
-        self.put_items(scratch, head + chain.OF_STIFFNESS * self.stride, slot, stiffness)
+        bend, twist = tables.material[g, of.STIFFNESS + of.BEND], tables.material[g, of.STIFFNESS + of.TWIST]
+        self.put_items(scratch, head + chain.OF_STIFFNESS * self.stride, slot, (bend / divisor, twist / divisor))
         # A first guess of H's largest diagonal entry.
-        guess = 4.0 * tables.material[g, STIFFEST] / divisor / (tables.clamp[s, SHORTEST_PAIR] / unit)
+        guess = 4.0 * tables.material[g, of.STIFFEST] / divisor / (tables.clamp[s, of.SHORTEST_PAIR] / unit)
         self.put(scratch, head + chain.OF_SCALE * self.stride, slot, guess)

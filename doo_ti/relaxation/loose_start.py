@@ -6,7 +6,7 @@ rotation has to.
 
 import taichi as ti
 
-from doo_ti.physics.algebra import factor, largest_of
+from doo_ti.physics.algebra import factor
 from doo_ti.physics.tuples import (
     against,
     backward,
@@ -15,7 +15,9 @@ from doo_ti.physics.tuples import (
     forward,
     forward_rows,
     minus,
+    minus_combination,
     negated,
+    on_diagonal,
     plus,
     scaled,
     symmetric_gram,
@@ -27,7 +29,7 @@ from doo_ti.relaxation.elimination import Elimination, held_pivot
 
 @ti.data_oriented
 class LooseStart(Elimination):
-    """What :class:`.LoadedElimination` does with vertex 0. Lanes whose rods have it held stay as they are."""
+    """The part of :class:`.LoadedElimination` for vertex 0. Lanes whose rods hold it are not changed."""
 
     @ti.func
     def loose(self, rod):
@@ -36,7 +38,7 @@ class LooseStart(Elimination):
 
     @ti.func
     def drift(self, rod):
-        """How far vertex 0 has moved from the anchor, mm."""
+        """How far vertex 0 has moved from the anchor, in the rod's unit of length."""
         return self.load3(rod.scratch, rod.head + OF_DRIFT * self.stride)
 
     @ti.func
@@ -66,7 +68,7 @@ class LooseStart(Elimination):
 
     @ti.func
     def restore_start(self, rod, lost):
-        """Vertex 0 back to where it was before the step in the lanes where it is not taken."""
+        """Restore vertex 0 in the lanes that reject the step."""
         standing = self.load3(rod.scratch, rod.head + OF_DRIFT_STANDING * self.stride)
         self.store(rod.scratch, rod.head + OF_DRIFT * self.stride, chosen(lost > 0.5, standing, self.drift(rod)))
 
@@ -87,12 +89,8 @@ class LooseStart(Elimination):
             force, c = plus(force, slope), plus(c, slope)
             beyond.cc = plus(beyond.cc, scaled(curvature, rod.length_unit * rod.length_unit))
         moment = scaled(force, loose * rod.total)
-        found.squared = largest_of(found.squared, largest_of(moment[0] * moment[0],
-                                                             largest_of(moment[1] * moment[1], moment[2] * moment[2])))
-        d = variable(beyond.cc)
-        stiff = shift / (rod.total * rod.total)
-        d = (d[0] + stiff, d[1], d[2], d[3] + stiff, d[4], d[5] + stiff)
-        f = factor(held_pivot(d, free))
+        self.observe_moment(found, moment)
+        f = factor(held_pivot(on_diagonal(beyond.cc, shift / (rod.total * rod.total)), free))
         found.negative = found.negative + f[6]
         wr = forward(f, scaled(negated(c), loose))
         wa = forward_rows(f, scaled(border.c, loose))
@@ -106,11 +104,9 @@ class LooseStart(Elimination):
     @ti.func
     def solved_start(self, rod, change):
         """ξ = L⁻ᵀ D⁻¹ (W_c − W_λ δλ) of vertex 0, into its place."""
-        y = variable(self.load3(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride))
+        right = self.load3(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride)
         kept = rod.head + OF_DRIFT_FACTORS * self.stride
-        wa = self.load9(rod.scratch, kept)
-        for k in ti.static(range(3)):
-            y = minus(y, scaled(wa[3 * k : 3 * k + 3], change[k]))
+        y = minus_combination(right, self.load9(rod.scratch, kept), change)
         shift = backward(self.load6(rod.scratch, kept + 9 * self.stride), y)
         self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, shift)
         return shift

@@ -1,8 +1,21 @@
-"""Newton's method on the chain of frames: its options and the numbers of its policy (§III-D, docs/chain.md)."""
+"""Newton's method on the chain of frames for all rods at once: its options and its kernel (§III-D, docs/chain.md).
+
+A trip through the kernel's loop gives every lane one step and one factorisation. A lane whose rod is finished stores it and
+takes the next from a queue, so that all lanes stay busy. The result of a rod does not depend on the others: it is the same
+alone and in any batch, in any place.
+"""
 
 from dataclasses import dataclass
+from functools import cache
+
+import taichi as ti
 
 from doo_ti.errors import InputError, require_number, require_whole
+from doo_ti.physics.number import Number
+from doo_ti.physics.tuples import record
+from doo_ti.relaxation.elimination import Elimination
+from doo_ti.relaxation.loaded_elimination import LoadedElimination
+from doo_ti.relaxation.newton_loop import UP, NewtonLoop
 
 
 @dataclass(frozen=True)
@@ -37,29 +50,68 @@ class Newton:
 
     @classmethod
     def careful(cls, **options) -> "Newton":
-        """The policy that keeps closest to descent: use it where basins matter (ribbons)."""
+        """The options that stay closest to descent: use them where the basin matters (ribbons)."""
         return cls(first_shift=0.0, **options)
 
 
 TOLERANCES = {32: 9.9e-5, 64: 9.9e-8}
-"""What counts as converged, by bits: of a rod of 99 mm a moment over stiffness of 1e-6 and 1e-9 1/mm."""
-SHAPE_TOLERANCE_32 = 1e-4
-"""rad: in f32 the next Newton step has to be smaller too, or f64 takes over."""
+"""The residual that counts as converged, by bits: of a rod of 99 mm a moment over stiffness of 1e-6 and 1e-9 1/mm."""
 
-# The policy's fixed numbers (shifts are over the largest diagonal entry of H).
-SHIFT_WRONG_INERTIA = 0.01
-SHIFT_REJECTED = 1e-5
-DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # after a step that was taken the shift falls by DECAY, below NEGLIGIBLE to zero;
-DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # more slowly once a step was refused or the inertia wrong
-CLOSING_DISTANCE = 0.1  # edge lengths: above it a step only projects
-ESCAPE_ROTATION = 0.1  # rad
-ESCAPE_ROUNDS = 3.0  # inverse iterations before the first leap off a saddle
-COARSE_ROTATION = 0.2  # rad: while steps are larger, an external energy gives its coarse curvature, if it has one
-PATIENCE = 25  # trips without progress
-PATIENCE_32 = 16  # the same in f32, after which f64 takes over
-NOTABLE = 1e-8  # of the energy's magnitude, which locked-in twist may dominate
-PATIENCE_AT_SADDLE = 8  # trips without noteworthy progress where the inertia is wrong
 
-# Columns of what a launch is given besides its tables: the unit vector up, the options of Newton, and above how many edge
-# lengths from closure a step only closes.
-UP, TOLERANCE, ITERATION_LIMIT, FIRST_SHIFT, ROTATION_LIMIT, ESCAPES, CLOSING, POLICY_COLUMNS = 0, 3, 4, 5, 6, 7, 8, 9
+@cache
+def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, serial: bool, external: type | None = None,
+                  any_ends: bool = False):
+    """The compiled-on-first-use kernel for one kind of number, of material and of external energy.
+
+    stride: distance between the items of an edge in scratch, 1 on a CPU, the number of threads on a GPU.
+    block: threads in a block, 1 on a CPU.
+    serial: on a CPU, work on the caller's thread: to wake another takes as long as to relax a few rods.
+    external: the class of the external energy, whose numbers and field the kernel then takes as two more arrays.
+    any_ends: not all rods under the external energy have vertex 0 held and the far end free, which is faster.
+    """
+    if external is None:
+        loop = NewtonLoop(Elimination(number, isotropic, stride))
+    else:
+        sweep = LoadedElimination(number, isotropic, stride, external, any_ends)
+        loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
+    table1, table2 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2))
+    index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
+    numbers = ti.types.ndarray(dtype=ti.f64, ndim=3)
+    field = ti.types.ndarray(dtype=ti.f32, ndim=1)
+
+    @ti.kernel
+    def newton(
+        start: table1,  # [start · edge · 4]
+        rest_length: table2,  # [1 or configuration, edge] mm
+        clamp: table2,  # [configuration, CLAMP_COLUMNS]
+        material: table2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
+        rods: index2,  # [rod, ROD_COLUMNS]
+        policy: table1,  # [POLICY_COLUMNS] of :mod:`doo_ti.relaxation.newton_loop`
+        threads: ti.i32,
+        scratch: ti.types.ndarray(dtype=number.type, ndim=1),
+        queue: index1,  # [NEXT, TRIPS, LANES + thread · lane] zero
+        frames: table1,  # [row · edge · 4] in where a rod starts from there, and out
+        results: table2,  # [row, RESULTS] out
+    ):
+        ti.loop_config(block_dim=block, serialize=serial)
+        for thread in range(threads):
+            up = (policy[UP], policy[UP + 1], policy[UP + 2])
+            tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
+                            policy=policy, queue=queue, frames=frames, results=results, numbers=material, field=material)
+            loop.work(tables, scratch, threads, thread)
+
+    @ti.kernel
+    def newton_under_load(
+        start: table1, rest_length: table2, clamp: table2, material: table2, rods: index2, policy: table1, threads: ti.i32,
+        scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, results: table2,
+        outer: numbers,  # of the external energy
+        space: field,  # what it looks up in space
+    ):
+        ti.loop_config(block_dim=block, serialize=serial)
+        for thread in range(threads):
+            up = (policy[UP], policy[UP + 1], policy[UP + 2])
+            tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
+                            policy=policy, queue=queue, frames=frames, results=results, numbers=outer, field=space)
+            loop.work(tables, scratch, threads, thread)
+
+    return newton if external is None else newton_under_load

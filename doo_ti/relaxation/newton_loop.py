@@ -1,47 +1,45 @@
-"""What a thread of the Newton kernel does: trips through its lanes' rods, each a step, its judgement and the plan of the next
+"""The loop of a thread of the Newton kernel: trips through its lanes' rods, each a step, its judgement and the plan of the next
 (§III-D, docs/chain.md)."""
-
 
 import taichi as ti
 
-from doo_ti.physics.tuples import chosen, dot, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import choose, chosen, dot, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import chain
-from doo_ti.relaxation.columns import CLOSURE, DRIFT, ENERGY, FORCE, ITERATIONS, OF_RESULT, RESIDUAL, RESULTS, STABLE, STATUS
+from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.loading import LANES, NEXT, TRIPS, Loading
-from doo_ti.relaxation.newton import (
-    CLOSING,
-    COARSE_ROTATION,
-    DECAY,
-    DECAY_TROUBLED,
-    ESCAPE_ROTATION,
-    ESCAPE_ROUNDS,
-    ESCAPES,
-    FIRST_SHIFT,
-    ITERATION_LIMIT,
-    NEGLIGIBLE,
-    NEGLIGIBLE_TROUBLED,
-    NOTABLE,
-    PATIENCE,
-    PATIENCE_32,
-    PATIENCE_AT_SADDLE,
-    ROTATION_LIMIT,
-    SHAPE_TOLERANCE_32,
-    SHIFT_REJECTED,
-    SHIFT_WRONG_INERTIA,
-    TOLERANCE,
-)
 from doo_ti.types import Status
+
+SHAPE_TOLERANCE_32 = 1e-4
+"""rad: in f32 the next Newton step has to be smaller too, or f64 takes over."""
+
+# The policy's fixed numbers (shifts are over the largest diagonal entry of H).
+SHIFT_WRONG_INERTIA = 0.01
+SHIFT_REJECTED = 1e-5
+DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # after a step that was taken the shift falls by DECAY, below NEGLIGIBLE to zero;
+DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # more slowly once a step was refused or the inertia wrong
+CLOSING_DISTANCE = 0.1  # edge lengths: above it a step only projects
+ESCAPE_ROTATION = 0.1  # rad
+ESCAPE_ROUNDS = 3.0  # inverse iterations before the first leap off a saddle
+COARSE_ROTATION = 0.2  # rad: while steps are larger, an external energy gives its coarse curvature, if it has one
+PATIENCE = 25  # trips without progress
+PATIENCE_32 = 16  # the same in f32, after which f64 takes over
+NOTABLE = 1e-8  # of the energy's magnitude, which locked-in twist may dominate
+PATIENCE_AT_SADDLE = 8  # trips without noteworthy progress where the inertia is wrong
+
+# Columns of what a launch is given besides its tables: the unit vector up, the options of Newton, and above how many edge
+# lengths from closure a step only closes.
+UP, TOLERANCE, ITERATION_LIMIT, FIRST_SHIFT, ROTATION_LIMIT, ESCAPES, CLOSING, POLICY_COLUMNS = 0, 3, 4, 5, 6, 7, 8, 9
 
 
 @ti.data_oriented
 class NewtonLoop:
-    """What a thread does until the queue is empty.
+    """The work of a thread, until the queue is empty.
 
-    Its functions pass on three records: ``tables``, the arrays that host and kernel share; ``rod``, the parameters of the rods
-    in the lanes (:class:`.Chain`); and ``lane``, where each lane's rod is and the step that is about to be tried:
+    Its functions share three records: ``tables``, the arrays that host and kernel share; ``rod``, the parameters of the rods
+    in the lanes (:class:`.Chain`); and ``lane``, the state of each lane's rod and its next step:
 
-    energy, magnitude, miss, multiplier  of the frames that stand; ``residual`` their largest moment
+    energy, magnitude, miss, multiplier  of the accepted frames; ``residual`` their largest moment
     change, longest                      δλ and the largest rotation of the step, rad
     shift, scale                         added to the diagonal of H, and H's largest diagonal entry
     step_scale                           share of the step that is taken
@@ -61,8 +59,8 @@ class NewtonLoop:
         self.patience = PATIENCE_32 if single else PATIENCE
         self.shape_tolerance = SHAPE_TOLERANCE_32 if single else 1e30
         self.closure_tolerance = 1e-7 if single else 1e-12
-        # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a trace of H's
-        # scale on the diagonal lets them pass, always. f32 cannot tell them from soft saddles and leaves them to f64.
+        # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a small part of
+        # H's scale on the diagonal makes it positive. f32 cannot tell them from soft saddles and leaves them to f64.
         self.trace = 0.0 if single else 1e-12
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
         self.stalled, self.not_finite = int(Status.STALLED), int(Status.NOT_FINITE)
@@ -74,8 +72,7 @@ class NewtonLoop:
         head = thread
         if ti.static(self.stride == 1):
             head = thread * (self.sweep.parameters + self.sweep.items * edges)
-        # Rods taken at once from the queue: threads that ask for the same number wait for each other, but all are to end
-        # together.
+        # Rods taken from the queue at a time: with fewer, threads wait for each other at the queue; with more, some end early.
         batch = ti.max(1, ti.min(16, tables.rods.shape[0] // (16 * threads * self.width)))
         lane = self.idle_lanes()
         supply = record(next=0, end=0, batch=batch, places=LANES + thread * self.width)
@@ -110,30 +107,31 @@ class NewtonLoop:
     @ti.func
     def store(self, tables, scratch: ti.template(), head, slot, lane, rod):
         """Results of the rod in lane ``slot``, row ``rod`` of the rods."""
-        row = tables.rods[rod, OF_RESULT]
+        row = tables.rods[rod, of.RESULT_ROW]
         origin = head + self.sweep.parameters * self.stride
         self.loading.store_frames(tables, row, scratch, origin, slot)
         if self.lane(lane.status, slot) == self.not_finite:
-            for k in ti.static(range(RESULTS)):
+            for k in ti.static(range(of.RESULTS)):
                 tables.results[row, k] = ti.math.nan
         else:
             unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
             length_unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
             total = self.get(scratch, head + chain.OF_TOTAL * self.stride, slot)
-            tables.results[row, ENERGY] = ti.cast(self.lane(lane.energy, slot), ti.f64) * unit
-            tables.results[row, RESIDUAL] = self.lane(lane.residual, slot) * total
+            tables.results[row, of.ENERGY] = ti.cast(self.lane(lane.energy, slot), ti.f64) * unit
+            tables.results[row, of.RESIDUAL] = self.lane(lane.residual, slot) * total
             for k in ti.static(range(3)):
-                tables.results[row, FORCE + k] = 0.0 - ti.cast(self.lane(lane.multiplier[k], slot), ti.f64) * unit / length_unit
+                force = 0.0 - ti.cast(self.lane(lane.multiplier[k], slot), ti.f64)
+                tables.results[row, of.FORCE + k] = force * unit / length_unit
             miss = (self.lane(lane.miss[0], slot), self.lane(lane.miss[1], slot), self.lane(lane.miss[2], slot))
             squares = miss[0] ** 2 + miss[1] ** 2 + miss[2] ** 2
-            tables.results[row, CLOSURE] = ti.sqrt(squares) / total
+            tables.results[row, of.CLOSURE] = ti.sqrt(squares) / total
         if ti.static(self.sweep.moves_start):
             for k in ti.static(range(3)):
                 drift = ti.cast(self.get(scratch, head + (chain.OF_DRIFT + k) * self.stride, slot), ti.f64)
-                tables.results[row, DRIFT + k] = drift * self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot)
-        tables.results[row, ITERATIONS] = self.lane(lane.trips, slot)
-        tables.results[row, STATUS] = self.lane(lane.status, slot)
-        tables.results[row, STABLE] = self.lane(lane.stable, slot)
+                tables.results[row, of.DRIFT + k] = drift * self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot)
+        tables.results[row, of.ITERATIONS] = self.lane(lane.trips, slot)
+        tables.results[row, of.STATUS] = self.lane(lane.status, slot)
+        tables.results[row, of.STABLE] = self.lane(lane.stable, slot)
 
     @ti.func
     def refill(self, tables, scratch: ti.template(), head, slot, lane, supply):
@@ -156,20 +154,10 @@ class NewtonLoop:
         zero, one = self.constant(0.0), self.constant(1.0)
         begun = lane.finished > 0.5
         lane.scale = ti.select(begun, scratch[head + chain.OF_SCALE * self.stride], lane.scale)
-        lane.fresh = ti.select(begun, one, lane.fresh)
-        lane.best = ti.select(begun, self.constant(1e30), lane.best)
-        lane.shift = ti.select(begun, ti.cast(tables.policy[FIRST_SHIFT], self.scalar) * lane.scale, lane.shift)
-        lane.step_scale = ti.select(begun, zero, lane.step_scale)
-        lane.trips = ti.select(begun, zero, lane.trips)
-        lane.idle_trips = ti.select(begun, zero, lane.idle_trips)
-        lane.aimless = ti.select(begun, zero, lane.aimless)
-        lane.rejects = ti.select(begun, zero, lane.rejects)
-        lane.trying = ti.select(begun, zero, lane.trying)
-        lane.closing = ti.select(begun, zero, lane.closing)
-        lane.returned = ti.select(begun, zero, lane.returned)
-        lane.troubled = ti.select(begun, zero, lane.troubled)
-        lane.escaping = ti.select(begun, zero, lane.escaping)
-        lane.escapes = ti.select(begun, zero, lane.escapes)
+        shift = ti.cast(tables.policy[FIRST_SHIFT], self.scalar) * lane.scale
+        choose(
+            lane, begun, shift=shift, fresh=one, best=self.constant(1e30), step_scale=zero, trips=zero, idle_trips=zero,
+            aimless=zero, rejects=zero, trying=zero, closing=zero, returned=zero, troubled=zero, escaping=zero, escapes=zero)
         lane.finished = zero
 
     @ti.func
@@ -179,36 +167,36 @@ class NewtonLoop:
         if ti.static(self.has_coarse):
             lane.coarse = ti.max(lane.coarse, lane.fresh)
         rod = self.sweep.rods(scratch, head, tables.rest_length.shape[1], tables.numbers, tables.field, lane.coarse)
-        # Take the step, hopefully: the shift is that for after it.
+        # Take the step, and judge it afterwards. The factorisation at its end has the shift that follows a good step.
         moving = ti.max(lane.trying, ti.max(lane.fresh, lane.closing))
         x, normal = self.sweep.step(rod, lane.step_scale, moving)
         decay = ti.select(lane.troubled > 0.5, self.constant(DECAY_TROUBLED), self.constant(DECAY))
         negligible = ti.select(lane.troubled > 0.5, self.constant(NEGLIGIBLE_TROUBLED), self.constant(NEGLIGIBLE)) * lane.scale
         smaller = ti.select(decay * lane.shift > negligible, decay * lane.shift, zero)
-        hoped = ti.select(lane.trying > 0.5, smaller, lane.shift)
-        # Off a saddle: once with noise, then on what came of it.
+        next_shift = ti.select(lane.trying > 0.5, smaller, lane.shift)
+        # To leave a saddle: inverse iteration, first from noise, then from its last result.
         searching = (lane.escaping > 0.5) & (lane.trying < 0.5)
         noise = ti.select(searching & (lane.rounds < 0.5), 1e-3 * lane.scale, zero)
         echo = ti.select(searching & (lane.rounds > 0.5), lane.scale / (lane.longest + 1e-30), zero)
         energy, magnitude, miss, fitted = self.sweep.close(rod, x, normal)
         multiplier = self.multiplier(lane, fitted)
-        diagonal = ti.select(hoped > 0.0, hoped, self.trace * lane.scale)
+        diagonal = ti.select(next_shift > 0.0, next_shift, self.trace * lane.scale)
         found = self.sweep.eliminate(rod, diagonal, (noise, echo), multiplier, miss)
         found.energy += energy
         found.magnitude += magnitude
-        judged = self.judge_step(lane, found, miss, hoped)
+        judged = self.judge_step(lane, found, miss)
         if self.largest(ti.select(judged.uphill, one, zero)) > 0.5:
             self.sweep.restore(rod, ti.select(judged.uphill, one, zero))
         lane.longest = self.sweep.substitute(rod, found)
-        self.keep(lane, found, miss, multiplier, judged, hoped)
+        self.keep(lane, found, miss, multiplier, judged, next_shift)
         place = self.judge_place(tables, rod, lane, found.inertia, judged)
         self.plan(tables, rod, lane, judged, place, searching, found.slope)
         self.end(tables, lane, judged, place)
 
     @ti.func
     def multiplier(self, lane, fitted):
-        """λ at the frames stepped to: the least-squares one of closure, which knows no external energy, or where there is one
-        that of the Newton step."""
+        """λ at the new frames: the least-squares one of closure or, under an external energy, which that leaves out, the one of
+        the Newton step."""
         value = variable(fitted)
         if ti.static(self.sweep.moves_start):
             share = ti.select(lane.escaping < 0.5, lane.step_scale, self.constant(0.0))
@@ -217,7 +205,7 @@ class NewtonLoop:
         return value
 
     @ti.func
-    def judge_step(self, lane, found, miss, hoped):
+    def judge_step(self, lane, found, miss):
         """Judge the step by the Lagrangian: a record of flags."""
         multiplier = plus(lane.multiplier, lane.change)
         before = lane.energy + dot(multiplier, lane.miss)
@@ -233,8 +221,8 @@ class NewtonLoop:
             broken=(lane.fresh > 0.5) & ~stands)
 
     @ti.func
-    def keep(self, lane, found, miss, multiplier, judged, hoped):
-        """What the lane knows after its step: of the new frames where it stands, of those from before where it led uphill."""
+    def keep(self, lane, found, miss, multiplier, judged, next_shift):
+        """Update the lane after its step: from the new frames where it is accepted, with a larger shift where it led uphill."""
         zero, one = self.constant(0.0), self.constant(1.0)
         lane.energy = ti.select(judged.stands, found.energy, lane.energy)
         lane.magnitude = ti.select(judged.stands, found.magnitude, lane.magnitude)
@@ -243,7 +231,7 @@ class NewtonLoop:
         lane.scale = ti.select(judged.stands, found.scale, lane.scale)
         lane.residual = ti.select(judged.stands, found.moment, lane.residual)
         lane.change = found.change
-        lane.shift = ti.select(judged.stands, hoped, lane.shift)
+        lane.shift = ti.select(judged.stands, next_shift, lane.shift)
         stiffer = judged.uphill & (lane.escaping < 0.5)
         lane.shift = ti.select(stiffer, ti.max(4.0 * lane.shift, SHIFT_REJECTED * lane.scale), lane.shift)
         lane.rejects = ti.select(judged.downhill, zero, lane.rejects + ti.select(judged.uphill, one, zero))
@@ -252,7 +240,7 @@ class NewtonLoop:
 
     @ti.func
     def judge_place(self, tables, rod, lane, inertia, judged):
-        """Judge where the rod is: a record of flags. What was eliminated says nothing of frames gone back to."""
+        """Judge where the rod is: a record of flags. The elimination, at the new frames, says nothing about restored ones."""
         gap = ti.sqrt(dot(lane.miss, lane.miss))
         tolerance = ti.cast(tables.policy[TOLERANCE], self.scalar)
         small = (lane.residual * rod.total <= tolerance) & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
@@ -260,7 +248,7 @@ class NewtonLoop:
         right = (inertia > 2.5) & (inertia < 3.5) & judged.stands
         calm = small & (lane.escaping < 0.5) & judged.stands
         bare = (lane.shift <= 0.0) & (lane.coarse < 0.5)
-        # Where rounding of the moments hides the residual, the step that they would lead to says how far off the shape may be.
+        # Where rounding limits the residual, the size of the next step tells how far off the shape may be.
         settled = lane.longest <= self.shape_tolerance
         at_saddle = calm & bare & wrong
         # Beside a saddle a rod may make no progress though its residual is not yet small.
@@ -299,10 +287,10 @@ class NewtonLoop:
 
     @ti.func
     def end(self, tables, lane, judged, place):
-        """Which lanes are done, and how."""
+        """Which lanes are finished, and with which status."""
         zero, one = self.constant(0.0), self.constant(1.0)
         better = place.leaving | (lane.closing > 0.5) | ((lane.residual < 0.7 * lane.best) & judged.stands)
-        # A trip that only eliminates again after going back is no sign of a lack of progress.
+        # A trip that only repeats the elimination after a rejected step does not count.
         waited = ti.select(lane.returned > 0.5, zero, one)
         lane.aimless = ti.select(better | judged.notable, zero, lane.aimless + waited)
         lane.idle_trips = ti.select(judged.gained | better, zero, lane.idle_trips + waited)

@@ -13,7 +13,7 @@ from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import applied, dot, minus, plus, record, repeated, scaled, transposed, variable
 from doo_ti.relaxation import chain
-from doo_ti.relaxation.columns import OF_CLAMP, OF_MATERIAL, SPIN_END, SPIN_START, TILT_END, TILT_START, WEIGHT
+from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.elimination import Elimination
 
 # A column changes B by BEND = (11, 22, 12), β by TWIST, ω̄ along the rod by row MODE of the table of modes (NO_MODE: not at
@@ -72,16 +72,16 @@ class ParameterGradient(Elimination):
         unit = rod.scratch[rod.head + chain.OF_ENERGY_UNIT * self.stride]
         factor = 1.0 / unit
         if tables.directions[p, TIMES_WEIGHT] == 1.0:
-            factor = tables.material[tables.rods[index, OF_MATERIAL], WEIGHT] / unit
+            factor = tables.material[tables.rods[index, of.MATERIAL_ROW], of.WEIGHT] / unit
         stretch = tables.directions[p, STRETCH]
         change = stretch * stretch
         for k in ti.static(range(BEND, TWIST + 1)):
             change += tables.directions[p, k] * tables.directions[p, k]
         bend = self.three(tables.directions, p, BEND)
-        s = tables.rods[index, OF_CLAMP]
+        s = tables.rods[index, of.CLAMP_ROW]
         last = rod.origin + (rod.edges - 1) * self.edge_stride
-        holds_start = (1.0 - tables.clamp[s, SPIN_START], 1.0 - tables.clamp[s, TILT_START])
-        holds_end = (1.0 - tables.clamp[s, SPIN_END], 1.0 - tables.clamp[s, TILT_END])
+        holds_start = (1.0 - tables.clamp[s, of.SPIN_START], 1.0 - tables.clamp[s, of.TILT_START])
+        holds_end = (1.0 - tables.clamp[s, of.SPIN_END], 1.0 - tables.clamp[s, of.TILT_END])
         start = self.held_turn(rod, rod.origin, self.three(tables.directions, p, TURN_START), holds_start)
         end = self.held_turn(rod, last, self.three(tables.directions, p, TURN_END), holds_end)
         return record(

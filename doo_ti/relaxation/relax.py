@@ -1,9 +1,9 @@
-"""F, the relaxation operator Γ̃ = F(Γ, E_Θ, C) of §III-D: many rods at once, each to the minimum it falls to.
+"""F, the relaxation operator Γ̃ = F(Γ, E_Θ, C) of §III-D: many rods at once, each to the minimum below its start.
 
     solution = relax(start, Material(bend=6e5, twist=8e5), clamps)
     solution.configuration.vertices    # (R, V, 3) mm
 
-Numerical trouble is data, not an exception: every rod carries its own status, and one bad rod never spoils its neighbours.
+A rod that fails raises no exception: every rod has its own status, and none affects the others.
 """
 
 from dataclasses import replace
@@ -13,31 +13,18 @@ import numpy as np
 from doo_ti import runtime
 from doo_ti.errors import InputError
 from doo_ti.relaxation import batch
-from doo_ti.relaxation.columns import (
-    ANCHOR,
-    CLOSURE,
-    DRIFT,
-    ENERGY,
-    FORCE,
-    ITERATIONS,
-    LOOSE,
-    RESIDUAL,
-    RESULTS,
-    STABLE,
-    STATUS,
-    TARGET,
-    TILT_INNER,
-    TOTAL,
-)
+from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.external import External
+from doo_ti.relaxation.input_tables import tables, under
 from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.tables import Tables, tables
+from doo_ti.relaxation.tables import Tables
 from doo_ti.types import Clamps, Configuration, Material, Solution, Status, unit_up
 
 # As plain numbers, which NumPy compares ten times faster than members of an enumeration.
 CONVERGED, STALLED, INFEASIBLE = (int(status) for status in (Status.CONVERGED, Status.STALLED, Status.INFEASIBLE))
 PRECISIONS = ("f32", "f64", "mixed")
+F32_ONLY = "f32 only"
 
 
 @runtime.exclusive
@@ -49,43 +36,42 @@ def relax(
     *,
     up=None,
     precision: str = "f64",
-    handover: bool = True,
     configuration_index=None,
     material_index=None,
     external: External | None = None,
     external_index=None,
 ) -> Solution:
-    """Relax rods from their starts to the constrained minimum of E_Θ they fall to (§III-D).
+    """Relax rods to the constrained minimum of E_Θ that lies downhill of their starts (§III-D).
 
-    x0                     where rods start: a table with S rows; or the Solution of an earlier call
+    x0                     the start of each rod: a table with S rows; or the Solution of an earlier call
     material               table with G rows
-    clamps                 table with S rows: what holds their ends. None with a Solution: the same rods once more, from where
-                           they ended or, where they failed, from where they began; clamps, gravity, lengths and the
-                           external energy stay as they were, and only the material changes: half the iterations
-    solver                 ``Newton()`` (default), ``Newton.careful()`` or the paper's ``Descent()``. Without clamps Newton,
-                           by default without a first shift, which keeps closest to the branch
+    clamps                 table with S rows: how the ends are held. None with a Solution: the same rods again, from the end of
+                           that call or, where they failed, from their first start; clamps, gravity, lengths and the external
+                           energy stay the same and only the material changes, which takes half the iterations
+    solver                 ``Newton()`` (default), ``Newton.careful()`` or the paper's ``Descent()``. Without clamps only
+                           Newton, by default without a first shift, which stays closest to the branch
     up                     (3,) direction against gravity, (0, 0, 1) unless given
-    precision              "f64"; "f32", where f64 takes over only rods that f32 could not finish; or "mixed": f32 first,
-                           then f64 from there to the f64 tolerance for all. ``Solution.precision`` says which ended a rod
-    handover               False: with "f32", rods that f32 could not finish stay as they are
-    external               an energy at the vertices besides the rod's own, with Newton only; where the start is free it moves
-                           vertex 0, too
+    precision              "f64"; "f32", where f64 finishes only the rods that f32 could not finish; "f32 only", where those
+                           stay unfinished; or "mixed": f32 first, then f64 from there to the f64 tolerance for all.
+                           ``Solution.precision`` is the arithmetic that finished a rod
+    external               an energy at the vertices besides the rod's own, with Newton only; it also moves vertex 0 where the
+                           start is free
     configuration_index,   (R,) rows of the tables that make up each rod; without them rows are paired one to one and a
-    material_index,        single row goes with every row of the other table. Without clamps ``material_index`` alone: by
+    material_index,        single row is used with every row of the other table. Without clamps ``material_index`` alone: by
     external_index         default one row for each rod, one for all, or as many as before, each for the rods that had it
 
-    Clamped frames overwrite the first and last frame of the start. Inputs are never modified, results are float64.
-    Energies include the constant μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods get that
-    status and NaN.
+    Clamped frames replace the first and last frame of the start. Inputs are never modified, results are float64.
+    Energies include the constant μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods have the
+    status INFEASIBLE and NaN everywhere else.
     """
     once_more = isinstance(x0, Solution) and clamps is None
     if solver is None:
         solver = Newton(first_shift=0.0) if once_more else Newton()
     _check_options(solver, precision, external, once_more)
-    with np.errstate(all="ignore"):  # a rod that is not finite is data: it gets a status, not a warning
+    with np.errstate(all="ignore"):  # a rod that is not finite has a status; NumPy need not warn
         if once_more:
             _check_same_rods(x0, up, external, configuration_index, external_index)
-            table = x0.tables.under(material, material_index)
+            table = under(x0.tables, material, material_index)
         else:
             start = x0.configuration if isinstance(x0, Solution) else x0
             table = tables(start, material, clamps, unit_up((0.0, 0.0, 1.0) if up is None else up, "relax"),
@@ -93,56 +79,56 @@ def relax(
         if isinstance(solver, Descent):
             frames, results, bits = _descent(table, solver, precision)
         else:
-            frames, results, bits = _newton(table, solver, precision, handover, x0 if once_more else None)
+            frames, results, bits = _newton(table, solver, precision, x0 if once_more else None)
         return _solution(table, frames, results, bits)
 
 
 def _check_options(solver, precision: str, external, once_more: bool) -> None:
-    """Raise InputError for a solver or a precision that is unknown, or that does not go with the rest."""
+    """Raise InputError for an unknown solver or precision, or one that cannot be used with the other arguments."""
     if not isinstance(solver, Newton | Descent):
         raise InputError("relax", "solver", f"{solver!r}", "give Newton(), Newton.careful() or Descent()")
     if isinstance(solver, Descent) and once_more:
         raise InputError("relax", "solver", f"{solver!r} from a Solution", "give Newton() or Newton.careful()")
     if isinstance(solver, Descent) and external is not None:
-        raise InputError("relax", "solver", "Descent knows no external energy", "give Newton() or Newton.careful()")
-    if precision not in PRECISIONS:
-        raise InputError("relax", "precision", f"{precision!r}", f"give one of {', '.join(PRECISIONS)}")
+        raise InputError("relax", "solver", "Descent cannot use an external energy", "give Newton() or Newton.careful()")
+    if precision not in (*PRECISIONS, F32_ONLY):
+        raise InputError("relax", "precision", f"{precision!r}", f"give one of {', '.join((*PRECISIONS, F32_ONLY))}")
 
 
 def _check_same_rods(solution: Solution, *given) -> None:
-    """Raise InputError where rods are to be relaxed once more that cannot be, or of which something is to change."""
+    """Raise InputError where a solution cannot be relaxed again, or where more than the material is given."""
     if any(value is not None for value in given):
         raise InputError("relax", "clamps", "missing, though more than the material changes",
                          "give the clamps, or only material and material_index")
     if solution.tables is None:
-        raise InputError("relax", "x0", "was put together of several calls", "give clamps, and its configuration as x0")
+        raise InputError("relax", "x0", "joins several calls", "give clamps, and its configuration as x0")
 
 
 def _descent(table: Tables, solver: Descent, precision: str):
     """(frames, results, bits per rod)."""
-    bits = 32 if precision == "f32" else 64
+    bits = 32 if precision.startswith("f32") else 64
     frames, results = batch.run_descent(table, solver, bits)
     return frames, results, np.full(table.count, bits)
 
 
-def _newton(table: Tables, solver: Newton, precision: str, handover: bool, begin: Solution | None):
-    """The precision ladder, from the starts or where another solution ended: (frames, results, bits per rod)."""
+def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | None):
+    """(frames, results, bits per rod) of one precision after the other, from the starts or from the end of ``begin``."""
     if precision == "f64":
         frames, results = batch.run_newton(table, solver, 64, begin)
         return frames, results, np.full(len(results), 64)
-    coarse = solver if precision == "f32" else replace(solver, tolerance=None)
+    coarse = replace(solver, tolerance=None) if precision == "mixed" else solver
     frames, results = batch.run_newton(table, coarse, 32, begin)
     bits = np.full(len(results), 32)
-    if precision == "f32" and not handover:
+    if precision == F32_ONLY:
         return frames, results, bits
-    feasible = results[:, STATUS] != INFEASIBLE
-    short = (results[:, STATUS] != CONVERGED) | (results[:, STABLE] == 0)
+    feasible = results[:, of.STATUS] != INFEASIBLE
+    short = (results[:, of.STATUS] != CONVERGED) | (results[:, of.STABLE] == 0)
     rows = np.flatnonzero(feasible & (short | (precision == "mixed")))
     if len(rows):
-        usable = (results[:, STATUS] == CONVERGED) | (results[:, STATUS] == STALLED)
-        before = results[rows, ITERATIONS]
+        usable = (results[:, of.STATUS] == CONVERGED) | (results[:, of.STATUS] == STALLED)
+        before = results[rows, of.ITERATIONS]
         batch.continue_newton(table, replace(solver, first_shift=0.0), 64, frames, results, rows, usable)
-        results[rows, ITERATIONS] += before
+        results[rows, of.ITERATIONS] += before
         bits[rows] = 64
     return frames, results, bits
 
@@ -152,27 +138,29 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
     anchor = table.anchor
     # Not a matrix product, whose rounding depends on how many rods there are.
     height = anchor[:, 0] * up[0] + anchor[:, 1] * up[1] + anchor[:, 2] * up[2]
-    lifted = 2 * height * table.clamp[:, TOTAL]
-    energy = results[:, ENERGY] + table.weight[table.material_index] * lifted[index]
+    lifted = 2 * height * table.clamp[:, of.TOTAL]
+    energy = results[:, of.ENERGY] + table.material[table.material_index, of.WEIGHT] * lifted[index]
     start = anchor[index]
     if table.external is not None:
-        held = table.clamp[index, LOOSE] == 0
+        held = table.clamp[index, of.LOOSE] == 0
         energy += np.where(held, table.external.energy_at_start(start, table.external_index), 0.0)
-        start = start + results[:, DRIFT:]
+        start = start + results[:, of.DRIFT:]
     rest_length = table.rest_length[0].copy() if len(table.rest_length) == 1 else table.rest_length[index]
     configuration = Configuration(start, frames, rest_length)
-    status, stable = results[:, STATUS].astype(np.int8), results[:, STABLE] == 1
-    # The kernels reckon from the anchor and never see where that is.
-    nowhere = ~np.isfinite(anchor).all(axis=1)
-    if nowhere.any():
-        rods = nowhere[index] & (status != INFEASIBLE)
-        frames[rods], results[rods, :ITERATIONS], results[rods, FORCE:RESULTS] = np.nan, np.nan, np.nan
+    status, stable = results[:, of.STATUS].astype(np.int8), results[:, of.STABLE] == 1
+    # The kernels compute relative to the anchor and do not read its place.
+    lost = ~np.isfinite(anchor).all(axis=1)
+    if lost.any():
+        rods = lost[index] & (status != INFEASIBLE)
+        frames[rods], results[rods, : of.ITERATIONS], results[rods, of.FORCE : of.RESULTS] = np.nan, np.nan, np.nan
         status[rods], stable[rods], energy[rods] = Status.NOT_FINITE, False, np.nan
-    taut = np.flatnonzero((table.clamp[:, TILT_INNER] == 0)[index])
-    if len(taut):  # straight, they end where they end
-        asked = table.clamp[index[taut]]
-        missed = configuration.take(taut).vertices[:, -1] - asked[:, ANCHOR : ANCHOR + 3] - asked[:, TARGET : TARGET + 3]
-        results[taut, CLOSURE] = np.linalg.norm(missed, axis=1) / asked[:, TOTAL]
+    taut = np.flatnonzero((table.clamp[:, of.TILT_INNER] == 0)[index])
+    if len(taut):  # computed without closure: how far they miss is measured here, and the pull along them is undetermined
+        clamp = table.clamp[index[taut]]
+        reached = configuration.take(taut).vertices[:, -1] - clamp[:, of.ANCHOR : of.ANCHOR + 3]
+        missed = reached - clamp[:, of.TARGET : of.TARGET + 3]
+        results[taut, of.CLOSURE] = np.linalg.norm(missed, axis=1) / clamp[:, of.TOTAL]
+        results[taut, of.FORCE : of.RESULTS] = np.nan
     hanging = np.flatnonzero(table.released[index])
     if len(hanging):
         ends = configuration.take(hanging).vertices[:, -1]
@@ -180,12 +168,12 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
     return Solution(
         configuration=configuration,
         energy=energy,
-        residual=results[:, RESIDUAL],
-        closure=results[:, CLOSURE],
-        iterations=results[:, ITERATIONS].astype(np.int32),
+        residual=results[:, of.RESIDUAL],
+        closure=results[:, of.CLOSURE],
+        iterations=results[:, of.ITERATIONS].astype(np.int32),
         status=status,
         stable=stable,
-        end_force=results[:, FORCE:RESULTS],
+        end_force=results[:, of.FORCE : of.RESULTS],
         precision=bits.astype(np.int8),
         tables=table,
     )

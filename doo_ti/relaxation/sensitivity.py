@@ -1,4 +1,4 @@
-"""How a rod at rest answers to its parameters: dΓ*/dΘ at stable equilibria by the implicit function theorem (§III-E).
+"""Derivatives of rods at rest by their parameters: dΓ*/dΘ at stable equilibria, by the implicit function theorem (§III-E).
 
 At rest g(ω, Θ) + Aλ = 0 and closure c = 0 hold, so a small change of a parameter θ turns the frames by the solution of
 
@@ -34,20 +34,8 @@ import numpy as np
 from doo_ti import runtime
 from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, smallest_rotation
-from doo_ti.relaxation.columns import TILT_INNER
-from doo_ti.relaxation.parameter_gradient import (
-    BEND,
-    DIRECTION_COLUMNS,
-    MODE,
-    NO_MODE,
-    PULL,
-    SHIFT,
-    STRETCH,
-    TIMES_WEIGHT,
-    TURN_END,
-    TURN_START,
-    TWIST,
-)
+from doo_ti.relaxation import parameter_gradient as change
+from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.sensitivity_kernel import run_sensitivity
 from doo_ti.types import Configuration, Solution
 
@@ -100,7 +88,7 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     """
     table = solution.tables
     if table is None:
-        raise InputError("sensitivity", "solution", "was put together of several calls", "relax where its rods ended")
+        raise InputError("sensitivity", "solution", "joins several calls", "relax where its rods ended")
     if table.external is not None:
         raise InputError("sensitivity", "solution", "rods under an external energy", "relax them without one")
     _check(parameters, modes, table.edges)
@@ -114,7 +102,7 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     if hanging.any() and "end_shift" in parameters:
         column = names.index("end_shift[0]")
         vertices[hanging, :, :, column : column + 3] += np.eye(3)  # held at the far end alone they go where it goes
-    taut = (table.clamp[:, TILT_INNER] == 0)[start]
+    taut = (table.clamp[:, of.TILT_INNER] == 0)[start]
     if taut.any():
         columns = [k for k, name in enumerate(names) if name.partition("[")[0] in OF_CLAMPS]
         for array in (vertices, rotations):
@@ -136,7 +124,7 @@ def parameter_directions(parameters: Sequence[str], edges: int, up: np.ndarray, 
         if name in CURVATURES:
             own = _curvature_modes(name, edges, modes)
             block = _unchanged(len(own))
-            block[:, MODE] = sum(map(len, along)) + np.arange(len(own))
+            block[:, change.MODE] = sum(map(len, along)) + np.arange(len(own))
             along.append(own)
         else:
             block = _directions(name, up)
@@ -172,8 +160,8 @@ def _curvature_modes(name: str, edges: int, modes: np.ndarray | None) -> np.ndar
 
 
 def _unchanged(count: int) -> np.ndarray:
-    rows = np.zeros((count, DIRECTION_COLUMNS))
-    rows[:, MODE] = NO_MODE
+    rows = np.zeros((count, change.DIRECTION_COLUMNS))
+    rows[:, change.MODE] = change.NO_MODE
     return rows
 
 
@@ -181,17 +169,19 @@ def _directions(name: str, up: np.ndarray) -> np.ndarray:
     """The rows of :func:`parameter_directions` of one parameter that is no curvature."""
     rows = _unchanged({"up": 2, "gravity": 3, "end_shift": 3, "start_turn": 3, "end_turn": 3}.get(name, 1))
     if name in ("bend", "bend_1", "bend_2", "bend_12"):
-        rows[0, BEND : BEND + 3] = {"bend": (1, 1, 0), "bend_1": (1, 0, 0), "bend_2": (0, 1, 0), "bend_12": (0, 0, 1)}[name]
+        entries = {"bend": (1, 1, 0), "bend_1": (1, 0, 0), "bend_2": (0, 1, 0), "bend_12": (0, 0, 1)}[name]
+        rows[0, change.BEND : change.BEND + 3] = entries
     elif name == "twist":
-        rows[0, TWIST] = 1.0
+        rows[0, change.TWIST] = 1.0
     elif name == "weight":
-        rows[0, PULL : PULL + 3] = up
+        rows[0, change.PULL : change.PULL + 3] = up
     elif name == "up":
-        rows[:, PULL : PULL + 3] = np.cross(tilt_axes(up), up)
-        rows[:, TIMES_WEIGHT] = 1.0
+        rows[:, change.PULL : change.PULL + 3] = np.cross(tilt_axes(up), up)
+        rows[:, change.TIMES_WEIGHT] = 1.0
     elif name == "length":
-        rows[0, STRETCH] = 1.0
+        rows[0, change.STRETCH] = 1.0
     else:
-        first = {"gravity": PULL, "end_shift": SHIFT, "start_turn": TURN_START, "end_turn": TURN_END}[name]
+        first = {"gravity": change.PULL, "end_shift": change.SHIFT, "start_turn": change.TURN_START,
+                 "end_turn": change.TURN_END}[name]
         rows[:, first : first + 3] = np.eye(3)
     return rows

@@ -26,7 +26,7 @@ from doo_ti.physics.tuples import (
     variable,
 )
 from doo_ti.relaxation import chain
-from doo_ti.relaxation.columns import OF_RESULT
+from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loading import Loading
 from doo_ti.relaxation.parameter_gradient import KEPT_ITEMS, NO_MODE, ParameterGradient
 from doo_ti.types import Solution
@@ -50,7 +50,7 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
     rotations = np.full((count, edges, 3, columns), np.nan)
     sound = np.zeros(count, dtype=np.int32)
     rods = table.continued(usable, first + np.flatnonzero(usable[first:last]))
-    rods[:, OF_RESULT] -= first
+    rods[:, of.RESULT_ROW] -= first
     if len(rods):
         on_cpu = runtime.start() == "cpu"
         threads = min(len(rods), runtime.thread_count() if on_cpu else MOST_THREADS_ON_A_GPU)
@@ -61,7 +61,7 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
         frames = frames / np.linalg.norm(frames, axis=-1, keepdims=True)
         sensitivity_kernel(stride, 1 if on_cpu else 64)(
             table.start.reshape(-1), table.rest_length, table.clamp, table.material, *table.up, rods, frames.reshape(-1),
-            np.ascontiguousarray(solution.end_force[first:last]), np.ascontiguousarray(directions), np.ascontiguousarray(modes),
+            np.nan_to_num(solution.end_force[first:last]), np.ascontiguousarray(directions), np.ascontiguousarray(modes),
             threads, np.zeros(threads * items), vertices, rotations, sound,
         )
     lost = sound == 0
@@ -71,7 +71,7 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
 
 @ti.data_oriented
 class SensitivitySweep(ParameterGradient):
-    """What a thread does for the rods it is given. ``tables`` is the record of the kernel's arrays."""
+    """The work of a thread. ``tables`` is the record of the kernel's arrays."""
 
     def __init__(self, stride: int):
         super().__init__(stride)
@@ -86,7 +86,7 @@ class SensitivitySweep(ParameterGradient):
             head = thread * (self.parameters + self.items * edges)
         index = thread
         while index < tables.rods.shape[0]:
-            row = tables.rods[index, OF_RESULT]
+            row = tables.rods[index, of.RESULT_ROW]
             self.loading.load(tables, scratch, head, 0, index, 0.0)
             rod = self.rods(scratch, head, edges, tables.material, tables.material, 0.0)
             unit = scratch[head + chain.OF_ENERGY_UNIT * self.stride]

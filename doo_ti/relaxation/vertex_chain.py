@@ -9,6 +9,7 @@ import taichi as ti
 
 from doo_ti.physics import vertex_form
 from doo_ti.physics.tuples import dot, minus, plus, record, repeated, scaled, variable
+from doo_ti.relaxation import tables as of
 
 # Items in scratch, per vertex (with the edge that leaves it; the last vertex has a row of its own).
 POSITION = 0
@@ -220,16 +221,16 @@ class VertexChain:
                 longest = ti.max(longest, tables.rest_length[row, v])
                 shortest = ti.min(shortest, tables.rest_length[row, v])
                 self.put(scratch, at + LENGTH * self.stride, slot, tables.rest_length[row, v])
-                entry = ti.min(v, tables.bend.shape[1] - 1)
+                column = ti.min(of.STIFFNESS + v * of.STIFFNESS_COLUMNS, tables.material.shape[1] - of.STIFFNESS_COLUMNS)
                 for k in ti.static(range(3)):
                     self.put(scratch, at + (DIRECTOR + k) * self.stride, slot, tables.directors[s, v, k])
-                    self.put(scratch, at + (BEND + k) * self.stride, slot, tables.bend[g, entry, k])
+                    self.put(scratch, at + (BEND + k) * self.stride, slot, tables.material[g, column + (of.BEND + k)])
                 if v > 0:
                     both = tables.rest_length[row, v - 1] + tables.rest_length[row, v]
-                    joint = ti.min(v, tables.rest.shape[1]) - 1
                     self.put(scratch, at + INVERSE_LENGTH * self.stride, slot, 1.0 / both)
-                    self.put(scratch, at + TWIST * self.stride, slot, tables.twist[g, ti.min(v, tables.twist.shape[1]) - 1])
+                    self.put(scratch, at + TWIST * self.stride, slot, tables.material[g, column + of.TWIST])
                     for k in ti.static(range(2)):
-                        self.put(scratch, at + (REST + k) * self.stride, slot, 0.5 * both * tables.rest[g, joint, k])
+                        rest = 0.5 * both * tables.material[g, column + (of.REST + k)]
+                        self.put(scratch, at + (REST + k) * self.stride, slot, rest)
             at += self.row
         return longest, shortest

@@ -6,20 +6,8 @@ from doo_ti.physics import vertex_form
 from doo_ti.physics.algebra import absolute, larger
 from doo_ti.physics.angle import signed_angle_function
 from doo_ti.physics.tuples import cross, dot, minus, plus, record, repeated, scaled, variable
-from doo_ti.relaxation.vertex_chain import (
-    BEND,
-    INVERSE_LENGTH,
-    LENGTH,
-    RATIO,
-    REST,
-    RIGHT,
-    TRIAL_DIRECTOR,
-    TRIAL_FORCE,
-    TRIAL_POSITION,
-    TWIST,
-    VertexChain,
-    direction,
-)
+from doo_ti.relaxation import vertex_chain as item
+from doo_ti.relaxation.vertex_chain import VertexChain, direction
 
 
 @ti.data_oriented
@@ -33,9 +21,10 @@ class VertexEnergy(VertexChain):
     @ti.func
     def edge(self, rod, at):
         """The record of an edge: e, |e|, t, m1, m2 and B."""
-        e = self.edge_vector(rod, at, TRIAL_POSITION)
-        t, m1 = direction(e), self.load3(rod, at, TRIAL_DIRECTOR)
-        return record(e=e, length=self.load(rod, at, LENGTH), t=t, m1=m1, m2=cross(t, m1), bend=self.load3(rod, at, BEND))
+        e = self.edge_vector(rod, at, item.TRIAL_POSITION)
+        t, m1 = direction(e), self.load3(rod, at, item.TRIAL_DIRECTOR)
+        length, bend = self.load(rod, at, item.LENGTH), self.load3(rod, at, item.BEND)
+        return record(e=e, length=length, t=t, m1=m1, m2=cross(t, m1), bend=bend)
 
     @ti.func
     def joint(self, rod, at):
@@ -50,10 +39,10 @@ class VertexEnergy(VertexChain):
         """
         after = at + self.row
         left, right = self.edge(rod, at), self.edge(rod, after)
-        inverse = self.load(rod, after, INVERSE_LENGTH)
+        inverse = self.load(rod, after, item.INVERSE_LENGTH)
         binormal, bottom = vertex_form.curvature_binormal(left.e, right.e, left.length, right.length)
         reference = vertex_form.transported(left.t, right.t, left.m1)
-        rest = (self.load(rod, after, REST), self.load(rod, after, REST + 1))
+        rest = (self.load(rod, after, item.REST), self.load(rod, after, item.REST + 1))
         omega_left = vertex_form.material_curvature(binormal, left.m1, left.m2)
         omega_right = vertex_form.material_curvature(binormal, right.m1, right.m2)
         return record(
@@ -61,7 +50,7 @@ class VertexEnergy(VertexChain):
             moment_left=vertex_form.bend_moment(left.bend, omega_left, rest, inverse),
             moment_right=vertex_form.bend_moment(right.bend, omega_right, rest, inverse), rest=rest, inverse=inverse,
             twist=self.signed_angle(dot(reference, right.m1), dot(cross(reference, right.m1), right.t)),
-            stiffness=self.load(rod, after, TWIST) * inverse)
+            stiffness=self.load(rod, after, item.TWIST) * inverse)
 
     @ti.func
     def spins(self, joint):
@@ -108,8 +97,8 @@ class VertexEnergy(VertexChain):
             right = free * (0.0 - g - coupling * right) / pivot
             coupling = 0.0 - b2 * free * after_free
             ratio = coupling / pivot
-            rod.scratch[at + RIGHT * self.stride] = right
-            rod.scratch[at + RATIO * self.stride] = ratio
+            rod.scratch[at + item.RIGHT * self.stride] = right
+            rod.scratch[at + item.RATIO * self.stride] = ratio
             at += self.row
         self.spin_frames(rod)
 
@@ -119,11 +108,11 @@ class VertexEnergy(VertexChain):
         angle = 0.0 * rod.spin[0]
         at = rod.origin + (rod.edges - 1) * self.row
         for _ in range(rod.edges):
-            angle = self.load(rod, at, RIGHT) - self.load(rod, at, RATIO) * angle
-            t = direction(self.edge_vector(rod, at, TRIAL_POSITION))
-            m1 = self.load3(rod, at, TRIAL_DIRECTOR)
+            angle = self.load(rod, at, item.RIGHT) - self.load(rod, at, item.RATIO) * angle
+            t = direction(self.edge_vector(rod, at, item.TRIAL_POSITION))
+            m1 = self.load3(rod, at, item.TRIAL_DIRECTOR)
             turn = ti.min(ti.max(angle, 0.0 * angle - 0.5), 0.0 * angle + 0.5)
-            self.store3(rod, at, TRIAL_DIRECTOR, vertex_form.spun(m1, cross(t, m1), turn))
+            self.store3(rod, at, item.TRIAL_DIRECTOR, vertex_form.spun(m1, cross(t, m1), turn))
             at -= self.row
 
     @ti.func
@@ -141,10 +130,10 @@ class VertexEnergy(VertexChain):
         for v in range(rod.edges + 1):
             length = zero
             if v < rod.edges:
-                length = self.load(rod, at, LENGTH)
+                length = self.load(rod, at, item.LENGTH)
             weight = before + length
             before = length
-            height = weight * dot(rod.gravity, self.load3(rod, at, TRIAL_POSITION))
+            height = weight * dot(rod.gravity, self.load3(rod, at, item.TRIAL_POSITION))
             potential = potential + height
             found.magnitude = found.magnitude + absolute(height)
             f = plus(n, scaled(rod.gravity, weight))
@@ -152,7 +141,7 @@ class VertexEnergy(VertexChain):
             n = repeated(zero, 3)
             if v < rod.edges:
                 if v > 0:
-                    n = self.load3(rod, at, TRIAL_FORCE)
+                    n = self.load3(rod, at, item.TRIAL_FORCE)
                 moment = carried
                 carried = zero
                 if v < rod.edges - 1:
@@ -165,7 +154,7 @@ class VertexEnergy(VertexChain):
                     of_left, of_right = self.bend_force(joint)
                     # Holonomy: δm = ½ κb·(δe⁻/|e⁻| + δe⁺/|e⁺|).
                     n = plus(plus(n, of_left), scaled(joint.binormal, torque / left.length))
-                    self.store3(rod, at + self.row, TRIAL_FORCE,
+                    self.store3(rod, at + self.row, item.TRIAL_FORCE,
                                 plus(of_right, scaled(joint.binormal, torque / right.length)))
                     spin_left, spin_right = self.spins(joint)
                     moment = moment + spin_left[0] - 2.0 * torque
@@ -175,7 +164,7 @@ class VertexEnergy(VertexChain):
                 if v == rod.edges - 1:
                     moment = moment * rod.spin[1]
                 found.spin = larger(found.spin, absolute(moment))
-            self.store3(rod, at, TRIAL_FORCE, minus(f, n))
+            self.store3(rod, at, item.TRIAL_FORCE, minus(f, n))
             at += self.row
         found.magnitude = found.energy + found.magnitude
         found.energy = found.energy + potential

@@ -73,8 +73,8 @@ CASES = {
                   lambda x: np.einsum("ni,nij,nj->n", x[:, A], symmetric(x), x[:, B])[:, None]),
     "row_scaled": (lambda x: tuples.row_scaled(x[M], x[9:12]), lambda x: x[:, 9:12, None] * matrices(x, M)),
     "column_scaled": (lambda x: tuples.column_scaled(x[M], x[9:12]), lambda x: matrices(x, M) * x[:, None, 9:12]),
-    "row_and_column_scaled": (lambda x: tuples.row_and_column_scaled(x[M], x[9:12], x[12:15]),
-                              lambda x: x[:, 9:12, None] * matrices(x, M) * x[:, None, 12:15]),
+    "minus_combination": (lambda x: tuples.minus_combination(x[12:15], x[M], x[9:12]),
+                          lambda x: x[:, 12:15] - np.einsum("nki,nk->ni", matrices(x, M), x[:, 9:12])),
     "forward": (lambda x: tuples.forward(x[F], x[A]), lambda x: np.linalg.solve(lower(x), x[:, A, None])),
     "forward_rows": (lambda x: tuples.forward_rows(x[F], x[M]),
                      lambda x: np.linalg.solve(lower(x), matrices(x, M).swapaxes(1, 2)).swapaxes(1, 2)),
@@ -142,7 +142,7 @@ def together(names: list[str]):
 
 def test_no_function_is_left_out():
     public = {name for name, value in vars(tuples).items() if getattr(value, "_is_wrapped_kernel", False)}
-    assert public - {"variable", "record", "itemwise"} == set(CASES)
+    assert public - {"variable", "record", "itemwise", "choose", "put_lane"} == set(CASES)
 
 
 @every_number
@@ -212,6 +212,27 @@ def test_a_function_changes_the_record_it_is_given(rng, number):
     found = columns_kernel(number, 3, 4, function)(x)
     np.testing.assert_array_equal(found[:, 1:], x)
     np.testing.assert_allclose(found[:, 0], x.sum(axis=1) * x[:, 1], atol=1e-6)
+
+
+@every_number
+def test_fields_are_assigned_by_name(rng, number):
+    """Where a condition holds, and in one lane; the others keep their values."""
+    runtime.start()
+    with_lane = number.lanes().with_lane
+
+    @ti.func
+    def function(v: ti.template()):
+        state = tuples.record(total=v[0], kept=v[1], place=(v[0], v[1], v[2]))
+        tuples.choose(state, v[2] > 0.0, total=v[1], kept=v[0] + v[1])
+        tuples.put_lane(state, with_lane, 0, kept=7.0, place=(1.0, 2.0, 3.0))
+        return (state.total, state.kept) + state.place
+
+    x = sampled(rng, number, 3)
+    first, yes = np.arange(ROWS) % number.width == 0, x[:, 2] > 0
+    kept = np.where(first, 7.0, np.where(yes, x[:, 0] + x[:, 1], x[:, 1]))
+    place = np.where(first[:, None], [1.0, 2.0, 3.0], x)
+    expected = np.column_stack([np.where(yes, x[:, 1], x[:, 0]), kept, place])
+    np.testing.assert_allclose(columns_kernel(number, 3, 5, function)(x), expected, rtol=1e-6)
 
 
 def test_a_variable_takes_as_many_numbers_as_it_has():

@@ -1,1 +1,1 @@
-"""F through its public door: what it promises for every rod, whatever the batch, the clamps and the arithmetic."""
+"""F through its public functions: its guarantees for every rod, in any batch, with any clamps and arithmetic."""

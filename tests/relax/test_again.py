@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Descent, InputError, Material, Springs, Status, relax
+from doo_ti.relaxation import tables as of
 from tests.references.rods import clamps_at, jiggled
 from tests.relax.rods import assert_same, wandering, with_kinds
 
@@ -35,7 +36,8 @@ def test_another_material_gives_what_relax_gives_from_there(rng, solution, preci
 
 def test_the_same_material_is_done_at_once(solution):
     index = np.arange(COUNT) // 3
-    material = Material(solution.tables.bend[:, 0, 0], solution.tables.twist[:, 0], 1.0)
+    stiffness = solution.tables.material[:, of.STIFFNESS :]
+    material = Material(stiffness[:, of.BEND], stiffness[:, of.TWIST], 1.0)
     again = relax(solution, material, material_index=index)
     np.testing.assert_allclose(again.energy, solution.energy, rtol=1e-12)
     assert again.iterations.max() <= 2
@@ -91,7 +93,7 @@ def test_a_rod_is_the_same_in_any_company(rng):
     assert_same(together, [7], alone, [0])
 
 
-def test_wrong_input_is_told(solution):
+def test_wrong_input_is_reported(solution):
     with pytest.raises(InputError, match="give one, one per rod, as many as before, or material_index"):
         relax(solution, Material(np.full(5, 1e5), 1e5))
     with pytest.raises(InputError, match="material_index"):

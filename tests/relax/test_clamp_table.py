@@ -7,9 +7,8 @@ import pytest
 
 from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, smallest_rotation, vertices_from_quaternions
-from doo_ti.relaxation import columns as of
-from doo_ti.relaxation.clamp_kernel import INFEASIBLE, SOUND, STRAIGHT, TAUT
-from doo_ti.relaxation.clamp_table import FEW, clamp_table
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.clamp_table import FEW, INFEASIBLE, SOUND, STRAIGHT, TAUT, clamp_table
 from doo_ti.types import Clamp, Clamps, Configuration
 
 FREE, POSITION, TANGENT, FRAME = (int(kind) for kind in Clamp)

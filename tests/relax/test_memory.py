@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti import InputError, Material, relax
-from doo_ti.relaxation import memory, tables
+from doo_ti.relaxation import tables
 from tests.references.rods import clamps_at
 from tests.relax.rods import wandering
 
@@ -35,16 +35,16 @@ def test_a_view_keeps_its_memory(rng):
 def test_memory_that_nobody_holds_is_used_again(rng):
     for _ in range(3):
         relaxed(rng, 500, 1e5)
-    before = len(memory._pool)
+    before = len(tables._pool)
     for _ in range(20):
         relaxed(rng, 500, 1e5)
-    assert len(memory._pool) == before
+    assert len(tables._pool) == before
 
 
 def test_pooled_memory_is_bounded(rng, monkeypatch):
-    monkeypatch.setattr(memory, "POOLED_BYTES", 500_000)
+    monkeypatch.setattr(tables, "POOLED_BYTES", 500_000)
     kept = [relaxed(rng, 500, 1e5) for _ in range(8)]
-    assert sum(array.nbytes for array in memory._pool) <= 500_000
+    assert sum(array.nbytes for array in tables._pool) <= 500_000
     assert len(kept) == 8
 
 

@@ -171,7 +171,7 @@ def test_tilt_axes_are_across_up():
     np.testing.assert_array_equal(tilt_axes(np.array([0.0, 0.0, 1.0])), np.eye(3)[:2])
 
 
-def test_wrong_input_is_told(rng):
+def test_wrong_input_is_reported(rng):
     rods = wandering(rng, 2, 12)
     solution = relax(rods, Material(1e5, 1e5), clamps_at(rods))
     for parameters, message in ((("bent",), "'bent' is unknown"), (("bend", "bend"), "once"), ((), "give a list"),

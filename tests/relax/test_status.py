@@ -105,24 +105,24 @@ def test_options_out_of_range_are_refused(bad):
 
 @pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
 @pytest.mark.parametrize("start, end", [(Clamp.FRAME, Clamp.FREE), (Clamp.FREE, Clamp.FRAME)])
-def test_a_rod_that_is_nowhere(rng, precision, start, end):
-    """Its shape does not depend on where it hangs, but where that is it has neither vertices nor energy."""
+def test_a_rod_whose_place_is_not_finite(rng, precision, start, end):
+    """Its shape does not depend on its place, but without one it has neither vertices nor energy."""
     rods, held = bows(rng)
     positions = {"start_position": held.start_position.copy(), "end_position": held.end_position.copy()}
     positions["start_position" if end == Clamp.FREE else "end_position"][[2, 5], 1] = np.nan, np.inf
     clamps = Clamps(start, end, **positions, start_frame=held.start_frame, end_frame=held.end_frame)
     solution = relax(rods, MATERIAL, clamps, precision=precision)
-    nowhere = np.isin(np.arange(len(solution.status)), [2, 5])
-    np.testing.assert_array_equal(solution.status == Status.NOT_FINITE, nowhere)
-    assert solution.converged[~nowhere].all() and not solution.stable[nowhere].any()
-    for told in (solution.energy, solution.residual, solution.end_force, solution.configuration.quaternions):
-        assert np.isnan(told[nowhere]).all() and np.isfinite(told[~nowhere]).all()
+    lost = np.isin(np.arange(len(solution.status)), [2, 5])
+    np.testing.assert_array_equal(solution.status == Status.NOT_FINITE, lost)
+    assert solution.converged[~lost].all() and not solution.stable[lost].any()
+    for value in (solution.energy, solution.residual, solution.end_force, solution.configuration.quaternions):
+        assert np.isnan(value[lost]).all() and np.isfinite(value[~lost]).all()
 
 
 @pytest.mark.parametrize("kind", [Clamp.POSITION, Clamp.FRAME])
 @pytest.mark.parametrize("slack", [0.0, 1e-10, 2e-9, 2e-8, 9e-8, 1.1e-7, 5e-7, 1e-6, 1e-5])
 def test_straight_rods_with_little_slack(kind, slack):
-    """Straight to a ten-millionth of their length, where that is told as closure; bowed from there on."""
+    """Straight to a ten-millionth of their length, which closure reports; bowed from there on."""
     far = np.array([[99.0 * (1 - slack), 0.0, 0.0]])
     rods = Configuration(np.zeros((1, 3)), np.tile([1.0, 0, 0, 0], (1, 33, 1)), np.full(33, 3.0))
     clamps = Clamps(kind, kind, np.zeros((1, 3)), far, np.eye(3)[None], np.eye(3)[None])

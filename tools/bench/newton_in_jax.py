@@ -34,7 +34,8 @@ from doo_ti.bench.clock import timed
 from doo_ti.bench.workload import UP, Rods
 from doo_ti.errors import InputError
 from doo_ti.frames import quaternion_from_matrix
-from doo_ti.relaxation.newton import (
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.newton_loop import (
     CLOSING_DISTANCE,
     DECAY,
     DECAY_TROUBLED,
@@ -42,7 +43,6 @@ from doo_ti.relaxation.newton import (
     NEGLIGIBLE_TROUBLED,
     SHIFT_REJECTED,
     SHIFT_WRONG_INERTIA,
-    Newton,
 )
 
 try:

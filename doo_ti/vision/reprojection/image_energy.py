@@ -16,8 +16,8 @@ import taichi as ti
 
 from doo_ti.errors import InputError
 from doo_ti.physics.tuples import minus, scaled
-from doo_ti.relaxation.columns import MOST_NUMBERS
 from doo_ti.relaxation.external import ExternalFunctions
+from doo_ti.relaxation.tables import MOST_NUMBERS
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from doo_ti.vision.reprojection.edge_integral import COLUMNS, POINTS, WINDOW, EdgeIntegral, added, no_moments

@@ -14,7 +14,7 @@ from doo_ti import runtime
 from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import cross, dot, minus, repeated, variable
-from doo_ti.relaxation.columns import MOST_NUMBERS
+from doo_ti.relaxation.tables import MOST_NUMBERS
 from doo_ti.types import Material, unit_up
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps

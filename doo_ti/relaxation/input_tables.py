@@ -1,0 +1,196 @@
+"""The input of ``relax`` as tables: materials row by row, and starts that can be projected onto closure (§III-B)."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.frames import (
+    matrix_from_quaternion,
+    quaternion_about,
+    quaternion_product,
+    smallest_rotation,
+    tangent_from_quaternion,
+)
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_kinds, external_rows, paired_rows, rest_lengths
+from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, TAUT, TAUT_SLACK, clamp_table
+from doo_ti.relaxation.external import External
+from doo_ti.relaxation.tables import FREE, Tables, outer_edges, rod_rows, room, whole_start
+from doo_ti.types import Clamps, Configuration, Material
+
+
+def tables(
+    configuration: Configuration, material: Material, clamps: Clamps, up: np.ndarray,
+    configuration_index=None, material_index=None, external: External | None = None, external_index=None,
+) -> Tables:
+    """Check the input of F and lay it out for the kernels.
+
+    Raises InputError where shapes do not match, an index is out of range, or both ends of a rod with weight are free that no
+    external energy holds.
+    """
+    check_shapes(configuration, clamps)
+    count, edges = configuration.count, configuration.edges
+    lengths = rest_lengths(configuration)
+    index_c, index_m = paired_rows(count, material.count, configuration_index, material_index)
+    rods = len(index_c)
+    if max(count, rods) * edges * 4 > of.MOST_NUMBERS:
+        raise InputError("relax", "configuration", f"{max(count, rods):,} rods of {edges} edges in one call",
+                         f"give at most {of.MOST_NUMBERS // (4 * edges):,} at a time")
+    index_e = external_rows(external, external_index, rods, edges)
+    kinds = clamp_kinds(clamps, count)
+    floating = not kinds.any(axis=1).all()
+    check_material(material, edges, floating and external is None)
+    isotropic = material.is_isotropic
+    clamp, found = clamp_table(configuration, lengths, kinds, clamps)
+    if external is not None:
+        _loosen(clamp, kinds, configuration, clamps)
+    start = _projectable(np.ascontiguousarray(configuration.quaternions, dtype=np.float64), lengths, clamp, found, up)
+    feasible = found != INFEASIBLE
+    sound = feasible[index_c]
+    all_rods = rod_rows(index_c, index_m, np.arange(rods), index_c, index_e)
+    return Tables(
+        start=start, rest_length=lengths, clamp=clamp, material=_material_table(material, isotropic, edges),
+        isotropic=isotropic, rods=all_rods if sound.all() else all_rods[sound], feasible=feasible, configuration_index=index_c,
+        material_index=index_m, external_index=index_e, external=external, up=up, floating=floating)
+
+
+def _loosen(clamp: np.ndarray, kinds: np.ndarray, configuration: Configuration, clamps: Clamps) -> None:
+    """Make vertex 0 an unknown where the start is free, in place: an external energy may move it."""
+    loose = np.flatnonzero(kinds[:, 0] == FREE)
+    held = kinds[loose, 1] != FREE
+    anchor = np.asarray(configuration.start, dtype=np.float64)[loose]
+    clamp[loose, of.LOOSE], clamp[loose, of.RELEASED], clamp[loose, of.CLOSED] = 1.0, 0.0, held
+    clamp[loose[:, None], np.arange(of.ANCHOR, of.ANCHOR + 3)] = anchor
+    line = np.where(held[:, None], np.asarray(clamps.end_position)[loose] - anchor, 0.0)
+    clamp[loose[:, None], np.arange(of.TARGET, of.TARGET + 3)] = line
+
+
+def under(table: Tables, material: Material, index=None) -> Tables:
+    """The same rods with another material: one row for each, one for all, as many as before, each for the rods that had it, or
+    the rows ``index`` (R,).
+
+    Raises InputError where they do not match.
+    """
+    check_material(material, table.edges, table.floating and table.external is None)
+    if index is None and material.count not in (1, table.count):
+        index = table.material_index
+        if material.count != len(table.material):
+            raise InputError("relax", "material", f"{material.count} rows for {table.count} rods",
+                             "give one, one per rod, as many as before, or material_index")
+    rows = np.arange(table.count) % material.count if index is None else np.asarray(index)
+    if rows.shape != (table.count,):
+        raise InputError("relax", "material_index", f"shape {rows.shape}", f"give ({table.count},) row numbers")
+    _, rows = paired_rows(len(table.start), material.count, table.configuration_index, rows)
+    isotropic = material.is_isotropic
+    stiffness = _material_table(material, isotropic, table.edges)
+    rods = table.rods.copy()
+    rods[:, of.MATERIAL_ROW] = rows[rods[:, of.RESULT_ROW]]
+    return replace(table, material=stiffness, isotropic=isotropic, material_index=rows, rods=rods)
+
+
+def _material_table(material: Material, isotropic: bool, edges: int) -> np.ndarray:
+    """(G, STIFFNESS + 1 or E · STIFFNESS_COLUMNS): see the columns' names. Raises InputError where that is too large."""
+    bend, twist, rest = material.bend, material.twist, material.rest_curvature
+    uniform = bend.shape[1] == twist.shape[1] == 1 and (rest is None or rest.shape[1] == 1)
+    columns = of.STIFFNESS + (1 if uniform else edges) * of.STIFFNESS_COLUMNS
+    if material.count * columns > of.MOST_NUMBERS:
+        raise InputError("relax", "material", f"{material.count:,} rows in one call",
+                         f"give at most {of.MOST_NUMBERS // columns:,} at a time")
+    table = room(material.count, columns)
+    table[:] = 0.0
+    along = table[:, of.STIFFNESS :].reshape(material.count, -1, of.STIFFNESS_COLUMNS)
+    joints = along[:, 1:] if along.shape[1] > 1 else along  # no joint is where the first edge begins
+    first, second, mixed = bend[..., 0, 0], bend[..., 1, 1], bend[..., 0, 1]
+    along[..., of.BEND], along[..., of.BEND + 1], along[..., of.BEND + 2] = first, second, mixed
+    joints[..., of.TWIST] = twist
+    largest, table[:, of.ROUND] = first, 1.0
+    if not isotropic:
+        half, apart = 0.5 * (first + second), 0.5 * (first - second)
+        largest = half + np.hypot(apart, mixed)
+        table[:, of.ROUND] = ((apart == 0) & (mixed == 0)).all(axis=1)
+    if rest is not None:
+        joints[..., of.REST : of.REST + 2] = rest
+        table[:, of.ROUND] *= (rest == 0).all(axis=(1, 2))
+    table[:, of.WEIGHT] = material.weight
+    table[:, of.LARGEST_BEND] = largest.max(axis=1)
+    table[:, of.STIFFEST] = np.maximum(table[:, of.LARGEST_BEND], twist.max(axis=1))
+    return table
+
+
+def _projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, found: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Starts that can be projected: those ``found`` (S,) STRAIGHT are bowed, those found TAUT made straight. Where starts are
+    changed ``clamp`` is, too, in place."""
+    slack, taut = np.flatnonzero(found == STRAIGHT), np.flatnonzero(found == TAUT)
+    if len(slack):
+        start = _bowed(start, lengths, clamp, slack, up)
+    if len(taut):
+        start = _stretched(start, lengths, clamp, taut)
+    return start
+
+
+def _free_part(lengths: np.ndarray, clamp: np.ndarray):
+    """Of N rods with these lengths (N, E) and clamps (N, CLAMP_COLUMNS): which of the end edges may tilt (N, 2), as all inner
+    ones may, the line (N, 3) that the free edges have to bridge and its length (N,), and how far they reach (N,), mm."""
+    tangents = tangent_from_quaternion(clamp[:, of.ENDS:].reshape(-1, 2, 4))
+    tilting = clamp[:, of.TILT_START : of.TILT_END + 1]
+    held = lengths[:, outer_edges(lengths.shape[1])] * (1 - tilting)
+    line = clamp[:, of.TARGET : of.TARGET + 3] - (held[..., None] * tangents).sum(axis=1)
+    return tilting, line, np.linalg.norm(line, axis=1), clamp[:, of.TOTAL] - held.sum(axis=1)
+
+
+def _rows(lengths: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """(N, E) the lengths of some starts."""
+    return lengths[np.zeros_like(rows) if len(lengths) == 1 else rows]
+
+
+def _bowed(start, lengths, clamp, rows, up) -> np.ndarray:
+    """Starts of which the slack rods ``rows`` can be projected: free edges in one straight line have no first-order way to
+    bring the far end closer.
+
+    Where they are they are bowed to the needed chord, downwards, or towards m1 where the line is upright.
+    """
+    edges, own = start.shape[1], _rows(lengths, rows)
+    ends, _, span, reach = _free_part(own, clamp[rows])
+    tilting = np.ones((len(rows), edges))
+    tilting[:, outer_edges(edges)] = ends
+    whole = whole_start(start[rows], clamp[rows])
+    matrix = matrix_from_quaternion(whole)
+    chord = np.linalg.norm(((own * tilting)[..., None] * matrix[..., 0]).sum(axis=1), axis=-1)
+    straight = chord > reach * (1 - TAUT_SLACK)
+    rows, tilting, whole, matrix = rows[straight], tilting[straight], whole[straight], matrix[straight]
+    share = (span / reach)[straight]
+    middle = matrix[:, edges // 2]
+    axis = np.cross(-up, middle[..., 0])
+    upright = np.linalg.norm(axis, axis=-1, keepdims=True) < 1e-3
+    axis = np.where(upright, middle[..., 2], axis)
+    axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
+    # A sine arch of slope a cos(π s/L) has the chord L (1 − a²/4).
+    place = (np.cumsum(tilting, axis=1) - 0.5) / tilting.sum(axis=1, keepdims=True)
+    slope = np.minimum(2 * np.sqrt(1 - share), 1.0)[:, None] * np.cos(np.pi * place) * tilting
+    turn = quaternion_about(-axis[:, None] * np.ones((1, edges, 1)), slope)
+    return _changed(start, clamp, rows, quaternion_product(turn, whole))
+
+
+def _stretched(start, lengths, clamp, rows) -> np.ndarray:
+    """Starts of which the rods ``rows``, as long as their span, are the one straight line they can be, with nothing left to
+    relax but the spins.
+
+    Their clamps are changed to say so; the turns of their frames are kept by parallel transport.
+    """
+    tilting, line, span, _ = _free_part(_rows(lengths, rows), clamp[rows])
+    whole = whole_start(start[rows], clamp[rows])
+    turn = smallest_rotation(tangent_from_quaternion(whole), (line / span[:, None])[:, None])
+    straight = quaternion_product(turn, whole)
+    outer = outer_edges(start.shape[1])
+    straight[:, outer] = np.where((tilting == 0)[..., None], whole[:, outer], straight[:, outer])
+    clamp[rows[:, None], [of.CLOSED, of.TILT_START, of.TILT_END, of.TILT_INNER]] = 0.0
+    return _changed(start, clamp, rows, straight)
+
+
+def _changed(start, clamp, rows, quaternions) -> np.ndarray:
+    """``start`` with other frames in some rows, as given left as it is; ``clamp`` takes their ends in place."""
+    start = start.copy()
+    start[rows] = quaternions
+    clamp[rows, of.ENDS:] = quaternions[:, outer_edges(start.shape[1])].reshape(-1, 8)
+    return start
