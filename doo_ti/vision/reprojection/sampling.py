@@ -17,14 +17,13 @@ from doo_ti.physics.tuples import (
     applied,
     dot,
     full,
-    itemwise,
-    picked,
     plus,
+    put_lane,
+    record,
     repeated,
     times_transposed,
     traced,
     transposed,
-    variable,
 )
 from doo_ti.physics.tuples import row as row_of
 from doo_ti.vision.cameras import camera
@@ -151,12 +150,6 @@ SMALLEST = 3
 """Pixels across a window that can be sampled."""
 
 
-@picked
-def with_lanes(with_lane, values, slot, new) -> tuple:
-    """``values`` with lane ``slot`` of each replaced, by ``with_lane`` of :class:`doo_ti.physics.number.Lanes`."""
-    return itemwise(*(with_lane(value, slot, one) for value, one in zip(values, new, strict=True)))
-
-
 @traced
 def _spline(t) -> tuple:
     """The weights of three neighbours, at −½ ≤ t ≤ ½ from the middle one."""
@@ -192,13 +185,13 @@ class MapSampling:
     @ti.func
     def window(self, numbers: ti.template(), row, c):
         """(left, top, width, height) of each rod's map, px."""
-        frame = variable(repeated(0.0 * row, 4))
+        seen = record(window=repeated(0.0 * row, 4))
         for slot in ti.static(range(self.width)):
             r = ti.cast(self.lane(row, slot), ti.i32)
-            frame = with_lanes(self.with_lane, frame, slot, (
+            put_lane(seen, self.with_lane, slot, window=(
                 numbers[r, c, self.first + LEFT], numbers[r, c, self.first + TOP], numbers[r, c, self.first + WIDTH],
                 numbers[r, c, self.first + HEIGHT]))
-        return frame
+        return seen.window
 
     @ti.func
     def clamped(self, place, size):
@@ -212,16 +205,16 @@ class MapSampling:
     @ti.func
     def taps(self, values: ti.template(), numbers: ti.template(), row, c, column, line):
         """The nine distances around pixel (column, line) of each rod's window, line by line."""
-        found = variable(repeated(0.0 * row, 9))
+        seen = record(taps=repeated(0.0 * row, 9))
         for slot in ti.static(range(self.width)):
             r = ti.cast(self.lane(row, slot), ti.i32)
             step = ti.cast(numbers[r, c, self.first + WIDTH], ti.i32)
             at = ti.cast(numbers[r, c, self.first + OFFSET], ti.i32)
             at += ti.cast(self.lane(line, slot), ti.i32) * step + ti.cast(self.lane(column, slot), ti.i32)
-            found = with_lanes(self.with_lane, found, slot, (
+            put_lane(seen, self.with_lane, slot, taps=(
                 values[at - step - 1], values[at - step], values[at - step + 1], values[at - 1], values[at], values[at + 1],
                 values[at + step - 1], values[at + step], values[at + step + 1]))
-        return found
+        return seen.taps
 
     @ti.func
     def value(self, values: ti.template(), numbers: ti.template(), row, c, frame, pixel):

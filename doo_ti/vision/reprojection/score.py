@@ -13,14 +13,13 @@ import taichi as ti
 from doo_ti import runtime
 from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
-from doo_ti.physics.tuples import cross, dot, minus, repeated, variable
+from doo_ti.physics.tuples import cross, dot, minus, put_lane, record, repeated, variable
 from doo_ti.relaxation.tables import MOST_NUMBERS
 from doo_ti.types import Material, unit_up
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from doo_ti.vision.reprojection.edge_integral import EdgeIntegral
 from doo_ti.vision.reprojection.image_energy import Reprojection
-from doo_ti.vision.reprojection.sampling import with_lanes
 
 
 @dataclass(frozen=True)
@@ -112,21 +111,22 @@ class Scoring:
     @ti.func
     def vertex(self, vertices: ti.template(), first, v):
         """Vertex v of the pack's hypotheses; the last hypothesis fills an incomplete pack."""
-        x = variable(repeated(self.constant(0.0), 3))
+        found = record(x=repeated(self.constant(0.0), 3))
         for slot in ti.static(range(self.width)):
             rod = ti.min(first + slot, vertices.shape[0] - 1)
-            x = with_lanes(self.with_lane, x, slot, (vertices[rod, v, 0], vertices[rod, v, 1], vertices[rod, v, 2]))
-        return x
+            put_lane(found, self.with_lane, slot, x=(vertices[rod, v, 0], vertices[rod, v, 1], vertices[rod, v, 2]))
+        return found.x
 
     @ti.func
     def rows(self, set_index: ti.template(), material_index: ti.template(), stiffness: ti.template(), first):
         """(set, α, μ) of the pack's hypotheses."""
-        row = variable(repeated(self.constant(0.0), 3))
+        zero = self.constant(0.0)
+        found = record(row=zero, alpha=zero, mu=zero)
         for slot in ti.static(range(self.width)):
             rod = ti.min(first + slot, set_index.shape[0] - 1)
-            row = with_lanes(self.with_lane, row, slot, (
-                set_index[rod], stiffness[material_index[rod], 0], stiffness[material_index[rod], 1]))
-        return row
+            put_lane(found, self.with_lane, slot, row=set_index[rod], alpha=stiffness[material_index[rod], 0],
+                     mu=stiffness[material_index[rod], 1])
+        return found.row, found.alpha, found.mu
 
     @ti.func
     def rod_energy(self, vertices: ti.template(), first, alpha, mu, up):
