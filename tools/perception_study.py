@@ -15,7 +15,7 @@ if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from doo_ti.commands.printing import counted  # noqa: E402
-from doo_ti.learning.landscape import status_counts  # noqa: E402
+from doo_ti.learning.objective import status_counts  # noqa: E402
 from doo_ti.perception.lab_images import LabRods, lab_rods  # noqa: E402
 from doo_ti.perception.perceive import Perception, perceive  # noqa: E402
 from doo_ti.perception.search import PerceptionOptions, Search  # noqa: E402

@@ -34,7 +34,7 @@ def run(options: Namespace, words: list[str]) -> int:
     most = None if whole_grid else given.whole("--cells", options.cells, 1) or MOST_CELLS
     observation = given.whole("--observation", options.observation, 0)
 
-    from doo_ti.figures import study
+    from doo_ti.learning import figures as study
 
     with busy("reading runs"):
         asked = study.read([Path(run) for run in options.runs], by_end_distance=options.by is not None,
@@ -50,7 +50,7 @@ def run(options: Namespace, words: list[str]) -> int:
 
 def _tell(options: Namespace, asked, files: list[dict]) -> None:
     """The files, and which cells were recorded where not all were."""
-    names, cells, recorded = [panel.title for panel in asked.panels[0]], asked.landscapes[0].grid.size, asked.cells.grid.size
+    names, cells, recorded = asked.names, asked.landscapes[0].grid.size, asked.cells.grid.size
     if options.json:
         print(json.dumps({"runs": names, "cells": cells, "recorded_cells": recorded,
                           "recorded_values": asked.recorded_values, "files": files}))

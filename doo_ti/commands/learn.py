@@ -51,7 +51,7 @@ def run(options: Namespace, words: list[str]) -> int:
         print(json.dumps(summary))
         return 0
     for landscape in landscapes:
-        tell_result(landscape.overview.as_dict())
+        tell_result(landscape.as_dict())
     for scores in (scores for found in tables.values() for scores in found):
         print(f"\n{text(scores, get_terminal_size((120, 24)).columns)}")
     if out is not None:
@@ -61,12 +61,12 @@ def run(options: Namespace, words: list[str]) -> int:
 
 def _best_of(landscape: Landscape) -> dict:
     """The best Θ of a run, as JSON holds it."""
-    result = landscape.overview.as_dict()
+    result = landscape.as_dict()
     status = result.pop("rods")
     del status["count"]
     return {"run": str(landscape.run), **{name: result[name] for name in ("material", "objective", "jumps") if name in result},
             **result["best"], "intervals": result["intervals_within_5_percent"], "stable": status.pop("stable"),
-            "status": status, **landscape.overview.competition}
+            "status": status, **landscape.competition}
 
 
 def _as_dict(scores: Scores) -> dict:

@@ -6,7 +6,7 @@ import numpy as np
 
 from doo_ti.commands.perceive_task import Task
 from doo_ti.commands.printing import counted
-from doo_ti.learning.landscape import status_counts
+from doo_ti.learning.objective import status_counts
 from doo_ti.terminal import in_line
 from doo_ti.types import Status
 

@@ -13,7 +13,7 @@ from doo_ti.commands.arguments import MATERIAL, add_json, add_material
 from doo_ti.commands.printing import counted, plain
 from doo_ti.dataset import Observations, load_observations
 from doo_ti.errors import InputError
-from doo_ti.learning.landscape import status_counts
+from doo_ti.learning.objective import status_counts
 from doo_ti.prediction.motion_file import ClampPath, load_path
 from doo_ti.progress import progress
 from doo_ti.scene import CLAMPS, PRECISIONS
@@ -203,20 +203,20 @@ def _arrays(task: _Task, prediction) -> dict[str, np.ndarray]:
 
 
 def _draw(task: _Task, prediction, result: dict, pictures: dict) -> None:
-    vertices = result["vertices_mm"]
-    if pictures[".png"] is not None:
-        from doo_ti.report import motions_picture
+    if not any(pictures.values()):
+        return
+    from doo_ti.report import MovingRods, motions_picture
 
-        write_whole(pictures[".png"], lambda file: motions_picture(
-            file, prediction.time, vertices, task.names, prediction.jumps, up=task.up, title=task.name))
+    rods = MovingRods(prediction.time, result["vertices_mm"], task.names, prediction.jumps, prediction.followed, task.up)
+    if pictures[".png"] is not None:
+        write_whole(pictures[".png"], lambda file: motions_picture(file, rods, title=task.name))
     if pictures[".rrd"] is not None:
         from doo_ti.record import record_motion
 
         curves = {"Energy [mm²]": prediction.energy, "Total twist [°]": result["total_twist_deg"],
                   "Force at the far clamp [mm²]": np.linalg.norm(prediction.end_force, axis=-1)}
-        record_motion(pictures[".rrd"], run_id=hashlib.sha256(vertices.tobytes()).hexdigest()[:32], name=task.name,
-                      time=prediction.time, vertices=vertices, names=task.names, sound=prediction.followed,
-                      jumps=prediction.jumps, curves=curves, up=task.up,
+        record_motion(pictures[".rrd"], run_id=hashlib.sha256(rods.vertices.tobytes()).hexdigest()[:32], name=task.name,
+                      rods=rods, curves=curves,
                       text="\n\n".join(line.strip() for line in _lines(task, prediction, result)))
 
 

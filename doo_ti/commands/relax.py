@@ -11,7 +11,7 @@ from doo_ti.commands.arguments import add_material, add_relaxation
 from doo_ti.commands.printing import busy, counted, plain, theta_text
 from doo_ti.dataset import Observations, load_observations
 from doo_ti.grid import Grid
-from doo_ti.learning.landscape import status_counts
+from doo_ti.learning.objective import status_counts
 from doo_ti.start import (
     check_experiment,
     choose_hypothesis,

@@ -56,7 +56,7 @@ def run(options: Namespace, words: list[str]) -> int:
 
 def _draw_unfinished(run: Path, folder: Path) -> None:
     """Write the pictures of a sweep so far into ``folder``, and print how far it has come."""
-    from doo_ti.learning.unfinished import read_unfinished
+    from doo_ti.learning.drawing import read_unfinished
 
     with busy("reading cells"):
         found = read_unfinished(run)
