@@ -96,7 +96,7 @@ def _detected(task: PerceptionTask, bar) -> list[list]:
 
 def _perceived(task: PerceptionTask, detected: list[list], bar):
     """(Perception of all sets, GrowthSteps of those that are recorded): in groups whose maps fit into memory."""
-    from doo_ti.perception.growth_steps import GrowthSteps
+    from doo_ti.perception.growth import GrowthSteps
     from doo_ti.perception.perceive import Perception, perceive
     from doo_ti.vision.reprojection.distance_map import distance_maps
 

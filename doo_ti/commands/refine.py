@@ -137,7 +137,7 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
     if Path(source).is_dir():
         observations, thetas, kinds, weight, landscape = _of_run(options, Path(source), starts)
     else:
-        from doo_ti.refinement.multi_start import theta_of_cell
+        from doo_ti.refinement.fit import theta_of_cell
 
         observations, landscape = load_observations(source, given.up(options)), None
         grid = given.single_cell(options, "give one, or refine the run of a sweep")
@@ -157,7 +157,7 @@ def _of_run(options: Namespace, run: Path, starts: int):
     """(observations, the Θ of the lowest cells, kinds of clamps, frame weight, landscape) of a run's folder."""
     from doo_ti.learning.landscape import read_landscape
     from doo_ti.learning.run_folder import read_experiment
-    from doo_ti.refinement.multi_start import lowest_cells, theta_of_cell
+    from doo_ti.refinement.fit import lowest_cells, theta_of_cell
 
     for name in given.MATERIAL:
         if getattr(options, name) is not None:

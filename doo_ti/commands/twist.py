@@ -46,8 +46,8 @@ def run(options: Namespace, words: list[str]) -> int:
     observations = load_observations(options.observations, up)
     given.refuse_overwriting(out, options.observations)
 
-    from doo_ti.twist.estimation import TwistOptions, consecutive_groups, end_offsets, estimate_twist
-    from doo_ti.twist.offsets import load_offsets
+    from doo_ti.twist.curves import consecutive_groups, end_offsets, load_offsets
+    from doo_ti.twist.estimation import TwistOptions, estimate_twist
 
     offset = None
     if options.offset is not None:

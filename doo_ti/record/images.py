@@ -10,7 +10,7 @@ import numpy as np
 import rerun
 import rerun.blueprint as blueprint
 
-from doo_ti.perception.growth_steps import GrowthStep
+from doo_ti.perception.growth import GrowthStep
 from doo_ti.record.stream import BACKGROUND, FAILED, drawn_strips, entity_name, log_up, panels, recording, space_view
 from doo_ti.report.reprojections import BEST, DETECTED, RUNNER_UP, TRUTH, SeenRod
 from doo_ti.vision.cameras.camera import Camera
