@@ -34,7 +34,7 @@ STEPS = 10
 
 @dataclass(frozen=True)
 class Advice:
-    """An extension of the model: the options of ``doo-ti refine`` for it, its meaning, and by how much it raises twice the
+    """An extension of the model: the argument for it, as ``name=value``, its meaning, and by how much it raises twice the
     logarithm of the evidence."""
 
     option: str
