@@ -247,8 +247,8 @@ class _Motion:
         positions, outcomes = [], []
         for first in range(0, frames, at_once):
             part = slice(first * self.substeps, min(frames, first + at_once) * self.substeps)
-            where, outcome = make_steps(table, memory, np.ascontiguousarray(path[:, part]), numbers, shares, time, self.substeps,
-                                        _newton(), bits)
+            where, outcome = make_steps(table, memory, np.ascontiguousarray(path[:, part]), numbers, shares, time,
+                                        self.substeps, _newton(), bits)
             positions.append(where)
             outcomes.append(outcome)
             if progress is not None:

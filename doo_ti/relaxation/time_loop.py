@@ -22,7 +22,7 @@ from doo_ti.relaxation.time_sweep import (
     TimeSweep,
 )
 
-# Columns of the clamps at an instant: the point the chain hangs from, the far point from there, mm, and the first and last frame.
+# Columns of the clamps at an instant: the point the chain hangs from, the far point from there, mm, the first and last frame.
 PATH_ANCHOR, PATH_TARGET, PATH_ENDS, PATH_COLUMNS = 0, 3, 6, 14
 # Columns of the outcome of a frame: the status, iterations of all its steps and the largest residual, and the force of the far
 # clamp at its end.
@@ -34,7 +34,8 @@ class MotionLoading(Loading):
     """Loading and storing of what a rod remembers, besides what :class:`.Loading` does for any rod.
 
     ``tables`` holds, besides, places (rod, V, INERTIA): positions and velocities at the last two instants; frames and
-    frames_before [rod · edge · 4]; numbers (row, V, VERTEX_ITEMS − INERTIA); shares (row, 2); path (clamps, step, PATH_COLUMNS).
+    frames_before [rod · edge · 4]; numbers (row, V, VERTEX_ITEMS − INERTIA); shares (row, 2); path (clamps, step,
+    PATH_COLUMNS).
     """
 
     def __init__(self, sweep: TimeSweep):
@@ -166,8 +167,9 @@ class TimeLoop(NewtonLoop):
                 if again == 0:
                     self.refill(tables, scratch, head, slot, lane, supply)
                     tables.queue[steps_made + slot] = 0
-                    lane.multiplier = (self.with_lane(lane.multiplier[0], slot, 0.0), self.with_lane(lane.multiplier[1], slot, 0.0),
-                                       self.with_lane(lane.multiplier[2], slot, 0.0))
+                    force = lane.multiplier
+                    lane.multiplier = (self.with_lane(force[0], slot, 0.0), self.with_lane(force[1], slot, 0.0),
+                                       self.with_lane(force[2], slot, 0.0))
                     if self.lane(lane.active, slot) > 0.5:
                         self.loading.load_motion(tables, scratch, head, slot, tables.queue[supply.places + slot])
         going = (lane.finished > 0.5) & (lane.active > 0.5)
@@ -197,7 +199,8 @@ class TimeLoop(NewtonLoop):
                 unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
                 unit /= ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
                 for k in ti.static(range(3)):
-                    tables.outcome[row, frame, END_FORCE + k] = 0.0 - unit * ti.cast(self.lane(lane.multiplier[k], slot), ti.f64)
+                    force = ti.cast(self.lane(lane.multiplier[k], slot), ti.f64)
+                    tables.outcome[row, frame, END_FORCE + k] = 0.0 - unit * force
                 self.loading.store_vertices(tables.positions, row * frames + frame, 3, scratch, head, slot, edges)
             if step + 1 < tables.steps:
                 again = 1

@@ -1,0 +1,274 @@
+"""Options of the command line: those that several commands share, and each option's text to a value, checked before any work.
+
+Raises InputError naming the option, what was given and what would do.
+"""
+
+import os
+from argparse import SUPPRESS, ArgumentParser, Namespace
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.grid import UNITS, Axis, Grid, parse_axes, parse_axis
+from doo_ti.io.observations import checked_suffix
+from doo_ti.io.scene import CLAMPS, PRECISIONS
+from doo_ti.physical_units import bend_or_twist, weight_per_length
+from doo_ti.types import LARGEST, Clamp, unit_up
+
+SOURCE = "command line"
+SOLVERS = ("newton", "descent")
+MATERIAL = ("bend", "bend_1", "bend_2", "twist", "twist_ratio", "weight", "EI", "GJ")
+"""The options that state Θ."""
+CLAMP_DEFAULT = "frame where the file gives one, else tangent"
+LONGEST_NAME = 200
+"""Bytes in the name of a file: systems allow 255, and while the file is written it has a longer name."""
+
+
+# --- declaring -----------------------------------------------------------------------------------------------------------
+
+
+def command(add, name: str, run: Callable[[Namespace, list[str]], int], meaning: str, *, json: bool = True) -> ArgumentParser:
+    """The parser of a command, which ``run`` carries out; with ``--json`` unless it prints nothing for machines."""
+    parser = add(name, allow_abbrev=False, help=meaning, description=f"{meaning[0].upper()}{meaning[1:]}.")
+    if json:
+        parser.add_argument("--json", action="store_true", help="print one line of JSON instead of text")
+    parser.set_defaults(run=run, parser=parser)
+    return parser
+
+
+def add_old_name(parser: ArgumentParser, old: str, argument: str) -> None:
+    """Accept the ``old`` name of the option for ``argument``, without showing it."""
+    parser.add_argument(old, dest=argument, default=SUPPRESS, help=SUPPRESS)
+
+
+def add_material(parser: ArgumentParser, form: str) -> None:
+    group = parser.add_argument_group("material", f"bend and twist stiffness in mm³; {form}")
+    group.add_argument("--bend", metavar="A", help="bend stiffness α of a round rod, or the matrix of another one, A1,A2[,A12]")
+    group.add_argument("--bend-1", metavar="A1", help="stiffness against bending about m2")
+    group.add_argument("--bend-2", metavar="A2", help="stiffness against bending about m1")
+    group.add_argument("--twist", metavar="B", help="twist stiffness β")
+    group.add_argument("--twist-ratio", metavar="R", help="β divided by α, or by A1 (default 1)")
+    group.add_argument("--weight", metavar="M", help="half the weight per length, relative (default 1)")
+    group.add_argument("--EI", metavar="NM2", help="bend stiffness in N m², instead of --bend; needs --linear-density")
+    group.add_argument("--GJ", metavar="NM2", help="twist stiffness in N m², instead of --twist; needs --linear-density")
+    group.add_argument("--linear-density", metavar="G_PER_M", help="of the rod in g/m, for --EI, --GJ and results in N m²")
+
+
+def add_clamps(parser: ArgumentParser, default: str = CLAMP_DEFAULT) -> None:
+    for end in ("start", "end"):
+        parser.add_argument(f"--clamp-{end}", choices=CLAMPS, help=f"what is held at the rod's {end} (default: {default})")
+
+
+def add_up(parser: ArgumentParser, default: str = "the file's, else 0,0,1") -> None:
+    parser.add_argument("--up", metavar="X,Y,Z", help=f"direction against gravity (default: {default})")
+
+
+def add_frame_weight(parser: ArgumentParser, default: str) -> None:
+    parser.add_argument("--frame-weight", metavar="MM", help=f"weight w_m of material frames in Eq. 1 (default: {default})")
+
+
+def add_relaxation(parser: ArgumentParser, precision: str | None) -> None:
+    add_clamps(parser)
+    add_frame_weight(parser, "0" if precision else "the scene's, else 0")
+    add_up(parser)
+    parser.add_argument("--solver", choices=SOLVERS, default="newton", help="how equilibria are computed (default newton)")
+    parser.add_argument("--precision", choices=PRECISIONS, default=precision,
+                        help=f"arithmetic (default: {precision or 'the scene' + chr(39) + 's, else mixed'})")
+
+
+def add_seen_rod(parser: ArgumentParser) -> None:
+    """The cameras, and what must be known about the rod beforehand."""
+    parser.add_argument("--rig", required=True, metavar="RIG", help="the calibrated cameras: OpenCV FileStorage YAML")
+    parser.add_argument("--rest-length", required=True, metavar="MM:COUNT|FILE",
+                        help="lengths of the rod's edges: COUNT edges of MM each, a .npz with rest_length_mm, or a text file")
+    add_up(parser, "0,0,1 in the rig's world")
+
+
+def add_thread(parser: ArgumentParser) -> None:
+    """How the rod looks in images; ``parser`` may be a group of arguments."""
+    parser.add_argument("--polarity", choices=("dark", "light"), help="whether the thread is darker or lighter than the "
+                        "background (default: decided per image)")
+    parser.add_argument("--width", metavar="PX", help="width of the thread in the images (default: measured)")
+
+
+# --- reading -------------------------------------------------------------------------------------------------------------
+
+
+def grid(options: Namespace, base: Grid | None = None) -> Grid:
+    """The axes given, on top of those of ``base`` (a scene's grid) where there is one."""
+    texts = {name: getattr(options, name) for name in UNITS if getattr(options, name) is not None}
+    axes, bend_12 = parse_axes(texts, SOURCE, "--")
+    axes += _physical_axes(options)
+    if base is not None:
+        return base.with_axes(tuple(axes), bend_12)
+    if not any(axis.name in ("bend", "bend_1", "bend_2") for axis in axes):
+        raise InputError(SOURCE, "--bend", "missing", "give --bend, or --bend-1 and --bend-2")
+    return Grid(tuple(axes), bend_12, SOURCE)
+
+
+def _physical_axes(options: Namespace) -> list[Axis]:
+    """The axes that ``--EI`` and ``--GJ`` give in N m², as bend and twist relative to a weight of 1."""
+    axes = []
+    for physical, name, others in (("EI", "bend", ("bend", "bend_1", "bend_2", "weight")),
+                                   ("GJ", "twist", ("twist", "twist_ratio", "weight"))):
+        text = getattr(options, physical)
+        if text is None:
+            continue
+        for other in others:
+            if getattr(options, other) is not None:
+                option = f"--{other.replace('_', '-')}"
+                raise InputError(SOURCE, f"--{physical}", f"given beside {option}", f"give one of --{physical} and {option}")
+        density = positive("--linear-density", options.linear_density, "g/m")
+        if density is None:
+            raise InputError(SOURCE, "--linear-density", f"missing beside --{physical}", "give the rod's in g/m")
+        axis = parse_axis(f"--{physical}", text, SOURCE)
+        axes.append(Axis(name, bend_or_twist(axis.values, weight_per_length(density)), axis.log))
+    return axes
+
+
+def single_cell(options: Namespace, remedy: str = "give one number") -> Grid:
+    """The axes given, as :func:`grid` reads them. Raises InputError, with that remedy, where they are more than one Θ."""
+    found = grid(options)
+    if found.size > 1:
+        option = f"--{found.varying[0].name.replace('_', '-')}"
+        raise InputError(SOURCE, option, f"a grid of {found.size} cells", remedy)
+    return found
+
+
+def round_cell(options: Namespace, rods: str) -> Grid:
+    """One Θ that is the same in all directions across the rod; ``rods`` says which rods must be so."""
+    found = single_cell(options)
+    if not found.is_isotropic:
+        raise InputError(SOURCE, "--bend", "not the same in all directions", f"give --bend A: {rods} rods are round")
+    return found
+
+
+def frame_weight(options: Namespace, default: float = 0.0) -> float:
+    """w_m of Eq. 1, mm."""
+    if options.frame_weight is None:
+        return default
+    wanted = f"zero or a positive number of mm up to {LARGEST:g}"
+    value = _decimal("--frame-weight", options.frame_weight, wanted, minimum=0.0)
+    if value > LARGEST:
+        raise InputError(SOURCE, "--frame-weight", f"{value:g} is out of range", f"give {wanted}")
+    return value
+
+
+def up(options: Namespace) -> np.ndarray | None:
+    """(3,) unit vector against gravity, or None."""
+    return None if options.up is None else unit_up(numbers("--up", options.up), SOURCE)
+
+
+def world_up(options: Namespace) -> np.ndarray:
+    """(3,) unit vector against gravity, by default z."""
+    direction = up(options)
+    return np.array([0.0, 0.0, 1.0]) if direction is None else direction
+
+
+def clamps(options: Namespace) -> tuple[Clamp | None, Clamp | None]:
+    """The kinds of clamps at the start and at the end, or None where the options leave them out."""
+    start, end = (None if name is None else Clamp[name.upper()] for name in (options.clamp_start, options.clamp_end))
+    return start, end
+
+
+def solver(name: str):
+    """Newton() or Descent()."""
+    from doo_ti.relaxation.relax import Descent, Newton
+
+    return {"newton": Newton, "descent": Descent}[name]()
+
+
+def whole(option: str, text: str | None, minimum: int, most: int | None = None) -> int | None:
+    """A whole number from ``minimum`` up, to ``most`` where that is given, or None."""
+    if text is None:
+        return None
+    try:
+        value = int(text)
+    except ValueError:
+        raise InputError(SOURCE, option, f"{text!r} is not a whole number", f"give {minimum} or more") from None
+    if value < minimum:
+        raise InputError(SOURCE, option, f"{value} is below {minimum}", f"give {minimum} or more")
+    if most is not None and value > most:
+        raise InputError(SOURCE, option, f"{value} is above {most}", f"give {most} or less")
+    return value
+
+
+def positive(option: str, text: str | None, unit: str = "") -> float | None:
+    """A positive number, or None."""
+    if text is None:
+        return None
+    wanted = f"a positive number{' of ' * bool(unit)}{unit}"
+    value = _decimal(option, text, wanted)
+    if value <= 0:
+        raise InputError(SOURCE, option, f"{text!r} is not a positive number", f"give {wanted}")
+    return value
+
+
+def length(option: str, text: str | None) -> float | None:
+    """A positive number of mm, or None."""
+    return positive(option, text, "mm")
+
+
+def numbers(option: str, text: str | None) -> tuple[float, ...]:
+    """``30,54,78``: numbers between commas; none without text."""
+    return () if text is None else tuple(_decimal(option, part, "numbers between commas") for part in text.split(","))
+
+
+def rows(option: str, text: str | None, count: int) -> tuple[int, ...]:
+    """``0,3,7``: different row numbers below ``count`` between commas; none without text."""
+    found = () if text is None else tuple(whole(option, part, 0, count - 1) for part in text.split(","))
+    if len(set(found)) < len(found):
+        raise InputError(SOURCE, option, f"{text!r} names a row twice", "name each once")
+    return found
+
+
+def output_file(text: str | Path, suffix: str | None = None, option: str = "--out") -> Path:
+    """The file to write, with this suffix, or with that of a format of observations."""
+    path = Path(text)
+    if suffix is None:
+        checked_suffix(path)
+    elif path.suffix != suffix:
+        raise InputError(SOURCE, option, f"suffix {path.suffix!r} of {path}", f"name a file that ends in {suffix}")
+    if path.is_dir():
+        raise InputError(SOURCE, option, f"{path} is a folder", "name a file")
+    if len(os.fsencode(path.name)) > LONGEST_NAME:
+        raise InputError(SOURCE, option, f"{path.name[:20]}… is too long a name", f"name a file in {LONGEST_NAME} bytes")
+    _check_folder(path.parent, option)
+    return path
+
+
+def refuse_overwriting(out: Path, source: str, option: str = "--out") -> None:
+    """Raise InputError where the file to write is also the one to read."""
+    if out.exists() and Path(source).exists() and out.samefile(source):
+        raise InputError(SOURCE, option, f"{out} is the input itself", "name another file")
+
+
+def output_folder(text: str | None, option: str = "--out") -> Path | None:
+    """The folder to write, which need not exist yet, or None."""
+    if text is None:
+        return None
+    if not text.strip():
+        raise InputError(SOURCE, option, f"{text!r} is not a folder", "name one, such as . for the current one")
+    _check_folder(Path(text), option)
+    return Path(text)
+
+
+def _decimal(option: str, text: str, wanted: str, minimum: float = -np.inf) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise InputError(SOURCE, option, f"{text!r} is not a number", f"give {wanted}") from None
+    if not (np.isfinite(value) and value >= minimum):
+        raise InputError(SOURCE, option, f"{text!r} is out of range", f"give {wanted}")
+    return value
+
+
+def _check_folder(folder: Path, option: str = "--out") -> None:
+    """Raise InputError unless files can be written in ``folder``, which may not exist yet."""
+    existing = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
+    if not existing.is_dir():
+        raise InputError(SOURCE, option, f"{existing} is a file, not a folder", "name another folder")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise InputError(SOURCE, option, f"{existing} is not writable", "name another folder")

@@ -1,0 +1,211 @@
+"""Where grippers go: poses of both clamps over time, and the files that hold them.
+
+    time_s                                 (T,), rising; by default 0, 1, 2, …
+    start_position_mm, end_position_mm     (T, 3)
+    start_frame, end_frame                 (T, 3, 3) columns t, m1, m2 of the first edge and of the last
+    end_rotation_deg                       (T,) by which the last frame has turned about the rod, whole turns included
+    positions_mm                           (T, V, 3) or (N, T, V, 3), npz only, instead of the others: marks of a rod, or of N
+                                           rods, whose first and last edges are clamped
+
+in an npz, or in a CSV file, one row per moment, with the columns start_x_mm, …, end_frame_t_x, end_frame_m1_x, … What a file
+leaves out does not move. Between two moments frames turn by less than half a turn, unless ``end_rotation_deg`` is given.
+
+Axes: T moments, N motions.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.frames import (
+    FRAME_TOLERANCE,
+    across,
+    angle_about,
+    bishop_frames,
+    handedness,
+    matrix_from_quaternion,
+    orthonormality_error,
+    quaternion_about,
+    quaternion_from_matrix,
+    quaternion_product,
+    smallest_rotation,
+)
+from doo_ti.io.arrays import frame_columns, position_columns, read_arrays
+from doo_ti.types import Clamps
+
+KNOWN = {
+    "time_s": ((), ("time_s",)),
+    "start_position_mm": ((3,), position_columns("start")), "end_position_mm": ((3,), position_columns("end")),
+    "start_frame": ((3, 3), frame_columns("start_frame")), "end_frame": ((3, 3), frame_columns("end_frame")),
+    "end_rotation_deg": ((), ("end_rotation_deg",)),
+}
+_POSES = {"start_position_mm": "start_position", "end_position_mm": "end_position", "start_frame": "start_frame",
+          "end_frame": "end_frame"}
+HALF_TURN = np.radians(179.0)
+"""A larger turn of a frame from one moment to the next could also be a turn the other way round."""
+CONTRADICTION = np.radians(45.0)
+"""Largest difference between a frame's turn and the given rotation, which may count the swing of the tangent differently."""
+MOST_MM = 1e6
+"""From the origin to a clamp."""
+MOST_TURNS = 1000.0
+
+
+@dataclass(frozen=True)
+class ClampPath:
+    """Poses of both clamps of N rods, or of one motion for all, at T moments; None: it does not move.
+
+    time                          (T,) s
+    start_position, end_position  (T, N, 3) mm
+    start_frame, end_frame        (T, N, 3, 3)
+    end_rotation                  (T, N) rad about the rod, whole turns included
+    tangents_only                 only the tangents in the frames are known
+    source                        where it comes from, for messages
+
+    Raises InputError for times that do not rise, frames that are not rotations, half turns, whose sense is ambiguous, and a
+    rotation that contradicts the end frames.
+    """
+
+    time: np.ndarray
+    start_position: np.ndarray | None = None
+    end_position: np.ndarray | None = None
+    start_frame: np.ndarray | None = None
+    end_frame: np.ndarray | None = None
+    end_rotation: np.ndarray | None = None
+    tangents_only: bool = False
+    source: str = "motion"
+
+    def __post_init__(self):
+        if self.time.ndim != 1 or len(self.time) < 2 or not (np.diff(self.time) > 0).all():
+            raise InputError(self.source, "time_s", "not two or more rising times", "give the moments in their order")
+        for name, most, unit in (("start_position", MOST_MM, "mm"), ("end_position", MOST_MM, "mm"),
+                                 ("end_rotation", MOST_TURNS * 2 * np.pi, "rad")):
+            value = getattr(self, name)
+            if value is not None and not (np.abs(value) <= most).all():
+                raise InputError(self.source, name, f"{np.abs(value).max():g} {unit}", f"stay within {most:g} {unit}")
+        for name in ("start_frame", "end_frame"):
+            frames = getattr(self, name)
+            if frames is not None:
+                self._check_frames(name, frames)
+        if self.end_frame is not None and self.end_rotation is not None and not self.tangents_only:
+            self._check_rotation()
+
+    @property
+    def moments(self) -> int:
+        """T."""
+        return len(self.time)
+
+    @property
+    def count(self) -> int:
+        """N."""
+        given = (self.start_position, self.end_position, self.start_frame, self.end_frame, self.end_rotation)
+        return max((value.shape[1] for value in given if value is not None), default=1)
+
+    def at(self, moment: int, clamps: Clamps) -> Clamps:
+        """(R) clamps at a moment, ``clamps`` at the start; N is one or R. What the path leaves out stays as in ``clamps``."""
+        def put(path, own):
+            return own if path is None else np.ascontiguousarray(np.broadcast_to(path[moment], own.shape))
+        end_frame = put(self.end_frame, clamps.end_frame)
+        if self.end_frame is None and self.end_rotation is not None:
+            angle = np.broadcast_to(self.end_rotation[moment] - self.end_rotation[0], len(end_frame))
+            turn = quaternion_about(end_frame[..., 0], angle)
+            end_frame = matrix_from_quaternion(quaternion_product(turn, quaternion_from_matrix(end_frame)))
+        return replace(clamps, start_position=put(self.start_position, clamps.start_position), end_frame=end_frame,
+                       end_position=put(self.end_position, clamps.end_position),
+                       start_frame=put(self.start_frame, clamps.start_frame))
+
+    def rotation(self, moment: int, count: int) -> np.ndarray | None:
+        """(R,) rad by which the far frames turn about the rod until the next moment, or None where the frames show it."""
+        if self.end_rotation is None:
+            return None
+        return np.broadcast_to(self.end_rotation[moment + 1] - self.end_rotation[moment], count)
+
+    def relative_to(self, clamps: Clamps) -> "ClampPath":
+        """The same displacements and turns, starting from where R ``clamps`` are."""
+        def shifted(path, own):
+            return None if path is None else own + path - path[:1]
+        def turned(path, own):
+            return None if path is None else np.einsum("tnij,tnkj,nkl->tnil", path, np.broadcast_to(path[:1], path.shape), own)
+        return replace(self, start_position=shifted(self.start_position, clamps.start_position),
+                       end_position=shifted(self.end_position, clamps.end_position),
+                       start_frame=turned(self.start_frame, clamps.start_frame),
+                       end_frame=turned(self.end_frame, clamps.end_frame))
+
+    def _check_frames(self, name: str, frames: np.ndarray) -> None:
+        bad = (orthonormality_error(frames) > FRAME_TOLERANCE) | (handedness(frames) < 0)
+        if bad.any():
+            raise InputError(self.source, name, f"the frame of moment {np.argwhere(bad)[0, 0]} is not a rotation",
+                             "give unit, orthogonal columns t, m1, m2 with m2 = t x m1")
+        before, after = frames[:-1], frames[1:]
+        if self.tangents_only or (name == "end_frame" and self.end_rotation is not None):
+            cosine = np.sum(before[..., 0] * after[..., 0], axis=-1)
+        else:
+            cosine = 0.5 * (np.sum(before * after, axis=(-2, -1)) - 1)  # the trace of a rotation is 1 + 2 cos of its angle
+        unclear = cosine < np.cos(HALF_TURN)
+        if unclear.any():
+            moment = np.argwhere(unclear)[0, 0]
+            raise InputError(self.source, name, f"half a turn from moment {moment} to {moment + 1}, in either sense",
+                             "give moments in between" + ", or end_rotation_deg" * (name == "end_frame"))
+
+    def _check_rotation(self) -> None:
+        before, after = self.end_frame[:-1], self.end_frame[1:]
+        carried = matrix_from_quaternion(smallest_rotation(before[..., 0], after[..., 0])) @ before
+        turned = angle_about(after[..., 0], carried[..., 1], after[..., 1])
+        given = np.diff(self.end_rotation, axis=0)
+        apart = np.abs(np.angle(np.exp(1j * (given - turned))))
+        if (apart > CONTRADICTION).any():
+            moment, rod = np.argwhere(apart > CONTRADICTION)[0]
+            given = np.broadcast_to(given, apart.shape)[moment, rod]
+            raise InputError(self.source, "end_rotation_deg", f"{np.degrees(given):.0f} from moment {moment} to {moment + 1}, "
+                             f"where end_frame turns by {np.degrees(turned[moment, rod]):.0f} and whole turns",
+                             "correct one of them, or leave one out")
+
+
+def path_of_marks(positions: np.ndarray, time: np.ndarray | None = None, source: str = "motion") -> ClampPath:
+    """The path of grippers that hold the first and the last edge of rods with marks (T, N, V, 3) mm."""
+    first, last = positions[..., 1, :] - positions[..., 0, :], positions[..., -1, :] - positions[..., -2, :]
+    for edge, place in ((first, "first"), (last, "last")):
+        if not (np.linalg.norm(edge, axis=-1) > 0).all():
+            raise InputError(source, "positions_mm", f"two marks of the {place} edge coincide", "correct the marks")
+    time = np.arange(len(positions), dtype=np.float64) if time is None else time
+    return ClampPath(time, positions[..., 0, :], positions[..., -1, :], _frames_along(first), _frames_along(last),
+                     tangents_only=True, source=source)
+
+
+def load_path(path: Path) -> ClampPath:
+    """The clamps' path from a motion file. Raises InputError for files that cannot be read or do not describe a path."""
+    arrays = read_arrays(Path(path), KNOWN, ("positions_mm", "rate_hz"))
+    rate = arrays.pop("rate_hz", None)
+    if "positions_mm" in arrays:
+        return _of_positions(path, arrays, rate)
+    lengths = {key: len(value) if value.ndim else 0 for key, value in arrays.items()}
+    count = max(lengths.values(), default=0)
+    for key, value in arrays.items():
+        if value.shape != (count, *KNOWN[key][0]):
+            raise InputError(path, key, f"shape {value.shape}", f"make it {(count, *KNOWN[key][0])}: T moments")
+    if not arrays.keys() - {"time_s"}:
+        raise InputError(path, "end_position_mm", "missing, so nothing moves",
+                         f"give some of {', '.join([*_POSES, 'end_rotation_deg'])}")
+    poses = {name: arrays[key][:, None] for key, name in _POSES.items() if key in arrays}
+    rotation = np.radians(arrays["end_rotation_deg"])[:, None] if "end_rotation_deg" in arrays else None
+    return ClampPath(arrays.get("time_s", np.arange(count, dtype=np.float64)), end_rotation=rotation, source=str(path), **poses)
+
+
+def _of_positions(path: Path, arrays: dict[str, np.ndarray], rate: np.ndarray | None) -> ClampPath:
+    positions = arrays["positions_mm"]
+    if positions.ndim not in (3, 4) or positions.shape[-1] != 3 or positions.shape[-2] < 3:
+        raise InputError(path, "positions_mm", f"shape {positions.shape}", "make it (T, V, 3) or (N, T, V, 3) with V >= 3")
+    positions = positions[:, None] if positions.ndim == 3 else positions.swapaxes(0, 1)
+    time = arrays.get("time_s")
+    if time is not None and time.shape != positions.shape[:1]:
+        raise InputError(path, "time_s", f"shape {time.shape}", f"make it ({len(positions)},)")
+    if time is None and rate is not None and rate.size == 1 and rate.item() > 0:
+        time = np.arange(len(positions)) / rate.item()
+    return path_of_marks(positions, time, str(path))
+
+
+def _frames_along(edge: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) frames along edges, with some m1."""
+    tangent = edge / np.linalg.norm(edge, axis=-1, keepdims=True)
+    return bishop_frames(tangent[..., None, :], across(tangent))[..., 0, :, :]

@@ -1,0 +1,277 @@
+"""Observations: labelled marks on rods whose ends are held, as files hold them (§V-A).
+
+A file carries keys with their units in their names (``vertices_mm``); :class:`Observations` is the same checked, in
+mm and rad. Axes: D observations, V vertices, E = V − 1 edges.
+"""
+
+import hashlib
+import os
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.errors import InputError, real_array
+from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
+from doo_ti.io.arrays import read_npz
+from doo_ti.io.files import MOST_BYTES, read_content, write_whole
+from doo_ti.io.observation_tables import KEYS_IN_TABLES, read_table, write_table
+from doo_ti.terminal import in_line
+from doo_ti.types import LARGEST
+
+# Field of Observations: key of the file.
+KEYS = {
+    "vertices": "vertices_mm", "valid": "valid", "rest_length": "rest_length_mm", "start_frame": "start_frame",
+    "end_frame": "end_frame", "frames": "frames", "total_twist": "total_twist_deg", "up": "up", "sigma": "sigma_mm",
+    "end_distance": "end_distance_mm", "end_rotation": "end_rotation_deg",
+}
+TABLES = (".csv", ".parquet")
+MOST_CSV_BYTES = 1 << 28
+"""Reading CSV takes some fifteen times as much memory."""
+LEAST_SIGMA_MM, MOST_SIGMA_MM = 1e-9, 1e6
+"""Of labels: the information in them grows with the inverse square."""
+
+
+@dataclass(frozen=True)
+class Observations:
+    """D observed configurations Γ^d of one rod, and how its ends were held.
+
+    vertices     (D, V, 3) mm; anything, NaN too, at a mark that is not valid
+    valid        (D, V) bool: marks that were seen; all of them by default
+    rest_length  (E,) mm; by default the median over D of the observed edge lengths
+    start_frame  (D, 3, 3) columns t, m1, m2 of the first edge, or None: tangent as observed, roll unknown
+    end_frame    the same for the last edge
+    frames       (D, E, 3, 3) measured material frames (ribbons), or None
+    total_twist  (D,) rad, Σ m_i with its whole turns, or None; only used to choose the whole turn
+    up           (3,) unit vector against gravity
+    sigma        label uncertainty in mm: None, () or (D, V)
+    end_distance, end_rotation  (D,) labels to partition by, in mm and **degrees** as written in the file, or None
+    name         what the rod is called: the label of its material
+    source       where it comes from, for messages
+    sha256       hex digest of the file's bytes, or ""
+
+    Raises InputError, naming ``source``, the file's key, the value and the remedy, for whatever breaks these shapes,
+    for values that are not finite at valid marks, rest lengths that are not positive, coinciding neighbours, and
+    frames that are not orthonormal and right-handed to 1e-3.
+    """
+
+    vertices: np.ndarray
+    valid: np.ndarray | None = None
+    rest_length: np.ndarray | None = None
+    start_frame: np.ndarray | None = None
+    end_frame: np.ndarray | None = None
+    frames: np.ndarray | None = None
+    total_twist: np.ndarray | None = None
+    up: np.ndarray = (0.0, 0.0, 1.0)
+    sigma: np.ndarray | None = None
+    end_distance: np.ndarray | None = None
+    end_rotation: np.ndarray | None = None
+    name: str = "observations"
+    source: str = "observations"
+    sha256: str = ""
+
+    def __post_init__(self):
+        vertices = self._numbers("vertices", ("D", "V", 3))
+        count, marks = vertices.shape[:2]
+        if count < 1 or marks < 3:
+            raise self._error("vertices", f"shape {vertices.shape} holds no rod", "give D >= 1 rods of V >= 3 marks")
+        size = {"D": count, "V": marks, "E": marks - 1}
+        self._set(vertices=vertices, valid=self._checked_valid(vertices))
+        self._check_neighbours()
+        self._set(rest_length=self._checked_rest_length(size), up=self._checked_up(), sigma=self._checked_sigma(size))
+        for name, axes in (("start_frame", ("D", 3, 3)), ("end_frame", ("D", 3, 3)), ("frames", ("D", "E", 3, 3))):
+            if getattr(self, name) is not None:
+                self._set(**{name: self._checked_frames(name, axes, size)})
+        for name in ("total_twist", "end_distance", "end_rotation"):
+            if getattr(self, name) is not None:
+                self._set(**{name: self._finite(name, self._numbers(name, ("D",), size))})
+        if self.end_distance is not None and (self.end_distance < 0).any():
+            raise self._error("end_distance", f"{self.end_distance.min():g} mm", "give zero or positive distances in mm")
+
+    @property
+    def count(self) -> int:
+        """D."""
+        return len(self.vertices)
+
+    @property
+    def edges(self) -> int:
+        """E."""
+        return self.vertices.shape[1] - 1
+
+    def take(self, index) -> "Observations":
+        """The observations named by ``index``, in that order and as often."""
+        per_observation = ("vertices", "valid", "start_frame", "end_frame", "frames", "total_twist", "end_distance",
+                           "end_rotation")
+        taken = {name: getattr(self, name)[index] for name in per_observation if getattr(self, name) is not None}
+        if self.sigma is not None and self.sigma.ndim:
+            taken["sigma"] = self.sigma[index]
+        return replace(self, **taken)
+
+    def _error(self, name: str, problem: str, remedy: str) -> InputError:
+        return InputError(self.source, KEYS[name], problem, remedy)
+
+    def _set(self, **values) -> None:
+        for name, value in values.items():
+            if value is not None:
+                value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    def _numbers(self, name: str, axes: tuple, size: dict[str, int] | None = None) -> np.ndarray:
+        """A copy of the field in f64, its shape as ``axes`` with the letters' sizes put in."""
+        size, array = size or {}, real_array(self.source, KEYS[name], getattr(self, name), "store real numbers")
+        wanted = [size.get(axis, axis) for axis in axes]
+        if array.ndim != len(axes) or any(w != n for w, n in zip(wanted, array.shape) if not isinstance(w, str)):
+            shape = f"({', '.join(map(str, axes))}{',' * (len(axes) == 1)})"
+            sizes = ", ".join(f"{axis} = {size[axis]}" for axis in axes if axis in size)
+            raise self._error(name, f"shape {array.shape}", f"make it {shape}{' with ' + sizes if sizes else ''}")
+        return array.astype(np.float64)
+
+    def _finite(self, name: str, array: np.ndarray, needed=True) -> np.ndarray:
+        """``array``, finite wherever ``needed``, which broadcasts to it."""
+        bad = np.argwhere(~(np.abs(array) <= LARGEST) & needed)
+        if len(bad):
+            at = bad[0].tolist()
+            raise self._error(name, f"{array[tuple(at)]} at {at}", "give finite numbers")
+        return array
+
+    def _checked_valid(self, vertices: np.ndarray) -> np.ndarray:
+        if self.valid is None:
+            bad = np.argwhere(~(np.abs(vertices) <= LARGEST).all(axis=-1))
+            if len(bad):
+                d, v = bad[0]
+                raise self._error("vertices", f"{vertices[d, v].tolist()} at observation {d}, vertex {v}",
+                                  "give finite numbers, or mark missing vertices false in `valid` (D, V)")
+            return np.ones(vertices.shape[:2], dtype=bool)
+        valid = real_array(self.source, "valid", self.valid, "store booleans", "biuf")
+        if not np.isin(valid, (0, 1)).all():
+            raise self._error("valid", f"dtype {valid.dtype} with other values than true and false", "store booleans")
+        if valid.shape != vertices.shape[:2]:
+            raise self._error("valid", f"shape {valid.shape}", f"make it (D, V) = {vertices.shape[:2]}")
+        valid = valid.astype(bool)
+        self._finite("vertices", vertices, valid[..., None])
+        few = np.flatnonzero(valid.sum(axis=1) < 2)
+        if len(few):
+            raise self._error("valid", f"observation {few[0]} has fewer than two valid marks", "leave it out")
+        return valid
+
+    def _check_neighbours(self) -> None:
+        """Raise InputError where a valid mark coincides with the valid mark before it: the edge would have no direction."""
+        index = np.where(self.valid, np.arange(self.valid.shape[1]), -1)
+        before = np.maximum.accumulate(index, axis=1)[:, :-1]
+        previous = np.take_along_axis(self.vertices, np.maximum(before, 0)[..., None], axis=1)
+        apart = (self.vertices[:, 1:] != previous).any(axis=-1) | ~self.valid[:, 1:] | (before < 0)
+        if not apart.all():
+            d, v = np.argwhere(~apart)[0]
+            raise self._error("vertices", f"vertices {before[d, v]} and {v + 1} of observation {d} coincide at "
+                              f"{self.vertices[d, v + 1].tolist()}", "correct them, or mark one false in `valid`")
+
+    def _checked_rest_length(self, size: dict[str, int]) -> np.ndarray:
+        if self.rest_length is None:
+            seen = self.valid[:, 1:] & self.valid[:, :-1]
+            if not seen.any(axis=0).all():
+                edge = np.flatnonzero(~seen.any(axis=0))[0]
+                raise self._error("rest_length", f"missing, and no rod shows edge {edge}", "give rest_length_mm (E,)")
+            length = np.linalg.norm(np.diff(self.vertices, axis=1), axis=-1)
+            return np.nanmedian(np.where(seen, length, np.nan), axis=0)
+        array = real_array(self.source, KEYS["rest_length"], self.rest_length, "store real numbers")
+        if array.ndim == 1 and len(array) != size["E"]:
+            raise self._error("rest_length", f"{len(array)} lengths for {size['E']} edges", "give one length per edge")
+        length = self._finite("rest_length", self._numbers("rest_length", ("E",), size))
+        if (length <= 0).any():
+            edge = int(np.argmin(length))
+            raise self._error("rest_length", f"{length[edge]:g} mm at edge {edge}", "give positive lengths in mm")
+        return length
+
+    def _checked_up(self) -> np.ndarray:
+        up = self._finite("up", self._numbers("up", (3,)))
+        length = np.linalg.norm(up)
+        if not length > 0:
+            raise self._error("up", f"{up.tolist()} has no direction", "give the vector against gravity")
+        # A unit vector stays as it is, so that copies of observations agree bit for bit.
+        return up if abs(length - 1) < 1e-12 else up / length
+
+    def _checked_sigma(self, size: dict[str, int]) -> np.ndarray | None:
+        if self.sigma is None:
+            return None
+        scalar = real_array(self.source, KEYS["sigma"], self.sigma, "store real numbers").ndim == 0
+        sigma = self._numbers("sigma", () if scalar else ("D", "V"), size)
+        needed = True if scalar else self.valid
+        self._finite("sigma", sigma, needed)
+        wrong = needed & ((sigma < LEAST_SIGMA_MM) | (sigma > MOST_SIGMA_MM))
+        if wrong.any():
+            raise self._error("sigma", f"{sigma[wrong].min():g} mm",
+                              f"give positive uncertainties in mm, {LEAST_SIGMA_MM:g} to {MOST_SIGMA_MM:g}")
+        return sigma
+
+    def _checked_frames(self, name: str, axes: tuple, size: dict[str, int]) -> np.ndarray:
+        frames = self._finite(name, self._numbers(name, axes, size))
+        for bad, problem in ((orthonormality_error(frames) > FRAME_TOLERANCE, "not orthonormal"),
+                             (handedness(frames) < 0, "left-handed")):
+            if bad.any():
+                at = tuple(np.argwhere(bad)[0].tolist())
+                raise self._error(name, f"the frame at {list(at)} is {problem}: {np.round(frames[at], 4).tolist()}",
+                                  "give unit, orthogonal columns t, m1, m2 with m2 = t x m1")
+        return frames
+
+
+def load_observations(path: str | os.PathLike, up=None) -> Observations:
+    """The observations of an ``.npz``, ``.csv`` or ``.parquet`` file; ``up`` (3,) overrides the file's.
+
+    Raises InputError for a file that cannot be read and for whatever :class:`Observations` refuses.
+    """
+    path = Path(path)
+    content = _read_bytes(path)
+    keys = read_table(path, content) if path.suffix in TABLES else read_npz(path, content, tuple(KEYS_IN_TABLES))
+    if "vertices_mm" not in keys:
+        raise InputError(path, "vertices_mm", "the key is missing", "store the vertices as vertices_mm (D, V, 3)")
+    values = {name: keys[key] for name, key in KEYS.items() if key in keys}
+    observations = Observations(**values, name=in_line(path.stem), source=str(path), sha256=hashlib.sha256(content).hexdigest())
+    changed = {} if up is None else {"up": np.asarray(up)}
+    if observations.total_twist is not None:
+        _check_turns(observations)
+        changed["total_twist"] = np.radians(observations.total_twist)
+    return replace(observations, **changed)
+
+
+def _check_turns(observations: Observations) -> None:
+    """Raise InputError for a total twist, still in degrees, above half a turn at each joint."""
+    most = 180.0 * (observations.edges - 1)
+    bad = np.flatnonzero(np.abs(observations.total_twist) > most)
+    if len(bad):
+        hint = f"{observations.total_twist[bad[0]]:g} of observation {bad[0]}"
+        raise InputError(observations.source, "total_twist_deg", hint,
+                         f"give degrees; {observations.edges} edges hold at most {most:g}")
+
+
+def save_observations(path: str | os.PathLike, observations: Observations) -> None:
+    """Write ``observations`` to an ``.npz``, ``.csv`` or ``.parquet`` file, whole or not at all.
+
+    Raises InputError for another suffix.
+    """
+    path = Path(path)
+    checked_suffix(path)
+    keys = {KEYS[field.name]: getattr(observations, field.name) for field in fields(observations) if field.name in KEYS}
+    if observations.valid.all():
+        keys["valid"] = None
+    if observations.total_twist is not None:
+        keys["total_twist_deg"] = np.degrees(observations.total_twist)
+    keys = {key: value for key, value in keys.items() if value is not None}
+    if path.suffix in TABLES:
+        write_whole(path, lambda file: write_table(file, path.suffix, keys))
+    else:
+        write_whole(path, lambda file: np.savez_compressed(file, **keys))
+
+
+def checked_suffix(path: Path) -> None:
+    """Raise InputError unless the suffix of ``path`` is that of a format of observations."""
+    if path.suffix not in (".npz", *TABLES):
+        raise InputError(path, "file", f"suffix {path.suffix!r} is not a format of observations",
+                         f"use one of .npz, {', '.join(TABLES)}")
+
+
+def _read_bytes(path: Path) -> bytes:
+    checked_suffix(path)
+    content = read_content(path, MOST_CSV_BYTES if path.suffix == ".csv" else MOST_BYTES)
+    if not content:
+        raise InputError(path, "file", "0 bytes, the file is empty", "write the observations again")
+    return content
