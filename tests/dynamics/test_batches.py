@@ -1,7 +1,10 @@
 """Many rods in motion at once: each moves as it does alone, one that fails stops alone, and both precisions agree."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from doo_ti.dynamics import simulate as simulation
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.dynamics.simulate import simulate
@@ -59,6 +62,46 @@ def test_a_rod_that_fails_stops_alone(rng):
     others = np.arange(12) != 5
     np.testing.assert_array_equal(after.positions[others], before.positions[others])
     np.testing.assert_array_equal(after.converged, others)
+
+
+def test_launches_continue_one_another(rng, monkeypatch):
+    """A long motion is several launches; both ends free, drag that grows with speed, and a rod that fails on the way."""
+    rods, grippers = swung(rng, 6)
+    grippers.end_position[2, 3:] += 1000.0
+    ends = np.array([Clamp.POSITION, Clamp.FREE, Clamp.POSITION, Clamp.FREE, Clamp.FRAME, Clamp.TANGENT])
+    starts = np.array([Clamp.FREE, Clamp.FREE, Clamp.FRAME, Clamp.POSITION, Clamp.FREE, Clamp.TANGENT])
+    grippers = replace(grippers, start=starts, end=ends)
+    dynamics = Dynamics(quadratic_drag=1e-3, bend_damping=0.01)
+    at_once = simulate(rods, MATERIAL, grippers, dynamics, RATE, substeps=2)
+    monkeypatch.setattr(simulation, "NUMBERS_AT_ONCE", 1)
+    in_parts = simulate(rods, MATERIAL, grippers, dynamics, RATE, substeps=2)
+    np.testing.assert_array_equal(at_once.converged, np.arange(6) != 2)
+    np.testing.assert_array_equal(in_parts.status, at_once.status)
+    apart = np.nanmax(np.abs(in_parts.positions - at_once.positions), axis=(1, 2, 3))
+    print("off by", apart, "mm")
+    # The force of the far clamp begins anew with every launch: the same minimum to the solver's tolerance.
+    assert np.nanmax(apart) < 1e-5
+    assert apart[ends == Clamp.FREE].max() < 1e-10
+
+
+def test_steps_between_instants_are_steps_of_refined_grippers(rng):
+    rods, grippers = swung(rng, 4)
+    between = moved(rods, grippers, substeps=3)
+    refined = simulate(rods, MATERIAL, grippers.refined(3), DYNAMICS, 3 * RATE)
+    np.testing.assert_array_equal(between.positions, refined.positions[:, 2::3])
+    np.testing.assert_array_equal(between.iterations.sum(axis=1), refined.iterations.sum(axis=1))
+    np.testing.assert_allclose(grippers.refined(3).end_position[:, ::3], grippers.end_position, atol=1e-12)
+
+
+def test_pairs_are_rods_and_materials_of_their_own(rng):
+    rods, grippers = swung(rng, 3)
+    material, dynamics = Material([3e4, 6e4], [2e4, 4e4]), Dynamics(drag=[1.0, 2.0], density=[1.0, 1.5])
+    pairs = np.array([0, 2, 2, 1]), np.array([1, 0, 1, 0])
+    together = simulate(rods, material, grippers, dynamics, RATE, pairs=pairs)
+    for k, (r, g) in enumerate(zip(*pairs, strict=True)):
+        alone = simulate(rods.take([r]), material.take([g]), rows(grippers, [r]),
+                         Dynamics(drag=dynamics.drag[g], density=dynamics.density[g]), RATE)
+        np.testing.assert_array_equal(together.positions[k], alone.positions[0])
 
 
 def test_precisions_agree(rng):
