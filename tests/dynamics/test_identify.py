@@ -54,12 +54,10 @@ def test_theta_is_found_from_recordings_with_noise(rng):
         found = identify(rolled_out(rng, 4, 0.1), begin, options)
         theta, deviation = found.theta, np.sqrt(np.diag(found.covariance))
         inside.append(np.abs(found.vector - found.unknowns.vector(TRUE)) < 1.96 * deviation)
-        print(f"bend {theta.bend / TRUE.bend - 1:+.3f}, damping {theta.bend_damping / TRUE.bend_damping - 1:+.3f}, drag "
-              f"{theta.drag / TRUE.drag - 1:+.3f}, rest {np.abs(theta.rest - TRUE.rest).max():.1e} 1/mm, error {found.error} mm")
-        assert abs(theta.bend / TRUE.bend - 1) < 0.03
-        assert abs(theta.bend_damping / TRUE.bend_damping - 1) < 0.05
-        assert abs(theta.drag / TRUE.drag - 1) < 0.2
-        assert np.abs(theta.rest - TRUE.rest).max() < 2e-4
+        apart = [getattr(theta, name) / getattr(TRUE, name) - 1 for name in ("bend", "bend_damping", "drag")]
+        curvature = np.abs(theta.rest - TRUE.rest).max()
+        print("off: bend {:+.3f}, damping {:+.3f}, drag {:+.3f}".format(*apart), f"rest {curvature:.1e} 1/mm")
+        assert (np.abs(apart) < [0.03, 0.05, 0.2]).all() and curvature < 2e-4
         assert found.error.max() < 0.15
     print(f"{np.mean(inside):.0%} of the intervals contain the truth")
     assert np.mean(inside) > 0.5
