@@ -59,7 +59,7 @@ def predicted(motion: RecordedMotion, thetas: list[MotionTheta], options: Identi
     material, dynamics = simulated(thetas)
     found = simulate(begun.start, material, begun.grippers, dynamics, begun.rate, velocity=begun.velocity,
                      substeps=options.substeps, scheme=options.scheme, up=thetas[0].up, precision=precision, pairs=pairs,
-                     smooth_start=False, progress=progress)
+                     velocity_age=0.5 / begun.rate, progress=progress)
     at = begun.steps[:, 1:] - 1
     rods = np.arange(count)[:, None]
     positions = np.repeat(motion.positions[:, None], each, axis=1)

@@ -81,6 +81,7 @@ def simulate(
     precision: str = "f64",
     pairs: tuple[np.ndarray, np.ndarray] | None = None,
     smooth_start: bool = True,
+    velocity_age: float = 0.0,
     progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
     """Move rods from ``start`` through the instants of ``grippers``.
@@ -97,6 +98,7 @@ def simulate(
     pairs         (R,) rows of start and of material that make up each rod; by default they pair one to one, a single row with
                   every row of the other
     smooth_start  the history before the first instant is that of the acceleration there; False: of constant velocity
+    velocity_age  s before the first instant for which ``velocity`` holds; with ``smooth_start`` it is carried on by the acceleration
     progress      called with the number of frames that are done
 
     Returns the T − 1 later instants. A rod whose step fails stops alone. Raises InputError for inputs that do not match.
@@ -107,7 +109,7 @@ def simulate(
     if precision not in ("f32", "f64"):
         raise InputError("simulate", "precision", f"{precision!r}", "give f32 or f64")
     bits = 32 if precision == "f32" else 64
-    memory = motion.begin(_checked_velocity(velocity, start), smooth_start)
+    memory = motion.begin(_checked_velocity(velocity, start), smooth_start, velocity_age)
     return motion.run(memory, RATES[scheme], bits, progress)
 
 
@@ -216,7 +218,7 @@ class _Motion:
                 path[..., column : column + 4] = _frames(frames[:, 1:], kind)
         return path
 
-    def begin(self, velocity: np.ndarray, smooth: bool) -> Memory:
+    def begin(self, velocity: np.ndarray, smooth: bool, age: float) -> Memory:
         """The memory of rods that start with ``velocity`` (S, V, 3)."""
         table = self.table(1.0)
         index = table.configuration_index
@@ -234,6 +236,7 @@ class _Motion:
             make_steps(table, trial, path, numbers, shares, np.array([self.step, 1.0, 0.0]), 1, _newton(), 64)
             moved = trial.places[..., VELOCITY_1 : VELOCITY_1 + 3]
             a = np.where((trial.status == Status.CONVERGED)[:, None, None], (moved - v) / self.step, 0.0)
+            v = v + age * a
         return _memory(frames, x, v, a, table, self.step, status)
 
     def run(self, memory: Memory, factor: float, bits: int, progress) -> Trajectory:

@@ -3,7 +3,7 @@
 import taichi as ti
 
 from doo_ti.physics.quaternion import normalised, tangent, transported
-from doo_ti.physics.tuples import dot, plus, record, scaled
+from doo_ti.physics.tuples import dot, plus, put_lane, record, scaled
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loading import LANES, Loading
@@ -167,9 +167,7 @@ class TimeLoop(NewtonLoop):
                 if again == 0:
                     self.refill(tables, scratch, head, slot, lane, supply)
                     tables.queue[steps_made + slot] = 0
-                    force = lane.multiplier
-                    lane.multiplier = (self.with_lane(force[0], slot, 0.0), self.with_lane(force[1], slot, 0.0),
-                                       self.with_lane(force[2], slot, 0.0))
+                    put_lane(lane, self.with_lane, slot, multiplier=(0.0, 0.0, 0.0))
                     if self.lane(lane.active, slot) > 0.5:
                         self.loading.load_motion(tables, scratch, head, slot, tables.queue[supply.places + slot])
         going = (lane.finished > 0.5) & (lane.active > 0.5)
