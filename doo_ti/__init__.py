@@ -18,17 +18,17 @@ __version__ = "0.1.0"
 
 # Taichi greets on standard output as soon as it is imported; that belongs to the commands' results.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
-# And reports its use, with a number that stays, to its makers at the first start of a day: nothing here calls outward.
+# Once a day it would also send a permanent identifier to its makers when it starts: nothing here uses the network.
 os.environ["TI_SKIP_VERSION_CHECK"] = "ON"
 if os.name == "posix" and not {"HOME", "XDG_CACHE_HOME"} & os.environ.keys():
-    # It ends the process where neither is given. Nothing can be made below /dev/null: without a home nothing is kept there.
+    # Taichi ends the process where neither is set. Below /dev/null nothing can be created: without a home nothing is cached.
     _home = os.path.expanduser("~")
     os.environ["XDG_CACHE_HOME"] = f"{_home}/.cache" if os.path.isabs(_home) else os.devnull
 
 _HOMES = {
     "Clamp": "types", "Clamps": "types", "Configuration": "types", "Material": "types", "Solution": "types",
-    "Status": "types", "InputError": "errors", "Observations": "dataset", "load_observations": "dataset",
-    "save_observations": "dataset", "observation_clamps": "start", "start_configuration": "start",
+    "Status": "types", "InputError": "errors", "Observations": "io.observations", "load_observations": "io.observations",
+    "save_observations": "io.observations", "observation_clamps": "start", "start_configuration": "start",
     "turn_hypotheses": "start", "choose_hypothesis": "start", "Grid": "grid", "Axis": "grid", "distance": "metric",
     "Newton": "relaxation.newton", "Descent": "relaxation.descent", "relax": "relaxation.relax",
     "Springs": "relaxation.external",

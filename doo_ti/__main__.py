@@ -10,9 +10,9 @@ from doo_ti.interruption import before_anything_is_begun, when_all_is_done, whil
 def main() -> int:
     """Import the command line and run it; returns the exit code."""
     interruptible = before_anything_is_begun()
-    # NumPy's own threads only wait for each other over matrices as small as ours, and take processors from the kernels.
+    # On matrices this small NumPy's own threads only wait for each other, and take processors from the kernels.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if not sys.warnoptions:  # what libraries warn of, beside the one line of a refused input; python -W shows it
+    if not sys.warnoptions:  # a refused input prints one line only; python -W shows warnings
         warnings.simplefilter("ignore")
     from doo_ti.cli import main as command_line
 

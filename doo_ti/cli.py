@@ -16,19 +16,18 @@ from typing import NoReturn
 from doo_ti import __version__
 from doo_ti.commands import (
     bench,
-    calibrate,
-    convert,
-    figures,
+    cameras,
+    identify,
     learn,
     perceive,
     plan,
     predict,
     refine,
     relax,
+    simulate,
     sweep,
     synth,
     track,
-    triangulate,
     twist,
     view,
 )
@@ -38,7 +37,7 @@ from doo_ti.terminal import VisibleStream, visible
 
 
 class _Parser(argparse.ArgumentParser):
-    """Reports what argparse finds wrong as an InputError naming the option."""
+    """Reports what argparse finds wrong as an InputError naming the option, and names arguments of the library as options."""
 
     def error(self, message: str) -> NoReturn:
         found = re.match(r"argument (?P<option>[^:]+): (?P<problem>.*)", message, re.DOTALL)
@@ -47,21 +46,32 @@ class _Parser(argparse.ArgumentParser):
         problem = found["problem"] if found else "missing" if missing else message
         raise InputError(self.prog, option, problem, f"see {self.prog} --help")
 
+    def in_options(self, error: InputError) -> InputError:
+        """``error`` with the options of this command in place of the library's arguments: as its field, where its source is no
+        file, and in backticks."""
+        names = {action.dest: action.option_strings[0] for action in self._actions
+                 if action.option_strings and action.help != argparse.SUPPRESS}
+        problem, remedy = (re.sub(r"`(\w+)`", lambda found: names.get(found[1], found[0]), text)
+                           for text in (error.problem, error.remedy))
+        if error.field in names and not os.path.lexists(error.source):
+            return InputError("command line", names[error.field], problem, remedy)
+        return InputError(error.source, error.field, problem, remedy)
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command that ``argv`` (without the program's name) spells out; returns the exit code."""
     argv = list(sys.argv[1:] if argv is None else argv)
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a console that lacks Θ shows a question mark
+        if hasattr(stream, "reconfigure"):  # a console without Θ shows a question mark
             stream.reconfigure(errors="replace")
-    # Taichi takes a standard output that is not the process's own for a notebook's, says so, and prints through it.
+    # Taichi takes a standard output that is not the process's own for a notebook, reports that, and prints through it.
     os.environ.setdefault("TI_ENABLE_PYBUF", "0")
     try:
         with redirect_stdout(VisibleStream(sys.stdout)):
             return _run(argv)
     except InputError as error:
         return _report(error, 2)
-    except BrokenPipeError:  # the reader, head or less, has seen enough
+    except BrokenPipeError:  # the reading program, such as head, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except InterruptedRunError as error:
@@ -72,7 +82,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(argv: list[str]) -> int:
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it cannot keep its fonts it warns, and draws none the less
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it warns where it cannot store its fonts
     parser = _parser()
     try:
         options, unknown = parser.parse_known_args(_joined(argv))
@@ -84,13 +94,15 @@ def _run(argv: list[str]) -> int:
         prog = f"{parser.prog} {options.command}"
         raise InputError(prog, option.split("=")[0], kind, f"see {prog} --help")
     check_architecture()
-    return options.run(options, ["doo-ti", *argv])
+    try:
+        return options.run(options, ["doo-ti", *argv])
+    except InputError as error:
+        raise options.parser.in_options(error) from None
 
 
 def _again(argv: list[str]) -> str:
-    """What the same command does when it is given again: all but a sweep write their files, each whole, when all is done."""
-    goes_on = argv[:1] == ["sweep"]
-    return f"the same command {'goes on with what is finished' if goes_on else 'starts anew'}"
+    """What the same command will do if it is run again: only a sweep stores results before all of them are there."""
+    return f"the same command {'goes on with what is finished' if argv[:1] == ['sweep'] else 'starts anew'}"
 
 
 def _report(problem: object, code: int) -> int:
@@ -115,8 +127,7 @@ def _parser() -> _Parser:
                      description="Fit discrete elastic rods to observed shapes (Javdani et al., ICRA 2011).")
     parser.add_argument("--version", action="version", version=f"doo-ti {__version__}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
-    commands = (relax, sweep, learn, refine, predict, twist, figures, plan, view, convert, synth, bench, calibrate, triangulate,
-                perceive, track)
-    for command in commands:
-        command.declare(add)
+    for commands in (relax, sweep, learn, refine, predict, simulate, identify, twist, plan, view, synth, bench, cameras, perceive,
+                     track):
+        commands.declare(add)
     return parser

@@ -1,6 +1,6 @@
-"""Errors a user can cause, each a sentence that names what is wrong, where, and the remedy.
+"""Errors that a user can cause; each message names where, what is wrong, and the remedy.
 
-Numerical trouble is not an error: it is a per-rod :class:`~doo_ti.types.Status`.
+A rod that cannot be computed is not an error: it has a :class:`~doo_ti.types.Status`.
 """
 
 from numbers import Integral, Real
@@ -9,7 +9,8 @@ import numpy as np
 
 
 class InputError(ValueError):
-    """Wrong input. The command line prints it as one line and exits with code 2.
+    """Wrong input. The command line prints it as one line and exits with code 2. It replaces arguments of the library by its
+    options: the ``field`` where the source is not a file, and names in `backticks`.
 
     Parameters
     ----------
@@ -24,41 +25,41 @@ class InputError(ValueError):
         super().__init__(" ".join(f"{source}: {field}: {problem}; {remedy}".split()))
 
     def __reduce__(self):
-        """Its parts, so that one that was raised in another process arrives."""
+        """Its parts, so that it can be sent from one process to another."""
         return type(self), (self.source, self.field, self.problem, self.remedy)
 
 
 class InterruptedRunError(RuntimeError):
-    """A long run stopped on the way; what was finished is kept and the message says how to go on (exit code 1)."""
+    """A long run stopped early; finished work is kept and the message states how to resume (exit code 1)."""
 
 
 def require_number(source: str, field: str, value) -> None:
     """Raise InputError unless ``value`` is a real number."""
     if not isinstance(value, Real):
-        raise InputError(source, field, f"{value!r} is no number", "give a number")
+        raise InputError(source, field, f"{value!r} is not a number", "give a number")
 
 
 def require_whole(source: str, field: str, value, least: int) -> None:
-    """Raise InputError unless ``value`` is a whole number from ``least`` up that kernels can count to."""
+    """Raise InputError unless ``value`` is a whole number from ``least`` to the largest that kernels can count to."""
     if not isinstance(value, Integral) or isinstance(value, bool) or not least <= value < 2**31:
         raise InputError(source, field, f"{value!r}", f"give a whole number from {least} up, below 2**31")
 
 
 def real_array(source: str, field: str, value, remedy: str, kinds: str = "fiu") -> np.ndarray:
-    """``value`` as an array of real numbers. Raises InputError for rows of unlike lengths, text, booleans and complex numbers,
-    which NumPy would make into something else.
+    """``value`` as an array of real numbers. Raises InputError for rows of different lengths, text, booleans and complex
+    numbers, which NumPy would convert.
 
     kinds  NumPy's letters for what is allowed, ``b`` for booleans
     """
     try:
         array = np.asarray(value)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(source, field, "no array: rows of unlike lengths, or no numbers", remedy) from None
+        raise InputError(source, field, "not an array: rows of different lengths, or not numbers", remedy) from None
     if array.dtype.kind not in kinds:
         raise InputError(source, field, f"dtype {array.dtype} is not numeric", remedy)
     return array
 
 
 def system_reason(error: Exception) -> str:
-    """What the system says of a file that cannot be read or written, in lower case, for an InputError's problem."""
+    """The system's reason why a file cannot be read or written, in lower case, as an InputError's problem."""
     return (getattr(error, "strerror", None) or str(error)).lower()

@@ -31,7 +31,7 @@ class Axis:
 
     @property
     def unit(self) -> str:
-        """``mm³``, or nothing for a ratio."""
+        """``mm³``, or empty for a ratio."""
         return UNITS[self.name]
 
     @property
@@ -155,7 +155,7 @@ class Grid:
 
     @classmethod
     def from_dict(cls, content: dict, source: str = "grid") -> "Grid":
-        """The grid that :meth:`as_dict` wrote. Raises InputError where ``content`` is none."""
+        """The grid that :meth:`as_dict` wrote. Raises InputError where ``content`` does not describe a grid."""
         try:
             axes = tuple(Axis(str(axis["name"]), axis["values"], bool(axis["log"])) for axis in content["axes"])
             bend_12 = float(content["bend_12"])
@@ -166,10 +166,10 @@ class Grid:
 
 @dataclass(frozen=True)
 class Interval:
-    """What a landscape says about one parameter: its value in the best cell, and the range that is nearly as good.
+    """One parameter in a landscape: its value in the best cell, and the range that fits nearly as well.
 
-    The range ends half-way to the nearest cells that are not: the grid cannot tell more. ``low_is_open`` and
-    ``high_is_open``: it reaches the grid's edge, so beyond it may be as good.
+    The range ends half-way to the nearest cells outside it, as precisely as the grid allows. ``low_is_open`` and
+    ``high_is_open``: it reaches the grid's edge, and values beyond may fit as well.
     """
 
     name: str
@@ -213,8 +213,8 @@ def valley(grid: Grid, mean_distance: np.ndarray, fraction: float = 0.05) -> tup
     return tuple(intervals)
 
 
-def parse_axis(option: str, text: str, source: str = "command line") -> Axis:
-    """``LO:HI:N[:log|:lin]`` or one number to the axis that ``option`` names (``--twist-ratio``: twist_ratio).
+def parse_axis(option: str, text: str, source: str = "grid") -> Axis:
+    """``LO:HI:N[:log|:lin]`` or one number to the axis that ``option`` names (``twist_ratio`` or ``--twist-ratio``).
 
     Raises InputError for anything that is no such text, and for grids of no cells.
     """
@@ -228,7 +228,7 @@ def parse_axis(option: str, text: str, source: str = "command line") -> Axis:
     return axis
 
 
-def parse_bend(text: str, option: str = "--bend", source: str = "command line") -> tuple[tuple[Axis, ...], float]:
+def parse_bend(text: str, option: str = "bend", source: str = "grid") -> tuple[tuple[Axis, ...], float]:
     """``A``, ``A1,A2``, ``A1,A2,A12`` or a range ``LO:HI:N`` to the axes of B and its off-diagonal entry.
 
     Raises InputError for anything else and for a B that is not positive definite.
@@ -242,6 +242,19 @@ def parse_bend(text: str, option: str = "--bend", source: str = "command line") 
     if not (first > 0 and second > 0 and mixed**2 < first * second):
         raise _indefinite(source, option, first, second, mixed)
     return (Axis("bend_1", first), Axis("bend_2", second)), mixed
+
+
+def parse_axes(texts: dict[str, str], source: str = "grid", prefix: str = "") -> tuple[list[Axis], float]:
+    """The axes that ``texts`` give by their names, and the off-diagonal entry of B; messages name ``prefix`` and the axis."""
+    axes, bend_12 = [], 0.0
+    for name, text in texts.items():
+        option = name if not prefix else prefix + name.replace("_", "-")
+        if name == "bend":
+            found, bend_12 = parse_bend(text, option, source)
+            axes += found
+        else:
+            axes.append(parse_axis(option, text, source))
+    return axes, bend_12
 
 
 def _indefinite(source: str, option: str, first: float, second: float, mixed: float) -> InputError:
@@ -305,7 +318,7 @@ def _check_values(source: str, axis: Axis, option: str | None = None) -> None:
     if not np.isfinite(values).all() or (np.diff(values) <= 0).any():
         raise InputError(source, name, f"{values.tolist()} are not increasing finite numbers", _FORM)
     if axis.name in ("bend", "bend_1", "bend_2", "twist") and 0 < values[0] < 1 / LARGEST:
-        raise InputError(source, name, f"{values[0]:g} is below {1 / LARGEST:g}", "give a stiffness that numbers can hold")
+        raise InputError(source, name, f"{values[0]:g} is below {1 / LARGEST:g}", f"give {1 / LARGEST:g} or more")
     if values[0] < 0 or (values[0] == 0 and axis.name != "weight"):
         raise InputError(source, name, f"{values[0]:g} is not {'zero or ' * (axis.name == 'weight')}positive",
                          "give positive values")

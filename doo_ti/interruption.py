@@ -1,6 +1,6 @@
-"""Ctrl-C, and being told to end, as a KeyboardInterrupt that comes up where commands expect one.
+"""Ctrl-C and SIGTERM as a KeyboardInterrupt that is raised where commands expect one.
 
-Raised wherever the program happens to be it could be taken for a failed import, or be lost in a destructor.
+Raised anywhere, it could be mistaken for a failed import, or be lost in a destructor.
 """
 
 import os
@@ -12,15 +12,15 @@ from threading import Timer, current_thread, main_thread
 from types import FrameType
 
 AGAIN_SECONDS = 0.05
-"""After which a signal that cannot be used where it came is sent again."""
+"""After which a signal that arrived where it cannot be used is sent again."""
 MOST_POSTPONED = 200
-"""Times in succession: no import takes so long, but one that runs the program."""
+"""Times in succession: only an import that runs the program takes longer."""
 
 _postponed = 0
 
 
 def before_anything_is_begun() -> bool:
-    """Have Ctrl-C end the process on the spot; False where whoever started this process has it ignored."""
+    """Have Ctrl-C end the process immediately; False where the process was started with Ctrl-C ignored."""
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return False
     signal.signal(signal.SIGINT, _end)
@@ -28,7 +28,7 @@ def before_anything_is_begun() -> bool:
 
 
 def while_running(interruptible: bool) -> None:
-    """Have both signals raise KeyboardInterrupt: what is done is kept, and the way to go on is printed."""
+    """Have both signals raise KeyboardInterrupt: finished work is kept, and the way to resume is printed."""
     if interruptible:
         signal.signal(signal.SIGINT, _interrupt)
     signal.signal(signal.SIGTERM, _interrupt)
@@ -36,16 +36,16 @@ def while_running(interruptible: bool) -> None:
 
 
 def when_all_is_done() -> None:
-    """Have Ctrl-C do nothing any more: the process is about to end."""
+    """Ignore Ctrl-C from now on: the process is about to end."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
 def kept_from_children() -> Iterator[None]:
-    """Start processes inside: Ctrl-C, which a terminal sends to them as well, is for their parent alone, who ends them.
+    """Start processes inside: they ignore Ctrl-C, which a terminal sends to them too; their parent ends them.
 
-    The parent hears of it, and of being told to end, afterwards: whatever thread of its own receives a signal, Python raises in
-    the main one, and there in the midst of starting a process, which then ends with a traceback or is never heard of again.
+    The parent handles Ctrl-C and SIGTERM only when the block ends: Python would raise in its main thread while that starts a
+    process, which would then end with a traceback or stay behind.
     """
     postponed: list[int] = []
     before = {}
@@ -90,7 +90,7 @@ def _is_importing(frame: FrameType | None) -> bool:
 
 
 def _not_lost(unraisable) -> None:
-    """As Python's own hook, for what cannot be raised where it came up, but for an interruption."""
+    """Python's own hook for exceptions that cannot be raised, except that an interruption is sent again."""
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
         _send_again(signal.SIGINT)
     else:

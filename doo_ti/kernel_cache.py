@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 from struct import Struct
 
-from doo_ti.whole_file import write_whole
+from doo_ti.io.files import write_whole
 
 TABLE, LOCK = "ticache.tcb", "ticache.lock"
 WRITING_SECONDS = 60

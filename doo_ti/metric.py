@@ -9,8 +9,8 @@ import numpy as np
 import taichi as ti
 
 from doo_ti import runtime
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
+from doo_ti.io.observations import Observations
 from doo_ti.physics.quaternion import first_director, tangent
 from doo_ti.types import Configuration
 
@@ -45,7 +45,7 @@ def distance(configuration: Configuration, observations: Observations, index=Non
     if not (isinstance(frame_weight, int | float | np.number) and 0 <= frame_weight < np.inf):
         raise InputError("distance", "frame_weight", f"{frame_weight!r} is no length", "give zero or a positive number of mm")
     if frame_weight > 0 and observations.frames is None:
-        raise InputError(observations.source, "frames", "missing, but a frame weight is given", "use --frame-weight 0")
+        raise InputError(observations.source, "frames", "missing, but a frame weight is given", "give `frame_weight` 0")
     runtime.start()
     result = np.empty(configuration.count)
     frames = observations.frames

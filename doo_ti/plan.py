@@ -1,25 +1,24 @@
 """Which configurations to measure: how strongly each informs α, β and μ, and in which order they narrow Θ down most.
 
-At an equilibrium the sensitivity J = ∂x*/∂log Θ says how far the marks move when a parameter grows by a factor e. Θ is not
-known before the experiment, so J is taken in every cell of a grid, the prior: a rod that is near its snap in one cell must
-not speak for all.
+At an equilibrium the sensitivity J = ∂x*/∂log Θ is how far the marks move when a parameter grows by a factor e. Θ is not
+known before the experiment, so J is computed in every cell of a grid, the prior: a rod close to a snap in one cell must
+not dominate.
 
-How fast Θ is narrowed down depends on what else is unknown. So the order is that of the model which ``refine`` fits: clips of
-unknown length, rest curvature, clamps that are off (:mod:`doo_ti.refinement`), all of them integrated out; in cells evenly
-taken from the grid.
+How fast Θ is narrowed down depends on what else is unknown. So configurations are ranked with the model that ``refine`` fits,
+with clips of unknown length, rest curvature and clamp errors (:mod:`doo_ti.refinement`) integrated out; in some cells of the
+grid, evenly spread.
 
-Axes: G grid cells, C cells of those, D configurations, P parameters, Q of them asked, U unknowns with the asked ones first, K
-picks.
+Axes: G grid cells, C cells of those, D configurations, P parameters, Q of them unknown, U unknowns with those first, K picks.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.dataset import LEAST_SIGMA_MM, MOST_SIGMA_MM, Observations
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
-from doo_ti.progress import progress
+from doo_ti.io.observations import LEAST_SIGMA_MM, MOST_SIGMA_MM, Observations
+from doo_ti.io.scene import Synthesis
 from doo_ti.refinement.evidence import information
 from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.refine import FEWEST_EDGES, MOST_EDGES
@@ -29,33 +28,33 @@ from doo_ti.refinement.unknowns import Theta, Unknowns
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import sensitivity
-from doo_ti.scene import Synthesis
 from doo_ti.start import check_experiment, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.synthesis import synthesise
+from doo_ti.terminal import progress
 from doo_ti.types import Clamp
 
 CHUNK_RODS = 4096
 MOST_RODS = 1_000_000
 MOST_CELLS = 24
-"""Cells in which everything that is unknown is looked at."""
+"""Cells in which the information about all unknowns is computed."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What each configuration would tell.
+    """How informative each configuration is.
 
     parameters   names of Θ's parameters: bend, or bend_1 and bend_2, then twist and weight
     strength     (D, P) mm by which a mark moves, root mean square over the rod, when the parameter grows by a factor e:
                  the median over the grid. NaN where no cell gives an equilibrium
     total        (D,) mm, the same over all parameters that the grid varies, together: root of the sum of squares
     order        (K,) rows of the configurations, the one to measure first at the front
-    volume       (K,) what is left of the prior's confidence region, by its volume (geometric mean over the grid), after
-                 measuring so many of them
-    sensed       (D,) cells in which the rod comes to a certified equilibrium; the other cells say nothing
+    volume       (K,) volume of the confidence region after measuring so many of them, relative to the prior's (geometric
+                 mean over the grid)
+    sensed       (D,) cells in which the rod has a certified equilibrium; the other cells do not count
     cells        G
     information  (C, D, U, U) of one measurement about all unknowns, the logarithms of the Q parameters in ``asked`` first; zero
-                 where the rod comes to no certified equilibrium
-    prior        (U, U) what is known of them before
+                 where the rod has no certified equilibrium
+    prior        (U, U) information about them before any measurement
     asked        indices of the parameters that the grid varies
     """
 
@@ -72,15 +71,15 @@ class Plan:
 
     @property
     def least(self) -> int:
-        """The configuration that tells least; one that comes to no equilibrium anywhere tells nothing."""
+        """The least informative configuration; one without equilibrium in any cell is not informative at all."""
         return int(np.argmin(np.nan_to_num(self.total)))
 
 
 def planned(synthesis: Synthesis) -> Observations:
-    """The configurations that an experiment would go through: every end distance with every end rotation of the recipe.
+    """The configurations of a planned experiment: every end distance with every end rotation of the recipe.
 
-    They are of the model that is fitted, straight at rest and without label noise, under the recipe's Θ: a guess, which
-    decides the branch that each rod is on and nothing else. Raises InterruptedRunError where the rod cannot be carried there.
+    They are computed with the fitted model, straight at rest and without label noise, for the recipe's Θ: a guess, which only
+    decides the branch that each rod is on. Raises InterruptedRunError where the rod cannot be carried there.
     """
     spacing = synthesis.length_mm / (synthesis.marks - 1)
     return synthesise(replace(
@@ -92,13 +91,13 @@ def plan(
     configurations: Observations, grid: Grid, *, sigma: float, picks: int = 10, clamp_start: Clamp | None = None,
     clamp_end: Clamp | None = None, measured=(),
 ) -> Plan:
-    """Rank ``configurations``, observed or planned, by what measuring them would tell about Θ.
+    """Rank ``configurations``, observed or planned, by how much measuring them would tell about Θ.
 
     configurations  clamps and shapes to start from, as for a sweep
     grid            the prior: Θ is in one of its cells, each as likely as the others
     sigma           label uncertainty, mm
     picks           K, configurations to rank, none twice
-    measured        rows that are measured already: they count, and are not picked
+    measured        rows that are measured already: their information counts, and they are not picked
 
     The order is greedy in the mean over the cells of log det of the information about the logarithms of the parameters that
     the grid varies, on top of a prior as wide as the grid (Bayesian D-optimality), everything else that ``refine`` learns
@@ -128,7 +127,7 @@ def plan(
 
 
 def _asked(grid: Grid, parameters: tuple[str, ...]) -> tuple[int, ...]:
-    """The parameters that vary over the grid. Raises InputError where none does, or all do: they share a scale."""
+    """The parameters that vary over the grid. Raises InputError where none does, or all do, as they share a scale."""
     values = grid.cell_values() | ({"bend": grid.cell_values()["bend_1"]} if grid.is_isotropic else {})
     asked = tuple(k for k, name in enumerate(parameters) if np.ptp(values[name]) > 0)
     if not asked:
@@ -137,16 +136,16 @@ def _asked(grid: Grid, parameters: tuple[str, ...]) -> tuple[int, ...]:
         raise InputError(grid.source, "weight", "varied beside all others", "only ratios matter: keep one parameter fixed")
     logs = np.log(_values(grid, slice(None), [parameters[k] for k in asked]))
     if np.linalg.matrix_rank(logs - logs.mean(axis=0), tol=1e-9) < len(asked):
-        raise InputError(grid.source, "twist", "rides on bend, so that no observation tells them apart",
-                         "give --twist a number, or --twist-ratio a range")
+        raise InputError(grid.source, "twist", "proportional to bend, so that observations cannot separate them",
+                         "give `twist` a number, or `twist_ratio` a range")
     return asked
 
 
 def _moved(configurations: Observations, clamps, grid: Grid, parameters) -> np.ndarray:
-    """(G, D, P, P) Jᵀ J over the valid marks, mm², NaN where a rod comes to no certified equilibrium."""
+    """(G, D, P, P) Jᵀ J over the valid marks, mm², NaN where a rod has no certified equilibrium."""
     index, turns = turn_hypotheses(configurations, clamps)
     if len(index) > configurations.count:
-        # Nobody knows the turns of a rod that is not measured yet: the half turn nearest to none.
+        # The whole turns of a rod that is not measured yet are unknown: take none.
         turns = np.zeros(configurations.count, dtype=np.int64)
     starts = start_configuration(configurations, clamps, turns)
     count = configurations.count
@@ -208,8 +207,8 @@ def _information(seen: Observations, clamps, grid: Grid, names: tuple[str, ...])
 
 
 def _greedy(information: np.ndarray, prior: np.ndarray, asked: int, measured: list[int], picks: int):
-    """(K,) rows in the order of a greedy search, and (K,) the volume of the region of the first ``asked`` unknowns that is
-    left, relative to the start's."""
+    """(K,) rows in the order of a greedy search, and (K,) the volume of the confidence region of the first ``asked`` unknowns,
+    relative to that at the beginning."""
     def about(known: np.ndarray) -> np.ndarray:
         """ln det of the information about the asked unknowns, the others integrated out."""
         return np.linalg.slogdet(known)[1] - np.linalg.slogdet(known[..., asked:, asked:])[1]

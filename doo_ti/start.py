@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
 from doo_ti.frames import (
     across,
@@ -17,6 +16,7 @@ from doo_ti.frames import (
     smallest_rotation,
     turned_about_tangent,
 )
+from doo_ti.io.observations import Observations
 from doo_ti.types import Clamp, Clamps, Configuration
 
 MOST_LENGTHS = 2.0
@@ -57,7 +57,7 @@ def check_experiment(observations: Observations, clamps: Clamps, weight: float, 
     if weight > 0 and free.any():
         raise InputError(observations.source, "clamps", "both ends are free and the rod has weight", "hold one end")
     if frame_weight > 0 and observations.frames is None:
-        raise InputError(observations.source, "frames", "missing, but a frame weight is given", "use --frame-weight 0")
+        raise InputError(observations.source, "frames", "missing, but a frame weight is given", "give `frame_weight` 0")
     clamped = sum(np.asarray(kind) >= Clamp.TANGENT for kind in (clamps.start, clamps.end))
     if (observations.edges - clamped < 2).any():
         raise InputError(observations.source, "vertices_mm", f"{observations.edges} edges, too few of them free to relax",
@@ -123,7 +123,7 @@ def turn_hypotheses(observations: Observations, clamps: Clamps) -> tuple[np.ndar
 
     The turns are added to the angle in (−π, π] that the clamped frames leave. Between two whole frames without a hint
     they may be −1, 0 or +1, one rod each; a hint (``total_twist``) gives the one turn nearest to it; measured
-    ``frames`` carry their own turns and a spin-free end has none, so there it is 0.
+    ``frames`` contain their own turns and an end that rolls freely has none, so there it is 0.
     """
     both = np.broadcast_to(_holds_spin(clamps.start) & _holds_spin(clamps.end), observations.count)
     turns = np.zeros(observations.count, dtype=np.int64)
@@ -173,7 +173,7 @@ def start_configuration(
     """The start Γ of D rods: observed edge directions, rest lengths, and frames that meet the clamped ones.
 
     Between two whole frames the total twist is the angle that the parallel-transported m1 of the first edge lacks to
-    the last edge's, plus ``turns`` (D,) whole turns, spread in proportion to l̄_i; a spin-free end leaves no twist.
+    the last edge's, plus ``turns`` (D,) whole turns, spread in proportion to l̄_i; an end that rolls freely leaves no twist.
     Without ``turns`` the turn is the one nearest to the hint, and 0 without one. Measured ``frames`` are started from
     as they are. Missing marks are interpolated along the rod. The chain keeps the rest lengths, so its far end need
     not meet the clamp: F closes it. For several hypotheses per observation take the rows first:
@@ -217,7 +217,7 @@ def fill_missing(observations: Observations) -> np.ndarray:
 
 def _check_clamp(observations: Observations, end: str, kind: Clamp, has_frame: bool) -> None:
     if kind == Clamp.FRAME and not has_frame:
-        raise InputError(observations.source, f"{end}_frame", f"missing, but --clamp-{end} frame needs it",
+        raise InputError(observations.source, f"{end}_frame", f"missing, but `clamp_{end}` frame needs it",
                          f"add {end}_frame (D, 3, 3), or clamp that end's tangent or position")
     needed = 0 if kind == Clamp.FREE else 1 if kind == Clamp.POSITION or has_frame else 2
     for step in range(needed):
@@ -226,7 +226,7 @@ def _check_clamp(observations: Observations, end: str, kind: Clamp, has_frame: b
         if len(missing):
             raise InputError(observations.source, "valid",
                              f"vertex {vertex} of observation {missing[0]} is missing, but the {end} clamp rests on it",
-                             f"leave the observation out, or use --clamp-{end} free")
+                             f"leave the observation out, or give `clamp_{end}` free")
 
 
 def _end_positions(observations: Observations, end: str) -> np.ndarray:
@@ -263,7 +263,7 @@ def _bishop(observations: Observations, clamps: Clamps) -> np.ndarray:
 
 
 def _closing_angle(bishop: np.ndarray, clamps: Clamps) -> np.ndarray:
-    """(D,) angle in (−π, π] from the last twist-free m1 to the last clamped m1; 0 where its spin is free."""
+    """(D,) angle in (−π, π] from the last twist-free m1 to the last clamped m1; 0 where it rolls freely."""
     angle = angle_about(bishop[:, -1, :, 0], bishop[:, -1, :, 1], clamps.end_frame[..., 1])
     return np.where(_holds_spin(clamps.end), angle, 0.0)
 
@@ -274,7 +274,7 @@ def _twist_angles(bishop: np.ndarray, clamps: Clamps, rest_length: np.ndarray, t
     spread = rest_length[:-1] + rest_length[1:]
     share = np.concatenate([[0.0], np.cumsum(spread) / spread.sum()])
     both = _holds_spin(clamps.start) & _holds_spin(clamps.end)
-    # With the start's spin free the whole rod turns to meet the end's frame, without twist.
+    # Where the start rolls freely the whole rod turns to meet the end's frame, without twist.
     total = np.where(both, closing + 2 * np.pi * turns, 0.0)
     offset = np.where(both, 0.0, closing)
     return offset[:, None] + total[:, None] * share

@@ -1,17 +1,15 @@
-"""The virtual lab: the paper's experiment (§V-A) on rods we make ourselves.
+"""The virtual lab: the paper's experiment (§V-A) on computed rods.
 
 A rod of fine edges, a little curved at rest, hangs between two clips. The far clip is brought to each end distance and
-turned through the end rotations, quasi-statically, as in the paper; its marks are then read off with label noise. Nothing
-of that is in the model that is fitted, whose edges are longer, straight at rest and clamped at single edges. On request the
-real clips are tilted and displaced, each by itself, while the poses of ideal ones are reported (:mod:`doo_ti.clip_errors`).
+turned through the end rotations, quasi-statically, as in the paper; the positions of the marks are then recorded with label
+noise. The fitted model has none of that: its edges are longer, straight at rest, and its clamps hold single edges. The real
+clips may be tilted and displaced independently, while the poses of ideal ones are reported (:class:`ClipErrors`).
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.clip_errors import ClipErrors
-from doo_ti.dataset import Observations
 from doo_ti.errors import InterruptedRunError
 from doo_ti.frames import (
     bishop_frames,
@@ -19,15 +17,74 @@ from doo_ti.frames import (
     quaternion_from_matrix,
     quaternion_of_turn,
     quaternion_product,
+    rotation_matrix,
     smallest_rotation,
     total_twist,
 )
+from doo_ti.io.observations import Observations
+from doo_ti.io.scene import Synthesis
 from doo_ti.motion.path import LARGEST_TURN, carried_clamps, carry, motion_between
-from doo_ti.scene import Synthesis
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
 
 APPROACH_STEPS = 60
 STEP_MM = 1.0
+CLIP_STREAM = 1
+"""Key of the clip errors' own random generator: rest curvature and label noise of a seed do not depend on them."""
+
+
+@dataclass(frozen=True)
+class ClipErrors:
+    """How the two clips really hold a rod in D observations, the start's clip before the end's: tilted, and displaced from the
+    pose that is reported. With the ideal clip's frame F and the outer end x of the rod in it, the real clip has
+
+        F' = F exp([0, a, b])    x' = x + F (0, c, d)
+
+    with tilts a, b (rad) about m1 and m2 and offsets c, d (mm) along them: the error turns with the clip.
+
+    tilt     (2, 2) rad, about m1 and m2, the same in all observations
+    offset   (2, 2) mm, along m1 and m2, likewise
+    scatter  (D, 2, 2) rad, added to ``tilt``, different in each observation
+    """
+
+    tilt: np.ndarray
+    offset: np.ndarray
+    scatter: np.ndarray
+
+    @staticmethod
+    def drawn(seed: int, count: int, *, tilt: float, offset: float, scatter: float) -> "ClipErrors":
+        """Gaussian errors for ``count`` observations; standard deviations of each component in rad and mm."""
+        random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(CLIP_STREAM,)))
+        return ClipErrors(tilt * random.normal(size=(2, 2)), offset * random.normal(size=(2, 2)),
+                          scatter * random.normal(size=(count, 2, 2)))
+
+    @property
+    def vary(self) -> bool:
+        """Whether they differ from observation to observation."""
+        return bool(self.scatter.any())
+
+    @property
+    def any(self) -> bool:
+        """Whether there are errors at all."""
+        return bool(self.tilt.any() or self.offset.any()) or self.vary
+
+    def held(self, ideal: Clamps, reach: tuple[float, float], rows: slice | None = None) -> Clamps:
+        """The real clamps (R) of ideal ones (R).
+
+        reach  mm from the rod's outer ends to the vertices that ``ideal`` names, along the rod
+        rows   observations whose scatter is added, R of them; None: the constant errors alone
+        """
+        tilt = self.tilt if rows is None else self.tilt + self.scatter[rows]
+        start = _real_clip(ideal.start_position, ideal.start_frame, reach[0], tilt[..., 0, :], self.offset[0])
+        end = _real_clip(ideal.end_position, ideal.end_frame, -reach[1], tilt[..., 1, :], self.offset[1])
+        return replace(ideal, start_position=start[0], start_frame=start[1], end_position=end[0], end_frame=end[1])
+
+
+def _real_clip(position: np.ndarray, frame: np.ndarray, reach: float, tilt: np.ndarray, offset: np.ndarray):
+    """(R, 3) positions ``reach`` along the rod from its outer end, and (R, 3, 3) frames, of one clip."""
+    vector = np.concatenate([np.zeros_like(tilt[..., :1]), tilt], axis=-1)
+    outer = position - reach * frame[..., 0] + frame[..., 1:] @ offset
+    turned = frame @ rotation_matrix(vector)
+    return outer + reach * turned[..., 0], turned
 
 
 def synthesise(synthesis: Synthesis) -> Observations:
@@ -84,7 +141,7 @@ def _rods(synthesis: Synthesis, random: np.random.Generator) -> _Rods:
         places = [f"{place}, {np.degrees(after):g}°" for place in at]
         shapes = seen = _sound(solution, synthesis, places)
         if errors.vary:
-            # The path goes on without it: otherwise one observation's scatter would decide the branch of the next.
+            # The path continues without it: otherwise one observation's scatter would decide the branch of the next.
             here = errors.held(ideal, _reach(synthesis), slice(row * len(at), (row + 1) * len(at)))
             seen = _sound(_moved(shapes, material, clamps, here), synthesis, places)
         vertices.append(_with_clips(synthesis, seen))
@@ -151,7 +208,7 @@ def _reach(synthesis: Synthesis) -> tuple[float, float]:
 
 
 def _brought_to_distances(synthesis: Synthesis, material: Material) -> tuple[Configuration, Clamps]:
-    """One rod per end distance at end rotation 0: from straight, the far clip comes to the largest distance, then closer."""
+    """One rod per end distance at end rotation 0: from straight, the far clip moves to the largest distance, then closer."""
     first = _frame_along(synthesis.start_direction)
     last_tangent = np.array(synthesis.end_direction) / np.linalg.norm(synthesis.end_direction)
     turn = smallest_rotation(first[:, 0], last_tangent)
@@ -187,7 +244,7 @@ def _gap(synthesis: Synthesis) -> float:
 
 
 def _frame_along(direction) -> np.ndarray:
-    """A frame with t along ``direction`` and m1 as near to the y axis as it can be, else to x."""
+    """A frame with t along ``direction`` and m1 as close as possible to the y axis, else to x."""
     t = np.array(direction) / np.linalg.norm(direction)
     across = np.array([0.0, 1.0, 0.0]) if abs(t[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     return bishop_frames(t[None], across - (across @ t) * t)[0]
@@ -213,7 +270,7 @@ def _with_clips(synthesis: Synthesis, shapes: Configuration) -> np.ndarray:
 
 
 def _labelled(synthesis: Synthesis, rods: _Rods, random: np.random.Generator) -> Observations:
-    """What a person would write down: marks with noise, the clips' frames, the twist to the nearest rotation step."""
+    """The observations as a person would record them: marks with noise, the clips' frames, the twist rounded to 30 degrees."""
     spacing = synthesis.length_mm / (synthesis.marks - 1)
     every = round(spacing / synthesis.fine_edge_mm)
     frames, start_frame, end_frame = rods.frames, rods.frames[:, 0], rods.frames[:, -1]
@@ -261,7 +318,7 @@ def _held_marks(synthesis: Synthesis, spacing: float) -> tuple[int, int]:
 def _put_ideal_marks(
     marks: np.ndarray, ideal: Clamps, reach: tuple[float, float], held: tuple[int, int], spacing: float
 ) -> None:
-    """Overwrite in ``marks`` (R, V, 3) those that clips hold: where ideal clips would have them."""
+    """Overwrite in ``marks`` (R, V, 3) those inside clips with where ideal clips would hold them."""
     tangent = ideal.start_frame[:, None, :, 0]
     marks[:, : held[0]] = ideal.start_position[:, None] + (np.arange(held[0])[:, None] * spacing - reach[0]) * tangent
     tangent = ideal.end_frame[:, None, :, 0]

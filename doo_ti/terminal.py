@@ -1,11 +1,11 @@
-"""Text for terminals: what a name holds is shown, never obeyed.
+"""What a terminal shows: names from files made harmless, progress bars and what is being done.
 
 Names of materials, files and cameras come from others; an escape sequence in one could clear the screen or forge a line.
 """
 
 
 def visible(text: str) -> str:
-    """``text`` with control characters, and those that turn the direction of writing, written as ``\\x1b``; line ends stay."""
+    """``text`` with control characters, and those that turn the direction of writing, as ``\\x1b``; line ends stay."""
     if text.isprintable():
         return text
     return "".join(sign if sign.isprintable() or sign == "\n" else sign.encode("unicode_escape").decode() for sign in text)
@@ -28,3 +28,40 @@ class VisibleStream:
 
     def __getattr__(self, name: str):
         return getattr(self._stream, name)
+
+
+def busy(doing: str):
+    """A context in which a terminal shows what is being done."""
+    from rich.console import Console
+    from rich.text import Text
+
+    return Console(stderr=True).status(Text(visible(doing)))  # as Text: [markup] in a string would be obeyed
+
+
+def progress(*, keep: bool = False):
+    """A progress bar on standard error as a context: how much of how much is done, the rate and the time left. Work is added
+    with ``bar.add_task("growth", total=320, unit="edges")``.
+
+    keep  True: the last state of the bar stays, also in a file. False: it is shown on a terminal only, and removed at the end
+
+    The rate is in units per second, unless the task's field ``rate`` gives another text.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.text import Text
+
+    class Rate(ProgressColumn):
+        def render(self, task) -> Text:
+            speed = task.finished_speed or task.speed
+            speed = "" if speed is None else f"{speed:,.{0 if speed >= 10 else 2}f} {task.fields['unit']}/s"
+            return Text(task.fields.get("rate", speed))
+
+    class Description(ProgressColumn):
+        """A name may hold [markup] and escape sequences, which are shown as they are."""
+
+        def render(self, task) -> Text:
+            return Text(visible(task.description))
+
+    console = Console(stderr=True)
+    columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[unit]}"), Rate(), TimeRemainingColumn()
+    return Progress(Description(), *columns, console=console, transient=not keep, disable=not (keep or console.is_terminal))

@@ -5,8 +5,8 @@ import pytest
 
 from doo_ti import Clamp, InputError, Material, relax
 from doo_ti.cli import main
+from doo_ti.commands.options import grid
 from doo_ti.grid import parse_axis
-from doo_ti.options import grid
 from doo_ti.physical_units import stiffness, weight_per_length
 from doo_ti.types import Clamps, Configuration
 
@@ -58,7 +58,7 @@ def options(**given):
     """What the parser makes of a material's options."""
     from argparse import ArgumentParser
 
-    from doo_ti.commands.arguments import add_material
+    from doo_ti.commands.options import add_material
 
     parser = ArgumentParser()
     add_material(parser, "")

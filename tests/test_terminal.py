@@ -6,9 +6,7 @@ import sys
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.commands.printing import busy
-from doo_ti.progress import progress
-from doo_ti.terminal import in_line, visible
+from doo_ti.terminal import busy, in_line, progress, visible
 from tests.cli.test_bad_input import MATERIAL, npz_bytes
 
 NAME = "a\x1b[2J\x9b1m\u202e[red]b[/red]"

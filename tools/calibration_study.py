@@ -32,9 +32,9 @@ if not __package__:
     sys.path.insert(0, str(ROOT))
 
 from doo_ti import runtime  # noqa: E402
-from doo_ti.dataset import write_whole  # noqa: E402
 from doo_ti.errors import InputError  # noqa: E402
-from doo_ti.progress import progress  # noqa: E402
+from doo_ti.io.observations import write_whole  # noqa: E402
+from doo_ti.terminal import progress  # noqa: E402
 from tools.calibration.coverage import NAMES, coverage, table  # noqa: E402
 from tools.calibration.fit import fitted  # noqa: E402
 from tools.calibration.picture import calibration_picture  # noqa: E402
@@ -69,7 +69,7 @@ def completed(file: Path, seeds: range, variant: Variant, workers: int) -> list[
     there = {row.key for row in known}
     todo = [seed for seed in seeds if (seed, variant) not in there]
     if todo:
-        with progress(lasting=True) as bar, _pool(min(workers, len(todo))) as pool:
+        with progress(keep=True) as bar, _pool(min(workers, len(todo))) as pool:
             task = bar.add_task(variant.label, total=len(seeds), completed=len(seeds) - len(todo), unit="specimens")
             futures = [pool.submit(studied, seed, variant) for seed in todo]
             try:

@@ -27,12 +27,12 @@ if not __package__:
 
 from doo_ti import load_observations  # noqa: E402
 from doo_ti.grid import Grid, parse_axis  # noqa: E402
+from doo_ti.io.scene import Synthesis  # noqa: E402
 from doo_ti.learning.cross_validation import Scores, cross_validate  # noqa: E402
 from doo_ti.learning.landscape import read_landscape  # noqa: E402
 from doo_ti.learning.partition import partition  # noqa: E402
 from doo_ti.learning.score_table import text  # noqa: E402
 from doo_ti.plan import plan, planned  # noqa: E402
-from doo_ti.scene import Synthesis  # noqa: E402
 from tools.acceptance import Check, table  # noqa: E402
 
 SUTURES = ("nylon", "vicryl", "silk")

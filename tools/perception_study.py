@@ -14,12 +14,12 @@ import numpy as np
 if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from doo_ti.commands.printing import counted  # noqa: E402
+from doo_ti.commands.results import counted  # noqa: E402
+from doo_ti.io.scene import load_scene  # noqa: E402
 from doo_ti.learning.landscape import status_counts  # noqa: E402
 from doo_ti.perception.lab_images import LabRods, lab_rods  # noqa: E402
 from doo_ti.perception.perceive import perceive  # noqa: E402
 from doo_ti.perception.search import PerceptionOptions, Search  # noqa: E402
-from doo_ti.scene import load_scene  # noqa: E402
 from doo_ti.types import Material  # noqa: E402
 from doo_ti.vision.cameras.rig import Rig, load_rig  # noqa: E402
 from doo_ti.vision.detection.detect import Detection, DetectionOptions  # noqa: E402

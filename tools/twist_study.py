@@ -19,12 +19,12 @@ from rich.progress import Progress
 if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from doo_ti.dataset import Observations, load_observations  # noqa: E402
+from doo_ti.io.files import write_whole  # noqa: E402
+from doo_ti.io.observations import Observations, load_observations  # noqa: E402
+from doo_ti.io.scene import load_scene  # noqa: E402
 from doo_ti.learning.landscape import read_landscape  # noqa: E402
-from doo_ti.scene import load_scene  # noqa: E402
 from doo_ti.synthesis import synthesise  # noqa: E402
 from doo_ti.twist.estimation import Verdict  # noqa: E402
-from doo_ti.whole_file import write_whole  # noqa: E402
 from tools.trials.twist import SUCCESS, twist_trials  # noqa: E402
 from tools.trials.twist_picture import angle_errors_picture  # noqa: E402
 

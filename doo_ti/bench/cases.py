@@ -14,7 +14,7 @@ import numpy as np
 
 from doo_ti.bench import clock, workload
 from doo_ti.bench.workload import Rods
-from doo_ti.dataset import Observations
+from doo_ti.io.observations import Observations
 from doo_ti.relaxation import batch
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax

@@ -9,7 +9,7 @@ from doo_ti import runtime
 from doo_ti.bench import clock
 from doo_ti.bench.cases import FINE, Case, Specimens, measure
 from doo_ti.bench.peak import peak_gflops
-from doo_ti.progress import progress
+from doo_ti.terminal import progress
 
 COMPARED = 4096  # rods whose shape in f32 is compared with f64's
 SAME_MM = 0.02
@@ -27,7 +27,7 @@ def begun(rods: Specimens, rounds: int, threads: int | None) -> dict:
 
 def completed(summary: dict, steps: list[Step]) -> dict:
     """The summary after all steps, with their progress on standard error."""
-    with progress(lasting=True) as bar:
+    with progress(keep=True) as bar:
         task = bar.add_task("", total=len(steps), unit="steps", rate="")
         for name, run in steps:
             bar.update(task, description=name)

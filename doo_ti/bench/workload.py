@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.dataset import Observations
+from doo_ti.io.observations import Observations
+from doo_ti.io.scene import Synthesis
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.scene import Synthesis
 from doo_ti.start import observation_clamps, start_configuration
 from doo_ti.synthesis import synthesise
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution

@@ -1,5 +1,5 @@
-"""One module per command: ``declare`` adds its options to the parser, ``run`` does the work and returns the exit code.
+"""The commands: ``declare`` of a module adds their options to the parser, ``run`` does the work and returns the exit code.
 
-``run`` takes the parsed options and the words of the command line: it checks all input, then works, then tells. Heavy modules
-are imported where they are used, so that wrong input is told at once.
+``run`` takes the parsed options and the words of the command line: it checks all input, works, and prints the results. Heavy
+modules are imported where they are used, so that wrong input is reported at once.
 """

@@ -1,31 +1,30 @@
-"""How fast this machine relaxes rods, and how well."""
+"""How fast this machine relaxes rods, and how accurately."""
 
-import json
+import os
 from argparse import Namespace
 
-from doo_ti import options as given
-from doo_ti.commands.arguments import add_json
-from doo_ti.commands.printing import plain
-from doo_ti.whole_file import write_whole
+from doo_ti.commands import options as given
+from doo_ti.commands.results import report, save_json
 
 MOST_ROUNDS = 1000
+MOST_RODS = 1 << 22
+"""Four times as many are relaxed at once to measure the memory they need: some 20 GB."""
 
 
 def declare(add) -> None:
-    parser = add("bench", allow_abbrev=False, help="throughput and accuracy on this machine, one table")
+    parser = given.command(add, "bench", run, "measure throughput and accuracy on this machine, in one table")
     parser.add_argument("--rods", metavar="N", help="rods in the large batches (default 65536)")
     parser.add_argument("--threads", metavar="N", help="threads of the kernels (default: one per processor)")
-    parser.add_argument("--rounds", metavar="N", help="measurements of which the median counts (default 3)")
-    parser.add_argument("--out", metavar="FOLDER", help="folder for bench.json (default: none)")
-    add_json(parser)
-    parser.set_defaults(run=run)
+    parser.add_argument("--rounds", metavar="N", help="measurements, of which the median counts (default 3)")
+    parser.add_argument("--out", metavar="FOLDER", help="folder for bench.json (default: not written)")
 
 
 def run(options: Namespace, words: list[str]) -> int:
     """Throughput and accuracy on this machine; with a folder also as JSON."""
-    rods, threads = given.bench_rods(options.rods, 65_536), given.threads(options.threads)
+    rods = given.whole("--rods", options.rods, 1, MOST_RODS) or 65_536
+    threads = given.whole("--threads", options.threads, 1, os.cpu_count() or 1)
     rounds = given.whole("--rounds", options.rounds, 1, MOST_ROUNDS) or 3
-    out = None if options.out is None else given.output_folder(options.out)
+    out = given.output_folder(options.out)
 
     from doo_ti import runtime
     from doo_ti.bench.cases import Specimens, cases
@@ -38,8 +37,6 @@ def run(options: Namespace, words: list[str]) -> int:
     steps = case_steps(cases(specimens), Reference(runtime.thread_count()))
     summary = completed(summary, [*steps, accuracy_step(specimens)])
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        content = json.dumps(plain(summary), indent=2) + "\n"
-        write_whole(out / "bench.json", lambda file: file.write(content.encode()))
-    print(json.dumps(plain(summary)) if options.json else text(summary))
+        save_json(out / "bench.json", summary)
+    report(options, summary, lambda: [text(summary)])
     return 0

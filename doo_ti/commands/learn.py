@@ -1,37 +1,35 @@
-"""What finished sweeps say about Θ (§III-E), and how far it carries (§V-B, §V-C)."""
+"""Θ from finished sweeps (§III-E), and how well it fits other observations (§V-B, §V-C)."""
 
-import json
 from argparse import Namespace
 from pathlib import Path
 from shutil import get_terminal_size
 
-from doo_ti import options as given
-from doo_ti.commands.arguments import add_json
-from doo_ti.commands.printing import busy, plain, tell_result
+from doo_ti.commands import options as given
+from doo_ti.commands.results import plain, report, run_lines, save_json
 from doo_ti.errors import InputError
+from doo_ti.io.files import write_text
 from doo_ti.learning.cross_validation import Scores, cross_validate
 from doo_ti.learning.landscape import Landscape, read_landscape
 from doo_ti.learning.partition import FACTORS, check_comparable, partition, usual_factors
 from doo_ti.learning.score_table import caption, comma_separated, entries, file_stem, markdown, text
-from doo_ti.terminal import in_line
-from doo_ti.whole_file import write_whole
+from doo_ti.terminal import busy, in_line
 
 
 def declare(add) -> None:
-    parser = add("learn", allow_abbrev=False, help="best parameters of finished sweeps over one grid, and leave-one-out tables")
+    parser = given.command(add, "learn", run,
+                           "print the best parameters of finished sweeps over one grid, and leave-one-out tables")
     parser.add_argument("runs", nargs="+", metavar="RUN", help="folders that sweep wrote")
     parser.add_argument("--by", action="append", metavar="FACTORS",
-                        help=f"a table by some of {', '.join(FACTORS)}, joined by commas; as often as there are to be tables "
+                        help=f"a table by one or more of {', '.join(FACTORS)}, joined by commas; repeat for further tables "
                              "(default: those of the paper that the runs allow)")
-    parser.add_argument("--end-distances", metavar="MM,MM", help="of tables by end distance (default: all)")
-    parser.add_argument("--out", metavar="FOLDER", help="folder for learn.json and the tables as .csv and .md (default: none)")
-    add_json(parser)
-    parser.set_defaults(run=run)
+    parser.add_argument("--end-distances", metavar="MM,MM", help="which ones tables by end distance compare (default: all)")
+    parser.add_argument("--out", metavar="FOLDER",
+                        help="folder for learn.json and the tables as .csv and .md (default: not written)")
 
 
 def run(options: Namespace, words: list[str]) -> int:
     """The best Θ of each run with the ranges that fit nearly as well (§III-E), then leave-one-out tables of all runs."""
-    out = None if options.out is None else given.output_folder(options.out)
+    out = given.output_folder(options.out)
     distances = given.numbers("--end-distances", options.end_distances)
     asked = [tuple(factor.strip() for factor in by.split(",")) for by in options.by or []]
     with busy("reading runs"):
@@ -40,22 +38,21 @@ def run(options: Namespace, words: list[str]) -> int:
     partitions = {found[0].by: found for found in
                   (partition(landscapes, by, distances) for by in asked or usual_factors(landscapes))}
     if distances and not any("end-distance" in by for by in partitions):
-        raise InputError("command line", "--end-distances", "no table is by end distance", "add --by end-distance")
+        raise InputError(given.SOURCE, "--end-distances", "no table is by end distance", "add --by end-distance")
     with busy("cross-validating"):
         tables = {by: [cross_validate(one) for one in found] for by, found in partitions.items()}
+    every = [scores for found in tables.values() for scores in found]
     summary = plain({"runs": [_best_of(landscape) for landscape in landscapes],
-                     "tables": [_as_dict(scores) for found in tables.values() for scores in found]})
+                     "tables": [_as_dict(scores) for scores in every]})
     if out is not None:
         _write(out, summary, tables)
-    if options.json:
-        print(json.dumps(summary))
-        return 0
-    for landscape in landscapes:
-        tell_result(landscape.overview.as_dict())
-    for scores in (scores for found in tables.values() for scores in found):
-        print(f"\n{text(scores, get_terminal_size((120, 24)).columns)}")
-    if out is not None:
-        print(f"\nwritten to {in_line(out)}")
+
+    def lines() -> list[str]:
+        found = [line for landscape in landscapes for line in run_lines(landscape.overview.as_dict())]
+        found += [f"\n{text(scores, get_terminal_size((120, 24)).columns)}" for scores in every]
+        return found if out is None else [*found, f"\nwritten to {in_line(out)}"]
+
+    report(options, summary, lines)
     return 0
 
 
@@ -78,10 +75,7 @@ def _as_dict(scores: Scores) -> dict:
 
 def _write(out: Path, summary: dict, tables: dict[tuple[str, ...], list[Scores]]) -> None:
     """learn.json, and for each partition a CSV and a Markdown file."""
-    files = {"learn.json": json.dumps(summary, indent=2) + "\n"}
+    save_json(out / "learn.json", summary)
     for by, found in tables.items():
-        files[f"{file_stem(by)}.csv"] = comma_separated(found)
-        files[f"{file_stem(by)}.md"] = "\n".join(markdown(scores) for scores in found)
-    out.mkdir(parents=True, exist_ok=True)
-    for name, content in files.items():
-        write_whole(out / name, lambda file, content=content: file.write(content.encode()))
+        write_text(out / f"{file_stem(by)}.csv", comma_separated(found))
+        write_text(out / f"{file_stem(by)}.md", "\n".join(markdown(scores) for scores in found))

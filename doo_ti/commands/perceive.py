@@ -1,6 +1,5 @@
 """Rods from images (§IV-A, Alg. 1)."""
 
-import json
 import os
 from argparse import Namespace
 from concurrent.futures import ThreadPoolExecutor
@@ -8,50 +7,53 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti import options as given
-from doo_ti.commands.arguments import add_json, add_material, add_seen_rod, add_thread
-from doo_ti.commands.perceive_task import RECORDED, Task, checked_task
-from doo_ti.commands.perceive_text import summary_of, tell, verdict_text
-from doo_ti.commands.printing import plain
+from doo_ti.commands import options as given
+from doo_ti.commands.results import counted, report, save_arrays, shortened
+from doo_ti.commands.seen_rods import RECORDED, PerceptionTask, perception_task
 from doo_ti.errors import InputError
-from doo_ti.progress import progress
-from doo_ti.whole_file import write_whole
+from doo_ti.io.files import write_whole
+from doo_ti.learning.landscape import status_counts
+from doo_ti.terminal import in_line, progress
+from doo_ti.types import Status
 
 MARGIN_PX = 60
 """Of the distance maps around what was detected."""
 MOST_MAP_BYTES = 1 << 29
 """Of the distance maps held at once."""
 LEAST_SIGMA_MM = 1e-3
-"""Told of vertices that the seed gives: no observation is exact."""
+"""Stated for vertices that the seed gives: no observation is exact."""
+MOST_LISTED = 60
 
 
 def declare(add) -> None:
-    parser = add("perceive", allow_abbrev=False, help="recover rods from images")
-    parser.add_argument("images", nargs="*", metavar="IMAGE", help="one image per camera of the rig, for a single set")
-    add_seen_rod(parser)
-    parser.add_argument("--sets", metavar="SETS.csv", help="sets of images with their seeds, instead of IMAGEs")
-    parser.add_argument("--seed-point", metavar="X,Y,Z", help="v⁰ of a single set, mm")
-    parser.add_argument("--seed-direction", metavar="X,Y,Z", help="e⁰ of a single set")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write; F.png and F.rrd lie beside it")
-    add_material(parser, "one number each; perceived rods are round")
+    parser = given.command(add, "perceive", run, "recover rods from images (Algorithm 1)")
+    parser.add_argument("images", nargs="*", metavar="IMAGE", help="for a single set: one image per camera of the rig")
+    given.add_seen_rod(parser)
+    parser.add_argument("--sets", metavar="SETS.csv", help="many sets of images with their seeds, instead of IMAGEs")
+    parser.add_argument("--seed-point", metavar="X,Y,Z", help="start v⁰ of the rod in a single set, mm")
+    parser.add_argument("--seed-direction", metavar="X,Y,Z", help="direction e⁰ of the rod at its start in a single set")
+    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write; F.png and F.rrd are written beside it")
+    given.add_material(parser, "one number each; perceived rods are round")
     search = parser.add_argument_group("search")
-    search.add_argument("--nu", metavar="NU", help="ν, 1/(mm px²): weight of the images (default 0.005)")
-    search.add_argument("--hypotheses", metavar="H", help="kept for each set and step (default 40)")
-    search.add_argument("--detector", choices=("ridge", "canny"), default="ridge", help="default ridge; canny is the paper's")
-    add_thread(search)
-    shown = parser.add_argument_group("what is shown")
-    shown.add_argument("--truth", metavar="OBS", help="the true rods, to compare with: observations, by name or in order")
-    shown.add_argument("--no-picture", action="store_true", help="leave out F.png")
-    shown.add_argument("--no-recording", action="store_true", help="leave out F.rrd")
-    shown.add_argument("--recorded", metavar="N", help=f"sets in F.rrd, the first ones (default {RECORDED})")
-    add_json(parser)
-    parser.set_defaults(run=run)
+    search.add_argument("--nu", metavar="NU", help="weight ν of the images against the rod's energy, in 1/(mm px²) "
+                        "(default 0.005)")
+    search.add_argument("--hypotheses", metavar="H", help="hypotheses kept for each set and step (default 40)")
+    search.add_argument("--detector", choices=("ridge", "canny"), default="ridge",
+                        help="how the thread is found in images (default ridge; canny is the paper's)")
+    given.add_thread(search)
+    shown = parser.add_argument_group("pictures and recording")
+    shown.add_argument("--truth", metavar="OBS", help="true rods to compare with: observations, matched by name or in order")
+    shown.add_argument("--no-picture", action="store_true", help="do not write F.png")
+    shown.add_argument("--no-recording", action="store_true", help="do not write F.rrd")
+    shown.add_argument("--recorded-sets", dest="recorded", metavar="N",
+                       help=f"record the first N sets in F.rrd (default {RECORDED})")
+    given.add_old_name(parser, "--recorded", "recorded")
 
 
 def run(options: Namespace, words: list[str]) -> int:
     """Alg. 1 on every set of images; writes rods and runners-up, and prints how sure each set is."""
     out = given.output_file(options.out, ".npz")
-    task = checked_task(options)
+    task = perception_task(options)
     sources = [options.rig, options.sets, options.truth, *(path for line in task.sets.paths for path in line)]
     for path in (out, *(given.output_file(out.with_suffix(suffix), suffix) for suffix in (".png", ".rrd"))):
         for source in filter(None, sources):
@@ -59,20 +61,15 @@ def run(options: Namespace, words: list[str]) -> int:
     with progress() as bar:
         detected = _detected(task, bar)
         found, growth = _perceived(task, detected, bar)
-    result = _arrays(task, found)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(out, lambda file: np.savez_compressed(file, **result))
+    save_arrays(out, _arrays(task, found))
     written = [out, *_shown(options, task, detected, found, growth, out)]
-    summary = summary_of(task, detected, found, written)
-    if options.json:
-        print(json.dumps(plain(summary)))
-    else:
-        tell(summary)
+    summary = _summary(task, detected, found, written)
+    report(options, summary, lambda: _lines(summary))
     return 0 if summary["status"].get("converged") else 1
 
 
-def _detected(task: Task, bar) -> list[list]:
-    """A lists of C detections. Raises InputError for the first image that is none of the rig's or shows no thread."""
+def _detected(task: PerceptionTask, bar) -> list[list]:
+    """A lists of C detections. Raises InputError for the first image that does not fit the rig or shows no thread."""
     from doo_ti.vision.detection.detect import detect
     from doo_ti.vision.detection.images import read_image
 
@@ -97,7 +94,7 @@ def _detected(task: Task, bar) -> list[list]:
     return [detections[row : row + len(cameras)] for row in range(0, len(images), len(cameras))]
 
 
-def _perceived(task: Task, detected: list[list], bar):
+def _perceived(task: PerceptionTask, detected: list[list], bar):
     """(Perception of all sets, GrowthSteps of those that are recorded): in groups whose maps fit into memory."""
     from doo_ti.perception.growth_steps import GrowthSteps
     from doo_ti.perception.perceive import Perception, perceive
@@ -109,7 +106,7 @@ def _perceived(task: Task, detected: list[list], bar):
     shown = bar.add_task("growth", total=sets.count * (edges - 1), unit="edges")
     growth, found = GrowthSteps(task.recorded), []
 
-    def told(first: int, count: int):
+    def advance(first: int, count: int):
         def step(_, kept, pruned) -> None:
             growth.add(first, kept, pruned)
             bar.advance(shown, count)
@@ -119,11 +116,11 @@ def _perceived(task: Task, detected: list[list], bar):
         rows = slice(first, first + together)
         maps = distance_maps(detected[rows], MARGIN_PX)
         found.append(perceive(maps, sets.rig, sets.point[rows], sets.direction[rows], task.rest_length, task.material,
-                              up=task.up, options=task.search, on_step=told(first, len(maps.window))))
+                              up=task.up, options=task.search, on_step=advance(first, len(maps.window))))
     return Perception.joined(found), growth
 
 
-def _arrays(task: Task, found) -> dict[str, np.ndarray]:
+def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
     """What the file holds; docs/perception.md."""
     sound = found.sound[:, None]
     return {
@@ -136,7 +133,7 @@ def _arrays(task: Task, found) -> dict[str, np.ndarray]:
     }
 
 
-def _shown(options: Namespace, task: Task, detected: list[list], found, growth, out: Path) -> list[Path]:
+def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found, growth, out: Path) -> list[Path]:
     """Draw and record what was found, beside ``out``; returns the files."""
     from doo_ti.vision.detection.images import read_image
 
@@ -151,7 +148,7 @@ def _shown(options: Namespace, task: Task, detected: list[list], found, growth, 
         rival = found.runner_up[row, 0] if np.isfinite(found.gap[row]) else None
         truth = None if task.truth is None else task.truth[row]
         return SeenRod(task.sets.names[row], images, marks, found.configuration.vertices[row], rival, truth,
-                       verdict_text(found, row))
+                       _verdict_text(found, row))
 
     if len(there) and not options.no_picture:
         from doo_ti.report import reprojections_picture
@@ -173,3 +170,70 @@ def _shown(options: Namespace, task: Task, detected: list[list], found, growth, 
                           up=task.up)
         written.append(recording)
     return written
+
+
+def _summary(task: PerceptionTask, detected: list[list], found, written: list[Path]) -> dict:
+    """What ``--json`` prints, and the lines for a person are made of."""
+    from doo_ti.perception.perceive import Verdict
+
+    sets = [{
+        "name": name, "status": Status(found.status[row]).name.lower(), "stable": found.stable[row],
+        "energy_vis": found.energy_vis[row], "camera_error_px": found.camera_error[row], "gap_px": found.gap[row],
+        "verdict": Verdict(found.verdict[row]).name.lower(), "unsupported_edges": found.unsupported[row].sum(),
+        "mean_sigma_mm": found.sigma[row].mean() if found.sound[row] else None, **_errors(task, found, row),
+    } for row, name in enumerate(task.sets.names)]
+    return {
+        "sets": sets, "cameras": task.sets.rig.names, "edges": len(task.rest_length),
+        "detected_width_px": np.median([detection.width_px for line in detected for detection in line]),
+        "status": status_counts(found.status),
+        "stable": found.stable.sum(),
+        "not_certified": (~found.sound).sum(),
+        "verdicts": {verdict.name.lower(): (found.verdict == verdict).sum() for verdict in Verdict},
+        "written": [str(path) for path in written],
+    }
+
+
+def _errors(task: PerceptionTask, found, row: int) -> dict:
+    """Distances to the true rod's marks, where it has as many."""
+    if task.truth is None or task.truth.shape[1] != found.vertices.shape[1]:
+        return {}
+    error = np.linalg.norm(found.vertices[row] - task.truth[row], axis=-1)
+    return {"mean_error_mm": error.mean(), "largest_error_mm": error.max()}
+
+
+def _verdict_text(found, row: int) -> str:
+    """``clear, next best 0.31 px worse``."""
+    from doo_ti.perception.perceive import Verdict
+
+    rival = f"next best {found.gap[row]:.2g} px worse" if np.isfinite(found.gap[row]) else "no other rod"
+    return f"{Verdict(found.verdict[row]).name.lower()}, {rival}"
+
+
+def _lines(summary: dict) -> list[str]:
+    sets = summary["sets"]
+    width = max(len(entry["name"]) for entry in sets[:MOST_LISTED])
+    return [
+        f"{len(sets)} sets of {len(summary['cameras'])} images, rods of {summary['edges']} edges; thread "
+        f"{summary['detected_width_px']:.1f} px wide",
+        *shortened([f"  {entry['name']:<{width}}  {_set_text(entry)}" for entry in sets], MOST_LISTED,
+                   "  and {} more, which --json lists"),
+        f"  status      {counted(summary['status'])}; {summary['stable']} certified stable",
+        f"  certified   {len(sets) - summary['not_certified']} of {len(sets)} rods converged to certified minima; "
+        f"{summary['not_certified']} did not",
+        f"  verdicts    {counted(summary['verdicts'])} (docs/perception.md)",
+        *(f"  written to  {in_line(path)}" for path in summary["written"])]
+
+
+def _set_text(entry: dict) -> str:
+    """One set for a person."""
+    pixels = " ".join(f"{max(value, 0.0):.2f}" if np.isfinite(value) else "unseen" for value in entry["camera_error_px"])
+    rival = f"gap {entry['gap_px']:.2g} px" if np.isfinite(entry["gap_px"]) else "no rival"
+    parts = [f"E_vis {entry['energy_vis']:.3g}/mm", f"{pixels} px off", f"{entry['verdict']} ({rival})",
+             "σ unknown" if entry["mean_sigma_mm"] is None else f"σ {entry['mean_sigma_mm']:.2g} mm"]
+    if entry["unsupported_edges"]:
+        parts.append(f"{entry['unsupported_edges']} edges unseen")
+    if entry["status"] != "converged" or not entry["stable"]:
+        parts.append(f"{entry['status'].replace('_', ' ')}{', not certified' * (not entry['stable'])}")
+    if "mean_error_mm" in entry:
+        parts.append(f"error {entry['mean_error_mm']:.3f} mm, at most {entry['largest_error_mm']:.2f}")
+    return "; ".join(parts)

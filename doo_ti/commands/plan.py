@@ -2,48 +2,44 @@
 
 import csv
 import io
-import json
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti import options as given
-from doo_ti.commands.arguments import add_json, add_material
-from doo_ti.commands.experiment import observed
-from doo_ti.commands.printing import plain
-from doo_ti.dataset import Observations, load_observations, write_whole
+from doo_ti.commands import options as given
+from doo_ti.commands.results import observed, report, save_json
 from doo_ti.errors import InputError
-from doo_ti.scene import CLAMPS, Synthesis, load_scene
+from doo_ti.io.files import write_text, write_whole
+from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.terminal import in_line
 
 SIGMA_MM = 0.1
-"""Label uncertainty where nobody says one."""
+"""Label uncertainty where none is given."""
 
 
 def declare(add) -> None:
-    parser = add("plan", allow_abbrev=False, help="rank configurations by what measuring them would tell about the rod")
-    parser.add_argument("source", metavar="SCENE.toml|OBS", help="a scene whose [synthesis] says which clamps can be had, or "
-                        "observations whose clamps they are")
-    add_material(parser, "a number or LO:HI:N[:log|:lin]: what is thought possible; overrides the scene's axis")
-    parser.add_argument("--end-distances", metavar="MM,MM,…", help="in place of the scene's")
-    parser.add_argument("--end-rotations", metavar="DEG,DEG,…", help="in place of the scene's")
+    parser = given.command(add, "plan", run, "rank configurations by how much measuring them would tell about the rod")
+    parser.add_argument("source", metavar="SCENE.toml|OBS", help="a scene whose [synthesis] lists the possible clamp poses, or "
+                        "observations that have them")
+    given.add_material(parser, "a number or LO:HI:N[:log|:lin], the values thought possible; overrides the scene's axis")
+    parser.add_argument("--end-distances", metavar="MM,MM,…", help="instead of the scene's")
+    parser.add_argument("--end-rotations", metavar="DEG,DEG,…", help="instead of the scene's")
     parser.add_argument("--sigma", metavar="MM", help=f"label uncertainty (default: the source's, else {SIGMA_MM:g})")
-    parser.add_argument("--picks", metavar="K", help="configurations to rank (default 10)")
-    parser.add_argument("--measured", metavar="I,I,…", help="configurations, by number, that are measured already")
-    parser.add_argument("--clamp-start", choices=CLAMPS, help="default: frame where it is given, else tangent")
-    parser.add_argument("--clamp-end", choices=CLAMPS, help="default: frame where it is given, else tangent")
-    parser.add_argument("--out", metavar="FOLDER", help="for plan.csv, plan.json and identifiability.png (default: none)")
-    add_json(parser)
-    parser.set_defaults(run=run)
+    parser.add_argument("--picks", metavar="K", help="how many configurations to rank (default 10)")
+    parser.add_argument("--measured", metavar="I,I,…", help="numbers of the configurations that are measured already")
+    given.add_clamps(parser)
+    parser.add_argument("--out", metavar="FOLDER",
+                        help="folder for plan.csv, plan.json and identifiability.png (default: not written)")
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Rank configurations; what the grid holds is the prior."""
+    """Rank configurations; the grid is the prior."""
     scene = load_scene(options.source) if Path(options.source).suffix == ".toml" else None
     grid = given.grid(options, scene.grid if scene else None)
-    out = None if options.out is None else given.output_folder(options.out)
+    out = given.output_folder(options.out)
     picks = given.whole("--picks", options.picks, 1) or 10
     sigma = given.length("--sigma", options.sigma)
     configurations = _configurations(options, scene)
@@ -53,30 +49,26 @@ def run(options: Namespace, words: list[str]) -> int:
 
     from doo_ti.plan import plan
 
-    found = plan(configurations, grid, sigma=sigma, picks=picks, clamp_start=given.clamp(options.clamp_start),
-                 clamp_end=given.clamp(options.clamp_end), measured=measured)
+    clamp_start, clamp_end = given.clamps(options)
+    found = plan(configurations, grid, sigma=sigma, picks=picks, clamp_start=clamp_start, clamp_end=clamp_end,
+                 measured=measured)
     summary = _summary(configurations, found, sigma)
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
         _write(out, configurations, found, summary)
-    if options.json:
-        print(json.dumps(plain(summary)))
-    else:
-        _tell(configurations, found, sigma)
-        if out is not None:
-            print(f"  written to {in_line(out)}")
+    written = [] if out is None else [f"  written to {in_line(out)}"]
+    report(options, summary, lambda: [*_lines(configurations, found, sigma), *written])
     return 0
 
 
 def _configurations(options: Namespace, scene) -> Observations:
-    """What can be measured: the scene's recipe with the given distances and rotations, or the observations themselves."""
+    """What can be measured: the scene's recipe at the given distances and rotations, or the observations themselves."""
     distances = given.numbers("--end-distances", options.end_distances)
     rotations = given.numbers("--end-rotations", options.end_rotations)
     recipe = scene.observations if scene and isinstance(scene.observations, Synthesis) else None
     if recipe is None:
         if distances or rotations:
-            raise InputError("command line", "--end-distances" if distances else "--end-rotations",
-                             "given for observations, whose clamps are what they are", "plan with a scene that has [synthesis]")
+            raise InputError(given.SOURCE, "--end-distances" if distances else "--end-rotations",
+                             "given for observations, whose clamps are fixed", "plan with a scene that has [synthesis]")
         return observed(scene, None) if scene else load_observations(options.source)
 
     from doo_ti.plan import planned
@@ -110,8 +102,7 @@ def _write(out: Path, configurations: Observations, found, summary: dict) -> Non
     """plan.json, plan.csv and identifiability.png."""
     from doo_ti.report import identifiability_picture
 
-    text = json.dumps(plain(summary), indent=2) + "\n"
-    write_whole(out / "plan.json", lambda file: file.write(text.encode()))
+    save_json(out / "plan.json", summary)
     rank = np.full(configurations.count, 0)
     rank[found.order] = 1 + np.arange(len(found.order))
     table = io.StringIO()
@@ -123,26 +114,23 @@ def _write(out: Path, configurations: Observations, found, summary: dict) -> Non
         writer.writerow([row, *("" if values is None else f"{values[row]:g}" for values in labels),
                          *(f"{value:.6g}" for value in (*found.strength[row], found.total[row])), found.sensed[row],
                          rank[row] or ""])
-    write_whole(out / "plan.csv", lambda file: file.write(table.getvalue().encode()))
+    write_text(out / "plan.csv", table.getvalue())
     write_whole(out / "identifiability.png", lambda file: identifiability_picture(
         file, found.parameters, found.strength, rank, configurations.end_distance, configurations.end_rotation))
 
 
-def _tell(configurations: Observations, found, sigma: float) -> None:
+def _lines(configurations: Observations, found, sigma: float) -> list[str]:
     asked = ", ".join(found.parameters[k] for k in found.asked)
-    print(f"{configurations.name}: {configurations.count} configurations over {found.cells} cells, labels to {sigma:g} mm")
-    print("  a mark moves, root mean square along the rod and median over the cells, when a parameter grows by a factor e:")
     names = "".join(f"{name + ' [mm]':>13}" for name in found.parameters)
-    print(f"  {'rank':>4}  {'configuration':18}{names}{'region left':>14}")
-    for place, (row, left) in enumerate(zip(found.order, found.volume, strict=True), 1):
-        _tell_row(configurations, found, str(place), row, f"{left:.2g}")
-    _tell_row(configurations, found, "last", found.least, "least of all")
+    lines = [f"{configurations.name}: {configurations.count} configurations over {found.cells} cells, labels to {sigma:g} mm",
+             "  motion of a mark, rms along the rod and median over the cells, when a parameter grows by a factor e:",
+             f"  {'rank':>4}  {'configuration':18}{names}{'region left':>14}"]
+    ranked = [(str(place), row, f"{left:.2g}")
+              for place, (row, left) in enumerate(zip(found.order, found.volume, strict=True), 1)]
+    for rank, row, left in (*ranked, ("last", found.least, "least of all")):
+        strength = "".join(f"{value:13.3g}" for value in found.strength[row])
+        lines.append(f"  {rank:>4}  {_named(configurations, row):18}{strength}{left:>14}")
     lost = int((found.sensed < found.cells).sum())
     if lost:
-        print(f"  note        {lost} configurations come to no certified equilibrium in some cells, which then say nothing")
-    print(f"  'region left' is the volume of the confidence region of {asked}, over that before")
-
-
-def _tell_row(configurations: Observations, found, rank: str, row: int, left: str) -> None:
-    strength = "".join(f"{value:13.3g}" for value in found.strength[row])
-    print(f"  {rank:>4}  {_named(configurations, row):18}{strength}{left:>14}")
+        lines.append(f"  note        {lost} configurations have no certified equilibrium in some cells, which do not count")
+    return [*lines, f"  'region left': volume of the confidence region of {asked}, relative to that before"]

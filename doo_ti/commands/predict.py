@@ -1,30 +1,27 @@
 """Where rods go when their clamps are moved (§III-D)."""
 
 import hashlib
-import json
 from argparse import Namespace
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti import options as given
-from doo_ti.commands.arguments import MATERIAL, add_json, add_material
-from doo_ti.commands.printing import counted, plain
-from doo_ti.dataset import Observations, load_observations
+from doo_ti.commands import options as given
+from doo_ti.commands.results import counted, report, save_arrays, shortened
 from doo_ti.errors import InputError
+from doo_ti.io.files import write_whole
+from doo_ti.io.motion_file import ClampPath, load_path
+from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.scene import PRECISIONS
 from doo_ti.learning.landscape import status_counts
-from doo_ti.prediction.motion_file import ClampPath, load_path
-from doo_ti.progress import progress
-from doo_ti.scene import CLAMPS, PRECISIONS
 from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
-from doo_ti.terminal import in_line
+from doo_ti.terminal import in_line, progress
 from doo_ti.types import Clamps, Configuration, Material
-from doo_ti.whole_file import write_whole
 
-MOST_TOLD = 30
+MOST_LISTED = 30
 LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0
-"""Of a sub-step: rods that are carried further at once may leave their branch, and less makes no difference."""
+"""Of a sub-step: rods that are carried further at once may leave their branch; smaller steps make no difference."""
 MOST_LENGTHS = 100.0
 """Of a rod, between its clamps."""
 MOST_BYTES = 8 << 30
@@ -36,7 +33,7 @@ class _Task:
     """What to predict: N starts of rods, clamps and motions, or one for all, under G materials.
 
     names  R of the rods, material by material
-    theta  columns of the file that tell the G materials
+    theta  columns of the file that state the G materials
     """
 
     name: str
@@ -51,39 +48,39 @@ class _Task:
 
 
 def declare(add) -> None:
-    parser = add("predict", allow_abbrev=False, help="where rods go when their clamps are moved")
+    parser = given.command(add, "predict", run, "predict where rods go when their clamps are moved")
     parser.add_argument("source", metavar="OBS|SCENE.toml",
-                        help="observations the rods set out from: .npz, .csv or .parquet; or a scene of motion")
+                        help="observations the rods start from: .npz, .csv or .parquet; or a scene of motion")
     parser.add_argument("--motion", metavar="PATH", help="poses of the clamps over time: .npz or .csv")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
-    add_material(parser, "a number or LO:HI:N[:log|:lin]: all materials of the grid at once")
-    parser.add_argument("--relative", action="store_true", help="the motion sets out from where each observation's clamps are")
-    parser.add_argument("--between", metavar="N",
-                        help="steps kept from one moment of the motion to the next (default: 1, or the scene's)")
-    parser.add_argument("--sub-step", metavar="DEG", help="that a clamp turns at most before the rods are relaxed (default 5)")
-    parser.add_argument("--clamp-start", choices=CLAMPS, help="default: frame where it is given, else tangent")
-    parser.add_argument("--clamp-end", choices=CLAMPS, help="default: frame where it is given, else tangent")
-    parser.add_argument("--up", metavar="X,Y,Z", help="direction against gravity (default: the file's, else 0,0,1)")
-    parser.add_argument("--precision", choices=PRECISIONS, default="mixed", help="where rods are kept (default mixed)")
-    parser.add_argument("--picture", metavar="F.png", help="also draw the motion (default: not)")
-    parser.add_argument("--recording", metavar="F.rrd", help="also record it for the viewer (default: not)")
-    add_json(parser)
-    parser.set_defaults(run=run)
+    given.add_material(parser, "a number or LO:HI:N[:log|:lin]: all materials of the grid at once")
+    parser.add_argument("--relative", action="store_true",
+                        help="apply the motion relative to each observation's own clamps, instead of as absolute poses")
+    parser.add_argument("--steps-between", dest="between", metavar="N",
+                        help="predicted steps from one moment of the motion to the next (default: 1, or the scene's)")
+    given.add_old_name(parser, "--between", "between")
+    parser.add_argument("--sub-step", metavar="DEG",
+                        help="largest turn of a clamp before the rods are relaxed again (default 5)")
+    given.add_clamps(parser)
+    given.add_up(parser)
+    parser.add_argument("--precision", choices=PRECISIONS, default="mixed", help="arithmetic on the way (default mixed)")
+    parser.add_argument("--picture", metavar="F.png", help="also draw the motion (default: no)")
+    parser.add_argument("--recording", metavar="F.rrd", help="also record it for the viewer (default: no)")
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Carry all rods along the motion; writes them at its moments and prints where they fell."""
+    """Carry all rods along the motion; writes them at its moments and prints where they jumped."""
     out = given.output_file(options.out, ".npz")
     pictures = {suffix: None if text is None else given.output_file(text, suffix, option)
                 for suffix, text, option in (
                     (".png", options.picture, "--picture"), (".rrd", options.recording, "--recording"))}
-    between = given.whole("--between", options.between, 1)
+    between = given.whole("--steps-between", options.between, 1)
     sub_step = _sub_step(options)
     task = _scene(options) if Path(options.source).suffix == ".toml" else _observed(options, out)
     task = task if between is None else replace(task, between=between)
     rods, intervals = len(task.names), (task.path.moments - 1) * task.between
     if rods * intervals * task.start.edges * 32 > MOST_BYTES:
-        raise InputError("command line", "--between", f"{rods} rods at {intervals + 1} moments are too many to hold",
+        raise InputError(given.SOURCE, "--steps-between", f"{rods} rods at {intervals + 1} moments are too many to hold",
                          "give fewer materials, observations or moments")
 
     from doo_ti.prediction.predict import predict
@@ -93,11 +90,12 @@ def run(options: Namespace, words: list[str]) -> int:
         prediction = predict(task.start, task.material, task.clamps, task.path, sub_step=sub_step, between=task.between,
                              up=task.up, precision=options.precision, advance=lambda done: bar.advance(shown, done))
     result = _arrays(task, prediction)
-    for path in (out, *(path for path in pictures.values() if path is not None)):
+    for path in filter(None, pictures.values()):
         path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(out, lambda file: np.savez_compressed(file, **result))
+    save_arrays(out, result)
     _draw(task, prediction, result, pictures)
-    _tell(options, task, prediction, result, out)
+    report(options, _summary(task, prediction, result, out),
+           lambda: [*_lines(task, prediction, result), f"  written to {in_line(out)}"])
     return 0 if prediction.followed[-1].any() else 1
 
 
@@ -105,20 +103,20 @@ def _sub_step(options: Namespace) -> float:
     """rad."""
     given_degrees = given.numbers("--sub-step", options.sub_step) or (5.0,)
     if len(given_degrees) > 1 or not LEAST_DEGREES <= given_degrees[0] <= MOST_DEGREES:
-        raise InputError("command line", "--sub-step", f"{options.sub_step!r} is out of range",
+        raise InputError(given.SOURCE, "--sub-step", f"{options.sub_step!r} is out of range",
                          f"give one number of degrees from {LEAST_DEGREES:g} to {MOST_DEGREES:g}")
     return np.radians(given_degrees[0])
 
 
 def _scene(options: Namespace) -> _Task:
-    from doo_ti.prediction.motion_scene import load_motion_scene
+    from doo_ti.io.motion_scene import load_motion_scene
 
-    for name in ("motion", *MATERIAL, "clamp_start", "clamp_end"):
+    for name in ("motion", *given.MATERIAL, "clamp_start", "clamp_end"):
         if getattr(options, name) is not None:
-            raise InputError("command line", f"--{name.replace('_', '-')}", "given, but the scene says it",
+            raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", "given, but the scene has it",
                              "leave it out, or give observations")
     if options.relative:
-        raise InputError("command line", "--relative", "given, but the scene says where clamps are", "leave it out")
+        raise InputError(given.SOURCE, "--relative", "given, but a scene has absolute poses", "leave it out")
     scene, up = load_motion_scene(options.source), given.up(options)
     theta = {"material_name": np.array(scene.names), "bend": scene.material.bend[:, 0], "twist": scene.material.twist[:, 0],
              "weight": scene.material.weight}
@@ -129,7 +127,7 @@ def _scene(options: Namespace) -> _Task:
 
 def _observed(options: Namespace, out: Path) -> _Task:
     if options.motion is None:
-        raise InputError("command line", "--motion", "missing", "name a file of poses, or give a scene of motion")
+        raise InputError(given.SOURCE, "--motion", "missing", "name a file of poses, or give a scene of motion")
     grid, up = given.grid(options), given.up(options)
     observations = load_observations(options.source, up)
     for source in (options.source, options.motion):
@@ -141,7 +139,7 @@ def _observed(options: Namespace, out: Path) -> _Task:
                          "give one motion, or one for each observation")
     if observations.count < path.count:
         observations = observations.take(np.zeros(path.count, dtype=np.int64))
-    clamps = observation_clamps(observations, given.clamp(options.clamp_start), given.clamp(options.clamp_end))
+    clamps = observation_clamps(observations, *given.clamps(options))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], 0.0)
     path = path.relative_to(clamps) if options.relative else path
     _check_reach(path, clamps, float(observations.rest_length.sum()))
@@ -153,8 +151,8 @@ def _observed(options: Namespace, out: Path) -> _Task:
 
 
 def _check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
-    """Raise InputError where clamps are further apart at a moment than :data:`MOST_LENGTHS` of the rod: that is no rod that
-    cannot follow, but another unit."""
+    """Raise InputError where clamps are further apart at a moment than :data:`MOST_LENGTHS` of the rod: positions in another
+    unit, not a rod that is too short."""
     for moment in range(path.moments):
         held = path.at(moment, clamps)
         apart = np.linalg.norm(held.end_position - held.start_position, axis=-1).max()
@@ -164,7 +162,8 @@ def _check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
 
 
 def _with_frames(observations: Observations, path: ClampPath, relative: bool) -> Observations:
-    """Where the path tells whole frames and the observations none, those of its first moment: the rods are held by them."""
+    """The observations with the frames of the path's first moment, where they have none of their own and the path has:
+    the rods are held by them."""
     if path.tangents_only or relative:
         return observations
     frames = {name: np.broadcast_to(value[0], (observations.count, 3, 3)) for name, value in
@@ -174,7 +173,7 @@ def _with_frames(observations: Observations, path: ClampPath, relative: bool) ->
 
 
 def _settled(observations: Observations, clamps: Clamps, materials: Material) -> Configuration:
-    """(G·N) where the rods set out, material by material: of several whole turns that fit, the one nearest to what was seen."""
+    """(G·N) the rods at the start, material by material: of several whole turns that fit, the one nearest to what was seen."""
     from doo_ti.metric import distance
     from doo_ti.relaxation.relax import relax
 
@@ -227,25 +226,19 @@ def _lines(task: _Task, prediction, result: dict) -> list[str]:
     lost = np.flatnonzero(~prediction.followed[-1])
     lines = [f"{task.name}: {count} rods of {task.start.edges} edges at {moments} moments",
              f"  status      {counted(status_counts(prediction.status))}; {int(prediction.stable.sum())} of {count * moments} "
-             "certified stable"]
-    lines.append(f"  far clamp   at the end turned about the rod by {_range(result['end_rotation_deg'][-1])}, total twist "
-                 f"{_range(result['total_twist_deg'][-1])}")
-    fallen = f"to another branch, {len(np.unique(falls[:, 1]))} of {count} rods" if len(falls) else "all kept to their branch"
-    lines.append(f"  falls       {int(prediction.jumps.sum())}, {fallen}")
-    for moment, rod in falls[:MOST_TOLD]:
-        since = prediction.time[max(moment - 1, 0)]
-        lines.append(f"    {task.names[rod]}: between {since:g} and {prediction.time[moment]:g} s, far clamp turned by "
-                     f"{result['end_rotation_deg'][moment, rod]:.1f}°")
-    if len(falls) > MOST_TOLD:
-        lines.append(f"    and {len(falls) - MOST_TOLD} more")
+             "certified stable",
+             f"  far clamp   at the end turned about the rod by {_range(result['end_rotation_deg'][-1])}, total twist "
+             f"{_range(result['total_twist_deg'][-1])}"]
+    fallen = f"to another branch, {len(np.unique(falls[:, 1]))} of {count} rods" if len(falls) else "all stayed on their branch"
+    lines.append(f"  jumps       {int(prediction.jumps.sum())}, {fallen}")
+    lines += shortened([
+        f"    {task.names[rod]}: between {prediction.time[max(moment - 1, 0)]:g} and {prediction.time[moment]:g} s, far clamp "
+        f"turned by {result['end_rotation_deg'][moment, rod]:.1f}°" for moment, rod in falls], MOST_LISTED, "    and {} more")
     if len(lost):
-        lines.append(f"  lost        {len(lost)} of {count} rods cannot follow to the end")
-    for rod in lost[:MOST_TOLD]:
-        since = prediction.time[int(np.argmin(prediction.followed[:, rod]))]
-        lines.append(f"    {task.names[rod]}: no prediction from {since:g} s on")
-    if len(lost) > MOST_TOLD:
-        lines.append(f"    and {len(lost) - MOST_TOLD} more")
-    return lines
+        lines.append(f"  lost        {len(lost)} of {count} rods cannot follow the motion to its end")
+    return lines + shortened([
+        f"    {task.names[rod]}: no prediction from {prediction.time[int(np.argmin(prediction.followed[:, rod]))]:g} s on"
+        for rod in lost], MOST_LISTED, "    and {} more")
 
 
 def _range(degrees: np.ndarray) -> str:
@@ -255,15 +248,12 @@ def _range(degrees: np.ndarray) -> str:
     return " to ".join(dict.fromkeys(f"{round(value, 1) + 0.0:.1f}°" for value in (finite.min(), finite.max())))
 
 
-def _tell(options: Namespace, task: _Task, prediction, result: dict, out: Path) -> None:
-    if not options.json:
-        print("\n".join([*_lines(task, prediction, result), f"  written to {in_line(out)}"]))
-        return
+def _summary(task: _Task, prediction, result: dict, out: Path) -> dict:
     falls = [{"rod": int(rod), "name": task.names[rod], "from_s": prediction.time[max(moment - 1, 0)],
               "to_s": prediction.time[moment], "end_rotation_deg": result["end_rotation_deg"][moment, rod]}
              for moment, rod in np.argwhere(prediction.jumps > 0)]
-    print(json.dumps(plain({
+    return {
         "rods": len(task.names), "moments": len(prediction.time), "edges": task.start.edges,
         "status": status_counts(prediction.status), "stable": int(prediction.stable.sum()),
         "followed": int(prediction.followed[-1].sum()), "falls": falls, "end_rotation_deg": result["end_rotation_deg"][-1],
-        "total_twist_deg": result["total_twist_deg"][-1], "out": str(out)})))
+        "total_twist_deg": result["total_twist_deg"][-1], "out": str(out)}

@@ -8,17 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti import options as given
-from doo_ti.commands.arguments import MATERIAL, add_json, add_material
-from doo_ti.commands.printing import busy, plain
-from doo_ti.commands.refine_text import summary_of, tell
-from doo_ti.dataset import Observations, load_observations, write_whole
+from doo_ti.commands import options as given
+from doo_ti.commands.refine_text import summary_lines, summary_of
+from doo_ti.commands.results import plain, save_json
 from doo_ti.errors import InputError
-from doo_ti.file_content import read_content
-from doo_ti.importers import read_npz
-from doo_ti.scene import CLAMPS
+from doo_ti.io.arrays import read_npz
+from doo_ti.io.files import read_content
+from doo_ti.io.observations import Observations, load_observations, write_whole
 from doo_ti.start import check_experiment, observation_clamps
-from doo_ti.terminal import in_line
+from doo_ti.terminal import busy, in_line
 from doo_ti.types import Clamps
 
 if TYPE_CHECKING:  # it reads Parquet
@@ -26,49 +24,49 @@ if TYPE_CHECKING:  # it reads Parquet
 
 STARTS = 3
 LEAST = 1e-6
-"""Of what a rest curvature is and how far it reaches, in 1/mm and mm; the inverse at most."""
+"""Of the spread and the range of a rest curvature, in 1/mm and mm; the inverse is the largest."""
 CURVATURES = ("field", "uniform", "none")
 OLD_CURVATURES = {"rest_curvature": "uniform", "rest_curvature_per_joint": "field"}
-"""Names of parameters that used to ask for a rest curvature."""
+"""Old names in --parameters for a rest curvature."""
 
 
 def declare(add) -> None:
-    parser = add("refine", allow_abbrev=False, help="the continuous optimum, with intervals and what is not determined")
+    parser = given.command(add, "refine", run, "find the continuous optimum, with intervals and what is not determined")
     parser.add_argument("sources", nargs="+", metavar="RUN|OBS",
-                        help="folders that sweep wrote, whose best cells are begun from, or observations: .npz, .csv, .parquet")
-    add_material(parser, "one number each, where observations are begun from, --bend also A1,A2 or A1,A2,A12")
+                        help="folders that sweep wrote, to start from their best cells, or "
+                        "observations: .npz, .csv or .parquet")
+    given.add_material(parser, "one number each, to start from where observations are given")
     parser.add_argument("--parameters", metavar="A,B", default="bend,twist",
-                        help="what is learned of the material, of bend, bend-1, bend-2, bend-12, twist, weight, up "
-                        "(default bend,twist)")
-    parser.add_argument("--starts", metavar="N", help=f"cells of a run to begin from (default {STARTS})")
+                        help="material parameters to learn, of bend, bend-1, "
+                        "bend-2, bend-12, twist, weight, and up, the direction of gravity (default bend,twist)")
+    parser.add_argument("--starts", metavar="N", help=f"number of best cells of a run to start from (default {STARTS})")
     parser.add_argument("--sigma", metavar="MM", help="label uncertainty (default: the file's, else learned)")
     model = parser.add_argument_group("the model of the experiment")
     model.add_argument("--clip", metavar="MM|unknown", default="unknown",
-                       help="length of rod that a clip holds, from the outer mark on (default: unknown, learned)")
+                       help="length of rod that a clip holds, from the outer mark on (default: unknown, which is learned)")
     model.add_argument("--rest-curvature", choices=CURVATURES, default=None,
-                       help="of the rod when nothing bends it (default: field, a smooth function along it)")
+                       help="curvature of the unloaded rod (default: field, a smooth function along the rod)")
     model.add_argument("--clamps", choices=("auto", "loose", "exact"), default="auto",
-                       help="loose: they may be off the poses that were reported; auto: unless the evidence says they are not "
-                       "(default)")
-    model.add_argument("--edges", metavar="N", help="edges of the mesh (default: twice the marks', corrected for their length)")
+                       help="exact: clamps are where they were reported; loose: their errors are learned; auto: loose unless "
+                       "the evidence is for exact (default)")
+    model.add_argument("--edges", metavar="N",
+                       help="edges of the mesh (default: twice those between marks, with a correction for the mesh error)")
     model.add_argument("--curvature-spread", metavar="1/MM", help="standard deviation of the rest curvature (default: learned)")
-    model.add_argument("--curvature-range", metavar="MM", help="along which it is about the same (default: learned)")
-    parser.add_argument("--no-models", action="store_true", help="leave out the comparison with other models")
+    model.add_argument("--curvature-range", metavar="MM",
+                       help="length along the rod over which the rest curvature changes little (default: learned)")
+    parser.add_argument("--no-models", action="store_true", help="do not compare with other models")
     parser.add_argument("--folds", metavar="N", help="also cross-validate in N folds")
-    parser.add_argument("--groups", metavar="FILE:KEY", help="a number per observation; equal ones stay in one fold")
-    parser.add_argument("--clamp-start", choices=CLAMPS, help="default: the run's, else frame where it is given, else tangent")
-    parser.add_argument("--clamp-end", choices=CLAMPS, help="default: the run's, else frame where it is given, else tangent")
-    parser.add_argument("--frame-weight", metavar="MM", help="w_m of Eq. 1 (default 0, or the run's)")
-    parser.add_argument("--up", metavar="X,Y,Z", help="direction against gravity (default: the file's, else 0,0,1)")
+    parser.add_argument("--groups", metavar="FILE:KEY",
+                        help="a number per observation; those with the same number stay in one fold")
+    given.add_clamps(parser, "the run's, else frame where the file gives one, else tangent")
+    given.add_frame_weight(parser, "the run's, else 0")
+    given.add_up(parser)
     parser.add_argument("--out", metavar="F.json", help="file to write (default: none)")
-    add_json(parser)
-    parser.set_defaults(run=run)
 
 
 @dataclass(frozen=True)
 class Task:
-    """What one source asks for: observations, what holds them, and the Θ to begin from; the landscape of a run,
-    or None."""
+    """One source: its observations, their clamps, and the Θ to start from; the landscape of a run, or None."""
 
     observations: Observations
     clamps: Clamps
@@ -81,7 +79,7 @@ def run(options: Namespace, words: list[str]) -> int:
     """Θ of least χ² for each source, the best of several starts, and how well the observations determine it."""
     out = None if options.out is None else given.output_file(options.out, ".json")
     starts, folds = given.whole("--starts", options.starts, 1) or STARTS, given.whole("--folds", options.folds, 2)
-    density = _positive("--linear-density", options.linear_density, "a linear density in g/m")
+    density = given.positive("--linear-density", options.linear_density, "g/m")
     tasks = [_task(options, source, starts) for source in options.sources]
     groups = [_groups(options.groups, task.observations) for task in tasks]
 
@@ -102,13 +100,10 @@ def run(options: Namespace, words: list[str]) -> int:
         summaries.append(summary_of(task.observations, found, held_out, density))
         picture = None if task.landscape is None else _draw(task.landscape, found)
         if not options.json:
-            tell(summaries[-1])
-            if picture is not None:
-                print(f"  picture            {in_line(picture)}")
+            drawn = [] if picture is None else [f"  picture            {in_line(picture)}"]
+            print("\n".join([*summary_lines(summaries[-1]), *drawn]))
     if out is not None:
-        content = json.dumps(plain(summaries), indent=2) + "\n"
-        out.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(out, lambda file: file.write(content.encode()))
+        save_json(out, summaries)
     if options.json:
         print(json.dumps(plain(summaries)))
     elif out is not None:
@@ -131,25 +126,27 @@ def _draw(landscape, found) -> Path | None:
         outline[:, free.index("twist_ratio")] /= outline[:, 1 - free.index("twist_ratio")]
     path = landscape.run / "refined.png"
     write_whole(path, lambda file: landscape_picture(
-        file, grid.picture_axes, landscape.mean_distance.reshape(grid.shape), minimum=np.unravel_index(landscape.best, grid.shape),
+        file, grid.picture_axes, landscape.mean_distance.reshape(grid.shape),
+        minimum=np.unravel_index(landscape.best, grid.shape),
         title=f"{landscape.name}: the grid's error, and the 95 % region of the refined model",
         label="mean distance (Eq. 1) [mm]", unfinished=landscape.unsound.reshape(grid.shape), region=outline))
     return path
 
 
 def _task(options: Namespace, source: str, starts: int) -> Task:
-    """What ``source``, a run's folder or a file of observations, asks for, checked."""
+    """The task of ``source``, a run's folder or a file of observations, checked."""
     if Path(source).is_dir():
         observations, thetas, kinds, weight, landscape = _of_run(options, Path(source), starts)
     else:
-        observations = load_observations(source, given.up(options))
-        thetas, kinds, weight = _of_file(options, observations), (None, None), given.frame_weight(options)
-        landscape = None
+        from doo_ti.refinement.multi_start import theta_of_cell
+
+        observations, landscape = load_observations(source, given.up(options)), None
+        grid = given.single_cell(options, "give one, or refine the run of a sweep")
+        thetas, kinds, weight = (theta_of_cell(grid, 0, observations.up),), (None, None), given.frame_weight(options)
     sigma = given.length("--sigma", options.sigma)
     if sigma is not None:
         observations = replace(observations, sigma=np.array(sigma))
-    asked = (given.clamp(options.clamp_start), given.clamp(options.clamp_end))
-    kinds = (kind if own is None else own for own, kind in zip(asked, kinds, strict=True))
+    kinds = (kind if own is None else own for own, kind in zip(given.clamps(options), kinds, strict=True))
     clamps = observation_clamps(observations, *kinds)
     check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight)
     task = Task(observations, clamps, thetas, weight, landscape)
@@ -163,17 +160,18 @@ def _of_run(options: Namespace, run: Path, starts: int):
     from doo_ti.learning.run_folder import read_experiment
     from doo_ti.refinement.multi_start import lowest_cells, theta_of_cell
 
-    for name in MATERIAL:
+    for name in given.MATERIAL:
         if getattr(options, name) is not None:
-            raise InputError("command line", f"--{name.replace('_', '-')}", f"given, but {run} has cells to begin from",
+            raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", f"given, but {run} has cells to start from",
                              "leave it out, or name a file of observations")
     experiment, landscape = read_experiment(run), read_landscape(run)
     if experiment.options.objective != "static" or experiment.options.spins:
-        raise InputError(run, "objective", "a sweep of Eq. 3, or over unknown spins", "name a static one without --spins")
+        raise InputError(run, "objective", "a sweep of Eq. 3, or with roll hypotheses",
+                         "name a static sweep without --roll-hypotheses")
     up = given.up(options)
     observations = experiment.observations if up is None else replace(experiment.observations, up=up)
     height = landscape.mean_distance
-    if np.isnan(height).all():  # no cell has all its rods certified: those with most of them do to begin from
+    if np.isnan(height).all():  # no cell has all its rods certified: start from those that have most of them
         few = landscape.unsound == landscape.unsound.min()
         height = np.where(few, landscape.distance_of_sound, np.nan)
     cells = lowest_cells(experiment.grid, height, starts)
@@ -182,14 +180,6 @@ def _of_run(options: Namespace, run: Path, starts: int):
     thetas = tuple(theta_of_cell(experiment.grid, cell, observations.up) for cell in cells)
     return (observations, thetas, (experiment.options.clamp_start, experiment.options.clamp_end),
             given.frame_weight(options, experiment.options.frame_weight), landscape)
-
-
-def _of_file(options: Namespace, observations: Observations) -> tuple:
-    """The one Θ that the command line names."""
-    from doo_ti.refinement.multi_start import theta_of_cell
-
-    grid = given.single_cell(options, "give one, or refine the run of a sweep")
-    return (theta_of_cell(grid, 0, observations.up),)
 
 
 def _refinement_options(options: Namespace, task: Task):
@@ -201,11 +191,11 @@ def _refinement_options(options: Namespace, task: Task):
         if name in names:
             names.remove(name)
             curvature = curvature or own
-    spread = _positive("--curvature-spread", options.curvature_spread, "a curvature in 1/mm")
+    spread = given.positive("--curvature-spread", options.curvature_spread, "1/mm")
     reach = given.length("--curvature-range", options.curvature_range)
     for option, value in (("--curvature-spread", spread), ("--curvature-range", reach)):
         if value is not None and not LEAST <= value <= 1 / LEAST:
-            raise InputError("command line", option, f"{value:g}", f"give {LEAST:g} to {1 / LEAST:g}")
+            raise InputError(given.SOURCE, option, f"{value:g}", f"give {LEAST:g} to {1 / LEAST:g}")
     return RefinementOptions(
         tuple(names), None if options.clip == "unknown" else given.length("--clip", options.clip), curvature or "field",
         options.clamps, task.frame_weight,
@@ -225,20 +215,13 @@ def _check_model(chosen, task: Task) -> None:
     unknowns.begun(task.thetas[0], unknowns.clip_prior)
 
 
-def _positive(option: str, text: str | None, wanted: str) -> float | None:
-    values = given.numbers(option, text)
-    if text is not None and (len(values) != 1 or not values[0] > 0):
-        raise InputError("command line", option, f"{text!r} is not a positive number", f"give {wanted}")
-    return values[0] if values else None
-
-
 def _groups(text: str | None, observations: Observations) -> np.ndarray:
-    """(D,) which observations belong together; by default none do."""
+    """(D,) the group of each observation; by default each is a group of its own."""
     if text is None:
         return np.arange(observations.count)
     path, _, key = text.rpartition(":")
     if not path:
-        raise InputError("command line", "--groups", f"{text!r} names no key", "give FILE.npz:KEY")
+        raise InputError(given.SOURCE, "--groups", f"{text!r} names no key", "give FILE.npz:KEY")
     content = read_content(Path(path), remedy="name a readable .npz file")
     groups = read_npz(Path(path), content, (key,)).get(key)
     if groups is None:

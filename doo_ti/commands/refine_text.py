@@ -4,12 +4,12 @@ from dataclasses import asdict
 
 import numpy as np
 
-from doo_ti.commands.printing import counted
-from doo_ti.dataset import Observations
+from doo_ti.commands.results import counted
+from doo_ti.io.observations import Observations
 from doo_ti.physical_units import stiffness
 from doo_ti.terminal import in_line
 
-LISTED = 6  # observations named one by one
+LISTED = 6  # observations named individually
 CLEAR_ODDS = 3.0  # ln of the odds, about 20 to 1: models closer than that predict as well
 SYMBOLS = {"bend": "EI", "bend_1": "EI_1", "bend_2": "EI_2", "twist": "GJ"}
 MODELS = {
@@ -47,7 +47,8 @@ def summary_of(observations: Observations, found, held_out, density: float | Non
         "tilt_deg": float(np.degrees(np.arccos(np.clip(np.dot(found.theta.up, observations.up), -1.0, 1.0)))),
         "sigma_mm": found.adequacy.noise, "sigma_stated": found.adequacy.stated, "excess": found.adequacy.excess,
         "gap_mm": found.adequacy.gap, "neighbour_correlation": found.adequacy.correlation,
-        "reaches_noise": found.adequacy.reaches_noise, "advice": [asdict(one) for one in found.adequacy.advice],
+        "reaches_noise": found.adequacy.reaches_noise,
+        "advice": [asdict(one) | {"option": _option(one.option)} for one in found.adequacy.advice],
         "models": [asdict(score) for score in found.scores],
         "mesh_edges": found.mesh_edges, "mesh_correction_mm": found.mesh_error,
         "mean_distance_mm": found.mean_distance, "distance_mm": found.distance, "rods_used": int(found.used.sum()),
@@ -83,38 +84,36 @@ def _stiffness(estimate, density: float | None) -> dict:
     return result
 
 
-def tell(summary: dict) -> None:
+def summary_lines(summary: dict) -> list[str]:
     """Lines for a person."""
     steps = f"{summary['iterations']} steps{'' if summary['converged'] else ', NOT converged: stopped'}"
-    print(f"{in_line(summary['material'])}: {summary['rods_used']} of {summary['observations']} observations, {steps}")
-    for parameter in summary["parameters"]:
-        if not parameter["name"].startswith("up["):
-            print(_line(parameter["name"], interval_text(**{k: parameter[k] for k in ("value", "low", "high", "unit")})))
+    lines = [f"{in_line(summary['material'])}: {summary['rods_used']} of {summary['observations']} observations, {steps}"]
+    lines += [_line(parameter["name"], interval_text(**{k: parameter[k] for k in ("value", "low", "high", "unit")}))
+              for parameter in summary["parameters"] if not parameter["name"].startswith("up[")]
     if "up[0]" in summary["unknowns"]:
         x, y, z = summary["theta"]["up"]
-        print(_line("up", f"({x:.4f}, {y:.4f}, {z:.4f}), tilted by {summary['tilt_deg']:.2g}° from what was given"))
+        lines.append(_line("up", f"({x:.4f}, {y:.4f}, {z:.4f}), tilted by {summary['tilt_deg']:.2g}° from the given direction"))
     for name, (value, low, high) in summary["stiffness"].items():
-        what, unit = (name.removesuffix("_Nm2"), "N m²") if name.endswith("_Nm2") else (
+        label, unit = (name.removesuffix("_Nm2"), "N m²") if name.endswith("_Nm2") else (
             f"{name.removesuffix('_over_weight_mm3')} over weight", "mm³")
-        print(_line(what, interval_text(value, low, high, unit)))
-    print(_line("", "95 % intervals, everything else fitted anew"))
+        lines.append(_line(label, interval_text(value, low, high, unit)))
+    lines.append(_line("", "95 % intervals, with everything else fitted again"))
     curvature = summary["rest_curvature_per_mm"]
     if curvature["root_mean_square"]:
-        print(_line("rest curvature", f"{curvature['root_mean_square']:.3g} 1/mm (root mean square), "
-                                      f"over a range of {curvature['range_mm']:.3g} mm"))
+        lines.append(_line("rest curvature", f"{curvature['root_mean_square']:.3g} 1/mm (root mean square), "
+                                             f"over a range of {curvature['range_mm']:.3g} mm"))
     errors = summary["clamp_errors"]
     if max(errors["turn_deg"]) > 0:
         (turn_start, turn_end), (shift_start, shift_end) = errors["turn_deg"], errors["shift_mm"]
-        print(_line("clamps off by", f"{turn_start:.2g}° and {shift_start:.2g} mm (start), {turn_end:.2g}° and "
-                                     f"{shift_end:.2g} mm (end); {errors['turn_scatter_deg']:.2g}° from one to the next"))
-    print(_line("distance", f"mean {summary['mean_distance_mm']:.4g} mm (Eq. 1)"))
-    _tell_adequacy(summary)
-    _tell_rods(summary)
-    _tell_models(summary)
+        lines.append(_line("clamp errors", f"{turn_start:.2g}° and {shift_start:.2g} mm (start), {turn_end:.2g}° and "
+                                           f"{shift_end:.2g} mm (end); {errors['turn_scatter_deg']:.2g}° between observations"))
+    lines.append(_line("distance", f"mean {summary['mean_distance_mm']:.4g} mm (Eq. 1)"))
+    lines += [*_adequacy_lines(summary), *_rods_lines(summary), *_models_lines(summary)]
     if summary["held_out"] is not None:
         held = summary["held_out"]
-        print(_line("held out", f"mean {held['mean_distance_mm']:.4g} ± {held['standard_error_mm']:.2g} mm over "
-                                f"{held['sound']} rods in {len(held['theta'])} folds (Eq. 1)"))
+        lines.append(_line("held out", f"mean {held['mean_distance_mm']:.4g} ± {held['standard_error_mm']:.2g} mm over "
+                                       f"{held['sound']} rods in {len(held['theta'])} folds (Eq. 1)"))
+    return lines
 
 
 def interval_text(value: float, low: float | None, high: float | None, unit: str) -> str:
@@ -135,39 +134,49 @@ def _line(label: str, text: str) -> str:
     return f"  {label:<18} {text}"
 
 
-def _tell_adequacy(summary: dict) -> None:
+def _option(argument: str) -> str:
+    """``rest_curvature=field`` as ``--rest-curvature field``."""
+    name, _, value = argument.partition("=")
+    return f"--{name.replace('_', '-')} {value}"
+
+
+def _adequacy_lines(summary: dict) -> list[str]:
     from doo_ti.refinement.adequacy import EXCESS
 
-    noise = summary["sigma_mm"]
-    whose = "stated" if summary["sigma_stated"] else "learned"
-    print(_line("noise", f"{noise:.3g} mm per coordinate ({whose})"))
+    source = "stated" if summary["sigma_stated"] else "learned"
+    lines = [_line("noise", f"{summary['sigma_mm']:.3g} mm per coordinate ({source})")]
     if summary["reaches_noise"]:
-        print(_line("residuals", "nothing but noise is left"))
+        lines.append(_line("residuals", "only noise is left"))
     elif summary["sigma_stated"] and summary["excess"] > EXCESS:
-        print(_line("residuals", f"{summary['excess']:.3g} times the stated noise: it is larger, or the model lacks something"))
+        lines.append(_line("residuals", f"{summary['excess']:.3g} times the stated noise: it is larger, or the model lacks "
+                                        "something"))
     else:
-        print(_line("residuals", f"the model misses {summary['gap_mm']:.3g} mm besides, smooth along the rod; intervals allow "
-                                 "for that"))
-    for one in summary["advice"][:2]:
-        print(_line("try", f"{one['option']} ({one['meaning']}: twice the log evidence rises by {one['gain']:.3g})"))
+        lines.append(_line("residuals", f"besides the noise the model is off by {summary['gap_mm']:.3g} mm, smoothly along the "
+                                        "rod; the intervals include that"))
+    lines += [_line("try", f"{one['option']} ({one['meaning']}: twice the log evidence rises by {one['gain']:.3g})")
+              for one in summary["advice"][:2]]
     if not summary["reaches_noise"] and not summary["advice"]:
-        print(_line("try", "none of the options explains it: look at the misfits, at --sigma, or at how the marks were made"))
+        lines.append(_line("try", "no option explains it: check the misfits, --sigma, and how the marks were made"))
+    return lines
 
 
-def _tell_rods(summary: dict) -> None:
-    """What was left out, and why."""
-    if summary["left_out"]:
-        print(_line("left out", counted(summary["left_out"])))
+def _rods_lines(summary: dict) -> list[str]:
+    """Which observations were left out, and which do not fit."""
+    lines = [_line("left out", counted(summary["left_out"]))] if summary["left_out"] else []
     rows = summary["misfits"]
     if len(rows):
         more = f" and {len(rows) - LISTED} more" * (len(rows) > LISTED)
         listed = ", ".join(map(str, rows[:LISTED]))
-        print(_line("misfits", f"observations far from every equilibrium that was tried: {listed}{more}"))
+        lines.append(_line("misfits", f"observations far from every equilibrium that was tried: {listed}{more}"))
+    return lines
 
 
-def _tell_models(summary: dict) -> None:
+def _models_lines(summary: dict) -> list[str]:
+    lines = []
     for k, score in enumerate(summary["models"]):
         clear = abs(score["difference"]) > max(2 * score["error"], CLEAR_ODDS)
         verdict = "predicts as well" if not clear else "predicts better" if score["difference"] > 0 else "predicts worse"
-        print(_line("other models" if k == 0 else "", f"{verdict}: {MODELS[score['model']]} ({score['difference']:+.3g} ± "
-                                                      f"{score['error']:.2g}, leave-one-out log score)"))
+        lines.append(_line("other models" if k == 0 else "",
+                           f"{verdict}: {MODELS[score['model']]} ({score['difference']:+.3g} ± "
+                           f"{score['error']:.2g}, leave-one-out log score)"))
+    return lines

@@ -1,36 +1,26 @@
 """F on each observation (§III-D)."""
 
-import json
 from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti import options as given
-from doo_ti.commands.arguments import add_material, add_relaxation
-from doo_ti.commands.printing import busy, counted, plain, theta_text
-from doo_ti.dataset import Observations, load_observations
+from doo_ti.commands import options as given
+from doo_ti.commands.results import counted, report, save_arrays, theta_of, theta_text
 from doo_ti.grid import Grid
+from doo_ti.io.observations import Observations, load_observations
 from doo_ti.learning.landscape import status_counts
-from doo_ti.start import (
-    check_experiment,
-    choose_hypothesis,
-    observation_clamps,
-    start_configuration,
-    turn_hypotheses,
-)
-from doo_ti.terminal import in_line
+from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
+from doo_ti.terminal import busy, in_line
 from doo_ti.types import Status
-from doo_ti.whole_file import write_whole
 
 
 def declare(add) -> None:
-    parser = add("relax", allow_abbrev=False, help="relax each observation under one material")
+    parser = given.command(add, "relax", run, "relax each observed rod under one material and compare it with the observation")
     parser.add_argument("observations", metavar="OBS", help="observations: .npz, .csv or .parquet")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
-    add_material(parser, "one number, --bend also A1,A2 or A1,A2,A12")
-    add_relaxation(parser, "f64")
-    parser.set_defaults(run=run)
+    given.add_material(parser, "one number each")
+    given.add_relaxation(parser, "f64")
 
 
 def run(options: Namespace, words: list[str]) -> int:
@@ -38,7 +28,7 @@ def run(options: Namespace, words: list[str]) -> int:
     grid = given.single_cell(options, "give one number, or use sweep")
     frame_weight, up, out = given.frame_weight(options), given.up(options), given.output_file(options.out, ".npz")
     observations = load_observations(options.observations, up)
-    clamps = observation_clamps(observations, given.clamp(options.clamp_start), given.clamp(options.clamp_end))
+    clamps = observation_clamps(observations, *given.clamps(options))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
     given.refuse_overwriting(out, options.observations)
 
@@ -56,31 +46,29 @@ def run(options: Namespace, words: list[str]) -> int:
     configuration = relaxed.take(best)
     result = {"vertices_mm": configuration.vertices, "frames": configuration.frames, "distance_mm": error[best]}
     result |= {name: getattr(solution, name)[best] for name in ("energy", "status", "iterations", "residual", "stable")}
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(out, lambda file: np.savez_compressed(file, **result))
-    _tell_relaxation(options, observations, grid, result, out)
+    save_arrays(out, result)
+    summary = _summary(observations, grid, result, out)
+    report(options, summary, lambda: _lines(observations, grid, result, summary))
     return 0 if (result["status"] == Status.CONVERGED).any() else 1
 
 
-def _tell_relaxation(options: Namespace, observations: Observations, grid: Grid, result: dict, out: Path) -> None:
-    distance, counts = result["distance_mm"], status_counts(result["status"])
-    finite = distance[np.isfinite(distance)]
-    theta = {name: float(value[0]) for name, value in grid.cell_values().items()}
-    summary = {
-        "observations": observations.count, "edges": observations.edges, **theta, "bend_12": grid.bend_12,
-        "status": counts, "stable": int(result["stable"].sum()), "out": str(out),
+def _summary(observations: Observations, grid: Grid, result: dict, out: Path) -> dict:
+    finite = result["distance_mm"][np.isfinite(result["distance_mm"])]
+    return {
+        "observations": observations.count, "edges": observations.edges, **theta_of(grid),
+        "status": status_counts(result["status"]), "stable": int(result["stable"].sum()), "out": str(out),
         "mean_distance_mm": finite.mean() if len(finite) else np.nan,
         "largest_distance_mm": finite.max() if len(finite) else np.nan,
         "median_iterations": np.median(result["iterations"]), "largest_residual": np.max(result["residual"]),
     }
-    if options.json:
-        print(json.dumps(plain(summary)))
-        return
-    print(f"{observations.name}: {observations.count} rods of {observations.edges} edges")
-    print(f"  material    {theta_text(theta | {'bend_12': grid.bend_12}, grid.is_isotropic)}")
-    print(f"  status      {counted(counts)}; {summary['stable']} certified stable")
-    if len(finite):
-        print(f"  distance    mean {finite.mean():.4g} mm, largest {finite.max():.4g} mm at observation "
-              f"{int(np.nanargmax(distance))} (Eq. 1)")
-    print(f"  iterations  median {summary['median_iterations']:.0f}, most {int(result['iterations'].max())}")
-    print(f"  written to {in_line(out)}")
+
+
+def _lines(observations: Observations, grid: Grid, result: dict, summary: dict) -> list[str]:
+    lines = [f"{observations.name}: {observations.count} rods of {observations.edges} edges",
+             f"  material    {theta_text(theta_of(grid), grid.is_isotropic)}",
+             f"  status      {counted(summary['status'])}; {summary['stable']} certified stable"]
+    if np.isfinite(summary["mean_distance_mm"]):
+        lines.append(f"  distance    mean {summary['mean_distance_mm']:.4g} mm, largest {summary['largest_distance_mm']:.4g} "
+                     f"mm at observation {int(np.nanargmax(result['distance_mm']))} (Eq. 1)")
+    return [*lines, f"  iterations  median {summary['median_iterations']:.0f}, most {int(result['iterations'].max())}",
+            f"  written to {in_line(summary['out'])}"]

@@ -8,16 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from doo_ti import options as given
-from doo_ti.commands.arguments import add_material, add_relaxation
-from doo_ti.commands.experiment import observed
-from doo_ti.commands.printing import peak_memory, plain, tell_hypotheses, tell_result, theta_text
-from doo_ti.dataset import Observations, load_observations
+from doo_ti.commands import options as given
+from doo_ti.commands.results import hypotheses_lines, observed, peak_memory, plain, run_lines, theta_text
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
+from doo_ti.io.observations import Observations
+from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.learning.pairs import Pairs, load_pairs
 from doo_ti.learning.summary import SUMMARY
-from doo_ti.scene import MOST_SPINS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.terminal import in_line
 from doo_ti.types import Clamp
@@ -31,28 +29,30 @@ RIBBON_PARAMETERS = " --parameters bend-1,bend-2,twist"
 
 
 def declare(add) -> None:
-    parser = add("sweep", allow_abbrev=False, help="search a parameter grid for what explains the observations")
+    parser = given.command(add, "sweep", run, "search a grid of parameters for those that explain the observations best")
     parser.add_argument("sources", nargs="+", metavar="SCENE.toml|OBS",
-                        help="scenes, or observations: .npz, .csv or .parquet; of several each gets a folder below RUN")
-    parser.add_argument("--out", required=True, metavar="RUN", help="folder to write; a run begun there is resumed")
-    add_material(parser, "a number or LO:HI:N[:log|:lin]; overrides the scene's axis")
-    add_relaxation(parser, None)
+                        help="scenes, or observations: .npz, .csv or .parquet; each "
+                        "of several gets a folder of its name below RUN")
+    parser.add_argument("--out", required=True, metavar="RUN", help="folder to write; an unfinished run in it is resumed")
+    given.add_material(parser, "a number or LO:HI:N[:log|:lin]; overrides the scene's axis")
+    given.add_relaxation(parser, None)
     parser.add_argument("--objective", choices=OBJECTIVES, help="static: Eq. 2 (default), dynamic: Eq. 3")
-    parser.add_argument("--pairs", metavar="FILE.csv",
-                        help="columns from,to[,weight][,rotation_deg] (default: those of the paper, from the labels)")
-    parser.add_argument("--spins", metavar="N",
-                        help="try N angles where an end's spin is unknown although it was held (default 0: it spins)")
-    parser.add_argument("--seed", metavar="N", help="of everything random (default: the scene's, else 0)")
-    parser.add_argument("--workers", metavar="N", help="processes to share the work (default: one)")
-    parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster to share the work, tcp://HOST:8786")
-    parser.set_defaults(run=run)
+    parser.add_argument("--pairs", metavar="FILE.csv", help="pairs of observations for Eq. 3, columns "
+                        "from,to[,weight][,rotation_deg] (default: those of the paper, from the labels)")
+    parser.add_argument("--roll-hypotheses", dest="spins", metavar="N",
+                        help="roll angles to try for clamps whose roll was not measured (default 0: these clamps roll freely)")
+    given.add_old_name(parser, "--spins", "spins")
+    parser.add_argument("--seed", metavar="N", help="of all random numbers (default: the scene's, else 0)")
+    parser.add_argument("--workers", metavar="N", help="number of processes to share the work (default: one)")
+    parser.add_argument("--dask", dest="scheduler", metavar="ADDRESS",
+                        help="share the work with the workers of a Dask cluster: its scheduler's address, tcp://HOST:8786")
 
 
 @dataclass(frozen=True)
 class _Search:
-    """One source with all that its sweep needs, checked."""
+    """One source and everything for its sweep, checked."""
 
-    scene: Scene | None
+    scene: Scene
     observations: Observations
     grid: Grid
     options: "SweepOptions"
@@ -77,7 +77,8 @@ def run(options: Namespace, words: list[str]) -> int:
         if not finished_before:
             relaxed.append(summary)
         if not options.json:
-            _tell(search, summary, finished_before, [name for name in now if now[name] != before.get(name, now[name])])
+            made_again = [name for name in now if now[name] != before.get(name, now[name])]
+            print("\n".join(_lines(search, summary, finished_before, made_again)))
     if options.json:
         print(json.dumps(plain(summaries if len(options.sources) > 1 else summaries[0])))
     else:
@@ -86,13 +87,13 @@ def run(options: Namespace, words: list[str]) -> int:
 
 
 def _stamps(run: Path) -> dict[str, int]:
-    """When the files of a run but its cells were written."""
+    """The times at which the files of a run, except its cells, were written."""
     paths = [path for path in (*run.glob("*.*"), *run.glob("cells/*.*")) if path.suffix != ".parquet" and path.is_file()]
     return {path.relative_to(run).as_posix(): path.stat().st_mtime_ns for path in sorted(paths)}
 
 
 def _searches(options: Namespace) -> list[_Search]:
-    """What to sweep, all of it checked before any of it begins; several sources get a folder each below --out."""
+    """The sweeps to run, all checked before the first one starts; each of several sources gets a folder below --out."""
     out = given.output_folder(options.out)
     searches = [_search(options, source, out) for source in options.sources]
     if len(searches) == 1:
@@ -100,78 +101,76 @@ def _searches(options: Namespace) -> list[_Search]:
     names = [search.observations.name for search in searches]
     if len(set(names)) < len(names):
         twice = max(names, key=names.count)
-        raise InputError("command line", "SOURCE", f"two of the name {twice!r}", "name the scenes or files apart")
+        raise InputError(given.SOURCE, "SOURCE", f"two of the name {twice!r}", "name the scenes or files apart")
     if (out / "cells").exists():
         raise InputError(out, "--out", "holds the sweep of a single source", "name another folder")
     return [replace(search, run=out / name) for search, name in zip(searches, names, strict=True)]
 
 
 def _search(options: Namespace, source: str, run: Path) -> _Search:
-    scene = load_scene(source) if Path(source).suffix == ".toml" else None
-    grid = given.grid(options, scene.grid if scene else None)
-    frame_weight = given.frame_weight(options, scene.frame_weight if scene else 0.0)
+    if Path(source).suffix == ".toml":
+        scene = load_scene(source)
+    else:
+        scene = Scene(in_line(Path(source).stem), Path(source), given.grid(options))
+    grid, frame_weight = given.grid(options, scene.grid), given.frame_weight(options, scene.frame_weight)
     seed, workers = given.whole("--seed", options.seed, 0), given.whole("--workers", options.workers, 1, MOST_WORKERS)
-    if options.dask and workers:
-        raise InputError("command line", "--dask", "given besides --workers", "give one of the two")
-    if scene and isinstance(scene.observations, Synthesis):
+    if options.scheduler and workers:
+        raise InputError(given.SOURCE, "--dask", "given beside --workers", "give one of the two")
+    if isinstance(scene.observations, Synthesis):
         seed = scene.observations.seed if seed is None else seed
         scene = replace(scene, observations=replace(scene.observations, seed=seed))
-    up = given.up(options)
-    observations = observed(scene, up) if scene else load_observations(source, up)
-    clamp_start, clamp_end = given.clamp(options.clamp_start), given.clamp(options.clamp_end)
-    if scene:
-        clamp_start = scene.clamp_start if clamp_start is None else clamp_start
-        clamp_end = scene.clamp_end if clamp_end is None else clamp_end
+    observations = observed(scene, given.up(options))
+    clamp_start, clamp_end = (own if chosen is None else chosen for own, chosen in zip(
+        (scene.clamp_start, scene.clamp_end), given.clamps(options), strict=True))
     clamps = observation_clamps(observations, clamp_start, clamp_end)
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
-    objective = options.objective or (scene.objective if scene else "static")
-    spins = given.whole("--spins", options.spins, 0, MOST_SPINS)
+    objective = options.objective or scene.objective
+    spins = given.whole("--roll-hypotheses", options.spins, 0, MOST_ROLLS)
     pairs = _pairs(options, scene, observations, objective)
 
     from doo_ti.learning.experiment import SweepOptions
 
     chosen = SweepOptions(
         frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=given.solver(options.solver),
-        precision=options.precision or (scene.precision if scene else "mixed"),
-        objective=objective, spins=(scene.spins if scene else 0) if spins is None else spins, seed=seed or 0, workers=workers,
-        scheduler=options.dask,
-    )
+        precision=options.precision or scene.precision, objective=objective,
+        spins=scene.roll_hypotheses if spins is None else spins, seed=seed or 0, workers=workers, scheduler=options.scheduler)
     return _Search(scene, observations, grid, chosen, pairs, run)
 
 
-def _tell(search: _Search, summary: dict, finished_before: bool, made_again: list[str]) -> None:
-    tell_result(summary)
-    tell_hypotheses(summary)
+def _lines(search: _Search, summary: dict, finished_before: bool, made_again: list[str]) -> list[str]:
+    lines = [*run_lines(summary), *hypotheses_lines(summary)]
     clamps = observation_clamps(search.observations, search.options.clamp_start, search.options.clamp_end)
     if search.grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not search.options.spins:
-        print("  note        an end may spin, so nothing twists the rod: twist is not determined")
+        lines.append("  note        an end rolls freely, so nothing twists the rod: twist is not determined")
     varied = {axis.name for axis in search.grid.axes if len(axis) > 1}
     if "weight" in varied and len(varied) > 1 and not any(axis.name == "twist" and len(axis) == 1 for axis in search.grid.axes):
-        print("  note        only ratios matter: every stiffness may grow with the weight, so nothing determines both")
-    if search.scene and isinstance(search.scene.observations, Synthesis):
+        lines.append("  note        only ratios matter: shapes stay the same when stiffness and weight grow together, so the "
+                     "data do not determine both")
+    if isinstance(search.scene.observations, Synthesis):
         recipe = search.scene.observations
-        print(f"  true Θ      {_true_theta(recipe)} (the virtual lab's, seed {recipe.seed})")
+        lines.append(f"  true Θ      {_true_theta(recipe)} (the virtual lab's, seed {recipe.seed})")
     if made_again:
-        print(f"  made again  {', '.join(made_again)}")
-    print(f"  {'finished before in' if finished_before else 'written to'} {in_line(search.run)}")
+        lines.append(f"  made again  {', '.join(made_again)}")
+    lines.append(f"  {'finished before in' if finished_before else 'written to'} {in_line(search.run)}")
     if search.options.objective == "static" and not search.options.spins:
         more = "" if search.grid.is_isotropic else RIBBON_PARAMETERS
-        print(f"  intervals   doo-ti refine {in_line(shlex.quote(str(search.run)))}{more}")
+        lines.append(f"  intervals   doo-ti refine {in_line(shlex.quote(str(search.run)))}{more}")
+    return lines
 
 
 def _effort(summaries: list[dict], seconds: float) -> str:
-    """``450,000 rods in 15.1 s, 29,800 rods/s; …``, of what was relaxed now: nothing where all was finished before."""
+    """``450,000 rods in 15.1 s, 29,800 rods/s; …``, of the rods relaxed now; none where all was finished before."""
     rods = sum(summary["timing"]["relaxed_rods"] for summary in summaries)
     relaxing = sum(summary["timing"]["relaxation_s"] for summary in summaries)
     rate = f" ({rods / relaxing:,.0f} rods/s, loading the kernels included)" if rods else ""
     return f"{rods:,} rods in {seconds:.1f} s{rate}; {peak_memory() / 2**20:,.0f} MB of memory at most"
 
 
-def _pairs(options: Namespace, scene: Scene | None, observations: Observations, objective: str) -> Pairs | None:
-    """The pairs of a file, of which the command line's comes before the scene's, or None."""
+def _pairs(options: Namespace, scene: Scene, observations: Observations, objective: str) -> Pairs | None:
+    """The pairs of the command line's file, else of the scene's, else None."""
     if options.pairs is not None and objective != "dynamic":
-        raise InputError("command line", "--pairs", "given, but the objective is static", "add --objective dynamic")
-    file = options.pairs or (scene.pairs if scene else None)
+        raise InputError(given.SOURCE, "--pairs", "given, but the objective is static", "add --objective dynamic")
+    file = options.pairs or scene.pairs
     return load_pairs(Path(file), observations) if file is not None and objective == "dynamic" else None
 
 

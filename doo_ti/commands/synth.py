@@ -1,31 +1,42 @@
-"""The virtual lab (§V-A)."""
+"""Observations to files: from the virtual lab (§V-A), with images of its rods if wanted, and from one format to another."""
 
 from argparse import Namespace
 from dataclasses import fields, replace
 from pathlib import Path
 
-from doo_ti import options as given
-from doo_ti.commands.experiment import observed, save
+from doo_ti.commands import options as given
+from doo_ti.commands.results import observed, save
 from doo_ti.errors import InputError
-from doo_ti.progress import progress
-from doo_ti.scene import Scene, Synthesis, load_scene
-from doo_ti.terminal import in_line
+from doo_ti.io.observations import load_observations
+from doo_ti.io.scene import Scene, Synthesis, load_scene
+from doo_ti.terminal import in_line, progress
 
 DIAMETER_MM = 0.5
 
 
 def declare(add) -> None:
-    parser = add("synth", allow_abbrev=False, help="make a scene's observations, or images of its rods, in the virtual lab")
-    parser.add_argument("scene", metavar="SCENE.toml")
-    parser.add_argument("--out", metavar="OBS", help="observations, to a file: .npz, .csv or .parquet")
+    parser = given.command(add, "convert", run_convert, "convert observations from one file format to another", json=False)
+    parser.add_argument("observations", metavar="IN", help=".npz, .csv or .parquet")
+    parser.add_argument("out", metavar="OUT", help=".npz, .csv or .parquet")
+    parser = given.command(add, "synth", run, "make a scene's observations, or images of its rods, in the virtual lab",
+                           json=False)
+    parser.add_argument("scene", metavar="SCENE.toml", help="a scene with [synthesis]")
+    parser.add_argument("--out", metavar="OBS", help="file for the observations: .npz, .csv or .parquet")
     images = parser.add_argument_group("images", "of the rods themselves, without label noise")
-    images.add_argument("--images", metavar="FOLDER", help="images, sets.csv, rig.yaml and truth.npz, to a folder")
+    images.add_argument("--images", metavar="FOLDER", help="folder for the images, sets.csv, rig.yaml and truth.npz")
     images.add_argument("--rig", metavar="RIG", help="the cameras: OpenCV FileStorage YAML, such as scenes/rig.yaml")
     images.add_argument("--diameter", metavar="MM", help=f"of the thread (default {DIAMETER_MM:g})")
-    images.add_argument("--seed", metavar="N", help="of all that is random in the images (default 0)")
+    images.add_argument("--seed", metavar="N", help="of all random numbers for the images (default 0)")
     images.add_argument("--render", metavar="NAME=VALUE", action="append", default=[],
-                        help="what images look like, once for each: clutter=3, occluders=2, noise=5, jpeg_quality=none …")
-    parser.set_defaults(run=run)
+                        help="a property of the images, may be repeated: clutter=3, occluders=2, noise=5, jpeg_quality=none …")
+
+
+def run_convert(options: Namespace, words: list[str]) -> int:
+    """Observations from one format to another; keys that observations do not have are dropped."""
+    out = given.output_file(options.out, option="OUT")
+    given.refuse_overwriting(out, options.observations, "OUT")
+    save(out, load_observations(options.observations))
+    return 0
 
 
 def run(options: Namespace, words: list[str]) -> int:
@@ -46,12 +57,12 @@ def run(options: Namespace, words: list[str]) -> int:
 
 
 def _photograph(options: Namespace, scene: Scene) -> None:
-    """Checks all that is given before the first rod is made, and what the cameras see before the first image is written."""
+    """Check all options before the first rod is computed, and what the cameras see before the first image is written."""
     folder = given.output_folder(options.images, "--images")
     rig, look, seed = _rig(options, folder), _look(options.render), given.whole("--seed", options.seed, 0) or 0
     diameter = given.length("--diameter", options.diameter) or DIAMETER_MM
     if not isinstance(scene.observations, Synthesis):
-        raise InputError(scene.source, "observations", "a file, of rods that are not known between their marks",
+        raise InputError(scene.source, "observations", "a file, which does not say how the rods lie between their marks",
                          "give a scene with [synthesis]")
     from doo_ti.perception.lab_images import lab_rods, save_truth
     from doo_ti.vision.rendering.render import check_diameter
@@ -70,7 +81,7 @@ def _photograph(options: Namespace, scene: Scene) -> None:
 
 
 def _rig(options: Namespace, folder: Path):
-    """The cameras. Raises InputError where there are none, and where their file is the one to write."""
+    """The cameras. Raises InputError where none are given, and where their file would be overwritten."""
     from doo_ti.vision.cameras.rig import load_rig
     from doo_ti.vision.rendering.photographs import RIG_FILE
 

@@ -1,6 +1,5 @@
 """A rod through a video (§III-D, §IV-A)."""
 
-import json
 import os
 from argparse import Namespace
 from collections.abc import Iterator
@@ -9,33 +8,28 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti import options as given
-from doo_ti.commands.arguments import add_json, add_material, add_seen_rod, add_thread
+from doo_ti.commands import options as given
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
-from doo_ti.commands.printing import plain
-from doo_ti.commands.track_task import Task, checked_task
+from doo_ti.commands.results import report, save_arrays
+from doo_ti.commands.seen_rods import TrackingTask, tracking_task
 from doo_ti.errors import InputError, InterruptedRunError
-from doo_ti.progress import progress
-from doo_ti.terminal import in_line
-from doo_ti.whole_file import write_whole
+from doo_ti.terminal import in_line, progress
 
 AHEAD = 16
 """Frames whose thread is detected while one is tracked."""
-MOST_TOLD = 30
+MOST_LISTED = 30
 
 
 def declare(add) -> None:
-    parser = add("track", allow_abbrev=False, help="follow a rod through a video")
-    add_seen_rod(parser)
+    parser = given.command(add, "track", run, "follow a rod through a video")
+    given.add_seen_rod(parser)
     parser.add_argument("--frames", required=True, metavar="FRAMES.csv",
-                        help="frame, a column of images per camera, time_s if known, and the seed: seed_x … dir_z")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write; F.rrd lies beside it")
-    add_material(parser, "one number each; tracked rods are round")
-    parser.add_argument("--motion", metavar="PATH", help="poses of the far clamp, a moment for each frame: .npz or .csv")
-    add_thread(parser)
-    parser.add_argument("--no-recording", action="store_true", help="leave out F.rrd")
-    add_json(parser)
-    parser.set_defaults(run=run)
+                        help="columns frame, one of images per camera, time_s if known, and the seed: seed_x … dir_z")
+    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write; F.rrd is written beside it")
+    given.add_material(parser, "one number each; tracked rods are round")
+    parser.add_argument("--motion", metavar="PATH", help="poses of the far clamp, one moment for each frame: .npz or .csv")
+    given.add_thread(parser)
+    parser.add_argument("--no-recording", action="store_true", help="do not write F.rrd")
 
 
 def run(options: Namespace, words: list[str]) -> int:
@@ -43,11 +37,10 @@ def run(options: Namespace, words: list[str]) -> int:
     out = given.output_file(options.out, ".npz")
     for source in filter(None, (options.frames, options.motion, options.rest_length)):
         given.refuse_overwriting(out, source)
-    task = checked_task(options)
+    task = tracking_task(options)
     found, problem = _tracked(task)
     result = _arrays(task, found)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(out, lambda file: np.savez_compressed(file, **result))
+    save_arrays(out, result)
     if problem is not None:
         raise InterruptedRunError(f"{problem}; {len(found)} of {task.frames.count} frames are kept in {out}; the same command "
                                   "starts anew; or track the others as a video of their own, with the seed in its first line")
@@ -59,15 +52,12 @@ def run(options: Namespace, words: list[str]) -> int:
         record_track(written[-1], run_id=f"track {out.name}", name=out.stem, rig=task.frames.rig, paths=task.frames.paths,
                      vertices=result["vertices_mm"], error=result["camera_error_px"], how=result["how"], up=task.up)
     summary = _summary(task, result, written)
-    if options.json:
-        print(json.dumps(plain(summary)))
-    else:
-        _tell(summary)
+    report(options, summary, lambda: _lines(summary))
     return 0 if np.isfinite(result["energy_vis"]).any() else 1
 
 
-def _tracked(task: Task) -> tuple[list, str | None]:
-    """(Tracked frames, what kept the rest from being tracked). Raises what happens before the first one is."""
+def _tracked(task: TrackingTask) -> tuple[list, str | None]:
+    """(Tracked frames, why the others were not). An error before the first frame is raised."""
     from doo_ti.perception.tracking import Tracker
 
     frames, found = task.frames, []
@@ -86,40 +76,40 @@ def _tracked(task: Task) -> tuple[list, str | None]:
     return found, None
 
 
-def _detected(task: Task) -> Iterator[list]:
+def _detected(task: TrackingTask) -> Iterator[list]:
     """C detections of each frame, found while others are tracked."""
     from doo_ti.vision.detection.detect import detect
     from doo_ti.vision.detection.images import read_image
 
     cameras = task.frames.rig.cameras
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        def ask(row: int) -> list:
+        def detections_of(row: int) -> list:
             return [threads.submit(lambda path, camera: detect(read_image(path, camera), task.detection), path, camera)
                     for path, camera in zip(task.frames.paths[row], cameras, strict=True)]
 
-        waiting = [ask(row) for row in range(min(AHEAD, task.frames.count))]
+        waiting = [detections_of(row) for row in range(min(AHEAD, task.frames.count))]
         try:
             for row in range(task.frames.count):
                 yield [image.result() for image in waiting.pop(0)]
                 if row + AHEAD < task.frames.count:
-                    waiting.append(ask(row + AHEAD))
+                    waiting.append(detections_of(row + AHEAD))
         finally:
             threads.shutdown(cancel_futures=True)
 
 
-def _arrays(task: Task, found: list) -> dict[str, np.ndarray]:
+def _arrays(task: TrackingTask, found: list) -> dict[str, np.ndarray]:
     """What the file holds; docs/tracking.md."""
-    told = {"vertices_mm": "vertices", "energy_vis": "energy_vis", "camera_error_px": "camera_error", "status": "status",
+    fields = {"vertices_mm": "vertices", "energy_vis": "energy_vis", "camera_error_px": "camera_error", "status": "status",
             "stable": "stable", "how": "how"}
     time = {} if task.time is None else {"time_s": task.time[: len(found)]}
     return {
         "name": np.array(task.frames.names[: len(found)]), **time, "rest_length_mm": task.rest_length, "up": task.up,
-        **{key: np.array([getattr(frame, name) for frame in found]) for key, name in told.items()},
+        **{key: np.array([getattr(frame, name) for frame in found]) for key, name in fields.items()},
         "sigma_mm": np.maximum([frame.sigma for frame in found], LEAST_SIGMA_MM),
     }
 
 
-def _summary(task: Task, result: dict, written: list[Path]) -> dict:
+def _summary(task: TrackingTask, result: dict, written: list[Path]) -> dict:
     from doo_ti.perception.tracking import How
 
     how, error = result["how"], result["camera_error_px"]
@@ -132,15 +122,14 @@ def _summary(task: Task, result: dict, written: list[Path]) -> dict:
     }
 
 
-def _tell(summary: dict) -> None:
-    print(f"{summary['frames']} frames of {len(summary['cameras'])} images, a rod of {summary['edges']} edges")
-    print(f"  tracked     {len(summary['tracked'])} frames from the one before")
+def _lines(summary: dict) -> list[str]:
+    lines = [f"{summary['frames']} frames of {len(summary['cameras'])} images, a rod of {summary['edges']} edges",
+             f"  tracked     {len(summary['tracked'])} frames, each from the one before"]
     for key, words in (("seeded", "by Algorithm 1"), ("lost", "in which the rod is lost")):
         names = summary[key]
-        told = ", ".join(names[:MOST_TOLD]) + f" and {len(names) - MOST_TOLD} more" * (len(names) > MOST_TOLD)
-        print(f"  {key:<11} {len(names)} frames {words}{': ' * bool(len(names))}{told}")
+        listed = ", ".join(names[:MOST_LISTED]) + f" and {len(names) - MOST_LISTED} more" * (len(names) > MOST_LISTED)
+        lines.append(f"  {key:<11} {len(names)} frames {words}{': ' * bool(len(names))}{listed}")
     if summary["camera_error_px"] is not None:
-        print(f"  images      {max(summary['camera_error_px'], 0.0):.2f} px off on average; {summary['stable']} rods certified "
-              "stable")
-    for path in summary["written"]:
-        print(f"  written to  {in_line(path)}")
+        lines.append(f"  images      {max(summary['camera_error_px'], 0.0):.2f} px off on average; {summary['stable']} rods "
+                     "certified stable")
+    return lines + [f"  written to  {in_line(path)}" for path in summary["written"]]

@@ -1,42 +1,41 @@
 """Twist angles from shapes (§IV-B)."""
 
-import json
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti import options as given
-from doo_ti.commands.arguments import add_json, add_material
-from doo_ti.commands.printing import counted, plain, theta_text
-from doo_ti.dataset import Observations, load_observations
+from doo_ti.commands import options as given
+from doo_ti.commands.results import counted, report, save_arrays, shortened, theta_of, theta_text
 from doo_ti.grid import Grid
-from doo_ti.progress import progress
-from doo_ti.scene import PRECISIONS
+from doo_ti.io.files import write_whole
+from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.scene import PRECISIONS
 from doo_ti.start import check_experiment, observation_clamps
-from doo_ti.terminal import in_line
-from doo_ti.whole_file import write_whole
+from doo_ti.terminal import in_line, progress
 
-MOST_TOLD = 20
+MOST_LISTED = 20
 
 
 def declare(add) -> None:
-    parser = add("twist", allow_abbrev=False, help="how far rods are twisted, from their shapes")
-    parser.add_argument("observations", metavar="OBS", help="observations, or what perceive wrote: .npz, .csv or .parquet")
+    parser = given.command(add, "twist", run, "estimate how far rods are twisted, from their shapes (Eq. 4)")
+    parser.add_argument("observations", metavar="OBS",
+                        help="observations, or a file that perceive wrote: .npz, .csv or .parquet")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
-    add_material(parser, "one number, --bend also A1,A2 or A1,A2,A12")
+    given.add_material(parser, "one number each")
     parser.add_argument("--observations", dest="together", metavar="D",
-                        help="so many observations in succession share φ (default 1, with --offsets all of a grasp)")
-    parser.add_argument("--offsets", metavar="FILE", help="how the end frames lie to each other: .npz or .csv with "
-                        "offset_deg or end_frame (default: the observations' own end_frame)")
+                        help="each D consecutive observations share one angle φ "
+                        "(default 1; with --offsets all of one grasp)")
+    parser.add_argument("--offsets", dest="offset", metavar="FILE",
+                        help="angles between the observations' end frames: .npz or .csv "
+                        "with offset_deg or end_frame (default: from the observations' end_frame)")
     parser.add_argument("--regrasp", nargs="+", action="extend", default=[], metavar="INDEX",
-                        help="observations from which on the rod was grasped anew, each with a φ of its own")
-    parser.add_argument("--picture", metavar="F.png", help="also draw the curves (default: not)")
-    parser.add_argument("--up", metavar="X,Y,Z", help="direction against gravity (default: the file's, else 0,0,1)")
-    parser.add_argument("--precision", choices=PRECISIONS, default="f32", help="default f32: labels are coarser")
-    add_json(parser)
-    parser.set_defaults(run=run)
+                        help="observations before which the rod was released and grasped again; from each on φ is another one")
+    parser.add_argument("--picture", metavar="F.png", help="also draw the curves (default: no)")
+    given.add_up(parser)
+    parser.add_argument("--precision", choices=PRECISIONS, default="f32",
+                        help="arithmetic (default f32, more precise than labels)")
 
 
 def run(options: Namespace, words: list[str]) -> int:
@@ -51,15 +50,15 @@ def run(options: Namespace, words: list[str]) -> int:
     from doo_ti.twist.offsets import load_offsets
 
     offset = None
-    if options.offsets is not None:
-        observations, offset = load_offsets(Path(options.offsets), observations)
+    if options.offset is not None:
+        observations, offset = load_offsets(Path(options.offset), observations)
     regrasps = given.rows("--regrasp", ",".join(options.regrasp) or None, observations.count)
     together = given.whole("--observations", options.together, 1, observations.count)
     if together is None:
-        together = observations.count if options.offsets or regrasps else 1
+        together = observations.count if options.offset or regrasps else 1
     group = consecutive_groups(observations.count, together, regrasps)
     check_experiment(replace(observations, frames=None), observation_clamps(observations), grid.axes[-1].values[-1], 0.0)
-    if offset is None and (together > 1 or options.offsets):
+    if offset is None and (together > 1 or options.offset):
         offset = end_offsets(observations, group)
     search = TwistOptions(precision=options.precision)
     with progress() as bar:
@@ -67,16 +66,16 @@ def run(options: Namespace, words: list[str]) -> int:
 
         def advance(rods: int) -> None:
             bar.advance(task, rods)
-            # What refining the minima takes shows only then.
+            # How many rods refining the minima takes is known only afterwards.
             bar.update(task, total=max(bar.tasks[task].completed, bar.tasks[task].total))
 
         estimate = estimate_twist(observations, grid.materials(), group, offset, search, advance)
     result = _arrays(estimate)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(out, lambda file: np.savez_compressed(file, **result))
+    save_arrays(out, result)
     if picture is not None:
         _draw(picture, observations, estimate)
-    _tell(options, observations, grid, estimate, result, out)
+    summary = _summary(observations, grid, estimate, result, out)
+    report(options, summary, lambda: _lines(observations, grid, estimate, summary))
     return 0 if np.isfinite(estimate.phi).any() else 1
 
 
@@ -115,36 +114,35 @@ def _word(verdict: int) -> str:
     return Verdict(verdict).name.lower().replace("_", " ")
 
 
-def _tell(options: Namespace, observations: Observations, grid: Grid, estimate, result: dict, out: Path) -> None:
-    theta = {name: float(value[0]) for name, value in grid.cell_values().items()}
+def _summary(observations: Observations, grid: Grid, estimate, result: dict, out: Path) -> dict:
     verdicts = {_word(kind): int(count) for kind, count in zip(*np.unique(estimate.verdict, return_counts=True), strict=True)}
-    unsound = int(estimate.unsound.sum())
+    arrays = ("phi_deg", "least_mm", "low_deg", "high_deg", "minima_deg", "minima_mm", "total_twist_deg")
+    theta = theta_of(grid)
+    del theta["bend_12"]
+    return {"observations": observations.count, "groups": len(estimate.phi), **theta, "verdicts": verdicts,
+            "unsound_rods": int(estimate.unsound.sum()), "verdict": [_word(kind) for kind in estimate.verdict],
+            **{name: result[name] for name in arrays}, "out": str(out)}
+
+
+def _lines(observations: Observations, grid: Grid, estimate, summary: dict) -> list[str]:
     rods = observations.count * len(estimate.angles)
-    if options.json:
-        told = ("phi_deg", "least_mm", "low_deg", "high_deg", "minima_deg", "minima_mm", "total_twist_deg")
-        print(json.dumps(plain({
-            "observations": observations.count, "groups": len(estimate.phi), **theta, "verdicts": verdicts,
-            "unsound_rods": unsound, "verdict": [_word(kind) for kind in estimate.verdict],
-            **{name: result[name] for name in told}, "out": str(out)})))
-        return
-    print(f"{observations.name}: {observations.count} observations in {len(estimate.phi)} groups that share φ")
-    print(f"  material    {theta_text(theta | {'bend_12': grid.bend_12}, grid.is_isotropic)}")
-    print(f"  verdicts    {counted(verdicts)}; {unsound} of {rods} rods on the curves came to no certified minimum")
-    for k in range(min(MOST_TOLD, len(estimate.phi))):
-        _tell_group(estimate, k)
-    if len(estimate.phi) > MOST_TOLD:
-        print(f"  and {len(estimate.phi) - MOST_TOLD} more, which {in_line(out.name)} holds")
-    print(f"  written to {in_line(out)}")
+    return [
+        f"{observations.name}: {observations.count} observations in {summary['groups']} groups that share φ",
+        f"  material    {theta_text(theta_of(grid), grid.is_isotropic)}",
+        f"  verdicts    {counted(summary['verdicts'])}; {summary['unsound_rods']} of {rods} rods on the curves have no "
+        "certified minimum",
+        *shortened([_group_line(estimate, k) for k in range(len(estimate.phi))], MOST_LISTED,
+                   f"  and {{}} more, which {in_line(Path(summary['out']).name)} holds"),
+        f"  written to {in_line(summary['out'])}"]
 
 
-def _tell_group(estimate, k: int) -> None:
+def _group_line(estimate, k: int) -> str:
     phi, low, high = (np.degrees(values[k]) for values in (estimate.phi, estimate.low, estimate.high))
     if np.isnan(phi):
-        print(f"  {_rows(estimate, k)}: {_word(estimate.verdict[k])}, no rod came to rest")
-        return
+        return f"  {_rows(estimate, k)}: {_word(estimate.verdict[k])}, no rod found an equilibrium"
     others = zip(np.degrees(estimate.minima[k][1:]), estimate.minima_objective[k][1:], strict=True)
     rivals = "".join(f"; also {other:.0f}°, {value:.3g} mm" for other, value in others if np.isfinite(other))
     together = int((estimate.group == k).sum())
     least = f"{estimate.least[k]:.3g} mm" if together == 1 else f"Σ {estimate.least[k]:.3g} mm over {together} rods"
-    print(f"  {_rows(estimate, k)}: φ = {phi:.1f}°, {least}, {_word(estimate.verdict[k])} (nearly as good: "
-          f"{low:.0f}° to {high:.0f}°){rivals}")
+    return (f"  {_rows(estimate, k)}: φ = {phi:.1f}°, {least}, {_word(estimate.verdict[k])} (nearly as good: "
+            f"{low:.0f}° to {high:.0f}°){rivals}")

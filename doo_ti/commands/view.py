@@ -1,4 +1,4 @@
-"""A recording in the viewer."""
+"""Finished sweeps to look at: a recording in the viewer, and the paper's landscapes as pictures (Fig. 3, 4, 5)."""
 
 import os
 import sys
@@ -6,43 +6,60 @@ from argparse import Namespace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from doo_ti import options as given
-from doo_ti.commands.printing import busy, theta_text
+from doo_ti.commands import options as given
+from doo_ti.commands.results import report, theta_of, theta_text
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.learning.summary import SUMMARY, changed_files, read_summary
+from doo_ti.terminal import busy, in_line
 
 RECORDING, PLAN = "run.rrd", "cells/plan.json"
+PARTS = ("end-distance",)
+MOST_CELLS = 700
+"""A recording of so many cells of 60 rods holds 17 MB of vertices."""
 
 
 def declare(add) -> None:
-    parser = add("view", allow_abbrev=False, help="open a run's recording in the rerun viewer")
+    parser = given.command(add, "figures", run_figures, "draw and record the landscapes of finished sweeps")
+    parser.add_argument("runs", nargs="+", metavar="RUN", help="folders that sweep wrote, over one grid")
+    parser.add_argument("--out", required=True, metavar="FOLDER", help="folder to write")
+    parser.add_argument("--by", choices=PARTS, dest="by_end_distance",
+                        help="also a landscape for each end distance beside that of all together")
+    parser.add_argument("--cells", metavar="all|N",
+                        help=f"how many cells of the grid to record, evenly spread (default: at most {MOST_CELLS})")
+    parser.add_argument("--observation", metavar="N",
+                        help="the observation whose ribbon is drawn in each regime (default: the one "
+                        "where the regimes differ most)")
+    parser = given.command(add, "view", run, "open a run's recording in the rerun viewer", json=False)
     parser.add_argument("recording", metavar="RUN", help="folder of a run, finished or not, or an .rrd file")
-    parser.add_argument("--out", metavar="FOLDER", help="of an unfinished sweep: folder for landscape.png and run.rrd of the "
-                                                        "cells so far, instead of a window")
-    parser.set_defaults(run=run)
+    parser.add_argument("--out", metavar="FOLDER",
+                        help="for an unfinished sweep: folder for landscape.png and run.rrd of the cells "
+                        "so far, instead of a window")
+
+
+# --- view ----------------------------------------------------------------------------------------------------------------
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Open the rerun viewer on a run: of a sweep that is not finished, on what is stored of it so far."""
+    """Open the rerun viewer on a run; of an unfinished sweep on the cells stored so far."""
     path = Path(options.recording)
     if not path.exists() or (path.is_file() and path.suffix != ".rrd"):
         problem = "not a recording" if path.exists() else "no such file or directory"
         raise InputError(path, "run", problem, "name the folder of a run, or an .rrd file")
     unfinished = path.is_dir() and not (path / RECORDING).exists() and (path / PLAN).exists()
-    if options.out is not None:
-        out = given.output_folder(options.out)
+    out = given.output_folder(options.out)
+    if out is not None:
         if not unfinished:
-            raise InputError(path, "--out", "given, but there is a recording", "leave --out away, or copy the recording")
+            raise InputError(path, "--out", "given, but there is a recording", "leave --out out, or copy the recording")
         if out.resolve().is_relative_to(path.resolve()):
-            raise InputError(out, "--out", "is in the run itself, which only the sweep writes", "name another folder")
+            raise InputError(out, "--out", "is inside the run, where only the sweep writes", "name another folder")
         _draw_unfinished(path, out)
         print(f"  written to  {out}")
         return 0
     if (path / RECORDING).exists() and (path / SUMMARY).exists() and changed_files(path, read_summary(path), (RECORDING,)):
-        raise InputError(path / RECORDING, "file", "not what the sweep wrote", "run the sweep again: it is made anew")
+        raise InputError(path / RECORDING, "file", "not as the sweep wrote it", "run the sweep again, which makes it again")
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        instead = "--out FOLDER writes what there is so far" if unfinished else "tools/screenshot.py saves a picture"
-        raise InterruptedRunError(f"view: there is no display here; {instead}")
+        instead = "--out FOLDER writes the pictures so far" if unfinished else "tools/screenshot.py saves a picture"
+        raise InterruptedRunError(f"view: this machine has no display; {instead}")
     from doo_ti.record import open_viewer
 
     if not unfinished:
@@ -61,10 +78,49 @@ def _draw_unfinished(run: Path, folder: Path) -> None:
     with busy("reading cells"):
         found = read_unfinished(run)
     overview = found.overview
-    theta = {name: value[0] for name, value in overview.grid.cell_values([overview.best]).items()}
     print(f"{overview.name}: {found.done} stored, the last of them {found.age:,.0f} s ago")
-    print(f"  best so far {theta_text(theta | {'bend_12': overview.grid.bend_12}, overview.grid.is_isotropic)}")
+    print(f"  best so far {theta_text(theta_of(overview.grid, overview.best), overview.grid.is_isotropic)}")
     print(f"  distance    mean {overview.mean_distance[overview.best]:.4g} mm (Eq. 1)")
     with busy("drawing"):
         folder.mkdir(parents=True, exist_ok=True)
         found.draw(folder)
+
+
+# --- figures -------------------------------------------------------------------------------------------------------------
+
+
+def run_figures(options: Namespace, words: list[str]) -> int:
+    """Pictures of the landscapes, a recording with one step per cell, and for ribbons one of each regime."""
+    out = given.output_folder(options.out)
+    whole_grid = options.cells == "all"
+    most = None if whole_grid else given.whole("--cells", options.cells, 1) or MOST_CELLS
+    observation = given.whole("--observation", options.observation, 0)
+
+    from doo_ti.figures.study import draw_landscapes, draw_ribbons, read, record_cells
+
+    with busy("reading runs"):
+        study = read([Path(run) for run in options.runs], by_end_distance=options.by_end_distance is not None,
+                           observation=observation, most_cells=most)
+    with busy("drawing landscapes"):
+        files = draw_landscapes(study, out)
+    files += record_cells(study, out)
+    with busy("drawing ribbons"):
+        files += draw_ribbons(study, out)
+    _report_figures(options, study, files)
+    return 0
+
+
+def _report_figures(options: Namespace, study, files: list[dict]) -> None:
+    """The files, and which cells were recorded where not all were."""
+    names, cells, recorded = [panel.title for panel in study.panels[0]], study.landscapes[0].grid.size, study.cells.grid.size
+
+    def lines() -> list[str]:
+        found = [f"{'; '.join(names)}: {cells} cells"]
+        if recorded < cells:
+            parts = ", ".join(f"{count} of {of} values of {name}" for name, (count, of) in study.recorded_values.items())
+            found.append(f"  recorded    {recorded} cells: {parts}; each run's best cell is included; --cells all records all")
+        return found + [f"  written     {in_line(file['path'])} ({file['bytes'] / 1e6:.1f} MB, {file['seconds']:.1f} s)"
+                        for file in files]
+
+    report(options, {"runs": names, "cells": cells, "recorded_cells": recorded, "recorded_values": study.recorded_values,
+                     "files": files}, lines)

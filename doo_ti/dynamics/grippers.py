@@ -12,7 +12,7 @@ from doo_ti.frames import (
     quaternion_product,
     smallest_rotation,
 )
-from doo_ti.types import Clamp, Clamps
+from doo_ti.types import Clamps
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,11 @@ class Grippers:
         return cls(clamps.start, clamps.end, *(still(getattr(clamps, name)) for name in (
             "start_position", "end_position", "start_frame", "end_frame")))
 
+    def take(self, rows) -> "Grippers":
+        """Those of the rods named by ``rows``."""
+        kinds = [kind if np.ndim(kind) == 0 else np.asarray(kind)[rows] for kind in (self.start, self.end)]
+        return Grippers(*kinds, self.start_position[rows], self.end_position[rows], self.start_frame[rows], self.end_frame[rows])
+
     def at(self, instant: int) -> Clamps:
         """The clamps at one instant."""
         return Clamps(self.start, self.end, *(np.ascontiguousarray(getattr(self, name)[:, instant]) for name in (
@@ -86,13 +91,6 @@ def edge_frames(edges: np.ndarray, first: np.ndarray | None = None) -> np.ndarra
         m1 = m1 / np.linalg.norm(m1, axis=-1, keepdims=True)
         frames[:, k, :, 0], frames[:, k, :, 1], frames[:, k, :, 2] = t[:, k], m1, np.cross(t[:, k], m1)
     return frames
-
-
-def held_by_edges(positions: np.ndarray, start_frames: np.ndarray, end: Clamp = Clamp.TANGENT) -> Grippers:
-    """The grippers of recorded rods (S, T, V, 3) that hold their first and last edges: the first by ``start_frames``
-    (S, T, 3, 3), the last by its tangent, or by its frame as :func:`edge_frames` carries it along."""
-    return Grippers(Clamp.FRAME, end, positions[:, :, 0], positions[:, :, -1], start_frames,
-                    edge_frames(positions[:, :, -1] - positions[:, :, -2]))
 
 
 def _cubic(points: np.ndarray, share: np.ndarray) -> np.ndarray:

@@ -9,13 +9,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.dynamics.recorded import RecordedMotion, rollout
+from doo_ti.dynamics.recorded import RecordedMotion, roll_reference, rollout
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.dynamics.theta import MotionTheta, Unknowns, simulated
 from doo_ti.types import Clamp, Status
 
 STEP = 0.01
 """Of an entry of p, for differences."""
+GUESSES = (3e-4, 3e-3, 3e-2, 0.3)
+"""Bend stiffness over weight and the cube of the length."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class IdentifyOptions:
     end           what the far gripper holds
     """
 
-    modes: int = 3
+    modes: int = 5
     fitted: tuple[str, ...] = ("bend_damping", "drag", "quadratic_drag")
     horizons: tuple[int, ...] = (60, 200, 10**6)
     delta: float = 5.0
@@ -40,6 +42,11 @@ class IdentifyOptions:
     scheme: str = "bdf2"
     iterations: int = 20
     end: Clamp = Clamp.TANGENT
+
+    @property
+    def rounds(self) -> int:
+        """Most iterations of all fits."""
+        return self.iterations * len(self.horizons)
 
 
 def predicted(motion: RecordedMotion, thetas: list[MotionTheta], options: IdentifyOptions, precision: str = "f64",
@@ -51,8 +58,8 @@ def predicted(motion: RecordedMotion, thetas: list[MotionTheta], options: Identi
     pairs = np.repeat(np.arange(count), each), np.tile(np.arange(each), count)
     material, dynamics = simulated(thetas)
     found = simulate(begun.start, material, begun.grippers, dynamics, begun.rate, velocity=begun.velocity,
-                     substeps=options.substeps, scheme=options.scheme, precision=precision, pairs=pairs, smooth_start=False,
-                     progress=progress)
+                     substeps=options.substeps, scheme=options.scheme, up=thetas[0].up, precision=precision, pairs=pairs,
+                     smooth_start=False, progress=progress)
     at = begun.steps[:, 1:] - 1
     rods = np.arange(count)[:, None]
     positions = np.repeat(motion.positions[:, None], each, axis=1)
@@ -74,7 +81,7 @@ class Identified:
     """What :func:`identify` found.
 
     theta       Θ
-    names       (P,) of the entries of p
+    unknowns    what the entries of p are
     vector      (P,) p
     covariance  (P, P) of p, recordings taken as independent
     error       (R,) mm, the mean over frames from 2 on of :func:`mean_error`; NaN for recordings that failed
@@ -84,13 +91,17 @@ class Identified:
     """
 
     theta: MotionTheta
-    names: list[str]
+    unknowns: Unknowns
     vector: np.ndarray
     covariance: np.ndarray
     error: np.ndarray
     failed: np.ndarray
     cost: float
     iterations: int
+
+    def parameters(self) -> list[dict]:
+        """Name, value, 95 % interval and unit of every parameter."""
+        return self.unknowns.intervals(self.vector, self.covariance)
 
 
 def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOptions = IdentifyOptions(),
@@ -111,7 +122,23 @@ def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOption
     failed = (status != Status.CONVERGED).any(axis=(1, 2))
     theta = unknowns.theta(p)
     error = np.where(failed, np.nan, np.abs(residual).mean(axis=(1, 2, 3)) * (residual.shape[2] / motion.positions.shape[2]))
-    return Identified(theta, unknowns.names, p, fit.covariance(residual, slopes, ~failed), error, failed, cost, made)
+    return Identified(theta, unknowns, p, fit.covariance(residual, slopes, ~failed), error, failed, cost, made)
+
+
+def identify_from_guesses(motion: RecordedMotion, options: IdentifyOptions, bend: float | None = None,
+                          up=(0.0, 0.0, 1.0), report=None) -> Identified:
+    """:func:`identify` from the best of several guesses of bend stiffness on the shortest horizon, or from ``bend``."""
+    lengths = motion.edge_lengths()
+    guesses = [bend] if bend is not None else [share * lengths.sum() ** 3 for share in GUESSES]
+    thetas = [MotionTheta(guess, 1.0, 0.03, 0.2, 1e-5, 0.0, np.zeros((2, 0)), lengths, roll_reference(motion),
+                          np.asarray(up, dtype=np.float64)) for guess in guesses]
+    best = 0
+    if len(thetas) > 1:
+        part = motion.until(min(options.horizons) + 2)
+        positions, _ = predicted(part, thetas, options)
+        error = np.abs(positions - part.positions[:, None]).mean(axis=(2, 3, 4))
+        best = int(np.argmin(np.nanmedian(error, axis=0)))
+    return identify(motion, thetas[best], options, report)
 
 
 class _Fit:

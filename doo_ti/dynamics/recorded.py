@@ -1,26 +1,33 @@
 """Recorded motion: markers along rods held by grippers, frame by frame, as what a simulation starts from and is compared with."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from doo_ti.dynamics.grippers import Grippers, edge_frames
 from doo_ti.errors import InputError
 from doo_ti.frames import bishop_frames, quaternion_from_matrix
+from doo_ti.io.arrays import read_npz
+from doo_ti.io.files import read_content
 from doo_ti.types import Clamp, Configuration
 
-JUMP = 4.0
-"""A gripper that moves so many times as far in one frame as in those around it was not seen in between."""
+LEAST_JUMP, LARGEST_MISFIT, SMALLEST_JUMP = 1.7, 0.2, 10.0
+"""Frames are missing where all gripper markers together move by more than this multiple of their usual move, but for this share
+of the squares, and by so many mm (root of the sum of squares)."""
 NEIGHBOURS = 3
 """Frames on either side that tell how fast a gripper is."""
 MOST_LOST = 100
 """Frames that may be missing at one place."""
 LARGEST_TURN = np.radians(60.0)
 """A gripper that turns by more in one frame was not seen right: markers were confused."""
+FINE, SWAPPED, LOST = 0, 1, 2
 MOST_CONFUSED = 50
 """Frames after which it is believed that it did turn."""
 LARGEST_REACH = 0.999
 """Share of the rod's length between grippers, at most: beyond, the far gripper is moved back."""
+MOST_MM = 1e6
+"""From the origin."""
 GRIPPED = (0, 1, -2, -1)
 """Vertices of the first and last edge."""
 
@@ -33,8 +40,8 @@ class RecordedMotion:
     rate       frames per second
     names      (R,) of the recordings
     elapsed    (R, T) steps of 1/rate since the frame before: more than one where frames are missing from the recording
-    confused   (R, T, 2) where the start gripper's and the end gripper's markers contradict the frames around; the gripper is then
-               taken from those
+    confused   (R, T, 2) of the start gripper's and the end gripper's markers: FINE, SWAPPED, or LOST, where they contradict the
+               frames around, from which the gripper is then taken
 
     Raises InputError for shapes that do not fit and numbers that are not finite.
     """
@@ -57,16 +64,66 @@ class RecordedMotion:
         wrong = np.argwhere(~np.isfinite(positions).all(axis=(2, 3)))
         if len(wrong):
             raise InputError(source, "positions_mm", f"not finite in {len(wrong)} frames, first recording {wrong[0, 0]}, "
-                             f"frame {wrong[0, 1]}", "fill the gaps first (--fill-gaps), or leave those recordings out")
+                             f"frame {wrong[0, 1]}", "have them filled (`fill_gaps`), or leave those recordings out")
         if not (np.isfinite(rate) and rate > 0):
             raise InputError(source, "rate_hz", f"{rate}", "give frames per second")
-        names = tuple(str(k) for k in range(len(positions))) if names is None else tuple(names)
+        if (np.abs(positions) > MOST_MM).any():
+            raise InputError(source, "positions_mm", f"up to {np.abs(positions).max():.3g} mm from the origin", "give mm")
+        names = tuple(str(k) for k in (range(len(positions)) if names is None else names))
         return cls(positions, float(rate), names, elapsed_steps(positions), confused_frames(positions))
+
+    @classmethod
+    def load(cls, path: str | Path, fill_gaps: bool = False) -> "RecordedMotion":
+        """The recordings of an npz file: ``positions_mm`` (R, T, V, 3) or (T, V, 3), ``rate_hz``, and names in ``recording``.
+
+        fill_gaps  positions that are not finite are taken from lines between the frames around
+
+        Raises InputError for files that cannot be read, and as the class does.
+        """
+        path = Path(path)
+        found = read_npz(path, read_content(path), ("positions_mm", "rate_hz", "recording"))
+        for key in ("positions_mm", "rate_hz"):
+            if key not in found:
+                raise InputError(path, key, "missing", "give positions_mm (R, T, V, 3) or (T, V, 3) and rate_hz")
+            if found[key].dtype.kind not in "fiu":
+                raise InputError(path, key, f"dtype {found[key].dtype} is not numeric", "store real numbers")
+        positions, rate = found["positions_mm"].astype(np.float64), found["rate_hz"]
+        if rate.size != 1:
+            raise InputError(path, "rate_hz", f"shape {rate.shape}", "give one number: frames per second")
+        if positions.ndim == 3:
+            positions = positions[None]
+        if fill_gaps and positions.ndim == 4:
+            positions = _filled(positions, path)
+        names = found.get("recording")
+        if names is not None and names.shape != positions.shape[:1]:
+            raise InputError(path, "recording", f"shape {names.shape}", f"give ({len(positions)},) names")
+        return cls.of(positions, float(rate.reshape(())), None if names is None else names.tolist(), str(path))
+
+    @classmethod
+    def together(cls, parts: list["RecordedMotion"], sources: list[str]) -> "RecordedMotion":
+        """The recordings of several files, as long as the shortest. Raises InputError where markers or rates differ."""
+        first = parts[0]
+        for part, source in zip(parts, sources, strict=True):
+            if part.positions.shape[2] != first.positions.shape[2] or part.rate != first.rate:
+                raise InputError(source, "positions_mm", f"{part.positions.shape[2]} markers at {part.rate:g}/s, the first file "
+                                 f"has {first.positions.shape[2]} at {first.rate:g}/s", "give recordings of one rod alike")
+        frames = min(part.positions.shape[1] for part in parts)
+        cut = [part.until(frames) for part in parts]
+        several = len(parts) > 1
+        names = tuple(f"{Path(source).stem} {name}" if several else name
+                      for part, source in zip(parts, sources, strict=True) for name in part.names)
+        return cls(np.concatenate([part.positions for part in cut]), first.rate, names,
+                   np.concatenate([part.elapsed for part in cut]), np.concatenate([part.confused for part in cut]))
 
     @property
     def count(self) -> int:
         """R."""
         return len(self.positions)
+
+    @property
+    def edges(self) -> int:
+        """E."""
+        return self.positions.shape[2] - 1
 
     def take(self, rows) -> "RecordedMotion":
         """The recordings named by ``rows``."""
@@ -83,63 +140,88 @@ class RecordedMotion:
         """(E,) median lengths of the edges, mm."""
         return np.median(np.linalg.norm(np.diff(self.positions, axis=2), axis=-1), axis=(0, 1))
 
-    def jumps(self) -> list[tuple[str, int, int]]:
-        """(recording, frame, frames missing before it) of every place where frames are missing."""
-        return [(self.names[r], int(t), int(self.elapsed[r, t]) - 1) for r, t in np.argwhere(self.elapsed > 1)]
+    def glitches(self) -> list[str]:
+        """What is wrong with the recordings, one line each."""
+        lines = [f"recording {self.names[r]}, frame {t}: {self.elapsed[r, t] - 1} frames are missing before it"
+                 for r, t in np.argwhere(self.elapsed > 1)]
+        for kind, problem in ((SWAPPED, "are swapped"), (LOST, "contradict the frames around")):
+            for r, end in np.argwhere((self.confused == kind).any(axis=1)):
+                frames = np.flatnonzero(self.confused[r, :, end] == kind)
+                lines.append(f"recording {self.names[r]}, {len(frames)} frames from {frames[0]} to {frames[-1]}: the two markers "
+                             f"of the {('start', 'end')[end]} gripper {problem}")
+        return lines
+
+
+def _filled(positions: np.ndarray, path: Path) -> np.ndarray:
+    """Positions (R, T, V, 3) with gaps closed by lines in time. Raises InputError for a marker that was never seen."""
+    result = positions.copy()
+    for r, v in np.argwhere(~np.isfinite(positions).all(axis=(1, 3))):
+        seen = np.isfinite(positions[r, :, v]).all(axis=-1)
+        if not seen.any():
+            raise InputError(path, "positions_mm", f"marker {v} of recording {r} is nowhere finite", "leave that recording out")
+        for axis in range(3):
+            result[r, :, v, axis] = np.interp(np.arange(len(seen)), np.flatnonzero(seen), positions[r, seen, v, axis])
+    return result
 
 
 def elapsed_steps(positions: np.ndarray) -> np.ndarray:
     """(R, T) steps since the frame before, from (R, T, V, 3) positions.
 
-    A capture that loses frames leaves a jump: all markers of the grippers move many times as far as in the frames around, each
-    by the same multiple, which is the number of steps that have passed.
+    A capture that loses frames leaves a jump: all markers of the grippers move by the same multiple n of what they do in the
+    frames around, in the same directions. With moves d of the four and the median u of their moves around, n = Σ d·u / Σ u·u.
     """
-    count, frames = positions.shape[:2]
-    steps = np.ones((count, frames), dtype=np.int64)
-    way = np.linalg.norm(np.diff(positions[:, :, GRIPPED], axis=1), axis=-1)  # (R, T − 1, 4) of the frame after
-    around = np.full((2 * NEIGHBOURS + 1, *way.shape), np.nan)
-    for k in range(-NEIGHBOURS, NEIGHBOURS + 1):
-        if k and abs(k) < way.shape[1]:
-            around[k + NEIGHBOURS, :, max(0, -k) : way.shape[1] - max(0, k)] = way[:, max(0, k) : way.shape[1] + min(0, k)]
+    moves = np.diff(positions[:, :, GRIPPED], axis=1)  # (R, T − 1, 4, 3)
+    around = np.full((2 * NEIGHBOURS, *moves.shape), np.nan)
+    for k, offset in enumerate([*range(-NEIGHBOURS, 0), *range(1, NEIGHBOURS + 1)]):
+        if abs(offset) < moves.shape[1]:
+            around[k, :, max(0, -offset) : moves.shape[1] - max(0, offset)] = (
+                moves[:, max(0, offset) : moves.shape[1] + min(0, offset)])
     usual = np.nanmedian(around, axis=0)
-    # Of each gripper's two markers together; slow grippers tell nothing of how long it was.
-    both, usually = way[..., :2].sum(-1) + way[..., 2:].sum(-1), usual.sum(-1)
-    noise = np.median(usually, axis=1, keepdims=True)
-    ratio = both / np.maximum(usually, 0.2 * noise + 1e-9)
-    lost = (ratio > JUMP) & (both > JUMP * noise)
-    steps[:, 1:][lost] = np.clip(np.rint(ratio[lost]), 1, MOST_LOST).astype(np.int64)
+    square = np.sum(usual**2, axis=(-2, -1))
+    number = np.sum(moves * usual, axis=(-2, -1)) / np.maximum(square, 1e-12)
+    left = np.sum((moves - number[..., None, None] * usual) ** 2, axis=(-2, -1))
+    all_moves = np.sum(moves**2, axis=(-2, -1))
+    lost = (number > LEAST_JUMP) & (left < LARGEST_MISFIT * all_moves) & (all_moves > SMALLEST_JUMP**2)
+    steps = np.ones(positions.shape[:2], dtype=np.int64)
+    steps[:, 1:][lost] = np.clip(np.rint(number[lost]), 1, MOST_LOST).astype(np.int64)
     return steps
 
 
 def confused_frames(positions: np.ndarray) -> np.ndarray:
-    """(R, T, 2) frames of (R, T, V, 3) positions in which the first or the last edge points elsewhere than before, for a while."""
+    """(R, T, 2) frames of (R, T, V, 3) positions in which the first or the last edge points elsewhere than before, for a while:
+    SWAPPED where it points the opposite way, else LOST. Before frame 0 it continues the edge beside it."""
     edges = np.stack([positions[:, :, 1] - positions[:, :, 0], positions[:, :, -1] - positions[:, :, -2]], axis=2)
     direction = edges / np.maximum(np.linalg.norm(edges, axis=-1, keepdims=True), 1e-12)
-    count, frames = direction.shape[:2]
-    confused = np.zeros((count, frames, 2), dtype=bool)
-    believed, since = direction[:, 1].copy(), np.zeros((count, 2), dtype=np.int64)
-    for t in range(2, frames):
-        turned = np.sum(direction[:, t] * believed, axis=-1) < np.cos(LARGEST_TURN)
-        since = np.where(turned, since + 1, 0)
-        real = since > MOST_CONFUSED
-        for r, end in np.argwhere(real):
-            confused[r, t - MOST_CONFUSED : t, end] = False
-        confused[:, t] = turned & ~real
-        believed = np.where((turned & ~real)[..., None], believed, direction[:, t])
-        since[real] = 0
+    beside = np.stack([positions[:, 0, 2] - positions[:, 0, 1], positions[:, 0, -2] - positions[:, 0, -3]], axis=1)
+    kinked = np.sum(direction[:, 0] * beside, axis=-1) < -0.5 * np.linalg.norm(beside, axis=-1)
+    believed = np.where(kinked[..., None], -direction[:, 0], direction[:, 0])
+    confused = np.full(direction.shape[:3], FINE, dtype=np.int8)
+    since = np.zeros(kinked.shape, dtype=np.int64)
+    for t in range(direction.shape[1]):
+        along = np.sum(direction[:, t] * believed, axis=-1)
+        swapped, lost = along < -np.cos(LARGEST_TURN), np.abs(along) < np.cos(LARGEST_TURN)
+        since = np.where(lost, since + 1, 0)
+        for r, end in np.argwhere(since > MOST_CONFUSED):
+            confused[r, t - MOST_CONFUSED : t, end], lost[r, end] = FINE, False
+        since[~lost] = 0
+        confused[:, t] = np.where(lost, LOST, np.where(swapped, SWAPPED, FINE))
+        believed = np.where(lost[..., None], believed, np.where(swapped[..., None], -direction[:, t], direction[:, t]))
     return confused
 
 
 def _believable(held: np.ndarray, confused: np.ndarray, elapsed: np.ndarray) -> np.ndarray:
-    """Gripper markers (R, T, 4, 3), where ``confused`` (R, T, 2) on lines between the frames around."""
-    if not confused.any():
-        return held
+    """Gripper markers (R, T, 4, 3), changed back where ``confused`` (R, T, 2) says they are swapped, and on lines between the
+    frames around where they are lost."""
     result, instants = held.copy(), np.cumsum(elapsed, axis=1)
-    for r, end in np.argwhere(confused.any(axis=1)):
-        good = ~confused[r, :, end]
-        for marker in (2 * end, 2 * end + 1):
-            for axis in range(3):
-                result[r, :, marker, axis] = np.interp(instants[r], instants[r, good], held[r, good, marker, axis])
+    for end in range(2):
+        pair = slice(2 * end, 2 * end + 2)
+        swapped = confused[:, :, end] == SWAPPED
+        result[swapped, pair] = held[swapped, pair][:, ::-1]
+        for r in np.flatnonzero((confused[:, :, end] == LOST).any(axis=1)):
+            good = confused[r, :, end] != LOST
+            for marker, axis in np.ndindex(2, 3):
+                column = result[r, :, 2 * end + marker, axis]
+                result[r, :, 2 * end + marker, axis] = np.interp(instants[r], instants[r, good], column[good])
     return result
 
 
@@ -174,6 +256,13 @@ class Rollout:
     rate: float
 
 
+def roll_reference(motion: RecordedMotion) -> np.ndarray:
+    """(3,) the coordinate axis most across the first edges where the recordings begin."""
+    first = motion.positions[:, 1, 1] - motion.positions[:, 1, 0]
+    direction = first / np.linalg.norm(first, axis=-1, keepdims=True)
+    return np.eye(3)[int(np.argmin((direction**2).mean(axis=0)))]
+
+
 def rollout(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarray, end: Clamp = Clamp.TANGENT) -> Rollout:
     """Lay out the recordings of ``motion`` for :func:`doo_ti.dynamics.simulate.simulate`.
 
@@ -181,17 +270,19 @@ def rollout(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarr
     reference    (3,) direction towards which m1 of the first edge points at frame 1
     end          what the far gripper holds
     """
-    held = _believable(motion.positions[:, 1:][:, :, GRIPPED], motion.confused[:, 1:], motion.elapsed[:, 1:])
-    held = _within_reach(held, rest_length)
+    believed = _believable(motion.positions[:, :, GRIPPED], motion.confused, motion.elapsed)
+    held = _within_reach(believed[:, 1:], rest_length)
     expanded, steps = _with_missing(held, motion.elapsed[:, 1:])
     first = edge_frames(expanded[:, :, 1] - expanded[:, :, 0], np.broadcast_to(reference, (motion.count, 3)))
     last = edge_frames(expanded[:, :, 3] - expanded[:, :, 2])
     grippers = Grippers(Clamp.FRAME, end, expanded[:, :, 0], expanded[:, :, 3], first, last)
-    x = motion.positions[:, 1]
+    first_two = motion.positions[:, :2].copy()
+    first_two[:, :, GRIPPED] = believed[:, :2]
+    x = first_two[:, 1]
     edges = np.diff(x, axis=1)
     tangents = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
     frames = quaternion_from_matrix(bishop_frames(tangents, first[:, 0, :, 1]))
-    velocity = (x - motion.positions[:, 0]) * motion.rate / motion.elapsed[:, 1, None, None]
+    velocity = (x - first_two[:, 0]) * motion.rate / motion.elapsed[:, 1, None, None]
     return Rollout(Configuration(x[:, 0].copy(), frames, rest_length), velocity, grippers, steps, motion.rate)
 
 

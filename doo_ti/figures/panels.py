@@ -54,7 +54,8 @@ def in_rows(panels: list[LandscapePanel]) -> list[list[LandscapePanel]]:
 
 def _row(name: str, landscape: Landscape) -> list[LandscapePanel]:
     if np.isnan(landscape.end_distance).any():
-        raise InputError(landscape.run, "end_distance_mm", "unknown", "leave --by out, or give the observations the label")
+        raise InputError(landscape.run, "end_distance_mm", "unknown",
+                         "leave `by_end_distance` out, or give the observations the label")
     distances = np.unique(landscape.end_distance)
     together = plane_of(landscape)
     parts = [plane_of(_terms(landscape, landscape.end_distance == distance)) for distance in distances]

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.contact_sheet import contact_sheet, known, observation_names
+from doo_ti.io.files import write_whole
 from doo_ti.learning.cells import relax_cells
 from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.landscape import Landscape
@@ -17,7 +18,6 @@ from doo_ti.record import record_ribbons
 from doo_ti.report import Ribbons, quantity, ribbon_sides, ribbons_picture, values_text
 from doo_ti.report.plane import REGIMES, regime
 from doo_ti.types import Status
-from doo_ti.whole_file import write_whole
 
 COLORS = ((214, 57, 57), (52, 158, 79), (48, 105, 205))
 """Red, green and blue as in the paper."""

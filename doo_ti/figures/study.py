@@ -9,13 +9,13 @@ from doo_ti.errors import InputError
 from doo_ti.figures.panels import MARKS, in_rows, panels_by_end_distance, panels_of_runs, plane_of, run_name, title_of
 from doo_ti.figures.recording import Cells, cells_to_record, record_figure
 from doo_ti.figures.regimes import draw_regimes
+from doo_ti.io.files import write_whole
 from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.landscape import Landscape, read_landscape
 from doo_ti.learning.partition import check_comparable
 from doo_ti.learning.run_folder import read_experiment
-from doo_ti.progress import progress
 from doo_ti.report import MEAN_DISTANCE, LandscapePanel, landscapes_picture
-from doo_ti.whole_file import write_whole
+from doo_ti.terminal import progress
 
 OWN_SCALE = ", each on a colour scale of its own"
 
@@ -59,7 +59,7 @@ def read(runs: list[Path], *, by_end_distance: bool, observation: int | None, mo
             raise InputError(landscape.run, "observations", f"{experiment.terms} terms, but the cells hold "
                              f"{len(landscape.observation)}", "run the sweep again")
         if observation is not None and observation not in landscape.observation:
-            raise InputError(landscape.run, "--observation", f"{observation} is not compared with",
+            raise InputError("study", "observation", f"{observation} is not compared with in {landscape.run}",
                              f"give one of {landscape.observation.min()} to {landscape.observation.max()}")
     return Study(landscapes, experiments, panels_of_runs(landscapes),
                  panels_by_end_distance(landscapes) if by_end_distance else None,
@@ -87,7 +87,7 @@ def record_cells(study: Study, out: Path) -> list[dict]:
     files: list[dict] = []
     rods = sum(experiment.terms for experiment in study.experiments) * study.cells.grid.size
     rows = study.by_distance or [[panel] for panel in study.panels[0]]
-    with _told(files, out / "cells.rrd") as path, progress(lasting=True) as bar:
+    with _told(files, out / "cells.rrd") as path, progress(keep=True) as bar:
         task = bar.add_task("recording", total=rods, unit="rods")
         record_figure(path, study.experiments, study.landscapes, rows, study.cells, title=study.title,
                       advance=lambda done: bar.update(task, advance=done))

@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.grid import Grid
+from doo_ti.io.observations import Observations
 from doo_ti.learning.hypotheses import Hypotheses, hypotheses_of
 from doo_ti.learning.pairs import Pairs, check_ways, pairs_from_labels
 from doo_ti.relaxation.descent import Descent
@@ -104,7 +104,7 @@ class Experiment:
     def __post_init__(self):
         dynamic = self.options.objective == "dynamic"
         if self.pairs is not None and not dynamic:
-            raise InputError(self.pairs.source, "pairs", "given, but the objective is static", "use --objective dynamic")
+            raise InputError(self.pairs.source, "pairs", "given, but the objective is static", "choose the dynamic objective")
         if dynamic:
             pairs = pairs_from_labels(self.observations) if self.pairs is None else self.pairs
             object.__setattr__(self, "pairs", pairs.weighted)
@@ -113,8 +113,8 @@ class Experiment:
             check_ways(self.pairs, clamps)
         both_unknown = np.broadcast_to(np.maximum(clamps.start, clamps.end) == Clamp.TANGENT, 1).any()
         if self.options.spins and both_unknown and not self.grid.is_isotropic:
-            raise InputError(self.observations.source, "spins", "both ends' spins are unknown and the rod is not round",
-                             "give start_frame, or search over --bend")
+            raise InputError(self.observations.source, "spins", "the rolls of both clamps are unknown and the rod is not round",
+                             "give start_frame, or search over bend")
         if self.hypotheses is None:
             hypotheses = hypotheses_of(self.observations, clamps, self.options.spins)
             if dynamic:

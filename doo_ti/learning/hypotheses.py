@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
+from doo_ti.io.observations import Observations
 from doo_ti.start import held_spins, start_configuration, turn_hypotheses
 from doo_ti.types import Clamp, Clamps, Configuration
 
@@ -78,7 +78,7 @@ def hypotheses_of(observations: Observations, clamps: Clamps, spins: int = 0) ->
     kinds = np.broadcast_arrays(clamps.start, clamps.end)
     if not (np.minimum(*kinds) == Clamp.TANGENT).all() or observations.frames is not None:
         raise InputError(observations.source, "spins", "no end is held by its tangent alone, or frames were measured",
-                         "leave spins out, or use --clamp-end tangent")
+                         "leave spins out, or clamp the end by its tangent")
     index = np.repeat(np.arange(observations.count), spins)
     spin = np.tile(2 * np.pi * np.arange(spins) / spins, observations.count)
     observed = observations.take(index)

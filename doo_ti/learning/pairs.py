@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
-from doo_ti.file_content import MOST_TEXT_BYTES, read_content
+from doo_ti.io.csv_table import read_csv
+from doo_ti.io.files import write_text
+from doo_ti.io.observations import Observations
 from doo_ti.types import Clamp, Clamps
-from doo_ti.whole_file import write_whole
 
 APART_DEG = 120.0
 """How far apart the end rotations of the paper's pairs are (footnote 7)."""
@@ -90,14 +90,14 @@ def pairs_from_labels(observations: Observations) -> Pairs:
     for key, label in (("end_distance_mm", distance), ("end_rotation_deg", rotation)):
         if label is None:
             raise InputError(observations.source, key, "missing, so that there are no pairs for the dynamic objective",
-                             "add the labels, or name the pairs with --pairs FILE")
+                             "add the labels, or give `pairs`")
     same = np.abs(distance[:, None] - distance) < SAME
     apart = np.abs(np.abs(rotation[:, None] - rotation) - APART_DEG) < SAME
     x, y = np.nonzero(same & apart)
     if not len(x):
         raise InputError(observations.source, "end_rotation_deg",
                          f"no two observations of the same end distance are {APART_DEG:g} degrees apart",
-                         "name the pairs with --pairs FILE")
+                         "give `pairs`")
     return Pairs(x, y, np.ones(len(x)), np.radians(rotation[y] - rotation[x]), f"labels of {observations.source}")
 
 
@@ -108,16 +108,12 @@ def load_pairs(path: Path, observations: Observations) -> Pairs:
     there are such. Raises InputError for unreadable files, other columns, entries that are no numbers or no rows, and for
     whatever :class:`Pairs` refuses.
     """
-    columns = _read_columns(Path(path))
-    ends = []
-    for name in NEEDED:
-        rows = columns[name]
-        wrong = np.flatnonzero(~((rows >= 0) & (rows < observations.count) & (rows == np.floor(rows))))
-        if len(wrong):
-            raise InputError(path, name, f"{rows[wrong[0]]:g} in line {wrong[0] + 2} is no observation",
-                             f"give whole numbers from 0 to {observations.count - 1}")
-        ends.append(rows.astype(np.int64))
-    x, y = ends
+    table = read_csv(Path(path), NEEDED, OPTIONAL, form=f"{','.join(NEEDED)}[,{'][,'.join(OPTIONAL)}]")
+    x, y = (table.whole(name) for name in NEEDED)
+    for name, rows in zip(NEEDED, (x, y), strict=True):
+        table.refuse(name, (rows < 0) | (rows >= observations.count), "is not an observation",
+                     f"give whole numbers from 0 to {observations.count - 1}")
+    columns = {name: table.numbers(name) for name in OPTIONAL if name in table.columns}
     rotation = None
     if "rotation_deg" in columns:
         rotation = np.radians(columns["rotation_deg"])
@@ -135,7 +131,7 @@ def save_pairs(path: Path, pairs: Pairs) -> None:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(names)
     writer.writerows(zip(*(column.tolist() for column in columns), strict=True))
-    write_whole(Path(path), lambda file: file.write(text.getvalue().encode()))
+    write_text(Path(path), text.getvalue())
 
 
 def check_ways(pairs: Pairs, clamps: Clamps) -> None:
@@ -157,27 +153,3 @@ def check_ways(pairs: Pairs, clamps: Clamps) -> None:
             x, y = pairs.from_index[unclear[0]], pairs.to_index[unclear[0]]
             remedy = "give rotation_deg, or end_rotation_deg" if name == "end" else "leave the pair out"
             raise InputError(pairs.source, "from, to", f"from {x} to {y} the {name} turns by half a turn, either way", remedy)
-
-
-def _read_columns(path: Path) -> dict[str, np.ndarray]:
-    content = read_content(path, MOST_TEXT_BYTES, "name a readable CSV file")
-    try:
-        rows = [row for row in csv.reader(StringIO(content.decode("utf-8-sig"))) if row]
-    except (ValueError, csv.Error) as error:
-        raise InputError(path, "file", f"not CSV ({error})", "give a CSV file of pairs") from None
-    form = f"give the columns {','.join(NEEDED)}[,{'][,'.join(OPTIONAL)}]"
-    names = [name.strip() for name in rows[0]] if rows else []
-    for name in NEEDED:
-        if name not in names:
-            raise InputError(path, name, "the column is missing", form)
-    for name in names:
-        if name not in (*NEEDED, *OPTIONAL) or names.count(name) > 1:
-            raise InputError(path, name or "header", "unknown column, or one given twice", form)
-    if any(len(row) != len(names) for row in rows):
-        line = next(number for number, row in enumerate(rows, 1) if len(row) != len(names))
-        raise InputError(path, "file", f"line {line} has {len(rows[line - 1])} entries", f"give {len(names)} in each line")
-    try:
-        values = np.array(rows[1:], dtype=np.float64).reshape(-1, len(names))
-    except ValueError as error:
-        raise InputError(path, "file", f"an entry is no number ({error})", "give numbers below the names") from None
-    return {name: values[:, k] for k, name in enumerate(names)}

@@ -128,7 +128,7 @@ def partition(landscapes: list[Landscape], by: tuple[str, ...], end_distances: t
         if len(parts) > 1:
             found.append(Partition(by, within, tuple(parts), unlabelled))
     if not found:
-        raise InputError("command line", "--by", f"{','.join(by)} makes no table of two parts",
+        raise InputError("partition", "by", f"{','.join(by)} makes no table of two parts",
                          "give runs that differ in it, or partition by something else")
     return found
 
@@ -138,7 +138,7 @@ def _ordered(by: tuple[str, ...]) -> tuple[str, ...]:
     unknown = [factor for factor in by if factor not in FACTORS]
     if unknown or not by or len(set(by)) < len(by):
         problem = f"{','.join(by)!r} " + ("names a factor twice" if by and not unknown else "is no partition")
-        raise InputError("command line", "--by", problem, f"give some of {', '.join(FACTORS)}, joined by commas")
+        raise InputError("partition", "by", problem, f"give some of {', '.join(FACTORS)}, joined by commas")
     return tuple(factor for factor in FACTORS if factor in by)
 
 
@@ -168,7 +168,7 @@ def _end_distances(landscapes: list[Landscape], wanted: tuple[float, ...]) -> li
                          "partition by something else, or put end_distance_mm into the observations and sweep again")
     for distance in wanted:
         if distance not in present:
-            raise InputError("command line", "--end-distances", f"no observation at {distance:g} mm",
+            raise InputError("partition", "end_distances", f"no observation at {distance:g} mm",
                              f"choose from {', '.join(f'{value:g}' for value in present)}")
     return sorted(set(wanted or present.tolist()))
 

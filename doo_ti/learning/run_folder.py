@@ -22,17 +22,16 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from doo_ti import __version__
-from doo_ti.dataset import load_observations, save_observations
 from doo_ti.errors import InputError
-from doo_ti.file_content import MOST_TEXT_BYTES, read_content
 from doo_ti.grid import Grid
+from doo_ti.io.files import MOST_TEXT_BYTES, read_content, remove_leftovers, write_whole
+from doo_ti.io.observations import load_observations, save_observations
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
 from doo_ti.learning.maker import maker, maker_text
 from doo_ti.learning.pairs import load_pairs, save_pairs
 from doo_ti.learning.summary import changed_files, check_cells, read_summary, read_table, sweep_identity
 from doo_ti.types import Clamp
-from doo_ti.whole_file import remove_leftovers, write_whole
 
 OBSERVATIONS, PAIRS, IDENTITY, PLAN = "observations.npz", "pairs.csv", "identity.txt", "plan.json"
 
@@ -57,7 +56,7 @@ def claim(run: Path, identity: str, experiment: Experiment) -> None:
         remove_leftovers(folder)
     if not path.exists():
         if not _is_free(run) and not path.exists():  # looked at again: another process may have claimed and filled it
-            raise InputError(run, "--out", "the folder holds something else than a sweep", "name another folder")
+            raise InputError(run, "run", "the folder holds something else than a sweep", "name another folder")
         path.parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileExistsError):  # another process was faster: whose the folder is now is seen below
             write_whole(path, lambda file: file.write(f"{identity}\n{made}\n".encode()), first=True)
@@ -65,9 +64,9 @@ def claim(run: Path, identity: str, experiment: Experiment) -> None:
     if found != identity:
         if by and by != made:
             raise InputError(run, "cells", f"holds cells that {by} made, this is {made}",
-                             "go on with that one, or name another folder with --out")
+                             "resume it with that version, or name another folder")
         raise InputError(run, "cells", "holds another sweep (other observations, grid or options)",
-                         "name another folder with --out, or delete this one")
+                         "name another folder, or delete this one")
     _save_once(run / OBSERVATIONS, save_observations, experiment.observations)
     if experiment.pairs is not None:
         _save_once(run / PAIRS, save_pairs, experiment.pairs)

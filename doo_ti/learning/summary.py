@@ -7,8 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from doo_ti.errors import InputError
-from doo_ti.file_content import MOST_TEXT_BYTES, read_content
-from doo_ti.whole_file import write_whole
+from doo_ti.io.files import MOST_TEXT_BYTES, read_content, write_whole
 
 SUMMARY, SEAL = "summary.json", "sha256"
 REMADE = ("landscape.png", "run.rrd", "observations.npz", "pairs.csv")

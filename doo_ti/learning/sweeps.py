@@ -18,9 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.grid import Grid
+from doo_ti.io.files import write_whole
+from doo_ti.io.observations import Observations
 from doo_ti.learning.cells import relax_hypotheses
 from doo_ti.learning.chunk_file import check_identity, chunk_path, read_rows, write_chunk
 from doo_ti.learning.experiment import Experiment, SweepOptions
@@ -32,10 +33,9 @@ from doo_ti.learning.run_folder import claim, finished, identity_of, provenance
 from doo_ti.learning.summary import write_summary
 from doo_ti.learning.trajectory import trajectory
 from doo_ti.learning.workers import Alone, Crew, crew
-from doo_ti.progress import progress
 from doo_ti.start import check_experiment
+from doo_ti.terminal import progress
 from doo_ti.types import Status
-from doo_ti.whole_file import write_whole
 
 CHUNK_BYTES = 32 << 20
 """Memory for the frames of a chunk's rods, the larger part of what a sweep holds: 31 000 rods of 33 edges."""
@@ -122,7 +122,7 @@ def _relax_chunks(
     """Have ``workers`` relax ``chunks`` and store them; returns the seconds it took."""
     began = time.monotonic()
     name, cells, rods = experiment.observations.name, experiment.grid.size, len(experiment.rods[0])
-    with progress(lasting=True) as bar:
+    with progress(keep=True) as bar:
         before = cells - sum(last - first for first, last in chunks)
         task = bar.add_task(name, total=cells, completed=before, unit="cells", rate="compiling")
         done = 0

@@ -127,7 +127,7 @@ def _client(address: str):
         from distributed.comm import parse_address, parse_host_port
     except ImportError:
         raise InputError(
-            "sweep", "--dask", "Dask is not installed", "pip install 'doo_ti[dask]', here and on the workers") from None
+            "sweep", "scheduler", "Dask is not installed", "pip install 'doo_ti[dask]', here and on the workers") from None
     try:
         # A client that finds nobody takes long to give up for good.
         protocol, place = parse_address(address)
@@ -136,7 +136,7 @@ def _client(address: str):
                 raise ConnectionError("it hangs up")
         return Client(address, timeout=ANSWER_SECONDS, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise InputError("sweep", "--dask", f"no scheduler answers at {address!r} ({error})",
+        raise InputError("sweep", "scheduler", f"no scheduler answers at {address!r} ({error})",
                          "give the address that dask scheduler prints, tcp://HOST:8786") from None
 
 
@@ -146,10 +146,10 @@ def _check_workers(client, expected: dict[str, str]) -> None:
         client.wait_for_workers(1, timeout=ANSWER_SECONDS)
         makers = client.run(maker)
     except TimeoutError:
-        raise InputError("sweep", "--dask", "the scheduler has no workers", "start some: dask worker ADDRESS") from None
+        raise InputError("sweep", "scheduler", "the scheduler has no workers", "start some: dask worker ADDRESS") from None
     except Exception as error:  # whatever a worker without the package, or with another one, answers
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError("sweep", "--dask", f"a worker cannot say what it runs ({reason})",
+        raise InputError("sweep", "scheduler", f"a worker does not report its version ({reason})",
                          "install doo_ti on the workers, the same as here, and start them anew") from None
     for name, made in makers.items():
         if made != expected:

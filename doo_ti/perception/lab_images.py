@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.scene import Synthesis
+from doo_ti.io.files import write_whole
+from doo_ti.io.scene import Synthesis
 from doo_ti.synthesis import fine_vertices
-from doo_ti.whole_file import write_whole
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,9 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.frames import angle_about, matrix_from_quaternion, smallest_rotation, total_twist, vertices_from_quaternions
+from doo_ti.io.motion_file import ClampPath
 from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import LARGEST_TURN, Motion, motion_between
-from doo_ti.prediction.motion_file import ClampPath
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, Status, lasting

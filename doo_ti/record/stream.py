@@ -10,7 +10,7 @@ from typing import BinaryIO
 import rerun
 import rerun.blueprint as blueprint
 
-from doo_ti.whole_file import whole_file
+from doo_ti.io.files import whole_file
 
 DESCRIPTORS = Path("/proc/self/fd")
 """Where Linux names what a process has open."""

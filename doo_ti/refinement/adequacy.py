@@ -23,7 +23,7 @@ WORTH = 6.0
 
 @dataclass(frozen=True)
 class Advice:
-    """An extension of the model: the options of ``doo-ti refine`` that make it, what it is, and by how much it raises twice the
+    """An extension of the model: the argument that makes it, as ``name=value``, what it is, and by how much it raises twice the
     logarithm of the evidence."""
 
     option: str
@@ -87,23 +87,23 @@ def _advice(fit: Fit, fitted: Fitted) -> tuple[Advice, ...]:
 
 
 def _extensions(unknowns: Unknowns):
-    """(option, meaning, unknowns) of what the model could have besides."""
+    """(argument=value of a refinement, meaning, unknowns) of what the model could have besides."""
     names = unknowns.parameters
     listed = ",".join(name.replace("_", "-") for name in names)
     if "up" not in names:
-        yield f"--parameters {listed},up", "the direction of gravity", replace(unknowns, parameters=(*names, "up"))
+        yield f"parameters={listed},up", "the direction of gravity", replace(unknowns, parameters=(*names, "up"))
     seen = unknowns.rod.observations
     if "bend" in names and seen.start_frame is not None and seen.end_frame is not None:
         others = tuple(name for name in names if name != "bend")
         ribbon = ("bend_1", "bend_2", "bend_12", *others)
-        yield (f"--parameters {','.join(name.replace('_', '-') for name in ribbon)}", "a section that is not round",
+        yield (f"parameters={','.join(name.replace('_', '-') for name in ribbon)}", "a section that is not round",
                replace(unknowns, parameters=ribbon))
     if not unknowns.clips and unknowns.rod.clamped.any():
-        yield "--clip unknown", "clips of another length", replace(unknowns, clips=True)
+        yield "clip=unknown", "clips of another length", replace(unknowns, clips=True)
     if unknowns.curvature != "field":
-        yield "--rest-curvature field", "rest curvature that varies along the rod", replace(unknowns, curvature="field")
+        yield "rest_curvature=field", "rest curvature that varies along the rod", replace(unknowns, curvature="field")
     if not unknowns.clamps:
-        yield "--clamps loose", "clamps that are off what was reported", replace(unknowns, clamps=True)
+        yield "clamps=loose", "clamps that are off what was reported", replace(unknowns, clamps=True)
 
 
 def _evidence(fit: Fit, fitted: Fitted, unknowns: Unknowns) -> float:

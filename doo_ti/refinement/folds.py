@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
+from doo_ti.io.observations import Observations
 from doo_ti.refinement.refine import Refinement, RefinementOptions, predicted, refine
 from doo_ti.refinement.unknowns import Theta
 from doo_ti.types import Clamps

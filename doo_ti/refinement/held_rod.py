@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.frames import rotation_matrix
+from doo_ti.io.observations import Observations
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.start import choose_hypothesis, fill_missing, start_configuration, turn_hypotheses

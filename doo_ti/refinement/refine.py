@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
+from doo_ti.io.observations import Observations
 from doo_ti.refinement.adequacy import Adequacy, adequacy
 from doo_ti.refinement.estimate import Estimate, estimated
 from doo_ti.refinement.fit import Fit, Fitted

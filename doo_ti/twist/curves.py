@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, smallest_rotation
+from doo_ti.io.observations import Observations
 from doo_ti.metric import distance
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
@@ -61,7 +61,7 @@ class TwistCurves:
                              "give one, or one each")
         if observations.start_frame is None and not material.is_isotropic:
             raise InputError(observations.source, "start_frame", "missing, and the rod is not round",
-                             "give start_frame, or a scalar --bend")
+                             "give start_frame, or a scalar `bend`")
         free, clamps = without_twist(observations)
         first = np.append(np.flatnonzero(steps), count)
         return cls(replace(observations, frames=None), material, free, clamps, group, first, offset, solver, precision,

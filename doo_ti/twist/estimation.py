@@ -20,9 +20,9 @@ from enum import IntEnum
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
 from doo_ti.frames import angle_about
+from doo_ti.io.observations import Observations
 from doo_ti.relaxation.newton import Newton
 from doo_ti.twist.curves import TwistCurves, without_twist
 from doo_ti.types import Material
@@ -159,8 +159,8 @@ def end_offsets(observations: Observations, group: np.ndarray) -> np.ndarray:
     Raises InputError where ``end_frame`` is missing.
     """
     if observations.end_frame is None:
-        raise InputError(observations.source, "end_frame", "missing, so that nobody knows how the end frames lie to each other",
-                         "give end_frame or --offsets, or --observations 1")
+        raise InputError(observations.source, "end_frame", "missing, so that the angles between the end frames are unknown",
+                         "give end_frame or `offset`, or put each observation in a `group` of its own")
     free, clamps = without_twist(observations)
     last = free.frames[:, -1]
     angle = angle_about(last[..., 0], last[..., 1], clamps.end_frame[..., 1])

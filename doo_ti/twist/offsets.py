@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
-from doo_ti.named_arrays import frame_columns, read_arrays
+from doo_ti.io.arrays import frame_columns, read_arrays
+from doo_ti.io.observations import Observations
 
 MOST_DEG = 36_000.0
 _FIELDS = {"start_frame": "start_frame", "end_frame": "end_frame", "total_twist_deg": "total_twist"}

@@ -70,4 +70,4 @@ def test_wrong_options(capsys, tmp_path, case):
 
 def test_a_folder_that_cannot_be(capsys, tmp_path):
     (tmp_path / "file").write_text("")
-    refused(capsys, tmp_path, ["bench", "--out", str(tmp_path / "file" / "bench")], "--out", "below it")
+    refused(capsys, tmp_path, ["bench", "--out", str(tmp_path / "file" / "bench")], "--out", "is a file")

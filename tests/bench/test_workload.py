@@ -8,7 +8,7 @@ import pytest
 
 from doo_ti import Newton, relax
 from doo_ti.bench import workload
-from doo_ti.scene import load_scene
+from doo_ti.io.scene import load_scene
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 

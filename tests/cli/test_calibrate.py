@@ -74,11 +74,11 @@ def test_the_same_images_give_the_same_rig(pictures, tmp_path):
 TABLES = {
     "no column view": ("name,cam0,cam1\na,x.png,y.png\n", "view: the column is missing"),
     "one camera": ("view,cam0\na,x.png\n", "a rig has two or more"),
-    "a camera twice": ("view,cam0,cam0\na,x.png,x.png\n", "a name twice"),
-    "a view twice": ("view,cam0,cam1\na,,\na,,\n", "'a' is no name, or there twice"),
+    "a camera twice": ("view,cam0,cam0\na,x.png,x.png\n", "'cam0' is there twice"),
+    "a view twice": ("view,cam0,cam1\na,,\na,,\n", "'a' in line 2"),
     "a quote that is not closed": ('view,cam0,cam1\n"a,x.png,y.png\nb,x.png,y.png"\n', "a line break within a cell"),
-    "no views": ("view,cam0,cam1\n", "no views"),
-    "a short row": ("view,cam0,cam1\na,x.png\n", "row 1: 2 cells under 3 columns"),
+    "no views": ("view,cam0,cam1\n", "no rows"),
+    "a short row": ("view,cam0,cam1\na,x.png\n", "line 2: 2 cells under 3 columns"),
     "an image that is not there": ("view,cam0,cam1\na,x.png,\n", "cam0: no such file"),
 }
 

@@ -13,10 +13,10 @@ import pyarrow.parquet
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.dataset import Observations, load_observations, save_observations
 from doo_ti.errors import InterruptedRunError
 from doo_ti.frames import bishop_frames
 from doo_ti.grid import Grid
+from doo_ti.io.observations import Observations, load_observations, save_observations
 from doo_ti.learning.overview import gather_overview
 from doo_ti.types import Clamp, Status
 from tests.cli.test_bad_input import MATERIAL, npz_bytes
@@ -255,7 +255,8 @@ def test_a_command_that_is_stopped_says_whether_it_starts_anew(capsys, monkeypat
     def fail(*args):
         raise failure
 
-    monkeypatch.setattr(f"doo_ti.commands.{command}.run", fail)
+    name, module = ("run_figures", "view") if command == "figures" else ("run", command)
+    monkeypatch.setattr(f"doo_ti.commands.{module}.{name}", fail)
     rig = ["--rig", "R", "--rest-length", "3:3"] if command == "perceive" else []
     assert main([command, "source", "--out", "F", *rig]) == 1
     out, err = capsys.readouterr()

@@ -9,10 +9,10 @@ import pytest
 
 from doo_ti.cli import main
 from doo_ti.grid import Axis, Grid
+from doo_ti.io.scene import Synthesis
 from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.summary import SEAL
 from doo_ti.learning.sweeps import SweepOptions, sweep
-from doo_ti.scene import Synthesis
 from doo_ti.synthesis import synthesise
 from tests.record.recordings import read
 

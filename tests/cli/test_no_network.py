@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.dataset import save_observations
+from doo_ti.io.observations import save_observations
 from tests.cli.test_calibrate import TEXT, pictures  # noqa: F401  a fixture
 from tests.cli.test_triangulate import prepared, rows_of
 from tests.data.rods import wavy_vertices

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.dataset import save_observations
+from doo_ti.io.observations import save_observations
 from tests.cli.test_bad_input import refused
 from tests.sweeps.lab import small_lab
 
@@ -23,7 +23,7 @@ def test_a_dynamic_sweep_tells_pairs_and_jumps(capsys, tmp_path):
     argv = ["sweep", written(tmp_path), *GRID, "--objective", "dynamic", "--out", str(tmp_path / "run")]
     assert main(argv) == 0
     out = capsys.readouterr().out
-    assert "9 cells x 4 pairs of observations (Eq. 3)" in out and "0 of 4 rods fell to another branch" in out
+    assert "9 cells x 4 pairs of observations (Eq. 3)" in out and "0 of 4 rods jumped to another branch" in out
     assert "hypotheses" not in out
     assert main([*argv, "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
@@ -50,7 +50,7 @@ def test_settled_hypotheses_are_told(capsys, tmp_path):
     argv = ["sweep", written(tmp_path, total_twist=None), *GRID, "--out", str(tmp_path / "run")]
     assert main(argv) == 0
     out = capsys.readouterr().out
-    assert "hypotheses  18; one settled for 6 observations, 0 ambiguous" in out and "whole turns settled: " in out
+    assert "hypotheses  18; decided for 6 observations; 0 are ambiguous" in out and "by whole turns: " in out
     unknown = written(tmp_path, total_twist=None, end_frame=None)
     assert main(["sweep", unknown, *GRID, "--spins", "6", "--out", str(tmp_path / "spins")]) == 0
     out = capsys.readouterr().out
@@ -64,9 +64,9 @@ def test_settled_hypotheses_are_told(capsys, tmp_path):
     (["--objective", "dynamic", "--pairs", "absent.csv"], ["absent.csv", "no such file"]),
     (["--objective", "dynamic", "--pairs", "lab.npz"], ["lab.npz"]),
     (["--objective", "both"], ["--objective", "'both'"]),
-    (["--spins", "many"], ["--spins", "'many'"]),
-    (["--spins", "-1"], ["--spins", "-1"]),
-    (["--spins", "9999"], ["--spins", "9999"]),
+    (["--roll-hypotheses", "many"], ["--roll-hypotheses", "'many'"]),
+    (["--roll-hypotheses", "-1"], ["--roll-hypotheses", "-1"]),
+    (["--spins", "9999"], ["--roll-hypotheses", "9999"]),
     (["--spins", "12"], ["lab.npz", "spins", "no end is held by its tangent alone"]),
 ])
 def test_what_makes_no_sense_is_refused(capsys, tmp_path, monkeypatch, words, expected):
@@ -78,4 +78,4 @@ def test_pairs_that_nobody_named(capsys, tmp_path):
     for change, key in (({"end_rotation": None}, "end_rotation_deg"), ({"end_rotation": np.zeros(6)}, "end_rotation_deg"),
                         ({"end_distance": None}, "end_distance_mm")):
         argv = ["sweep", written(tmp_path, **change), *GRID, "--objective", "dynamic", "--out", str(tmp_path / "run")]
-        refused(capsys, tmp_path, argv, "lab.npz", key, "--pairs FILE")
+        refused(capsys, tmp_path, argv, "lab.npz", key, "give --pairs")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.dataset import Observations, save_observations
+from doo_ti.io.observations import Observations, save_observations
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Material
 from tests.references.rods import chain, clamps_at, stacked
@@ -103,9 +103,10 @@ def test_a_rod_that_is_lost_is_told(folder, capsys):
 
 
 @pytest.mark.parametrize("more, told", [
-    ([], "--motion"), (["--motion", "none.npz"], "none.npz"), (["--motion", "turn.csv", "--between", "0"], "--between"),
+    ([], "--motion"), (["--motion", "none.npz"], "none.npz"), (["--motion", "turn.csv", "--between", "0"], "--steps-between"),
     (["--motion", "turn.csv", "--sub-step", "90"], "--sub-step"), (["--motion", "turn.csv", "--sub-step", "x"], "--sub-step"),
-    (["--motion", "turn.csv", "--out", "f.csv"], "--out"), (["--motion", "turn.csv", "--between", "100000000"], "--between"),
+    (["--motion", "turn.csv", "--out", "f.csv"], "--out"),
+    (["--motion", "turn.csv", "--steps-between", "100000000"], "--steps-between"),
     (["--motion", "turn.csv", "--recording", "f.png"], "ends in .rrd"), (["--motion", "turn.csv", "--bend", "-1"], "--bend"),
     (["--motion", "metres.npz"], "moment 1: the clamps are 9e+04 mm apart"),
 ])

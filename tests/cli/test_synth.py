@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.dataset import load_observations
+from doo_ti.io.observations import load_observations
+from doo_ti.io.scene import load_scene
 from doo_ti.perception.lab_images import lab_rods
-from doo_ti.scene import load_scene
 from doo_ti.synthesis import synthesise
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
@@ -103,7 +103,7 @@ BAD = {
     "look of another type": (["--render", "clutter=1.5"], "--render", "whole number"),
     "look out of range": (["--render", "noise=-1"], "noise", "not negative"),
     "light of one number": (["--render", "light=1"], "light", "three numbers"),
-    "diameter": (["--diameter", "0"], "--diameter", "not positive"),
+    "diameter": (["--diameter", "0"], "--diameter", "positive"),
     "seed": (["--seed", "-1"], "--seed", "below 0"),
 }
 
@@ -135,6 +135,6 @@ def test_wrong_places_scenes_and_rigs(capsys, tmp_path):
     refused(capsys, tmp_path, argv, "cameras.left", "does not see all of silk_42mm_000deg")
     ribbon = SCENE.replace("1.5e5", "[[6e6, 0], [0, 1e5]]")
     refused(capsys, tmp_path, prepared(tmp_path, scene=ribbon), "synthesis.bend", "not round")
-    refused(capsys, tmp_path, prepared(tmp_path, scene=SCENE.replace('"silk"', '"a/b"')), "name", "names no folder")
+    refused(capsys, tmp_path, prepared(tmp_path, scene=SCENE.replace('"silk"', '"a/b"')), "name", "cannot name a folder")
     file = '[observations]\nfile = "x.npz"\n[grid]\nbend = 1e5\n'
     refused(capsys, tmp_path, prepared(tmp_path, scene=file), "observations", "[synthesis]")

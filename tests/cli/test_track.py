@@ -94,13 +94,13 @@ def test_what_is_done_is_kept(filmed, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("change, words", [
-    (lambda lines: lines[:1], ("frame", "no line")),
+    (lambda lines: lines[:1], ("no rows",)),
     (lambda lines: [line.replace("dir_z", "dir_w") for line in lines], ("dir_z", "missing")),
     (lambda lines: [line.replace("cam2,", "cam7,", 1) for line in lines], ("cam7", "no camera of the rig")),
-    (lambda lines: [lines[0], *lines[2:]], ("line 2, seed_x", "''")),
-    (lambda lines: [*lines[:3], lines[3].replace(",,,,,,", ",1,2,3,4,5,x")], ("line 4, dir_z", "'x'")),
+    (lambda lines: [lines[0], *lines[2:]], ("seed_x", "'' in line 2")),
+    (lambda lines: [*lines[:3], lines[3].replace(",,,,,,", ",1,2,3,4,5,x")], ("dir_z", "'x' in line 4")),
     (lambda lines: [*lines[:2], lines[3], lines[2]], ("time_s", "rise")),
-    (lambda lines: [line.replace("002_cam0.png", "nowhere.png") for line in lines], ("line 4, cam0", "nowhere.png")),
+    (lambda lines: [line.replace("002_cam0.png", "nowhere.png") for line in lines], ("cam0", "nowhere.png' in line 4")),
 ])
 def test_wrong_frames_are_told(filmed, tmp_path, capsys, change, words):
     frames = filmed / "changed.csv"

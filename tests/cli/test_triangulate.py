@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.dataset import load_observations
+from doo_ti.io.observations import load_observations
 from doo_ti.start import observation_clamps, start_configuration
 from doo_ti.types import Clamp
 from doo_ti.vision.cameras.rig import Rig, save_rig
@@ -96,11 +96,11 @@ def test_two_labels_that_contradict_each_other_are_told(tmp_path, rng, capsys):
 
 WRONG = {
     "unknown camera": ([*good_rows(), ("a", "cam7", 0, 5, 5)], [], "marks.csv", "'cam7'"),
-    "a name of two lines": ([('"a\nb"', *row[1:]) for row in good_rows()], [], "marks.csv", "holds a line break"),
+    "a name of two lines": ([('"a\nb"', *row[1:]) for row in good_rows()], [], "marks.csv", "line break"),
     "too few views": ([row for row in good_rows() if row[1] == "cam0"], [], "'a' has 0 vertices with a position"),
-    "sigma": (good_rows(), ["--sigma-px", "0"], "sigma_px", "positive"),
+    "sigma": (good_rows(), ["--sigma-px", "0"], "--sigma-px", "positive"),
     "sigma of text": (good_rows(), ["--sigma-px", "half"], "--sigma-px", "'half'"),
-    "rest length": (good_rows(), ["--rest-length", "0"], "--rest-length", "not positive"),
+    "rest length": (good_rows(), ["--rest-length", "0"], "--rest-length", "positive"),
     "threshold": (good_rows(), ["--threshold", "-1"], "threshold", "positive"),
     "up": (good_rows(), ["--up", "0,0"], "--up"),
     "suffix": (good_rows(), ["--out", "F.txt"], "suffix"),
@@ -126,7 +126,7 @@ def test_images_of_another_size_than_the_rig_says(capsys, tmp_path):
     rows = [(name, camera, mark, 2 * u, 2 * v) for name, camera, mark, u, v in good_rows()]
     rows[3] = (*rows[3][:3], 1100, 700)
     argv = [*prepared(tmp_path, rows), "--out", str(tmp_path / "F.npz")]
-    refused(capsys, tmp_path, argv, "u_px", "outside cam0's images", "640 x 480")
+    refused(capsys, tmp_path, argv, "u_px", "outside the images of cam0", "640 x 480")
 
 
 def test_the_input_is_not_overwritten(capsys, tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.dataset import Observations, save_observations
+from doo_ti.io.observations import Observations, save_observations
 from doo_ti.prediction.predict import total_twist
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Material

@@ -87,7 +87,7 @@ def test_what_cannot_be_shown(tmp_path, capsys, monkeypatch):
     damaged = interrupted(tmp_path / "damaged", monkeypatch, 1)
     (damaged / "cells" / "plan.json").write_text("{}")
     for argv, code, words in (([nothing, "--out", tmp_path / "x"], 1, "none of 12 cells is stored yet"),
-                              ([run, "--out", run / "x"], 2, "is in the run itself"),
+                              ([run, "--out", run / "x"], 2, "inside the run"),
                               ([finished, "--out", tmp_path / "x"], 2, "there is a recording"),
                               ([damaged, "--out", tmp_path / "x"], 2, "plan.json: file: does not describe a sweep"),
                               ([run], 1 if sys.platform == "linux" else 0, "--out FOLDER" if sys.platform == "linux" else "")):

@@ -11,24 +11,25 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 
-from doo_ti import importers
 from doo_ti.commands.refine import _groups
-from doo_ti.dataset import load_observations, save_observations
 from doo_ti.errors import InputError
-from doo_ti.file_content import read_content
+from doo_ti.io import arrays, observation_tables
+from doo_ti.io.arrays import read_arrays
+from doo_ti.io.files import read_content
+from doo_ti.io.marks import read_labels
+from doo_ti.io.motion_scene import load_motion_scene
+from doo_ti.io.observations import load_observations, save_observations
+from doo_ti.io.scene import load_scene
 from doo_ti.learning.pairs import load_pairs
-from doo_ti.named_arrays import read_arrays
-from doo_ti.prediction.motion_scene import load_motion_scene
-from doo_ti.scene import load_scene
 from doo_ti.vision.cameras.rig import load_rig
 from doo_ti.vision.cameras.views import read_views
-from doo_ti.vision.detection.images import header_and_lines, read_image
-from doo_ti.vision.reprojection.marks import read_labels
+from doo_ti.vision.detection.images import load_sets, read_image
 from tests.sweeps.lab import small_lab
 
 READERS = {
     ".npz": load_observations, ".csv": load_observations, ".parquet": load_observations, ".yaml": load_rig, ".png": read_image,
-    "_sets.csv": header_and_lines, "_views.csv": read_views, "_arrays.csv": lambda path: read_arrays(path, {"a": ((), ("a",))}),
+    "_sets.csv": lambda path: load_sets(path, None), "_views.csv": read_views,
+    "_arrays.csv": lambda path: read_arrays(path, {"a": ((), ("a",))}),
     "_pairs.csv": lambda path: load_pairs(path, small_lab()), "_labels.csv": lambda path: read_labels(path, ("a",)),
     ".toml": load_scene, "_motion.toml": load_motion_scene, "_groups.npz": lambda path: _groups(f"{path}:key", small_lab()),
 }
@@ -40,7 +41,7 @@ def test_pipes_and_devices_are_no_files(tmp_path, suffix):
     os.mkfifo(tmp_path / f"pipe{suffix}")
     (tmp_path / f"zero{suffix}").symlink_to("/dev/zero")
     for name in ("pipe", "zero"):
-        with pytest.raises(InputError, match="no file") as caught:
+        with pytest.raises(InputError, match="not a file") as caught:
             READERS[suffix](tmp_path / f"{name}{suffix}")
         assert name in caught.value.source
 
@@ -54,7 +55,7 @@ def test_a_file_beyond_its_bound_is_not_read(tmp_path):
 
 def test_an_npz_that_unpacks_to_more_than_the_bound(tmp_path, monkeypatch):
     """Zeros, a thousand times as many bytes as the file has."""
-    monkeypatch.setattr(importers, "MOST_UNPACKED_BYTES", 1 << 20)
+    monkeypatch.setattr(arrays, "MOST_UNPACKED_BYTES", 1 << 20)
     save_observations(tmp_path / "bomb.npz", small_lab())
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (1 << 18, 8)})
@@ -66,7 +67,7 @@ def test_an_npz_that_unpacks_to_more_than_the_bound(tmp_path, monkeypatch):
 
 def test_a_table_that_unpacks_to_more_than_the_bound(tmp_path, monkeypatch):
     save_observations(tmp_path / "small.parquet", small_lab())
-    monkeypatch.setattr(importers, "MOST_UNPACKED_BYTES", 10_000)
+    monkeypatch.setattr(observation_tables, "MOST_UNPACKED_BYTES", 10_000)
     with pytest.raises(InputError, match="unpacks to"):
         load_observations(tmp_path / "small.parquet")
 

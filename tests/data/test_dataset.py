@@ -5,8 +5,8 @@ import pickle
 import numpy as np
 import pytest
 
-from doo_ti.dataset import KEYS, Observations, load_observations, save_observations
 from doo_ti.errors import InputError
+from doo_ti.io.observations import KEYS, Observations, load_observations, save_observations
 from tests.data.rods import twisted_frames, wavy_vertices
 
 LAB = ("nylon", "vicryl", "silk", "ribbon")

@@ -47,7 +47,7 @@ def test_text_that_is_no_axis(text):
 def test_text_that_is_no_bend(text):
     with pytest.raises(InputError) as caught:
         parse_bend(text)
-    assert caught.value.field == "--bend"
+    assert caught.value.field == "bend"
 
 
 def test_cells_run_in_the_order_of_the_axes():

@@ -6,8 +6,8 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from doo_ti.dataset import Observations, load_observations, save_observations
 from doo_ti.errors import InputError
+from doo_ti.io.observations import Observations, load_observations, save_observations
 from tests.data.rods import wavy_vertices
 from tests.data.test_dataset import LAB, full_keys, same
 
@@ -66,7 +66,7 @@ WRONG = {
     "vertex twice": (lambda c: change(c, "vertex", 2, 1), "vertex", "observation 0"),
     "negative vertex": (lambda c: change(c, "vertex", 0, -1), "vertex", "observation 0"),
     "half a vertex": (lambda c: change(c, "vertex", 2, 1.5), "vertex", "not a whole number"),
-    "text": (lambda c: c.update(x_mm=["three"] * 8), "x_mm", "'three' in row 1 is not a number"),
+    "text": (lambda c: c.update(x_mm=["three"] * 8), "x_mm", "'three' in"),
     "empty coordinate": (lambda c: change(c, "z_mm", 6, None), "vertices_mm", "observation 1, vertex 2"),
     "labels that differ": (lambda c: change(c, "total_twist_deg", 6, 11.0), "total_twist_deg", "observation number 1"),
     "lengths that differ": (lambda c: change(c, "rest_length_mm", 5, 4.0), "rest_length_mm", "observation number 1"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
-from doo_ti.scene import Synthesis, load_scene
+from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.types import Clamp
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
@@ -55,10 +55,11 @@ def test_a_scene_with_a_file(tmp_path):
 
 
 def test_a_dynamic_scene(tmp_path):
-    scene = load_scene(write(tmp_path, top='objective = "dynamic"\npairs = "data/pairs.csv"\nspins = 12\n'))
-    assert (scene.objective, scene.pairs, scene.spins) == ("dynamic", tmp_path / "data" / "pairs.csv", 12)
+    scene = load_scene(write(tmp_path, top='objective = "dynamic"\npairs = "data/pairs.csv"\nroll_hypotheses = 12\n'))
+    assert (scene.objective, scene.pairs, scene.roll_hypotheses) == ("dynamic", tmp_path / "data" / "pairs.csv", 12)
     scene = load_scene(write(tmp_path, top='objective = "dynamic"\n'))
-    assert (scene.pairs, scene.spins) == (None, 0)
+    assert (scene.pairs, scene.roll_hypotheses) == (None, 0)
+    assert load_scene(write(tmp_path, top="spins = 7\n")).roll_hypotheses == 7  # as scenes used to call it
 
 
 def test_an_anisotropic_scene(tmp_path):
@@ -93,6 +94,7 @@ WRONG = {
     "objective": ({"top": 'objective = "both"\n'}, "objective"),
     "pairs of a static scene": ({"top": 'pairs = "pairs.csv"\n'}, "pairs"),
     "pairs no text": ({"top": 'objective = "dynamic"\npairs = [[0, 1]]\n'}, "pairs"),
+    "rolls negative": ({"top": "roll_hypotheses = -1\n"}, "roll_hypotheses"),
     "spins negative": ({"top": "spins = -1\n"}, "spins"),
     "spins no whole number": ({"top": "spins = 2.5\n"}, "spins"),
     "spins true": ({"top": "spins = true\n"}, "spins"),
@@ -114,6 +116,9 @@ WRONG = {
     "clip off the mesh": (synthesis("clip_mm = 2.5"), "synthesis.clip_mm"),
     "clip too long": (synthesis("clip_mm = 50"), "synthesis.clip_mm"),
     "second clip off the mesh": (synthesis("clip_mm = [3, 2.5]"), "synthesis.clip_mm"),
+    "a clip that is not a number": (synthesis("clip_mm = nan"), "synthesis.clip_mm"),
+    "an endless clip": (synthesis("clip_mm = [3, inf]"), "synthesis.clip_mm"),
+    "bend not a number": ({"data": "[synthesis]\nbend = nan\ntwist = 1\n"}, "synthesis.bend"),
     "three clips": (synthesis("clip_mm = [3, 3, 3]"), "synthesis.clip_mm"),
     "one clip too long": (synthesis("clip_mm = [3, 50]"), "synthesis.clip_mm"),
     "no clip": (synthesis("clip_mm = [0, 3]"), "synthesis.clip_mm"),
@@ -147,7 +152,7 @@ def test_wrong_scenes_are_named(tmp_path, case):
 
 
 def test_an_unknown_key_lists_the_valid_ones(tmp_path):
-    with pytest.raises(InputError, match="unknown scene key; the keys are .*label_noise_mm"):
+    with pytest.raises(InputError, match="unknown key; the keys are .*label_noise_mm"):
         load_scene(write(tmp_path, **synthesis("noise = 1")))
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from doo_ti.dataset import Observations, load_observations
 from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion
+from doo_ti.io.observations import Observations, load_observations
 from doo_ti.start import (
     check_feasible,
     choose_hypothesis,

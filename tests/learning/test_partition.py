@@ -75,10 +75,10 @@ def test_tables_without_being_asked(runs, factors):
     ([lab("a"), replace(lab("a"), run=Path("again"))], ("material",), (), "again: material: static a, as a_static is"),
     ([lab("a"), moved("a", LABELS[::-1])], ("objective",), (), "a_dynamic: observation: other observations of a"),
     ([lab("a", LABELS[:6]), moved("a")], ("objective",), (), "a_dynamic: observation: other observations of a"),
-    ([lab("a"), lab("b")], ("colour",), (), "--by: 'colour' is no partition; give some of material, objective, end-distance"),
-    ([lab("a"), lab("b")], (), (), "--by: '' is no partition"),
+    ([lab("a"), lab("b")], ("colour",), (), "by: 'colour' is no partition; give some of material, objective, end-distance"),
+    ([lab("a"), lab("b")], (), (), "by: '' is no partition"),
     ([lab("a"), lab("b")], ("material", "material"), (), "names a factor twice"),
-    ([lab("a"), lab("b")], ("objective",), (), "--by: objective makes no table of two parts"),
+    ([lab("a"), lab("b")], ("objective",), (), "by: objective makes no table of two parts"),
     ([lab("a"), lab("b")], ("end-distance",), (30.0, 31.0), "no observation at 31 mm; choose from 30, 54, 78"),
     ([lab("a", np.nan * LABELS)], ("end-distance",), (), "a_static: end_distance_mm: no observation has"),
 ])

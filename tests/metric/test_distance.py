@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
+from doo_ti.io.observations import Observations
 from doo_ti.metric import distance
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Configuration, Material, Status

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.dataset import load_observations
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid, parse_axis
+from doo_ti.io.observations import load_observations
+from doo_ti.io.scene import Synthesis
 from doo_ti.metric import distance
 from doo_ti.plan import plan, planned
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import sensitivity
-from doo_ti.scene import Synthesis
 from doo_ti.start import observation_clamps, start_configuration
 from doo_ti.types import Material
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
-from doo_ti.prediction.motion_file import ClampPath, load_path, path_of_marks
+from doo_ti.io.motion_file import ClampPath, load_path, path_of_marks
 from doo_ti.types import Clamp, Clamps
 
 QUARTER = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
@@ -71,12 +71,12 @@ def test_marks_give_positions_and_tangents(tmp_path):
     ({"end_position_mm": np.zeros((3, 2))}, "shape"),
     ({"end_position_mm": np.zeros((3, 3)), "time_s": np.arange(2.0)}, "shape"),
     ({"end_position_mm": np.array([[0.0, 0, np.nan], [0, 0, 0]])}, "finite"),
-    ({"end_frame": np.ones((2, 3, 3))}, "no rotation"),
+    ({"end_frame": np.ones((2, 3, 3))}, "not a rotation"),
     ({"end_frame": np.stack([np.eye(3), np.diag([1.0, -1, -1])])}, "half a turn"),
     ({"end_frame": np.stack([np.eye(3), np.eye(3)]), "end_rotation_deg": [0.0, 90.0]}, "end_frame turns by 0"),
     ({"positions_mm": np.zeros((2, 2, 3))}, "positions_mm"),
     ({"positions_mm": np.arange(36.0).reshape(3, 4, 3), "time_s": np.arange(2.0)}, "time_s"),
-    ({"else": np.zeros(3)}, "none of the known keys"),
+    ({"else": np.zeros(3)}, "end_position_mm"),
     ({"end_position_mm": np.array(["a"])}, "numeric"),
 ])
 def test_wrong_files_are_named(tmp_path, keys, word):

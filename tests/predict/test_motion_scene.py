@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
-from doo_ti.prediction.motion_scene import load_motion_scene
+from doo_ti.io.motion_scene import load_motion_scene
 from doo_ti.prediction.predict import predict
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes" / "motion"
@@ -80,8 +80,8 @@ def test_what_is_left_out_stays_as_it_was(tmp_path):
     ("[rod]", "[rods]", "rod"), ("edges = 20", "edges = 2", "rod.edges"), ("= 60.0", "= -1", "rod.length_mm"),
     ("[materials.cord]", "[materials]", "materials"), ("bend = 1e6", "bend = [1, 2]", "bend"), ("twist = 5e5", "", "twist"),
     ("bend = 1e6", "bend = -1e6", "positive definite"), ("time_s = 1", "", "time_s"), ("time_s = 1", "time_s = 0", "rising"),
-    ("[50, 0, 0]", "[50, 0]", "no vector"), ("end_rotation_deg = 30", "end_direction = [0, 0, 0]", "no direction"),
-    ("end_rotation_deg = 30", "colour = 3", "unknown key"), ("length_mm", "length = [", "TOML"),
+    ("[50, 0, 0]", "[50, 0]", "end_position_mm"), ("end_rotation_deg = 30", "end_direction = [0, 0, 0]", "end_direction"),
+    ("end_rotation_deg = 30", "colour = 3", "moments\\[1\\].colour"), ("length_mm", "length = [", "TOML"),
 ])
 def test_wrong_scenes_are_named(tmp_path, old, new, word):
     file = tmp_path / "scene.toml"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
+from doo_ti.io.motion_file import ClampPath
 from doo_ti.motion.path import carried_clamps, carry
-from doo_ti.prediction.motion_file import ClampPath
 from doo_ti.prediction.predict import predict, predict_step
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Material, Status

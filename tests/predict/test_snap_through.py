@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from doo_ti.frames import quaternion_from_matrix
-from doo_ti.prediction.motion_file import ClampPath
+from doo_ti.io.motion_file import ClampPath
 from doo_ti.prediction.predict import predict
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 

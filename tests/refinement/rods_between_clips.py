@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.dataset import Observations
+from doo_ti.io.observations import Observations
+from doo_ti.io.scene import Synthesis
 from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.scales import Scales, typical_scales
 from doo_ti.refinement.unknowns import Theta, Unknowns
-from doo_ti.scene import Synthesis
 from doo_ti.start import observation_clamps
 from doo_ti.synthesis import synthesise
 
@@ -18,7 +18,7 @@ TRUTH = Theta(BEND * np.eye(2), TWIST)
 
 
 def suture(rotations: int = 4, **fields) -> Observations:
-    """Observations of a rod with Θ = TRUTH at three end distances; ``fields`` of :class:`doo_ti.scene.Synthesis`."""
+    """Observations of a rod with Θ = TRUTH at three end distances; ``fields`` of :class:`doo_ti.io.scene.Synthesis`."""
     recipe = dict(bend=BEND, twist=TWIST, label_noise_mm=NOISE, seed=7, fine_edge_mm=0.5, clip_mm=2.5,
                   rest_curvature_rms_per_mm=1 / 900, rest_curvature_range_mm=12.0, end_distances_mm=(42.0, 60.0, 78.0),
                   end_rotations_deg=tuple(60.0 * k for k in range(rotations)))

@@ -108,7 +108,7 @@ def test_what_a_model_lacks_is_named(seen):
     out = refine(seen, observation_clamps(seen), BEGIN, poor)
     assert not out.adequacy.reaches_noise and out.adequacy.gap > NOISE
     options = " ".join(one.option for one in out.adequacy.advice)
-    assert "--rest-curvature field" in options and "--clip unknown" in options
+    assert "rest_curvature=field" in options and "clip=unknown" in options
 
 
 def test_parameters_that_say_nothing_change_nothing_else(seen, found):

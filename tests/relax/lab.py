@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.dataset import Observations, load_observations
+from doo_ti.io.observations import Observations, load_observations
 from doo_ti.start import observation_clamps, start_configuration
 from doo_ti.types import Clamps, Configuration, Material
 

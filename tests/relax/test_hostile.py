@@ -6,8 +6,8 @@ from threading import Thread
 import numpy as np
 import pytest
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
+from doo_ti.io.observations import Observations
 from doo_ti.metric import distance
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.external import Springs

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.dataset import load_observations
+from doo_ti.io.observations import load_observations
 from doo_ti.metric import distance
 from doo_ti.relaxation.relax import Newton, relax
 from doo_ti.start import observation_clamps, start_configuration

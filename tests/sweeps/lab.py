@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.dataset import Observations, load_observations
 from doo_ti.grid import Axis, Grid
+from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.scene import Synthesis
 from doo_ti.learning.experiment import Experiment, SweepOptions
-from doo_ti.scene import Synthesis
 from doo_ti.synthesis import synthesise
 from doo_ti.types import Material
 

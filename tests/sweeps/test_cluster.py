@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from doo_ti.dataset import save_observations
 from doo_ti.errors import InputError, InterruptedRunError
+from doo_ti.io.observations import save_observations
 from doo_ti.learning import sweeps, workers
 from doo_ti.learning.maker import maker
 from doo_ti.learning.sweeps import SweepOptions, sweep

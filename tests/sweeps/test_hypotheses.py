@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.dataset import load_observations
 from doo_ti.errors import InputError
 from doo_ti.grid import Axis, Grid
+from doo_ti.io.observations import load_observations
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses, hypotheses_of, nearest, resolved, scores, started
 from doo_ti.learning.landscape import read_landscape

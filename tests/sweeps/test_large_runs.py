@@ -95,11 +95,11 @@ def test_cells_are_found_by_their_values():
 
 @pytest.mark.parametrize("options", [None, DYNAMIC])
 def test_a_finished_sweep_reads_no_rods(tmp_path, monkeypatch, capsys, options):
-    from doo_ti.commands.printing import tell_result
+    from doo_ti.commands.results import run_lines
 
     chosen = {} if options is None else {"options": options}
     summary = sweep(tmp_path / "run", small_lab(), GRID, **chosen)
-    tell_result(summary)
+    print("\n".join(run_lines(summary)))
     monkeypatch.setattr(chunk_file, "read_rows", lambda *arguments: pytest.fail("rods were read"))
     assert sweep(tmp_path / "run", small_lab(), GRID, **chosen) == summary
     assert f"12 cells x {summary['rods']['count'] // 12} " in capsys.readouterr().out

@@ -7,9 +7,9 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.grid import Axis, Grid
+from doo_ti.io.observations import Observations
 from doo_ti.learning import sweeps
 from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.sweeps import SweepOptions, sweep
@@ -172,7 +172,7 @@ def test_a_damaged_summary_is_made_again(tmp_path, observations, damage):
 
 def test_rods_that_stall_at_their_observation_do_not_win(tmp_path, capsys):
     from doo_ti.cli import main
-    from doo_ti.dataset import save_observations
+    from doo_ti.io.observations import save_observations
     from tests.sweeps.lab import small_lab
 
     save_observations(tmp_path / "o.npz", small_lab())

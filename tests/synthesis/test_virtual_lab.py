@@ -8,9 +8,9 @@ import pytest
 from doo_ti import synthesis as lab
 from doo_ti.errors import InterruptedRunError
 from doo_ti.frames import quaternion_from_matrix
+from doo_ti.io.scene import Synthesis
 from doo_ti.metric import distance
 from doo_ti.relaxation.relax import relax
-from doo_ti.scene import Synthesis
 from doo_ti.start import observation_clamps, start_configuration
 from doo_ti.synthesis import synthesise
 from tests.data.rods import joint_twist

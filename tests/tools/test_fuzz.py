@@ -1,13 +1,14 @@
 """Damaged inputs and wrong options: which cases are drawn, how they are judged, a short campaign, and a long one."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from doo_ti.dataset import load_observations, save_observations
+from doo_ti.io.observations import load_observations, save_observations
 from tests.cli.test_bad_input import npz_bytes
 from tools import fuzz
 from tools.fuzzing.commands import COMMANDS, RECIPES
@@ -34,7 +35,8 @@ def folder(tmp_path_factory):
 def test_every_command_is_in_it():
     from doo_ti.commands import __path__
 
-    declared = {path.stem for path in Path(__path__[0]).glob("*.py") if "def declare(" in path.read_text()}
+    sources = [path.read_text() for path in Path(__path__[0]).glob("*.py")]
+    declared = {name for source in sources for name in re.findall(r'given\.command\(add, "(\w+)"', source)}
     assert set(COMMANDS) == declared and {option for recipe in RECIPES for option in recipe.words} >= {"--out", "--rig"}
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from doo_ti.io.scene import load_scene
 from doo_ti.perception.lab_images import LabRods, lab_rods
 from doo_ti.perception.perceive import perceive
 from doo_ti.perception.search import PerceptionOptions, Search
-from doo_ti.scene import load_scene
 from doo_ti.vision.cameras.rig import Rig, load_rig
 from doo_ti.vision.detection.detect import DetectionOptions
 from doo_ti.vision.rendering.photographs import Photographs

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.dataset import load_observations
+from doo_ti.io.observations import load_observations
 from doo_ti.types import Material
 from tests.twist.rods import MATERIAL, twisted_rods
 from tools.trials.twist import twist_trials

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.dataset import Observations
+from doo_ti.io.observations import Observations
 from doo_ti.prediction.predict import total_twist
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Material

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InputError
 from doo_ti.frames import angle_about
+from doo_ti.io.observations import Observations
 from doo_ti.metric import distance
 from doo_ti.prediction.predict import total_twist
 from doo_ti.relaxation.relax import relax

@@ -7,7 +7,7 @@ import numpy as np
 from doo_ti.bench.cases import COARSE, Case, Outcome, Specimens, relaxed
 from doo_ti.bench.cases import cases as command_cases
 from doo_ti.bench.workload import Rods
-from doo_ti.dataset import Observations
+from doo_ti.io.observations import Observations
 from doo_ti.metric import distance
 from doo_ti.relaxation.descent import Descent
 from doo_ti.types import Configuration

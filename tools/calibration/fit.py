@@ -6,7 +6,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 from doo_ti import cli, runtime
-from doo_ti.dataset import Observations, save_observations
+from doo_ti.io.observations import Observations, save_observations
 
 GRID = ("--bend", "5e4:1e7:25", "--twist-ratio", "0.1:6:25")
 

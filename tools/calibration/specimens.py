@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.errors import InterruptedRunError
-from doo_ti.scene import Synthesis
+from doo_ti.io.observations import Observations
+from doo_ti.io.scene import Synthesis
 from doo_ti.synthesis import synthesise
 
 BEND, TWIST_RATIO = (1e5, 2e6), (0.3, 1.5)  # mm³ and 1, log-uniform

@@ -59,7 +59,7 @@ def _recipes() -> tuple[Recipe, ...]:
         ("sweep file.toml --out out/run", 1),
         ("sweep dynamic.toml --out out/run", 1),
         ("sweep rods.npz --bend 2e5:8e5:2 --out out/run --json", 1),
-        ("sweep labs.npz --bend 4e5 --clamp-end position --spins 2 --out out/run", 0.5),
+        ("sweep labs.npz --bend 4e5 --clamp-end position --roll-hypotheses 2 --out out/run", 0.5),
         ("sweep rods.npz --bend 4e5 --objective dynamic --pairs pairs.csv --out out/run", 1),
         ("learn run", 4),
         ("learn dynamic_run --json", 3),

@@ -126,12 +126,12 @@ SMALL = {
     "--rods",
     "--rounds",
     "--threads",
-    "--spins",
+    "--roll-hypotheses",
     "--folds",
     "--starts",
     "--recorded",
     "--hypotheses",
-    "--between",
+    "--steps-between",
 }
 BESIDE = {"--dask": ("tcp://", "", "nowhere", "tcp://127.0.0.1:x", "http://127.0.0.1:1", "tcp://127.0.0.1:99999")}
 CONTRADICTIONS = (

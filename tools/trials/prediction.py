@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.dataset import Observations
+from doo_ti.io.motion_file import ClampPath
+from doo_ti.io.observations import Observations
 from doo_ti.metric import distance
 from doo_ti.motion.path import LARGEST_TURN
-from doo_ti.prediction.motion_file import ClampPath
 from doo_ti.prediction.predict import Prediction, predict
 from doo_ti.relaxation.relax import relax
 from doo_ti.start import observation_clamps, start_configuration

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.dataset import Observations
 from doo_ti.frames import turned_about_tangent
+from doo_ti.io.observations import Observations
 from doo_ti.twist.estimation import TwistEstimate, TwistOptions, end_offsets, estimate_twist
 from doo_ti.types import Material
 

@@ -62,7 +62,7 @@ class Board:
             raise self._error(f"{wanted} markers, but {self.dictionary} has {there}", "name a larger dictionary")
 
     def _error(self, problem: str, remedy: str) -> InputError:
-        return InputError(self.source, "--board", problem, remedy)
+        return InputError(self.source, "board", problem, remedy)
 
     def _markers(self):
         import cv2
@@ -89,12 +89,12 @@ class Board:
         return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, self._markers())
 
 
-def parse_board(text: str, source: str = "command line") -> Board:
+def parse_board(text: str, source: str = "board") -> Board:
     """The board that ``chessboard:9x6:10`` or ``charuco:9x6:10:7[:DICTIONARY]`` describes; InputError for anything else."""
     number = r"(\d+(?:\.\d*)?|\.\d+)"
     match = re.fullmatch(rf"(?:chessboard:(\d+)x(\d+):{number}|charuco:(\d+)x(\d+):{number}:{number}(?::(\w+))?)", text)
     if match is None:
-        raise InputError(source, "--board", f"{text!r}", f"give {FORMS}")
+        raise InputError(source, "board", f"{text!r}", f"give {FORMS}")
     columns, rows, square = (match[at] or match[at + 3] for at in (1, 2, 3))
     marker = None if match[7] is None else float(match[7])
     return Board(int(columns), int(rows), float(square), marker, match[8] or DICTIONARY, source)

@@ -112,7 +112,7 @@ def _check(sightings: list[Sighting], names: tuple[str, ...], options: Calibrati
                              f"give {FEWEST_VIEWS} that show it, or more: ten are good")
     if options.world == "first-board" and not any(sighting.view == 0 for sighting in sightings):
         raise InputError(source, "view", "the board was found in no image of the first view, where the world's axes lie",
-                         "put another view first, or use --world camera")
+                         "put another view first, or give `world` camera")
 
 
 def _lenses(points, sightings, sizes, options, source: str) -> tuple[list[Camera], dict[tuple[int, int], tuple]]:

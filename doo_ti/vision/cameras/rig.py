@@ -1,7 +1,6 @@
 """Cameras around a scene, and the file that describes them: OpenCV FileStorage YAML (§V-A).
 
-FileStorage's own reader crashes on damaged files, so that what it writes is read without it; a matrix is a map
-``rows, cols, dt, data`` with the tag ``!!opencv-matrix``. Axes: C cameras, V vertices.
+Axes: C cameras.
 """
 
 import os
@@ -11,16 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.file_content import read_content
+from doo_ti.io.files import read_content, write_text
+from doo_ti.io.opencv_yaml import read_opencv_yaml
 from doo_ti.vision.cameras.camera import COEFFICIENTS, KEYS, Camera
-from doo_ti.whole_file import write_whole
 
 MOST_FILE_BYTES = 1 << 20
 """Of a rig: some thousand cameras."""
 OTHER_COLUMNS = ("name", "frame", "time_s", "view", "seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
 """Of tables that have a column of images for each camera, named as it is."""
-KINDS = ("u", "c", "w", "s", "i", "f", "d")
-"""Of numbers in a matrix of one channel."""
 
 
 @dataclass(frozen=True)
@@ -119,62 +116,4 @@ def save_rig(path: str | os.PathLike, rig: Rig) -> None:
         storage.write("t", camera.translation.reshape(3, 1).copy())
         storage.endWriteStruct()
     storage.endWriteStruct()
-    text = storage.releaseAndGetString()
-    write_whole(Path(path), lambda file: file.write(text.encode()))
-
-
-# --- what FileStorage writes ---------------------------------------------------------------------------------------------
-
-
-class DamagedError(ValueError):
-    """Text that FileStorage does not write."""
-
-
-def read_opencv_yaml(text: str):
-    """The values of one document: dictionaries, lists, text, numbers, and matrices as arrays (rows, cols) in f64.
-
-    Raises DamagedError for whatever is no YAML, and for matrices that are none. Nothing but these values is ever made.
-    """
-    import yaml
-
-    class Loader(yaml.SafeLoader):
-        def compose_node(self, parent, index):
-            if self.check_event(yaml.AliasEvent):  # FileStorage writes none, and they can unfold without end
-                raise DamagedError("an alias")
-            return super().compose_node(parent, index)
-
-        def matrix(self, node):
-            return _matrix(self.construct_mapping(node, deep=True))
-
-    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", Loader.matrix)
-    # FileStorage begins with a line that only OpenCV takes for a version of YAML, %YAML:1.0.
-    lines = text.splitlines(keepends=True)
-    body = "".join(lines[1:]) if lines and lines[0].startswith("%YAML") else text
-    try:
-        return yaml.load(body, Loader)
-    except (yaml.YAMLError, RecursionError, OverflowError) as error:
-        raise DamagedError((str(error) or type(error).__name__).splitlines()[0]) from None
-    except (TypeError, ValueError, AttributeError) as error:  # a key that is a list, a date that is none
-        raise DamagedError(str(error).splitlines()[0]) from None
-
-
-def _matrix(entries: dict) -> np.ndarray:
-    rows, columns, kind, data = (entries.get(key) for key in ("rows", "cols", "dt", "data"))
-    for name, value in (("rows", rows), ("cols", columns)):
-        if type(value) is not int or value < 1:
-            raise DamagedError(f"{name} of a matrix is {value!r}")
-    if kind not in KINDS:
-        raise DamagedError(f"dt of a matrix is {kind!r}")
-    if not isinstance(data, list) or len(data) != rows * columns:
-        raise DamagedError(f"data of a matrix are not {rows} x {columns} numbers")
-    return np.array([_number(value) for value in data]).reshape(rows, columns)
-
-
-def _number(value) -> float:
-    # YAML takes 1e3, without a point, for text.
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise DamagedError(f"{value!r} in a matrix is no number")
-    try:
-        return float(value)
-    except (ValueError, OverflowError):
-        raise DamagedError(f"{value!r} in a matrix is no number") from None
+    write_text(Path(path), storage.releaseAndGetString())

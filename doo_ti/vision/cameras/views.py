@@ -4,14 +4,14 @@ A list of views is a CSV file: a column ``view`` with names, and a column for ea
 relative to the file, empty where that camera did not see the view.
 """
 
-import csv
-import io
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from doo_ti.errors import InputError
-from doo_ti.file_content import MOST_TEXT_BYTES, read_content
+from doo_ti.io.csv_table import read_csv
 from doo_ti.vision.cameras.board import Board, find_corners
 from doo_ti.vision.cameras.bundle import Sighting
 from doo_ti.vision.cameras.rig import check_camera_names
@@ -35,39 +35,18 @@ class Views:
 
 
 def read_views(path: Path) -> Views:
-    """The views of a CSV file. Raises InputError for what is no such file, for fewer than two cameras, names that occur twice,
-    and images that are not there."""
-    remedy = "write the columns view,cam0,cam1,…"
-    content = read_content(path, MOST_TEXT_BYTES, "name a readable list of views")
-    try:
-        rows = list(csv.reader(io.StringIO(content.decode("utf-8-sig")), strict=True))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(path, "file", f"is no CSV table ({str(error)[:60]})", remedy) from None
-    if any("\n" in cell for row in rows for cell in row):
-        raise InputError(path, "file", "a line break within a cell", "close the quote")
-    rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
-    header = rows[0] if rows else []
-    if "view" not in header:
-        raise InputError(path, "view", "the column is missing", remedy)
-    if len(set(header)) < len(header) or "" in header:
-        raise InputError(path, "header", f"{', '.join(header)}: a name twice, or none", "name the columns apart")
-    cameras = tuple(name for name in header if name != "view")
+    """The views of a CSV file. Raises InputError for what is not such a file, for fewer than two cameras, names that occur
+    twice, and images that are not there."""
+    table = read_csv(path, ("view",), form="view,cam0,cam1,…")
+    cameras = tuple(name for name in table.columns if name != "view")
     check_camera_names(str(path), list(cameras))
     if len(cameras) < 2:
         raise InputError(path, "header", f"{len(cameras)} camera", "a rig has two or more: give each a column of images")
-    if len(rows) < 2:
-        raise InputError(path, "file", "holds no views", "write one row per view")
-    uneven = next((number for number, row in enumerate(rows) if len(row) != len(header)), None)
-    if uneven is not None:
-        raise InputError(path, f"row {uneven}", f"{len(rows[uneven])} cells under {len(header)} columns",
-                         "leave cells empty, not out")
-    table = [dict(zip(header, row)) for row in rows[1:]]
-    names = tuple(row["view"] for row in table)
-    twice = next((name for name in names if not name or names.count(name) > 1), None)
-    if twice is not None:
-        raise InputError(path, "view", f"{twice!r} is no name, or there twice", "name the views apart")
-    images = {(view, camera): path.parent / row[name] for view, row in enumerate(table) for camera, name in enumerate(cameras)
-              if row[name]}
+    names = tuple(table.columns["view"])
+    table.refuse("view", np.array([not name or names.count(name) > 1 for name in names]), "is empty, or there twice",
+                 "name the views apart")
+    images = {(view, camera): path.parent / table.columns[name][view] for view in range(table.count)
+              for camera, name in enumerate(cameras) if table.columns[name][view]}
     for (view, camera), image in images.items():
         if not image.is_file():
             raise InputError(path, cameras[camera], f"no such file: {image} (view {names[view]})", "correct the path")

@@ -6,20 +6,19 @@ Images are relative to the file; the columns of images are named as the rig's ca
 out of the whole file, not of a line: a set's score is a sum over cameras, and sets are compared.
 """
 
-import csv
 import os
 import struct
 import sys
 from contextlib import contextmanager
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 from threading import Lock
 
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.file_content import MOST_TEXT_BYTES, read_content
+from doo_ti.io.csv_table import CsvTable, read_csv
+from doo_ti.io.files import read_content
 from doo_ti.vision.cameras.camera import MOST_SIDE, Camera
 from doo_ti.vision.cameras.rig import Rig
 
@@ -132,57 +131,29 @@ class ImageSets:
 
 
 def load_sets(path: str | os.PathLike, rig: Rig) -> ImageSets:
-    """The sets of a CSV file. Raises InputError naming line and column for whatever is missing or no number."""
+    """The sets of a CSV file. Raises InputError naming line and column for whatever is missing or not a number."""
     path = Path(path)
-    header, lines = header_and_lines(path)
-    missing = [name for name in ("name", *SEED) if name not in header]
-    if missing:
-        raise InputError(path, missing[0], "the column is missing", f"give name, a column per camera, and {', '.join(SEED)}")
-    unknown = [name for name in header if name not in ("name", *SEED, *rig.names)]
-    if unknown:
-        raise InputError(path, unknown[0], "no camera of the rig", f"the rig has {', '.join(rig.names)}")
-    if not lines:
-        raise InputError(path, "name", "no line", "give a line for each set of images")
-    cameras = [name for name in rig.names if name in header]
-    names = [line["name"] for line in lines]
+    table = read_csv(path, ("name", *SEED), form=f"name, one per camera, {', '.join(SEED)}", short_lines=True)
+    cameras = cameras_in(table, rig, ("name", *SEED))
+    names = table.columns["name"]
     if len(set(names)) < len(names):
         raise InputError(path, "name", f"{max(names, key=names.count)!r} occurs twice", "name the sets apart")
-    seeds = np.array([[number_in(path, number, line, key) for key in SEED] for number, line in enumerate(lines, 2)])
-    paths = tuple(tuple(_image(path, number, line, name) for name in cameras) for number, line in enumerate(lines, 2))
-    return ImageSets(tuple(names), paths, rig.only(cameras) if cameras else rig, seeds[:, :3], seeds[:, 3:], str(path))
+    for name in cameras:
+        table.refuse(name, np.array(table.columns[name]) == "", "is no image", "give one, or leave the camera's column out")
+    seeds = np.stack([table.numbers(key) for key in SEED], axis=-1)
+    return ImageSets(tuple(names), images_in(table, cameras), rig.only(cameras) if cameras else rig, seeds[:, :3], seeds[:, 3:],
+                     str(path))
 
 
-def header_and_lines(path: Path) -> tuple[list[str], list[dict[str, str]]]:
-    """Columns and lines of a CSV file, with empty text where a line is short. Raises InputError for what is no such file,
-    for a column that is there twice, for lines that are longer, and for cells that hold a line break, as after a quote that is
-    not closed."""
-    content = read_content(path, MOST_TEXT_BYTES, "name a readable CSV file")
-    try:
-        reader = csv.DictReader(StringIO(content.decode(), newline=""), restval="")
-        header, lines = list(reader.fieldnames or []), list(reader)
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(path, "file", str(error), "name a readable CSV file") from None
-    if len(set(header)) < len(header):
-        raise InputError(path, max(header, key=header.count), "the column is there twice", "keep one of them")
-    for number, line in enumerate(lines, 2):
-        if None in line:
-            raise InputError(path, f"line {number}", f"{len(header) + len(line[None])} cells under {len(header)} columns",
-                             "give one for each")
-        broken = next((key for key in header if "\n" in line[key]), None)
-        if broken is not None:
-            raise InputError(path, f"line {number}, {broken}", "a line break within a cell", "close the quote")
-    return header, lines
+def cameras_in(table: CsvTable, rig: Rig, others: tuple[str, ...]) -> list[str]:
+    """The cameras of the rig that a table has columns for, in the rig's order. Raises InputError for a column that is neither a
+    camera's nor one of the ``others``."""
+    unknown = next((name for name in table.columns if name not in (*others, *rig.names)), None)
+    if unknown is not None:
+        raise InputError(table.path, unknown, "no camera of the rig", f"the rig has {', '.join(rig.names)}")
+    return [name for name in rig.names if name in table.columns]
 
 
-def number_in(path: Path, number: int, line: dict, key: str) -> float:
-    """What column ``key`` of a line holds. Raises InputError naming both for what is no number."""
-    try:
-        return float(line[key])
-    except ValueError:
-        raise InputError(path, f"line {number}, {key}", f"{line[key]!r} is no number", "give a decimal number") from None
-
-
-def _image(path: Path, number: int, line: dict, camera: str) -> Path:
-    if not line[camera]:
-        raise InputError(path, f"line {number}, {camera}", "no image", "give one, or leave the camera's column out")
-    return path.parent / line[camera]
+def images_in(table: CsvTable, cameras: list[str]) -> tuple[tuple[Path, ...], ...]:
+    """For each row the images of the ``cameras``, which a table names relative to itself."""
+    return tuple(tuple(table.path.parent / table.columns[name][row] for name in cameras) for row in range(table.count))

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.errors import InputError
+from doo_ti.io.files import write_whole
 from doo_ti.vision.cameras.rig import Rig, save_rig
 from doo_ti.vision.detection.images import SEED
 from doo_ti.vision.rendering.render import RenderOptions, render_set
-from doo_ti.whole_file import write_whole
 
 SETS_FILE, RIG_FILE = "sets.csv", "rig.yaml"
 

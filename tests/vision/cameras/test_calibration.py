@@ -89,7 +89,7 @@ def test_no_board_no_corners(board, rng):
 # ---- boards
 
 def test_boards_from_text():
-    assert parse_board("chessboard:9x6:10") == replace(CHESSBOARD, source="command line")
+    assert parse_board("chessboard:9x6:10") == replace(CHESSBOARD, source="board")
     board = parse_board("charuco:10x7:12.5:9:DICT_5X5_100")
     assert (board.square, board.marker, board.dictionary, board.corners) == (12.5, 9.0, "DICT_5X5_100", (9, 6))
     assert len(board.points) == 54

@@ -27,11 +27,11 @@ def test_the_sets_of_the_images(shared_data):
 
 
 @pytest.mark.parametrize("text, word", [
-    (HEADER, "no line"), (HEADER.replace("seed_y", "y") + LINE, "seed_y"), (HEADER.replace("cam2", "cam9") + LINE, "cam9"),
-    (HEADER + LINE.replace("1,2,3", "1,x,3"), "line 2, seed_y"), (HEADER + LINE + LINE, "twice"),
+    (HEADER, "no rows"), (HEADER.replace("seed_y", "y") + LINE, "seed_y"), (HEADER.replace("cam2", "cam9") + LINE, "cam9"),
+    (HEADER + LINE.replace("1,2,3", "1,x,3"), "seed_y: 'x' in line 2"), (HEADER + LINE + LINE, "twice"),
     (HEADER + LINE.replace("a2.png", ""), "cam2"), (HEADER + LINE.replace("0,3,4", "0,0,0"), "direction"),
     (HEADER + LINE.replace("1,2,3", "1,2,nan"), "finite"), (HEADER + LINE.replace("1,2,3", "0,0,-9000"), "behind"),
-    (HEADER.replace("\n", ",cam0\n") + LINE.replace("\n", ",a0.png\n"), "cam0: the column is there twice"),
+    (HEADER.replace("\n", ",cam0\n") + LINE.replace("\n", ",a0.png\n"), "cam0: .* twice"),
     (HEADER + LINE.replace("\n", ",7\n"), "10 cells under 9"), (HEADER + LINE.replace("a,", '"a\nb",', 1), "line break"),
     (HEADER.replace(",cam2", "") + LINE.replace(",a2.png", ""), "two cameras"),
 ])

@@ -8,9 +8,10 @@ import scipy.optimize
 
 from doo_ti.errors import InputError
 from doo_ti.frames import handedness, orthonormality_error
+from doo_ti.io.marks import Marks, read_labels, read_marks
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig, load_rig
-from doo_ti.vision.reprojection.marks import Marks, observe, read_labels, read_marks
+from doo_ti.vision.reprojection.marks import observe
 from doo_ti.vision.reprojection.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
 from tests.data.rods import twisted_frames, wavy_vertices
 from tests.vision.boards import around
@@ -278,20 +279,20 @@ def changed(row: int, place: int, value) -> list[tuple]:
 
 
 MARKS = {
-    "unknown camera": (changed(3, 1, "cam9"), "camera: 'cam9' in row 4 is no camera of the rig; the rig has cam0, cam1, cam2"),
-    "not a number": (changed(2, 3, "left"), "u_px: 'left' in row 3"),
-    "NaN": (changed(2, 4, "nan"), "v_px: 'nan' in row 3"),
-    "empty": (changed(2, 4, ""), "v_px: '' in row 3"),
-    "outside": (changed(5, 3, 1200), "u_px: 1200 in row 6 is outside cam1's images, which the rig says are 640 x 480"),
-    "above": (changed(5, 4, -3), "v_px: -3 in row 6"),
-    "twice": ([*good_rows(), good_rows()[1]], "mark: 1 of observation a is there twice for cam0 .row 13."),
-    "no mark": (changed(0, 2, "x"), "mark: 'x' in row 1"),
-    "negative mark": (changed(0, 2, -1), "mark: '-1' in row 1"),
-    "plain beside edges": (changed(0, 2, "0L"), "mark: '1' in row 2 is no edge mark"),
-    "a gap": ([row for row in good_rows() if row[2] != 2], "mark: 2 is nowhere"),
-    "one edge only": ([(*row[:2], f"{row[2]}L", *row[3:]) for row in good_rows()], "mark: 0R is nowhere"),
+    "unknown camera": (changed(3, 1, "cam9"), "camera: 'cam9' in line 5 .* cam0, cam1, cam2"),
+    "not a number": (changed(2, 3, "left"), "u_px: 'left' in line 4"),
+    "NaN": (changed(2, 4, "nan"), "v_px: 'nan' in line 4"),
+    "empty": (changed(2, 4, ""), "v_px: '' in line 4"),
+    "outside": (changed(5, 3, 1200), "u_px: '1200' in line 7 .* cam1, 640 x 480"),
+    "above": (changed(5, 4, -3), "v_px: '-3' in line 7"),
+    "twice": ([*good_rows(), good_rows()[1]], "mark: '1' in line 14 is there twice .* cam0"),
+    "no mark": (changed(0, 2, "x"), "mark: 'x' in line 2"),
+    "negative mark": (changed(0, 2, -1), "mark: '-1' in line 2"),
+    "plain beside edges": (changed(0, 2, "0L"), "mark: '1' in line 3"),
+    "a gap": ([row for row in good_rows() if row[2] != 2], "mark: 2 is missing"),
+    "one edge only": ([(*row[:2], f"{row[2]}L", *row[3:]) for row in good_rows()], "mark: 0R is missing"),
     "too few": ([row for row in good_rows() if row[2] < 2], "2 marks"),
-    "no name": (changed(4, 0, ""), "observation: '' in row 5"),
+    "no name": (changed(4, 0, ""), "observation: '' in line 6"),
     "no rows": ([], "holds no rows"),
 }
 
@@ -308,10 +309,12 @@ def test_wrong_files_of_marks(tmp_path):
         read_marks(tmp_path / "none.csv", around())
     with pytest.raises(InputError, match="v_px: the column is missing"):
         read_marks(written(tmp_path, [("a", "cam0", 0, 1)], "observation,camera,mark,u_px\n"), around())
-    for content in (b"", b"\xff\xfe\x00\x01", b"observation,camera,mark,u_px,v_px\na,b\n"):
+    for content, field in ((b"", "observation"), (b"\xff\xfe\x00\x01", "file"),
+                           (b"observation,camera,mark,u_px,v_px\na,b\n", "line 2")):
         (tmp_path / "bad.csv").write_bytes(content)
-        with pytest.raises(InputError, match="is no CSV table"):
+        with pytest.raises(InputError) as caught:
             read_marks(tmp_path / "bad.csv", around())
+        assert caught.value.field == field
 
 
 def test_labels(tmp_path):
@@ -319,10 +322,10 @@ def test_labels(tmp_path):
     path.write_text("observation,end_distance_mm,total_twist_deg\nb,54,-90\na,30,450\nc,1,1\n")
     labels = read_labels(path, ("a", "b"))
     assert {name: value.tolist() for name, value in labels.items()} == {"end_distance": [30, 54], "total_twist": [450, -90]}
-    for text, names, message in (("observation,end_distance_mm\na,1\na,2\n", ("a",), "'a' in row 1 is there twice"),
+    for text, names, message in (("observation,end_distance_mm\na,1\na,2\n", ("a",), "'a' in line 2 is there twice"),
                                  ("observation,end_distance_mm\na,1\n", ("a", "b"), "no row for 'b'"),
                                  ("observation,distance\na,1\n", ("a",), "no label"),
-                                 ("observation,end_distance_mm\na,\n", ("a",), "'' in row 1")):
+                                 ("observation,end_distance_mm\na,\n", ("a",), "'' in line 2")):
         path.write_text(text)
         with pytest.raises(InputError, match=message):
             read_labels(path, names)

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.errors import InputError, real_array
-from doo_ti.file_content import read_content
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
-from doo_ti.importers import read_npz, read_table, write_table
+from doo_ti.io.arrays import read_npz
+from doo_ti.io.files import MOST_BYTES, read_content, write_whole
+from doo_ti.io.observation_tables import KEYS_IN_TABLES, read_table, write_table
 from doo_ti.terminal import in_line
 from doo_ti.types import LARGEST
-from doo_ti.whole_file import write_whole
 
 # Field of Observations: key of the file.
 KEYS = {
@@ -26,21 +26,23 @@ KEYS = {
     "end_distance": "end_distance_mm", "end_rotation": "end_rotation_deg",
 }
 TABLES = (".csv", ".parquet")
+MOST_CSV_BYTES = 1 << 28
+"""Reading CSV takes some fifteen times as much memory."""
 LEAST_SIGMA_MM, MOST_SIGMA_MM = 1e-9, 1e6
-"""Of labels: information is the square of how much smaller they are than what they measure."""
+"""Of labels: the information in them grows with the inverse square."""
 
 
 @dataclass(frozen=True)
 class Observations:
-    """D observed configurations Γ^d of one rod, with what is known about its ends.
+    """D observed configurations Γ^d of one rod, and how its ends were held.
 
     vertices     (D, V, 3) mm; anything, NaN too, at a mark that is not valid
     valid        (D, V) bool: marks that were seen; all of them by default
     rest_length  (E,) mm; by default the median over D of the observed edge lengths
-    start_frame  (D, 3, 3) columns t, m1, m2 of the first edge, or None: tangent as observed, spin unknown
+    start_frame  (D, 3, 3) columns t, m1, m2 of the first edge, or None: tangent as observed, roll unknown
     end_frame    the same for the last edge
     frames       (D, E, 3, 3) measured material frames (ribbons), or None
-    total_twist  (D,) rad, Σ m_i with its whole turns, or None; only picks the whole turn
+    total_twist  (D,) rad, Σ m_i with its whole turns, or None; only used to choose the whole turn
     up           (3,) unit vector against gravity
     sigma        label uncertainty in mm: None, () or (D, V)
     end_distance, end_rotation  (D,) labels to partition by, in mm and **degrees** as written in the file, or None
@@ -153,7 +155,7 @@ class Observations:
         return valid
 
     def _check_neighbours(self) -> None:
-        """Each valid mark away from the valid mark before it: between them a direction is needed."""
+        """Raise InputError where a valid mark coincides with the valid mark before it: the edge would have no direction."""
         index = np.where(self.valid, np.arange(self.valid.shape[1]), -1)
         before = np.maximum.accumulate(index, axis=1)[:, :-1]
         previous = np.take_along_axis(self.vertices, np.maximum(before, 0)[..., None], axis=1)
@@ -219,7 +221,7 @@ def load_observations(path: str | os.PathLike, up=None) -> Observations:
     """
     path = Path(path)
     content = _read_bytes(path)
-    keys = read_table(path, content) if path.suffix in TABLES else read_npz(path, content)
+    keys = read_table(path, content) if path.suffix in TABLES else read_npz(path, content, tuple(KEYS_IN_TABLES))
     if "vertices_mm" not in keys:
         raise InputError(path, "vertices_mm", "the key is missing", "store the vertices as vertices_mm (D, V, 3)")
     values = {name: keys[key] for name, key in KEYS.items() if key in keys}
@@ -232,7 +234,7 @@ def load_observations(path: str | os.PathLike, up=None) -> Observations:
 
 
 def _check_turns(observations: Observations) -> None:
-    """Raise InputError for a hint, still in degrees, of more twist than joints of up to half a turn each can hold."""
+    """Raise InputError for a total twist, still in degrees, above half a turn at each joint."""
     most = 180.0 * (observations.edges - 1)
     bad = np.flatnonzero(np.abs(observations.total_twist) > most)
     if len(bad):
@@ -261,15 +263,15 @@ def save_observations(path: str | os.PathLike, observations: Observations) -> No
 
 
 def checked_suffix(path: Path) -> None:
-    """Raise InputError unless ``path`` names one of the formats of observations."""
+    """Raise InputError unless the suffix of ``path`` is that of a format of observations."""
     if path.suffix not in (".npz", *TABLES):
-        raise InputError(path, "file", f"suffix {path.suffix!r} names no format of observations",
+        raise InputError(path, "file", f"suffix {path.suffix!r} is not a format of observations",
                          f"use one of .npz, {', '.join(TABLES)}")
 
 
 def _read_bytes(path: Path) -> bytes:
     checked_suffix(path)
-    content = read_content(path)
+    content = read_content(path, MOST_CSV_BYTES if path.suffix == ".csv" else MOST_BYTES)
     if not content:
         raise InputError(path, "file", "0 bytes, the file is empty", "write the observations again")
     return content

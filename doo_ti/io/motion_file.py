@@ -4,11 +4,11 @@
     start_position_mm, end_position_mm     (T, 3)
     start_frame, end_frame                 (T, 3, 3) columns t, m1, m2 of the first edge and of the last
     end_rotation_deg                       (T,) by which the last frame has turned about the rod, whole turns included
-    positions_mm                           (T, V, 3) or (N, T, V, 3), npz only, in place of the others: marks of a rod, or of N
+    positions_mm                           (T, V, 3) or (N, T, V, 3), npz only, instead of the others: marks of a rod, or of N
                                            rods, whose first and last edges are clamped
 
-in an npz, or in a CSV file, one row per moment, with the columns start_x_mm, …, end_frame_t_x, end_frame_m1_x, … What is left
-out rests. Frames given from moment to moment turn by less than half a turn between them; ``end_rotation_deg`` tells more.
+in an npz, or in a CSV file, one row per moment, with the columns start_x_mm, …, end_frame_t_x, end_frame_m1_x, … What a file
+leaves out does not move. Between two moments frames turn by less than half a turn, unless ``end_rotation_deg`` is given.
 
 Axes: T moments, N motions.
 """
@@ -32,7 +32,7 @@ from doo_ti.frames import (
     quaternion_product,
     smallest_rotation,
 )
-from doo_ti.named_arrays import frame_columns, position_columns, read_arrays
+from doo_ti.io.arrays import frame_columns, position_columns, read_arrays
 from doo_ti.types import Clamps
 
 KNOWN = {
@@ -44,11 +44,9 @@ KNOWN = {
 _POSES = {"start_position_mm": "start_position", "end_position_mm": "end_position", "start_frame": "start_frame",
           "end_frame": "end_frame"}
 HALF_TURN = np.radians(179.0)
-"""Frames that turn by more from one moment to the next might have turned the other way."""
+"""A larger turn of a frame from one moment to the next could also be a turn the other way round."""
 CONTRADICTION = np.radians(45.0)
-"""Between what frames and a rotation tell of a turn. Rotations may be counted otherwise where the tangent swings, too."""
-
-
+"""Largest difference between a frame's turn and the given rotation, which may count the swing of the tangent differently."""
 MOST_MM = 1e6
 """From the origin to a clamp."""
 MOST_TURNS = 1000.0
@@ -56,17 +54,17 @@ MOST_TURNS = 1000.0
 
 @dataclass(frozen=True)
 class ClampPath:
-    """Poses of both clamps of N rods, or of one motion for all, at T moments; None: it rests.
+    """Poses of both clamps of N rods, or of one motion for all, at T moments; None: it does not move.
 
     time                          (T,) s
     start_position, end_position  (T, N, 3) mm
     start_frame, end_frame        (T, N, 3, 3)
     end_rotation                  (T, N) rad about the rod, whole turns included
-    tangents_only                 of the frames only the tangents are known
+    tangents_only                 only the tangents in the frames are known
     source                        where it comes from, for messages
 
-    Raises InputError for times that do not rise, frames that are none, half turns that might go either way, and a rotation
-    that the end frames contradict.
+    Raises InputError for times that do not rise, frames that are not rotations, half turns, whose sense is ambiguous, and a
+    rotation that contradicts the end frames.
     """
 
     time: np.ndarray
@@ -105,7 +103,7 @@ class ClampPath:
         return max((value.shape[1] for value in given if value is not None), default=1)
 
     def at(self, moment: int, clamps: Clamps) -> Clamps:
-        """Clamps (R) at a moment, that set out from ``clamps``; N is one or R. What the path leaves out is as there."""
+        """(R) clamps at a moment, ``clamps`` at the start; N is one or R. What the path leaves out stays as in ``clamps``."""
         def put(path, own):
             return own if path is None else np.ascontiguousarray(np.broadcast_to(path[moment], own.shape))
         end_frame = put(self.end_frame, clamps.end_frame)
@@ -118,13 +116,13 @@ class ClampPath:
                        start_frame=put(self.start_frame, clamps.start_frame))
 
     def rotation(self, moment: int, count: int) -> np.ndarray | None:
-        """(R,) rad by which the far frames turn about the rod up to the next moment, or None where the frames tell."""
+        """(R,) rad by which the far frames turn about the rod until the next moment, or None where the frames show it."""
         if self.end_rotation is None:
             return None
         return np.broadcast_to(self.end_rotation[moment + 1] - self.end_rotation[moment], count)
 
     def relative_to(self, clamps: Clamps) -> "ClampPath":
-        """The same displacements and turns, from where R ``clamps`` are: nothing has to be brought to the first moment."""
+        """The same displacements and turns, starting from where R ``clamps`` are."""
         def shifted(path, own):
             return None if path is None else own + path - path[:1]
         def turned(path, own):
@@ -137,7 +135,7 @@ class ClampPath:
     def _check_frames(self, name: str, frames: np.ndarray) -> None:
         bad = (orthonormality_error(frames) > FRAME_TOLERANCE) | (handedness(frames) < 0)
         if bad.any():
-            raise InputError(self.source, name, f"the frame of moment {np.argwhere(bad)[0, 0]} is no rotation",
+            raise InputError(self.source, name, f"the frame of moment {np.argwhere(bad)[0, 0]} is not a rotation",
                              "give unit, orthogonal columns t, m1, m2 with m2 = t x m1")
         before, after = frames[:-1], frames[1:]
         if self.tangents_only or (name == "end_frame" and self.end_rotation is not None):
@@ -147,20 +145,19 @@ class ClampPath:
         unclear = cosine < np.cos(HALF_TURN)
         if unclear.any():
             moment = np.argwhere(unclear)[0, 0]
-            raise InputError(self.source, name, f"half a turn from moment {moment} to {moment + 1}, which may go either way",
+            raise InputError(self.source, name, f"half a turn from moment {moment} to {moment + 1}, in either sense",
                              "give moments in between" + ", or end_rotation_deg" * (name == "end_frame"))
-
 
     def _check_rotation(self) -> None:
         before, after = self.end_frame[:-1], self.end_frame[1:]
         carried = matrix_from_quaternion(smallest_rotation(before[..., 0], after[..., 0])) @ before
         turned = angle_about(after[..., 0], carried[..., 1], after[..., 1])
-        told = np.diff(self.end_rotation, axis=0)
-        apart = np.abs(np.angle(np.exp(1j * (told - turned))))
+        given = np.diff(self.end_rotation, axis=0)
+        apart = np.abs(np.angle(np.exp(1j * (given - turned))))
         if (apart > CONTRADICTION).any():
             moment, rod = np.argwhere(apart > CONTRADICTION)[0]
-            told = np.broadcast_to(told, apart.shape)[moment, rod]
-            raise InputError(self.source, "end_rotation_deg", f"{np.degrees(told):.0f} from moment {moment} to {moment + 1}, "
+            given = np.broadcast_to(given, apart.shape)[moment, rod]
+            raise InputError(self.source, "end_rotation_deg", f"{np.degrees(given):.0f} from moment {moment} to {moment + 1}, "
                              f"where end_frame turns by {np.degrees(turned[moment, rod]):.0f} and whole turns",
                              "correct one of them, or leave one out")
 
@@ -177,7 +174,7 @@ def path_of_marks(positions: np.ndarray, time: np.ndarray | None = None, source:
 
 
 def load_path(path: Path) -> ClampPath:
-    """The clamps' path from a motion file. Raises InputError for files that cannot be read and for what no path can be."""
+    """The clamps' path from a motion file. Raises InputError for files that cannot be read or do not describe a path."""
     arrays = read_arrays(Path(path), KNOWN, ("positions_mm", "rate_hz"))
     rate = arrays.pop("rate_hz", None)
     if "positions_mm" in arrays:
@@ -188,7 +185,7 @@ def load_path(path: Path) -> ClampPath:
         if value.shape != (count, *KNOWN[key][0]):
             raise InputError(path, key, f"shape {value.shape}", f"make it {(count, *KNOWN[key][0])}: T moments")
     if not arrays.keys() - {"time_s"}:
-        raise InputError(path, "end_position_mm", "missing, nothing moves",
+        raise InputError(path, "end_position_mm", "missing, so nothing moves",
                          f"give some of {', '.join([*_POSES, 'end_rotation_deg'])}")
     poses = {name: arrays[key][:, None] for key, name in _POSES.items() if key in arrays}
     rotation = np.radians(arrays["end_rotation_deg"])[:, None] if "end_rotation_deg" in arrays else None

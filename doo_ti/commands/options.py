@@ -1,40 +1,105 @@
-"""Options of the command line, from text to values, each checked before any work starts.
+"""Options of the command line: those that several commands share, and each option's text to a value, checked before any work.
 
 Raises InputError naming the option, what was given and what would do.
 """
 
 import os
-from argparse import Namespace
+from argparse import SUPPRESS, ArgumentParser, Namespace
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti.dataset import checked_suffix
 from doo_ti.errors import InputError
-from doo_ti.grid import UNITS, Axis, Grid, parse_axis, parse_bend
+from doo_ti.grid import UNITS, Axis, Grid, parse_axes, parse_axis
+from doo_ti.io.observations import checked_suffix
+from doo_ti.io.scene import CLAMPS, PRECISIONS
 from doo_ti.physical_units import bend_or_twist, weight_per_length
-from doo_ti.types import LARGEST, Clamp
+from doo_ti.types import LARGEST, Clamp, unit_up
 
 SOURCE = "command line"
-MOST_BENCH_RODS = 1 << 22
-"""Four times as many are relaxed at once to see what memory they need: some 20 GB."""
+SOLVERS = ("newton", "descent")
+MATERIAL = ("bend", "bend_1", "bend_2", "twist", "twist_ratio", "weight", "EI", "GJ")
+"""The options that state Θ."""
+CLAMP_DEFAULT = "frame where the file gives one, else tangent"
 LONGEST_NAME = 200
-"""Bytes of the name of a file: the system takes 255, and while it is written it has a longer one."""
+"""Bytes in the name of a file: systems allow 255, and while the file is written it has a longer name."""
+
+
+# --- declaring -----------------------------------------------------------------------------------------------------------
+
+
+def command(add, name: str, run: Callable[[Namespace, list[str]], int], meaning: str, *, json: bool = True) -> ArgumentParser:
+    """The parser of a command, which ``run`` carries out; with ``--json`` unless it prints nothing for machines."""
+    parser = add(name, allow_abbrev=False, help=meaning, description=f"{meaning[0].upper()}{meaning[1:]}.")
+    if json:
+        parser.add_argument("--json", action="store_true", help="print one line of JSON instead of text")
+    parser.set_defaults(run=run, parser=parser)
+    return parser
+
+
+def add_old_name(parser: ArgumentParser, old: str, argument: str) -> None:
+    """Accept the ``old`` name of the option for ``argument``, without showing it."""
+    parser.add_argument(old, dest=argument, default=SUPPRESS, help=SUPPRESS)
+
+
+def add_material(parser: ArgumentParser, form: str) -> None:
+    group = parser.add_argument_group("material", f"bend and twist stiffness in mm³; {form}")
+    group.add_argument("--bend", metavar="A", help="bend stiffness α of a round rod, or the matrix of another one, A1,A2[,A12]")
+    group.add_argument("--bend-1", metavar="A1", help="stiffness against bending about m2")
+    group.add_argument("--bend-2", metavar="A2", help="stiffness against bending about m1")
+    group.add_argument("--twist", metavar="B", help="twist stiffness β")
+    group.add_argument("--twist-ratio", metavar="R", help="β divided by α, or by A1 (default 1)")
+    group.add_argument("--weight", metavar="M", help="half the weight per length, relative (default 1)")
+    group.add_argument("--EI", metavar="NM2", help="bend stiffness in N m², instead of --bend; needs --linear-density")
+    group.add_argument("--GJ", metavar="NM2", help="twist stiffness in N m², instead of --twist; needs --linear-density")
+    group.add_argument("--linear-density", metavar="G_PER_M", help="of the rod in g/m, for --EI, --GJ and results in N m²")
+
+
+def add_clamps(parser: ArgumentParser, default: str = CLAMP_DEFAULT) -> None:
+    for end in ("start", "end"):
+        parser.add_argument(f"--clamp-{end}", choices=CLAMPS, help=f"what is held at the rod's {end} (default: {default})")
+
+
+def add_up(parser: ArgumentParser, default: str = "the file's, else 0,0,1") -> None:
+    parser.add_argument("--up", metavar="X,Y,Z", help=f"direction against gravity (default: {default})")
+
+
+def add_frame_weight(parser: ArgumentParser, default: str) -> None:
+    parser.add_argument("--frame-weight", metavar="MM", help=f"weight w_m of material frames in Eq. 1 (default: {default})")
+
+
+def add_relaxation(parser: ArgumentParser, precision: str | None) -> None:
+    add_clamps(parser)
+    add_frame_weight(parser, "0" if precision else "the scene's, else 0")
+    add_up(parser)
+    parser.add_argument("--solver", choices=SOLVERS, default="newton", help="how equilibria are computed (default newton)")
+    parser.add_argument("--precision", choices=PRECISIONS, default=precision,
+                        help=f"arithmetic (default: {precision or 'the scene' + chr(39) + 's, else mixed'})")
+
+
+def add_seen_rod(parser: ArgumentParser) -> None:
+    """The cameras, and what must be known about the rod beforehand."""
+    parser.add_argument("--rig", required=True, metavar="RIG", help="the calibrated cameras: OpenCV FileStorage YAML")
+    parser.add_argument("--rest-length", required=True, metavar="MM:COUNT|FILE",
+                        help="lengths of the rod's edges: COUNT edges of MM each, a .npz with rest_length_mm, or a text file")
+    add_up(parser, "0,0,1 in the rig's world")
+
+
+def add_thread(parser: ArgumentParser) -> None:
+    """How the rod looks in images; ``parser`` may be a group of arguments."""
+    parser.add_argument("--polarity", choices=("dark", "light"), help="whether the thread is darker or lighter than the "
+                        "background (default: decided per image)")
+    parser.add_argument("--width", metavar="PX", help="width of the thread in the images (default: measured)")
+
+
+# --- reading -------------------------------------------------------------------------------------------------------------
 
 
 def grid(options: Namespace, base: Grid | None = None) -> Grid:
     """The axes given, on top of those of ``base`` (a scene's grid) where there is one."""
-    axes: list[Axis] = []
-    bend_12 = 0.0
-    for name in UNITS:
-        text = getattr(options, name)
-        if text is None:
-            continue
-        if name == "bend":
-            found, bend_12 = parse_bend(text, "--bend", SOURCE)
-            axes += found
-        else:
-            axes.append(parse_axis(f"--{name.replace('_', '-')}", text, SOURCE))
+    texts = {name: getattr(options, name) for name in UNITS if getattr(options, name) is not None}
+    axes, bend_12 = parse_axes(texts, SOURCE, "--")
     axes += _physical_axes(options)
     if base is not None:
         return base.with_axes(tuple(axes), bend_12)
@@ -73,7 +138,7 @@ def single_cell(options: Namespace, remedy: str = "give one number") -> Grid:
 
 
 def round_cell(options: Namespace, rods: str) -> Grid:
-    """One Θ that is the same in all directions across the rod; ``rods`` says of which rods that is asked."""
+    """One Θ that is the same in all directions across the rod; ``rods`` says which rods must be so."""
     found = single_cell(options)
     if not found.is_isotropic:
         raise InputError(SOURCE, "--bend", "not the same in all directions", f"give --bend A: {rods} rods are round")
@@ -92,23 +157,20 @@ def frame_weight(options: Namespace, default: float = 0.0) -> float:
 
 
 def up(options: Namespace) -> np.ndarray | None:
-    """(3,) direction against gravity, or None."""
-    if options.up is None:
-        return None
-    direction = np.array([_decimal("--up", part, "three numbers X,Y,Z") for part in options.up.split(",")])
-    if direction.shape != (3,) or not (np.abs(direction) <= LARGEST).all() or not np.linalg.norm(direction) > 0:
-        raise InputError(SOURCE, "--up", f"{options.up!r} is no direction", "give X,Y,Z, such as 0,0,1")
-    return direction
+    """(3,) unit vector against gravity, or None."""
+    return None if options.up is None else unit_up(numbers("--up", options.up), SOURCE)
 
 
 def world_up(options: Namespace) -> np.ndarray:
     """(3,) unit vector against gravity, by default z."""
     direction = up(options)
-    return np.array([0.0, 0.0, 1.0]) if direction is None else direction / np.linalg.norm(direction)
+    return np.array([0.0, 0.0, 1.0]) if direction is None else direction
 
 
-def clamp(name: str | None) -> Clamp | None:
-    return None if name is None else Clamp[name.upper()]
+def clamps(options: Namespace) -> tuple[Clamp | None, Clamp | None]:
+    """The kinds of clamps at the start and at the end, or None where the options leave them out."""
+    start, end = (None if name is None else Clamp[name.upper()] for name in (options.clamp_start, options.clamp_end))
+    return start, end
 
 
 def solver(name: str):
@@ -138,9 +200,9 @@ def positive(option: str, text: str | None, unit: str = "") -> float | None:
     if text is None:
         return None
     wanted = f"a positive number{' of ' * bool(unit)}{unit}"
-    value = _decimal(option, text, wanted, minimum=0.0)
-    if value == 0:
-        raise InputError(SOURCE, option, f"{text!r} is not positive", f"give {wanted}")
+    value = _decimal(option, text, wanted)
+    if value <= 0:
+        raise InputError(SOURCE, option, f"{text!r} is not a positive number", f"give {wanted}")
     return value
 
 
@@ -162,18 +224,8 @@ def rows(option: str, text: str | None, count: int) -> tuple[int, ...]:
     return found
 
 
-def bench_rods(text: str | None, default: int) -> int:
-    """Rods in the large batches of the benchmark."""
-    return whole("--rods", text, 1, MOST_BENCH_RODS) or default
-
-
-def threads(text: str | None) -> int | None:
-    """Threads of the kernels, at most one per processor, or None."""
-    return whole("--threads", text, 1, os.cpu_count() or 1)
-
-
 def output_file(text: str | Path, suffix: str | None = None, option: str = "--out") -> Path:
-    """The file to write: of the format ``suffix``, or of observations, where a file can lie."""
+    """The file to write, with this suffix, or with that of a format of observations."""
     path = Path(text)
     if suffix is None:
         checked_suffix(path)
@@ -188,15 +240,17 @@ def output_file(text: str | Path, suffix: str | None = None, option: str = "--ou
 
 
 def refuse_overwriting(out: Path, source: str, option: str = "--out") -> None:
-    """Raise InputError where the file to write is the one that is read."""
+    """Raise InputError where the file to write is also the one to read."""
     if out.exists() and Path(source).exists() and out.samefile(source):
         raise InputError(SOURCE, option, f"{out} is the input itself", "name another file")
 
 
-def output_folder(text: str, option: str = "--out") -> Path:
-    """The folder to write, which need not exist yet."""
+def output_folder(text: str | None, option: str = "--out") -> Path | None:
+    """The folder to write, which need not exist yet, or None."""
+    if text is None:
+        return None
     if not text.strip():
-        raise InputError(SOURCE, option, f"{text!r} names no folder", "name one; . is the present one")
+        raise InputError(SOURCE, option, f"{text!r} is not a folder", "name one, such as . for the current one")
     _check_folder(Path(text), option)
     return Path(text)
 
@@ -212,9 +266,9 @@ def _decimal(option: str, text: str, wanted: str, minimum: float = -np.inf) -> f
 
 
 def _check_folder(folder: Path, option: str = "--out") -> None:
-    """Raise InputError unless ``folder`` is one that can be written in, or can be made."""
+    """Raise InputError unless files can be written in ``folder``, which may not exist yet."""
     existing = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
     if not existing.is_dir():
-        raise InputError(SOURCE, option, f"{existing} is a file, nothing can lie below it", "name another folder")
+        raise InputError(SOURCE, option, f"{existing} is a file, not a folder", "name another folder")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise InputError(SOURCE, option, f"{existing} is not writable", "name another folder")

@@ -1,0 +1,193 @@
+"""Cameras: a rig from images of a board, and observations from labelled marks (§V-A)."""
+
+from argparse import Namespace
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.commands import options as given
+from doo_ti.commands.results import counted, report, shortened
+from doo_ti.errors import InputError
+from doo_ti.io.marks import Marks, read_labels, read_marks
+from doo_ti.io.observations import save_observations
+from doo_ti.terminal import in_line, progress
+from doo_ti.vision.cameras.board import FORMS, Board, parse_board
+from doo_ti.vision.cameras.calibration import COEFFICIENTS, WORLDS, Calibration, CalibrationOptions, calibrate
+from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
+from doo_ti.vision.cameras.views import Views, find_sightings, read_views
+from doo_ti.vision.reprojection.marks import MarkedRods, observe
+from doo_ti.vision.reprojection.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
+
+MOST_LISTED = 20
+
+
+def declare(add) -> None:
+    parser = given.command(add, "calibrate", run_calibrate, "calibrate a rig of cameras from images of a board")
+    parser.add_argument("views", metavar="VIEWS.csv", help="columns view,cam0,cam1,…: images, relative to the file")
+    parser.add_argument("--board", required=True, metavar="BOARD", help=FORMS)
+    parser.add_argument("--out", required=True, metavar="RIG.yaml", help="file to write")
+    parser.add_argument("--world", choices=WORLDS, default=WORLDS[0],
+                        help="where the world's axes lie (default first-board: x along a row, y up the page, z out of it)")
+    parser.add_argument("--distortion", type=int, choices=COEFFICIENTS, default=4,
+                        help="how many of k1, k2, p1, p2, k3 to fit (default 4)")
+    parser = given.command(add, "triangulate", run_triangulate, "turn labelled marks in images into observations")
+    parser.add_argument("marks", metavar="MARKS.csv",
+                        help="columns observation,camera,mark,u_px,v_px; of ribbons marks 0L, 0R, 1L …")
+    parser.add_argument("--rig", required=True, metavar="RIG.yaml", help="the calibrated cameras")
+    parser.add_argument("--out", required=True, metavar="OBS", help="file to write: .npz, .csv or .parquet")
+    parser.add_argument("--labels", metavar="LABELS.csv",
+                        help="columns observation and any of end_distance_mm, end_rotation_deg, total_twist_deg")
+    parser.add_argument("--rest-length", metavar="MM",
+                        help="from each mark to the next along the rod (default: the median observed)")
+    parser.add_argument("--sigma-px", type=float, default=0.5, metavar="PX", help="uncertainty of a label (default 0.5)")
+    parser.add_argument("--threshold", type=float, default=5.0, metavar="SIGMAS",
+                        help="labels that contradict the others by more than this are outliers (default 5)")
+    given.add_up(parser, "0,0,1 in the rig's world")
+
+
+# --- calibrate -----------------------------------------------------------------------------------------------------------
+
+
+def run_calibrate(options: Namespace, words: list[str]) -> int:
+    """Corners in all images, then intrinsics and extrinsics; writes the rig and prints how well each image agrees."""
+    board, out = parse_board(options.board), given.output_file(options.out, ".yaml")
+    views = read_views(Path(options.views))
+    sightings, sizes = _searched(views, board)
+    chosen = CalibrationOptions(world=options.world, distortion=options.distortion)
+    calibration = calibrate(board.points, sightings, sizes, len(views.names), chosen, views.source)
+    save_rig(out, calibration.rig)
+    summary = _calibration_summary(views, calibration, out)
+    report(options, summary, lambda: _calibration_lines(views, calibration, summary))
+    return 0
+
+
+def _searched(views: Views, board: Board):
+    with progress() as bar:
+        task = bar.add_task("corners", total=len(views.images), unit="images")
+        return find_sightings(views, board, lambda: bar.advance(task))
+
+
+def _calibration_summary(views: Views, calibration: Calibration, out: Path) -> dict:
+    worst_view, worst_camera = calibration.worst
+    cameras = [{
+        "name": camera.name, "width": camera.width, "height": camera.height, "focal_px": camera.matrix[[0, 1], [0, 1]],
+        "focal_sigma_px": calibration.focal_sigma[index], "principal_point_px": camera.matrix[:2, 2],
+        "distortion": camera.distortion, "centre_mm": camera.centre, "centre_sigma_mm": calibration.centre_sigma[index],
+        "rms_px": _rms(calibration, np.s_[:, index]),
+    } for index, camera in enumerate(calibration.rig.cameras)]
+    images = [{"view": views.names[view], "camera": views.cameras[camera], "corners": calibration.corners[view, camera],
+               "rms_px": calibration.rms[view, camera]} for view, camera in sorted(views.images)]
+    return {
+        "views": len(views.names), "rms_px": calibration.overall_rms, "corner_sigma_px": calibration.sigma_px,
+        "cameras": cameras,
+        "worst": {"view": views.names[worst_view], "camera": views.cameras[worst_camera],
+                  "rms_px": calibration.rms[worst_view, worst_camera]},
+        "images": images, "without_board": [image for image in images if not image["corners"]], "out": str(out),
+    }
+
+
+def _rms(calibration: Calibration, part) -> float:
+    """px, over the corners of some images."""
+    corners = calibration.corners[part]
+    return np.sqrt(np.nansum(calibration.rms[part] ** 2 * corners) / corners.sum())
+
+
+def _calibration_lines(views: Views, calibration: Calibration, summary: dict) -> list[str]:
+    wide = max(8, *(len(name) for name in views.cameras))
+    tall = max(4, *(len(name) for name in views.names))
+    lines = [f"{len(views.cameras)} cameras, {len(views.names)} views, {calibration.corners.sum()} corners",
+             "reprojection, px: root mean square distance between corners seen and projected",
+             f"  {'view':<{tall}} {' '.join(f'{name:>{wide}}' for name in views.cameras)}"]
+    for view, name in enumerate(views.names):
+        cells = [f"{calibration.rms[view, camera]:.3f}" if calibration.corners[view, camera] else
+                 "no board" if (view, camera) in views.images else "" for camera in range(len(views.cameras))]
+        lines.append(f"  {name:<{tall}} {' '.join(f'{cell:>{wide}}' for cell in cells)}")
+    whole = " ".join(f"{camera['rms_px']:>{wide}.3f}" for camera in summary["cameras"])
+    lines.append(f"  {'all':<{tall}} {whole}")
+    worst = summary["worst"]
+    lines += [f"overall {summary['rms_px']:.3f} px; worst {worst['rms_px']:.3f} px, view {worst['view']} of {worst['camera']}",
+              "standard deviations, from independent errors of the corners:"]
+    for camera in summary["cameras"]:
+        (x, y, z), off = camera["centre_mm"], np.linalg.norm(camera["centre_sigma_mm"])
+        across, down = camera["focal_px"]
+        lines.append(f"  {camera['name']}: centre {x:.2f}, {y:.2f}, {z:.2f} mm ± {off:.3f}; focal length {across:.1f}, "
+                     f"{down:.1f} px ± {camera['focal_sigma_px'].max():.2f}")
+    if summary["without_board"]:
+        lines.append(f"no board found in {len(summary['without_board'])} of {len(summary['images'])} images")
+    return [*lines, f"written to {in_line(summary['out'])}"]
+
+
+# --- triangulate ---------------------------------------------------------------------------------------------------------
+
+
+def run_triangulate(options: Namespace, words: list[str]) -> int:
+    """Triangulate all marks; writes observations and names the labels that contradict the others."""
+    chosen = TriangulationOptions(options.sigma_px, options.threshold)
+    rest_length, up, out = given.length("--rest-length", options.rest_length), given.up(options), given.output_file(options.out)
+    given.refuse_overwriting(out, options.marks)
+    rig = load_rig(options.rig)
+    if len(rig.cameras) < 2:
+        raise InputError(options.rig, "cameras", "one camera", "triangulation needs two or more")
+    marks = read_marks(options.marks, rig)
+    labels = {} if options.labels is None else read_labels(options.labels, marks.names)
+    if "total_twist" in labels:
+        labels["total_twist"] = np.radians(labels["total_twist"])
+    points = triangulate(rig, marks.pixels.reshape(len(rig.cameras), -1, 2), chosen)
+    rods = observe(marks, points, rest_length, **({} if up is None else {"up": up}), name=out.stem, **labels)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    save_observations(out, rods.observations)
+    summary = _marks_summary(marks, rig, points, rods, chosen, out)
+    report(options, summary, lambda: _marks_lines(marks, summary))
+    return 0
+
+
+def _marks_summary(marks: Marks, rig: Rig, points: Points, rods: MarkedRods, chosen: TriangulationOptions, out: Path) -> dict:
+    observations = rods.observations
+    counts = {status.name.lower(): int(np.sum(points.status == status)) for status in MarkStatus}
+    return {
+        "observations": observations.count, "names": marks.names, "vertices": observations.edges + 1, "ribbon": marks.is_ribbon,
+        "marks": {name: count for name, count in counts.items() if count}, "valid_vertices": observations.valid.sum(),
+        "median_sigma_mm": np.median(observations.sigma[observations.valid]),
+        "sigma_px": chosen.sigma_px, "label_sigma_px": points.label_sigma,
+        "rms_px": {name: _root_mean_square(points.residual[camera, points.used[camera]])
+                   for camera, name in enumerate(rig.names)},
+        "outliers": _unused_labels(marks, rig, points, MarkStatus.OUTLIER_LEFT_OUT),
+        "contradictory": _unused_labels(marks, rig, points, MarkStatus.CONTRADICTORY),
+        "frames_filled": rods.frames_filled.sum(),
+        "end_frames": [end for end in ("start_frame", "end_frame") if getattr(observations, end) is not None],
+        "out": str(out),
+    }
+
+
+def _root_mean_square(residual: np.ndarray) -> float:
+    return np.sqrt(np.mean(residual**2)) if len(residual) else np.nan
+
+
+def _unused_labels(marks: Marks, rig: Rig, points: Points, status: MarkStatus) -> list[dict]:
+    """The labels of marks with this status that were not used for a position."""
+    unused = np.isfinite(points.residual) & ~points.used & (points.status == status)
+    labels = []
+    for point, camera in np.argwhere(unused.T):
+        observation, vertex, side = np.unravel_index(point, marks.pixels.shape[1:4])
+        labels.append({"observation": marks.names[observation], "mark": marks.mark(vertex, side), "camera": rig.names[camera],
+                     "residual_px": points.residual[camera, point]})
+    return labels
+
+
+def _marks_lines(marks: Marks, summary: dict) -> list[str]:
+    count, vertices = summary["observations"], summary["vertices"]
+    rms = ", ".join(f"{name} {value:.2f}" for name, value in summary["rms_px"].items())
+    lines = [f"{count} observations of {vertices} vertices{', a ribbon' * marks.is_ribbon}",
+             f"  marks       {counted(summary['marks'])}; {summary['valid_vertices']} of {count * vertices} vertices valid",
+             f"  residual    {rms} px (rms)",
+             f"  labels      their scatter is {summary['label_sigma_px']:.2g} px, {summary['sigma_px']:.2g} px were assumed",
+             f"  sigma       median {summary['median_sigma_mm']:.3g} mm"]
+    for kind, label, verdict in (("outliers", "outlier", ", left out"), ("contradictory", "contradictory", "")):
+        lines += shortened([
+            f"  {label:<11} observation {entry['observation']}, mark {entry['mark']}, {entry['camera']}: "
+            f"{entry['residual_px']:.1f} px off{verdict}" for entry in summary[kind]], MOST_LISTED,
+            f"  {label:<11} and {{}} more, which --json lists")
+    if marks.is_ribbon:
+        lines.append(f"  frames      {summary['frames_filled']} carried over from their neighbours; measured in all "
+                     f"observations at {' and '.join(summary['end_frames']) or 'neither end'}")
+    return [*lines, f"  written to {in_line(summary['out'])}"]

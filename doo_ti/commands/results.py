@@ -1,0 +1,147 @@
+"""What the commands share about results: loading a scene's observations, writing files, and printing text or strict JSON."""
+
+import json
+import sys
+from argparse import Namespace
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.grid import Grid, Interval
+from doo_ti.io.files import write_text, write_whole
+from doo_ti.io.observations import Observations, load_observations, save_observations
+from doo_ti.io.scene import Scene, Synthesis
+from doo_ti.terminal import in_line
+
+# --- files ---------------------------------------------------------------------------------------------------------------
+
+
+def observed(scene: Scene, up: np.ndarray | None) -> Observations:
+    """A scene's observations, loaded or synthesised, under the scene's name."""
+    if isinstance(scene.observations, Synthesis):
+        from doo_ti.synthesis import synthesise
+
+        observations = replace(synthesise(scene.observations), sha256=scene.sha256)
+    else:
+        observations = load_observations(scene.observations)
+    return replace(observations, name=scene.name, **({} if up is None else {"up": up}))
+
+
+def save(out: Path, observations: Observations) -> None:
+    """Write observations, and print how many."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    save_observations(out, observations)
+    print(f"{observations.count} observations of {observations.edges + 1} vertices written to {in_line(out)}")
+
+
+def save_arrays(out: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Write an npz, completely or not at all."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(out, lambda file: np.savez_compressed(file, **arrays))
+
+
+def save_json(out: Path, content) -> None:
+    """Write what :func:`plain` makes of ``content``."""
+    write_text(out, json.dumps(plain(content), indent=2) + "\n")
+
+
+def plain(value):
+    """``value`` as strict JSON holds it: no NumPy types, null for numbers that are not finite."""
+    if isinstance(value, dict):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+# --- standard output -----------------------------------------------------------------------------------------------------
+
+
+def report(options: Namespace, summary, lines: Callable[[], list[str]]) -> None:
+    """Print the ``summary`` as one line of JSON with ``--json``, else the ``lines`` for a person."""
+    print(json.dumps(plain(summary)) if options.json else "\n".join(lines()))
+
+
+def theta_text(theta: dict, isotropic: bool) -> str:
+    """Θ for a person."""
+    names = ["bend_1"] if isotropic else ["bend_1", "bend_2"] + ["bend_12"] * bool(theta["bend_12"])
+    bend = ", ".join(f"{'bend' if isotropic else name} {theta[name]:.4g} mm³" for name in names)
+    return f"{bend}, twist {theta['twist']:.4g} mm³, weight {theta['weight']:.4g}"
+
+
+def theta_of(grid: Grid, cell: int = 0) -> dict[str, float]:
+    """Θ of one cell by its names."""
+    return {name: float(value[0]) for name, value in grid.cell_values([cell]).items()} | {"bend_12": grid.bend_12}
+
+
+def counted(counts: dict[str, int]) -> str:
+    """``57 converged, 3 iteration limit``."""
+    return ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
+
+
+def shortened(lines: list[str], most: int, rest: str) -> list[str]:
+    """The first ``most`` lines, then ``rest`` with the number of further lines in place of {}."""
+    return lines if len(lines) <= most else [*lines[:most], rest.format(len(lines) - most)]
+
+
+def peak_memory() -> int:
+    """Bytes that this process held at most; 0 where the system does not report it."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
+
+
+def run_lines(result: dict) -> list[str]:
+    """What a sweep's overview, or its summary, holds."""
+    grid, rods, best = Grid.from_dict(result["grid"]), dict(result["rods"]), result["best"]
+    count, stable = rods.pop("count"), rods.pop("stable")
+    cells, terms = result["cells"], "observations" if result["objective"] == "static" else "pairs of observations (Eq. 3)"
+    per_cell = count // cells
+    lines = [
+        f"{in_line(result['material'])}: {cells} cells x {per_cell} {terms}",
+        f"  best cell   {theta_text(best, grid.is_isotropic)}",
+        "              (best fit if the rod is straight at rest and clamped exactly as the marks say)",
+        f"  distance    mean {best['mean_distance_mm']:.4g} mm (Eq. 1)"]
+    lines += [f"  flatness    {interval}{' (at the border of the grid: widen it)' * interval.at_border}"
+              for interval in (Interval(**entry) for entry in result["intervals_within_5_percent"])]
+    lines += [
+        "              (cells within 5 % of the smallest error; this is not an uncertainty)",
+        f"  status      {counted(rods)}; {stable} certified stable",
+        f"  competing   {result['cells_competing']} of {cells} cells; in the other {result['cells_not_competing']} some rod "
+        "has no certified minimum"]
+    if result["terms_left_out"]:
+        lines.append(f"              left out: {result['terms_left_out']} of {per_cell} {terms}, certified in no cell")
+    if "jumps" in result:
+        fell = result["jumps"]
+        lines.append(f"  jumps       {fell['rods_at_best']} of {per_cell} rods jumped to another branch on the way in the best "
+                     f"cell, {fell['rods']} of {count} in all")
+    return lines
+
+
+def hypotheses_lines(summary: dict) -> list[str]:
+    """What became of the hypotheses about whole turns and rolls, where there were several."""
+    found = summary.get("hypotheses")
+    if found is None:
+        return []
+    kept, ambiguous = found["kept"], set(found["ambiguous"])
+    lines = [f"  hypotheses  {found['hypotheses']}; decided for {found['resolved']} observations; {len(ambiguous)} are "
+             "ambiguous and take the nearest in each cell"]
+    pairs = zip(kept["observation"], kept["turns"], strict=True)
+    settled = [turn for observation, turn in pairs if observation not in ambiguous]
+    if settled:
+        turns = ", ".join(f"{turn:+d}: {settled.count(turn)}" for turn in sorted(set(settled)))
+        lines.append(f"              observations by whole turns: {turns}; each one's is in summary.json")
+    if ambiguous:
+        lines.append(f"              ambiguous observations: {', '.join(map(str, sorted(ambiguous)))}")
+    return lines

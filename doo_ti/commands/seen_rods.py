@@ -1,0 +1,195 @@
+"""The tasks of `doo-ti perceive` and `doo-ti track`: their options and files, checked before any image is read."""
+
+from argparse import Namespace
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.commands import options as given
+from doo_ti.errors import InputError
+from doo_ti.io.arrays import read_npz
+from doo_ti.io.csv_table import read_csv
+from doo_ti.io.files import MOST_TEXT_BYTES, read_content
+from doo_ti.io.observations import load_observations
+from doo_ti.terminal import in_line
+from doo_ti.types import Clamp, Clamps, Material
+
+MOST_EDGES, MOST_HYPOTHESES = 2000, 100_000
+LEAST_MM, MOST_MM = 1e-3, 1e4
+"""Of an edge."""
+RECORDED = 3
+"""Sets in a recording."""
+
+
+@dataclass(frozen=True)
+class PerceptionTask:
+    """What to perceive, checked as far as possible before images are read."""
+
+    sets: object  # ImageSets
+    rest_length: np.ndarray
+    material: Material
+    search: object  # PerceptionOptions
+    detection: object  # DetectionOptions
+    up: np.ndarray
+    truth: np.ndarray | None
+    recorded: int
+
+
+def perception_task(options: Namespace) -> PerceptionTask:
+    """Raises InputError naming the option or file at fault."""
+    grid, up = given.round_cell(options, "perceived"), given.world_up(options)
+    rest_length = read_rest_length(options.rest_length)
+    nu, width = given.positive("--nu", options.nu), given.positive("--width", options.width, "px")
+    hypotheses = given.whole("--hypotheses", options.hypotheses, 1, MOST_HYPOTHESES)
+    recorded = given.whole("--recorded-sets", options.recorded, 1)
+
+    from doo_ti.vision.cameras.rig import load_rig
+    from doo_ti.vision.detection.detect import DetectionOptions
+
+    sets = _sets(options, load_rig(options.rig))
+    truth = None if options.truth is None else _truth(options.truth, sets.names)
+
+    from doo_ti.perception.perceive import PerceptionOptions
+
+    chosen = {"nu": nu, "hypotheses": hypotheses}
+    search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
+    detection = DetectionOptions(options.detector, options.polarity, width)
+    return PerceptionTask(sets, rest_length, grid.materials(), search, detection,
+                          up, truth, 0 if options.no_recording else recorded or RECORDED)
+
+
+@dataclass(frozen=True)
+class TrackingTask:
+    """What to track: T frames with a seed for each, and the T − 1 motions of the far clamp between them, if known."""
+
+    frames: object  # ImageSets
+    time: np.ndarray | None
+    rest_length: np.ndarray
+    material: Material
+    detection: object  # DetectionOptions
+    up: np.ndarray
+    far: list | None  # of Motion
+
+
+def tracking_task(options: Namespace) -> TrackingTask:
+    """Raises InputError naming the option or file at fault."""
+    grid, up = given.round_cell(options, "tracked"), given.world_up(options)
+    rest_length = read_rest_length(options.rest_length)
+    width = given.positive("--width", options.width, "px")
+
+    from doo_ti.vision.cameras.rig import load_rig
+    from doo_ti.vision.detection.detect import DetectionOptions
+
+    frames, time = load_frames(Path(options.frames), load_rig(options.rig))
+    far = None if options.motion is None else _far_motions(Path(options.motion), frames.count)
+    detection = DetectionOptions(polarity=options.polarity, width_px=width)
+    return TrackingTask(frames, time, rest_length, grid.materials(), detection, up, far)
+
+
+def read_rest_length(text: str) -> np.ndarray:
+    """(E,) mm, from ``3:33`` or a file."""
+    option, remedy = "--rest-length", "give MM:COUNT, such as 3:33, or a file of lengths in mm"
+    length, _, count = text.partition(":")
+    if count and not Path(text).exists():
+        edges, each = given.whole(option, count, 2, MOST_EDGES), given.length(option, length)
+        if not LEAST_MM <= each <= MOST_MM:
+            raise InputError(given.SOURCE, option, f"edges of {each:g} mm", f"give {LEAST_MM:g} to {MOST_MM:g} mm")
+        return np.full(edges, each)
+    path = Path(text)
+    try:
+        content = read_content(path, MOST_TEXT_BYTES, remedy)
+    except InputError as error:
+        raise InputError(given.SOURCE, option, f"{text!r}: {error.problem}", remedy) from None
+    try:
+        values = read_npz(path, content, ("rest_length_mm",)).get("rest_length_mm") if path.suffix == ".npz" else \
+            np.array(content.decode("utf-8").replace(",", " ").split(), dtype=np.float64)
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(path, "file", "holds something that is not a number", remedy) from None
+    if values is None or values.dtype.kind not in "fiu" or values.ndim != 1 or not 2 <= len(values) <= MOST_EDGES \
+            or not ((values >= LEAST_MM) & (values <= MOST_MM)).all():
+        raise InputError(path, "rest_length_mm", f"missing, or not 2 or more numbers from {LEAST_MM:g} to {MOST_MM:g}",
+                         "give one for each edge, in mm")
+    return values.astype(np.float64)
+
+
+def _sets(options: Namespace, rig):
+    """The sets of the file, or the one that the command line spells out."""
+    from doo_ti.vision.detection.images import ImageSets, load_sets
+
+    single = {"IMAGE": options.images, "--seed-point": options.seed_point, "--seed-direction": options.seed_direction}
+    if options.sets is not None:
+        both = next((name for name, value in single.items() if value), None)
+        if both:
+            raise InputError(given.SOURCE, both, "given beside --sets", "give either")
+        return load_sets(options.sets, rig)
+    for name, value in single.items():
+        if not value:
+            raise InputError(given.SOURCE, name, "missing", "give --sets, or images with a seed point and direction")
+    if len(options.images) != len(rig.cameras):
+        raise InputError(given.SOURCE, "IMAGE", f"{len(options.images)} images, but the rig has {len(rig.cameras)} cameras",
+                         f"give one of each, in this order: {', '.join(rig.names)}")
+    seed = {}
+    for name in ("--seed-point", "--seed-direction"):
+        numbers = given.numbers(name, single[name])
+        if len(numbers) != 3:
+            raise InputError(given.SOURCE, name, f"{len(numbers)} numbers", "give X,Y,Z")
+        seed[name] = np.array([numbers])
+    paths = tuple(Path(image) for image in options.images)
+    return ImageSets((in_line(paths[0].stem),), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], given.SOURCE)
+
+
+def _truth(path: str, names: tuple[str, ...]) -> np.ndarray:
+    """(A, V, 3) mm: the rods of the file by the sets' names, or in order where it has no names."""
+    vertices = load_observations(path).vertices
+    named = read_npz(Path(path), read_content(Path(path)), ("name", "names")) if Path(path).suffix == ".npz" else {}
+    known = next(iter(named.values()), None)
+    if known is None:
+        if len(vertices) != len(names):
+            raise InputError(path, "vertices_mm", f"{len(vertices)} rods for {len(names)} sets", "give one for each set")
+        return vertices
+    if known.shape != (len(vertices),):
+        raise InputError(path, "name", f"shape {known.shape} for {len(vertices)} rods", "give one name for each")
+    row = {str(name): index for index, name in enumerate(known)}
+    missing = next((name for name in names if name not in row), None)
+    if missing is not None:
+        raise InputError(path, "name", f"no rod is called {missing!r}", "name rods as the sets")
+    return vertices[[row[name] for name in names]]
+
+
+def load_frames(path: Path, rig):
+    """(ImageSets of the frames in their order, (T,) s or None). Frames without a seed keep the one before.
+
+    Raises InputError naming line and column for whatever is missing or not a number, and for missing images.
+    """
+    from doo_ti.vision.detection.images import SEED, ImageSets, cameras_in, images_in
+
+    table = read_csv(path, ("frame", *SEED), form=f"frame, one per camera, {', '.join(SEED)}", short_lines=True)
+    cameras = cameras_in(table, rig, ("frame", "time_s", *SEED))
+    paths = images_in(table, cameras)
+    for camera, name in enumerate(cameras):
+        table.refuse(name, np.array([not images[camera].is_file() for images in paths]), "is not a file",
+                     "name an image, relative to this file")
+    seeded = np.array([row == 0 or any(table.columns[key][row] for key in SEED) for row in range(table.count)])
+    seeds = np.stack([table.rows(seeded).numbers(key) for key in SEED], axis=-1)[np.cumsum(seeded) - 1]
+    time = table.numbers("time_s") if "time_s" in table.columns else None
+    if time is not None and not (np.diff(time) > 0).all():
+        raise InputError(path, "time_s", "does not rise", "give frames in their order")
+    return ImageSets(tuple(table.columns["frame"]), paths, rig.only(cameras) if cameras else rig, seeds[:, :3], seeds[:, 3:],
+                     str(path)), time
+
+
+def _far_motions(path: Path, frames: int) -> list:
+    """How the far clamp moves from each frame to the next, tangents only."""
+    from doo_ti.io.motion_file import load_path
+    from doo_ti.motion.path import motion_between
+
+    motion = load_path(path)
+    if motion.moments != frames or motion.count > 1:
+        raise InputError(path, "time_s", f"{motion.count} motions of {motion.moments} moments for {frames} frames",
+                         "give one motion, a moment for each frame")
+    origin, frame = np.zeros((1, 3)), np.eye(3)[None]
+    rests = Clamps(Clamp.TANGENT, Clamp.TANGENT, origin, origin, frame, frame)
+    return [motion_between(motion.at(moment, rests), motion.at(moment + 1, rests)) for moment in range(frames - 1)]

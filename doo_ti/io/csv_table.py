@@ -1,0 +1,130 @@
+"""CSV files: one reader for every table that users write, with one form of error message.
+
+A message names file, column, the cell's text, its line (the header is line 1) and the remedy:
+
+    sets.csv: seed_y: 'x' in line 2 is not a finite number; give decimal numbers
+"""
+
+import csv
+from dataclasses import dataclass
+from io import StringIO
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.io.files import MOST_TEXT_BYTES, read_content
+
+EMPTY = frozenset({"", "na", "n/a", "nan", "null"})
+"""What stands for a missing number, in lower case."""
+TRUTH = {"true": "1", "false": "0"}
+
+
+@dataclass(frozen=True)
+class CsvTable:
+    """The cells of a CSV file, stripped of spaces.
+
+    columns  name: N texts
+    lines    N: the line of the file on which a row ends
+    """
+
+    path: Path
+    columns: dict[str, list[str]]
+    lines: list[int]
+
+    @property
+    def count(self) -> int:
+        """N."""
+        return len(self.lines)
+
+    def rows(self, chosen: np.ndarray) -> "CsvTable":
+        """The rows that are ``chosen`` (N,)."""
+        columns = {name: [cells[row] for row in np.flatnonzero(chosen)] for name, cells in self.columns.items()}
+        return CsvTable(self.path, columns, [self.lines[row] for row in np.flatnonzero(chosen)])
+
+    def refuse(self, name: str, wrong: np.ndarray, problem: str, remedy: str) -> None:
+        """Raise InputError for the first cell of column ``name`` that is ``wrong`` (N,), if there is one."""
+        if np.any(wrong):
+            row = int(np.argmax(wrong))
+            raise InputError(self.path, name, f"{self.columns[name][row]!r} in line {self.lines[row]} {problem}", remedy)
+
+    def numbers(self, name: str, *, may_be_empty: bool = False) -> np.ndarray:
+        """(N,) f64: the finite numbers of a column; NaN where it may be empty and is. Raises InputError for anything else."""
+        cells = self.columns[name]
+        try:
+            values = np.array([float(cell or "nan") if may_be_empty else float(cell) for cell in cells])
+        except ValueError:  # the slower way, which knows more words and does not stop at what is not a number
+            values = np.array([_number(cell, may_be_empty) for cell in cells])
+        allowed = np.isfinite(values) | (np.isnan(values) if may_be_empty else False)
+        self.refuse(name, ~allowed, "is not a finite number", "give decimal numbers")
+        return values
+
+    def whole(self, name: str) -> np.ndarray:
+        """(N,) int64: the whole numbers of a column. Raises InputError for anything else."""
+        values = self.numbers(name)
+        broken = (values != np.round(values)) | (np.abs(values) >= 2**53)
+        self.refuse(name, broken, "is not a whole number", "give whole numbers")
+        return values.astype(np.int64)
+
+
+def _number(cell: str, may_be_empty: bool) -> float:
+    """The number in a cell, NaN where it is missing and may be, infinity where there is none."""
+    if may_be_empty and cell.lower() in EMPTY:
+        return np.nan
+    try:
+        return float(TRUTH.get(cell.lower(), cell) if may_be_empty else cell)
+    except ValueError:
+        return np.inf
+
+
+def read_csv(path: Path, needed: tuple[str, ...], optional: tuple[str, ...] | None = None, *, form: str | None = None,
+             short_lines: bool = False) -> CsvTable:
+    """The table in a CSV file; lines without any text are left out.
+
+    needed       columns that must be there
+    optional     columns that may be there, any other is an error; None: other columns are read too
+    form         which columns to give, for messages; by default ``needed``
+    short_lines  whether a line may end before the last columns, whose cells are then empty
+
+    Raises InputError for a file that cannot be read or is not CSV, for columns that are missing, unknown or given twice, for
+    lines with more or fewer cells than the header, for cells that hold a line break, as after a quote that is not closed, and
+    for a file without rows.
+    """
+    return parse_csv(path, read_content(path, MOST_TEXT_BYTES, "name a readable CSV file"), needed, optional, form=form,
+                     short_lines=short_lines)
+
+
+def parse_csv(path: Path, content: bytes, needed: tuple[str, ...], optional: tuple[str, ...] | None = None, *,
+              form: str | None = None, short_lines: bool = False) -> CsvTable:
+    """The table in the bytes of a CSV file, as :func:`read_csv` reads it; ``path`` names it in messages."""
+    remedy = f"give the columns {form or ', '.join(needed)}"
+    try:
+        reader = csv.reader(StringIO(content.decode("utf-8-sig"), newline=""), strict=True)
+        ends = [(reader.line_num, row) for row in reader]  # the line on which each row ends
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(path, "file", f"is not a CSV table ({str(error)[:80]})", remedy) from None
+    for (before, _), (line, _) in pairwise([(0, []), *ends]):
+        if line > before + 1:
+            raise InputError(path, f"line {line}", "a line break within a cell", "close the quote")
+    rows = [(line, row) for line, row in ends if any(row) and any(map(str.strip, row))]
+    names = [name.strip() for name in rows[0][1]] if rows else []
+    for name in needed:
+        if name not in names:
+            raise InputError(path, name, "the column is missing", remedy)
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(path, name or "header", f"the column {name!r} is there twice", "keep one of them")
+        if optional is not None and name not in (*needed, *optional):
+            raise InputError(path, name or "header", f"unknown column {name!r}", remedy)
+    if len(rows) < 2:
+        raise InputError(path, "file", "holds no rows", "write one line or more below the names of the columns")
+    for line, row in rows[1:]:
+        if len(row) > len(names) or len(row) < len(names) and not short_lines:
+            raise InputError(path, f"line {line}", f"{len(row)} cells under {len(names)} columns", "give one for each column")
+        if len(row) < len(names):
+            row += [""] * (len(names) - len(row))
+    columns = {name: list(cells) for name, cells in zip(names, zip(*(row for _, row in rows[1:]), strict=True), strict=True)}
+    if any(byte in content for byte in (b" ", b"\t")):
+        columns = {name: [cell.strip() for cell in cells] for name, cells in columns.items()}
+    return CsvTable(path, columns, [line for line, _ in rows[1:]])

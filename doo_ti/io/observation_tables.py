@@ -1,0 +1,195 @@
+"""Tables of observations, CSV or Parquet, to and from the keys of the npz format, without loss.
+
+A table has one row per vertex:
+
+    observation, vertex        whole numbers, vertices 0 … E of each observation once, rows in any order
+    x_mm, y_mm, z_mm           the vertex; empty where it is missing
+    valid, sigma_mm            of the vertex
+    rest_length_mm, frame_*    of the edge from this vertex to the next, empty at vertex E
+    end_distance_mm, end_rotation_deg, total_twist_deg, start_frame_*, end_frame_*
+                               of the observation: at its vertex 0, the other rows repeat it or are empty
+    up_x, up_y, up_z           of the file
+
+The nine columns of a frame end in t_x, m1_x, m2_x, t_y, …, m2_z. All but the first five are optional; other columns
+are ignored.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.io.arrays import AXES, MOST_UNPACKED_BYTES, first_line, frame_columns, given_columns
+from doo_ti.io.csv_table import parse_csv
+
+# Key of the npz format: what a value of it belongs to, the shape of the value, the names of its columns.
+KEYS_IN_TABLES = {
+    "vertices_mm": ("vertex", (3,), tuple(f"{axis}_mm" for axis in AXES)),
+    "valid": ("vertex", (), ("valid",)),
+    "sigma_mm": ("vertex", (), ("sigma_mm",)),
+    "rest_length_mm": ("edge", (), ("rest_length_mm",)),
+    "frames": ("edge", (3, 3), frame_columns("frame")),
+    "end_distance_mm": ("observation", (), ("end_distance_mm",)),
+    "end_rotation_deg": ("observation", (), ("end_rotation_deg",)),
+    "total_twist_deg": ("observation", (), ("total_twist_deg",)),
+    "start_frame": ("observation", (3, 3), frame_columns("start_frame")),
+    "end_frame": ("observation", (3, 3), frame_columns("end_frame")),
+    "up": ("observation", (3,), tuple(f"up_{axis}" for axis in AXES)),
+}
+# Keys that hold one value for all observations.
+_SHARED = ("rest_length_mm", "up")
+_NEEDED = ("observation", "vertex", *KEYS_IN_TABLES["vertices_mm"][2])
+_COLUMNS = ("observation", "vertex", *(name for _, _, names in KEYS_IN_TABLES.values() for name in names))
+
+
+def read_table(path: Path, content: bytes) -> dict[str, np.ndarray]:
+    """The keys of the npz format from the bytes of a CSV or Parquet file, by the suffix of ``path``.
+
+    Raises InputError for what is not a table, for missing or repeated rows and columns, and for values that are not
+    numbers or differ where they must agree.
+    """
+    columns, place = (_csv_columns if path.suffix == ".csv" else _parquet_columns)(path, content)
+    rows = {}
+    for name in ("observation", "vertex"):
+        values = columns[name]
+        bad = np.flatnonzero(~(np.isfinite(values) & (values == np.round(values)) & (np.abs(values) < 2**53)))
+        if len(bad):
+            raise InputError(path, name, f"{values[bad[0]]:g} in {place(bad[0])} is not a whole number", "give whole numbers")
+        rows[name] = values.astype(np.int64)
+    order, shape = _row_order(path, **rows)
+    keys = {}
+    for key, (owner, value_shape, names) in KEYS_IN_TABLES.items():
+        if given_columns(path, names, columns):
+            values = np.stack([columns[name][order].reshape(shape) for name in names], axis=-1)
+            keys[key] = _of_owner(path, key, owner, values).reshape((*_lead(owner, shape), *value_shape))
+    for key in _SHARED:
+        if key in keys:
+            keys[key] = _agreed(path, key, keys[key])
+    sigma = keys.get("sigma_mm")
+    if sigma is not None and np.isfinite(sigma).all() and np.ptp(sigma) == 0:
+        keys["sigma_mm"] = sigma.flat[0]
+    return keys
+
+
+def write_table(file: BinaryIO, suffix: str, keys: dict[str, np.ndarray]) -> None:
+    """Write the keys of the npz format to ``file`` as CSV or Parquet, by ``suffix``."""
+    import pyarrow
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    count, marks = keys["vertices_mm"].shape[:2]
+    columns = {"observation": np.repeat(np.arange(count), marks), "vertex": np.tile(np.arange(marks), count)}
+    for key, (owner, value_shape, names) in KEYS_IN_TABLES.items():
+        if key not in keys:
+            continue
+        lead = _lead(owner, (count, marks))
+        value = np.broadcast_to(keys[key], (*lead, *value_shape)).reshape(*lead, len(names))
+        if owner == "observation":
+            value = np.repeat(value[:, None], marks, axis=1)
+        elif owner == "edge":
+            value = np.concatenate([value, np.full_like(value[:, :1], np.nan)], axis=1)
+        for place, name in enumerate(names):
+            columns[name] = value[..., place].ravel()
+    table = pyarrow.table({
+        name: pyarrow.array(values, mask=np.isnan(values) if values.dtype.kind == "f" else None)
+        for name, values in columns.items()
+    })
+    (pyarrow.csv.write_csv if suffix == ".csv" else pyarrow.parquet.write_table)(table, file)
+
+
+def _csv_columns(path: Path, content: bytes) -> tuple[dict[str, np.ndarray], Callable[[int], str]]:
+    """The known columns as (N,) f64, NaN where a cell is empty, and how a message names a row."""
+    table = parse_csv(path, content, _NEEDED)
+    return ({name: table.numbers(name, may_be_empty=True) for name in _COLUMNS if name in table.columns},
+            lambda row: f"line {table.lines[row]}")
+
+
+def _parquet_columns(path: Path, content: bytes) -> tuple[dict[str, np.ndarray], Callable[[int], str]]:
+    """The same of a Parquet file."""
+    import pyarrow
+    import pyarrow.parquet
+
+    try:
+        _check_unpacked(path, pyarrow.parquet.read_metadata(pyarrow.BufferReader(content)))
+        table = pyarrow.parquet.read_table(pyarrow.BufferReader(content))
+        names = table.column_names
+    except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise InputError(path, "file", f"is not a Parquet table ({first_line(error)})", "write one row per vertex") from None
+    for name in _NEEDED:
+        if name not in names:
+            raise InputError(path, name, "the column is missing", f"give the columns {', '.join(_NEEDED)}")
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(path, twice, "the column is there twice", "keep one of them")
+    if table.num_rows == 0:
+        raise InputError(path, "file", "holds no rows", "write one row per vertex")
+    return ({name: _parquet_numbers(path, name, table.column(name)) for name in _COLUMNS if name in names},
+            lambda row: f"row {row + 1}")
+
+
+def _check_unpacked(path: Path, metadata) -> None:
+    """Raise InputError where the columns of a Parquet file are large, however small they are packed."""
+    large = max(8 * metadata.num_rows * metadata.num_columns,
+                sum(metadata.row_group(group).total_byte_size for group in range(metadata.num_row_groups)))
+    if large > MOST_UNPACKED_BYTES:
+        raise InputError(path, "file", f"unpacks to {large:,} bytes", f"give columns of at most {MOST_UNPACKED_BYTES:,}")
+
+
+def _parquet_numbers(path: Path, name: str, column) -> np.ndarray:
+    """(N,) f64 of a pyarrow column, NaN where it is empty."""
+    import pyarrow.types as types
+
+    kind = column.type
+    if types.is_null(kind):
+        return np.full(len(column), np.nan)
+    if types.is_string(kind) or types.is_large_string(kind):
+        raise InputError(path, name, f"numbers stored as text, {column[0].as_py()!r} in row 1", "store numbers")
+    if not (types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind)):
+        raise InputError(path, name, f"type {kind} is not numeric", "store numbers")
+    return column.cast("int8" if types.is_boolean(kind) else kind).cast("float64", safe=False).to_numpy()
+
+
+def _row_order(path, observation: np.ndarray, vertex: np.ndarray) -> tuple[np.ndarray, tuple[int, int]]:
+    """The rows sorted by observation, then vertex, and (D, V)."""
+    order = np.lexsort((vertex, observation))
+    labels, count = np.unique(observation, return_counts=True)
+    marks = int(vertex.max()) + 1
+    expected = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
+    wrong = np.flatnonzero(vertex[order] != expected)
+    if len(wrong) or (count != marks).any():
+        label = observation[order][wrong[0]] if len(wrong) else labels[np.argmax(count != marks)]
+        raise InputError(path, "vertex", f"observation {label} has other rows than vertices 0 to {marks - 1} once each",
+                         "give one row per vertex, with empty coordinates and valid = 0 where the mark is missing")
+    return order, (len(labels), marks)
+
+
+def _lead(owner: str, shape: tuple[int, int]) -> tuple[int, ...]:
+    """The leading axes of what belongs to a vertex, an edge or an observation."""
+    count, marks = shape
+    return {"vertex": (count, marks), "edge": (count, marks - 1), "observation": (count,)}[owner]
+
+
+def _of_owner(path, key: str, owner: str, values: np.ndarray) -> np.ndarray:
+    """(D, V, n) cells of the table to the values of the owners, each kept once."""
+    if owner == "vertex":
+        return values
+    if owner == "edge":
+        return values[:, :-1]
+    first = values[:, :1]
+    differs = np.argwhere((values != first) & ~np.isnan(values))
+    if len(differs):
+        d, v, _ = differs[0]
+        raise InputError(path, key, f"observation number {d} has another value at vertex {v} than at vertex 0",
+                         "repeat the observation's value, or leave the other rows empty")
+    return first[:, 0]
+
+
+def _agreed(path, key: str, values: np.ndarray) -> np.ndarray:
+    """The value that all observations share."""
+    differs = np.flatnonzero((values != values[0]).reshape(len(values), -1).any(axis=1) & ~np.isnan(values).all())
+    if len(differs):
+        raise InputError(path, key, f"observation number {differs[0]} has another value than observation 0",
+                         "give the same value in all observations of a file")
+    return values[0]

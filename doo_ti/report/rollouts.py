@@ -1,0 +1,124 @@
+"""Rods in motion: pictures of them beside what was recorded, of errors over time, and animations. Axes: R rods, T frames."""
+
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.report.canvas import PICTURE_DPI, literal, new_figure
+
+MOST_RODS = 6
+"""In a picture, those of the largest, the median and the smallest errors."""
+STILLS = 9
+"""Positions of a rod in a picture."""
+ANIMATED, FRAMES_PER_SECOND, MOST_FRAMES = 8, 25, 250
+RECORDED, PREDICTED = "#9a9a9a", "#c2410c"
+
+
+def view_axes(positions: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(2, 3) horizontal and vertical direction of a view in which the rods are widest."""
+    points = positions.reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)]
+    flat = points - np.outer(points @ up, up)
+    _, _, axes = np.linalg.svd(flat - flat.mean(axis=0), full_matrices=False)
+    side = axes[0] - up * (axes[0] @ up)
+    length = np.linalg.norm(side)
+    side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))]) if length < 1e-6 else side / length
+    return np.stack([side / np.linalg.norm(side), up])
+
+
+def chosen(positions: np.ndarray, recorded: np.ndarray | None) -> np.ndarray:
+    """Rows of the rods that a picture shows: spread over the order of their errors."""
+    count = len(positions)
+    if recorded is None:
+        return np.arange(min(count, MOST_RODS))
+    error = np.abs(positions - recorded).mean(axis=(1, 2, 3))
+    order = np.argsort(np.where(np.isfinite(error), error, np.inf), kind="stable")
+    return order[np.unique(np.linspace(0, count - 1, min(count, MOST_RODS)).round().astype(int))]
+
+
+def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray, recorded: np.ndarray | None, rate: float,
+                 up: np.ndarray) -> None:
+    """A picture of (R, T, V, 3) rods: some of them at several instants, over what was ``recorded`` where that is given, and the
+    error of all over time."""
+    rows = chosen(positions, recorded)
+    columns = min(3, len(rows))
+    lines = -(-len(rows) // columns)
+    figure = new_figure((4.2 * columns, 3.4 * lines + (2.6 if recorded is not None else 0.4)))
+    grid = figure.add_gridspec(lines + (recorded is not None), columns, height_ratios=[1.0] * lines + [0.75] * (recorded is not None))
+    shown = positions[rows]
+    axes = view_axes(shown if recorded is None else recorded[rows], up)
+    frames = np.linspace(0, positions.shape[1] - 1, min(STILLS, positions.shape[1])).round().astype(int)
+    for k, row in enumerate(rows):
+        plot = figure.add_subplot(grid[k // columns, k % columns])
+        for n, frame in enumerate(frames):
+            fade = 0.25 + 0.75 * (n + 1) / len(frames)
+            if recorded is not None:
+                plot.plot(*(recorded[row, frame] @ axes.T).T, color=RECORDED, lw=2.2, alpha=fade,
+                          label="recorded" if n == len(frames) - 1 else None)
+            plot.plot(*(positions[row, frame] @ axes.T).T, color=PREDICTED, lw=1.1, alpha=fade,
+                      label="simulated" if n == len(frames) - 1 else None)
+        plot.set_aspect("equal", adjustable="datalim")
+        title = names[row]
+        if recorded is not None:
+            title = f"recording {title}: {np.abs(positions[row, 2:] - recorded[row, 2:]).mean():.1f} mm"
+        plot.set_title(literal(title), fontsize=9)
+        plot.set_xlabel("mm", fontsize=8)
+        plot.tick_params(labelsize=8)
+        if not k:
+            plot.legend(fontsize=8, frameon=False)
+    if recorded is not None:
+        plot = figure.add_subplot(grid[lines, :])
+        error = np.abs(positions - recorded).mean(axis=(2, 3))
+        time = np.arange(positions.shape[1]) / rate
+        plot.plot(time, error.T, color=PREDICTED, lw=0.5, alpha=0.35)
+        plot.plot(time, np.nanmedian(error, axis=0), color="black", lw=1.6, label="median")
+        plot.set_ylim(0, max(1.0, 1.1 * np.nanquantile(error, 0.99)))
+        plot.set_xlabel("time [s]")
+        plot.set_ylabel("mean |difference| [mm]")
+        plot.legend(fontsize=8, frameon=False)
+    last = (positions.shape[1] - 1) / rate
+    figure.suptitle(literal(f"{name}: {len(frames)} of {positions.shape[1]} frames from 0 to {last:.3g} s, seen from the side"),
+                    fontsize=10)
+    figure.savefig(path, dpi=PICTURE_DPI // 2 * 2, metadata={"Software": None})
+
+
+def save_animation(path: Path, name: str, positions: np.ndarray, recorded: np.ndarray | None, rate: float,
+                   up: np.ndarray) -> None:
+    """A GIF or WebP of some of the (R, T, V, 3) rods moving side by side, in real time where that is not too long."""
+    from PIL import Image
+
+    rows = chosen(positions, recorded)[:ANIMATED]
+    axes = view_axes(positions[rows], up)
+    every = max(1, round(rate / FRAMES_PER_SECOND), -(-positions.shape[1] // MOST_FRAMES))
+    frames = range(0, positions.shape[1], every)
+    flat = positions[rows] @ axes.T
+    seen = None if recorded is None else recorded[rows] @ axes.T
+    low, high = np.nanmin(flat, axis=(0, 1, 2)), np.nanmax(flat, axis=(0, 1, 2))
+    centre, size = 0.5 * (low + high), 0.54 * max(high - low)
+    columns = min(4, len(rows))
+    lines = -(-len(rows) // columns)
+    figure = new_figure((2.6 * columns, 2.6 * lines), 80)
+    plots, curves, marks = [], [], []
+    for k in range(len(rows)):
+        plot = figure.add_subplot(lines, columns, k + 1)
+        plot.set_xlim(centre[0] - size, centre[0] + size)
+        plot.set_ylim(centre[1] - size, centre[1] + size)
+        plot.set_aspect("equal")
+        plot.set_xticks([])
+        plot.set_yticks([])
+        if seen is not None:
+            marks.append(plot.plot([], [], color=RECORDED, lw=4)[0])
+        curves.append(plot.plot([], [], color=PREDICTED, lw=1.8)[0])
+        plots.append(plot)
+    figure.suptitle(literal(name), fontsize=10)
+    images = []
+    for frame in frames:
+        for k, curve in enumerate(curves):
+            curve.set_data(*flat[k, frame].T)
+            if seen is not None:
+                marks[k].set_data(*seen[k, frame].T)
+        figure.canvas.draw()
+        images.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3]))
+    if path.suffix == ".gif":
+        images = [image.quantize(32, dither=Image.Dither.NONE) for image in images]
+    images[0].save(path, save_all=True, append_images=images[1:], duration=round(1000 * every / rate), loop=0)
