@@ -16,7 +16,7 @@ from doo_ti.frames import (
     tangent_from_quaternion,
 )
 from doo_ti.relaxation.external import Springs
-from doo_ti.relaxation.input_tables import tables
+from doo_ti.relaxation.input_tables import tables, under
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.tables import Tables, whole_start
 from doo_ti.relaxation.time_loop import END_FORCE, MOMENT, PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_TARGET, STATE, TRIPS
@@ -116,7 +116,7 @@ def simulate(
         raise InputError("simulate", "precision", "f32 with directions", "give f64")
     bits = 32 if precision == "f32" else 64
     memory, remembered = motion.begin(_checked_velocity(velocity, start), smooth_start, directions)
-    return motion.run(memory, RATES[scheme], bits, progress, motion.slopes(RATES[scheme], directions, remembered))
+    return motion.run(memory, RATES[scheme], bits, progress, directions, remembered)
 
 
 def _checked_velocity(velocity, start: Configuration) -> np.ndarray:
@@ -150,6 +150,12 @@ class _Motion:
 
     def table(self, factor: float) -> Tables:
         """The tables of the rods for time derivatives of that factor a."""
+        vertices = self.start.edges + 1
+        external = Springs(np.zeros((1, vertices, 3)), np.zeros((1, vertices)))
+        return tables(self.start, self._stiffened(factor), self.first, self.up, *self.pairs, external, None)
+
+    def _stiffened(self, factor: float) -> Material:
+        """The material with the stiffness and the rest curvature that damping adds."""
         shares, damped = self._shares(factor)
         m = self.material
         if damped:
@@ -160,9 +166,7 @@ class _Motion:
                          np.broadcast_to(m.twist, (count, m.twist.shape[1])) * stiffer[:, 1:],
                          np.broadcast_to(m.weight, (count,)),
                          np.broadcast_to(rest, (count, *rest.shape[1:])) * (1.0 - shares[:, :1, None]))
-        vertices = self.start.edges + 1
-        external = Springs(np.zeros((1, vertices, 3)), np.zeros((1, vertices)))
-        return tables(self.start, m, self.first, self.up, *self.pairs, external, None)
+        return m
 
     def _shares(self, factor: float) -> tuple[np.ndarray, bool]:
         """((G, 2) shares of rest curvature and twist that damping makes, r = τ a/h / (1 + τ a/h), whether any)."""
@@ -224,26 +228,25 @@ class _Motion:
                 path[..., column : column + 4] = _frames(frames[:, 1:], kind)
         return path
 
-    def slopes(self, factor: float, directions: Sequence[Direction], memory: np.ndarray) -> Slopes | None:
+    def slopes(self, table: Tables, factor: float, directions: Sequence[Direction], memory: np.ndarray) -> Slopes | None:
         """How what the kernel is given changes along ``directions``; ``memory`` is how what the rods remember does."""
         if not directions:
             return None
         changes = []
         for direction in directions:
-            given = [self._under(material, dynamics, factor) for material, dynamics in (direction.before, direction.after)]
+            given = [self._under(table, *other, factor) for other in (direction.before, direction.after)]
             changes.append([(after - before) / direction.distance for before, after in zip(*given, strict=True)])
         return Slopes(*(np.stack(change) for change in zip(*changes, strict=True)), memory)
 
-    def _under(self, material: Material, dynamics: Dynamics, factor: float):
-        """What the kernel is given of another material and other dynamics: its tables of materials, of numbers and of shares."""
+    def _under(self, table: Tables, material: Material, dynamics: Dynamics, factor: float):
+        """Of another material and other dynamics, what the kernel is given: its tables of materials, of numbers, of shares."""
         if material.count != self.material.count or dynamics.count != self.dynamics.count:
             raise InputError("simulate", "directions", f"{material.count} and {dynamics.count} rows",
                              f"give as many as of material, {self.material.count}, and of dynamics, {self.dynamics.count}")
         other = copy(self)
         other.material, other.dynamics = material, dynamics
-        table = other.table(factor)
         numbers, shares, _ = other.numbers(table, factor)
-        return table.material, numbers[..., :NUMBERS], shares
+        return under(table, other._stiffened(factor)).material, numbers[..., :NUMBERS], shares
 
     def begin(self, velocity: np.ndarray, smooth: bool, directions: Sequence[Direction]) -> tuple[Memory, np.ndarray]:
         """The memory of rods that start with ``velocity`` (S, V, 3), and its derivatives."""
@@ -261,7 +264,7 @@ class _Motion:
             numbers, shares, rows = self.numbers(table, 1.0)
             table.external_index[:] = rows
             path = np.ascontiguousarray(self.path(table)[:, :1])
-            slopes = self.slopes(1.0, directions, remembered)
+            slopes = self.slopes(table, 1.0, directions, remembered)
             make_steps(table, trial, path, numbers, shares, np.array([self.step, 1.0, 0.0]), 1, _newton(), 64, slopes)
             moved = trial.places[..., VELOCITY_1 : VELOCITY_1 + 3]
             a = np.where((trial.status == Status.CONVERGED)[:, None, None], (moved - v) / self.step, 0.0)
@@ -270,9 +273,11 @@ class _Motion:
             remembered = slope_memory(lambda change: _memory(frames, x, v, a + change, table, self.step, status), da)
         return _memory(frames, x, v, a, table, self.step, status), remembered
 
-    def run(self, memory: Memory, factor: float, bits: int, progress, slopes: Slopes | None) -> Trajectory:
+    def run(self, memory: Memory, factor: float, bits: int, progress, directions: Sequence[Direction],
+            remembered: np.ndarray) -> Trajectory:
         """All steps, in launches of bounded size."""
         table = self.table(factor)
+        slopes = self.slopes(table, factor, directions, remembered)
         numbers, shares, table.external_index[:] = self.numbers(table, factor)
         path = self.path(table)
         time = np.array([self.step, factor, (factor - 1.0) / factor])
@@ -293,7 +298,7 @@ class _Motion:
         return Trajectory(
             np.concatenate(positions, axis=1), outcome[..., STATE].astype(np.int8), outcome[..., TRIPS].astype(np.int32),
             outcome[..., MOMENT], outcome[..., END_FORCE:], self.rate, memory,
-            None if slopes is None else np.concatenate(changes, axis=1))
+            None if slopes is None else changes[0] if len(changes) == 1 else np.concatenate(changes, axis=1))
 
 
 def _newton() -> Newton:

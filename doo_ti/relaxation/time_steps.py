@@ -12,7 +12,7 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import _buffers, _machine
 from doo_ti.relaxation.loading import LANES
 from doo_ti.relaxation.newton_loop import CLOSING_DISTANCE
-from doo_ti.relaxation.tables import Tables
+from doo_ti.relaxation.tables import Tables, room
 from doo_ti.relaxation.time_kernel import slope_items, time_kernel, time_slope_kernel
 from doo_ti.relaxation.time_loop import OUTCOMES, STATE
 from doo_ti.relaxation.time_slopes import CURVATURE_1, CURVATURE_2, REMEMBERED
@@ -104,7 +104,10 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
     positions = np.full((table.count * frames, table.edges + 1, 3), np.nan)
     outcome = np.zeros((table.count, frames, OUTCOMES))
     outcome[:, :, STATE] = memory.status[:, None]
-    position_slopes = None if slopes is None else np.full((table.count * frames, slopes.count, table.edges + 1, 3), np.nan)
+    position_slopes = None
+    if slopes is not None:
+        position_slopes = room(table.count * frames, slopes.count, table.edges + 1, 3)
+        position_slopes[...] = np.nan
     if len(rods):
         number, threads, stride, block = _machine(len(rods), bits)
         if slopes is None:
