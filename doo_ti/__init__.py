@@ -35,7 +35,7 @@ _HOMES = {
     "sweep": "learning.sweeps", "SweepOptions": "learning.experiment", "read_landscape": "learning.landscape",
     "refine": "refinement.refine", "predict": "prediction.predict", "predict_step": "prediction.predict",
     "load_rig": "vision.cameras.rig", "detect": "vision.detection.detect", "distance_maps": "vision.reprojection.distance_map",
-    "Reprojection": "vision.reprojection.evidence", "score": "vision.reprojection.score", "perceive": "perception.perceive",
+    "Reprojection": "vision.reprojection.image_energy", "score": "vision.reprojection.score", "perceive": "perception.perceive",
     "estimate_twist": "twist.estimation",
 }
 __all__ = sorted(_HOMES)

@@ -21,9 +21,9 @@ from doo_ti.io.observations import LEAST_SIGMA_MM, MOST_SIGMA_MM, Observations
 from doo_ti.io.scene import Synthesis
 from doo_ti.refinement.evidence import information
 from doo_ti.refinement.held_rod import HeldRod
+from doo_ti.refinement.priors import typical_scales
 from doo_ti.refinement.refine import FEWEST_EDGES, MOST_EDGES
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.scales import typical_scales
 from doo_ti.refinement.unknowns import Theta, Unknowns
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax

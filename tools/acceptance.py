@@ -22,7 +22,8 @@ from doo_ti.bench import clock, workload  # noqa: E402
 from doo_ti.bench.workload import SUTURES, Rods  # noqa: E402
 from doo_ti.errors import InputError  # noqa: E402
 from doo_ti.grid import parse_axis  # noqa: E402
-from doo_ti.learning.landscape import Landscape, read_landscape, status_counts  # noqa: E402
+from doo_ti.learning.landscape import Landscape, read_landscape  # noqa: E402
+from doo_ti.learning.objective import status_counts  # noqa: E402
 from doo_ti.learning.sweeps import SweepOptions, sweep  # noqa: E402
 from doo_ti.relaxation.newton import TOLERANCES  # noqa: E402
 from doo_ti.types import Solution  # noqa: E402
@@ -331,7 +332,7 @@ def in_doubles(solution: Solution) -> str:
 
 
 def intervals(landscape: Landscape) -> str:
-    return "within 5 % of the minimum " + ", ".join(map(str, landscape.overview.intervals))
+    return "within 5 % of the minimum " + ", ".join(map(str, landscape.intervals))
 
 
 def measure(study: Study, rows: list[str]) -> None:

@@ -16,15 +16,14 @@ if not __package__:
 
 from doo_ti.commands.results import counted  # noqa: E402
 from doo_ti.io.scene import load_scene  # noqa: E402
-from doo_ti.learning.landscape import status_counts  # noqa: E402
+from doo_ti.learning.objective import status_counts  # noqa: E402
 from doo_ti.perception.lab_images import LabRods, lab_rods  # noqa: E402
-from doo_ti.perception.perceive import perceive  # noqa: E402
+from doo_ti.perception.perceive import Perception, perceive  # noqa: E402
 from doo_ti.perception.search import PerceptionOptions, Search  # noqa: E402
 from doo_ti.types import Material  # noqa: E402
 from doo_ti.vision.cameras.rig import Rig, load_rig  # noqa: E402
 from doo_ti.vision.detection.detect import Detection, DetectionOptions  # noqa: E402
-from doo_ti.vision.rendering.photographs import Photographs  # noqa: E402
-from doo_ti.vision.rendering.render import RenderOptions  # noqa: E402
+from doo_ti.vision.rendering.render import Photographs, RenderOptions  # noqa: E402
 from doo_ti.vision.rendering.tubes import smooth_curve  # noqa: E402
 from doo_ti.vision.reprojection.distance_map import DistanceMaps, distance_maps  # noqa: E402
 from tools.trials.perception import (  # noqa: E402
@@ -51,7 +50,7 @@ OCCLUDED = {
     "2 gaps": RenderOptions(occluders=2, occluded_share=0.14),
     "6 gaps": RenderOptions(occluders=6, occluded_share=0.19),
 }
-"""A fifth of the thread is unseen in these: occluders hide more of it than the share, from cameras that look askance."""
+"""A fifth of the thread is hidden in these: seen from the side, occluders hide more than their share."""
 CLUTTERED = RenderOptions(clutter=6, specks=20)
 OPTIONS, UP = PerceptionOptions(), np.array([0.0, 0.0, 1.0])
 FOR_GAPS = PerceptionOptions(nu=0.0005, cap=20.0)
@@ -91,7 +90,7 @@ def lab(sets: int) -> None:
     began = time.perf_counter()
     for name in THREADS:
         case, seconds = photographed(name, sets)
-        tell(f"lab: {name}", case, case.rods.point, case.rods.direction, seconds=seconds)
+        report(f"lab: {name}", case, case.rods.point, case.rods.direction, before=seconds)
     print(f"lab: {time.perf_counter() - began:.0f} s in all, rods made, photographed and recovered", flush=True)
 
 
@@ -108,19 +107,19 @@ def loops(sets: int) -> None:
 
 def shares(what: str, case: Case) -> None:
     for share in SHARES:
-        tell(f"{what}, energy x {share:g}", case, case.rods.point, case.rods.direction, with_energy(OPTIONS, share))
+        report(f"{what}, energy x {share:g}", case, case.rods.point, case.rods.direction, with_energy(OPTIONS, share))
 
 
 def seed(sets: int) -> None:
-    """v⁰ and e⁰ as a careless person gives them."""
+    """v⁰ and e⁰ with errors of 1 mm and 5°."""
     for name in THREADS:
         case, _ = photographed(name, sets)
         off = seeds_off(case.rods.point, case.rods.direction, 1.0, np.radians(5.0), np.random.default_rng(SEED))
-        tell(f"seed 1 mm, 5° off: {name}", case, *off)
+        report(f"seed 1 mm, 5° off: {name}", case, *off)
 
 
 def camera(sets: int) -> None:
-    """Two cameras: a third of the sets, drawn by lot, without each of the three."""
+    """Two cameras: each of the three is left out of a third of the sets, drawn at random."""
     for name in THREADS:
         case, _ = photographed(name, sets)
         lot = np.random.default_rng(SEED).permutation(len(case.rods.names))
@@ -128,7 +127,7 @@ def camera(sets: int) -> None:
             maps, rig = without_camera(case.maps, case.rig, index)
             less = Case(case.rods, case.material, rig, case.detections, maps, np.delete(case.pixels, index, axis=0), case.curve)
             rows = np.sort(lot[index :: len(case.rig.names)])
-            tell(f"without {left_out}: {name}", of(less, rows), case.rods.point[rows], case.rods.direction[rows])
+            report(f"without {left_out}: {name}", of(less, rows), case.rods.point[rows], case.rods.direction[rows])
 
 
 def occlusion(sets: int) -> None:
@@ -137,23 +136,29 @@ def occlusion(sets: int) -> None:
         for gaps, look in OCCLUDED.items():
             case, _ = photographed(name, sets, look)
             for options in (OPTIONS, FOR_GAPS):
-                tell(f"occluded, {gaps}, ν {options.nu:g}: {name}", case, case.rods.point, case.rods.direction, options)
+                report(f"occluded, {gaps}, ν {options.nu:g}: {name}", case, case.rods.point, case.rods.direction, options)
 
 
 def clutter(sets: int) -> None:
     """Lines and specks about the thread."""
     for name in THREADS:
         case, _ = photographed(name, sets, CLUTTERED)
-        tell(f"6 lines, 20 specks: {name}", case, case.rods.point, case.rods.direction)
+        report(f"6 lines, 20 specks: {name}", case, case.rods.point, case.rods.direction)
 
 
-def photographed(scene: str, sets: int | None, look: RenderOptions = RenderOptions(),
+def photographed(scene: str, sets: int | list[int] | None, look: RenderOptions = RenderOptions(),
                  crossing: bool = False) -> tuple[Case, float]:
-    """Images of a scene's rods, detected; and the seconds from images to distance maps."""
+    """Images of a scene's rods, detected; and the seconds from images to distance maps.
+
+    sets      how many rods, evenly chosen, or the rows of the rods
+    crossing  instead all rods that cross themselves in every image
+    """
     rig, recipe = load_rig(SCENES / "rig.yaml"), load_scene(SCENES / f"{scene}.toml").observations
     rods = lab_rods(recipe)
     if crossing:
         rods = rods.take(np.flatnonzero((crossings(rig.project(rods.curve)) > 0).all(axis=0)))
+    elif isinstance(sets, list):
+        rods = rods.take(sets)
     elif sets is not None and sets < len(rods.names):
         rods = rods.take(np.linspace(0, len(rods.names) - 1, sets).round().astype(int))
     images = taken(Photographs(rods.names, rods.curve, rods.point, rods.direction, DIAMETER_MM, rig, look, SEED))
@@ -177,23 +182,27 @@ def of(case: Case, rows: np.ndarray) -> Case:
                 sets_of(case.maps, rows), case.pixels[:, rows], case.curve[rows])
 
 
-def tell(what: str, case: Case, point, direction, options: PerceptionOptions = OPTIONS, seconds: float = 0.0) -> None:
-    """One row of the table, and a line for each of the first sets that are not correct."""
+def recovered(case: Case, point, direction, options: PerceptionOptions = OPTIONS) -> tuple[Perception, Trial, float]:
+    """The rods from seeds ``point``, ``direction`` (A, 3); beside the truth; and the seconds that it took to find them."""
     began = time.perf_counter()
     found = perceive(case.maps, case.rig, point, direction, case.rods.rest_length, case.material, options=options)
-    seconds += time.perf_counter() - began
+    seconds = time.perf_counter() - began
     search = Search(case.maps, case.rig, point, direction, case.rods.rest_length, case.material, UP, options)
-    truth = truth_energy(search, case.rods.vertices)
-    trial: Trial = judged(found, case.rods.vertices, case.curve, truth)
+    return found, judged(found, case.rods.vertices, case.curve, truth_energy(search, case.rods.vertices)), seconds
+
+
+def report(what: str, case: Case, point, direction, options: PerceptionOptions = OPTIONS, before: float = 0.0) -> None:
+    """One row of the table, and a line for each of the first sets that are not correct; ``before``: seconds to add."""
+    found, trial, seconds = recovered(case, point, direction, options)
     good, missing = trial.correct, unseen(case.maps, case.pixels).mean(axis=(1, 2))
     status = counted(status_counts(trial.status))
     errors = [f"{error[good].mean():.3f}, {error[good].max():.3f}" if good.any() else "none"
               for error in (trial.vertex_error, trial.curve_error)]
     print(f"| {what} | {len(good)} | {good.sum()} | {trial.overlooked.sum()} | {(~good & ~trial.overlooked).sum()} "
-          f"| {errors[0]} | {errors[1]} | {missing.mean():.3f} | {status} | {seconds:.1f} |", flush=True)
+          f"| {errors[0]} | {errors[1]} | {missing.mean():.3f} | {status} | {before + seconds:.1f} |", flush=True)
     for row in np.flatnonzero(~good)[:MOST_NAMED]:
         print(f"    {case.rods.names[row]}: {trial.vertex_error[row]:.2f} mm off, E_vis {trial.energy_vis[row]:.3f} beside "
-              f"{truth[row]:.3f} of the truth, camera error {np.round(found.camera_error[row], 1).tolist()} px, "
+              f"{trial.truth_energy[row]:.3f} of the truth, camera error {np.round(found.camera_error[row], 1).tolist()} px, "
               f"unseen {missing[row]:.2f}", file=sys.stderr)
 
 

@@ -20,13 +20,15 @@ def declare(add) -> None:
                         help="recorded markers of one rod: positions_mm (R, T, V, 3) or (T, V, 3), rate_hz; the first and last "
                         "edges are the grippers")
     parser.add_argument("--out", required=True, metavar="THETA.json", help="file to write")
-    parser.add_argument("--modes", default="5", metavar="K",
-                        help="Legendre modes of the rest curvature in each direction; 0: straight at rest (default 5)")
+    parser.add_argument("--modes", default="7", metavar="K",
+                        help="Legendre modes of the rest curvature in each direction; 0: straight at rest (default 7)")
     parser.add_argument("--fit", metavar="NAME,…", default=",".join(FITTED[:3]),
-                        help=f"parameters besides bend and rest curvature: some of {', '.join(FITTED)} (default: the first three)")
+                        help="parameters besides bend and rest curvature: some of "
+                        f"{', '.join(FITTED)} (default: the first three)")
     parser.add_argument("--bend", metavar="A", help="bend stiffness α to begin with, mm³ (default: several are tried)")
     parser.add_argument("--folds", metavar="N", default="0",
-                        help="also fit N times, each without one N-th of the recordings, and report the error there (default 0)")
+                        help="also fit N times, each without one N-th of the recordings, and report the error on "
+                        "those (default 0)")
     parser.add_argument("--robust", metavar="MM", default="5", help="differences beyond count linearly (default 5)")
     parser.add_argument("--substeps", metavar="N", default="1", help="time steps from one frame to the next (default 1)")
     parser.add_argument("--fill-gaps", action="store_true",
@@ -45,12 +47,14 @@ def run(options: Namespace, words: list[str]) -> int:
     fitted = tuple(filter(None, options.fit.split(",")))
     if unknown := next((name for name in fitted if name not in FITTED), None):
         raise InputError(given.SOURCE, "--fit", f"{unknown!r} is unknown", f"give some of {', '.join(FITTED)}")
-    chosen = IdentifyOptions(given.whole("--modes", options.modes, 0, 12), fitted, delta=given.length("--robust", options.robust),
+    chosen = IdentifyOptions(given.whole("--modes", options.modes, 0, 12), fitted,
+                             delta=given.length("--robust", options.robust),
                              substeps=given.whole("--substeps", options.substeps, 1, 1000))
     folds = given.whole("--folds", options.folds, 0)
     bend = given.positive("--bend", options.bend, "mm³")
     up = given.world_up(options)
-    motion = RecordedMotion.together([RecordedMotion.load(path, options.fill_gaps) for path in options.motions], options.motions)
+    parts = [RecordedMotion.load(path, options.fill_gaps) for path in options.motions]
+    motion = RecordedMotion.together(parts, options.motions)
     if folds == 1 or folds > motion.count:
         raise InputError(given.SOURCE, "--folds", f"{folds} for {motion.count} recordings", "give 0, or from 2 to their number")
     with progress(keep=True) as bar:

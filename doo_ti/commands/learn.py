@@ -48,7 +48,7 @@ def run(options: Namespace, words: list[str]) -> int:
         _write(out, summary, tables)
 
     def lines() -> list[str]:
-        found = [line for landscape in landscapes for line in run_lines(landscape.overview.as_dict())]
+        found = [line for landscape in landscapes for line in run_lines(landscape.as_dict())]
         found += [f"\n{text(scores, get_terminal_size((120, 24)).columns)}" for scores in every]
         return found if out is None else [*found, f"\nwritten to {in_line(out)}"]
 
@@ -58,12 +58,12 @@ def run(options: Namespace, words: list[str]) -> int:
 
 def _best_of(landscape: Landscape) -> dict:
     """The best Θ of a run, as JSON holds it."""
-    result = landscape.overview.as_dict()
+    result = landscape.as_dict()
     status = result.pop("rods")
     del status["count"]
     return {"run": str(landscape.run), **{name: result[name] for name in ("material", "objective", "jumps") if name in result},
             **result["best"], "intervals": result["intervals_within_5_percent"], "stable": status.pop("stable"),
-            "status": status, **landscape.overview.competition}
+            "status": status, **landscape.competition}
 
 
 def _as_dict(scores: Scores) -> dict:

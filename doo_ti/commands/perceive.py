@@ -12,7 +12,7 @@ from doo_ti.commands.results import counted, report, save_arrays, shortened
 from doo_ti.commands.seen_rods import RECORDED, PerceptionTask, perception_task
 from doo_ti.errors import InputError
 from doo_ti.io.files import write_whole
-from doo_ti.learning.landscape import status_counts
+from doo_ti.learning.objective import status_counts
 from doo_ti.terminal import in_line, progress
 from doo_ti.types import Status
 
@@ -96,7 +96,7 @@ def _detected(task: PerceptionTask, bar) -> list[list]:
 
 def _perceived(task: PerceptionTask, detected: list[list], bar):
     """(Perception of all sets, GrowthSteps of those that are recorded): in groups whose maps fit into memory."""
-    from doo_ti.perception.growth_steps import GrowthSteps
+    from doo_ti.perception.growth import GrowthSteps
     from doo_ti.perception.perceive import Perception, perceive
     from doo_ti.vision.reprojection.distance_map import distance_maps
 

@@ -14,7 +14,7 @@ from doo_ti.io.files import write_whole
 from doo_ti.io.motion_file import ClampPath, load_path
 from doo_ti.io.observations import Observations, load_observations
 from doo_ti.io.scene import PRECISIONS
-from doo_ti.learning.landscape import status_counts
+from doo_ti.learning.objective import status_counts
 from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.terminal import in_line, progress
 from doo_ti.types import Clamps, Configuration, Material
@@ -202,20 +202,20 @@ def _arrays(task: _Task, prediction) -> dict[str, np.ndarray]:
 
 
 def _draw(task: _Task, prediction, result: dict, pictures: dict) -> None:
-    vertices = result["vertices_mm"]
-    if pictures[".png"] is not None:
-        from doo_ti.report import motions_picture
+    if not any(pictures.values()):
+        return
+    from doo_ti.report import MovingRods, motions_picture
 
-        write_whole(pictures[".png"], lambda file: motions_picture(
-            file, prediction.time, vertices, task.names, prediction.jumps, up=task.up, title=task.name))
+    rods = MovingRods(prediction.time, result["vertices_mm"], task.names, prediction.jumps, prediction.followed, task.up)
+    if pictures[".png"] is not None:
+        write_whole(pictures[".png"], lambda file: motions_picture(file, rods, title=task.name))
     if pictures[".rrd"] is not None:
         from doo_ti.record import record_motion
 
         curves = {"Energy [mm²]": prediction.energy, "Total twist [°]": result["total_twist_deg"],
                   "Force at the far clamp [mm²]": np.linalg.norm(prediction.end_force, axis=-1)}
-        record_motion(pictures[".rrd"], run_id=hashlib.sha256(vertices.tobytes()).hexdigest()[:32], name=task.name,
-                      time=prediction.time, vertices=vertices, names=task.names, sound=prediction.followed,
-                      jumps=prediction.jumps, curves=curves, up=task.up,
+        record_motion(pictures[".rrd"], run_id=hashlib.sha256(rods.vertices.tobytes()).hexdigest()[:32], name=task.name,
+                      rods=rods, curves=curves,
                       text="\n\n".join(line.strip() for line in _lines(task, prediction, result)))
 
 

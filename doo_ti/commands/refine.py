@@ -114,6 +114,7 @@ def run(options: Namespace, words: list[str]) -> int:
 def _draw(landscape, found) -> Path | None:
     """RUN/refined.png: the landscape with the joint 95 % region; none where the grid has not two of the learned
     parameters."""
+    from doo_ti.learning.drawing import plane_of
     from doo_ti.report import landscape_picture
 
     grid, estimate = landscape.grid, found.estimate
@@ -126,10 +127,8 @@ def _draw(landscape, found) -> Path | None:
         outline[:, free.index("twist_ratio")] /= outline[:, 1 - free.index("twist_ratio")]
     path = landscape.run / "refined.png"
     write_whole(path, lambda file: landscape_picture(
-        file, grid.picture_axes, landscape.mean_distance.reshape(grid.shape),
-        minimum=np.unravel_index(landscape.best, grid.shape),
-        title=f"{landscape.name}: the grid's error, and the 95 % region of the refined model",
-        label="mean distance (Eq. 1) [mm]", unfinished=landscape.unsound.reshape(grid.shape), region=outline))
+        file, plane_of(landscape), title=f"{landscape.name}: the grid's error, and the 95 % region of the refined model",
+        region=outline))
     return path
 
 
@@ -138,7 +137,7 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
     if Path(source).is_dir():
         observations, thetas, kinds, weight, landscape = _of_run(options, Path(source), starts)
     else:
-        from doo_ti.refinement.multi_start import theta_of_cell
+        from doo_ti.refinement.fit import theta_of_cell
 
         observations, landscape = load_observations(source, given.up(options)), None
         grid = given.single_cell(options, "give one, or refine the run of a sweep")
@@ -158,7 +157,7 @@ def _of_run(options: Namespace, run: Path, starts: int):
     """(observations, the Θ of the lowest cells, kinds of clamps, frame weight, landscape) of a run's folder."""
     from doo_ti.learning.landscape import read_landscape
     from doo_ti.learning.run_folder import read_experiment
-    from doo_ti.refinement.multi_start import lowest_cells, theta_of_cell
+    from doo_ti.refinement.fit import lowest_cells, theta_of_cell
 
     for name in given.MATERIAL:
         if getattr(options, name) is not None:
@@ -173,7 +172,7 @@ def _of_run(options: Namespace, run: Path, starts: int):
     height = landscape.mean_distance
     if np.isnan(height).all():  # no cell has all its rods certified: start from those that have most of them
         few = landscape.unsound == landscape.unsound.min()
-        height = np.where(few, landscape.distance_of_sound, np.nan)
+        height = np.where(few, landscape.sums.distance_of_sound, np.nan)
     cells = lowest_cells(experiment.grid, height, starts)
     if not len(cells):
         raise InputError(run, "distance_mm", "no cell has an error", "look at the rods' status in cells/")

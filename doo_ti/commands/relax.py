@@ -9,7 +9,7 @@ from doo_ti.commands import options as given
 from doo_ti.commands.results import counted, report, save_arrays, theta_of, theta_text
 from doo_ti.grid import Grid
 from doo_ti.io.observations import Observations, load_observations
-from doo_ti.learning.landscape import status_counts
+from doo_ti.learning.objective import status_counts
 from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.terminal import busy, in_line
 from doo_ti.types import Status

@@ -33,7 +33,7 @@ class _Simulated:
 def declare(add) -> None:
     parser = given.command(add, "simulate", run, "simulate rods in motion: with inertia, damping and drag, grippers moving")
     parser.add_argument("source", metavar="MOTION.npz|SCENE.toml",
-                        help="recorded markers, whose first and last edges are the grippers (positions_mm, rate_hz); or a scene")
+                        help="recorded markers, the first and last edges on the grippers (positions_mm, rate_hz); or a scene")
     parser.add_argument("--theta", metavar="THETA.json", help="the rod, as doo-ti identify writes it; needed for MOTION.npz")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
     parser.add_argument("--substeps", metavar="N", help="time steps from one frame to the next (default: 1, or the scene's)")

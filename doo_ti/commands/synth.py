@@ -68,7 +68,7 @@ def _photograph(options: Namespace, scene: Scene) -> None:
     from doo_ti.vision.rendering.render import check_diameter
 
     check_diameter(diameter, given.SOURCE, "--diameter")
-    from doo_ti.vision.rendering.photographs import Photographs, save_photographs
+    from doo_ti.vision.rendering.render import Photographs, save_photographs
 
     rods = lab_rods(scene.observations)
     photographs = Photographs(rods.names, rods.curve, rods.point, rods.direction, diameter, rig, look, seed)
@@ -83,7 +83,7 @@ def _photograph(options: Namespace, scene: Scene) -> None:
 def _rig(options: Namespace, folder: Path):
     """The cameras. Raises InputError where none are given, and where their file would be overwritten."""
     from doo_ti.vision.cameras.rig import load_rig
-    from doo_ti.vision.rendering.photographs import RIG_FILE
+    from doo_ti.vision.rendering.render import RIG_FILE
 
     if options.rig is None:
         raise InputError(given.SOURCE, "--rig", "missing", "name the cameras' file, such as scenes/rig.yaml")

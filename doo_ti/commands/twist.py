@@ -46,8 +46,8 @@ def run(options: Namespace, words: list[str]) -> int:
     observations = load_observations(options.observations, up)
     given.refuse_overwriting(out, options.observations)
 
-    from doo_ti.twist.estimation import TwistOptions, consecutive_groups, end_offsets, estimate_twist
-    from doo_ti.twist.offsets import load_offsets
+    from doo_ti.twist.curves import consecutive_groups, end_offsets, load_offsets
+    from doo_ti.twist.estimation import TwistOptions, estimate_twist
 
     offset = None
     if options.offset is not None:
@@ -98,7 +98,7 @@ def _rows(estimate, group: int) -> str:
 
 def _draw(path: Path, observations: Observations, estimate) -> None:
     from doo_ti.report import angle_curves_picture
-    from doo_ti.report.angles import MOST_CURVES
+    from doo_ti.report.identifiability import MOST_CURVES
 
     names = [f"{_rows(estimate, k)}: {np.degrees(estimate.phi[k]):.0f}°, {_word(estimate.verdict[k])}"
              for k in range(min(MOST_CURVES, len(estimate.phi)))]

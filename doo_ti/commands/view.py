@@ -73,7 +73,7 @@ def run(options: Namespace, words: list[str]) -> int:
 
 def _draw_unfinished(run: Path, folder: Path) -> None:
     """Write the pictures of a sweep so far into ``folder``, and print how far it has come."""
-    from doo_ti.learning.unfinished import read_unfinished
+    from doo_ti.learning.drawing import read_unfinished
 
     with busy("reading cells"):
         found = read_unfinished(run)
@@ -96,7 +96,7 @@ def run_figures(options: Namespace, words: list[str]) -> int:
     most = None if whole_grid else given.whole("--cells", options.cells, 1) or MOST_CELLS
     observation = given.whole("--observation", options.observation, 0)
 
-    from doo_ti.figures.study import draw_landscapes, draw_ribbons, read, record_cells
+    from doo_ti.learning.figures import draw_landscapes, draw_ribbons, read, record_cells
 
     with busy("reading runs"):
         study = read([Path(run) for run in options.runs], by_end_distance=options.by_end_distance is not None,
@@ -112,7 +112,7 @@ def run_figures(options: Namespace, words: list[str]) -> int:
 
 def _report_figures(options: Namespace, study, files: list[dict]) -> None:
     """The files, and which cells were recorded where not all were."""
-    names, cells, recorded = [panel.title for panel in study.panels[0]], study.landscapes[0].grid.size, study.cells.grid.size
+    names, cells, recorded = study.names, study.landscapes[0].grid.size, study.cells.grid.size
 
     def lines() -> list[str]:
         found = [f"{'; '.join(names)}: {cells} cells"]

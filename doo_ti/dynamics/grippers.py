@@ -47,18 +47,16 @@ class Grippers:
         def still(array):
             array = np.asarray(array, dtype=np.float64)
             return np.broadcast_to(array[:, None], (len(array), instants, *array.shape[1:]))
-        return cls(clamps.start, clamps.end, *(still(getattr(clamps, name)) for name in (
-            "start_position", "end_position", "start_frame", "end_frame")))
+        return cls(clamps.start, clamps.end, *(still(getattr(clamps, name)) for name in _PATHS))
 
     def take(self, rows) -> "Grippers":
         """Those of the rods named by ``rows``."""
         kinds = [kind if np.ndim(kind) == 0 else np.asarray(kind)[rows] for kind in (self.start, self.end)]
-        return Grippers(*kinds, self.start_position[rows], self.end_position[rows], self.start_frame[rows], self.end_frame[rows])
+        return Grippers(*kinds, *(getattr(self, name)[rows] for name in _PATHS))
 
     def at(self, instant: int) -> Clamps:
         """The clamps at one instant."""
-        return Clamps(self.start, self.end, *(np.ascontiguousarray(getattr(self, name)[:, instant]) for name in (
-            "start_position", "end_position", "start_frame", "end_frame")))
+        return Clamps(self.start, self.end, *(np.ascontiguousarray(getattr(self, name)[:, instant]) for name in _PATHS))
 
     def refined(self, parts: int) -> "Grippers":
         """With ``parts`` equal steps between neighbouring instants: positions on cubics through their neighbours, frames by the
@@ -68,6 +66,9 @@ class Grippers:
         share = np.arange(parts) / parts
         return Grippers(self.start, self.end, _cubic(self.start_position, share), _cubic(self.end_position, share),
                         _turning(self.start_frame, share), _turning(self.end_frame, share))
+
+
+_PATHS = ("start_position", "end_position", "start_frame", "end_frame")
 
 
 def edge_frames(edges: np.ndarray, first: np.ndarray | None = None) -> np.ndarray:

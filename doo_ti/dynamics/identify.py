@@ -35,7 +35,7 @@ class IdentifyOptions:
     end           what the far gripper holds
     """
 
-    modes: int = 5
+    modes: int = 7
     fitted: tuple[str, ...] = ("bend_damping", "drag", "quadratic_drag")
     horizons: tuple[int, ...] = (60, 200, 10**6)
     delta: float = 5.0

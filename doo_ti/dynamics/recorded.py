@@ -1,4 +1,4 @@
-"""Recorded motion: markers along rods held by grippers, frame by frame, as what a simulation starts from and is compared with."""
+"""Recorded motion: markers along rods held by grippers, frame by frame: where a simulation starts, and what it is compared with."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,8 +105,9 @@ class RecordedMotion:
         first = parts[0]
         for part, source in zip(parts, sources, strict=True):
             if part.positions.shape[2] != first.positions.shape[2] or part.rate != first.rate:
-                raise InputError(source, "positions_mm", f"{part.positions.shape[2]} markers at {part.rate:g}/s, the first file "
-                                 f"has {first.positions.shape[2]} at {first.rate:g}/s", "give recordings of one rod alike")
+                problem = (f"{part.positions.shape[2]} markers at {part.rate:g}/s, the first file has "
+                           f"{first.positions.shape[2]} at {first.rate:g}/s")
+                raise InputError(source, "positions_mm", problem, "give recordings of one rod alike")
         frames = min(part.positions.shape[1] for part in parts)
         cut = [part.until(frames) for part in parts]
         several = len(parts) > 1
@@ -147,8 +148,8 @@ class RecordedMotion:
         for kind, problem in ((SWAPPED, "are swapped"), (LOST, "contradict the frames around")):
             for r, end in np.argwhere((self.confused == kind).any(axis=1)):
                 frames = np.flatnonzero(self.confused[r, :, end] == kind)
-                lines.append(f"recording {self.names[r]}, {len(frames)} frames from {frames[0]} to {frames[-1]}: the two markers "
-                             f"of the {('start', 'end')[end]} gripper {problem}")
+                lines.append(f"recording {self.names[r]}, {len(frames)} frames from {frames[0]} to {frames[-1]}: the two "
+                             f"markers of the {('start', 'end')[end]} gripper {problem}")
         return lines
 
 
@@ -287,8 +288,8 @@ def rollout(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarr
 
 
 def _with_missing(held: np.ndarray, elapsed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """((R, steps, 4, 3) gripper markers at every step, (R, T) step of each frame) from (R, T, 4, 3), the last position held where
-    a recording is shorter: cubics through frames that are missing, with the velocities on either side."""
+    """((R, steps, 4, 3) gripper markers at every step, (R, T) step of each frame) from (R, T, 4, 3), the last position held
+    where a recording is shorter: cubics through frames that are missing, with the velocities on either side."""
     count, frames = held.shape[:2]
     since = elapsed.copy()
     since[:, 0] = 0

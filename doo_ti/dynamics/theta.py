@@ -137,7 +137,8 @@ class Unknowns:
     @property
     def names(self) -> list[str]:
         """Of the entries of p."""
-        return ["bend", *self.fitted, *(f"rest_curvature_{1 + k // self.modes}_{k % self.modes}" for k in range(2 * self.modes))]
+        rest = (f"rest_curvature_{1 + k // self.modes}_{k % self.modes}" for k in range(2 * self.modes))
+        return ["bend", *self.fitted, *rest]
 
     def vector(self, theta: MotionTheta) -> np.ndarray:
         """(P,) p of Θ."""

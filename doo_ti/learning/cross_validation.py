@@ -26,9 +26,9 @@ class Scores:
     mean            (P, P) mean distance of the tested terms (Eq. 1), mm; NaN where none has a score
     standard_error  (P, P) of that mean, mm; NaN below two terms
     count           (P, P) tested terms that have a score
-    left_out        (P, P) those that have none: no distance at their cell, or nothing to train on without them
-    uncertified     (P, P) rods behind the scores that are no certified minima
-    jumped          (P, P) rods behind the scores that fell to another branch on their way (Eq. 3)
+    left_out        (P, P) those that have none: no distance at their cell, or no training terms are left without them
+    uncertified     (P, P) scored rods that are no certified minima
+    jumped          (P, P) scored rods that jumped to another branch (Eq. 3)
     """
 
     partition: Partition
@@ -44,7 +44,7 @@ class Scores:
     @property
     def is_best(self) -> np.ndarray:
         """(P, P) the smallest mean of each column, among the entries that score most of its terms, and of those the ones with
-        fewest rods that are no certified minima: an entry wins neither by what it leaves out nor by such rods."""
+        the fewest rods that are no certified minima: leaving terms out, or scoring such rods, is no advantage."""
         return self._eligible & (self.mean == self._lowest)
 
     @property
@@ -75,7 +75,7 @@ def cross_validate(partition: Partition) -> Scores:
     best, training = np.full(len(parts), -1), np.full(len(parts), np.nan)
     starts = np.cumsum([len(part.terms) for part in parts])[:-1]
     ends = np.concatenate([part.ends for part in parts])
-    nothing = np.full((1, 2), -1)  # one more tested term, that leaves nothing out
+    nothing = np.full((1, 2), -1)  # one more tested term, for which no training term is left out
     for row, learned in enumerate(parts):
         *chosen, best[row] = chosen_cells(learned, np.concatenate([ends, nothing]))
         if best[row] >= 0:
@@ -98,18 +98,18 @@ def chosen_cells(training: Part, tested: np.ndarray) -> np.ndarray:
 
     tested  (K, 2) the observations of each tested term; −1 for none
 
-    Left out is every training term that touches an observation of the tested term: of a static training set the tested
-    observation, or both of a tested pair; of a dynamic one every pair with either of them. Observations are the same
-    where their numbers are, whatever the material or objective. A term whose rod is no certified minimum in a cell makes the
-    cell unusable wherever it is kept; one whose rod is none in any cell is not used.
+    Every training term that shares an observation with the tested term is left out: of a static training set the tested
+    observation, or both of a tested pair; of a dynamic one every pair with either of them. Observations are identified by their
+    numbers, whatever the material or objective. A term that is kept, and whose rod is no certified minimum in a cell, makes
+    that cell unusable; a term whose rod is a certified minimum in no cell is not used.
     """
     training = training.measurable
     landscape, terms = training.landscape, training.terms
     share = landscape.weight[terms] / landscape.weight[terms].max(initial=0.0)
-    # Whole numbers add up exactly, in any order: cells that are equal tie, whatever machine adds them.
+    # Sums of whole numbers are exact in any order: equal cells are equal on every machine.
     error = np.rint(landscape.distance[:, terms] * (share * _PARTS_PER_MM))
     error[~landscape.sound[:, terms]] = _UNUSABLE
-    # Tested terms that leave out the same are one.
+    # Tested terms for which the same training terms are left out are computed once.
     ends = np.sort(np.where(np.isin(tested, training.ends), tested, -1), axis=1)
     ends, of_tested = np.unique(ends, axis=0, return_inverse=True)
     cells = np.full(len(ends), -1)

@@ -1,4 +1,4 @@
-"""An experiment: what was observed, the grid to search, how to relax and compare, and the terms of the objective (§III-E).
+"""An experiment: what is observed, the grid to search, how to relax and compare, and the terms of the objective (§III-E).
 
 Axes: G cells, D observations, H hypotheses of all observations, P pairs, N rods of each cell.
 """
@@ -21,7 +21,7 @@ from doo_ti.types import LARGEST, Clamp, Clamps
 
 SOLVERS = {"newton": Newton, "descent": Descent}
 LEAST_SUB_STEP = 1e-5
-"""rad: smaller ones make no difference, and never end."""
+"""rad: smaller ones change no result and take too long."""
 
 
 @dataclass(frozen=True)
@@ -29,13 +29,13 @@ class SweepOptions:
     """How a sweep relaxes and compares.
 
     frame_weight           w_m of Eq. 1, mm
-    clamp_start, clamp_end what holds the ends; None: the frame where it is given, else the tangent
+    clamp_start, clamp_end what each clamp holds; None: the frame where it is given, else the tangent
     solver, precision      as :func:`doo_ti.relaxation.relax.relax` takes them
     objective              "static" (Eq. 2) or "dynamic" (Eq. 3)
-    spins                  hypotheses, evenly over a turn, where an end's spin is unknown although it was held; 0: it spins
-    sub_step               rad that a clamp turns at most in one sub-step of Eq. 3; its shift is bound in proportion
-    seed                   of everything random, for the provenance: a sweep draws nothing
-    workers                processes to share the chunks; None: this one. The result does not depend on it
+    spins                  roll angles, evenly over a turn, to try for a clamp whose roll was not measured; 0: it turns freely
+    sub_step               rad, the largest turn of a clamp in one sub-step of Eq. 3; its shift is limited in proportion
+    seed                   kept for the provenance: a sweep itself uses no random numbers
+    workers                processes that share the chunks; None: this one. The result does not depend on it
     scheduler              address of a Dask scheduler whose workers share the chunks instead
     """
 
@@ -65,7 +65,7 @@ class SweepOptions:
                 raise InputError("sweep", name, f"{getattr(self, name)!r}", f"give one of {', '.join(allowed)}")
 
     def as_dict(self) -> dict:
-        """What the cells depend on, as JSON holds it; :meth:`from_dict` reads it back."""
+        """The options that cells depend on, as JSON holds them; :meth:`from_dict` reads them back."""
         kinds = {name: None if kind is None else Clamp(kind).name.lower()
                  for name, kind in (("clamp_start", self.clamp_start), ("clamp_end", self.clamp_end))}
         name = next(name for name, kind in SOLVERS.items() if isinstance(self.solver, kind))
@@ -86,13 +86,13 @@ class SweepOptions:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What a sweep's cells depend on, and nothing else.
+    """All that a sweep's cells depend on.
 
-    pairs       the terms of Eq. 3, None under Eq. 2; where Eq. 3 is asked for without them, those of the labels
-    hypotheses  the rods of each observation; by default all that its labels leave open
+    pairs       the terms of Eq. 3, None under Eq. 2; by default those of the labels
+    hypotheses  the rods of each observation; by default all that its labels allow
 
-    Raises InputError for pairs under Eq. 2, for Eq. 3 without pairs or labels, for half turns that may go either way, for
-    spins that are not unknown, and for two unknown spins of a rod that is not round.
+    Raises InputError for pairs under Eq. 2, for Eq. 3 without pairs or labels, for half turns of unknown direction, for
+    ``spins`` where no roll is unknown, and for two unknown rolls of a rod that is not round.
     """
 
     observations: Observations
@@ -123,7 +123,7 @@ class Experiment:
 
     @cached_property
     def clamps(self) -> Clamps:
-        """C of each observation, as far as it is known."""
+        """C of each observation; unknown rolls are not held."""
         return observation_clamps(self.observations, self.options.clamp_start, self.options.clamp_end)
 
     @cached_property
@@ -146,12 +146,12 @@ class Experiment:
         return np.ones(len(term)) if self.pairs is None else self.pairs.weight[term]
 
     @property
-    def witness(self) -> str:
-        """The column that judges hypotheses: how far the observation's own rod is off, under Eq. 3 before it is carried."""
+    def decides(self) -> str:
+        """The column that decides between hypotheses: the distance of the rod from the observation it starts from."""
         return "distance_mm" if self.pairs is None else "start_distance_mm"
 
     def rows_of(self, chosen: np.ndarray) -> np.ndarray:
-        """Of G·N rods, cell by cell, those that belong to the hypotheses ``chosen`` (G, D) of each cell's observations."""
+        """The rows, of G·N rods, cell by cell, that belong to the hypotheses ``chosen`` (G, D) of each cell's observations."""
         of_rod, _ = self.rods
         observation, _ = self.hypotheses.table
         return np.flatnonzero(chosen[:, np.searchsorted(observation, self.hypotheses.observation[of_rod])] == of_rod)

@@ -1,7 +1,7 @@
-"""What nobody wrote down about an observation's twist, as hypotheses: its whole turns, and the spins of its ends (§III-B).
+"""Hypotheses about what an observation does not record of its twist: its whole turns, and the roll of its clamps (§III-B).
 
-Every hypothesis is a rod of its own. At the end of a sweep each observation keeps the one that explains it, for all cells,
-where the data allow.
+Every hypothesis is a rod of its own. At the end of a sweep each observation keeps the one that explains it best, the same in
+all cells, unless the data do not distinguish them.
 
 Axes: D observations, H hypotheses of all of them, M those of one observation, G cells.
 """
@@ -16,9 +16,9 @@ from doo_ti.start import held_spins, start_configuration, turn_hypotheses
 from doo_ti.types import Clamp, Clamps, Configuration
 
 NEAR = 1.05
-"""Cells, and hypotheses, this many times as far off as the best are as good."""
+"""Cells, and hypotheses, whose distance is at most this many times the smallest count as equally good."""
 UNSOUND = 1e9
-"""mm added to the distance of a rod that did not come to rest: it is no witness where another is."""
+"""mm added to the distance of a rod that is no certified minimum: it is chosen only where all are none."""
 ROUNDS = 50
 
 
@@ -26,9 +26,9 @@ ROUNDS = 50
 class Hypotheses:
     """The rods to start, those of an observation in succession.
 
-    observation  (H,) whose
+    observation  (H,) the observation that each is about
     turns        (H,) whole turns, added to the angle in (−π, π] between the frames
-    spin         (H,) rad, the angle that an end of unknown spin leaves between the frames, or None: ends spin freely
+    spin         (H,) rad, the angle between the frames that fixes an unknown roll, or None: such ends turn freely
     """
 
     observation: np.ndarray
@@ -68,10 +68,10 @@ class Hypotheses:
 
 
 def hypotheses_of(observations: Observations, clamps: Clamps, spins: int = 0) -> Hypotheses:
-    """What each of D observations may hold: the whole turns of :func:`doo_ti.start.turn_hypotheses`, and with ``spins`` as
-    many angles, evenly over a turn, where one end's tangent is held and its spin unknown.
+    """The hypotheses of D observations: the whole turns of :func:`doo_ti.start.turn_hypotheses`, and ``spins`` angles, evenly
+    over a turn, where a clamp holds the tangent and its roll is unknown.
 
-    Raises InputError for ``spins`` where no spin is unknown.
+    Raises InputError for ``spins`` where no roll is unknown.
     """
     if not spins:
         return Hypotheses(*turn_hypotheses(observations, clamps))
@@ -87,7 +87,7 @@ def hypotheses_of(observations: Observations, clamps: Clamps, spins: int = 0) ->
 
 
 def started(observations: Observations, clamps: Clamps, hypotheses: Hypotheses) -> tuple[Configuration, Clamps]:
-    """Where the H rods start, and what holds them."""
+    """The starts of the H rods, and their clamps."""
     observed, held = observations.take(hypotheses.observation), clamps.take(hypotheses.observation)
     if hypotheses.spin is not None:
         held = held_spins(observed, held, hypotheses.spin)
@@ -97,7 +97,7 @@ def started(observations: Observations, clamps: Clamps, hypotheses: Hypotheses) 
 def scores(distance: np.ndarray, sound: np.ndarray, weight: np.ndarray, of_rod: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(G, H) mean distance of each hypothesis's rods, mm, by their ``weight``, and whether all are ``sound``.
 
-    distance, sound  (G, N) of each cell's rods; no number counts as infinitely far
+    distance, sound  (G, N) of each cell's rods; NaN counts as infinity
     weight, of_rod   (N,) w_xy, and the hypothesis of each rod
     """
     order = np.argsort(of_rod, kind="stable")
@@ -122,8 +122,9 @@ def resolved(distance: np.ndarray, sound: np.ndarray, weight: np.ndarray, hypoth
     distance, sound  (G, H) scores of the hypotheses
     weight           (D,) of each observation in a cell's mean
 
-    Near the best cell each observation takes the hypothesis with the smaller mean distance; that may change which cell is
-    best, so again, until nothing changes. Ambiguous is what has a runner-up within 5 %.
+    Each observation takes the hypothesis with the smallest mean distance over the cells near the best one. That may change
+    which cell is best: it is repeated until nothing changes. An observation is ambiguous where a second hypothesis is within
+    5 %.
     """
     _, table = hypotheses.table
     far, rows = _far(distance, sound), np.arange(len(table))

@@ -1,48 +1,127 @@
-"""Finished sweeps rod by rod, as leave-one-out tables and figures need them (§III-E): never new relaxations.
+"""What a sweep measured, read from its stored cells, never relaxed again: summed up per cell (:class:`Overview`), or rod by rod
+(:class:`Landscape`), as leave-one-out tables and figures need it (§III-E).
 
-Axes: G grid cells, N terms of the objective: observations under Eq. 2, pairs of observations under Eq. 3.
+Axes: G grid cells, N terms of the objective: observations under Eq. 2, pairs of observations under Eq. 3; n rods of a cell.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti.grid import Grid
-from doo_ti.learning.cell_sums import CellSums, is_sound, status_counts  # noqa: F401  commands take it from here
-from doo_ti.learning.overview import Overview
-from doo_ti.learning.stored_cells import cell_files, terms_in, whole_rods_in
+from doo_ti.errors import InputError
+from doo_ti.grid import Grid, Interval, valley
+from doo_ti.learning.chunks import RODS, Terms, cell_files, rods_in, terms_in, whole_rods_in
+from doo_ti.learning.objective import CellSums, counts_by_name, is_sound, status_counts
 from doo_ti.learning.summary import changed_files, check_cells, read_summary, sweep_identity
 from doo_ti.terminal import in_line
 
 LABELS = ("end_distance_mm", "end_rotation_deg")
 RODS_AT_ONCE = 1 << 16
-"""To be summed up."""
+"""Rods that are summed up together."""
 
 
 @dataclass(frozen=True)
-class Landscape:
-    """What a run measured.
+class Summed:
+    """Results from the sums over the rods of each cell. The classes below have ``sums`` (:class:`CellSums`) and
+    ``rods_of(cell)``, which gives columns by name, (n,) each: status, stable, and under Eq. 3 jumps.
 
-    run               its folder
-    name              the rod's material
-    grid              the cells
-    objective         "static", Eq. 2, or "dynamic", Eq. 3
-    distance          (G, N) Eq. 1 in mm, NaN where a rod came to nothing
-    status            (G, N) Status
-    stable            (G, N) certified minima
-    observation       (N,) the observation that each term compares with: y of Eq. 3
-    from_observation  (N,) the one that it starts from, x of Eq. 3: under Eq. 2 the same
-    weight            (N,) w_xy, above zero; ones under Eq. 2
-    end_distance, end_rotation  (N,) labels of ``observation`` in mm and degrees, NaN where unknown
-    jumps             (G, N) sub-steps at which a rod fell to another branch, None under Eq. 2
+    run        the run's folder
+    name       the rod's material
+    grid       the cells
+    objective  "static", Eq. 2, or "dynamic", Eq. 3
     """
 
     run: Path
     name: str
     grid: Grid
     objective: str
+
+    @cached_property
+    def compared(self) -> np.ndarray:
+        """(N,) bool, as in :class:`CellSums`."""
+        return self.sums.compared
+
+    @cached_property
+    def unsound(self) -> np.ndarray:
+        """(G,) as in :class:`CellSums`."""
+        return self.sums.unsound
+
+    @cached_property
+    def mean_distance(self) -> np.ndarray:
+        """(G,) Eq. 2 or 3 in mm, as in :class:`CellSums`."""
+        return self.sums.mean_distance
+
+    @property
+    def has_best(self) -> bool:
+        """Whether any cell competes."""
+        return not np.isnan(self.mean_distance).all()
+
+    @cached_property
+    def best(self) -> int:
+        """The competing cell with the smallest mean distance. Raises InputError where none competes."""
+        if not self.has_best:
+            raise InputError(self.run, "distance_mm", "no cell has an error: in none did all rods converge to certified minima",
+                             "look at status and stable in cells/")
+        return int(np.nanargmin(self.mean_distance))
+
+    @cached_property
+    def intervals(self) -> tuple[Interval, ...]:
+        """For each varying axis the range within 5 % of the smallest mean distance."""
+        return valley(self.grid, self.mean_distance)
+
+    @property
+    def competition(self) -> dict[str, int]:
+        """How many cells compete, how many do not, and how many terms no cell can compare, as JSON holds it."""
+        out = int((self.unsound > 0).sum())
+        return {"cells_competing": int((self.sums.count > 0).sum()) - out if self.compared.any() else 0,
+                "cells_not_competing": out, "terms_left_out": int((~self.compared).sum())}
+
+    def as_dict(self) -> dict:
+        """All of this as a summary holds it."""
+        sums, best, rods = self.sums, self.best, self.rods_of(self.best)
+        theta = {name: float(value[0]) for name, value in self.grid.cell_values(np.array([best])).items()}
+        jumps = {} if self.objective == "static" else {
+            "jumps": {"rods": sums.jumped, "rods_at_best": int((rods["jumps"] > 0).sum())}}
+        return {
+            "material": self.name,
+            "objective": self.objective,
+            "best": {**theta, "bend_12": self.grid.bend_12, "mean_distance_mm": float(self.mean_distance[best])},
+            "intervals_within_5_percent": [asdict(interval) for interval in self.intervals],
+            "units": {"bend_1": "mm3", "bend_2": "mm3", "bend_12": "mm3", "twist": "mm3", "weight": "relative"},
+            "rods": {"count": int(sums.count.sum()), **counts_by_name(sums.status), "stable": sums.stable},
+            **self.competition,
+            "rods_at_best": {**status_counts(rods["status"]), "stable": int(rods["stable"].sum())},
+            "cells": self.grid.size,
+            "grid": self.grid.as_dict(),
+            **jumps,
+        }
+
+
+@dataclass(frozen=True)
+class Overview(Summed):
+    """A run's sums alone: memory grows with G + N, not with G · N."""
+
+    sums: CellSums
+    rods_of: Callable[[int], dict[str, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Landscape(Summed):
+    """A run rod by rod.
+
+    distance          (G, N) Eq. 1 in mm, NaN for a rod that has no configuration
+    status            (G, N) Status
+    stable            (G, N) certified minima
+    observation       (N,) the observation that each term compares with: y of Eq. 3
+    from_observation  (N,) the one that it starts from, x of Eq. 3: under Eq. 2 the same
+    weight            (N,) w_xy, above zero; ones under Eq. 2
+    end_distance, end_rotation  (N,) labels of ``observation`` in mm and degrees, NaN where unknown
+    jumps             (G, N) sub-steps in which a rod jumped to another branch, None under Eq. 2
+    """
+
     distance: np.ndarray
     status: np.ndarray
     stable: np.ndarray
@@ -59,46 +138,23 @@ class Landscape:
         return is_sound(self.distance, self.status, self.stable)
 
     @cached_property
-    def overview(self) -> Overview:
-        """The same, summed up over the rods of each cell."""
+    def sums(self) -> CellSums:
+        """Over the rods of each cell."""
         cells, terms = self.distance.shape
         sums = CellSums(cells, terms)
+        step = max(1, RODS_AT_ONCE // terms)
+        for first in range(0, cells, step):
+            block = {name: column.reshape(-1) for name, column in self.rods_of(slice(first, first + step)).items()}
+            cell, term = np.divmod(np.arange(len(block["status"])), terms)
+            sums.add(first + cell, term, block)
+        return sums
+
+    def rods_of(self, cell: int | slice) -> dict[str, np.ndarray]:
+        """Columns of the rods of one cell (n,), or of some (c, n), by name."""
         columns = {"distance_mm": self.distance, "status": self.status, "stable": self.stable}
         if self.jumps is not None:
             columns |= {"jumps": self.jumps, "pair_weight": np.broadcast_to(self.weight, self.distance.shape)}
-        step = max(1, RODS_AT_ONCE // terms)
-        for first in range(0, cells, step):
-            block = {name: column[first:first + step].reshape(-1) for name, column in columns.items()}
-            cell, term = np.divmod(np.arange(len(block["status"])), terms)
-            sums.add(first + cell, term, block)
-        return Overview(self.run, self.name, self.grid, self.objective, sums,
-                        lambda cell: {name: column[cell] for name, column in columns.items()})
-
-    @property
-    def compared(self) -> np.ndarray:
-        """(N,) bool: terms whose rod is sound in some cell. The others say nothing and are left out."""
-        return self.overview.sums.compared
-
-    @property
-    def unsound(self) -> np.ndarray:
-        """(G,) rods of the compared terms that are not sound: cells with any do not compete."""
-        return self.overview.unsound
-
-    @property
-    def mean_distance(self) -> np.ndarray:
-        """(G,) Eq. 2 or 3 over the compared terms, mm; NaN in cells that do not compete, since not all these rods are sound."""
-        return self.overview.mean_distance
-
-    @property
-    def distance_of_sound(self) -> np.ndarray:
-        """(G,) the same over the compared terms that are sound in each cell; NaN where none is. Cells are not comparable by
-        it."""
-        return self.overview.sums.distance_of_sound
-
-    @property
-    def best(self) -> int:
-        """The competing cell with the smallest mean distance. Raises InputError where none competes."""
-        return self.overview.best
+        return {name: column[cell] for name, column in columns.items()}
 
 
 def read_landscape(run: Path) -> Landscape:
@@ -128,7 +184,47 @@ def gather_landscape(run: Path, grid: Grid, name: str, identity: str | None) -> 
         for column, table in per_term.items():
             table[term] = columns[column]
     return Landscape(
-        run=run, name=name, grid=grid, objective="dynamic" if terms.dynamic else "static", distance=found["distance_mm"],
-        status=found["status"], stable=found["stable"], observation=terms.observation, from_observation=terms.from_observation,
+        run=run, name=name, grid=grid, objective=terms.objective, distance=found["distance_mm"], status=found["status"],
+        stable=found["stable"], observation=terms.observation, from_observation=terms.from_observation,
         weight=per_term.get("pair_weight", np.ones(shape[1])), end_distance=per_term[LABELS[0]],
         end_rotation=per_term[LABELS[1]], jumps=found.get("jumps"))
+
+
+def gather_overview(run: Path, grid: Grid, name: str, identity: str | None) -> Overview:
+    """The overview of the stored cells of ``run``; ``identity`` and errors as :func:`gather_landscape`."""
+    paths = cell_files(run, identity)
+    terms = terms_in(paths)
+    return _overview(run, grid, name, terms, whole_rods_in(run, paths, grid, terms))
+
+
+def gather_part(run: Path, grid: Grid, name: str, identity: str, part: str) -> Overview:
+    """The overview of those cells that an unfinished sweep has stored in the folder ``part``; of several hypotheses about a
+    term the nearest sound rod counts in each cell."""
+    paths = cell_files(run, identity, part)
+    terms = terms_in(paths)
+
+    def nearest(path, cell, term, columns):
+        distance = columns["distance_mm"]
+        sound = is_sound(distance, columns["status"], columns["stable"])
+        order = np.lexsort((distance, ~sound, term, cell))
+        rod = cell[order] * np.int64(len(terms.key)) + term[order]
+        rows = order[np.diff(rod, prepend=-1) > 0]
+        return path, cell[rows], term[rows], {name: column[rows] for name, column in columns.items()}
+
+    return _overview(run, grid, name, terms, (nearest(*found) for found in rods_in(paths, grid, terms)))
+
+
+def _overview(run: Path, grid: Grid, name: str, terms: Terms, files: Iterable[tuple]) -> Overview:
+    """The overview of the rods in ``files``, as :func:`doo_ti.learning.chunks.rods_in` gives them."""
+    sums, spans = CellSums(grid.size, len(terms.key)), {}
+    for path, cell, term, columns in files:
+        sums.add(cell, term, columns)
+        spans[path] = cell.min(), cell.max()
+
+    def rods_of(wanted: int) -> dict[str, np.ndarray]:
+        names = (*RODS, "jumps") if terms.dynamic else RODS
+        paths = [path for path, (first, last) in spans.items() if first <= wanted <= last]
+        found = [(columns, cell == wanted) for _, cell, _, columns in rods_in(paths, grid, terms)]
+        return {name: np.concatenate([columns[name][own] for columns, own in found]) for name in names}
+
+    return Overview(run, name, grid, terms.objective, sums, rods_of)

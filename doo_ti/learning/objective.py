@@ -1,67 +1,89 @@
-"""F as the objectives call for it: from the observation under Eq. 2, carried from one to another under Eq. 3 (§III-E).
+r"""The objective over Θ: Eqs. 2 and 3 of §III-E, summed over the relaxed rods of each grid cell.
 
-Axes: G materials, H hypotheses of all observations, N rods of each material under Eq. 3, R = G·N rods, material by material.
+    Eq. 2, static     f(Θ) = Σ_x    w_x  d(Γ̃^x,  Γ^x) / Σ_x    w_x       Γ̃^x  = F(Γ^x, E_Θ, C^x),   w_x = 1
+    Eq. 3, dynamic    f(Θ) = Σ_{xy} w_xy d(Γ̃^xy, Γ^y) / Σ_{xy} w_xy      Γ̃^xy = F(Γ̃^x, E_Θ, C^y)
+
+Γ^x are the observations and C^x their clamps, d is Eq. 1 in mm (:mod:`doo_ti.metric`), and F relaxes a rod
+(:mod:`doo_ti.learning.cells`). A term is an observation x under Eq. 2, and a pair (x, y) under Eq. 3: its clamps move from C^x
+to C^y. Both are divided by the sum of the weights, so that f is a mean distance in mm; the smallest f is where it was. Only
+certified minima are compared: a rod that did not converge says nothing about Θ.
+
+Axes: G grid cells, N terms, n rods that are added at once.
 """
-
-from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.learning.experiment import Experiment
-from doo_ti.learning.hypotheses import started
-from doo_ti.metric import distance
-from doo_ti.motion.journey import Journey
-from doo_ti.motion.path import motion_between
-from doo_ti.relaxation.relax import relax
-from doo_ti.types import Configuration, Material, Solution, lasting
-
-RESULTS = ("energy", "residual", "iterations", "status", "stable", "precision")
-"""What a row tells of a solution."""
+from doo_ti.types import Status
 
 
-def relaxed(experiment: Experiment, materials: Material) -> Solution:
-    """Γ̃ of Eq. 2: each hypothesis under each of the materials, G·H rods."""
-    options, observations = experiment.options, experiment.observations
-    starts, clamps = started(observations, experiment.clamps, experiment.hypotheses)
-    of_material, hypothesis = np.divmod(np.arange(materials.count * starts.count), starts.count)
-    return relax(starts, materials, clamps, options.solver, up=observations.up, precision=options.precision,
-                 configuration_index=hypothesis, material_index=of_material)
+class CellSums:
+    """Both sums of Eq. 2 or 3 for each cell. Rods are added in portions of any size and order; memory grows with G + N, not
+    with G · N.
+
+    weight   (N,) w_xy of the terms whose rods were added, ones under Eq. 2
+    compared (N,) bool: terms whose rod is sound in some cell. The others are left out of the sums in all cells
+    count    (G,) rods added
+    status   (S,) rods of each Status
+    stable   certified rods; jumped: rods that jumped to another branch
+    """
+
+    def __init__(self, cells: int, terms: int):
+        self.weight, self.compared = np.ones(terms), np.zeros(terms, dtype=bool)
+        self.count, self._sound = np.zeros(cells, dtype=np.int32), np.zeros(cells, dtype=np.int32)
+        self._distance, self._weight = np.zeros(cells), np.zeros(cells)
+        self.status = np.zeros(len(Status), dtype=np.int64)
+        self.stable = self.jumped = 0
+
+    def add(self, cell: np.ndarray, term: np.ndarray, rods: dict[str, np.ndarray]) -> None:
+        """Add rods (n,) of cells and terms; ``rods`` holds the columns of a sweep's files by name.
+
+        The rods of a cell are added in the order of their terms, whatever order they are given in.
+        """
+        order = np.argsort(cell * np.int64(len(self.weight)) + term, kind="stable")
+        cell, term = cell[order], term[order]
+        distance, status, stable = (rods[name][order] for name in ("distance_mm", "status", "stable"))
+        if "pair_weight" in rods:
+            self.weight[term] = rods["pair_weight"][order]
+            self.jumped += int((rods["jumps"] > 0).sum())
+        self.status += np.bincount(status, minlength=len(self.status))
+        self.stable += int(stable.sum())
+        np.add.at(self.count, cell, 1)
+        sound = is_sound(distance, status, stable)
+        cell, term = cell[sound], term[sound]
+        self.compared[term] = True
+        np.add.at(self._sound, cell, 1)
+        np.add.at(self._distance, cell, distance[sound] * self.weight[term])  # Σ w_xy d
+        np.add.at(self._weight, cell, self.weight[term])                      # Σ w_xy
+
+    @property
+    def unsound(self) -> np.ndarray:
+        """(G,) rods of the compared terms that are not sound: cells with any do not compete. Zero in cells without rods."""
+        return np.where(self.count > 0, self.compared.sum() - self._sound, 0)
+
+    @property
+    def mean_distance(self) -> np.ndarray:
+        """(G,) f(Θ) in mm over the compared terms; NaN in cells that do not compete, where not all these rods are sound."""
+        # A sound rod is of a compared term: where their numbers are equal, the sums run over all compared terms.
+        whole = (self._sound == self.compared.sum()) & (self._sound > 0)
+        return np.divide(self._distance, self.weight[self.compared].sum(), out=np.full(len(whole), np.nan), where=whole)
+
+    @property
+    def distance_of_sound(self) -> np.ndarray:
+        """(G,) the same over those compared terms that are sound in the cell; NaN where none is. Cells are not comparable by
+        it."""
+        return np.divide(self._distance, self._weight, out=np.full(len(self._weight), np.nan), where=self._weight > 0)
 
 
-def carried(experiment: Experiment, materials: Material) -> tuple[Solution, np.ndarray, np.ndarray]:
-    """Γ̃ of Eq. 3, R rods, how often each of them jumped (R,), and how far off it was where it set out (R,), Eq. 1 in mm."""
-    begin, rows = _relaxed_once(experiment, materials)
-    solution, jumps = journey(experiment, materials).end(begin.configuration.take(rows))
-    first = np.tile(experiment.hypotheses.observation, materials.count)
-    off = distance(begin.configuration, experiment.observations, first, experiment.options.frame_weight)
-    status, iterations = lasting(begin.status[rows], solution.status), begin.iterations[rows] + solution.iterations
-    return replace(solution, status=status, iterations=iterations), jumps, off[rows]
+def is_sound(distance: np.ndarray, status: np.ndarray, stable: np.ndarray) -> np.ndarray:
+    """Whether rods converged to certified minima. The distance of any other rod means nothing, be it small or large."""
+    return (status == Status.CONVERGED) & stable & np.isfinite(distance)
 
 
-def sub_steps(experiment: Experiment, material: Material) -> Iterator[tuple[Configuration, np.ndarray, np.ndarray, np.ndarray]]:
-    """Configuration, energy, residual and status (N,) of the rods of Eq. 3 under one material: where they set out, after each
-    sub-step, and at the end."""
-    begin, rows = _relaxed_once(experiment, material)
-    there = begin.configuration.take(rows)
-    yield there, begin.energy[rows], begin.residual[rows], begin.status[rows]
-    for solution in journey(experiment, material).follow(there):
-        yield solution.configuration, solution.energy, solution.residual, solution.status
+def status_counts(status: np.ndarray) -> dict[str, int]:
+    """Number of rods of each status that occurs, by its name."""
+    return counts_by_name(np.bincount(np.ravel(status), minlength=len(Status)))
 
 
-def journey(experiment: Experiment, materials: Material) -> Journey:
-    """The ways from C^x to C^y of the pairs, once for each hypothesis of x."""
-    pairs, options, observations = experiment.pairs, experiment.options, experiment.observations
-    hypothesis, term = experiment.rods
-    _, clamps = started(observations, experiment.clamps, experiment.hypotheses)
-    rotation = None if pairs.rotation is None else pairs.rotation[term]
-    motion = motion_between(clamps.take(hypothesis), experiment.clamps.take(pairs.to_index[term]), rotation)
-    return Journey(motion, materials, options.sub_step, observations.rest_length, observations.up, options.solver,
-                   options.precision)
-
-
-def _relaxed_once(experiment: Experiment, materials: Material) -> tuple[Solution, np.ndarray]:
-    """The rods relaxed where they set out, each (material, hypothesis) once, and rows (R,) of these."""
-    hypothesis, _ = experiment.rods
-    rows = np.arange(materials.count)[:, None] * experiment.hypotheses.count + hypothesis
-    return relaxed(experiment, materials), rows.ravel()
+def counts_by_name(counts: np.ndarray) -> dict[str, int]:
+    """The same from the number of rods of each Status."""
+    return {kind.name.lower(): int(counts[kind]) for kind in Status if counts[kind]}

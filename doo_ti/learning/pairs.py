@@ -1,30 +1,28 @@
-"""Pairs of observations, the terms of Eq. 3: from Γ^x the clamps are carried to C^y, with the weight w_xy (§III-E).
+"""Pairs of observations, the terms of Eq. 3: from Γ^x the clamps move to C^y, with the weight w_xy (§III-E).
 
 Axes: P pairs.
 """
 
-import csv
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.io.csv_table import read_csv
-from doo_ti.io.files import write_text
+from doo_ti.io.arrays import read_arrays
+from doo_ti.io.files import write_whole
 from doo_ti.io.observations import Observations
 from doo_ti.types import Clamp, Clamps
 
 APART_DEG = 120.0
-"""How far apart the end rotations of the paper's pairs are (footnote 7)."""
+"""Difference of the end rotations of the paper's pairs (footnote 7)."""
 SAME = 1e-6
 """Labels closer than this, in mm or degrees, are the same."""
 HALF_TURN = np.radians(1.0)
-"""Frames that differ by half a turn but for this much do not say which way they turned."""
+"""rad: two frames that differ by half a turn, to within this, do not determine the direction of the turn."""
 MOST_TURNS = 100
-"""Of the end, from one observation of a pair to the other."""
-NEEDED, OPTIONAL = ("from", "to"), ("weight", "rotation_deg")
+"""Of the far clamp, from one observation of a pair to the other."""
+COLUMNS = ("from", "to", "weight", "rotation_deg")
 
 
 @dataclass(frozen=True)
@@ -32,10 +30,10 @@ class Pairs:
     """The motions of Eq. 3.
 
     from_index  (P,) x: the observation that a rod starts from
-    to_index    (P,) y: the one it is carried to and compared with
+    to_index    (P,) y: the one at which it ends, and with which it is compared
     weight      (P,) w_xy, zero or more: a pair of weight zero is not run
-    rotation    (P,) rad, how far the end frame turned on the way, whole turns included, or None: the shortest way
-    source      where they come from, for messages
+    rotation    (P,) rad by which the far frame turned, whole turns included, or None: the shortest rotation
+    source      file or other origin, for messages
 
     Raises InputError for a pair of an observation with itself, one given twice, and weights that are negative or all zero.
     """
@@ -65,7 +63,7 @@ class Pairs:
         if len(wrong):
             raise InputError(self.source, "weight", f"{self.weight[wrong[0]]:g} of pair {wrong[0]}", "give zero or more")
         if not (self.weight > 0).any():
-            raise InputError(self.source, "weight", "all are zero", "give at least one pair some weight")
+            raise InputError(self.source, "weight", "all are zero", "give at least one pair a positive weight")
         if self.rotation is not None and not (np.abs(self.rotation) <= 2 * np.pi * MOST_TURNS).all():
             raise InputError(self.source, "rotation_deg", f"not finite, or more than {MOST_TURNS} turns",
                              "give degrees for each pair, or leave the column out")
@@ -77,43 +75,51 @@ class Pairs:
 
     @property
     def weighted(self) -> "Pairs":
-        """Those with a weight above zero."""
+        """The pairs with a weight above zero."""
         some = self.weight > 0
         rotation = None if self.rotation is None else self.rotation[some]
         return Pairs(self.from_index[some], self.to_index[some], self.weight[some], rotation, self.source)
 
 
 def pairs_from_labels(observations: Observations) -> Pairs:
-    """The paper's pairs (footnote 7): the same end distance, end rotations 120° apart, not counted around the circle, in both
-    directions, each of weight one. Raises InputError where the labels are missing or hold no such pair."""
+    """The paper's pairs (footnote 7): equal end distances, end rotations that differ by 120° (300° and 60° do not), in both
+    directions, each of weight one. Raises InputError where the labels are missing or contain no such pair."""
     distance, rotation = observations.end_distance, observations.end_rotation
     for key, label in (("end_distance_mm", distance), ("end_rotation_deg", rotation)):
         if label is None:
             raise InputError(observations.source, key, "missing, so that there are no pairs for the dynamic objective",
-                             "add the labels, or give `pairs`")
+                             "add the labels, or give pairs")
     same = np.abs(distance[:, None] - distance) < SAME
     apart = np.abs(np.abs(rotation[:, None] - rotation) - APART_DEG) < SAME
     x, y = np.nonzero(same & apart)
     if not len(x):
         raise InputError(observations.source, "end_rotation_deg",
                          f"no two observations of the same end distance are {APART_DEG:g} degrees apart",
-                         "give `pairs`")
+                         "give pairs")
     return Pairs(x, y, np.ones(len(x)), np.radians(rotation[y] - rotation[x]), f"labels of {observations.source}")
 
 
 def load_pairs(path: Path, observations: Observations) -> Pairs:
     """The pairs of a CSV file with the columns ``from,to[,weight][,rotation_deg]``, rows of ``observations``.
 
-    Without weights each has weight one; without rotations the end turned by what the labels ``end_rotation`` differ, where
-    there are such. Raises InputError for unreadable files, other columns, entries that are no numbers or no rows, and for
-    whatever :class:`Pairs` refuses.
+    Without weights each pair has weight one; without rotations the far frame turned by the difference of the labels
+    ``end_rotation``, if observations have them. Raises InputError for unreadable files, other columns, entries that are no
+    numbers or no rows, and as :class:`Pairs` does.
     """
-    table = read_csv(Path(path), NEEDED, OPTIONAL, form=f"{','.join(NEEDED)}[,{'][,'.join(OPTIONAL)}]")
-    x, y = (table.whole(name) for name in NEEDED)
-    for name, rows in zip(NEEDED, (x, y), strict=True):
-        table.refuse(name, (rows < 0) | (rows >= observations.count), "is not an observation",
-                     f"give whole numbers from 0 to {observations.count - 1}")
-    columns = {name: table.numbers(name) for name in OPTIONAL if name in table.columns}
+    if Path(path).suffix != ".csv":
+        raise InputError(path, "file", f"suffix {Path(path).suffix!r}", "name a .csv file")
+    columns = read_arrays(path, {name: ((), (name,)) for name in COLUMNS})
+    ends = []
+    for name in COLUMNS[:2]:
+        if name not in columns:
+            raise InputError(path, name, "the column is missing", "give the columns from,to[,weight][,rotation_deg]")
+        rows = columns[name]
+        wrong = np.flatnonzero(~((rows >= 0) & (rows < observations.count) & (rows == np.floor(rows))))
+        if len(wrong):
+            raise InputError(path, name, f"{rows[wrong[0]]:g} in line {wrong[0] + 2} is no observation",
+                             f"give whole numbers from 0 to {observations.count - 1}")
+        ends.append(rows.astype(np.int64))
+    x, y = ends
     rotation = None
     if "rotation_deg" in columns:
         rotation = np.radians(columns["rotation_deg"])
@@ -124,18 +130,16 @@ def load_pairs(path: Path, observations: Observations) -> Pairs:
 
 def save_pairs(path: Path, pairs: Pairs) -> None:
     """Write ``pairs`` to a CSV file that :func:`load_pairs` reads."""
-    names, columns = ["from", "to", "weight"], [pairs.from_index, pairs.to_index, pairs.weight]
+    columns = [pairs.from_index, pairs.to_index, pairs.weight]
     if pairs.rotation is not None:
-        names, columns = [*names, "rotation_deg"], [*columns, np.degrees(pairs.rotation)]
-    text = StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows(zip(*(column.tolist() for column in columns), strict=True))
-    write_text(Path(path), text.getvalue())
+        columns.append(np.degrees(pairs.rotation))
+    rows = [COLUMNS[:len(columns)], *zip(*(column.tolist() for column in columns), strict=True)]
+    text = "".join(",".join(map(str, row)) + "\n" for row in rows)
+    write_whole(Path(path), lambda file: file.write(text.encode()))
 
 
 def check_ways(pairs: Pairs, clamps: Clamps) -> None:
-    """Raise InputError where an end turns by half a turn, so that its frames do not say which way, and nothing else does.
+    """Raise InputError where a clamp turns by half a turn, and neither its frames nor a rotation determine the direction.
 
     clamps  (D) of the observations
     """
@@ -152,4 +156,5 @@ def check_ways(pairs: Pairs, clamps: Clamps) -> None:
         if len(unclear):
             x, y = pairs.from_index[unclear[0]], pairs.to_index[unclear[0]]
             remedy = "give rotation_deg, or end_rotation_deg" if name == "end" else "leave the pair out"
-            raise InputError(pairs.source, "from, to", f"from {x} to {y} the {name} turns by half a turn, either way", remedy)
+            raise InputError(pairs.source, "from, to",
+                             f"from {x} to {y} the {name} turns by half a turn, which has two directions", remedy)

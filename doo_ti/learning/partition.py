@@ -11,16 +11,16 @@ from doo_ti.errors import InputError
 from doo_ti.learning.landscape import Landscape
 
 FACTORS = ("material", "objective", "end-distance")
-"""What runs can be partitioned by, in the order in which a table's rows run."""
+"""What runs can be partitioned by, in the order in which a table lists it."""
 
 
 @dataclass(frozen=True)
 class Part:
     """Some terms of a landscape: one row and one column of a table.
 
-    label      how the table calls it, such as ``nylon 30 mm``
-    landscape  what was measured
-    terms      (N,) which of its terms
+    label      its name in the table, such as ``nylon 30 mm``
+    landscape  the run that it is a part of
+    terms      (N,) indices of the run's terms
     """
 
     label: str
@@ -29,7 +29,7 @@ class Part:
 
     @property
     def ends(self) -> np.ndarray:
-        """(N, 2) the observations of each term: where it starts and what it is compared with."""
+        """(N, 2) the observations of each term: the one it starts from, and the one it is compared with."""
         return np.stack([self.landscape.from_observation[self.terms], self.landscape.observation[self.terms]], axis=-1)
 
     @property
@@ -42,7 +42,7 @@ class Part:
         return self.landscape.sound[cells, self.terms]
 
     def jumped(self, cells: np.ndarray | int) -> np.ndarray:
-        """(N,) whether the rod of each term fell to another branch on its way, in those cells; never under Eq. 2."""
+        """(N,) whether the rod of each term jumped to another branch, in those cells; never under Eq. 2."""
         jumps = self.landscape.jumps
         return np.zeros(len(self.terms), dtype=bool) if jumps is None else jumps[cells, self.terms] > 0
 
@@ -52,7 +52,7 @@ class Partition:
     """The rows and columns of one table.
 
     by          the factors in which the parts differ
-    within      what is the same in all parts, such as ``static``
+    within      the value of the other factors, the same in all parts, such as ``static``
     parts       two or more, over one grid
     unlabelled  terms that are in no part because their end distance is unknown
     """
@@ -64,8 +64,8 @@ class Partition:
 
 
 def check_comparable(landscapes: list[Landscape]) -> None:
-    """Raise InputError unless all are over one grid, no two of one material and objective, and those of one material of
-    the same observations, as far as their end distances tell."""
+    """Raise InputError unless all have the same grid, no two the same material and objective, and those of one material the
+    same observations, judged by their numbers and end distances."""
     seen: dict[tuple[str, str], Landscape] = {}
     for landscape in landscapes:
         if landscape.grid.as_dict() != landscapes[0].grid.as_dict():
@@ -73,7 +73,7 @@ def check_comparable(landscapes: list[Landscape]) -> None:
                              "sweep all runs over the same axes")
         twin = seen.get((landscape.name, landscape.objective))
         if twin:
-            raise InputError(landscape.run, "material", f"{landscape.objective} {landscape.name}, as {twin.run} is",
+            raise InputError(landscape.run, "material", f"{landscape.objective} {landscape.name}, like {twin.run}",
                              "give one run of each material and objective")
         seen[landscape.name, landscape.objective] = landscape
     for (name, objective), landscape in seen.items():
@@ -84,9 +84,9 @@ def check_comparable(landscapes: list[Landscape]) -> None:
 
 
 def usual_factors(landscapes: list[Landscape]) -> list[tuple[str, ...]]:
-    """The factors of each table that these runs make: the paper's, less the factors in which the runs do not differ.
+    """The factors of each table that these runs allow: the paper's, without the factors in which the runs do not differ.
 
-    By end distance only where the labels group the observations: on average two or more of each distance.
+    End distance is a factor only where the labels group the observations: on average two or more of each distance.
     """
     objectives = [landscape.objective for landscape in landscapes]
     labels = [landscape.end_distance[~np.isnan(landscape.end_distance)] for landscape in landscapes]
@@ -98,15 +98,14 @@ def usual_factors(landscapes: list[Landscape]) -> list[tuple[str, ...]]:
 
 
 def partition(landscapes: list[Landscape], by: tuple[str, ...], end_distances: tuple[float, ...] = ()) -> list[Partition]:
-    """The tables by some factors: one for each material and objective that is not among them, of the runs that differ in those
-    that are.
+    """The tables by some factors: one for each value of the other factors, of the runs that differ in these.
 
     by             some of FACTORS
-    end_distances  mm, those to select where ``by`` holds them; none: all that occur
+    end_distances  mm, those to select where ``by`` names end-distance; none: all that occur
 
-    Beside a dynamic objective a static one keeps the observations that occur in pairs (Table III). A pair belongs to the
-    end distance of the observation it is compared with. Raises InputError as :func:`check_comparable` does, for unknown
-    factors, for end distances that no observation has, and where no two parts differ as asked.
+    In a table of both objectives a static run keeps only the observations that occur in pairs (Table III). A pair belongs to
+    the end distance of the observation it is compared with. Raises InputError as :func:`check_comparable` does, for unknown
+    factors, for end distances that no observation has, and where there are not two parts.
     """
     check_comparable(landscapes)
     by = _ordered(by)
@@ -147,8 +146,8 @@ def _value(landscape: Landscape, factor: str) -> str:
 
 
 def _groups(landscapes: list[Landscape], by: tuple[str, ...]) -> dict[str, list[Landscape]]:
-    """The landscapes of each table by what its parts share, materials in the order given, static before dynamic; only where
-    they differ in each factor of ``by``."""
+    """The landscapes of each table by what its parts share, materials in the order given, static before dynamic; tables whose
+    landscapes do not differ in each factor of ``by`` are left out."""
     fixed = [factor for factor in ("material", "objective") if factor not in by]
     materials = list(dict.fromkeys(landscape.name for landscape in landscapes))
     groups: dict[str, list[Landscape]] = {}
@@ -160,7 +159,7 @@ def _groups(landscapes: list[Landscape], by: tuple[str, ...]) -> dict[str, list[
 
 
 def _end_distances(landscapes: list[Landscape], wanted: tuple[float, ...]) -> list[float]:
-    """``wanted``, or all, upwards. Raises InputError where no observation has one of them, or none has any."""
+    """``wanted``, or all that occur, ascending. Raises InputError for one that no observation has, and where none has any."""
     labels = np.concatenate([landscape.end_distance for landscape in landscapes])
     present = np.unique(labels[~np.isnan(labels)])
     if not len(present):
@@ -174,7 +173,7 @@ def _end_distances(landscapes: list[Landscape], wanted: tuple[float, ...]) -> li
 
 
 def _terms_beside(landscape: Landscape, others: list[Landscape]) -> np.ndarray:
-    """The terms of a landscape; of a static one beside a dynamic one of its material those that occur in pairs."""
+    """The terms of a landscape; of a static one, with a dynamic one of its material beside it, those that occur in pairs."""
     terms = np.arange(len(landscape.observation))
     if landscape.objective == "static":
         for other in others:

@@ -1,11 +1,11 @@
-"""The folder of a run: whose it is, its cells chunk by chunk, where its numbers come from, and the experiment itself.
+"""The folder of a run: which sweep it belongs to, and the experiment from which its cells can be computed again.
 
-    RUN/observations.npz, RUN/pairs.csv   what was observed, and the pairs of Eq. 3
+    RUN/observations.npz, RUN/pairs.csv   the observations, and the pairs of Eq. 3
     RUN/hypotheses/*.parquet              a row for each hypothesis, where there are several, until they are resolved
     RUN/cells/*.parquet                   one row per cell and observation, or pair
     RUN/cells/identity.txt, plan.json     which sweep claimed the folder; its grid and options, for `view` until it is finished
 
-A chunk's file is written whole or not at all, so a sweep that was stopped finds what it had.
+Files are written whole or not at all, so a sweep that was stopped can resume.
 """
 
 import hashlib
@@ -28,16 +28,23 @@ from doo_ti.io.files import MOST_TEXT_BYTES, read_content, remove_leftovers, wri
 from doo_ti.io.observations import load_observations, save_observations
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
-from doo_ti.learning.maker import maker, maker_text
 from doo_ti.learning.pairs import load_pairs, save_pairs
-from doo_ti.learning.summary import changed_files, check_cells, read_summary, read_table, sweep_identity
+from doo_ti.learning.summary import (
+    changed_files,
+    check_cells,
+    maker,
+    maker_text,
+    read_summary,
+    read_table,
+    sweep_identity,
+)
 from doo_ti.types import Clamp
 
 OBSERVATIONS, PAIRS, IDENTITY, PLAN = "observations.npz", "pairs.csv", "identity.txt", "plan.json"
 
 
 def identity_of(experiment: Experiment, *more) -> str:
-    """sha256 of everything the cells depend on, who makes them too."""
+    """sha256 of everything that cells depend on, their maker included."""
     digest = hashlib.sha256()
     for content in (experiment.observations, experiment.pairs, experiment.hypotheses):
         for field in () if content is None else fields(content):
@@ -49,16 +56,16 @@ def identity_of(experiment: Experiment, *more) -> str:
 
 
 def claim(run: Path, identity: str, experiment: Experiment) -> None:
-    """Make the folder this sweep's, or raise InputError where it holds another one's cells; of sweeps that begin at one moment
-    one gets it. What killed processes left half written goes."""
+    """Claim the folder for this sweep. Raises InputError where it holds another sweep's cells; of sweeps that begin at the same
+    time one gets the folder. Partial files of killed processes are removed."""
     path, made = run / "cells" / IDENTITY, maker_text(maker())
     for folder in (run, path.parent, run / "hypotheses"):
         remove_leftovers(folder)
     if not path.exists():
-        if not _is_free(run) and not path.exists():  # looked at again: another process may have claimed and filled it
+        if not _is_free(run) and not path.exists():  # checked again: another process may have claimed and filled it
             raise InputError(run, "run", "the folder holds something else than a sweep", "name another folder")
         path.parent.mkdir(parents=True, exist_ok=True)
-        with suppress(FileExistsError):  # another process was faster: whose the folder is now is seen below
+        with suppress(FileExistsError):  # another process was faster: the identity is compared below
             write_whole(path, lambda file: file.write(f"{identity}\n{made}\n".encode()), first=True)
     found, _, by = read_content(path, MOST_TEXT_BYTES, "name another folder").decode(errors="replace").strip().partition("\n")
     if found != identity:
@@ -80,7 +87,7 @@ def _save_text(path: Path, text: str) -> None:
 
 
 def _save_once(path: Path, save, content) -> None:
-    """Have ``save`` write ``content``, and again where a file that is there holds something else: it was torn, or changed."""
+    """Have ``save`` write ``content``, unless the file holds exactly that: an incomplete or changed file is replaced."""
     if path.is_file():
         with TemporaryDirectory() as folder:
             own = Path(folder) / path.name
@@ -91,18 +98,14 @@ def _save_once(path: Path, save, content) -> None:
 
 
 def _is_free(run: Path) -> bool:
-    """Whether a folder holds nothing but what a claim leaves that came to no end."""
+    """Whether a folder holds nothing but what an interrupted claim leaves."""
     cells = run / "cells"
-    return all(path == cells for path in _inside(run)) and all(path.name.startswith(f".{IDENTITY}.") for path in _inside(cells))
-
-
-def _inside(folder: Path) -> list[Path]:
-    return list(folder.iterdir()) if folder.exists() else []
+    return all(path == cells or (path.parent == cells and path.name.startswith(f".{IDENTITY}.")) for path in run.rglob("*"))
 
 
 def finished(run: Path, identity: str) -> dict | None:
-    """The summary of a sweep that was finished before, or None where it, or a picture or recording, is gone or damaged: they
-    are made again from the cells. Raises InputError where cells are."""
+    """The summary of a sweep that was finished before, or None where the summary, a picture or a recording is missing or
+    damaged: they are written again from the cells. Raises InputError where cells are missing or damaged."""
     try:
         summary = read_summary(run)
     except InputError:
@@ -116,12 +119,12 @@ def finished(run: Path, identity: str) -> dict | None:
 
 
 def read_experiment(run: Path) -> Experiment:
-    """The experiment of a finished sweep, from its folder alone: with each observation's resolved hypothesis, so that its
-    cells come out as they are stored. Raises InputError where the folder holds none."""
+    """The experiment of a finished sweep, from its folder alone, with each observation's resolved hypothesis, so that it gives
+    the stored cells again. Raises InputError where the folder holds none."""
     summary = read_summary(run)
     for name in changed_files(Path(run), summary, (OBSERVATIONS, PAIRS)):
         raise InputError(Path(run) / name, "file", "gone, or not what the sweep wrote",
-                         "run the sweep again: it is made anew")
+                         "run the sweep again, which writes it")
     return _experiment(Path(run), Path(run) / "summary.json", summary)
 
 
@@ -138,14 +141,12 @@ def read_plan(run: Path) -> tuple[Experiment, str]:
 def _experiment(run: Path, path: Path, described: dict) -> Experiment:
     """The experiment that ``path``, a summary or a plan, describes."""
     try:
-        told = described["provenance"]
-        options = SweepOptions.from_dict(told["options"])
-        options = replace(options, seed=told["seed"])
-        kept = described["hypotheses"]
-        hypotheses = None if kept is None else Hypotheses.from_dict(kept["kept"])
-        material, digest = described["material"], told["input_sha256"]
+        inputs, resolution = described["provenance"], described["hypotheses"]
+        options = replace(SweepOptions.from_dict(inputs["options"]), seed=inputs["seed"])
+        hypotheses = None if resolution is None else Hypotheses.from_dict(resolution["kept"])
+        material, digest = described["material"], inputs["input_sha256"]
     except InputError as error:
-        raise InputError(path, error.field, "is none that a sweep can have", "run the sweep again") from None
+        raise InputError(path, error.field, "not a value that a sweep can have", "run the sweep again") from None
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(path, "file", "does not describe a sweep", "run the sweep again") from None
     observations = replace(load_observations(run / OBSERVATIONS), name=material, sha256=digest)
@@ -154,7 +155,7 @@ def _experiment(run: Path, path: Path, described: dict) -> Experiment:
 
 
 def _inputs(experiment: Experiment) -> dict:
-    """What a sweep was given beside its grid, as JSON holds it."""
+    """A sweep's input besides its grid, as JSON holds it."""
     observations, clamps = experiment.observations, experiment.clamps
     return {
         "input": Path(observations.source).name,
@@ -166,7 +167,7 @@ def _inputs(experiment: Experiment) -> dict:
 
 
 def provenance(experiment: Experiment, identity: str, command) -> dict:
-    """What a reader needs to get the same numbers again."""
+    """All that is needed to compute the same numbers again, as JSON holds it."""
     packages = ("taichi", "numpy", "rerun-sdk", "pyarrow")
     return {
         "command": list(command),

@@ -1,7 +1,7 @@
-"""Tables of leave-one-out scores for a person, a page and a machine: aligned text, Markdown, CSV and JSON (Tables I to III).
+"""Tables of leave-one-out scores as aligned text, Markdown, CSV and JSON (Tables I to III).
 
 An entry is mean ± standard error in mm. Text marks the best entry of a column with ``*`` (the paper: bold) and those
-within one standard error of it with ``~``; Markdown sets them bold and italic. The diagonal stands in brackets.
+within one standard error of it with ``~``; Markdown sets them bold and italic. The diagonal is in brackets.
 """
 
 import csv
@@ -16,16 +16,16 @@ NUMBERS = {("material",): "Table I", ("material", "end-distance"): "Table II", (
 EQUATIONS = {"static": "static (Eq. 2)", "dynamic": "dynamic (Eq. 3)"}
 
 LISTED = 12
-"""Entries that a note lists, at most."""
+"""Most entries that a note lists."""
 
 
 def file_stem(by: tuple[str, ...]) -> str:
-    """What the files of a partition are called: ``by_material_and_end_distance``."""
+    """Name of a partition's files: ``by_material_and_end_distance``."""
     return "by_" + "_and_".join(factor.replace("-", "_") for factor in by)
 
 
 def caption(scores: Scores) -> str:
-    """One line: the paper's number where it has this table, what the rows and columns are, and what they share."""
+    """One line: the paper's number of this table if it has one, what rows and columns are, and what they have in common."""
     partition = scores.partition
     title = "eave-one-out error by " + " and ".join(factor.replace("-", " ") for factor in partition.by)
     title = f"{NUMBERS[partition.by]}: l{title}" if partition.by in NUMBERS else f"L{title}"
@@ -34,10 +34,8 @@ def caption(scores: Scores) -> str:
 
 
 def text(scores: Scores, width: int) -> str:
-    """The table and the Θ of its training sets, in lines of at most ``width`` characters where columns allow."""
-    marks = np.select([scores.is_best, scores.is_near], ["*", "~"], " ")
-    rows = [[label, *(f"{entry if entry[0] == '[' else f' {entry} '}{mark}" for entry, mark in zip(line, row, strict=True))]
-            for label, line, row in zip(_labels(scores), _figures(scores), marks, strict=True)]
+    """The table and the Θ of its training sets, in lines of at most ``width`` characters if no column is wider."""
+    rows = _rows(scores, ("*", "~", " "), lambda entry, mark: (entry if entry[0] == "[" else f" {entry} ") + mark)
     heads = ["train \\ test", *(f" {label}" for label in _labels(scores))]
     legend = "[ ] trained and tested on the same part   * best of its column   ~ within one standard error of it"
     return "\n".join([caption(scores), "", _aligned(heads, rows, width), "", legend, *notes(scores), "",
@@ -46,9 +44,7 @@ def text(scores: Scores, width: int) -> str:
 
 def markdown(scores: Scores) -> str:
     """The same as Markdown."""
-    marks = np.select([scores.is_best, scores.is_near], ["**", "_"], "")
-    rows = [[label, *(f"{mark}{entry}{mark}" for entry, mark in zip(line, row, strict=True))]
-            for label, line, row in zip(_labels(scores), _figures(scores), marks, strict=True)]
+    rows = _rows(scores, ("**", "_", ""), lambda entry, mark: f"{mark}{entry}{mark}")
     below = ["In brackets: trained and tested on the same part", "**bold**: best of its column",
              "_italic_: within one standard error of it", *notes(scores)]
     return "\n\n".join([f"**{caption(scores)}**", _markdown(["train / test", *_labels(scores)], rows), "; ".join(below) + ".",
@@ -66,7 +62,7 @@ def comma_separated(tables: list[Scores]) -> str:
 
 
 def entries(scores: Scores) -> list[dict]:
-    """One dictionary per entry, row by row: its numbers, and the Θ that its whole training set chooses."""
+    """One dictionary per entry, row by row: its numbers, and the Θ chosen by its whole training set."""
     labels, lines = _labels(scores), []
     for row, train in enumerate(labels):
         theta = _theta(scores, row)
@@ -82,15 +78,15 @@ def entries(scores: Scores) -> list[dict]:
 
 
 def notes(scores: Scores) -> list[str]:
-    """What stands under the table: terms that are in no part, tested terms without a score, rods that are not certified or
+    """Lines below the table: terms that are in no part, tested terms without a score, rods that are not certified or
     jumped."""
     found, labels = [], _labels(scores)
     if scores.partition.unlabelled:
         found.append(f"{scores.partition.unlabelled} terms without an end distance are in no part")
     for what, counts, out_of in (
-            ("left out, for want of a distance or of something to learn from", scores.left_out, scores.left_out + scores.count),
-            ("scored, though no certified minimum at the chosen cell", scores.uncertified, scores.count),
-            ("scored, though fallen to another branch on the way", scores.jumped, scores.count)):
+            ("left out: no distance, or no training terms left", scores.left_out, scores.left_out + scores.count),
+            ("scored, but no certified minimum at the chosen cell", scores.uncertified, scores.count),
+            ("scored, but jumped to another branch", scores.jumped, scores.count)):
         places = np.argwhere(counts)
         listed = [f"{labels[row]} -> {labels[column]} {counts[row, column]} of {out_of[row, column]}"
                   for row, column in places[:LISTED]]
@@ -99,7 +95,7 @@ def notes(scores: Scores) -> list[str]:
         if listed:
             found.append(f"{what}: {', '.join(listed)}")
     if not scores.uncertified.any():
-        found.append("every rod behind the scores is a certified minimum")
+        found.append("every scored rod is a certified minimum")
     return found
 
 
@@ -107,20 +103,21 @@ def _labels(scores: Scores) -> list[str]:
     return [part.label for part in scores.partition.parts]
 
 
-def _figures(scores: Scores) -> list[list[str]]:
-    """Mean ± standard error of every entry, the diagonal in brackets."""
-    size, figures = range(len(scores.mean)), []
-    for row in size:
-        figures.append([])
-        for column in size:
-            mean, error = scores.mean[row, column], scores.standard_error[row, column]
-            figure = "–" if np.isnan(mean) else f"{mean:.3f}" if np.isnan(error) else f"{mean:.3f} ± {error:.3f}"
-            figures[row].append(f"[{figure}]" if row == column else figure)
-    return figures
+def _rows(scores: Scores, marks: tuple[str, str, str], marked) -> list[list[str]]:
+    """A line per training set: its label, then mean ± standard error of every entry, the diagonal in brackets; ``marked``
+    adds to an entry the mark of the best, of those near it, or of all others."""
+    of_entry = np.select([scores.is_best, scores.is_near], marks[:2], marks[2])
+    rows = []
+    for row, label in enumerate(_labels(scores)):
+        rows.append([label])
+        for column, (mean, error) in enumerate(zip(scores.mean[row], scores.standard_error[row], strict=True)):
+            entry = "–" if np.isnan(mean) else f"{mean:.3f}" if np.isnan(error) else f"{mean:.3f} ± {error:.3f}"
+            rows[-1].append(marked(f"[{entry}]" if row == column else entry, of_entry[row, column]))
+    return rows
 
 
 def _theta(scores: Scores, row: int) -> dict[str, float]:
-    """The Θ of a training set, its units in the names; NaN where it chooses none."""
+    """The Θ of a training set, units in the names; NaN where it chooses none."""
     grid, best = scores.partition.parts[row].landscape.grid, scores.best[row]
     first, second, twist, weight = (float(value[0]) if best >= 0 else np.nan
                                     for value in grid.cell_values(np.array([max(best, 0)])).values())
@@ -128,7 +125,7 @@ def _theta(scores: Scores, row: int) -> dict[str, float]:
 
 
 def _choices(scores: Scores) -> tuple[list[str], list[list[str]]]:
-    """Heads and rows of the training sets' own table: Θ, its error on them, and which axes it ends at the border of."""
+    """Heads and rows of the training sets' table: Θ, its error, and the axes at whose border it lies."""
     grid = scores.partition.parts[0].landscape.grid
     shown = {"bend_1_mm3": "bend_1 [mm³]", "bend_2_mm3": "bend_2 [mm³]", "bend_12_mm3": "bend_12 [mm³]"}
     if grid.is_isotropic:
@@ -151,7 +148,7 @@ def _choices(scores: Scores) -> tuple[list[str], list[list[str]]]:
 
 
 def _aligned(heads: list[str], rows: list[list[str]], width: int) -> str:
-    """Columns padded to their widest entry; those that do not fit into ``width`` follow below, beside the first again."""
+    """Columns padded to their widest entry; those that do not fit into ``width`` follow below, with the first column again."""
     table = [heads, *rows]
     widths = [max(len(line[column]) for line in table) for column in range(len(heads))]
     blocks, block, used = [], [], widths[0]

@@ -1,21 +1,47 @@
-"""What a finished sweep says of itself, summary.json, with the sha256 of each file of its folder and of itself."""
+"""What a run says about itself: the maker of its cells, and summary.json, with the sha256 of each file of the folder and of the
+summary itself.
+
+The maker is the code that computes cells: this package's version, the sources that cells depend on, and Taichi. A run has one
+maker: cells of several would differ, and a reader could not tell which are whose.
+"""
 
 import hashlib
 import json
 import os
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 
+from doo_ti import __version__
 from doo_ti.errors import InputError
 from doo_ti.io.files import MOST_TEXT_BYTES, read_content, write_whole
 
+SOURCES = ("frames.py", "metric.py", "motion", "physics", "relaxation", "runtime.py", "start.py", "types.py",
+           "learning/cells.py", "learning/experiment.py", "learning/hypotheses.py", "learning/pairs.py")
+"""Files and folders of the package that cells depend on."""
 SUMMARY, SEAL = "summary.json", "sha256"
 REMADE = ("landscape.png", "run.rrd", "observations.npz", "pairs.csv")
-"""Files that a sweep makes again from its cells and what it was given."""
+"""Files that a sweep can write again from its cells and its input."""
+
+
+@cache
+def maker() -> dict[str, str]:
+    """Versions, and sha256 of the sources, as JSON holds them."""
+    package, digest = Path(__file__).parents[1], hashlib.sha256()
+    for source in SOURCES:
+        for path in sorted((package / source).rglob("*.py")) or [package / source]:
+            digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return {"doo_ti": __version__, "sources_sha256": digest.hexdigest(), "taichi": version("taichi")}
+
+
+def maker_text(made: dict[str, str]) -> str:
+    """``doo_ti 0.1.0 (sources 1a2b3c4d), taichi 1.7.4``."""
+    return f"doo_ti {made['doo_ti']} (sources {made['sources_sha256'][:8]}), taichi {made['taichi']}"
 
 
 def write_summary(run: Path, summary: dict) -> dict:
-    """Write the summary, with the digests of all files that are there now; returns it as it is written."""
+    """Write the summary, with the digests of the files that are there now; returns it as it is written."""
     summary = summary | {"files": file_digests(run)}
     summary[SEAL] = _seal(summary)
     text = json.dumps(summary, indent=2) + "\n"
@@ -24,8 +50,7 @@ def write_summary(run: Path, summary: dict) -> dict:
 
 
 def read_summary(run: Path) -> dict:
-    """The summary of a finished sweep. Raises InputError where the folder holds none that can be read, or another one than was
-    written."""
+    """The summary of a finished sweep. Raises InputError where the folder holds none that can be read, or a changed one."""
     path = Path(run) / SUMMARY
     summary = read_table(path)
     if SEAL in summary and summary[SEAL] != _seal(summary):
@@ -46,9 +71,9 @@ def read_table(path: Path) -> dict:
 
 
 def sweep_identity(summary: dict) -> str | None:
-    """Which sweep a summary is of; None where it does not say."""
-    told = summary.get("provenance")
-    identity = told.get("sweep_sha256") if isinstance(told, dict) else None
+    """The identity of the sweep that a summary is of; None where it names none."""
+    provenance = summary.get("provenance")
+    identity = provenance.get("sweep_sha256") if isinstance(provenance, dict) else None
     return identity if isinstance(identity, str) else None
 
 
@@ -59,12 +84,12 @@ def file_digests(run: Path) -> dict[str, str]:
 
 
 def changed_files(run: Path, summary: dict, names: tuple[str, ...] | None = None) -> list[str]:
-    """Those files of a finished run, or those of them called ``names``, that are gone or not what the sweep wrote."""
+    """Those files of a finished run, or those of them called ``names``, that are missing or not what the sweep wrote."""
     digests = summary.get("files")
-    told = {name: digest for name, digest in (digests if isinstance(digests, dict) else {}).items()
-            if names is None or name in names}
-    found = _digests(run, list(told))
-    return [name for name, digest in told.items() if found[name] != digest]
+    written = {name: digest for name, digest in (digests if isinstance(digests, dict) else {}).items()
+               if names is None or name in names}
+    found = _digests(run, list(written))
+    return [name for name, digest in written.items() if found[name] != digest]
 
 
 def check_cells(run: Path, changed: list[str]) -> None:
@@ -78,7 +103,7 @@ def check_cells(run: Path, changed: list[str]) -> None:
 
 
 def _digests(run: Path, names: list[str]) -> dict[str, str | None]:
-    """sha256 of files by their names, None where there is none; every byte of them is read, on all processors at once."""
+    """sha256 of files by their names, None where there is none; they are read on all processors at once."""
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         return dict(zip(names, threads.map(lambda name: _digest(run / name), names), strict=True))
 
@@ -91,6 +116,6 @@ def _digest(path: Path) -> str | None:
 
 
 def _seal(summary: dict) -> str:
-    """sha256 of a summary without itself, however its keys are ordered."""
+    """sha256 of a summary without itself, whatever the order of its keys."""
     content = {key: value for key, value in summary.items() if key != SEAL}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -5,7 +5,8 @@
     RUN/landscape.png     the error landscape
     RUN/run.rrd           the recording
 
-and what :mod:`doo_ti.learning.run_folder` names besides. A sweep that was stopped goes on where it was.
+and the files that :mod:`doo_ti.learning.run_folder` names. A sweep that was stopped resumes with the first chunk that is not
+stored.
 """
 
 import shlex
@@ -20,22 +21,19 @@ import numpy as np
 
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.grid import Grid
-from doo_ti.io.files import write_whole
 from doo_ti.io.observations import Observations
-from doo_ti.learning.cells import relax_hypotheses
-from doo_ti.learning.chunk_file import check_identity, chunk_path, read_rows, write_chunk
+from doo_ti.learning.cells import relax_hypotheses, resolve
+from doo_ti.learning.chunks import check_identity, chunk_path, read_rows, write_chunk
+from doo_ti.learning.drawing import draw
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.hypotheses import Hypotheses
-from doo_ti.learning.overview import Overview, gather_overview
+from doo_ti.learning.landscape import gather_overview
 from doo_ti.learning.pairs import Pairs
-from doo_ti.learning.resolution import resolve
 from doo_ti.learning.run_folder import claim, finished, identity_of, provenance
 from doo_ti.learning.summary import write_summary
-from doo_ti.learning.trajectory import trajectory
-from doo_ti.learning.workers import Alone, Crew, crew
+from doo_ti.learning.workers import ThisProcess, Workers, started_workers
 from doo_ti.start import check_experiment
 from doo_ti.terminal import progress
-from doo_ti.types import Status
 
 CHUNK_BYTES = 32 << 20
 """Memory for the frames of a chunk's rods, the larger part of what a sweep holds: 31 000 rods of 33 edges."""
@@ -44,19 +42,19 @@ MOST_RODS = 1_000_000_000
 
 def sweep(run: Path, observations: Observations, grid: Grid, *, options: SweepOptions = SweepOptions(),
           pairs: Pairs | None = None, command: list[str] = ()) -> dict:
-    """Run the sweep in the folder ``run``, or what is left of it, and return the summary.
+    """Run the sweep in the folder ``run``, or the rest of it, and return the summary.
 
     pairs  the terms of Eq. 3; by default those of the labels
 
-    Raises InputError for what :class:`doo_ti.learning.experiment.Experiment` refuses, where ``run`` holds another sweep and
-    where no scheduler answers, InterruptedRunError where a chunk fails: what is done is kept.
+    Raises InputError as :class:`doo_ti.learning.experiment.Experiment` does, where ``run`` holds another sweep and where no
+    scheduler answers, InterruptedRunError where a chunk fails: the chunks stored before are kept.
     """
-    with crew(options.workers, options.scheduler) as workers:
+    with started_workers(options.workers, options.scheduler) as workers:
         return _swept(run, Experiment(observations, grid, options, pairs), workers, command)
 
 
-def _swept(run: Path, experiment: Experiment, workers: Alone | Crew, command: list[str]) -> dict:
-    """The sweep, its work done by ``workers``."""
+def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, command: list[str]) -> dict:
+    """The sweep, its chunks relaxed by ``workers``."""
     began = time.monotonic()
     observations, grid = experiment.observations, experiment.grid
     check_experiment(observations, experiment.clamps, grid.axes[-1].values[-1], experiment.options.frame_weight)
@@ -76,7 +74,7 @@ def _swept(run: Path, experiment: Experiment, workers: Alone | Crew, command: li
             return done
         paths = [chunk_path(run, part, *chunk) for chunk in chunks if chunk not in set(left)]
         check_identity(paths, identity)
-        for path in paths:  # what was stored before, whole, since its digest is about to be taken
+        for path in paths:  # chunks stored before are read whole: the summary takes their digests
             read_rows(path)
         seconds = _relax_chunks(run, part, experiment, left, workers, identity)
         resolution = None
@@ -100,7 +98,7 @@ def _swept(run: Path, experiment: Experiment, workers: Alone | Crew, command: li
 
 @contextmanager
 def _resumable(run: Path, command: list[str]) -> Iterator[None]:
-    """Raises what ends a sweep on its way as an InterruptedRunError that says how to go on."""
+    """Raises any other error of a sweep as an InterruptedRunError that says how to resume."""
     try:
         yield
     except (InputError, InterruptedRunError):
@@ -117,9 +115,9 @@ def _rows(experiment: Experiment, first: int, last: int) -> dict[str, np.ndarray
 
 
 def _relax_chunks(
-    run: Path, part: str, experiment: Experiment, chunks: list[tuple[int, int]], workers: Alone | Crew, identity: str,
+    run: Path, part: str, experiment: Experiment, chunks: list[tuple[int, int]], workers: ThisProcess | Workers, identity: str,
 ) -> float:
-    """Have ``workers`` relax ``chunks`` and store them; returns the seconds it took."""
+    """Have ``workers`` relax ``chunks``, and store them; returns the seconds it took."""
     began = time.monotonic()
     name, cells, rods = experiment.observations.name, experiment.grid.size, len(experiment.rods[0])
     with progress(keep=True) as bar:
@@ -132,37 +130,3 @@ def _relax_chunks(
             rate = done * rods / (time.monotonic() - began)
             bar.update(task, advance=last - first, rate=f"{rate:,.0f} rods/s")
     return time.monotonic() - began
-
-
-def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str, remark: str = "") -> None:
-    """Write landscape.png and run.rrd into ``folder``, ``remark`` behind their title."""
-    from doo_ti.record import record_sweep
-    from doo_ti.report import MEAN_DISTANCE, landscape_picture
-
-    observations, grid, sums = experiment.observations, experiment.grid, overview.sums
-    axes = grid.picture_axes
-    values = overview.mean_distance.reshape(grid.shape)
-    minimum = np.unravel_index(overview.best, grid.shape)
-    unfinished = overview.unsound.reshape(grid.shape)
-    static = experiment.pairs is None
-    terms = f"{observations.count} observations" if static else f"{experiment.pairs.count} pairs"
-    title = f"{observations.name}: {overview.objective} error over {terms}{remark}"
-    if grid.varying:
-        write_whole(folder / "landscape.png", lambda file: landscape_picture(
-            file, axes, values, minimum=minimum, title=title, label=MEAN_DISTANCE, unfinished=unfinished))
-    seen = observations if static else observations.take(experiment.pairs.to_index)
-    way = trajectory(experiment, overview.best)
-    theta = {name: float(value[0]) for name, value in grid.cell_values(np.array([overview.best])).items()}
-    record_sweep(
-        folder / "run.rrd", run_id=identity[:32], name=title,
-        observations_vertices=np.where(seen.valid[..., None], seen.vertices, np.nan),
-        labels={"end_distance_mm": seen.end_distance, "end_rotation_deg": seen.end_rotation},
-        trajectory=way.vertices, energy=way.energy, residual=way.residual, status=way.status, distance=way.distance,
-        axes=axes, landscape=values, minimum=minimum, unfinished=unfinished, intervals=overview.intervals,
-        properties={"bend_1_mm3": theta["bend_1"], "bend_2_mm3": theta["bend_2"], "twist_mm3": theta["twist"],
-                    "weight": theta["weight"], "mean_distance_mm": float(overview.mean_distance[overview.best]),
-                    "rods": int(sums.count.sum()), "cells_competing": overview.competition["cells_competing"],
-                    "rods_converged": int(sums.status[Status.CONVERGED]), "rods_stable": sums.stable,
-                    "recorded_iterations": "those of Newton" if static else "sub-steps of the motion"},
-        up=observations.up,
-    )

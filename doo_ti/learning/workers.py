@@ -1,4 +1,4 @@
-"""Chunks of work in other processes, of this machine or of a Dask cluster, their results in order."""
+"""Who relaxes the chunks of a sweep: this process, others on this machine, or a Dask cluster. Results come in order."""
 
 import logging
 import os
@@ -17,23 +17,23 @@ from threading import Thread
 from doo_ti import runtime
 from doo_ti.errors import InputError
 from doo_ti.interruption import kept_from_children
-from doo_ti.learning.maker import as_made, maker, other_worker
+from doo_ti.learning.summary import maker, maker_text
 
 ANSWER_SECONDS = 10
-"""How long a scheduler may take to answer."""
+"""Longest wait for a scheduler's answer."""
 CHECK_SECONDS = 1.0
-"""From one look at whether it is still there to the next."""
+"""Interval at which the connection to the scheduler is checked."""
 SCHEDULER_ENDED = "the connection to the scheduler is lost"
 
 
 @dataclass(frozen=True)
-class Crew:
-    """Who does the work.
+class Workers:
+    """Other processes that relax chunks.
 
     executor  takes the chunks
-    ahead     how many it is given before the first is waited for
-    through   what calls the work there, if anything does
-    connected whether they can still be reached
+    ahead     number of chunks submitted before the first result is waited for
+    through   function and first arguments that call the work there, if any
+    connected whether the processes can still be reached
     """
 
     executor: Executor
@@ -42,7 +42,7 @@ class Crew:
     connected: Callable[[], bool] = lambda: True
 
     def results(self, work, chunks):
-        """(chunk, ``work(*chunk)``) of each chunk in order; where one fails those done behind it come before the error."""
+        """(chunk, ``work(*chunk)``) of each chunk in order; where one fails, results of later chunks come before the error."""
         chunks, waiting = iter(chunks), deque()
         while True:
             with kept_from_children():  # work may start processes
@@ -57,7 +57,7 @@ class Crew:
                 for later, other in waiting:
                     if other.done() and not other.cancelled() and other.exception() is None:
                         yield later, other.result()
-                if isinstance(error, CancelledError):  # Dask cancels what is waited for when its scheduler ends, or says nothing
+                if isinstance(error, CancelledError):  # Dask cancels pending work when its scheduler ends
                     raise ConnectionError(SCHEDULER_ENDED) from None
                 raise
             yield chunk, result
@@ -70,45 +70,45 @@ class Crew:
         return future.result()
 
 
-class Alone:
-    """This process does the work itself."""
+class ThisProcess:
+    """This process relaxes the chunks itself."""
 
     def results(self, work, chunks):
-        """As :meth:`Crew.results`."""
+        """As :meth:`Workers.results`."""
         for chunk in chunks:
             yield chunk, work(*chunk)
 
 
 @contextmanager
-def crew(workers: int | None, scheduler: str | None) -> Iterator[Alone | Crew]:
-    """That many spawned processes, which share the processors, or the workers of the Dask scheduler at that address; without
-    either this process.
+def started_workers(workers: int | None, scheduler: str | None) -> Iterator[ThisProcess | Workers]:
+    """``workers`` spawned processes, which share the processors, or the workers of the Dask scheduler at the address
+    ``scheduler``; without either this process.
 
     Raises InputError for fewer workers than one, where Dask is not installed and where no scheduler answers.
     """
     if scheduler is not None:
         with _quiet(), _client(scheduler) as client:
             _check_workers(client, maker())
-            yield Crew(client.get_executor(pure=False), max(4, 2 * len(client.nthreads())), (_on_dask_worker, maker()),
-                       lambda: client.status == "running")
+            yield Workers(client.get_executor(pure=False), max(4, 2 * len(client.nthreads())), (_on_dask_worker, maker()),
+                          lambda: client.status == "running")
     elif workers is not None:
         if workers < 1:
             raise InputError("sweep", "workers", f"{workers} is below 1", "give at least one")
         share = max(1, len(runtime.processors()) // workers)
         executor = ProcessPoolExecutor(workers, get_context("spawn"), initializer=_start_worker, initargs=(share,))
         try:
-            yield Crew(executor, 2 * workers, (as_made, maker()))
+            yield Workers(executor, 2 * workers, (as_made, maker()))
         finally:
             executor.shutdown(cancel_futures=True)
     else:
-        yield Alone()
+        yield ThisProcess()
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without what Dask logs, tracebacks among it, where a scheduler or a worker is lost: the sweep reports that in a line."""
+    """Silences what Dask logs where a scheduler or a worker is lost, with tracebacks: the sweep reports that in one line."""
     with suppress(ImportError):
-        import distributed  # noqa: F401  its loggers are set up by that
+        import distributed  # noqa: F401  this sets its loggers up
     loggers = [logger for name, logger in logging.root.manager.loggerDict.items()
                if name.split(".")[0] in ("distributed", "tornado") and isinstance(logger, logging.Logger)]
     levels = [logger.level for logger in loggers]
@@ -129,11 +129,11 @@ def _client(address: str):
         raise InputError(
             "sweep", "scheduler", "Dask is not installed", "pip install 'doo_ti[dask]', here and on the workers") from None
     try:
-        # A client that finds nobody takes long to give up for good.
+        # A client that finds no scheduler takes long to end: the port is tried first.
         protocol, place = parse_address(address)
         with create_connection(parse_host_port(place), ANSWER_SECONDS) as port:
-            if protocol == "tcp" and not port.recv(1):  # a scheduler speaks first; waiting for a mute port has no end
-                raise ConnectionError("it hangs up")
+            if protocol == "tcp" and not port.recv(1):  # a scheduler sends first
+                raise ConnectionError("the connection was closed")
         return Client(address, timeout=ANSWER_SECONDS, set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError("sweep", "scheduler", f"no scheduler answers at {address!r} ({error})",
@@ -147,18 +147,30 @@ def _check_workers(client, expected: dict[str, str]) -> None:
         makers = client.run(maker)
     except TimeoutError:
         raise InputError("sweep", "scheduler", "the scheduler has no workers", "start some: dask worker ADDRESS") from None
-    except Exception as error:  # whatever a worker without the package, or with another one, answers
+    except Exception as error:  # such as that of a worker without the package
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError("sweep", "scheduler", f"a worker does not report its version ({reason})",
-                         "install doo_ti on the workers, the same as here, and start them anew") from None
+                         "install the same version of doo_ti on the workers, and restart them") from None
     for name, made in makers.items():
         if made != expected:
-            raise other_worker(f"the worker {name}", made, expected)
+            raise _other_version(f"the worker {name}", made, expected)
+
+
+def as_made(expected: dict[str, str], work, *chunk):
+    """``work(*chunk)``, where this process is the ``expected`` maker. Raises InputError where it is another one."""
+    if maker() != expected:
+        raise _other_version("a worker", maker(), expected)
+    return work(*chunk)
+
+
+def _other_version(name: str, made: dict[str, str], expected: dict[str, str]) -> InputError:
+    return InputError("sweep", "workers", f"{name} runs {maker_text(made)}, this process {maker_text(expected)}",
+                      "install the same version on all, and restart the workers")
 
 
 def _on_dask_worker(expected: dict[str, str], work, *chunk):
-    """``work`` on all threads of a Dask worker, and so on one chunk at a time; workers may come and go, so it is checked here
-    too what this one runs."""
+    """``work`` on all threads of a Dask worker, thus one chunk at a time. Workers may join later, so each chunk checks what
+    its worker runs."""
     from distributed import get_worker
 
     runtime.start(threads=get_worker().state.nthreads, pinned=False)
@@ -166,7 +178,7 @@ def _on_dask_worker(expected: dict[str, str], work, *chunk):
 
 
 def _start_worker(threads: int) -> None:
-    """Start Taichi on ``threads`` threads, and see to it that the worker does not outlive its parent."""
+    """Start Taichi on ``threads`` threads; the worker ends when its parent does."""
 
     def end_with_parent() -> None:
         wait([parent_process().sentinel])

@@ -1,1 +1,1 @@
-"""Quasi-static motion: clamps on their way, rods that follow their branch, and where they jump (§III-D)."""
+"""Quasi-static motion: clamps move in sub-steps, rods follow their branch of equilibria, and jumps are counted (§III-D)."""

@@ -1,21 +1,24 @@
-"""Rods on their way, each in as many sub-steps as its own motion needs, whatever its company (§III-D).
+"""Rods carried by moving clamps: relaxed after each sub-step and kept to their branch (§III-D).
+
+Each motion takes as many sub-steps as it needs itself, whatever other motions are computed beside it.
 
 Axes: G materials, N motions, R = G·N rods, material by material, E edges.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.motion.leg import Leg
+from doo_ti.motion.jumps import PARTS, JumpCount
 from doo_ti.motion.path import Motion
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.newton import Newton
-from doo_ti.types import Configuration, Material, Solution
+from doo_ti.relaxation.relax import relax
+from doo_ti.types import Configuration, Material, Solution, lasting
 
 FEWEST_STEPS = 2
-"""What :class:`doo_ti.motion.leg.Leg` takes at least."""
+"""Sub-steps of a motion: jumps are found by comparing a sub-step with the one before."""
 
 
 @dataclass(frozen=True)
@@ -23,11 +26,12 @@ class Journey:
     """Each of N motions under each of G materials.
 
     motion       what the clamps do
-    sub_step     rad that a clamp turns at most in a sub-step; its shift is bound in proportion
+    sub_step     rad, the largest turn of a clamp in one sub-step; its shift is limited in proportion
     rest_length  (E,) mm
     up           (3,) direction against gravity
-    solver       as :func:`doo_ti.relaxation.relax.relax` takes it; Newton goes without its first shift, closest to the branch
-    precision    where a rod ends; on the way f64 if that is asked for, else f32, with f64 for what f32 cannot finish
+    solver       as :func:`doo_ti.relaxation.relax.relax` takes it; Newton runs without its first shift, which stays closest to
+                 the branch
+    precision    of the last state; sub-steps run in f64 if that is chosen, else in f32, with f64 where f32 does not converge
     """
 
     motion: Motion
@@ -40,41 +44,91 @@ class Journey:
 
     @property
     def sub_steps(self) -> np.ndarray:
-        """(N,) of each motion: powers of two, so that few numbers occur, and those who share one go together."""
+        """(N,) of each motion: powers of two, so that few different numbers occur; motions of equal number run together."""
         need = np.maximum(self.motion.needed_steps(self.rest_length, self.sub_step), FEWEST_STEPS)
         return 2 ** np.ceil(np.log2(need)).astype(np.int64)
 
-    def legs(self) -> Iterator[tuple[np.ndarray, Leg]]:
-        """Motions (n,) that take as many sub-steps, in order, and their leg."""
-        need = self.sub_steps
-        for steps in np.unique(need) if len(need) else [FEWEST_STEPS]:
-            rows = np.flatnonzero(need == steps)
-            yield rows, Leg(self, self.motion.take(rows), int(steps))
-
     def end(self, begin: Configuration, watch: bool = True) -> tuple[Solution, np.ndarray]:
-        """Where the R rods end, and how often each jumped on the way (R,); see :meth:`doo_ti.motion.leg.Leg.end`."""
-        rods, legs = self._split(begin)
-        ends, jumps = zip(*(leg.end(begin.take(own), watch) for own, leg in zip(rods, legs, strict=True)), strict=True)
-        order = np.argsort(np.concatenate(rods))
+        """The R rods at the end of their motions, and the number of jumps of each (R,), if ``watch``.
+
+        A rod that does not converge in some sub-step keeps that status. Iterations are those of all sub-steps.
+        """
+        groups = list(self._groups())
+        ends, jumps = zip(*(group._end(begin.take(rods), steps, watch) for rods, steps, group in groups), strict=True)
+        order = np.argsort(np.concatenate([rods for rods, _, _ in groups]))
         return _together(ends, order), np.concatenate(jumps)[order]
 
     def follow(self, begin: Configuration) -> Iterator[Solution]:
-        """The R rods after each sub-step of those that take most, the others being shown at the nearest of theirs ahead; and
-        at last in the precision asked for."""
-        rods, legs = self._split(begin)
-        order, most = np.argsort(np.concatenate(rods)), max(leg.steps for leg in legs)
-        ways = [list(leg.follow(begin.take(own))) for own, leg in zip(rods, legs, strict=True)]
+        """The R rods after each sub-step of the motions that take most; the others are shown at the nearest of their own
+        sub-steps ahead. At last the rods once more in ``precision``, where sub-steps run in another one."""
+        groups = list(self._groups())
+        order, most = np.argsort(np.concatenate([rods for rods, _, _ in groups])), max(steps for _, steps, _ in groups)
+        ways = [(list(group._states(begin.take(rods), steps)), steps) for rods, steps, group in groups]
         for step in range(1, most + 1):
-            yield _together([way[-(-step * leg.steps // most) - 1] for way, leg in zip(ways, legs, strict=True)], order)
-        if any(len(way) > leg.steps for way, leg in zip(ways, legs, strict=True)):
-            yield _together([way[-1] for way in ways], order)
+            yield _together([states[-(-step * steps // most) - 1] for states, steps in ways], order)
+        if self.precision != self._step_precision:
+            yield _together([states[-1] for states, _ in ways], order)
 
-    def _split(self, begin: Configuration) -> tuple[list[np.ndarray], list[Leg]]:
-        """The rods (r,) of each leg, and the legs."""
-        rows, legs = zip(*self.legs(), strict=True)
-        motions = len(self.motion.clamps.start_position)
+    def _groups(self) -> Iterator[tuple[np.ndarray, int, "Journey"]]:
+        """The rods (r,) whose motions take equally many sub-steps, that number, and their journey."""
+        need, motions = self.sub_steps, self._motions
         first = motions * np.arange(self.material.count)[:, None]
-        return [(first + own).ravel() for own in rows], list(legs)
+        for steps in np.unique(need) if motions else [FEWEST_STEPS]:
+            rows = np.flatnonzero(need == steps)
+            yield (first + rows).ravel(), int(steps), replace(self, motion=self.motion.take(rows))
+
+    def _end(self, begin: Configuration, steps: int, watch: bool) -> tuple[Solution, np.ndarray]:
+        """As :meth:`end`, all motions in ``steps`` sub-steps."""
+        jumps = JumpCount(begin.quaternions, self._finely(steps), watch)
+        return _last(self._states(begin, steps, jumps)), jumps.count
+
+    def _states(self, configuration: Configuration, steps: int, jumps: JumpCount | None = None) -> Iterator[Solution]:
+        """The rods after each of ``steps`` sub-steps, and in ``precision`` at the end where sub-steps run in another one."""
+        jumps = jumps or JumpCount(configuration.quaternions, self._finely(steps))
+        rods = np.arange(configuration.count)
+        for step in range(steps):
+            solution = self._relaxed(rods, configuration, (step + 1) / steps, self._step_precision)
+            configuration = solution.configuration
+            jumps.see(solution)
+            yield solution
+        if self.precision != self._step_precision:
+            yield self._relaxed(rods, configuration, 1.0, self.precision)
+
+    def _finely(self, steps: int):
+        """What :class:`JumpCount` calls to repeat sub-steps in smaller parts, of motions that take ``steps``."""
+        def repeated(rods: np.ndarray, frames: np.ndarray, step: int, repeats: int) -> Iterator[Solution]:
+            here = Configuration(self.motion.clamps.start_position[rods % self._motions], frames, self.rest_length)
+            status, iterations = np.zeros(len(rods), dtype=np.int8), np.zeros(len(rods), dtype=np.int32)
+            for part in range(1, PARTS * repeats + 1):
+                solution = self._relaxed(rods, here, (step + part / PARTS) / steps, self._step_precision)
+                status, iterations = lasting(status, solution.status), iterations + solution.iterations
+                here = solution.configuration
+                yield replace(solution, status=status, iterations=iterations)
+        return repeated
+
+    def _relaxed(self, rods: np.ndarray, configuration: Configuration, share: float, precision: str) -> Solution:
+        """``rods`` relaxed from ``configuration`` under the clamps after ``share`` of the motion."""
+        solver = replace(self.solver, first_shift=0.0) if isinstance(self.solver, Newton) else self.solver
+        return relax(configuration, self.material, self.motion.at(share).take(rods % self._motions), solver, up=self.up,
+                     precision=precision, configuration_index=np.arange(len(rods)), material_index=rods // self._motions)
+
+    @property
+    def _step_precision(self) -> str:
+        """Precision of the sub-steps."""
+        return "f64" if self.precision == "f64" else "f32"
+
+    @property
+    def _motions(self) -> int:
+        """N."""
+        return len(self.motion.clamps.start_position)
+
+
+def _last(states: Iterator[Solution]) -> Solution:
+    """The last of several states, with the first status that was not converged and the iterations of all."""
+    status = iterations = 0
+    for solution in states:
+        status, iterations = lasting(status, solution.status), iterations + solution.iterations
+    return replace(solution, status=status, iterations=iterations)
 
 
 def _together(parts: list[Solution], order: np.ndarray) -> Solution:

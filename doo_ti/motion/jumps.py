@@ -1,9 +1,9 @@
-"""Jumps: where a rod that is carried loses its equilibrium and falls to another one (§III-D).
+"""Jumps: a rod whose clamps move loses its equilibrium and snaps to another one (§III-D).
 
-A rod that keeps to its branch changes by nearly as much in one sub-step as in the next. Where it does not, the sub-step is
-made again in eighths, and what comes of those counts: a branch that is still there is then followed, not skipped. A continuous
-change is spread over the eighths, even in front of a fold, whose last one holds a third of it, two and a half times the one
-before; a fall stays whole in one, and of two falls in a sub-step each stands out from the eighths beside it.
+A rod that stays on its branch changes by nearly as much in one sub-step as in the next. Where it does not, the sub-step is
+repeated in eighths, and their result replaces it: a branch that still exists is then followed, not skipped. A continuous
+change spreads over the eighths, even in front of a fold, where the last eighth holds a third of it, two and a half times the
+one before. A jump lies within one eighth, and of two jumps in a sub-step each exceeds the eighths beside it.
 
 Axes: R rods, E edges.
 """
@@ -17,25 +17,26 @@ from doo_ti.types import Solution
 
 PARTS = 8
 OUT_OF_PROPORTION = 0.5
-"""The change of the change over the change, above which a sub-step is made again: 0.1 on smooth ways, 1 at a fall."""
+"""A sub-step is repeated where the difference of two successive changes exceeds this share of the larger one: 0.1 on smooth
+motions, 1 at a jump."""
 UNDIVIDED = 0.5
-"""Of the way through all parts, in one of them: then it is a fall."""
+"""A part that holds more than this share of the change of all parts is a jump."""
 ABRUPT = 6.0
-"""Times what the parts beside it change: then it is a fall, too."""
+"""A part that changes this many times as much as the parts beside it is a jump, too."""
 NOTABLE = 0.01
-"""rad that frames turn by, root mean square: less is no fall."""
+"""rad, root mean square over the frames: smaller changes are no jumps."""
 EVERY = 4
-"""Edges that are compared: each fourth tells the change of a shape."""
+"""Every fourth edge is compared: that suffices for the change of a shape."""
 
 
 class JumpCount:
-    """Counts the falls of R rods, sub-step by sub-step, and mends what a sub-step skipped.
+    """Counts the jumps of R rods, sub-step by sub-step, and corrects sub-steps that skipped a branch.
 
-    frames  (R, E, 4) where they set out
-    finely  from rows (n,), their frames (n, E, 4), a sub-step, counted from zero, and how many of them, to the solution of the
-            n rods after each of their parts, status and iterations since they began
-    watch   whether it does; else it lets all pass
-    count   (R,) falls so far
+    frames  (R, E, 4) before the first sub-step
+    finely  function of rows (n,), their frames (n, E, 4), a sub-step, counted from zero, and a number of sub-steps: yields the
+            solution of the n rods after each part of these, with status and iterations since the first part
+    watch   False: nothing is counted or corrected
+    count   (R,) jumps so far
     """
 
     def __init__(self, frames: np.ndarray, finely: Callable[..., Iterator[Solution]], watch: bool = True):
@@ -47,7 +48,7 @@ class JumpCount:
         self._step = 0
 
     def see(self, solution: Solution) -> None:
-        """Take in the R rods after the next sub-step; where it was made again, put what came of that, in place."""
+        """Take in the R rods after the next sub-step; where it is repeated in parts, their result is written into it."""
         if not self.watch:
             return
         frames = solution.configuration.quaternions
@@ -60,7 +61,7 @@ class JumpCount:
             judged &= (size >= self._size) | earlier
             for rows, steps in ((np.flatnonzero(judged & ~earlier), 1), (np.flatnonzero(earlier), 2)):
                 if len(rows):
-                    self._make_again(rows, steps, solution)
+                    self._repeat(rows, steps, solution)
             rows = np.flatnonzero(judged)
             change[rows] = _sample(frames[rows]) - _sample(self._states[-1][rows])
             size[rows] = _size(change[rows])
@@ -68,8 +69,8 @@ class JumpCount:
         self._change, self._size, self._judged = change, size, judged
         self._step += 1
 
-    def _make_again(self, rows: np.ndarray, steps: int, solution: Solution) -> None:
-        """The last ``steps`` sub-steps of some rods in parts."""
+    def _repeat(self, rows: np.ndarray, steps: int, solution: Solution) -> None:
+        """Repeat the last ``steps`` sub-steps of some rods in parts, and count the jumps in them."""
         before = self._states[-steps][rows]
         sizes = []
         for part, here in enumerate(self._finely(rows, before, self._step + 1 - steps, steps), 1):
@@ -80,14 +81,14 @@ class JumpCount:
                 _put(solution, rows, here)
             elif part == PARTS * (steps - 1):
                 _put(self._before, rows, here)
-        way = np.nan_to_num(np.array(sizes))
-        around = np.pad(way, ((1, 1), (0, 0)))
+        size = np.nan_to_num(np.array(sizes))
+        around = np.pad(size, ((1, 1), (0, 0)))
         beside = np.maximum(around[:-2], around[2:])
-        self.count[rows] += ((way > NOTABLE) & (way > np.minimum(UNDIVIDED * way.sum(axis=0), ABRUPT * beside))).sum(axis=0)
+        self.count[rows] += ((size > NOTABLE) & (size > np.minimum(UNDIVIDED * size.sum(axis=0), ABRUPT * beside))).sum(axis=0)
 
 
 def _put(solution: Solution, rows: np.ndarray, other: Solution) -> None:
-    """``other`` in the place of some rods, in all that a solution tells of them."""
+    """Write ``other`` into those ``rows`` of every array of a solution."""
     for name in (field.name for field in fields(Solution) if field.name not in ("configuration", "tables")):
         getattr(solution, name)[rows] = getattr(other, name)
     solution.configuration.start[rows] = other.configuration.start
@@ -95,7 +96,7 @@ def _put(solution: Solution, rows: np.ndarray, other: Solution) -> None:
 
 
 def _sample(frames: np.ndarray) -> np.ndarray:
-    """Some of the frames between the clamped ones, whose signs follow from one state to the next; of two edges both."""
+    """Some of the frames between the clamped ones, whose signs are continuous from one state to the next; of two edges both."""
     return frames[:, 1:-1:EVERY] if frames.shape[1] > 2 else frames
 
 

@@ -1,4 +1,4 @@
-"""Quasi-static motion: the clamps are carried in sub-steps and every rod follows its branch of equilibria (§III-D)."""
+"""What clamps do in a quasi-static motion, and how many sub-steps it takes (§III-D)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,19 +18,19 @@ from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, lasting
 
 LARGEST_TURN = np.radians(5.0)
-"""Of a clamp in one sub-step, rad."""
+"""rad, of a clamp in one sub-step."""
 SHIFT_PER_TURN = 0.2
-"""A clamp moves in one sub-step by at most this share of the rod's length for each radian that it may turn."""
+"""Largest shift of a clamp in one sub-step, as a share of the rod's length, per radian of its largest turn."""
 MOST_STEPS = 100_000
 """Sub-steps of a motion."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """What the clamps of R rods do: positions run along lines, frames turn about one axis each, all in equal shares.
+    """Motion of the clamps of R rods: positions move along lines, each frame turns about one axis, all uniformly.
 
-    clamps                  where they set out
-    start_shift, end_shift  (R, 3) mm from there to where they go; None: that position rests
+    clamps                  before the motion
+    start_shift, end_shift  (R, 3) mm; None: that position rests
     start_turn, end_turn    (R, 3) rotation vectors in the world, rad, whole turns included; None: that frame rests
     end_spin                (R,) rad, whole turns included, by which the far frame turns about its own tangent as well
     """
@@ -43,7 +43,7 @@ class Motion:
     end_spin: np.ndarray | None = None
 
     def at(self, share: float) -> Clamps:
-        """The clamps after that share of the way."""
+        """The clamps after ``share`` of the motion, 0 to 1."""
         here = self.clamps
         return Clamps(
             here.start, here.end, _shifted(here.start_position, self.start_shift, share),
@@ -73,12 +73,12 @@ class Motion:
 
 
 def motion_between(clamps: Clamps, goal: Clamps, rotation: np.ndarray | None = None) -> Motion:
-    """From ``clamps`` to ``goal``, R each, frames by the shortest rotation where they are held.
+    """The motion from ``clamps`` to ``goal``, R each; held frames take the shortest rotation.
 
-    rotation  (R,) rad how far the far frame turned about the rod, or None. Of all ways to its goal, whole turns apart, it
-              then takes the one that turns it nearest to that.
+    rotation  (R,) rad by which the far frame turns about the rod, or None. Of the motions to its goal, which differ by whole
+              turns, the one nearest to that is taken.
 
-    At an end where ``goal`` holds no whole frame, only its tangent is met: the frame goes with it, and turns by
+    At an end where ``goal`` holds no whole frame, only its tangent is met: the frame follows the tangent, and turns by
     ``rotation`` exactly.
     """
     start_turn = _frame_turn(clamps.start_frame, goal.start_frame, goal.start)
@@ -92,10 +92,10 @@ def motion_between(clamps: Clamps, goal: Clamps, rotation: np.ndarray | None = N
 
 
 def carried_clamps(clamps: Clamps, end_position: np.ndarray, turn: np.ndarray, steps: int) -> Iterator[Clamps]:
-    """The far clamp on its way: positions on a line, frames about one axis.
+    """The clamps after each of ``steps`` sub-steps in which the far one moves along a line and turns about one axis.
 
-    end_position  (R, 3) mm where it goes
-    turn          (R, 3) rotation vector in the world, rad, whole turns included, that the end frame makes on the way
+    end_position  (R, 3) mm, at the end
+    turn          (R, 3) rotation vector of the end frame in the world, rad, whole turns included
     """
     motion = Motion(clamps, end_shift=end_position - clamps.end_position, end_turn=turn)
     for k in range(1, steps + 1):
@@ -103,10 +103,10 @@ def carried_clamps(clamps: Clamps, end_position: np.ndarray, turn: np.ndarray, s
 
 
 def carry(configuration: Configuration, material: Material, path: Iterator[Clamps], **options) -> tuple[Solution, Clamps]:
-    """Relax along the path, each sub-step from the one before; returns the last solution and its clamps. A rod that does not
+    """Relax at each clamps of ``path``, from the state before; returns the last solution and its clamps. A rod that does not
     converge in some sub-step keeps that status.
 
-    ``options`` go to :func:`doo_ti.relaxation.relax.relax`; the solver is the careful one, which keeps to the branch.
+    ``options`` go to :func:`doo_ti.relaxation.relax.relax`; the solver is the careful one, which stays on the branch.
     """
     solution = clamps = None
     for clamps in path:
@@ -149,15 +149,15 @@ def _size(vector: np.ndarray | None) -> np.ndarray:
 
 
 def _frame_turn(frame: np.ndarray, goal: np.ndarray, kind) -> np.ndarray:
-    """(R, 3) the shortest rotation vector from frames to goals; between tangents where no more is held, nothing below that."""
+    """(R, 3) the shortest rotation vector from frames to goals, between tangents where only these are held; else zero."""
     kind = np.broadcast_to(kind, len(frame))[:, None]
-    across = rotation_vector(_difference(frame, goal))
+    whole = quaternion_product(quaternion_from_matrix(goal), quaternion_from_matrix(frame) * [1, -1, -1, -1])
     swing = rotation_vector(smallest_rotation(frame[..., 0], goal[..., 0]))
-    return np.where(kind == Clamp.FRAME, across, np.where(kind == Clamp.TANGENT, swing, 0.0))
+    return np.where(kind == Clamp.FRAME, rotation_vector(whole), np.where(kind == Clamp.TANGENT, swing, 0.0))
 
 
 def _swing_and_spin(frame: np.ndarray, goal: np.ndarray, kind, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The rotation vector (R, 3) that brings the tangents to their goals, and the turn (R,) about them that does the rest."""
+    """The rotation vector (R, 3) that brings the tangents to their goals, and the remaining turn (R,) about them."""
     kind = np.broadcast_to(kind, len(frame))
     swing = smallest_rotation(frame[..., 0], goal[..., 0])
     swung = quaternion_product(swing, quaternion_from_matrix(frame))
@@ -166,8 +166,3 @@ def _swing_and_spin(frame: np.ndarray, goal: np.ndarray, kind, rotation: np.ndar
     spin = np.where(kind == Clamp.FRAME, angle + 2 * np.pi * np.round((rotation - angle) / (2 * np.pi)), rotation)
     held = kind >= Clamp.TANGENT
     return np.where(held[:, None], rotation_vector(swing), 0.0), np.where(held, spin, 0.0)
-
-
-def _difference(frame: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """(R, 4) the rotation in the world that leads from frames to goals."""
-    return quaternion_product(quaternion_from_matrix(goal), quaternion_from_matrix(frame) * [1, -1, -1, -1])

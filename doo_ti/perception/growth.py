@@ -1,30 +1,55 @@
-"""The stages of Algorithm 1 that need no physics: which edges a hypothesis may grow, and which hypotheses to keep (§IV-A).
+"""The stages of Algorithm 1 that need no physics: which edges a hypothesis may grow, and which hypotheses are kept (§IV-A).
 
-Everything is over all image sets at once; no stage knows how many there are.
+    error(e) = Σ_c E_proj^c of a sampled edge e, e·e^{i−1} > 0: the best edges, no two within ``separation``     (grow)
+    E_vis: the best hypotheses, no two within ``similar_distance`` and ``similar_angle`` of each other           (keep)
 
-Axes: A image sets, N hypotheses of all sets, M sampled directions, K kept ones, H hypotheses of a set.
+Every stage handles all image sets at once.
+
+Axes: A image sets, N hypotheses of all sets, n of one set, M sampled directions, K kept ones, i edges of a hypothesis.
 """
 
+from dataclasses import dataclass, field
+
 import numpy as np
+
+from doo_ti.types import Configuration
 
 LARGEST_ANGLE = np.pi / 2
 """Sampled edges have e^i · e^{i+1} > 0."""
 
 
+@dataclass(frozen=True)
+class Hypotheses:
+    """Growing rods of i edges each, and their scores.
+
+    of_set       (N,) image set, in increasing order
+    quaternions  (N, i, 4) frames
+    energy_vis   (N,) E_vis, 1/mm, infinite for finished rods that failed; while growing, heights are measured from v⁰
+    """
+
+    of_set: np.ndarray
+    quaternions: np.ndarray
+    energy_vis: np.ndarray
+
+    def take(self, rows: np.ndarray) -> "Hypotheses":
+        """The hypotheses named by ``rows``, in that order."""
+        return Hypotheses(self.of_set[rows], self.quaternions[rows], self.energy_vis[rows])
+
+
 def sampled_directions(count: int) -> np.ndarray:
-    """(M, 3) unit vectors evenly over the half sphere around the first axis, the ones nearest to it first."""
+    """(M, 3) unit vectors evenly over the half sphere around the first axis, those nearest to it first."""
     number = np.arange(count)
     along = 1 - (number + 0.5) / count * (1 - np.cos(LARGEST_ANGLE))
-    around = number * np.pi * (3 - np.sqrt(5))  # the golden angle leaves no two of them close
+    around = number * np.pi * (3 - np.sqrt(5))  # with the golden angle no two of them are close
     across = np.sqrt(1 - along**2)
     return np.stack([along, across * np.cos(around), across * np.sin(around)], axis=-1)
 
 
 def suppress_similar(error: np.ndarray, directions: np.ndarray, separation: float, most: int) -> np.ndarray:
-    """(N, K) columns of ``error`` (N, M), the smallest first, no two directions within ``separation`` rad; −1 where none is.
+    """(N, K) columns of ``error`` (N, M), the smallest first, no two directions within ``separation`` rad; then −1.
 
-    Greedy, as the paper: the best is taken, all within the angle are removed, and so on. Equal errors go to the first column;
-    infinite ones are never taken.
+    Greedy, as in the paper: the best is taken, all within the angle are removed, and so on. Of equal errors the first column is
+    taken; infinite ones are never taken.
     """
     left = np.array(error, dtype=np.float64)
     near = directions @ directions.T > np.cos(separation)
@@ -43,7 +68,7 @@ def suppress_similar(error: np.ndarray, directions: np.ndarray, separation: floa
 def select_hypotheses(
     score: np.ndarray, tip: np.ndarray, direction: np.ndarray, of_set: np.ndarray, most: int, distance: float, angle: float
 ) -> np.ndarray:
-    """(N', ) rows of the hypotheses to keep, at most ``most`` of each set, set by set and the best first.
+    """(N',) rows of the hypotheses to keep, at most ``most`` of each set, set by set and the best first.
 
     score      (N,) E_vis; NaN and infinite ones are never kept
     tip        (N, 3) last vertex, mm
@@ -77,15 +102,15 @@ def select_hypotheses(
 def rank_distinct(
     score: np.ndarray, vertices: np.ndarray, of_set: np.ndarray, most: int, distance: float, certified: np.ndarray | None = None
 ) -> np.ndarray:
-    """(A, K) rows of each set's rods, the best first, without those that run along a better one; then −1.
+    """(A, K) rows of each set's rods, the best first, without those that are close to a better one; then −1.
 
     score      (N,) E_vis; NaN and infinite ones are never taken
     vertices   (N, V, 3) mm
     of_set     (N,) image set, in increasing order, at least one rod of each
     most       K
-    distance   mm: rods whose vertices are nearer than this on average are one
-    certified  (N,) bool: these rank before all others of their set, since the score of a rod that is no minimum says little;
-               None: all alike
+    distance   mm: rods whose vertices are nearer than this on average are the same rod
+    certified  (N,) bool: these rank before all others of their set, because the score of a rod that is no minimum has little
+               meaning; None: all
     """
     certified = np.ones(len(score), dtype=bool) if certified is None else certified
     sets, first, count = np.unique(of_set, return_index=True, return_counts=True)
@@ -93,7 +118,7 @@ def rank_distinct(
     taken = np.zeros(len(sets), dtype=np.int64)
     finite = np.isfinite(score)
     order = np.lexsort((np.where(finite, score, np.inf), ~certified, of_set))
-    # Round by round the next best of every set, unless a better one runs along it.
+    # In each round the next best of every set, unless a better one is close to it.
     for turn in range(count.max()):
         here = np.flatnonzero((turn < count) & (taken < most))
         rows = order[first[here] + turn]
@@ -110,3 +135,47 @@ def _padded(values: np.ndarray, place, shape) -> np.ndarray:
     table = np.zeros((*shape, 3))
     table[place] = values
     return table
+
+
+# --- the steps, recorded for pictures -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class GrowthStep:
+    """The hypotheses of one set after a step, the best first.
+
+    vertices    (n, i + 1, 3) mm
+    energy_vis  (n,) 1/mm, heights from v⁰
+    kept        (n,) bool: kept for the next step; the others were pruned
+    """
+
+    vertices: np.ndarray
+    energy_vis: np.ndarray
+    kept: np.ndarray
+
+
+@dataclass(frozen=True)
+class GrowthSteps:
+    """A record of the growth of the first ``sets`` sets."""
+
+    sets: int
+    steps: dict = field(default_factory=dict)
+
+    def add(self, first: int, kept: Hypotheses, pruned: Hypotheses) -> None:
+        """Record a step of ``perceive``, whose set 0 is set ``first`` here."""
+        for row in range(first, self.sets):
+            ours = [group.take(np.flatnonzero(group.of_set == row - first)) for group in (kept, pruned)]
+            if not len(ours[0].of_set) + len(ours[1].of_set):
+                break
+            self.steps.setdefault(row, []).append(ours)
+
+    def of(self, row: int, point: np.ndarray, rest_length: np.ndarray) -> list[GrowthStep]:
+        """The steps of one set, whose rod starts at ``point`` (3,) mm and has edges of ``rest_length`` (E,) mm."""
+        found = []
+        for kept, pruned in self.steps.get(row, ()):
+            quaternions = np.concatenate([kept.quaternions, pruned.quaternions])
+            start = np.broadcast_to(point, (len(quaternions), 3))
+            vertices = Configuration(start, quaternions, rest_length[: quaternions.shape[1]]).vertices
+            energy = np.concatenate([kept.energy_vis, pruned.energy_vis])
+            found.append(GrowthStep(vertices, energy, np.arange(len(energy)) < len(kept.of_set)))
+        return found

@@ -1,4 +1,4 @@
-"""The virtual lab before cameras (§V-A): its rods as they are to be photographed, and what is true of them.
+"""The virtual lab's rods for images (§V-A), and their true shapes.
 
 Axes: S observations, V marks, n vertices of the fine mesh.
 """
@@ -36,7 +36,7 @@ class LabRods:
 
     @property
     def direction(self) -> np.ndarray:
-        """(S, 3) unit vectors along e⁰, which the clip holds where it is no shorter."""
+        """(S, 3) unit vectors along e⁰, which the clip holds if it is at least as long."""
         first = self.vertices[:, 1] - self.vertices[:, 0]
         return first / np.linalg.norm(first, axis=-1, keepdims=True)
 
@@ -49,8 +49,8 @@ class LabRods:
 def lab_rods(synthesis: Synthesis) -> LabRods:
     """The rods behind :func:`doo_ti.synthesis.synthesise`, in its order.
 
-    Raises InputError for rods that are not round, which no image of a thread shows, and InterruptedRunError where a rod cannot
-    be carried to a stable equilibrium.
+    Raises InputError for rods that are not round, and InterruptedRunError where a rod cannot be carried to a stable
+    equilibrium.
     """
     if not synthesis.material().is_isotropic or synthesis.frames:
         raise InputError(synthesis.source, "synthesis.bend", f"{synthesis.name} is not round",
@@ -63,7 +63,7 @@ def lab_rods(synthesis: Synthesis) -> LabRods:
 
 
 def save_truth(path: Path, rods: LabRods, diameter_mm: float) -> None:
-    """Write what is true as npz: ``names``, ``vertices_mm``, ``curve_mm``, ``rest_length_mm``, ``thread_diameter_mm``."""
+    """Write the true shapes as npz: ``names``, ``vertices_mm``, ``curve_mm``, ``rest_length_mm``, ``thread_diameter_mm``."""
     write_whole(path, lambda file: np.savez_compressed(
         file, names=np.array(rods.names), vertices_mm=rods.vertices, curve_mm=rods.curve, rest_length_mm=rods.rest_length,
         thread_diameter_mm=diameter_mm))

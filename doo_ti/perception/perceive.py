@@ -1,8 +1,14 @@
 """Algorithm 1: from images to rods, edge by edge (§IV-A).
 
-A thin, uniform thread that crosses itself fits many curves; energy decides. Every step grows each hypothesis by several edges
-chosen from the images alone, relaxes all of them under E_vis, of all image sets together, and keeps those that score best and
-differ. Those that are left are relaxed once more on a finer rod, and the best of them is the answer.
+    Γ ← v⁰, e⁰                                                       Search.initial_hypotheses
+    for i = 1 … E − 1:
+        sample e^i, e^i·e^{i−1} > 0; keep the best that differ       Search.grown
+        Γ ← F(Γ, E_vis, C)                                           Search.nearly_relaxed
+        keep the H hypotheses of least E_vis that differ             Search.selected
+    the Γ of least E_vis after F(Γ, E_vis, C)                        Search.relaxed
+
+A thin, uniform thread that crosses itself fits many curves; energy decides. The last hypotheses are relaxed on a finer rod. All
+image sets are searched at once.
 
     found = perceive(maps, rig, point, direction, rest_length, Material(bend=6e5, twist=8e5))
     found.vertices    # (A, V, 3) mm
@@ -26,19 +32,19 @@ from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from doo_ti.vision.reprojection.score import score
 
 CLEAR_PX, AMBIGUOUS_PX = 0.1, 0.02
-"""Of the gap: more than detected lines are off, all along them; and less than the rod's energy, which depends on a Θ that is
-never exact, differs between rods that fit the images equally."""
+"""Bounds of the gap: the first is larger than the mean error of detected lines; the second is smaller than the difference of
+the rod's energy, which depends on an inexact Θ, between rods that fit the images equally."""
 FITTING_PX = 1.0
-"""Of the distance to the detection: where a camera shows more, much of the thread was not found, or something else was."""
+"""Bound of the distance to the detection; with more in any camera, much of the thread or something else was detected."""
 
 
 class Verdict(IntEnum):
-    """How sure the best rod is, by the gap to the best runner-up and by how well it fits itself.
+    """How certain the best rod is, by its gap to the best runner-up and its distance to the detection.
 
-    CLEAR      a gap from 0.1 px up, or no other rod: the images alone would not do for the other. And it lies on what was
-               detected: within 1 px, on average, in every camera
-    LIKELY     a gap from 0.02 px up: the images nearly do for both, the rod's energy helps to decide. Or a wider one, but
-               what was detected is not all of the thread
+    CLEAR      a gap of at least 0.1 px, or no other rod: image evidence alone separates them. And the rod is within 1 px of the
+               detection, on average, in every camera
+    LIKELY     a gap of at least 0.02 px: image evidence alone does not separate them, the rod's energy helps to decide. Or a
+               wider gap, but the rod is further from the detection
     AMBIGUOUS  a smaller gap: either may be the rod
     """
 
@@ -49,23 +55,23 @@ class Verdict(IntEnum):
 
 @dataclass(frozen=True)
 class Perception:
-    """What the images of A sets say.
+    """The rods in A sets of images.
 
     vertices          (A, V, 3) mm: the best rod of each set at its marks, a certified minimum if there is one
     configuration     the same rod with every edge in pieces, as it was relaxed
     energy_vis        (A,) its E_vis, 1/mm
-    camera_error      (A, C) px: its distance to the detection, mean along it, in each camera. A map is smooth at its crease,
-                      and what that adds is taken off: about 0 is a perfect fit
+    camera_error      (A, C) px: its distance to the detection, mean along it, in each camera. The smoothing of a map at its
+                      crease is compensated: about 0 is a perfect fit
     status            (A,) Status of its last relaxation
     stable            (A,) bool: certified to be a minimum of E_vis
     sigma             (A, V) mm: uncertainty of its vertices by noise in the detection
                       (:mod:`doo_ti.perception.shape_uncertainty`)
     runner_up         (A, K, V, 3) mm: the next best rods that differ from all better ones; NaN where there are fewer
-    runner_up_energy  (A, K) their E_vis, infinite where there are none
-    gap               (A,) px: by how much E_vis of the best runner-up is worse, as a mean distance along all images;
+    runner_up_energy  (A, K) their E_vis, infinite where there are fewer
+    gap               (A,) px: E_vis of the best runner-up less that of the best rod, as a mean distance along all images;
                       infinite without one, negative where a rod that is no certified minimum scores better than this one
-    edge_error        (A, C, E) px: distance to the detection along each edge of the best rod
-    unsupported       (A, E) edges that no camera sees on the detection
+    edge_error        (A, C, E) px: mean distance to the detection along each edge of the best rod
+    unsupported       (A, E) bool: edges that are far from the detection in all cameras
     """
 
     vertices: np.ndarray
@@ -108,7 +114,7 @@ def perceive(
 ) -> Perception:
     """Recover the rods in A sets of images (Alg. 1).
 
-    maps         what was detected, as distances
+    maps         distances to the detected lines
     point        (A, 3) mm, v⁰
     direction    (A, 3) of e⁰; any length
     rest_length  (E,) mm
@@ -119,7 +125,7 @@ def perceive(
     Raises InputError for shapes that do not match, fewer than two edges, and more than one material.
     """
     search = _checked(maps, rig, point, direction, rest_length, material, up, options)
-    kept = search.seedlings()
+    kept = search.initial_hypotheses()
     for edges in range(2, len(search.rest_length) + 1):
         grown = search.nearly_relaxed(search.grown(kept))
         rows = search.selected(grown)
@@ -149,14 +155,14 @@ def _checked(maps, rig, point, direction, rest_length, material, up, options) ->
 
 
 def _result(search: Search, kept: Hypotheses) -> Perception:
-    """The finalists of each set relaxed to the end, and what the best of them are."""
+    """The finalists of each set relaxed until they converge, ranked."""
     options = search.options
     candidates = rank_distinct(kept.energy_vis, search.vertices(kept), kept.of_set, options.finalists, options.similar_distance)
     final, solution = search.relaxed(kept.take(np.sort(candidates[candidates >= 0])))
     marks = solution.configuration.vertices[:, :: options.pieces]
     certified = (solution.status == Status.CONVERGED) & solution.stable
     ranked = rank_distinct(final.energy_vis, marks, final.of_set, 1 + options.runners_up, options.similar_distance, certified)
-    # A set whose rods all came to nothing keeps one, whose status says so.
+    # If all rods of a set failed, one of them is returned with its status.
     best = np.where(ranked[:, 0] >= 0, ranked[:, 0], np.searchsorted(final.of_set, np.arange(len(ranked))))
     others = ranked[:, 1:]
     found = others >= 0
@@ -183,7 +189,7 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
 
 
 def _reprojected(search: Search, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(A, C, E) px twice: mean distance to the detection along the image of each edge, and how long that is."""
+    """(A, C, E) px twice: mean distance to the detection along the image of each edge, and the length of that image."""
     sets, ends = vertices.shape[:2]
     segments = np.stack([vertices[:, :-1], vertices[:, 1:]], axis=2).reshape(-1, 2, 3)
     found = score(segments, search.maps, np.repeat(np.arange(sets), ends - 1), search.rig, 1.0, points=search.piece_points,

@@ -1,11 +1,11 @@
-"""The search of Algorithm 1: hypotheses grow by an edge, come to rest under E_vis, and those that differ and score best stay.
+"""The steps of Algorithm 1: hypotheses grow by an edge, are relaxed under E_vis, and the best that differ are kept.
 
-    E_vis = E / B + ν Σ_c E_proj                                                                        (§IV-A)
+    E_vis = E / B + ν Σ_c E_proj^c                                                                        (§IV-A)
 
 with E_proj in px² (a projected edge's mean distance to the nearest detected pixel, times its length), and the rod's energy E
-over the largest eigenvalue of B, in 1/mm: so ν is in 1/(mm px²) and keeps its meaning whatever the rod's stiffness is.
+over the largest eigenvalue of B, in 1/mm: so ν is in 1/(mm px²), and its effect does not depend on the rod's stiffness.
 
-All image sets go together; the stages that need no physics are in :mod:`doo_ti.perception.growth`.
+All image sets are searched at once; the stages that need no physics are in :mod:`doo_ti.perception.growth`.
 
 Axes: A image sets, C cameras, N hypotheses of all sets, M sampled directions, E edges, V vertices.
 """
@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, require_whole
 from doo_ti.frames import (
     across,
     bishop_frames,
@@ -24,44 +24,44 @@ from doo_ti.frames import (
     smallest_rotation,
     tangent_from_quaternion,
 )
-from doo_ti.perception.growth import sampled_directions, select_hypotheses, suppress_similar
+from doo_ti.perception.growth import Hypotheses, sampled_directions, select_hypotheses, suppress_similar
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, Status
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
-from doo_ti.vision.reprojection.evidence import Reprojection
+from doo_ti.vision.reprojection.image_energy import Reprojection
 from doo_ti.vision.reprojection.score import score
 
 LOST = 1e30
-"""1/mm: E_vis of a rod that came to nothing while growing. It grows on from where it set out if its set has no better one."""
+"""1/mm: E_vis of a rod that failed while growing. Its start is kept if its set has no better hypothesis."""
 
 
 @dataclass(frozen=True)
 class PerceptionOptions:
-    """How Algorithm 1 searches.
+    """Options of Algorithm 1.
 
-    nu                   ν, 1/(mm px²): what a pixel's distance along a pixel weighs against energy over stiffness
-    hypotheses           H: kept per image set and step
-    samples              M: directions tried for a new edge, evenly over the half sphere before the last one
+    nu                   ν, 1/(mm px²): weight of E_proj against energy over stiffness
+    hypotheses           H: hypotheses kept per image set and step
+    samples              M: directions tried for a new edge, evenly over the half sphere around the last one
     separation           rad: of sampled directions this near to each other only the best is grown
-    children             edges grown from one hypothesis at most
+    children             largest number of edges grown from one hypothesis
     similar_distance     mm: hypotheses whose last vertices are this near …
-    similar_angle        rad: … and whose last edges differ by less are one; the better one stays. Whole rods are one where
-                         their vertices are this near on average
-    points               places along an edge where a map is read while growing
+    similar_angle        rad: … and whose last edges differ by less are the same; the better one is kept. Complete rods are the
+                         same where their vertices are this near on average
+    points               places along an edge where a map is sampled while growing
     cap                  px: distances to the detection saturate there
-    growing_nu           ν while growing, smaller, so that a gap in the detection is crossed before the whole rod is judged …
-    growing_cap          … and the cap there
-    growing_iterations   Newton's, in f32, at most, in each step of growth: the next step goes on from there
-    finalists            hypotheses of each set, all different, that are relaxed to the end
-    pieces               pieces that each edge is cut into for that: the rod is finer than its marks, so that it can lie on
-                         the images' smooth lines without cutting corners
-    final_points         places along an edge, all its pieces together, where a map is read then
-    runners_up           K: rods other than the best that are told
-    unsupported          px: an edge further than this from the detection, on average, in every camera is not seen
-    sigma_px             px: by how much detected points are off, across the line, one standard deviation …
-    correlation_px       px: … all of them within such a length of the line together. Both only for the uncertainty told
+    growing_nu           ν while growing, smaller, so that rods can grow across a gap in the detection …
+    growing_cap          … and the cap while growing
+    growing_iterations   largest number of Newton's iterations, in f32, in each step of growth; the next step continues them
+    finalists            hypotheses of each set, all different, that are relaxed until they converge
+    pieces               pieces that each edge is cut into for that: the rod is finer than its marks, so that it can follow the
+                         images' smooth lines
+    final_points         places along an edge, all its pieces together, where a map is sampled for finalists
+    runners_up           K: rods other than the best in the result
+    unsupported          px: an edge further than this from the detection, on average, in every camera counts as unsupported
+    sigma_px             px: standard deviation of detected points, across the line …
+    correlation_px       px: … and the length of line within which their errors are equal. Both only for the uncertainty
     """
 
     nu: float = 0.005
@@ -90,36 +90,15 @@ class PerceptionOptions:
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise InputError("PerceptionOptions", name, f"{getattr(self, name)}", "give a positive number")
         for name in ("hypotheses", "samples", "children", "points", "growing_iterations", "finalists", "pieces",
-                     "final_points"):
-            if getattr(self, name) < 1:
-                raise InputError("PerceptionOptions", name, f"{getattr(self, name)}", "give 1 or more")
-        if self.runners_up < 0:
-            raise InputError("PerceptionOptions", "runners_up", f"{self.runners_up}", "give 0 or more")
-
-
-@dataclass(frozen=True)
-class Hypotheses:
-    """Rods that grow: i edges each, and what they score.
-
-    of_set       (N,) image set, in increasing order
-    quaternions  (N, i, 4) frames
-    energy_vis   (N,) E_vis, 1/mm, infinite where a rod came to nothing at the end; while growing, heights are measured from v⁰
-    """
-
-    of_set: np.ndarray
-    quaternions: np.ndarray
-    energy_vis: np.ndarray
-
-    def take(self, rows: np.ndarray) -> "Hypotheses":
-        """The hypotheses named by ``rows``, in that order."""
-        return Hypotheses(self.of_set[rows], self.quaternions[rows], self.energy_vis[rows])
+                     "final_points", "runners_up"):
+            require_whole("PerceptionOptions", name, getattr(self, name), 0 if name == "runners_up" else 1)
 
 
 @dataclass(frozen=True)
 class Search:
-    """What does not change while hypotheses grow.
+    """What is constant while hypotheses grow.
 
-    maps, rig    what was detected, as distances, and by which cameras
+    maps, rig    the distance maps, and their cameras
     point        (A, 3) mm, v⁰
     direction    (A, 3) unit vectors, e⁰
     rest_length  (E,) mm
@@ -142,12 +121,12 @@ class Search:
         object.__setattr__(self, "first", bishop_frames(self.direction[:, None], across(self.direction))[:, 0])
         object.__setattr__(self, "scale", float(np.linalg.eigvalsh(self.material.bend).max()))
 
-    def seedlings(self) -> Hypotheses:
-        """One hypothesis of one edge for each set: v⁰ and e⁰ as given, its spin any."""
+    def initial_hypotheses(self) -> Hypotheses:
+        """One hypothesis of one edge for each set: v⁰ and e⁰ as given, with an arbitrary roll."""
         return Hypotheses(np.arange(len(self.first)), quaternion_from_matrix(self.first)[:, None], np.zeros(len(self.first)))
 
     def grown(self, kept: Hypotheses) -> Hypotheses:
-        """Each hypothesis with each of the edges that the images propose, by their error alone."""
+        """Each hypothesis with each of the edges of least Σ_c E_proj, by the images alone."""
         options = self.options
         length = self.rest_length[kept.quaternions.shape[1]]
         tip = self.vertices(kept)[:, -1]
@@ -168,8 +147,8 @@ class Search:
         return Hypotheses(kept.of_set[parent], quaternions, kept.energy_vis[parent])
 
     def nearly_relaxed(self, grown: Hypotheses) -> Hypotheses:
-        """A few steps of F(Γ, E_vis, C) for all at once, in f32: a rod that has not arrived goes on when it has grown, and
-        needs no f64 before."""
+        """A few iterations of F(Γ, E_vis, C) for all at once, in f32: rods that have not converged are continued in the next
+        step of growth."""
         options = self.options
         start, clamps = self._held(grown, self.rest_length[: grown.quaternions.shape[1]])
         solver = Newton(max_iterations=options.growing_iterations, tolerance=0.1)
@@ -181,7 +160,7 @@ class Search:
         return Hypotheses(grown.of_set, quaternions, np.where(lost, LOST, solution.energy / self.scale))
 
     def relaxed(self, hypotheses: Hypotheses) -> tuple[Hypotheses, Solution]:
-        """F(Γ, E_vis, C) to the end, each edge in pieces."""
+        """F(Γ, E_vis, C) until it converges, each edge cut into pieces."""
         pieces = self.options.pieces
         fine = Hypotheses(hypotheses.of_set, np.repeat(hypotheses.quaternions, pieces, axis=1), hypotheses.energy_vis)
         start, clamps = self._held(fine, np.repeat(self.rest_length / pieces, pieces))
@@ -191,7 +170,7 @@ class Search:
         return Hypotheses(fine.of_set, solution.configuration.quaternions, energy), solution
 
     def selected(self, grown: Hypotheses) -> np.ndarray:
-        """Rows of the best that differ, at most H of each set."""
+        """Rows of the hypotheses to keep: the best that differ, at most H of each set."""
         options = self.options
         direction = tangent_from_quaternion(grown.quaternions[:, -1])
         return select_hypotheses(grown.energy_vis, self.vertices(grown)[:, -1], direction, grown.of_set, options.hypotheses,
@@ -208,7 +187,7 @@ class Search:
 
     @property
     def piece_points(self) -> int:
-        """Places along a piece of an edge where a map is read."""
+        """Places along a piece of an edge where a map is sampled."""
         return -(-self.options.final_points // self.options.pieces)
 
     def _held(self, hypotheses: Hypotheses, rest_length: np.ndarray) -> tuple[Configuration, Clamps]:

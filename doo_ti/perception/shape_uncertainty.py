@@ -1,16 +1,15 @@
-"""How uncertain the vertices of a perceived rod are: the Laplace approximation of E_vis around its minimum (§IV-A).
+"""Uncertainty of the vertices of a perceived rod: the Laplace approximation of E_vis around its minimum (§IV-A).
 
-Detected points are off across the line by σ px, those within a length ℓ of the line together; all other noise is left out, as
-are errors of the model: rig, stiffness, rest lengths and seed count as exact. Near the detected line a distance map is a
-parabola of curvature k, so that the gradient of ν E_proj is off by ν k times the noise along the image, with the covariance
+    cov = H⁻¹ M H⁻¹,        M = ν² k² σ² ℓ ∫ a aᵀ ds,        H = ν k ∫ a aᵀ ds + H_E
 
-    M = ν² k² σ² ℓ ∫ a aᵀ ds,        H = ν k ∫ a aᵀ ds + H_E
+Detected points have errors of σ px across the line, equal within a length ℓ of the line. Near the line a distance map is a
+parabola of curvature k; the movement of places of the image across the image, per parameter, is a. M is the covariance of the
+gradient of ν E_proj, H the Hessian of E_vis. Without the rod's energy k and ν cancel; stiffness reduces the uncertainty. Other
+noise and errors of the model are left out: rig, stiffness, rest lengths and seed count as exact.
 
-for the movement a across the image, per parameter, of its places, and the minimum is off by H⁻¹ times that: covariance
-H⁻¹ M H⁻¹. Without the rod's energy k and ν cancel; stiffness makes it smaller.
-
-Noise of the sensor alone moves detected points by 0.02 px over 4 px of line or so; the default σ and ℓ of
-:class:`.search.PerceptionOptions` are larger, so that sigma is as large as the errors that renderings of known rods show.
+Sensor noise alone moves detected points by about 0.02 px, over about 4 px of line; the default σ and ℓ of
+:class:`doo_ti.perception.search.PerceptionOptions` are larger, so that sigma is as large as the errors measured on renderings
+of known rods.
 
 Axes: A rods, C cameras, E edges, V vertices, S places along a rod, P = 2 (E − 1) parameters: turns of all edges but the first.
 """
@@ -21,18 +20,16 @@ from doo_ti.frames import across
 from doo_ti.vision.cameras.rig import Rig
 
 CREASE_CURVATURE = 1.5
-"""1/px: k of the distance to a line, sampled at pixels and smoothed by quadratic B-splines, mean over where the line passes."""
-
+"""1/px: k of the distance to a line, sampled at pixels and smoothed by quadratic B-splines, mean over places of the line."""
 PLACES = (0.25, 0.75)
-"""Of an edge, where the image is looked at."""
-
+"""Places along an edge where its image is evaluated."""
 STEP_MM = 1e-3
-"""Of the differences that tell how an image moves."""
+"""Step of the difference quotients of the projection."""
 
 
 def vertex_sigma(rig: Rig, vertices: np.ndarray, nu: float, sigma_px: float, correlation_px: float) -> np.ndarray:
-    """(A, V) mm: standard deviation of each vertex, root mean square over its three coordinates; zero for the first two, which
-    are given.
+    """(A, V) mm: standard deviation of each vertex, root mean square over its three coordinates; zero for the first two
+    vertices, which are given.
 
     vertices                   (A, V, 3) mm: rods at minima of E_vis / B, isotropic and straight at rest
     nu                         ν, 1/(mm px²)
@@ -56,7 +53,7 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, nu: float, sigma_px: float, cor
 
 
 def _vertex_movement(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """(A, V, 3, P) mm per rad: how each vertex moves as edges turn."""
+    """(A, V, 3, P) mm per rad: derivative of each vertex by turns of the edges."""
     rods, edges = length.shape
     each = length[..., None, None] * turns
     before = np.tri(edges + 1, edges, -1)
@@ -65,7 +62,7 @@ def _vertex_movement(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
 
 
 def _movement_across(rig: Rig, vertices: np.ndarray, turns: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """((A, C S, P) px per rad: how places of the rod's images move across them; (A, C S) px of image that each stands for)."""
+    """((A, C S, P) px per rad: movement of places of the rod's images across these; (A, C S) px: length of image per place)."""
     rods, edges = length.shape
     moved = _vertex_movement(turns, length)
     rows, shares = [], []
@@ -80,7 +77,7 @@ def _movement_across(rig: Rig, vertices: np.ndarray, turns: np.ndarray, length: 
         rows.append(np.einsum("caexu,caeu,aexp->acep", jacobian, normal, motion, optimize=True))
         shares.append(np.swapaxes(pixels, 0, 1) / len(PLACES))
     across_image, share = np.stack(rows, axis=3), np.stack(shares, axis=3)
-    # A camera that cannot see a place says nothing about it.
+    # Places that a camera cannot see do not count.
     blind = ~(np.isfinite(across_image).all(axis=-1) & np.isfinite(share))
     across_image[blind], share[blind] = 0.0, 0.0
     return across_image.reshape(rods, -1, across_image.shape[-1]), share.reshape(rods, -1)

@@ -1,13 +1,13 @@
 """A rod through a video: every frame from the one before, and by Algorithm 1 where that fails (§III-D, §IV-A).
 
-The rod of the last frame sets out from a few places at once, as its start and its own motion take it along, and comes to rest
-under E_vis of the next images; the one with the least E_vis is relaxed to the end. Where that does not lie on what was
-detected, or lies on it much worse than before, Algorithm 1 looks for the rod anew.
+The rod of the last frame is moved in a few ways, with its start and by its own motion; from each of these initial shapes it is
+relaxed under E_vis of the next images, and the one with the least E_vis until it converges. Where that is not on the detected
+line, or is on it much worse than before, Algorithm 1 searches for the rod again.
 
     tracker = Tracker(rig, rest_length, Material(bend=6e5, twist=8e5))
     frames = [tracker.see(detected, point, direction) for detected, point, direction in video]
 
-Axes: C cameras, E edges, V vertices, K places to set out from.
+Axes: C cameras, E edges, V vertices, K initial shapes.
 """
 
 from dataclasses import dataclass, replace
@@ -30,9 +30,9 @@ from doo_ti.vision.reprojection.distance_map import distance_maps
 from doo_ti.vision.reprojection.score import score
 
 ITERATIONS = 30
-"""Newton's, in f32 and at most, from each place to set out from."""
+"""Largest number of Newton's iterations, in f32, from each initial shape."""
 BETTER = 1e-6
-"""Share of E_vis by which the rod of Algorithm 1 must be better than the tracked one: less is the same rod."""
+"""Share of E_vis by which the rod of Algorithm 1 must be better than the tracked one; with less it is the same rod."""
 
 
 class How(IntEnum):
@@ -52,10 +52,10 @@ class How(IntEnum):
 class TrackingOptions:
     """When a rod counts as lost.
 
-    lost_px   px: further than this from the detection, on average along the rod, it is not on it. Two cameras must see it
-              there: others may be hidden
-    worse_px  px: where the mean over the cameras has grown by more since Algorithm 1 was last asked, it is asked again, and the
-              better rod counts
+    lost_px   px: largest distance to the detection, mean along the rod, of a rod that is not lost. It must be met in two
+              cameras; in the others the rod may be hidden
+    worse_px  px: Algorithm 1 is run again if the mean distance over the cameras has grown by more than this since its last
+              run, and the better rod counts
 
     Raises InputError for numbers that are not positive.
     """
@@ -107,10 +107,10 @@ class _Rod:
 
 
 class Tracker:
-    """What is known of a rod while frames arrive.
+    """Tracks a rod frame by frame.
 
-    rig, rest_length, material, up, search   as :func:`doo_ti.perception.perceive.perceive` takes them
-    options                                  when it is lost
+    rig, rest_length, material, up, search   as in :func:`doo_ti.perception.perceive.perceive`, ``search`` its options
+    options                                  when the rod counts as lost
     """
 
     def __init__(self, rig: Rig, rest_length, material: Material, *, up=(0.0, 0.0, 1.0),
@@ -119,17 +119,17 @@ class Tracker:
         self._rest_length = np.asarray(rest_length, dtype=np.float64)
         self._up = np.asarray(up, dtype=np.float64) / np.linalg.norm(up)
         self._last: _Rod | None = None
-        self._usual = np.inf  # px, mean over the cameras: the least since Algorithm 1 was asked
+        self._usual = np.inf  # px, mean over the cameras: the least since the last run of Algorithm 1
         self._turn: np.ndarray | None = None  # (E, 4) of each edge, from the frame before the last one to the last one
 
     def see(self, detected: list[Detection], point, direction, far: Motion | None = None) -> TrackedFrame:
         """The rod in the next frame.
 
-        detected   of each camera; one without points sees no thread
+        detected   of each camera; a detection without points means that the camera sees no thread
         point      (3,) mm, v⁰ in this frame
         direction  (3,) of e⁰; any length
-        far        how the far clamp has moved since the frame before: one more place to set out from is where the rod would
-                   go without being seen. Tangents only; the start goes with the seed
+        far        motion of the far clamp since the frame before: the rod predicted from it is one more initial shape. Tangents
+                   only; the start moves with the seed
 
         Raises InputError as :func:`doo_ti.perception.perceive.perceive` does.
         """
@@ -150,7 +150,7 @@ class Tracker:
         return self._kept(rod, how, search)
 
     def _tracked(self, search: Search, far: Motion | None) -> _Rod:
-        """Where the last rod comes to rest in this frame."""
+        """The last rod relaxed in this frame, from the best of its initial shapes."""
         starts = self._starts(search, far)
         longer = replace(search, options=replace(search.options, growing_iterations=ITERATIONS))
         rested = longer.nearly_relaxed(Hypotheses(np.zeros(len(starts), dtype=np.int64), starts, np.zeros(len(starts))))
@@ -162,8 +162,8 @@ class Tracker:
                     solution.stable[0])
 
     def _starts(self, search: Search, far: Motion | None) -> np.ndarray:
-        """(K, E, 4): the last rod as it was, all of it turned with the seed, turned on as it turned before, and carried by its
-        far clamp. The seed holds the first edge of each."""
+        """(K, E, 4): the last rod unchanged, rotated with the seed, rotated as in the step before, and carried by the far
+        clamp. The first edge of each is then held at the seed."""
         last = self._whole(self._last)
         edges = last.quaternions[0]
         starts = [edges, _aimed(edges, search.direction)]
@@ -174,7 +174,7 @@ class Tracker:
         return np.stack([start for start in starts if np.isfinite(start).all()])
 
     def _carried(self, last: Configuration, search: Search, far: Motion) -> np.ndarray:
-        """(E, 4) where the last rod goes when its start goes to the seed and its far end as the clamp did."""
+        """(E, 4) the last rod after its start has moved to the seed and its far end with the clamp."""
         frames, vertices = last.frames, last.vertices
         here = Clamps(Clamp.TANGENT, Clamp.TANGENT, vertices[:, 0], vertices[:, -1], frames[:, 0], frames[:, -1])
         goal = replace(replace(far, clamps=here).at(1.0), start_position=search.point, start_frame=search.first)
@@ -182,7 +182,7 @@ class Tracker:
         return solution.configuration.quaternions[0]
 
     def _whole(self, rod: _Rod) -> Configuration:
-        """The rod with its edges whole, as their middles point."""
+        """The rod with uncut edges, in the directions of their middle pieces."""
         fine, pieces = rod.configuration, self._search.pieces
         return Configuration(fine.start, fine.quaternions[:, pieces // 2 :: pieces], self._rest_length)
 
@@ -193,11 +193,11 @@ class Tracker:
         return _Rod(found.configuration, found.energy_vis[0], found.camera_error[0], found.status[0], found.stable[0])
 
     def _seen(self, rod: _Rod) -> bool:
-        """Whether the rod lies on what was detected."""
+        """Whether the rod is on the detected line."""
         return np.sort(rod.camera_error)[FEWEST_CAMERAS - 1] <= self._options.lost_px
 
     def _doubtful(self, rod: _Rod) -> bool:
-        """Whether Algorithm 1 is asked, too."""
+        """Whether Algorithm 1 is to be run."""
         worse = rod.camera_error.mean() - self._usual
         return not (rod.converged and self._seen(rod) and worse <= self._options.worse_px)
 
@@ -208,9 +208,9 @@ class Tracker:
         return rod.energy_vis < (1 - BETTER) * other.energy_vis
 
     def _kept(self, rod: _Rod, how: How, search: Search) -> TrackedFrame:
-        """What is told of a frame, and remembered for the next one."""
+        """The result of a frame; the rod is stored for the next one."""
         turn = None
-        if how == How.TRACKED:  # a rod that was found anew did not turn by itself
+        if how == How.TRACKED:  # the difference to a rod found by Algorithm 1 is no motion
             now, before = (self._whole(one).quaternions[0] for one in (rod, self._last))
             turn = quaternion_product(now, before * [1, -1, -1, -1])
         self._turn, self._last, self._usual = turn, rod, min(self._usual, rod.camera_error.mean())
@@ -221,7 +221,7 @@ class Tracker:
         return TrackedFrame(marks[0], sigma[0], rod.energy_vis, error, Status(rod.status), bool(rod.stable), how)
 
     def _lost(self) -> TrackedFrame:
-        """Nothing is known of the rod: the next frame begins with Algorithm 1."""
+        """The rod is lost: the next frame begins with Algorithm 1."""
         self._last = self._turn = None
         vertices = np.full((len(self._rest_length) + 1, 3), np.nan)
         return TrackedFrame(vertices, vertices[:, 0], np.nan, np.full(len(self._rig.cameras), np.nan), Status.NOT_FINITE,

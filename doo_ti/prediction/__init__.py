@@ -1,1 +1,1 @@
-"""What a rod will do when its ends are moved (§III-D, Fig. 1)."""
+"""Configurations of a rod after its ends have moved (§III-D, Fig. 1)."""

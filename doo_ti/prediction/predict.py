@@ -1,8 +1,10 @@
-"""Prediction of motion: where a rod goes when its clamps are moved (§III-D).
+"""Prediction of motion: the configuration of a rod after its clamps have moved (§III-D).
 
-The rod's configuration Γ_1 is a minimum of E_Θ under C_1. The clamps go to C_2 in sub-steps, as many as their own
-way needs; after each the rod is relaxed from where it was, so that it follows its branch of minima, and where that ends it
-falls to another one, which is counted. Quasi-static: nothing has inertia.
+    Γ_2 = F(… F(F(Γ_1, E_Θ, C_1+δ), E_Θ, C_1+2δ) …, E_Θ, C_2)
+
+Γ_1 is a minimum of E_Θ under C_1. The clamps move to C_2 in sub-steps, as many as their motion needs; after each the rod is
+relaxed from its last configuration, so that it follows its branch of minima. Where the branch ends the rod jumps to another
+one; jumps are counted. The motion is quasi-static, without inertia.
 
 Axes: T moments, G materials, N motions, R = G·N rods, material by material, E edges, K candidate poses.
 """
@@ -23,9 +25,9 @@ from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, Status, lasting
 
 STILL = 1e-9
-"""mm and rad: clamps that move by less rest."""
-TOLD = ("energy", "residual", "iterations", "status", "stable", "end_force")
-"""Of each moment's solution, as :class:`doo_ti.types.Solution` has it."""
+"""mm and rad: clamps that move by less count as resting."""
+REPORTED = ("energy", "residual", "iterations", "status", "stable", "end_force")
+"""Fields of :class:`doo_ti.types.Solution` that are kept of every moment."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +39,9 @@ class Prediction:
     quaternions   (T, R, E, 4) frames
     rest_length   (E,) mm
     energy, residual, iterations, status, stable (T, R), end_force (T, R, 3)
-                  as in :class:`doo_ti.types.Solution`; iterations since the moment before, a status that was not converged
-                  on the way there counts
-    jumps         (T, R) falls to another branch since the moment before
+                  as in :class:`doo_ti.types.Solution`; iterations since the moment before, and of the statuses so far the
+                  first one that is not converged
+    jumps         (T, R) jumps to another branch since the moment before
     end_rotation  (T, R) rad by which the far clamp has turned the rod about its tangent, whole turns included
     material, motion  (R,) rows
     """
@@ -73,7 +75,7 @@ class Prediction:
 
     @property
     def followed(self) -> np.ndarray:
-        """(T, R) bool: at every moment so far the rod converged to a certified minimum. Afterwards it is no prediction."""
+        """(T, R) bool: at every moment so far the rod converged to a certified minimum; else there is no prediction."""
         return np.logical_and.accumulate((self.status == Status.CONVERGED) & self.stable, axis=0)
 
     def at(self, moment: int) -> Configuration:
@@ -88,17 +90,17 @@ def predict(
 ) -> Prediction:
     """Carry rods along a path and keep them at its moments.
 
-    configuration  R = G·N rods, material by material, or N, that are at rest under ``clamps`` or near it
+    configuration  R = G·N rods, material by material, or N, at rest under ``clamps`` or near it
     material       G rows, each for N rods
-    clamps         (N) that hold them; from there they are first brought to the path's first moment
+    clamps         (N) that hold them; from these the rods are first carried to the path's first moment
     path           of N motions, or of one for all
-    sub_step       rad that a clamp turns at most in a sub-step; its shift is bound in proportion
-    between        steps of each interval that are kept, its end included
-    precision      at the moments, as :func:`doo_ti.relaxation.relax.relax` takes it; on the way f32 does, unless it is "f64"
-    advance        is told of rods as they come to a moment, (T − 1)·between·R in all
+    sub_step       rad: largest rotation of a clamp in a sub-step; its shift is bounded in proportion
+    between        number of steps of each interval that are kept, its end included
+    precision      at the moments, as in :func:`doo_ti.relaxation.relax.relax`; between them f32, or f64 if this is "f64"
+    advance        called with the number of rods at each moment, (T − 1)·between·R in all
 
-    A rod that cannot follow has that status from there on; the next interval begins where it last was. Raises InputError
-    where numbers of rods and motions do not match.
+    A rod that fails keeps its status from there on; the next interval begins at its last configuration. Raises InputError where
+    numbers of rods and motions do not match.
     """
     motions = len(clamps.start_position)
     if configuration.count not in (motions, motions * material.count) or path.count not in (1, motions):
@@ -128,17 +130,17 @@ def predict_step(
     configuration: Configuration, material: Material, clamps: Clamps, goal: Clamps, *, rotation=None,
     sub_step: float = LARGEST_TURN, up=(0.0, 0.0, 1.0), precision: str = "f32", watch: bool = True,
 ) -> tuple[Solution, np.ndarray | None]:
-    """Where one rod would go under each of K candidate motions of its clamps, what a planner asks: the solution, K rods, and
-    how often each fell to another branch (K,).
+    """One rod after each of K candidate motions of its clamps, for planners: the solution, K rods, and (K,) how often each has
+    jumped to another branch.
 
     configuration  one rod at rest under ``clamps``, one row
     material       one row
     goal           (K) clamps, of the kinds of ``clamps``
-    rotation       (K,) rad how far the far frame turns about the rod, whole turns included; None: the shortest way
-    watch          whether falls are looked for, and sub-steps that look like one made again in smaller ones. Without it a
-                   call takes three quarters of the time and returns None in place of the falls
+    rotation       (K,) rad by which the far frame turns about the rod, whole turns included; None: the shortest way
+    watch          whether jumps are detected, and sub-steps that look like one are repeated in smaller ones. Without it a call
+                   takes three quarters of the time and returns None in place of the jumps
 
-    How many sub-steps a rod takes depends on its own motion. A rod that does not converge in one of them keeps that status.
+    The number of sub-steps of a rod depends on its own motion. A rod that does not converge in one of them keeps that status.
     """
     count = len(goal.start_position)
     rows = np.zeros(count, dtype=np.int64)
@@ -152,7 +154,7 @@ def predict_step(
 
 @dataclass(frozen=True)
 class _Travel:
-    """How rods are carried."""
+    """Everything that is constant while rods are carried."""
 
     material: Material
     rest_length: np.ndarray
@@ -168,13 +170,13 @@ class _Travel:
                      precision=self.precision, configuration_index=rods, material_index=rods // motions)
 
     def go(self, configuration: Configuration, motion: Motion) -> tuple[Solution, np.ndarray, Motion]:
-        """Where the rods come to, how often each fell, and the motion itself."""
+        """The rods after ``motion``, their numbers of jumps, and the motion itself."""
         journey = Journey(motion, self.material, self.sub_step, self.rest_length, self.up, self.solver, self.precision)
         return *journey.end(configuration), motion
 
 
 class _Film:
-    """The moments so far: what was kept of each, and where rods and clamps are now."""
+    """The moments so far, and the present rods and clamps."""
 
     def __init__(self, solution: Solution, jumps: np.ndarray, clamps: Clamps):
         self.clamps, self.configuration = clamps, solution.configuration
@@ -184,7 +186,7 @@ class _Film:
         """Another moment, at the end of ``motion``."""
         here, rotation = solution.configuration, self._moments[-1][2]
         turned = np.tile(_rotation_about_rod(motion), here.count // len(motion.clamps.start_position))
-        # A rod that came to nothing waits where it was.
+        # A rod that is not finite continues from its last configuration.
         lost = ~np.isfinite(here.quaternions).all(axis=(1, 2))
         frames = np.where(lost[:, None, None], self.configuration.quaternions, here.quaternions)
         start = np.where(lost[:, None], self.configuration.start, here.start)
@@ -193,12 +195,12 @@ class _Film:
 
     def developed(self, time, rest_length, material, motion) -> Prediction:
         solutions, jumps, rotation = zip(*self._moments, strict=True)
-        told = {name: np.stack([getattr(solution, name) for solution in solutions]) for name in TOLD}
-        told["status"] = np.array(list(accumulate(told["status"], lasting)))
+        reported = {name: np.stack([getattr(solution, name) for solution in solutions]) for name in REPORTED}
+        reported["status"] = np.array(list(accumulate(reported["status"], lasting)))
         shapes = [solution.configuration for solution in solutions]
         return Prediction(time=time, start=np.stack([shape.start for shape in shapes]), rest_length=rest_length,
                           quaternions=np.stack([shape.quaternions for shape in shapes]), jumps=np.stack(jumps),
-                          end_rotation=np.stack(rotation), material=material, motion=motion, **told)
+                          end_rotation=np.stack(rotation), material=material, motion=motion, **reported)
 
 
 def _moves(motion: Motion) -> bool:
@@ -207,7 +209,7 @@ def _moves(motion: Motion) -> bool:
 
 
 def _part(motion: Motion, first: float, last: float) -> Motion:
-    """From one share of the way to another."""
+    """The part of a motion from one share of it to another."""
     def share(value):
         return None if value is None else (last - first) * value
     return replace(motion, clamps=motion.at(first), start_shift=share(motion.start_shift), end_shift=share(motion.end_shift),
@@ -215,8 +217,8 @@ def _part(motion: Motion, first: float, last: float) -> Motion:
 
 
 def _rotation_about_rod(motion: Motion) -> np.ndarray:
-    """(N,) rad by which a motion turns the far frame about its tangent, beyond what carries the tangent along; whole turns are
-    those of the motion's own rotation vector and spin."""
+    """(N,) rad by which a motion turns the far frame about its tangent, beyond the parallel transport of the frame; whole turns
+    are those of the motion's own rotation vector and roll."""
     before, after = motion.clamps.end_frame, motion.at(1.0).end_frame
     carried = matrix_from_quaternion(smallest_rotation(before[..., 0], after[..., 0]))
     m1 = np.einsum("nij,nj->ni", carried, before[..., 1])

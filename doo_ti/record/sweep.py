@@ -1,89 +1,104 @@
-"""The recording of a run: rods over solver iterations, landscape, curves, summary.
+"""The recording of a sweep: rods over solver iterations, landscape as picture and surface, curves, summary.
 
 Axes: T iterations, D observations (one rod each), V vertices.
 """
+
+from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 import rerun
 import rerun.blueprint as blueprint
 
 from doo_ti import report
-from doo_ti.contact_sheet import Sheet, contact_sheet, known, observation_names
 from doo_ti.grid import UNITS, Interval
-from doo_ti.record.stream import panels, recording
-from doo_ti.record.surface import log_cells, log_surface, surface_view
-from doo_ti.record.wall import FAILED, drawn_strips, log_observations, vectors, wall_view
+from doo_ti.record.stream import (
+    FAILED,
+    TEXT,
+    drawn_strips,
+    front_view,
+    log_observations,
+    panels,
+    recording,
+    space_view,
+    vectors,
+)
+from doo_ti.report.grid_view import GridView, Observed, grid_view
 from doo_ti.report.plane import Plane
 from doo_ti.types import Status
 
 BLOCK = 10
 """Iterations sent at once."""
+MINIMUM = (255, 255, 255)
+MOST_POINTS = 20_000
 
 
-def record_sweep(path, *, run_id: str, name: str, observations_vertices, labels, trajectory, energy, residual, status,
-                 distance, properties: dict, axes=(), landscape=None, minimum=None, valley=None, unfinished=None,
-                 intervals: tuple[Interval, ...] = (), order=None, up=(0, 0, 1), region=None) -> None:
-    """Write the recording ``path``, its layout inside.
+@dataclass(frozen=True)
+class Trajectory:
+    """How D rods came to rest.
 
-    observations_vertices  (D, V, 3) mm, NaN where a mark is missing
-    labels                 {"end_distance_mm": (D,), "end_rotation_deg": (D,)}: the first makes the columns of the
-                           contact sheet, the second its rows; None where unknown: reading order
-    trajectory             (T, D, V, 3) mm, the rods of the best cell; a rod with a NaN in it is not drawn
-    energy, residual       (T, D): relative to weight, mm²; residual, without a unit. Where NaN the rod's last one stands
-    status, distance       (D,): Status; Eq. 1, mm
-    properties             {name: number or text}: in the summary and as properties of the recording
-    axes, landscape, minimum, valley, unfinished, region
-                           as `report.landscape_picture` takes them; left out for a single relaxation
-    intervals              of the parameters, as `grid.valley` finds them, for the summary
-    order                  (N,) flat grid index of the cell each trial evaluated; default: grid order
-    up                     direction against gravity
+    vertices          (T, D, V, 3) mm; a rod with a NaN in it is not drawn
+    energy, residual  (T, D): relative to weight, mm²; without a unit. Where NaN the rod's last value is used
+    status, distance  (D,) at the end: Status; Eq. 1, mm
     """
-    vertices, trajectory = np.asarray(observations_vertices, float), np.asarray(trajectory, float)
-    status, distance = np.asarray(status), np.asarray(distance, float)
-    properties = {key: value if isinstance(value, (int, float, str)) else str(value)
-                  for key, value in properties.items()}
-    labels = known(labels)
-    sheet, names = contact_sheet(vertices, labels, up), observation_names(labels, len(vertices))
-    plane = None if landscape is None else Plane.of(axes, landscape, minimum, valley, unfinished)
-    with recording(path, run_id, name, _layout(sheet, plane)) as stream:
+
+    vertices: np.ndarray
+    energy: np.ndarray
+    residual: np.ndarray
+    status: np.ndarray
+    distance: np.ndarray
+
+
+def record_sweep(path, *, run_id: str, name: str, observed: Observed, trajectory: Trajectory, properties: dict,
+                 plane: Plane | None = None, intervals: tuple[Interval, ...] = (), region: np.ndarray | None = None) -> None:
+    """Write the recording ``path``.
+
+    observed    the D observations
+    trajectory  of the rods of the best cell
+    properties  {name: number or text}: in the summary and as properties of the recording
+    plane       the landscape; None for a single relaxation
+    intervals   of the parameters, as `grid.valley` finds them, for the summary
+    region      as `report.landscape_picture` takes it
+    """
+    properties = {key: value if isinstance(value, (int, float, str)) else str(value) for key, value in properties.items()}
+    grid = grid_view(observed)
+    with recording(path, run_id, name, _layout(grid, plane)) as stream:
         if properties:
             stream.send_property("run", rerun.AnyValues(**properties))
-        log_observations(stream, "world", sheet, vertices, names)
-        _log_rods(stream, sheet, trajectory, names, status, distance, plane is not None)
-        _log_curves(stream, np.asarray(energy, float), np.asarray(residual, float))
+        log_observations(stream, "world", grid, observed)
+        _log_rods(stream, grid, trajectory, observed.names, with_trials=plane is not None)
+        _log_curves(stream, trajectory)
         if plane is not None:
-            picture = report.landscape_image(axes, landscape, minimum=minimum, valley=valley, title=name,
-                                             label=report.MEAN_DISTANCE, unfinished=unfinished, region=region)
-            stream.log("landscape/picture", rerun.Image(picture), static=True)
+            stream.log("landscape/picture", rerun.Image(report.landscape_image(plane, title=name, region=region)), static=True)
             log_surface(stream, plane)
-            log_cells(stream, plane, np.asarray(landscape, float), order)
-        text = _summary(name, intervals, names, status, distance, properties)
+            log_cells(stream, plane)
+        text = _summary(name, intervals, observed.names, trajectory, properties)
         stream.log("summary", rerun.TextDocument(text, media_type="text/markdown"), static=True)
 
 
-def _log_rods(stream, sheet: Sheet, trajectory: np.ndarray, names: list[str], status, distance,
-              with_trials: bool) -> None:
-    """One entity for all rods, one instance per rod: a rod per entity makes files and viewer slow."""
+def _log_rods(stream, grid: GridView, trajectory: Trajectory, names: list[str], with_trials: bool) -> None:
+    """One entity for all rods, one instance per rod: an entity per rod makes files large and the viewer slow."""
+    status, distance = trajectory.status, trajectory.distance
     colors = np.where((status == Status.CONVERGED)[:, None], report.distance_colors(distance), FAILED)
     labels = [f"{name}: {report.quantity(d, 'mm')}, {_ending(s)}"
               for name, d, s in zip(names, distance, status, strict=True)]
     stream.log("world/rods", rerun.LineStrips3D.from_fields(
         colors=colors.astype(np.uint8), radii=rerun.Radius.ui_points(1.7), labels=labels, show_labels=False),
-        rerun.AnyValues(offset_mm=vectors(sheet.offset)), static=True)
-    for start in range(0, len(trajectory), BLOCK):
-        rods = trajectory[start:start + BLOCK] + sheet.offset[:, None]
-        steps, count, marks, _ = rods.shape
+        rerun.AnyValues(offset_mm=vectors(grid.offset)), static=True)
+    for start in range(0, len(trajectory.vertices), BLOCK):
+        rods = trajectory.vertices[start:start + BLOCK] + grid.offset[:, None]
+        steps, rods_of_step, marks, _ = rods.shape
         strips = drawn_strips(rods.reshape(-1, marks, 3))
         stream.send_columns("world/rods", [rerun.TimeColumn("iteration", sequence=np.arange(start, start + steps))],
-                            rerun.LineStrips3D.columns(strips=strips).partition([count] * steps))
-    if with_trials:  # where the cells appear, the relaxed rods stay in sight
+                            rerun.LineStrips3D.columns(strips=strips).partition([rods_of_step] * steps))
+    if with_trials:  # so that the relaxed rods are also shown on the timeline of the cells
         stream.send_columns("world/rods", [rerun.TimeColumn("trial", sequence=[0])],
-                            rerun.LineStrips3D.columns(strips=strips[-count:]).partition([count]))
+                            rerun.LineStrips3D.columns(strips=strips[-rods_of_step:]).partition([rods_of_step]))
 
 
-def _log_curves(stream, energy: np.ndarray, residual: np.ndarray) -> None:
-    """Statistics over the rods: curves of single rods would hide the one that matters among many."""
-    energy, residual = _held(energy), _held(residual)
+def _log_curves(stream, trajectory: Trajectory) -> None:
+    """Statistics over the rods: among curves of single rods an outlier would not be seen."""
+    energy, residual = _held(trajectory.energy), _held(trajectory.residual)
     with np.errstate(divide="ignore", invalid="ignore"):
         residual = np.where(residual > 0, np.log10(residual), np.nan)
     curves = {
@@ -100,23 +115,91 @@ def _log_curves(stream, energy: np.ndarray, residual: np.ndarray) -> None:
                                 rerun.Scalars.columns(scalars=statistic(values[some], axis=1)))
 
 
-def _layout(sheet: Sheet, plane: Plane | None) -> blueprint.Blueprint:
-    """Rods and summary on the left, landscape and curves on the right; on the last iteration when opened."""
-    rods = wall_view(sheet, "world", f"Rods on observed marks (white), mm; {sheet.meaning}".removesuffix("; "))
+def _held(values: np.ndarray) -> np.ndarray:
+    """(T, D) with each NaN replaced by the rod's last finite value before it."""
+    last = np.where(np.isfinite(values), np.arange(len(values))[:, None], 0)
+    return np.take_along_axis(values, np.maximum.accumulate(last, axis=0), axis=0)
+
+
+def log_surface(stream, plane: Plane) -> None:
+    """The landscape as a surface over the unit square (on log axes, of the logarithms), height in proportion to mm."""
+    plane, _ = plane.blocks()
+    points, triangles = plane.surface()
+    inside = np.isfinite(plane.values)
+    if len(triangles):
+        stream.log("landscape/surface", rerun.Mesh3D(
+            vertex_positions=points[inside], triangle_indices=triangles,
+            vertex_colors=report.landscape_colors(plane.values, plane.values)[inside]), static=True)
+    _log_surface_axes(stream, plane)
+    if plane.minimum is not None:
+        stream.log("landscape/surface/minimum", rerun.Points3D(
+            [points[plane.minimum]], labels=[report.quantity(plane.values[plane.minimum], "mm")], show_labels=True,
+            colors=MINIMUM, radii=rerun.Radius.ui_points(6)), static=True)
+
+
+def _log_surface_axes(stream, plane: Plane) -> None:
+    """A frame around the surface's base, labelled with the ends of the axes and the height."""
+    strips = [np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 0), (0, 0, plane.HEIGHT)])]
+    texts, places = [], []
+    ends = (((0.08, -0.1, 0), (0.5, -0.16, 0), (0.9, -0.1, 0)), ((1.1, 0.1, 0), (1.2, 0.5, 0), (1.1, 0.92, 0)))
+    for axis, three_places in zip(plane.axes, ends, strict=False):
+        texts += [report.quantity(axis[1][0]), report.axis_label(axis), report.quantity(axis[1][-1])]
+        places += three_places
+    if np.isfinite(plane.values).any():
+        texts += ["0 mm", "mean distance " + report.quantity(np.nanmax(plane.values), "mm")]
+        places += [(-0.08, -0.04, 0), (0, 0, plane.HEIGHT + 0.05)]
+    stream.log("landscape/surface/axes", rerun.LineStrips3D(
+        strips, colors=TEXT, radii=rerun.Radius.ui_points(0.7)), static=True)
+    stream.log("landscape/surface/axes/labels", rerun.Points3D(
+        places, labels=texts, show_labels=True, colors=TEXT, radii=rerun.Radius.ui_points(0)), static=True)
+
+
+def log_cells(stream, plane: Plane) -> None:
+    """One point per cell that has a value, on the timeline ``trial`` at its number in the grid. Of a grid of more than
+    ``MOST_POINTS`` cells every second, third, … along each axis, and the best."""
+    shape, values = plane.grid.shape, plane.grid.reshape(-1)
+    shown = np.isfinite(values)
+    if not shown.any():
+        return
+    if values.size > MOST_POINTS:
+        step = next(step for step in count(2) if np.prod([-(-size // step) for size in shape]) <= MOST_POINTS)
+        shown &= np.all([place % step == 0 for place in np.unravel_index(np.arange(values.size), shape)], axis=0)
+        shown[np.nanargmin(values)] = True
+    trial = np.flatnonzero(shown)
+    x, y = plane.unit_axes
+    first, second = plane.places(np.unravel_index(trial, shape))
+    points = np.stack([x[first], y[second], plane.height(values[trial])], axis=-1)
+    stream.log("landscape/cells", rerun.Points3D.from_fields(radii=rerun.Radius.ui_points(2.5)), static=True)
+    stream.send_columns("landscape/cells", [rerun.TimeColumn("trial", sequence=trial)], rerun.Points3D.columns(
+        positions=points.astype(np.float32), colors=report.landscape_colors(values[trial], plane.values),
+        labels=[report.quantity(value, "mm") for value in values[trial]], show_labels=np.zeros(len(trial), bool)))
+
+
+def _layout(grid: GridView, plane: Plane | None) -> blueprint.Blueprint:
+    """Rods and summary on the left, landscape and curves on the right; it opens on the last iteration."""
+    rods = front_view(grid, "world", f"Rods on observed marks (white), mm; {grid.meaning}".removesuffix("; "))
     plots = [blueprint.TimeSeriesView(name=name, origin=f"curves/{entity}", plot_legend=blueprint.Corner2D.RightTop)
              for entity, name in (("energy", "Energy [mm²]"), ("residual", "log10 residual"))]
     summary = blueprint.TextDocumentView(name="Summary", origin="summary")
-    left = blueprint.Vertical(rods, summary, row_shares=[3, 1.25])
-    if plane is None:
-        right = blueprint.Vertical(*plots)
-        return blueprint.Blueprint(blueprint.Horizontal(left, right, column_shares=[1.25, 1]), *panels("iteration"))
-    picture = blueprint.Spatial2DView(name="Landscape", origin="landscape/picture")
-    right = blueprint.Vertical(blueprint.Tabs(picture, surface_view()), blueprint.Horizontal(*plots), row_shares=[3, 2])
+    left, right = blueprint.Vertical(rods, summary, row_shares=[3, 1.25]), blueprint.Vertical(*plots)
+    if plane is not None:
+        picture = blueprint.Spatial2DView(name="Landscape", origin="landscape/picture")
+        right = blueprint.Vertical(blueprint.Tabs(picture, _surface_view()), blueprint.Horizontal(*plots), row_shares=[3, 2])
     return blueprint.Blueprint(blueprint.Horizontal(left, right, column_shares=[1.25, 1]), *panels("iteration"))
 
 
-def _summary(name: str, intervals: tuple[Interval, ...], names, status, distance, properties: dict) -> str:
-    """Best Θ with its interval, how the rods ended, and the properties, in Markdown."""
+def _surface_view() -> blueprint.Spatial3DView:
+    """The surface, with the cells up to the time cursor."""
+    return space_view(
+        "Surface (timeline: trial)", "landscape", ((1.25, -0.95, 0.95), (0.55, 0.42, 0.15), (0, 0, 1)),
+        contents=["$origin/surface/**", "$origin/cells"],
+        time_ranges=blueprint.VisibleTimeRange("trial", start=blueprint.TimeRangeBoundary.infinite(),
+                                               end=blueprint.TimeRangeBoundary.cursor_relative()))
+
+
+def _summary(name: str, intervals: tuple[Interval, ...], names: list[str], trajectory: Trajectory, properties: dict) -> str:
+    """Best Θ with its interval, the statuses of the rods, and the properties, in Markdown."""
+    status, distance = trajectory.status, trajectory.distance
     lines, finite = [f"**{name}**"], np.isfinite(distance)
     if finite.any():
         worst = int(np.nanargmax(distance))
@@ -140,9 +223,3 @@ def _summary(name: str, intervals: tuple[Interval, ...], names, status, distance
 
 def _ending(status: int) -> str:
     return Status(status).name.lower().replace("_", " ")
-
-
-def _held(values: np.ndarray) -> np.ndarray:
-    """(T, D) with each NaN replaced by the rod's last finite value before it."""
-    last = np.where(np.isfinite(values), np.arange(len(values))[:, None], 0)
-    return np.take_along_axis(values, np.maximum.accumulate(last, axis=0), axis=0)

@@ -1,1 +1,1 @@
-"""Beyond the grid: sensitivities of equilibria, the continuous optimum of Θ and its uncertainty."""
+"""Beyond the grid: the continuous optimum of Θ and its uncertainty (§III-E)."""

@@ -1,8 +1,17 @@
-"""Whether the model explains the marks, what it still misses, and which option would tell more.
+"""Whether the model explains the marks, and whether another model would do better (§III-E).
 
-A model that explains its marks leaves residuals that are noise: of the stated size, if one is stated, and independent from
-mark to mark. What it misses shows as displacements of neighbouring marks together (the gap of :mod:`.scales`). Extensions
-that the fit did without are tried on the linear model at its end: each is worth by how much it raises the evidence.
+A model that explains its marks leaves residuals that are noise: as large as σ, if one is stated, and independent from mark to
+mark. Errors of the model displace neighbouring marks together (the gap of :mod:`doo_ti.refinement.residuals`).
+
+Extensions of the model are tried on the linear model at the end of the fit, and rated by the rise of the evidence. Other
+models are fitted, and each observation is predicted from all others (leave-one-out); the score of a model is the sum of the
+logarithms of the predicted probability densities of the observations:
+
+    straight        no rest curvature, each clamp in the middle of the outermost edge, as in Eq. 2
+    curved          with a field of rest curvature
+    clips           curved, and the clips' lengths unknown
+    clamps          clips, and clamps that may be off
+    ribbon          clamps, and different bend stiffness about m1 and m2, for ends whose whole frames are held
 """
 
 from dataclasses import dataclass, replace
@@ -11,19 +20,21 @@ import numpy as np
 
 from doo_ti.refinement.evidence import Evidence
 from doo_ti.refinement.fit import Fit, Fitted
-from doo_ti.refinement.linear_model import Moments
+from doo_ti.refinement.residuals import Moments
 from doo_ti.refinement.unknowns import Unknowns
 
 NOTABLE = 0.5
-"""Times the noise: a gap as large as that is worth telling."""
-EXCESS = 1.5  # times the stated σ: larger residuals say that it is too small, or the model wrong
+"""Times the noise: smaller gaps are not reported."""
+EXCESS = 1.5
+"""Times the stated σ: if residuals are larger, σ is too small or the model is wrong."""
 WORTH = 6.0
 """−2 ln of the evidence: an extension that lowers it by more is worth trying."""
+STEPS = 10
 
 
 @dataclass(frozen=True)
 class Advice:
-    """An extension of the model: the argument that makes it, as ``name=value``, what it is, and by how much it raises twice the
+    """An extension of the model: the argument for it, as ``name=value``, its meaning, and by how much it raises twice the
     logarithm of the evidence."""
 
     option: str
@@ -33,12 +44,12 @@ class Advice:
 
 @dataclass(frozen=True)
 class Adequacy:
-    """What the residuals say.
+    """What the residuals say about the model.
 
-    noise          σ in mm: learned, or the mean of what was stated
+    noise          σ in mm: learned, or the mean of the stated ones
     stated         whether it was stated
-    excess         root mean square residual over σ: near one, or the stated σ or the model is wrong
-    gap            mm: root mean square of what the model misses, smooth along the rod
+    excess         root mean square residual over σ; near one where σ and the model are right
+    gap            mm: root mean square of smooth displacements that the model does not explain
     correlation    of the residuals of neighbouring marks
     advice         extensions worth trying, the best first
     """
@@ -52,12 +63,12 @@ class Adequacy:
 
     @property
     def reaches_noise(self) -> bool:
-        """Nothing but noise is left."""
+        """Whether the residuals are nothing but noise."""
         return self.gap <= NOTABLE * self.noise and (not self.stated or self.excess <= EXCESS)
 
 
 def adequacy(fit: Fit, fitted: Fitted) -> Adequacy:
-    """The residuals of a fit that has come to its end, examined."""
+    """The residuals of a finished fit, examined."""
     state, comparison = fitted.state, fit.comparison
     rows = state.residuals[0][state.used].reshape(int(state.used.sum()), -1, 3)
     counts = comparison.weight[state.used] > 0
@@ -77,27 +88,28 @@ def _correlation(rows: np.ndarray, counts: np.ndarray) -> float:
     return float(crossed.sum() / sizes) if sizes > 0 else 0.0
 
 
+# --- extensions of the model ----------------------------------------------------------------------------------------------
+
+
 def _advice(fit: Fit, fitted: Fitted) -> tuple[Advice, ...]:
-    found = []
-    for option, meaning, unknowns in _extensions(fit.unknowns):
-        gain = fitted.posterior.value - _evidence(fit, fitted, unknowns)
-        if gain > WORTH:
-            found.append(Advice(option, meaning, gain))
-    return tuple(sorted(found, key=lambda one: -one.gain))
+    gains = ((option, meaning, fitted.posterior.value - _evidence(fit, fitted, unknowns))
+             for option, meaning, unknowns in _extensions(fit.unknowns))
+    return tuple(sorted((Advice(*one) for one in gains if one[-1] > WORTH), key=lambda one: -one.gain))
 
 
 def _extensions(unknowns: Unknowns):
-    """(argument=value of a refinement, meaning, unknowns) of what the model could have besides."""
+    """(option, meaning, unknowns) of each extension."""
+
+    def with_parameters(*names):
+        return f"parameters={','.join(name.replace('_', '-') for name in names)}", replace(unknowns, parameters=names)
+
     names = unknowns.parameters
-    listed = ",".join(name.replace("_", "-") for name in names)
     if "up" not in names:
-        yield f"parameters={listed},up", "the direction of gravity", replace(unknowns, parameters=(*names, "up"))
-    seen = unknowns.rod.observations
-    if "bend" in names and seen.start_frame is not None and seen.end_frame is not None:
-        others = tuple(name for name in names if name != "bend")
-        ribbon = ("bend_1", "bend_2", "bend_12", *others)
-        yield (f"parameters={','.join(name.replace('_', '-') for name in ribbon)}", "a section that is not round",
-               replace(unknowns, parameters=ribbon))
+        option, extended = with_parameters(*names, "up")
+        yield option, "the direction of gravity", extended
+    if "bend" in names and _held_by_frames(unknowns):
+        option, extended = with_parameters("bend_1", "bend_2", "bend_12", *(name for name in names if name != "bend"))
+        yield option, "a section that is not round", extended
     if not unknowns.clips and unknowns.rod.clamped.any():
         yield "clip=unknown", "clips of another length", replace(unknowns, clips=True)
     if unknowns.curvature != "field":
@@ -106,8 +118,14 @@ def _extensions(unknowns: Unknowns):
         yield "clamps=loose", "clamps that are off what was reported", replace(unknowns, clamps=True)
 
 
+def _held_by_frames(unknowns: Unknowns) -> bool:
+    """Whether both ends' frames were reported: only then do observations separate bending about m1 from bending about m2."""
+    seen = unknowns.rod.observations
+    return seen.start_frame is not None and seen.end_frame is not None
+
+
 def _evidence(fit: Fit, fitted: Fitted, unknowns: Unknowns) -> float:
-    """F of the linear model of ``unknowns`` where ``fitted`` ended, its sizes fitted."""
+    """−2 ln of the evidence of the linear model of ``unknowns`` at the end of ``fitted``, its sizes fitted."""
     values = fitted.state.values
     if len(unknowns.knots) != len(values.curvature):
         mean = values.curvature.mean(axis=0) if len(values.curvature) else np.zeros(2)
@@ -116,3 +134,59 @@ def _evidence(fit: Fit, fitted: Fitted, unknowns: Unknowns) -> float:
     linear, _ = comparison.linear(fitted.state.solution, values, fitted.state.used)
     evidence = Evidence(unknowns, tuple(Moments.of(kind) for kind in linear), unknowns.offset(values, fit.origin))
     return evidence.posterior(evidence.best(fitted.state.scales.learning(unknowns.scale_names), 15)).value
+
+
+# --- other models ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Score:
+    """The score of a model minus that of the fitted one, over the rods that count in both.
+
+    model       its name
+    difference  ln of the odds that it predicts better than the fitted model; negative: worse
+    error       standard error of the difference
+    rods        number of rods that count in both
+    """
+
+    model: str
+    difference: float
+    error: float
+    rods: int
+
+
+def scores(fit: Fit, fitted: Fitted) -> tuple[Score, ...]:
+    """The scores of all other models, each fitted from the end of ``fitted``."""
+    own = fitted.evidence.left_out(fitted.linear, fitted.state.scales)
+    found = []
+    for name, unknowns in _variants(fit.unknowns).items():
+        _, other = fitted_variant(fit, fitted, unknowns)
+        both = fitted.state.used & other.state.used
+        change = (other.evidence.left_out(other.linear, other.state.scales) - own)[both]
+        error = np.std(change, ddof=1) * np.sqrt(len(change)) if len(change) > 1 else np.inf
+        found.append(Score(name, float(change.sum()), float(error), int(both.sum())))
+    return tuple(found)
+
+
+def _variants(unknowns: Unknowns) -> dict[str, Unknowns]:
+    """The models of the list above, without that of ``unknowns`` itself."""
+    straight = replace(unknowns, curvature="none", clips=False, clamps=False)
+    found = {"straight": straight, "curved": replace(straight, curvature="field"),
+             "clips": replace(unknowns, curvature="field", clamps=False), "clamps": replace(unknowns, clamps=True)}
+    if "bend" in unknowns.parameters and _held_by_frames(unknowns):
+        others = tuple(name for name in unknowns.parameters if name != "bend")
+        found["ribbon"] = replace(unknowns, parameters=("bend_1", "bend_2", *others))
+    return {name: model for name, model in found.items() if model != unknowns}
+
+
+def fitted_variant(fit: Fit, fitted: Fitted, unknowns: Unknowns, steps: int = STEPS) -> tuple[Fit, Fitted]:
+    """The fit of the model ``unknowns`` to what ``fit`` compares, from the values and sizes at the end of ``fitted``."""
+    before = fitted.state.values
+    lengths = unknowns.rod.observations.rest_length
+    clip = before.clip if unknowns.clips else 0.5 * np.array([lengths[0], lengths[-1]])
+    same_field = unknowns.curvature == fit.unknowns.curvature
+    values = replace(before, clip=clip, curvature=before.curvature if same_field else np.zeros((len(unknowns.knots), 2)),
+                     constant=before.constant * unknowns.clamps, scatter=before.scatter * unknowns.clamps)
+    own = Fit(replace(fit.comparison, unknowns=unknowns), replace(fit.origin, clip=clip), fit.solver, fit.rods)
+    scales = fitted.state.scales.learning(unknowns.scale_names)
+    return own, own.run(own.at(values, scales, fitted.state.solution), steps)

@@ -1,33 +1,43 @@
-"""What a fit says about Θ and what it does not: values, intervals, and regions of two parameters together.
+"""Θ with its intervals: values, 95 % intervals by the profile of the marginal likelihood, and joint regions (§III-E).
 
-Positive parameters are estimated by their logarithms, so their intervals are factors and never reach zero. An end of an
-interval is None where the observations do not bound the parameter on that side.
+    interval of v·x = {t : F(t) − min F ≤ quantile of F(1, n)},    F(t) = −2 ln p(marks | v·x = t),
+
+with all else integrated out or fitted again at every t (:mod:`doo_ti.refinement.evidence`). F is followed from its minimum
+both ways. Where Θ enters nearly linearly this is the interval by the covariance. An end of an interval is None where the
+observations do not bound the parameter on that side.
+
+Positive parameters are estimated by their logarithms, so their intervals are factors and never reach zero.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import f as f_distribution
 
 from doo_ti.errors import InputError
 from doo_ti.physical_units import relative_stiffness
-from doo_ti.refinement.fit import Fit, Fitted
-from doo_ti.refinement.profile import FARTHEST, Interval, interval
-from doo_ti.refinement.scales import Scales
+from doo_ti.refinement.fit import Fit, Fitted, State
+from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.unknowns import LOGARITHMIC, Theta, Values
 
 PROBABILITY = 0.95
 WIDE_FACTOR = 4.0
-"""An interval whose ends are such a factor apart is called wide."""
+"""An interval whose ends differ by more than this factor is called wide."""
 UNITS = {"weight": "", "twist_ratio": "", "clip_start": "mm", "clip_end": "mm", "up[0]": "rad", "up[1]": "rad"}
+FARTHEST = np.log(1000.0)
+"""A parameter that can be moved by this much is not bounded on that side."""
+LARGEST_FIRST_TRIAL = 2.5  # change of a logarithm
+STEPS = 6  # of each fit with the parameter held
+TRIALS = 6
+CLOSE = 0.04  # relative error of the root of F's rise that is small enough to interpolate
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter with its 95 % interval, None where it is open.
+    """One parameter with its 95 % interval; an end is None where it is open.
 
     unit   "mm³", "mm", "rad" of tilt, or "" for the weight and for ratios
-    error  standard deviation by the covariance: a relative one where the parameter is positive
+    error  standard deviation by the covariance, relative where the parameter is positive
     """
 
     name: str
@@ -39,13 +49,13 @@ class Parameter:
 
     @property
     def determined(self) -> bool:
-        """Bounded on one side at least."""
+        """Bounded on at least one side."""
         return self.low is not None or self.high is not None
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Θ, what goes with it, and how well both are known.
+    """Θ, the other unknowns, and how well they are known.
 
     theta            with the rest curvature at the joints between the marks' edges
     parameters       of Θ, the ratio of twist to bend, and the clips
@@ -81,14 +91,14 @@ class Estimate:
 
     @property
     def left_open(self) -> tuple[str, ...]:
-        """Parameters that the observations bound on no side."""
+        """Parameters that the observations bound on neither side."""
         return tuple(one.name for one in self.parameters if not one.determined)
 
     def region(self, first: str, second: str, points: int = 181) -> np.ndarray:
-        """(points, 2) the closed outline of the region that holds both parameters of Θ with 95 %, in their own units.
+        """(points, 2) the closed outline of the joint 95 % region of two parameters of Θ, in their own units.
 
-        An ellipse of the covariance, along whose long axis each half is stretched as the first parameter's interval is; where
-        that is open it goes as far as a factor of a thousand. Raises InputError for parameters that were not learned.
+        An ellipse of the covariance, each half of its long axis scaled as the first parameter's interval is; an open side
+        extends to a factor of a thousand. Raises InputError for parameters that were not learned.
         """
         index = []
         for name in (first, second):
@@ -104,92 +114,168 @@ class Estimate:
         below, above = self._stretch(self.parameter(first))
         along[1] *= np.where(sign * along[1] < 0, below, above)
         steps = np.clip(vectors @ along, -FARTHEST, FARTHEST)
-        middle = [self.parameter(name).value for name in (first, second)]
-        return np.stack([_moved(name, value, step, self.theta.bend) for name, value, step in zip(
-            (first, second), middle, steps, strict=True)], axis=1)
+        return np.stack([_moved(name, self.parameter(name).value, step, self.theta.bend)
+                         for name, step in zip((first, second), steps, strict=True)], axis=1)
 
     def _stretch(self, parameter: Parameter) -> tuple[float, float]:
-        """How much longer each half of its interval is than the covariance has it."""
+        """Length of each half of the parameter's interval over that by the covariance."""
         reach = np.sqrt(f_distribution.ppf(PROBABILITY, 1, self.degrees)) * parameter.error
-        ends = []
-        for end, sign in ((parameter.low, -1.0), (parameter.high, 1.0)):
+
+        def half(end, sign):
             if end is None:
-                ends.append(FARTHEST / reach)
-            elif parameter.name in LOGARITHMIC:
-                ends.append(sign * np.log(end / parameter.value) / reach)
-            else:
-                ends.append(sign * (end - parameter.value) / reach)
-        return ends[0], ends[1]
+                return FARTHEST / reach
+            if parameter.name in LOGARITHMIC:
+                return sign * np.log(end / parameter.value) / reach
+            return sign * (end - parameter.value) / reach
+        return half(parameter.low, -1.0), half(parameter.high, 1.0)
 
 
 def estimated(fit: Fit, fitted: Fitted, profiled: bool = True) -> Estimate:
-    """The estimate of a fit that has come to its end; ``profiled``: intervals of Θ from the marginal likelihood's profile."""
+    """The estimate of a finished fit; ``profiled``: intervals of Θ by the profile of the marginal likelihood, else by the
+    covariance."""
     unknowns, values, scales = fit.unknowns, fitted.state.values, fitted.state.scales
     count = unknowns.theta_count
-    # Marks of one rod are not independent where the rod's clamps are off: what counts is how many rods there are.
+    # Marks of one rod are not independent where the rod's clamps are off: what counts is the number of rods.
     degrees = max(float(fitted.state.used.sum()) - count, 1.0)
     theta = unknowns.theta_at(values)
-    names = unknowns.names[:count]
     found = {}
     for name, direction in _directions(unknowns.names, count).items():
-        if profiled and not name.startswith("up"):
-            found[name] = interval(fit, fitted, direction, degrees, PROBABILITY)
-        else:
-            found[name] = _by_covariance(fitted.posterior.covariance, direction, degrees)
-    for k, name in enumerate(unknowns.names):
-        if name.startswith("clip"):
-            found[name] = _by_covariance(fitted.posterior.covariance, np.eye(len(unknowns.names))[k], degrees)
-    stiffness = {name.removesuffix("/weight"): one for name, one in found.items() if name.endswith("/weight")}
-    weightless = "weight" not in names
-    over = {name: found.get(name) if weightless else stiffness.get(name) for name in ("bend", "bend_1", "bend_2", "twist")}
+        by_profile = profiled and not name.startswith(("up", "clip"))
+        found[name] = (interval if by_profile else _by_covariance)(fit, fitted, direction, degrees)
+    suffix = "/weight" if "weight" in unknowns.names else ""
     return Estimate(
         theta=theta,
         parameters=tuple(_parameter(name, _value(name, theta, values), one, theta.bend)
                          for name, one in found.items() if "/" not in name),
-        over_weight=tuple(_parameter(name, float(relative_stiffness(_value(name, theta, values), theta.weight)), one)
-                          for name, one in over.items() if one is not None),
-        values=values, scales=scales, names=names, covariance=fitted.posterior.covariance[:count, :count], degrees=degrees)
+        over_weight=tuple(_parameter(name, float(relative_stiffness(_value(name, theta, values), theta.weight)),
+                                     found[name + suffix])
+                          for name in ("bend", "bend_1", "bend_2", "twist") if name + suffix in found),
+        values=values, scales=scales, names=unknowns.names[:count], covariance=fitted.posterior.covariance[:count, :count],
+        degrees=degrees)
 
 
 def _directions(names: tuple[str, ...], count: int) -> dict[str, np.ndarray]:
-    """Combinations of unknowns that intervals are asked for: each of Θ's, the ratio of twist to bend, and, where the weight is
-    learned too, stiffness over weight."""
-    identity = {name: row for name, row in zip(names[:count], np.eye(len(names)), strict=False)}
-    found = dict(identity)
+    """Combinations of unknowns that get an interval: each of Θ's, the ratio of twist to bend, stiffness over weight where the
+    weight is learned too, and the clips."""
+    identity = dict(zip(names, np.eye(len(names)), strict=True))
+    of_theta = {name: identity[name] for name in names[:count]}
+    found = dict(of_theta)
     for bend in ("bend", "bend_1"):
-        if bend in identity and "twist" in identity:
-            found["twist_ratio"] = identity["twist"] - identity[bend]
-    if "weight" in identity:
-        for name in ("bend", "bend_1", "bend_2", "twist"):
-            if name in identity:
-                found[f"{name}/weight"] = identity[name] - identity["weight"]
-    return found
-
-
-def _by_covariance(covariance: np.ndarray, direction: np.ndarray, degrees: float) -> Interval:
-    error = float(np.sqrt(direction @ covariance @ direction))
-    reach = float(np.sqrt(f_distribution.ppf(PROBABILITY, 1, degrees))) * error
-    return Interval(-reach, reach, error) if reach < FARTHEST else Interval(None, None, error)
+        if bend in of_theta and "twist" in of_theta:
+            found["twist_ratio"] = of_theta["twist"] - of_theta[bend]
+    if "weight" in of_theta:
+        found |= {f"{name}/weight": of_theta[name] - of_theta["weight"]
+                  for name in ("bend", "bend_1", "bend_2", "twist") if name in of_theta}
+    return found | {name: identity[name] for name in names if name.startswith("clip")}
 
 
 def _value(name: str, theta: Theta, values: Values) -> float:
-    bend = theta.bend
-    known = {"bend": bend[0, 0], "bend_1": bend[0, 0], "bend_2": bend[1, 1], "bend_12": bend[0, 1], "twist": theta.twist,
-             "weight": theta.weight, "twist_ratio": theta.twist / bend[0, 0], "clip_start": values.clip[0],
-             "clip_end": values.clip[1]}
+    known = theta.entries | {"twist_ratio": theta.twist / theta.bend[0, 0], "clip_start": values.clip[0],
+                             "clip_end": values.clip[1]}
     return float(known.get(name, 0.0))
 
 
-def _parameter(name: str, value: float, found: Interval, bend: np.ndarray | None = None) -> Parameter:
+def _parameter(name: str, value: float, found: "Interval", bend: np.ndarray | None = None) -> Parameter:
     ends = [None if step is None else float(_moved(name, value, step, bend)) for step in (found.low, found.high)]
     return Parameter(name, value, *ends, found.error, UNITS.get(name, "mm³"))
 
 
 def _moved(name: str, value: float, step, bend: np.ndarray | None = None):
-    """The parameter where its unknown is ``step`` from what it is; ``bend`` is B, for B₁₂."""
+    """The parameter after its unknown has changed by ``step``; ``bend`` is B, for B₁₂."""
     if name == "bend_12":
         root = np.sqrt(bend[0, 0] * bend[1, 1])
         return root * np.tanh(np.arctanh(value / root) + step)
     if name in LOGARITHMIC or name == "twist_ratio":
         return value * np.exp(step)
     return value + step
+
+
+# --- intervals ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Interval:
+    """The 95 % interval of a combination of unknowns around its fitted value: ``low`` ≤ 0 ≤ ``high``, None where open.
+
+    error  standard deviation by the covariance
+    """
+
+    low: float | None
+    high: float | None
+    error: float
+
+
+def _by_covariance(fit: Fit, fitted: Fitted, direction: np.ndarray, degrees: float) -> Interval:
+    error = float(np.sqrt(direction @ fitted.posterior.covariance @ direction))
+    reach = float(np.sqrt(f_distribution.ppf(PROBABILITY, 1, degrees))) * error
+    return Interval(-reach, reach, error) if reach < FARTHEST else Interval(None, None, error)
+
+
+def interval(fit: Fit, fitted: Fitted, direction: np.ndarray, degrees: float) -> Interval:
+    """The interval of ``direction`` (P,) · x by the profile; ``degrees`` of freedom: n of F(1, n)."""
+    wanted = float(np.sqrt(f_distribution.ppf(PROBABILITY, 1, degrees)))
+    error = float(np.sqrt(direction @ fitted.posterior.covariance @ direction))
+    least = fitted.evidence.holding(direction).posterior(fitted.state.scales).value
+    fit = replace(fit, rods=fitted.state.used)
+    low, high = (_reach(fit, fitted, sign * direction, wanted, error, least) for sign in (-1.0, 1.0))
+    return Interval(None if low is None else -low, high, error)
+
+
+def _reach(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float, error: float, least: float) -> float | None:
+    """How far along ``direction`` the root of F's rise above ``least`` becomes ``wanted``; None beyond FARTHEST."""
+    places, roots, states = [0.0], [0.0], [fitted.state]
+    place = min(wanted * error, LARGEST_FIRST_TRIAL)
+    for _ in range(TRIALS):
+        near = int(np.argmin(np.abs(np.array(places) - place)))
+        found, reached = _held(fit, states[near], direction, place - places[near])
+        reached += places[near]
+        root = float(np.sqrt(max(found.posterior.value - least, 0.0)))
+        places.append(reached)
+        roots.append(root)
+        states.append(found.state)
+        stuck = abs(reached - place) > 1e-6 * max(place, 1.0)
+        if abs(root / wanted - 1) < CLOSE or (stuck and reached <= max(places[:-1])):
+            break
+        if root < wanted and reached >= FARTHEST:
+            return None
+        if stuck and root < wanted:
+            break
+        place = _next(np.array(places), np.array(roots), wanted)
+    reach = _crossing(np.array(places), np.array(roots), wanted, wanted * error)
+    return reach if reach < FARTHEST else None
+
+
+def _held(fit: Fit, state: State, direction: np.ndarray, amount: float) -> tuple[Fitted, float]:
+    """The best fit ``amount`` further along ``direction`` than ``state``, and how far it got."""
+    origin = fit.unknowns.offset(state.values, fit.origin)
+    found = fit.run(state, STEPS, held=(direction, amount))
+    moved = fit.unknowns.offset(found.state.values, fit.origin) - origin
+    return found, float(direction @ moved)
+
+
+def _next(places: np.ndarray, roots: np.ndarray, wanted: float) -> float:
+    """The next trial: between the last place below and the first above, or further out."""
+    above = places[roots >= wanted]
+    if len(above):
+        high = above.min()
+        low = places[(roots < wanted) & (places < high)].max()
+        a, b = roots[places == low].max(), roots[places == high].min()
+        share = np.clip((wanted - a) / max(b - a, 1e-12), 0.15, 0.85)
+        return float(low + share * (high - low))
+    last = int(np.argmax(places))
+    slope = roots[last] / max(places[last], 1e-12)
+    return float(min(FARTHEST, places[last] * np.clip(wanted / max(slope * places[last], 1e-12), 1.2, 2.5)))
+
+
+def _crossing(places: np.ndarray, roots: np.ndarray, wanted: float, expected: float) -> float:
+    """Where the root is ``wanted``, between the trials or slightly beyond them; farther out, at least ``expected``, the value
+    by the covariance."""
+    order = np.argsort(places)
+    places, roots = places[order], roots[order]
+    above = np.flatnonzero(roots >= wanted)
+    if len(above):
+        k = above[0]
+        share = (wanted - roots[k - 1]) / max(roots[k] - roots[k - 1], 1e-12)
+        return float(places[k - 1] + share * (places[k] - places[k - 1]))
+    grown = places[-1] * wanted / max(roots[-1], 1e-12)
+    return float(grown if grown < 1.1 * places[-1] else max(expected, grown))

@@ -1,14 +1,18 @@
-"""Marginal likelihood of the sizes in :mod:`doo_ti.refinement.scales`, unknowns and effects integrated out (empirical Bayes).
+"""Marginal likelihood of the sizes in :mod:`doo_ti.refinement.priors`, unknowns and effects integrated out (empirical Bayes).
 
-With the linear model of :mod:`doo_ti.refinement.linear_model` and W = Σ_kinds 1/σ², effects of one observation go first,
+With the linear model of :mod:`doo_ti.refinement.residuals` and W = Σ_kinds 1/σ², the effects of each observation are
+eliminated first,
 
     M_d = ZᵀWZ + S⁻¹,    H = A + Σ_d (JᵀWJ − JᵀWZ M_d⁻¹ ZᵀWJ),
 
-and what is left, −2 ln of the evidence but for a constant, is
+and −2 ln of the evidence, without its constant, is
 
     F = r'ᵀWr' + (x̂ − x̄)ᵀA(x̂ − x̄) + ẑᵀS⁻¹ẑ + Σ n ln σ² + Σ_d (ln |M_d| + ln |S|) + ln |H| − ln |A|,
 
-r' at the most probable x̂ and ẑ. Where the model is linear this is Laplace's approximation of the true one.
+with r' the residuals at the most probable x̂ and ẑ. It is Laplace's approximation of the evidence of the nonlinear model
+(MacKay, *Bayesian Interpolation*, 1992).
+
+Axes: D observations, P unknowns, Q effects of an observation, H learned sizes.
 """
 
 from collections.abc import Sequence
@@ -17,24 +21,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize
 
-from doo_ti.refinement.curvature_field import covariance
 from doo_ti.refinement.held_rod import POSE
-from doo_ti.refinement.linear_model import GAP_MODES, Moments, Residuals, effect_scales
-from doo_ti.refinement.scales import NAMES, Scales
+from doo_ti.refinement.priors import NAMES, Scales, covariance
+from doo_ti.refinement.residuals import GAP_MODES, Moments, Residuals, effect_scales
 from doo_ti.refinement.unknowns import Unknowns
 
 STEPS = 60
 ENOUGH = 1e-7
-"""Relative change of F, some ten thousand, with which the search ends: a thousandth of what an interval is about."""
+"""Relative change of F at which the search ends: of F, about 1e4, a thousandth of the rise that bounds an interval."""
 WARMING = 4
 """Steps of expectation and maximisation before the search, which fails from sizes that are far off."""
 SETTLED = 0.2
 FARTHEST = 2.0
+"""Largest change of the logarithm of a size in one search."""
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """What the linear model says at one set of sizes.
+    """The posterior of the linear model at one set of sizes.
 
     step        (P,) x̂
     covariance  (P, P) of x
@@ -56,9 +60,9 @@ class Evidence:
 
     unknowns  whose prior is A
     moments   of the residuals, kind by kind
-    offset    (P,) where the fit is, from the middle of the prior: −x̄
-    basis     (P, P') of unknowns that stay free, x = basis y + along; None: all
-    along     (P,) step that is made in any case, such as along a direction that is held
+    offset    (P,) present values less the prior's mean: −x̄
+    basis     (P, P') directions that are free, x = basis y + along; None: all
+    along     (P,) the given part of the step, along a held direction
     """
 
     unknowns: Unknowns
@@ -68,7 +72,7 @@ class Evidence:
     along: np.ndarray | None = None
 
     def holding(self, direction: np.ndarray, amount: float = 0.0) -> "Evidence":
-        """The same with the step along ``direction`` (P,) held: direction · x is ``amount``."""
+        """The same, but direction · x is held at ``amount``, ``direction`` (P,)."""
         full, _ = np.linalg.qr(np.column_stack([direction, np.eye(len(direction))]))
         return replace(self, basis=full[:, 1 : len(direction)], along=amount * direction / (direction @ direction))
 
@@ -107,10 +111,8 @@ class Evidence:
         return Posterior(step, covariance_x, effects, value + extra, learned + own)
 
     def left_out(self, linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
-        """(D,) ln of the probability density of each observation, given all others: leave-one-out, at these sizes.
-
-        ``linear``: the residuals that the moments are of. It is half of by how much F falls when the observation goes.
-        """
+        """(D,) ln of the probability density of each observation, given all others, at these sizes: half of the fall of F when
+        that observation is left out. ``linear``: the residuals that the moments are of."""
         own, slope, squares, constant = _integrated(linear, scales)
         precision, _ = self.unknowns.precision(scales)
         hessian, total = precision + own.sum(axis=0), slope.sum(axis=0) + precision @ self.offset
@@ -120,12 +122,12 @@ class Evidence:
         return -0.5 * (fell + constant + np.linalg.slogdet(hessian)[1] - np.linalg.slogdet(without)[1])
 
     def best(self, scales: Scales, steps: int = STEPS) -> Scales:
-        """The sizes of the largest evidence that is reached from ``scales``, each within a factor e² of what it was."""
+        """The sizes with the largest evidence that is reached from ``scales``, each within a factor e² of its present value."""
         if not scales.learned.any():
             return scales
         counts = self._counts(scales)
         for _ in range(WARMING):
-            # Expectation and maximisation: each squared size becomes what the posterior expects of its squares.
+            # Expectation and maximisation: each squared size becomes the posterior mean of the squares it is the size of.
             share = self.posterior(scales).gradient / (2 * counts)
             if np.abs(share).max() < SETTLED:
                 break
@@ -144,7 +146,7 @@ class Evidence:
         return scales.at(found.x)
 
     def _counts(self, scales: Scales) -> np.ndarray:
-        """(H,) how many squares each learned size is the mean of; the range is none, and stays meanwhile."""
+        """(H,) how many squares each learned size is the mean of; the range is not one, and is not changed here."""
         rods, knots = len(self.moments[0].effects), max(len(self.unknowns.columns("curvature")), 2)
         counts = {"curvature": knots, "range": np.inf, "turn": POSE, "shift": POSE, "turn_scatter": 6 * rods,
                   "shift_scatter": 6 * rods, "gap": 3 * GAP_MODES * rods}
@@ -168,7 +170,7 @@ class Evidence:
         return float(kind.squares + step @ kind.shared @ step + 2 * step @ kind.shared_slope + of_effects + crossed)
 
     def _prior_gradient(self, gradient: dict[str, float], scales: Scales, second: np.ndarray) -> None:
-        """Adds the derivatives of the prior of the unknowns, whose second moments about its middle are ``second``."""
+        """Adds the derivatives of the prior of the unknowns, whose second moments about its mean are ``second``."""
         unknowns = self.unknowns
         clamps = unknowns.columns("clamps")
         for name, turns in (("turn", True), ("shift", False)):
@@ -187,7 +189,7 @@ class Evidence:
 
 
 def _inverse(hessian: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, float]:
-    """H⁻¹ and ln |H|, H being at least the prior's ``precision``: where rounding has it less, that is what it is set to."""
+    """H⁻¹ and ln |H|. H is at least the prior's ``precision``; eigenvalues that are smaller by rounding are raised to it."""
     try:
         root = np.linalg.cholesky(hessian)
     except np.linalg.LinAlgError:
@@ -212,13 +214,13 @@ def _effects(moments: Sequence[Moments], scales: Scales):
 
 
 def information(linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
-    """(D, P, P) what each observation says about the unknowns, its own effects integrated out."""
+    """(D, P, P) information that each observation holds about the unknowns, its own effects integrated out."""
     return _integrated(linear, scales)[0]
 
 
 def _integrated(linear: tuple[Residuals, ...], scales: Scales):
-    """−2 ln of the density of each observation's residuals, its effects integrated out, as c + q + 2 s·x + xᵀBx of the
-    unknowns: B (D, P, P), s (D, P), q and c (D,), c all that does not come from the residuals."""
+    """−2 ln of the density of each observation's residuals, its effects integrated out, as c + q + 2 s·x + xᵀBx in the
+    unknowns x: B (D, P, P), s (D, P), q and c (D,); c does not depend on the residuals."""
     weights, variance, mixed, inner, slope_z = _effects([Moments.of(kind) for kind in linear], scales)
     pairs, slope_z = list(zip(weights, linear, strict=True)), slope_z[..., None]
     own = sum(w * np.swapaxes(k.shared, 1, 2) @ k.shared for w, k in pairs) - mixed @ inner @ np.swapaxes(mixed, 1, 2)

@@ -1,34 +1,39 @@
-"""The most probable unknowns: Gauss–Newton on the posterior, sizes by marginal likelihood on the way (§III-E).
+"""The most probable unknowns: Gauss–Newton on the posterior, with the sizes fitted anew at every step (§III-E).
 
-Between steps every rod is relaxed from where it was, which keeps it on its branch of equilibria; rods that fit far worse than
-the others are tried from their observation again, whole turns more and less included, and do not count where that does not
-help. Axes: D observations, P unknowns.
+    x ← x − s H⁻¹ g        H and g of the linear model (:mod:`doo_ti.refinement.evidence`), s = 1, 1/3, 1/9, …
+
+The prior makes H positive definite, and steps are shortened, not damped, because each trial relaxes all rods: every rod from
+its last equilibrium, which keeps it on its branch. Rods that fit far worse than the others are relaxed once more from their
+observations, also with a whole turn more and less, and are left out where that does not help.
+
+Axes: D observations, P unknowns, G cells of a grid.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import generate_binary_structure, minimum_filter
 
 from doo_ti.errors import InputError
+from doo_ti.grid import Grid
 from doo_ti.refinement.evidence import Evidence, Posterior
 from doo_ti.refinement.held_rod import POSE
-from doo_ti.refinement.linear_model import Moments, Residuals
-from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.scales import Scales
-from doo_ti.refinement.unknowns import Unknowns, Values
+from doo_ti.refinement.priors import Scales
+from doo_ti.refinement.residuals import Comparison, Moments, Residuals
+from doo_ti.refinement.unknowns import Theta, Unknowns, Values
 from doo_ti.relaxation.newton import Newton
 from doo_ti.types import Solution
 
 LARGEST_STEP = 1.0  # of an unknown of Θ or a clip: small steps keep rods on their branches
 LARGEST_TURN = 0.3  # rad, of a clamp
-SHORTENED = 1 / 3  # a step that does not help is tried so much shorter
+SHORTENED = 1 / 3  # factor by which a step that does not help is shortened
 MOST_SHORTENED = 8
-LEAST_SHARE = 2e-3  # of a step: where it has to be shorter the fit stops
-SETTLED = 0.03  # standard errors by which Θ still moves when the fit is done
+LEAST_SHARE = 2e-3  # share of a step: where it has to be shorter the fit stops
+SETTLED = 0.03  # standard errors: the fit is done when Θ moves by less
 SCALE_STEPS = 25  # of the search for the sizes, in each step
 ODD = 9.0
-"""Times the others' mean square, three times their size: a rod whose residuals are so is a misfit."""
-REFITTED = 0.5  # a misfit tried again counts as better where its squares fall below this share
+"""Times the others' mean square, three times their size: a rod with such residuals is a misfit."""
+REFITTED = 0.5  # a misfit that is relaxed again counts as better where its squares fall below this share
 
 
 @dataclass(frozen=True)
@@ -38,7 +43,7 @@ class State:
     values      of the unknowns
     scales      sizes
     solution    the rods, on the mesh
-    residuals   of each kind, (D, N), effects of the clamps included, the gap's not
+    residuals   of each kind, (D, N), with the clamps' errors but without the gap
     used        (D,) bool: converged, stable, and no misfit
     """
 
@@ -55,8 +60,8 @@ class Fitted:
 
     posterior   at the sizes of ``state``
     linear      the residuals of each kind around ``state``
-    converged   False where the steps allowed did not do
-    steps       tried
+    converged   False where the allowed steps did not suffice
+    steps       number of steps tried
     """
 
     state: State
@@ -69,12 +74,12 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Fit:
-    """What stays the same while the unknowns of one model are looked for.
+    """What stays the same while the unknowns of one model are fitted.
 
     comparison  what is compared, with the unknowns
-    origin      the values that the wide prior of Θ is about
+    origin      the values that the wide prior of Θ is centred on
     solver      of the relaxations
-    rods        (D,) bool: those that count, whatever becomes of their residuals; None: all that are no misfits
+    rods        (D,) bool: rods that count, however large their residuals become; None: all except misfits
     """
 
     comparison: Comparison
@@ -93,7 +98,7 @@ class Fit:
         state = self._state(values, scales, solution)
         if not state.used.any():
             raise InputError(rod.observations.source, "vertices_mm", "no rod is converged and stable at the first Θ",
-                             "begin elsewhere, or look at what relax says")
+                             "begin with another Θ, or inspect the rods with relax")
         return state
 
     def at(self, values: Values, scales: Scales, solution: Solution) -> State:
@@ -103,7 +108,7 @@ class Fit:
             solution, unknowns.material(values), values.clip, unknowns.pose(values), self.solver, values.theta.up))
 
     def run(self, state: State, steps: int, held: tuple[np.ndarray, float] | None = None) -> Fitted:
-        """The best values that are reached from ``state``; with ``held`` = (v, a), those for which v·x is larger by a than at
+        """The best values that are reached from ``state``; with ``held`` = (v, a), those whose v·x is larger by a than that of
         ``state``, x being the unknowns."""
         done, tried, left = False, 0, 0.0 if held is None else held[1]
         for tried in range(1, steps + 1):
@@ -115,10 +120,10 @@ class Fit:
             settled = bool((np.abs(found.step[:count]) <= SETTLED * errors).all()) and left == 0.0
             trial, share = self._stepped(fitted, self._share(found.step), moving=left != 0.0)
             left *= 1 - share
-            if share < LEAST_SHARE:  # rounding decides whether the posterior rises, or rods snap: no progress
+            if share < LEAST_SHARE:  # no progress: rods snap, or rounding decides whether the posterior rises
                 done = settled
                 break
-            trial, again = self._tried_again(trial)
+            trial, again = self._misfits_relaxed_again(trial)
             done = settled and share == 1 and not again and bool((trial.used == state.used).all())
             state = trial
         else:
@@ -158,8 +163,8 @@ class Fit:
         return float(min(1.0, 1 / max((np.abs(step) / limits).max(), 1e-300)))
 
     def _stepped(self, fitted: Fitted, share: float, moving: bool) -> tuple[State, float]:
-        """A step that lowers −2 ln of the posterior and loses no rod, and how much of the whole it is; none where rounding is
-        in the way. One that is ``moving`` what is held otherwise may raise it."""
+        """The state after a step that lowers −2 ln of the posterior and loses no rod, and its share of the whole step; share 0
+        where no step does. A step ``moving`` a held combination of unknowns may raise it."""
         state, found, unknowns = fitted.state, fitted.posterior, self.unknowns
         effects = found.effects[:, :POSE] if unknowns.clamps else 0 * state.values.scatter
         effects = np.where(state.used[:, None], effects, 0.0)
@@ -174,7 +179,7 @@ class Fit:
         return state, 0.0
 
     def _objective(self, state: State, used: np.ndarray, scales: Scales) -> float:
-        """−2 ln of the posterior but for a constant, the gap integrated out, over rods that are ``used``."""
+        """−2 ln of the posterior without its constant, the gap integrated out, over the rods ``used``."""
         gap = self.comparison.gap_weight(scales)
         total = 0.0
         for name, kind in zip(("marks", "frames"), state.residuals, strict=False):
@@ -190,8 +195,8 @@ class Fit:
             total += float(((state.values.scatter[used] / sizes) ** 2).sum())
         return total
 
-    def _tried_again(self, state: State) -> tuple[State, bool]:
-        """``state`` with its misfits relaxed from their observations, where that brings them nearer."""
+    def _misfits_relaxed_again(self, state: State) -> tuple[State, bool]:
+        """``state`` with its misfits relaxed from their observations, where that halves their squares, and whether any was."""
         good = state.solution.converged & state.solution.stable
         misfits = np.flatnonzero(~state.used & (self.comparison.count > 0))
         if not len(misfits) or self.rods is not None:
@@ -212,3 +217,19 @@ class Fit:
         merged = replace(state.solution, configuration=replace(state.solution.configuration, quaternions=keep))
         return self.at(values, state.scales, merged), True
 
+
+# --- where to begin -------------------------------------------------------------------------------------------------------
+
+
+def lowest_cells(grid: Grid, mean_distance: np.ndarray, count: int) -> np.ndarray:
+    """Up to ``count`` local minima of a landscape (G,) over the cells of ``grid``, the lowest first: cells with no lower
+    neighbour along any axis. Cells that are NaN count as infinitely high."""
+    height = np.nan_to_num(np.asarray(mean_distance, dtype=np.float64), nan=np.inf).reshape(grid.shape)
+    neighbours = generate_binary_structure(height.ndim, 1)
+    cells = np.flatnonzero(np.isfinite(height) & (height <= minimum_filter(height, footprint=neighbours, mode="nearest")))
+    return cells[np.argsort(height.ravel()[cells], kind="stable")][:count]
+
+
+def theta_of_cell(grid: Grid, cell: int, up) -> Theta:
+    """Θ of a grid's cell."""
+    return Theta.of(grid.materials(np.array([cell])), up=up)

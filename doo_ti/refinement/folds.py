@@ -1,6 +1,6 @@
 """Cross-validation of a refinement: Θ from some of the observations, Eq. 1 on the others (§III-E).
 
-Observations that belong together, frames of one recording, are left out together.
+Observations that belong together, such as frames of one recording, are left out together. D observations.
 """
 
 from dataclasses import dataclass, replace
@@ -9,7 +9,9 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.io.observations import Observations
-from doo_ti.refinement.refine import Refinement, RefinementOptions, predicted, refine
+from doo_ti.refinement.held_rod import POSE, HeldRod
+from doo_ti.refinement.refine import Refinement, RefinementOptions, refine, unknowns_of
+from doo_ti.refinement.residuals import mark_distance
 from doo_ti.refinement.unknowns import Theta
 from doo_ti.types import Clamps
 
@@ -18,9 +20,9 @@ from doo_ti.types import Clamps
 class HeldOut:
     """Errors of observations under the Θ of the others.
 
-    fold         (D,) which fold left each observation out
-    refinements  one for each fold
-    distance     (D,) Eq. 1 in mm, each rod relaxed from its observation; NaN if it came to nothing
+    fold         (D,) the fold that each observation was left out with
+    refinements  one for each fold, of all observations but the fold's
+    distance     (D,) Eq. 1 in mm, each rod relaxed from its observation; NaN for rods that failed
     sound        (D,) bool: converged and stable
     """
 
@@ -36,15 +38,16 @@ class HeldOut:
 
     @property
     def standard_error(self) -> float:
-        """mm, of the mean, from how the folds' means differ: observations of one fold are not independent."""
+        """mm, of the mean, from the variation of the folds' means: observations of one fold are not independent."""
         means = [self.distance[self.sound & (self.fold == k)].mean() for k in np.unique(self.fold[self.sound])]
         return float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 1 else np.nan
 
 
 def folds_of(groups: np.ndarray, count: int) -> np.ndarray:
-    """(D,) fold of each observation: ``count`` folds of about the same size that cut no group (D,) apart.
+    """(D,) fold of each observation: ``count`` folds of about the same size that keep every group of ``groups`` (D,) together.
 
-    The largest group goes first, each to the smallest fold. Raises InputError for fewer groups than folds.
+    Groups are placed in order of size, the largest first, each into the smallest fold. Raises InputError for fewer groups than
+    folds.
     """
     names, of_group, sizes = np.unique(groups, return_inverse=True, return_counts=True)
     if not 2 <= count <= len(names):
@@ -64,6 +67,19 @@ def refine_held_out(observations: Observations, clamps: Clamps, theta: Theta, fo
     for k in np.unique(fold):
         inside, outside = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
         found = refine(observations.take(inside), clamps.take(inside), theta, options)
-        error[outside], sound[outside] = predicted(found, observations.take(outside), clamps.take(outside), options)
+        error[outside], sound[outside] = _predicted(found, observations.take(outside), clamps.take(outside), options)
         refinements.append(found)
     return HeldOut(fold, tuple(refinements), error, sound)
+
+
+def _predicted(found: Refinement, observations: Observations, clamps: Clamps, options: RefinementOptions
+               ) -> tuple[np.ndarray, np.ndarray]:
+    """(D,) Eq. 1 in mm of observations that ``found`` was not fitted to, each rod relaxed from its observation, and (D,) bool
+    whether it is converged and stable. The clamps' errors in a single observation are unknown here, and taken as zero."""
+    rod = HeldRod(observations, clamps, 2 * found.mesh_edges if found.mesh_error is not None else found.mesh_edges)
+    unknowns = unknowns_of(rod, options)
+    values = replace(found.estimate.values, scatter=np.zeros((observations.count, POSE)))
+    solution = rod.relaxed(unknowns.material(values), values.clip, unknowns.pose(values), options.solver, values.theta.up)
+    frames = rod.directors(solution, values.clip) if options.frame_weight > 0 else None
+    return (mark_distance(rod.marks(solution, values.clip), observations, frames, options.frame_weight),
+            solution.converged & solution.stable)

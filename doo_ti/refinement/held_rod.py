@@ -1,14 +1,14 @@
 """An observed rod between its clips, on a mesh of its own: finer than its marks, and clamped where the clips end.
 
-A discrete rod whose first edge is held bends from the middle of that edge on. So the mesh lays the middle of its first edge
-on the point where the clip lets go, ``clip`` mm from the first mark, and likewise at the other end. All its edges have one
-length,
+A discrete rod whose first edge is held bends from the middle of that edge on. So the middle of the mesh's first edge is placed
+at the end of the clip, ``clip`` mm from the first mark, and likewise at the other end. All edges have the length
 
-    h = (L − c_0 − c_1)/(N − 1)        with both ends clamped, L the length between the outer marks,
+    h = (L − c_0 − c_1)/(N − 1)        with both ends clamped, L the length between the outer marks.
 
-and marks lie between its vertices, by cubic interpolation; inside a clip the rod is straight. A clamp may be off the pose that
-was reported: six numbers for each end, a rotation about the clip's end in the reported frame's axes and a displacement along
-them. Axes: D observations, M marks, N edges of the mesh, Q = 12 numbers of the two poses.
+Marks lie between the mesh's vertices, by cubic interpolation; inside a clip the rod is straight. A clamp may be off its
+reported pose by six numbers: a rotation about the clip's end and a displacement, both in the axes of the reported frame.
+
+Axes: D observations, M marks, N edges of the mesh, Q = 12 numbers of the two poses.
 """
 
 from dataclasses import dataclass, replace
@@ -32,7 +32,7 @@ class Mesh:
 
     edge         h, mm
     place        (N + 1,) arc length of its vertices from the first mark, mm
-    edge_slope   (2,) dh by each clip length
+    edge_slope   (2,) derivative of ``edge`` by each clip length
     first_slope  (2,) derivative of ``place[0]`` by each clip length
     """
 
@@ -57,7 +57,7 @@ class Mesh:
         return _interpolation((place - self.place[0]) / self.edge, len(self.place))
 
     def at_edges(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(X, N) weights of what edges have in their middles, and their derivatives by u: linear in between."""
+        """(X, N) weights of the edges, each at its middle and linear in between, and their derivatives by u."""
         u = np.clip((place - self.place[0]) / self.edge - 0.5, 0.0, len(self.place) - 2)
         low = np.minimum(u.astype(int), len(self.place) - 3)
         weights, slopes = np.zeros((2, len(place), len(self.place) - 1))
@@ -67,7 +67,7 @@ class Mesh:
         return weights, slopes
 
     def slide(self, place: np.ndarray) -> np.ndarray:
-        """(X, 2) derivative of u = (s − s_0)/h by each clip length, where arc lengths s stay."""
+        """(X, 2) derivative of u = (s − s_0)/h by each clip length at given arc lengths s."""
         u = (place - self.place[0]) / self.edge
         return -(self.first_slope + u[:, None] * self.edge_slope) / self.edge
 
@@ -77,7 +77,7 @@ class HeldRod:
     """D observations of one rod, and the mesh that models them.
 
     observations  the marks
-    clamps        what holds the ends, at the outer marks, as reported
+    clamps        of the ends, at the outer marks, as reported
     edges         N of the mesh
     """
 
@@ -97,11 +97,11 @@ class HeldRod:
 
     @property
     def clamped(self) -> np.ndarray:
-        """(2,) bool: ends whose tangent some clamp holds, so that there is a clip."""
+        """(2,) bool: ends with a clip, where the clamp holds at least the tangent."""
         return np.array([np.max(kind) >= Clamp.TANGENT for kind in (self.clamps.start, self.clamps.end)])
 
     def mesh(self, clip: np.ndarray) -> Mesh:
-        """``clip`` (2,) mm; without a clamp at an end its clip length counts for nothing."""
+        """The mesh for clips of ``clip`` (2,) mm; the length at an end without clip is ignored."""
         held = self.clamped.astype(float)
         count = self.edges - 0.5 * held.sum()
         edge = (self.length - held @ clip) / count
@@ -111,7 +111,7 @@ class HeldRod:
         return Mesh(edge, first + edge * np.arange(self.edges + 1), slope, first_slope)
 
     def mesh_clamps(self, clip: np.ndarray, pose: np.ndarray) -> Clamps:
-        """The clamps of the mesh: ``pose`` (D, Q) is how far each is off what was reported."""
+        """The clamps of the mesh, off their reported poses by ``pose`` (D, Q)."""
         mesh = self.mesh(clip)
         positions, frames = [], []
         for end, (position, frame) in enumerate(self._reported):
@@ -125,8 +125,8 @@ class HeldRod:
         return Clamps(self.clamps.start, self.clamps.end, *positions, *frames)
 
     def clamp_slopes(self, clip: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How the clamps of the mesh follow the clips and the poses: displacements (2, D, 3, 2 + Q) of the start's and the
-        end's vertex, and rotations in the world (2, D, 3, 2 + Q)."""
+        """Derivatives of the clamps of the mesh by the clips and the poses: displacements (2, D, 3, 2 + Q) of the start's and
+        the end's vertex, and rotations in the world (2, D, 3, 2 + Q)."""
         mesh, count = self.mesh(clip), self.observations.count
         moved, turned = np.zeros((2, 2, count, 3, 2 + POSE))
         for end, (_, frame) in enumerate(self._reported):
@@ -154,7 +154,7 @@ class HeldRod:
                 rows: np.ndarray | None = None, any_turn: bool = False) -> Solution:
         """F from the observations, or from those of ``rows`` alone; of several whole turns the one nearest to the marks.
 
-        any_turn: try a turn more and one less than the hint, too
+        any_turn  try a turn more and one less than the observed twist, too
         """
         rows = np.arange(self.observations.count) if rows is None else rows
         clamps = self.mesh_clamps(clip, pose).take(rows)
@@ -173,7 +173,7 @@ class HeldRod:
 
     def followed(self, solution: Solution, material: Material, clip: np.ndarray, pose: np.ndarray, solver: Newton,
                  up: np.ndarray) -> Solution:
-        """F from where ``solution`` is, which keeps every rod on its branch."""
+        """F from ``solution``, which keeps every rod on its branch."""
         clamps = self.mesh_clamps(clip, pose)
         lengths = np.full(self.edges, self.mesh(clip).edge)
         begin = Configuration(clamps.start_position, solution.configuration.quaternions, lengths)
@@ -182,7 +182,7 @@ class HeldRod:
         return relax(begin, material, clamps, replace(solver, first_shift=0.0), up=up)
 
     def marks(self, solution: Solution, clip: np.ndarray) -> np.ndarray:
-        """(R, M, 3) where the marks of relaxed rods are, mm."""
+        """(R, M, 3) places of the marks of relaxed rods, mm."""
         return self.mesh(clip).at(self.mark_place)[0] @ solution.configuration.vertices
 
     def directors(self, solution: Solution, clip: np.ndarray) -> np.ndarray:
@@ -191,14 +191,14 @@ class HeldRod:
         return self.mesh(clip).at_edges(0.5 * (place[1:] + place[:-1]))[0] @ solution.configuration.frames[..., 1]
 
     def _on_mesh(self, clip: np.ndarray) -> Observations:
-        """The observed curves, and frames if these were measured, on the mesh: where relaxations start."""
+        """The observed curves, and frames if these were measured, on the mesh: the start of relaxations."""
         seen, mesh = self.observations, self.mesh(clip)
         marks = fill_missing(seen)
         place, last = np.clip(mesh.place, 0.0, self.length), len(self.mark_place) - 2
         low = np.clip(np.searchsorted(self.mark_place, place, side="right") - 1, 0, last)
         share = ((place - self.mark_place[low]) / seen.rest_length[low])[:, None]
         vertices = (1 - share) * marks[:, low] + share * marks[:, low + 1]
-        # Beyond the outer marks lies half an edge at most.
+        # The mesh extends beyond the outer marks by half an edge at most.
         for end, inner in ((0, 1), (-1, -2)):
             direction = marks[:, end] - marks[:, inner]
             direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True)

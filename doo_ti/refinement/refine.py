@@ -1,9 +1,16 @@
-"""Beyond the grid: the Θ that observations speak for, and how far they bound it (§III-E).
+"""Beyond the grid: the most probable Θ of observed rods, and its uncertainty (§III-E).
 
-The model is the rod between its clips (:mod:`.held_rod`), curved at rest (:mod:`.curvature_field`), its clamps a little off
-what was reported. What is unknown is Θ, the clips' lengths, the rest curvature and the clamps' errors; how large noise,
-curvature and errors are is learned from the same observations (:mod:`.evidence`). Intervals are those of the marginal
-likelihood (:mod:`.profile`).
+The model is the rod between its clips (:mod:`doo_ti.refinement.held_rod`), curved at rest, with clamps slightly off their
+reported poses. Unknown are Θ, the clips' lengths, the rest curvature and the clamps' errors; the sizes of noise, curvature and
+errors (:mod:`doo_ti.refinement.priors`) are learned from the same observations (:mod:`doo_ti.refinement.evidence`).
+
+A discrete rod clamped in the middle of an edge differs from the continuum by h² to leading order. So with marks x_h and x_k on
+meshes of edges h and k < h,
+
+    x_0 ≈ x_h + (x_k − x_h) h²/(h² − k²);
+
+the second term (Richardson's extrapolation), computed once at the end of a fit and then kept, makes a repeated fit one of the
+continuum up to h⁴.
 """
 
 from collections.abc import Sequence
@@ -13,47 +20,47 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.io.observations import Observations
-from doo_ti.refinement.adequacy import Adequacy, adequacy
+from doo_ti.refinement.adequacy import Adequacy, Score, adequacy, fitted_variant, scores
 from doo_ti.refinement.estimate import Estimate, estimated
 from doo_ti.refinement.fit import Fit, Fitted
-from doo_ti.refinement.held_rod import POSE, HeldRod
-from doo_ti.refinement.mesh_error import mesh_correction, relaxed_on
-from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.scales import typical_scales
-from doo_ti.refinement.selection import Score, fitted_variant, scores
-from doo_ti.refinement.unknowns import Theta, Unknowns
+from doo_ti.refinement.held_rod import HeldRod
+from doo_ti.refinement.priors import Scales, typical_scales
+from doo_ti.refinement.residuals import Comparison, mark_distance
+from doo_ti.refinement.unknowns import Theta, Unknowns, Values
 from doo_ti.relaxation.newton import Newton
-from doo_ti.types import Clamp, Clamps, Status
+from doo_ti.relaxation.relax import relax
+from doo_ti.types import Clamp, Clamps, Configuration, Solution, Status
 
 FEWEST_EDGES, MOST_EDGES = 24, 400
 TRIED_FIRST = 4
-"""Steps from each of several starts before the best of them goes on."""
+"""Steps from each of several starts; only the best of them is continued."""
 ASYMPTOTIC = 1.0
-"""Times the noise: a larger correction of the mesh is not to be trusted, and the mesh is made twice as fine."""
+"""Times the noise: a larger correction of the mesh is not reliable, and the mesh is made twice as fine."""
 CORRECTIONS = 2
 CLEAR = 6.0
-"""−2 ln of the evidence: by so much a simpler model has to be better to be taken."""
+"""−2 ln of the evidence: a simpler model is chosen where it is better by at least this."""
 FIRST_TURN = 0.3
-"""rad, the turn of the whole rod's rest curvature to begin with where all spins are free: with none a rod has no preferred
-side, and with next to none it turns wildly."""
+"""rad, the initial rest curvature times the rod's length where the rolls at both ends are free: a straight rod has no preferred
+side, and with a much smaller curvature the side changes with every small change of the unknowns."""
 
 
 @dataclass(frozen=True)
 class RefinementOptions:
-    """How a fit is made.
+    """Options of a fit.
 
-    parameters        of Θ, from :data:`doo_ti.refinement.unknowns.PARAMETERS`; the others stay. Bend, twist and weight are
-                      determined only up to a common factor, so one of them should stay: weight, as a rule
-    clip              length that a clip holds from the outer mark on, mm, both alike; None: unknown
+    parameters        learned parameters of Θ, from :data:`doo_ti.refinement.unknowns.PARAMETERS`; the others are fixed. Bend,
+                      twist and weight are determined only up to a common factor, so one of them should be fixed: usually
+                      weight
+    clip              length that a clip holds from the outer mark on, mm, the same at both ends; None: unknown
     curvature         rest curvature: "field", "uniform" along the rod, or "none"
-    clamps            "loose": they may be off what was reported; "exact"; or "auto": exact where the evidence says so
-    frame_weight      w_m of Eq. 1 in mm; where it is positive measured frames count, too
+    clamps            "loose": they may be off their reported poses; "exact"; or "auto": exact if the evidence is for it
+    frame_weight      w_m of Eq. 1 in mm; where it is positive measured frames are compared too
     curvature_spread  standard deviation of the rest curvature, 1/mm; None: learned
-    curvature_range   distance over which it is about the same, mm; None: learned
-    edges             of the mesh, and no correction for their length; None: as many as the noise asks for, and corrected
+    curvature_range   distance over which it is correlated, mm; None: learned
+    edges             of the mesh, without correction for their length; None: as many as the noise requires, corrected
     solver            of the relaxations from the observations
-    iterations        steps allowed
-    intervals         "profile", or "covariance", which takes no time
+    iterations        largest number of steps
+    intervals         "profile", or "covariance", which takes no extra time
     models            whether other models are fitted and compared
     """
 
@@ -73,21 +80,21 @@ class RefinementOptions:
 
 @dataclass(frozen=True)
 class Refinement:
-    """The most probable Θ and how far to trust it. D observations.
+    """The most probable Θ and its uncertainty. D observations.
 
     estimate            Θ, intervals, covariance, clips, regions
     adequacy            what the residuals say about the model
-    scores              of other models beside this one, if they were asked for
-    marks               (D, M, 3) where the model has the marks, mm; NaN in rods that failed
+    scores              of other models, if these were fitted
+    marks               (D, M, 3) places of the marks in the model, mm; NaN in rods that failed
     mean_squares        (D,) mean square of the marks' residuals, mm² or, where σ was given, over σ²
     distance            (D,) Eq. 1 between marks and model, mm; NaN in rods that failed
     status, stable      (D,) how the relaxations ended
     used                (D,) bool: rods that determined Θ
-    misfits             (D,) bool: rods that are converged and stable but far from what was observed
-    converged           False where the steps allowed did not do
-    steps               tried
+    misfits             (D,) bool: rods that are converged and stable but far from their marks
+    converged           False where the allowed steps did not suffice
+    steps               number of steps tried
     mesh_edges          N
-    mesh_error          mm, root mean square of the correction for the length of the mesh's edges; None where it is off
+    mesh_error          mm, root mean square of the correction for the length of the mesh's edges; None without correction
     """
 
     estimate: Estimate
@@ -116,7 +123,7 @@ class Refinement:
 
     @property
     def reasons(self) -> dict[str, int]:
-        """Why how many rods did not determine Θ."""
+        """Reason: number of rods that for this reason did not determine Θ."""
         reasons = np.array([kind.name.lower().replace("_", " ") for kind in Status])[self.status]
         sound = self.status == Status.CONVERGED
         reasons = np.where(sound, np.where(self.stable, "far from its marks", "unstable"), reasons)
@@ -129,8 +136,8 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
     """The most probable Θ that is reached from ``theta``, or from the best of several.
 
     Gravity's direction is that of ``theta``. Rods that do not converge, are unstable, infeasible or far from their marks do not
-    count; how many there are is in the result. Raises InputError for options that do not fit the observations or each other,
-    and where no rod is left.
+    count; their number is in the result. Raises InputError for options that do not fit the observations or each other, and
+    where no rod is left.
     """
     thetas = (theta,) if isinstance(theta, Theta) else tuple(theta)
     fit, fitted = _fitted(observations, clamps, thetas, options)
@@ -143,32 +150,24 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
     return _refinement(fit, fitted, options, correction, found)
 
 
-def predicted(found: Refinement, observations: Observations, clamps: Clamps, options: RefinementOptions
-              ) -> tuple[np.ndarray, np.ndarray]:
-    """(D,) Eq. 1 in mm of observations that ``found`` has not seen, each rod relaxed from its observation, and which of them
-    (D,) are converged and stable. What the clamps are off in one observation is unknown there, and taken as none."""
-    rod = HeldRod(observations, clamps, 2 * found.mesh_edges if found.mesh_error is not None else found.mesh_edges)
-    unknowns = Unknowns(rod, tuple(options.parameters), options.clip is None, options.curvature, options.clamps != "exact")
-    values = replace(found.estimate.values, scatter=np.zeros((observations.count, POSE)))
-    solution = rod.relaxed(unknowns.material(values), values.clip, unknowns.pose(values), options.solver, values.theta.up)
-    frames = rod.directors(solution, values.clip) if options.frame_weight > 0 else None
-    return (mark_distance(rod.marks(solution, values.clip), observations, frames, options.frame_weight),
-            solution.converged & solution.stable)
+def unknowns_of(rod: HeldRod, options: RefinementOptions) -> Unknowns:
+    """The unknowns of a fit to ``rod``."""
+    return Unknowns(rod, tuple(options.parameters), options.clip is None, options.curvature, options.clamps != "exact")
 
 
 def _fitted(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...], options: RefinementOptions):
-    """The fit on its first mesh, and where it came to from the best of ``thetas``."""
+    """The fit on its first mesh, from the best of ``thetas``."""
     check(observations, options)
     edges = options.edges or int(np.clip(2 * observations.edges, FEWEST_EDGES, MOST_EDGES))
     rod = HeldRod(observations, clamps, edges)
-    unknowns = Unknowns(rod, tuple(options.parameters), options.clip is None, options.curvature, options.clamps != "exact")
+    unknowns = unknowns_of(rod, options)
     scales = _scales(unknowns, options)
     comparison = Comparison.of(unknowns, options.frame_weight > 0)
     clip = unknowns.clip_prior if options.clip is None else np.full(2, options.clip)
     tried = []
     for theta in thetas:
         values = unknowns.begun(theta, clip)
-        if _spins(clamps) and not values.curvature.any():
+        if _rolls_free(clamps) and not values.curvature.any():
             values.curvature[:] = [FIRST_TURN / rod.length, 0.0]
         fit = Fit(comparison, replace(values, theta=thetas[0]), options.solver)
         try:
@@ -188,33 +187,13 @@ def _fitted(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...
     return fit, fitted
 
 
-def _spins(clamps: Clamps) -> bool:
-    """Whether every rod may spin about itself at both ends."""
+def _rolls_free(clamps: Clamps) -> bool:
+    """Whether no clamp holds the roll of any rod."""
     return bool(np.all((np.asarray(clamps.start) < Clamp.FRAME) & (np.asarray(clamps.end) < Clamp.FRAME)))
 
 
-def _corrected(fit: Fit, fitted: Fitted, options: RefinementOptions):
-    """The fit with its mesh corrected, made finer before where the correction is too large."""
-    for _ in range(CORRECTIONS):
-        values, solution = fitted.state.values, fitted.state.solution
-        correction = mesh_correction(fit.unknowns, values, solution, fit.solver)
-        size = _root_mean_square(correction[fitted.state.used])
-        noise = fitted.state.scales["marks"] * (1.0 if fit.unknowns.rod.observations.sigma is None
-                                                else float(np.mean(fit.unknowns.rod.observations.sigma)))
-        edges = fit.unknowns.rod.edges
-        if size > ASYMPTOTIC * noise and 2 * edges <= MOST_EDGES:
-            finer = replace(fit.unknowns, rod=replace(fit.unknowns.rod, edges=2 * edges))
-            solution = relaxed_on(finer, values, solution, fit.unknowns.rod, fit.solver)
-            fit = replace(fit, comparison=replace(fit.comparison, unknowns=finer, correction=0.0))
-            correction = mesh_correction(finer, values, solution, fit.solver)
-        fit = replace(fit, comparison=replace(fit.comparison, correction=correction))
-        further = fit.run(fit.at(values, fitted.state.scales, solution), options.iterations)
-        fitted = replace(further, steps=further.steps + fitted.steps)
-    return fit, fitted, correction
-
-
 def _simpler(fit: Fit, fitted: Fitted) -> tuple[Fit, Fitted]:
-    """The model whose clamps are exact, where the evidence of the same rods speaks for it; else what is given."""
+    """The model with exact clamps where the evidence of the same rods is clearly for it, else the given one."""
     exact = replace(fit, rods=fitted.state.used)
     exact, found = fitted_variant(exact, fitted, replace(fit.unknowns, clamps=False))
     same = found.state.used.sum() == fitted.state.used.sum()
@@ -239,7 +218,7 @@ def check(observations: Observations, options: RefinementOptions) -> None:
         raise InputError("refine", "edges", f"{options.edges}", f"give 6 to {4 * MOST_EDGES}")
 
 
-def _scales(unknowns: Unknowns, options: RefinementOptions):
+def _scales(unknowns: Unknowns, options: RefinementOptions) -> Scales:
     seen = unknowns.rod.observations
     learned, fixed = {"gap"}, {}
     if seen.sigma is None:
@@ -270,17 +249,58 @@ def _refinement(fit: Fit, fitted: Fitted, options: RefinementOptions, correction
         mesh_error=None if correction is None else _root_mean_square(correction[state.used]))
 
 
-def mark_distance(marks: np.ndarray, observations: Observations, directors: np.ndarray | None = None,
-                  frame_weight: float = 0.0) -> np.ndarray:
-    """(D,) Eq. 1 in mm between ``marks`` (D, M, 3), and m1 half-way between them, and what was observed."""
-    valid = observations.valid
-    apart = np.linalg.norm(np.where(valid[..., None], marks - np.nan_to_num(observations.vertices), 0.0), axis=-1)
-    total = apart.sum(axis=1) / (valid.sum(axis=1) - 1)
-    if directors is not None:
-        turned = np.linalg.norm(directors - observations.frames[..., 1], axis=-1)
-        total = total + frame_weight * turned.sum(axis=1) / (observations.edges - 1)
-    return total
-
-
 def _root_mean_square(values: np.ndarray) -> float:
     return float(np.sqrt((values**2).mean())) if values.size else 0.0
+
+
+# --- the error of the mesh ------------------------------------------------------------------------------------------------
+
+
+def _corrected(fit: Fit, fitted: Fitted, options: RefinementOptions):
+    """The fit repeated with the correction of its mesh, on a mesh twice as fine where the correction is too large."""
+    for _ in range(CORRECTIONS):
+        values, solution = fitted.state.values, fitted.state.solution
+        correction = mesh_correction(fit.unknowns, values, solution, fit.solver)
+        size = _root_mean_square(correction[fitted.state.used])
+        noise = fitted.state.scales["marks"] * (1.0 if fit.unknowns.rod.observations.sigma is None
+                                                else float(np.mean(fit.unknowns.rod.observations.sigma)))
+        edges = fit.unknowns.rod.edges
+        if size > ASYMPTOTIC * noise and 2 * edges <= MOST_EDGES:
+            finer = replace(fit.unknowns, rod=replace(fit.unknowns.rod, edges=2 * edges))
+            solution = relaxed_on(finer, values, solution, fit.unknowns.rod, fit.solver)
+            fit = replace(fit, comparison=replace(fit.comparison, unknowns=finer, correction=0.0))
+            correction = mesh_correction(finer, values, solution, fit.solver)
+        fit = replace(fit, comparison=replace(fit.comparison, correction=correction))
+        further = fit.run(fit.at(values, fitted.state.scales, solution), options.iterations)
+        fitted = replace(further, steps=further.steps + fitted.steps)
+    return fit, fitted, correction
+
+
+def mesh_correction(unknowns: Unknowns, values: Values, solution: Solution, solver: Newton) -> np.ndarray:
+    """(D, M, 3) the second term of the formula above, mm; zero for rods that are on another branch on a mesh twice as fine."""
+    coarse = unknowns.rod
+    finer = replace(unknowns, rod=replace(coarse, edges=2 * coarse.edges - 1))
+    fine = relaxed_on(finer, values, solution, coarse, solver)
+    h, k = (rod.mesh(values.clip).edge for rod in (coarse, finer.rod))
+    change = finer.rod.marks(fine, values.clip) - coarse.marks(solution, values.clip)
+    sound = solution.converged & solution.stable & fine.converged & fine.stable
+    sound &= np.abs(np.nan_to_num(change, nan=np.inf)).max(axis=(1, 2)) < h
+    return np.where(sound[:, None, None], change, 0.0) * h**2 / (h**2 - k**2)
+
+
+def relaxed_on(unknowns: Unknowns, values: Values, solution: Solution, before: HeldRod, solver: Newton) -> Solution:
+    """F on the mesh of ``unknowns``, starting from ``solution``, which is on the mesh of ``before``."""
+    rod = unknowns.rod
+    mesh, old = rod.mesh(values.clip), before.mesh(values.clip)
+    middles = 0.5 * (mesh.place[1:] + mesh.place[:-1])
+    weights = old.at_edges(middles)[0]
+    quaternions = solution.configuration.quaternions
+    # Neighbouring quaternions with the same sign, so that weighted means of them are frames between.
+    sign = np.sign(np.einsum("rek,rek->re", quaternions[:, 1:], quaternions[:, :-1]))
+    sign = np.concatenate([np.ones((len(sign), 1)), np.cumprod(np.where(sign == 0, 1.0, sign), axis=1)], axis=1)
+    between = np.einsum("xe,rek->rxk", weights, sign[..., None] * quaternions)
+    between /= np.linalg.norm(between, axis=-1, keepdims=True)
+    clamps = rod.mesh_clamps(values.clip, unknowns.pose(values))
+    start = np.where(np.isfinite(clamps.start_position), clamps.start_position, solution.configuration.start)
+    begin = Configuration(start, between, np.full(rod.edges, mesh.edge))
+    return relax(begin, unknowns.material(values), clamps, replace(solver, first_shift=0.0), up=values.theta.up)

@@ -1,17 +1,26 @@
-"""What of the observations is compared with the model, and how that changes with the unknowns.
+"""Residuals of all observations, and their linear model around the present values of a fit.
 
-A mark's residual is x − x', a director's m1 − m1'. Marks that a clamp's position or tangent was taken from say nothing and are
-left out. Marks come in mm, or over their σ where the observations state it; directors are pure numbers. Axes: D observations, M
-marks, P unknowns, Q effects.
+A mark's residual is x − x', a director's m1 − m1', of model and observation. Around the present values
+
+    r_d = r_d(now) + J_d x + Z_d z_d + noise,    x ~ N(x̄, A⁻¹), z_d ~ N(0, S), noise ~ N(0, σ²),
+
+with the P unknowns x that all observations share, and the Q effects z_d of one observation: errors of its clamps, and
+amplitudes of smooth displacements that the rest of the model does not explain (the gap). x counts from the present values,
+z_d from zero.
+
+Marks from which a clamp's position or tangent was taken are left out: there the model agrees by construction. Residuals of
+marks are in mm, or in units of σ where the observations state it; those of directors have no unit.
+
+Axes: D observations, M marks, N residuals of one kind in each observation, P unknowns, Q effects, G smooth displacements.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.refinement.held_rod import POSE
-from doo_ti.refinement.linear_model import GAP_MODES, Residuals, smooth_modes
-from doo_ti.refinement.scales import Scales
+from doo_ti.io.observations import Observations
+from doo_ti.refinement.held_rod import POSE, Mesh
+from doo_ti.refinement.priors import Scales
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.sensitivity import sensitivity
 from doo_ti.types import Clamp, Solution
@@ -20,16 +29,124 @@ RODS_AT_ONCE = 128
 """Derivatives of as many rods are held in memory at a time."""
 SOFT = 30.0
 """Times the median: rods whose derivatives are larger are about to snap."""
+GAP_MODES = 6
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals of one kind, all with the noise of ``scale``, a name of :mod:`doo_ti.refinement.priors`.
+
+    values   (D, N) with z_d = 0; zero where nothing was seen
+    shared   (D, N, P) J
+    effects  (D, N, Q) Z
+    count    (D,) number of independent residuals
+    """
+
+    scale: str
+    values: np.ndarray
+    shared: np.ndarray
+    effects: np.ndarray
+    count: np.ndarray
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Products of the residuals of one kind: all that the evidence needs of them.
+
+    squares  Σ r²
+    shared   (P, P) Σ JᵀJ, and (P,) Σ Jᵀr
+    mixed    (D, P, Q) JᵀZ
+    effects  (D, Q, Q) ZᵀZ, and (D, Q) Zᵀr
+    count    number of independent residuals
+    """
+
+    scale: str
+    squares: float
+    shared: np.ndarray
+    shared_slope: np.ndarray
+    mixed: np.ndarray
+    effects: np.ndarray
+    effects_slope: np.ndarray
+    count: float
+
+    @classmethod
+    def of(cls, residuals: Residuals) -> "Moments":
+        # Products per observation, then sums: the order of the observations does not change the products.
+        transposed = np.swapaxes(residuals.shared, 1, 2)
+        effects = np.swapaxes(residuals.effects, 1, 2)
+        values = residuals.values[..., None]
+        return cls(
+            residuals.scale, float((residuals.values**2).sum()), (transposed @ residuals.shared).sum(axis=0),
+            (transposed @ values).sum(axis=0)[:, 0], transposed @ residuals.effects, effects @ residuals.effects,
+            (effects @ values)[..., 0], float(residuals.count.sum()))
+
+
+def smooth_modes(place: np.ndarray, held: tuple[bool, bool], count: int) -> np.ndarray:
+    """(M, G) smooth displacements of marks at arc lengths ``place`` (M,), zero at a held end; the k-th is scaled by 1/k²."""
+    share = (place - place[0]) / (place[-1] - place[0])
+    k = np.arange(1, count + 1)
+    if all(held):
+        modes = np.sin(np.pi * np.outer(share, k))
+    elif held[0]:
+        modes = np.sin(np.pi * np.outer(share, k - 0.5))
+    else:
+        modes = np.cos(np.pi * np.outer(share, k - 0.5))
+    return modes / k**2
+
+
+def effect_scales(effects: int) -> tuple[str, ...]:
+    """(Q,) the scale of each effect of an observation: poses first, if there are any, then the gap's amplitudes."""
+    poses = ("turn_scatter",) * 6 + ("shift_scatter",) * 6
+    gap = ("gap",) * (3 * GAP_MODES)
+    return poses + gap if effects == POSE + len(gap) else gap
+
+
+def mark_distance(marks: np.ndarray, observations: Observations, directors: np.ndarray | None = None,
+                  frame_weight: float = 0.0) -> np.ndarray:
+    """(D,) Eq. 1 in mm between ``marks`` (D, M, 3), and m1 half-way between them, and the observations."""
+    valid = observations.valid
+    apart = np.linalg.norm(np.where(valid[..., None], marks - np.nan_to_num(observations.vertices), 0.0), axis=-1)
+    total = apart.sum(axis=1) / (valid.sum(axis=1) - 1)
+    if directors is not None:
+        turned = np.linalg.norm(directors - observations.frames[..., 1], axis=-1)
+        total = total + frame_weight * turned.sum(axis=1) / (observations.edges - 1)
+    return total
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """A vector interpolated between the mesh's vertices or edges, at X places of the rod.
+
+    place    (X,) arc lengths, mm
+    weights  (X, ·) of the interpolation, and their derivatives by u (:meth:`Mesh.at`)
+    present  (rods, ·, 3) the vectors on the mesh
+    changes  (rods, ·, 3, columns) their derivatives, from :func:`doo_ti.relaxation.sensitivity.sensitivity`
+    """
+
+    place: np.ndarray
+    weights: tuple[np.ndarray, np.ndarray]
+    present: np.ndarray
+    changes: np.ndarray
+
+    def at_places(self) -> np.ndarray:
+        """(rods, X, 3, columns) the derivatives at the places."""
+        changes = np.nan_to_num(self.changes)
+        count, weights = len(changes), self.weights[0]
+        return (weights @ changes.reshape(count, changes.shape[1], -1)).reshape(count, len(weights), 3, -1)
+
+    def sliding(self, mesh: Mesh) -> np.ndarray:
+        """(rods, X, 3, 2) derivatives by each clip's length as the mesh slides along the rod."""
+        return np.einsum("mv,rvk,me->rmke", self.weights[1], self.present, mesh.slide(self.place))
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """The numbers that are compared.
+    """What is compared.
 
     unknowns    of the fit
-    weight      (D, M) of marks: zero where one does not count
-    directors   (D, M − 1) one where m1 of an edge counts; None where frames do not
-    correction  (D, M, 3) what a finer mesh adds to where the marks are, mm: see :mod:`doo_ti.refinement.mesh_error`
+    weight      (D, M) of marks: zero for those that are left out
+    directors   (D, M − 1) one where m1 of an edge is compared; None where frames are not
+    correction  (D, M, 3) change of the marks' places by a finer mesh, mm: :func:`doo_ti.refinement.refine.mesh_correction`
     """
 
     unknowns: Unknowns
@@ -57,11 +174,11 @@ class Comparison:
 
     @property
     def count(self) -> np.ndarray:
-        """(D,) marks' coordinates that are compared."""
+        """(D,) number of coordinates of marks that are compared."""
         return 3.0 * (self.weight > 0).sum(axis=1)
 
     def values(self, solution: Solution, values: Values) -> tuple[np.ndarray, ...]:
-        """(D, 3 M) residuals of the marks and, if these count, (D, 3 (M − 1)) of the directors."""
+        """(D, 3 M) residuals of the marks and, if these are compared, (D, 3 (M − 1)) of the directors."""
         rod = self.unknowns.rod
         seen = rod.observations
         marks = self.weight[..., None] * (rod.marks(solution, values.clip) + self.correction - np.nan_to_num(seen.vertices))
@@ -71,46 +188,38 @@ class Comparison:
         apart = rod.directors(solution, values.clip) - seen.frames[..., 1]
         return (*found, (self.directors[..., None] * apart).reshape(len(apart), -1))
 
-    def linear(self, solution: Solution, values: Values, used: np.ndarray, spare_soft: bool = True
+    def linear(self, solution: Solution, values: Values, used: np.ndarray, leave_out_soft: bool = True
                ) -> tuple[tuple[Residuals, ...], np.ndarray]:
-        """The residuals around ``values``, with all effects zero, of rods that are ``used`` (D,) bool; and which have
-        derivatives, those that are about to snap not among them if they are to be spared."""
-        unknowns = self.unknowns
-        shared, effects = [], []
-        usable = np.zeros(len(used), dtype=bool)
-        for first in range(0, len(used), RODS_AT_ONCE):
-            rows = slice(first, min(first + RODS_AT_ONCE, len(used)))
-            marks, directors, usable[rows] = self._derivatives(solution, values, rows)
-            kinds = [marks] if self.directors is None else [marks, directors]
-            shared.append([kind[0] for kind in kinds])
-            effects.append([kind[1] for kind in kinds])
-        shared = [np.concatenate(parts) for parts in zip(*shared, strict=True)]
-        effects = [np.concatenate(parts) for parts in zip(*effects, strict=True)]
-        used = used & usable
+        """The linear model around ``values``, all effects zero, of the rods ``used`` (D,) bool; and the rods in it (D,) bool:
+        those with derivatives, without those about to snap if ``leave_out_soft``."""
+        parts = [self._derivatives(solution, values, slice(first, min(first + RODS_AT_ONCE, len(used))))
+                 for first in range(0, len(used), RODS_AT_ONCE)]
+        kinds = [tuple(np.concatenate(pieces) for pieces in zip(*kind, strict=True))
+                 for kind in zip(*(of_kinds for of_kinds, _ in parts), strict=True)]
+        used = used & np.concatenate([usable for _, usable in parts])
         # A rod about to snap moves far for tiny changes of the unknowns: the linear model does not hold for it.
-        size = np.sqrt((shared[0] ** 2).mean(axis=(1, 2)))
-        if used.any() and spare_soft:
+        size = np.sqrt((kinds[0][0] ** 2).mean(axis=(1, 2)))
+        if used.any() and leave_out_soft:
             used &= size <= SOFT * np.median(size[used])
-        weights = [np.repeat(self.weight, 3, axis=1)]
-        counts = [self.count]
+        weights, counts = [np.repeat(self.weight, 3, axis=1)], [self.count]
         if self.directors is not None:
             weights.append(np.repeat(self.directors, 3, axis=1))
             counts.append(2.0 * self.directors.sum(axis=1))  # a unit vector has two numbers
-        effects = self._with_gap(effects)
         found = []
-        for name, now, j, z, weight, count in zip(
-                ("marks", "frames"), self.values(solution, values), shared, effects, weights, counts, strict=False):
+        for name, now, (j, z), weight, count in zip(
+                ("marks", "frames"), self.values(solution, values), kinds, weights, counts, strict=False):
+            z = self._with_gap(z, name)
             keep = np.where(used[:, None], weight, 0.0)[..., None]
             z = np.where(keep > 0, keep * z, 0.0)
             r = np.where(used[:, None], now, 0.0)
-            if unknowns.clamps:
+            if self.unknowns.clamps:
                 r = r - (z[..., :POSE] @ values.scatter[..., None])[..., 0]
             found.append(Residuals(name, r, np.where(keep > 0, keep * j, 0.0), z, np.where(used, count, 0.0)))
         return tuple(found), used
 
     def gap_weight(self, scales: Scales) -> np.ndarray:
-        """(3 M, 3 G) C of rᵀ(σ² + δ²ΦΦᵀ)⁻¹r = (|r|² − |rᵀC|²)/σ², Φ the smooth displacements of δ = ``gap``: the same for all
-        observations, as if every mark counted as the mean of them does."""
+        """(3 M, 3 G) C of rᵀ(σ² + δ²ΦΦᵀ)⁻¹r = (|r|² − |rᵀC|²)/σ², Φ the smooth displacements and δ the size ``gap``: one C for
+        all observations, with the mean weight of the marks."""
         weight = self.weight[self.weight > 0].mean() if (self.weight > 0).any() else 1.0
         modes = self.gap_modes * weight * scales["gap"] / scales["marks"]
         left, sizes, _ = np.linalg.svd(modes, full_matrices=False)
@@ -118,66 +227,58 @@ class Comparison:
 
     @property
     def gap_modes(self) -> np.ndarray:
-        """(3 M, 3 G) smooth displacements of the marks, those of unit amplitude."""
+        """(3 M, 3 G) smooth displacements of the marks with unit amplitudes."""
         rod = self.unknowns.rod
         held = tuple(bool(np.max(kind) >= Clamp.POSITION) for kind in (rod.clamps.start, rod.clamps.end))
         return np.einsum("mg,ab->magb", smooth_modes(rod.mark_place, held, GAP_MODES), np.eye(3)).reshape(-1, 3 * GAP_MODES)
 
-    def _with_gap(self, effects: list[np.ndarray]) -> list[np.ndarray]:
-        """The effects with the smooth displacements of the marks besides; directors know none."""
+    def _with_gap(self, effects: np.ndarray, kind: str) -> np.ndarray:
+        """The effects followed by the smooth displacements of the marks; these leave directors unchanged."""
         modes = self.gap_modes
-        gaps = [np.broadcast_to(modes, (len(effects[0]), *modes.shape))]
-        gaps += [np.zeros((*z.shape[:2], modes.shape[1])) for z in effects[1:]]
-        return [np.concatenate([z, gap], axis=-1) for z, gap in zip(effects, gaps, strict=True)]
+        shape = (*effects.shape[:2], modes.shape[1])
+        gap = np.broadcast_to(modes, shape) if kind == "marks" else np.zeros(shape)
+        return np.concatenate([effects, gap], axis=-1)
 
     def _derivatives(self, solution: Solution, values: Values, rows: slice):
-        """((J, Z) of the marks, (J, Z) of the directors, usable) of a block of rods; Z of the poses alone."""
+        """(J, Z) of each kind, Z without the gap, and usable (R,) bool, of the R rods ``rows``."""
         unknowns = self.unknowns
-        rod = unknowns.rod
         elementary, chain = unknowns.chain(values)
         modes, mesh = unknowns.modes(values)
         found = sensitivity(solution, (*elementary, "modes", "length", "end_shift", "start_turn", "end_turn"), modes,
                             rows.start, rows.stop)
-        block = np.arange(rows.start, rows.stop)
-        pose = unknowns.pose(values)
-        moved, turned = (slopes[:, rows] for slopes in rod.clamp_slopes(values.clip, pose))
-        place = rod.mark_place
-        at_marks, by_mark = mesh.at(place)
-        configuration = found.configuration
-        sliding = np.einsum("mv,rvk,me->rmke", by_mark, configuration.vertices, mesh.slide(place))
-        marks = self._combined(block, at_marks, found.vertices, moved, turned, chain, values, mesh, sliding, True)
-        directors = None
+        moved, turned = (slopes[:, rows] for slopes in unknowns.rod.clamp_slopes(values.clip, unknowns.pose(values)))
+        place, shape = unknowns.rod.mark_place, found.configuration
+        marks = _Quantity(place, mesh.at(place), shape.vertices, found.vertices)
+        kinds = [self._combined(marks, chain, values, mesh, (moved[1] - moved[0], *turned), moved[0], rows)]
         if self.directors is not None:
             middles = 0.5 * (place[1:] + place[:-1])
-            at_middles, by_middle = mesh.at_edges(middles)
-            sliding = np.einsum("mv,rvk,me->rmke", by_middle, configuration.frames[..., 1], mesh.slide(middles))
-            directors = self._combined(block, at_middles, found.directors, moved, turned, chain, values, mesh, sliding, False)
-        return marks, directors, found.usable
+            directors = _Quantity(middles, mesh.at_edges(middles), shape.frames[..., 1], found.directors)
+            kinds.append(self._combined(directors, chain, values, mesh, (moved[1] - moved[0], *turned), None, rows))
+        return kinds, found.usable
 
-    def _combined(self, block, weights, changes, moved, turned, chain, values, mesh, sliding, moves):
-        """(J, Z) of what ``weights`` (X, ·) take from ``changes`` (rods of the block, ·, 3, columns) of the mesh."""
-        unknowns, count = self.unknowns, len(block)
-        changes = np.nan_to_num(changes)
-        at = (weights @ changes.reshape(count, changes.shape[1], -1)).reshape(count, len(weights), 3, -1)
-        theta = chain.shape[0]
-        knots = len(unknowns.columns("curvature"))
-        of_knots, of_sliding = at[..., theta : theta + knots], at[..., theta + knots : theta + knots + 2]
-        length, rest = at[..., theta + knots + 2], at[..., theta + knots + 3 :]
-        shift, start_turn, end_turn = rest[..., :3], rest[..., 3:6], rest[..., 6:]
-        # What the clamps do: columns of the two clips, then of the pose.
-        of_clamps = np.einsum("rmab,rbq->rmaq", shift, moved[1] - moved[0])
-        of_clamps += np.einsum("rmab,rbq->rmaq", start_turn, turned[0]) + np.einsum("rmab,rbq->rmaq", end_turn, turned[1])
-        if moves:
-            of_clamps += moved[0][:, None]
-        of_clips = of_clamps[..., :2] + of_sliding + length[..., None] * (mesh.edge_slope / mesh.edge) + sliding
-        pose = of_clamps[..., 2:]
-        parts = [at[..., :theta] @ chain]
+    def _combined(self, quantity: _Quantity, chain: np.ndarray, values: Values, mesh: Mesh, clamps: tuple[np.ndarray, ...],
+                  carried: np.ndarray | None, rows: slice) -> tuple[np.ndarray, np.ndarray]:
+        """(J, Z) of a quantity by the unknowns and the poses: the chain rule over its derivatives on the mesh.
+
+        chain    (columns of Θ, unknowns of Θ), from :meth:`Unknowns.chain`
+        clamps   (R, 3, 2 + Q) each: the far clamp's displacement beyond the start's, and the rotations of both
+        carried  (R, 3, 2 + Q) displacement of the start, which carries the whole rod along; None for directions
+        """
+        unknowns, at = self.unknowns, quantity.at_places()
+        theta, knots = chain.shape[0], len(unknowns.columns("curvature"))
+        of_theta, of_knots, of_joints, length, *of_clamps = np.split(at, np.cumsum([theta, knots, 2, 1, 3, 3]), axis=-1)
+        # Columns of the two clips, then of the pose.
+        by_shift, by_start, by_end = (np.einsum("rmab,rbq->rmaq", *pair) for pair in zip(of_clamps, clamps, strict=True))
+        by_clamps = by_shift + (by_start + by_end)
+        if carried is not None:
+            by_clamps = by_clamps + carried[:, None]
+        by_clips = by_clamps[..., :2] + of_joints + length * (mesh.edge_slope / mesh.edge) + quantity.sliding(mesh)
+        by_pose = by_clamps[..., 2:]
         names = unknowns.names
         ends = (end for end, name in enumerate(("clip_start", "clip_end")) if name in names)
-        parts += [of_clips[..., [end]] * values.clip[end] for end in ends]
-        parts.append(of_knots)
+        parts = [of_theta @ chain, *(by_clips[..., [end]] * values.clip[end] for end in ends), of_knots]
         if unknowns.clamps:
-            parts.append(np.einsum("rmaq,rqc->rmac", pose, unknowns.constant_slopes()[block]))
-        shared = np.concatenate(parts, axis=-1).reshape(count, -1, len(names))
-        return shared, (pose * unknowns.loose if unknowns.clamps else pose[..., :0]).reshape(count, shared.shape[1], -1)
-
+            parts.append(np.einsum("rmaq,rqc->rmac", by_pose, unknowns.constant_slopes()[rows]))
+        shared = np.concatenate(parts, axis=-1).reshape(len(at), -1, len(names))
+        effects = by_pose * unknowns.loose if unknowns.clamps else by_pose[..., :0]
+        return shared, effects.reshape(len(at), shared.shape[1], -1)

@@ -1,17 +1,17 @@
-"""What a fit looks for, as unknowns without bounds, and what is known of them before anything is seen.
+"""The unknowns of a fit, transformed so that none has bounds, and their prior.
 
     bend                    ln α of B = αI
     bend_1, bend_2          ln B₁₁, ln B₂₂; the correlation B₁₂/√(B₁₁B₂₂) stays
     bend_12                 artanh of that correlation, so that B stays positive definite
     twist, weight           ln β, ln μ
-    up                      two tilts from where up was, rad
+    up                      two tilts from the present up, rad
     clip_start, clip_end    ln of the length that a clip holds, from the outer mark on
-    curvature               L ω̄ at the knots of :mod:`doo_ti.refinement.curvature_field`, two components each, or of the
-                            whole rod
-    clamps                  constant errors of the clamps: 12 numbers in the axes of the reported frames, which turn with them,
-                            and 12 in the world's
+    curvature               L ω̄ at the knots of :mod:`doo_ti.refinement.priors`, two components each, or of the whole rod
+    clamps                  constant errors of the clamps: 12 numbers in the axes of the reported frames, and 12 in the world's
 
-The prior of the first five is so wide that it matters only along directions that nothing determines.
+The prior of the first five is so wide that it matters only along directions that the observations do not determine.
+
+Axes: D observations, P unknowns, the first T of them Θ's, K knots, E edges between marks, N edges of the mesh.
 """
 
 from dataclasses import dataclass, replace
@@ -21,18 +21,17 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.frames import rotation_matrix
-from doo_ti.refinement.curvature_field import covariance, knots_of, values_at
 from doo_ti.refinement.held_rod import POSE, HeldRod, Mesh
-from doo_ti.refinement.scales import Scales
+from doo_ti.refinement.priors import Scales, covariance, knots_of, values_at
 from doo_ti.relaxation.sensitivity import tilt_axes
 from doo_ti.types import Material
 
 PARAMETERS = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "up")
 LOGARITHMIC = ("bend", "bend_1", "bend_2", "twist", "weight", "clip_start", "clip_end")
-WIDE = 7.0  # standard deviation of the logarithm of what is positive: a factor of a thousand either way
+WIDE = 7.0  # standard deviation of the logarithm of a positive unknown: a factor of a thousand either way
 TILT = 0.1  # rad, of gravity's direction, where that is learned
 CLIP_MEDIAN, CLIP_FACTOR = 0.75, 0.7
-"""Of the prior of a clip's length: the median, in spacings of the outer marks, and the deviation of its logarithm."""
+"""Prior of a clip's length: median, in spacings of the outer marks, and standard deviation of its logarithm."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +54,7 @@ class Theta:
 
     @classmethod
     def of(cls, material: Material, row: int = 0, up=(0.0, 0.0, 1.0)) -> "Theta":
-        """Row ``row`` of a table of materials that are the same all along the rod, but for their rest curvature.
-
-        Raises InputError for others.
-        """
+        """Row ``row`` of ``material``. Raises InputError where bend or twist vary along the rod."""
         if material.bend.shape[1] > 1 or material.twist.shape[1] > 1:
             raise InputError("refine", "material", "bend or twist vary along the rod", "give one value for the whole rod")
         rest = material.rest_curvature
@@ -66,21 +62,27 @@ class Theta:
         return cls(material.bend[row, 0], float(material.twist[row, 0]), float(material.weight[row]), rest, np.asarray(up))
 
     @property
+    def entries(self) -> dict[str, float]:
+        """Parameter: value, in mm³, the weight μ without unit; ``bend`` is α of a round rod."""
+        return {"bend": self.bend[0, 0], "bend_1": self.bend[0, 0], "bend_2": self.bend[1, 1], "bend_12": self.bend[0, 1],
+                "twist": self.twist, "weight": self.weight}
+
+    @property
     def material(self) -> Material:
-        """The table of this one material."""
+        """The same as a table of one row."""
         rest = self.rest_curvature
         return Material(self.bend, self.twist, self.weight, None if rest is None else rest[None])
 
 
 @dataclass(frozen=True)
 class Values:
-    """What the unknowns stand for.
+    """Values of all unknowns, in their own units.
 
     theta      Θ without its rest curvature
     clip       (2,) mm
     curvature  (K, 2) 1/mm at the knots, (1, 2) of the whole rod, or (0, 2)
-    constant   (2 POSE,) constant errors of the clamps, in the reported frames' axes and in the world's
-    scatter    (D, POSE) what they are off besides in each observation
+    constant   (2 POSE,) constant errors of the clamps, in the axes of the reported frames and in the world's
+    scatter    (D, POSE) additional errors of the clamps in each observation
     """
 
     theta: Theta
@@ -92,13 +94,13 @@ class Values:
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Which unknowns a fit has. P of them.
+    """Which unknowns a fit has.
 
     rod         the observed rod
     parameters  of Θ, from PARAMETERS
     clips       whether the clips' lengths are unknown
     curvature   "field", "uniform" or "none"
-    clamps      whether clamps may be off
+    clamps      whether clamps may be off their reported poses
 
     Raises InputError for parameters that are unknown, repeated or contradict each other.
     """
@@ -116,13 +118,13 @@ class Unknowns:
                 raise InputError("refine", "parameters", f"{name!r} is unknown", f"use {', '.join(PARAMETERS)}")
         for other in ("bend_1", "bend_2", "bend_12"):
             if "bend" in names and other in names:
-                raise InputError("refine", "parameters", f"bend beside {other}", "give one of them")
+                raise InputError("refine", "parameters", f"both bend and {other}", "give one of them")
         if not names or len(set(names)) < len(names):
             raise InputError("refine", "parameters", f"{', '.join(names) or 'none'}", "give each parameter once")
 
     @cached_property
     def knots(self) -> np.ndarray:
-        """(K,) mm; of one knot where the rest curvature is uniform, of none where there is none."""
+        """(K,) mm: one knot for a uniform rest curvature, no knots for none."""
         if self.curvature == "field":
             return knots_of(self.rod.observations.rest_length)
         return np.full(int(self.curvature == "uniform"), 0.5 * self.rod.length)
@@ -138,23 +140,23 @@ class Unknowns:
 
     @property
     def theta_count(self) -> int:
-        """How many unknowns are Θ's: the first ones."""
+        """T."""
         return len(self.parameters) + ("up" in self.parameters)
 
     @property
     def scale_names(self) -> set[str]:
-        """Sizes of :mod:`doo_ti.refinement.scales` that the priors of the unknowns have."""
+        """The sizes of :mod:`doo_ti.refinement.priors` that occur in the prior of the unknowns."""
         found = {"turn", "shift", "turn_scatter", "shift_scatter"} if self.clamps else set()
         if self.curvature != "none":
             found |= {"curvature"} | ({"range"} if self.curvature == "field" else set())
         return found
 
     def columns(self, prefix: str) -> np.ndarray:
-        """Where unknowns whose names begin so stand."""
+        """Indices of the unknowns whose names begin with ``prefix``."""
         return np.array([k for k, name in enumerate(self.names) if name.startswith(prefix)], dtype=int)
 
     def begun(self, theta: Theta, clip: np.ndarray) -> Values:
-        """Values to begin with: ``theta``, and no curvature or error of a clamp but what it has itself.
+        """Initial values: ``theta`` with its own rest curvature, and clamps without errors.
 
         Raises InputError where ``theta`` does not fit the unknowns.
         """
@@ -193,23 +195,19 @@ class Unknowns:
         constant = values.constant + (step[self.columns("clamps")] if self.clamps else 0.0)
         return Values(theta, clip, curvature, constant, values.scatter + scatter)
 
-    def theta_at(self, values: Values) -> Theta:
-        """Θ with the rest curvature at the joints between the marks' edges (E−1, 2)."""
+    def theta_at(self, values: Values, joints: np.ndarray | None = None) -> Theta:
+        """Θ with the rest curvature at ``joints`` (·,), mm; by default at the E − 1 joints between the marks' edges."""
         if not len(self.knots):
             return values.theta
-        joints = np.cumsum(self.rod.observations.rest_length)[:-1]
+        joints = np.cumsum(self.rod.observations.rest_length)[:-1] if joints is None else joints
         return replace(values.theta, rest_curvature=values_at(joints, self.knots)[0] @ values.curvature)
 
     def material(self, values: Values) -> Material:
         """The material on the mesh."""
-        theta = values.theta
-        if not len(self.knots):
-            return theta.material
-        rest = values_at(self.rod.mesh(values.clip).joints, self.knots)[0] @ values.curvature
-        return Material(theta.bend, theta.twist, theta.weight, rest[None])
+        return self.theta_at(values, self.rod.mesh(values.clip).joints).material
 
     def pose(self, values: Values) -> np.ndarray:
-        """(D, POSE) how far each clamp is off in each observation."""
+        """(D, POSE) the error of each clamp's pose in each observation."""
         return values.scatter + np.einsum("dij,j->di", self.constant_slopes(), values.constant)
 
     def constant_slopes(self) -> np.ndarray:
@@ -225,15 +223,14 @@ class Unknowns:
 
     @property
     def loose(self) -> np.ndarray:
-        """(POSE,) one for the numbers of a clamp whose pose was reported, which may be off; zero where position and tangent
-        were taken from the marks themselves."""
+        """(POSE,) one where a clamp's pose was reported, and may be off; zero where it was taken from the marks themselves."""
         seen = self.rod.observations
         ends = [frame is not None or seen.frames is not None for frame in (seen.start_frame, seen.end_frame)]
         return np.repeat([*ends, *ends], 3).astype(float)
 
     def modes(self, values: Values) -> tuple[np.ndarray, Mesh]:
-        """(2 K + 2, N − 1, 2) changes of rest curvature on the mesh: by each unknown of the curvature, and by each clip, along
-        with which the joints slide over the rod; and that mesh."""
+        """(2 K + 2, N − 1, 2) derivatives of the rest curvature on the mesh, by each unknown of the curvature and by the length
+        of each clip, with which the joints slide along the rod; and the mesh."""
         mesh = self.rod.mesh(values.clip)
         weights, slopes = values_at(mesh.joints, self.knots) if len(self.knots) else (np.zeros((len(mesh.joints), 0)),) * 2
         by_knot = np.einsum("jk,ab->kajb", weights, np.eye(2)).reshape(-1, len(mesh.joints), 2) / self.rod.length
@@ -241,8 +238,8 @@ class Unknowns:
         return np.concatenate([by_knot, by_clip]), mesh
 
     def chain(self, values: Values) -> tuple[tuple[str, ...], np.ndarray]:
-        """The parameters of :func:`doo_ti.relaxation.sensitivity.sensitivity` that Θ's unknowns need, and the derivatives (Q,
-        T) of their Q columns by these T unknowns."""
+        """The parameters of :func:`doo_ti.relaxation.sensitivity.sensitivity` that Θ's unknowns need, and the derivatives
+        (·, T) of their columns by the unknowns of Θ."""
         theta, entries = values.theta, ("bend_1", "bend_2", "bend_12")
         elementary = [name for name in self.parameters if name not in entries]
         elementary += entries if len(elementary) < len(self.parameters) else ()
@@ -254,24 +251,20 @@ class Unknowns:
             elif name == "up":
                 rows += [[float(unknown == f"up[{k}]") for unknown in names] for k in range(2)]
             else:
-                value = theta.bend[0, 0] if name == "bend" else getattr(theta, name)
-                rows.append([value * (unknown == name) for unknown in names])
+                rows.append([theta.entries[name] * (unknown == name) for unknown in names])
         return tuple(elementary), np.array(rows)
 
     def offset(self, values: Values, origin: Values) -> np.ndarray:
-        """(P,) how far the unknowns are from the middle of their prior, Θ's from ``origin``."""
+        """(P,) the unknowns less the mean of their prior; that of Θ is ``origin``."""
         theta, start, clips = values.theta, origin.theta, self.clip_prior
         parts = []
         for name in self.names[: self.theta_count]:
-            if name in ("bend", "bend_1", "bend_2"):
-                entry = int(name == "bend_2")
-                parts.append(np.log(theta.bend[entry, entry] / start.bend[entry, entry]))
+            if name in LOGARITHMIC:
+                parts.append(np.log(theta.entries[name] / start.entries[name]))
             elif name == "bend_12":
                 parts.append(np.arctanh(_correlation(theta.bend)) - np.arctanh(_correlation(start.bend)))
-            elif name in ("twist", "weight"):
-                parts.append(np.log(getattr(theta, name) / getattr(start, name)))
             else:
-                parts.append(self._tilt(start.up, theta.up)[int(name[3])])
+                parts.append(_tilt(start.up, theta.up)[int(name[3])])
         for end, name in enumerate(("clip_start", "clip_end")):
             if name in self.names:
                 parts.append(np.log(values.clip[end] / clips[end]))
@@ -280,42 +273,38 @@ class Unknowns:
 
     @property
     def clip_prior(self) -> np.ndarray:
-        """(2,) median length of the clips before anything is seen, mm."""
+        """(2,) prior median of the clips' lengths, mm."""
         lengths = self.rod.observations.rest_length
         return CLIP_MEDIAN * np.array([lengths[0], lengths[-1]])
 
     def precision(self, scales: Scales) -> tuple[np.ndarray, float]:
         """(P, P) inverse covariance of the prior, and ln of its determinant."""
-        names, count = self.names, len(self.names)
-        spread = np.empty(count)
-        for k, name in enumerate(names):
-            spread[k] = TILT if name.startswith("up") else CLIP_FACTOR if name.startswith("clip") else WIDE
-        clamps = self.columns("clamps")
+        spread = np.array([TILT if name.startswith("up") else CLIP_FACTOR if name.startswith("clip") else WIDE
+                           for name in self.names])
+        clamps, knots = self.columns("clamps"), self.columns("curvature")
         spread[clamps] = np.where(self.is_turn[: len(clamps)], scales["turn"], scales["shift"])
-        matrix, logarithm = np.diag(1 / spread**2), np.ones(count, dtype=bool)
-        knots = self.columns("curvature")
+        matrix, logarithm = np.diag(1 / spread**2), float(-2 * np.log(np.delete(spread, knots)).sum())
         if len(knots):
-            spread_of, _ = covariance(self.knots, scales["curvature"] * self.rod.length, scales["range"])
-            matrix[np.ix_(knots, knots)] = np.kron(np.linalg.inv(spread_of), np.eye(2))
-            logarithm[knots] = False
-            own = -2 * np.linalg.slogdet(spread_of)[1]
-        return matrix, float(-2 * np.log(spread[logarithm]).sum()) + (own if len(knots) else 0.0)
+            field, _ = covariance(self.knots, scales["curvature"] * self.rod.length, scales["range"])
+            matrix[np.ix_(knots, knots)] = np.kron(np.linalg.inv(field), np.eye(2))
+            logarithm += -2 * np.linalg.slogdet(field)[1]
+        return matrix, logarithm
 
     @property
     def is_turn(self) -> np.ndarray:
         """(2 POSE,) bool: which constant errors are rotations."""
         return np.tile(np.arange(POSE) < 6, 2)
 
-    @staticmethod
-    def _tilt(origin: np.ndarray, up: np.ndarray) -> np.ndarray:
-        """(2,) the step of ``up`` that leads from one direction to the other."""
-        turn = np.cross(origin, up)
-        sine = np.linalg.norm(turn)
-        return tilt_axes(origin) @ turn * (np.arctan2(sine, origin @ up) / max(sine, 1e-300))
-
 
 def _correlation(bend: np.ndarray) -> float:
     return bend[0, 1] / np.sqrt(bend[0, 0] * bend[1, 1])
+
+
+def _tilt(origin: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(2,) the tilts of ``up`` that lead from ``origin`` to ``up``."""
+    turn = np.cross(origin, up)
+    sine = np.linalg.norm(turn)
+    return tilt_axes(origin) @ turn * (np.arctan2(sine, origin @ up) / max(sine, 1e-300))
 
 
 def _bend_entry(entry: str, unknown: str, bend: np.ndarray) -> float:

@@ -22,7 +22,7 @@ from doo_ti.relaxation.time_sweep import (
     TimeSweep,
 )
 
-# Columns of the clamps at an instant: the point the chain hangs from, the far point from there, mm, and the first and last frame.
+# Columns of the clamps at an instant: the point the chain hangs from, the far point from there, mm, the first and last frame.
 PATH_ANCHOR, PATH_TARGET, PATH_ENDS, PATH_COLUMNS = 0, 3, 6, 14
 # Columns of the outcome of a frame: the status, iterations of all its steps and the largest residual, and the force of the far
 # clamp at its end.
@@ -34,7 +34,8 @@ class MotionLoading(Loading):
     """Loading and storing of what a rod remembers, besides what :class:`.Loading` does for any rod.
 
     ``tables`` holds, besides, places (rod, V, INERTIA): positions and velocities at the last two instants; frames and
-    frames_before [rod · edge · 4]; numbers (row, V, VERTEX_ITEMS − INERTIA); shares (row, 2); path (clamps, step, PATH_COLUMNS).
+    frames_before [rod · edge · 4]; numbers (row, V, VERTEX_ITEMS − INERTIA); shares (row, 2); path (clamps, step,
+    PATH_COLUMNS).
     """
 
     def __init__(self, sweep: TimeSweep):
@@ -154,7 +155,7 @@ class TimeLoop(NewtonLoop):
                       extrapolation=zero + ti.cast(tables.time[EXTRAPOLATION], self.scalar))
         up = (ti.cast(tables.up[0], self.scalar), ti.cast(tables.up[1], self.scalar), ti.cast(tables.up[2], self.scalar))
         rod = self.sweep.rods(scratch, head, edges, tables.numbers, tables.numbers, lane.coarse)
-        self.differentiate(tables, rod, time, up)
+        self.differentiate(tables, rod, time, up, ti.select(done, one, zero))
         self.sweep.remember(rod, time, done)
         steps_made = supply.places + (tables.queue.shape[0] - LANES) // 2
         for slot in range(self.width):
@@ -167,8 +168,9 @@ class TimeLoop(NewtonLoop):
                 if again == 0:
                     self.refill(tables, scratch, head, slot, lane, supply)
                     tables.queue[steps_made + slot] = 0
-                    lane.multiplier = (self.with_lane(lane.multiplier[0], slot, 0.0), self.with_lane(lane.multiplier[1], slot, 0.0),
-                                       self.with_lane(lane.multiplier[2], slot, 0.0))
+                    force = lane.multiplier
+                    lane.multiplier = (self.with_lane(force[0], slot, 0.0), self.with_lane(force[1], slot, 0.0),
+                                       self.with_lane(force[2], slot, 0.0))
                     if self.lane(lane.active, slot) > 0.5:
                         self.loading.load_motion(tables, scratch, head, slot, tables.queue[supply.places + slot])
                         self.load_slopes(tables, scratch, head, slot, tables.queue[supply.places + slot])
@@ -199,7 +201,8 @@ class TimeLoop(NewtonLoop):
                 unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
                 unit /= ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
                 for k in ti.static(range(3)):
-                    tables.outcome[row, frame, END_FORCE + k] = 0.0 - unit * ti.cast(self.lane(lane.multiplier[k], slot), ti.f64)
+                    force = ti.cast(self.lane(lane.multiplier[k], slot), ti.f64)
+                    tables.outcome[row, frame, END_FORCE + k] = 0.0 - unit * force
                 self.loading.store_vertices(tables.positions, row * frames + frame, 3, scratch, head, slot, edges)
                 self.write_slopes(tables, scratch, slot, row * frames + frame)
             if step + 1 < tables.steps:
@@ -215,8 +218,8 @@ class TimeLoop(NewtonLoop):
     # --- of a loop that differentiates the steps, :class:`doo_ti.relaxation.time_slope_loop.TimeSlopeLoop` ---
 
     @ti.func
-    def differentiate(self, tables, rod, time, up):
-        """The derivatives of the steps that have converged."""
+    def differentiate(self, tables, rod, time, up, done):
+        """The derivatives of the steps that have converged, in the lanes where ``done`` is one."""
 
     @ti.func
     def load_slopes(self, tables, scratch: ti.template(), head, slot, rod):

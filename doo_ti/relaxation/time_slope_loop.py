@@ -16,22 +16,20 @@ from doo_ti.relaxation.time_slopes import (
     OWN,
     REMEMBERED,
     SHARED,
-    TimeSlopes,
 )
 
 
 @ti.data_oriented
 class TimeSlopeLoop(TimeLoop):
-    """The loop with derivatives by P parameters. ``tables`` holds, besides, blocks, the place of this thread's in scratch; the
-    derivatives of what a rod is given, material_slopes (P, material, -), number_slopes (P, numbers, V, NUMBERS) and share_slopes
-    (P, numbers, 2); those that it remembers, slopes (row, P, V, REMEMBERED); and those of positions, position_slopes
-    (rod · frame, P, V, 3).
+    """The loop with derivatives by P parameters. ``tables`` holds, besides, blocks, where this thread's begin in scratch, and
+
+    material_slopes, number_slopes, share_slopes  (P, material, -), (P, numbers, V, NUMBERS) and (P, numbers, 2) derivatives of
+                                                  what a rod is given
+    slopes                                        (row, P, V, REMEMBERED) those that it remembers, in and out
+    position_slopes                               (rod · frame, P, V, 3) those of positions, out
 
     A parameter costs the same for one lane as for all: lanes that have converged wait for the others of their pack.
     """
-
-    def __init__(self, sweep: TimeSlopes):
-        super().__init__(sweep)
 
     @ti.func
     def exchanges(self, lane):
@@ -55,8 +53,8 @@ class TimeSlopeLoop(TimeLoop):
         lane.trips = ti.select(waited > 0.5, trips, lane.trips)
 
     @ti.func
-    def differentiate(self, tables, rod, time, up):
-        if self.largest(rod.scratch[rod.head + chain.OF_TOTAL * self.stride]) > 0.0:
+    def differentiate(self, tables, rod, time, up, done):
+        if self.largest(done) > 0.5:
             self.sweep.differentiate(rod, tables.blocks, tables.material_slopes.shape[0], time, up)
 
     @ti.func
@@ -95,7 +93,8 @@ class TimeSlopeLoop(TimeLoop):
             value = tables.material_slopes[p, g, column + (of.BEND + k)] * scale
             self.loading.put(scratch, at + (OF_BEND + k) * self.stride, slot, value)
         if e > 0:
-            self.loading.put(scratch, at + OF_TWIST * self.stride, slot, tables.material_slopes[p, g, column + of.TWIST] * scale)
+            twist = tables.material_slopes[p, g, column + of.TWIST] * scale
+            self.loading.put(scratch, at + OF_TWIST * self.stride, slot, twist)
             lengths = ti.min(s, tables.rest_length.shape[0] - 1)
             both = tables.rest_length[lengths, e - 1] + tables.rest_length[lengths, e]
             for k in ti.static(range(2)):

@@ -1,8 +1,9 @@
 """Derivatives of a motion by parameters, carried from step to step with it (docs/dynamics.md).
 
-At a step's minimum z the gradient g(z, p) is zero, and so K dz/dp = −∂g/∂p. The last elimination of a step that has converged was
-made at its minimum without shift: its factors are those of K, and a parameter costs one right-hand side. ∂g/∂p is that of
-springs and joints by their stiffness and by where they pull, which depends on p through the instants before as well.
+At a step's minimum z the gradient g(z, p) is zero, and so K dz/dp = −∂g/∂p. The last elimination of a step that has converged
+was made at its minimum without shift: its factors are those of K, and a parameter costs one right-hand side. ∂g/∂p is that of
+springs and joints by their stiffness and by where they pull, which depends on p through the instants before as well. Rotations
+that a clamp holds do not depend on p.
 """
 
 import taichi as ti
@@ -38,8 +39,9 @@ from doo_ti.relaxation.chain import (
 from doo_ti.relaxation.time_sweep import DRAG, DRAG_BY_SPEED, INERTIA, OF_BEND_SHARE, OF_TWIST_SHARE, OF_VERTEX, TimeSweep
 
 # A block belongs to a vertex, to the edge that ends there and to the joint where that edge begins.
-# Items of a block that all parameters share: x − x̂ and x − y, mm; the extrapolated speed and its direction; l m1 and l m2; X, Y,
-# 1/s, e^{im} and m of the joint, the strains of its left and right frame and of its twist, and :meth:`extrapolated_curvature`.
+# Items of a block that all parameters share: x − x̂ and x − y, mm; the extrapolated speed and its direction; l m1 and l m2;
+# X, Y, 1/s, m and e^{im} of the joint, the strains of its left and right frame and of its twist, and
+# :meth:`.TimeSweep.extrapolated_curvature`.
 LAG, SLIP, SPEED, HEADING, LEVER_1, LEVER_2, CURVED, STRAIN, AHEAD, SHARED = 0, 3, 6, 7, 10, 13, 16, 24, 29, 34
 # Items of a block for each parameter. What it remembers: derivatives of place and velocity at the last two instants, where
 # :mod:`.time_sweep` has those of a vertex, and of X, Y and m.
@@ -139,7 +141,8 @@ class TimeSlopes(TimeSweep):
 
     @ti.func
     def eliminate_slope(self, rod, blocks, parameter, time, up):
-        """W_r of −∂g/∂p for every edge and for vertex 0, as :meth:`.LoadedElimination.eliminate` makes it; returns Σ W_λᵀ D⁻¹ W_r."""
+        """W_r of −∂g/∂p for every edge and for vertex 0, as :meth:`.LoadedElimination.eliminate` makes it; returns
+        Σ W_λᵀ D⁻¹ W_r."""
         s, zero = self.stride, 0.0 * rod.total
         first = self.block(rod, blocks, parameter, 0)
         unit = rod.length_unit

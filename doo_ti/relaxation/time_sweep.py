@@ -6,8 +6,8 @@ minimum of
 
     E(x) + Σ_i ½ κ_i |x_i − x̂_i|² + ½ d_i |x_i − y(x_i)|²,    x̂ = y(x) + (h/a) y(v),
 
-a spring at every vertex. Damping of bending and twisting, moments τ B Dω, likewise makes a joint stiffer, by 1 + τ a/h, and draws
-it towards y(ω): a rest curvature of its own for each step.
+a spring at every vertex. Damping of bending and twisting, moments τ B Dω, likewise makes a joint stiffer, by 1 + τ a/h, and
+draws it towards y(ω): a rest curvature of its own for each step.
 """
 
 import taichi as ti

@@ -1,13 +1,20 @@
-"""What every picture is drawn on, and ticks that a person reads."""
+"""What all pictures and recordings share: figures, ticks, how values are written, and the colours of distances."""
 
 import numpy as np
-
-from doo_ti.report.quantities import quantity
 
 PICTURE_INCHES, PICTURE_DPI = (8.0, 6.0), 200
 """1600 × 1200 pixels."""
 VIEWER_DPI = 80
-"""Of pictures in a recording, where they stand beside others: the viewer leaves out pixels of larger ones."""
+"""Of pictures in a recording, which the viewer shows small: of larger ones it leaves pixels out."""
+MEAN_DISTANCE = "mean distance (Eq. 1) [mm]"
+"""What the colours and heights of a landscape are."""
+SYMBOLS = {
+    "bend": "bend α", "bend_1": "bend B₁₁", "bend_2": "bend B₂₂", "bend_12": "bend B₁₂", "twist": "twist β",
+    "twist_ratio": "twist ratio β/α", "weight": "weight μ",
+}
+"""How the axes of the grid are written; other names stay as they are."""
+MISSING = "#9a9a9a"
+"""Colour where there is no distance."""
 
 
 def new_figure(inches: tuple[float, float] = PICTURE_INCHES, dpi: int = PICTURE_DPI):
@@ -21,18 +28,18 @@ def new_figure(inches: tuple[float, float] = PICTURE_INCHES, dpi: int = PICTURE_
 
 
 def literal(text: str) -> str:
-    """A name as matplotlib shows it as it is: between dollar signs it would read mathematics, and fail where there are none."""
+    """``text`` for matplotlib, which reads what is between dollar signs as mathematics."""
     return text.replace("$", r"\$")
 
 
 def pixels(figure) -> np.ndarray:
-    """(H, W, 3) uint8 of a figure, which is laid out by this."""
+    """(H, W, 3) uint8 of a figure; this also lays it out."""
     figure.canvas.draw()
     return np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()
 
 
 def plain_ticks(axis, is_log: bool, low: float, high: float) -> None:
-    """Ticks a person reads: plain numbers or powers of ten; at 1, 2 and 5 where a log axis is short."""
+    """Ticks as plain numbers or powers of ten; at 1, 2 and 5 where a log axis is short."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     if is_log:
@@ -41,3 +48,63 @@ def plain_ticks(axis, is_log: bool, low: float, high: float) -> None:
         axis.set_major_locator(LogLocator(subs=steps, numticks=20))
         axis.set_minor_formatter(NullFormatter())
     axis.set_major_formatter(FuncFormatter(lambda value, _: quantity(value)))
+
+
+def quantity(value: float, unit: str = "") -> str:
+    """A value with its unit: three digits, powers of ten from 10⁴ on."""
+    value = float(f"{value:.2e}")
+    if value == 0 or 1e-2 <= abs(value) < 1e4 or not np.isfinite(value):
+        text = f"{value:.3g}"
+    else:
+        mantissa, exponent = f"{value:.2e}".split("e")
+        power = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+        mantissa = mantissa.rstrip("0").rstrip(".")
+        text = f"10{power}" if mantissa == "1" else f"{mantissa}×10{power}"
+    return f"{text} {unit}".rstrip()
+
+
+def axis_label(axis) -> str:
+    """Name, symbol and unit of a grid axis: ``bend α [mm³]``."""
+    name, _, _, unit = axis
+    return SYMBOLS.get(name, name) + (f" [{unit}]" if unit else "")
+
+
+def values_text(values) -> str:
+    """(name, value, unit) of several parameters in one line, by their symbols: ``α = 10⁶ mm³, β/α = 0.5``."""
+    return ", ".join(f"{SYMBOLS.get(name, name).split()[-1]} = {quantity(value, unit)}" for name, value, unit in values)
+
+
+def landscape_colors(values: np.ndarray, landscape: np.ndarray) -> np.ndarray:
+    """(..., 3) uint8 of ``values`` in mm, as the picture of ``landscape`` colours them; grey where NaN."""
+    return _colors(norm_of(landscape), values)
+
+
+def distance_colors(distance: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray:
+    """(..., 3) uint8 for rods on a dark ground, from teal, the smallest distance of ``scale``, to yellow, the largest; grey
+    where NaN. ``scale`` is by default ``distance`` itself."""
+    from matplotlib.colors import LogNorm, Normalize
+
+    norm = norm_of(distance if scale is None else scale)
+    # The dark half of the map is invisible on a dark ground: the scale starts below the data.
+    if isinstance(norm, LogNorm):
+        norm = LogNorm(norm.vmin * (norm.vmin / norm.vmax) ** 0.9, norm.vmax)
+    else:
+        norm = Normalize(norm.vmin - 0.9 * (norm.vmax - norm.vmin), norm.vmax)
+    return _colors(norm, distance)
+
+
+def norm_of(values: np.ndarray):
+    """The colour scale of distances. A sweep spans decades: on a linear scale the valley would be one colour."""
+    from matplotlib.colors import LogNorm, Normalize
+
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    return LogNorm(low, high) if 0 < 3 * low < high else Normalize(low, high if high > low else low + 1)
+
+
+def _colors(norm, values: np.ndarray) -> np.ndarray:
+    from matplotlib import colormaps
+    from matplotlib.colors import to_rgba
+
+    color_map = colormaps["viridis"].with_extremes(bad=to_rgba(MISSING))
+    return color_map(norm(np.ma.masked_invalid(values)), bytes=True)[..., :3]

@@ -1,19 +1,16 @@
-"""One error landscape on a pair of axes: a map over two parameters, a line over one, and what is marked on them."""
+"""One error landscape on a pair of axes: a map over two parameters or a line over one, with its marks."""
 
 import numpy as np
 
-from doo_ti.report.canvas import literal, plain_ticks
-from doo_ti.report.colors import MISSING
+from doo_ti.report.canvas import MEAN_DISTANCE, MISSING, axis_label, literal, plain_ticks, quantity
 from doo_ti.report.plane import REGIMES, Plane, cell_edges, regime
-from doo_ti.report.quantities import axis_label, quantity
 
 STAR, VALLEY, REGION, LINE, BORDER = "#ff2e63", "#fde725", "#ff9f1c", "#31688e", "#202020"
 
 
 def draw_map(axes, plane: Plane, norm, size: float = 1.0):
-    """Cells in colour, valley outlined, uncertified cells hatched, regimes of a ribbon parted; returns the coloured mesh.
-
-    size scales what is written: 1 in a picture of its own.
+    """Cells in colour, valley outlined, uncertified cells hatched, lines between the regimes of a ribbon; returns the coloured
+    mesh. ``size`` scales text and marks: 1 in a picture of its own.
     """
     from matplotlib.collections import LineCollection, PolyCollection
 
@@ -41,7 +38,7 @@ def draw_map(axes, plane: Plane, norm, size: float = 1.0):
     return mesh
 
 
-def draw_line(axes, plane: Plane, label: str, size: float = 1.0) -> None:
+def draw_line(axes, plane: Plane, size: float = 1.0) -> None:
     """Distance over the one free axis, log where it spans decades."""
     drawn, (edges,) = plane.blocks()
     axis = drawn.axes[0]
@@ -61,14 +58,14 @@ def draw_line(axes, plane: Plane, label: str, size: float = 1.0) -> None:
     axes.set_xlim(edges[0], edges[-1])
     axes.margins(y=0.18)
     axes.set_xlabel(axis_label(axis), fontsize=13 * size)
-    axes.set_ylabel(label, fontsize=12 * size)
+    axes.set_ylabel(MEAN_DISTANCE, fontsize=12 * size)
     plain_ticks(axes.xaxis, axis[2], edges[0], edges[-1])
     axes.tick_params(labelsize=11 * size)
     axes.grid(alpha=0.25)
 
 
 def place_of(plane: Plane, cell: tuple[int, int]) -> tuple[float, float]:
-    """Where the middle of a cell of the plane lies in the axes' units."""
+    """The middle of a cell of the plane, in the axes' units."""
     first, *second = plane.axes
     return first[1][cell[0]], second[0][1][cell[1]] if second else plane.values[cell]
 
@@ -80,7 +77,7 @@ def draw_star(axes, plane: Plane, size: float = 1.0) -> None:
 
 
 def draw_marks(axes, plane: Plane, marks, size: float = 1.0) -> None:
-    """Circles on further cells, (text, cell) each; texts stand in a column on the side where there is room, a line to each."""
+    """Circles on further cells, (text, cell) each; texts are in a column on the side with more room, a line leads to each."""
     from matplotlib.patheffects import Normal, Stroke
 
     rim = [Stroke(linewidth=2.8 * size, foreground="#202020"), Normal()]
@@ -99,7 +96,7 @@ def draw_marks(axes, plane: Plane, marks, size: float = 1.0) -> None:
             path_effects=rim, arrowprops={"arrowstyle": "-", "color": "white", "linewidth": 0.9 * size, "shrinkB": 4 * size})
 
 
-def tell_minimum(axes, plane: Plane) -> None:
+def label_minimum(axes, plane: Plane) -> None:
     """The value at the minimum, in a box towards the middle of the axes."""
     fractions = [(k + 0.5) / n for k, n in zip(plane.minimum, plane.values.shape, strict=True)]
     x, y = (1 if f < 0.5 else -1 for f in fractions) if len(plane.axes) == 2 else (0, -1)
@@ -132,7 +129,7 @@ def cell_boxes(axes, plane: Plane, cells: tuple[np.ndarray, np.ndarray]) -> np.n
 
 
 def edged() -> list:
-    """A dark rim that keeps a light line visible on any ground."""
+    """A dark rim that makes a light line visible on any background."""
     from matplotlib.patheffects import Normal, Stroke
 
     return [Stroke(linewidth=3.8, foreground="#202020"), Normal()]
@@ -157,14 +154,14 @@ def _draw_regimes(axes, plane: Plane, size: float) -> None:
 
 
 def _rectangles(x: np.ndarray, y: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """(N, 4, 2) corners of the stretches along b of cells in ``mask`` (A, B)."""
+    """(N, 4, 2) corners of the rectangles that cover the cells in ``mask`` (A, B), each one cell wide along a."""
     a, first, behind = _stretches(mask)
     left, right, low, high = x[a], x[a + 1], y[first], y[behind]
     return np.stack([np.stack([left, right, right, left], -1), np.stack([low, low, high, high], -1)], axis=-1)
 
 
 def _stretches(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(N,) row, first column and the column behind the last, of each unbroken stretch in the rows of ``mask`` (A, B)."""
+    """(N,) row, first column and the column behind the last, of each run of True in the rows of ``mask`` (A, B)."""
     turns = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     (row, first), (_, behind) = np.nonzero(turns == 1), np.nonzero(turns == -1)
     return row, first, behind

@@ -4,94 +4,101 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.report.canvas import PICTURE_DPI, VIEWER_DPI, literal, new_figure, pixels, plain_ticks
-from doo_ti.report.colors import norm_of
-from doo_ti.report.landscape_axes import cell_boxes, draw_line, draw_map, draw_marks, draw_region, draw_star, tell_minimum
-from doo_ti.report.landscape_key import key_of, key_of_panels, remarks
-from doo_ti.report.plane import Plane
-from doo_ti.report.quantities import quantity, values_text
+from doo_ti.report.canvas import (
+    MEAN_DISTANCE,
+    MISSING,
+    PICTURE_DPI,
+    SYMBOLS,
+    VIEWER_DPI,
+    literal,
+    new_figure,
+    norm_of,
+    pixels,
+    plain_ticks,
+    quantity,
+    values_text,
+)
+from doo_ti.report.landscape_axes import (
+    BORDER,
+    REGION,
+    STAR,
+    VALLEY,
+    cell_boxes,
+    draw_line,
+    draw_map,
+    draw_marks,
+    draw_region,
+    draw_star,
+    edged,
+    label_minimum,
+)
+from doo_ti.report.plane import REGIMES, Plane
 
 
 @dataclass(frozen=True)
 class LandscapePanel:
-    """One landscape among several.
+    """One landscape among several, with its title.
 
-    title   of what
     plane   the landscape
     marks   (text, (a, b)) of further cells to mark with circles, such as the minima of the panels beside it
-    region  (n, 2) outline of a confidence region in the units of the plane's two axes, or None
     """
 
     title: str
     plane: Plane
     marks: tuple = ()
-    region: np.ndarray | None = None
 
 
-def landscape_picture(path_or_buffer, axes, values, *, minimum, valley=None, title, label, unfinished=None,
-                      region=None) -> None:
-    """Write the landscape as a 1600 × 1200 PNG.
+def landscape_picture(path_or_buffer, plane: Plane, *, title: str, region: np.ndarray | None = None) -> None:
+    """Write the landscape as a 1600 × 1200 PNG: a line over one free axis, else a map; cells without a value are grey, cells
+    that do not compete hatched.
 
-    axes        one (name, values, is_log, unit) per grid axis; those with one value are not drawn. One free axis gives
-                a line, two a map; with more the map is of the first two, over the minimum of the others
-    values      (grid) mean distance in mm, NaN where not evaluated (drawn grey)
-    minimum     index of the minimum, one integer per axis; None where there is none
-    valley      (grid) bool, the cells to outline; default: within 5 % of the minimum
-    label       what the values are, with their unit: the colour bar's label
-    unfinished  (grid) number of rods that came to no certified minimum: those cells do not compete, and are hatched
-    region      (n, 2) outline of a confidence region in the units of the two axes drawn; not drawn over one axis
+    region  (n, 2) outline of a confidence region in the units of the two axes drawn; not drawn over one axis
     """
-    plane = Plane.of(axes, values, minimum, valley, unfinished)
-    draw_landscape(plane, title, label, region).canvas.print_png(path_or_buffer)
+    draw_landscape(plane, title, region).canvas.print_png(path_or_buffer)
 
 
-def landscape_image(axes, values, *, minimum, valley=None, title, label, unfinished=None, region=None) -> np.ndarray:
+def landscape_image(plane: Plane, *, title: str, region: np.ndarray | None = None) -> np.ndarray:
     """The same drawing as (1200, 1600, 3) uint8."""
-    return pixels(draw_landscape(Plane.of(axes, values, minimum, valley, unfinished), title, label, region))
+    return pixels(draw_landscape(plane, title, region))
 
 
-def landscapes_picture(path_or_buffer, rows: list[list[LandscapePanel]], *, title: str, label: str, marks: str = "",
+def landscapes_picture(path_or_buffer, rows: list[list[LandscapePanel]], *, title: str, marks: str = "",
                        relative: bool = False) -> None:
     """Write rows of panels as one PNG.
 
-    label     what the values are, with their unit
-    marks     what the panels' marks are, for the key
+    marks     what the panels' marks are, for the legend
     relative  one colour scale for all maps, in multiples of each one's minimum; else each has its own, which shows more
     """
-    figure, _ = _draw_panels(rows, title, label, marks, relative)
+    figure, _ = _draw_panels(rows, title, marks, relative)
     figure.canvas.print_png(path_or_buffer)
 
 
-def cells_image(rows: list[list[LandscapePanel]], index: tuple, *, title: str, label: str, marks: str = "",
+def cells_image(rows: list[list[LandscapePanel]], index: tuple, *, marks: str = "",
                 relative: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """The same drawing, small, as (H, W, 3) uint8, and (N, P, 4) left, top, width and height in pixels of N cells in each of
-    the P panels. ``index`` holds (N,) indices per axis of the grid."""
-    figure, drawn = _draw_panels(rows, title, label, marks, relative, VIEWER_DPI)
+    """The same drawing, small and without a title, as (H, W, 3) uint8, and (N, P, 4) left, top, width and height in pixels of N
+    cells in each of the P panels. ``index`` holds (N,) indices per axis of the grid."""
+    figure, drawn = _draw_panels(rows, "", marks, relative, VIEWER_DPI)
     image = pixels(figure)
     boxes = [cell_boxes(axes, panel.plane, panel.plane.places(index)) for axes, panel in drawn]
     return image, np.stack(boxes, axis=1)
 
 
-def draw_landscape(plane: Plane, title: str, label: str, region=None):
-    """The figure of one landscape, with its key below."""
+def draw_landscape(plane: Plane, title: str, region: np.ndarray | None = None):
+    """The figure of one landscape, its legend below."""
     figure = new_figure()
     axes = figure.add_subplot()
+    _draw(figure, axes, plane, None, 1.0)
     region = region if len(plane.axes) == 2 else None
-    if len(plane.axes) == 2:
-        _color_bar(figure, draw_map(axes, plane, norm_of(plane.values)), axes, label)
-    else:
-        draw_line(axes, plane, label)
     if region is not None:
         draw_region(axes, region)
     if plane.minimum is not None:
-        draw_star(axes, plane)
-        tell_minimum(axes, plane)
-    axes.set_title("\n".join([literal(title), *remarks(plane)]), fontsize=14, pad=12)
-    _put_key(figure, key_of(plane, region is not None), 1 if plane.hidden else 2)
+        label_minimum(axes, plane)
+    axes.set_title("\n".join([literal(title), *_remarks(plane)]), fontsize=14, pad=12)
+    _put_legend(figure, [plane], 1 if plane.hidden else 2, with_region=region is not None)
     return figure
 
 
-def _draw_panels(rows: list[list[LandscapePanel]], title: str, label: str, marks: str, relative: bool, dpi: int = PICTURE_DPI):
+def _draw_panels(rows: list[list[LandscapePanel]], title: str, marks: str, relative: bool, dpi: int = PICTURE_DPI):
     """The figure of several landscapes, and its (axes, panel) in reading order."""
     panels, columns = [panel for row in rows for panel in row], max(len(row) for row in rows)
     size, width, height = (0.9, 5.4, 4.4) if columns <= 3 else (0.75, 3.2, 3.0)
@@ -105,40 +112,43 @@ def _draw_panels(rows: list[list[LandscapePanel]], title: str, label: str, marks
             axes.set_axis_off()
             continue
         panel = rows[place[0]][place[1]]
-        meshes.append(_draw_panel(figure, axes, panel, label, norm, size))
+        meshes.append(_draw_panel(figure, axes, panel, norm, size))
         drawn.append((axes, panel))
         if relative:
             _leave_inner_labels(axes, at_left=place[1] == 0, at_bottom=all(place[1] >= len(row) for row in rows[place[0] + 1:]))
     if relative:
-        what = label.rpartition(" [")[0]
-        _color_bar(figure, meshes[0], grid, f"{what}, in multiples of the panel's smallest", extend="max")
+        label = MEAN_DISTANCE.rpartition(" [")[0] + ", in multiples of the panel's smallest"
+        _color_bar(figure, meshes[0], grid, label, extend="max")
     figure.suptitle(literal(title), fontsize=14)
-    with_region = any(panel.region is not None for panel in panels)
-    keys = key_of_panels([panel.plane for panel in panels], with_region, marks if any(p.marks for p in panels) else "")
-    _put_key(figure, keys, 3 if columns <= 3 else 6)
+    _put_legend(figure, [panel.plane for panel in panels], 3 if columns <= 3 else 6,
+                marks if any(panel.marks for panel in panels) else "")
     return figure, drawn
 
 
-def _draw_panel(figure, axes, panel: LandscapePanel, label: str, norm, size: float):
-    """One panel, on a colour scale of its own unless a common one, ``norm``, is given; returns what is coloured, None
-    for a line."""
-    plane, mesh = panel.plane, None
+def _draw_panel(figure, axes, panel: LandscapePanel, norm, size: float):
+    """One panel with its title; returns as :func:`_draw`."""
+    plane, lines = panel.plane, [literal(panel.title)]
+    mesh = _draw(figure, axes, plane, norm, size)
+    if plane.minimum is not None:
+        lines = [f"{lines[0]}: {quantity(plane.values[plane.minimum], 'mm')}", f"at {values_text(plane.best)}"]
+    draw_marks(axes, plane, panel.marks, size)
+    axes.set_title("\n".join(lines + _remarks(plane)), fontsize=12 * size)
+    return mesh
+
+
+def _draw(figure, axes, plane: Plane, norm, size: float):
+    """A line or a map, on a colour scale of its own unless a common one, ``norm``, is given, and the minimum; returns the
+    coloured mesh, None for a line."""
+    mesh = None
     if len(plane.axes) == 1:
-        draw_line(axes, plane, label, size)
+        draw_line(axes, plane, size)
     elif norm is None:
         mesh = draw_map(axes, plane, norm_of(plane.values), size)
-        _color_bar(figure, mesh, axes, label, size)
+        _color_bar(figure, mesh, axes, size=size)
     else:
         mesh = draw_map(axes, replace(plane, values=_multiples(plane)), norm, size)
-    if panel.region is not None and len(plane.axes) == 2:
-        draw_region(axes, panel.region)
-    title = literal(panel.title)
-    lines = [title]
     if plane.minimum is not None:
         draw_star(axes, plane, size)
-        lines = [f"{title}: {quantity(plane.values[plane.minimum], 'mm')}", f"at {values_text(plane.best)}"]
-    draw_marks(axes, plane, panel.marks, size)
-    axes.set_title("\n".join(lines + remarks(plane)), fontsize=12 * size)
     return mesh
 
 
@@ -158,14 +168,14 @@ def _multiples(plane: Plane) -> np.ndarray:
 
 
 def _common_norm(planes: list[Plane]):
-    """One colour scale for multiples of the smallest value of several landscapes, up to where the flattest one reaches."""
+    """One colour scale for several landscapes, in multiples of their minima, up to the largest of the flattest one."""
     from matplotlib.colors import LogNorm
 
     largest = [np.nanmax(_multiples(plane)) for plane in planes if plane.minimum is not None]
     return LogNorm(1.0, max(min(largest, default=2.0), 2.0))
 
 
-def _color_bar(figure, mesh, axes, label: str, size: float = 1.0, extend: str = "neither") -> None:
+def _color_bar(figure, mesh, axes, label: str = MEAN_DISTANCE, size: float = 1.0, extend: str = "neither") -> None:
     from matplotlib.colors import LogNorm
 
     bar = figure.colorbar(mesh, ax=axes, pad=0.02, aspect=28, extend=extend)
@@ -174,9 +184,72 @@ def _color_bar(figure, mesh, axes, label: str, size: float = 1.0, extend: str = 
     plain_ticks(bar.ax.yaxis, isinstance(mesh.norm, LogNorm), mesh.norm.vmin, mesh.norm.vmax)
 
 
-def _put_key(figure, keys: list, columns: int) -> None:
-    """The key below the axes, in rows: a legend fills its columns first."""
+def _remarks(plane: Plane) -> list[str]:
+    """Lines for the title: axes that are not shown, and a minimum at the border."""
+    lines = []
+    if plane.hidden:
+        lines.append(f"minimum over {', '.join(SYMBOLS.get(name, name) for name in plane.hidden)}")
+    if plane.at_border:
+        lines.append("minimum at the border of the grid: widen it")
+    return lines
+
+
+def _put_legend(figure, planes: list[Plane], columns: int, marks: str | None = None, with_region: bool = False) -> None:
+    """The legend below the axes, its entries in rows: matplotlib fills columns first.
+
+    marks  what the panels' marks are, empty where there are none; None: of one landscape, with its numbers
+    """
+    keys = _legend(planes, marks) + (_region_key() if with_region else []) + _regime_keys(planes)
     if keys:
         rows = [key for column in range(columns) for key in keys[column::columns]]
         figure.legend(handles=rows, loc="outside lower center", ncols=min(columns, len(keys)), frameon=False, fontsize=10,
                       handlelength=1.6, handletextpad=0.6, columnspacing=1.4)
+
+
+def _legend(planes: list[Plane], marks: str | None) -> list:
+    """Entries for the minimum, the valley, marks, and cells that do not compete or have no value."""
+    from matplotlib.patches import Patch
+
+    line, keys = all(len(plane.axes) == 1 for plane in planes), []
+    if any(plane.minimum is not None for plane in planes):
+        at = cells = ""
+        if marks is None:
+            at, cells = f" at {values_text(planes[0].best)}", f": {planes[0].valley.sum()} of {planes[0].values.size} cells"
+        style = {"facecolor": VALLEY, "alpha": 0.35} if line else {
+            "facecolor": "none", "edgecolor": "white", "linewidth": 2.2, "path_effects": edged()}
+        keys += [_point(f"minimum{at}", marker="*", markersize=14, color=STAR, markeredgecolor="white"),
+                 Patch(label=f"within 5 % of the minimum{cells}", **style)]
+    if marks:
+        keys.append(_point(marks, marker="o", markersize=8, markerfacecolor="white", markeredgecolor="#202020",
+                           markeredgewidth=1.2))
+    if rods := sum(plane.unfinished.sum() for plane in planes):
+        label = f"cells not competing: {sum((plane.unfinished > 0).sum() for plane in planes)} (rods not certified: {rods})"
+        keys.append(_point(label, marker="o", markerfacecolor="white", color=MISSING, markersize=8) if line else Patch(
+            facecolor="#c4c4c4", edgecolor="#262626", hatch="////", linewidth=0, label=label))
+    if missing := sum((np.isnan(plane.values) & (plane.unfinished == 0)).sum() for plane in planes):
+        keys.append(Patch(facecolor=MISSING, alpha=0.5 if line else 1, label=f"cells not evaluated: {missing}"))
+    return keys
+
+
+def _region_key() -> list:
+    from matplotlib.lines import Line2D
+
+    return [Line2D([], [], color=REGION, linewidth=2.2, linestyle="--", path_effects=edged(), label="confidence region")]
+
+
+def _regime_keys(planes: list[Plane]) -> list:
+    """Entries for the regimes of a ribbon and the lines between them, where there are any."""
+    from matplotlib.lines import Line2D
+
+    twists = sorted({plane.twist for plane in planes if plane.twist is not None})
+    if not twists:
+        return []
+    label = f"B₁₁ = B₂₂, B₁₁ = β and B₂₂ = β, β = {', '.join(quantity(twist, 'mm³') for twist in twists)}"
+    return [Line2D([], [], color=BORDER, linewidth=1.4, linestyle=(0, (5, 3)), label=label),
+            *(_point(regime, marker=f"${number}$", markersize=9, color=BORDER) for number, regime in enumerate(REGIMES, 1))]
+
+
+def _point(label: str, **style):
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], linestyle="", label=label, **style)

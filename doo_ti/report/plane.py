@@ -9,10 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 REGIMES = ("β > B₁₁ and B₂₂", "B₂₂ > B₁₁ > β", "B₁₁ > B₂₂ > β")
-"""The ways in which a ribbon behaves, as Fig. 5 numbers them: it bends sharply so as not to twist, it bends about the wrong
-axis, it twists so as not to bend about the stiff one."""
-
-
+"""The regimes of a ribbon in the order of Fig. 5: it bends sharply instead of twisting, it bends about the stiff axis, it
+twists instead of bending about the stiff axis."""
 MOST_DRAWN = 512
 """Cells along an axis of a picture, whose axes are some 1100 × 800 pixels."""
 
@@ -22,12 +20,13 @@ class Plane:
     """A landscape over at most two free axes, A × B cells (B = 1 where there is one).
 
     axes        one or two (name, values, is_log, unit)
-    shown       which axes of the grid these are
-    values      (A, B) mean distance in mm, NaN where not evaluated
+    shown       indices of these among the grid's axes
+    grid        (grid) mean distance in mm of all cells
+    values      (A, B) mean distance in mm, NaN where not evaluated; over further free axes the minimum
     minimum     (a, b) cell of the minimum, None where no cell was evaluated
     valley      (A, B) bool: within 5 % of the minimum
-    unfinished  (A, B) number of rods that came to no certified minimum: cells with any do not compete
-    hidden      names of further free axes, over which the values are the minimum
+    unfinished  (A, B) number of rods that are no certified minima: cells with any do not compete
+    hidden      names of further free axes
     best        (name, value, unit) of every free axis at the minimum
     at_border   the minimum lies at an end of a free axis: the true one may lie outside the grid
     twist       β in mm³ where the grid has one and the axes are bend_1 and bend_2 (Fig. 5), else None
@@ -38,6 +37,7 @@ class Plane:
 
     axes: tuple
     shown: tuple[int, ...]
+    grid: np.ndarray
     values: np.ndarray
     minimum: tuple[int, int] | None
     valley: np.ndarray
@@ -48,12 +48,17 @@ class Plane:
     twist: float | None
 
     @classmethod
-    def of(cls, axes, values, minimum=None, valley=None, unfinished=None) -> "Plane":
-        """The landscape over its first two free axes, the minimum over the others, from what
-        `report.landscape_picture` takes."""
+    def of(cls, axes, values, minimum=None, unfinished=None) -> "Plane":
+        """The landscape over its first two free axes.
+
+        axes        one (name, values, is_log, unit) per grid axis; those with one value are not drawn
+        values      (grid) mean distance in mm, NaN where not evaluated
+        minimum     index of the minimum, one integer per axis; None where there is none
+        unfinished  (grid) number of rods that are no certified minima
+        """
         values = np.asarray(values, float)
         minimum = None if minimum is None else tuple(int(i) for i in minimum)
-        valley = valley_cells(values, minimum) if valley is None else np.asarray(valley, bool)
+        valley = valley_cells(values, minimum)
         unfinished = np.zeros(values.shape, int) if unfinished is None else np.asarray(unfinished, int)
         free = [k for k, axis in enumerate(axes) if len(axis[1]) > 1] or [0]
         shown = free[:2]
@@ -70,6 +75,7 @@ class Plane:
         return cls(
             axes=tuple(axes[k] for k in shown),
             shown=tuple(shown),
+            grid=values,
             values=np.take_along_axis(flat, least, -1)[..., 0],
             minimum=cell,
             valley=valley.any(axis=-1),
@@ -81,7 +87,7 @@ class Plane:
         )
 
     def places(self, index) -> tuple[np.ndarray, np.ndarray]:
-        """Where cells of the whole grid are drawn: a and b (N,) of cells given as (N,) indices per axis of the grid."""
+        """The cells a and b (N,) of the plane at which cells of the grid are drawn, given as (N,) indices per axis."""
         first, *rest = (np.asarray(index[k]) for k in self.shown)
         return first, rest[0] if rest else 0 * first
 
@@ -100,11 +106,11 @@ class Plane:
         return self.HEIGHT * values / (finite.max() if finite.size and finite.max() > 0 else 1.0)
 
     def blocks(self) -> tuple["Plane", list[np.ndarray]]:
-        """The landscape in at most ``MOST_DRAWN`` cells along each axis, more than which no picture shows, and the borders of
+        """The landscape in at most ``MOST_DRAWN`` cells along each axis, as many as a picture can show, and the borders of
         those cells along each axis.
 
-        Blocks of cells become one, which has the smallest of their values, lies in the valley where any of them does, and is
-        unfinished where all of them are. A landscape of fewer cells stays as it is.
+        A block of cells becomes one cell, with the smallest of their values; it lies in the valley where any of them does, and
+        is unfinished where all of them are. A landscape of fewer cells is returned unchanged.
         """
         plane, borders = self, []
         for number, axis in enumerate(self.axes):
@@ -146,7 +152,7 @@ def valley_cells(values: np.ndarray, minimum: tuple | None) -> np.ndarray:
 
 
 def regime(bend_1, bend_2, twist) -> np.ndarray:
-    """Which of REGIMES each ribbon B = diag(bend_1, bend_2), β belongs to: 1, 2, 3, or 0 where to none."""
+    """The number in REGIMES, from 1, of each ribbon B = diag(bend_1, bend_2), β; 0 where it belongs to none."""
     bend_1, bend_2, twist = np.broadcast_arrays(bend_1, bend_2, twist)
     return np.select([(twist > bend_1) & (twist > bend_2), (bend_2 > bend_1) & (bend_1 > twist),
                       (bend_1 > bend_2) & (bend_2 > twist)], [1, 2, 3], 0)

@@ -9,11 +9,11 @@ from doo_ti.vision.cameras.rig import Rig
 
 BEST, RUNNER_UP, TRUTH, DETECTED = "#2f7bff", "#ff2e4d", "#ffd400", "#00c08b"
 WIDTHS = {TRUTH: 2.8, RUNNER_UP: 1.8, BEST: 1.0}
-"""Points: what lies below shows on both sides."""
+"""Points: curves drawn first are wider, so that they stay visible."""
 MOST_SETS = 12
 """Rows of a picture."""
 MARGIN_PX = 40
-"""Around what is drawn, in the images."""
+"""Margin of the images around the drawn curves."""
 PANEL_INCHES = 3.2
 
 
@@ -21,13 +21,13 @@ PANEL_INCHES = 3.2
 class SeenRod:
     """One set of images and the rods that explain them.
 
-    name       what it is called
+    name       of the set
     images     C of (H, W) uint8
     detected   C of (N, 2) px, points of the line that was found
     best       (n, 3) mm, the rod that scores best
     runner_up  (n', 3) mm, the next best that differs, or None
     truth      (n'', 3) mm, the rod as it is, or None
-    verdict    how sure that is, in words
+    verdict    how certain the best rod is, in words
     """
 
     name: str
@@ -40,17 +40,17 @@ class SeenRod:
 
     @property
     def rods(self) -> list[tuple[str, np.ndarray, str]]:
-        """(name, curve, colour) of those there are, as they are drawn one over the other."""
+        """(name, curve, colour) of the rods that exist, in the order in which they are drawn."""
         every = (("truth", self.truth, TRUTH), ("runner-up", self.runner_up, RUNNER_UP), ("best", self.best, BEST))
         return [(name, curve, color) for name, curve, color in every if curve is not None and np.isfinite(curve).all()]
 
 
 def reprojections_picture(path_or_buffer, rig: Rig, sets: list[SeenRod], *, up, left_out: int = 0) -> None:
-    """Write sets as a PNG, a row each: every camera's image with what was detected and the rods' reprojections, and the rods
+    """Write sets as a PNG, a row each: every camera's image with the detected points and the rods' reprojections, and the rods
     in space.
 
     up        direction against gravity
-    left_out  how many sets are not drawn, which is told
+    left_out  number of sets that are not drawn, for the title
     """
     from matplotlib.lines import Line2D
 
@@ -74,7 +74,7 @@ def reprojections_picture(path_or_buffer, rig: Rig, sets: list[SeenRod], *, up, 
 
 
 def _draw_image(axes, camera, seen: SeenRod, column: int) -> None:
-    """One camera's image around the thread, and what lies over it."""
+    """One camera's image around the thread, with the detected points and the curves."""
     image, detected = seen.images[column], seen.detected[column]
     projected = [(camera.project(curve), color) for _, curve, color in seen.rods]
     height, width = image.shape
@@ -91,7 +91,7 @@ def _draw_image(axes, camera, seen: SeenRod, column: int) -> None:
 
 
 def _draw_space(axes, seen: SeenRod, up: np.ndarray) -> None:
-    """All rods in space, gravity down the page, from beside the plane that the best one mostly lies in."""
+    """All rods in space, gravity downwards, seen from the side of the plane in which the best one mostly lies."""
     frame = _upright(seen.best, up)
     points = np.concatenate([curve for _, curve, _ in seen.rods]) @ frame.T
     for _, curve, color in seen.rods:

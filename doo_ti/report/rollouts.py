@@ -44,7 +44,8 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
     columns = min(3, len(rows))
     lines = -(-len(rows) // columns)
     figure = new_figure((4.2 * columns, 3.4 * lines + (2.6 if recorded is not None else 0.4)))
-    grid = figure.add_gridspec(lines + (recorded is not None), columns, height_ratios=[1.0] * lines + [0.75] * (recorded is not None))
+    heights = [1.0] * lines + [0.75] * (recorded is not None)
+    grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
     shown = positions[rows]
     axes = view_axes(shown if recorded is None else recorded[rows], up)
     frames = np.linspace(0, positions.shape[1] - 1, min(STILLS, positions.shape[1])).round().astype(int)
@@ -79,7 +80,7 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
     last = (positions.shape[1] - 1) / rate
     figure.suptitle(literal(f"{name}: {len(frames)} of {positions.shape[1]} frames from 0 to {last:.3g} s, seen from the side"),
                     fontsize=10)
-    figure.savefig(path, dpi=PICTURE_DPI // 2 * 2, metadata={"Software": None})
+    figure.savefig(path, dpi=PICTURE_DPI, metadata={"Software": None})
 
 
 def save_animation(path: Path, name: str, positions: np.ndarray, recorded: np.ndarray | None, rate: float,

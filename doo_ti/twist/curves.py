@@ -1,15 +1,19 @@
-"""The curve of Eq. 4: how far rods move away from what was observed, over the angle their end frames are turned by (§IV-B).
+"""The curve of Eq. 4, and the offsets τ between the observations of a group (§IV-B).
+
+    Σ_i d(F(Γ^i, E_Θ, T_{φ+τ_i}(C^i)), Γ^i)      over φ, the rotation of the end frame
 
 Axes: N observations, K groups that share a φ, n of them, f angles.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.frames import matrix_from_quaternion, smallest_rotation
+from doo_ti.frames import angle_about, matrix_from_quaternion, smallest_rotation
+from doo_ti.io.arrays import frame_columns, read_arrays
 from doo_ti.io.observations import Observations
 from doo_ti.metric import distance
 from doo_ti.relaxation.newton import Newton
@@ -25,11 +29,11 @@ RODS_AT_ONCE = 1 << 15
 class TwistCurves:
     """Σ d of Eq. 4 for K groups of N observations, at any angles.
 
-    free, clamps  (N) shapes without twist, and what holds them
+    free, clamps  (N) shapes without twist, and their clamps
     first         (K + 1,) rows at which groups begin, and N
     offset        (N,) τ, rad
     solver, precision  as :func:`doo_ti.relaxation.relax.relax` takes them
-    advance       is told of rods as they are done
+    advance       called with the number of rods done
     """
 
     observations: Observations
@@ -46,7 +50,7 @@ class TwistCurves:
     @classmethod
     def of(cls, observations: Observations, material: Material, group, offset, solver: Newton, precision: str,
            advance: Callable[[int], None]) -> "TwistCurves":
-        """Raises InputError where arguments do not match, and for a rod that is not round while its first spin is unknown."""
+        """Raises InputError where arguments do not match, and for a rod that is not round while its first roll is unknown."""
         count = observations.count
         group = np.arange(count) if group is None else np.asarray(group)
         offset = np.zeros(count) if offset is None else np.asarray(offset, dtype=np.float64)
@@ -61,7 +65,7 @@ class TwistCurves:
                              "give one, or one each")
         if observations.start_frame is None and not material.is_isotropic:
             raise InputError(observations.source, "start_frame", "missing, and the rod is not round",
-                             "give start_frame, or a scalar `bend`")
+                             "give start_frame, or an isotropic material")
         free, clamps = without_twist(observations)
         first = np.append(np.flatnonzero(steps), count)
         return cls(replace(observations, frames=None), material, free, clamps, group, first, offset, solver, precision,
@@ -103,7 +107,7 @@ class TwistCurves:
         return np.add.reduceat(off, begin), np.add.reduceat(unsound.astype(np.int32), begin)
 
     def _turned(self, rows: np.ndarray, twist: np.ndarray) -> Configuration:
-        """The shapes of ``rows`` with so much total twist (n,), rad, spread in proportion to l̄_i."""
+        """The shapes of ``rows`` with a total twist (n,) rad, distributed in proportion to l̄_i."""
         shape, length = self.free.take(rows), self.observations.rest_length
         spread = length[:-1] + length[1:]
         share = np.concatenate([[0.0], np.cumsum(spread) / spread.sum()])
@@ -115,9 +119,10 @@ class TwistCurves:
 
 
 def without_twist(observations: Observations) -> tuple[Configuration, Clamps]:
-    """The observed shapes with their Bishop frames, and clamps on whole frames: the last one as known, else the Bishop frame.
+    """The observed shapes with their Bishop frames, and clamps on whole frames: the last one if known, else the Bishop frame.
 
-    Where start frames are unknown their spins are those of the first observation, transported: its clip does not turn.
+    Where start frames are unknown, their rolls are those of the first observation, parallel transported: the clip at the start
+    does not turn.
     """
     observations = replace(observations, frames=None, total_twist=None)
     clamps = observation_clamps(observations)
@@ -129,3 +134,71 @@ def without_twist(observations: Observations) -> tuple[Configuration, Clamps]:
     free = start_configuration(observations, clamps)
     known = observations.end_frame is not None
     return free, replace(clamps, end=Clamp.FRAME, end_frame=clamps.end_frame if known else free.frames[:, -1])
+
+
+# --- groups and offsets τ -------------------------------------------------------------------------------------------------
+
+MOST_DEG = 36_000.0
+"""Largest |τ|."""
+FIELDS = {"start_frame": "start_frame", "end_frame": "end_frame", "total_twist_deg": "total_twist"}
+KNOWN = {"offset_deg": ((), ("offset_deg",)), "total_twist_deg": ((), ("total_twist_deg",)),
+         "start_frame": ((3, 3), frame_columns("start_frame")), "end_frame": ((3, 3), frame_columns("end_frame"))}
+
+
+def consecutive_groups(count: int, together: int, regrasps=()) -> np.ndarray:
+    """(count,) groups of ``together`` consecutive observations; a new grasp begins at each of the rows ``regrasps``, and the
+    last group before it may be smaller."""
+    begins = np.zeros(count, dtype=np.int64)
+    begins[np.array([0, *regrasps], dtype=np.int64)] = 1
+    first = np.maximum.accumulate(np.where(begins == 1, np.arange(count), 0))
+    starts = (np.arange(count) - first) % together == 0
+    return np.cumsum(starts) - 1
+
+
+def end_offsets(observations: Observations, group: np.ndarray) -> np.ndarray:
+    """(N,) τ: the angle in rad from the last Bishop frame of each shape to its known end frame.
+
+    Whole turns are chosen nearest to ``total_twist`` if that is given. Else the first τ of each group is within half a turn of
+    zero, and each of the others within half a turn of the one before it.
+
+    Raises InputError where ``end_frame`` is missing.
+    """
+    if observations.end_frame is None:
+        raise InputError(observations.source, "end_frame", "missing, so that the angles between the end frames are unknown",
+                         "give end_frame or offsets, or one observation per group")
+    free, clamps = without_twist(observations)
+    last = free.frames[:, -1]
+    angle = angle_about(last[..., 0], last[..., 1], clamps.end_frame[..., 1])
+    if observations.total_twist is not None:
+        return angle + 2 * np.pi * np.round((observations.total_twist - angle) / (2 * np.pi))
+    unwrapped = np.unwrap(angle)
+    first = np.flatnonzero(np.concatenate([[True], np.diff(group) != 0]))
+    return unwrapped - (unwrapped - angle)[first][group]
+
+
+def load_offsets(path: Path, observations: Observations) -> tuple[Observations, np.ndarray | None]:
+    """The observations with frames from a file, and τ (N,) in rad if the file holds it. The file is npz or CSV, with a row per
+    observation, and holds
+
+        offset_deg        τ, whole turns included; or
+        end_frame         frames of the last edge, columns t, m1, m2 (in CSV nine columns end_frame_t_x, end_frame_m1_x, …), and
+        start_frame       the same of the first edge, where the near end moves
+        total_twist_deg   to choose the whole turns of the end frames
+
+    Raises InputError for files that cannot be read, hold neither, or hold other than a row for each observation.
+    """
+    arrays = read_arrays(Path(path), KNOWN)
+    for key, value in arrays.items():
+        wanted = (observations.count, *KNOWN[key][0])
+        if value.shape != wanted:
+            raise InputError(path, key, f"shape {value.shape}", f"make it {wanted}, one for each observation")
+    if "offset_deg" in arrays:
+        if not (np.abs(arrays["offset_deg"]) <= MOST_DEG).all():
+            raise InputError(path, "offset_deg", "not finite, or more than 100 turns", "give degrees, whole turns included")
+        return observations, np.radians(arrays["offset_deg"])
+    if "end_frame" not in arrays:
+        raise InputError(path, "end_frame", "missing", "give offset_deg or end_frame")
+    if "total_twist_deg" in arrays:
+        arrays["total_twist_deg"] = np.radians(arrays["total_twist_deg"])
+    known = {FIELDS[key]: value for key, value in arrays.items()}
+    return replace(observations, source=str(path), **known), None

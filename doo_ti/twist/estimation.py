@@ -1,15 +1,13 @@
-"""Eq. 4: how far a rod is twisted that was seen and not felt (§IV-B).
-
-A round rod's vertices say nothing of its material frames, but twist bends it out of the shape it would have. So every whole
-angle φ that the end frame may be turned by is tried: start from Γ^i, relax with the end frame turned by φ, and see how far the
-rod moves away from what was observed.
+"""Eq. 4: the twist of a rod from its observed shape (§IV-B).
 
     min_φ Σ_i d(F(Γ^i, E_Θ, T_φ(C^i)), Γ^i)                                                              (Eq. 4)
 
-One configuration: its end frame is the last Bishop frame turned by φ, so φ is the total twist. Several, in one grasp: each
-shape has a last Bishop frame of its own, and the gripper's motion ties them together. With τ_i the angle, whole turns
-included, from the last Bishop frame of Γ^i to the known end frame, its total twist is φ + τ_i, and φ is the one unknown turn
-of the rod in the gripper. Each new grasp has a φ of its own (footnote 4).
+The vertices of a round rod do not show its material frames, but twist changes its shape. So the rod is relaxed from Γ^i with
+its end frame rotated by φ, for φ over several turns; the best φ is the one for which it moves least away from the observation.
+
+One configuration: its end frame is the last Bishop frame rotated by φ, so φ is the total twist. Several, in one grasp: with
+τ_i the angle, whole turns included, from the last Bishop frame of Γ^i to the known frame of the gripper, the total twist is
+φ + τ_i, and φ is the unknown rotation of the rod in the gripper. Each new grasp has its own φ (footnote 4).
 
 Axes: N observations, K groups that share a φ, F sampled angles, M minima of a group.
 """
@@ -21,15 +19,14 @@ from enum import IntEnum
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.frames import angle_about
 from doo_ti.io.observations import Observations
 from doo_ti.relaxation.newton import Newton
-from doo_ti.twist.curves import TwistCurves, without_twist
+from doo_ti.twist.curves import TwistCurves
 from doo_ti.types import Material
 
 
 class Verdict(IntEnum):
-    """What a group's curve says of its minimum."""
+    """How certain the minimum of a group's curve is."""
 
     CLEAR = 0
     AMBIGUOUS = 1
@@ -39,13 +36,14 @@ class Verdict(IntEnum):
 
 @dataclass(frozen=True)
 class TwistOptions:
-    """How Eq. 4 is searched.
+    """Options of the search of Eq. 4.
 
     span, step   φ is sampled over [−span, span] by ``step``, rad (§V-F)
-    minima       local minima of the samples that are looked at more closely
+    minima       number of local minima of the samples that are refined
     halvings     of the step around each of them; then a parabola through the last three values
-    near, apart  ambiguous is a minimum where an angle farther off than ``apart``, rad, is at most ``near`` times as bad.
-                 Rods that are a little curved at rest put the true angle at up to 1.5 times the least in six of seven cases
+    near, apart  a minimum is ambiguous if the objective is at most ``near`` times the least at an angle farther off than
+                 ``apart``, rad. For rods with a small rest curvature the objective at the true angle is at most 1.5 times the
+                 least in six of seven cases
     solver, precision  as :func:`doo_ti.relaxation.relax.relax` takes them
     """
 
@@ -75,16 +73,16 @@ class TwistOptions:
 
 @dataclass(frozen=True)
 class TwistEstimate:
-    """What Eq. 4 says of K groups, angles in rad.
+    """Twist of K groups by Eq. 4, angles in rad.
 
-    phi        (K,) where the objective is least; NaN where no rod came to rest
+    phi        (K,) where the objective is least; NaN where no rod reached a certified minimum
     least      (K,) mm, the objective there
     verdict    (K,) Verdict
     low, high  (K,) the outermost samples that are at most ``near`` times as bad
     minima     (K, M) the local minima, the best first, NaN where there are fewer; minima_objective (K, M) mm
     angles     (F,) the samples
-    objective  (K, F) mm, the curve of Eq. 4, a sum over the group; NaN where a rod came to nothing
-    unsound    (K, F) rods of each sum that came to no certified minimum: such samples are shown and not chosen
+    objective  (K, F) mm, the curve of Eq. 4, a sum over the group; NaN where a rod failed
+    unsound    (K, F) rods of each sum that reached no certified minimum: such samples are reported but not chosen
     group      (N,) of each observation
     offset     (N,) τ of each observation
     """
@@ -116,11 +114,11 @@ def estimate_twist(
 
     observations  N of them, of which vertices, rest lengths, start frames and the end frames' tangents count
     material      Θ, one for all or one for each observation
-    group         (N,) 0, 0, …, 1, …, K − 1: whose φ each observation shares; by default each has its own
-    offset        (N,) τ in rad, as :func:`end_offsets` finds them; zero by default
-    advance       is told of rods as they are done; in all there are at least N·F
+    group         (N,) 0, 0, …, 1, …, K − 1: observations of one group share φ; by default each has its own
+    offset        (N,) τ in rad, from :func:`doo_ti.twist.curves.end_offsets`; zero by default
+    advance       called with the number of rods done; in all there are at least N·F
 
-    Raises InputError where the arguments do not match, and for a rod that is not round while the start's spin is unknown.
+    Raises InputError where the arguments do not match, and for a rod that is not round while the start's roll is unknown.
     """
     curves = TwistCurves.of(observations, material, group, offset, options.solver, options.precision, advance)
     angles = options.angles
@@ -140,48 +138,17 @@ def estimate_twist(
                          curves.offset)
 
 
-def consecutive_groups(count: int, together: int, regrasps=()) -> np.ndarray:
-    """(count,) groups of ``together`` observations in succession; a new grasp begins at each of the rows ``regrasps``, and
-    the last group before it may be smaller."""
-    begins = np.zeros(count, dtype=np.int64)
-    begins[np.array([0, *regrasps], dtype=np.int64)] = 1
-    first = np.maximum.accumulate(np.where(begins == 1, np.arange(count), 0))
-    starts = (np.arange(count) - first) % together == 0
-    return np.cumsum(starts) - 1
-
-
-def end_offsets(observations: Observations, group: np.ndarray) -> np.ndarray:
-    """(N,) τ: the angle in rad from the last Bishop frame of each shape to its known end frame.
-
-    Its whole turns are the nearest to ``total_twist`` where that is given. Else the first of each group is within half a
-    turn, and each of the others within half a turn of the one before it.
-
-    Raises InputError where ``end_frame`` is missing.
-    """
-    if observations.end_frame is None:
-        raise InputError(observations.source, "end_frame", "missing, so that the angles between the end frames are unknown",
-                         "give end_frame or `offset`, or put each observation in a `group` of its own")
-    free, clamps = without_twist(observations)
-    last = free.frames[:, -1]
-    angle = angle_about(last[..., 0], last[..., 1], clamps.end_frame[..., 1])
-    if observations.total_twist is not None:
-        return angle + 2 * np.pi * np.round((observations.total_twist - angle) / (2 * np.pi))
-    unwrapped = np.unwrap(angle)
-    first = np.flatnonzero(np.concatenate([[True], np.diff(group) != 0]))
-    return unwrapped - (unwrapped - angle)[first][group]
-
-
 def _lowest(value: np.ndarray, most: int) -> np.ndarray:
     """(K, M) places of the smallest local minima of (K, F) curves, the smallest first, −1 where there are fewer."""
-    wall = np.full((len(value), 1), np.inf)
-    left, right = np.hstack([wall, value[:, :-1]]), np.hstack([value[:, 1:], wall])
+    border = np.full((len(value), 1), np.inf)
+    left, right = np.hstack([border, value[:, :-1]]), np.hstack([value[:, 1:], border])
     depth = np.where((value < left) & (value <= right), value, np.inf)
     place = np.argsort(depth, axis=1, kind="stable")[:, :most]
     return np.where(np.isfinite(np.take_along_axis(depth, place, axis=1)), place, -1)
 
 
 def _refined(curves: TwistCurves, angles, value, place, options: TwistOptions) -> tuple[np.ndarray, np.ndarray]:
-    """(K, M) angles and values of the minima between the samples, NaN and infinite where there is none."""
+    """(K, M) refined angles and values of the minima, NaN and infinite where there are fewer."""
     groups = np.repeat(np.arange(len(place)), place.shape[1])
     padded = np.pad(value, ((0, 0), (1, 1)), constant_values=np.inf)
     spot = place.ravel()
@@ -207,7 +174,7 @@ def _refined(curves: TwistCurves, angles, value, place, options: TwistOptions) -
 
 
 def _verdict(phi, least, near, angles, options: TwistOptions) -> np.ndarray:
-    """(K,) from the minima, best first, and the samples that are near the best."""
+    """(K,) from the minima, best first, and the samples whose objective is near the least."""
     off = np.abs(angles - phi[:, :1])
     rival = (near & (off > options.apart)).any(axis=1)
     with np.errstate(invalid="ignore"):

@@ -1,1 +1,1 @@
-"""Images of rods: cameras, what is detected in their images, and how well a rod's projection agrees with it (§IV)."""
+"""Images of rods: cameras, detection of rods in images, and the reprojection error of rods (§IV)."""

@@ -17,7 +17,7 @@ from doo_ti.errors import InterruptedRunError
 from doo_ti.frames import bishop_frames
 from doo_ti.grid import Grid
 from doo_ti.io.observations import Observations, load_observations, save_observations
-from doo_ti.learning.overview import gather_overview
+from doo_ti.learning.landscape import gather_overview
 from doo_ti.types import Clamp, Status
 from tests.cli.test_bad_input import MATERIAL, npz_bytes
 

@@ -96,7 +96,7 @@ def test_a_large_grid_is_thinned_and_that_is_told(lab, tmp_path, capsys):
 
 @pytest.mark.parametrize(("words", "problem"), [
     (["silk", "static"], "another grid"), (["silk", "silk"], "static silk"), (["nowhere"], "finished sweep"),
-    (["unlabelled", "--by", "end-distance"], "end_distance_mm"), (["silk", "--observation", "8"], "--observation"),
+    (["unlabelled", "--by", "end-distance"], "end_distance_mm"), (["silk", "--observation", "8"], "observation"),
     (["silk", "--observation", "x"], "not a whole number"), (["silk", "--cells", "some"], "not a whole number"),
     (["silk", "--by", "colour"], "--by"), ([], "RUN"),
 ])
@@ -122,12 +122,12 @@ def test_pairs_that_are_not_those_of_the_cells(lab, tmp_path, capsys):
 
 
 def test_a_failure_on_the_way_keeps_what_is_done(lab, tmp_path, capsys, monkeypatch):
-    from doo_ti.figures import recording
+    from doo_ti.learning import figure_rods
 
     def fail(*args):
         raise RuntimeError("the disk is full")
 
-    monkeypatch.setattr(recording, "relax_cells", fail)
+    monkeypatch.setattr(figure_rods, "relax_cells", fail)
     assert main(["figures", str(lab / "silk"), "--out", str(tmp_path / "out")]) == 1
     assert "the disk is full" in capsys.readouterr().err.splitlines()[-1]
     assert names(tmp_path / "out") == ["landscapes.png"]

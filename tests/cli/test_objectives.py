@@ -78,4 +78,4 @@ def test_pairs_that_nobody_named(capsys, tmp_path):
     for change, key in (({"end_rotation": None}, "end_rotation_deg"), ({"end_rotation": np.zeros(6)}, "end_rotation_deg"),
                         ({"end_distance": None}, "end_distance_mm")):
         argv = ["sweep", written(tmp_path, **change), *GRID, "--objective", "dynamic", "--out", str(tmp_path / "run")]
-        refused(capsys, tmp_path, argv, "lab.npz", key, "give --pairs")
+        refused(capsys, tmp_path, argv, "lab.npz", key, "pairs")

@@ -13,8 +13,7 @@ from doo_ti.synthesis import synthesise
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
 from doo_ti.vision.detection.images import load_sets
-from doo_ti.vision.rendering.photographs import Photographs
-from doo_ti.vision.rendering.render import RenderOptions
+from doo_ti.vision.rendering.render import Photographs, RenderOptions
 from tests.cli.test_bad_input import refused
 
 SCENE = ('name = "silk"\n[synthesis]\nseed = 4\nbend = 1.5e5\ntwist = 5e4\nend_distances_mm = [42, 66]\n'

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
-from doo_ti.figures.panels import plane_of
 from doo_ti.learning.cross_validation import cross_validate
+from doo_ti.learning.drawing import plane_of
 from doo_ti.learning.hypotheses import Hypotheses, resolved
 from doo_ti.learning.partition import partition
 from doo_ti.types import Status
@@ -25,8 +25,8 @@ def fooled(name: str = "nylon"):
 def test_a_cell_with_a_rod_that_stalled_does_not_win():
     landscape = fooled()
     assert landscape.best == 1 and np.flatnonzero(np.isnan(landscape.mean_distance)).tolist() == [3]
-    assert landscape.overview.competition == {"cells_competing": 4, "cells_not_competing": 1, "terms_left_out": 0}
-    interval, = landscape.overview.intervals
+    assert landscape.competition == {"cells_competing": 4, "cells_not_competing": 1, "terms_left_out": 0}
+    interval, = landscape.intervals
     assert interval.best == landscape.grid.axes[0].values[1] and not interval.high_is_open
 
 
@@ -41,10 +41,10 @@ def test_a_saddle_does_not_win():
 def test_a_term_that_is_sound_in_no_cell_is_left_out():
     landscape = fooled()
     landscape.status[:, 2] = Status.ITERATION_LIMIT
-    assert landscape.best == 1 and landscape.overview.competition["terms_left_out"] == 1
+    assert landscape.best == 1 and landscape.competition["terms_left_out"] == 1
     landscape = fooled()
     landscape.status[:] = Status.STALLED
-    assert landscape.overview.competition == {"cells_competing": 0, "cells_not_competing": 0, "terms_left_out": 4}
+    assert landscape.competition == {"cells_competing": 0, "cells_not_competing": 0, "terms_left_out": 4}
     with pytest.raises(InputError, match="certified"):
         landscape.best
 

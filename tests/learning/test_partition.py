@@ -72,7 +72,7 @@ def test_tables_without_being_asked(runs, factors):
 
 @pytest.mark.parametrize(("runs", "by", "distances", "words"), [
     ([lab("a"), replace(lab("b"), grid=grid_of(4))], ("material",), (), "b_static: grid: another grid than that of a_static"),
-    ([lab("a"), replace(lab("a"), run=Path("again"))], ("material",), (), "again: material: static a, as a_static is"),
+    ([lab("a"), replace(lab("a"), run=Path("again"))], ("material",), (), "again: material: static a"),
     ([lab("a"), moved("a", LABELS[::-1])], ("objective",), (), "a_dynamic: observation: other observations of a"),
     ([lab("a", LABELS[:6]), moved("a")], ("objective",), (), "a_dynamic: observation: other observations of a"),
     ([lab("a"), lab("b")], ("colour",), (), "by: 'colour' is no partition; give some of material, objective, end-distance"),

@@ -19,7 +19,7 @@ LABELS = np.repeat([30.0, 54.0], 4)
 
 @pytest.fixture
 def scores(rng):
-    """Two materials at two end distances; one rod came to nothing, one is no certified minimum."""
+    """Two materials at two end distances; one rod has no distance, one is no certified minimum."""
     runs = []
     for name, cell in (("nylon", 1), ("silk", 3)):
         distance = 1 + rng.uniform(0, 0.1, (5, 8)) + np.abs(np.arange(5) - cell)[:, None]
@@ -78,9 +78,9 @@ def test_long_notes_are_cut_and_say_so(scores):
     everywhere = replace(scores, left_out=np.ones((4, 4), int))
     assert f"and {16 - LISTED} more entries" in notes(everywhere)[0]
     fallen = replace(scores, jumped=np.eye(4, dtype=int))
-    assert "fallen to another branch on the way: nylon 30 mm -> nylon 30 mm 1 of 4, nylon 54 mm" in notes(fallen)[-1]
+    assert "jumped to another branch: nylon 30 mm -> nylon 30 mm 1 of 4, nylon 54 mm" in notes(fallen)[-1]
     sound = replace(scores, left_out=np.zeros((4, 4), int), uncertified=np.zeros((4, 4), int))
-    assert notes(sound) == ["every rod behind the scores is a certified minimum"]
+    assert notes(sound) == ["every scored rod is a certified minimum"]
     unlabelled = replace(sound, partition=replace(sound.partition, unlabelled=3))
     assert notes(unlabelled)[0].startswith("3 terms without an end distance")
 

@@ -1,4 +1,4 @@
-"""Algorithm 1: rods from maps of known curves, and from images of rods; what is told about how sure they are."""
+"""Algorithm 1: rods from maps of known curves, and from images of rods; the reported certainty."""
 
 import json
 from dataclasses import replace
@@ -54,12 +54,12 @@ def loop():
     return rig, rods, maps, found
 
 
-def recovered(scene, rows=slice(None), **asked) -> Perception:
+def recovered(scene, rows=slice(None), **arguments) -> Perception:
     rig, rods, maps = scene
     rods = rods[rows]
     some = DistanceMaps(maps.values, maps.window[rows])
     return perceive(some, rig, rods[:, 0], 2.0 * (rods[:, 1] - rods[:, 0]), np.full(EDGES, 3.0), MATERIAL,
-                    options=asked.pop("options", OPTIONS), **asked)
+                    options=arguments.pop("options", OPTIONS), **arguments)
 
 
 def test_rods_are_recovered(scene, found):
@@ -71,7 +71,7 @@ def test_rods_are_recovered(scene, found):
     assert found[0].configuration.edges == EDGES * OPTIONS.pieces
 
 
-def test_every_step_tells_what_was_kept_and_pruned(scene, found):
+def test_every_step_reports_what_was_kept_and_pruned(scene, found):
     rig, rods, maps = scene
     assert [edges for edges, _, _ in found[1]] == list(range(2, EDGES + 1))
     for edges, kept, pruned in found[1]:
@@ -116,14 +116,14 @@ def test_the_verdict_is_a_scale(found):
     from dataclasses import replace
 
     several = found[0]
-    told = replace(several, gap=np.array([np.inf, 0.05, 0.001])).verdict
-    assert told.tolist() == [Verdict.CLEAR, Verdict.LIKELY, Verdict.AMBIGUOUS]
+    verdicts = replace(several, gap=np.array([np.inf, 0.05, 0.001])).verdict
+    assert verdicts.tolist() == [Verdict.CLEAR, Verdict.LIKELY, Verdict.AMBIGUOUS]
     blurred = several.camera_error.copy()
     blurred[:, 1] = 1.5
     assert replace(several, gap=np.full(SETS, 9.0), camera_error=blurred).verdict.tolist() == [Verdict.LIKELY] * SETS
 
 
-def test_an_edge_nobody_sees_is_told(scene):
+def test_an_edge_that_no_camera_sees_is_reported(scene):
     """A thread that is hidden along two edges, in all images."""
     rig, rods, _ = scene
     lines = rig.project(smooth_curve(rods[0], 24))
@@ -142,7 +142,7 @@ def tangents(line: np.ndarray) -> np.ndarray:
     return along / np.linalg.norm(along, axis=1, keepdims=True)
 
 
-def test_rods_that_come_to_nothing_are_told(scene, found, monkeypatch):
+def test_rods_that_fail_are_reported(scene, found, monkeypatch):
     """Of the first set at the end, of the second in the midst of growing: neither spoils another."""
     def spoiled(self, hypotheses):
         final, solution = relaxed(self, hypotheses)
@@ -259,7 +259,7 @@ def test_sigma_is_the_scatter_of_repeated_images():
     wanted = vertex_sigma(rig, found.vertices, OPTIONS.nu, sigma_px, length_px).mean(axis=0)[2:]
     off = np.sqrt(np.mean((found.vertices - rod) ** 2))
     print(f"detected points scatter by {sigma_px:.3f} px over {length_px:.1f} px; vertices by {scatter.mean():.4f} mm, "
-          f"expected {wanted.mean():.4f}; error {off:.4f} mm in each coordinate, told {found.sigma.mean():.4f}")
+          f"expected {wanted.mean():.4f}; error {off:.4f} mm in each coordinate, reported {found.sigma.mean():.4f}")
     assert 0.5 < np.sqrt(np.mean(scatter**2) / np.mean(wanted**2)) < 2
     assert 0.5 < off / np.sqrt(np.mean(found.sigma**2)) < 2, "by default sigma stands for all of the error"
 
@@ -310,12 +310,12 @@ def test_real_looking_images(shared_data, name):
     ({"point": np.zeros((2, 3))}, "point"), ({"direction": np.zeros((SETS, 3))}, "direction"),
     ({"rest_length": [3.0]}, "rest_length"), ({"rest_length": [3.0, -1.0]}, "rest_length"),
     ({"material": Material([1e5, 2e5], 1e5)}, "material"), ({"up": (0, 0, 0)}, "up")])
-def test_wrong_input_is_told(scene, change, field):
+def test_wrong_input_is_refused(scene, change, field):
     rig, rods, maps = scene
-    asked = {"point": rods[:, 0], "direction": rods[:, 1] - rods[:, 0], "rest_length": np.full(EDGES, 3.0),
+    arguments = {"point": rods[:, 0], "direction": rods[:, 1] - rods[:, 0], "rest_length": np.full(EDGES, 3.0),
              "material": MATERIAL}
     with pytest.raises(InputError, match=field):
-        perceive(maps, rig, **(asked | change))
+        perceive(maps, rig, **(arguments | change))
 
 
 @pytest.mark.parametrize("change", [{"nu": 0.0}, {"hypotheses": 0}, {"pieces": 0}, {"runners_up": -1}, {"sigma_px": np.nan}])

@@ -3,6 +3,8 @@
 import numpy as np
 
 from doo_ti.grid import Axis, Grid, valley
+from doo_ti.report.grid_view import Observed
+from doo_ti.report.plane import Plane
 from doo_ti.types import Status
 
 ITERATIONS, OBSERVATIONS, VERTICES, BENDS, RATIOS = 13, 6, 9, 5, 4
@@ -33,26 +35,29 @@ def axes(of: Grid) -> list:
     return [(axis.name, axis.values, axis.log, axis.unit) for axis in of.axes]
 
 
+def plane(**more) -> Plane:
+    cells = grid()
+    return Plane.of(axes(cells), landscape().reshape(cells.shape), (2, 1, 0), **more)
+
+
 def relaxation(rng: np.random.Generator) -> dict:
     """What `record_sweep` takes of a relaxation without a landscape."""
+    from doo_ti.record import Trajectory
+
     vertices = observations(rng)
     decay = np.exp(-np.arange(ITERATIONS))
     bump = np.sin(np.pi * np.linspace(0, 1, VERTICES))[None, :, None] * rng.normal(0, 4, (OBSERVATIONS, 1, 3))
     energy = 1e3 + 1e3 * decay[:, None] + rng.normal(0, 10, OBSERVATIONS)
+    labels = {"end_distance_mm": np.repeat([30.0, 50.0, 70.0], 2), "end_rotation_deg": np.tile([0.0, 120.0], 3)}
+    trajectory = Trajectory(vertices + decay[:, None, None, None] * bump, energy,
+                            0.1 * decay[:, None] ** 2 * np.ones(OBSERVATIONS), np.full(OBSERVATIONS, Status.CONVERGED),
+                            np.linspace(0.4, 0.9, OBSERVATIONS))
     return {
-        "run_id": "run-1", "name": "made up", "observations_vertices": vertices,
-        "labels": {"end_distance_mm": np.repeat([30.0, 50.0, 70.0], 2), "end_rotation_deg": np.tile([0.0, 120.0], 3)},
-        "trajectory": vertices + decay[:, None, None, None] * bump, "energy": energy,
-        "residual": 0.1 * decay[:, None] ** 2 * np.ones(OBSERVATIONS),
-        "status": np.full(OBSERVATIONS, Status.CONVERGED), "distance": np.linspace(0.4, 0.9, OBSERVATIONS),
+        "run_id": "run-1", "name": "made up", "observed": Observed(vertices, labels), "trajectory": trajectory,
         "properties": {"seed": 7, "command": "doo-ti sweep a|b", "shape": (5, 4)},
     }
 
 
 def sweep(rng: np.random.Generator) -> dict:
     """What `record_sweep` takes."""
-    cells = grid()
-    return relaxation(rng) | {
-        "axes": axes(cells), "landscape": landscape().reshape(cells.shape), "minimum": (2, 1, 0),
-        "intervals": valley(cells, landscape()),
-    }
+    return relaxation(rng) | {"plane": plane(), "intervals": valley(grid(), landscape())}

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
+from doo_ti.report.grid_view import Observed
 
 from . import runs
 from .recordings import read
@@ -30,7 +31,7 @@ def figure(rng, names=("silk", "a ribbon, dynamic")) -> dict:
         which = np.arange(runs.OBSERVATIONS) if number == 0 else PAIRED
         distance = rng.uniform(0.3, 30, (CELLS, len(which)))
         several.append(CellsOfRun(
-            name=name, vertices=observed, labels=LABELS, up=(0, 0, 1), observation=which, distance=distance,
+            name=name, observed=Observed(observed, LABELS), observation=which, distance=distance,
             picture=rng.integers(0, 255, (90, 120, 3), dtype=np.uint8), boxes=rng.uniform(5, 50, (CELLS, PANELS, 4))))
         sound = rng.random(distance.shape) > 0.2
         rods = observed[which] + rng.normal(0, 3, (CELLS, len(which), runs.VERTICES, 3))

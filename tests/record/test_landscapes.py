@@ -13,17 +13,15 @@ from doo_ti.report import (
     landscape_picture,
     landscapes_picture,
 )
-from doo_ti.report.plane import Plane, regime, valley_cells
+from doo_ti.report.plane import Plane, regime
 
 from . import runs
 
-WORDS = {"title": "made up", "label": "mean distance (Eq. 1) [mm]"}
 
-
-def plane(rng, **more) -> Plane:
+def plane(rng) -> Plane:
     grid = runs.grid()
     values = rng.uniform(1, 9, grid.shape)
-    return Plane.of(runs.axes(grid), values, np.unravel_index(np.argmin(values), grid.shape), **more)
+    return Plane.of(runs.axes(grid), values, np.unravel_index(np.argmin(values), grid.shape))
 
 
 def ribbon(count: int = 6, twist=(5e5,)) -> tuple[list, np.ndarray]:
@@ -38,7 +36,7 @@ def test_boxes_lie_on_the_cells_they_are_of(relative, rng):
     panels = [LandscapePanel("one", plane(rng)), LandscapePanel("two", plane(rng), (("", (0, 0)), ("x", (4, 3)))),
               LandscapePanel("three", plane(rng))]
     index = np.unravel_index(np.arange(runs.BENDS * runs.RATIOS), runs.grid().shape)
-    image, boxes = cells_image([panels[:2], panels[2:]], index, relative=relative, **WORDS)
+    image, boxes = cells_image([panels[:2], panels[2:]], index, relative=relative)
     assert boxes.shape == (runs.BENDS * runs.RATIOS, 3, 4)
     for panel, places in zip(panels, boxes.swapaxes(0, 1), strict=True):
         values = panel.plane.values / (np.nanmin(panel.plane.values) if relative else 1.0)
@@ -66,7 +64,7 @@ def test_cells_of_hidden_axes_lie_where_the_others_put_them(rng):
 def test_a_line_s_boxes_are_as_high_as_its_axes(rng):
     axes = [("bend", np.geomspace(1e5, 1e7, 5), True, "mm³"), ("weight", np.ones(1), True, "")]
     line = Plane.of(axes, rng.uniform(1, 2, (5, 1)), (0, 0))
-    _, boxes = cells_image([[LandscapePanel("line", line)]], (np.arange(5), np.zeros(5, int)), relative=True, **WORDS)
+    _, boxes = cells_image([[LandscapePanel("line", line)]], (np.arange(5), np.zeros(5, int)), relative=True)
     np.testing.assert_allclose(boxes[1:, 0, 0], boxes[:-1, 0, 0] + boxes[:-1, 0, 2], atol=1e-6)
     assert np.ptp(boxes[..., 3]) < 1e-9 and boxes[0, 0, 3] > 100
 
@@ -85,18 +83,21 @@ def test_regimes_are_the_paper_s():
 
 def test_regimes_and_region_are_drawn():
     axes, values = ribbon()
-    words = WORDS | {"minimum": (0, 0, 0, 0)}
-    plain = landscape_image(axes, values, **words)
+
+    def image(axes, region=None):
+        return landscape_image(Plane.of(axes, values, (0, 0, 0, 0)), title="made up", region=region)
+
+    plain = image(axes)
     angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     ellipse = np.stack([1e6 * np.exp(np.cos(angle)), 1e6 * np.exp(0.5 * np.sin(angle))], axis=-1)
-    region = landscape_image(axes, values, region=ellipse, **words)
+    region = image(axes, ellipse)
     orange = (np.abs(region.astype(int) - (255, 159, 28)).max(axis=-1) < 8).sum()
     assert orange > 500 > 20 > (np.abs(plain.astype(int) - (255, 159, 28)).max(axis=-1) < 8).sum()
     without, _ = ribbon()
     without[2] = ("twist_ratio", np.ones(1), True, "")
-    assert (landscape_image(without, values, **words) != plain).mean() > 0.001
+    assert (image(without) != plain).mean() > 0.001
     buffer = io.BytesIO()
-    landscape_picture(buffer, axes, values, region=ellipse, **words)
+    landscape_picture(buffer, Plane.of(axes, values, (0, 0, 0, 0)), title="made up", region=ellipse)
     assert buffer.getvalue().startswith(b"\x89PNG")
 
 
@@ -106,12 +107,12 @@ def test_every_panel_and_key_is_inside_the_picture(rng):
     axes, values = ribbon(twist=(5e5,))
     counts = np.zeros(values.shape, int)
     counts[1, 1], values[2, 2] = 4, np.nan
-    whole = Plane.of(axes, values, (0, 0, 0, 0), valley_cells(values, (0, 0, 0, 0)), counts)
+    whole = Plane.of(axes, values, (0, 0, 0, 0), counts)
     lost = Plane.of(axes, np.full(values.shape, np.nan))
     rows = [[LandscapePanel(f"ribbon {k}", whole, (("30, 42", (5, 5)), ("54", (4, 5)))) for k in range(5)],
             [LandscapePanel("nothing", lost)]]
     for relative in (False, True):
-        figure, drawn = _draw_panels(rows, "made up", "mean distance (Eq. 1) [mm]", "others", relative)
+        figure, drawn = _draw_panels(rows, "made up", "others", relative)
         figure.canvas.draw()
         width, height = figure.canvas.get_width_height()
         boxes = [one.title.get_window_extent() for one, _ in drawn] + [key.get_window_extent() for key in figure.legends]
@@ -123,5 +124,6 @@ def test_every_panel_and_key_is_inside_the_picture(rng):
 
 
 def test_pictures_of_several_are_png(tmp_path, rng):
-    landscapes_picture(tmp_path / "several.png", [[LandscapePanel(name, plane(rng)) for name in ("one", "two")]], **WORDS)
+    panels = [LandscapePanel(name, plane(rng)) for name in ("one", "two")]
+    landscapes_picture(tmp_path / "several.png", [panels], title="made up")
     assert (tmp_path / "several.png").read_bytes().startswith(b"\x89PNG")

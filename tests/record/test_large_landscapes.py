@@ -29,7 +29,7 @@ def large(shape: tuple[int, ...]):
 @pytest.mark.parametrize("shape", [(1300, 700), (5, 2000), (3000,)])
 def test_blocks_keep_what_matters(shape):
     axes, values, minimum, unfinished = large(shape)
-    plane = Plane.of(axes, values, minimum, None, unfinished)
+    plane = Plane.of(axes, values, minimum, unfinished)
     drawn, borders = plane.blocks()
     assert max(drawn.values.shape) <= MOST_DRAWN
     assert drawn.values[drawn.minimum] == 1.0 == np.nanmin(drawn.values) and drawn.valley[drawn.minimum]
@@ -43,7 +43,7 @@ def test_blocks_keep_what_matters(shape):
 
 def test_a_small_landscape_stays_as_it_is():
     axes, values, minimum, unfinished = large((MOST_DRAWN, 7))
-    plane = Plane.of(axes, values, minimum, None, unfinished)
+    plane = Plane.of(axes, values, minimum, unfinished)
     drawn, borders = plane.blocks()
     assert drawn is plane
     np.testing.assert_array_equal(borders[1], cell_edges(plane.axes[1]))
@@ -53,16 +53,16 @@ def test_a_small_landscape_stays_as_it_is():
 def test_a_picture_of_many_cells(shape):
     axes, values, minimum, unfinished = large(shape)
     file = io.BytesIO()
-    report.landscape_picture(file, axes, values, minimum=minimum, title="many", label="mm", unfinished=unfinished)
+    report.landscape_picture(file, Plane.of(axes, values, minimum, unfinished), title="many")
     assert file.getvalue()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
 def test_a_recording_of_many_cells(tmp_path, rng):
     from doo_ti.record import record_sweep
-    from doo_ti.record.surface import MOST_POINTS
+    from doo_ti.record.sweep import MOST_POINTS
 
     axes, values, minimum, unfinished = large((900, 800))
-    run = runs.sweep(rng) | {"axes": axes, "landscape": values, "minimum": minimum, "unfinished": unfinished, "order": None}
+    run = runs.sweep(rng) | {"plane": Plane.of(axes, values, minimum, unfinished)}
     record_sweep(tmp_path / "run.rrd", **run)
     _, moving = read(tmp_path / "run.rrd")
     trials = moving["/landscape/cells"]["trial"]["trial"]

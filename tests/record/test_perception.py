@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from doo_ti.perception.growth_steps import GrowthStep, GrowthSteps
+from doo_ti.perception.growth import GrowthStep, GrowthSteps
 from doo_ti.perception.search import Hypotheses
 from doo_ti.report import SeenRod, reprojections_picture
 from doo_ti.vision.rendering.tubes import smooth_curve

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError, InterruptedRunError
+from doo_ti.report.grid_view import Observed
+from doo_ti.report.plane import Plane
 from doo_ti.types import Status
 
 from . import runs
@@ -64,10 +66,10 @@ def test_rods_are_instances_of_one_entity_and_lie_on_their_observations(tmp_path
     offset = np.array(still["offset_mm"][0])
     assert offset.shape == (runs.OBSERVATIONS, 3)
     assert (offset[0] == 0).all()
-    np.testing.assert_allclose(strips - offset[:, None], run["trajectory"], atol=1e-4)
+    np.testing.assert_allclose(strips - offset[:, None], run["trajectory"].vertices, atol=1e-4)
     observed = np.array(static["/world/observations"]["LineStrips3D:strips"][0])
     assert static["/world/observations"]["offset_mm"] == still["offset_mm"]
-    np.testing.assert_allclose(observed - offset[:, None], run["observations_vertices"], atol=1e-4)
+    np.testing.assert_allclose(observed - offset[:, None], run["observed"].vertices, atol=1e-4)
     assert len(static["/world/observations/marks"]["Points3D:positions"][0]) == runs.OBSERVATIONS * runs.VERTICES
     assert len(still["LineStrips3D:colors"][0]) == runs.OBSERVATIONS
     assert still["LineStrips3D:labels"][0][3] == "observation 3: 50 mm 120°: 0.7 mm, converged"
@@ -78,13 +80,14 @@ def test_a_rod_that_is_nan_is_not_drawn_and_keeps_its_place(tmp_path, rng):
     from doo_ti.record import FAILED, record_sweep
 
     run = runs.sweep(rng)
-    run["trajectory"][4:, 2, 5] = np.nan
-    run["trajectory"][:, 3] = np.nan
-    run["distance"][[2, 3]] = np.nan
-    run["energy"][4:, 2], run["residual"][4:, 2] = np.nan, np.nan
-    run["energy"][:, 3], run["residual"][:, 3] = np.nan, np.nan
-    run["status"][[2, 3]] = Status.NOT_FINITE, Status.INFEASIBLE
-    run["observations_vertices"][1, 4] = np.nan
+    rods = run["trajectory"]
+    rods.vertices[4:, 2, 5] = np.nan
+    rods.vertices[:, 3] = np.nan
+    rods.distance[[2, 3]] = np.nan
+    rods.energy[4:, 2], rods.residual[4:, 2] = np.nan, np.nan
+    rods.energy[:, 3], rods.residual[:, 3] = np.nan, np.nan
+    rods.status[[2, 3]] = Status.NOT_FINITE, Status.INFEASIBLE
+    run["observed"].vertices[1, 4] = np.nan
     static, moving = written(tmp_path, record_sweep, run)
     strips = moving["/world/rods"]["iteration"]["LineStrips3D:strips"]
     counts = np.array([[len(strip) for strip in row] for row in strips])
@@ -104,16 +107,17 @@ def test_curves_are_statistics_over_the_rods(tmp_path, rng):
     from doo_ti.record import record_sweep
 
     run = runs.sweep(rng)
-    run["energy"][0], run["residual"][0] = np.nan, np.nan
-    run["residual"][1:, 2] *= 100
-    run["energy"][9:, 4] = np.nan
-    held = run["energy"].copy()
+    rods = run["trajectory"]
+    rods.energy[0], rods.residual[0] = np.nan, np.nan
+    rods.residual[1:, 2] *= 100
+    rods.energy[9:, 4] = np.nan
+    held = rods.energy.copy()
     held[9:, 4] = held[8, 4]
     static, moving = written(tmp_path, record_sweep, run)
     expected = {
         "energy/mean": held[1:].mean(axis=1), "energy/median": np.median(held[1:], axis=1),
-        "residual/median": np.log10(np.median(run["residual"][1:], axis=1)),
-        "residual/largest": np.log10(run["residual"][1:, 2]),
+        "residual/median": np.log10(np.median(rods.residual[1:], axis=1)),
+        "residual/largest": np.log10(rods.residual[1:, 2]),
     }
     for entity, values in expected.items():
         curve = moving[f"/curves/{entity}"]["iteration"]
@@ -127,7 +131,7 @@ def test_landscape_picture_surface_and_cells(tmp_path, rng):
     from doo_ti.record import record_sweep
 
     run = runs.sweep(rng)
-    run["order"] = rng.permutation(run["landscape"].size)
+    landscape = run["plane"].grid
     static, moving = written(tmp_path, record_sweep, run)
     (picture,) = static["/landscape/picture"]["Image:format"][0]
     assert (picture["width"], picture["height"]) == (1600, 1200)
@@ -141,12 +145,12 @@ def test_landscape_picture_surface_and_cells(tmp_path, rng):
     assert triangles.shape == (2 * quads, 3)
     assert triangles.max() == evaluated - 1
     cells = moving["/landscape/cells"]["trial"]
-    missing = int(np.flatnonzero(np.isnan(run["landscape"].reshape(-1)[run["order"]]))[0])
+    missing = int(np.flatnonzero(np.isnan(landscape.reshape(-1)))[0])
     assert cells["trial"] == [trial for trial in range(runs.BENDS * runs.RATIOS) if trial != missing]
     places = np.array(cells["Points3D:positions"])[:, 0]
-    values = run["landscape"].reshape(-1)[run["order"]][cells["trial"]]
-    np.testing.assert_allclose(places[:, 2], 0.6 * values / np.nanmax(run["landscape"]), rtol=1e-6)
-    first, second, _ = np.unravel_index(run["order"][cells["trial"]], run["landscape"].shape)
+    values = landscape.reshape(-1)[cells["trial"]]
+    np.testing.assert_allclose(places[:, 2], 0.6 * values / np.nanmax(landscape), rtol=1e-6)
+    first, second, _ = np.unravel_index(cells["trial"], landscape.shape)
     np.testing.assert_allclose(places[:, 0], first / (runs.BENDS - 1), atol=1e-6)
     np.testing.assert_allclose(places[:, 1], second / (runs.RATIOS - 1), atol=1e-6)
     assert static["/landscape/surface/minimum"]["Points3D:labels"] == [["0.5 mm"]]
@@ -166,7 +170,8 @@ def test_summary_names_the_best_parameters_with_units_and_intervals(tmp_path, rn
 def test_relaxation_has_no_landscape(tmp_path, rng):
     from doo_ti.record import record_sweep
 
-    run = runs.relaxation(rng) | {"labels": {"end_distance_mm": None}, "properties": {}}
+    run = runs.relaxation(rng)
+    run |= {"observed": Observed(run["observed"].vertices), "properties": {}}
     static, moving = written(tmp_path, record_sweep, run)
     assert set(static) | set(moving) == ROOT | {"/__properties"}
     assert set(moving["/world/rods"]) == {"iteration"}
@@ -177,7 +182,7 @@ def test_one_free_axis_gives_cells_on_a_line_and_no_surface(tmp_path, rng):
 
     run = runs.sweep(rng)
     cells = runs.Grid((runs.Axis("bend", np.geomspace(1e5, 1e7, runs.BENDS)),))
-    run |= {"axes": runs.axes(cells), "landscape": run["landscape"][:, 1:2], "minimum": (2, 0, 0), "intervals": ()}
+    run |= {"plane": Plane.of(runs.axes(cells), run["plane"].grid[:, 1:2], (2, 0, 0)), "intervals": ()}
     static, moving = written(tmp_path, record_sweep, run)
     assert "/landscape/surface" not in static
     assert len(moving["/landscape/cells"]["trial"]["trial"]) == runs.BENDS

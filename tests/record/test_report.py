@@ -7,6 +7,7 @@ import pytest
 
 from doo_ti.report import (
     LandscapePanel,
+    MovingRods,
     angle_curves_picture,
     distance_colors,
     landscape_colors,
@@ -23,7 +24,6 @@ from tools.trials.twist_picture import angle_errors_picture
 from . import runs
 
 GREY = (154, 154, 154)
-WORDS = {"title": "made up", "label": "mean distance (Eq. 1) [mm]"}
 
 
 def run() -> tuple[list, np.ndarray]:
@@ -34,11 +34,10 @@ def run() -> tuple[list, np.ndarray]:
 def test_picture_and_image_are_one_drawing(tmp_path):
     from PIL import Image
 
-    axes, values = run()
-    landscape_picture(tmp_path / "landscape.png", axes, values, minimum=(2, 1, 0), **WORDS)
+    landscape_picture(tmp_path / "landscape.png", runs.plane(), title="made up")
     buffer = io.BytesIO()
-    landscape_picture(buffer, axes, values, minimum=(2, 1, 0), **WORDS)
-    image = landscape_image(axes, values, minimum=(2, 1, 0), **WORDS)
+    landscape_picture(buffer, runs.plane(), title="made up")
+    image = landscape_image(runs.plane(), title="made up")
     assert image.shape == (1200, 1600, 3)
     assert image.dtype == np.uint8
     for source in (tmp_path / "landscape.png", buffer):
@@ -47,18 +46,16 @@ def test_picture_and_image_are_one_drawing(tmp_path):
 
 def test_a_name_is_no_mathematics():
     """Between dollar signs matplotlib reads a language of its own, in which this is an error."""
-    axes, values = run()
-    landscape_picture(io.BytesIO(), axes, values, minimum=(2, 1, 0), **WORDS | {"title": "a$^{$ b"})
+    landscape_picture(io.BytesIO(), runs.plane(), title="a$^{$ b")
 
 
 def test_names_in_titles_legends_and_panels_are_no_mathematics():
     name, vertices = "a$^{$ b", np.cumsum(np.ones((3, 1, 5, 3)), axis=2)
-    axes, values = run()
-    panels = [[LandscapePanel(name, Plane.of(axes, values, minimum=(2, 1, 0)), ((name, (0, 0)),))]]
-    landscapes_picture(io.BytesIO(), panels, title=name, **{"label": WORDS["label"]})
+    landscapes_picture(io.BytesIO(), [[LandscapePanel(name, runs.plane(), ((name, (0, 0)),))]], title=name)
     panels_picture(io.BytesIO(), [Panel(name, "rods", "rods a second", {name: ([1, 2, 4], [1, 2, 3])}, grown) for grown in
                                   (True, False)], name)
-    motions_picture(io.BytesIO(), np.arange(3.0), vertices, [name], np.zeros((3, 1), int), up=np.array([0, 0, 1.0]), title=name)
+    rods = MovingRods(np.arange(3.0), vertices, [name], np.zeros((3, 1), int), np.ones((3, 1), bool))
+    motions_picture(io.BytesIO(), rods, title=name)
     angle_errors_picture(io.BytesIO(), {name: np.arange(9.0)}, success_deg=5.0, title=name)
     angle = np.arange(0.0, 360.0, 90.0)
     angle_curves_picture(io.BytesIO(), angle, angle[None], phi=[0.0], low=[0.0], high=[9.0], names=[name],
@@ -67,17 +64,19 @@ def test_names_in_titles_legends_and_panels_are_no_mathematics():
 
 def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
     axes, values = run()
-    words = WORDS | {"minimum": (2, 1, 0)}
+
+    def image(values, unfinished=None):
+        return landscape_image(Plane.of(axes, values, (2, 1, 0), unfinished), title="made up")
 
     def grey(image):
         return (image == GREY).all(axis=-1).sum()
 
-    plain = landscape_image(axes, values, **words)
-    filled = landscape_image(axes, np.nan_to_num(values, nan=5.0), **words)
+    plain = image(values)
+    filled = image(np.nan_to_num(values, nan=5.0))
     assert grey(plain) > 20_000 > 100 > grey(filled)
     counts = np.zeros(values.shape, int)
     counts[0, 0] = 3
-    assert (landscape_image(axes, values, unfinished=counts, **words) != plain).any()
+    assert (image(values, counts) != plain).any()
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (7, 1, 1), (1, 1, 4), (3, 2, 2), (25, 30, 1), (3, 3, 3, 2)])
@@ -93,7 +92,7 @@ def test_every_shape_of_grid_is_drawn_with_its_key_inside_the_picture(shape, emp
     unfinished = rng.integers(0, 60, shape)
     if not empty and values.size > 1:
         values.flat[(np.argmin(values) + 1) % values.size] = np.nan
-    figure = draw_landscape(Plane.of(axes, values, minimum, None, unfinished), **WORDS)
+    figure = draw_landscape(Plane.of(axes, values, minimum, unfinished), "made up")
     figure.canvas.draw()
     width, height = figure.canvas.get_width_height()
     for box in [key.get_window_extent() for key in figure.legends] + [figure.axes[0].title.get_window_extent()]:
@@ -107,7 +106,7 @@ def test_more_than_two_free_axes_show_the_minimum_over_the_others(rng):
     values = rng.uniform(1, 2, (1, 4, 3, 5, 2))
     minimum = np.unravel_index(np.argmin(values), values.shape)
     unfinished = rng.integers(0, 9, values.shape)
-    plane = Plane.of(axes, values, minimum, None, unfinished)
+    plane = Plane.of(axes, values, minimum, unfinished)
     np.testing.assert_array_equal(plane.values, values[0].min(axis=(2, 3)))
     assert plane.minimum == minimum[1:3]
     assert plane.hidden == ("c", "d")

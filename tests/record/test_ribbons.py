@@ -1,4 +1,4 @@
-"""Ribbons in space: bands as wide as they are told, drawn and recorded."""
+"""Ribbons in space: bands of a given width, drawn and recorded."""
 
 import numpy as np
 import pytest

@@ -7,8 +7,8 @@ import numpy as np
 from doo_ti.io.observations import Observations
 from doo_ti.io.scene import Synthesis
 from doo_ti.refinement.held_rod import HeldRod
+from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.scales import Scales, typical_scales
 from doo_ti.refinement.unknowns import Theta, Unknowns
 from doo_ti.start import observation_clamps
 from doo_ti.synthesis import synthesise

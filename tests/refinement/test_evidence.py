@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 from doo_ti import Newton
 from doo_ti.refinement.evidence import Evidence
 from doo_ti.refinement.fit import Fit
-from doo_ti.refinement.linear_model import Moments, effect_scales
+from doo_ti.refinement.residuals import Moments, effect_scales
 from tests.refinement.rods_between_clips import TRUTH, held, model, suture
 
 

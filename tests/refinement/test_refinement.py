@@ -7,8 +7,8 @@ import pytest
 
 from doo_ti import Clamp, Grid, InputError, Observations, observation_clamps, relax
 from doo_ti.grid import Axis
+from doo_ti.refinement.fit import lowest_cells, theta_of_cell
 from doo_ti.refinement.folds import folds_of, refine_held_out
-from doo_ti.refinement.multi_start import lowest_cells, theta_of_cell
 from doo_ti.refinement.refine import RefinementOptions, refine
 from doo_ti.refinement.unknowns import Theta
 from doo_ti.types import Status
@@ -225,7 +225,7 @@ def test_spins_that_are_free_do_not_keep_rest_curvature_from_being_learned(rng):
     assert np.linalg.norm(out.theta.rest_curvature[0]) == pytest.approx(0.02, rel=0.05)
 
 
-def test_wrong_options_are_told(seen):
+def test_wrong_options_are_refused(seen):
     clamps = observation_clamps(seen)
     for change, word in ((dict(frame_weight=5.0), "frame"), (dict(clip=60.0), "clip"), (dict(curvature="bent"), "curvature"),
                          (dict(parameters=("bent",)), "'bent' is unknown"), (dict(parameters=("bend", "bend_1")), "bend_1"),

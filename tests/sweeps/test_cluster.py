@@ -13,7 +13,7 @@ import pytest
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.io.observations import save_observations
 from doo_ti.learning import sweeps, workers
-from doo_ti.learning.maker import maker
+from doo_ti.learning.summary import maker
 from doo_ti.learning.sweeps import SweepOptions, sweep
 from tests.sweeps.lab import GRID, small_lab
 from tests.sweeps.test_sweep import assert_same_cells
@@ -55,7 +55,7 @@ def test_what_fails_on_a_worker_is_told_with_the_way_on(tmp_path, scheduler, sma
 def test_no_scheduler_is_told_before_anything_is_written(tmp_path, scheduler, monkeypatch):
     monkeypatch.setattr(workers, "ANSWER_SECONDS", 0.5)
     for address in ("tcp://127.0.0.1:1", "nowhere at all"):
-        with pytest.raises(InputError, match="--dask: no scheduler answers"):
+        with pytest.raises(InputError, match="scheduler: no scheduler answers"):
             sweep(tmp_path / "run", small_lab(), GRID, options=SweepOptions(scheduler=address))
     assert not (tmp_path / "run").exists()
 
@@ -65,7 +65,7 @@ def test_a_port_that_says_nothing_is_no_scheduler(tmp_path, monkeypatch):
     pytest.importorskip("distributed", reason="no cluster without Dask")
     monkeypatch.setattr(workers, "ANSWER_SECONDS", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as mute:
-        with pytest.raises(InputError, match="--dask: no scheduler answers"):
+        with pytest.raises(InputError, match="scheduler: no scheduler answers"):
             sweep(tmp_path / "run", small_lab(), GRID,
                   options=SweepOptions(scheduler=f"tcp://127.0.0.1:{mute.getsockname()[1]}"))
     assert not (tmp_path / "run").exists()
@@ -125,6 +125,6 @@ def test_a_cluster_without_workers_is_refused(tmp_path, monkeypatch):
 
 def test_dask_that_is_not_installed(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(InputError, match=r"--dask: Dask is not installed; pip install 'doo_ti\[dask\]'"):
+    with pytest.raises(InputError, match=r"scheduler: Dask is not installed; pip install 'doo_ti\[dask\]'"):
         sweep(tmp_path / "run", small_lab(), GRID, options=SweepOptions(scheduler="tcp://127.0.0.1:8786"))
     assert not (tmp_path / "run").exists()

@@ -14,7 +14,7 @@ from doo_ti.cli import main
 from doo_ti.errors import InputError
 from doo_ti.learning import run_folder
 from doo_ti.learning.landscape import read_landscape
-from doo_ti.learning.maker import maker
+from doo_ti.learning.summary import maker
 from doo_ti.learning.sweeps import sweep
 from tests.sweeps.lab import DYNAMIC, GRID, small_lab
 
@@ -196,10 +196,10 @@ def test_another_version_does_not_go_on_with_a_run(copy, monkeypatch):
 
 def test_a_chunk_says_who_made_it(runs):
     chunk = min((runs / "static" / "cells").glob("*.parquet"))
-    told = pyarrow.parquet.read_schema(chunk).metadata
+    metadata = pyarrow.parquet.read_schema(chunk).metadata
     summary = json.loads((runs / "static" / "summary.json").read_text())
-    assert json.loads(told[b"doo_ti_maker"]) == maker() == summary["provenance"]["maker"]
-    assert told[b"doo_ti_sweep"].decode() == summary["provenance"]["sweep_sha256"]
+    assert json.loads(metadata[b"doo_ti_maker"]) == maker() == summary["provenance"]["maker"]
+    assert metadata[b"doo_ti_sweep"].decode() == summary["provenance"]["sweep_sha256"]
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="takes pipes with names")

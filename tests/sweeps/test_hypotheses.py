@@ -60,7 +60,7 @@ def test_what_explains_an_observation_stands_for_it_in_all_cells(rng):
     chosen, ambiguous = resolved(distance, sound, np.ones(4), THREE)
     assert ambiguous.tolist() == [False, True, False, False] and (chosen[:, [0, 2, 3]] == true[[0, 2, 3]]).all()
     np.testing.assert_array_equal(chosen[:, 1], nearest(distance, sound, THREE)[:, 1])
-    # What did not come to rest is no witness, and what is no number is none either.
+    # Rods that did not converge are not chosen, nor are those whose distance is NaN.
     sound[best, 3], distance[best, 2] = False, np.inf
     chosen, ambiguous = resolved(distance, sound, np.ones(4), THREE)
     assert (chosen[:, 1] == 4).all() and chosen[0, 0] != 2
@@ -149,5 +149,5 @@ def test_spins_that_are_not_unknown_are_refused():
     bare = replace(observations, start_frame=None, end_frame=None, total_twist=None)
     assert Experiment(bare, SMALL, SweepOptions(spins=4)).hypotheses.count == 6 * 4 * 3
     flat = Grid((Axis("bend_1", [1e5, 1e6]), Axis("bend_2", 1e5)))
-    with pytest.raises(InputError, match="both ends' spins are unknown and the rod is not round"):
+    with pytest.raises(InputError, match="rolls of both clamps are unknown and the rod is not round"):
         Experiment(bare, flat, SweepOptions(spins=4))

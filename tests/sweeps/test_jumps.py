@@ -5,8 +5,8 @@ import pytest
 
 from doo_ti.frames import quaternion_from_matrix
 from doo_ti.grid import Axis, Grid
+from doo_ti.learning.cells import carried, journey, relaxed
 from doo_ti.learning.experiment import Experiment
-from doo_ti.learning.objective import carried, journey, relaxed
 from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import Motion
 from doo_ti.relaxation.newton import Newton
@@ -206,7 +206,7 @@ def test_a_rod_of_two_edges_goes_its_way():
     np.testing.assert_allclose(end.configuration.vertices[:, -1], clamps.end_position + shift, atol=1e-9)
 
 
-def test_a_journey_of_nobody():
+def test_a_journey_without_rods():
     _, start, clamps = bowed_strips()
     none = np.arange(0)
     journey = Journey(Motion(clamps.take(none), end_shift=np.zeros((0, 3))), STRIP, np.radians(10), start.rest_length)

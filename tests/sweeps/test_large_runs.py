@@ -10,9 +10,8 @@ import pytest
 
 from doo_ti.errors import InputError
 from doo_ti.grid import Axis, Grid
-from doo_ti.learning import chunk_file
-from doo_ti.learning.landscape import gather_landscape
-from doo_ti.learning.overview import gather_overview
+from doo_ti.learning import chunks
+from doo_ti.learning.landscape import gather_landscape, gather_overview
 from doo_ti.learning.sweeps import sweep
 from doo_ti.types import Status
 from tests.sweeps.lab import DYNAMIC, GRID, small_lab
@@ -59,7 +58,7 @@ def test_memory_does_not_grow_with_rods(tmp_path, rng):
 def test_sums_are_those_of_all_rods(tmp_path, rng):
     grid = written(tmp_path, 6, rng)
     overview, landscape = (gather(tmp_path, grid, "silk", None) for gather in (gather_overview, gather_landscape))
-    assert overview.as_dict() == landscape.overview.as_dict() and not overview.sums.compared[7]
+    assert overview.as_dict() == landscape.as_dict() and not overview.sums.compared[7]
     compared = landscape.sound.any(axis=0)
     whole = landscape.sound[:, compared].all(axis=1)
     # Term by term, as a column of a table is added up: to the last bit, whatever the order in the files.
@@ -100,7 +99,7 @@ def test_a_finished_sweep_reads_no_rods(tmp_path, monkeypatch, capsys, options):
     chosen = {} if options is None else {"options": options}
     summary = sweep(tmp_path / "run", small_lab(), GRID, **chosen)
     print("\n".join(run_lines(summary)))
-    monkeypatch.setattr(chunk_file, "read_rows", lambda *arguments: pytest.fail("rods were read"))
+    monkeypatch.setattr(chunks, "read_rows", lambda *arguments: pytest.fail("rods were read"))
     assert sweep(tmp_path / "run", small_lab(), GRID, **chosen) == summary
     assert f"12 cells x {summary['rods']['count'] // 12} " in capsys.readouterr().out
 

@@ -27,9 +27,9 @@ def angle_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("rotation", [None, 0.3, 7.0, -20.0])
 def test_motions_meet_their_goals(rng, rotation):
     here, goal = clamps_of(rng, 40), clamps_of(rng, 40)
-    told = None if rotation is None else np.full(40, rotation)
-    end = motion_between(here, goal, told).at(1.0)
-    begin = motion_between(here, goal, told).at(0.0)
+    given = None if rotation is None else np.full(40, rotation)
+    end = motion_between(here, goal, given).at(1.0)
+    begin = motion_between(here, goal, given).at(0.0)
     for name in ("start_position", "end_position", "start_frame", "end_frame"):
         np.testing.assert_allclose(getattr(begin, name), getattr(here, name), atol=1e-12)
         np.testing.assert_allclose(getattr(end, name), getattr(goal, name), atol=1e-12)
@@ -47,12 +47,12 @@ def test_shortest_rotations_turn_evenly(rng):
             np.testing.assert_allclose(angle_between(frame, getattr(goal, name)), (1 - share) * whole, atol=1e-7)
 
 
-@pytest.mark.parametrize("told, turned", [(120, 120), (130, 120), (-240, -240), (400, 480), (-500, -600), (840, 840)])
-def test_the_turn_nearest_to_what_is_told_is_taken(rng, told, turned):
+@pytest.mark.parametrize("given, turned", [(120, 120), (130, 120), (-240, -240), (400, 480), (-500, -600), (840, 840)])
+def test_the_turn_nearest_to_the_given_one_is_taken(rng, given, turned):
     here = clamps_of(rng, 5)
     goal = Clamps(Clamp.FRAME, Clamp.FRAME, here.start_position, here.end_position, here.start_frame,
                   spun(here.end_frame, np.radians(120)))
-    motion = motion_between(here, goal, np.full(5, np.radians(told)))
+    motion = motion_between(here, goal, np.full(5, np.radians(given)))
     for share in (0.1, 0.6, 1.0):
         expected = spun(here.end_frame, share * np.radians(turned))
         np.testing.assert_allclose(motion.at(share).end_frame, expected, atol=1e-12)

@@ -11,9 +11,9 @@ from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.grid import Axis, Grid
 from doo_ti.io.observations import Observations
 from doo_ti.learning import sweeps
+from doo_ti.learning.drawing import MOST_MOMENTS
 from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.sweeps import SweepOptions, sweep
-from doo_ti.learning.trajectory import MOST_MOMENTS
 from tests.sweeps.lab import GRID, small_lab
 
 COLUMNS = {

@@ -6,8 +6,8 @@ import time
 import pytest
 
 from doo_ti.errors import InputError
-from doo_ti.learning.maker import as_made, maker
-from doo_ti.learning.workers import crew
+from doo_ti.learning.summary import maker
+from doo_ti.learning.workers import as_made, started_workers
 
 
 def _slowly(first: int, last: int) -> int:
@@ -20,7 +20,7 @@ def _slowly(first: int, last: int) -> int:
 def test_chunks_come_in_order_whoever_does_them():
     chunks = [(k, k + k % 3) for k in range(3)] + [(k, k + k % 3) for k in range(4, 9)]
     for workers in (None, 1, 3):
-        with crew(workers, None) as own:
+        with started_workers(workers, None) as own:
             assert list(own.results(_slowly, chunks)) == [(chunk, chunk[1] - chunk[0]) for chunk in chunks]
 
 
@@ -33,7 +33,7 @@ def test_what_is_done_behind_a_failure_comes_before_it_and_the_rest_is_not_begun
             yield k, k + 1
 
     found = []
-    with pytest.raises(ValueError, match="the fourth fails"), crew(2, None) as own:
+    with pytest.raises(ValueError, match="the fourth fails"), started_workers(2, None) as own:
         for chunk, _ in own.results(_slowly, chunks()):
             found.append(chunk[0])
     assert found[:3] == [0, 1, 2] and 3 not in found and len(found) > 3
@@ -49,5 +49,5 @@ def test_a_worker_that_runs_something_else_is_refused():
 
 
 def test_no_workers_are_refused():
-    with pytest.raises(InputError, match="workers: 0 is below 1"), crew(0, None):
+    with pytest.raises(InputError, match="workers: 0 is below 1"), started_workers(0, None):
         pass

@@ -1,41 +1,28 @@
 """What the trials measure, what they do to images and seeds, and that rods are recovered: by their energy, not without it."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from doo_ti.io.scene import load_scene
-from doo_ti.perception.lab_images import LabRods, lab_rods
-from doo_ti.perception.perceive import perceive
-from doo_ti.perception.search import PerceptionOptions, Search
-from doo_ti.vision.cameras.rig import Rig, load_rig
-from doo_ti.vision.detection.detect import DetectionOptions
-from doo_ti.vision.rendering.photographs import Photographs
+from doo_ti.perception.search import PerceptionOptions
 from doo_ti.vision.rendering.tubes import smooth_curve
-from doo_ti.vision.reprojection.distance_map import DistanceMaps, distance_maps
+from doo_ti.vision.reprojection.distance_map import distance_maps
 from doo_ti.vision.reprojection.score import score
 from tests.vision.drawn_maps import curves, drawn_maps, three_cameras
+from tools.perception_study import mapped, photographed, recovered
 from tools.trials.perception import (
     Trial,
     crossings,
-    detected,
     distance_to_curve,
     filled,
-    judged,
     seeds_off,
     sets_of,
-    taken,
-    truth_energy,
     unseen,
     usual_width,
     with_energy,
     without_camera,
 )
-
-SCENES = Path(__file__).resolve().parents[2] / "scenes"
-UP = np.array([0.0, 0.0, 1.0])
 
 
 def test_crossings_of_known_figures():
@@ -100,23 +87,9 @@ def test_fewer_cameras_and_sets(rng):
     np.testing.assert_array_equal(some.camera_error, whole.camera_error[[2, 0]])
 
 
-def photographed(scene: str, rows: list[int]) -> tuple[LabRods, Rig, list]:
-    rig = load_rig(SCENES / "rig.yaml")
-    rods = lab_rods(load_scene(SCENES / f"{scene}.toml").observations).take(rows)
-    return rods, rig, taken(Photographs(rods.names, rods.curve, rods.point, rods.direction, 0.5, rig, seed=5))
-
-
-def recovered(rods: LabRods, rig: Rig, maps: DistanceMaps, scene: str, options=PerceptionOptions()) -> Trial:
-    material = load_scene(SCENES / f"{scene}.toml").observations.material()
-    found = perceive(maps, rig, rods.point, rods.direction, rods.rest_length, material, options=options)
-    search = Search(maps, rig, rods.point, rods.direction, rods.rest_length, material, UP, options)
-    return judged(found, rods.vertices, smooth_curve(rods.curve, 8), truth_energy(search, rods.vertices))
-
-
 def test_gaps_are_seen_and_filled():
-    rods, rig, images = photographed("vicryl", [5])
-    pixels = rig.project(smooth_curve(rods.curve, 8))
-    whole = detected(images)
+    case, _ = photographed("vicryl", [5])
+    pixels, whole = case.pixels, case.detections
     assert 2.5 < usual_width(whole) < 4.5
     near = np.linalg.norm(whole[0][1].points - pixels[1, 0, 400], axis=1) < 40
     holed = [[found if camera != 1 else replace(found, points=found.points[~near], direction=found.direction[~near],
@@ -130,8 +103,8 @@ def test_gaps_are_seen_and_filled():
 
 
 def test_rods_are_recovered():
-    rods, rig, images = photographed("vicryl", [3, 44])
-    trial = recovered(rods, rig, distance_maps(detected(images), 60), "vicryl")
+    case, _ = photographed("vicryl", [3, 44])
+    _, trial, _ = recovered(case, case.rods.point, case.rods.direction)
     print(f"vertices off by {trial.vertex_error}, from the curve by {trial.curve_error} mm; E_vis {trial.energy_vis}, "
           f"from the true rod {trial.truth_energy}")
     assert trial.correct.all() and trial.vertex_error.max() < 0.15 and trial.curve_error.max() < 0.05
@@ -143,8 +116,8 @@ def test_rods_are_recovered():
 @pytest.mark.parametrize("thread", ["nylon", "vicryl", "silk"])
 def test_the_lab(thread):
     """§V-E: all of the paper's 60 sets of each thread, to the paper's accuracy."""
-    rods, rig, images = photographed(thread, list(range(60)))
-    trial = recovered(rods, rig, distance_maps(detected(images), 60), thread)
+    case, _ = photographed(thread, 60)
+    _, trial, _ = recovered(case, case.rods.point, case.rods.direction)
     print(f"{thread}: vertices off by {trial.vertex_error.mean():.3f}, worst set {trial.vertex_error.max():.3f} mm; from the "
           f"curve {trial.curve_error.mean():.3f}, worst {trial.curve_error.max():.3f} mm")
     assert trial.correct.all()
@@ -154,15 +127,11 @@ def test_the_lab(thread):
 @pytest.mark.slow
 def test_energy_tells_rods_that_images_do_not():
     """Fig. 6: all views cross themselves; gaps of the detection are filled as in §V-E."""
-    rig = load_rig(SCENES / "rig.yaml")
-    every = lab_rods(load_scene(SCENES / "loops_vicryl.toml").observations)
-    rows = np.flatnonzero((crossings(rig.project(every.curve)) > 0).all(axis=0))
-    assert len(rows) > 15
-    rods, rig, images = photographed("loops_vicryl", rows.tolist())
-    seen = detected(images, DetectionOptions(width_px=usual_width(detected(images))))
-    pixels = rig.project(smooth_curve(rods.curve, 8))
-    maps = distance_maps(filled(seen, distance_maps(seen, 60), pixels), 60)
-    wrong = [int((~recovered(rods, rig, maps, "loops_vicryl", with_energy(PerceptionOptions(), share)).correct).sum())
-             for share in (1.0, 1e-2)]
-    print(f"of {len(rows)} sets {wrong[0]} are wrong with energy, {wrong[1]} with a hundredth of it")
+    case, _ = photographed("loops_vicryl", None, crossing=True)
+    assert len(case.rods.names) > 15
+    case = mapped(case, filled(case.detections, case.maps, case.pixels))
+    trials = [recovered(case, case.rods.point, case.rods.direction, with_energy(PerceptionOptions(), share))[1]
+              for share in (1.0, 1e-2)]
+    wrong = [int((~trial.correct).sum()) for trial in trials]
+    print(f"of {len(case.rods.names)} sets {wrong[0]} are wrong with energy, {wrong[1]} with a hundredth of it")
     assert wrong[0] <= 1 and wrong[1] >= 2 * max(wrong[0], 1)

@@ -81,7 +81,7 @@ def test_two_cameras_will_do(video):
 
 
 def test_a_cut_is_noticed(video):
-    """From one frame to the next another rod is seen: Algorithm 1 is asked, the next frames go on from what it found."""
+    """From one frame to the next another rod is seen: Algorithm 1 finds it, and the next frames track it."""
     other = curves(np.random.default_rng(16), 1, len(REST_LENGTH), turn=0.25).repeat(2, axis=0)
     cut = video[:2] + [[detect(image) for image in frame] for frame in photographed(other)]
     found, error = tracked(cut, np.concatenate([rods()[:2], other]))

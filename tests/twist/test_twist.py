@@ -12,7 +12,8 @@ from doo_ti.metric import distance
 from doo_ti.prediction.predict import total_twist
 from doo_ti.relaxation.relax import relax
 from doo_ti.start import held_spins, observation_clamps, start_configuration
-from doo_ti.twist.estimation import TwistOptions, Verdict, consecutive_groups, end_offsets, estimate_twist
+from doo_ti.twist.curves import consecutive_groups, end_offsets
+from doo_ti.twist.estimation import TwistOptions, Verdict, estimate_twist
 from doo_ti.types import Clamp, Material
 from tests.references.rods import chain
 from tests.twist.rods import EDGES, MATERIAL, twisted_rods
@@ -97,7 +98,7 @@ def test_offsets_without_a_hint_follow_from_one_to_the_next(made):
         end_offsets(replace(known, end_frame=None), np.zeros(5, dtype=int))
 
 
-def test_a_group_tells_the_same_in_any_company(made):
+def test_a_group_does_not_depend_on_the_others(made):
     together = estimate_twist(made, MATERIAL)
     alone = estimate_twist(made.take([3]), MATERIAL)
     for name in ("phi", "least", "objective", "minima", "verdict"):

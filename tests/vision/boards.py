@@ -6,9 +6,10 @@ import cv2
 import numpy as np
 
 from doo_ti.vision.cameras.board import Board
-from doo_ti.vision.cameras.bundle import Sighting
+from doo_ti.vision.cameras.calibration import Sighting
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig
+from tools.trials.cameras import looking
 
 OVERSAMPLING = 3
 
@@ -71,13 +72,10 @@ def around(width: int = 640, height: int = 480, count: int = 3) -> Rig:
     for index in range(count):
         azimuth, climb = np.radians(-150 + 120 * index / max(count - 1, 1)), np.radians(50 + 5 * index)
         forward = -np.array([np.cos(azimuth) * np.cos(climb), np.sin(azimuth) * np.cos(climb), np.sin(climb)])
-        right = np.cross(forward, [0, 0, 1.0])
-        right /= np.linalg.norm(right)
-        rotation = np.stack([right, np.cross(forward, right), forward])
         focal = width * (1.32 + 0.02 * index)
         matrix = [[focal, 0, width / 2 + 4 - 3 * index], [0, focal * 1.002, height / 2 - 5 + index], [0, 0, 1]]
         distortion = [-0.08 + 0.02 * index, 0.03, 5e-4, -4e-4, 0]
-        cameras.append(Camera(f"cam{index}", width, height, matrix, distortion, rotation, -rotation @ (-300 * forward)))
+        cameras.append(Camera(f"cam{index}", width, height, matrix, distortion, *looking(forward, 300.0)))
     return Rig(tuple(cameras))
 
 

@@ -6,6 +6,7 @@ from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from tests.oracle.reprojection import Map, polyline_distance
+from tools.trials.cameras import looking
 
 
 def three_cameras() -> Rig:
@@ -13,13 +14,10 @@ def three_cameras() -> Rig:
     cameras = []
     for index, angle in enumerate((0.3, 2.1, 4.2)):
         back = np.array([np.cos(angle), np.sin(angle), 0.5 + 0.1 * index])
-        forward = -back / np.linalg.norm(back)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        rotation = np.stack([right, np.cross(forward, right), forward])
+        pose = looking(-back / np.linalg.norm(back), 260.0)
         matrix = [[900.0 + 10 * index, 0, 330.0], [0, 905.0, 250.0 + 3 * index], [0, 0, 1]]
         distortion = [-0.12, 0.05, 6e-4 * (index - 1), -5e-4, 0.01 * index]
-        cameras.append(Camera(f"cam{index}", 640, 480, matrix, distortion, rotation, -rotation @ (-260.0 * forward)))
+        cameras.append(Camera(f"cam{index}", 640, 480, matrix, distortion, *pose))
     return Rig(tuple(cameras))
 
 

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.report.canvas import PICTURE_INCHES, literal, new_figure, plain_ticks
-from doo_ti.report.colors import MISSING
+from doo_ti.report.canvas import MISSING, PICTURE_INCHES, literal, new_figure, plain_ticks
 
 
 @dataclass(frozen=True)

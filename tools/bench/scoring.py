@@ -21,7 +21,7 @@ from doo_ti.vision.cameras.camera import Camera  # noqa: E402
 from doo_ti.vision.cameras.rig import Rig  # noqa: E402
 from doo_ti.vision.detection.detect import Detection  # noqa: E402
 from doo_ti.vision.reprojection.distance_map import distance_maps  # noqa: E402
-from doo_ti.vision.reprojection.evidence import Reprojection  # noqa: E402
+from doo_ti.vision.reprojection.image_energy import Reprojection  # noqa: E402
 from doo_ti.vision.reprojection.score import score  # noqa: E402
 from tools.bench.against_baseline import Benchmark, run  # noqa: E402
 

@@ -132,25 +132,14 @@ def _rig():
     """Three small cameras that look at the rods from about 70 mm."""
     from doo_ti.vision.cameras.camera import Camera
     from doo_ti.vision.cameras.rig import Rig
+    from tools.trials.cameras import looking
 
     middle, cameras = np.load("rods.npz")["vertices_mm"].mean(axis=(0, 1)), []
     for index, angle in enumerate((0.3, 2.1, 4.2)):
         back = np.array([np.cos(angle), np.sin(angle), 0.5 + 0.1 * index])
-        forward = -back / np.linalg.norm(back)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        rotation = np.stack([right, np.cross(forward, right), forward])
-        cameras.append(
-            Camera(
-                f"cam{index}",
-                160,
-                120,
-                [[225.0, 0, 80], [0, 226.0, 60], [0, 0, 1]],
-                [-0.05, 0.02, 1e-4, -1e-4, 0],
-                rotation,
-                -rotation @ (middle - 70.0 * forward),
-            )
-        )
+        pose = looking(-back / np.linalg.norm(back), 70.0, middle)
+        matrix, distortion = [[225.0, 0, 80], [0, 226.0, 60], [0, 0, 1]], [-0.05, 0.02, 1e-4, -1e-4, 0]
+        cameras.append(Camera(f"cam{index}", 160, 120, matrix, distortion, *pose))
     return Rig(tuple(cameras))
 
 

@@ -13,7 +13,7 @@ from doo_ti.perception.perceive import Perception
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.detection.detect import Detection, DetectionOptions, detect
-from doo_ti.vision.rendering.photographs import Photographs
+from doo_ti.vision.rendering.render import Photographs
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 
 CORRECT_MM = 1.0
@@ -88,7 +88,7 @@ def with_energy(options: PerceptionOptions, share: float) -> PerceptionOptions:
 
 def detected(images: list[list[np.ndarray]], options: DetectionOptions = DetectionOptions(),
              threads: int = 2) -> list[list[Detection]]:
-    """What is seen in A lists of C images."""
+    """Detections in A lists of C images."""
     with ThreadPoolExecutor(threads) as executor:
         return list(executor.map(lambda views: [detect(image, options) for image in views], images))
 
@@ -115,7 +115,7 @@ def seeds_off(point: np.ndarray, direction: np.ndarray, shift_mm: float, turn: f
 
 
 def without_camera(maps: DistanceMaps, rig: Rig, camera: int) -> tuple[DistanceMaps, Rig]:
-    """What is left without one of the C cameras."""
+    """The maps and the rig without one of the C cameras."""
     kept = [index for index in range(len(rig.cameras)) if index != camera]
     return DistanceMaps(maps.values, maps.window[:, kept]), Rig(tuple(rig.cameras[index] for index in kept), rig.source)
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from doo_ti.frames import turned_about_tangent
 from doo_ti.io.observations import Observations
-from doo_ti.twist.estimation import TwistEstimate, TwistOptions, end_offsets, estimate_twist
+from doo_ti.twist.curves import end_offsets
+from doo_ti.twist.estimation import TwistEstimate, TwistOptions, estimate_twist
 from doo_ti.types import Material
 
 SUCCESS = np.pi / 2

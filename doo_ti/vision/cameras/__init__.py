@@ -1,1 +1,1 @@
-"""Calibrated cameras: the lens, rigs and their files, calibration from boards, projection in kernels (§V-A)."""
+"""Calibrated cameras: the lens, rigs and their files, calibration from boards (§V-A)."""

@@ -1,8 +1,10 @@
 """Calibration boards, a chessboard or ChArUco (a chessboard with markers in its white squares), and their corners in images.
 
 A board's own axes: origin at its first inner corner in reading order, x along a row, y up the page, z out of the page. A
-chessboard is read with its black corner square at the upper left, which half a turn must not bring back: one of its two
-numbers of corners is even, the other odd. Corners are found to a few hundredths of a pixel.
+chessboard has its black corner square at the upper left; to be distinguished from itself after half a turn, it must have an
+even number of corners one way and an odd number the other. Corners are found to a few hundredths of a pixel.
+
+Axes: N corners of the board, n seen corners, k places around a corner.
 """
 
 import re
@@ -34,35 +36,32 @@ class Board:
     square: float
     marker: float | None = None
     dictionary: str = DICTIONARY
-    source: str = "board"
 
     def __post_init__(self):
+        size = f"{self.columns} x {self.rows}"
         if min(self.columns, self.rows) < 3:
-            raise self._error(f"{self.columns} x {self.rows} is too small", "use a board of at least 3 x 4")
+            raise InputError("Board", "columns, rows", f"{size} is too small", "use a board of at least 3 x 4")
         if not 0 < self.square < np.inf:
-            raise self._error(f"squares of {self.square:g} mm", "give the edge of a square in mm")
-        if self.marker is None:
-            if (self.columns + self.rows) % 2 == 0:
-                raise self._error(f"{self.columns} x {self.rows} corners look the same after half a turn",
-                                  "use a board with one number even and the other odd, or ChArUco")
-        else:
+            raise InputError("Board", "square", f"squares of {self.square:g} mm", "give the edge of a square in mm")
+        if self.marker is not None:
             self._check_markers()
+        elif (self.columns + self.rows) % 2 == 0:
+            raise InputError("Board", "columns, rows", f"{size} corners look the same after half a turn",
+                             "use a board with one number even and the other odd, or ChArUco")
 
     def _check_markers(self) -> None:
         if not 0 < self.marker < self.square:
-            raise self._error(f"markers of {self.marker:g} mm in squares of {self.square:g} mm",
-                              "give the edge of a marker in mm, smaller than a square")
+            raise InputError("Board", "marker", f"markers of {self.marker:g} mm in squares of {self.square:g} mm",
+                             "give the edge of a marker in mm, smaller than a square")
         import cv2
 
         if not (self.dictionary.startswith("DICT_") and hasattr(cv2.aruco, self.dictionary)):
             known = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
-            raise self._error(f"dictionary {self.dictionary!r}", f"use one of {', '.join(known)}")
+            raise InputError("Board", "dictionary", f"dictionary {self.dictionary!r}", f"use one of {', '.join(known)}")
         wanted, there = self.columns * self.rows // 2, len(self._markers().bytesList)
         if wanted > there:
-            raise self._error(f"{wanted} markers, but {self.dictionary} has {there}", "name a larger dictionary")
-
-    def _error(self, problem: str, remedy: str) -> InputError:
-        return InputError(self.source, "board", problem, remedy)
+            raise InputError("Board", "dictionary", f"{wanted} markers, but {self.dictionary} has {there}",
+                             "name a larger dictionary")
 
     def _markers(self):
         import cv2
@@ -83,21 +82,25 @@ class Board:
         return np.stack([self.square * column, -self.square * row, np.zeros(len(row))], axis=-1)
 
     def opencv(self):
-        """The ``cv2.aruco.CharucoBoard``; its ``generateImage`` draws what to print."""
+        """The ``cv2.aruco.CharucoBoard``; its ``generateImage`` draws the board for printing."""
         import cv2
 
         return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, self._markers())
 
 
 def parse_board(text: str, source: str = "board") -> Board:
-    """The board that ``chessboard:9x6:10`` or ``charuco:9x6:10:7[:DICTIONARY]`` describes; InputError for anything else."""
+    """The board that the text of ``--board`` describes, ``chessboard:9x6:10`` or ``charuco:9x6:10:7[:DICTIONARY]``; InputError
+    for anything else."""
     number = r"(\d+(?:\.\d*)?|\.\d+)"
     match = re.fullmatch(rf"(?:chessboard:(\d+)x(\d+):{number}|charuco:(\d+)x(\d+):{number}:{number}(?::(\w+))?)", text)
     if match is None:
         raise InputError(source, "board", f"{text!r}", f"give {FORMS}")
     columns, rows, square = (match[at] or match[at + 3] for at in (1, 2, 3))
     marker = None if match[7] is None else float(match[7])
-    return Board(int(columns), int(rows), float(square), marker, match[8] or DICTIONARY, source)
+    try:
+        return Board(int(columns), int(rows), float(square), marker, match[8] or DICTIONARY)
+    except InputError as error:
+        raise InputError(source, "board", error.problem, error.remedy) from None
 
 
 # --- where the corners lie in an image ---------------------------------------------------------------------------------
@@ -105,18 +108,18 @@ def parse_board(text: str, source: str = "board") -> Board:
 REACH = 0.4
 """Half the window around a corner, in squares."""
 EDGE_PX = 1.5
-"""How far blur carries an edge: what is this near to a marker is left out."""
+"""Reach of the blur of an edge: places this near to a marker are left out."""
 ROUNDS = 8
 MOST_MOVE = 0.2
-"""A corner that refinement moves further than this, in squares, was none."""
+"""A corner that refinement moves further than this, in squares, is rejected."""
 FEWEST = 6
 NOTHING = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
 
 
 def find_corners(image: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) which of ``board.points`` are seen in a grey ``image`` (height, width) uint8, and (n, 2) where, px.
+    """(n,) rows of ``board.points`` that are seen in a grey ``image`` (height, width) uint8, and (n, 2) their pixels.
 
-    A chessboard is seen as a whole or not at all; of a ChArUco board any six corners or more, not all on one line.
+    Of a chessboard either all corners are found or none; of a ChArUco board any six or more that are not all on one line.
     """
     import cv2
 
@@ -143,7 +146,7 @@ def _chessboard(image: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray
     if not seen:
         return NOTHING
     grid = np.asarray(corners, dtype=np.float64).reshape(size[1], size[0], 2)
-    # Seen from the front, x to the right and y up the page turn against the clock; pixels have y downwards.
+    # Seen from the front, x to the right and y up the page turn counterclockwise; pixels have y downwards.
     along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
     if along[0] * down[1] - along[1] * down[0] < 0:
         grid = grid[:, ::-1]
@@ -175,9 +178,9 @@ def _scale(homography: np.ndarray, plane: np.ndarray) -> np.ndarray:
 
 
 def _refined(image: np.ndarray, rough: np.ndarray, scale: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 2) px where the edges around each corner meet, and (n,) whether they do near ``rough``.
+    """(n, 2) px where the edges around each corner intersect, and (n,) whether they do so near ``rough``.
 
-    All gradients g at q around a corner p are across edges that run through p: Σ w g gᵀ (q − p) = 0.
+    Gradients g at places q around a corner p are normal to edges through p: Σ w g gᵀ (q − p) = 0.
     """
     import cv2
 
@@ -200,7 +203,8 @@ def _refined(image: np.ndarray, rough: np.ndarray, scale: np.ndarray, board: Boa
 def _window(scale: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray]:
     """(k, 2) mm around a corner and (n, k) weights there, for n corners with ``scale`` (n, 2, 2) px per mm.
 
-    A square on the board, so that a slanted view gathers nothing from the neighbours; of markers it keeps away.
+    The places form a square on the board, so that also in a slanted view they exclude neighbouring corners; places near
+    markers have no weight.
     """
     reach = REACH * board.square
     steps = int(np.clip(np.ceil(reach * np.linalg.norm(scale, axis=1).max()), 3, 25))
@@ -208,7 +212,7 @@ def _window(scale: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray]:
     offset = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     weight = np.exp(-2 * np.sum((offset / reach) ** 2, axis=-1))[None] * np.ones((len(scale), 1))
     if board.marker is not None:
-        # Blur is of the image: across an edge of the board it reaches further in a slanted view.
+        # The blur has a constant size in the image, so that in a slanted view it extends further on the board.
         across = np.abs(np.linalg.det(scale))[:, None] / np.linalg.norm(scale, axis=1)[:, ::-1]
         gap = (board.square - board.marker) / 2
         clear = np.maximum(gap - EDGE_PX / across, gap / 3)

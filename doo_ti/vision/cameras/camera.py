@@ -1,10 +1,14 @@
 """A calibrated camera: x_cam = R x_world + t, then a lens with radial and tangential distortion, then K (§V-A).
 
-A point y in the camera's axes has the normalised image (X, Y) = (y1, y2)/y3, which the lens bends to b(X, Y), OpenCV's model of
-five coefficients. The Jacobian of b is symmetric, and so are its second and third derivatives in all places: all are
-derivatives of one potential. A ``lens`` is fx, fy, cx, cy, k1, k2, p1, p2, k3, and what else follows. Its functions are
-arithmetic only, of arrays as of a kernel's numbers (:mod:`doo_ti.vision.cameras.projection`); ``kept`` is what makes a kernel
-evaluate a number once.
+A point y in the camera's axes has the normalised image (X, Y) = (y1, y2)/y3, which the lens bends to b(X, Y), Brown's model
+(1971) with OpenCV's five coefficients,
+
+    b = (X, Y) (1 + k1 r² + k2 r⁴ + k3 r⁶) + (2 p1 X Y + p2 (r² + 2 X²), p1 (r² + 2 Y²) + 2 p2 X Y),    r² = X² + Y².
+
+The Jacobian of b is symmetric, and so are its second and third derivatives in all indices: all are derivatives of one
+potential. A ``lens`` is fx, fy, cx, cy, k1, k2, p1, p2, k3, and possibly more. The functions of a lens use arithmetic only, so
+that they serve arrays as well as kernels (:mod:`doo_ti.vision.reprojection.sampling`); ``kept`` makes a kernel evaluate a
+number once.
 
 Millimetres in the world, pixels in images, pixel (0, 0) at the centre of the upper left one.
 """
@@ -17,13 +21,13 @@ from doo_ti.errors import InputError, real_array
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
 
 COEFFICIENTS = 5
-"""Of distortion: k1, k2, p1, p2, k3."""
+"""Coefficients of distortion: k1, k2, p1, p2, k3."""
 LENS = 4 + COEFFICIENTS
 """Numbers of a lens."""
 MOST_SIDE = 20_000
 """Pixels along a side of an image."""
 LEAST_FOCAL_PX, MOST_PX = 1.0, 1e6
-"""Of focal lengths; principal points lie as far off at most."""
+"""Least focal length, and largest focal length and offset of the principal point."""
 MOST_DISTORTION = 1e6
 MOST_MM = 1e6
 """From the world's origin to a camera."""
@@ -31,11 +35,11 @@ KEYS = {"matrix": "K", "distortion": "dist", "rotation": "R", "translation": "t"
 """How files name a camera's arrays."""
 
 
-def _as_it_is(value):
+def _unchanged(value):
     return value
 
 
-def bent(lens, x, y, kept=_as_it_is):
+def bent(lens, x, y, kept=_unchanged):
     """The pixel (u, v) of (X, Y): b, times the focal lengths, from the principal point."""
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = lens[:LENS]
     square = kept(x * x + y * y)
@@ -45,7 +49,7 @@ def bent(lens, x, y, kept=_as_it_is):
     return (fx * u + cx, fy * v + cy)
 
 
-def bent_slope(lens, x, y, kept=_as_it_is):
+def bent_slope(lens, x, y, kept=_unchanged):
     """First derivatives of b: (11, 12, 22)."""
     k1, k2, p1, p2, k3 = lens[4:LENS]
     square = kept(x * x + y * y)
@@ -58,7 +62,7 @@ def bent_slope(lens, x, y, kept=_as_it_is):
     )
 
 
-def bent_curvature(lens, x, y, kept=_as_it_is):
+def bent_curvature(lens, x, y, kept=_unchanged):
     """Second derivatives of b: (111, 112, 122, 222), the same in all orders."""
     k1, k2, p1, p2, k3 = lens[4:LENS]
     square = kept(x * x + y * y)
@@ -72,7 +76,7 @@ def bent_curvature(lens, x, y, kept=_as_it_is):
     )
 
 
-def bent_third(lens, x, y, kept=_as_it_is):
+def bent_third(lens, x, y, kept=_unchanged):
     """Third derivatives of b: (1111, 1112, 1122, 1222, 2222), the same in all orders."""
     k1, k2, p1, p2, k3 = lens[4:LENS]
     square = kept(x * x + y * y)
@@ -99,7 +103,7 @@ class Camera:
     translation  (3,) t, mm
 
     Raises InputError for sizes that are not positive, shapes that do not match, an R that is no rotation, and numbers beyond
-    the bounds of any camera, which are stated above.
+    the bounds stated above.
     """
 
     name: str

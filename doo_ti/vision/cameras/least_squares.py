@@ -1,22 +1,25 @@
-"""Least squares by Gauss-Newton steps with Levenberg-Marquardt damping: P problems of K unknowns each, all at once."""
+"""Least squares by Levenberg–Marquardt: P problems of K unknowns each, all at once.
+
+    x ← x − (JᵀJ + λ diag(JᵀJ))⁻¹ Jᵀr,    λ ← λ/10 where |r|² fell, else the step is taken back and λ ← 10 λ
+"""
 
 from collections.abc import Callable
 
 import numpy as np
 
 WORST_DAMPING = 1e12
-"""Steps so short lower nothing any more."""
+"""With more damping steps are too short to lower a sum of squares."""
 
 
 def least_squares(start, linearised: Callable, moved: Callable, chosen: Callable, settled: Callable, damping: float,
                   most_steps: int) -> tuple:
-    """(where the sums of squares are least, their (P,) values, and (P, K, K) JᵀJ there), found from ``start``.
+    """(the unknowns with the least sums of squares that are reached from ``start``, the (P,) sums, and (P, K, K) JᵀJ there).
 
-    linearised  of a place: (P,) sums of squares, infinite where there is none, (P, K, K) JᵀJ and (P, K) Jᵀr
-    moved       of a place and steps (P, K): another place
-    chosen      of (P,) bool and two places: the first where it holds, else the second
-    settled     of steps (P, K), by how much (P,) they lowered the sums, and the new sums (P,): (P,) bool, done
-    damping     of the first step, relative to the diagonal of JᵀJ
+    linearised  (unknowns) → (P,) sums of squares, infinite for invalid unknowns, (P, K, K) JᵀJ and (P, K) Jᵀr
+    moved       (unknowns, steps (P, K)) → unknowns
+    chosen      ((P,) bool, unknowns, other unknowns) → the first where true, else the second
+    settled     (steps (P, K), (P,) fall of the sums, (P,) new sums) → (P,) bool: done
+    damping     λ of the first step
 
     Raises LinAlgError where a damped JᵀJ is singular.
     """

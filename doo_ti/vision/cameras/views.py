@@ -13,7 +13,7 @@ import numpy as np
 from doo_ti.errors import InputError
 from doo_ti.io.csv_table import read_csv
 from doo_ti.vision.cameras.board import Board, find_corners
-from doo_ti.vision.cameras.bundle import Sighting
+from doo_ti.vision.cameras.calibration import Sighting
 from doo_ti.vision.cameras.rig import check_camera_names
 from doo_ti.vision.detection.images import read_image
 
@@ -54,10 +54,10 @@ def read_views(path: Path) -> Views:
 
 
 def find_sightings(views: Views, board: Board,
-                   told: Callable[[], object] = lambda: None) -> tuple[list[Sighting], dict[str, tuple[int, int]]]:
+                   advance: Callable[[], object] = lambda: None) -> tuple[list[Sighting], dict[str, tuple[int, int]]]:
     """The board's corners in all images that show it, and the width and height of each camera's images.
 
-    told  is called after each image
+    advance  called after each image
 
     Raises InputError for an image that cannot be read and for one of another size than the camera's others.
     """
@@ -71,7 +71,7 @@ def find_sightings(views: Views, board: Board,
         found, pixels = find_corners(image, board)
         if len(found):
             sightings.append(Sighting(view, camera, found, pixels))
-        told()
+        advance()
     missing = next((name for camera, name in enumerate(views.cameras) if camera not in sizes), None)
     if missing is not None:
         raise InputError(views.source, missing, "no image of this camera", "give some, or leave the column out")

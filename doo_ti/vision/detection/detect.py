@@ -1,7 +1,11 @@
 """The thread's centre line in an image (§IV-A).
 
-The paper's binary image says of each pixel whether the thread is on it. Here the line is found to a fraction of a pixel:
-points with directions, which every later step is as exact as. The paper's way is in :mod:`doo_ti.vision.detection.detect`.
+The paper's binary image marks the pixels of the thread. Here the line is found to a fraction of a pixel, as
+points with directions; all later steps are as exact as these. The paper's way, a Canny edge detector with an offset Gaussian,
+is :func:`_canny_line`.
+
+First the thread's appearance is measured: dark or light, how wide, how distinct, and roughly where. It is found on a pyramid
+of ever coarser images: a line stands out as a ridge at the level that fits its width.
 """
 
 from dataclasses import dataclass
@@ -9,45 +13,46 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.vision.detection.appearance import BAR, SURE, Appearance, appearance, of_a_thread
-from doo_ti.vision.detection.ridge import REACH_PX, Curvature, edges_across, gradient, pieces
+from doo_ti.vision.detection.ridge import (
+    POINTS_PER_PX,
+    REACH_PX,
+    Curvature,
+    Edges,
+    Ridges,
+    edges_across,
+    gradient,
+    pieces,
+)
 
 SIGMA_PER_WIDTH, SMALLEST_SIGMA = 0.35, 0.8
-"""Of the ridges' smoothing, px: enough that a bar has one ridge, no more than that neighbours stay apart."""
-
+"""Standard deviation of the ridges' smoothing, px: a bar gets a single ridge, and neighbouring strands stay apart."""
 WEAK, STRONG = 0.2, 0.5
-"""Of the typical strength: a piece of thread reaches the second somewhere and the first everywhere."""
-
+"""Shares of the typical strength: all of a piece of thread exceeds the first, some of it the second."""
 WIDTH_RATIO, FAINTEST = 1.5, 0.4
-"""Of a piece to the most distinct one: width either way, as depth changes it, and mean strength."""
-
+"""Largest ratio of widths, which differ with depth, and least ratio of mean strengths, of a piece and the most distinct one."""
 CANNY_STRONG, CANNY_WEAK = 0.4, 0.15
 """Canny's thresholds over the slope of the thread's edges."""
-
 VOTE_BLUR_PX = 1.0
 """Standard deviation of a vote."""
-
 MEETING = 0.5
-"""Votes on the centre line over those of two whole edges, with an edge pixel per px of length."""
-
+"""Least share of votes on the centre line, of those of two complete edges with an edge pixel per px of length."""
 STEEPEST = 8000
-"""What the thread's slope becomes in the whole numbers that Canny takes."""
-
+"""Slope of the thread's edges in the whole numbers that Canny takes."""
 METHODS = ("ridge", "canny")
 POLARITIES = ("dark", "light")
 MOST_WIDTH_PX = 1000.0
-"""Of a thread: samples are taken across it."""
+"""Largest width of a thread: samples are taken across it."""
 
 
 @dataclass(frozen=True)
 class DetectionOptions:
-    """How the thread is looked for.
+    """Options of the detection.
 
     method          "ridge": to a fraction of a pixel; "canny": the paper's edges and offset Gaussian, to a pixel
-    polarity        "dark" or "light" against the background; None: whichever stands out
-    width_px        of the thread between its edges; None: as found
-    least_contrast  grey levels between thread and background; what differs less is not seen
-    shortest_px     visible pieces of the thread that are shorter are taken for specks
+    polarity        "dark" or "light" against the background; None: the more distinct of the two
+    width_px        of the thread between its edges; None: measured
+    least_contrast  grey levels between thread and background; lines that differ less are ignored
+    shortest_px     shorter visible pieces are regarded as specks
 
     Raises InputError for another method or polarity, and numbers that are not positive.
     """
@@ -77,7 +82,7 @@ class Detection:
 
     points     (N, 2) px, x and y, at most a pixel apart along the line, in no order
     direction  (N, 2) unit tangents, of either sign
-    strength   (N,) how distinct the line is there, grey levels
+    strength   (N,) grey levels: how distinct the line is
     width_px   median distance between the thread's edges, NaN without a thread
     polarity   "dark" or "light", "" without a thread
     shape      (height, width) of the image
@@ -95,6 +100,22 @@ class Detection:
     @property
     def count(self) -> int:
         return len(self.points)
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """How the thread looks in an image.
+
+    polarity  "dark" or "light" against the background
+    width_px  median distance between its edges
+    slope     grey levels per px of its edges, smoothed by EDGE_SIGMA
+    box       left, top, right, bottom of the box around it in px, right and bottom exclusive
+    """
+
+    polarity: str
+    width_px: float
+    slope: float
+    box: tuple[int, int, int, int]
 
 
 def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) -> Detection:
@@ -121,7 +142,8 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
 
 def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float,
                 shortest_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, directions and strengths: ridges at the thread's width, each moved to the middle between the two edges."""
+    """(N, 2) points, (N, 2) directions and (N,) strengths: ridges at the thread's width, each moved to the middle between the
+    two edges."""
     curvature = Curvature(image, max(SMALLEST_SIGMA, SIGMA_PER_WIDTH * look.width_px))
     certain = max(SURE * curvature.noise(), BAR * least_contrast)
     ridges = curvature.ridges(look.polarity, certain / 2)
@@ -157,11 +179,11 @@ def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float,
     """(N, 2) pixels of the centre line in an image (H, W) float32, their (N, 2) directions and (N,) strengths.
 
     "A Canny edge detector with a blurred, offset Gaussian kernel" (§IV-A): every edge pixel votes for the place half a thread's
-    width further in, along the gradient; votes are blurred. Where the votes of both edges meet lies the centre line. Votes
-    carry their directions: those of a single edge do not cancel, and do not count.
+    width along the gradient towards the thread's middle; votes are blurred. The centre line lies where votes of both edges
+    coincide. Votes have directions: those of opposite edges cancel, and only votes that cancel count.
 
     look            of the thread: the offset is half its width
-    least_contrast  grey levels: fainter edges are none
+    least_contrast  grey levels: fainter edges are ignored
     shortest_px     of a piece of line
     """
     import cv2
@@ -182,7 +204,7 @@ def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float,
 
 
 def _meeting(row: np.ndarray, column: np.ndarray, outward: np.ndarray, offset: float, shape: tuple[int, int]) -> np.ndarray:
-    """(H, W) float32: blurred votes of edge pixels that are met by votes from the other side, 1 for two whole edges."""
+    """(H, W) float32: blurred votes of edge pixels that coincide with votes from the other edge, 1 for two complete edges."""
     import cv2
 
     x = np.rint(column - offset * outward[:, 0]).astype(np.int64)
@@ -193,3 +215,87 @@ def _meeting(row: np.ndarray, column: np.ndarray, outward: np.ndarray, offset: f
                for weight in (None, outward[inside, 0], outward[inside, 1])]
     votes, across, down = (cv2.GaussianBlur(ballot, (0, 0), VOTE_BLUR_PX, borderType=cv2.BORDER_CONSTANT) for ballot in ballots)
     return (votes - np.sqrt(across * across + down * down)) * np.float32(VOTE_BLUR_PX * np.sqrt(2 * np.pi) / 2)
+
+
+# --- the thread's appearance -----------------------------------------------------------------------------------------------
+
+LEVELS = 3
+"""Levels of the pyramid above the image itself: halves to eighths, for threads up to some 40 px wide."""
+SIGMA = 1.2
+"""Smoothing, px of a level."""
+SURE = 7.0
+"""Times the noise: strength of lines that are certainly not noise."""
+BAR = 0.4
+"""Strength over contrast of a line at the level that fits it."""
+SHORTEST = 5.0
+"""px of a level: shorter pieces are regarded as noise."""
+SLENDER = 16.0
+"""px of a level: least length of a slender piece, a few px wide."""
+BLUR_PX = 4.0
+"""Largest standard deviation of the blur of a thread's edge; edges with more are shading of the background."""
+LEAST_BALANCE = 0.25
+"""Least ratio of the slopes of a thread's two edges; with less, the line is the border of something else."""
+SAMPLES = 400
+"""Largest number of points where the width is measured."""
+
+
+def appearance(image: np.ndarray, polarity: str | None, width_px: float | None, least_contrast: float) -> Appearance | None:
+    """The appearance of the most distinct line in an image (H, W) float32; None without a distinct line.
+
+    polarity, width_px  given, or None: measured
+    least_contrast      grey levels: lines that differ less from the background are ignored
+    """
+    import cv2
+
+    found, level = [], image
+    for step in range(1, LEVELS + 1):
+        if min(level.shape) < 16:
+            break
+        level = cv2.pyrDown(level)
+        if width_px is not None and step < LEVELS and 2.0**step * SIGMA < 0.4 * width_px:
+            continue
+        curvature = Curvature(level, SIGMA)
+        strong = max(SURE * curvature.noise(), BAR * least_contrast)
+        for sign in ("dark", "light") if polarity is None else (polarity,):
+            ridges = curvature.ridges(sign, strong / 2)
+            ridges = ridges[np.abs(ridges.offset) <= REACH_PX]
+            piece = pieces(ridges, strong / 2, SHORTEST)
+            ridges, piece = ridges[piece > 0], piece[piece > 0]
+            slender = (np.bincount(piece, minlength=1) >= SLENDER * POINTS_PER_PX)[piece]
+            found.append((2.0**step * (ridges.strength[slender] ** 2).sum(), sign, 2.0**step, ridges, slender))
+        if width_px is not None:
+            break
+    for score, sign, scale, ridges, slender in sorted(found, key=lambda entry: -entry[0]):
+        look = _measured(image, ridges, slender, sign, scale, width_px) if score > 0 else None
+        if look is not None:
+            return look
+    return None
+
+
+def _measured(image: np.ndarray, ridges: Ridges, slender: np.ndarray, polarity: str, scale: float,
+              width_px: float | None) -> Appearance | None:
+    """The appearance from the ridges of one level, ``scale`` px of the image to a pixel; None where they are not a thread.
+
+    slender  (N,) bool: points of the long pieces, at which the thread is measured
+    """
+    # Smoothing and taking every second pixel leaves pixel centres of the level on pixel centres of the image.
+    margin = int(np.ceil(8 * scale)) + 4
+    point = scale * ridges.point
+    left, top = np.maximum(np.floor(point.min(axis=0)).astype(int) - margin, 0)
+    right, bottom = np.minimum(np.ceil(point.max(axis=0)).astype(int) + margin + 1, image.shape[::-1])
+    square = np.where(slender, ridges.strength, 0) ** 2
+    chosen = np.flatnonzero(slender & (ridges.strength >= 0.5 * (square * ridges.strength).sum() / square.sum()))
+    chosen = chosen[:: max(1, len(chosen) // SAMPLES)]
+    reach = 3.5 * SIGMA * scale if width_px is None else 0.75 * width_px + 2
+    slopes = gradient(image[top:bottom, left:right])
+    edges = edges_across(slopes, point[chosen] - (left, top), ridges.normal[chosen], polarity, reach)
+    sound = of_a_thread(edges, ridges.strength[chosen])
+    if 2 * sound.sum() < len(sound):
+        return None
+    width = float(np.median(edges.width[sound])) if width_px is None else float(width_px)
+    return Appearance(polarity, width, float(np.median(edges.slope[sound])), (int(left), int(top), int(right), int(bottom)))
+
+
+def of_a_thread(edges: Edges, strength: np.ndarray) -> np.ndarray:
+    """(N,) bool: there are two edges, and they are as sharp as a line of that ``strength`` must have."""
+    return (edges.balance > LEAST_BALANCE) & (edges.slope * BLUR_PX * np.sqrt(2 * np.pi) >= strength / BAR)

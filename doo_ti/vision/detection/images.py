@@ -26,20 +26,20 @@ SEED = ("seed_x", "seed_y", "seed_z", "dir_x", "dir_y", "dir_z")
 FEWEST_CAMERAS = 2
 PNG = b"\x89PNG"
 _changing, _silent = Lock(), []
-"""What the standard error was, while images are decoded, and once for each that is."""
+"""One copy of the original standard error for each image that is being decoded."""
 
 
 def read_image(path: str | os.PathLike, camera: Camera | None = None) -> np.ndarray:
-    """(H, W) uint8 grey levels of any image file that OpenCV reads; colours are weighted, the orientation tag is obeyed.
+    """(H, W) uint8 grey levels of any image file that OpenCV reads, turned as its orientation tag says.
 
-    camera  whose image it is
+    camera  that took the image
 
     Raises InputError for a file that is missing or is no image, and for another size than the camera's.
     """
     import cv2
 
     if hasattr(cv2, "setLogLevel"):
-        cv2.setLogLevel(0)  # its lines on the standard error would stand beside the caller's own
+        cv2.setLogLevel(0)  # the caller reports on damaged files; OpenCV shall not do so as well
     path = Path(path)
     stored = np.frombuffer(read_content(path, remedy="name a readable image"), dtype=np.uint8)
     _check_side(path, *_png_size(stored[:24].tobytes()))  # before it is unpacked
@@ -69,14 +69,14 @@ def _check_side(path: Path, *sides: int) -> None:
 
 @contextmanager
 def _silenced():
-    """Without what image libraries write to the standard error about a damaged file: the caller reports on it in one line. As
-    there is one standard error, the first thread to decode an image silences it, and the last one has it heard again."""
+    """Discards what image libraries write to the standard error about a damaged file: the caller reports on it in one line.
+    All threads share the standard error: the first one to decode an image redirects it, the last one restores it."""
     with _changing:
         if not _silent:
             sys.stderr.flush()
-            kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, 2)
-            os.close(nowhere)
+            kept, discarded = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+            os.dup2(discarded, 2)
+            os.close(discarded)
         else:
             kept = _silent[0]
         _silent.append(kept)

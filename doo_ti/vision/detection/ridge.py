@@ -1,9 +1,12 @@
 """Ridges of an image to a fraction of a pixel (Steger, *An unbiased detector of curvilinear structures*, 1998), and the edges
 beside them.
 
-On a line the brightness, smoothed to about the line's width, has its extremum across: the first derivative along the
-eigenvector n of the Hessian vanishes and the second is large. Around a pixel both are known, so that the extremum lies at
-t n with t = −(g·n) / (nᵀ H n). At the border of something wide the first derivative does not vanish: it is no ridge.
+On a line the brightness, smoothed to about the line's width, has an extremum across it: the first derivative along the
+eigenvector n of the Hessian is zero and the second is large. From the derivatives g and H at a pixel, the extremum lies at
+
+    t n with t = −(g·n) / (nᵀ H n).
+
+At the border of something wide the first derivative is not zero, so that borders are no ridges.
 
 A round thread lit from one side is brighter on that side; the extremum of its brightness then lies off its middle, but the
 middle between its edges does not.
@@ -14,16 +17,13 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 REACH_PX = 0.75
-"""A line is taken from every pixel this near to it: wide enough that its points lie at most a pixel apart in any direction."""
-
+"""Pixels this near to a line give a point of it: with this the points are at most a pixel apart in any direction."""
 FIRST_REACH_PX, FIRST_REACH = 2.0, 0.5
-"""The same for t, at least, and over σ: t comes out too large away from the ridge, and is uncertain where that is flat."""
-
+"""Bounds of t before edges are found, px and over σ: t is too large away from the ridge, and uncertain on flat ridges."""
 POINTS_PER_PX = 2 * REACH_PX
-"""Of a line's length, on average: as many pixels as have it within reach."""
-
+"""Mean number of points per px of a line."""
 ROUNDNESS = 0.6
-"""Largest curvature along the line, of the same sign, over that across: above it lies a speck or a crossing."""
+"""Largest curvature along the line, of the same sign, over that across: where it is larger, there is a speck or a crossing."""
 
 
 @dataclass(frozen=True)
@@ -72,18 +72,18 @@ class Curvature:
         self._deviator = np.sqrt((0.5 * (self.xx - self.yy)) ** 2 + self.xy * self.xy)
 
     def noise(self) -> float:
-        """Grey levels: standard deviation of the strength where there is nothing, from the median over the image."""
+        """Grey levels: standard deviation of the strength in the background, from the median over the image."""
         return float(self.sigma**2 * 1.4826 * np.median(np.abs(self.xx[::4, ::4])))
 
     def ridges(self, polarity: str, least: float) -> Ridges:
-        """The ridges of at least this strength: of lines that are "dark" or "light" against what surrounds them."""
+        """The ridges of at least this strength, of lines that are "dark" or "light" against their surroundings."""
         sign = 1 if polarity == "dark" else -1
         row, column = np.nonzero(sign * self._mean + self._deviator >= least / self.sigma**2)
         xx, xy, yy = (sign * part[row, column].astype(np.float64) for part in (self.xx, self.xy, self.yy))
         half, deviator = (xx - yy) / 2, self._deviator[row, column].astype(np.float64)
         mean = (xx + yy) / 2
         across, along = mean + deviator, mean - deviator
-        # The eigenvector from whichever of its two forms does not cancel.
+        # Of the two formulas for the eigenvector, the one without cancellation.
         flat = half > 0
         normal = np.stack([np.where(flat, deviator + half, xy), np.where(flat, xy, deviator - half)], axis=1)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
@@ -108,7 +108,7 @@ def derivative_kernels(sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def pieces(ridges: Ridges, strong: float, shortest_px: float) -> np.ndarray:
-    """(N,) int: the connected piece of line that a point belongs to; 0 where that is too short, or nowhere ``strong``."""
+    """(N,) int: the connected piece of line that a point belongs to; 0 where that is too short, or has no ``strong`` point."""
     import cv2
 
     if not len(ridges.row):
@@ -133,7 +133,7 @@ EDGE_SIGMA = 1.0
 
 @dataclass(frozen=True)
 class Edges:
-    """What was found across N points of a line.
+    """The two edges of a line at N of its points.
 
     shift  (N,) px from the point along its normal to the middle between the edges
     width  (N,) px between the edges
@@ -159,8 +159,9 @@ def gradient(image: np.ndarray) -> np.ndarray:
 def edges_across(gradients: np.ndarray, point: np.ndarray, normal: np.ndarray, polarity: str, reach_px: float) -> Edges:
     """The strongest edge on either side of each of (N, 2) points, within ``reach_px`` along ``normal``.
 
-    gradients  of the image, from :func:`gradient`. They are interpolated, not the brightness: OpenCV places samples to 1/32 px,
-               which near the slope's extremum matters little, but would make differences of the brightness jump.
+    gradients  of the image, from :func:`gradient`. These are interpolated, and not the brightness, because OpenCV rounds the
+               places of samples to 1/32 px: near the slope's extremum that matters little, but differences of the brightness
+               would jump.
     """
     import cv2
 

@@ -1,1 +1,1 @@
-"""Images of rods as a rig of cameras would take them (§V-A)."""
+"""Rendered images of rods, as seen by a rig of cameras (§V-A)."""

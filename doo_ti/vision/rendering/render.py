@@ -1,52 +1,60 @@
-"""Images of rods through a rig, so that anyone can test without a camera (§V-A).
+"""Images of rods through a rig, for tests without cameras (§V-A).
 
-A scene is the thread and, before and around it, what hides it and what looks like it; all cameras of a set see the same
-scene. An image is the scene, blurred by the lens, with the sensor's noise, and the losses of JPEG.
+A scene is the thread, objects that hide it, and objects that look like it; all cameras of a set see the same scene. An image
+is the scene, blurred by the lens, with the sensor's noise, and the losses of JPEG. Sets of images are written as a camera rig
+would have left them: images, SETS.csv and the rig.
+
+Axes: A sets, C cameras, V vertices of a rod, n points of a curve.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+import csv
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from io import StringIO
+from pathlib import Path
 
 import numpy as np
 
 from doo_ti.errors import InputError
+from doo_ti.io.files import write_whole
 from doo_ti.types import LARGEST
 from doo_ti.vision.cameras.camera import Camera
-from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.cameras.rig import Rig, save_rig
+from doo_ti.vision.detection.images import SEED
 from doo_ti.vision.rendering.tubes import DRAWN_BLUR_PX, Tube, draw, smooth_curve
 
 PIXEL_BLUR_PX = 12**-0.5
-"""Standard deviation of a pixel's square, which gathers the light behind the lens."""
-
+"""Standard deviation of a pixel's square, over which the sensor integrates the light."""
 MOST_THINGS = 1000
-"""Of each kind, beside the thread; the memory for an image grows with them."""
+"""Largest number of objects of each kind beside the thread; the memory for an image grows with them."""
 MOST_GREY = 1e4
 MOST_BLUR_PX = 100.0
 LEAST_MM, MOST_MM = 1e-3, 1e3
-"""Of diameters, and of marks and the distance between them."""
-
+"""Bounds of diameters, and of marks and the distance between them."""
 BLOB_PX = 120
 """Size of the background's uneven patches."""
 
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """What the images look like; brightness is in grey levels, 0 to 255.
+    """The look of the images; brightness is in grey levels, 0 to 255.
 
     thread           brightness of the thread away from the light; above ``background`` for a light thread on dark
     background       mean brightness of the background
     unevenness       standard deviation of the background's soft patches
-    gradient         by how much the background is brighter at the right border than at the left
-    shading          by how much a surface is brighter where it faces the light
-    light            towards the light, in the world; any length
-    blur_px          standard deviation of the lens's blur, from 0.3 on
+    gradient         brightness of the background at the right border less that at the left one
+    shading          additional brightness of a surface that faces the light
+    light            direction towards the light, in the world; any length
+    blur_px          standard deviation of the lens's blur, at least 0.3
     noise            standard deviation of the sensor's noise
     jpeg_quality     1 to 100, or None: not compressed
-    occluders        how many balls and bars, in turn, hang before the thread, seen from the cameras' midst
-    occluded_share   share of the thread's length that they hide together, roughly: each camera sees them elsewhere
+    occluders        number of balls and bars, alternating, in front of the thread as seen from the middle of the cameras
+    occluded_share   approximate share of the thread's length that they hide together; it differs from camera to camera
     occluder         their brightness
-    clutter          how many other lines lie about, of 0.3 to 3 thread diameters, as bright as the thread or less distinct
-    specks           how many specks lie about
+    clutter          number of other lines, of 0.3 to 3 thread diameters, as bright as the thread or less distinct
+    specks           number of specks
     mark_spacing_mm  distance between marks painted on the thread, from its start on, or None: no marks
     mark_length_mm   their length along the thread
     mark             their brightness
@@ -92,17 +100,17 @@ class RenderOptions:
 
 MOST = {"occluders": MOST_THINGS, "clutter": MOST_THINGS, "specks": MOST_THINGS, "blur_px": MOST_BLUR_PX, "occluded_share": 1,
         "mark_spacing_mm": MOST_MM, "mark_length_mm": MOST_MM}
-"""Of the options; MOST_GREY of all others."""
+"""Largest values of options; MOST_GREY for all others."""
 
 
 def render_set(rig: Rig, rod: np.ndarray, diameter_mm: float, options: RenderOptions = RenderOptions(),
                seed: int | Sequence[int] = 0) -> list[np.ndarray]:
     """C images (H, W) uint8 of one rod (V, 3) mm of the given diameter.
 
-    seed  everything random follows from it: the same seed gives the same images
+    seed  of everything random: the same seed gives the same images
 
-    Raises InputError for a rod that is not (V, 3) finite numbers with V ≥ 2, coinciding neighbours, and diameters that no
-    thread has.
+    Raises InputError for a rod that is not (V, 3) finite numbers with V ≥ 2, coinciding neighbours, and diameters out of
+    range.
     """
     rod = np.asarray(rod, dtype=np.float64)
     if rod.ndim != 2 or rod.shape[1] != 3 or len(rod) < 2 or not np.isfinite(rod).all():
@@ -117,19 +125,19 @@ def render_set(rig: Rig, rod: np.ndarray, diameter_mm: float, options: RenderOpt
 
 
 def check_diameter(diameter_mm: float, source: str = "rendering", field: str = "diameter_mm") -> None:
-    """Raise InputError for a diameter that no thread has."""
+    """Raise InputError for a diameter out of range."""
     if not LEAST_MM <= diameter_mm <= MOST_MM:
         raise InputError(source, field, f"{diameter_mm:g} mm", f"give {LEAST_MM:g} to {MOST_MM:g} mm")
 
 
 def _samples(rig: Rig, rod: np.ndarray) -> int:
-    """Points to an edge so that they lie about a pixel apart."""
+    """Number of points per edge for which they are about a pixel apart."""
     steps = np.linalg.norm(np.diff(rig.project(rod), axis=-2), axis=-1)
     return int(np.clip(np.ceil(np.nanmax(steps, initial=1.0)), 4, 64))
 
 
 def _scene(rig: Rig, curve: np.ndarray, diameter: float, options: RenderOptions, random: np.random.Generator) -> list[Tube]:
-    """The thread and everything else that is in sight."""
+    """The thread and all other objects."""
     place = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
     brightness = np.full(len(curve), options.thread)
     if options.mark_spacing_mm is not None:
@@ -142,7 +150,7 @@ def _scene(rig: Rig, curve: np.ndarray, diameter: float, options: RenderOptions,
 
 
 def _occluders(curve, place, toward, diameter: float, options: RenderOptions, random: np.random.Generator) -> list[Tube]:
-    """Balls and bars, one in each of as many equal parts of the thread, close before it."""
+    """Balls and bars close in front of the thread, one in each of ``occluders`` equal parts of its length."""
     found = []
     radius = max(options.occluded_share * place[-1] / (2 * max(options.occluders, 1)), 1e-3)
     for index in range(options.occluders):
@@ -158,7 +166,7 @@ def _occluders(curve, place, toward, diameter: float, options: RenderOptions, ra
 
 
 def _clutter(curve, length: float, diameter: float, options: RenderOptions, random: np.random.Generator) -> list[Tube]:
-    """Bent lines and specks in the ball around the thread's middle that it could sweep."""
+    """Bent lines and specks in a ball around the thread's middle."""
     found = []
     for index in range(options.clutter + options.specks):
         line = index < options.clutter
@@ -207,3 +215,86 @@ def _background(camera: Camera, options: RenderOptions, random: np.random.Genera
     patches = cv2.resize(coarse, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
     ramp = np.linspace(-0.5, 0.5, camera.width, dtype=np.float32)
     return np.float32(options.background) + np.float32(options.unevenness) * patches + np.float32(options.gradient) * ramp
+
+
+# --- sets of images as files -----------------------------------------------------------------------------------------------
+
+SETS_FILE, RIG_FILE = "sets.csv", "rig.yaml"
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """A sets of C images to render.
+
+    names        A names, used in the names of files
+    curves       (A, n, 3) mm: the threads' centre lines
+    point        (A, 3) mm: v⁰
+    direction    (A, 3) of e⁰
+    diameter_mm  of all threads
+    rig          the cameras
+    options      of the images
+    seed         of everything random; set a has the seed (``seed``, a), so that its images do not depend on the other sets
+
+    Raises InputError for names that occur twice or cannot name a file, and for threads that a camera does not see completely.
+    """
+
+    names: tuple[str, ...]
+    curves: np.ndarray
+    point: np.ndarray
+    direction: np.ndarray
+    diameter_mm: float
+    rig: Rig
+    options: RenderOptions = RenderOptions()
+    seed: int = 0
+
+    def __post_init__(self):
+        if len(set(self.names)) < len(self.names) or any(not name or set(name) & set('/\\\0') for name in self.names):
+            raise InputError("image synthesis", "names", "one occurs twice, or cannot name a file", "name the sets apart")
+        for camera in self.rig.cameras:
+            pixels = camera.project(self.curves)
+            inside = ((pixels > 0) & (pixels < (camera.width - 1, camera.height - 1))).all(axis=(1, 2))
+            if not inside.all():
+                name = self.names[int(np.argmin(inside))]
+                raise InputError(self.rig.source, f"cameras.{camera.name}", f"does not see all of {name}",
+                                 "move the camera, or give it a wider view")
+
+    def images(self, index: int) -> list[np.ndarray]:
+        """C images (H, W) uint8 of set ``index``."""
+        return render_set(self.rig, self.curves[index], self.diameter_mm, self.options, (self.seed, index))
+
+
+def save_photographs(folder: Path, photographs: Photographs, threads: int = 2,
+                     on_set: Callable[[], None] | None = None) -> None:
+    """Write all images, ``sets.csv`` and ``rig.yaml`` to ``folder``, which exists; ``on_set`` is called after each set.
+
+    Images are JPEG of the options' quality, or PNG without one. ``sets.csv`` is written last: if it exists, all files do.
+    """
+    with ThreadPoolExecutor(threads) as executor:  # OpenCV and NumPy release the interpreter's lock
+        for _ in executor.map(partial(_save_set, folder, photographs), range(len(photographs.names))):
+            if on_set is not None:
+                on_set()
+    save_rig(folder / RIG_FILE, photographs.rig)
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("name", *photographs.rig.names, *SEED))
+    for index, name in enumerate(photographs.names):
+        seed = np.concatenate([photographs.point[index], photographs.direction[index]]).round(12) + 0.0
+        writer.writerow((name, *_files(photographs, index), *seed.tolist()))
+    write_whole(folder / SETS_FILE, lambda file: file.write(text.getvalue().encode()))
+
+
+def _files(photographs: Photographs, index: int) -> list[str]:
+    suffix = ".png" if photographs.options.jpeg_quality is None else ".jpg"
+    return [f"{photographs.names[index]}_{camera}{suffix}" for camera in photographs.rig.names]
+
+
+def _save_set(folder: Path, photographs: Photographs, index: int) -> None:
+    """Write the images of one set, compressed once, as files."""
+    import cv2
+
+    quality = photographs.options.jpeg_quality
+    raw = replace(photographs, options=replace(photographs.options, jpeg_quality=None))
+    how = [] if quality is None else [cv2.IMWRITE_JPEG_QUALITY, int(quality)]
+    for file, image in zip(_files(photographs, index), raw.images(index), strict=True):
+        content = cv2.imencode(Path(file).suffix, image, how)[1].tobytes()
+        write_whole(folder / file, lambda opened, content=content: opened.write(content))

@@ -1,7 +1,9 @@
-"""Round tubes as a camera sees them: where the projection says to a few thousandths of a pixel, shaded, the nearer in front.
+"""Round tubes as a camera sees them: shaded, the nearer in front, at their projections to a few thousandths of a pixel.
 
-A tube is cut into straight segments, each of which meets the few pixels around its projection. What the segments of one
-strand leave on a pixel counts once, by the nearest of them; strands over the same pixel are laid over each other by depth.
+A tube is cut into straight segments, each of which covers the few pixels around its projection. Of the neighbouring segments
+of one strand only the nearest counts at a pixel; strands over the same pixel are drawn one over the other, by depth.
+
+Axes: S segments, n points of a curve, V vertices of a rod.
 """
 
 from dataclasses import dataclass
@@ -11,10 +13,9 @@ import numpy as np
 from doo_ti.vision.cameras.camera import Camera
 
 DRAWN_BLUR_PX = 6**-0.5
-"""Of the hat over which a pixel gathers what it covers."""
-
+"""Standard deviation of the hat function over which a pixel integrates."""
 ACROSS = 4
-"""Places across the covered part of a pixel where shading is evaluated."""
+"""Number of places across the covered part of a pixel where shading is evaluated."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +36,9 @@ def draw(camera: Camera, tubes: list[Tube], background: np.ndarray, light: np.nd
     """(H, W) float32 grey levels: ``tubes`` before ``background``, blurred by a standard deviation of DRAWN_BLUR_PX.
 
     light    (3,) unit vector towards the light, in the world
-    shading  grey levels that a surface is brighter where it faces the light; in between, by the cosine
+    shading  grey levels: additional brightness of a surface that faces the light, times the cosine of its angle to the light
 
-    What is not in front of the camera is not seen.
+    Parts that are not in front of the camera are left out.
     """
     image = np.array(background, dtype=np.float32)
     segments = _join([_segments(camera, tube, light) for tube in tubes])
@@ -57,10 +58,10 @@ def draw(camera: Camera, tubes: list[Tube], background: np.ndarray, light: np.nd
 def _segments(camera: Camera, tube: Tube, light: np.ndarray) -> dict[str, np.ndarray]:
     """The segments of a tube in the image, arrays of one row or number for each.
 
-    begin, along  px: where it begins and what it runs
+    begin, along  px: its start, and the vector to its end
     radius        (S, 2) px at its ends: half the distance between the projected sides
     depth         mm of its near side
-    side, front   cosine of the light to the side that lies left of the run, and to the front
+    side, front   cosine between the light and the side left of ``along``, and between the light and the front
     brightness    grey levels
     """
     curve = np.asarray(tube.curve, dtype=np.float64)
@@ -73,7 +74,7 @@ def _segments(camera: Camera, tube: Tube, light: np.ndarray) -> dict[str, np.nda
     right = camera.project(curve - tube.radius * side)
     along = np.diff(centre, axis=0)
     across = (left - right)[:-1]
-    # The image's y runs down: "left" is wherever the cross product below is positive, and the side follows suit.
+    # The image's y points down: "left" is where the cross product below is positive.
     turned = np.sign(along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0])
     size = np.linalg.norm(left - right, axis=1) / 2
     middle = np.broadcast_to(np.asarray(tube.brightness, dtype=np.float64), len(curve))
@@ -98,8 +99,8 @@ def _join(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
 
 
 def _covered(segments: dict[str, np.ndarray], height: int, width: int) -> tuple[np.ndarray, ...]:
-    """Every pair of a segment and a pixel it covers: segment, pixel, its distance, how far it lies sideways of the axis, the
-    radius there, and the share of the pixel that is covered."""
+    """Every pair of a segment and a pixel that it covers: segment, pixel, distance from the segment, signed distance from the
+    axis, radius there, and the share of the pixel that is covered."""
     begin, along = segments["begin"], segments["along"]
     reach = segments["radius"].max(axis=1, initial=0)[:, None] + 1
     last = np.array([width, height]) - 1
@@ -125,10 +126,10 @@ def _covered(segments: dict[str, np.ndarray], height: int, width: int) -> tuple[
 
 
 def _below(level: np.ndarray) -> np.ndarray:
-    """Share of a pixel that lies below ``level`` px from its middle: the integral of a hat, 1 at the middle and 0 a pixel away.
+    """Share of a pixel below ``level`` px from its middle: the integral of a hat function, 1 at the middle and 0 a pixel away.
 
-    A hat, and not the pixel's square: sampled at whole pixels it keeps the place of what is drawn; a square shifts lines along
-    the pixel grid by up to a tenth of a pixel, and no later blur takes that back.
+    With a hat, sampled at whole pixels, drawn lines keep their place. With the pixel's square, lines along the pixel grid would
+    be shifted by up to a tenth of a pixel.
     """
     inside = np.clip(level, -1, 1)
     return 0.5 + inside - 0.5 * inside * np.abs(inside)
@@ -161,8 +162,8 @@ def _shaded(segment, pixel, sideways, radius, cover, segments: dict[str, np.ndar
 def smooth_curve(vertices: np.ndarray, samples: int) -> np.ndarray:
     """(..., (V − 1) samples + 1, 3) mm: points of the curve through (..., V, 3) vertices, ``samples`` to an edge.
 
-    The curve passes through every vertex; its parameter is chord length. At the ends the first two and the last two edges
-    are one cubic each ("not a knot"), so that clamped ends keep their curvature; fewer than four vertices end straight.
+    The curve passes through every vertex; its parameter is chord length. The first two and the last two edges are one cubic
+    each ("not a knot"), so that clamped ends keep their curvature; with fewer than four vertices the ends have no curvature.
     """
     vertices = np.asarray(vertices, dtype=np.float64)
     chord = np.linalg.norm(np.diff(vertices, axis=-2), axis=-1)[..., None]

@@ -1,1 +1,1 @@
-"""How well rods agree with what images show: distance maps, E_proj and E_vis; and marks triangulated (§IV-A, §V-A)."""
+"""Agreement of rods with images: distance maps, E_proj and E_vis; and triangulation of marks (§IV-A, §V-A)."""

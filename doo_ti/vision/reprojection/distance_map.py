@@ -1,8 +1,10 @@
-"""Distance maps: how far every pixel is from the detected line, for sets of images (§IV-A).
+"""Distance maps: the distance of every pixel from the detected line, for sets of images (§IV-A).
 
-Around each detected point the line is taken to run straight for half a pixel either way, along the direction found there, so
-that the map has a valley and no row of pits. Which of these pieces is nearest to a pixel, its neighbours tell: the search
-passes over a window's lines down and up, and along each of them both ways (Danielsson, 1980).
+    D(p) = min over pieces n of |p − q_n(p)|,    q_n(p) the point of piece n nearest to p
+
+A piece is half a pixel of straight line either way of a detected point, along its direction, so that D has a continuous valley
+along the line. Each pixel takes its nearest piece from its neighbours (Danielsson, 1980): the search passes over a window's
+lines down and up, and along each line both ways.
 """
 
 from dataclasses import dataclass
@@ -15,27 +17,23 @@ from doo_ti.errors import InputError
 from doo_ti.vision.detection.detect import Detection
 
 HALF_LENGTH_PX = 0.5
-"""Of the straight piece around a point: half the largest spacing of points along the line."""
-
+"""Half the length of a piece, and half the largest spacing of points along the line."""
 SMALLEST_MARGIN_PX = 2
-"""So that a window is at least three pixels wide, as sampling needs it."""
-
+"""With this a window is at least three pixels wide, the least that sampling needs."""
 AROUND = 3
-"""px around a piece where others are looked for that may be nearer still."""
-
+"""px: pieces of pixels this near to a pixel's piece are compared too, since neighbours may miss the nearest one."""
 NEAR_PX = 25.0
-"""Distance up to which they are looked for: farther out, up to 0.07 px were measured without, where a circle's rays meet."""
-
+"""Distance up to which they are compared; farther out the error without it is up to 0.07 px, near the centre of a circle."""
 PIXELS_AT_ONCE = 1 << 24
-"""About as many share the search's scratch."""
+"""Approximate number of pixels that are searched at a time, which bounds the memory."""
 
 
 @dataclass(frozen=True)
 class DistanceMaps:
-    """Distances in px around what was detected, for A sets of C images, one window each.
+    """Distances in px around the detected lines, for A sets of C images, one window each.
 
     values  (N,) float32: all windows one after the other, each line by line
-    window  (A, C, 5) int64: where a window starts in ``values``, and its left, top, width and height in px
+    window  (A, C, 5) int64: index in ``values`` where a window starts, and its left, top, width and height in px
     """
 
     values: np.ndarray
@@ -101,8 +99,8 @@ def _distance(pieces: ti.template(), n, x, y):
 
 
 @ti.func
-def _ask(pieces: ti.template(), nearest: ti.template(), values: ti.template(), here, neighbour, x, y):
-    """Take over the neighbour's piece where it is nearer to pixel ``here`` at (x, y) than its own."""
+def _compare(pieces: ti.template(), nearest: ti.template(), values: ti.template(), here, neighbour, x, y):
+    """Give pixel ``here`` at (x, y) its neighbour's piece where that is nearer than its own."""
     n = nearest[neighbour]
     if n >= 0 and n != nearest[here]:
         found = _distance(pieces, n, x, y)
@@ -117,24 +115,24 @@ def _pass_line(pieces: ti.template(), nearest: ti.template(), values: ti.templat
         here, above = start + j * width + i, start + before * width + i
         if before != j:
             for k in range(ti.max(i - 1, 0), ti.min(i + 2, width)):
-                _ask(pieces, nearest, values, here, above + k - i, left + i, top + j)
+                _compare(pieces, nearest, values, here, above + k - i, left + i, top + j)
         if i > 0:
-            _ask(pieces, nearest, values, here, here - 1, left + i, top + j)
+            _compare(pieces, nearest, values, here, here - 1, left + i, top + j)
     for back in range(1, width):
         i = width - 1 - back
         here = start + j * width + i
-        _ask(pieces, nearest, values, here, here + 1, left + i, top + j)
+        _compare(pieces, nearest, values, here, here + 1, left + i, top + j)
 
 
 @ti.func
 def _look_around(pieces: ti.template(), nearest: ti.template(), values: ti.template(), start, left, top, width, height, i, j):
-    """Ask the pixels around the piece that is nearest to pixel (i, j): where pieces crowd, neighbours know not all of them."""
+    """Compare the pieces around the one nearest to pixel (i, j): where pieces are dense, neighbours do not hold all of them."""
     here = start + j * width + i
     n = nearest[here]
     column, line = ti.cast(ti.round(pieces[n, 0]), ti.i32) - left, ti.cast(ti.round(pieces[n, 1]), ti.i32) - top
     for b in range(ti.max(line - AROUND, 0), ti.min(line + AROUND + 1, height)):
         for a in range(ti.max(column - AROUND, 0), ti.min(column + AROUND + 1, width)):
-            _ask(pieces, nearest, values, here, start + b * width + a, left + i, top + j)
+            _compare(pieces, nearest, values, here, start + b * width + a, left + i, top + j)
 
 
 @ti.kernel

@@ -4,8 +4,8 @@ With p(x) the distorted image of a point, v = ∂p/∂x Δ its motion along the 
 
     E_proj = ∫ D(p) |v| ds ≈ (1/n) Σ_k D(p_k) |v_k|   at n places s_k = (k − ½)/n along the edge:
 
-the mean distance in px times the length of the image in px. D is capped smoothly, D/√(1 + D²/cap²): a gap in the detection
-costs, it does not veto.
+the mean distance in px times the length of the image in px. D is capped smoothly, D/√(1 + D²/cap²), so that a gap in the
+detection costs a limited energy.
 
 At a place y in the camera's axes the integrand is F m/y3, with F(X, Y) the capped distance at the image of y and m = |A w| the
 length of the edge's image there, A the lens' Jacobian in px and w = (d1 − X d3, d2 − Y d3). All derivatives are taken by
@@ -18,15 +18,16 @@ import taichi as ti
 from doo_ti.physics import tuples
 from doo_ti.physics.algebra import largest_of
 from doo_ti.physics.tuples import full, itemwise, picked, record, repeated, unevaluated
-from doo_ti.vision.cameras.projection import (
+from doo_ti.vision.reprojection.sampling import (
     CAMERA_COLUMNS,
+    WINDOW_COLUMNS,
+    MapSampling,
     Projection,
     bent,
     bent_curvature,
     bent_slope,
     bent_third,
 )
-from doo_ti.vision.reprojection.sampling import WINDOW_COLUMNS, MapSampling
 
 # Columns of the numbers of a set and a camera: the camera's, the window's, then how to integrate.
 WINDOW = CAMERA_COLUMNS
@@ -35,12 +36,12 @@ INVERSE_CAP = POINTS + 1  # 1/cap², px⁻²
 REACH = POINTS + 2  # px: see :meth:`EdgeIntegral.moments`
 COLUMNS = POINTS + 3
 CREASE = 13 / 32
-"""px: what the spline makes of |x| where x is 0, on average over places between pixels. Left in, a perfect image would cost in
-proportion to its length, and rods would gain by making their images shorter."""
+"""px: the spline's value of |x| at x = 0, on average over places between pixels. It is subtracted; otherwise a perfect image
+would cost in proportion to its length, and rods would gain by making their images shorter."""
 UNSEEN = 1e5
-"""px²: an edge that a camera cannot see, for being behind it, costs this much, whatever it does."""
+"""px²: constant cost of an edge behind a camera."""
 SLOWEST = 1e-6
-"""px: an edge that points at the camera is no shorter."""
+"""px: least length of an edge's image, for edges that point at the camera."""
 
 
 # Here most numbers are used once: they are evaluated where they get a name.
@@ -99,7 +100,7 @@ def congruent(c, j) -> tuple:
 
 @ti.func
 def convex(second):
-    """What of a symmetric matrix is positive semidefinite."""
+    """The positive semidefinite part of a symmetric matrix."""
     middle = 0.5 * (second[0] + second[2])
     half = 0.5 * (second[0] - second[2])
     root = ti.sqrt(half * half + second[1] * second[1])
@@ -302,10 +303,10 @@ class EdgeIntegral:
     def moments(self, view, a, d, coarse):
         """The record of E_proj and the moments (Σ γ, Σ s γ, Σ K, Σ s K, Σ s² K) of its derivatives, in the camera's axes.
 
-        Where ``coarse`` is zero all are exact, of the B-spline; Σ s K, of the edge's start by the edge's direction, is no
-        symmetric matrix. Where it is one, K is positive semidefinite: what is convex of D, and of the length by the edge's
-        direction. Off its crease D grows evenly and has no curvature along its gradient: there K has 1/D instead, from
-        ``REACH`` px up, whose Newton step ends on the crease.
+        Where ``coarse`` is zero all are exact, of the B-spline; Σ s K, by the edge's start and direction, is not symmetric.
+        Where it is one, K is positive semidefinite: the convex part of D, and of the length by the edge's direction. Off its
+        crease D grows linearly and has no curvature along its gradient: there K has 1/D instead, from ``REACH`` px up, whose
+        Newton step ends on the crease.
         """
         zero = 0.0 * view.row
         found = no_moments(zero)
@@ -326,6 +327,6 @@ class EdgeIntegral:
 
 @picked
 def no_moments(zero):
-    """The record of an energy and the moments of its derivatives, nothing yet."""
+    """The record of an energy and the moments of its derivatives, all zero."""
     return record(energy=zero, gradient=repeated(zero, 3), gradient_s=repeated(zero, 3), curvature=repeated(zero, 6),
                   curvature_s=repeated(zero, 9), curvature_ss=repeated(zero, 6))

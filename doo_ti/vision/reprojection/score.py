@@ -1,4 +1,4 @@
-"""E_vis of hypotheses by the thousand: E of rods without twist, and E_proj in every camera (§IV-A).
+"""E_vis = E + ν Σ_c E_proj^c of thousands of hypotheses, E of rods without twist (§IV-A).
 
     maps = distance_maps(detections)
     score(vertices, maps, set_index, rig, nu, Material(bend=6e5, twist=8e5))  # Score, one entry per hypothesis
@@ -13,13 +13,13 @@ import taichi as ti
 from doo_ti import runtime
 from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
-from doo_ti.physics.tuples import cross, dot, itemwise, minus, repeated, variable
+from doo_ti.physics.tuples import cross, dot, minus, put_lane, record, repeated, variable
 from doo_ti.relaxation.tables import MOST_NUMBERS
 from doo_ti.types import Material, unit_up
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from doo_ti.vision.reprojection.edge_integral import EdgeIntegral
-from doo_ti.vision.reprojection.evidence import Reprojection
+from doo_ti.vision.reprojection.image_energy import Reprojection
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Score:
     energy        (N,) E of the rod itself, mm²: bend and gravity, without twist; zero without a material
     camera_error  (N, C) E_proj of each camera, px²
     total         (N,) E_vis = E + ν Σ_c E_proj, mm²; NaN where a vertex is not finite
-    unseen        (N, C) share of the rod that a camera cannot see, for being behind it: its error says nothing then
+    unseen        (N, C) share of the rod that is behind a camera; where it is not 0, the camera's error has no meaning
     """
 
     energy: np.ndarray
@@ -43,16 +43,17 @@ def score(
     vertices: np.ndarray, maps: DistanceMaps, set_index, rig: Rig, nu: float, material: Material | None = None,
     *, material_index=None, points: int = 8, cap: float = 40.0, up=(0.0, 0.0, 1.0),
 ) -> Score:
-    """E_vis of N hypotheses (§IV-A), in f32: terms are good to six digits.
+    """E_vis of N hypotheses (§IV-A), in f32, with six correct digits.
 
     vertices        (N, V, 3) mm, float32 or float64; of relaxed rods ``configuration.vertices``
     set_index       (N,) which of the A sets of images each hypothesis is compared with, or one for all
-    material        isotropic, G rows: then E is that of the rod without twist, which a free end leaves it; None: no E
+    material        isotropic, G rows: E is that of a rod with a free end, which has no twist; None: no E
     material_index  (N,) its row for each hypothesis; without it one row for all, or one each
     up              (3,) direction against gravity, of length one
 
-    ``maps``, ``rig``, ``nu``, ``points`` and ``cap`` are those of :class:`Reprojection`. The same hypothesis has the same
-    score in any company. Raises InputError for shapes that do not match, rows out of range, and another material.
+    ``maps``, ``rig``, ``nu``, ``points`` and ``cap`` are those of :class:`Reprojection`. The score of a hypothesis does not
+    depend on the others. Raises InputError for shapes that do not match, rows out of range, and materials that are not
+    isotropic.
     """
     reprojection = Reprojection(maps, rig, nu, points, cap)
     vertices = np.asarray(vertices)
@@ -89,11 +90,11 @@ def _rows(name: str, index, count: int, size: int) -> np.ndarray:
 
 
 def _stiffness(material: Material | None) -> np.ndarray:
-    """(G, 2) α and μ. Raises InputError for a material whose energy vertices do not tell."""
+    """(G, 2) α and μ. Raises InputError for a material whose energy does not follow from vertices alone."""
     if material is None:
         return np.zeros((1, 2))
     if not material.is_isotropic:
-        raise InputError("score", "material", "not isotropic", "give one α and no rest curvature: E is that of vertices")
+        raise InputError("score", "material", "not isotropic", "give one α and no rest curvature: E is computed from vertices")
     return np.ascontiguousarray(np.stack([material.bend[:, 0, 0, 0], material.weight], axis=-1))
 
 
@@ -109,24 +110,23 @@ class Scoring:
 
     @ti.func
     def vertex(self, vertices: ti.template(), first, v):
-        """Vertex v of the pack's hypotheses; the last one fills up."""
-        x = variable(repeated(self.constant(0.0), 3))
+        """Vertex v of the pack's hypotheses; the last hypothesis fills an incomplete pack."""
+        found = record(x=repeated(self.constant(0.0), 3))
         for slot in ti.static(range(self.width)):
             rod = ti.min(first + slot, vertices.shape[0] - 1)
-            x = itemwise(self.with_lane(x[0], slot, vertices[rod, v, 0]), self.with_lane(x[1], slot, vertices[rod, v, 1]),
-                         self.with_lane(x[2], slot, vertices[rod, v, 2]))
-        return x
+            put_lane(found, self.with_lane, slot, x=(vertices[rod, v, 0], vertices[rod, v, 1], vertices[rod, v, 2]))
+        return found.x
 
     @ti.func
     def rows(self, set_index: ti.template(), material_index: ti.template(), stiffness: ti.template(), first):
         """(set, α, μ) of the pack's hypotheses."""
-        row = variable(repeated(self.constant(0.0), 3))
+        zero = self.constant(0.0)
+        found = record(row=zero, alpha=zero, mu=zero)
         for slot in ti.static(range(self.width)):
             rod = ti.min(first + slot, set_index.shape[0] - 1)
-            row = itemwise(self.with_lane(row[0], slot, set_index[rod]),
-                           self.with_lane(row[1], slot, stiffness[material_index[rod], 0]),
-                           self.with_lane(row[2], slot, stiffness[material_index[rod], 1]))
-        return row
+            put_lane(found, self.with_lane, slot, row=set_index[rod], alpha=stiffness[material_index[rod], 0],
+                     mu=stiffness[material_index[rod], 1])
+        return found.row, found.alpha, found.mu
 
     @ti.func
     def rod_energy(self, vertices: ti.template(), first, alpha, mu, up):

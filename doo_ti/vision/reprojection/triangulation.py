@@ -1,7 +1,8 @@
-"""Marks labelled in several images to points in the world, with their uncertainty and the labels that are wrong (§V-A).
+"""Marks labelled in several images to points in the world, with their uncertainty and outliers among the labels (§V-A).
 
-A point starts nearest to all its rays and then minimises the squared distances, in pixels and through the distorted lenses,
-between its projections and its labels. Axes: C cameras, P points.
+    x = argmin Σ_c |u_c − p_c(x)|²      over the cameras c that see the mark at u_c, in px through the distorted lenses,
+
+starting from the point nearest to all rays. Axes: C cameras, P points.
 """
 
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from doo_ti.vision.cameras.least_squares import least_squares
 from doo_ti.vision.cameras.rig import Rig
 
 SMALLEST_ANGLE = np.radians(0.5)
-"""Rays that are closer to parallel have no point nearest to them."""
+"""Rays closer to parallel than this have no point nearest to them."""
 MOST_STEPS = 30
 FINE_MM = 1e-9
 AMBIGUITY = 9.0
@@ -24,7 +25,8 @@ AMBIGUITY = 9.0
 
 
 class MarkStatus(IntEnum):
-    """What became of a mark. The first two have a position; degenerate are rays that are parallel or meet behind a camera."""
+    """Result of the triangulation of a mark. The first two have a position; degenerate: rays that are parallel or intersect
+    behind a camera."""
 
     TRIANGULATED = 0
     OUTLIER_LEFT_OUT = 1
@@ -36,8 +38,8 @@ class MarkStatus(IntEnum):
 @dataclass(frozen=True)
 class TriangulationOptions:
     """sigma_px   standard deviation of each coordinate of a label, px; covariances are proportional to its square
-    threshold     the labels of a mark contradict each other when they would do so by chance as rarely as a normal variable is
-                  this many standard deviations off; larger tolerates more
+    threshold     the labels of a mark contradict each other if their residuals are as improbable as a normal variable this many
+                  standard deviations from its mean; a larger threshold tolerates more
 
     Raises InputError for values that are not positive.
     """
@@ -56,11 +58,11 @@ class Points:
     """P triangulated marks.
 
     position    (P, 3) mm, NaN where ``status`` says there is none
-    covariance  (P, 3, 3) mm², for labels as uncertain as the options say; NaN likewise
+    covariance  (P, 3, 3) mm², for labels with the ``sigma_px`` of the options; NaN likewise
     status      (P,) :class:`MarkStatus`
-    used        (C, P) bool: labels that the position rests on
-    residual    (C, P) px: how far each label is from the projection of the position, those left out too; NaN without a label.
-                Of contradictory labels: from the point that fits all of them best
+    used        (C, P) bool: labels from which the position was computed
+    residual    (C, P) px: distance of each label, also outliers, from the projection of the position; NaN without a label.
+                Of contradictory labels: from the point with the least squared distances to all of them
     """
 
     position: np.ndarray
@@ -76,7 +78,7 @@ class Points:
 
     @property
     def label_sigma(self) -> float:
-        """px: standard deviation of one coordinate of a label, from what the fits leave over; NaN without a point."""
+        """px: standard deviation of one coordinate of a label, estimated from the residuals; NaN without a point."""
         used = self.used & self.valid
         freedom = 2 * used.sum() - 3 * self.valid.sum()
         return float(np.sqrt(np.sum(self.residual[used] ** 2) / freedom)) if freedom > 0 else np.nan
@@ -86,7 +88,7 @@ def triangulate(rig: Rig, pixels: np.ndarray, options: TriangulationOptions | No
     """The points whose projections are ``pixels`` (C, P, 2), NaN where a camera has no label.
 
     Of three labels or more that contradict each other, the one is left out without which the others agree; where several
-    could be the wrong one, or where only two labels contradict each other, the mark has no position.
+    labels could be the outlier, or where only two labels contradict each other, the mark has no position.
 
     Raises InputError for fewer than two cameras and for other shapes.
     """
@@ -116,7 +118,7 @@ def triangulate(rig: Rig, pixels: np.ndarray, options: TriangulationOptions | No
 
 
 def _tolerated(views: np.ndarray, options: TriangulationOptions) -> np.ndarray:
-    """(P,) px²: the largest sum of squares that is still chance: χ² of 2n − 3 degrees of freedom, after Wilson and Hilferty."""
+    """(P,) px²: the largest sum of squares that noise explains: χ² of 2n − 3 degrees of freedom, by Wilson and Hilferty."""
     freedom = np.maximum(2 * views - 3, 1)
     spread = 2 / (9 * freedom)
     return options.sigma_px**2 * freedom * (1 - spread + options.threshold * np.sqrt(spread)) ** 3
@@ -125,8 +127,8 @@ def _tolerated(views: np.ndarray, options: TriangulationOptions) -> np.ndarray:
 def _without_outliers(rig: Rig, pixels: np.ndarray, seen: np.ndarray, options: TriangulationOptions):
     """(P,) status and (C, P) labels to use, of marks whose labels contradict each other.
 
-    One label after the other is left out, each time the one without which the others agree best. That is no verdict while they
-    still contradict each other, nor when another choice is nearly as good.
+    Labels are left out one after the other, each time the one without which the others agree best, until the others no longer
+    contradict each other. The mark stays contradictory if leaving out another label would be nearly as good.
     """
     used, count = seen.copy(), seen.shape[1]
     status = np.full(count, MarkStatus.CONTRADICTORY)
@@ -136,7 +138,7 @@ def _without_outliers(rig: Rig, pixels: np.ndarray, seen: np.ndarray, options: T
             there = used[camera, rows]
             fewer = used[:, rows[there]].copy()
             fewer[camera] = False
-            # Labels without a point still come before cameras without a label: each round one of them goes.
+            # Finite, so that a label without a point is preferred to a camera without a label: each round removes a label.
             cost[camera, there] = np.minimum(_fitted(rig, pixels[:, rows[there]], fewer)[1], LARGEST)
         order = np.sort(cost, axis=0)
         used[np.argmin(cost, axis=0), rows] = False
@@ -148,11 +150,12 @@ def _without_outliers(rig: Rig, pixels: np.ndarray, seen: np.ndarray, options: T
 
 
 def _fitted(rig: Rig, pixels: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(P, 3) mm points that fit the labels ``used`` (C, P) best, and (P,) px² the sums of squares left over.
+    """(P, 3) mm points with the least squares for the labels ``used`` (C, P), and (P,) px² their sums of squares.
 
     NaN and infinite for fewer than two labels, parallel rays, and points that are not in front of their cameras.
     """
     position, sound = _nearest_to_rays(rig, pixels, used)
+
     def linearised(trial):
         cost, normal, slope = _linearised(rig, pixels, used, trial)
         return np.where(sound, cost, np.inf), normal, slope

@@ -75,7 +75,7 @@ def test_the_rig_of_the_images(shared_data):
     (lambda text: text.replace("width: 1280", "width: 100000000000"), "width"),
     (lambda text: text.replace("name: cam1", "name: cam1\n      width: !!python/object/apply:os.getcwd []"), "not a rig"),
 ])
-def test_a_bad_file_is_told(tmp_path, spoil, word):
+def test_a_bad_file_is_refused(tmp_path, spoil, word):
     save_rig(tmp_path / "rig.yaml", rig())
     text = (tmp_path / "rig.yaml").read_text()
     (tmp_path / "bad.yaml").write_text(spoil(text))

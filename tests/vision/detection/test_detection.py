@@ -107,14 +107,14 @@ def test_images_of_another_renderer(shared_data):
 
 @pytest.mark.parametrize("change", [{"method": "sobel"}, {"polarity": "grey"}, {"width_px": 0}, {"width_px": 1e9},
                                     {"least_contrast": np.nan}])
-def test_bad_options_are_told(change):
+def test_bad_options_are_refused(change):
     with pytest.raises(InputError, match=next(iter(change))):
         DetectionOptions(**change)
     with pytest.raises(InputError, match="image"):
         detect(np.zeros((10, 10, 3)))
 
 
-def test_bad_image_files_are_told(tmp_path):
+def test_bad_image_files_are_refused(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         read_image(tmp_path / "none.png")
     (tmp_path / "text.png").write_text("no image")

@@ -89,7 +89,7 @@ def test_occluders_hide_about_the_share_that_was_asked_for():
     assert 0.1 < np.mean(hidden) < 0.35
 
 
-def test_what_cannot_be_drawn_is_told():
+def test_what_cannot_be_drawn_is_refused():
     for change in ({"blur_px": -1}, {"jpeg_quality": 0}, {"light": (0, 0, 0)}, {"occluded_share": 2}):
         with pytest.raises(InputError):
             RenderOptions(**change)

@@ -84,7 +84,7 @@ def test_windows_stay_within_the_image_and_do_not_depend_on_the_batch():
     np.testing.assert_array_equal(image_of(maps, 1, 0), image_of(distance_maps([[circle(30.0)]], 25), 0, 0))
 
 
-def test_what_has_no_map_is_told():
+def test_detections_without_a_map_are_refused():
     none = replace(circle(30.0), points=np.empty((0, 2)), direction=np.empty((0, 2)))
     with pytest.raises(InputError, match="set 0, image 1: no thread"):
         distance_maps([[circle(30.0), none]])

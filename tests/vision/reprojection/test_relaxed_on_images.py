@@ -8,7 +8,7 @@ import pytest
 from doo_ti import Clamp, Clamps, Configuration, InputError, Material, Newton, relax
 from doo_ti.frames import bishop_frames, quaternion_from_matrix, quaternion_product, smallest_rotation, tangent_from_quaternion
 from doo_ti.relaxation.newton import TOLERANCES
-from doo_ti.vision.reprojection.evidence import Reprojection
+from doo_ti.vision.reprojection.image_energy import Reprojection
 from doo_ti.vision.reprojection.score import score
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, clamped_start
@@ -135,16 +135,16 @@ def test_grown_rods_converge(nu, scene, rng):
 def test_single_precision_ends_where_double_does(scene, rng):
     rig, rods, maps = scene
     sets, start = starts(rng, rods, 60, 0.03)
-    asked = {"external": Reprojection(maps, rig, 100.0), "external_index": sets}
-    fine = relax(start, Material(ALPHA, ALPHA), held(start), **asked)
-    quick = relax(start, Material(ALPHA, ALPHA), held(start), SEARCH, precision="f32", **asked)
+    images = {"external": Reprojection(maps, rig, 100.0), "external_index": sets}
+    fine = relax(start, Material(ALPHA, ALPHA), held(start), **images)
+    quick = relax(start, Material(ALPHA, ALPHA), held(start), SEARCH, precision="f32", **images)
     assert quick.converged.all() and (quick.precision == 32).mean() > 0.9
     apart = np.linalg.norm(fine.configuration.vertices - quick.configuration.vertices, axis=-1).max(axis=1)
     # A few find another minimum.
     assert (apart < 5e-3).mean() > 0.9
 
 
-def test_a_rod_is_the_same_alone_and_in_any_company(scene, rng):
+def test_a_rod_does_not_depend_on_the_others(scene, rng):
     """Three rods leave lanes without any: what those hold is never looked up."""
     rig, rods, maps = scene
     sets, start = starts(rng, rods, 40, 0.05)
@@ -172,7 +172,7 @@ def test_no_weight_on_the_images_leaves_the_rod_to_itself(scene, rng):
     np.testing.assert_allclose(one.energy, other.energy, rtol=1e-9)
 
 
-def test_wrong_input_is_told(scene, rng):
+def test_wrong_input_is_refused(scene, rng):
     rig, rods, maps = scene
     sets, start = starts(rng, rods, 5, 0.05)
     external = Reprojection(maps, rig, NU)

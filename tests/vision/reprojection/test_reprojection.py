@@ -11,7 +11,7 @@ from doo_ti.types import Material
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from doo_ti.vision.reprojection.edge_integral import UNSEEN
-from doo_ti.vision.reprojection.evidence import Reprojection
+from doo_ti.vision.reprojection.image_energy import Reprojection
 from doo_ti.vision.reprojection.score import score
 from tests.oracle.reprojection import edge_error, edge_gradient, edge_hessian, rod_energy
 from tests.vision.device import NUMBERS, row_kernel
@@ -72,9 +72,9 @@ def test_energy_and_gradient_are_the_oracle_s(number, scene, rng):
     energy, gradient, _ = evaluated(number, scene, edges)
     for (row, *ends), found, slope in zip(edges, energy, gradient):
         start, end = np.split(np.array(ends), 2)
-        asked = [(camera, map_of(maps, int(row), c), start, end, POINTS, CAP) for c, camera in enumerate(rig.cameras)]
-        assert found == pytest.approx(NU * sum(edge_error(*one) for one in asked), rel=1e-12 if number.bits == 64 else 1e-5)
-        wanted = NU * sum(edge_gradient(*one) for one in asked)
+        views = [(camera, map_of(maps, int(row), c), start, end, POINTS, CAP) for c, camera in enumerate(rig.cameras)]
+        assert found == pytest.approx(NU * sum(edge_error(*one) for one in views), rel=1e-12 if number.bits == 64 else 1e-5)
+        wanted = NU * sum(edge_gradient(*one) for one in views)
         np.testing.assert_allclose(slope, wanted, atol=(1e-11 if number.bits == 64 else 1e-3) * np.abs(wanted).max())
 
 
@@ -86,8 +86,8 @@ def test_hessian_is_that_of_finite_differences(scene, rng):
     smooth = 0
     for (row, *ends), found in zip(edges, hessian):
         start, end = np.split(np.array(ends), 2)
-        asked = [(camera, map_of(maps, int(row), c), start, end, 2, CAP) for c, camera in enumerate(rig.cameras)]
-        wide, wanted = (NU * sum(edge_hessian(*one, step) for one in asked) for step in (2e-6, 1e-6))
+        views = [(camera, map_of(maps, int(row), c), start, end, 2, CAP) for c, camera in enumerate(rig.cameras)]
+        wide, wanted = (NU * sum(edge_hessian(*one, step) for one in views) for step in (2e-6, 1e-6))
         if np.abs(wide - wanted).max() < 1e-6 * np.abs(wanted).max():
             smooth += 1
             np.testing.assert_allclose(found, wanted, atol=1e-6 * np.abs(wanted).max())
@@ -157,7 +157,7 @@ def test_scores_are_the_oracle_s(kind, scene, rng):
         assert found.total[n] == pytest.approx(energy + NU * sum(errors), rel=1e-5)
 
 
-def test_a_hypothesis_scores_the_same_in_any_company(scene, rng):
+def test_a_score_does_not_depend_on_the_others(scene, rng):
     rig, rods, maps = scene
     vertices, sets = hypotheses(rng, rods, 53)
     together = score(vertices, maps, sets, rig, NU, Material(2e5, 1e5))
@@ -206,7 +206,7 @@ def test_the_true_rod_scores_best(scene, rng):
     ({"points": 0}, "points"),
     ({"cap": 0.0}, "cap"),
 ])
-def test_wrong_input_is_told(scene, change, word):
+def test_wrong_input_is_refused(scene, change, word):
     rig, rods, maps = scene
     with pytest.raises(InputError, match=word):
         score(**{"vertices": rods, "maps": maps, "set_index": [0, 1, 2, 3], "rig": rig, "nu": 1.0, **change})

@@ -59,7 +59,7 @@ def test_it_is_the_least_squares_point(rng):
 
 
 @pytest.mark.parametrize("cameras", [2, 3])
-def test_covariance_is_honest(rng, cameras):
+def test_covariance_matches_the_errors(rng, cameras):
     """The squared error in units of the covariance has mean 3, and thousands of marks take a moment."""
     rig, points, pixels = seen(rng, 4000, Rig(around().cameras[:cameras]))
     found = triangulate(rig, pixels, SURE)
@@ -68,7 +68,7 @@ def test_covariance_is_honest(rng, cameras):
     assert found.label_sigma == pytest.approx(NOISE, rel=0.03)
 
 
-def test_a_point_does_not_depend_on_its_company(rng):
+def test_a_point_does_not_depend_on_the_others(rng):
     rig, _, pixels = seen(rng, 50)
     pixels[1, 7] += [25, -10]
     together = triangulate(rig, pixels, SURE)
@@ -101,7 +101,7 @@ def test_outliers_are_found_and_left_out(rng, cameras):
     assert (np.delete(found.status, wrong) == MarkStatus.TRIANGULATED).all()
     named = status == MarkStatus.OUTLIER_LEFT_OUT
     assert np.mean(named) > (0.8 if cameras == 3 else 0.95)
-    assert (status[~named] == MarkStatus.CONTRADICTORY).all()  # along the other cameras' epipolar lines nobody can tell
+    assert (status[~named] == MarkStatus.CONTRADICTORY).all()  # along the other cameras' epipolar lines: undecidable
     assert not found.used[camera[named], wrong[named]].any()
     assert (found.used[:, wrong[named]].sum(axis=0) == cameras - 1).all()
     assert off(found, points, wrong[named]).max() < 25
@@ -204,7 +204,7 @@ def test_ribbons_get_their_frames(rng):
     assert not rods.frames_filled.any() and found.up.tolist() == [0, 1, 0] and found.end_distance.tolist() == [0, 1, 2, 3]
 
 
-def test_a_ribbon_s_uncertainty_is_honest(rng):
+def test_a_ribbon_s_uncertainty_matches_the_errors(rng):
     rig, scores = around(), []
     for _ in range(10):
         vertices, _, edges = ribbon(rng)

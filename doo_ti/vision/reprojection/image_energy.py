@@ -1,11 +1,11 @@
-"""ν Σ_c E_proj^c, the part of E_vis that images add to a rod's energy, as F minimises it (§IV-A).
+"""ν Σ_c E_proj^c, which images add to a rod's energy E: F minimises E_vis = E + ν Σ_c E_proj^c (§IV-A).
 
     maps = distance_maps(detections)
     relax(start, material, clamps, external=Reprojection(maps, rig, nu), external_index=set_index)  # F(Γ, E_vis, C)
 
-E is in mm² (relative to weight, as everywhere), E_proj in px², so ν is in mm²/px² and goes with the cameras' resolution.
-What counts is ν over the largest eigenvalue of B: for sutures seen at 6 px/mm 3e-5 1/(mm px²) leaves vertices 0.2 mm off
-the truth, 3e-4 leaves 0.1 mm, 3e-3 leaves 0.05 mm.
+E is in mm² (relative to weight, as everywhere), E_proj in px², so ν is in mm²/px² and depends on the cameras' resolution.
+Results depend on ν over the largest eigenvalue of B: for sutures seen at 6 px/mm, 3e-5 1/(mm px²) gives vertices 0.2 mm off
+the truth, 3e-4 gives 0.1 mm, 3e-3 gives 0.05 mm.
 """
 
 from dataclasses import dataclass
@@ -18,11 +18,10 @@ from doo_ti.errors import InputError
 from doo_ti.physics.tuples import minus, scaled
 from doo_ti.relaxation.external import ExternalFunctions
 from doo_ti.relaxation.tables import MOST_NUMBERS
-from doo_ti.vision.cameras.projection import camera_table
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from doo_ti.vision.reprojection.edge_integral import COLUMNS, POINTS, WINDOW, EdgeIntegral, added, no_moments
-from doo_ti.vision.reprojection.sampling import SMALLEST
+from doo_ti.vision.reprojection.sampling import SMALLEST, camera_table
 
 NU = COLUMNS
 """The column of ν, after those of the edge integral."""
@@ -32,15 +31,15 @@ NU = COLUMNS
 class Reprojection:
     """ν Σ_c E_proj^c as an external energy of :func:`doo_ti.relaxation.relax.relax`, for rods of any number of edges.
 
-    maps    of A sets of images; rods take turns with them as ``external_index`` says
+    maps    of A sets of images; ``external_index`` names the set of each rod
     rig     the C cameras the maps are of
     nu      ν, mm²/px²
-    points  n: at how many places along an edge the maps are read, for each camera
-    cap     px: distances saturate there, so that a gap costs but does not veto
+    points  n: number of places along an edge where the maps are sampled, for each camera
+    cap     px: distances saturate there, so that gaps in the detection cost a limited energy
     reach   px: while steps are large, K is that of a parabola to the nearest detected line, or to this far from it
 
-    In f32 pixels are known to 1e-4, and residuals do not fall below some ν/B of the largest eigenvalue of B, in 1/mm: ask for
-    no smaller ``Newton(tolerance=...)``, or f64 does all over again what f32 could not finish.
+    In f32 pixels are known to 1e-4, and residuals in 1/mm do not fall below about ν over the largest eigenvalue of B. With a
+    smaller ``Newton(tolerance=...)`` all rods are relaxed again in f64.
 
     Raises InputError for maps of another number of cameras, for windows that are too small or lie outside the values, and
     for numbers out of range.
@@ -114,9 +113,9 @@ class ImageEnergy:
     @ti.func
     def evaluate(self, scratch: ti.template(), at, numbers: ti.template(), values: ti.template(), start, end, coarse):
         nu, zero = scratch[at + self.nu], self.constant(0.0)
-        # A lane without a rod may hold anything, and must not look it up.
-        asked = scratch[at + self.set]
-        row = ti.select((asked >= 0.0) & (asked < numbers.shape[0]), asked, zero)
+        # A lane without a rod may hold any number, which must not be used as an index.
+        given = scratch[at + self.set]
+        row = ti.select((given >= 0.0) & (given < numbers.shape[0]), given, zero)
         total, camera = no_moments(zero), self.edge.projection
         for c in range(numbers.shape[1]):
             seen = self.edge.moments(self.edge.view(numbers, values, row, c), camera.entered(numbers, c, start),
@@ -145,4 +144,4 @@ def _check_maps(maps: DistanceMaps, rig: Rig) -> None:
                          f"give windows of {SMALLEST} px or more that lie within the values")
     ends = window[..., 0] + window[..., 3] * window[..., 4]
     if (window[..., 0] < 0).any() or (ends > np.size(maps.values)).any() or np.size(maps.values) > MOST_NUMBERS:
-        raise InputError("maps", "values", f"{np.size(maps.values)} distances", f"give the {ends.max()} that the windows name")
+        raise InputError("maps", "values", f"{np.size(maps.values)} distances", f"give the {ends.max()} that the windows need")

@@ -1,9 +1,9 @@
-"""The contact sheet: every observation in a place of its own, gravity down, true coordinates a subtraction away."""
+"""The grid view: every observation in a place of its own, gravity down, true coordinates a subtraction away."""
 
 import numpy as np
 import pytest
 
-from doo_ti.contact_sheet import contact_sheet, observation_names
+from doo_ti.report.grid_view import Observed, grid_view
 
 from . import runs
 
@@ -22,7 +22,7 @@ def boxes(vertices, sheet) -> tuple[np.ndarray, np.ndarray]:
 def test_no_observation_overlaps_another(labels, rng):
     vertices = runs.observations(rng)
     vertices[3, 4], vertices[2, 0] = np.nan, np.nan
-    sheet = contact_sheet(vertices, labels)
+    sheet = grid_view(Observed(vertices, labels))
     low, high = boxes(vertices, sheet)
     apart = ((low[:, None] > high[None]) | (low[None] > high[:, None]))[..., [0, 2]].any(axis=-1)
     assert (apart | np.eye(len(vertices), dtype=bool)).all()
@@ -34,7 +34,7 @@ def test_no_observation_overlaps_another(labels, rng):
 
 def test_labels_make_columns_and_rows(rng):
     vertices = runs.observations(rng)
-    sheet = contact_sheet(vertices, LABELS)
+    sheet = grid_view(Observed(vertices, LABELS))
     low, high = boxes(vertices, sheet)
     middle, floor = (0.5 * (low + high)[:, 0]).reshape(3, 2), low[:, 2].reshape(3, 2)
     np.testing.assert_allclose(middle[:, 0], middle[:, 1], atol=1e-9)
@@ -46,8 +46,8 @@ def test_labels_make_columns_and_rows(rng):
 
 
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, -2, 0), (1, 1, 1)])
-def test_wall_is_upright_along_the_rods(up, rng):
-    right, depth, above = contact_sheet(runs.observations(rng), {}, up).basis
+def test_plane_is_upright_along_the_rods(up, rng):
+    right, depth, above = grid_view(Observed(runs.observations(rng), {}, up)).basis
     np.testing.assert_allclose(above, np.array(up) / np.linalg.norm(up), atol=1e-12)
     basis = np.stack([right, depth, above])
     np.testing.assert_allclose(basis @ basis.T, np.eye(3), atol=1e-9)
@@ -58,11 +58,12 @@ def test_wall_is_upright_along_the_rods(up, rng):
 
 def test_one_observation_stays_where_it_is(rng):
     vertices = runs.observations(rng)[2:3] + 100.0
-    sheet = contact_sheet(vertices, {})
+    sheet = grid_view(Observed(vertices))
     assert (sheet.offset == 0).all()
     assert sheet.headings == []
 
 
-def test_names_say_number_and_labels():
-    assert observation_names(LABELS, 6)[1] == "observation 1: 30 mm 0°"
-    assert observation_names({}, 2) == ["observation 0", "observation 1"]
+def test_names_say_number_and_labels(rng):
+    vertices = runs.observations(rng)
+    assert Observed(vertices, LABELS).names[1] == "observation 1: 30 mm 0°"
+    assert Observed(vertices[:2]).names == ["observation 0", "observation 1"]

@@ -7,7 +7,8 @@ import pytest
 import taichi as ti
 
 from doo_ti.vision.cameras.camera import Camera
-from doo_ti.vision.cameras.projection import (
+from doo_ti.vision.cameras.rig import Rig
+from doo_ti.vision.reprojection.sampling import (
     CAMERA_COLUMNS,
     WIDEST,
     Projection,
@@ -17,7 +18,6 @@ from doo_ti.vision.cameras.projection import (
     bent_third,
     camera_table,
 )
-from doo_ti.vision.cameras.rig import Rig
 from tests.oracle.reprojection import jacobian, project
 from tests.vision.device import NUMBERS, row_kernel
 from tests.vision.drawn_maps import three_cameras

@@ -1,0 +1,218 @@
+"""The cells of a run on disk: Parquet files of chunks of cells, one row per cell and observation, or pair.
+
+A chunk is written whole or not at all. Its pages carry checksums, and its metadata say which sweep it belongs to and what
+computed it. Chunks are read one at a time, whatever cells they hold and in whatever order.
+
+Axes: G grid cells, N terms of the objective: observations under Eq. 2, pairs of observations under Eq. 3; n rows of a file.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.grid import Grid
+from doo_ti.io.files import write_whole
+from doo_ti.learning.summary import maker
+from doo_ti.types import LARGEST, Status
+
+IDENTITY, MAKER = "doo_ti_sweep", "doo_ti_maker"
+"""Keys of a file's metadata."""
+REMEDY = "delete it and run the sweep again"
+PARAMETERS = ("bend_1", "bend_2", "twist", "weight")
+RODS = ("distance_mm", "status", "stable")
+RODS_OF_PAIRS = (*RODS, "jumps", "pair_weight")
+MOST_OBSERVATIONS = 1 << 31
+"""More than the column ``observation`` can number."""
+
+# Of a column: the kinds of its dtype as NumPy abbreviates them, and whether each value is possible.
+_POSSIBLE = {
+    "distance_mm": ("f", lambda x: np.isnan(x) | ((x >= 0) & (x <= LARGEST))),
+    "start_distance_mm": ("f", lambda x: np.isnan(x) | ((x >= 0) & (x <= LARGEST))),
+    "status": ("iu", lambda x: np.isin(x, list(Status))),
+    "stable": ("b", lambda x: x | True),
+    "jumps": ("iu", lambda x: x >= 0),
+    "pair_weight": ("f", lambda x: (x > 0) & (x <= LARGEST)),
+    "observation": ("iu", lambda x: (x >= 0) & (x < MOST_OBSERVATIONS)),
+    "from_observation": ("iu", lambda x: (x >= 0) & (x < MOST_OBSERVATIONS)),
+    "end_distance_mm": ("f", lambda x: ~np.isinf(x)),
+    "end_rotation_deg": ("f", lambda x: ~np.isinf(x)),
+}
+
+
+def chunk_path(run: Path, part: str, first: int, last: int) -> Path:
+    """The file of the cells ``first`` to ``last`` in the folder's ``part``, "cells" or "hypotheses"."""
+    return run / part / f"{first:09d}-{last:09d}.parquet"
+
+
+def write_chunk(path: Path, columns: dict, material: str, identity: str) -> None:
+    """Write the rows of a chunk of the sweep ``identity``, whole or not at all."""
+    import pyarrow
+
+    count = len(columns["observation"])
+    names = pyarrow.DictionaryArray.from_arrays(np.zeros(count, dtype=np.int8), [material])
+    write_rows(path, pyarrow.table({**columns, "material": names}, metadata={IDENTITY: identity, MAKER: json.dumps(maker())}))
+
+
+def write_rows(path: Path, table) -> None:
+    """Write a pyarrow table of a chunk's rows, with its metadata."""
+    import pyarrow.parquet
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, lambda file: pyarrow.parquet.write_table(table, file, write_page_checksum=True))
+
+
+def read_rows(path: Path, names: list[str] | None = None):
+    """The rows of a chunk as a pyarrow table, or their columns ``names``. Raises InputError where they cannot be read."""
+    import pyarrow.parquet
+
+    table = _parsed(path, lambda file: pyarrow.parquet.read_table(file, columns=names, page_checksum_verification=True))
+    for name in names or ():
+        if name not in table.column_names:
+            raise InputError(path, name, "the column is missing", REMEDY)
+    return table
+
+
+def read_columns(path: Path, names: list[str]) -> dict[str, np.ndarray]:
+    """The columns ``names`` of a chunk. Raises InputError where they cannot be read, and for values that no sweep writes."""
+    table = read_rows(path, names)
+    columns = {}
+    for name in names:
+        column = table.column(name)
+        if column.null_count:
+            raise InputError(path, name, "a value is missing", REMEDY)
+        values = columns[name] = column.to_numpy()
+        kinds, is_possible = _POSSIBLE.get(name, ("f", np.isfinite))
+        if values.dtype.kind not in kinds:
+            raise InputError(path, name, f"type {column.type}", REMEDY)
+        wrong = np.flatnonzero(~is_possible(values))
+        if len(wrong):
+            raise InputError(path, name, f"{values[wrong[0]]} in row {wrong[0]}", REMEDY)
+    return columns
+
+
+def check_identity(paths: list[Path], identity: str | None) -> None:
+    """Raise InputError where a chunk belongs to another sweep than ``identity``, or than the other chunks.
+
+    identity  None where the run does not name it; chunks of older runs do not either
+    """
+    found = [(_schema(path).metadata or {}).get(IDENTITY.encode(), b"").decode(errors="replace") for path in paths]
+    wanted = identity if any(found) else None
+    for path, own in zip(paths, found, strict=True):
+        if own != (wanted or found[0]):
+            raise InputError(path, "cells", "belongs to another sweep", REMEDY)
+
+
+@dataclass(frozen=True)
+class Terms:
+    """The terms of the objective that occur in some files, in the order of the observations that they start from, then end at.
+
+    key      (N,) one number for each
+    dynamic  whether they are pairs
+    """
+
+    key: np.ndarray
+    dynamic: bool
+
+    @property
+    def objective(self) -> str:
+        """"static" or "dynamic"."""
+        return "dynamic" if self.dynamic else "static"
+
+    @property
+    def observation(self) -> np.ndarray:
+        """(N,) the observation that each compares with: y of Eq. 3."""
+        return self.key % MOST_OBSERVATIONS
+
+    @property
+    def from_observation(self) -> np.ndarray:
+        """(N,) the one that each starts from, x of Eq. 3: under Eq. 2 the same."""
+        return self.key // MOST_OBSERVATIONS if self.dynamic else self.key
+
+    @property
+    def ends(self) -> tuple[str, ...]:
+        """The columns that name a term."""
+        return ("from_observation", "observation") if self.dynamic else ("observation",)
+
+    def of(self, columns: dict[str, np.ndarray]) -> np.ndarray:
+        """(n,) the term of each row."""
+        return np.searchsorted(self.key, _keys(columns, self.ends))
+
+
+def cell_files(run: Path, identity: str | None, part: str = "cells") -> list[Path]:
+    """The files of a run's ``part``. Raises InputError where there are none, and where they are another sweep's.
+
+    identity  of the sweep that they belong to, None where the run does not name it
+    """
+    paths = sorted((run / part).glob("*.parquet"))
+    if not paths:
+        raise InputError(run / part, "cells", "no Parquet files", "run the sweep to its end")
+    check_identity(paths, identity)
+    return paths
+
+
+def terms_in(paths: list[Path]) -> Terms:
+    """The terms in some files."""
+    dynamic = "from_observation" in _schema(paths[0]).names
+    ends = Terms(np.empty(0), dynamic).ends
+    found = np.empty(0, dtype=np.int64)
+    for path in paths:
+        found = np.union1d(found, _keys(read_columns(path, list(ends)), ends))
+    return Terms(found, dynamic)
+
+
+def rods_in(paths: list[Path], grid: Grid, terms: Terms,
+            more: tuple[str, ...] = ()) -> Iterator[tuple[Path, np.ndarray, np.ndarray, dict[str, np.ndarray]]]:
+    """Each file with the cell (n,) of its rods, −1 where the grid has none, their term (n,), and their columns: RODS or
+    RODS_OF_PAIRS, and ``more``."""
+    names = [*PARAMETERS, *terms.ends, *(RODS_OF_PAIRS if terms.dynamic else RODS), *more]
+    for path in paths:
+        columns = read_columns(path, names)
+        yield path, grid.cells_of(columns), terms.of(columns), columns
+
+
+def whole_rods_in(run: Path, paths: list[Path], grid: Grid, terms: Terms, more: tuple[str, ...] = ()) -> Iterator[tuple]:
+    """As :func:`rods_in`. Raises InputError, after the last file or before, unless the files hold each cell and term exactly
+    once, and no others."""
+    rods = grid.size * len(terms.key)
+    seen, count = np.zeros(-(-rods // 8), dtype=np.uint8), 0  # a bit for each rod
+    fits = terms.dynamic or bool((terms.key == np.arange(len(terms.key))).all())
+    for found in rods_in(paths, grid, terms, more):
+        _, cell, term, _ = found
+        fits &= bool((cell >= 0).all())
+        if not fits:
+            break
+        rod = cell * np.int64(len(terms.key)) + term
+        np.bitwise_or.at(seen, rod >> 3, np.uint8(1) << (rod & 7).astype(np.uint8))
+        count += len(rod)
+        yield found
+    if not fits or not count == np.bitwise_count(seen).sum(dtype=np.int64) == rods:
+        term = "pair" if terms.dynamic else "observation"
+        raise InputError(run, "cells", f"do not hold each cell and {term} of the grid once", "run the sweep to its end")
+
+
+def _keys(columns: dict[str, np.ndarray], ends: tuple[str, ...]) -> np.ndarray:
+    last = columns[ends[-1]].astype(np.int64)
+    return last if len(ends) == 1 else columns[ends[0]].astype(np.int64) * MOST_OBSERVATIONS + last
+
+
+def _schema(path: Path):
+    import pyarrow.parquet
+
+    return _parsed(path, pyarrow.parquet.read_schema)
+
+
+def _parsed(path: Path, parse):
+    """``parse(path)``. Raises InputError where that fails, and for a pipe, whose reader would wait for ever."""
+    import pyarrow
+
+    if path.exists() and not path.is_file():
+        raise InputError(path, "cells", "a folder, a device or a pipe, no file", REMEDY)
+    try:
+        return parse(path)
+    except (pyarrow.ArrowException, OSError) as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise InputError(path, "cells", f"cannot be read ({reason})", REMEDY) from None

@@ -1,0 +1,113 @@
+"""Recordings of rods in one place of space: motions (§III-D), and ribbons of several materials (Fig. 5c).
+
+Axes: T moments, R rods, D observations, V vertices.
+"""
+
+import numpy as np
+import rerun
+import rerun.blueprint as blueprint
+
+from doo_ti.record.stream import FAILED, drawn_strips, entity_name, log_up, panels, recording, space_view
+from doo_ti.report import MovingRods, Ribbons
+
+COLORS = np.array([(45, 212, 191), (253, 231, 37), (125, 170, 255), (255, 159, 28), (198, 120, 221), (152, 195, 121)],
+                  dtype=np.uint8)
+MOST_CURVES = 12
+
+
+def record_motion(path, *, run_id: str, name: str, rods: MovingRods, curves: dict[str, np.ndarray], text: str) -> None:
+    """Write the recording ``path``: rods over time, red from where they are no certified minima; jumps are in the log.
+
+    curves  title, with its unit: (T, R), a line for each of the first ``MOST_CURVES`` rods
+    text    Markdown
+    """
+    count, moments = len(rods.names), len(rods.time)
+    when = [rerun.TimeColumn("time", duration=rods.time)]
+    with recording(path, run_id, name, _motion_layout(rods, list(curves))) as stream:
+        log_up(stream, "rods", rods.basis[2])
+        stream.log("rods", rerun.LineStrips3D.from_fields(
+            radii=rerun.Radius.ui_points(2.0), labels=rods.names, show_labels=count <= len(COLORS)), static=True)
+        colors = np.where(rods.sound[..., None], COLORS[np.arange(count) % len(COLORS)], np.uint8(FAILED)).astype(np.uint8)
+        stream.send_columns("rods", when, rerun.LineStrips3D.columns(
+            strips=drawn_strips(rods.vertices.reshape(moments * count, *rods.vertices.shape[2:])),
+            colors=colors.reshape(-1, 3)).partition([count] * moments))
+        for title, values in curves.items():
+            shown = values[:, :MOST_CURVES]
+            entity = f"curves/{entity_name(title)}"
+            stream.log(entity, rerun.SeriesLines(names=rods.names[:MOST_CURVES], widths=[2.0] * shown.shape[1],
+                                                 colors=COLORS[np.arange(shown.shape[1]) % len(COLORS)]), static=True)
+            stream.send_columns(entity, when, rerun.Scalars.columns(
+                scalars=np.ascontiguousarray(shown).ravel()).partition([shown.shape[1]] * moments))
+        for moment, rod in np.argwhere(rods.jumps > 0):
+            stream.set_time("time", duration=float(rods.time[moment]))
+            stream.log("falls", rerun.TextLog(f"{rods.names[rod]} jumps to another branch", level=rerun.TextLogLevel.WARN))
+        stream.log("summary", rerun.TextDocument(text, media_type="text/markdown"), static=True)
+
+
+def _motion_layout(rods: MovingRods, titles: list[str]) -> blueprint.Blueprint:
+    """Rods on the left, seen from the front and a little above; curves, jumps and text on the right."""
+    low, high = np.nanmin(rods.vertices, axis=(0, 1, 2)), np.nanmax(rods.vertices, axis=(0, 1, 2))
+    middle, size = 0.5 * (low + high), max(np.linalg.norm(high - low), 1.0)
+    _, into, up = rods.basis
+    view = space_view("Rods, mm", "rods", (middle - 1.1 * size * (into - 0.3 * up), middle, up))
+    plots = [blueprint.TimeSeriesView(name=title, origin=f"curves/{entity_name(title)}") for title in titles]
+    words = blueprint.Horizontal(blueprint.TextDocumentView(name="Summary", origin="summary"),
+                                 blueprint.TextLogView(name="Jumps", origin="falls"))
+    beside = blueprint.Vertical(*plots, words)
+    return blueprint.Blueprint(blueprint.Horizontal(view, beside, column_shares=[1.3, 1]), *panels("time"))
+
+
+def record_ribbons(path, *, run_id: str, name: str, ribbons: list[Ribbons], observation: np.ndarray, rank: np.ndarray,
+                   texts: list[str], basis: np.ndarray) -> None:
+    """Write the recording ``path``: all kinds of ribbons in one place, one step per term.
+
+    observation  (D,) the number of the observation that each is compared with, for the timeline ``observation``
+    rank         (D,) order on the timeline ``difference``, at whose end the recording opens
+    texts        (D,) Markdown that goes with each term
+    basis        (3, 3) rows right, into the view and up
+    """
+    count, _, marks, _ = ribbons[0].sides.shape
+    times = [rerun.TimeColumn("observation", sequence=observation), rerun.TimeColumn("difference", sequence=rank)]
+    with recording(path, run_id, name, _ribbon_layout(ribbons, basis)) as stream:
+        log_up(stream, "ribbons", basis[2])
+        for number, kind in enumerate(ribbons):
+            place, borders = f"ribbons/{number}", kind.sides.reshape(-1, marks, 3)
+            if kind.filled:
+                # The mesh of a ribbon without a configuration is a point.
+                sides = np.where(np.isfinite(kind.sides).all(axis=(1, 2, 3), keepdims=True), kind.sides, 0.0).astype(np.float32)
+                stream.log(place, rerun.Mesh3D.from_fields(triangle_indices=_triangles(marks)), static=True)
+                stream.send_columns(place, times, rerun.Mesh3D.columns(
+                    vertex_positions=sides.reshape(-1, 3), vertex_normals=_normals(sides).reshape(-1, 3),
+                    vertex_colors=np.tile(np.uint8(kind.color), (sides[..., 0].size, 1))).partition([2 * marks] * count))
+            stream.log(f"{place}/borders", rerun.LineStrips3D.from_fields(
+                colors=[np.uint8(kind.color) // (2 if kind.filled else 1)], radii=rerun.Radius.ui_points(0.9),
+                labels=[kind.label] * 2, show_labels=False), static=True)
+            stream.send_columns(f"{place}/borders", times, rerun.LineStrips3D.columns(
+                strips=drawn_strips(borders)).partition([2] * count))
+        stream.send_columns("summary", times, rerun.TextDocument.columns(text=texts, media_type=["text/markdown"] * count))
+
+
+def _triangles(marks: int) -> np.ndarray:
+    """(N, 3) of a band whose vertices are those of one border, then those of the other."""
+    low = np.arange(marks - 1)
+    high = low + marks
+    return np.concatenate([np.stack([low, low + 1, high], -1), np.stack([high, low + 1, high + 1], -1)]).astype(np.uint32)
+
+
+def _normals(sides: np.ndarray) -> np.ndarray:
+    """(D, 2, V, 3) unit normals of each band's face."""
+    along = np.gradient(sides.mean(axis=1), axis=1)
+    normal = np.cross(along, sides[:, 1] - sides[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+    return np.stack([normal, normal], axis=1).astype(np.float32)
+
+
+def _ribbon_layout(ribbons: list[Ribbons], basis: np.ndarray) -> blueprint.Blueprint:
+    """The ribbons from the front and above, and the text of the term; it opens on the last step."""
+    points = np.stack([kind.sides for kind in ribbons])
+    low, high = np.nanmin(points, axis=(0, 2, 3)), np.nanmax(points, axis=(0, 2, 3))
+    middle, size = np.median(0.5 * (low + high), axis=0), np.linalg.norm(high - low, axis=-1).max()
+    position = middle - 0.9 * size * (basis[1] - 0.35 * basis[2] - 0.35 * basis[0])
+    view = space_view("Ribbons, mm", "ribbons", (position, middle, basis[2]))
+    text = blueprint.TextDocumentView(name="Ribbons", origin="summary")
+    return blueprint.Blueprint(blueprint.Horizontal(view, text, column_shares=[1.2, 1]), *panels("difference"))
