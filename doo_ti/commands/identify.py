@@ -11,7 +11,7 @@ from doo_ti.errors import InputError
 from doo_ti.terminal import in_line, progress
 
 MOST_LISTED = 8
-FITTED = ("bend_damping", "drag", "quadratic_drag", "marker_share", "twist_ratio")
+FITTED = ("bend_damping", "drag", "quadratic_drag", "twist_ratio", "marker_share")
 
 
 def declare(add) -> None:
@@ -22,9 +22,9 @@ def declare(add) -> None:
     parser.add_argument("--out", required=True, metavar="THETA.json", help="file to write")
     parser.add_argument("--modes", default="7", metavar="K",
                         help="Legendre modes of the rest curvature in each direction; 0: straight at rest (default 7)")
-    parser.add_argument("--fit", metavar="NAME,…", default=",".join(FITTED[:3]),
+    parser.add_argument("--fit", metavar="NAME,…", default=",".join(FITTED[:4]),
                         help="parameters besides bend and rest curvature: some of "
-                        f"{', '.join(FITTED)} (default: the first three)")
+                        f"{', '.join(FITTED)} (default: the first four)")
     parser.add_argument("--bend", metavar="A", help="bend stiffness α to begin with, mm³ (default: several are tried)")
     parser.add_argument("--folds", metavar="N", default="0",
                         help="also fit N times, each without one N-th of the recordings, and report the error on "

@@ -28,6 +28,7 @@ class _Simulated:
     up: np.ndarray
     recorded: np.ndarray | None = None
     glitches: tuple[str, ...] = ()
+    energies: dict[str, np.ndarray] | None = None  # (R, T) each
 
 
 def declare(add) -> None:
@@ -100,6 +101,7 @@ def _recorded(options: Namespace, out: Path, substeps: int | None, up: np.ndarra
 
 
 def _scene(options: Namespace, substeps: int | None, up: np.ndarray) -> _Simulated:
+    from doo_ti.dynamics.energies import energies
     from doo_ti.dynamics.scene import load_dynamic_scene
     from doo_ti.dynamics.simulate import simulate
     from doo_ti.relaxation.relax import relax
@@ -127,7 +129,8 @@ def _scene(options: Namespace, substeps: int | None, up: np.ndarray) -> _Simulat
     first = start.vertices[pairs[0]]
     positions = np.concatenate([first[:, None], found.positions], axis=1)
     status = np.concatenate([np.zeros((count, 1), dtype=np.int8), found.status], axis=1)
-    return _Simulated(scene.name, list(scene.names), positions, status, scene.rate, up)
+    return _Simulated(scene.name, list(scene.names), positions, status, scene.rate, up,
+                      energies=energies(positions, scene.start.rest_length, scene.material, scene.dynamics, scene.rate, up))
 
 
 def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
@@ -138,6 +141,8 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
     summary = {"rods": len(found.names), "frames": found.positions.shape[1], "vertices": found.positions.shape[2],
                "status": counts, "failed": [name for name, value in zip(found.names, last, strict=True) if value],
                "out": str(out)}
+    if found.energies is not None:
+        arrays |= {f"energy_{name}": value for name, value in found.energies.items()}
     if found.recorded is not None:
         from doo_ti.dynamics.identify import mean_error
 
@@ -168,7 +173,8 @@ def _draw(found: _Simulated, shown: dict[str, Path]) -> None:
     if "picture" in shown:
         from doo_ti.report.rollouts import save_rollout
 
-        save_rollout(shown["picture"], found.name, found.names, found.positions, found.recorded, found.rate, found.up)
+        save_rollout(shown["picture"], found.name, found.names, found.positions, found.recorded, found.rate, found.up,
+                     found.energies)
     if "animation" in shown:
         from doo_ti.report.rollouts import save_animation
 

@@ -9,13 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.dynamics.recorded import RecordedMotion, roll_reference, rollout
-from doo_ti.dynamics.simulate import simulate
+from doo_ti.dynamics.parameters import Direction
+from doo_ti.dynamics.recorded import RecordedMotion, Rollout, roll_reference, rollout
+from doo_ti.dynamics.simulate import Trajectory, simulate
 from doo_ti.dynamics.theta import MotionTheta, Unknowns, simulated
 from doo_ti.types import Clamp, Status
 
-STEP = 0.01
-"""Of an entry of p, for differences."""
+STEP = 1e-6
+"""Of an entry of p, for differences of material and dynamics."""
 GUESSES = (3e-4, 3e-3, 3e-2, 0.3)
 """Bend stiffness over weight and the cube of the length."""
 
@@ -35,13 +36,13 @@ class IdentifyOptions:
     """
 
     modes: int = 7
-    fitted: tuple[str, ...] = ("bend_damping", "drag", "quadratic_drag")
+    fitted: tuple[str, ...] = ("bend_damping", "drag", "quadratic_drag", "twist_ratio")
     horizons: tuple[int, ...] = (60, 200, 10**6)
     delta: float = 5.0
     substeps: int = 1
     scheme: str = "bdf2"
     iterations: int = 20
-    end: Clamp = Clamp.TANGENT
+    end: Clamp = Clamp.FRAME
 
     @property
     def rounds(self) -> int:
@@ -50,17 +51,11 @@ class IdentifyOptions:
 
 
 def predicted(motion: RecordedMotion, thetas: list[MotionTheta], options: IdentifyOptions, precision: str = "f64",
-              progress=None):
+              progress=None, begun: Rollout | None = None):
     """((R, G, T, V, 3) positions of the recordings under each Θ, (R, G, T) status): frames 0 and 1 and the grippers' vertices
-    as given, the rest predicted; NaN where a rod failed."""
-    begun = rollout(motion, thetas[0].rest_length, thetas[0].reference, end=options.end)
+    as given, the rest predicted; NaN where a rod failed. ``begun`` is the layout of ``motion`` where that is known."""
+    at, found = _rolled_out(motion, thetas, options, begun, precision=precision, progress=progress)
     count, each = motion.count, len(thetas)
-    pairs = np.repeat(np.arange(count), each), np.tile(np.arange(each), count)
-    material, dynamics = simulated(thetas)
-    found = simulate(begun.start, material, begun.grippers, dynamics, begun.rate, velocity=begun.velocity,
-                     substeps=options.substeps, scheme=options.scheme, up=thetas[0].up, precision=precision, pairs=pairs,
-                     smooth_start=False, progress=progress)
-    at = begun.steps[:, 1:] - 1
     rods = np.arange(count)[:, None]
     positions = np.repeat(motion.positions[:, None], each, axis=1)
     inner = found.positions.reshape(count, each, -1, *motion.positions.shape[2:])
@@ -69,6 +64,34 @@ def predicted(motion: RecordedMotion, thetas: list[MotionTheta], options: Identi
     status = np.zeros(positions.shape[:3], dtype=np.int8)
     status[:, :, 2:] = np.moveaxis(found.status.reshape(count, each, -1)[rods, :, at], 2, 1)
     return positions, status
+
+
+def differentiated(motion: RecordedMotion, theta: MotionTheta, directions: list[Direction], options: IdentifyOptions,
+                   begun: Rollout | None = None):
+    """(positions (R, T − 2, V − 4, 3), their derivatives along P directions (R, P, T − 2, V − 4, 3), status (R, T − 2)) of what
+    :func:`predicted` predicts."""
+    at, found = _rolled_out(motion, [theta], options, begun, directions=directions)
+    rods = np.arange(motion.count)[:, None]
+    slopes = np.moveaxis(found.slopes[rods, at, :, 2:-2], 2, 1)
+    return found.positions[rods, at, 2:-2], slopes, found.status[rods, at]
+
+
+def _laid_out(motion: RecordedMotion, theta: MotionTheta, options: IdentifyOptions) -> Rollout:
+    """The layout of ``motion``, the same for every Θ of one rod."""
+    return rollout(motion, theta.rest_length, theta.reference, end=options.end)
+
+
+def _rolled_out(motion: RecordedMotion, thetas: list[MotionTheta], options: IdentifyOptions, begun: Rollout | None,
+                **more) -> tuple[np.ndarray, Trajectory]:
+    """((R, T − 2) frame of the simulation for each that is predicted, the simulation of every recording under every Θ)."""
+    begun = begun or _laid_out(motion, thetas[0], options)
+    count, each = motion.count, len(thetas)
+    pairs = np.repeat(np.arange(count), each), np.tile(np.arange(each), count)
+    material, dynamics = simulated(thetas)
+    found = simulate(begun.start, material, begun.grippers, dynamics, begun.rate, velocity=begun.velocity,
+                     substeps=options.substeps, scheme=options.scheme, up=thetas[0].up, pairs=pairs,
+                     velocity_age=0.5 / begun.rate, **more)
+    return begun.steps[:, 1:] - 1, found
 
 
 def mean_error(positions: np.ndarray, recorded: np.ndarray) -> np.ndarray:
@@ -119,7 +142,7 @@ def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOption
         p, cost, iterations = fit.minimise(p, lambda k, error, horizon=horizon: report and report(horizon, k, error))
         made += iterations
     residual, slopes, status = fit.linearised(p)
-    failed = (status != Status.CONVERGED).any(axis=(1, 2))
+    failed = (status != Status.CONVERGED).any(axis=1)
     theta = unknowns.theta(p)
     error = np.where(failed, np.nan, np.abs(residual).mean(axis=(1, 2, 3)) * (residual.shape[2] / motion.positions.shape[2]))
     return Identified(theta, unknowns, p, fit.covariance(residual, slopes, ~failed), error, failed, cost, made)
@@ -147,16 +170,26 @@ class _Fit:
     def __init__(self, motion: RecordedMotion, unknowns: Unknowns, options: IdentifyOptions):
         self.motion, self.unknowns, self.options = motion, unknowns, options
         self.seen = motion.positions[:, 2:, 2:-2]
+        self.begun = _laid_out(motion, unknowns.begin, options)
 
     def residuals(self, vectors) -> tuple[np.ndarray, np.ndarray]:
         """((R, G, T − 2, V − 4, 3) mm, (R, G, T) status) under each p."""
-        positions, status = predicted(self.motion, [self.unknowns.theta(p) for p in vectors], self.options)
+        positions, status = predicted(self.motion, [self.unknowns.theta(p) for p in vectors], self.options,
+                                      begun=self.begun)
         return positions[:, :, 2:, 2:-2] - self.seen[:, None], status
 
     def linearised(self, p):
-        """(residuals (R, …) at p, their slopes (R, P, …), status (R, P + 1, T))."""
-        residual, status = self.residuals([p, *(p + STEP * np.eye(len(p)))])
-        return residual[:, 0], (residual[:, 1:] - residual[:, :1]) / STEP, status
+        """(residuals (R, …) at p, their slopes (R, P, …), status (R, T − 2))."""
+        directions = [self.direction(p, k) for k in range(len(p))]
+        positions, slopes, status = differentiated(self.motion, self.unknowns.theta(p), directions, self.options, self.begun)
+        return positions - self.seen, slopes, status
+
+    def direction(self, p, entry: int) -> Direction:
+        """Along one entry of p, within its bounds."""
+        before, after = p.copy(), p.copy()
+        before[entry] = max(p[entry] - STEP, self.unknowns.lower[entry])
+        after[entry] = min(p[entry] + STEP, self.unknowns.upper[entry])
+        return Direction(*(simulated([self.unknowns.theta(q)]) for q in (before, after)), after[entry] - before[entry])
 
     def cost(self, residual: np.ndarray) -> np.ndarray:
         """(R,) Σ ρ of each recording, mm²; infinite where it failed."""
@@ -187,7 +220,7 @@ class _Fit:
         damping, lower, upper = 1e-3, self.unknowns.lower, self.unknowns.upper
         for k in range(self.options.iterations):
             residual, slopes, status = self.linearised(p)
-            used = (status == Status.CONVERGED).all(axis=(1, 2))
+            used = (status == Status.CONVERGED).all(axis=1)
             cost = self.cost(residual)[used].sum()
             report(k, float(np.abs(residual[used]).mean()))
             a, gradients = self.normal(residual, slopes, used)

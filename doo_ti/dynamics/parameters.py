@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from doo_ti.errors import InputError, real_array
+from doo_ti.types import Material
 
 GRAVITY = 9806.65
 """mm/s²: a rod of weight μ = 1 has the mass per length 2/GRAVITY in the package's units, for which its weight is 2."""
@@ -71,3 +72,15 @@ class Dynamics:
             raise InputError("Dynamics", "point_mass", f"{mass.shape[1]} vertices, the rods have {vertices}",
                              f"give (G, {vertices})")
         return np.broadcast_to(mass, (count, vertices))
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A parameter by which a motion is differentiated: the material and the dynamics of the G rods at two near values of it.
+
+    distance  between the two values. What the rods are made of is differentiated by this difference, their motion exactly.
+    """
+
+    before: tuple[Material, Dynamics]
+    after: tuple[Material, Dynamics]
+    distance: float

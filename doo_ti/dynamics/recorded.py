@@ -275,16 +275,16 @@ def rollout(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarr
     held = _within_reach(believed[:, 1:], rest_length)
     expanded, steps = _with_missing(held, motion.elapsed[:, 1:])
     first = edge_frames(expanded[:, :, 1] - expanded[:, :, 0], np.broadcast_to(reference, (motion.count, 3)))
-    last = edge_frames(expanded[:, :, 3] - expanded[:, :, 2])
-    grippers = Grippers(Clamp.FRAME, end, expanded[:, :, 0], expanded[:, :, 3], first, last)
     first_two = motion.positions[:, :2].copy()
     first_two[:, :, GRIPPED] = believed[:, :2]
     x = first_two[:, 1]
     edges = np.diff(x, axis=1)
     tangents = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-    frames = quaternion_from_matrix(bishop_frames(tangents, first[:, 0, :, 1]))
+    frames = bishop_frames(tangents, first[:, 0, :, 1])  # without twist at the start
+    last = edge_frames(expanded[:, :, 3] - expanded[:, :, 2], frames[:, -1, :, 1])
+    grippers = Grippers(Clamp.FRAME, end, expanded[:, :, 0], expanded[:, :, 3], first, last)
     velocity = (x - first_two[:, 0]) * motion.rate / motion.elapsed[:, 1, None, None]
-    return Rollout(Configuration(x[:, 0].copy(), frames, rest_length), velocity, grippers, steps, motion.rate)
+    return Rollout(Configuration(x[:, 0].copy(), quaternion_from_matrix(frames), rest_length), velocity, grippers, steps, motion.rate)
 
 
 def _with_missing(held: np.ndarray, elapsed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

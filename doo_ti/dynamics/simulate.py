@@ -1,12 +1,13 @@
 """Simulation: many rods through time, every implicit step the minimum of an energy (docs/dynamics.md)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
 
 from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import GRAVITY, Dynamics
+from doo_ti.dynamics.parameters import GRAVITY, Direction, Dynamics
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.frames import (
     quaternion_from_matrix,
@@ -15,11 +16,12 @@ from doo_ti.frames import (
     tangent_from_quaternion,
 )
 from doo_ti.relaxation.external import Springs
-from doo_ti.relaxation.input_tables import tables
+from doo_ti.relaxation.input_tables import tables, under
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.tables import Tables, whole_start
 from doo_ti.relaxation.time_loop import END_FORCE, MOMENT, PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_TARGET, STATE, TRIPS
-from doo_ti.relaxation.time_steps import Memory, make_steps
+from doo_ti.relaxation.time_slopes import NUMBERS, REMEMBERED
+from doo_ti.relaxation.time_steps import Memory, Slopes, make_steps, slope_memory
 from doo_ti.relaxation.time_sweep import (
     DRAG,
     DRAG_BY_SPEED,
@@ -50,6 +52,7 @@ class Trajectory:
     end_force   (R, F, 3) force of the far clamp on the rod, mm (energy per mm), zero where an end is free
     rate        frames per second
     memory      what the rods remember at the last frame, from where :func:`simulate` goes on
+    slopes      (R, F, P, V, 3) derivatives of positions by the parameters that were asked for, or None
     """
 
     positions: np.ndarray
@@ -59,6 +62,7 @@ class Trajectory:
     end_force: np.ndarray
     rate: float
     memory: Memory
+    slopes: np.ndarray | None = None
 
     @property
     def converged(self) -> np.ndarray:
@@ -81,6 +85,8 @@ def simulate(
     precision: str = "f64",
     pairs: tuple[np.ndarray, np.ndarray] | None = None,
     smooth_start: bool = True,
+    velocity_age: float = 0.0,
+    directions: Sequence[Direction] = (),
     progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
     """Move rods from ``start`` through the instants of ``grippers``.
@@ -97,6 +103,8 @@ def simulate(
     pairs         (R,) rows of start and of material that make up each rod; by default they pair one to one, a single row with
                   every row of the other
     smooth_start  the history before the first instant is that of the acceleration there; False: of constant velocity
+    velocity_age  s before the first instant for which ``velocity`` holds: ``smooth_start`` carries it on by the acceleration
+    directions    P parameters to differentiate the positions by, in f64
     progress      called with the number of frames that are done
 
     Returns the T − 1 later instants. A rod whose step fails stops alone. Raises InputError for inputs that do not match.
@@ -106,9 +114,11 @@ def simulate(
         raise InputError("simulate", "scheme", f"{scheme!r}", f"give one of {', '.join(RATES)}")
     if precision not in ("f32", "f64"):
         raise InputError("simulate", "precision", f"{precision!r}", "give f32 or f64")
+    if directions and precision != "f64":
+        raise InputError("simulate", "precision", "f32 with directions", "give f64")
     bits = 32 if precision == "f32" else 64
-    memory = motion.begin(_checked_velocity(velocity, start), smooth_start)
-    return motion.run(memory, RATES[scheme], bits, progress)
+    memory, remembered = motion.begin(_checked_velocity(velocity, start), smooth_start, velocity_age, directions)
+    return motion.run(memory, RATES[scheme], bits, progress, directions, remembered)
 
 
 def _checked_velocity(velocity, start: Configuration) -> np.ndarray:
@@ -142,6 +152,12 @@ class _Motion:
 
     def table(self, factor: float) -> Tables:
         """The tables of the rods for time derivatives of that factor a."""
+        vertices = self.start.edges + 1
+        external = Springs(np.zeros((1, vertices, 3)), np.zeros((1, vertices)))
+        return tables(self.start, self._stiffened(factor), self.first, self.up, *self.pairs, external, None)
+
+    def _stiffened(self, factor: float) -> Material:
+        """The material with the stiffness and the rest curvature that damping adds."""
         shares, damped = self._shares(factor)
         m = self.material
         if damped:
@@ -152,9 +168,7 @@ class _Motion:
                          np.broadcast_to(m.twist, (count, m.twist.shape[1])) * stiffer[:, 1:],
                          np.broadcast_to(m.weight, (count,)),
                          np.broadcast_to(rest, (count, *rest.shape[1:])) * (1.0 - shares[:, :1, None]))
-        vertices = self.start.edges + 1
-        external = Springs(np.zeros((1, vertices, 3)), np.zeros((1, vertices)))
-        return tables(self.start, m, self.first, self.up, *self.pairs, external, None)
+        return m
 
     def _shares(self, factor: float) -> tuple[np.ndarray, bool]:
         """((G, 2) shares of rest curvature and twist that damping makes, r = τ a/h / (1 + τ a/h), whether any)."""
@@ -216,14 +230,36 @@ class _Motion:
                 path[..., column : column + 4] = _frames(frames[:, 1:], kind)
         return path
 
-    def begin(self, velocity: np.ndarray, smooth: bool) -> Memory:
-        """The memory of rods that start with ``velocity`` (S, V, 3)."""
+    def slopes(self, table: Tables, factor: float, directions: Sequence[Direction], memory: np.ndarray) -> Slopes | None:
+        """How what the kernel is given changes along ``directions``; ``memory`` is how what the rods remember does."""
+        if not directions:
+            return None
+        changes = []
+        for direction in directions:
+            given = [self._under(table, *other, factor) for other in (direction.before, direction.after)]
+            changes.append([(after - before) / direction.distance for before, after in zip(*given, strict=True)])
+        return Slopes(*(np.stack(change) for change in zip(*changes, strict=True)), memory)
+
+    def _under(self, table: Tables, material: Material, dynamics: Dynamics, factor: float):
+        """Of another material and other dynamics, what the kernel is given: its tables of materials, of numbers, of shares."""
+        if material.count != self.material.count or dynamics.count != self.dynamics.count:
+            raise InputError("simulate", "directions", f"{material.count} and {dynamics.count} rows",
+                             f"give as many as of material, {self.material.count}, and of dynamics, {self.dynamics.count}")
+        other = copy(self)
+        other.material, other.dynamics = material, dynamics
+        numbers, shares, _ = other.numbers(table, factor)
+        return under(table, other._stiffened(factor)).material, numbers[..., :NUMBERS], shares
+
+    def begin(self, velocity: np.ndarray, smooth: bool, age: float,
+              directions: Sequence[Direction]) -> tuple[Memory, np.ndarray]:
+        """The memory of rods that start with ``velocity`` (S, V, 3), and its derivatives."""
         table = self.table(1.0)
         index = table.configuration_index
         frames = whole_start(table.start, table.clamp)[index]
         x = self.start.vertices[index]
         v = velocity[index]
         a = np.zeros_like(v)
+        remembered = np.zeros((table.count, len(directions), table.edges + 1, REMEMBERED))
         feasible = table.feasible[index]
         status = np.where(feasible, int(Status.CONVERGED), int(Status.INFEASIBLE)).astype(np.int8)
         if smooth and self.grippers.instants > 1:
@@ -231,32 +267,43 @@ class _Motion:
             numbers, shares, rows = self.numbers(table, 1.0)
             table.external_index[:] = rows
             path = np.ascontiguousarray(self.path(table)[:, :1])
-            make_steps(table, trial, path, numbers, shares, np.array([self.step, 1.0, 0.0]), 1, _newton(), 64)
+            slopes = self.slopes(table, 1.0, directions, remembered)
+            make_steps(table, trial, path, numbers, shares, np.array([self.step, 1.0, 0.0]), 1, _newton(), 64, slopes)
             moved = trial.places[..., VELOCITY_1 : VELOCITY_1 + 3]
             a = np.where((trial.status == Status.CONVERGED)[:, None, None], (moved - v) / self.step, 0.0)
-        return _memory(frames, x, v, a, table, self.step, status)
+            v = v + age * a
+            da = remembered[..., VELOCITY_1 : VELOCITY_1 + 3] / self.step
+            da[trial.status != Status.CONVERGED] = 0.0
+            remembered = slope_memory(
+                lambda change: _memory(frames, x, v + age * change, a + change, table, self.step, status), da)
+        return _memory(frames, x, v, a, table, self.step, status), remembered
 
-    def run(self, memory: Memory, factor: float, bits: int, progress) -> Trajectory:
+    def run(self, memory: Memory, factor: float, bits: int, progress, directions: Sequence[Direction],
+            remembered: np.ndarray) -> Trajectory:
         """All steps, in launches of bounded size."""
         table = self.table(factor)
+        slopes = self.slopes(table, factor, directions, remembered)
         numbers, shares, table.external_index[:] = self.numbers(table, factor)
         path = self.path(table)
         time = np.array([self.step, factor, (factor - 1.0) / factor])
         frames = path.shape[1] // self.substeps
-        at_once = max(1, min(frames, NUMBERS_AT_ONCE // (3 * table.count * (table.edges + 1))))
-        positions, outcomes = [], []
+        numbers_a_frame = 3 * table.count * (table.edges + 1) * (1 if slopes is None else 1 + slopes.count)
+        at_once = max(1, min(frames, NUMBERS_AT_ONCE // numbers_a_frame))
+        positions, outcomes, changes = [], [], []
         for first in range(0, frames, at_once):
             part = slice(first * self.substeps, min(frames, first + at_once) * self.substeps)
-            where, outcome = make_steps(table, memory, np.ascontiguousarray(path[:, part]), numbers, shares, time,
-                                        self.substeps, _newton(), bits)
+            where, outcome, change = make_steps(table, memory, np.ascontiguousarray(path[:, part]), numbers, shares, time,
+                                                self.substeps, _newton(), bits, slopes)
             positions.append(where)
             outcomes.append(outcome)
+            changes.append(change)
             if progress is not None:
                 progress(min(frames, first + at_once))
         outcome = np.concatenate(outcomes, axis=1)
         return Trajectory(
             np.concatenate(positions, axis=1), outcome[..., STATE].astype(np.int8), outcome[..., TRIPS].astype(np.int32),
-            outcome[..., MOMENT], outcome[..., END_FORCE:], self.rate, memory)
+            outcome[..., MOMENT], outcome[..., END_FORCE:], self.rate, memory,
+            None if slopes is None else changes[0] if len(changes) == 1 else np.concatenate(changes, axis=1))
 
 
 def _newton() -> Newton:
@@ -271,7 +318,7 @@ def _memory(frames, x, v, a, table: Tables, h: float, status) -> Memory:
     tangents = edges / np.maximum(np.linalg.norm(edges, axis=-1, keepdims=True), 1e-300)
     turn = smallest_rotation(tangent_from_quaternion(frames), tangents)
     before = quaternion_product(turn, frames)
-    return Memory(np.ascontiguousarray(frames), np.ascontiguousarray(before), places, np.zeros((len(x), 3)), status)
+    return Memory(frames.copy(), np.ascontiguousarray(before), places, np.zeros((len(x), 3)), status)
 
 
 def _frames(frames: np.ndarray, kinds: np.ndarray) -> np.ndarray:

@@ -128,15 +128,15 @@ def _twist(m, stiffness):
 
 
 @ti.func
-def _strain(x, rest):
+def strain(x, rest):
     """u = ω − u̅ with ω = −2i X."""
     return (2.0 * x[1] - rest[0], 0.0 - 2.0 * x[0] - rest[1])
 
 
 @ti.func
 def general_energy(x, y, m, stiffness):
-    left = _strain(x, _rest_left(stiffness))
-    right = _strain(y, _rest_right(stiffness))
+    left = strain(x, _rest_left(stiffness))
+    right = strain(y, _rest_right(stiffness))
     f = _applied(stiffness[0], left)
     g = _applied(stiffness[1], right)
     bend = left[0] * f[0] + left[1] * f[1] + right[0] * g[0] + right[1] * g[1]
@@ -163,7 +163,7 @@ def _inner_i(a, b):
 
 
 @ti.func
-def _moment(b, u, inverse_length):
+def moment(b, u, inverse_length):
     """μ = 2i (B u)/l̄, so that the energy varies by ⟨μ, δX⟩."""
     f = _applied(b, u)
     return (0.0 - 2.0 * inverse_length * f[1], 2.0 * inverse_length * f[0])
@@ -176,7 +176,7 @@ def _bend_form(b, factor, p, q):
 
 
 @ti.func
-def _first_variation(x, y, inverse, turn):
+def first_variation(x, y, inverse, turn):
     """Columns of δX over (a_left, r_left, s_left, r_right, s_right) and of δY over (r_left, s_left, a_right, r_right,
     s_right), Ω = r + i s; the missing columns are zero. And X², Y², c."""
     xx = _times(x, x)
@@ -202,10 +202,22 @@ def _first_variation(x, y, inverse, turn):
 @ti.func
 def general_gradient(x, y, inverse, turn, m, stiffness):
     """⟨μ, δX⟩ + ⟨ν, δY⟩ + M δm with μ, ν the moments of the left and right frame and M = 2 b m."""
-    mu = _moment(stiffness[0], _strain(x, _rest_left(stiffness)), stiffness[2])
-    nu = _moment(stiffness[1], _strain(y, _rest_right(stiffness)), stiffness[2])
+    mu = moment(stiffness[0], strain(x, _rest_left(stiffness)), stiffness[2])
+    nu = moment(stiffness[1], strain(y, _rest_right(stiffness)), stiffness[2])
     t = 2.0 * stiffness[3] * _twist(m, stiffness)
-    dx, dy, xx, yy, c = _first_variation(x, y, inverse, turn)
+    return gradient_of_moments(mu, nu, t, x, y, inverse, turn)
+
+
+@traced
+def _combined(columns, weights, part: int):
+    """Σ w_k c_k of the real (0) or imaginary (1) parts of some complex numbers."""
+    return sum(weight * column[part] for weight, column in zip(weights, columns, strict=True))
+
+
+@ti.func
+def gradient_of_moments(mu, nu, t, x, y, inverse, turn):
+    """(g_left, g_right), linear in the moments μ and ν of the left and right frame and in M."""
+    dx, dy, xx, yy, c = first_variation(x, y, inverse, turn)
     left = (
         _inner(mu, dx[0]) - t,
         _inner(mu, dx[1]) + _inner(nu, dy[0]) - t * x[1],
@@ -220,16 +232,26 @@ def general_gradient(x, y, inverse, turn, m, stiffness):
 
 
 @ti.func
+def curvature_variation(x, y, inverse, turn, left, right):
+    """(δX, δY, δm), five numbers, of body rotations ``left`` and ``right`` of the two frames."""
+    dx, dy, xx, yy, c = first_variation(x, y, inverse, turn)
+    of_x = (left[0], left[1], left[2], right[1], right[2])
+    of_y = (left[1], left[2], right[0], right[1], right[2])
+    twist = right[0] - left[0] + x[0] * left[2] - x[1] * left[1] + y[0] * right[2] - y[1] * right[1]
+    return (_combined(dx, of_x, 0), _combined(dx, of_x, 1), _combined(dy, of_y, 0), _combined(dy, of_y, 1), twist)
+
+
+@ti.func
 def general_hessian(x, y, inverse, turn, m, stiffness):
     """Σ (δu)ᵀB(δu)/l̄ + 2b δm² + ⟨μ, δ²X⟩ + ⟨ν, δ²Y⟩ + M δ²m."""
     b_left = stiffness[0]
     b_right = stiffness[1]
-    mu = _moment(b_left, _strain(x, _rest_left(stiffness)), stiffness[2])
-    nu = _moment(b_right, _strain(y, _rest_right(stiffness)), stiffness[2])
+    mu = moment(b_left, strain(x, _rest_left(stiffness)), stiffness[2])
+    nu = moment(b_right, strain(y, _rest_right(stiffness)), stiffness[2])
     f = 4.0 * stiffness[2]
     b2 = 2.0 * stiffness[3]
     h = 0.5 * b2 * _twist(m, stiffness)  # M/2
-    dx, dy, xx, yy, c = _first_variation(x, y, inverse, turn)
+    dx, dy, xx, yy, c = first_variation(x, y, inverse, turn)
     xxx = _times(xx, x)
     yyy = _times(yy, y)
     c_bar = (c[0], 0.0 - c[1])

@@ -79,15 +79,20 @@ class NewtonLoop:
         pack_trips = 0
         running = 1
         while running == 1:
-            if self.largest(lane.finished) > 0.5:
+            if self.exchanges(lane):
                 self.exchange(tables, scratch, head, lane, supply)
                 self.begin(tables, scratch, head, lane)
             if self.largest(lane.active) < 0.5:
                 running = 0
             else:
-                self.trip(tables, scratch, head, lane)
+                self.advance(tables, scratch, head, lane)
                 pack_trips += 1
         ti.atomic_add(tables.queue[TRIPS], pack_trips)
+
+    @ti.func
+    def exchanges(self, lane):
+        """Whether finished lanes are to be exchanged now."""
+        return self.largest(lane.finished) > 0.5
 
     @ti.func
     def exchange(self, tables, scratch: ti.template(), head, lane, supply):
@@ -164,6 +169,11 @@ class NewtonLoop:
             lane, begun, shift=shift, fresh=one, best=self.constant(1e30), step_scale=zero, trips=zero, idle_trips=zero,
             aimless=zero, rejects=zero, trying=zero, closing=zero, returned=zero, troubled=zero, escaping=zero, escapes=zero)
         lane.finished = zero
+
+    @ti.func
+    def advance(self, tables, scratch: ti.template(), head, lane):
+        """What is done between exchanges: a trip."""
+        self.trip(tables, scratch, head, lane)
 
     @ti.func
     def trip(self, tables, scratch: ti.template(), head, lane):

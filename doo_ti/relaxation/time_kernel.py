@@ -5,9 +5,11 @@ from functools import cache
 import taichi as ti
 
 from doo_ti.physics.number import Number
-from doo_ti.physics.tuples import record
+from doo_ti.physics.tuples import picked, record
 from doo_ti.relaxation.newton_loop import UP
 from doo_ti.relaxation.time_loop import TimeLoop
+from doo_ti.relaxation.time_slope_loop import TimeSlopeLoop
+from doo_ti.relaxation.time_slopes import OWN, SHARED, TimeSlopes
 from doo_ti.relaxation.time_sweep import TimeSweep
 
 
@@ -58,3 +60,49 @@ def time_kernel(number: Number, isotropic: bool, stride: int, block: int):
             loop.work(tables, scratch, threads, thread)
 
     return make_steps, sweep.items, sweep.parameters
+
+
+@cache
+def time_slope_kernel(stride: int, block: int, width: int):
+    """The same for steps with their derivatives, in f64 and for any rods, ``width`` in a pack; the numbers that
+    :func:`slope_items` says come on top in scratch."""
+    number = Number(width, 64)
+    sweep = TimeSlopes(number, stride)
+    loop = TimeSlopeLoop(sweep)
+    table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
+    index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
+
+    @ti.kernel
+    def make_steps(
+        rest_length: table2, clamp: table2, path: table3, material: table2, numbers: table3, shares: table2, rods: index2,
+        policy: table1, time: table1, steps: ti.i32, every: ti.i32, threads: ti.i32,
+        scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, frames_before: table1,
+        places: table3, results: table2, positions: table3, outcome: table3,  # as :func:`time_kernel` has them
+        material_slopes: table3,  # [parameter, material, -]
+        number_slopes: table4,  # [parameter, numbers, vertex, NUMBERS]
+        share_slopes: table3,  # [parameter, numbers, 2]
+        slopes: table4,  # [row, parameter, vertex, REMEMBERED] in and out
+        position_slopes: table4,  # [row · frame, parameter, vertex, 3] out
+    ):
+        ti.loop_config(block_dim=block)
+        for thread in range(threads):
+            up = (policy[UP], policy[UP + 1], policy[UP + 2])
+            edges = rest_length.shape[1]
+            blocks = threads * (sweep.parameters + sweep.items * edges) + thread
+            if ti.static(stride == 1):
+                blocks += thread * (slope_items(edges, material_slopes.shape[0]) - 1)
+            tables = record(
+                start=frames, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods, policy=policy,
+                queue=queue, frames=frames, results=results, numbers=numbers, field=material, path=path, shares=shares,
+                time=time, steps=steps, every=every, frames_before=frames_before, places=places, positions=positions,
+                outcome=outcome, material_slopes=material_slopes, number_slopes=number_slopes, share_slopes=share_slopes,
+                slopes=slopes, position_slopes=position_slopes, blocks=blocks)
+            loop.work(tables, scratch, threads, thread)
+
+    return make_steps, sweep.items, sweep.parameters
+
+
+@picked
+def slope_items(edges, parameters):
+    """Numbers of a rod's derivatives in scratch."""
+    return (edges + 1) * (SHARED + parameters * OWN)

@@ -3,7 +3,7 @@
 import taichi as ti
 
 from doo_ti.physics.quaternion import normalised, tangent, transported
-from doo_ti.physics.tuples import dot, plus, record, scaled
+from doo_ti.physics.tuples import dot, plus, put_lane, record, scaled
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loading import LANES, Loading
@@ -155,6 +155,7 @@ class TimeLoop(NewtonLoop):
                       extrapolation=zero + ti.cast(tables.time[EXTRAPOLATION], self.scalar))
         up = (ti.cast(tables.up[0], self.scalar), ti.cast(tables.up[1], self.scalar), ti.cast(tables.up[2], self.scalar))
         rod = self.sweep.rods(scratch, head, edges, tables.numbers, tables.numbers, lane.coarse)
+        self.differentiate(tables, rod, time, up, ti.select(done, one, zero))
         self.sweep.remember(rod, time, done)
         steps_made = supply.places + (tables.queue.shape[0] - LANES) // 2
         for slot in range(self.width):
@@ -167,11 +168,10 @@ class TimeLoop(NewtonLoop):
                 if again == 0:
                     self.refill(tables, scratch, head, slot, lane, supply)
                     tables.queue[steps_made + slot] = 0
-                    force = lane.multiplier
-                    lane.multiplier = (self.with_lane(force[0], slot, 0.0), self.with_lane(force[1], slot, 0.0),
-                                       self.with_lane(force[2], slot, 0.0))
+                    put_lane(lane, self.with_lane, slot, multiplier=(0.0, 0.0, 0.0))
                     if self.lane(lane.active, slot) > 0.5:
                         self.loading.load_motion(tables, scratch, head, slot, tables.queue[supply.places + slot])
+                        self.load_slopes(tables, scratch, head, slot, tables.queue[supply.places + slot])
         going = (lane.finished > 0.5) & (lane.active > 0.5)
         if self.largest(ti.select(going, one, zero)) > 0.5:
             next_rod = self.sweep.rods(scratch, head, edges, tables.numbers, tables.numbers, lane.coarse)
@@ -202,14 +202,34 @@ class TimeLoop(NewtonLoop):
                     force = ti.cast(self.lane(lane.multiplier[k], slot), ti.f64)
                     tables.outcome[row, frame, END_FORCE + k] = 0.0 - unit * force
                 self.loading.store_vertices(tables.positions, row * frames + frame, 3, scratch, head, slot, edges)
+                self.write_slopes(tables, scratch, slot, row * frames + frame)
             if step + 1 < tables.steps:
                 again = 1
             else:
                 self.loading.store_motion(tables, scratch, head, slot, row)
+                self.store_slopes(tables, scratch, slot, row)
         else:
             for later in range(frame, frames):
                 tables.outcome[row, later, STATE] = status
         return again
+
+    # --- of a loop that differentiates the steps, :class:`doo_ti.relaxation.time_slope_loop.TimeSlopeLoop` ---
+
+    @ti.func
+    def differentiate(self, tables, rod, time, up, done):
+        """The derivatives of the steps that have converged, in the lanes where ``done`` is one."""
+
+    @ti.func
+    def load_slopes(self, tables, scratch: ti.template(), head, slot, rod):
+        """The derivatives that rod ``rod`` remembers, and its parameters, into lane ``slot``."""
+
+    @ti.func
+    def store_slopes(self, tables, scratch: ti.template(), slot, row):
+        """The derivatives that the lane's rod remembers into row ``row``."""
+
+    @ti.func
+    def write_slopes(self, tables, scratch: ti.template(), slot, place):
+        """The derivatives of the lane's positions, for row ``place`` of the positions."""
 
     @ti.func
     def multiplier(self, lane, fitted):

@@ -126,12 +126,7 @@ class TimeSweep(LoadedElimination):
     def spring(self, rod, at, time, up):
         """(point, stiffness) of the spring of a step at the vertex whose items begin at ``at``, and x̂, mm."""
         s = self.stride
-        p1, p2 = self.load3(rod.scratch, at + PLACE_1 * s), self.load3(rod.scratch, at + PLACE_2 * s)
-        v1, v2 = self.load3(rod.scratch, at + VELOCITY_1 * s), self.load3(rod.scratch, at + VELOCITY_2 * s)
-        y = plus(p1, scaled(minus(p1, p2), time.extrapolation))
-        w = plus(v1, scaled(minus(v1, v2), time.extrapolation))
-        ahead = plus(y, scaled(w, time.step / time.rate))
-        fast = minus(plus(v1, v1), v2)  # the velocity at the step's end, extrapolated
+        y, ahead, fast = self.extrapolated(rod, at, time)
         drag = rod.scratch[at + DRAG * s] + rod.scratch[at + DRAG_BY_SPEED * s] * ti.sqrt(dot(fast, fast))
         inertia, stiffness = rod.scratch[at + INERTIA * s], rod.scratch[at + SPRING * s]
         k = inertia + drag + stiffness
@@ -142,8 +137,31 @@ class TimeSweep(LoadedElimination):
         return point, k, ahead
 
     @ti.func
+    def extrapolated(self, rod, at, time):
+        """(y, x̂, the velocity at the step's end) of the vertex whose items begin at ``at``, mm and mm/s."""
+        s = self.stride
+        p1, p2 = self.load3(rod.scratch, at + PLACE_1 * s), self.load3(rod.scratch, at + PLACE_2 * s)
+        v1, v2 = self.load3(rod.scratch, at + VELOCITY_1 * s), self.load3(rod.scratch, at + VELOCITY_2 * s)
+        y = plus(p1, scaled(minus(p1, p2), time.extrapolation))
+        w = plus(v1, scaled(minus(v1, v2), time.extrapolation))
+        return y, plus(y, scaled(w, time.step / time.rate)), minus(plus(v1, v1), v2)
+
+    @ti.func
     def set_rest(self, rod, at, time):
         """u̅ and m̅ of the joint where the edge at ``at`` begins: the material's share and that of damping."""
+        s = self.stride
+        own = at + self.motion * s
+        curved = self.extrapolated_curvature(rod, at, time)
+        bend = rod.scratch[rod.head + (self.time_parameters + OF_BEND_SHARE) * s]
+        twist = rod.scratch[rod.head + (self.time_parameters + OF_TWIST_SHARE) * s]
+        rest1, rest2 = rod.scratch[at + REST * s], rod.scratch[at + (REST + 1) * s]
+        self.store(rod.scratch, own + REST_LEFT * s, (rest1 + bend * curved[0], rest2 + bend * curved[1]))
+        self.store(rod.scratch, own + REST_RIGHT * s, (rest1 + bend * curved[2], rest2 + bend * curved[3]))
+        rod.scratch[own + REST_TWIST * s] = twist * curved[4]
+
+    @ti.func
+    def extrapolated_curvature(self, rod, at, time):
+        """y(ω) as the left frame sees it and the right one, and of the twist: of the joint where the edge at ``at`` begins."""
         s = self.stride
         own, previous = at + self.motion * s, at - self.edge_stride + self.motion * s
         last = pair.curvature(self.load4(rod.scratch, previous + FRAME_1 * s), self.load4(rod.scratch, own + FRAME_1 * s))
@@ -151,11 +169,4 @@ class TimeSweep(LoadedElimination):
         m1, m2 = self.twist_angle(last[4]), self.twist_angle(before[4])
         x = plus(last[0], scaled(minus(last[0], before[0]), time.extrapolation))
         y = plus(last[1], scaled(minus(last[1], before[1]), time.extrapolation))
-        bend = rod.scratch[rod.head + (self.time_parameters + OF_BEND_SHARE) * s]
-        twist = rod.scratch[rod.head + (self.time_parameters + OF_TWIST_SHARE) * s]
-        rest1, rest2 = rod.scratch[at + REST * s], rod.scratch[at + (REST + 1) * s]
-        left = (rest1 + 2.0 * bend * x[1], rest2 - 2.0 * bend * x[0])
-        right = (rest1 + 2.0 * bend * y[1], rest2 - 2.0 * bend * y[0])
-        self.store(rod.scratch, own + REST_LEFT * s, left)
-        self.store(rod.scratch, own + REST_RIGHT * s, right)
-        rod.scratch[own + REST_TWIST * s] = twist * (m1 + time.extrapolation * (m1 - m2))
+        return (2.0 * x[1], 0.0 - 2.0 * x[0], 2.0 * y[1], 0.0 - 2.0 * y[0], m1 + time.extrapolation * (m1 - m2))

@@ -37,14 +37,15 @@ def chosen(positions: np.ndarray, recorded: np.ndarray | None) -> np.ndarray:
 
 
 def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray, recorded: np.ndarray | None, rate: float,
-                 up: np.ndarray) -> None:
-    """A picture of (R, T, V, 3) rods: some of them at several instants, over what was ``recorded`` where that is given, and the
-    error of all over time."""
+                 up: np.ndarray, energies: dict[str, np.ndarray] | None = None) -> None:
+    """A picture of (R, T, V, 3) rods: some of them at several instants; where they were ``recorded`` that as well, and the
+    error of all over time; where ``energies`` (R, T) by name are given, those of the first rod."""
     rows = chosen(positions, recorded)
     columns = min(3, len(rows))
     lines = -(-len(rows) // columns)
-    figure = new_figure((4.2 * columns, 3.4 * lines + (2.6 if recorded is not None else 0.4)))
-    heights = [1.0] * lines + [0.75] * (recorded is not None)
+    below = recorded is not None or energies is not None
+    figure = new_figure((max(5.0, 4.2 * columns), 3.4 * lines + (2.6 if below else 0.4)))
+    heights = [1.0] * lines + [0.75] * below
     grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
     shown = positions[rows]
     axes = view_axes(shown if recorded is None else recorded[rows], up)
@@ -77,6 +78,14 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
         plot.set_xlabel("time [s]")
         plot.set_ylabel("mean |difference| [mm]")
         plot.legend(fontsize=8, frameon=False)
+    elif energies is not None:
+        plot = figure.add_subplot(grid[lines, :])
+        time = np.arange(positions.shape[1]) / rate
+        for label, value in energies.items():
+            plot.plot(time, value[0], lw=1.4, label=label, color="black" if label == "sum" else None)
+        plot.set_xlabel("time [s]")
+        plot.set_ylabel(literal(f"energy of {names[0]} [mm²]"))
+        plot.legend(fontsize=8, frameon=False, ncols=4)
     last = (positions.shape[1] - 1) / rate
     figure.suptitle(literal(f"{name}: {len(frames)} of {positions.shape[1]} frames from 0 to {last:.3g} s, seen from the side"),
                     fontsize=10)
