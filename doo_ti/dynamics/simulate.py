@@ -263,7 +263,7 @@ class _Motion:
         feasible = table.feasible[index]
         status = np.where(feasible, int(Status.CONVERGED), int(Status.INFEASIBLE)).astype(np.int8)
         if smooth and self.grippers.instants > 1:
-            trial = _memory(frames.copy(), x, v, a, table, self.step, status.copy())
+            trial = _memory(frames, x, v, a, table, self.step, status.copy())
             numbers, shares, rows = self.numbers(table, 1.0)
             table.external_index[:] = rows
             path = np.ascontiguousarray(self.path(table)[:, :1])
