@@ -48,7 +48,8 @@ def gripper_paths(rng, count: int, frames: int, last: np.ndarray) -> tuple[np.nd
 
 
 def recorded(rng, theta: MotionTheta, count: int, frames: int, noise: float) -> np.ndarray:
-    """(count, frames, V, 3) mm what markers show of rods that move under ``theta``, whose first edges begin along x."""
+    """(count, frames, V, 3) mm what markers show of rods that move under ``theta``, first edges along x at first, held by both
+    whole end frames, planar and so without twist."""
     lengths, total = theta.rest_length, SETTLING + frames
     slopes = np.linspace(-1.0, 1.0, len(lengths)) * 1.6
     slopes[[0, -1]] = 0.0
@@ -56,7 +57,8 @@ def recorded(rng, theta: MotionTheta, count: int, frames: int, noise: float) -> 
     rods = type(rods)(rods.start, rods.quaternions, lengths)
     first, first_edge, last, last_edge = gripper_paths(rng, count, total, rods.vertices[0, -1])
     frames_along = edge_frames(first_edge, np.broadcast_to(theta.reference, (count, 3)))
-    grippers = Grippers(Clamp.FRAME, Clamp.TANGENT, first, last, frames_along, edge_frames(last_edge))
+    held = edge_frames(last_edge, np.broadcast_to(theta.reference, (count, 3)))
+    grippers = Grippers(Clamp.FRAME, Clamp.FRAME, first, last, frames_along, held)
     material, dynamics = simulated([theta])
     found = simulate(rods, material, grippers, dynamics, RATE)
     assert found.converged.all()
