@@ -179,8 +179,8 @@ def _draw(found: _Simulated, shown: dict[str, Path]) -> None:
         from doo_ti.report.rollouts import save_animation
 
         with busy("drawing the animation"):
-            save_animation(shown["animation"], found.name, found.positions, found.recorded, found.rate, found.up)
+            save_animation(shown["animation"], found.name, found.names, found.positions, found.recorded, found.rate, found.up)
     if "recording" in shown:
         from doo_ti.record.rollouts import record_rollout
 
-        record_rollout(shown["recording"], found.name, found.names, found.positions, found.recorded, found.rate)
+        record_rollout(shown["recording"], found.name, found.names, found.positions, found.recorded, found.rate, found.up)

@@ -1,4 +1,4 @@
-"""Recorded motion: markers along rods held by grippers, frame by frame: where a simulation starts, and what it is compared with."""
+"""Recorded motion: markers along rods held by grippers: where a simulation starts, and what it is compared with."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -284,7 +284,8 @@ def rollout(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarr
     last = edge_frames(expanded[:, :, 3] - expanded[:, :, 2], frames[:, -1, :, 1])
     grippers = Grippers(Clamp.FRAME, end, expanded[:, :, 0], expanded[:, :, 3], first, last)
     velocity = (x - first_two[:, 0]) * motion.rate / motion.elapsed[:, 1, None, None]
-    return Rollout(Configuration(x[:, 0].copy(), quaternion_from_matrix(frames), rest_length), velocity, grippers, steps, motion.rate)
+    start = Configuration(x[:, 0].copy(), quaternion_from_matrix(frames), rest_length)
+    return Rollout(start, velocity, grippers, steps, motion.rate)
 
 
 def _with_missing(held: np.ndarray, elapsed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.report.canvas import PICTURE_DPI, literal, new_figure
+from doo_ti.report.grid_view import upright_basis
 
 MOST_RODS = 6
 """In a picture, those of the largest, the median and the smallest errors."""
@@ -14,33 +15,26 @@ ANIMATED, FRAMES_PER_SECOND, MOST_FRAMES = 8, 25, 250
 RECORDED, PREDICTED = "#9a9a9a", "#c2410c"
 
 
-def view_axes(positions: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """(2, 3) horizontal and vertical direction of a view in which the rods are widest."""
-    points = positions.reshape(-1, 3)
-    points = points[np.isfinite(points).all(axis=1)]
-    flat = points - np.outer(points @ up, up)
-    _, _, axes = np.linalg.svd(flat - flat.mean(axis=0), full_matrices=False)
-    side = axes[0] - up * (axes[0] @ up)
-    length = np.linalg.norm(side)
-    side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))]) if length < 1e-6 else side / length
-    return np.stack([side / np.linalg.norm(side), up])
+def _side_view(rods: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(2, 3) horizontal and vertical direction of the view."""
+    return upright_basis(rods.reshape(len(rods), -1, 3), up)[[0, 2]]
 
 
-def chosen(positions: np.ndarray, recorded: np.ndarray | None) -> np.ndarray:
-    """Rows of the rods that a picture shows: spread over the order of their errors."""
+def chosen(positions: np.ndarray, recorded: np.ndarray | None, most: int) -> np.ndarray:
+    """Rows of the rods that are shown: the first, or spread over the order of their errors."""
     count = len(positions)
     if recorded is None:
-        return np.arange(min(count, MOST_RODS))
+        return np.arange(min(count, most))
     error = np.abs(positions - recorded).mean(axis=(1, 2, 3))
     order = np.argsort(np.where(np.isfinite(error), error, np.inf), kind="stable")
-    return order[np.unique(np.linspace(0, count - 1, min(count, MOST_RODS)).round().astype(int))]
+    return order[np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))]
 
 
 def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray, recorded: np.ndarray | None, rate: float,
                  up: np.ndarray, energies: dict[str, np.ndarray] | None = None) -> None:
     """A picture of (R, T, V, 3) rods: some of them at several instants; where they were ``recorded`` that as well, and the
     error of all over time; where ``energies`` (R, T) by name are given, those of the first rod."""
-    rows = chosen(positions, recorded)
+    rows = chosen(positions, recorded, MOST_RODS)
     columns = min(3, len(rows))
     lines = -(-len(rows) // columns)
     below = recorded is not None or energies is not None
@@ -48,7 +42,7 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
     heights = [1.0] * lines + [0.75] * below
     grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
     shown = positions[rows]
-    axes = view_axes(shown if recorded is None else recorded[rows], up)
+    axes = _side_view(shown if recorded is None else recorded[rows], up)
     frames = np.linspace(0, positions.shape[1] - 1, min(STILLS, positions.shape[1])).round().astype(int)
     for k, row in enumerate(rows):
         plot = figure.add_subplot(grid[k // columns, k % columns])
@@ -92,34 +86,34 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
     figure.savefig(path, dpi=PICTURE_DPI, metadata={"Software": None})
 
 
-def save_animation(path: Path, name: str, positions: np.ndarray, recorded: np.ndarray | None, rate: float,
+def save_animation(path: Path, name: str, names: list[str], positions: np.ndarray, recorded: np.ndarray | None, rate: float,
                    up: np.ndarray) -> None:
     """A GIF or WebP of some of the (R, T, V, 3) rods moving side by side, in real time where that is not too long."""
     from PIL import Image
 
-    rows = chosen(positions, recorded)[:ANIMATED]
-    axes = view_axes(positions[rows], up)
+    rows = chosen(positions, recorded, ANIMATED)
+    axes = _side_view(positions[rows], up)
     every = max(1, round(rate / FRAMES_PER_SECOND), -(-positions.shape[1] // MOST_FRAMES))
     frames = range(0, positions.shape[1], every)
     flat = positions[rows] @ axes.T
     seen = None if recorded is None else recorded[rows] @ axes.T
     low, high = np.nanmin(flat, axis=(0, 1, 2)), np.nanmax(flat, axis=(0, 1, 2))
-    centre, size = 0.5 * (low + high), 0.54 * max(high - low)
+    centre, size = 0.5 * (low + high), np.maximum(0.54 * (high - low), 0.2 * max(high - low))
     columns = min(4, len(rows))
     lines = -(-len(rows) // columns)
-    figure = new_figure((2.6 * columns, 2.6 * lines), 80)
-    plots, curves, marks = [], [], []
+    figure = new_figure((2.6 * columns, min(2.6 * size[1] / size[0] + 0.3, 4.0) * lines + 0.3), 80)
+    curves, marks = [], []
     for k in range(len(rows)):
         plot = figure.add_subplot(lines, columns, k + 1)
-        plot.set_xlim(centre[0] - size, centre[0] + size)
-        plot.set_ylim(centre[1] - size, centre[1] + size)
+        plot.set_xlim(centre[0] - size[0], centre[0] + size[0])
+        plot.set_ylim(centre[1] - size[1], centre[1] + size[1])
+        plot.set_title(literal(names[rows[k]]), fontsize=9)
         plot.set_aspect("equal")
         plot.set_xticks([])
         plot.set_yticks([])
         if seen is not None:
             marks.append(plot.plot([], [], color=RECORDED, lw=4)[0])
         curves.append(plot.plot([], [], color=PREDICTED, lw=1.8)[0])
-        plots.append(plot)
     figure.suptitle(literal(name), fontsize=10)
     images = []
     for frame in frames:
