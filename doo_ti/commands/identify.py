@@ -67,13 +67,15 @@ def run(options: Namespace, words: list[str]) -> int:
             return found
         held_out = _held_out(motion, folds, chosen, fit) if folds else None
         found = fit(motion, "all recordings")
+    if found.failed.all():
+        raise RuntimeError(f"no recording could be rolled out, from {len(motion.names)}; give a higher --bend to begin with")
     summary = _summary(found, motion, held_out, out)
     save_json(out, {"doo_ti": "theta", **summary["theta"], **{key: summary[key] for key in (
         "parameters", "error_mm", "mean_error_mm", "median_error_mm", "failed", "held_out", "glitches")}})
     if picture is not None:
         _draw(picture, found, motion, chosen)
     report(options, summary, lambda: _lines(summary, motion))
-    return 0 if not found.failed.all() else 1
+    return 0
 
 
 def _held_out(motion, folds: int, chosen, fit) -> np.ndarray:

@@ -4,15 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, real_array
 from doo_ti.frames import (
+    FRAME_TOLERANCE,
     across,
     matrix_from_quaternion,
+    orthonormality_error,
     quaternion_from_matrix,
     quaternion_product,
     smallest_rotation,
 )
-from doo_ti.types import Clamps
+from doo_ti.types import Clamp, Clamps
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,28 @@ class Grippers:
     end_position: np.ndarray
     start_frame: np.ndarray
     end_frame: np.ndarray
+
+    def __post_init__(self):
+        shape = np.shape(self.start_position)
+        for name in _PATHS:
+            wanted = (*shape[:2], 3, 3) if name.endswith("frame") else (*shape[:2], 3)
+            value = real_array("Grippers", name, getattr(self, name), "give real numbers").astype(np.float64)
+            if len(shape) != 3 or value.shape != wanted or shape[1] < 2:
+                raise InputError("Grippers", name, f"shape {value.shape}",
+                                 "give positions (S, T, 3) and frames (S, T, 3, 3) at two instants or more")
+            self._check(name, value)
+            object.__setattr__(self, name, value)
+
+    def _check(self, name: str, value: np.ndarray) -> None:
+        """Raise InputError where a position or frame that is held is not finite, or a frame no rotation."""
+        end = name.split("_")[0]
+        kind = np.broadcast_to(np.asarray(getattr(self, end)), (len(value),))
+        held = value[kind >= (Clamp.TANGENT if name.endswith("frame") else Clamp.POSITION)]
+        if not np.isfinite(held).all():
+            raise InputError("Grippers", name, "not finite", "give finite numbers where the end is held")
+        whole = value[kind == Clamp.FRAME]
+        if name.endswith("frame") and len(whole) and orthonormality_error(whole.reshape(-1, 3, 3)).max() > FRAME_TOLERANCE:
+            raise InputError("Grippers", name, "no rotations", "give unit, orthogonal columns t, m1, m2")
 
     @property
     def count(self) -> int:

@@ -124,7 +124,7 @@ class Identified:
 
     def parameters(self) -> list[dict]:
         """Name, value, 95 % interval and unit of every parameter."""
-        return self.unknowns.intervals(self.vector, self.covariance)
+        return self.unknowns.intervals(self.vector, self.covariance, int((~self.failed).sum()) - 1)
 
 
 def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOptions = IdentifyOptions(),
@@ -221,6 +221,8 @@ class _Fit:
         for k in range(self.options.iterations):
             residual, slopes, status = self.linearised(p)
             used = (status == Status.CONVERGED).all(axis=1)
+            if not used.any():
+                return p, np.inf, k + 1
             cost = self.cost(residual)[used].sum()
             report(k, float(np.abs(residual[used]).mean()))
             a, gradients = self.normal(residual, slopes, used)

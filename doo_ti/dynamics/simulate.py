@@ -8,7 +8,7 @@ import numpy as np
 
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import GRAVITY, Direction, Dynamics
-from doo_ti.errors import InputError, require_number, require_whole
+from doo_ti.errors import InputError, real_array, require_number, require_whole
 from doo_ti.frames import (
     quaternion_from_matrix,
     quaternion_product,
@@ -37,6 +37,8 @@ from doo_ti.types import Clamp, Configuration, Material, Status, unit_up
 
 RATES = {"euler": 1.0, "bdf2": 1.5}
 """Time derivatives: a of D u = (a/h) (u − y)."""
+MOST_RATE = 1e7
+"""Instants per second."""
 NUMBERS_AT_ONCE = 16_000_000
 """Numbers of positions that a launch writes."""
 
@@ -125,9 +127,11 @@ def _checked_velocity(velocity, start: Configuration) -> np.ndarray:
     shape = (start.count, start.edges + 1, 3)
     if velocity is None:
         return np.zeros(shape)
-    velocity = np.asarray(velocity, dtype=np.float64)
+    velocity = real_array("simulate", "velocity", velocity, "give real numbers").astype(np.float64)
     if velocity.shape != shape:
         raise InputError("simulate", "velocity", f"shape {velocity.shape}", f"give {shape}")
+    if not np.isfinite(velocity).all():
+        raise InputError("simulate", "velocity", "not finite", "give finite numbers of mm/s")
     return velocity
 
 
@@ -136,8 +140,8 @@ class _Motion:
 
     def __init__(self, start, material, grippers, dynamics, rate, substeps, springs, up, pairs):
         require_number("simulate", "rate", rate)
-        if not rate > 0:
-            raise InputError("simulate", "rate", f"{rate}", "give instants per second, more than zero")
+        if not 0 < rate <= MOST_RATE:
+            raise InputError("simulate", "rate", f"{rate}", f"give instants per second, above zero, at most {MOST_RATE:g}")
         require_whole("simulate", "substeps", substeps, 1)
         if grippers.count not in (1, start.count):
             raise InputError("simulate", "grippers", f"{grippers.count} rods, start has {start.count}", "give one, or as many")
@@ -318,7 +322,7 @@ def _memory(frames, x, v, a, table: Tables, h: float, status) -> Memory:
     tangents = edges / np.maximum(np.linalg.norm(edges, axis=-1, keepdims=True), 1e-300)
     turn = smallest_rotation(tangent_from_quaternion(frames), tangents)
     before = quaternion_product(turn, frames)
-    return Memory(frames.copy(), np.ascontiguousarray(before), places, np.zeros((len(x), 3)), status)
+    return Memory(frames.copy(), np.ascontiguousarray(before), places, np.zeros((len(x), 3)), np.zeros((len(x), 3)), status)
 
 
 def _frames(frames: np.ndarray, kinds: np.ndarray) -> np.ndarray:

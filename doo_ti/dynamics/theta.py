@@ -154,9 +154,12 @@ class Unknowns:
         rest = p[1 + len(self.fitted) :].reshape(2, self.modes) * self.CURVATURE
         return replace(self.begin, bend=float(np.exp(p[0])), rest=rest, **values)
 
-    def intervals(self, p: np.ndarray, covariance: np.ndarray) -> list[dict]:
-        """Name, value, 95 % interval (``low`` None where it ends at a bound) and unit of every parameter."""
-        deviation = 1.96 * np.sqrt(np.diag(covariance))
+    def intervals(self, p: np.ndarray, covariance: np.ndarray, freedom: int) -> list[dict]:
+        """Name, value, 95 % interval (``low`` None where it ends at a bound) and unit of every parameter; ``freedom``: one less
+        than the recordings that ``covariance`` is from."""
+        from scipy.stats import t
+
+        deviation = t.ppf(0.975, max(freedom, 1)) * np.sqrt(np.diag(covariance))
         rows = []
         for k, name in enumerate(self.names):
             size = self.SIZES.get(name, self.CURVATURE)

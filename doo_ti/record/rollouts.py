@@ -39,7 +39,8 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
                 continue
             placed = shown + grid.offset[:, None, None]
             stream.log(f"/world/{entity}", rerun.LineStrips3D.from_fields(
-                colors=color, radii=rerun.Radius.ui_points(width), labels=names[:MOST_RODS], show_labels=count <= 12), static=True)
+                colors=color, radii=rerun.Radius.ui_points(width), labels=names[:MOST_RODS], show_labels=count <= 12),
+                static=True)
             strips = drawn_strips(placed.swapaxes(0, 1).reshape(-1, *rods.shape[2:]))
             stream.send_columns(f"/world/{entity}", when, rerun.LineStrips3D.columns(strips=strips).partition([count] * frames))
         if seen is not None:

@@ -254,11 +254,16 @@ class NewtonLoop:
         lane.trips = lane.trips + lane.active
 
     @ti.func
+    def tolerance(self, tables, rod):
+        """The largest residual of a rod that has converged."""
+        return ti.cast(tables.policy[TOLERANCE], self.scalar)
+
+    @ti.func
     def judge_place(self, tables, rod, lane, inertia, judged):
         """Judge where the rod is: a record of flags. The elimination, at the new frames, says nothing about restored ones."""
         gap = ti.sqrt(dot(lane.miss, lane.miss))
-        tolerance = ti.cast(tables.policy[TOLERANCE], self.scalar)
-        small = (lane.residual * rod.total <= tolerance) & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
+        at_rest = lane.residual * rod.total <= self.tolerance(tables, rod)
+        small = at_rest & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
         wrong = ((inertia < 2.5) | (inertia > 3.5)) & judged.stands
         right = (inertia > 2.5) & (inertia < 3.5) & judged.stands
         calm = small & (lane.escaping < 0.5) & judged.stands

@@ -2,18 +2,19 @@
 
 import taichi as ti
 
-from doo_ti.physics.quaternion import normalised, tangent, transported
+from doo_ti.physics.quaternion import tangent, transported
 from doo_ti.physics.tuples import dot, plus, put_lane, record, scaled
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loading import LANES, Loading
-from doo_ti.relaxation.newton_loop import NewtonLoop
+from doo_ti.relaxation.newton_loop import TOLERANCE, NewtonLoop
 from doo_ti.relaxation.time_sweep import (
     EXTRAPOLATION,
     FRAME_1,
     FRAME_2,
     INERTIA,
     OF_BEND_SHARE,
+    OF_INERTIA,
     OF_VERTEX,
     RATE,
     SPRING_POINT,
@@ -27,6 +28,9 @@ PATH_ANCHOR, PATH_TARGET, PATH_ENDS, PATH_COLUMNS = 0, 3, 6, 14
 # Columns of the outcome of a frame: the status, iterations of all its steps and the largest residual, and the force of the far
 # clamp at its end.
 STATE, TRIPS, MOMENT, END_FORCE, OUTCOMES = 0, 1, 2, 3, 6
+
+POSITION_ROUNDING = 1e-6
+"""Of the rod's length, in f32: what a step may be wrong by in every position."""
 
 
 @ti.data_oriented
@@ -52,13 +56,17 @@ class MotionLoading(Loading):
                 self.put(scratch, own + (OF_BEND_SHARE + k) * self.stride, slot, tables.shares[numbers, k])
         unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
         self.load_vertex(tables, scratch, own + OF_VERTEX * self.stride, slot, row, numbers, 0, 1.0 / unit)
+        inertia = ti.cast(0.0, ti.f64)
+        for vertex in range(tables.rest_length.shape[1] + 1):
+            inertia += tables.numbers[numbers, vertex, 0] / unit
+        self.put(scratch, own + OF_INERTIA * self.stride, slot, inertia)
         at = head + (self.parameters + self.motion) * self.stride
         edges = tables.rest_length.shape[1]
         for e in range(edges):
             self.load_vertex(tables, scratch, at, slot, row, numbers, e + 1, 1.0 / unit)
             place = (row * edges + e) * 4
-            self.put_items(scratch, at + FRAME_1 * self.stride, slot, normalised(self.frame_from(tables.frames, place)))
-            self.put_items(scratch, at + FRAME_2 * self.stride, slot, normalised(self.frame_from(tables.frames_before, place)))
+            self.put_items(scratch, at + FRAME_1 * self.stride, slot, self.frame_from(tables.frames, place))
+            self.put_items(scratch, at + FRAME_2 * self.stride, slot, self.frame_from(tables.frames_before, place))
             at += self.edge_stride
 
     @ti.func
@@ -144,6 +152,7 @@ class TimeLoop(NewtonLoop):
     def __init__(self, sweep: TimeSweep):
         super().__init__(sweep)
         self.loading = MotionLoading(sweep)
+        self.number_bits = sweep.number.bits
 
     @ti.func
     def exchange(self, tables, scratch: ti.template(), head, lane, supply):
@@ -168,8 +177,10 @@ class TimeLoop(NewtonLoop):
                 if again == 0:
                     self.refill(tables, scratch, head, slot, lane, supply)
                     tables.queue[steps_made + slot] = 0
-                    put_lane(lane, self.with_lane, slot, multiplier=(0.0, 0.0, 0.0))
                     if self.lane(lane.active, slot) > 0.5:
+                        row = tables.rods[tables.queue[supply.places + slot], of.RESULT_ROW]
+                        last = [tables.results[row, of.FORCE + k] for k in ti.static(range(3))]
+                        put_lane(lane, self.with_lane, slot, multiplier=last)
                         self.loading.load_motion(tables, scratch, head, slot, tables.queue[supply.places + slot])
                         self.load_slopes(tables, scratch, head, slot, tables.queue[supply.places + slot])
         going = (lane.finished > 0.5) & (lane.active > 0.5)
@@ -207,6 +218,8 @@ class TimeLoop(NewtonLoop):
                 again = 1
             else:
                 self.loading.store_motion(tables, scratch, head, slot, row)
+                for k in ti.static(range(3)):
+                    tables.results[row, of.FORCE + k] = self.lane(lane.multiplier[k], slot)
                 self.store_slopes(tables, scratch, slot, row)
         else:
             for later in range(frame, frames):
@@ -230,6 +243,14 @@ class TimeLoop(NewtonLoop):
     @ti.func
     def write_slopes(self, tables, scratch: ti.template(), slot, place):
         """The derivatives of the lane's positions, for row ``place`` of the positions."""
+
+    @ti.func
+    def tolerance(self, tables, rod):
+        """The largest residual of a step: in f32 at least what rounding of positions makes of the inertia of the whole rod."""
+        given = self.constant(0.0) + ti.cast(tables.policy[TOLERANCE], self.scalar)
+        inertia = rod.scratch[rod.head + (self.sweep.time_parameters + OF_INERTIA) * self.stride]
+        length = rod.total * rod.length_unit
+        return given + ti.static(POSITION_ROUNDING if self.number_bits == 32 else 0.0) * inertia * length * length * rod.total
 
     @ti.func
     def multiplier(self, lane, fitted):

@@ -27,6 +27,7 @@ class Memory:
     frames, frames_before  (R, E, 4) unit quaternions at the last instant and at the one before
     places                 (R, V, 12): positions at both, mm, and velocities at both, mm/s
     drift                  (R, 3) mm from the anchor to vertex 0 where that is free, else zero
+    multiplier             (R, 3) λ of closure, in the kernel's units
     status                 (R,) Status: a rod whose step failed moves no further
     """
 
@@ -34,6 +35,7 @@ class Memory:
     frames_before: np.ndarray
     places: np.ndarray
     drift: np.ndarray
+    multiplier: np.ndarray
     status: np.ndarray
 
 
@@ -120,14 +122,14 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
         scratch, _ = _buffers(number, threads, size)
         queue = np.zeros(LANES + 2 * threads * number.width, dtype=np.int32)
         results = np.zeros((table.count, of.LOADED_RESULTS))
-        results[:, of.DRIFT:] = memory.drift
+        results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:] = memory.multiplier, memory.drift
         policy = np.array([
             *table.up, options.tolerance or newton.TOLERANCES[bits], options.max_iterations, options.first_shift,
             options.max_rotation, options.max_escapes, CLOSING_DISTANCE])
         kernel(table.rest_length, table.clamp, path, table.material, numbers, shares, rods, policy, time, steps, every, threads,
                scratch, queue, memory.frames.reshape(-1), memory.frames_before.reshape(-1), memory.places, results, positions,
                outcome, *more)
-        memory.drift[:] = results[:, of.DRIFT:]
+        memory.multiplier[:], memory.drift[:] = results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:]
         memory.status[:] = outcome[:, -1, STATE].astype(memory.status.dtype)
     if slopes is not None:
         position_slopes = position_slopes.reshape(table.count, frames, slopes.count, table.edges + 1, 3)

@@ -27,8 +27,9 @@ PLACE_1, PLACE_2, VELOCITY_1, VELOCITY_2, INERTIA, DRAG, DRAG_BY_SPEED, LOAD, SP
 # Items of an edge, after those of the vertex where it ends: its frames at the last two instants, and of the joint where it
 # begins the rest curvature of its left and its right frame and its rest twist, for the step being made.
 FRAME_1, FRAME_2, REST_LEFT, REST_RIGHT, REST_TWIST, EDGE_ITEMS = 20, 24, 28, 30, 32, 33
-# Parameters of a rod: shares of the rest curvature and twist that damping makes, then those of vertex 0.
-OF_BEND_SHARE, OF_TWIST_SHARE, OF_VERTEX = 0, 1, 2
+# Parameters of a rod: shares of the rest curvature and twist that damping makes, the sum of the inertia κ of all vertices, and
+# the items of vertex 0.
+OF_BEND_SHARE, OF_TWIST_SHARE, OF_INERTIA, OF_VERTEX = 0, 1, 2, 3
 PARAMETERS = OF_VERTEX + VERTEX_ITEMS
 
 # What a launch is given after the policy of Newton: the step h in s, and a and b above.

@@ -77,8 +77,9 @@ def test_one_recording_without_an_axis_for_it(recording, theta):
 
 
 @pytest.mark.parametrize(("change", "field"), [
-    (dict(rate_hz=-1.0), "rate_hz"), (dict(rate_hz=np.ones(3)), "rate_hz"), (dict(positions_mm=np.zeros((4, 3, 3))), "positions_mm"),
-    (dict(positions_mm="text"), "positions_mm"), (dict(positions_mm=None), "positions_mm"), (dict(positions_mm=np.nan), "positions_mm"),
+    ({"rate_hz": -1.0}, "rate_hz"), ({"rate_hz": np.ones(3)}, "rate_hz"),
+    ({"positions_mm": np.zeros((4, 3, 3))}, "positions_mm"), ({"positions_mm": "text"}, "positions_mm"),
+    ({"positions_mm": None}, "positions_mm"), ({"positions_mm": np.nan}, "positions_mm"),
 ])
 def test_wrong_recordings_are_one_line(recording, theta, change, field, tmp_path, capsys):
     content = dict(np.load(recording / "recorded.npz"))
@@ -136,4 +137,5 @@ def test_pictures_and_animations(recording, theta, tmp_path):
                  str(tmp_path / "f.gif"), "--recording", str(tmp_path / "f.rrd")]) == 0
     assert all((tmp_path / name).stat().st_size > 1000 for name in ("f.png", "f.gif", "f.rrd"))
     energy = np.load(tmp_path / "f.npz")
-    np.testing.assert_allclose(energy["energy_sum"], sum(energy[f"energy_{name}"] for name in ("kinetic", "gravity", "bending")))
+    parts = [energy[f"energy_{name}"] for name in ("kinetic", "gravity", "bending")]
+    np.testing.assert_allclose(energy["energy_sum"], sum(parts))
