@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from doo_ti import Clamp, Clamps, Configuration, Dynamics, Grippers, Material, simulate
+from doo_ti import Clamp, Clamps, Configuration, Dynamics, Grippers, Material, Stepping, simulate
 from doo_ti.dynamics.parameters import GRAVITY
 
 LENGTH, EDGES, BEND = 1000.0, 33, 1e8  # mm, -, mm³
@@ -56,7 +56,7 @@ def here(steps: int, count: int = 1, precision: str = "f64") -> np.ndarray:
     start = Configuration(np.zeros((count, 3)), np.tile([1.0, 0, 0, 0], (count, EDGES, 1)), np.full(EDGES, LENGTH / EDGES))
     frames = np.broadcast_to(np.eye(3), (count, 3, 3))
     grippers = Grippers.resting(Clamps(Clamp.FRAME, Clamp.FREE, start.start, start.start, frames, frames), FRAMES + 1)
-    found = simulate(start, Material(BEND, BEND), grippers, Dynamics(), float(FRAMES), substeps=steps, precision=precision)
+    found = simulate(start, Material(BEND, BEND), grippers, Dynamics(), Stepping(float(FRAMES), steps, precision=precision))
     return found.positions[0, :, -1]
 
 
