@@ -61,7 +61,7 @@ def run(options: Namespace, words: list[str]) -> int:
         def fit(part, label):
             task = bar.add_task(label, total=chosen.rounds, unit="iterations")
             def advance(horizon, k, error):
-                bar.update(task, advance=1, description=f"{label}: {horizon} frames, error {error:.3g} mm")
+                bar.update(task, advance=1, rate=f"{horizon} frames: {error:.3g} mm")
             found = identify_from_guesses(part, chosen, bend, up, advance)
             bar.update(task, completed=chosen.rounds)
             return found

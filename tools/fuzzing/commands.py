@@ -13,7 +13,7 @@ SINGLE = (
     f"{SEEN} --seed-point 0,0,0 --seed-direction 0.94,0,0.34 {MADE_OF} --hypotheses 4 --out out/F.npz --no-picture "
     "--no-recording"
 )
-PATHS = {"--out", "--images", "--picture", "--recording"}
+PATHS = {"--out", "--images", "--picture", "--recording", "--animation"}
 """Options that say what to write."""
 COMPANIONS = {
     "dynamic.toml": ("pairs.csv",),
@@ -77,6 +77,13 @@ def _recipes() -> tuple[Recipe, ...]:
         (f"predict rods.npz --motion marks_path.npz {MADE_OF} --sub-step 30 --out out/F.npz", 2),
         ("predict loop.toml --sub-step 30 --out out/F.npz", 3),
         ("predict loop.toml --sub-step 30 --out out/F.npz --picture out/F.png --recording out/F.rrd", 0.5),
+        ("simulate swing.toml --out out/F.npz", 3),
+        ("simulate swing.toml --out out/F.npz --picture out/F.png --recording out/F.rrd --animation out/F.gif", 0.5),
+        ("simulate recorded.npz --theta theta.json --out out/F.npz --json", 4),
+        ("simulate recorded.npz --theta theta.json --out out/F.npz --substeps 2 --scheme euler --fill-gaps", 1),
+        ("identify recorded.npz --modes 1 --bend 1e6 --out out/F.json", 1),
+        ("identify recorded.npz recorded.npz --modes 0 --fit drag --folds 2 --out out/F.json --json", 0.5),
+        ("relax rods.npz --theta theta.json --out out/F.npz", 1),
         (f"twist rods.npz {MADE_OF} --out out/F.npz --picture out/F.png", 0.5),
         (f"twist perceived.npz {MADE_OF} --out out/F.npz --json", 2),
         (f"twist labs.npz {MADE_OF} --offsets offsets.npz --out out/F.npz", 2),

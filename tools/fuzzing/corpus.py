@@ -5,6 +5,7 @@ loop.toml                                  a scene of motion
 rods.npz .csv .parquet, ribbons.npz, labs.npz   observations: with frames, on ribbons, of marks alone
 groups.npz pairs.csv offsets.npz .csv      what goes with them
 path.npz path.csv marks_path.npz           motions
+swing.toml recorded.npz theta.json         rods in motion: a scene, a recording of two rods, what identify makes of it
 run dynamic_run ribbon_run                 folders of finished sweeps
 rig.yaml images/ frames.csv lengths.txt .npz   cameras, sets of images with SETS.csv and truth, a video, a rod
 marks.csv labels.csv                       labelled marks
@@ -52,6 +53,25 @@ time_s = 2.0
 end_position_mm = [20.0, 1.0, 0]
 end_direction = [1, 0.2, 0]
 """
+SWING = """rate_hz = 50
+duration_s = 0.1
+[rod]
+length_mm = 300.0
+edges = 6
+at_rest = true
+[materials.rope]
+bend = 1e6
+bend_damping_s = 0.02
+drag_per_s = 0.1
+[clamps]
+end = "frame"
+[[moments]]
+time_s = 0.0
+end_position_mm = [250, 0, 0]
+[[moments]]
+time_s = 0.1
+end_position_mm = [250, 20, 10]
+"""
 
 
 def make(folder: Path) -> None:
@@ -63,6 +83,7 @@ def make(folder: Path) -> None:
         _scenes()
         _observations()
         _motions()
+        _moving()
         _images()
         _marks()
         _boards()
@@ -141,6 +162,15 @@ def _rig():
         matrix, distortion = [[225.0, 0, 80], [0, 226.0, 60], [0, 0, 1]], [-0.05, 0.02, 1e-4, -1e-4, 0]
         cameras.append(Camera(f"cam{index}", 160, 120, matrix, distortion, *pose))
     return Rig(tuple(cameras))
+
+
+def _moving() -> None:
+    Path("swing.toml").write_text(SWING)
+    _command("simulate", "swing.toml", "--out", "swung.npz")
+    positions = np.load("swung.npz")["positions_mm"]
+    noise = np.random.default_rng(SEED).normal(0, 0.02, (2, *positions.shape[1:]))
+    np.savez("recorded.npz", positions_mm=positions + noise, rate_hz=50.0, recording=np.array(["a", "b"]))
+    _command("identify", "recorded.npz", "--modes", "1", "--bend", "1e6", "--out", "theta.json")
 
 
 def _images() -> None:

@@ -35,13 +35,17 @@ class MarkStatus(IntEnum):
     DEGENERATE = 4
 
 
+MOST = 1e9
+"""Of options: squares of much larger numbers overflow."""
+
+
 @dataclass(frozen=True)
 class TriangulationOptions:
     """sigma_px   standard deviation of each coordinate of a label, px; covariances are proportional to its square
     threshold     the labels of a mark contradict each other if their residuals are as improbable as a normal variable this many
                   standard deviations from its mean; a larger threshold tolerates more
 
-    Raises InputError for values that are not positive.
+    Raises InputError for values that are not positive, or beyond MOST.
     """
 
     sigma_px: float = 0.5
@@ -49,8 +53,8 @@ class TriangulationOptions:
 
     def __post_init__(self):
         for name in ("sigma_px", "threshold"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise InputError("options", name, f"{getattr(self, name)!r}", "give a positive number")
+            if not 0 < getattr(self, name) <= MOST:
+                raise InputError("options", name, f"{getattr(self, name)!r}", f"give a positive number up to {MOST:g}")
 
 
 @dataclass(frozen=True)
