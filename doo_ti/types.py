@@ -143,7 +143,7 @@ class Material:
         )
 
 
-def lasting(before: np.ndarray, status: np.ndarray) -> np.ndarray:
+def sticky(before: np.ndarray, status: np.ndarray) -> np.ndarray:
     """(R,) the status of rods relaxed several times in a row: the first one that is not CONVERGED, else the last."""
     return np.where(before == Status.CONVERGED, status, before)
 

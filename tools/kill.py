@@ -208,8 +208,8 @@ def faults(code: int, message: str) -> str:
     if len(own) != 1:
         return f"{len(own)} lines of its own"
     says = code == 2 or own[0] == "doo-ti: interrupted" or any(
-        words in own[0] for words in ("go on with", "starts anew", "goes on"))
-    return "" if says else f"does not say how to go on: {own[0]}"
+        words in own[0] for words in ("resume with", "resumes with", "starts from the"))
+    return "" if says else f"does not say how to resume: {own[0]}"
 
 
 def prepared(folder: Path, cases: list[str]) -> None:

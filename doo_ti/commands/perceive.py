@@ -26,7 +26,7 @@ MOST_LISTED = 60
 
 
 def declare(add) -> None:
-    parser = given.command(add, "perceive", run, "recover rods from images (Algorithm 1)")
+    parser = given.command(add, "perceive", run, "recover rods from images (§IV-A, Algorithm 1)")
     parser.add_argument("images", nargs="*", metavar="IMAGE", help="for a single set: one image per camera of the rig")
     given.add_seen_rod(parser)
     parser.add_argument("--sets", metavar="SETS.csv", help="many sets of images with their seeds, instead of IMAGEs")
@@ -39,7 +39,7 @@ def declare(add) -> None:
                         "(default 0.005)")
     search.add_argument("--hypotheses", metavar="H", help="hypotheses kept for each set and step (default 40)")
     search.add_argument("--detector", choices=("ridge", "canny"), default="ridge",
-                        help="how the thread is found in images (default ridge; canny is the paper's)")
+                        help="detector of the thread (default ridge; canny is the paper's)")
     given.add_thread(search)
     shown = parser.add_argument_group("pictures and recording")
     shown.add_argument("--truth", metavar="OBS", help="true rods to compare with: observations, matched by name or in order")

@@ -48,7 +48,7 @@ class _Task:
 
 
 def declare(add) -> None:
-    parser = given.command(add, "predict", run, "predict where rods go when their clamps are moved")
+    parser = given.command(add, "predict", run, "predict the shapes of rods whose clamps move (§III-D)")
     parser.add_argument("source", metavar="OBS|SCENE.toml",
                         help="observations the rods start from: .npz, .csv or .parquet; or a scene of motion")
     parser.add_argument("--motion", metavar="PATH", help="poses of the clamps over time: .npz or .csv")
@@ -60,10 +60,11 @@ def declare(add) -> None:
                         help="predicted steps from one moment of the motion to the next (default: 1, or the scene's)")
     given.add_old_name(parser, "--between", "between")
     parser.add_argument("--sub-step", metavar="DEG",
-                        help="largest turn of a clamp before the rods are relaxed again (default 5)")
+                        help="largest rotation of a clamp in one sub-step; rods are relaxed after each (default 5)")
     given.add_clamps(parser)
     given.add_up(parser)
-    parser.add_argument("--precision", choices=PRECISIONS, default="mixed", help="arithmetic on the way (default mixed)")
+    parser.add_argument("--precision", choices=PRECISIONS, default="mixed",
+                        help="floating-point arithmetic of the stored steps (default mixed)")
     parser.add_argument("--picture", metavar="F.png", help="also draw the motion (default: no)")
     parser.add_argument("--recording", metavar="F.rrd", help="also record it for the viewer (default: no)")
 

@@ -106,7 +106,7 @@ def _resumable(run: Path, command: list[str]) -> Iterator[None]:
     except (Exception, KeyboardInterrupt) as error:
         reason = " ".join(str(error).split()) or {KeyboardInterrupt: "interrupted"}.get(type(error), type(error).__name__)
         again = shlex.join(command) if command else "the same call"
-        raise InterruptedRunError(f"{run}: sweep stopped ({reason}); finished cells are kept, go on with: {again}") from error
+        raise InterruptedRunError(f"{run}: sweep stopped ({reason}); finished cells are kept, resume with: {again}") from error
 
 
 def _rows(experiment: Experiment, first: int, last: int) -> dict[str, np.ndarray]:

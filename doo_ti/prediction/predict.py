@@ -22,7 +22,7 @@ from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import LARGEST_TURN, Motion, motion_between
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, Status, lasting
+from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, Status, sticky
 
 STILL = 1e-9
 """mm and rad: clamps that move by less count as resting."""
@@ -196,7 +196,7 @@ class _Film:
     def developed(self, time, rest_length, material, motion) -> Prediction:
         solutions, jumps, rotation = zip(*self._moments, strict=True)
         reported = {name: np.stack([getattr(solution, name) for solution in solutions]) for name in REPORTED}
-        reported["status"] = np.array(list(accumulate(reported["status"], lasting)))
+        reported["status"] = np.array(list(accumulate(reported["status"], sticky)))
         shapes = [solution.configuration for solution in solutions]
         return Prediction(time=time, start=np.stack([shape.start for shape in shapes]), rest_length=rest_length,
                           quaternions=np.stack([shape.quaternions for shape in shapes]), jumps=np.stack(jumps),

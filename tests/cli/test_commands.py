@@ -251,7 +251,7 @@ def test_failure_while_running_exits_with_one(capsys, tmp_path, swept, monkeypat
 
 @pytest.mark.parametrize("command", ["refine", "perceive", "predict", "figures", "learn", "synth", "sweep"])
 @pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt(), RuntimeError("no\nmemory")])
-def test_a_command_that_is_stopped_says_whether_it_starts_anew(capsys, monkeypatch, command, failure):
+def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(capsys, monkeypatch, command, failure):
     def fail(*args):
         raise failure
 
@@ -260,7 +260,7 @@ def test_a_command_that_is_stopped_says_whether_it_starts_anew(capsys, monkeypat
     rig = ["--rig", "R", "--rest-length", "3:3"] if command == "perceive" else []
     assert main([command, "source", "--out", "F", *rig]) == 1
     out, err = capsys.readouterr()
-    way = "goes on with what is finished" if command == "sweep" else "starts anew"
+    way = "resumes with the unfinished cells" if command == "sweep" else "starts from the beginning"
     assert out == "" and err.count("\n") == 1 and f"; the same command {way}" in err
 
 

@@ -114,4 +114,4 @@ def test_a_terminals_signal_to_workers_too(tmp_path):
     os.killpg(command.pid, signal.SIGINT)
     out, err = command.communicate()
     assert (command.returncode, out) == (1, "") and "Traceback" not in err
-    assert err.splitlines()[-1].startswith("doo-ti: ") and "go on with: doo-ti sweep" in err
+    assert err.splitlines()[-1].startswith("doo-ti: ") and "resume with: doo-ti sweep" in err

@@ -36,7 +36,7 @@ def test_a_cluster_changes_nothing(tmp_path, scheduler, small_chunks):
     observations = small_lab()
     alone = sweep(tmp_path / "alone", observations, GRID)
     shared = sweep(tmp_path / "shared", observations, GRID, options=SweepOptions(scheduler=scheduler))
-    assert shared["provenance"]["sweep_sha256"] == alone["provenance"]["sweep_sha256"], "either goes on with the other's run"
+    assert shared["provenance"]["sweep_sha256"] == alone["provenance"]["sweep_sha256"], "either resumes the other's run"
     assert_same_cells(tmp_path / "alone", tmp_path / "shared")
 
 
@@ -47,7 +47,7 @@ def _refuses(*chunk):
 @pytest.mark.filterwarnings("default")
 def test_what_fails_on_a_worker_is_told_with_the_way_on(tmp_path, scheduler, small_chunks, monkeypatch):
     monkeypatch.setattr(sweeps, "_rows", _refuses)
-    with pytest.raises(InterruptedRunError, match="a worker's trouble.*go on with: doo-ti sweep"):
+    with pytest.raises(InterruptedRunError, match="a worker's trouble.*resume with: doo-ti sweep"):
         sweep(tmp_path / "run", small_lab(), GRID, options=SweepOptions(scheduler=scheduler), command=["doo-ti", "sweep"])
 
 
@@ -100,7 +100,7 @@ def test_a_scheduler_that_is_killed_is_one_line(tmp_path):
             worker.wait()
     assert (command.returncode, out) == (1, ""), err
     messages = [line for line in err.splitlines() if "cells" not in line or line.startswith("doo-ti")]
-    assert len(messages) == 1 and "scheduler" in messages[0] and "go on with: doo-ti sweep" in messages[0], err
+    assert len(messages) == 1 and "scheduler" in messages[0] and "resume with: doo-ti sweep" in messages[0], err
 
 
 @pytest.mark.filterwarnings("default")

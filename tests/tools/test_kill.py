@@ -36,8 +36,8 @@ def test_runs_are_judged_by_their_files(tmp_path):
 
 
 @pytest.mark.parametrize(("code", "message", "fault"), [
-    (1, "x 3/3 cells\ndoo-ti: interrupted; the same command starts anew\n", ""), (1, "doo-ti: interrupted\n", ""),
-    (1, "doo-ti: run: sweep stopped (interrupted); finished cells are kept, go on with: doo-ti sweep\n", ""), (-9, "", ""),
+    (1, "x 3/3 cells\ndoo-ti: interrupted; the same command starts from the beginning\n", ""), (1, "doo-ti: interrupted\n", ""),
+    (1, "doo-ti: run: sweep stopped (interrupted); finished cells are kept, resume with: doo-ti sweep\n", ""), (-9, "", ""),
     (1, "Traceback (most recent call last):\n", "traceback"), (1, "", "0 lines"),
     (2, "doo-ti: sweep: --dask: no scheduler answers; give one\n", ""), (1, "doo-ti: no\n", "does not say"),
 ])
