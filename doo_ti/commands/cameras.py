@@ -27,8 +27,8 @@ def declare(add) -> None:
     parser.add_argument("--board", required=True, metavar="BOARD", help=FORMS)
     parser.add_argument("--out", required=True, metavar="RIG.yaml", help="file to write")
     parser.add_argument("--world", choices=WORLDS, default=WORLDS[0],
-                        help="axes of the world (default first-board, those of the first view's board: x along a row, y up the page, "
-                        "z out of it)")
+                        help="axes of the world (default first-board, those of the first view's board: x along a row, y up the "
+                        "page, z out of it)")
     parser.add_argument("--distortion", type=int, choices=COEFFICIENTS, default=4,
                         help="how many of k1, k2, p1, p2, k3 to fit (default 4)")
     parser = given.command(add, "triangulate", run_triangulate, "turn labelled marks in images into observations")

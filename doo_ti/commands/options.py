@@ -53,8 +53,8 @@ def add_material(parser: ArgumentParser, form: str) -> None:
     group.add_argument("--weight", metavar="M", help="half the weight per length, relative (default 1)")
     group.add_argument("--EI", metavar="NM2", help="bend stiffness in N m², instead of --bend; needs --linear-density")
     group.add_argument("--GJ", metavar="NM2", help="twist stiffness in N m², instead of --twist; needs --linear-density")
-    group.add_argument("--linear-density", metavar="G_PER_M", help="mass per length of the rod in g/m, for --EI, --GJ and results "
-                       "in N m²")
+    group.add_argument("--linear-density", metavar="G_PER_M",
+                       help="mass per length of the rod in g/m, for --EI, --GJ and results in N m²")
 
 
 def add_clamps(parser: ArgumentParser, default: str = CLAMP_DEFAULT) -> None:
@@ -74,7 +74,8 @@ def add_relaxation(parser: ArgumentParser, precision: str | None) -> None:
     add_clamps(parser)
     add_frame_weight(parser, "0" if precision else "the scene's, else 0")
     add_up(parser)
-    parser.add_argument("--solver", choices=SOLVERS, default="newton", help="newton, or the paper's gradient descent (default newton)")
+    parser.add_argument("--solver", choices=SOLVERS, default="newton",
+                        help="newton, or the paper's gradient descent (default newton)")
     parser.add_argument("--precision", choices=PRECISIONS, default=precision,
                         help=f"floating-point arithmetic (default: {precision or 'the scene' + chr(39) + 's, else mixed'})")
 

@@ -16,7 +16,8 @@ from doo_ti.types import Status
 
 
 def declare(add) -> None:
-    parser = given.command(add, "relax", run, "relax each observed rod under one material and compare it with its observation (Eq. 1)")
+    parser = given.command(add, "relax", run,
+                           "relax each observed rod under one material and compare it with its observation (Eq. 1)")
     parser.add_argument("observations", metavar="OBS", help="observations: .npz, .csv or .parquet")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
     given.add_material(parser, "one number each")

@@ -24,7 +24,7 @@ def declare(add) -> None:
     parser = given.command(add, "track", run, "follow a rod through a video")
     given.add_seen_rod(parser)
     parser.add_argument("--frames", required=True, metavar="FRAMES.csv",
-                        help="columns frame, an image column per camera, time_s (optional), seed_x, seed_y, seed_z, dir_x, dir_y, dir_z")
+                        help="columns frame, one of images per camera, time_s (optional), and the seed: seed_x … dir_z")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write; F.rrd is written beside it")
     given.add_material(parser, "one number each; tracked rods are round")
     parser.add_argument("--motion", metavar="PATH", help="poses of the far clamp, one moment for each frame: .npz or .csv")
@@ -43,8 +43,8 @@ def run(options: Namespace, words: list[str]) -> int:
     save_arrays(out, result)
     if problem is not None:
         raise InterruptedRunError(f"{problem}; {len(found)} of {task.frames.count} frames are kept in {out}; the same command "
-                                  "starts from the first frame; or track the other frames as a video of their own, with the seed in its "
-                                  "first line")
+                                  "starts from the first frame; or track the other frames as a video of their own, with the "
+                                  "seed in its first line")
     written = [out]
     if not options.no_recording:
         from doo_ti.record import record_track
