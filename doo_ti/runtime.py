@@ -16,11 +16,11 @@ from doo_ti.errors import InputError
 from doo_ti.kernel_cache import kernel_folder
 
 TAICHI_NAMES = {"cpu": ("x64", "arm64"), "cuda": ("cuda",)}
-"""What runs, and Taichi's names for it."""
+"""Architectures, and Taichi's names for them."""
 KERNELS = "TI_OFFLINE_CACHE_FILE_PATH"
-"""The variable that tells Taichi where compiled kernels are kept."""
+"""The environment variable with the folder of Taichi's compiled kernels."""
 TASKS = Path("/proc/self/task")
-"""Where Linux names a process's threads."""
+"""Where Linux lists the threads of a process."""
 
 _architecture: str | None = None
 _begun = False
@@ -143,7 +143,7 @@ def _spare_quotations() -> None:
 
 
 def _tasks() -> set[int]:
-    """The threads of this process; none where the system does not tell."""
+    """The threads of this process; none where the system does not list them."""
     return {int(task.name) for task in TASKS.iterdir()} if TASKS.is_dir() else set()
 
 

@@ -144,7 +144,7 @@ class Material:
 
 
 def sticky(before: np.ndarray, status: np.ndarray) -> np.ndarray:
-    """(R,) the status of rods relaxed several times in a row: the first one that is not CONVERGED, else the last."""
+    """(R,) sticky status of rods relaxed several times: the first status that is not CONVERGED, else CONVERGED."""
     return np.where(before == Status.CONVERGED, status, before)
 
 

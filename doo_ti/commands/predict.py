@@ -221,20 +221,20 @@ def _draw(task: _Task, prediction, result: dict, pictures: dict) -> None:
 
 
 def _lines(task: _Task, prediction, result: dict) -> list[str]:
-    """What happened, for a person."""
+    """The result as lines of text."""
     count, moments = len(task.names), len(prediction.time)
-    falls = np.argwhere(prediction.jumps > 0)
+    jumps = np.argwhere(prediction.jumps > 0)
     lost = np.flatnonzero(~prediction.followed[-1])
     lines = [f"{task.name}: {count} rods of {task.start.edges} edges at {moments} moments",
              f"  status      {counted(status_counts(prediction.status))}; {int(prediction.stable.sum())} of {count * moments} "
              "certified stable",
              f"  far clamp   at the end turned about the rod by {_range(result['end_rotation_deg'][-1])}, total twist "
              f"{_range(result['total_twist_deg'][-1])}"]
-    fallen = f"to another branch, {len(np.unique(falls[:, 1]))} of {count} rods" if len(falls) else "all stayed on their branch"
-    lines.append(f"  jumps       {int(prediction.jumps.sum())}, {fallen}")
+    rods = f"to another branch, {len(np.unique(jumps[:, 1]))} of {count} rods" if len(jumps) else "all stayed on their branch"
+    lines.append(f"  jumps       {int(prediction.jumps.sum())}, {rods}")
     lines += shortened([
         f"    {task.names[rod]}: between {prediction.time[max(moment - 1, 0)]:g} and {prediction.time[moment]:g} s, far clamp "
-        f"turned by {result['end_rotation_deg'][moment, rod]:.1f}°" for moment, rod in falls], MOST_LISTED, "    and {} more")
+        f"turned by {result['end_rotation_deg'][moment, rod]:.1f}°" for moment, rod in jumps], MOST_LISTED, "    and {} more")
     if len(lost):
         lines.append(f"  lost        {len(lost)} of {count} rods cannot follow the motion to its end")
     return lines + shortened([

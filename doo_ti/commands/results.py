@@ -123,9 +123,9 @@ def run_lines(result: dict) -> list[str]:
     if result["terms_left_out"]:
         lines.append(f"              left out: {result['terms_left_out']} of {per_cell} {terms}, certified in no cell")
     if "jumps" in result:
-        fell = result["jumps"]
-        lines.append(f"  jumps       {fell['rods_at_best']} of {per_cell} rods jumped to another branch on the way in the best "
-                     f"cell, {fell['rods']} of {count} in all")
+        jumps = result["jumps"]
+        lines.append(f"  jumps       {jumps['rods_at_best']} of {per_cell} rods jumped to another branch on the way in the "
+                     f"best cell, {jumps['rods']} of {count} in all")
     return lines
 
 

@@ -120,13 +120,13 @@ class Unfinished:
 
 
 def read_unfinished(run: Path) -> Unfinished:
-    """What is stored of a sweep; its folder is only read. Raises InputError where ``run`` is no sweep's folder,
-    InterruptedRunError where nothing is stored yet that could be shown."""
+    """The stored cells of a sweep; its folder is only read. Raises InputError where ``run`` is no sweep's folder,
+    InterruptedRunError where no cell is stored yet."""
     experiment, identity = read_plan(run)
     part = "hypotheses" if experiment.hypotheses.are_several else "cells"
     written = [path.stat().st_mtime for path in (run / part).glob("*.parquet")]
     if not written:
-        raise InterruptedRunError(f"view: {run}: none of {experiment.grid.size:,} cells is stored yet; look again later")
+        raise InterruptedRunError(f"view: {run}: none of {experiment.grid.size:,} cells is stored yet; try again later")
     overview = gather_part(run, experiment.grid, experiment.observations.name, identity, part)
     unfinished = Unfinished(experiment, identity, overview, max(0.0, time.time() - max(written)))
     if not overview.has_best:
