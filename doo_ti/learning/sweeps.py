@@ -42,12 +42,15 @@ MOST_RODS = 1_000_000_000
 
 def sweep(run: Path, observations: Observations, grid: Grid, *, options: SweepOptions = SweepOptions(),
           pairs: Pairs | None = None, command: list[str] = ()) -> dict:
-    """Run the sweep in the folder ``run``, or the rest of it, and return the summary.
+    """Relax ``observations`` under every cell of ``grid`` (Eq. 2 or 3), store the rods in the folder ``run``, and return the
+    summary; an unfinished sweep in ``run`` is resumed.
 
-    pairs  the terms of Eq. 3; by default those of the labels
+    options  objective, clamps, solver, precision, workers (:class:`doo_ti.learning.experiment.SweepOptions`)
+    pairs    the terms of Eq. 3; by default the paper's (footnote 7), from the labels of the observations
+    command  the words of the command, for the provenance and the message that says how to resume
 
-    Raises InputError as :class:`doo_ti.learning.experiment.Experiment` does, where ``run`` holds another sweep and where no
-    scheduler answers, InterruptedRunError where a chunk fails: the chunks stored before are kept.
+    Raises InputError as :class:`doo_ti.learning.experiment.Experiment` does, where ``run`` contains another sweep and where
+    the Dask scheduler does not answer; InterruptedRunError where a chunk fails: the chunks stored before are kept.
     """
     with started_workers(options.workers, options.scheduler) as workers:
         return _swept(run, Experiment(observations, grid, options, pairs), workers, command)
