@@ -65,5 +65,5 @@ def test_a_name_of_several_lines_takes_one(tmp_path, capsys):
                  ["plan", str(source), "--bend", "4e5:8e5:2", "--twist", "6e5", "--out", f"{out}.plan"],
                  ["twist", str(source), *MATERIAL, "--out", f"{out}.npz"]):
         assert main(argv) == 0
-        told, err = capsys.readouterr()
-        assert r"a\nb" in told and not any(line.startswith(("b/", "d", "g")) for line in (told + err).splitlines())
+        printed, err = capsys.readouterr()
+        assert r"a\nb" in printed and not any(line.startswith(("b/", "d", "g")) for line in (printed + err).splitlines())

@@ -1,4 +1,4 @@
-"""How fast this machine relaxes rods, and how accurately."""
+"""Throughput and accuracy of relaxations on this machine."""
 
 import os
 from argparse import Namespace

@@ -51,7 +51,7 @@ def declare(add) -> None:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Alg. 1 on every set of images; writes rods and runners-up, and prints how sure each set is."""
+    """Alg. 1 on every set of images; writes rods and runners-up, and prints the verdict of each set."""
     out = given.output_file(options.out, ".npz")
     task = perception_task(options)
     sources = [options.rig, options.sets, options.truth, *(path for line in task.sets.paths for path in line)]

@@ -62,7 +62,7 @@ def plane_of(landscape: Summed):
 
 
 def trajectory(experiment: Experiment, cell: int):
-    """A :class:`doo_ti.record.Trajectory`: how the rods of a cell came to rest, iteration by iteration under Eq. 2, sub-step by
+    """A :class:`doo_ti.record.Trajectory`: the relaxation of a cell's rods, iteration by iteration under Eq. 2, sub-step by
     sub-step under Eq. 3, each observation under the hypothesis that is nearest in that cell."""
     from doo_ti.record import Trajectory
 

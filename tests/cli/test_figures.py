@@ -44,8 +44,8 @@ def test_round_rods(lab, tmp_path, capsys):
     out = tmp_path / "new" / "out"
     assert main(["figures", str(lab / "silk"), str(lab / "nylon"), "--by", "end-distance", "--out", str(out)]) == 0
     assert names(out) == ["cells.rrd", "end_distances.png", "landscapes.png"]
-    told = capsys.readouterr().out
-    assert told.startswith("silk; nylon: 12 cells\n") and "recorded" not in told and str(out / "cells.rrd") in told
+    printed = capsys.readouterr().out
+    assert printed.startswith("silk; nylon: 12 cells\n") and "recorded" not in printed and str(out / "cells.rrd") in printed
     _, moving = read(out / "cells.rrd")
     for name in ("silk", "nylon"):
         landscape, rods = read_landscape(lab / name), moving[f"/{name}/world/rods"]
@@ -83,8 +83,8 @@ def test_a_ribbon_under_both_objectives_and_its_regimes(lab, tmp_path, capsys):
 
 def test_a_large_grid_is_thinned_and_that_is_told(lab, tmp_path, capsys):
     assert main(["figures", str(lab / "silk"), "--cells", "6", "--out", str(tmp_path)]) == 0
-    told = capsys.readouterr().out
-    assert "recorded    6 cells: " in told and "of 4 values of bend" in told and "--cells all" in told
+    printed = capsys.readouterr().out
+    assert "recorded    6 cells: " in printed and "of 4 values of bend" in printed and "--cells all" in printed
     landscape = read_landscape(lab / "silk")
     _, moving = read(tmp_path / "cells.rrd")
     rods = moving["/silk/world/rods"]["cell"]

@@ -21,7 +21,7 @@ from tests.data.rods import wavy_vertices
 from tests.sweeps.lab import small_lab
 from tools.dask_cluster import Cluster
 
-# System call number of socket(2), and the number of the architecture that a seccomp filter is told.
+# System call number of socket(2), and the number of the architecture that a seccomp filter receives.
 SOCKET = {"x86_64": (41, 0xC000003E), "aarch64": (198, 0xC00000B7)}
 pytestmark = pytest.mark.skipif(sys.platform != "linux" or platform.machine() not in SOCKET, reason="takes seccomp")
 

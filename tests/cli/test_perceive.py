@@ -98,11 +98,11 @@ def test_one_set_is_the_same_alone(photographed, perceived, tmp_path, capsys):
     folder, rods = photographed
     argv = of_images(folder, rods[0], "--out", str(tmp_path / "one.npz"), "--no-picture", "--no-recording", "--json")
     assert main(argv) == 0
-    told = json.loads(capsys.readouterr().out)
+    printed = json.loads(capsys.readouterr().out)
     assert [path.name for path in tmp_path.iterdir()] == ["one.npz"]
-    assert told["sets"][0]["name"] == "first_cam0" and told["status"] == {"converged": 1}
-    assert told["not_certified"] == 0
-    assert told["written"] == [str(tmp_path / "one.npz")]
+    assert printed["sets"][0]["name"] == "first_cam0" and printed["status"] == {"converged": 1}
+    assert printed["not_certified"] == 0
+    assert printed["written"] == [str(tmp_path / "one.npz")]
     # The seeds differ by rounding to 1e-6.
     np.testing.assert_allclose(np.load(tmp_path / "one.npz")["vertices_mm"][0], perceived[1]["vertices_mm"][0], atol=1e-4)
 
@@ -114,9 +114,9 @@ def test_people_are_told(photographed, tmp_path, capsys):
                    "--no-picture")
     argv[argv.index("--rest-length") + 1] = str(tmp_path / "lengths.txt")
     assert main(argv) == 0
-    told = capsys.readouterr().out
-    assert "2 sets of 3 images, rods of 14 edges" in told and "2 converged; 2 certified stable" in told
-    line = next(line for line in told.splitlines() if line.strip().startswith("second"))
+    printed = capsys.readouterr().out
+    assert "2 sets of 3 images, rods of 14 edges" in printed and "2 converged; 2 certified stable" in printed
+    line = next(line for line in printed.splitlines() if line.strip().startswith("second"))
     for part in ("E_vis", "px off", "σ", "error 0.0"):
         assert part in line
 

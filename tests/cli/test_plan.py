@@ -53,6 +53,6 @@ def test_other_clamps_than_the_scene_s(scene, capsys):
 ])
 def test_wrong_input_is_one_line(scene, tmp_path, capsys, words, option):
     assert main(["plan", scene, *words, "--out", str(tmp_path / "plan")]) == 2
-    told = capsys.readouterr().err
-    assert option in told and told.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert option in printed and printed.count("\n") == 1
     assert not (tmp_path / "plan").exists()

@@ -51,8 +51,8 @@ def written(path):
 
 def test_840_degrees_are_reported_as_840_degrees(folder, capsys):
     assert main([*words(folder, "seen.npz", "turn.csv"), "--between", "4"]) == 0
-    told = capsys.readouterr().out
-    assert "2 rods of 20 edges at 5 moments" in told and "turned about the rod by 840.0°" in told
+    printed = capsys.readouterr().out
+    assert "2 rods of 20 edges at 5 moments" in printed and "turned about the rod by 840.0°" in printed
     found = written(folder / "f.npz")
     np.testing.assert_allclose(found["end_rotation_deg"][:, 0], [0, 210, 420, 630, 840], atol=1e-6)
     np.testing.assert_allclose(found["time_s"], [0, 0.5, 1, 1.5, 2])
@@ -97,12 +97,12 @@ def test_a_scene_with_picture_and_recording(folder, capsys):
 def test_a_rod_that_is_lost_is_told(folder, capsys):
     np.savez(folder / "far.npz", end_position_mm=[[90.0, 0, 0], [300.0, 0, 0]])
     assert main(words(folder, "seen.npz", "far.npz")) == 1
-    told = capsys.readouterr().out
-    assert "infeasible" in told and "no prediction from 1 s on" in told
+    printed = capsys.readouterr().out
+    assert "infeasible" in printed and "no prediction from 1 s on" in printed
     assert not written(folder / "f.npz")["followed"][-1].any()
 
 
-@pytest.mark.parametrize("more, told", [
+@pytest.mark.parametrize("more, printed", [
     ([], "--motion"), (["--motion", "none.npz"], "none.npz"), (["--motion", "turn.csv", "--between", "0"], "--steps-between"),
     (["--motion", "turn.csv", "--sub-step", "90"], "--sub-step"), (["--motion", "turn.csv", "--sub-step", "x"], "--sub-step"),
     (["--motion", "turn.csv", "--out", "f.csv"], "--out"),
@@ -110,17 +110,17 @@ def test_a_rod_that_is_lost_is_told(folder, capsys):
     (["--motion", "turn.csv", "--recording", "f.png"], "ends in .rrd"), (["--motion", "turn.csv", "--bend", "-1"], "--bend"),
     (["--motion", "metres.npz"], "moment 1: the clamps are 9e+04 mm apart"),
 ])
-def test_wrong_input_is_one_line(folder, capsys, monkeypatch, more, told):
+def test_wrong_input_is_one_line(folder, capsys, monkeypatch, more, printed):
     monkeypatch.chdir(folder)
     np.savez("metres.npz", end_position_mm=[[90.0, 0, 0], [90000.0, 0, 0]])
     assert main(["predict", "seen.npz", *MATERIAL, "--out", "f.npz", *more]) == 2
     line = capsys.readouterr().err
-    assert told in line and line.count("\n") == 1
+    assert printed in line and line.count("\n") == 1
     assert not (folder / "f.npz").exists()
 
 
-@pytest.mark.parametrize("more, told", [(["--bend", "1e6"], "--bend"), (["--relative"], "--relative"),
+@pytest.mark.parametrize("more, printed", [(["--bend", "1e6"], "--bend"), (["--relative"], "--relative"),
                                          (["--motion", "turn.csv"], "--motion")])
-def test_a_scene_says_it_all(folder, capsys, more, told):
+def test_a_scene_says_it_all(folder, capsys, more, printed):
     assert main(["predict", str(SCENES / "pulled_straight.toml"), "--out", str(folder / "f.npz"), *more]) == 2
-    assert told in capsys.readouterr().err
+    assert printed in capsys.readouterr().err

@@ -43,9 +43,9 @@ def grey(path: Path) -> np.ndarray:
 def test_images_with_all_that_is_known_of_them(tmp_path, capsys):
     out = tmp_path / "silk.npz"
     assert main(prepared(tmp_path, "--seed", "7", "--out", str(out))) == 0
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     folder = tmp_path / "new" / "images"
-    assert f"4 sets of 3 images of silk written to {folder}, seed 7" in told and "4 observations of 34 vertices" in told
+    assert f"4 sets of 3 images of silk written to {folder}, seed 7" in printed and "4 observations of 34 vertices" in printed
 
     recipe = load_scene(tmp_path / "silk.toml").observations
     rig = load_rig(folder / "rig.yaml")
@@ -109,10 +109,10 @@ BAD = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_wrong_options(capsys, tmp_path, case):
-    words, *told = BAD[case]
+    words, *named = BAD[case]
     argv = prepared(tmp_path)
     argv = argv[:-2] + words[1:] if words == ["--rig"] else argv + words
-    refused(capsys, tmp_path, argv, *told)
+    refused(capsys, tmp_path, argv, *named)
 
 
 @pytest.mark.parametrize("words", [["--rig", "absent.yaml"], ["--diameter", "0.5"], ["--seed", "3"], ["--render", "noise=2"]])

@@ -51,8 +51,8 @@ def changed(folder, path, change) -> list[str]:
 def test_a_video_is_tracked_and_recorded(filmed, tmp_path, capsys):
     out = tmp_path / "new" / "f.npz"
     assert main(of(filmed, out)) == 0
-    told = capsys.readouterr().out
-    assert "16 frames of 3 images" in told and "2 frames by Algorithm 1: 000, 006" in told and "lost: 004, 005" in told
+    printed = capsys.readouterr().out
+    assert "16 frames of 3 images" in printed and "2 frames by Algorithm 1: 000, 006" in printed and "lost: 004, 005" in printed
     assert sorted(path.name for path in out.parent.iterdir()) == ["f.npz", "f.rrd"]
     found = dict(np.load(out, allow_pickle=False))
     assert {name: value.shape for name, value in found.items()} == {
@@ -74,9 +74,9 @@ def test_a_video_is_tracked_and_recorded(filmed, tmp_path, capsys):
 def test_a_known_motion_is_taken(filmed, tmp_path, capsys):
     out = tmp_path / "f.npz"
     assert main(of(filmed, out, "--motion", str(filmed / "motion.npz"), "--no-recording", "--json")) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["seeded"] == ["000", "006"] and told["lost"] == ["004", "005"] and len(told["tracked"]) == FRAMES - 4
-    assert told["written"] == [str(out)] and [path.name for path in tmp_path.iterdir()] == ["f.npz"]
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["seeded"] == ["000", "006"] and printed["lost"] == ["004", "005"] and len(printed["tracked"]) == FRAMES - 4
+    assert printed["written"] == [str(out)] and [path.name for path in tmp_path.iterdir()] == ["f.npz"]
 
 
 def test_what_is_done_is_kept(filmed, tmp_path, capsys):

@@ -48,9 +48,9 @@ def test_marks_become_observations(tmp_path, rng, capsys):
     argv = [*prepared(tmp_path, rows), "--out", str(out), "--sigma-px", "0.3", "--labels", str(tmp_path / "labels.csv"),
             "--up", "0,-1,0"]
     assert main(argv) == 0
-    told = capsys.readouterr().out
-    assert "3 observations of 10 vertices" in told and "29 of 30 vertices valid" in told
-    assert "outlier     observation pose1, mark 4, cam2: " in told and "left out" in told
+    printed = capsys.readouterr().out
+    assert "3 observations of 10 vertices" in printed and "29 of 30 vertices valid" in printed
+    assert "outlier     observation pose1, mark 4, cam2: " in printed and "left out" in printed
     found = load_observations(out)
     assert found.name == "silk" and np.argwhere(~found.valid).tolist() == [[0, 3]]
     assert (np.linalg.norm(found.vertices - vertices, axis=-1)[found.valid] / found.sigma[found.valid]).max() < 8
@@ -71,8 +71,8 @@ def test_a_ribbon_is_ready_to_be_relaxed(tmp_path, rng, capsys):
     vertices, _, edges = ribbon(rng)
     out = tmp_path / "ribbon.csv"
     assert main([*prepared(tmp_path, rows_of(edges, rng)), "--out", str(out)]) == 0
-    told = capsys.readouterr().out
-    assert "a ribbon" in told and "0 carried over" in told and "start_frame and end_frame" in told
+    printed = capsys.readouterr().out
+    assert "a ribbon" in printed and "0 carried over" in printed and "start_frame and end_frame" in printed
     found = load_observations(out)
     assert found.frames.shape == (4, 11, 3, 3) and found.sigma.shape == (4, 12)
     clamps = observation_clamps(found)
@@ -88,8 +88,9 @@ def test_two_labels_that_contradict_each_other_are_told(tmp_path, rng, capsys):
     argv = [*prepared(tmp_path, rows), "--out", str(tmp_path / "F.npz")]
     refused(capsys, tmp_path, argv, "no observation has positions for both 1 and 2", "--rest-length")
     assert main([*argv, "--rest-length", "3"]) == 0
-    told = capsys.readouterr().out
-    assert "contradictory observation pose0, mark 2, cam0" in told and "mark 2, cam1" in told and "1 contradictory" in told
+    printed = capsys.readouterr().out
+    assert "contradictory observation pose0, mark 2, cam0" in printed
+    assert "mark 2, cam1" in printed and "1 contradictory" in printed
     found = load_observations(tmp_path / "F.npz")
     assert not found.valid[0, 2] and found.rest_length.tolist() == [3, 3, 3, 3]
 

@@ -46,8 +46,8 @@ def test_one_by_one(files, capsys):
     folder, twist = files
     words = ["twist", str(folder / "seen.npz"), *MATERIAL, "--out", str(folder / "phi.npz")]
     assert main([*words, "--picture", str(folder / "phi.png")]) == 0
-    told = capsys.readouterr().out
-    assert "4 observations in 4 groups" in told and "4 clear" in told and "0 of 196 rods" in told
+    printed = capsys.readouterr().out
+    assert "4 observations in 4 groups" in printed and "4 clear" in printed and "0 of 196 rods" in printed
     found = written(folder / "phi.npz")
     np.testing.assert_allclose(found["phi_deg"], np.degrees(twist), atol=1.0)
     assert found["objective_mm"].shape == (4, 49)
@@ -86,29 +86,29 @@ def test_offsets_and_grasps(files):
     np.testing.assert_allclose(found["total_twist_deg"], np.degrees(twist), atol=2.0)
 
 
-@pytest.mark.parametrize("words, told", [
+@pytest.mark.parametrize("words, printed", [
     (["--observations", "2"], "end_frame"), (["--observations", "9"], "--observations"), (["--observations", "x"], "number"),
     (["--regrasp", "7"], "--regrasp"), (["--offsets", "none.csv"], "none.csv"), (["--bend", "1e5:1e6:3"], "grid"),
     (["--out", "phi.txt"], "--out"), (["--picture", "phi.jpg"], "ends in .png"), (["--up", "0,0,0"], "--up"),
 ])
-def test_wrong_input_is_one_line(files, capsys, words, told):
+def test_wrong_input_is_one_line(files, capsys, words, printed):
     folder, _ = files
     assert main(["twist", str(folder / "bare.npz"), *MATERIAL, "--out", str(folder / "phi.npz"), *words]) == 2
     line = capsys.readouterr().err
-    assert told in line and line.count("\n") == 1
+    assert printed in line and line.count("\n") == 1
     assert not (folder / "phi.npz").exists()
 
 
-@pytest.mark.parametrize("text, told", [
+@pytest.mark.parametrize("text, printed", [
     ("offset_deg\n1\n2\n3\n1e6\n", "more than 100 turns"),
     ("offset_deg\n1\n2\n", "one for each"), ("total_twist_deg\n1\n2\n3\n4\n", "end_frame"), ("colour\n1\n", "colour"),
 ])
-def test_wrong_offsets_are_named(files, capsys, text, told):
+def test_wrong_offsets_are_named(files, capsys, text, printed):
     folder, _ = files
     (folder / "wrong.csv").write_text(text, encoding="utf-8")
     words = ["twist", str(folder / "bare.npz"), *MATERIAL, "--out", str(folder / "phi.npz")]
     assert main([*words, "--offsets", str(folder / "wrong.csv")]) == 2
-    assert told in capsys.readouterr().err
+    assert printed in capsys.readouterr().err
 
 
 def test_the_input_is_not_overwritten(files, capsys):

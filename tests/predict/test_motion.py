@@ -82,9 +82,9 @@ def test_marks_give_positions_and_tangents(tmp_path):
 def test_wrong_files_are_named(tmp_path, keys, word):
     file = tmp_path / "motion.npz"
     np.savez(file, **keys)
-    with pytest.raises(InputError, match=word) as told:
+    with pytest.raises(InputError, match=word) as raised:
         load_path(file)
-    assert "motion.npz" in str(told.value)
+    assert "motion.npz" in str(raised.value)
 
 
 @pytest.mark.parametrize("text, word", [

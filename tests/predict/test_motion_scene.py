@@ -87,9 +87,9 @@ def test_wrong_scenes_are_named(tmp_path, old, new, word):
     file = tmp_path / "scene.toml"
     assert old in GOOD
     file.write_text(GOOD.replace(old, new, 1), encoding="utf-8")
-    with pytest.raises(InputError, match=word) as told:
+    with pytest.raises(InputError, match=word) as raised:
         load_motion_scene(file)
-    assert "scene.toml" in str(told.value)
+    assert "scene.toml" in str(raised.value)
 
 
 def test_names_of_several_lines_take_one(tmp_path):
