@@ -1,7 +1,9 @@
-"""A process that runs cases one after another, without further processes: ``python -m tools.fuzzing.worker FOLDER SEED IN OUT``.
+"""A process that runs cases one after another, without further processes.
+
+    python -m tools.fuzzing.worker FOLDER SEED IN OUT
 
 FOLDER holds ``corpus``, ``home`` and ``temporary``, the last two empty. The numbers of cases are read line by line from the file
-descriptor IN; a line of JSON with the description of each case is written to OUT before it, and one with its result after it.
+descriptor IN; a line of JSON with the description of each case is written to OUT before it, one with its result after it.
 """
 
 import json
