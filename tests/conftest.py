@@ -1,4 +1,4 @@
-"""Shared by all tests: where the development data lies, and one printed seed for everything random."""
+"""Shared by all tests: the folder of the development data, and one printed seed of all random numbers."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Who imports whom: downward only, each heavy library behind one module, and nothing heavy with the package itself."""
+"""Imports: downward only, each heavy library in one module, and no heavy library with the package itself."""
 
 import ast
 import subprocess
@@ -124,7 +124,7 @@ def test_one_place_starts_taichi():
 
 
 def test_no_file_postpones_annotations():
-    """It breaks Taichi's kernels."""
+    """Postponed annotations break Taichi's kernels."""
     files = [path for folder in ("doo_ti", "tests", "tools") for path in (ROOT / folder).rglob("*.py")]
     assert len(files) > 50
     for path in files:
@@ -133,7 +133,7 @@ def test_no_file_postpones_annotations():
 
 @pytest.mark.parametrize("module", ["doo_ti", "doo_ti.cli"])
 def test_importing_costs_nothing_heavy(module):
-    """What is heavy is imported where it is used: taichi 1 s, rerun 0.5 s."""
+    """Heavy libraries are imported where they are used: taichi 1 s, rerun 0.5 s."""
     heavy = ["taichi", "rerun", "cv2", "matplotlib", "pyarrow", "dask", "scipy", "jax", "distributed"]
     script = f"import sys, {module}; print([name for name in {heavy} if name in sys.modules])"
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept: any process ends well, and what is damaged there is replaced."""
+"""The folder of compiled kernels: every process succeeds, and damaged files are replaced."""
 
 import hashlib
 import os

@@ -14,7 +14,7 @@ SHOWN = r"a\x1b[2J\x9b1m\u202e[red]b[/red]"
 
 
 class Terminal(io.StringIO):
-    """What a person sees; rich asks whether it is one."""
+    """A terminal's output; rich asks whether the stream is one."""
 
     encoding = "utf-8"
 

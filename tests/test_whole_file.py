@@ -1,4 +1,4 @@
-"""Files that are whole or not there: what lies beside them while they are written, and after."""
+"""Files that are complete or absent: the part files beside them while they are written, and after."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""The cases on a few rods: each runs, counts what it says, and tells how its lanes were used."""
+"""The cases on a few rods: each runs, counts its rods, and reports the use of its lanes."""
 
 import numpy as np
 import pytest

@@ -14,7 +14,7 @@ from tests.cli.test_bad_input import refused
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
-    """The whole command in seconds."""
+    """The whole command, small enough to take seconds."""
     monkeypatch.setattr(cases, "ROUND_SECONDS", 0.0)
     monkeypatch.setattr(peak, "TRIPS", 1000)
 

@@ -1,4 +1,4 @@
-"""The rods that are timed: those of the shipped scenes, and what is made of them."""
+"""The timed rods: those of the shipped scenes, and rods derived from them."""
 
 from dataclasses import replace
 from pathlib import Path

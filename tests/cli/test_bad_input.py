@@ -46,7 +46,7 @@ def refused(capsys, folder: Path, argv: list[str], *words: str) -> None:
     assert tree(folder) == before
 
 
-# ---- files of observations: what is written, and the field that the line names
+# ---- files of observations: their content, and the field that the message names
 
 def without(key):
     return lambda keys: keys.pop(key)
@@ -159,7 +159,7 @@ def test_files_that_are_not_there(capsys, tmp_path):
     refused(capsys, tmp_path, ["view", str(tmp_path / "absent")], "absent", "no such file")
 
 
-# ---- options: what replaces what in a good command line, and the words of the line
+# ---- options: replacements in a valid command line, and the words of the message
 
 OPTIONS = {
     "B not positive definite": (["--bend", "1e5,1e5,2e5"], "--bend", "not positive definite"),
@@ -263,7 +263,7 @@ def test_outputs_that_cannot_be(capsys, tmp_path):
     for name in ("relax", "convert", "synth"):
         refused(capsys, tmp_path, [*commands[name], str(tmp_path / "folder.npz")], named[name], "is a folder")
         refused(capsys, tmp_path, [*commands[name], str(tmp_path / "F.txt")], "suffix '.txt'")
-    (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
+    (tmp_path / "dangling").symlink_to(tmp_path / "missing")
     refused(capsys, tmp_path, [*commands["sweep"], str(tmp_path / "dangling" / "run")], "--out", "dangling")
 
 
@@ -364,7 +364,7 @@ def test_limits_are_stated(capsys, tmp_path, limited, case):
 
 @pytest.mark.parametrize("case", ["label uncertainty", "diameter", "positions"])
 def test_no_library_says_anything_beside_the_line(limited, case):
-    """In a process of its own, with Taichi loaded, whose standard error is its own."""
+    """In a separate process, with Taichi loaded, whose standard error is captured."""
     words = [str(limited.get(word, word)) for word in LIMITS[case][0]]
     done = subprocess.run([sys.executable, "-m", "doo_ti", *words], cwd=Path(__file__).resolve().parents[2],
                           capture_output=True, text=True, encoding="utf-8")
@@ -372,7 +372,7 @@ def test_no_library_says_anything_beside_the_line(limited, case):
 
 
 def test_a_slip_in_a_key(capsys, tmp_path):
-    """Other commands' files hold more keys than observations have, but end_frme is nobody's."""
+    """Other commands' files hold more keys than observations have, but end_frme is a misspelling."""
     keys = good_keys()
     keys["end_frme"] = keys.pop("end_frame")
     np.savez(tmp_path / "bad.npz", **keys)

@@ -51,7 +51,7 @@ def write_run(run, grid: Grid, distance: np.ndarray, name: str = "silk") -> None
 
 @pytest.fixture
 def swept(monkeypatch) -> list:
-    """Stands in for the sweep; keeps what it was asked for."""
+    """Replaces the sweep; keeps its arguments."""
     calls = []
 
     def sweep(run, observations, grid, *, options, pairs, command):

@@ -1,4 +1,4 @@
-"""`doo-ti figures` on small sweeps of the virtual lab: what it writes, what it says, what it refuses."""
+"""`doo-ti figures` on small sweeps of the virtual lab: files, messages, refused input."""
 
 import json
 import shutil
@@ -95,13 +95,13 @@ def test_a_large_grid_is_thinned_and_that_is_told(lab, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("words", "problem"), [
-    (["silk", "static"], "another grid"), (["silk", "silk"], "static silk"), (["nowhere"], "finished sweep"),
+    (["silk", "static"], "another grid"), (["silk", "silk"], "static silk"), (["missing"], "finished sweep"),
     (["unlabelled", "--by", "end-distance"], "end_distance_mm"), (["silk", "--observation", "8"], "observation"),
     (["silk", "--observation", "x"], "not a whole number"), (["silk", "--cells", "some"], "not a whole number"),
     (["silk", "--by", "colour"], "--by"), ([], "RUN"),
 ])
 def test_wrong_input_is_one_line_and_nothing_is_written(lab, tmp_path, capsys, words, problem):
-    runs = [str(lab / word) if (lab / word).exists() or word == "nowhere" else word for word in words]
+    runs = [str(lab / word) if (lab / word).exists() or word == "missing" else word for word in words]
     assert main(["figures", *runs, "--out", str(tmp_path / "out")]) == 2
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1 and problem in err
@@ -109,7 +109,7 @@ def test_wrong_input_is_one_line_and_nothing_is_written(lab, tmp_path, capsys, w
 
 
 def test_pairs_that_are_not_those_of_the_cells(lab, tmp_path, capsys):
-    """In a run that does not say what its files were, as those of older versions."""
+    """In a run without the digests of its files, as those of older versions."""
     run = tmp_path / "dynamic"
     shutil.copytree(lab / "dynamic", run)
     summary = json.loads((run / "summary.json").read_text())

@@ -1,4 +1,4 @@
-"""Ctrl-C, whenever it comes: one line, exit code 1, no traceback, and it is never lost."""
+"""Ctrl-C at any moment: one line, exit code 1, no traceback, and it is never ignored."""
 
 import os
 import signal
@@ -100,7 +100,7 @@ def test_a_signal_while_processes_are_started_waits_for_them(number):
 
 
 def test_a_terminals_signal_to_workers_too(tmp_path):
-    """It goes to all processes of the command: only the first says something."""
+    """It goes to all processes of the command: only the first prints a message."""
     from doo_ti.io.observations import save_observations
     from tests.sweeps.lab import small_lab
 

@@ -1,4 +1,4 @@
-"""``doo-ti learn``: tables on the terminal, in files and as JSON, and what it refuses."""
+"""``doo-ti learn``: tables on the terminal, in files and as JSON, and refused input."""
 
 import csv
 import json

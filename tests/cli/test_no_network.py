@@ -63,7 +63,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def guarded(script: str, *arguments: str, folder: Path) -> subprocess.CompletedProcess:
-    """``script`` in a process with the guard, which believes that it has never called home."""
+    """``script`` in a process with the guard, in which Taichi has not yet checked for a new version."""
     source = folder / "guarded.py"
     source.write_text(GUARD.replace("NUMBERS", repr(SOCKET[platform.machine()])) + script)
     kernels = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "taichi" / "ticache"

@@ -1,4 +1,4 @@
-"""The objectives on the command line: pairs, spins, and what is printed about them."""
+"""The objectives on the command line: pairs, unknown rolls, and the printed results."""
 
 import json
 from dataclasses import replace

@@ -125,7 +125,7 @@ def test_people_are_told(photographed, tmp_path, capsys):
     (["--bend", "1e5:1e6:5"], ("--bend", "grid")), (["--bend", "1e5,2e5"], ("--bend", "round")),
     (["--rest-length", "3:x"], ("--rest-length",)), (["--rest-length", "-3:14"], ("--rest-length",)),
     (["--rest-length", "9e18:14"], ("--rest-length", "9e+18 mm")),
-    (["--rest-length", "3:1"], ("--rest-length",)), (["--rest-length", "nowhere.txt"], ("--rest-length", "nowhere.txt")),
+    (["--rest-length", "3:1"], ("--rest-length",)), (["--rest-length", "missing.txt"], ("--rest-length", "missing.txt")),
     (["--nu", "-1"], ("--nu",)), (["--hypotheses", "0"], ("--hypotheses",)),
     (["--hypotheses", "9223372036854775808"], ("--hypotheses", "above")), (["--width", "1,2"], ("--width",)),
     (["--seed-point", "1,2,3"], ("--seed-point", "--sets")), (["--up", "0,0"], ("--up",))])
@@ -146,7 +146,7 @@ def test_wrong_images_are_told(photographed, tmp_path, capsys):
     (tmp_path / "broken.png").write_bytes(b"no image")
     argv = of_images(folder, rods[0], "--out", str(tmp_path / "new" / "f.npz"))
     for image, words in ((blank, ("blank.png", "no thread was found")), (small, ("small.png", "100 x 100")),
-                         (broken, ("broken.png", "image")), ("nowhere.png", ("nowhere.png", "no such file"))):
+                         (broken, ("broken.png", "image")), ("missing.png", ("missing.png", "no such file"))):
         refused(capsys, tmp_path, [*argv[:2], image, *argv[3:]], *words)
     refused(capsys, tmp_path, [*argv[:2], *argv[3:]], "2 images", "3 cameras", "cam0, cam1, cam2")
     refused(capsys, tmp_path, [word for word in argv if not word.endswith("png")], "IMAGE", "missing")

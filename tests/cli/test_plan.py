@@ -1,4 +1,4 @@
-"""``doo-ti plan``: what it prints, writes and refuses."""
+"""``doo-ti plan``: output, files, refused input."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""``doo-ti predict``: what it prints, writes and refuses."""
+"""``doo-ti predict``: output, files, refused input."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""``doo-ti refine``: from observations and from a sweep's folder, for a person and for a machine, and what it refuses."""
+"""``doo-ti refine``: from observations and from a sweep's folder, as text and as JSON, and refused input."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""doo-ti track: from a video to a file of rods and a recording, whatever happens in between."""
+"""doo-ti track: from a video to a file of rods and a recording, also with lost frames and errors."""
 
 import json
 
@@ -100,7 +100,7 @@ def test_what_is_done_is_kept(filmed, tmp_path, capsys):
     (lambda lines: [lines[0], *lines[2:]], ("seed_x", "'' in line 2")),
     (lambda lines: [*lines[:3], lines[3].replace(",,,,,,", ",1,2,3,4,5,x")], ("dir_z", "'x' in line 4")),
     (lambda lines: [*lines[:2], lines[3], lines[2]], ("time_s", "rise")),
-    (lambda lines: [line.replace("002_cam0.png", "nowhere.png") for line in lines], ("cam0", "nowhere.png' in line 4")),
+    (lambda lines: [line.replace("002_cam0.png", "missing.png") for line in lines], ("cam0", "missing.png' in line 4")),
 ])
 def test_wrong_frames_are_told(filmed, tmp_path, capsys, change, words):
     frames = filmed / "changed.csv"
@@ -112,8 +112,8 @@ def test_wrong_frames_are_told(filmed, tmp_path, capsys, change, words):
 
 @pytest.mark.parametrize("change, words", [
     (("--bend", "1e5:1e6:5"), ("--bend", "grid")), (("--bend", "1e5,2e5"), ("--bend", "round")),
-    (("--rest-length", "3:x"), ("--rest-length",)), (("--frames", "nowhere.csv"), ("nowhere.csv",)),
-    (("--width", "0"), ("--width",)), (("--up", "0,0"), ("--up",)), (("--motion", "nowhere.npz"), ("nowhere.npz",))])
+    (("--rest-length", "3:x"), ("--rest-length",)), (("--frames", "missing.csv"), ("missing.csv",)),
+    (("--width", "0"), ("--width",)), (("--up", "0,0"), ("--up",)), (("--motion", "missing.npz"), ("missing.npz",))])
 def test_wrong_options_are_told(filmed, tmp_path, capsys, change, words):
     argv = of(filmed, tmp_path / "new" / "f.npz")
     if change[0] in argv:

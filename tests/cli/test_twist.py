@@ -1,4 +1,4 @@
-"""``doo-ti twist``: what it prints, writes and refuses."""
+"""``doo-ti twist``: output, files, refused input."""
 
 import json
 

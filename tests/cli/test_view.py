@@ -1,4 +1,4 @@
-"""``doo-ti view`` on a sweep that is not finished: what is stored is shown, and its folder is only read."""
+"""``doo-ti view`` on an unfinished sweep: the stored cells are shown, and its folder is only read."""
 
 import hashlib
 import sys
@@ -14,7 +14,7 @@ from tests.sweeps.lab import DYNAMIC, GRID, small_lab
 
 
 def interrupted(run, monkeypatch, chunks: int, observations=None, **options):
-    """A sweep of which so many chunks are stored."""
+    """A sweep with a given number of stored chunks."""
     work, calls = sweeps.relax_hypotheses, []
 
     def stopping(*arguments):

@@ -1,4 +1,4 @@
-"""Files without end, and files that unpack to more than anything has: refused before they fill the memory."""
+"""Endless files, and files that unpack to huge sizes: refused before they fill the memory."""
 
 import io
 import os

@@ -1,4 +1,4 @@
-"""The one reader of CSV files: what it takes, and what its messages name."""
+"""The reader of CSV files: accepted input, and the names in its messages."""
 
 import numpy as np
 import pytest

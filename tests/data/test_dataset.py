@@ -1,4 +1,4 @@
-"""Observations: what is accepted, what it becomes, and what is refused with file, key, value and remedy."""
+"""Observations: accepted values, their checked form, and errors with file, key, value and remedy."""
 
 import pickle
 

@@ -1,4 +1,4 @@
-"""Grids over Θ: what the text of an option means, the cells' order, and the range that fits nearly as well."""
+"""Grids over Θ: the text of an option, the order of cells, and the range within 5 % of the minimum."""
 
 import json
 

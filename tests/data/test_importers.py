@@ -1,4 +1,4 @@
-"""Tables: CSV and Parquet carry the same observations as npz, and say what is wrong with them."""
+"""Tables: CSV and Parquet carry the same observations as npz, and wrong tables are refused with the reason."""
 
 import numpy as np
 import pyarrow

@@ -1,4 +1,4 @@
-"""Scenes: what a TOML file means and what is wrong with it."""
+"""Scenes: the meaning of a TOML file, and errors in it."""
 
 from pathlib import Path
 

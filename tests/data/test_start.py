@@ -204,7 +204,7 @@ def test_the_best_hypothesis_of_each_observation():
     index = np.array([0, 0, 0, 1, 1, 1, 2])
     score = np.array([3.0, 1, 2, np.nan, 5, 5, np.nan])
     np.testing.assert_array_equal(choose_hypothesis(index, score, np.ones(7, dtype=bool)), [1, 4, 6])
-    # What did not come to rest stands only where nothing did.
+    # A rod that did not converge is chosen only if none converged.
     np.testing.assert_array_equal(choose_hypothesis(index, score, np.array([1, 0, 1, 0, 0, 1, 0], dtype=bool)), [2, 5, 6])
 
 

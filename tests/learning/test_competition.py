@@ -15,7 +15,7 @@ from tests.learning.landscapes import static
 
 
 def fooled(name: str = "nylon"):
-    """Five cells of four rods, the second the best, but for the fourth, where a rod stalled close to its observation."""
+    """Five cells of four rods, the second the best, except for the fourth, in which a rod stalled close to its observation."""
     distance = np.array([3.0, 1.0, 2.0, 0.1, 3.0])[:, None] + np.zeros(4)
     landscape = static(name, distance)
     landscape.status[3, 1] = Status.STALLED

@@ -1,4 +1,4 @@
-"""Which terms stand in which row and column, and what cannot be compared."""
+"""The terms of each row and column, and landscapes that cannot be compared."""
 
 from dataclasses import replace
 from pathlib import Path

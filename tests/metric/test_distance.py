@@ -1,4 +1,4 @@
-"""Eq. 1 against the oracle, written as printed: valid marks, frames, w_m, f32, rods that came to nothing."""
+"""Eq. 1 against the oracle, written as printed: valid marks, frames, w_m, f32, rods that failed."""
 
 from dataclasses import replace
 
@@ -82,7 +82,7 @@ def test_many_rods_of_few_observations(rng):
 
 
 def test_frames_in_single_precision(rng):
-    """As f32 returns them: their rounding comes on top, the sums are in f64."""
+    """Vertices as f32 returns them: their rounding adds to the error, the sums are in f64."""
     rods, observations = wandering(rng, COUNT, EDGES), observed(rng)
     single = Configuration(rods.start, rods.quaternions.astype(np.float32), rods.rest_length)
     wide = Configuration(rods.start, single.quaternions.astype(np.float64), rods.rest_length)

@@ -144,7 +144,7 @@ def test_the_step_solves_the_shifted_problem(rng, start, end):
 @pytest.mark.parametrize("end", [Clamp.FREE, Clamp.TANGENT], ids=["free end", "both held"])
 @pytest.mark.parametrize("start", STARTS)
 def test_unshifted_steps_converge_quadratically(rng, start, end):
-    """From near the minimum the residual falls as its square: gradient, Hessian and multiplier belong together."""
+    """Near the minimum the residual decreases quadratically: gradient, Hessian and multiplier are consistent."""
     rod, state, springs = problem(rng)
     ends = ends_of(rod, state, start, end)
     found = minimum(rod, springs, state, ends)
@@ -171,7 +171,7 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_minimum_against_a_general_optimiser(rng, case):
-    """scipy's SLSQP, which sees values only, comes back to where the dense solver ended."""
+    """scipy's SLSQP, which uses values only, returns to the minimum of the dense solver."""
     edges, start, end = CASES[case]
     rod, state, springs = problem(rng, edges)
     ends = ends_of(rod, state, start, end)
@@ -212,7 +212,7 @@ def test_without_springs_it_is_the_equilibrium_of_the_rod(rng):
 
 
 def test_stiff_springs_put_the_vertices_on_their_targets(rng):
-    """Targets that a rod of these lengths can take, far stiffer than the rod: it takes them."""
+    """Targets that a rod of these lengths can reach, with springs far stiffer than the rod: it reaches them."""
     rod, state = random_rod(rng, edges=6), random_state(rng, edges=6, bending=0.1)
     free_end = ends_of(rod, state, Clamp.FRAME, Clamp.FREE)
     bent = turned(state, np.append(np.zeros(6), 0.2 * rng.normal(size=15)))
@@ -223,7 +223,7 @@ def test_stiff_springs_put_the_vertices_on_their_targets(rng):
 
 
 def test_an_unstable_start_is_left(rng):
-    """A straight rod pushed end on by a spring: at rest, and no minimum; the descent goes on to a bow."""
+    """A straight rod compressed along its axis by a spring: an equilibrium, but no minimum; the descent reaches a bow."""
     edges = 8
     rod = random_rod(rng, edges=edges, weight=0.0)
     identity = np.tile([1.0, 0.0, 0.0, 0.0], (edges, 1))

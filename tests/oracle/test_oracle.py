@@ -265,7 +265,7 @@ def test_free_start_and_clamped_end_is_the_reversed_rod(rng):
 
 
 def test_equilibrium_against_a_general_optimiser(rng):
-    """scipy's SLSQP, which sees values only, ends where the dense solver ends."""
+    """scipy's SLSQP, which uses values only, ends at the minimum of the dense solver."""
     rod, state = random_rod(rng, edges=5), random_state(rng, edges=5, bending=0.2)
     ends = ends_of(rod, state)
     found = equilibrium(rod, state, ends)

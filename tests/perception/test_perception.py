@@ -93,7 +93,7 @@ def test_a_set_is_the_same_alone(scene, found):
 
 
 def test_runners_up_differ_and_the_gap_is_a_distance(loop):
-    """Against E_vis and image lengths computed anew."""
+    """Against E_vis and image lengths computed independently."""
     rig, rods, maps, found = loop
     assert np.linalg.norm(found.vertices - rods, axis=-1).mean() < 0.1
     here = np.isfinite(found.runner_up_energy[0])

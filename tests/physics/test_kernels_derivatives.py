@@ -119,7 +119,7 @@ def test_pair_on_packs_is_the_oracles(rng, kind, number):
 
 
 def test_packs_are_scalars_to_the_last_bit(rng):
-    """What a lane holds depends on nothing but itself."""
+    """The value of a lane does not depend on other lanes."""
     runtime.start()
     for where in WHERE:
         q0, q1 = joints(rng, where)

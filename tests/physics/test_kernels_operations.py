@@ -319,7 +319,7 @@ def test_literals_are_exact_to_one_unit_in_the_last_place(number):
 
 
 def rounding(number: Number) -> float:
-    """What is asked of the angles, rad."""
+    """Required accuracy of the angles, rad."""
     return 3e-7 if number.bits == 32 else 2e-15
 
 

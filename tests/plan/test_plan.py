@@ -109,7 +109,7 @@ def test_the_least_informative_of_the_lab(shared_data):
 
 
 def test_clamps_on_one_line():
-    """Untwisted the rod is an arch, whose shape tells next to nothing; of those that are twisted 54 mm, 120° tells least."""
+    """Untwisted the rod is an arch, which is hardly informative; of the twisted rods 54 mm, 120° is least informative."""
     recipe = Synthesis(bend=BEND, twist=TWIST, start_direction=(1, 0, 0), end_direction=(1, 0, 0))
     configurations = planned(recipe)
     found = plan(configurations, Grid((parse_axis("--bend", "5e4:1e7:13"), parse_axis("--twist-ratio", "0.1:6:9"))), sigma=0.12)

@@ -1,4 +1,4 @@
-"""Motion files: poses over time from npz and CSV, and what is wrong with them."""
+"""Motion files: poses over time from npz and CSV, and errors in them."""
 
 import numpy as np
 import pytest

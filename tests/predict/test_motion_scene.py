@@ -1,4 +1,4 @@
-"""Scenes of motion: those that are shipped, what they show, and what is wrong with others."""
+"""Scenes of motion: the shipped ones with their results, and errors in others."""
 
 from pathlib import Path
 
@@ -39,23 +39,23 @@ def test_one_start_and_three_materials():
     ends = prediction.vertices[-1]
     np.testing.assert_allclose(ends[:, [0, -1]], np.broadcast_to(ends[0, [0, -1]], (3, 2, 3)), atol=1e-6)
     apart = [np.linalg.norm(ends[i] - ends[j], axis=1).max() for i, j in ((0, 1), (0, 2), (1, 2))]
-    print("vertices apart by up to", np.round(apart, 1), "mm; falls", prediction.jumps.sum(axis=0))
+    print("vertices apart by up to", np.round(apart, 1), "mm; jumps", prediction.jumps.sum(axis=0))
     assert min(apart) > 10
 
 
 def test_a_loop_is_thrown_and_pops_out():
-    """It is thrown while the ends come together, outlives most of the turning back, and is gone at the end."""
+    """The loop forms while the ends come together, persists while most of the twist is removed, and pops out at the end."""
     scene, prediction = carried("loop_pop_out")
-    falls = np.flatnonzero(prediction.jumps[:, 0])
-    assert len(falls) == 2
-    thrown, popped = prediction.time[falls]
+    jumps = np.flatnonzero(prediction.jumps[:, 0])
+    assert len(jumps) == 2
+    thrown, popped = prediction.time[jumps]
     rotation = np.degrees(prediction.end_rotation[:, 0])
-    print(f"thrown at {thrown:.2f} s, popped at {popped:.2f} s, the end turned by {rotation[falls[1]]:.0f}°")
+    print(f"thrown at {thrown:.2f} s, popped at {popped:.2f} s, the end turned by {rotation[jumps[1]]:.0f}°")
     assert 2 < thrown <= 4 < popped < 7
     # While the loop is there a turn of writhe is, too: twist is a whole turn short of what the clamp did.
     short = rotation - np.degrees(prediction.total_twist[:, 0])
-    inside = slice(falls[0], falls[1])
-    assert (short[inside] > 300).all() and np.abs(short[-1]) < 10 and np.abs(short[: falls[0] - 40]).max() < 90
+    inside = slice(jumps[0], jumps[1])
+    assert (short[inside] > 300).all() and np.abs(short[-1]) < 10 and np.abs(short[: jumps[0] - 40]).max() < 90
 
 
 def test_a_suture_is_pulled_straight():

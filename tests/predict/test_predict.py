@@ -1,4 +1,4 @@
-"""Prediction: rods follow their clamps, keep their turns, and say where they fell or could not follow."""
+"""Prediction: rods follow their clamps, keep their turns, and report jumps and where they could not follow."""
 
 from dataclasses import replace
 
@@ -133,7 +133,7 @@ def test_a_rod_that_is_pulled_too_far_is_lost_alone():
 
 
 def test_candidates_of_one_rod():
-    """What a planner asks: as if each motion had been predicted by itself, watched for falls or not."""
+    """For planners: the same as each motion predicted alone, with and without detection of jumps."""
     rods, clamps = bows(MATERIAL)
     rod, held = rods.take([0]), clamps.take([0])
     shifts = np.array([[-3.0, 0, 0], [0, 3.0, 0], [-2.0, 1.0, 4.0]])

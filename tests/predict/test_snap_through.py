@@ -1,4 +1,4 @@
-"""An arch whose one clamp is tilted until it snaps over, and back: where theory says, and not where it came from.
+"""An arch with one clamp tilted until it snaps through, and back: at the angles of beam theory, with hysteresis.
 
 A strip with its ends brought together by d < 1 of its length and one end tilted by α is, shallow, a beam under compression:
 w'''' + τ² w'' = 0 with w(0) = w(1) = w'(1) = 0, w'(0) = μ and ∫ w'² = 2, where μ = α/√d. Its branch ends where μ(τ) is largest,
@@ -69,9 +69,9 @@ def test_it_snaps_where_theory_says_and_comes_back_elsewhere(arch):
     angles = np.concatenate([up, up[-2::-1], -up[1:]])
     prediction = predict(rod, STRIP, clamps, tilted(np.radians(angles)))
     assert prediction.followed.all()
-    falls = np.flatnonzero(prediction.jumps[:, 0])
-    assert len(falls) == 2
-    there, back = (0.5 * (angles[fall] + angles[fall - 1]) for fall in falls)
+    jumps = np.flatnonzero(prediction.jumps[:, 0])
+    assert len(jumps) == 2
+    there, back = (0.5 * (angles[jump] + angles[jump - 1]) for jump in jumps)
     print(f"snaps at {there:.1f}° and back at {back:.1f}°; theory {expected:.2f}°")
     assert there == pytest.approx(expected, rel=0.02) and back == pytest.approx(-expected, rel=0.02)
     middle = prediction.vertices[:, 0, EDGES // 2, 2]
@@ -81,7 +81,7 @@ def test_it_snaps_where_theory_says_and_comes_back_elsewhere(arch):
 
 
 def test_a_coarse_path_falls_once_too(arch):
-    """Two moments, sub-steps of 5°: the fall is seen whatever the steps are."""
+    """Two moments, sub-steps of 5°: the jump is detected with any sub-steps."""
     rod, clamps = arch
     prediction = predict(rod, STRIP, clamps, tilted(np.radians([0.0, 12.0])))
     assert prediction.followed.all() and prediction.jumps[:, 0].tolist() == [0, 1]

@@ -1,4 +1,4 @@
-"""The grid view: every observation in a place of its own, gravity down, true coordinates a subtraction away."""
+"""The grid view: every observation at its own place, gravity down; subtracting the offset gives true coordinates."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Rods in images: the picture and the recording hold what was detected, tried, pruned and found."""
+"""Rods in images: the picture and the recording contain the detection, the hypotheses, the pruned ones and the result."""
 
 import numpy as np
 import pytest

@@ -202,7 +202,7 @@ def test_same_run_same_recording(tmp_path, rng):
     assert moving.keys() == moving_again.keys()
 
 
-@pytest.mark.parametrize("path", ["", "nowhere"])
+@pytest.mark.parametrize("path", ["", "missing"])
 def test_viewing_a_folder_without_recording_is_an_input_error(tmp_path, path):
     from doo_ti.record import open_viewer
 

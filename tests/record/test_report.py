@@ -1,4 +1,4 @@
-"""The landscape's picture: what is drawn where, for every shape of grid."""
+"""The landscape's picture: its elements and their places, for every shape of grid."""
 
 import io
 
@@ -45,7 +45,7 @@ def test_picture_and_image_are_one_drawing(tmp_path):
 
 
 def test_a_name_is_no_mathematics():
-    """Between dollar signs matplotlib reads a language of its own, in which this is an error."""
+    """matplotlib parses text between dollar signs as mathematics, in which this is an error."""
     landscape_picture(io.BytesIO(), runs.plane(), title="a$^{$ b")
 
 

@@ -37,7 +37,7 @@ def dense(evidence: Evidence, linear, scales):
     variance = np.array([scales[name] for name in effect_scales(effects[0].shape[1])]) ** 2
     keep = [np.abs(j).max(axis=1) > 0 for j in shared]
     prior = np.linalg.inv(precision)
-    # r + J x + Z z + ε = 0 with x about −offset: what is seen of −r.
+    # r + J x + Z z + ε = 0 with x about −offset: the observed part of −r.
     rows = np.concatenate([j[k] for j, k in zip(shared, keep, strict=True)])
     covariance = rows @ prior @ rows.T
     at = 0

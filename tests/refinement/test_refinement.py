@@ -1,4 +1,4 @@
-"""The most probable Θ: it comes back from rods made with it, intervals hold it, doubts are named."""
+"""The most probable Θ: it is recovered from simulated rods, intervals contain it, misfits of the model are reported."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The derivatives of everything that is compared by everything that is unknown, against rods relaxed again."""
+"""The derivatives of all residuals with respect to all unknowns, against rods relaxed again."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""F once more from a solution: the same equilibria as from anywhere near, and nothing of the first solution is touched."""
+"""F from a solution: the same equilibria as from other starts nearby; the first solution is not changed."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Scalars, tables and pairs of rows: every way to say the same rods gives the same bits; mismatches are refused."""
+"""Scalars, tables and pairs of rows: every way to specify the same rods gives the same bits; mismatches are refused."""
 
 from dataclasses import replace
 
@@ -57,7 +57,7 @@ def test_the_same_material_said_in_two_ways(rods, way):
 
 @pytest.mark.parametrize("what", ["β", "B along the rod"])
 def test_isotropic_rods_through_the_general_formulas(rods, what):
-    """Uniform β or αI written out edge by edge takes the long way to the same minimum."""
+    """Uniform β or αI given edge by edge uses the general formulas and reaches the same minimum."""
     start, clamps = rods
     short = relax(start, Material(2e5, 1e5, 1.0), clamps)
     twist = repeated(1e5, 1, EDGES - 1) if what == "β" else 1e5

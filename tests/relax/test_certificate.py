@@ -1,4 +1,4 @@
-"""The certificate: it names saddles, agrees with the dense Hessian's eigenvalues, and F leaves what it names."""
+"""The certificate: it detects saddles, agrees with the dense Hessian's eigenvalues, and F leaves detected saddles."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ PLANAR = [(distance, side) for distance in (24.0, 32.0, 40.0) for side in (-1.0,
 
 @pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
 def test_planar_rods_at_0_degrees_rest_on_saddles_and_leave_them(precision):
-    """Nothing pushes them out of their plane; weak in twist, or standing, they have somewhere lower to go."""
+    """No force acts out of their plane; with low twist stiffness, or standing, they have a lower minimum outside it."""
     rods = stacked([planar_bow(*place) for place in PLANAR])
     ratio = np.array([0.05, 0.2, 1.0, 5.0])
     material = Material(1e5, 1e5 * ratio, 4.0)
@@ -96,12 +96,12 @@ def test_standing_column_falls_over():
     material = Material(1e5, 1e5, critical * np.array([0.5, 0.95, 1.05, 2.0]))
     upright = relax(rod, material, clamps, Newton(max_escapes=0))
     assert upright.converged.all() and upright.stable.tolist() == [True, True, False, False]
-    fallen = relax(rod, material, clamps, Newton(tolerance=1e-9))
-    assert fallen.converged.all() and fallen.stable.all()
-    lean = np.linalg.norm(fallen.configuration.vertices[:, -1, :2], axis=1)
+    relaxed = relax(rod, material, clamps, Newton(tolerance=1e-9))
+    assert relaxed.converged.all() and relaxed.stable.all()
+    lean = np.linalg.norm(relaxed.configuration.vertices[:, -1, :2], axis=1)
     print(f"tip of a column at 0.5, 0.95, 1.05 and 2 times its critical weight leans {np.round(lean, 3)} mm")
     assert (lean[:2] < 1e-6).all() and (lean[2:] > 5).all()
-    assert (fallen.energy[2:] < upright.energy[2:]).all()
+    assert (relaxed.energy[2:] < upright.energy[2:]).all()
 
 
 def test_certificate_is_the_sign_of_the_smallest_eigenvalue(rng):
@@ -126,7 +126,7 @@ def test_what_has_not_converged_is_not_certified(rng):
 
 
 def test_ribbons_bent_exactly_about_their_stiff_axis_turn_over():
-    """Planar at 0° with the stiff direction in the plane: every one rests on a saddle, and every one leaves it."""
+    """Planar at 0° with the stiff direction in the plane: every rod is at a saddle, and every rod leaves it."""
     places = [(distance / 99 * 48, side) for distance in (42.0, 48.0, 54.0, 60.0, 66.0) for side in (-1.0, 1.0)]
     short = stacked([planar_bow(*place, edges=33) for place in places])
     rods = Configuration(short.start, short.quaternions, np.full(33, 3.0))

@@ -1,4 +1,4 @@
-"""What the kernel reads from starts and clamps, against the same in NumPy, written here from the definitions."""
+"""The kernel's table of starts and clamps, against the same in NumPy, written here from the definitions."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The paper's own scheme against Newton, from the same starts: same minima, and what ends it."""
+"""The paper's own scheme against Newton, from the same starts: same minima, and its stopping criteria."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The force at the far clamp is the slope of the energy in where the clamp is."""
+"""The force at the far clamp is the derivative of the energy with respect to the clamp's position."""
 
 from dataclasses import replace
 
@@ -57,7 +57,7 @@ def taut(slack: float, kind: Clamp):
 @pytest.mark.parametrize("weight", [0.0, 1.0])
 @pytest.mark.parametrize("slack", [0.0, 1e-9])
 def test_the_pull_on_a_taut_rod_is_undetermined(slack, weight, kind, precision):
-    """At rest, certified, and NaN where a number would be arbitrary: any pull above the buckling load keeps it straight."""
+    """Converged, certified, and NaN where the force is not determined: any tension keeps the rod straight."""
     rod, clamps = taut(slack, kind)
     solution = relax(rod, Material(6e5, 8e5, weight), clamps, precision=precision)
     assert solution.converged.all() and solution.stable.all() and np.isfinite(solution.energy).all()

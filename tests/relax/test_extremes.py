@@ -1,4 +1,4 @@
-"""Rods at the edge of what there is: straight starts, taut rods, many turns, few edges and many, uneven and flat."""
+"""Extreme rods: straight starts, taut rods, many turns, few edges and many, uneven and flat."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def shortened(clamps, end_position):
 
 
 def well(solution, precision: str = "f64") -> None:
-    """Converged and certified, and closed: what f32 could not finish f64 did."""
+    """Converged and certified, and closed: f64 finished the rods that f32 could not."""
     assert solution.converged.all(), solution.status
     assert solution.stable.all() and np.isfinite(solution.energy).all()
     assert solution.closure.max() <= (1e-7 if precision == "f32" else 1e-12)
@@ -41,7 +41,7 @@ def well(solution, precision: str = "f64") -> None:
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.6, 0.8, 0.0), (0.0, 0.0, 1.0)], ids=["x", "x-y", "upright"])
 @pytest.mark.parametrize("weight", [0.0, 1.0])
 def test_straight_starts_that_must_shorten(direction, weight, precision):
-    """A straight rod cannot begin to shorten by itself, and nothing says to which side."""
+    """A straight rod cannot shorten to first order, and no side is preferred."""
     material = Material(6e5, 5e5, weight)
     rod = straight(9, direction)
     clamps = clamps_at(rod)
@@ -58,7 +58,7 @@ def test_straight_starts_that_must_shorten(direction, weight, precision):
 @every_precision
 @pytest.mark.parametrize("span", [98.95, 98.999, 98.99999])
 def test_nearly_taut(span, precision):
-    """Almost no freedom, and clamps that pull almost without bound."""
+    """Almost no slack, and very large forces of the clamps."""
     rod = straight(33)
     solution = relax(rod, MATERIAL, shortened(clamps_at(rod), [span, 0, 0]), precision=precision)
     well(solution, precision)
@@ -73,7 +73,7 @@ def test_nearly_taut(span, precision):
 @pytest.mark.parametrize("kinds", [(3, 3), (2, 2), (1, 1), (3, 1)],
                          ids=["frames", "tangents", "positions", "frame, position"])
 def test_a_span_equal_to_the_length(kinds, precision):
-    """The straight line is all it can be: the twist spreads evenly, where it is held at all."""
+    """The rod is a straight line: the twist is uniform, if the clamps hold it."""
     rod = straight(33, turns=0.4)
     start = jiggled(rod, np.random.default_rng(4), 0.05)
     solution = relax(start, MATERIAL, clamps_at(rod, *(Clamp(kind) for kind in kinds)), precision=precision)
@@ -88,7 +88,7 @@ def test_a_span_equal_to_the_length(kinds, precision):
 @pytest.mark.parametrize("turns", [1, 3, 10])
 @pytest.mark.parametrize("shape", ["straight", "bow"])
 def test_whole_turns_of_twist(shape, turns, precision):
-    """Two radians a joint at ten turns: none is lost on the way, whatever loops the rod throws."""
+    """Two radians per joint at ten turns: no turn is lost on the way, although loops form."""
     edges = 33
     angle = np.linspace(-1, 1, edges)
     spin = 2 * np.pi * turns * np.arange(edges) / (edges - 1)
@@ -162,7 +162,7 @@ def test_anisotropy_of_a_hundred(rng, solver, precision):
 
 @pytest.mark.parametrize("weight", [0.0, 1e-6, 1.0])
 def test_both_clamps_on_one_line(weight):
-    """The rod may swing about that line, for nothing without weight: soft, and all the same settled."""
+    """The rod can rotate about that line, without weight at constant energy: a soft motion, and still converged."""
     edges = 33
     along = np.arange(edges) / (edges - 1)
     shape, rods = np.sin(2 * np.pi * along), []

@@ -1,4 +1,4 @@
-"""What holds for every rod whatever else: edge lengths, clamps, closure, untouched inputs, neighbours kept apart."""
+"""Guarantees for every rod: edge lengths, clamps, closure, unchanged inputs, independence of other rods."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""A handful of rods of each row of the hard set: every rod has a status, and what its status says of it is true.
+"""A few rods of each row of the hard set: every rod has a status, and its status is correct.
 
 How many of them converge is for tools/hard_set.py, over many more rods.
 """

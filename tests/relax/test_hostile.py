@@ -1,4 +1,4 @@
-"""Arguments that nobody should give, and somebody will: one sentence for each, no crash, and no result that shares memory."""
+"""Invalid arguments: one sentence for each, no crash; and results do not share memory with inputs."""
 
 from dataclasses import replace
 from threading import Thread
@@ -54,7 +54,7 @@ def test_arguments_that_do_not_match(rods):
         "whole quaternions": {"x0": replace(rods, quaternions=rods.quaternions.round().astype(int))},
         "flags as positions": {"x0": replace(rods, start=rods.start > 0)},
         "ragged lengths": {"x0": replace(rods, rest_length=[[1.0], [1.0, 2.0]])},
-        "up of what is no number": {"up": [10**400, 0, 0]},
+        "up beyond floating point": {"up": [10**400, 0, 0]},
         "unlike indices": {"configuration_index": np.arange(3), "material_index": np.zeros(2, int)},
         "ragged index": {"configuration_index": [[0], [1, 2]]},
     }

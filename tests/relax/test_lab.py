@@ -1,4 +1,4 @@
-"""The development data at what is known about it: the virtual lab at the true Θ, real cables over decades of bend."""
+"""The development data: the virtual lab at the true Θ, real cables over decades of bend."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def test_sutures_at_the_truth(shared_data, name, precision):
 
 
 def test_ribbon_at_the_truth(shared_data):
-    """Started from the measured frames; what is off is their noise, not the solver's choice of minimum."""
+    """Started from the measured frames; the error is their noise, not the solver's choice of minimum."""
     rod = lab(shared_data, "ribbon")
     errors = {}
     for name, solver in (("plain", Newton()), ("careful", Newton.careful())):
@@ -38,7 +38,7 @@ def test_ribbon_at_the_truth(shared_data):
 
 @pytest.mark.parametrize("name", BARS)
 def test_the_lab_without_its_noise_is_nearer(shared_data, name):
-    """The fit's mesh and clamps are not those of the lab: what is left is that, less than the labels' noise."""
+    """The fit's mesh and clamps differ from those of the lab; the resulting error is below the labels' noise."""
     rod = lab(shared_data, name)
     with np.load(shared_data / "lab_a" / f"{name}_truth.npz") as truth:
         vertices = truth["vertices_mm"]

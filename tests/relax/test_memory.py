@@ -1,4 +1,4 @@
-"""Results own their memory while somebody holds them, and leave it to later results when nobody does."""
+"""Results own their memory while they are referenced; later results reuse it afterwards."""
 
 import numpy as np
 import pytest

@@ -48,7 +48,7 @@ def test_it_is_the_dense_bordered_system_s(rng, kind):
         closed = ends.end != Clamp.FREE
         vertices, rotations = dense_sensitivity(rod, solution.configuration.quaternions[row], free, closed, EVERY)
         pair = PAIRS[row]
-        if pair in PENDULUMS:  # it swings about up at no cost: how far is anybody's choice
+        if pair in PENDULUMS:  # it rotates about the vertical at constant energy: its angle is not determined
             swing = np.einsum("ekd,k->ed", solution.configuration.frames[row], UP / np.linalg.norm(UP))
             share = np.einsum("ed,edp->p", swing, found.rotations[row] - rotations) / (swing**2).sum()
             assert relative_errors(found.rotations[row] - swing[..., None] * share, rotations).max() < 1e-6, pair

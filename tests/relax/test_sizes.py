@@ -1,4 +1,4 @@
-"""A rod of a tenth of a millimetre and one of a kilometre: the same shapes, statuses and iterations; limp rods are not off."""
+"""Rods of a tenth of a millimetre and of a kilometre: the same shapes, statuses and iterations; limp rods are exact."""
 
 from dataclasses import replace
 from itertools import product
@@ -59,7 +59,7 @@ def test_a_power_of_two_changes_no_bit(rng):
 
 @pytest.mark.parametrize("size", [10.0, 100.0])
 def test_long_limp_rods_are_right_in_f32_or_left_to_f64(rng, size):
-    """The same stiffness over longer rods: rounding hides what is left of the moments, and f64 takes over."""
+    """The same stiffness over longer rods: rounding limits the residual moments, and f64 finishes the rods."""
     rods, clamps, (bend, twist) = problem(rng)
     start, held = sized(rods, clamps, size)
     exact, single = (relax(start, Material(bend, twist), held, precision=precision) for precision in ("f64", "f32"))

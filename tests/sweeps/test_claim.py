@@ -1,4 +1,4 @@
-"""Whose a run's folder is: of sweeps that begin at one moment one gets it, and a claim that came to no end holds nothing."""
+"""Ownership of a run's folder: of sweeps that start together one gets it, and an unfinished claim has no effect."""
 
 from threading import Barrier, Thread
 

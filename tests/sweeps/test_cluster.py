@@ -1,4 +1,4 @@
-"""A sweep whose work a Dask cluster does: the same rows, and one line where there is no cluster."""
+"""A sweep on a Dask cluster: the same rows, and a message of one line where there is no cluster."""
 
 import os
 import re
@@ -54,7 +54,7 @@ def test_what_fails_on_a_worker_is_told_with_the_way_on(tmp_path, scheduler, sma
 @pytest.mark.filterwarnings("default")
 def test_no_scheduler_is_told_before_anything_is_written(tmp_path, scheduler, monkeypatch):
     monkeypatch.setattr(workers, "ANSWER_SECONDS", 0.5)
-    for address in ("tcp://127.0.0.1:1", "nowhere at all"):
+    for address in ("tcp://127.0.0.1:1", "no address"):
         with pytest.raises(InputError, match="scheduler: no scheduler answers"):
             sweep(tmp_path / "run", small_lab(), GRID, options=SweepOptions(scheduler=address))
     assert not (tmp_path / "run").exists()
@@ -72,7 +72,7 @@ def test_a_port_that_says_nothing_is_no_scheduler(tmp_path, monkeypatch):
 
 
 def test_a_scheduler_that_is_killed_is_one_line(tmp_path):
-    """The command, in a process of its own: exit code 1, how to go on, and nothing that Dask logs."""
+    """The command, in a separate process: exit code 1, how to resume, and no log of Dask."""
     pytest.importorskip("distributed", reason="no cluster without Dask")
     save_observations(tmp_path / "o.npz", small_lab())
     root = Path(__file__).resolve().parents[2]

@@ -1,4 +1,4 @@
-"""A run's folder that is not what a sweep wrote: refused in one line, never computed with."""
+"""A run's folder that differs from what a sweep wrote: refused in one line, never used."""
 
 import json
 import os
@@ -158,7 +158,7 @@ def test_a_flipped_bit_in_a_finished_run_is_named_by_the_sweep(copy):
 
 
 def test_a_flipped_bit_in_an_unfinished_run_is_named(copy):
-    """There is no summary yet: the pages' own checksums tell."""
+    """There is no summary yet: the checksums of the pages detect it."""
     folder = copy("static")
     (folder / "summary.json").unlink()
     chunk = min((folder / "cells").glob("*.parquet"))

@@ -1,4 +1,4 @@
-"""A dynamic sweep (Eq. 3): what each row says, what the folder holds, and that nothing depends on how it was cut up."""
+"""A dynamic sweep (Eq. 3): its rows, its folder, and independence of the division into chunks."""
 
 import json
 from dataclasses import replace
@@ -35,7 +35,7 @@ def assert_same_rows(first: dict, second: dict) -> None:
 
 
 def test_rows_are_what_eq_3_says(tmp_path):
-    """Each of a cell's rows anew, by the careful carrier of one end in 48 sub-steps of double precision."""
+    """Each row of a cell computed independently: one end carried in 48 sub-steps in f64."""
     observations, run = small_lab(), tmp_path / "run"
     summary = sweep(run, observations, GRID, options=DYNAMIC)
     pairs = pairs_from_labels(observations)

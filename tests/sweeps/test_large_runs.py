@@ -1,4 +1,4 @@
-"""A run of many rods: what is kept of them is sums over cells, and a finished run is checked without its rods being read."""
+"""A run of many rods: only sums over cells are kept, and a finished run is checked without reading its rods."""
 
 import shutil
 import tracemalloc

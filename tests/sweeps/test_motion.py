@@ -1,4 +1,4 @@
-"""Clamps of both ends on their way: where they end, which way round, and in how many sub-steps."""
+"""Motions of both clamps: their end, their direction of rotation, and their number of sub-steps."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The pairs of Eq. 3: from labels as in the paper, from files, and what is refused."""
+"""The pairs of Eq. 3: from labels as in the paper, from files, and refused input."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""A whole sweep on a small virtual lab: what it writes, that it resumes, and that nothing depends on how it was cut up."""
+"""A whole sweep on a small virtual lab: its files, resuming, and independence of the division into chunks."""
 
 import json
 from dataclasses import replace
@@ -124,7 +124,7 @@ def test_a_folder_is_not_shared(tmp_path, observations):
 
 
 def test_unknown_turns_are_hypotheses(tmp_path, observations):
-    """Without the hint three rods are relaxed for each observation and cell, and one of them stands for it in all cells."""
+    """Without the hint three rods are relaxed for each observation and cell, and one of them is chosen for all cells."""
     sweep(tmp_path / "hint", observations, GRID)
     summary = sweep(tmp_path / "none", replace(observations, total_twist=None), GRID)
     settled = summary["hypotheses"]

@@ -1,4 +1,4 @@
-"""Work in other processes: in order, no further than needed, and nothing lost that is done."""
+"""Work in other processes: in order, no more than needed, and finished work is kept."""
 
 import pickle
 import time

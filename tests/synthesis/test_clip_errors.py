@@ -1,4 +1,4 @@
-"""Clips that hold a rod otherwise than reported: how far off, in which frame, and what of it an observation shows."""
+"""Clips whose real pose differs from the reported one: the error, its frame, and its effect on observations."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Clamps carried in sub-steps: rods follow their branch, however fine the steps."""
+"""Clamps carried in sub-steps: rods follow their branch with any size of sub-steps."""
 
 import numpy as np
 import pytest

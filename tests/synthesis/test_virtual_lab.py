@@ -1,4 +1,4 @@
-"""The virtual lab: what it hands to a fit, and what it keeps from it."""
+"""The virtual lab: what observations contain, and what they do not."""
 
 from dataclasses import replace
 
@@ -143,7 +143,7 @@ def test_noise_on_marks_that_clips_hold():
 
 @both
 def test_the_mesh_is_finer_than_the_marks(recipe):
-    """Between two marks lie bends: their chords fall short of the 3 mm of rod, if only by micrometres."""
+    """The rod is curved between marks: their distance is micrometres below the 3 mm of rod."""
     observations = synthesise(quiet(recipe))
     np.testing.assert_array_equal(observations.rest_length, np.full(33, 3.0))
     chords = np.linalg.norm(np.diff(observations.vertices, axis=1), axis=2)

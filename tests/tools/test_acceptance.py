@@ -1,4 +1,4 @@
-"""The acceptance study on a handful of rods: it runs, it tells what is wrong, and it skips what it has no data for."""
+"""The acceptance study on a few rods: it runs, reports missed bars, and skips rows without data."""
 
 from dataclasses import replace
 

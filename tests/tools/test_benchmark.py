@@ -1,4 +1,4 @@
-"""The benchmark's tool on a few rods: what it writes it accepts, and what falls behind it reports."""
+"""The benchmark's tool on a few rods: it accepts its own baseline, and reports slower cases."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Single flipped bits in the folders of finished sweeps: none goes unnoticed."""
+"""Single flipped bits in the folders of finished sweeps: all are detected or have no effect."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""The engine's study on a handful of rods: every row prints, the table is well-formed, and what lacks data is skipped."""
+"""The engine's study on a few rods: every row prints, the table is well-formed, and rows without data are skipped."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The hard set on a few rods: it runs, its rods are always the same, and its exit code tells."""
+"""The hard set on a few rods: it runs, its rods are always the same, and its exit code reports misses."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Commands that are killed and repeated: which kills are drawn, how what they leave is judged, and a few of them."""
+"""Commands that are killed and repeated: the drawn kills, the evaluation of their files, and a few kills."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""tools/large_sweep.py on a small grid: what it measures."""
+"""tools/large_sweep.py on a small grid."""
 
 from tools import large_sweep
 

@@ -1,4 +1,4 @@
-"""What the trials measure, what they do to images and seeds, and that rods are recovered: by their energy, not without it."""
+"""The trials' measures, their changes of images and seeds, and rods that are recovered with the energy, not without it."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The benchmark of E_vis on a few hypotheses: what it writes it accepts, and what falls behind it reports."""
+"""The benchmark of E_vis on a few hypotheses: it accepts its own baseline, and reports slower cases."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Trials of Eq. 4 turn what is known by a hidden angle and find it again (Fig. 7)."""
+"""Trials of Eq. 4 rotate the known end frames by a hidden angle and find it (Fig. 7)."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A rod through videos whose rods are known: followed, lost, found again, and faster than by Algorithm 1."""
+"""Known rods tracked through videos: followed, lost, found again, and faster than by Algorithm 1."""
 
 from dataclasses import replace
 from time import perf_counter
@@ -97,7 +97,7 @@ def test_what_is_not_the_rod_is_not_taken_for_it(video):
 
 
 def test_a_moving_gripper_takes_the_rod_along():
-    """The rod turns as a whole by 12° from frame to frame, and moves 2 mm: its seed tells."""
+    """The rod turns as a whole by 12° from frame to frame, and moves 2 mm, as its seed shows."""
     shape = rods()[5] - rods()[5].mean(axis=0)
     axis = np.array([0.6, 0.0, 0.8])
     turns = matrix_from_quaternion(quaternion_about(axis, np.radians(12.0) * np.arange(8)))
@@ -108,7 +108,7 @@ def test_a_moving_gripper_takes_the_rod_along():
 
 
 def test_a_known_far_clamp_predicts(video, monkeypatch):
-    """Every fifth frame, the far end 13 mm further: prediction sets out much nearer to the rod than where it was."""
+    """Every fifth frame, the far end 13 mm further: the prediction is a much better start than the last rod."""
     rows = np.arange(0, FRAMES, 5)
     places = [far_motion().at(row / (FRAMES - 1)) for row in rows]
     far = [motion_between(before, after) for before, after in zip(places, places[1:], strict=False)]
@@ -127,7 +127,7 @@ def test_a_known_far_clamp_predicts(video, monkeypatch):
 
 
 def test_a_clamp_out_of_reach_does_no_harm(video):
-    """A motion that is wrong by 500 mm: the other places to set out from remain."""
+    """A motion with an error of 500 mm: the other starts remain."""
     place = far_motion().at(0.0)
     far = [motion_between(place, replace(place, end_position=place.end_position + 500.0))] * 2
     found, error = tracked(video[:3], rods()[:3], far=far)

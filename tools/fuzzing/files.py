@@ -65,7 +65,7 @@ def _replace(path: Path, corpus: Path, chance: random.Random) -> str:
     elif way == "loop":
         path.symlink_to(path.name)
     elif way == "dangling":
-        path.symlink_to("nowhere")
+        path.symlink_to("missing")
     elif way == "device":
         path.symlink_to(chance.choice(("/dev/zero", "/dev/null", "/proc/self/mem", "/dev/full")))
     elif way == "pipe":

@@ -133,7 +133,7 @@ SMALL = {
     "--hypotheses",
     "--steps-between",
 }
-BESIDE = {"--dask": ("tcp://", "", "nowhere", "tcp://127.0.0.1:x", "http://127.0.0.1:1", "tcp://127.0.0.1:99999")}
+BESIDE = {"--dask": ("tcp://", "", "missing", "tcp://127.0.0.1:x", "http://127.0.0.1:1", "tcp://127.0.0.1:99999")}
 CONTRADICTIONS = (
     "--bend 1e5 --bend-1 1e5",
     "--twist 1e5 --twist-ratio 1",

@@ -2,8 +2,8 @@
 
     python -m tools.fuzzing.worker FOLDER SEED IN OUT
 
-FOLDER holds ``corpus``, ``home`` and ``temporary``, the last two empty. The numbers of cases are read line by line from the file
-descriptor IN; a line of JSON with the description of each case is written to OUT before it, one with its result after it.
+FOLDER holds ``corpus``, ``home`` and ``temporary``, the last two empty. The numbers of cases are read line by line from the
+file descriptor IN; a line of JSON with the description of each case is written to OUT before it, one with its result after it.
 """
 
 import json

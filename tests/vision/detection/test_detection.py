@@ -55,7 +55,7 @@ def test_directions_are_tangents_and_points_are_dense():
 
 
 def test_a_thread_lit_from_the_side_is_found_between_its_edges():
-    """The ridge of its brightness lies farther off its middle."""
+    """The ridge of its brightness is further from its middle."""
     lit = RenderOptions(thread=120, background=20, shading=80, light=(0, 1, -0.3), noise=0, jpeg_quality=None)
     error, complete, _, _ = errors(lit, 4.0)
     assert complete > 0.95 and np.median(np.abs(error)) < 0.15

@@ -1,4 +1,4 @@
-"""SETS.csv: which images belong together, and where the rod sets out."""
+"""SETS.csv: the images of each set, and the seeds of the rods."""
 
 import numpy as np
 import pytest

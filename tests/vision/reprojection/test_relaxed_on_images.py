@@ -1,4 +1,4 @@
-"""F(Γ, E_vis, C): rods that come to rest between their energy and their images, against the oracle's E_vis."""
+"""F(Γ, E_vis, C): rods at minima of their energy and reprojection error, against the oracle's E_vis."""
 
 from itertools import product
 
@@ -145,7 +145,7 @@ def test_single_precision_ends_where_double_does(scene, rng):
 
 
 def test_a_rod_does_not_depend_on_the_others(scene, rng):
-    """Three rods leave lanes without any: what those hold is never looked up."""
+    """Three rods leave lanes empty, whose values are never used."""
     rig, rods, maps = scene
     sets, start = starts(rng, rods, 40, 0.05)
     external, material = Reprojection(maps, rig, NU), Material(ALPHA, ALPHA)

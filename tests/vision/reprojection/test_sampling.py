@@ -77,7 +77,7 @@ def test_second_derivatives_are_those_of_the_gradient(rng):
 
 
 def test_the_gradient_is_continuous(rng):
-    """Within the window: along a fine line through it no jump is larger than the step explains."""
+    """Within the window: along a fine line through it there is no discontinuity."""
     maps, windows, values = five_maps(rng)
     target = maps[3]
     line = np.linspace([1.0, 1.0], [37.0, 27.0], 20_001) + [target.left, target.top]

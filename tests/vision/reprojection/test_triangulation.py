@@ -88,7 +88,7 @@ def test_the_rig_of_the_images(shared_data, rng):
     assert np.sqrt(np.mean((found.position - vertices) ** 2)) < 0.06
 
 
-# ---- what goes wrong
+# ---- errors
 
 @pytest.mark.parametrize("cameras", [3, 4])
 def test_outliers_are_found_and_left_out(rng, cameras):
