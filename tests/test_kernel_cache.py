@@ -65,7 +65,7 @@ def test_kernels_are_not_taken_from_a_folder_that_is_another_ones(tmp_path):
     assert not list((tmp_path / "elsewhere").iterdir())
 
 
-def test_a_process_that_can_write_nowhere_ends_well(tmp_path):
+def test_a_process_without_writable_folders_succeeds(tmp_path):
     run_kernel(tmp_path, "/proc/self", HOME="/proc/self", XDG_CACHE_HOME=None)
 
 

@@ -22,7 +22,7 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_what_is_visible():
+def test_visible_text():
     assert visible(NAME) == SHOWN
     assert visible("Θ ± 5 mm³\n  φ = 3°\n") == "Θ ± 5 mm³\n  φ = 3°\n" and visible("a\rb\x00") == r"a\rb\x00"
 

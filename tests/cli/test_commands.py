@@ -223,7 +223,7 @@ def test_nothing_is_written_over_its_own_source(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("words", [["--clamp-start", "free", "--clamp-end", "free"], ["--frame-weight", "2"]])
-def test_what_cannot_be_relaxed_or_compared_is_told_before_a_folder_is_made(capsys, tmp_path, words):
+def test_invalid_rods_are_reported_before_a_folder_is_made(capsys, tmp_path, words):
     npz_bytes(tmp_path)
     for command, out in (("relax", "F.npz"), ("sweep", "run")):
         assert main([command, str(tmp_path / "good.npz"), *MATERIAL, *words, "--out", str(tmp_path / out)]) == 2

@@ -81,7 +81,7 @@ def test_a_ribbon_under_both_objectives_and_its_regimes(lab, tmp_path, capsys):
         "observed", "1: β > B₁₁ and B₂₂", "2: B₂₂ > B₁₁ > β", "3: B₁₁ > B₂₂ > β"]
 
 
-def test_a_large_grid_is_thinned_and_that_is_told(lab, tmp_path, capsys):
+def test_a_large_grid_is_thinned_and_that_is_reported(lab, tmp_path, capsys):
     assert main(["figures", str(lab / "silk"), "--cells", "6", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "recorded    6 cells: " in printed and "of 4 values of bend" in printed and "--cells all" in printed
@@ -121,7 +121,7 @@ def test_pairs_that_are_not_those_of_the_cells(lab, tmp_path, capsys):
     assert "the cells hold" in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
-def test_a_failure_on_the_way_keeps_what_is_done(lab, tmp_path, capsys, monkeypatch):
+def test_a_failure_on_the_way_keeps_finished_files(lab, tmp_path, capsys, monkeypatch):
     from doo_ti.learning import figure_rods
 
     def fail(*args):

@@ -80,7 +80,7 @@ def test_partitions_are_chosen(capsys, runs):
     assert "Leave-one-out error by end distance; silk static (Eq. 2)" in capsys.readouterr().out
 
 
-def test_what_is_refused(capsys, tmp_path, runs):
+def test_refused_runs(capsys, tmp_path, runs):
     out = tmp_path / "tables"
     for argv, words in ((["--by", "colour"], ("by", "'colour' is no partition", "material, objective, end-distance")),
                         (["--by", "material,material"], ("by", "twice")),

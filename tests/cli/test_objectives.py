@@ -19,7 +19,7 @@ def written(folder, **changes) -> str:
     return str(folder / "lab.npz")
 
 
-def test_a_dynamic_sweep_tells_pairs_and_jumps(capsys, tmp_path):
+def test_a_dynamic_sweep_reports_pairs_and_jumps(capsys, tmp_path):
     argv = ["sweep", written(tmp_path), *GRID, "--objective", "dynamic", "--out", str(tmp_path / "run")]
     assert main(argv) == 0
     out = capsys.readouterr().out
@@ -46,7 +46,7 @@ def test_pairs_of_a_file_and_of_a_scene(capsys, tmp_path):
     assert "3 cells x 1 pairs" in capsys.readouterr().out
 
 
-def test_settled_hypotheses_are_told(capsys, tmp_path):
+def test_settled_hypotheses_are_reported(capsys, tmp_path):
     argv = ["sweep", written(tmp_path, total_twist=None), *GRID, "--out", str(tmp_path / "run")]
     assert main(argv) == 0
     out = capsys.readouterr().out

@@ -107,7 +107,7 @@ def test_one_set_is_the_same_alone(photographed, perceived, tmp_path, capsys):
     np.testing.assert_allclose(np.load(tmp_path / "one.npz")["vertices_mm"][0], perceived[1]["vertices_mm"][0], atol=1e-4)
 
 
-def test_people_are_told(photographed, tmp_path, capsys):
+def test_printed_text(photographed, tmp_path, capsys):
     folder, _ = photographed
     (tmp_path / "lengths.txt").write_text("3.0\n" * EDGES)
     argv = of_sets(folder, "--out", str(tmp_path / "f.npz"), "--truth", str(folder / "truth.npz"), "--no-recording",
@@ -129,7 +129,7 @@ def test_people_are_told(photographed, tmp_path, capsys):
     (["--nu", "-1"], ("--nu",)), (["--hypotheses", "0"], ("--hypotheses",)),
     (["--hypotheses", "9223372036854775808"], ("--hypotheses", "above")), (["--width", "1,2"], ("--width",)),
     (["--seed-point", "1,2,3"], ("--seed-point", "--sets")), (["--up", "0,0"], ("--up",))])
-def test_wrong_options_are_told(photographed, tmp_path, capsys, change, words):
+def test_wrong_options_are_reported(photographed, tmp_path, capsys, change, words):
     argv = of_sets(photographed[0], "--out", str(tmp_path / "new" / "f.npz"))
     if change[0] in argv:
         argv[argv.index(change[0]) + 1] = change[1]
@@ -138,7 +138,7 @@ def test_wrong_options_are_told(photographed, tmp_path, capsys, change, words):
     refused(capsys, tmp_path, argv, *words)
 
 
-def test_wrong_images_are_told(photographed, tmp_path, capsys):
+def test_wrong_images_are_reported(photographed, tmp_path, capsys):
     folder, rods = photographed
     blank, small, broken = (str(tmp_path / name) for name in ("blank.png", "small.png", "broken.png"))
     cv2.imwrite(blank, np.full((480, 640), 150, dtype=np.uint8))
@@ -160,7 +160,7 @@ def test_no_input_is_overwritten(photographed, capsys):
     refused(capsys, folder, of_sets(folder, "--out", truth, "--truth", truth), "truth.npz")
 
 
-def test_wrong_scenes_are_told(photographed, tmp_path, capsys):
+def test_wrong_scenes_are_reported(photographed, tmp_path, capsys):
     folder, rods = photographed
     rig = load_rig(folder / "rig.yaml")
     out = ["--out", str(tmp_path / "new" / "f.npz")]

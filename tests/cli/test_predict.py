@@ -94,7 +94,7 @@ def test_a_scene_with_picture_and_recording(folder, capsys):
     assert written(folder / "f.npz")["material_name"].tolist() == ["silk", "vicryl"]
 
 
-def test_a_rod_that_is_lost_is_told(folder, capsys):
+def test_a_rod_that_is_lost_is_reported(folder, capsys):
     np.savez(folder / "far.npz", end_position_mm=[[90.0, 0, 0], [300.0, 0, 0]])
     assert main(words(folder, "seen.npz", "far.npz")) == 1
     printed = capsys.readouterr().out

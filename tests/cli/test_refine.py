@@ -99,7 +99,7 @@ def test_rods_that_one_end_holds(observed, capsys):
     (["--bend", "1e4", "--frame-weight", "3"], "a frame weight is given"),
     (["--bend", "1e4", "--out", "found.txt"], "ends in .json"),
 ])
-def test_what_is_wrong_is_told_in_a_line_and_nothing_is_written(observed, tmp_path, capsys, monkeypatch, more, message):
+def test_wrong_input_is_reported_in_a_line_and_nothing_is_written(observed, tmp_path, capsys, monkeypatch, more, message):
     monkeypatch.chdir(tmp_path)
     np.savez("nan.npz", recording=np.full(16, np.nan))
     before = sorted(tmp_path.iterdir())

@@ -79,7 +79,7 @@ def test_a_known_motion_is_taken(filmed, tmp_path, capsys):
     assert printed["written"] == [str(out)] and [path.name for path in tmp_path.iterdir()] == ["f.npz"]
 
 
-def test_what_is_done_is_kept(filmed, tmp_path, capsys):
+def test_finished_frames_are_kept(filmed, tmp_path, capsys):
     """An image in the middle is broken."""
     broken = tmp_path / "broken.png"
     broken.write_bytes(b"no image")
@@ -102,7 +102,7 @@ def test_what_is_done_is_kept(filmed, tmp_path, capsys):
     (lambda lines: [*lines[:2], lines[3], lines[2]], ("time_s", "rise")),
     (lambda lines: [line.replace("002_cam0.png", "missing.png") for line in lines], ("cam0", "missing.png' in line 4")),
 ])
-def test_wrong_frames_are_told(filmed, tmp_path, capsys, change, words):
+def test_wrong_frames_are_reported(filmed, tmp_path, capsys, change, words):
     frames = filmed / "changed.csv"
     changed(filmed, frames, change)
     argv = of(filmed, tmp_path / "new" / "f.npz")
@@ -114,7 +114,7 @@ def test_wrong_frames_are_told(filmed, tmp_path, capsys, change, words):
     (("--bend", "1e5:1e6:5"), ("--bend", "grid")), (("--bend", "1e5,2e5"), ("--bend", "round")),
     (("--rest-length", "3:x"), ("--rest-length",)), (("--frames", "missing.csv"), ("missing.csv",)),
     (("--width", "0"), ("--width",)), (("--up", "0,0"), ("--up",)), (("--motion", "missing.npz"), ("missing.npz",))])
-def test_wrong_options_are_told(filmed, tmp_path, capsys, change, words):
+def test_wrong_options_are_reported(filmed, tmp_path, capsys, change, words):
     argv = of(filmed, tmp_path / "new" / "f.npz")
     if change[0] in argv:
         argv[argv.index(change[0]) + 1] = change[1]
@@ -123,7 +123,7 @@ def test_wrong_options_are_told(filmed, tmp_path, capsys, change, words):
     refused(capsys, tmp_path, argv, *words)
 
 
-def test_a_motion_of_another_length_is_told(filmed, tmp_path, capsys):
+def test_a_motion_of_another_length_is_reported(filmed, tmp_path, capsys):
     np.savez(filmed / "short.npz", end_position_mm=np.zeros((3, 3)))
     argv = of(filmed, tmp_path / "new" / "f.npz", "--motion", str(filmed / "short.npz"))
     refused(capsys, tmp_path, argv, "short.npz", "3 moments for 16 frames")

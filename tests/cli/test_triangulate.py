@@ -80,7 +80,7 @@ def test_a_ribbon_is_ready_to_be_relaxed(tmp_path, rng, capsys):
     assert start_configuration(found, clamps).quaternions.shape == (4, 11, 4)
 
 
-def test_two_labels_that_contradict_each_other_are_told(tmp_path, rng, capsys):
+def test_two_labels_that_contradict_each_other_are_reported(tmp_path, rng, capsys):
     vertices = wavy_vertices(rng, count=1, marks=5)
     rows = [row for row in rows_of(vertices - vertices.mean(axis=1, keepdims=True), rng) if row[1] != "cam2"]
     rows[2][4] += 60

@@ -43,7 +43,7 @@ def entities(recording) -> set[str]:
 
 
 @pytest.mark.parametrize(("case", "cells"), [("static", 6), ("dynamic", 8), ("hypotheses", 2)])
-def test_what_is_stored_is_drawn_and_nothing_in_the_folder_changes(tmp_path, capsys, monkeypatch, case, cells):
+def test_stored_cells_are_drawn_and_nothing_in_the_folder_changes(tmp_path, capsys, monkeypatch, case, cells):
     """Under both objectives, and with three hypotheses for each observation."""
     given = {"dynamic": {"options": DYNAMIC}, "hypotheses": {"observations": replace(small_lab(), total_twist=None)}}
     run = interrupted(tmp_path / "run", monkeypatch, 2, **given.get(case, {}))
@@ -71,7 +71,7 @@ def test_a_window_shows_it_and_its_files_go_afterwards(tmp_path, capsys, monkeyp
     assert not (tmp_path / folder).exists()
 
 
-def test_a_sweep_goes_on_as_if_nobody_had_looked(tmp_path, monkeypatch):
+def test_a_sweep_resumes_unchanged_after_view(tmp_path, monkeypatch):
     run = interrupted(tmp_path / "run", monkeypatch, 2)
     assert main(["view", str(run), "--out", str(tmp_path / "seen")]) == 0
     monkeypatch.setattr(sweeps, "CHUNK_BYTES", 18 * 32 * 33)

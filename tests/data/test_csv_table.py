@@ -44,13 +44,13 @@ def test_wrong_files_are_named(tmp_path, case):
 
 
 @pytest.mark.parametrize("cell", ["", "x", "nan", "inf", "1,5"])
-def test_what_is_not_a_number_is_named_with_its_line(tmp_path, cell):
+def test_a_cell_that_is_no_number_is_named_with_its_line(tmp_path, cell):
     table = parse_csv(tmp_path / "x.csv", f'a\n1\n\n"{cell}"\n'.encode() if cell else b"a,b\n1,\n\n,2\n", ("a",))
     with pytest.raises(InputError) as caught:
         table.numbers("a")
     assert caught.value.field == "a" and repr(cell) in caught.value.problem and "line 4" in caught.value.problem
 
 
-def test_what_is_not_whole_is_named(tmp_path):
+def test_incomplete_rows_are_named(tmp_path):
     with pytest.raises(InputError, match="'1.5' in line 3"):
         parse_csv(tmp_path / "x.csv", b"a\n1\n1.5\n", ("a",)).whole("a")

@@ -105,7 +105,7 @@ def test_defaults_and_replaced_axes():
     ((Axis("bend", 1.0), Axis("weight", -1.0)), 0, "weight"),
     ((Axis("bend_1", [1, 2.0]), Axis("bend_2", [1, 2.0])), 1.0, "bend"), ((Axis("bend", np.nan),), 0, "bend"),
 ])
-def test_what_is_no_grid(axes, bend_12, field):
+def test_invalid_grids(axes, bend_12, field):
     with pytest.raises(InputError) as caught:
         Grid(axes, bend_12)
     assert caught.value.field == field
@@ -122,7 +122,7 @@ def test_a_grid_comes_back_from_json_exactly():
             Grid.from_dict(wrong)
 
 
-def test_valley_tells_the_range_within_five_per_cent():
+def test_valley_is_the_range_within_five_per_cent():
     grid = Grid((Axis("bend", [1, 2, 4, 8]), Axis("twist_ratio", [0.5, 1, 2])))
     mean = np.full((4, 3), 2.0)
     mean[1, 1], mean[2, 1], mean[2, 2], mean[0, 0], mean[3, 1] = 1.0, 1.05, 1.02, 1.06, np.nan

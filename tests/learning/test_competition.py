@@ -60,7 +60,7 @@ def test_an_entry_does_not_win_a_column_by_rods_that_stalled():
     assert replace(scores, uncertified=np.array([[0, 0], [1, 0]])).is_best.tolist() == [[True, False], [False, True]]
 
 
-def test_the_picture_tells_which_do_not_compete():
+def test_the_picture_marks_cells_that_do_not_compete():
     plane = plane_of(fooled())
     assert plane.minimum == (1, 0) and plane.unfinished.ravel().tolist() == [0, 0, 0, 1, 0]
     assert np.isnan(plane.values[3, 0]) and not plane.valley[3, 0]

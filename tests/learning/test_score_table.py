@@ -63,7 +63,7 @@ def test_csv_holds_the_numbers_in_full(scores):
     assert (lines[1]["within"], lines[1]["train"], lines[1]["test"]) == ("static", "nylon 30 mm", "nylon 54 mm")
 
 
-def test_what_is_not_certified_or_left_out_stands_under_the_table(scores):
+def test_terms_not_certified_or_left_out_are_listed_below_the_table(scores):
     left_out, uncertified = notes(scores)
     assert re.search(r"^left out.*: nylon 30 mm -> silk 54 mm 1 of 4, .*silk 54 mm -> silk 54 mm 1 of 4$", left_out)
     assert "no certified minimum" in uncertified and "nylon 54 mm -> nylon 30 mm 1 of 4" in uncertified

@@ -354,7 +354,7 @@ def test_spin_derivatives(rng, number):
 
 
 @every_number
-def test_turned_frames_stay_unit_and_turn_as_told(rng, number):
+def test_turned_frames_stay_unit_and_turn_by_the_angle(rng, number):
     """Q (1, w/2) and (1, w/2) Q normalised; m1 spun about its tangent: second order in the angle, of unit length."""
     runtime.start()
 

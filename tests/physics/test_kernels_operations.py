@@ -247,7 +247,7 @@ def test_tuples_pass_through_functions(rng, number):
 
 
 @every_number
-def test_what_is_not_a_number_is_seen(number):
+def test_nan_is_detected(number):
     """The kernels rely on ``a == a``, on ``larger`` passing NaN on, and NaN comparing false, by ``!=`` too."""
     runtime.start()
     nan = np.nan

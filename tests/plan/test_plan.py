@@ -79,12 +79,12 @@ def test_the_order_is_greedy_and_the_region_shrinks(configurations):
     assert later.order.tolist() == found.order[1:3].tolist()
 
 
-def test_what_is_measured_is_not_picked_and_picks_end(configurations):
+def test_measured_configurations_are_not_picked_and_picks_end(configurations):
     found = plan(configurations, grid(), sigma=0.1, picks=100, measured=[0, 4])
     assert sorted(found.order.tolist()) == [1, 2, 3, 5, 6, 7, 8]
 
 
-def test_the_best_ten_tell_more_than_ten_at_random(shared_data):
+def test_the_best_ten_are_more_informative_than_ten_at_random(shared_data):
     observations = load_observations(shared_data / "lab_a" / "nylon.npz")
     found = plan(observations, grid(), sigma=0.12)
     random = np.random.default_rng(5)
@@ -119,13 +119,13 @@ def test_clamps_on_one_line():
     assert configurations.end_rotation[found.least] == 0
 
 
-def test_a_configuration_tells_the_same_in_any_company(configurations):
+def test_information_of_a_configuration_does_not_depend_on_others(configurations):
     alone = plan(configurations.take([4]), grid(), sigma=0.1, picks=1)
     together = plan(configurations, grid(), sigma=0.1, picks=1)
     np.testing.assert_array_equal(alone.strength[0], together.strength[4])
 
 
-def test_wrong_input_is_told(configurations):
+def test_wrong_input_is_reported(configurations):
     for change, word in (({"sigma": 0.0}, "sigma"), ({"sigma": np.nan}, "sigma")):
         with pytest.raises(InputError, match=word):
             plan(configurations, grid(), **change)

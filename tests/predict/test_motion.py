@@ -104,7 +104,7 @@ def test_files_that_are_not_there_or_of_another_kind(tmp_path):
             load_path(tmp_path / name)
 
 
-def test_half_a_turn_is_no_riddle_where_the_rotation_is_told():
+def test_half_a_turn_is_determined_by_the_given_rotation():
     frames = np.stack([np.eye(3), np.diag([1.0, -1, -1])])[:, None]
     path = ClampPath(np.arange(2.0), end_frame=frames, end_rotation=np.array([[0.0], [-np.pi]]))
     assert path.rotation(0, 1) == pytest.approx([-np.pi])

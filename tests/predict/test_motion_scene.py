@@ -66,7 +66,7 @@ def test_a_suture_is_pulled_straight():
     assert away < 3 and prediction.jumps.sum() == 0
 
 
-def test_what_is_left_out_stays_as_it_was(tmp_path):
+def test_omitted_quantities_stay_as_they_were(tmp_path):
     file = tmp_path / "scene.toml"
     file.write_text(GOOD, encoding="utf-8")
     scene = load_motion_scene(file)

@@ -80,7 +80,7 @@ def test_it_snaps_where_theory_says_and_comes_back_elsewhere(arch):
     assert middle[level[0]] < -3 and middle[level[1]] > 3
 
 
-def test_a_coarse_path_falls_once_too(arch):
+def test_a_coarse_path_jumps_once_too(arch):
     """Two moments, sub-steps of 5°: the jump is detected with any sub-steps."""
     rod, clamps = arch
     prediction = predict(rod, STRIP, clamps, tilted(np.radians([0.0, 12.0])))

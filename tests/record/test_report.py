@@ -122,7 +122,7 @@ def test_valley_is_within_five_percent_and_leaves_nan_out():
 
 
 @pytest.mark.parametrize(("values", "minimum", "at_border"), [([3, 1, 2], 1, False), ([1, 2, 3], 0, True)])
-def test_minimum_at_the_border_is_told(values, minimum, at_border):
+def test_minimum_at_the_border_is_reported(values, minimum, at_border):
     assert Plane.of([("bend", [1, 2, 4], True, "mm³")], values, (minimum,)).at_border == at_border
 
 

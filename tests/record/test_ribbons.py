@@ -33,7 +33,7 @@ def kinds(count: int) -> list[Ribbons]:
             Ribbons("3: blue", (48, 105, 205), ribbon_sides(vertices - [0, 0, 9.0], across, 6.7))]
 
 
-def test_bands_are_as_wide_as_told_and_lie_along_m1():
+def test_bands_have_the_given_width_and_lie_along_m1():
     vertices, across = helices(3)
     sides = ribbon_sides(vertices, across, 6.7)
     assert sides.shape == (3, 2, 20, 3)

@@ -96,7 +96,7 @@ def test_held_directions_stay(linear_model):
     assert direction @ found.covariance @ direction == pytest.approx(0, abs=1e-12)
 
 
-def test_left_out_is_what_the_evidence_falls_by(linear_model):
+def test_left_out_is_the_decrease_of_the_evidence(linear_model):
     """ln p(one | others) = ln p(all) − ln p(others), both by dense algebra."""
     evidence, linear, scales = linear_model
     linear = counted_by_rows(linear)

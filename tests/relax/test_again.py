@@ -49,7 +49,7 @@ def test_one_material_serves_all_and_again_again(solution):
     np.testing.assert_allclose(stiff.energy, soft.energy, rtol=1e-9)
 
 
-def test_isotropic_rods_go_on_as_ribbons(solution):
+def test_isotropic_rods_continue_as_ribbons(solution):
     again = relax(solution, Material.diagonal(3e5, 1e5, 1e5))
     assert again.converged.all() and (again.energy != solution.energy).all()
 

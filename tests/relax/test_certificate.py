@@ -87,7 +87,7 @@ def test_straight_rods_twisted_beyond_buckling():
     assert abs(gained[0]) < 1e-9 and (np.diff(gained) > 0.02 * solution.energy[0]).all()
 
 
-def test_standing_column_falls_over():
+def test_standing_column_buckles():
     """Exactly upright it is in balance whatever its weight; above the critical weight of 7.84 α/L³ that is a saddle."""
     rod = chain(np.tile([0.0, 0.0, 1.0], (EDGES, 1)), [1, 0, 0], 3.0)
     clamps = clamps_at(rod, Clamp.FRAME, Clamp.FREE)

@@ -53,7 +53,7 @@ def test_every_pair_of_clamps(rng, kind):
     assert descent.residual.max() <= 1e-5 and descent.closure.max() <= 1e-12
 
 
-def test_energy_only_falls_with_more_iterations(rng):
+def test_energy_only_decreases_with_more_iterations(rng):
     """Spectral steps are not monotone one by one; over hundreds they are, and never below the minimum."""
     rods = wandering(rng, 6, 12)
     clamps, start = clamps_at(rods), jiggled(rods, rng, 0.1)

@@ -14,7 +14,7 @@ def relaxed(rng, count: int, bend: float):
     return relax(rods, Material(bend, bend), clamps_at(rods), precision="f32")
 
 
-def test_what_is_held_is_never_overwritten(rng):
+def test_referenced_results_are_never_overwritten(rng):
     held = [relaxed(rng, 400, 1e5 * (k + 1)) for k in range(4)]
     copies = [solution.configuration.quaternions.copy() for solution in held]
     for _ in range(6):

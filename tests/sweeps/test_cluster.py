@@ -45,14 +45,14 @@ def _refuses(*chunk):
 
 
 @pytest.mark.filterwarnings("default")
-def test_what_fails_on_a_worker_is_told_with_the_way_on(tmp_path, scheduler, small_chunks, monkeypatch):
+def test_a_failure_on_a_worker_is_reported_with_the_way_to_resume(tmp_path, scheduler, small_chunks, monkeypatch):
     monkeypatch.setattr(sweeps, "_rows", _refuses)
     with pytest.raises(InterruptedRunError, match="a worker's trouble.*resume with: doo-ti sweep"):
         sweep(tmp_path / "run", small_lab(), GRID, options=SweepOptions(scheduler=scheduler), command=["doo-ti", "sweep"])
 
 
 @pytest.mark.filterwarnings("default")
-def test_no_scheduler_is_told_before_anything_is_written(tmp_path, scheduler, monkeypatch):
+def test_no_scheduler_is_reported_before_anything_is_written(tmp_path, scheduler, monkeypatch):
     monkeypatch.setattr(workers, "ANSWER_SECONDS", 0.5)
     for address in ("tcp://127.0.0.1:1", "no address"):
         with pytest.raises(InputError, match="scheduler: no scheduler answers"):

@@ -126,7 +126,7 @@ def test_what_was_observed_is_not_taken_from_a_torn_file_and_is_made_again(capsy
 
 
 @pytest.mark.parametrize("name", ["run.rrd", "landscape.png", "summary.json"])
-def test_what_is_drawn_or_summed_up_is_made_again(copy, name):
+def test_pictures_and_summary_are_made_again(copy, name):
     folder = copy("static")
     whole = (folder / name).read_bytes()
     flipped(folder / name, len(whole) // 2, 3)
@@ -187,7 +187,7 @@ def test_cells_and_summaries_of_another_run_are_not_taken(capsys, copy, tmp_path
     refused(capsys, ["learn", folder], chunk.name)
 
 
-def test_another_version_does_not_go_on_with_a_run(copy, monkeypatch):
+def test_another_version_does_not_resume_a_run(copy, monkeypatch):
     folder = copy("static")
     monkeypatch.setattr(run_folder, "maker", lambda: maker() | {"doo_ti": "99.0"})
     with pytest.raises(InputError, match=f"{maker()['doo_ti']}.*99.0"):
@@ -214,7 +214,7 @@ def test_a_pipe_in_the_place_of_cells_is_not_waited_for(capsys, copy):
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="takes pipes with names")
 @pytest.mark.parametrize("name", ["observations.npz", "pairs.csv", "cells/plan.json"])
-def test_a_pipe_in_the_place_of_what_is_known_is_replaced(copy, name):
+def test_a_pipe_in_the_place_of_a_known_file_is_replaced(copy, name):
     """Nor a device, which never ends: neither is read."""
     run = copy("dynamic")
     whole = (run / name).read_bytes()

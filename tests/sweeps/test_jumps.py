@@ -117,7 +117,7 @@ def test_halving_the_sub_steps_over_a_grid(shared_data, name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["silk", "ribbon"])
-def test_no_fall_is_missed_over_a_grid(shared_data, name):
+def test_no_jump_is_missed_over_a_grid(shared_data, name):
     values = np.geomspace(5e4, 1e7, 10)
     axes = (Axis("bend_1", values), Axis("bend_2", values), Axis("twist", 5e5)) if name == "ribbon" else (
         Axis("bend", values), Axis("twist_ratio", np.geomspace(0.1, 6, 10)))
@@ -141,7 +141,7 @@ def test_rods_alone_jump_as_in_company(shared_data):
     np.testing.assert_array_equal(alone.iterations, together.iterations[few])
 
 
-def test_a_way_that_cannot_be_gone_is_told_alone():
+def test_an_infeasible_motion_affects_no_other():
     """Clamps pulled further apart than the strip is long: infeasible, though they may come within reach again."""
     cases, start, clamps = bowed_strips()
     shifts = SHIFTS[[way for _, way in cases]].copy()

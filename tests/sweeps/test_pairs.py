@@ -83,7 +83,7 @@ def test_missing_labels_and_files(tmp_path):
         load_pairs(tmp_path / "absent.csv", observations)
 
 
-def test_half_a_turn_needs_to_be_told(rng):
+def test_half_a_turn_needs_a_given_direction(rng):
     """Its frames are the same whichever way it went."""
     observations = small_lab()
     over = observations.end_frame.copy()

@@ -45,7 +45,7 @@ def assert_same_cells(first, second):
         np.testing.assert_array_equal(one[name], other[name], err_msg=name)
 
 
-def test_what_is_written(tmp_path, observations):
+def test_written_files(tmp_path, observations):
     run = tmp_path / "run"
     summary = sweep(run, observations, GRID, command=["doo-ti", "sweep", "lab"])
     assert sorted(path.name for path in run.iterdir()) == [
@@ -81,7 +81,7 @@ def test_the_recording_holds_the_rods_of_the_best_cell(tmp_path, observations):
     assert frames["/landscape/cells"] == GRID.size and 5 < frames["/world/rods"] <= MOST_MOMENTS + 1
 
 
-def test_an_interrupted_sweep_goes_on_and_ends_the_same(tmp_path, observations, small_chunks, monkeypatch):
+def test_an_interrupted_sweep_resumes_and_ends_the_same(tmp_path, observations, small_chunks, monkeypatch):
     sweep(tmp_path / "whole", observations, GRID)
     work, calls = sweeps.relax_hypotheses, []
 
@@ -155,7 +155,7 @@ def test_hypotheses_resume_too(tmp_path, observations, small_chunks, monkeypatch
     assert_same_cells(tmp_path / "whole", tmp_path / "run")
 
 
-def test_too_large_a_grid_is_told_before_it_starts(tmp_path, observations):
+def test_too_large_a_grid_is_reported_before_it_starts(tmp_path, observations):
     wide = Grid((Axis("bend", np.geomspace(1e5, 1e7, 30_000)), Axis("twist_ratio", np.geomspace(0.1, 6, 30_000))))
     with pytest.raises(InputError, match="900,000,000 cells"):
         sweep(tmp_path / "run", observations, wide)

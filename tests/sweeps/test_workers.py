@@ -24,7 +24,7 @@ def test_chunks_come_in_order_whoever_does_them():
             assert list(own.results(_slowly, chunks)) == [(chunk, chunk[1] - chunk[0]) for chunk in chunks]
 
 
-def test_what_is_done_behind_a_failure_comes_before_it_and_the_rest_is_not_begun():
+def test_work_finished_before_a_failure_is_returned_and_the_rest_is_not_begun():
     asked = []
 
     def chunks():

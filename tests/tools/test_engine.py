@@ -53,7 +53,7 @@ def test_rods_start_from_the_lab_s_observations(shared_data):
     np.testing.assert_array_equal(study.rods.band.starts.quaternions, study.started("ribbon")[0].quaternions)
 
 
-def test_the_command_prints_machine_table_and_details_and_tells_a_missed_bar(tmp_path, monkeypatch, capsys):
+def test_the_command_prints_machine_table_details_and_a_missed_bar(tmp_path, monkeypatch, capsys):
     def missed(study):
         at_most(study, "memory: much", 1, [2.0, 3.0], "{:.1f} kB")
 
@@ -65,7 +65,7 @@ def test_the_command_prints_machine_table_and_details_and_tells_a_missed_bar(tmp
     assert details == "- memory: much: median of 2, 2.0 kB … 3.0 kB"
 
 
-def test_what_the_system_does_not_tell_is_no_missed_bar(tmp_path):
+def test_figures_the_system_does_not_report_are_no_missed_bar(tmp_path):
     study = Engine(tmp_path, SMALL)
     at_most(study, "memory", 1, [None], "{:.1f} kB")
     assert study.checks[0].holds is None and not study.details

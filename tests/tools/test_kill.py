@@ -47,7 +47,7 @@ def test_the_end_of_a_command_is_judged(code, message, fault):
 
 
 @signals
-def test_a_prediction_that_is_told_to_end_leaves_nothing_and_says_so(tmp_path):
+def test_a_terminated_prediction_leaves_nothing_and_says_so(tmp_path):
     prepared(tmp_path, [])
     assert disturbed(Kill("predict", "SIGTERM", 0.6), tmp_path / "run", 1.0, tmp_path)[1] == ""
     assert kept(tmp_path / "run") == {}
@@ -55,7 +55,7 @@ def test_a_prediction_that_is_told_to_end_leaves_nothing_and_says_so(tmp_path):
 
 @pytest.mark.slow
 @signals
-def test_what_is_killed_and_repeated_is_as_undisturbed():
+def test_killed_and_repeated_commands_equal_undisturbed_ones():
     pytest.importorskip("distributed", reason="no cluster without Dask")
     done = subprocess.run([sys.executable, "tools/kill.py", "--kills", str(len(CASES))], cwd=ROOT, capture_output=True,
                           text=True)

@@ -98,7 +98,7 @@ def test_the_rate_counts_rods_that_converged(rods, monkeypatch):
     assert found.compile_seconds > 0
 
 
-def test_without_jax_the_remedy_is_told(rods, monkeypatch):
+def test_without_jax_the_remedy_is_reported(rods, monkeypatch):
     monkeypatch.setitem(sys.modules, "jax", None)
     monkeypatch.delitem(sys.modules, "tools.bench.newton_in_jax")
     monkeypatch.delattr("tools.bench.newton_in_jax")

@@ -125,7 +125,7 @@ def test_the_lab(thread):
 
 
 @pytest.mark.slow
-def test_energy_tells_rods_that_images_do_not():
+def test_energy_distinguishes_rods_that_images_do_not():
     """Fig. 6: all views cross themselves; gaps of the detection are filled as in §V-E."""
     case, _ = photographed("loops_vicryl", None, crossing=True)
     assert len(case.rods.names) > 15

@@ -28,12 +28,12 @@ def test_threads_are_set_in_the_child(children):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is read from /proc")
-def test_memory_is_told(children):
+def test_memory_is_reported(children):
     assert children.bytes_per_rod(4096) < 10_000
     assert abs(children.growth_kb_per_call(40)) < 10_000
 
 
-def test_a_child_that_fails_is_told_in_one_sentence(children):
+def test_a_child_that_fails_is_reported_in_one_sentence(children):
     with pytest.raises(InterruptedRunError, match="a process of its own failed"):
         children.rods_per_second(1, -3, 1)
 

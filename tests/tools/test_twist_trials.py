@@ -14,7 +14,7 @@ def made():
     return twisted_rods()
 
 
-def test_trials_turn_what_is_known_and_find_it_again(made):
+def test_trials_rotate_known_frames_and_find_the_angle(made):
     trials = twist_trials(made, made.total_twist, MATERIAL, 3, 5, seed=4)
     assert trials.configurations.shape == (5, 3) and (np.diff(np.sort(trials.configurations)) > 0).all()
     assert np.ptp(trials.truth) > 1 and trials.successful.all() and trials.error.max() < np.radians(1.5)

@@ -40,7 +40,7 @@ def twisted() -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_a_rod_that_falls_is_found_again():
+def test_a_rod_that_jumps_is_found_again():
     """The model that tracks knows neither the twist nor the clamp."""
     truth, rig = twisted(), three_cameras()
     moved = np.linalg.norm(np.diff(truth, axis=0), axis=-1).max(axis=1)

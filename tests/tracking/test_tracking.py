@@ -89,7 +89,7 @@ def test_a_cut_is_noticed(video):
     assert error.max() < 0.15
 
 
-def test_what_is_not_the_rod_is_not_taken_for_it(video):
+def test_another_rod_is_not_tracked(video):
     """The images of one rod with the seed of another, far from it."""
     tracker, rod = Tracker(three_cameras(), REST_LENGTH, MATERIAL), rods()[0]
     assert tracker.see(video[0], rod[0] + [0.0, 0.0, 60.0], [0.0, 0.0, 1.0]).how == How.LOST

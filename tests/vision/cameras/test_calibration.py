@@ -101,7 +101,7 @@ def test_boards_from_text():
     ("chessboard:2x3:10", "too small"), ("chessboard:9x6:0", "0 mm"), ("charuco:9x6:10:11", "markers of 11 mm"),
     ("charuco:9x6:10:7:DICT_9X9", "dictionary"), ("charuco:20x20:10:7", "200 markers"),
 ])
-def test_what_is_no_board_is_refused(text, word):
+def test_invalid_boards_are_refused(text, word):
     with pytest.raises(InputError, match=word):
         parse_board(text)
 

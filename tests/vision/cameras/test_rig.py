@@ -91,7 +91,7 @@ def test_a_bad_file_is_refused(tmp_path, spoil, word):
     {"matrix": [[1e300, 0, 0], [0, 1e300, 0], [0, 0, 1]]}, {"matrix": [[1e-300, 0, 0], [0, 1e-300, 0], [0, 0, 1]]},
     {"matrix": [[1e3, 0, 1e300], [0, 1e3, 0], [0, 0, 1]]}, {"matrix": np.eye(3) + 1j}, {"height": 10**11},
 ])
-def test_what_is_no_camera_is_refused(change):
+def test_invalid_cameras_are_refused(change):
     from dataclasses import replace
 
     with pytest.raises(InputError):

@@ -73,7 +73,7 @@ def test_gaps_stay_gaps():
     assert 0.5 < complete < 0.97 and false < 0.02 and np.median(np.abs(error)) < 0.1
 
 
-def test_what_is_known_of_the_thread_may_be_given():
+def test_polarity_and_width_may_be_given():
     error, complete, _, found = errors(PLAIN, 1.3, DetectionOptions(polarity="dark", width_px=3.3))
     assert complete > 0.98 and found.width_px == 3.3
     image = render_set(small_rig(), bow(), 1.3, PLAIN)[0]

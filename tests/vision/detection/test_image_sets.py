@@ -35,7 +35,7 @@ def test_the_sets_of_the_images(shared_data):
     (HEADER + LINE.replace("\n", ",7\n"), "10 cells under 9"), (HEADER + LINE.replace("a,", '"a\nb",', 1), "line break"),
     (HEADER.replace(",cam2", "") + LINE.replace(",a2.png", ""), "two cameras"),
 ])
-def test_what_is_wrong_is_told(tmp_path, text, word):
+def test_wrong_lists_are_reported(tmp_path, text, word):
     (tmp_path / "sets.csv").write_text(text)
     with pytest.raises(InputError, match=word):
         load_sets(tmp_path / "sets.csv", rig())

@@ -167,7 +167,7 @@ def test_a_score_does_not_depend_on_the_others(scene, rng):
             np.testing.assert_array_equal(getattr(some, name), getattr(together, name)[rows])
 
 
-def test_what_is_not_finite_or_not_seen_shows(scene, rng):
+def test_rods_not_finite_or_not_seen_are_reported(scene, rng):
     rig, rods, maps = scene
     vertices, sets = hypotheses(rng, rods, 3)
     vertices[0, 5, 1] = np.nan
