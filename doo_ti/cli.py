@@ -1,6 +1,6 @@
 """The command line ``doo-ti``: options to text, commands to exit codes.
 
-0 done; 1 failed while running, what is done is kept; 2 wrong input: one line that names file or option, field and
+0 done; 1 failed while running, finished results are kept; 2 wrong input: one line that names file or option, field and
 remedy, and nothing written.
 """
 

@@ -136,7 +136,7 @@ def _summary(path: Path) -> str:
 def judged(before: dict[str, str], after: dict[str, str], code: int) -> str:
     """``identical``, or the problem of a repeated command: differences from the undisturbed files, or its exit code."""
     if code:
-        return f"refused to go on (exit code {code})"
+        return f"refused to resume (exit code {code})"
     left = sorted(after.keys() - before.keys())
     different = sorted(name for name in before if before[name] != after.get(name))
     faults = [f"differs: {', '.join(different)}"] * bool(different) + [f"left over: {', '.join(left)}"] * bool(left)

@@ -54,7 +54,7 @@ class CsvTable:
         cells = self.columns[name]
         try:
             values = np.array([float(cell or "nan") if may_be_empty else float(cell) for cell in cells])
-        except ValueError:  # the slower way, which knows more words and does not stop at what is not a number
+        except ValueError:  # the slower way, which accepts more spellings and does not stop at cells that are no number
             values = np.array([_number(cell, may_be_empty) for cell in cells])
         allowed = np.isfinite(values) | (np.isnan(values) if may_be_empty else False)
         self.refuse(name, ~allowed, "is not a finite number", "give decimal numbers")

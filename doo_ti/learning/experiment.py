@@ -1,4 +1,5 @@
-"""An experiment: what is observed, the grid to search, how to relax and compare, and the terms of the objective (§III-E).
+"""An experiment: the observations, the grid to search, the options of relaxation and comparison, and the terms of the
+objective (§III-E).
 
 Axes: G cells, D observations, H hypotheses of all observations, P pairs, N rods of each cell.
 """

@@ -76,7 +76,7 @@ class Fitted:
 class Fit:
     """What stays the same while the unknowns of one model are fitted.
 
-    comparison  what is compared, with the unknowns
+    comparison  the compared quantities and the unknowns
     origin      the values that the wide prior of Θ is centred on
     solver      of the relaxations
     rods        (D,) bool: rods that count, however large their residuals become; None: all except misfits

@@ -62,7 +62,7 @@ class DescentLoop:
     held, spin, gravity              of ``rod``, for the lane's rod
     length, scale, limit_move        its longest edge, the divisor of its residual, and the largest move of a vertex in one step
     energy, residual                 of the accepted vertices
-    mean, count                      running mean of the energy, and the weight of what is in it
+    mean, count                      running mean of the energy, and the sum of its weights
     lowest, best, still              the lowest energy and residual so far, and iterations without progress
     step, short                      length of the next step, and the last three short steps s·y/y·y
     fresh, trips, active, finished   flags, and iterations made

@@ -172,7 +172,7 @@ class NewtonLoop:
 
     @ti.func
     def advance(self, tables, scratch: ti.template(), head, lane):
-        """What is done between exchanges: a trip."""
+        """The work between two exchanges of rods: a trip."""
         self.trip(tables, scratch, head, lane)
 
     @ti.func

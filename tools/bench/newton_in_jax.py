@@ -208,19 +208,19 @@ def _trip(bits: int, pairs, task: "chain.Task", state: State) -> State:
     stepped = chain.stepped(state.frames, state.step, state.cap)
     # Without the barriers XLA computes frames and pairs again at each of their many uses.
     frames = lax.optimization_barrier(chain.closed(bits, task, stepped, moving))
-    hoped = tuple(a + jnp.where(state.trying, b, 0) for a, b in zip(state.multiplier, state.change, strict=True))
+    tried = tuple(a + jnp.where(state.trying, b, 0) for a, b in zip(state.multiplier, state.change, strict=True))
     elastic, *of_pairs = lax.optimization_barrier(pairs(bits, task, frames))
     energy, magnitude, miss = chain.energy(task, frames, elastic)
-    gradient, diagonal, across, closure = chain.derivatives(task, frames, of_pairs, hoped)
+    gradient, diagonal, across, closure = chain.derivatives(task, frames, of_pairs, tried)
     scale = jnp.max(chain.largest(diagonal[0], diagonal[3], diagonal[5]), 0)
     residual = jnp.max(chain.largest(*map(jnp.abs, gradient)), 0)
     shift = _shift_after(state, scale)
     added = jnp.where(shift > 0, shift, 0.0 if bits == 32 else 1e-12 * scale)  # neutral motions pass, as in the kernel
     change, right, step = chain.solved(gradient, chain.on_diagonal(diagonal, added), across, closure, miss)
     noise = (2e-6 if bits == 32 else 1e-10) * magnitude
-    downhill = energy + chain.dot(hoped, miss) <= state.energy + chain.dot(hoped, state.miss) + noise
+    downhill = energy + chain.dot(tried, miss) <= state.energy + chain.dot(tried, state.miss) + noise
     taken = jnp.where(state.trying, downhill, jnp.isfinite(energy)) & ~state.done
-    there = {"frames": frames, "energy": energy, "miss": miss, "multiplier": hoped, "shift": shift, "scale": scale,
+    there = {"frames": frames, "energy": energy, "miss": miss, "multiplier": tried, "shift": shift, "scale": scale,
              "residual": residual}
     kept = {name: jax.tree.map(partial(jnp.where, taken), new, getattr(state, name)) for name, new in there.items()}
     return _judged(bits, task, state._replace(step=step, change=change, **kept), taken, right)
