@@ -17,7 +17,7 @@ class InputError(ValueError):
     source: the file, option or argument at fault.
     field: the key, column or option in it.
     problem: the value, and why it is wrong.
-    remedy: what to do about it.
+    remedy: what to give instead.
     """
 
     def __init__(self, source: str, field: str, problem: str, remedy: str):

@@ -121,7 +121,7 @@ def _perceived(task: PerceptionTask, detected: list[list], bar):
 
 
 def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
-    """What the file holds; docs/perception.md."""
+    """The arrays of the file; docs/perception.md."""
     sound = found.sound[:, None]
     return {
         "name": np.array(task.sets.names), "vertices_mm": found.vertices, "rest_length_mm": task.rest_length, "up": task.up,
@@ -134,7 +134,7 @@ def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
 
 
 def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found, growth, out: Path) -> list[Path]:
-    """Draw and record what was found, beside ``out``; returns the files."""
+    """Draw and record the result beside ``out``; returns the files."""
     from doo_ti.vision.detection.images import read_image
 
     rig, written = task.sets.rig, []
@@ -173,7 +173,7 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
 
 
 def _summary(task: PerceptionTask, detected: list[list], found, written: list[Path]) -> dict:
-    """What ``--json`` prints, and the lines for a person are made of."""
+    """The content of ``--json``, from which the lines of text are made."""
     from doo_ti.perception.perceive import Verdict
 
     sets = [{
@@ -225,7 +225,7 @@ def _lines(summary: dict) -> list[str]:
 
 
 def _set_text(entry: dict) -> str:
-    """One set for a person."""
+    """One set as text."""
     pixels = " ".join(f"{max(value, 0.0):.2f}" if np.isfinite(value) else "unseen" for value in entry["camera_error_px"])
     rival = f"gap {entry['gap_px']:.2g} px" if np.isfinite(entry["gap_px"]) else "no rival"
     parts = [f"E_vis {entry['energy_vis']:.3g}/mm", f"{pixels} px off", f"{entry['verdict']} ({rival})",

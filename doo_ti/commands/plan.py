@@ -61,7 +61,7 @@ def run(options: Namespace, words: list[str]) -> int:
 
 
 def _configurations(options: Namespace, scene) -> Observations:
-    """What can be measured: the scene's recipe at the given distances and rotations, or the observations themselves."""
+    """The candidate configurations: the scene's recipe at the given distances and rotations, or the observations."""
     distances = given.numbers("--end-distances", options.end_distances)
     rotations = given.numbers("--end-rotations", options.end_rotations)
     recipe = scene.observations if scene and isinstance(scene.observations, Synthesis) else None

@@ -1,4 +1,4 @@
-"""From the grid's best cells, or from a guess, to the continuous optimum of Θ with its uncertainty (§III-E)."""
+"""Material parameters with intervals, fitted from a grid's best cells or from one Θ (§III-E)."""
 
 import json
 from argparse import Namespace
@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # it reads Parquet
 
 STARTS = 3
 LEAST = 1e-6
-"""Of the spread and the range of a rest curvature, in 1/mm and mm; the inverse is the largest."""
+"""Least spread and range of a rest curvature, in 1/mm and mm; the largest is the inverse."""
 CURVATURES = ("field", "uniform", "none")
 OLD_CURVATURES = {"rest_curvature": "uniform", "rest_curvature_per_joint": "field"}
 """Old names in --parameters for a rest curvature."""

@@ -25,7 +25,7 @@ def declare(add) -> None:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """F on each observation (§III-D), to one npz; of several whole-turn hypotheses the one nearest to what was seen."""
+    """F on each observation (§III-D), to one npz; of several whole-turn hypotheses the one nearest to the observation."""
     grid = given.single_cell(options, "give one number, or use sweep")
     frame_weight, up, out = given.frame_weight(options), given.up(options), given.output_file(options.out, ".npz")
     observations = load_observations(options.observations, up)

@@ -61,8 +61,8 @@ class _Search:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Eq. 2 or 3 over a grid; writes a folder per source and prints the best-fitting cell and how flat the
-    landscape is around it."""
+    """Eq. 2 or 3 over a grid; writes a folder per source and prints the cell with the smallest error and
+    the flatness of the landscape around it."""
     searches = _searches(options)
 
     from doo_ti.learning.sweeps import sweep
@@ -175,7 +175,7 @@ def _pairs(options: Namespace, scene: Scene, observations: Observations, objecti
 
 
 def _true_theta(synthesis: Synthesis) -> str:
-    """Θ of the rod that the virtual lab made."""
+    """The true Θ of a simulated rod."""
     material = synthesis.material()
     (first, mixed), (_, second) = material.bend[0, 0]
     return theta_text({"bend_1": first, "bend_2": second, "bend_12": mixed, "twist": material.twist[0, 0],

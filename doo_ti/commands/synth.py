@@ -57,7 +57,7 @@ def run(options: Namespace, words: list[str]) -> int:
 
 
 def _photograph(options: Namespace, scene: Scene) -> None:
-    """Check all options before the first rod is computed, and what the cameras see before the first image is written."""
+    """Render images; options are checked before the first rod is computed, views before the first image is written."""
     folder = given.output_folder(options.images, "--images")
     rig, look, seed = _rig(options, folder), _look(options.render), given.whole("--seed", options.seed, 0) or 0
     diameter = given.length("--diameter", options.diameter) or DIAMETER_MM

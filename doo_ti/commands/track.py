@@ -58,7 +58,7 @@ def run(options: Namespace, words: list[str]) -> int:
 
 
 def _tracked(task: TrackingTask) -> tuple[list, str | None]:
-    """(Tracked frames, why the others were not). An error before the first frame is raised."""
+    """(Tracked frames, the error that ended tracking, or None). An error before the first frame is raised."""
     from doo_ti.perception.tracking import Tracker
 
     frames, found = task.frames, []
@@ -99,7 +99,7 @@ def _detected(task: TrackingTask) -> Iterator[list]:
 
 
 def _arrays(task: TrackingTask, found: list) -> dict[str, np.ndarray]:
-    """What the file holds; docs/tracking.md."""
+    """The arrays of the file; docs/tracking.md."""
     fields = {"vertices_mm": "vertices", "energy_vis": "energy_vis", "camera_error_px": "camera_error", "status": "status",
             "stable": "stable", "how": "how"}
     time = {} if task.time is None else {"time_s": task.time[: len(found)]}

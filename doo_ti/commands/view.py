@@ -1,4 +1,4 @@
-"""Finished sweeps to look at: a recording in the viewer, and the paper's landscapes as pictures (Fig. 3, 4, 5)."""
+"""Finished sweeps: a recording in the viewer, and the paper's landscapes as pictures (Fig. 3, 4, 5)."""
 
 import os
 import sys

@@ -17,7 +17,7 @@ from doo_ti.errors import InputError
 from doo_ti.io.files import MOST_TEXT_BYTES, read_content
 
 EMPTY = frozenset({"", "na", "n/a", "nan", "null"})
-"""What stands for a missing number, in lower case."""
+"""Texts for a missing number, in lower case."""
 TRUTH = {"true": "1", "false": "0"}
 
 

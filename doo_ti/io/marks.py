@@ -1,4 +1,4 @@
-"""Labelled marks: which mark of which rod is where in which image, and labels to partition observations by (§V-A).
+"""Labelled marks: the pixels of each mark of each rod in each image, and labels to partition observations by (§V-A).
 
 A CSV file with one row per label, in any order:
 

@@ -1,4 +1,4 @@
-"""Scenes of motion: a straight rod, the materials it may be of, and where its clamps go, in one TOML file.
+"""Scenes of motion: a straight rod, its materials, and the motion of its clamps, in one TOML file.
 
     name = "loop"
     between = 40                       # moments kept from one to the next (1)

@@ -97,9 +97,9 @@ def _iterations(experiment: Experiment, material: Material) -> Iterator[tuple]:
 class Unfinished:
     """The stored cells of a sweep that is running or was interrupted.
 
-    experiment  what it searches
-    identity    which sweep it is
-    overview    of its stored cells
+    experiment  observations, grid and options
+    identity    identity of the sweep
+    overview    results of the stored cells
     age         seconds since the last of them were stored
     """
 
