@@ -76,7 +76,7 @@ class Synthesis:
                            stands for is held half a fine edge less)
     label_noise_mm         standard deviation of each coordinate of the marks
     end_mark_noise         whether the marks that clips hold have that noise too; else they are known exactly
-    start_direction, end_direction        directions of the clips along the rod; with clips on one line shapes hardly depend on Θ
+    start_direction, end_direction        directions of the clips along the rod; if on one line, shapes hardly depend on Θ
     frames                 whether the material frames are labelled too (ribbons)
 
     A user's clamps do not hold a rod exactly as reported: it lies at an angle in the jaw, or the clamp's pose is
