@@ -38,6 +38,7 @@ _HOMES = {
     "Reprojection": "vision.reprojection.image_energy", "score": "vision.reprojection.score", "perceive": "perception.perceive",
     "estimate_twist": "twist.estimation",
     "simulate": "dynamics.simulate", "Trajectory": "dynamics.simulate", "Dynamics": "dynamics.parameters",
+    "Stepping": "dynamics.parameters", "MovingStart": "dynamics.parameters",
     "Grippers": "dynamics.grippers", "RecordedMotion": "dynamics.recorded", "identify": "dynamics.identify",
     "IdentifyOptions": "dynamics.identify", "MotionTheta": "dynamics.theta", "load_theta": "dynamics.theta",
 }

@@ -123,14 +123,15 @@ def _scene(options: Namespace, substeps: int | None, up: np.ndarray) -> _Simulat
     grippers = scene.grippers.take(pairs[0] * 0) if start.count > 1 else scene.grippers
     with progress() as bar:
         task = bar.add_task(scene.name, total=count * (grippers.instants - 1), unit="rods x frames")
-        found = simulate(start, scene.material, grippers, scene.dynamics, scene.rate, up=up, pairs=pairs,
-                         substeps=substeps or scene.substeps, scheme=options.scheme or scene.scheme,
-                         precision=options.precision, progress=lambda done: bar.update(task, completed=count * done))
+        stepping = replace(scene.stepping, substeps=substeps or scene.stepping.substeps,
+                           scheme=options.scheme or scene.stepping.scheme, precision=options.precision)
+        found = simulate(start, scene.material, grippers, scene.dynamics, stepping, up=up, pairs=pairs,
+                         progress=lambda done: bar.update(task, completed=count * done))
     first = start.vertices[pairs[0]]
     positions = np.concatenate([first[:, None], found.positions], axis=1)
     status = np.concatenate([np.zeros((count, 1), dtype=np.int8), found.status], axis=1)
-    return _Simulated(scene.name, list(scene.names), positions, status, scene.rate, up,
-                      energies=energies(positions, scene.start.rest_length, scene.material, scene.dynamics, scene.rate, up))
+    return _Simulated(scene.name, list(scene.names), positions, status, stepping.rate, up,
+                      energies=energies(positions, scene.start.rest_length, scene.material, scene.dynamics, stepping.rate, up))
 
 
 def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:

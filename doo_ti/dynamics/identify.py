@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.dynamics.parameters import Direction
+from doo_ti.dynamics.parameters import Direction, MovingStart, Stepping
 from doo_ti.dynamics.recorded import RecordedMotion, Rollout, roll_reference, rollout
 from doo_ti.dynamics.simulate import Trajectory, simulate
 from doo_ti.dynamics.theta import MotionTheta, Unknowns, simulated
@@ -54,7 +54,7 @@ def predicted(motion: RecordedMotion, thetas: list[MotionTheta], options: Identi
               progress=None, begun: Rollout | None = None):
     """((R, G, T, V, 3) positions of the recordings under each Θ, (R, G, T) status): frames 0 and 1 and the grippers' vertices
     as given, the rest predicted; NaN where a rod failed. ``begun`` is the layout of ``motion`` where that is known."""
-    at, found = _rolled_out(motion, thetas, options, begun, precision=precision, progress=progress)
+    at, found = _rolled_out(motion, thetas, options, begun, precision, progress=progress)
     count, each = motion.count, len(thetas)
     rods = np.arange(count)[:, None]
     positions = np.repeat(motion.positions[:, None], each, axis=1)
@@ -82,15 +82,15 @@ def _laid_out(motion: RecordedMotion, theta: MotionTheta, options: IdentifyOptio
 
 
 def _rolled_out(motion: RecordedMotion, thetas: list[MotionTheta], options: IdentifyOptions, begun: Rollout | None,
-                **more) -> tuple[np.ndarray, Trajectory]:
+                precision: str = "f64", **more) -> tuple[np.ndarray, Trajectory]:
     """((R, T − 2) frame of the simulation for each that is predicted, the simulation of every recording under every Θ)."""
     begun = begun or _laid_out(motion, thetas[0], options)
     count, each = motion.count, len(thetas)
     pairs = np.repeat(np.arange(count), each), np.tile(np.arange(each), count)
     material, dynamics = simulated(thetas)
-    found = simulate(begun.start, material, begun.grippers, dynamics, begun.rate, velocity=begun.velocity,
-                     substeps=options.substeps, scheme=options.scheme, up=thetas[0].up, pairs=pairs,
-                     velocity_age=0.5 / begun.rate, **more)
+    start = MovingStart(begun.start, begun.velocity, 0.5 / begun.rate)
+    stepping = Stepping(begun.rate, options.substeps, options.scheme, precision)
+    found = simulate(start, material, begun.grippers, dynamics, stepping, up=thetas[0].up, pairs=pairs, **more)
     return begun.steps[:, 1:] - 1, found
 
 

@@ -1,14 +1,80 @@
-"""What a rod in motion has besides its material: mass, damping, drag (docs/dynamics.md)."""
+"""What a rod in motion has besides its material, how it starts, and the time steps it makes (docs/dynamics.md)."""
 
 from dataclasses import dataclass, fields
 
 import numpy as np
 
-from doo_ti.errors import InputError, real_array
-from doo_ti.types import Material
+from doo_ti.errors import InputError, real_array, require_number, require_whole
+from doo_ti.types import Configuration, Material
 
 GRAVITY = 9806.65
 """mm/s²: a rod of weight μ = 1 has the mass per length 2/GRAVITY in the package's units, for which its weight is 2."""
+
+
+RATES = {"euler": 1.0, "bdf2": 1.5}
+"""Schemes, with a of their time derivative D u = (a/h) (u − y)."""
+MOST_RATE = 1e7
+"""Instants per second."""
+
+
+@dataclass(frozen=True)
+class Stepping:
+    """The instants of a motion and the time steps between them.
+
+    rate       instants of the grippers per second
+    substeps   time steps from one instant to the next; grippers move smoothly between them
+    scheme     "bdf2", of second order, or "euler", backward Euler, of first order and strongly damping
+    precision  "f64" or "f32", in which a rod that rounding stops is reported as stalled
+
+    Raises InputError for numbers out of range and unknown words.
+    """
+
+    rate: float
+    substeps: int = 1
+    scheme: str = "bdf2"
+    precision: str = "f64"
+
+    def __post_init__(self):
+        require_number("Stepping", "rate", self.rate)
+        if not 0 < self.rate <= MOST_RATE:
+            raise InputError("Stepping", "rate", f"{self.rate}", f"give instants per second, above zero, at most {MOST_RATE:g}")
+        require_whole("Stepping", "substeps", self.substeps, 1)
+        for name, known in (("scheme", tuple(RATES)), ("precision", ("f32", "f64"))):
+            if getattr(self, name) not in known:
+                raise InputError("Stepping", name, f"{getattr(self, name)!r}", f"give one of {', '.join(known)}")
+
+    @property
+    def step(self) -> float:
+        """h, s."""
+        return 1.0 / (self.rate * self.substeps)
+
+
+@dataclass(frozen=True)
+class MovingStart:
+    """S rods as a motion begins.
+
+    configuration  where they are at the first instant
+    velocity       (S, V, 3) mm/s; None: at rest
+    velocity_age   s before the first instant for which ``velocity`` holds: ``smooth`` carries it on by the acceleration
+    smooth         the history before the first instant is that of the acceleration there; False: of constant velocity
+
+    Raises InputError for a velocity of another shape, or that is not finite.
+    """
+
+    configuration: Configuration
+    velocity: np.ndarray | None = None
+    velocity_age: float = 0.0
+    smooth: bool = True
+
+    def __post_init__(self):
+        shape = (self.configuration.count, self.configuration.edges + 1, 3)
+        velocity = np.zeros(shape) if self.velocity is None else self.velocity
+        velocity = real_array("MovingStart", "velocity", velocity, "give real numbers").astype(np.float64)
+        if velocity.shape != shape:
+            raise InputError("MovingStart", "velocity", f"shape {velocity.shape}", f"give {shape}")
+        if not np.isfinite(velocity).all():
+            raise InputError("MovingStart", "velocity", "not finite", "give finite numbers of mm/s")
+        object.__setattr__(self, "velocity", velocity)
 
 
 @dataclass(frozen=True)

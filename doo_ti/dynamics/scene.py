@@ -47,7 +47,7 @@ import numpy as np
 from msgspec import Meta
 
 from doo_ti.dynamics.grippers import Grippers, edge_frames
-from doo_ti.dynamics.parameters import Dynamics
+from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.errors import InputError
 from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
 from doo_ti.io.toml_file import Finite, NotNegative, Positive, Table, Vector, checked, read_toml
@@ -68,9 +68,7 @@ class DynamicScene:
     material: Material
     dynamics: Dynamics
     grippers: Grippers
-    rate: float
-    substeps: int
-    scheme: str
+    stepping: Stepping
 
 
 class _File(Table):
@@ -138,7 +136,7 @@ def load_dynamic_scene(path: str | Path) -> DynamicScene:
     names = tuple(map(in_line, file.materials))
     material, dynamics = _materials(path, file.materials)
     return DynamicScene(in_line(path.stem if file.name is None else file.name), names, start, rod.at_rest, material, dynamics,
-                        grippers, file.rate_hz, file.substeps, file.scheme)
+                        grippers, Stepping(file.rate_hz, file.substeps, file.scheme))
 
 
 def _unit(path: Path, key: str, vector) -> np.ndarray:

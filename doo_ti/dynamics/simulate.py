@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import GRAVITY, Direction, Dynamics
-from doo_ti.errors import InputError, real_array, require_number, require_whole
+from doo_ti.dynamics.parameters import GRAVITY, RATES, Direction, Dynamics, MovingStart, Stepping
+from doo_ti.errors import InputError
 from doo_ti.frames import (
     quaternion_from_matrix,
     quaternion_product,
@@ -35,10 +35,6 @@ from doo_ti.relaxation.time_sweep import (
 )
 from doo_ti.types import Clamp, Configuration, Material, Status, unit_up
 
-RATES = {"euler": 1.0, "bdf2": 1.5}
-"""Time derivatives: a of D u = (a/h) (u − y)."""
-MOST_RATE = 1e7
-"""Instants per second."""
 NUMBERS_AT_ONCE = 16_000_000
 """Numbers of positions that a launch writes."""
 
@@ -73,84 +69,52 @@ class Trajectory:
 
 
 def simulate(
-    start: Configuration,
+    start: Configuration | MovingStart,
     material: Material,
     grippers: Grippers,
     dynamics: Dynamics,
-    rate: float,
+    stepping: Stepping,
     *,
-    velocity: np.ndarray | None = None,
-    substeps: int = 1,
-    scheme: str = "bdf2",
     springs: Springs | None = None,
     up=(0.0, 0.0, 1.0),
-    precision: str = "f64",
     pairs: tuple[np.ndarray, np.ndarray] | None = None,
-    smooth_start: bool = True,
-    velocity_age: float = 0.0,
     directions: Sequence[Direction] = (),
     progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
     """Move rods from ``start`` through the instants of ``grippers``.
 
-    start         S rods at the first instant
-    material      G rows; dynamics has G or one
-    grippers      of S rods, or of one that all share, at T instants
-    rate          instants per second
-    velocity      (S, V, 3) mm/s at the first instant; None: at rest
-    substeps      time steps between instants; grippers move smoothly between them
-    scheme        "bdf2", of second order, or "euler", backward Euler, of first order and strongly damping
-    springs       at the vertices, one row for all rods or R of them
-    precision     "f64" or "f32", in which a rod that rounding stops is reported as stalled
-    pairs         (R,) rows of start and of material that make up each rod; by default they pair one to one, a single row with
-                  every row of the other
-    smooth_start  the history before the first instant is that of the acceleration there; False: of constant velocity
-    velocity_age  s before the first instant for which ``velocity`` holds: ``smooth_start`` carries it on by the acceleration
-    directions    P parameters to differentiate the positions by, in f64
-    progress      called with the number of frames that are done
+    start       S rods at the first instant, at rest or, as a :class:`.MovingStart`, with velocities
+    material    G rows; dynamics has G or one
+    grippers    of S rods, or of one that all share, at T instants
+    stepping    how fast the instants follow each other, and the time steps between them
+    springs     at the vertices, one row for all rods or R of them
+    pairs       (R,) rows of start and of material that make up each rod; by default they pair one to one, a single row with
+                every row of the other
+    directions  P parameters to differentiate the positions by, in f64
+    progress    called with the number of frames that are done
 
     Returns the T − 1 later instants. A rod whose step fails stops alone. Raises InputError for inputs that do not match.
     """
-    motion = _Motion(start, material, grippers, dynamics, rate, substeps, springs, unit_up(up, "simulate"), pairs)
-    if scheme not in RATES:
-        raise InputError("simulate", "scheme", f"{scheme!r}", f"give one of {', '.join(RATES)}")
-    if precision not in ("f32", "f64"):
-        raise InputError("simulate", "precision", f"{precision!r}", "give f32 or f64")
-    if directions and precision != "f64":
+    begin = start if isinstance(start, MovingStart) else MovingStart(start)
+    if directions and stepping.precision != "f64":
         raise InputError("simulate", "precision", "f32 with directions", "give f64")
-    bits = 32 if precision == "f32" else 64
-    memory, remembered = motion.begin(_checked_velocity(velocity, start), smooth_start, velocity_age, directions)
-    return motion.run(memory, RATES[scheme], bits, progress, directions, remembered)
-
-
-def _checked_velocity(velocity, start: Configuration) -> np.ndarray:
-    shape = (start.count, start.edges + 1, 3)
-    if velocity is None:
-        return np.zeros(shape)
-    velocity = real_array("simulate", "velocity", velocity, "give real numbers").astype(np.float64)
-    if velocity.shape != shape:
-        raise InputError("simulate", "velocity", f"shape {velocity.shape}", f"give {shape}")
-    if not np.isfinite(velocity).all():
-        raise InputError("simulate", "velocity", "not finite", "give finite numbers of mm/s")
-    return velocity
+    motion = _Motion(begin.configuration, material, grippers, dynamics, stepping, springs, unit_up(up, "simulate"), pairs)
+    memory, remembered = motion.begin(begin, directions)
+    return motion.run(memory, progress, directions, remembered)
 
 
 class _Motion:
     """A motion laid out for the kernels."""
 
-    def __init__(self, start, material, grippers, dynamics, rate, substeps, springs, up, pairs):
-        require_number("simulate", "rate", rate)
-        if not 0 < rate <= MOST_RATE:
-            raise InputError("simulate", "rate", f"{rate}", f"give instants per second, above zero, at most {MOST_RATE:g}")
-        require_whole("simulate", "substeps", substeps, 1)
+    def __init__(self, start, material, grippers, dynamics, stepping, springs, up, pairs):
         if grippers.count not in (1, start.count):
             raise InputError("simulate", "grippers", f"{grippers.count} rods, start has {start.count}", "give one, or as many")
         if dynamics.count not in (1, material.count):
             raise InputError("simulate", "dynamics", f"{dynamics.count} rows, material has {material.count}",
                              "give one, or as many")
         self.start, self.material, self.dynamics, self.springs, self.up = start, material, dynamics, springs, up
-        self.rate, self.substeps, self.step = rate, substeps, 1.0 / (rate * substeps)
-        self.grippers = grippers.refined(substeps)
+        self.stepping, self.substeps, self.step = stepping, stepping.substeps, stepping.step
+        self.grippers = grippers.refined(stepping.substeps)
         self.pairs = (None, None) if pairs is None else pairs
         self.first = _spread(grippers.at(0), start.count)
 
@@ -254,19 +218,18 @@ class _Motion:
         numbers, shares, _ = other.numbers(table, factor)
         return under(table, other._stiffened(factor)).material, numbers[..., :NUMBERS], shares
 
-    def begin(self, velocity: np.ndarray, smooth: bool, age: float,
-              directions: Sequence[Direction]) -> tuple[Memory, np.ndarray]:
-        """The memory of rods that start with ``velocity`` (S, V, 3), and its derivatives."""
+    def begin(self, start: MovingStart, directions: Sequence[Direction]) -> tuple[Memory, np.ndarray]:
+        """The memory of rods that start so, and its derivatives."""
         table = self.table(1.0)
         index = table.configuration_index
         frames = whole_start(table.start, table.clamp)[index]
         x = self.start.vertices[index]
-        v = velocity[index]
+        v, age = start.velocity[index], start.velocity_age
         a = np.zeros_like(v)
         remembered = np.zeros((table.count, len(directions), table.edges + 1, REMEMBERED))
         feasible = table.feasible[index]
         status = np.where(feasible, int(Status.CONVERGED), int(Status.INFEASIBLE)).astype(np.int8)
-        if smooth and self.grippers.instants > 1:
+        if start.smooth:
             trial = _memory(frames, x, v, a, table, self.step, status.copy())
             numbers, shares, rows = self.numbers(table, 1.0)
             table.external_index[:] = rows
@@ -282,9 +245,9 @@ class _Motion:
                 lambda change: _memory(frames, x, v + age * change, a + change, table, self.step, status), da)
         return _memory(frames, x, v, a, table, self.step, status), remembered
 
-    def run(self, memory: Memory, factor: float, bits: int, progress, directions: Sequence[Direction],
-            remembered: np.ndarray) -> Trajectory:
+    def run(self, memory: Memory, progress, directions: Sequence[Direction], remembered: np.ndarray) -> Trajectory:
         """All steps, in launches of bounded size."""
+        factor, bits = RATES[self.stepping.scheme], 32 if self.stepping.precision == "f32" else 64
         table = self.table(factor)
         slopes = self.slopes(table, factor, directions, remembered)
         numbers, shares, table.external_index[:] = self.numbers(table, factor)
@@ -306,7 +269,7 @@ class _Motion:
         outcome = np.concatenate(outcomes, axis=1)
         return Trajectory(
             np.concatenate(positions, axis=1), outcome[..., STATE].astype(np.int8), outcome[..., TRIPS].astype(np.int32),
-            outcome[..., MOMENT], outcome[..., END_FORCE:], self.rate, memory,
+            outcome[..., MOMENT], outcome[..., END_FORCE:], self.stepping.rate, memory,
             None if slopes is None else changes[0] if len(changes) == 1 else np.concatenate(changes, axis=1))
 
 

@@ -4,6 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from doo_ti.dynamics.grippers import Grippers, edge_frames
+from doo_ti.dynamics.parameters import Stepping
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.dynamics.theta import MotionTheta, simulated
 from doo_ti.types import Clamp
@@ -60,6 +61,6 @@ def recorded(rng, theta: MotionTheta, count: int, frames: int, noise: float) -> 
     held = edge_frames(last_edge, np.broadcast_to(theta.reference, (count, 3)))
     grippers = Grippers(Clamp.FRAME, Clamp.FRAME, first, last, frames_along, held)
     material, dynamics = simulated([theta])
-    found = simulate(rods, material, grippers, dynamics, RATE)
+    found = simulate(rods, material, grippers, dynamics, Stepping(RATE))
     assert found.converged.all()
     return found.positions[:, SETTLING - 1 :] + noise * rng.normal(size=(count, frames, len(lengths) + 1, 3))

@@ -6,7 +6,7 @@ import numpy as np
 
 from doo_ti.dynamics import simulate as simulation
 from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics
+from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.types import Clamp, Material, Status
 from tests.references.rods import clamps_at
@@ -33,8 +33,8 @@ def rows(grippers: Grippers, index) -> Grippers:
                     grippers.start_frame[index], grippers.end_frame[index])
 
 
-def moved(rods, grippers, **options):
-    return simulate(rods, MATERIAL, grippers, DYNAMICS, RATE, **options)
+def moved(rods, grippers, **stepping):
+    return simulate(rods, MATERIAL, grippers, DYNAMICS, Stepping(RATE, **stepping))
 
 
 def test_a_rod_moves_alone_as_among_others(rng):
@@ -72,9 +72,9 @@ def test_launches_continue_one_another(rng, monkeypatch):
     starts = np.array([Clamp.FREE, Clamp.FREE, Clamp.FRAME, Clamp.POSITION, Clamp.FREE, Clamp.TANGENT])
     grippers = replace(grippers, start=starts, end=ends)
     dynamics = Dynamics(quadratic_drag=1e-3, bend_damping=0.01)
-    at_once = simulate(rods, MATERIAL, grippers, dynamics, RATE, substeps=2)
+    at_once = simulate(rods, MATERIAL, grippers, dynamics, Stepping(RATE, 2))
     monkeypatch.setattr(simulation, "NUMBERS_AT_ONCE", 1)
-    in_parts = simulate(rods, MATERIAL, grippers, dynamics, RATE, substeps=2)
+    in_parts = simulate(rods, MATERIAL, grippers, dynamics, Stepping(RATE, 2))
     np.testing.assert_array_equal(at_once.converged, np.arange(6) != 2)
     np.testing.assert_array_equal(in_parts.status, at_once.status)
     np.testing.assert_array_equal(in_parts.positions, at_once.positions)
@@ -83,7 +83,7 @@ def test_launches_continue_one_another(rng, monkeypatch):
 def test_steps_between_instants_are_steps_of_refined_grippers(rng):
     rods, grippers = swung(rng, 4)
     between = moved(rods, grippers, substeps=3)
-    refined = simulate(rods, MATERIAL, grippers.refined(3), DYNAMICS, 3 * RATE)
+    refined = simulate(rods, MATERIAL, grippers.refined(3), DYNAMICS, Stepping(3 * RATE))
     np.testing.assert_array_equal(between.positions, refined.positions[:, 2::3])
     np.testing.assert_array_equal(between.iterations.sum(axis=1), refined.iterations.sum(axis=1))
     np.testing.assert_allclose(grippers.refined(3).end_position[:, ::3], grippers.end_position, atol=1e-12)
@@ -93,10 +93,10 @@ def test_pairs_are_rods_and_materials_of_their_own(rng):
     rods, grippers = swung(rng, 3)
     material, dynamics = Material([3e4, 6e4], [2e4, 4e4]), Dynamics(drag=[1.0, 2.0], density=[1.0, 1.5])
     pairs = np.array([0, 2, 2, 1]), np.array([1, 0, 1, 0])
-    together = simulate(rods, material, grippers, dynamics, RATE, pairs=pairs)
+    together = simulate(rods, material, grippers, dynamics, Stepping(RATE), pairs=pairs)
     for k, (r, g) in enumerate(zip(*pairs, strict=True)):
         alone = simulate(rods.take([r]), material.take([g]), rows(grippers, [r]),
-                         Dynamics(drag=dynamics.drag[g], density=dynamics.density[g]), RATE)
+                         Dynamics(drag=dynamics.drag[g], density=dynamics.density[g]), Stepping(RATE))
         np.testing.assert_array_equal(together.positions[k], alone.positions[0])
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from doo_ti.dynamics import simulate as simulation
 from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Direction, Dynamics
+from doo_ti.dynamics.parameters import Direction, Dynamics, MovingStart, Stepping
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.errors import InputError
 from doo_ti.frames import bishop_frames, matrix_from_quaternion, quaternion_about, quaternion_from_matrix
@@ -58,12 +58,12 @@ def moving(configuration, vertices, start: Clamp, end: Clamp) -> Grippers:
     return Grippers(start, end, vertices[:, None, 0] + swing, vertices[:, None, -1] - 0.5 * swing * [1, 1, -1], first, last)
 
 
-def motion(start: Clamp, end: Clamp, numbers, rods: int = 2, directions=(), **options):
+def motion(start: Clamp, end: Clamp, numbers, rods: int = 2, directions=(), smooth=True, **stepping):
     """The trajectory of rods with such ends and numbers."""
     configuration, vertices = bow(rods)
     material, dynamics = rod(numbers)
-    return simulate(configuration, material, moving(configuration, vertices, start, end), dynamics, RATE,
-                    directions=directions, **options)
+    return simulate(MovingStart(configuration, smooth=smooth), material, moving(configuration, vertices, start, end), dynamics,
+                    Stepping(RATE, **stepping), directions=directions)
 
 
 def all_directions(at=POINT, share: float = 1.0):
@@ -91,13 +91,13 @@ def worst(slopes, differences):
 
 
 @pytest.mark.parametrize("start, end, options", [
-    (Clamp.FRAME, Clamp.TANGENT, {"smooth_start": False}),
-    (Clamp.FRAME, Clamp.FRAME, {"smooth_start": False, "scheme": "euler"}),
-    (Clamp.FRAME, Clamp.FRAME, {"smooth_start": True, "substeps": 2}),
-    (Clamp.TANGENT, Clamp.POSITION, {"smooth_start": True}),
-    (Clamp.FRAME, Clamp.FREE, {"smooth_start": False}),
-    (Clamp.FREE, Clamp.FRAME, {"smooth_start": True}),
-    (Clamp.FREE, Clamp.FREE, {"smooth_start": False}),
+    (Clamp.FRAME, Clamp.TANGENT, {"smooth": False}),
+    (Clamp.FRAME, Clamp.FRAME, {"smooth": False, "scheme": "euler"}),
+    (Clamp.FRAME, Clamp.FRAME, {"smooth": True, "substeps": 2}),
+    (Clamp.TANGENT, Clamp.POSITION, {"smooth": True}),
+    (Clamp.FRAME, Clamp.FREE, {"smooth": False}),
+    (Clamp.FREE, Clamp.FRAME, {"smooth": True}),
+    (Clamp.FREE, Clamp.FREE, {"smooth": False}),
 ])
 def test_derivatives_are_those_of_the_motion(start, end, options):
     slopes, differences = slopes_and_differences(start, end, **options)
@@ -105,10 +105,10 @@ def test_derivatives_are_those_of_the_motion(start, end, options):
 
 
 def test_rods_of_a_pack_do_not_depend_on_each_other(monkeypatch):
-    options = {"smooth_start": False, "directions": all_directions()}
+    options = {"smooth": False, "directions": all_directions()}
     together = motion(Clamp.FRAME, Clamp.TANGENT, POINT, rods=11, **options)
     few = motion(Clamp.FRAME, Clamp.TANGENT, POINT, rods=2, **options)
-    plain = motion(Clamp.FRAME, Clamp.TANGENT, POINT, rods=11, smooth_start=False)
+    plain = motion(Clamp.FRAME, Clamp.TANGENT, POINT, rods=11, smooth=False)
     assert together.slopes.shape == (11, STEPS, len(NAMES), EDGES + 1, 3)
     np.testing.assert_array_equal(together.slopes[:2], few.slopes)
     np.testing.assert_array_equal(together.positions, plain.positions)
@@ -124,10 +124,10 @@ def test_rods_without_losses():
     numbers = POINT * [1, 1, 0, 1, 0, 0, 0, 0, 1]
 
     def positions(values):
-        return motion(Clamp.FRAME, Clamp.FRAME, values, smooth_start=False).positions
+        return motion(Clamp.FRAME, Clamp.FRAME, values, smooth=False).positions
 
     directions = all_directions(numbers, 1e-3)
-    slopes = motion(Clamp.FRAME, Clamp.FRAME, numbers, smooth_start=False, directions=directions).slopes
+    slopes = motion(Clamp.FRAME, Clamp.FRAME, numbers, smooth=False, directions=directions).slopes
     middle = positions(numbers)
     for k, way in enumerate(np.diag(SMALL)):
         step = 0.3 * way.max()
@@ -141,7 +141,8 @@ def test_a_rod_that_fails_has_no_derivatives_from_there_on():
     grippers = moving(configuration, vertices, Clamp.FRAME, Clamp.FRAME)
     grippers.end_position[1, 12:] += 1e4  # beyond the rod's reach
     material, dynamics = rod(POINT)
-    found = simulate(configuration, material, grippers, dynamics, RATE, directions=all_directions(), smooth_start=False)
+    found = simulate(MovingStart(configuration, smooth=False), material, grippers, dynamics, Stepping(RATE),
+                     directions=all_directions())
     np.testing.assert_array_equal(found.converged, [True, False, True])
     np.testing.assert_array_equal(np.isfinite(found.slopes).all(axis=(2, 3, 4)), found.status == Status.CONVERGED)
 

@@ -6,7 +6,7 @@ from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics
+from doo_ti.dynamics.parameters import Dynamics, MovingStart, Stepping
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.newton import Newton
@@ -34,8 +34,9 @@ def test_free_fall(rng, scheme):
     """Both ends free, straight, thrown without turning: the parabola, of backward Euler that of its own sum."""
     rods = planar(np.full(8, 0.3), 10.0, (5.0, 6.0, 7.0))
     rate, thrown = 200.0, np.array([300.0, -200.0, 500.0])
-    found = simulate(rods, Material(1e5, 1e5), resting(rods, Clamp.FREE, Clamp.FREE, 41), Dynamics(), rate,
-                     velocity=np.broadcast_to(thrown, (1, 9, 3)), scheme=scheme)
+    start = MovingStart(rods, np.broadcast_to(thrown, (1, 9, 3)))
+    found = simulate(start, Material(1e5, 1e5), resting(rods, Clamp.FREE, Clamp.FREE, 41), Dynamics(),
+                     Stepping(rate, scheme=scheme))
     time = np.arange(1, 41)[:, None, None] / rate
     late = 0.0 if scheme == "bdf2" else 1.0 / rate
     expected = rods.vertices[0] + time * thrown - 0.5 * GRAVITY * time * (time + late) * [0.0, 0.0, 1.0]
@@ -50,8 +51,8 @@ def test_tumbling_rod_turns_as_a_rigid_body():
     middle = rods.vertices[0].mean(axis=0)
     velocity = np.cross([0.0, spin, 0.0], rods.vertices[0] - middle)[None]
     for substeps in (10, 20, 40):
-        found = simulate(rods, Material(1e7, 1e7, 0.0), resting(rods, Clamp.FREE, Clamp.FREE, 3), Dynamics(density=1.0), 10.0,
-                         velocity=velocity, substeps=substeps)
+        found = simulate(MovingStart(rods, velocity), Material(1e7, 1e7, 0.0), resting(rods, Clamp.FREE, Clamp.FREE, 3),
+                         Dynamics(density=1.0), Stepping(10.0, substeps))
         turned = Rotation.from_rotvec([0.0, spin * 0.2, 0.0]).apply(rods.vertices[0] - middle) + middle
         apart.append(np.abs(found.positions[0, -1] - turned).max())
     order = np.log2(np.array(apart[:-1]) / apart[1:])
@@ -67,8 +68,8 @@ def test_swinging_chain():
     expected = swinging_chain(angles, length, bend, times)[1:]
     found = []
     for substeps in (40, 80, 160):
-        moved = simulate(rods, Material(bend, bend), resting(rods, Clamp.POSITION, Clamp.FREE, instants), Dynamics(), rate,
-                         substeps=substeps)
+        moved = simulate(rods, Material(bend, bend), resting(rods, Clamp.POSITION, Clamp.FREE, instants), Dynamics(),
+                         Stepping(rate, substeps))
         assert moved.converged.all()
         found.append(moved.positions[0])
     error = [np.abs(f - expected).max() / 100.0 for f in found]
@@ -95,8 +96,8 @@ def frequency(mode, k: int, start: Clamp, edges: int, steps: int, support: bool)
         points[0, -1], stiffness[0, -1] = [rods.vertices[0, -1, 0], 0.0, 0.0], 1e6 * bend / 400.0**3
         springs = Springs(points, stiffness)
     rate = steps / every * theory / (2 * np.pi)
-    found = simulate(rods, Material(bend, bend, 0.0), resting(rods, start, Clamp.FREE, 31), Dynamics(density=1.0), rate,
-                     substeps=every, springs=springs)
+    found = simulate(rods, Material(bend, bend, 0.0), resting(rods, start, Clamp.FREE, 31), Dynamics(density=1.0),
+                     Stepping(rate, every), springs=springs)
     assert found.converged.all()
     values = found.positions[0, :, :, 2] @ rods.vertices[0, :, 2]
     return oscillation(values, 1.0 / rate), theory
@@ -138,7 +139,7 @@ def test_energy_of_an_undamped_rod():
     before, lost = joint_energy(angles, bend, length), []
     for steps in (100, 200):
         found = simulate(rods, Material(bend, bend, 0.0), resting(rods, Clamp.FRAME, Clamp.FREE, 2), Dynamics(density=1.0),
-                         0.1 / period, substeps=10 * steps)
+                         Stepping(0.1 / period, 10 * steps))
         edge = np.diff(found.positions[0, -1], axis=0)
         speed = found.memory.places[0, :, 6:9]
         kinetic = 0.5 * MASS_PER_LENGTH * shares(edges, length) @ np.sum(speed**2, axis=1)
@@ -152,8 +153,8 @@ def test_damped_rod_comes_to_rest_where_statics_has_it(rng, damping):
     rods = wandering(rng, 1, 10, 10.0, wander=0.2, twist=0.1)
     material = Material(2e5, 1e5)
     clamps = clamps_at(rods, Clamp.FRAME, Clamp.FRAME)
-    found = simulate(rods, material, Grippers.resting(clamps, 5), Dynamics(drag=20.0, bend_damping=damping), 1.0, substeps=100,
-                     scheme="euler")
+    found = simulate(rods, material, Grippers.resting(clamps, 5), Dynamics(drag=20.0, bend_damping=damping),
+                     Stepping(1.0, 100, "euler"))
     ended = Configuration(rods.start, found.memory.frames, rods.rest_length)
     statics = relax(ended, material, clamps, Newton.careful(tolerance=1e-12))
     apart = np.abs(found.positions[0, -1] - statics.configuration.vertices[0]).max()
@@ -184,7 +185,7 @@ def test_whirling_rope_stays_at_rest_in_the_turning_frame():
         held = turn.apply(rods.vertices[0, 0])[None]
         still = resting(rods, Clamp.POSITION, Clamp.FREE, held.shape[1])
         grippers = Grippers(still.start, still.end, held, still.end_position, still.start_frame, still.end_frame)
-        found = simulate(rods, Material(bend, bend), grippers, Dynamics(), rate * substeps, velocity=velocity)
+        found = simulate(MovingStart(rods, velocity), Material(bend, bend), grippers, Dynamics(), Stepping(rate * substeps))
         assert found.converged.all()
         expected = np.stack([one.apply(rods.vertices[0]) for one in turn[1:]])
         apart.append(np.abs(found.positions[0] - expected).max() / (edges * length))

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from doo_ti.dynamics import simulate as simulation
 from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics
+from doo_ti.dynamics.parameters import Dynamics, MovingStart, Stepping
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.frames import quaternion_product, smallest_rotation
 from doo_ti.relaxation.external import Springs
@@ -103,8 +103,8 @@ def test_steps_are_those_of_dense_linear_algebra(rng, monkeypatch, general, sche
     rods, material, grippers, dynamics, velocity, springs = random_rods(rng, general)
 
     def moved():
-        return simulate(rods, material, grippers, dynamics, RATE, velocity=velocity, scheme=scheme, springs=springs, up=UP,
-                        smooth_start=smooth)
+        return simulate(MovingStart(rods, velocity, smooth=smooth), material, grippers, dynamics, Stepping(RATE, scheme=scheme),
+                        springs=springs, up=UP)
 
     usual = moved()
     monkeypatch.setattr(simulation, "_newton", lambda: Newton(tolerance=1e-10, first_shift=0.0, max_escapes=0))

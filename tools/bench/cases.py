@@ -9,7 +9,7 @@ from doo_ti.bench.cases import COARSE, Case, Outcome, Specimens, relaxed
 from doo_ti.bench.cases import cases as command_cases
 from doo_ti.bench.workload import Rods
 from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import Dynamics
+from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.io.observations import Observations
 from doo_ti.metric import distance
@@ -51,7 +51,7 @@ def _swinging(count: int) -> tuple[Configuration, Material, Grippers]:
 
 def moved(count: int, precision: str, dynamics: Dynamics) -> Outcome:
     """Steps of :func:`doo_ti.dynamics.simulate.simulate`, those of rods that converged throughout."""
-    found = simulate(*_swinging(count), dynamics, 100.0, precision=precision)
+    found = simulate(*_swinging(count), dynamics, Stepping(100.0, precision=precision))
     steps = found.status == 0
     return Outcome(float(steps.sum()), float(steps.mean()), residual=float(found.residual[steps].max()),
                    iterations=found.iterations.ravel())
