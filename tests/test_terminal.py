@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti.cli import main
 from doo_ti.terminal import busy, in_line, progress, visible
-from tests.cli.test_bad_input import MATERIAL, npz_bytes
+from tests.commands.test_bad_input import MATERIAL, npz_bytes
 
 NAME = "a\x1b[2J\x9b1m\u202e[red]b[/red]"
 SHOWN = r"a\x1b[2J\x9b1m\u202e[red]b[/red]"

@@ -14,7 +14,7 @@ from doo_ti.refinement.unknowns import Theta
 from doo_ti.types import Status
 from tests.references.rods import clamps_at
 from tests.refinement.rods_between_clips import BEND, NOISE, TRUTH, TWIST, suture
-from tests.relax.rods import wandering
+from tests.relaxation.rods import wandering
 
 QUICK = RefinementOptions(intervals="covariance")
 BEGIN = Theta(1.5 * BEND * np.eye(2), 0.8 * TWIST)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from doo_ti.io.observations import load_observations, save_observations
-from tests.cli.test_bad_input import npz_bytes
+from tests.commands.test_bad_input import npz_bytes
 from tools import fuzz
 from tools.fuzzing.commands import COMMANDS, RECIPES
 from tools.fuzzing.worker import judged, prepare

@@ -6,7 +6,7 @@ import pytest
 from doo_ti.io.motion_file import ClampPath, load_path
 from doo_ti.io.observations import Observations, load_observations
 from doo_ti.types import Material
-from tests.relax.lab import lab
+from tests.relaxation.lab import lab
 from tools.trials.prediction import moved_as_one, moved_by_blend, predict_marks, predict_steps, rotation_steps
 
 

@@ -15,7 +15,7 @@ from tests.oracle.equilibrium import State, clamped_start
 from tests.oracle.external import minimum, newton_step, total_energy
 from tests.oracle.reprojection import Images, edge_error, rod_energy
 from tests.references.rods import clamps_at, jiggled
-from tests.relax.rods import assert_same, with_kinds
+from tests.relaxation.rods import assert_same, with_kinds
 from tests.vision.drawn_maps import curves, drawn_maps, map_of, three_cameras
 
 EDGES, NU, POINTS = 14, 30.0, 4

@@ -13,7 +13,7 @@ from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig, load_rig
 from doo_ti.vision.reprojection.marks import observe
 from doo_ti.vision.reprojection.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
-from tests.data.rods import twisted_frames, wavy_vertices
+from tests.io.rods import twisted_frames, wavy_vertices
 from tests.vision.boards import around
 
 NOISE = 0.3

@@ -1,0 +1,55 @@
+"""Results own their memory while somebody holds them, and leave it to later results when nobody does."""
+
+import numpy as np
+import pytest
+
+from doo_ti import InputError, Material, relax
+from doo_ti.relaxation import tables
+from tests.references.rods import clamps_at
+from tests.relaxation.rods import wandering
+
+
+def relaxed(rng, count: int, bend: float):
+    rods = wandering(rng, count, 12)
+    return relax(rods, Material(bend, bend), clamps_at(rods), precision="f32")
+
+
+def test_what_is_held_is_never_overwritten(rng):
+    held = [relaxed(rng, 400, 1e5 * (k + 1)) for k in range(4)]
+    copies = [solution.configuration.quaternions.copy() for solution in held]
+    for _ in range(6):
+        relaxed(rng, 400, 3e6)
+    for solution, copy in zip(held, copies):
+        np.testing.assert_array_equal(solution.configuration.quaternions, copy)
+
+
+def test_a_view_keeps_its_memory(rng):
+    """Even one frame of one rod, taken from a solution that is gone."""
+    view = relaxed(rng, 400, 1e5).configuration.quaternions[7, 3]
+    copy = view.copy()
+    for _ in range(6):
+        relaxed(rng, 400, 3e6)
+    np.testing.assert_array_equal(view, copy)
+
+
+def test_memory_that_nobody_holds_is_used_again(rng):
+    for _ in range(3):
+        relaxed(rng, 500, 1e5)
+    before = len(tables._pool)
+    for _ in range(20):
+        relaxed(rng, 500, 1e5)
+    assert len(tables._pool) == before
+
+
+def test_pooled_memory_is_bounded(rng, monkeypatch):
+    monkeypatch.setattr(tables, "POOLED_BYTES", 500_000)
+    kept = [relaxed(rng, 500, 1e5) for _ in range(8)]
+    assert sum(array.nbytes for array in tables._pool) <= 500_000
+    assert len(kept) == 8
+
+
+def test_too_many_rods_for_one_call_are_refused(rng, monkeypatch):
+    monkeypatch.setattr(tables, "MOST_NUMBERS", 12 * 4 * 10)
+    relaxed(rng, 10, 1e5)
+    with pytest.raises(InputError, match="give at most 10 at a time"):
+        relaxed(rng, 11, 1e5)
