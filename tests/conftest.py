@@ -1,4 +1,4 @@
-"""Shared by all tests: where the development data lies, and one printed seed for everything random."""
+"""Shared by all tests: where their data lies, and one printed seed for everything random."""
 
 import os
 from pathlib import Path
@@ -29,3 +29,9 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"development data absent: {folder}")
     return folder
+
+
+@pytest.fixture(params=["shipped", pytest.param("development", marks=pytest.mark.thorough)])
+def laboratory(request) -> Path:
+    """A folder with ``lab_a`` and ``images_a``: the one that ships with the tests, and that of the development data."""
+    return Path(__file__).parent / "data" if request.param == "shipped" else request.getfixturevalue("shared_data")

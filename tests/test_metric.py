@@ -134,8 +134,8 @@ def test_rows_out_of_range_are_refused(rng, index):
 
 
 @pytest.mark.parametrize("name", ["nylon", "ribbon"])
-def test_lab(shared_data, name):
-    rod = lab(shared_data, name)
+def test_lab(laboratory, name):
+    rod = lab(laboratory, name)
     weight = RIBBON_WIDTH if name == "ribbon" else 0.0
     solution = relax(rod.start, rod.material(), rod.clamps)
     found = distance(solution.configuration, rod.observations, frame_weight=weight)

@@ -84,8 +84,8 @@ def test_what_is_measured_is_not_picked_and_picks_end(configurations):
     assert sorted(found.order.tolist()) == [1, 2, 3, 5, 6, 7, 8]
 
 
-def test_the_best_ten_tell_more_than_ten_at_random(shared_data):
-    observations = load_observations(shared_data / "lab_a" / "nylon.npz")
+def test_the_best_ten_tell_more_than_ten_at_random(laboratory):
+    observations = load_observations(laboratory / "lab_a" / "nylon.npz")
     found = plan(observations, grid(), sigma=0.12)
     random = np.random.default_rng(5)
     rivals = [random.choice(60, 10, replace=False) for _ in range(200)]
@@ -102,6 +102,7 @@ def test_the_best_ten_tell_more_than_ten_at_random(shared_data):
     assert smaller > 0.95
 
 
+@pytest.mark.thorough
 def test_the_least_informative_of_the_lab(shared_data):
     observations = load_observations(shared_data / "lab_a" / "nylon.npz")
     found = plan(observations, Grid((parse_axis("--bend", "5e4:1e7:13"), parse_axis("--twist-ratio", "0.1:6:9"))), sigma=0.12)

@@ -25,8 +25,8 @@ def test_tables_are_lossless(tmp_path, rng, suffix):
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("name", LAB)
-def test_lab_files_survive(tmp_path, shared_data, suffix, name):
-    observations = load_observations(shared_data / "lab_a" / f"{name}.npz")
+def test_lab_files_survive(tmp_path, laboratory, suffix, name):
+    observations = load_observations(laboratory / "lab_a" / f"{name}.npz")
     save_observations(tmp_path / f"x{suffix}", observations)
     assert same(observations, load_observations(tmp_path / f"x{suffix}"), 1e-14)
 

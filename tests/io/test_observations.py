@@ -103,8 +103,8 @@ def test_saved_observations_come_back(tmp_path, rng):
 
 
 @pytest.mark.parametrize("name", LAB)
-def test_lab_files(shared_data, name):
-    observations = load_observations(shared_data / "lab_a" / f"{name}.npz")
+def test_lab_files(laboratory, name):
+    observations = load_observations(laboratory / "lab_a" / f"{name}.npz")
     assert observations.vertices.shape == (60, 34, 3) and observations.name == name
     assert (observations.frames is not None) == (name == "ribbon")
 

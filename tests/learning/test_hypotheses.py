@@ -69,9 +69,9 @@ def test_what_explains_an_observation_stands_for_it_in_all_cells(rng):
 
 
 @pytest.mark.parametrize("name", ["nylon", "vicryl", "silk"])
-def test_turns_of_the_lab_are_recovered(tmp_path, shared_data, name):
+def test_turns_of_the_lab_are_recovered(tmp_path, laboratory, name):
     """Without total_twist every one of 60 observations gets the turn that the labels give, and the landscape is the same."""
-    observations = load_observations(shared_data / "lab_a" / f"{name}.npz")
+    observations = load_observations(laboratory / "lab_a" / f"{name}.npz")
     labelled = Experiment(observations, SMALL).hypotheses
     summary = sweep(tmp_path / "none", replace(observations, total_twist=None), SMALL)
     settled = summary["hypotheses"]
@@ -86,14 +86,14 @@ def test_turns_of_the_lab_are_recovered(tmp_path, shared_data, name):
     np.testing.assert_array_equal(with_hint.distance, without.distance)
 
 
-def test_measured_frames_leave_no_turn_open(shared_data):
-    ribbon = replace(load_observations(shared_data / "lab_a" / "ribbon.npz"), total_twist=None)
+def test_measured_frames_leave_no_turn_open(laboratory):
+    ribbon = replace(load_observations(laboratory / "lab_a" / "ribbon.npz"), total_twist=None)
     assert not Experiment(ribbon, SMALL).hypotheses.are_several
 
 
-def test_turns_under_eq_3_are_judged_where_rods_set_out(tmp_path, shared_data):
+def test_turns_under_eq_3_are_judged_where_rods_set_out(tmp_path, laboratory):
     """After a jump two turns may end alike; before it they do not."""
-    observations = load_observations(shared_data / "lab_a" / "silk.npz")
+    observations = load_observations(laboratory / "lab_a" / "silk.npz")
     summary = sweep(tmp_path / "none", replace(observations, total_twist=None), SMALL, options=DYNAMIC)
     kept = summary["hypotheses"]["kept"]
     assert kept["turns"] == Experiment(observations, SMALL, DYNAMIC).hypotheses.turns.tolist()

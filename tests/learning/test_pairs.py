@@ -11,9 +11,9 @@ from doo_ti.start import observation_clamps
 from tests.learning.lab import lab_rods, small_lab
 
 
-def test_pairs_of_the_paper(shared_data):
+def test_pairs_of_the_paper(laboratory):
     """12 for each end distance, 72 in all: the same distance, 120 degrees apart, both ways, not around the circle."""
-    experiment, _ = lab_rods(shared_data, "nylon")
+    experiment, _ = lab_rods(laboratory, "nylon")
     observations, pairs = experiment.observations, experiment.pairs
     distance, rotation = observations.end_distance, observations.end_rotation
     assert pairs.count == 72 and (pairs.weight == 1).all()

@@ -73,23 +73,24 @@ def there_and_back(experiment: Experiment, materials: Material):
     return vertex_distance(begin, back.configuration), first, second
 
 
-@pytest.mark.parametrize("name, jumping", [("nylon", 0), ("vicryl", 0), ("silk", 4), ("ribbon", 22)])
-def test_lab_rods_that_do_not_come_back_have_jumped(shared_data, name, jumping):
+@pytest.mark.parametrize("name", ["nylon", "vicryl", "silk", "ribbon"])
+def test_lab_rods_that_do_not_come_back_have_jumped(laboratory, name):
     """Under its true material a rod that keeps to its branch comes back to where it set out. The stiff sutures all do, and no
-    jump is counted; nothing that does not come back is missed."""
-    experiment, material = lab_rods(shared_data, name)
+    jump is counted; many ribbons jump; nothing that does not come back is missed."""
+    experiment, material = lab_rods(laboratory, name)
     apart, there, back = there_and_back(experiment, material)
     print(f"{name}: {(apart > 0.05).sum()} of {len(apart)} do not come back, {(there > 0).sum()} jump on the way there")
-    assert (there > 0).sum() == jumping
+    jumping = (there > 0).mean()
+    assert jumping == 0 if name in ("nylon", "vicryl") else jumping < 0.1 if name == "silk" else 0.2 < jumping < 0.5
     assert not ((apart > 0.05) & (there + back == 0)).any()
     assert (apart[there + back == 0] < 1e-4).all()
 
 
 @pytest.mark.parametrize("name", ["nylon", "ribbon"])
-def test_halving_the_sub_steps_changes_nothing_at_the_true_material(shared_data, name):
+def test_halving_the_sub_steps_changes_nothing_at_the_true_material(laboratory, name):
     ends = []
     for degrees in (10.0, 5.0):
-        experiment, material = lab_rods(shared_data, name, sub_step=np.radians(degrees))
+        experiment, material = lab_rods(laboratory, name, sub_step=np.radians(degrees))
         ends.append(carried(experiment, material)[0].configuration)
     apart = vertex_distance(*ends)
     print(f"{name}: {apart.max():.1e} mm at most")
@@ -98,14 +99,14 @@ def test_halving_the_sub_steps_changes_nothing_at_the_true_material(shared_data,
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["nylon", "vicryl", "silk", "ribbon"])
-def test_halving_the_sub_steps_over_a_grid(shared_data, name):
+def test_halving_the_sub_steps_over_a_grid(laboratory, name):
     """Of 72 pairs under 144 materials from soft to stiff less than one in a thousand ends elsewhere; among the sutures none."""
     values = np.geomspace(5e4, 1e7, 12)
     axes = (Axis("bend_1", values), Axis("bend_2", values), Axis("twist", 5e5)) if name == "ribbon" else (
         Axis("bend", values), Axis("twist_ratio", np.geomspace(0.1, 6, 12)))
     ends, jumps = [], []
     for degrees in (10.0, 5.0):
-        experiment, _ = lab_rods(shared_data, name, sub_step=np.radians(degrees))
+        experiment, _ = lab_rods(laboratory, name, sub_step=np.radians(degrees))
         solution, count, _ = carried(experiment, Grid(axes).materials())
         ends.append(solution.configuration)
         jumps.append(count)
@@ -117,19 +118,19 @@ def test_halving_the_sub_steps_over_a_grid(shared_data, name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["silk", "ribbon"])
-def test_no_fall_is_missed_over_a_grid(shared_data, name):
+def test_no_fall_is_missed_over_a_grid(laboratory, name):
     values = np.geomspace(5e4, 1e7, 10)
     axes = (Axis("bend_1", values), Axis("bend_2", values), Axis("twist", 5e5)) if name == "ribbon" else (
         Axis("bend", values), Axis("twist_ratio", np.geomspace(0.1, 6, 10)))
-    experiment, _ = lab_rods(shared_data, name)
+    experiment, _ = lab_rods(laboratory, name)
     apart, there, back = there_and_back(experiment, Grid(axes).materials())
     lost = apart > 0.05
     print(f"{name}: {lost.sum()} of {len(apart)} do not come back, {(there + back > 0).sum()} jump there or back")
     assert not (lost & (there + back == 0)).any()
 
 
-def test_rods_alone_jump_as_in_company(shared_data):
-    experiment, material = lab_rods(shared_data, "ribbon")
+def test_rods_alone_jump_as_in_company(laboratory):
+    experiment, material = lab_rods(laboratory, "ribbon")
     together, jumps, off = carried(experiment, material)
     pairs = experiment.pairs
     few = np.flatnonzero(jumps)[:3].tolist() + np.flatnonzero(jumps == 0)[:2].tolist()

@@ -11,8 +11,8 @@ def test_rows_without_data_are_skipped_and_say_so(tmp_path, capsys):
     assert len(lines) == 2 + len(ROWS) and all("skipped" in line for line in lines[2:])
 
 
-def test_rods_of_the_model_s_own_mesh_give_their_theta_back(shared_data):
-    assert all(check.holds for check in exact(shared_data))
+def test_rods_of_the_model_s_own_mesh_give_their_theta_back(laboratory):
+    assert all(check.holds for check in exact(laboratory))
 
 
 @pytest.mark.slow

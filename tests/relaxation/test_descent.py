@@ -16,10 +16,10 @@ SAME = 0.02  # mm
 
 
 @pytest.mark.parametrize(("name", "tolerance"), [("nylon", 1e-6), ("vicryl", 1e-6), ("silk", 1e-6), ("ribbon", 1e-7)])
-def test_lab_at_the_truth(shared_data, name, tolerance):
+def test_lab_at_the_truth(laboratory, name, tolerance):
     """Twelve observations; differences are listed. The scaled residual divides by the stiffest bend: a ribbon that is
     fifty times limper the other way is as far from rest as a suture only at a smaller one."""
-    rod = lab(shared_data, name).take(np.arange(0, 60, 5))
+    rod = lab(laboratory, name).take(np.arange(0, 60, 5))
     newton = relax(rod.start, rod.material(), rod.clamps, Newton.careful())
     descent = relax(rod.start, rod.material(), rod.clamps, Descent(tolerance))
     apart = vertex_distance(newton.configuration, descent.configuration)

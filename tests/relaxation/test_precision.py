@@ -56,9 +56,9 @@ def test_mixed_reaches_the_tolerance_of_f64(rng):
 
 
 @pytest.mark.parametrize(("name", "share"), [*((suture, 0.99) for suture in SUTURES), ("ribbon", 0.97)])
-def test_lab(shared_data, name, share):
+def test_lab(laboratory, name, share):
     """Every third observation over 3 × 3 cells around the truth."""
-    rod = lab(shared_data, name).take(np.arange(0, 60, 3))
+    rod = lab(laboratory, name).take(np.arange(0, 60, 3))
     bend, twist = (axis.ravel() for axis in np.meshgrid([0.1, 1.0, 3.0], [0.3, 1.0, 3.0]))
     material = Material(bend[:, None, None] * rod.bend, twist * bend * rod.twist, 1.0)
     rows = np.arange(20).repeat(9), np.tile(np.arange(9), 20)

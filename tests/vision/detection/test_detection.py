@@ -92,11 +92,11 @@ def test_where_there_is_no_thread_none_is_found(image):
     assert found.count == 0 and found.polarity == "" and np.isnan(found.width_px) and found.shape == image.shape
 
 
-def test_images_of_another_renderer(shared_data):
-    folder = shared_data / "images_a"
+def test_images_in_files(laboratory):
+    folder = laboratory / "images_a"
     rig, truth = load_rig(folder / "rig.yaml"), np.load(folder / "truth.npz")
     parts = []
-    for name, curve in zip(truth["names"][::3], smooth_curve(truth["vertices_mm"], 20)[::3]):
+    for name, curve in zip(truth["names"][::3], smooth_curve(truth["vertices_mm"], 20)[::3], strict=True):
         for camera in rig.cameras:
             found = detect(read_image(folder / f"{name}_{camera.name}.jpg", camera))
             parts.append(against(found, camera.project(curve)))

@@ -79,9 +79,9 @@ def test_a_point_does_not_depend_on_the_others(rng):
     np.testing.assert_allclose(triangulate(rig, pixels[:, 7:8], SURE).position[0], together.position[7], atol=1e-9)
 
 
-def test_the_rig_of_the_images(shared_data, rng):
-    rig = load_rig(shared_data / "images_a" / "rig.yaml")
-    vertices = np.load(shared_data / "lab_a" / "silk_truth.npz")["vertices_mm"].reshape(-1, 3)
+def test_the_rig_of_the_images(laboratory, rng):
+    rig = load_rig(laboratory / "images_a" / "rig.yaml")
+    vertices = np.load(laboratory / "lab_a" / "silk_truth.npz")["vertices_mm"].reshape(-1, 3)
     exact = rig.project(vertices)
     found = triangulate(rig, exact + rng.normal(0, NOISE, exact.shape), SURE)
     assert found.valid.all()
