@@ -50,7 +50,7 @@ from doo_ti import runtime
 ended = subprocess.Popen(["true"])
 ended.wait()  # its number names nobody any more
 runtime.thread_count = lambda: len(runtime.processors())
-runtime._pin([ended.pid, os.getpid()])
+runtime.pin([ended.pid, os.getpid()])
 print(len(os.sched_getaffinity(0)))
 """
 

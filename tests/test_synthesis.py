@@ -86,7 +86,7 @@ def test_noise_is_on_free_marks_alone(recipe):
 def test_rest_curvature_has_the_asked_for_size():
     """Independent at each joint and in each direction, the same rod in all observations of a seed."""
     recipe = replace(ROUND, length_mm=3000.0, marks=1001, end_distances_mm=(2000.0,))
-    rest = lab._specimen(recipe, np.random.default_rng(recipe.seed)).rest_curvature
+    rest = lab.specimen_material(recipe, np.random.default_rng(recipe.seed)).rest_curvature
     print(f"rest curvature: rms {np.sqrt((rest**2).mean()):.3e} of {recipe.rest_curvature_rms_per_mm:.3e} 1/mm at "
           f"{rest.shape[1]} joints")
     assert rest.shape[0] == 1 and rest.shape[1] > 2900
@@ -103,7 +103,7 @@ def test_rest_curvature_is_smooth_over_its_range(reach):
     for edge in (0.5, 1.0):
         recipe = replace(ROUND, length_mm=6000.0, marks=2001, fine_edge_mm=edge, end_distances_mm=(2000.0,),
                          rest_curvature_range_mm=reach)
-        rest = lab._specimen(recipe, np.random.default_rng(recipe.seed)).rest_curvature[0] * 900
+        rest = lab.specimen_material(recipe, np.random.default_rng(recipe.seed)).rest_curvature[0] * 900
         effective = 6000 / reach  # about as many independent values
         np.testing.assert_allclose(rest.std(axis=0), 1.0, atol=3 / np.sqrt(effective))
         assert abs(np.mean(rest[:, 0] * rest[:, 1])) < 4 / np.sqrt(effective)

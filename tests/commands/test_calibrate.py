@@ -43,7 +43,7 @@ def test_a_rig_from_images(pictures, tmp_path, capsys):
     out = tmp_path / "new" / "rig.yaml"
     assert main(["calibrate", str(pictures / "views.csv"), "--board", TEXT, "--out", str(out)]) == 0
     told = capsys.readouterr().out
-    assert "3 cameras, 6 views, 864 corners" in told and "no board found in 1 of 17 images" in told and "no board" in told
+    assert "3 cameras" in told and "6 views" in told and "864 corners" in told and "1 of 17 images" in told
     found = load_rig(out)
     assert found.names == RIG.names
     middle = BOARD.points.mean(axis=0)

@@ -45,7 +45,7 @@ def test_images_with_all_that_is_known_of_them(tmp_path, capsys):
     assert main(prepared(tmp_path, "--seed", "7", "--out", str(out))) == 0
     told = capsys.readouterr().out
     folder = tmp_path / "new" / "images"
-    assert f"4 sets of 3 images of silk written to {folder}, seed 7" in told and "4 observations of 34 vertices" in told
+    assert "4 sets of 3 images" in told and str(folder) in told and "4 observations" in told
 
     recipe = load_scene(tmp_path / "silk.toml").observations
     rig = load_rig(folder / "rig.yaml")

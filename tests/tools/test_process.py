@@ -34,13 +34,14 @@ def test_memory_is_told(children):
 
 
 def test_a_child_that_fails_is_told_in_one_sentence(children):
-    with pytest.raises(InterruptedRunError, match="a process of its own failed"):
+    with pytest.raises(InterruptedRunError) as caught:
         children.rods_per_second(1, -3, 1)
+    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_nothing_is_left_behind(children):
     with Children(lambda: workload.started(*workload.observed("nylon"))) as others:
         others.process_seconds()
-        folder = Path(others._folder.name)
+        folder = Path(others.folder.name)
         assert list(folder.iterdir())
     assert not folder.exists()
