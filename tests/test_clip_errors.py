@@ -40,6 +40,7 @@ def test_one_size_does_not_change_the_draws_of_another():
     np.testing.assert_array_equal(tilted.tilt, both.tilt)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("wrong", [TILT, OFFSET, {"clip_scatter_deg": 1.5}, {**TILT, **OFFSET, "clip_scatter_deg": 0.5}])
 @pytest.mark.parametrize("recipe", [ROUND, RIBBON], ids=["round", "ribbon"])
 def test_ideal_clips_are_reported_and_others_hold(recipe, wrong):
@@ -78,6 +79,7 @@ def test_an_offset_moves_the_clip_sideways_and_turns_with_it():
         np.testing.assert_allclose(moved, np.tile([0.0, *offset[end]], (9, 1)), atol=1e-8)
 
 
+@pytest.mark.thorough
 def test_scatter_is_of_each_observation_by_itself():
     recipe = replace(ROUND, clip_scatter_deg=1.5)
     rods, reported, errors = fine_vertices(recipe), synthesise(recipe), errors_of(recipe)
@@ -87,6 +89,7 @@ def test_scatter_is_of_each_observation_by_itself():
     assert len(set(found.round(6))) == 9
 
 
+@pytest.mark.thorough
 def test_noise_and_rest_curvature_of_a_seed_do_not_depend_on_clip_errors():
     noisy = replace(ROUND, label_noise_mm=0.1)
     noise = synthesise(noisy).vertices - synthesise(ROUND).vertices

@@ -66,6 +66,7 @@ def test_only_ratios_matter(configurations):
     assert np.abs(moved.sum(axis=-1)).max() < 1e-6 * np.abs(moved).max()
 
 
+@pytest.mark.thorough
 def test_the_order_is_greedy_and_the_region_shrinks(configurations):
     found = plan(configurations, grid(), sigma=0.1, picks=5)
     assert len(set(found.order.tolist())) == 5 and (np.diff(found.volume) < 0).all() and found.volume[0] < 1
@@ -84,6 +85,7 @@ def test_what_is_measured_is_not_picked_and_picks_end(configurations):
     assert sorted(found.order.tolist()) == [1, 2, 3, 5, 6, 7, 8]
 
 
+@pytest.mark.thorough
 def test_the_best_ten_tell_more_than_ten_at_random(laboratory):
     observations = load_observations(laboratory / "lab_a" / "nylon.npz")
     found = plan(observations, grid(), sigma=0.12)
@@ -109,6 +111,7 @@ def test_the_least_informative_of_the_lab(shared_data):
     assert (observations.end_distance[found.least], observations.end_rotation[found.least]) == (42, 120)
 
 
+@pytest.mark.thorough
 def test_clamps_on_one_line():
     """Untwisted the rod is an arch, whose shape tells next to nothing; of those that are twisted 54 mm, 120° tells least."""
     recipe = Synthesis(bend=BEND, twist=TWIST, start_direction=(1, 0, 0), end_direction=(1, 0, 0))
@@ -120,6 +123,7 @@ def test_clamps_on_one_line():
     assert configurations.end_rotation[found.least] == 0
 
 
+@pytest.mark.thorough
 def test_a_configuration_tells_the_same_in_any_company(configurations):
     alone = plan(configurations.take([4]), grid(), sigma=0.1, picks=1)
     together = plan(configurations, grid(), sigma=0.1, picks=1)

@@ -31,6 +31,7 @@ def arrays(observations) -> dict[str, np.ndarray]:
     return {name: value for name, value in vars(observations).items() if isinstance(value, np.ndarray)}
 
 
+@pytest.mark.sampled(1)
 @both
 def test_the_same_recipe_gives_the_same_observations(recipe):
     first, second = arrays(synthesise(recipe)), arrays(synthesise(recipe))
@@ -114,6 +115,7 @@ def test_rest_curvature_is_smooth_over_its_range(reach):
             assert abs(found - expected) < 4 / np.sqrt(effective)
 
 
+@pytest.mark.thorough
 def test_clips_of_unequal_length():
     """A pair of equal clips is one clip; each end holds its own length straight, marks on the clip's inner edge included."""
     one, two = arrays(synthesise(ROUND)), arrays(synthesise(replace(ROUND, clip_mm=(3.0, 3.0))))
@@ -141,6 +143,7 @@ def test_noise_on_marks_that_clips_hold():
     assert held.std() == pytest.approx(ROUND.label_noise_mm, rel=0.25) and (held != 0).all()
 
 
+@pytest.mark.sampled(1)
 @both
 def test_the_mesh_is_finer_than_the_marks(recipe):
     """Between two marks lie bends: their chords fall short of the 3 mm of rod, if only by micrometres."""

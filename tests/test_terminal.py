@@ -53,6 +53,7 @@ def test_printouts_and_messages(tmp_path, capsys, code):
     assert r"\x1b[2J[bold]" in (err if code else out) and "\x1b" not in out + err
 
 
+@pytest.mark.thorough
 def test_a_name_of_several_lines_takes_one(tmp_path, capsys):
     """Lest it forges lines of the printout."""
     assert in_line("a\nb\x1b") == r"a\nb\x1b"

@@ -29,6 +29,7 @@ def specimens():
     return Specimens(RODS)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("number", range(len(cases(Specimens(RODS)))))
 def test_a_case_does_what_it_counts(specimens, reference, number):
     case = cases(specimens)[number]

@@ -362,6 +362,7 @@ def test_limits_are_stated(capsys, tmp_path, limited, case):
     refused(capsys, tmp_path, [str(limited.get(word, word)) for word in words], *expected)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", ["label uncertainty", "diameter", "positions"])
 def test_no_library_says_anything_beside_the_line(limited, case):
     """In a process of its own, with Taichi loaded, whose standard error is its own."""

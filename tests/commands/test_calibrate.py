@@ -39,6 +39,7 @@ def pictures(tmp_path_factory):
     return folder
 
 
+@pytest.mark.thorough
 def test_a_rig_from_images(pictures, tmp_path, capsys):
     out = tmp_path / "new" / "rig.yaml"
     assert main(["calibrate", str(pictures / "views.csv"), "--board", TEXT, "--out", str(out)]) == 0
@@ -65,6 +66,7 @@ def test_its_summary_for_machines(pictures, tmp_path, capsys):
     assert cameras[1]["distortion"][2:] == [0, 0, 0] and min(cameras[2]["centre_sigma_mm"]) > 0
 
 
+@pytest.mark.thorough
 def test_the_same_images_give_the_same_rig(pictures, tmp_path):
     for name in ("first.yaml", "second.yaml"):
         assert main(["calibrate", str(pictures / "views.csv"), "--board", TEXT, "--out", str(tmp_path / name)]) == 0

@@ -286,6 +286,7 @@ def test_relax_writes_every_key(capsys, tmp_path):
         np.testing.assert_array_equal(found["vertices_mm"], first["vertices_mm"])
 
 
+@pytest.mark.thorough
 def test_machines_get_nothing_but_json(tmp_path):
     pytest.importorskip("doo_ti.metric", reason="Eq. 1 is not there yet")
     npz_bytes(tmp_path)

@@ -40,6 +40,7 @@ def names(folder) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
+@pytest.mark.thorough
 def test_round_rods(lab, tmp_path, capsys):
     out = tmp_path / "new" / "out"
     assert main(["figures", str(lab / "silk"), str(lab / "nylon"), "--by", "end-distance", "--out", str(out)]) == 0
@@ -60,6 +61,7 @@ def test_round_rods(lab, tmp_path, capsys):
     assert "| silk | **" in moving["/cell"]["cell"]["TextDocument:text"][3][0]
 
 
+@pytest.mark.thorough
 def test_a_ribbon_under_both_objectives_and_its_regimes(lab, tmp_path, capsys):
     argv = ["figures", str(lab / "static"), str(lab / "dynamic"), "--out", str(tmp_path), "--observation", "2", "--json"]
     assert main(argv) == 0
@@ -121,6 +123,7 @@ def test_pairs_that_are_not_those_of_the_cells(lab, tmp_path, capsys):
     assert "the cells hold" in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
+@pytest.mark.thorough
 def test_a_failure_on_the_way_keeps_what_is_done(lab, tmp_path, capsys, monkeypatch):
     from doo_ti.learning import figure_rods
 

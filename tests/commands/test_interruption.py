@@ -99,6 +99,7 @@ def test_a_signal_while_processes_are_started_waits_for_them(number):
         signal.signal(number, before)
 
 
+@pytest.mark.thorough
 def test_a_terminals_signal_to_workers_too(tmp_path):
     """It goes to all processes of the command: only the first says something."""
     from doo_ti.io.observations import save_observations

@@ -78,6 +78,7 @@ def test_the_guard_ends_what_opens_a_socket(tmp_path):
     assert done.stdout == "here\n" and done.returncode < 0
 
 
+@pytest.mark.thorough
 def test_no_command_opens_a_socket(tmp_path):
     save_observations(tmp_path / "o.npz", small_lab())
     words = [f"relax o.npz {MATERIAL} --out F.npz", "convert o.npz o.csv",

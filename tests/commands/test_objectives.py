@@ -32,6 +32,7 @@ def test_a_dynamic_sweep_tells_pairs_and_jumps(capsys, tmp_path):
     assert (tmp_path / "run" / "pairs.csv").read_text().startswith("from,to,weight,rotation_deg\n0,4,")
 
 
+@pytest.mark.thorough
 def test_pairs_of_a_file_and_of_a_scene(capsys, tmp_path):
     written(tmp_path)
     (tmp_path / "pairs.csv").write_text("from,to,weight\n0,2,1\n2,4,0.5\n5,1,0\n")
@@ -47,6 +48,7 @@ def test_pairs_of_a_file_and_of_a_scene(capsys, tmp_path):
     assert "3 cells x 1 pairs" in capsys.readouterr().out
 
 
+@pytest.mark.thorough
 def test_settled_hypotheses_are_told(capsys, tmp_path):
     argv = ["sweep", written(tmp_path, total_twist=None), *GRID, "--out", str(tmp_path / "run")]
     assert main(argv) == 0

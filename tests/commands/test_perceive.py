@@ -74,6 +74,7 @@ def test_rods_are_found_and_written(photographed, perceived):
     assert (out / "f.png").read_bytes()[:4] == b"\x89PNG"
 
 
+@pytest.mark.thorough
 def test_other_commands_read_it(perceived, tmp_path, capsys):
     out, found = perceived
     observations = load_observations(out / "f.npz")

@@ -27,6 +27,7 @@ def observed(tmp_path, rng):
     return path
 
 
+@pytest.mark.thorough
 def test_observations_for_a_machine(observed, tmp_path, capsys):
     out = tmp_path / "new" / "found.json"
     argv = ["refine", str(observed), "--bend", "4e4", "--twist", "2e4", "--sigma", "0.05", "--linear-density", "2",
@@ -61,6 +62,7 @@ def test_observations_for_a_person(observed, capsys):
     assert "N m²" not in out
 
 
+@pytest.mark.thorough
 def test_a_run_s_best_cells(observed, tmp_path, capsys):
     run = tmp_path / "run"
     assert main(["sweep", str(observed), "--bend", "1e4:1e5:4", "--twist-ratio", "0.3:3:3", "--out", str(run)]) == 0
@@ -73,6 +75,7 @@ def test_a_run_s_best_cells(observed, tmp_path, capsys):
     assert "--bend" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_rods_that_one_end_holds(observed, capsys):
     argv = ["refine", str(observed), "--bend", "4e4", "--twist", "2e4", "--no-models", "--rest-curvature", "none",
             "--clamp-start", "free", "--parameters", "bend", "--json"]

@@ -40,6 +40,7 @@ def grey(path: Path) -> np.ndarray:
     return cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
 
 
+@pytest.mark.thorough
 def test_images_with_all_that_is_known_of_them(tmp_path, capsys):
     out = tmp_path / "silk.npz"
     assert main(prepared(tmp_path, "--seed", "7", "--out", str(out))) == 0

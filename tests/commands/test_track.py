@@ -48,6 +48,7 @@ def changed(folder, path, change) -> list[str]:
     return lines
 
 
+@pytest.mark.thorough
 def test_a_video_is_tracked_and_recorded(filmed, tmp_path, capsys):
     out = tmp_path / "new" / "f.npz"
     assert main(of(filmed, out)) == 0
@@ -79,6 +80,7 @@ def test_a_known_motion_is_taken(filmed, tmp_path, capsys):
     assert told["written"] == [str(out)] and [path.name for path in tmp_path.iterdir()] == ["f.npz"]
 
 
+@pytest.mark.thorough
 def test_what_is_done_is_kept(filmed, tmp_path, capsys):
     """An image in the middle is broken."""
     broken = tmp_path / "broken.png"

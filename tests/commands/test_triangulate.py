@@ -110,6 +110,7 @@ WRONG = {
 }
 
 
+@pytest.mark.sampled(10)
 @pytest.mark.parametrize("case", WRONG)
 def test_wrong_input(capsys, tmp_path, case):
     rows, words, *expected = WRONG[case]

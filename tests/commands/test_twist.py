@@ -42,6 +42,7 @@ def written(path):
         return dict(file)
 
 
+@pytest.mark.thorough
 def test_one_by_one(files, capsys):
     folder, twist = files
     words = ["twist", str(folder / "seen.npz"), *MATERIAL, "--out", str(folder / "phi.npz")]

@@ -42,6 +42,7 @@ def entities(recording) -> set[str]:
     return {chunk.entity_path for chunk in RrdReader(recording).stream()}
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("case", "cells"), [("static", 6), ("dynamic", 8), ("hypotheses", 2)])
 def test_what_is_stored_is_drawn_and_nothing_in_the_folder_changes(tmp_path, capsys, monkeypatch, case, cells):
     """Under both objectives, and with three hypotheses for each observation."""
@@ -58,6 +59,7 @@ def test_what_is_stored_is_drawn_and_nothing_in_the_folder_changes(tmp_path, cap
         tmp_path / "new" / "seen" / "run.rrd")
 
 
+@pytest.mark.thorough
 def test_a_window_shows_it_and_its_files_go_afterwards(tmp_path, capsys, monkeypatch):
     from doo_ti import record
 
@@ -71,6 +73,7 @@ def test_a_window_shows_it_and_its_files_go_afterwards(tmp_path, capsys, monkeyp
     assert not (tmp_path / folder).exists()
 
 
+@pytest.mark.thorough
 def test_a_sweep_goes_on_as_if_nobody_had_looked(tmp_path, monkeypatch):
     run = interrupted(tmp_path / "run", monkeypatch, 2)
     assert main(["view", str(run), "--out", str(tmp_path / "seen")]) == 0

@@ -32,6 +32,7 @@ def carried(name: str):
     return scene, prediction
 
 
+@pytest.mark.thorough
 def test_one_start_and_three_materials():
     """Fig. 1: the same clamps, different shapes."""
     scene, prediction = carried("three_materials")
@@ -43,6 +44,7 @@ def test_one_start_and_three_materials():
     assert min(apart) > 10
 
 
+@pytest.mark.thorough
 def test_a_loop_is_thrown_and_pops_out():
     """It is thrown while the ends come together, outlives most of the turning back, and is gone at the end."""
     scene, prediction = carried("loop_pop_out")
@@ -58,6 +60,7 @@ def test_a_loop_is_thrown_and_pops_out():
     assert (short[inside] > 300).all() and np.abs(short[-1]) < 10 and np.abs(short[: falls[0] - 40]).max() < 90
 
 
+@pytest.mark.thorough
 def test_a_suture_is_pulled_straight():
     scene, prediction = carried("pulled_straight")
     ends = prediction.vertices[-1]

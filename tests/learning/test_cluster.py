@@ -31,6 +31,7 @@ def small_chunks(monkeypatch):
     monkeypatch.setattr(sweeps, "CHUNK_BYTES", 18 * 32 * 33)  # three cells of six observations
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("default")
 def test_a_cluster_changes_nothing(tmp_path, scheduler, small_chunks):
     observations = small_lab()
@@ -71,6 +72,7 @@ def test_a_port_that_says_nothing_is_no_scheduler(tmp_path, monkeypatch):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.thorough
 def test_a_scheduler_that_is_killed_is_one_line(tmp_path):
     """The command, in a process of its own: exit code 1, how to go on, and nothing that Dask logs."""
     pytest.importorskip("distributed", reason="no cluster without Dask")
@@ -123,6 +125,7 @@ def test_a_cluster_without_workers_is_refused(tmp_path, monkeypatch):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.thorough
 def test_dask_that_is_not_installed(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r"scheduler: .*pip install 'doo_ti\[dask\]'"):

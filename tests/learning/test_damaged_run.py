@@ -69,6 +69,7 @@ def at_two(value):
     return lambda values: values.__setitem__(2, value)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("run", "column", "value"), [
     ("static", "distance_mm", -1.0), ("static", "distance_mm", np.inf), ("static", "distance_mm", None),
     ("static", "status", 77), ("static", "stable", None), ("static", "observation", -1), ("static", "bend_1", None),
@@ -103,6 +104,7 @@ def test_an_identity_that_is_no_text(copy):
         sweep(folder, small_lab(), GRID)
 
 
+@pytest.mark.thorough
 def test_every_flipped_bit_of_cells_and_summary_is_named(capsys, copy, rng):
     folder = copy("dynamic")
     chunk = min((folder / "cells").glob("*.parquet"))
@@ -125,6 +127,7 @@ def test_what_was_observed_is_not_taken_from_a_torn_file_and_is_made_again(capsy
     assert (folder / name).read_bytes() == whole
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["run.rrd", "landscape.png", "summary.json"])
 def test_what_is_drawn_or_summed_up_is_made_again(copy, name):
     folder = copy("static")
@@ -146,6 +149,7 @@ def test_a_damaged_plan_changes_nothing_and_is_made_again(copy):
     assert plan.read_bytes() == whole
 
 
+@pytest.mark.thorough
 def test_a_flipped_bit_in_a_finished_run_is_named_by_the_sweep(copy):
     folder = copy("static")
     chunk = min((folder / "cells").glob("*.parquet"))
@@ -170,6 +174,7 @@ def test_a_flipped_bit_in_an_unfinished_run_is_named(copy):
         sweep(folder, small_lab(), GRID)
 
 
+@pytest.mark.thorough
 def test_cells_and_summaries_of_another_run_are_not_taken(capsys, copy, tmp_path):
     folder = copy("static")
     sweep(tmp_path / "other", replace(small_lab(), vertices=small_lab().vertices + 1.0), GRID)

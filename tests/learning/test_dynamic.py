@@ -61,6 +61,7 @@ def test_rows_are_what_eq_3_says(tmp_path):
     assert (rows["jumps"] == 0).all() and (rows["pair_weight"] == 1).all() and (rows["precision"] == 64).all()
 
 
+@pytest.mark.thorough
 def test_the_landscape_is_the_weighted_mean(tmp_path):
     observations = small_lab()
     every = pairs_from_labels(observations)
@@ -83,6 +84,7 @@ def test_the_landscape_is_the_weighted_mean(tmp_path):
     assert summary["jumps"] == {"rods": 0, "rods_at_best": 0} and landscape.jumps.shape == (GRID.size, 3)
 
 
+@pytest.mark.thorough
 def test_chunks_and_workers_change_nothing(tmp_path, monkeypatch):
     observations = replace(small_lab(), total_twist=None)
     sweep(tmp_path / "one", observations, GRID, options=DYNAMIC)
@@ -94,6 +96,7 @@ def test_chunks_and_workers_change_nothing(tmp_path, monkeypatch):
     assert_same_rows(cells(tmp_path / "one"), cells(tmp_path / "workers"))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("options", [SweepOptions(), DYNAMIC, replace(DYNAMIC, precision="f64", sub_step=0.1)])
 @pytest.mark.parametrize("hint", [True, False])
 def test_a_folder_is_enough_to_relax_its_cells_again(tmp_path, options, hint):
@@ -118,6 +121,7 @@ def test_a_folder_that_is_none(tmp_path):
         read_experiment(tmp_path)
 
 
+@pytest.mark.thorough
 def test_another_set_of_pairs_is_another_sweep(tmp_path):
     observations = small_lab()
     sweep(tmp_path / "run", observations, GRID, options=DYNAMIC)
@@ -130,6 +134,7 @@ def test_another_set_of_pairs_is_another_sweep(tmp_path):
     assert not (tmp_path / "static").exists() and not (tmp_path / "none").exists()
 
 
+@pytest.mark.thorough
 def test_the_recording_shows_the_way(tmp_path):
     from rerun.chunk import RrdReader
 

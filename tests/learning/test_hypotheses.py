@@ -68,6 +68,7 @@ def test_what_explains_an_observation_stands_for_it_in_all_cells(rng):
     assert ambiguous.all() and nothing.shape == (3, 4)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["nylon", "vicryl", "silk"])
 def test_turns_of_the_lab_are_recovered(tmp_path, laboratory, name):
     """Without total_twist every one of 60 observations gets the turn that the labels give, and the landscape is the same."""
@@ -91,6 +92,7 @@ def test_measured_frames_leave_no_turn_open(laboratory):
     assert not Experiment(ribbon, SMALL).hypotheses.are_several
 
 
+@pytest.mark.thorough
 def test_turns_under_eq_3_are_judged_where_rods_set_out(tmp_path, laboratory):
     """After a jump two turns may end alike; before it they do not."""
     observations = load_observations(laboratory / "lab_a" / "silk.npz")

@@ -46,6 +46,7 @@ def peak(work) -> int:
         tracemalloc.stop()
 
 
+@pytest.mark.thorough
 def test_memory_does_not_grow_with_rods(tmp_path, rng):
     grids = {files: written(tmp_path / str(files), files, rng) for files in (5, 45)}
     grown = {}
@@ -92,6 +93,7 @@ def test_cells_are_found_by_their_values():
         assert (grid.cells_of(values) == -1).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("options", [None, DYNAMIC])
 def test_a_finished_sweep_reads_no_rods(tmp_path, monkeypatch, capsys, options):
     from doo_ti.commands.results import run_lines
@@ -104,6 +106,7 @@ def test_a_finished_sweep_reads_no_rods(tmp_path, monkeypatch, capsys, options):
     assert f"12 cells x {summary['rods']['count'] // 12} " in capsys.readouterr().out
 
 
+@pytest.mark.thorough
 def test_a_file_that_the_sweep_did_not_write_is_not_overlooked(tmp_path):
     sweep(tmp_path / "run", small_lab(), GRID)
     chunk = min((tmp_path / "run" / "cells").glob("*.parquet"))

@@ -64,6 +64,7 @@ def test_what_is_written(tmp_path, observations):
     assert (run / "landscape.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
+@pytest.mark.thorough
 def test_the_recording_holds_the_rods_of_the_best_cell(tmp_path, observations):
     from rerun.chunk import RrdReader
 
@@ -81,6 +82,7 @@ def test_the_recording_holds_the_rods_of_the_best_cell(tmp_path, observations):
     assert frames["/landscape/cells"] == GRID.size and 5 < frames["/world/rods"] <= MOST_MOMENTS + 1
 
 
+@pytest.mark.thorough
 def test_an_interrupted_sweep_goes_on_and_ends_the_same(tmp_path, observations, small_chunks, monkeypatch):
     sweep(tmp_path / "whole", observations, GRID)
     work, calls = sweeps.relax_hypotheses, []
@@ -102,6 +104,7 @@ def test_an_interrupted_sweep_goes_on_and_ends_the_same(tmp_path, observations, 
     assert sweep(tmp_path / "run", observations, GRID) == json.loads(json.dumps(summary)), "a finished sweep is left alone"
 
 
+@pytest.mark.thorough
 def test_chunks_and_workers_change_nothing(tmp_path, observations, monkeypatch):
     sweep(tmp_path / "one", observations, GRID)
     monkeypatch.setattr(sweeps, "CHUNK_BYTES", 18 * 32 * 33)
@@ -112,6 +115,7 @@ def test_chunks_and_workers_change_nothing(tmp_path, observations, monkeypatch):
     assert (tmp_path / "one" / "landscape.png").read_bytes() == (tmp_path / "workers" / "landscape.png").read_bytes()
 
 
+@pytest.mark.thorough
 def test_a_folder_is_not_shared(tmp_path, observations):
     sweep(tmp_path / "run", observations, GRID)
     with pytest.raises(InputError, match="another sweep"):
@@ -123,6 +127,7 @@ def test_a_folder_is_not_shared(tmp_path, observations):
     assert [path.name for path in (tmp_path / "full").iterdir()] == ["thesis.tex"]
 
 
+@pytest.mark.thorough
 def test_unknown_turns_are_hypotheses(tmp_path, observations):
     """Without the hint three rods are relaxed for each observation and cell, and one of them stands for it in all cells."""
     sweep(tmp_path / "hint", observations, GRID)
@@ -134,6 +139,7 @@ def test_unknown_turns_are_hypotheses(tmp_path, observations):
     assert sweep(tmp_path / "none", replace(observations, total_twist=None), GRID) == json.loads(json.dumps(summary))
 
 
+@pytest.mark.thorough
 def test_hypotheses_resume_too(tmp_path, observations, small_chunks, monkeypatch):
     unknown = replace(observations, total_twist=None)
     sweep(tmp_path / "whole", unknown, GRID)
@@ -162,6 +168,7 @@ def test_too_large_a_grid_is_told_before_it_starts(tmp_path, observations):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("damage", [b"{", b"[]", b"null", b"{}", b"\xff\xfe", b"[" * 100_000])
 def test_a_damaged_summary_is_made_again(tmp_path, observations, damage):
     summary = sweep(tmp_path / "run", observations, GRID)
@@ -170,6 +177,7 @@ def test_a_damaged_summary_is_made_again(tmp_path, observations, damage):
     assert again["best"] == summary["best"] and again["timing"]["relaxed_rods"] == 0
 
 
+@pytest.mark.thorough
 def test_rods_that_stall_at_their_observation_do_not_win(tmp_path, capsys):
     from doo_ti.cli import main
     from doo_ti.io.observations import save_observations

@@ -17,6 +17,7 @@ def _slowly(first: int, last: int) -> int:
     return last - first
 
 
+@pytest.mark.thorough
 def test_chunks_come_in_order_whoever_does_them():
     chunks = [(k, k + k % 3) for k in range(3)] + [(k, k + k % 3) for k in range(4, 9)]
     for workers in (None, 1, 3):
@@ -24,6 +25,7 @@ def test_chunks_come_in_order_whoever_does_them():
             assert list(own.results(_slowly, chunks)) == [(chunk, chunk[1] - chunk[0]) for chunk in chunks]
 
 
+@pytest.mark.thorough
 def test_what_is_done_behind_a_failure_comes_before_it_and_the_rest_is_not_begun():
     asked = []
 

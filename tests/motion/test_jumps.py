@@ -34,6 +34,7 @@ def bowed_strips() -> tuple[list, Configuration, Clamps]:
     return cases, start, Clamps(Clamp.FRAME, Clamp.FRAME, origin, far, frames[:, 0], frames[:, -1])
 
 
+@pytest.mark.thorough
 def test_jumps_are_where_energy_is_lost():
     """Where the far clamp is only shifted, its force does all the work. In 400 sub-steps the energy keeps to that work to
     0.01 but where the strip snaps over: there hundreds are lost at once. The journey has 16 sub-steps."""
@@ -73,6 +74,7 @@ def there_and_back(experiment: Experiment, materials: Material):
     return vertex_distance(begin, back.configuration), first, second
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["nylon", "vicryl", "silk", "ribbon"])
 def test_lab_rods_that_do_not_come_back_have_jumped(laboratory, name):
     """Under its true material a rod that keeps to its branch comes back to where it set out. The stiff sutures all do, and no
@@ -86,6 +88,7 @@ def test_lab_rods_that_do_not_come_back_have_jumped(laboratory, name):
     assert (apart[there + back == 0] < 1e-4).all()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["nylon", "ribbon"])
 def test_halving_the_sub_steps_changes_nothing_at_the_true_material(laboratory, name):
     ends = []
@@ -129,6 +132,7 @@ def test_no_fall_is_missed_over_a_grid(laboratory, name):
     assert not (lost & (there + back == 0)).any()
 
 
+@pytest.mark.thorough
 def test_rods_alone_jump_as_in_company(laboratory):
     experiment, material = lab_rods(laboratory, "ribbon")
     together, jumps, off = carried(experiment, material)
@@ -177,6 +181,7 @@ def test_a_way_is_the_same_in_any_company():
         np.testing.assert_array_equal(fell, jumps[row])
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
 @pytest.mark.parametrize("degrees", [10, 60])
 def test_all_that_is_told_of_a_rod_is_of_where_it_ended(precision, degrees):

@@ -62,6 +62,7 @@ def recovered(scene, rows=slice(None), **arguments) -> Perception:
                     options=arguments.pop("options", OPTIONS), **arguments)
 
 
+@pytest.mark.thorough
 def test_rods_are_recovered(scene, found):
     off = np.linalg.norm(found[0].vertices - scene[1], axis=-1)
     print("mean error of each set, mm:", off.mean(axis=1).round(3))
@@ -287,6 +288,7 @@ def _noise(rig, curve: np.ndarray, detected) -> tuple[float, float]:
     return np.sqrt(np.mean(variance)), 1 + 2 * np.sum(np.mean(products, axis=0)) / np.mean(variance)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["vicryl", "silk"])
 def test_real_looking_images(laboratory, name):
     """All of them, to a few hundredths of a millimetre."""

@@ -48,6 +48,7 @@ def test_a_rod_is_followed(video):
         np.testing.assert_array_equal(one.vertices, other.vertices)
 
 
+@pytest.mark.thorough
 def test_a_tracked_rod_is_the_one_that_algorithm_1_finds(video):
     """The last frame of fifteen that each began with the one before, against a search that knows none of them."""
     found, _ = tracked(video, rods())
@@ -59,6 +60,7 @@ def test_a_tracked_rod_is_the_one_that_algorithm_1_finds(video):
     np.testing.assert_allclose(found[-1].sigma, alone.sigma[0], rtol=1e-3)
 
 
+@pytest.mark.thorough
 def test_a_hidden_rod_is_lost_and_found_again(video):
     """In three frames no camera sees anything; meanwhile the far end moves 10 mm."""
     hidden = [[NOTHING] * 3 if 6 <= row < 9 else frame for row, frame in enumerate(video)]
@@ -71,6 +73,7 @@ def test_a_hidden_rod_is_lost_and_found_again(video):
     assert np.delete(error, [6, 7, 8]).max() < 0.15
 
 
+@pytest.mark.thorough
 def test_two_cameras_will_do(video):
     """One camera sees nothing for four frames."""
     hidden = [[frame[0], NOTHING, frame[2]] if 4 <= row < 8 else frame for row, frame in enumerate(video)]
@@ -80,6 +83,7 @@ def test_two_cameras_will_do(video):
     assert blind[4:8, 1].all() and blind.sum() == 4
 
 
+@pytest.mark.thorough
 def test_a_cut_is_noticed(video):
     """From one frame to the next another rod is seen: Algorithm 1 finds it, and the next frames track it."""
     other = curves(np.random.default_rng(16), 1, len(REST_LENGTH), turn=0.25).repeat(2, axis=0)
@@ -96,6 +100,7 @@ def test_what_is_not_the_rod_is_not_taken_for_it(video):
     assert tracker.see(video[0], rod[0], rod[1] - rod[0]).how == How.SEEDED
 
 
+@pytest.mark.thorough
 def test_a_moving_gripper_takes_the_rod_along():
     """The rod turns as a whole by 12° from frame to frame, and moves 2 mm: its seed tells."""
     shape = rods()[5] - rods()[5].mean(axis=0)
@@ -126,6 +131,7 @@ def test_a_known_far_clamp_predicts(video, monkeypatch):
         assert off[-1] < 0.5 * off[0] and off[-1] < 0.5
 
 
+@pytest.mark.thorough
 def test_a_clamp_out_of_reach_does_no_harm(video):
     """A motion that is wrong by 500 mm: the other places to set out from remain."""
     place = far_motion().at(0.0)
@@ -134,6 +140,7 @@ def test_a_clamp_out_of_reach_does_no_harm(video):
     assert all(frame.how == How.TRACKED for frame in found[1:]) and error.max() < 0.15
 
 
+@pytest.mark.thorough
 def test_tracking_is_faster_than_algorithm_1(video):
     """Median over the frames, each the best of three; maps and uncertainties are in both."""
     truth, rig, seconds = rods(), three_cameras(), np.empty((2, 3, FRAMES))

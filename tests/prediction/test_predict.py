@@ -84,6 +84,7 @@ def test_840_degrees_are_840_degrees():
     assert (np.abs(gained) > 90).all()
 
 
+@pytest.mark.thorough
 def test_turns_stay_where_a_rod_is_straight():
     """Pulled nearly straight a rod cannot writhe: what the clamp turns is twist, to the degree."""
     straight = chain(np.tile([1.0, 0, 0], (EDGES, 1)), [0, 1, 0], 3.0)

@@ -62,6 +62,7 @@ def test_the_closed_form_has_the_known_fold():
     assert fold() == pytest.approx(1.7818, abs=1e-4)
 
 
+@pytest.mark.thorough
 def test_it_snaps_where_theory_says_and_comes_back_elsewhere(arch):
     rod, clamps = arch
     expected = np.degrees(fold() * np.sqrt(SHORTENING))

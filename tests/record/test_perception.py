@@ -60,6 +60,7 @@ def test_recording_shows_growth_and_pruning(tmp_path, seen):
     assert "0.05 px" in static[f"{root}/verdict"]["TextDocument:text"][0][0]
 
 
+@pytest.mark.thorough
 def test_picture_has_a_row_for_each_set(tmp_path, seen):
     from dataclasses import replace
 

@@ -34,6 +34,7 @@ def written(tmp_path, record, run) -> tuple[dict, dict]:
     return read(tmp_path / "run.rrd")
 
 
+@pytest.mark.thorough
 def test_sweep_holds_the_documented_entities(tmp_path, rng):
     from rerun.chunk import RrdReader
 
@@ -103,6 +104,7 @@ def test_a_rod_that_is_nan_is_not_drawn_and_keeps_its_place(tmp_path, rng):
     assert "1 not finite" in static["/summary"]["TextDocument:text"][0][0]
 
 
+@pytest.mark.thorough
 def test_curves_are_statistics_over_the_rods(tmp_path, rng):
     from doo_ti.record import record_sweep
 
@@ -231,6 +233,7 @@ def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monke
     assert environment["CI"] == "true"
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have one display, which is there")
 def test_a_viewer_without_a_window_is_an_error(tmp_path, rng, monkeypatch, capfd):
     """A display is named, but does not answer."""

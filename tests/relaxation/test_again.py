@@ -76,6 +76,7 @@ def test_clamps_are_held_as_given(rng, precision, rounding):
         np.testing.assert_allclose(frames[:, -1, :, 0], clamps.end_frame[..., 0], atol=rounding)
 
 
+@pytest.mark.thorough
 def test_springs_stay(rng):
     rods = wandering(rng, 4, 12)
     clamps = with_kinds(clamps_at(rods), [(Clamp.FRAME, Clamp.FREE)] * 4)

@@ -29,6 +29,7 @@ def general_rods(rng, weight: float):
     return jiggled(rods, rng, 0.03), with_kinds(clamps_at(rods), PAIRS), material
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("weight", WEIGHTS)
 def test_every_pair_of_clamps(rng, weight):
     start, clamps, material = general_rods(rng, WEIGHTS[weight])

@@ -15,6 +15,7 @@ from tests.relaxation.rods import PAIRS, definite, wandering, with_kinds
 SAME = 0.02  # mm
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("name", "tolerance"), [("nylon", 1e-6), ("vicryl", 1e-6), ("silk", 1e-6), ("ribbon", 1e-7)])
 def test_lab_at_the_truth(laboratory, name, tolerance):
     """Twelve observations; differences are listed. The scaled residual divides by the stiffest bend: a ribbon that is

@@ -39,6 +39,7 @@ def dense(springs: Springs, row: int) -> DenseSprings:
     return DenseSprings.at_vertices(springs.stiffness[row], springs.points[row])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("isotropic", [True, False], ids=["isotropic", "general"])
 def test_minima_are_those_of_dense_linear_algebra(rng, isotropic):
     start, clamps, material, springs = rods_under_springs(rng, 4, isotropic)
@@ -59,6 +60,7 @@ def test_minima_are_those_of_dense_linear_algebra(rng, isotropic):
     assert np.sum(np.array(apart) > 1e-10) <= 1
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("isotropic", [True, False], ids=["isotropic", "general"])
 def test_any_ends_may_be_held(rng, isotropic):
     """All sixteen pairs of clamps: both ends held, or vertex 0 free to move; minimum, energy and force of the far clamp."""

@@ -37,6 +37,7 @@ def well(solution, precision: str = "f64") -> None:
     assert solution.closure.max() <= (1e-7 if precision == "f32" else 1e-12)
 
 
+@pytest.mark.sampled(2)
 @every_precision
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.6, 0.8, 0.0), (0.0, 0.0, 1.0)], ids=["x", "x-y", "upright"])
 @pytest.mark.parametrize("weight", [0.0, 1.0])
@@ -104,6 +105,7 @@ def test_whole_turns_of_twist(shape, turns, precision):
     assert untwisted.energy[0] < solution.energy[0] < untwisted.energy[0] + even * (1 + 1e-6)
 
 
+@pytest.mark.sampled(4)
 @every_precision
 @pytest.mark.parametrize(("edges", "kinds"), [
     (2, (3, 0)), (2, (0, 2)), (2, (1, 1)), (3, (3, 0)), (3, (1, 3)), (3, (2, 1)), (3, (1, 1)), (4, (3, 3)),

@@ -123,12 +123,14 @@ def spoiled(start: Configuration, clamps: Clamps, how: str) -> tuple[Configurati
 SPOILED = ["a frame is not a number", "a clamp is not a number", "clamps too far apart"]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
 @pytest.mark.parametrize("how", SPOILED)
 def test_one_bad_rod_does_not_spoil_its_neighbours(rng, how, precision):
     check_neighbours(rng, how, Newton(), precision)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("how", SPOILED)
 def test_one_bad_rod_does_not_spoil_its_neighbours_in_descent(rng, how):
     check_neighbours(rng, how, SOLVERS["descent"], "f64")

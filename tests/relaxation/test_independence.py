@@ -34,6 +34,7 @@ def row_of(material: Material, row: int) -> Material:
     return Material(material.bend[[row]], material.twist[[row]], material.weight[[row]])
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
 @pytest.mark.parametrize("kind", ["isotropic", "general"])
 def test_newton(kind, precision):
@@ -91,6 +92,7 @@ def digest() -> str:
     return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 
 
+@pytest.mark.thorough
 def test_one_thread_and_all_threads():
     script = ("from doo_ti import runtime; runtime.start(threads=1); from tests.relaxation.test_independence import digest; "
               "assert runtime.thread_count() == 1; print(digest())")

@@ -28,6 +28,7 @@ DESCENT = Descent(tolerance=1e-3, max_iterations=20_000)
 CASES = {"newton f64": (Newton(), "f64"), "newton f32": (Newton(), "f32"), "descent f64": (DESCENT, "f64")}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("isotropic", [True, False], ids=["isotropic", "general"])
 def test_one_lane_per_thread_is_bit_for_bit_a_pack(rng, monkeypatch, case, isotropic):

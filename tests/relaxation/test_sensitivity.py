@@ -28,6 +28,7 @@ def materials(rng, kind: str, count: int) -> Material:
     return Material(bend, rng.uniform(1e5, 3e5, (count, 11)), 1.3, 0.01 * rng.normal(size=(count, 11, 2)))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["round", "ribbon", "edge by edge"])
 def test_it_is_the_dense_bordered_system_s(rng, kind):
     """Every pair of clamps, every parameter, uneven lengths, slanted gravity."""
@@ -152,6 +153,7 @@ def test_a_rod_is_the_same_in_any_company(rng):
     np.testing.assert_array_equal(sensitivity(solution).vertices[7], sensitivity(alone).vertices[0])
 
 
+@pytest.mark.thorough
 def test_the_layout_of_a_gpu_gives_the_same_bits(rng, monkeypatch):
     """Threads interleaved in scratch, here run on the processor."""
     rods = wandering(rng, 5, 12)

@@ -31,6 +31,7 @@ def ribbon(count: int = 6, twist=(5e5,)) -> tuple[list, np.ndarray]:
     return axes, np.arange(1.0, count * count * len(twist) + 1).reshape(count, count, len(twist), 1)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("relative", [False, True])
 def test_boxes_lie_on_the_cells_they_are_of(relative, rng):
     panels = [LandscapePanel("one", plane(rng)), LandscapePanel("two", plane(rng), (("", (0, 0)), ("x", (4, 3)))),
@@ -81,6 +82,7 @@ def test_regimes_are_the_paper_s():
     assert Plane.of(runs.axes(grid), np.ones(grid.shape)).twist is None
 
 
+@pytest.mark.thorough
 def test_regimes_and_region_are_drawn():
     axes, values = ribbon()
 
@@ -101,6 +103,7 @@ def test_regimes_and_region_are_drawn():
     assert buffer.getvalue().startswith(b"\x89PNG")
 
 
+@pytest.mark.thorough
 def test_every_panel_and_key_is_inside_the_picture(rng):
     from doo_ti.report.landscapes import draw_panels
 

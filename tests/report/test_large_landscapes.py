@@ -49,6 +49,7 @@ def test_a_small_landscape_stays_as_it_is():
     np.testing.assert_array_equal(borders[1], cell_edges(plane.axes[1]))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("shape", [(900, 800), (20_000,)])
 def test_a_picture_of_many_cells(shape):
     axes, values, minimum, unfinished = large(shape)
@@ -57,6 +58,7 @@ def test_a_picture_of_many_cells(shape):
     assert file.getvalue()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
+@pytest.mark.thorough
 def test_a_recording_of_many_cells(tmp_path, rng):
     from doo_ti.record import record_sweep
     from doo_ti.record.sweep import MOST_POINTS

@@ -30,6 +30,7 @@ def run() -> tuple[list, np.ndarray]:
     return runs.axes(grid), runs.landscape().reshape(grid.shape)
 
 
+@pytest.mark.thorough
 def test_picture_and_image_are_one_drawing(tmp_path):
     from PIL import Image
 
@@ -48,6 +49,7 @@ def test_a_name_is_no_mathematics():
     landscape_picture(io.BytesIO(), runs.plane(), title="a$^{$ b")
 
 
+@pytest.mark.thorough
 def test_names_in_titles_legends_and_panels_are_no_mathematics():
     name, vertices = "a$^{$ b", np.cumsum(np.ones((3, 1, 5, 3)), axis=2)
     landscapes_picture(io.BytesIO(), [[LandscapePanel(name, runs.plane(), ((name, (0, 0)),))]], title=name)
@@ -61,6 +63,7 @@ def test_names_in_titles_legends_and_panels_are_no_mathematics():
                          unsound=np.zeros((1, 4), bool), title=name)
 
 
+@pytest.mark.thorough
 def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
     axes, values = run()
 
@@ -78,6 +81,7 @@ def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
     assert (image(values, counts) != plain).any()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("shape", [(1, 1, 1), (7, 1, 1), (1, 1, 4), (3, 2, 2), (25, 30, 1), (3, 3, 3, 2)])
 @pytest.mark.parametrize("empty", [False, True])
 def test_every_shape_of_grid_is_drawn_with_its_key_inside_the_picture(shape, empty, rng):

@@ -26,6 +26,7 @@ def test_the_cables_are_measured_on_few_rods(shared_data):
     measured(shared_data, "cables")
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("row", [row for row in ROWS if row not in ("sutures", "cables")])
 def test_a_row_measures_its_bars_on_few_rods(laboratory, row):
     study = measured(laboratory, row)

@@ -90,6 +90,7 @@ def test_missing_marks_are_invalid_and_clamps_keep_theirs(whole):
     np.testing.assert_array_equal(less.vertices[less.valid], whole.observations.vertices[less.valid])
 
 
+@pytest.mark.thorough
 def test_wrong_branches_have_another_shape_or_another_turn(whole):
     """As many as asked for, of both kinds over some seeds; what the clamps hold is not touched."""
     kinds = {"shape": 0, "turn": 0}
@@ -106,6 +107,7 @@ def test_wrong_branches_have_another_shape_or_another_turn(whole):
     assert min(kinds.values()) > 0, kinds
 
 
+@pytest.mark.thorough
 def test_variants_do_not_change_which_rods_there_are():
     both = specimen(SEED, Variant(observations=10, missing=0.2)).observations
     few = specimen(SEED, Variant(observations=10)).observations
@@ -230,6 +232,7 @@ def test_rows_that_are_there_are_not_computed_again(tmp_path, monkeypatch):
     assert pool.seeds == [10, 12]
 
 
+@pytest.mark.thorough
 def test_a_failed_fit_is_reported_and_fails_the_study(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(study, "specimen", lambda seed, variant: Specimen(drawn(seed), None, 1))
 

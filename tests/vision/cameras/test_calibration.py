@@ -50,6 +50,7 @@ def test_jacobian_is_the_projection_s(rng):
 
 # ---- corners
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", BOARDS)
 def test_corners_of_rendered_boards(name, rng):
     """Each one in its own place, to a few hundredths of a pixel, also where the board lies upside down."""
@@ -108,6 +109,7 @@ def test_what_is_no_board_is_refused(text, word):
 
 # ---- rigs
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["chessboard", "charuco"])
 def test_a_rig_from_rendered_boards(name, rng):
     """The row of the issue: at most 0.2 px, centres within 0.3 mm at 300 mm."""
@@ -165,6 +167,7 @@ def test_two_cameras_agree_with_opencv(rng):
     assert (np.abs(found[1].centre - centre) < 0.1 * calibration.centre_sigma[1]).all()
 
 
+@pytest.mark.thorough
 def test_uncertainties_match_the_errors(rng):
     """Over many rigs, errors of centres and focal lengths in units of their standard deviations have mean square 1."""
     rig, scores = around(), []
@@ -209,6 +212,7 @@ def test_not_every_camera_sees_every_view(rng):
         calibrate(CHESSBOARD.points, lonely, sizes(rig), 10)
 
 
+@pytest.mark.thorough
 def test_what_does_not_determine_a_rig_is_refused(rng):
     rig = around()
     seen = sightings(CHESSBOARD, rig, poses(CHESSBOARD, 4, rng), 0.1, rng)

@@ -41,6 +41,7 @@ def image_of(maps, a: int, c: int) -> np.ndarray:
     return maps.values[start : start + width * height].reshape(height, width)
 
 
+@pytest.mark.thorough
 def test_maps_are_the_distance_to_the_nearest_piece():
     rendered = [detect(image) for image in render_set(small_rig(), bow(), 1.3, RenderOptions(occluders=2), 3)]
     sets = [rendered, [circle(40.0), drawn(np.array([[3.2, 4.8]]), np.array([[0.6, 0.8]]))]]

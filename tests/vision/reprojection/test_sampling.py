@@ -47,6 +47,7 @@ def places(rng, maps, count=60):
     return np.column_stack([rows, corner + rng.uniform(-0.4, 1.4, (count, 2)) * size])
 
 
+@pytest.mark.sampled(1)
 @every_number
 def test_values_and_derivatives_are_those_of_the_spline(number, rng):
     maps, windows, values = five_maps(rng)
