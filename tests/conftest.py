@@ -53,5 +53,5 @@ def shipped_data() -> Path:
 
 @pytest.fixture(params=["shipped_data", pytest.param("shared_data", marks=pytest.mark.thorough)])
 def laboratory(request) -> Path:
-    """A folder with ``lab_a`` and ``images_a``: the one that ships with the tests, in the full run that of the development too."""
+    """A folder with ``lab_a`` and ``images_a``: the shipped one, and in the full run that of the development data too."""
     return request.getfixturevalue(request.param)

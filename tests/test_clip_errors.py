@@ -40,7 +40,7 @@ def test_one_size_does_not_change_the_draws_of_another():
     np.testing.assert_array_equal(tilted.tilt, both.tilt)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("wrong", [TILT, OFFSET, {"clip_scatter_deg": 1.5}, {**TILT, **OFFSET, "clip_scatter_deg": 0.5}])
 @pytest.mark.parametrize("recipe", [ROUND, RIBBON], ids=["round", "ribbon"])
 def test_ideal_clips_are_reported_and_others_hold(recipe, wrong):

@@ -52,7 +52,7 @@ def test_nothing_lies_among_the_temporary_files_where_the_home_does(tmp_path):
     assert list((tmp_path / "temporary").iterdir()) == [] and list(tmp_path.glob("taichi/ticache/*.tic"))
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("home", ["file", "/proc/self"])
 def test_where_the_home_cannot_be_written_kernels_are_kept_among_the_temporary_files(tmp_path, home):
     (tmp_path / "file").write_text("")

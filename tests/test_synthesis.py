@@ -31,7 +31,7 @@ def arrays(observations) -> dict[str, np.ndarray]:
     return {name: value for name, value in vars(observations).items() if isinstance(value, np.ndarray)}
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @both
 def test_the_same_recipe_gives_the_same_observations(recipe):
     first, second = arrays(synthesise(recipe)), arrays(synthesise(recipe))
@@ -42,6 +42,7 @@ def test_the_same_recipe_gives_the_same_observations(recipe):
     assert np.abs(other.vertices - first["vertices"])[:, 5:-5].max() > 0.1
 
 
+@pytest.mark.thorough
 @both
 def test_clips_hold_straight_pieces_where_they_should(recipe):
     """The marks in a clip lie on its axis, at its place, free of noise; the frames are the clips'."""
@@ -134,6 +135,7 @@ def test_clips_of_unequal_length():
     assert (noise[:, -3:] == 0).all() and (noise[:, -4] != 0).all()
 
 
+@pytest.mark.thorough
 def test_noise_on_marks_that_clips_hold():
     """On request; that of the free marks stays as it was."""
     without, noisy = synthesise(ROUND).vertices, synthesise(replace(ROUND, end_mark_noise=True)).vertices
@@ -143,7 +145,7 @@ def test_noise_on_marks_that_clips_hold():
     assert held.std() == pytest.approx(ROUND.label_noise_mm, rel=0.25) and (held != 0).all()
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @both
 def test_the_mesh_is_finer_than_the_marks(recipe):
     """Between two marks lie bends: their chords fall short of the 3 mm of rod, if only by micrometres."""
@@ -171,6 +173,7 @@ def test_twist_labels_name_the_turn():
     assert np.ptp(label) > 180
 
 
+@pytest.mark.thorough
 @both
 def test_a_fit_at_the_truth_is_near_but_not_exact(recipe):
     """Observations are found again on their branch; mesh, curvature, clips and noise keep the error above a twin's."""

@@ -29,7 +29,7 @@ def specimens():
     return Specimens(RODS)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", range(len(cases(Specimens(RODS)))))
 def test_a_case_does_what_it_counts(specimens, reference, number):
     case = cases(specimens)[number]
@@ -47,6 +47,7 @@ def test_names_are_different():
     assert len(set(names)) == len(names)
 
 
+@pytest.mark.thorough
 def test_only_rods_that_converged_count(specimens):
     solution = specimens.many.relaxed(timed.Newton(max_iterations=6), "f64")
     done = solution.converged

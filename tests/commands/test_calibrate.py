@@ -126,6 +126,7 @@ def test_wrong_options(capsys, pictures, tmp_path, case):
     refused(capsys, tmp_path, argv, *expected)
 
 
+@pytest.mark.thorough
 def test_a_broken_image_is_told_in_one_line(pictures, tmp_path):
     """Image libraries write to the standard error themselves."""
     whole = (pictures / "0_cam0.png").read_bytes()

@@ -21,19 +21,31 @@ RIBBON = Grid((Axis("bend_1", BENDS), Axis("bend_2", BENDS), Axis("twist", [6e5]
 ROUND = Grid((Axis("bend", BENDS), Axis("twist_ratio", [0.5, 1.0, 2.0])))
 
 
+FEW = {"end_distances_mm": (42.0, 66.0), "end_rotations_deg": (0.0, 60.0, 120.0, 180.0)}
+
+
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory):
-    """Folders of finished sweeps: two round rods, a ribbon under both objectives, and one without end distances."""
+def silk():
+    return synthesise(Synthesis(bend=2e5, twist=1e5, name="silk", **FEW))
+
+
+@pytest.fixture(scope="module")
+def one_run(silk, tmp_path_factory):
+    """A folder with a finished sweep of a round rod, silk."""
     folder = tmp_path_factory.mktemp("lab")
-    few = {"end_distances_mm": (42.0, 66.0), "end_rotations_deg": (0.0, 60.0, 120.0, 180.0)}
-    silk = synthesise(Synthesis(bend=2e5, twist=1e5, name="silk", **few))
-    ribbon = synthesise(Synthesis(bend=((4e6, 0.0), (0.0, 2e5)), twist=6e5, frames=True, name="ribbon", **few))
     sweep(folder / "silk", silk, ROUND)
-    sweep(folder / "nylon", synthesise(Synthesis(bend=1e6, twist=1e6, name="nylon", **few)), ROUND)
-    sweep(folder / "unlabelled", replace(silk, end_distance=None, name="unlabelled"), ROUND)
-    for objective in ("static", "dynamic"):
-        sweep(folder / objective, ribbon, RIBBON, options=SweepOptions(frame_weight=6.7, objective=objective))
     return folder
+
+
+@pytest.fixture(scope="module")
+def lab(silk, one_run):
+    """That folder with a second round rod, a ribbon under both objectives, and a sweep without end distances."""
+    ribbon = synthesise(Synthesis(bend=((4e6, 0.0), (0.0, 2e5)), twist=6e5, frames=True, name="ribbon", **FEW))
+    sweep(one_run / "nylon", synthesise(Synthesis(bend=1e6, twist=1e6, name="nylon", **FEW)), ROUND)
+    sweep(one_run / "unlabelled", replace(silk, end_distance=None, name="unlabelled"), ROUND)
+    for objective in ("static", "dynamic"):
+        sweep(one_run / objective, ribbon, RIBBON, options=SweepOptions(frame_weight=6.7, objective=objective))
+    return one_run
 
 
 def names(folder) -> list[str]:
@@ -83,33 +95,45 @@ def test_a_ribbon_under_both_objectives_and_its_regimes(lab, tmp_path, capsys):
         "observed", "1: β > B₁₁ and B₂₂", "2: B₂₂ > B₁₁ > β", "3: B₁₁ > B₂₂ > β"]
 
 
-def test_a_large_grid_is_thinned_and_that_is_told(lab, tmp_path, capsys):
-    assert main(["figures", str(lab / "silk"), "--cells", "6", "--out", str(tmp_path)]) == 0
+def test_a_large_grid_is_thinned_and_that_is_told(one_run, tmp_path, capsys):
+    assert main(["figures", str(one_run / "silk"), "--cells", "6", "--out", str(tmp_path)]) == 0
     told = capsys.readouterr().out
     assert "recorded    6 cells: " in told and "of 4 values of bend" in told and "--cells all" in told
-    landscape = read_landscape(lab / "silk")
+    landscape = read_landscape(one_run / "silk")
     _, moving = read(tmp_path / "cells.rrd")
     rods = moving["/silk/world/rods"]["cell"]
     assert len(rods["cell"]) == 6 and landscape.best in rods["cell"]
     np.testing.assert_allclose(rods["distance_mm"], landscape.distance[rods["cell"]], rtol=1e-6)
-    assert main(["figures", str(lab / "silk"), "--cells", "all", "--out", str(tmp_path / "all")]) == 0
+    assert main(["figures", str(one_run / "silk"), "--cells", "all", "--out", str(tmp_path / "all")]) == 0
     assert "recorded" not in capsys.readouterr().out
 
 
+def refused(folder, out, capsys, words: list[str], problem: str) -> None:
+    runs = [str(folder / word) if (folder / word).exists() or word == "nowhere" else word for word in words]
+    assert main(["figures", *runs, "--out", str(out)]) == 2
+    told, err = capsys.readouterr()
+    assert told == "" and err.count("\n") == 1 and problem in err
+    assert not out.exists()
+
+
 @pytest.mark.parametrize(("words", "problem"), [
-    (["silk", "static"], "another grid"), (["silk", "silk"], "static silk"), (["nowhere"], "finished sweep"),
-    (["unlabelled", "--by", "end-distance"], "end_distance_mm"), (["silk", "--observation", "8"], "observation"),
-    (["silk", "--observation", "x"], "not a whole number"), (["silk", "--cells", "some"], "not a whole number"),
+    (["silk", "silk"], "static silk"), (["nowhere"], "finished sweep"), (["silk", "--observation", "8"], "observation"),
+    (["silk", "--observation", "x"], "--observation"), (["silk", "--cells", "some"], "--cells"),
     (["silk", "--by", "colour"], "--by"), ([], "RUN"),
 ])
-def test_wrong_input_is_one_line_and_nothing_is_written(lab, tmp_path, capsys, words, problem):
-    runs = [str(lab / word) if (lab / word).exists() or word == "nowhere" else word for word in words]
-    assert main(["figures", *runs, "--out", str(tmp_path / "out")]) == 2
-    out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1 and problem in err
-    assert not (tmp_path / "out").exists()
+def test_wrong_input_is_one_line_and_nothing_is_written(one_run, tmp_path, capsys, words, problem):
+    refused(one_run, tmp_path / "out", capsys, words, problem)
 
 
+@pytest.mark.thorough
+@pytest.mark.parametrize(("words", "problem"), [
+    (["silk", "static"], "grid"), (["unlabelled", "--by", "end-distance"], "end_distance_mm"),
+])
+def test_runs_that_do_not_go_together(lab, tmp_path, capsys, words, problem):
+    refused(lab, tmp_path / "out", capsys, words, problem)
+
+
+@pytest.mark.thorough
 def test_pairs_that_are_not_those_of_the_cells(lab, tmp_path, capsys):
     """In a run that does not say what its files were, as those of older versions."""
     run = tmp_path / "dynamic"
@@ -124,13 +148,13 @@ def test_pairs_that_are_not_those_of_the_cells(lab, tmp_path, capsys):
 
 
 @pytest.mark.thorough
-def test_a_failure_on_the_way_keeps_what_is_done(lab, tmp_path, capsys, monkeypatch):
+def test_a_failure_on_the_way_keeps_what_is_done(one_run, tmp_path, capsys, monkeypatch):
     from doo_ti.learning import figure_rods
 
     def fail(*args):
         raise RuntimeError("the disk is full")
 
     monkeypatch.setattr(figure_rods, "relax_cells", fail)
-    assert main(["figures", str(lab / "silk"), "--out", str(tmp_path / "out")]) == 1
+    assert main(["figures", str(one_run / "silk"), "--out", str(tmp_path / "out")]) == 1
     assert "the disk is full" in capsys.readouterr().err.splitlines()[-1]
     assert names(tmp_path / "out") == ["landscapes.png"]

@@ -42,7 +42,7 @@ def entities(recording) -> set[str]:
     return {chunk.entity_path for chunk in RrdReader(recording).stream()}
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize(("case", "cells"), [("static", 6), ("dynamic", 8), ("hypotheses", 2)])
 def test_what_is_stored_is_drawn_and_nothing_in_the_folder_changes(tmp_path, capsys, monkeypatch, case, cells):
     """Under both objectives, and with three hypotheses for each observation."""

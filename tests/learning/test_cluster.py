@@ -45,6 +45,7 @@ def _refuses(*chunk):
     raise ValueError("a worker's trouble")
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("default")
 def test_what_fails_on_a_worker_is_told_with_the_way_on(tmp_path, scheduler, small_chunks, monkeypatch):
     monkeypatch.setattr(sweeps, "chunk_rows", _refuses)
@@ -115,6 +116,7 @@ def test_workers_of_another_version_are_refused(scheduler):
             workers.check_workers(client, maker() | {"sources_sha256": "0" * 64})
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("default")
 def test_a_cluster_without_workers_is_refused(tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed", reason="no cluster without Dask")

@@ -69,7 +69,7 @@ def at_two(value):
     return lambda values: values.__setitem__(2, value)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.thorough
 @pytest.mark.parametrize(("run", "column", "value"), [
     ("static", "distance_mm", -1.0), ("static", "distance_mm", np.inf), ("static", "distance_mm", None),
     ("static", "status", 77), ("static", "stable", None), ("static", "observation", -1), ("static", "bend_1", None),
@@ -127,7 +127,7 @@ def test_what_was_observed_is_not_taken_from_a_torn_file_and_is_made_again(capsy
     assert (folder / name).read_bytes() == whole
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["run.rrd", "landscape.png", "summary.json"])
 def test_what_is_drawn_or_summed_up_is_made_again(copy, name):
     folder = copy("static")

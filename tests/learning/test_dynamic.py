@@ -96,7 +96,7 @@ def test_chunks_and_workers_change_nothing(tmp_path, monkeypatch):
     assert_same_rows(cells(tmp_path / "one"), cells(tmp_path / "workers"))
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("options", [SweepOptions(), DYNAMIC, replace(DYNAMIC, precision="f64", sub_step=0.1)])
 @pytest.mark.parametrize("hint", [True, False])
 def test_a_folder_is_enough_to_relax_its_cells_again(tmp_path, options, hint):

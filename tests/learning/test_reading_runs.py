@@ -33,7 +33,7 @@ def printed(folder, name: str, monkeypatch, capsys) -> str:
     return capsys.readouterr().out
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["pyarrow", "pandas", "polars", "DuckDB"])
 def test_an_example_finds_the_best_cell(folder, name, monkeypatch, capsys):
     if importlib.util.find_spec(name.lower()) is None:

@@ -93,6 +93,7 @@ def test_a_cut_is_noticed(video):
     assert error.max() < 0.15
 
 
+@pytest.mark.thorough
 def test_what_is_not_the_rod_is_not_taken_for_it(video):
     """The images of one rod with the seed of another, far from it."""
     tracker, rod = Tracker(three_cameras(), REST_LENGTH, MATERIAL), rods()[0]

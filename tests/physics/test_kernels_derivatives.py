@@ -119,6 +119,7 @@ def test_pair_on_packs_is_the_oracles(rng, kind, number):
         assert max(errors) < (1e-13 if number.bits == 64 else 1e-5)
 
 
+@pytest.mark.thorough
 def test_packs_are_scalars_to_the_last_bit(rng):
     """What a lane holds depends on nothing but itself."""
     runtime.start()

@@ -55,6 +55,7 @@ def test_sweep_holds_the_documented_entities(tmp_path, rng):
     assert static["/__properties/run"]["shape"] == [["(5, 4)"]]
 
 
+@pytest.mark.thorough
 def test_rods_are_instances_of_one_entity_and_lie_on_their_observations(tmp_path, rng):
     from doo_ti.record import record_sweep
 
@@ -77,6 +78,7 @@ def test_rods_are_instances_of_one_entity_and_lie_on_their_observations(tmp_path
     np.testing.assert_array_equal(moving["/world/rods"]["trial"]["LineStrips3D:strips"][0], strips[-1])
 
 
+@pytest.mark.thorough
 def test_a_rod_that_is_nan_is_not_drawn_and_keeps_its_place(tmp_path, rng):
     from doo_ti.record import FAILED, record_sweep
 
@@ -129,6 +131,7 @@ def test_curves_are_statistics_over_the_rods(tmp_path, rng):
         assert unit in static[f"/curves/{entity}"]["SeriesLines:names"][0][0]
 
 
+@pytest.mark.thorough
 def test_landscape_picture_surface_and_cells(tmp_path, rng):
     from doo_ti.record import record_sweep
 
@@ -158,6 +161,7 @@ def test_landscape_picture_surface_and_cells(tmp_path, rng):
     assert static["/landscape/surface/minimum"]["Points3D:labels"] == [["0.5 mm"]]
 
 
+@pytest.mark.thorough
 def test_summary_names_the_best_parameters_with_units_and_intervals(tmp_path, rng):
     from doo_ti.record import record_sweep
 

@@ -139,6 +139,7 @@ def test_a_parameter_the_rods_do_not_feel_changes_no_interval(rng):
     assert own.error == pytest.approx(alone.error, rel=0.1)
 
 
+@pytest.mark.thorough
 def test_a_common_scale_is_not_determined(seen):
     out = refine(seen, observation_clamps(seen), BEGIN, replace(QUICK, parameters=("bend", "twist", "weight")))
     assert {"bend", "twist", "weight"} <= set(out.estimate.left_open)

@@ -35,7 +35,7 @@ def dense(start: Configuration, material: Material, clamps: Clamps, solution, ro
 PLANAR = [(distance, side) for distance in (24.0, 32.0, 40.0) for side in (-1.0, 1.0)]
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
 def test_planar_rods_at_0_degrees_rest_on_saddles_and_leave_them(precision):
     """Nothing pushes them out of their plane; weak in twist, or standing, they have somewhere lower to go."""
@@ -142,7 +142,7 @@ def test_ribbons_bent_exactly_about_their_stiff_axis_turn_over():
     assert left.converged.all() and left.stable.all()
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("other", [Clamp.FREE, Clamp.FRAME])
 def test_an_upright_rod_under_springs_buckles_whatever_the_others_hold(other):
     """60 mm upright with a free tip, of half the critical stiffness 2 μ L³/7.84: a saddle, also beside a rod held at both ends,

@@ -37,7 +37,7 @@ def well(solution, precision: str = "f64") -> None:
     assert solution.closure.max() <= (1e-7 if precision == "f32" else 1e-12)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.thorough
 @every_precision
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.6, 0.8, 0.0), (0.0, 0.0, 1.0)], ids=["x", "x-y", "upright"])
 @pytest.mark.parametrize("weight", [0.0, 1.0])

@@ -31,7 +31,7 @@ def ribbon(count: int = 6, twist=(5e5,)) -> tuple[list, np.ndarray]:
     return axes, np.arange(1.0, count * count * len(twist) + 1).reshape(count, count, len(twist), 1)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("relative", [False, True])
 def test_boxes_lie_on_the_cells_they_are_of(relative, rng):
     panels = [LandscapePanel("one", plane(rng)), LandscapePanel("two", plane(rng), (("", (0, 0)), ("x", (4, 3)))),

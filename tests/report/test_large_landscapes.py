@@ -49,7 +49,7 @@ def test_a_small_landscape_stays_as_it_is():
     np.testing.assert_array_equal(borders[1], cell_edges(plane.axes[1]))
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("shape", [(900, 800), (20_000,)])
 def test_a_picture_of_many_cells(shape):
     axes, values, minimum, unfinished = large(shape)

@@ -22,11 +22,12 @@ def measured(folder, row: str) -> Study:
     return study
 
 
+@pytest.mark.thorough
 def test_the_cables_are_measured_on_few_rods(shared_data):
     measured(shared_data, "cables")
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("row", [row for row in ROWS if row not in ("sutures", "cables")])
 def test_a_row_measures_its_bars_on_few_rods(laboratory, row):
     study = measured(laboratory, row)

@@ -73,7 +73,7 @@ def sutures():
     return workload.in_turn([workload.started(seen) for seen in workload.observed(*workload.SUTURES)])
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("edges", [8, 33, 100])
 def test_refined_starts_keep_the_length_and_nearly_the_end(sutures, edges):
     starts, clamps = sutures

@@ -48,6 +48,7 @@ def test_check_fails_only_behind_the_baseline(small, tmp_path, capsys):
     assert "metric" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_another_size_than_the_baseline_s_is_refused(small, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["--rods", "16", "--baseline", str(small)])

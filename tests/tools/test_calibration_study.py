@@ -254,6 +254,7 @@ def test_a_failed_fit_is_reported_and_fails_the_study(tmp_path, monkeypatch, cap
     assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.thorough
 def test_a_picture_of_every_kind_of_interval(tmp_path):
     kinds = [Interval(1.0, 1.0, 0.5, 2.0), Interval(1.0, 1e9, 1e8, None), Interval(1.0, None, None, None),
              Interval(1.0, 9.0, None, 0.5)]

@@ -43,6 +43,7 @@ def test_the_centre_line_is_found(options, diameter, polarity):
     assert found.polarity == polarity and found.width_px == pytest.approx(diameter * 600 / 250, abs=1.0)
 
 
+@pytest.mark.thorough
 def test_directions_are_tangents_and_points_are_dense():
     found = errors(PLAIN, 1.3)[-1]
     line = small_rig().cameras[-1].project(smooth_curve(bow(), 200))

@@ -86,6 +86,7 @@ def test_the_gradient_is_continuous(rng):
     assert np.abs(np.diff(found[:, 2:4], axis=0)).max() < 100 * 40 / 20_000
 
 
+@pytest.mark.thorough
 @every_number
 def test_no_place_reads_outside_its_map(number, rng):
     """Far away, infinite, not a number: values of another map never show."""
