@@ -37,6 +37,9 @@ _HOMES = {
     "load_rig": "vision.cameras.rig", "detect": "vision.detection.detect", "distance_maps": "vision.reprojection.distance_map",
     "Reprojection": "vision.reprojection.image_energy", "score": "vision.reprojection.score", "perceive": "perception.perceive",
     "estimate_twist": "twist.estimation",
+    "simulate": "dynamics.simulate", "Trajectory": "dynamics.simulate", "Dynamics": "dynamics.parameters",
+    "Grippers": "dynamics.grippers", "RecordedMotion": "dynamics.recorded", "identify": "dynamics.identify",
+    "IdentifyOptions": "dynamics.identify", "MotionTheta": "dynamics.theta", "load_theta": "dynamics.theta",
 }
 __all__ = sorted(_HOMES)
 

@@ -14,7 +14,23 @@ from contextlib import redirect_stdout
 from typing import NoReturn
 
 from doo_ti import __version__
-from doo_ti.commands import bench, cameras, learn, perceive, plan, predict, refine, relax, sweep, synth, track, twist, view
+from doo_ti.commands import (
+    bench,
+    cameras,
+    identify,
+    learn,
+    perceive,
+    plan,
+    predict,
+    refine,
+    relax,
+    simulate,
+    sweep,
+    synth,
+    track,
+    twist,
+    view,
+)
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.runtime import check_architecture
 from doo_ti.terminal import VisibleStream, visible
@@ -111,6 +127,7 @@ def _parser() -> _Parser:
                      description="Fit discrete elastic rods to observed shapes (Javdani et al., ICRA 2011).")
     parser.add_argument("--version", action="version", version=f"doo-ti {__version__}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
-    for commands in (relax, sweep, learn, refine, predict, twist, plan, view, synth, bench, cameras, perceive, track):
+    for commands in (relax, sweep, learn, refine, predict, simulate, identify, twist, plan, view, synth, bench, cameras,
+                     perceive, track):
         commands.declare(add)
     return parser

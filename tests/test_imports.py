@@ -22,7 +22,7 @@ LAYERS = [
     {"physics", "runtime"},
     {"metric", "start"},
     {"relaxation"},
-    {"vision", "motion"},
+    {"vision", "motion", "dynamics"},
     {"synthesis", "twist", "report"},
     {"prediction"},
     {"perception"},

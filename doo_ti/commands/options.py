@@ -53,6 +53,8 @@ def add_material(parser: ArgumentParser, form: str) -> None:
     group.add_argument("--weight", metavar="M", help="half the weight per length, relative (default 1)")
     group.add_argument("--EI", metavar="NM2", help="bend stiffness in N m², instead of --bend; needs --linear-density")
     group.add_argument("--GJ", metavar="NM2", help="twist stiffness in N m², instead of --twist; needs --linear-density")
+    group.add_argument("--theta", metavar="THETA.json",
+                       help="bend and twist stiffness as doo-ti identify wrote them; its rest curvature is for simulate only")
     group.add_argument("--linear-density", metavar="G_PER_M", help="of the rod in g/m, for --EI, --GJ and results in N m²")
 
 
@@ -98,7 +100,7 @@ def add_thread(parser: ArgumentParser) -> None:
 
 def grid(options: Namespace, base: Grid | None = None) -> Grid:
     """The axes given, on top of those of ``base`` (a scene's grid) where there is one."""
-    texts = {name: getattr(options, name) for name in UNITS if getattr(options, name) is not None}
+    texts = {name: getattr(options, name) for name in UNITS if getattr(options, name) is not None} | _of_theta(options)
     axes, bend_12 = parse_axes(texts, SOURCE, "--")
     axes += _physical_axes(options)
     if base is not None:
@@ -106,6 +108,18 @@ def grid(options: Namespace, base: Grid | None = None) -> Grid:
     if not any(axis.name in ("bend", "bend_1", "bend_2") for axis in axes):
         raise InputError(SOURCE, "--bend", "missing", "give --bend, or --bend-1 and --bend-2")
     return Grid(tuple(axes), bend_12, SOURCE)
+
+
+def _of_theta(options: Namespace) -> dict[str, str]:
+    """The axes that ``--theta`` gives, as texts."""
+    if options.theta is None:
+        return {}
+    if given := next((name for name in MATERIAL if getattr(options, name) is not None), None):
+        raise InputError(SOURCE, "--theta", f"given beside --{given.replace('_', '-')}", "give one of the two")
+    from doo_ti.dynamics.theta import load_theta
+
+    theta = load_theta(options.theta)
+    return {"bend": repr(theta.bend), "twist": repr(theta.bend * theta.twist_ratio)}
 
 
 def _physical_axes(options: Namespace) -> list[Axis]:

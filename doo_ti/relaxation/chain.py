@@ -129,8 +129,12 @@ class Chain:
                 self.load3(scratch, right + BEND * self.stride),
                 inverse,
                 scratch[right + TWIST * self.stride] * inverse,
-                (scratch[right + REST * self.stride], scratch[right + (REST + 1) * self.stride]),
-            )
+            ) + self.rest(scratch, right)
+
+    @ti.func
+    def rest(self, scratch: ti.template(), at):
+        """What stiffness ends with, of the vertex where an edge begins: u̅, the same for both frames."""
+        return ((scratch[at + REST * self.stride], scratch[at + (REST + 1) * self.stride]),)
 
     @ti.func
     def bent(self, scratch: ti.template(), at):

@@ -79,19 +79,29 @@ class NewtonLoop:
         pack_trips = 0
         running = 1
         while running == 1:
-            if self.largest(lane.finished) > 0.5:
-                for slot in range(self.width):
-                    if self.lane(lane.finished, slot) > 0.5:
-                        if self.lane(lane.active, slot) > 0.5:
-                            self.store(tables, scratch, head, slot, lane, tables.queue[supply.places + slot])
-                        self.refill(tables, scratch, head, slot, lane, supply)
+            if self.exchanges(lane):
+                self.exchange(tables, scratch, head, lane, supply)
                 self.begin(tables, scratch, head, lane)
             if self.largest(lane.active) < 0.5:
                 running = 0
             else:
-                self.trip(tables, scratch, head, lane)
+                self.advance(tables, scratch, head, lane)
                 pack_trips += 1
         ti.atomic_add(tables.queue[TRIPS], pack_trips)
+
+    @ti.func
+    def exchanges(self, lane):
+        """Whether finished lanes are to be exchanged now."""
+        return self.largest(lane.finished) > 0.5
+
+    @ti.func
+    def exchange(self, tables, scratch: ti.template(), head, lane, supply):
+        """Store the rods of the finished lanes and load others."""
+        for slot in range(self.width):
+            if self.lane(lane.finished, slot) > 0.5:
+                if self.lane(lane.active, slot) > 0.5:
+                    self.store(tables, scratch, head, slot, lane, tables.queue[supply.places + slot])
+                self.refill(tables, scratch, head, slot, lane, supply)
 
     @ti.func
     def idle_lanes(self):
@@ -159,6 +169,11 @@ class NewtonLoop:
             lane, begun, shift=shift, fresh=one, best=self.constant(1e30), step_scale=zero, trips=zero, idle_trips=zero,
             aimless=zero, rejects=zero, trying=zero, closing=zero, returned=zero, troubled=zero, escaping=zero, escapes=zero)
         lane.finished = zero
+
+    @ti.func
+    def advance(self, tables, scratch: ti.template(), head, lane):
+        """What is done between exchanges: a trip."""
+        self.trip(tables, scratch, head, lane)
 
     @ti.func
     def trip(self, tables, scratch: ti.template(), head, lane):
@@ -239,11 +254,16 @@ class NewtonLoop:
         lane.trips = lane.trips + lane.active
 
     @ti.func
+    def tolerance(self, tables, rod):
+        """The largest residual of a rod that has converged."""
+        return ti.cast(tables.policy[TOLERANCE], self.scalar)
+
+    @ti.func
     def judge_place(self, tables, rod, lane, inertia, judged):
         """Judge where the rod is: a record of flags. The elimination, at the new frames, says nothing about restored ones."""
         gap = ti.sqrt(dot(lane.miss, lane.miss))
-        tolerance = ti.cast(tables.policy[TOLERANCE], self.scalar)
-        small = (lane.residual * rod.total <= tolerance) & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
+        at_rest = lane.residual * rod.total <= self.tolerance(tables, rod)
+        small = at_rest & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
         wrong = ((inertia < 2.5) | (inertia > 3.5)) & judged.stands
         right = (inertia > 2.5) & (inertia < 3.5) & judged.stands
         calm = small & (lane.escaping < 0.5) & judged.stands

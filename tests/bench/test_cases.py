@@ -57,6 +57,7 @@ def test_only_rods_that_converged_count(specimens):
     assert outcome.residual == solution.residual[done].max()
 
 
+@pytest.mark.thorough
 def test_what_the_kernels_executed_is_counted_by_launch(monkeypatch, specimens):
     """Trips of all lanes, idle ones too; a launch in f64 only where it ended a rod."""
     monkeypatch.setattr(batch, "pack_trips", {32: (10, 16), 64: (5, 8)}.__getitem__)

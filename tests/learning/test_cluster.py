@@ -53,6 +53,7 @@ def test_what_fails_on_a_worker_is_told_with_the_way_on(tmp_path, scheduler, sma
         sweep(tmp_path / "run", small_lab(), GRID, options=SweepOptions(scheduler=scheduler), command=["doo-ti", "sweep"])
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("default")
 def test_no_scheduler_is_told_before_anything_is_written(tmp_path, scheduler, monkeypatch):
     monkeypatch.setattr(workers, "ANSWER_SECONDS", 0.5)
@@ -106,6 +107,7 @@ def test_a_scheduler_that_is_killed_is_one_line(tmp_path):
     assert len(messages) == 1 and "scheduler" in messages[0] and "doo-ti sweep" in messages[0], err
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("default")
 def test_workers_of_another_version_are_refused(scheduler):
     from distributed import Client
@@ -127,7 +129,6 @@ def test_a_cluster_without_workers_is_refused(tmp_path, monkeypatch):
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.thorough
 def test_dask_that_is_not_installed(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r"scheduler: .*pip install 'doo_ti\[dask\]'"):

@@ -9,26 +9,34 @@ from tests.oracle.algebra import body_rotated, conjugate, directors, dot, produc
 from tests.oracle.hyper_dual import angle, choose, gradient_and_hessian, real, seeds
 
 
-def pair_parts(q0, q1, l0, l1, bend0, bend1, twist, rest):
-    """Bend and twist energy of a pair, from two quaternions given as lists of four numbers (docs/chain.md).
+def strains(q0, q1):
+    """(ω^0, ω^1, m) of a pair, from two quaternions given as lists of four numbers (docs/chain.md).
 
     q = conj(Q0) ⊗ Q1 with q0 ≥ 0, s = q0² + q1²:
     ω^0 = 2/s (q1q2 + q0q3, q1q3 − q0q2),  ω^1 = 2/s (q0q3 − q1q2, −q0q2 − q1q3),  m = 2 atan2(q1, q0).
-    l0, l1, twist (...,); bend0, bend1 (..., 2, 2); rest (..., 2) in 1/mm.
     """
     q = product(conjugate(q0), q1)
     q = [choose(real(q[0]) < 0, -part, part) for part in q]
-    length = l0 + l1
     factor = 2.0 / (q[0] * q[0] + q[1] * q[1])
     omega0 = [factor * (q[1] * q[2] + q[0] * q[3]), factor * (q[1] * q[3] - q[0] * q[2])]
     omega1 = [factor * (q[0] * q[3] - q[1] * q[2]), factor * (-(q[0] * q[2]) - q[1] * q[3])]
-    bending = 0.0
-    for omega, bend in ((omega0, bend0), (omega1, bend1)):
-        offset = [omega[k] - rest[..., k] * length / 2.0 for k in range(2)]
-        for a in range(2):
-            for b in range(2):
-                bending = bending + bend[..., a, b] * offset[a] * offset[b] / (2.0 * length)
-    turn = 2.0 * angle(q[1], q[0])
+    return omega0, omega1, 2.0 * angle(q[1], q[0])
+
+
+def quadratic(bend, offset):
+    """offset · B offset of two numbers of any kind; bend (..., 2, 2)."""
+    return sum(bend[..., a, b] * offset[a] * offset[b] for a in range(2) for b in range(2))
+
+
+def pair_parts(q0, q1, l0, l1, bend0, bend1, twist, rest):
+    """Bend and twist energy of a pair, from two quaternions given as lists of four numbers.
+
+    l0, l1, twist (...,); bend0, bend1 (..., 2, 2); rest (..., 2) in 1/mm.
+    """
+    omega0, omega1, turn = strains(q0, q1)
+    length = l0 + l1
+    bending = sum(quadratic(bend, [omega[k] - rest[..., k] * length / 2.0 for k in range(2)]) / (2.0 * length)
+                  for omega, bend in ((omega0, bend0), (omega1, bend1)))
     return bending, twist * turn * turn / length
 
 

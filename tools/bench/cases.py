@@ -1,5 +1,6 @@
 """Cases beside those of ``doo-ti bench``: single rods, the paper's scheme, Eq. 1."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -7,10 +8,14 @@ import numpy as np
 from doo_ti.bench.cases import COARSE, Case, Outcome, Specimens, relaxed
 from doo_ti.bench.cases import cases as command_cases
 from doo_ti.bench.workload import Rods
+from doo_ti.dynamics.grippers import Grippers
+from doo_ti.dynamics.parameters import Dynamics
+from doo_ti.dynamics.simulate import simulate
 from doo_ti.io.observations import Observations
 from doo_ti.metric import distance
 from doo_ti.relaxation.descent import Descent
-from doo_ti.types import Configuration
+from doo_ti.relaxation.relax import relax
+from doo_ti.types import Clamp, Clamps, Configuration, Material
 
 
 def cases(rods: Specimens) -> list[Case]:
@@ -20,8 +25,36 @@ def cases(rods: Specimens) -> list[Case]:
         *command_cases(rods),
         Case("newton f32 one rod", "rods/s", lambda: relaxed(singles(), COARSE, "f32")),
         Case("descent f64", "iterations/s", lambda: stepped(rods.many.take(slice(max(rods.count // 64, 1))))),
+        Case("motion f32", "rod-steps/s", lambda: moved(rods.count, "f32", Dynamics())),
+        Case("motion f32 damped", "rod-steps/s", lambda: moved(rods.count, "f32", Dynamics(bend_damping=0.02, drag=0.1))),
+        Case("motion f64 damped", "rod-steps/s", lambda: moved(rods.count, "f64", Dynamics(bend_damping=0.02, drag=0.1))),
         Case("metric", "rods/s", lambda: compared(rods.relaxed.configuration, rods.sutures[0])),
     ]
+
+
+@cache
+def _swinging(count: int) -> tuple[Configuration, Material, Grippers]:
+    """Ropes of 1 m and 33 edges between two grippers that move, each in its own way, for 50 steps of 10 ms."""
+    rng = np.random.default_rng(0)
+    straight = Configuration(np.zeros((count, 3)), np.tile([1.0, 0, 0, 0], (count, 33, 1)), np.full(33, 1000.0 / 33))
+    frames = np.broadcast_to(np.eye(3), (count, 3, 3))
+    clamps = Clamps(Clamp.FRAME, Clamp.FRAME, np.zeros((count, 3)), np.tile([750.0, 0, 0], (count, 1)), frames, frames)
+    material = Material(1e8, 1e8)
+    time = 0.01 * np.arange(51)
+    phase, rate = rng.uniform(0, 2 * np.pi, (count, 1)), rng.uniform(2, 6, (count, 1))
+    way = 40.0 * np.stack([np.sin(rate * time + phase) - np.sin(phase), np.cos(rate * time + phase) - np.cos(phase),
+                           np.sin(2 * rate * time + phase) - np.sin(phase)], axis=-1)
+    resting = Grippers.resting(clamps, 51)
+    moving = replace(resting, start_position=resting.start_position + way, end_position=resting.end_position - 0.5 * way)
+    return relax(straight, material, clamps, precision="f32").configuration, material, moving
+
+
+def moved(count: int, precision: str, dynamics: Dynamics) -> Outcome:
+    """Steps of :func:`doo_ti.dynamics.simulate.simulate`, those of rods that converged throughout."""
+    found = simulate(*_swinging(count), dynamics, 100.0, precision=precision)
+    steps = found.status == 0
+    return Outcome(float(steps.sum()), float(steps.mean()), residual=float(found.residual[steps].max()),
+                   iterations=found.iterations.ravel())
 
 
 def stepped(rods: Rods) -> Outcome:

@@ -1,0 +1,137 @@
+"""Learning a rod's Θ from recorded motion (Eq. 3 for rods in motion, docs/dynamics.md)."""
+
+from argparse import Namespace
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.commands import options as given
+from doo_ti.commands.results import report, save_json, shortened
+from doo_ti.errors import InputError
+from doo_ti.terminal import in_line, progress
+
+MOST_LISTED = 8
+FITTED = ("bend_damping", "drag", "quadratic_drag", "twist_ratio", "marker_share")
+
+
+def declare(add) -> None:
+    parser = given.command(add, "identify", run, "learn bend stiffness, damping, drag and rest curvature from recorded motion")
+    parser.add_argument("motions", nargs="+", metavar="MOTION.npz",
+                        help="recorded markers of one rod: positions_mm (R, T, V, 3) or (T, V, 3), rate_hz; the first and last "
+                        "edges are the grippers")
+    parser.add_argument("--out", required=True, metavar="THETA.json", help="file to write")
+    parser.add_argument("--modes", default="7", metavar="K",
+                        help="Legendre modes of the rest curvature in each direction; 0: straight at rest (default 7)")
+    parser.add_argument("--fit", metavar="NAME,…", default=",".join(FITTED[:4]),
+                        help="parameters besides bend and rest curvature: some of "
+                        f"{', '.join(FITTED)} (default: the first four)")
+    parser.add_argument("--bend", metavar="A", help="bend stiffness α to begin with, mm³ (default: several are tried)")
+    parser.add_argument("--folds", metavar="N", default="0",
+                        help="also fit N times, each without one N-th of the recordings, and report the error on "
+                        "those (default 0)")
+    parser.add_argument("--robust", metavar="MM", default="5", help="differences beyond count linearly (default 5)")
+    parser.add_argument("--substeps", metavar="N", default="1", help="time steps from one frame to the next (default 1)")
+    parser.add_argument("--fill-gaps", action="store_true",
+                        help="take markers that were not seen from lines between the frames around")
+    given.add_up(parser, "0,0,1")
+    parser.add_argument("--picture", metavar="F.png", help="also draw predictions and errors over time (default: no)")
+
+
+def run(options: Namespace, words: list[str]) -> int:
+    """Identify Θ; writes it and prints parameters with intervals and errors."""
+    from doo_ti.dynamics.identify import IdentifyOptions, identify_from_guesses
+    from doo_ti.dynamics.recorded import RecordedMotion
+
+    out = given.output_file(options.out, ".json")
+    picture = None if options.picture is None else given.output_file(options.picture, ".png", "--picture")
+    fitted = tuple(filter(None, options.fit.split(",")))
+    if unknown := next((name for name in fitted if name not in FITTED), None):
+        raise InputError(given.SOURCE, "--fit", f"{unknown!r} is unknown", f"give some of {', '.join(FITTED)}")
+    chosen = IdentifyOptions(given.whole("--modes", options.modes, 0, 12), fitted,
+                             delta=given.length("--robust", options.robust),
+                             substeps=given.whole("--substeps", options.substeps, 1, 1000))
+    folds = given.whole("--folds", options.folds, 0)
+    bend = given.positive("--bend", options.bend, "mm³")
+    up = given.world_up(options)
+    parts = [RecordedMotion.load(path, options.fill_gaps) for path in options.motions]
+    motion = RecordedMotion.together(parts, options.motions)
+    if folds == 1 or folds > motion.count:
+        raise InputError(given.SOURCE, "--folds", f"{folds} for {motion.count} recordings", "give 0, or from 2 to their number")
+    with progress(keep=True) as bar:
+        def fit(part, label):
+            task = bar.add_task(label, total=chosen.rounds, unit="iterations")
+            def advance(horizon, k, error):
+                bar.update(task, advance=1, description=f"{label}: {horizon} frames, error {error:.3g} mm")
+            found = identify_from_guesses(part, chosen, bend, up, advance)
+            bar.update(task, completed=chosen.rounds)
+            return found
+        held_out = _held_out(motion, folds, chosen, fit) if folds else None
+        found = fit(motion, "all recordings")
+    if found.failed.all():
+        raise RuntimeError(f"no recording could be rolled out, from {len(motion.names)}; give a higher --bend to begin with")
+    summary = _summary(found, motion, held_out, out)
+    save_json(out, {"doo_ti": "theta", **summary["theta"], **{key: summary[key] for key in (
+        "parameters", "error_mm", "mean_error_mm", "median_error_mm", "failed", "held_out", "glitches")}})
+    if picture is not None:
+        _draw(picture, found, motion, chosen)
+    report(options, summary, lambda: _lines(summary, motion))
+    return 0
+
+
+def _held_out(motion, folds: int, chosen, fit) -> np.ndarray:
+    """(R,) error of each recording under the Θ of the others, mm."""
+    from doo_ti.dynamics.identify import mean_error, predicted
+
+    error = np.full(motion.count, np.nan)
+    for fold in range(folds):
+        out = np.arange(motion.count) % folds == fold
+        theta = fit(motion.take(np.flatnonzero(~out)), f"fold {fold + 1} of {folds}").theta
+        rest = motion.take(np.flatnonzero(out))
+        error[out] = mean_error(predicted(rest, [theta], chosen)[0][:, 0], rest.positions)[:, 2:].mean(axis=1)
+    return error
+
+
+def _summary(found, motion, held_out, out: Path) -> dict:
+    from doo_ti.dynamics.theta import save_form
+
+    sound = found.error[~found.failed]
+    held = None
+    if held_out is not None:
+        finite = held_out[np.isfinite(held_out)]
+        held = {"error_mm": dict(zip(motion.names, held_out, strict=True)), "mean_error_mm": finite.mean(),
+                "standard_error_mm": finite.std(ddof=1) / np.sqrt(len(finite)), "median_error_mm": np.median(finite)}
+    return {
+        "recordings": motion.count, "frames": motion.positions.shape[1], "theta": save_form(found.theta),
+        "parameters": found.parameters(), "error_mm": dict(zip(motion.names, found.error, strict=True)),
+        "mean_error_mm": sound.mean() if len(sound) else np.nan, "median_error_mm": np.median(sound) if len(sound) else np.nan,
+        "failed": [name for name, failed in zip(motion.names, found.failed, strict=True) if failed], "held_out": held,
+        "iterations": found.iterations, "glitches": motion.glitches(), "out": str(out)}
+
+
+def _lines(summary: dict, motion) -> list[str]:
+    lines = [f"{summary['recordings']} recordings of {motion.edges} edges, {summary['frames']} frames at {motion.rate:g}/s"]
+    for entry in summary["parameters"]:
+        if not entry["name"].startswith("rest_curvature"):
+            low, high = ("0" if entry["low"] is None else f"{entry['low']:.3g}"), f"{entry['high']:.3g}"
+            lines.append(f"  {entry['name']:<16}{entry['value']:.4g} {entry['unit']}  [{low}, {high}] 95 %")
+    rest = np.asarray(summary["theta"]["rest_curvature_per_mm"])
+    if rest.any():
+        lines.append(f"  rest curvature  {np.sqrt((rest**2).sum(axis=1).mean()):.3g} 1/mm root mean square along the rod")
+    lines.append(f"  error           mean {summary['mean_error_mm']:.4g} mm, median {summary['median_error_mm']:.4g} mm over "
+                 "recordings, rolled out from their first two frames")
+    if held := summary["held_out"]:
+        lines.append(f"  held out        mean {held['mean_error_mm']:.4g} ± {held['standard_error_mm']:.2g} mm, median "
+                     f"{held['median_error_mm']:.4g} mm")
+    if summary["failed"]:
+        lines.append(f"  failed          {', '.join(map(in_line, summary['failed'][:MOST_LISTED]))}: left out")
+    lines += [f"  glitch          {in_line(line)}" for line in shortened(summary["glitches"], MOST_LISTED, "and {} more")]
+    return [*lines, f"  written to {in_line(summary['out'])}"]
+
+
+def _draw(picture: Path, found, motion, chosen) -> None:
+    from doo_ti.dynamics.identify import predicted
+    from doo_ti.report.rollouts import save_rollout
+
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    positions, _ = predicted(motion, [found.theta], chosen)
+    save_rollout(picture, "identified", list(motion.names), positions[:, 0], motion.positions, motion.rate, found.theta.up)

@@ -1,0 +1,186 @@
+"""Rods in motion: simulated from a recording's grippers, or from a scene (docs/dynamics.md)."""
+
+from argparse import Namespace
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.commands import options as given
+from doo_ti.commands.results import counted, report, save_arrays, shortened
+from doo_ti.errors import InputError
+from doo_ti.terminal import busy, in_line, progress
+from doo_ti.types import Clamp, Status
+
+MOST_LISTED = 8
+SCHEMES = ("bdf2", "euler")
+
+
+@dataclass(frozen=True)
+class _Simulated:
+    """What was simulated: R rods at T frames, and what was recorded of them, or None."""
+
+    name: str
+    names: list[str]
+    positions: np.ndarray  # (R, T, V, 3)
+    status: np.ndarray  # (R, T)
+    rate: float
+    up: np.ndarray
+    recorded: np.ndarray | None = None
+    glitches: tuple[str, ...] = ()
+    energies: dict[str, np.ndarray] | None = None  # (R, T) each
+
+
+def declare(add) -> None:
+    parser = given.command(add, "simulate", run, "simulate rods in motion: with inertia, damping and drag, grippers moving")
+    parser.add_argument("source", metavar="MOTION.npz|SCENE.toml",
+                        help="recorded markers, the first and last edges on the grippers (positions_mm, rate_hz); or a scene")
+    parser.add_argument("--theta", metavar="THETA.json", help="the rod, as doo-ti identify writes it; needed for MOTION.npz")
+    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+    parser.add_argument("--substeps", metavar="N", help="time steps from one frame to the next (default: 1, or the scene's)")
+    parser.add_argument("--scheme", choices=SCHEMES, help="of time steps: second order, or backward Euler (default bdf2)")
+    parser.add_argument("--precision", choices=("f32", "f64"), default="f64", help="arithmetic (default f64)")
+    parser.add_argument("--fill-gaps", action="store_true",
+                        help="take markers that were not seen from lines between the frames around")
+    given.add_up(parser, "0,0,1")
+    parser.add_argument("--picture", metavar="F.png", help="also draw rods and errors over time (default: no)")
+    parser.add_argument("--recording", metavar="F.rrd", help="also record the motion for the viewer (default: no)")
+    parser.add_argument("--animation", metavar="F.gif|F.webp", help="also write a short animation (default: no)")
+
+
+def run(options: Namespace, words: list[str]) -> int:
+    """Simulate; writes positions and status at every frame and prints the errors."""
+    out = given.output_file(options.out, ".npz")
+    substeps = given.whole("--substeps", options.substeps, 1, 1000)
+    shown = {kind: _shown(kind, text) for kind, text in (
+        ("picture", options.picture), ("recording", options.recording), ("animation", options.animation)) if text is not None}
+    up = given.world_up(options)
+    scene = Path(options.source).suffix == ".toml"
+    found = _scene(options, substeps, up) if scene else _recorded(options, out, substeps, up)
+    for path in shown.values():
+        path.parent.mkdir(parents=True, exist_ok=True)
+    arrays, summary = _results(found, out)
+    if not scene and np.load(options.source)["positions_mm"].ndim == 3:
+        arrays = {key: value[0] if key in ("positions_mm", "status", "error_mm") else value for key, value in arrays.items()}
+    save_arrays(out, arrays)
+    _draw(found, shown)
+    report(options, summary, lambda: _lines(found, summary))
+    return 0 if (found.status[:, -1] == Status.CONVERGED).any() else 1
+
+
+def _shown(kind: str, text: str) -> Path:
+    suffix = {"picture": ".png", "recording": ".rrd"}.get(kind)
+    if kind == "animation":
+        suffix = Path(text).suffix
+        if suffix not in (".gif", ".webp"):
+            raise InputError(given.SOURCE, "--animation", f"suffix {suffix!r}", "name a file that ends in .gif or .webp")
+    return given.output_file(text, suffix, f"--{kind}")
+
+
+def _recorded(options: Namespace, out: Path, substeps: int | None, up: np.ndarray) -> _Simulated:
+    from doo_ti.dynamics.identify import IdentifyOptions, predicted
+    from doo_ti.dynamics.recorded import RecordedMotion
+    from doo_ti.dynamics.theta import load_theta
+
+    if options.theta is None:
+        raise InputError(given.SOURCE, "--theta", "missing", "give the rod: a file that doo-ti identify has written")
+    theta = load_theta(options.theta)
+    motion = RecordedMotion.load(options.source, options.fill_gaps)
+    given.refuse_overwriting(out, options.source)
+    if motion.edges != len(theta.rest_length):
+        raise InputError(options.theta, "rest_length_mm", f"{len(theta.rest_length)} edges, {in_line(options.source)} has "
+                         f"{motion.edges}", "give the theta of this rod")
+    theta = replace(theta, up=up) if options.up is not None else theta
+    chosen = IdentifyOptions(substeps=substeps or 1, scheme=options.scheme or "bdf2")
+    with progress() as bar:
+        task = bar.add_task("simulating", total=motion.count * (motion.positions.shape[1] - 2), unit="rods x frames")
+        positions, status = predicted(motion, [theta], chosen, options.precision,
+                                      lambda done: bar.update(task, completed=motion.count * done))
+    return _Simulated(Path(options.source).stem, list(motion.names), positions[:, 0], status[:, 0], motion.rate, theta.up,
+                      motion.positions, tuple(motion.glitches()))
+
+
+def _scene(options: Namespace, substeps: int | None, up: np.ndarray) -> _Simulated:
+    from doo_ti.dynamics.energies import energies
+    from doo_ti.dynamics.scene import load_dynamic_scene
+    from doo_ti.dynamics.simulate import simulate
+    from doo_ti.relaxation.relax import relax
+
+    for name in ("theta", "fill_gaps"):
+        if getattr(options, name):
+            raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", "given, but a scene has its own rods", "leave it out")
+    scene = load_dynamic_scene(options.source)
+    count = scene.material.count
+    pairs = np.zeros(count, dtype=np.int64), np.arange(count)
+    start = scene.start
+    if scene.at_rest:
+        if Clamp.FREE == scene.grippers.start and Clamp.FREE == scene.grippers.end:
+            raise InputError(options.source, "rod.at_rest", "both ends are free", "let it begin straight, or clamp an end")
+        with busy(f"relaxing {count} rods (kernels are compiled once on a machine)"):
+            solution = relax(start, scene.material, scene.grippers.at(0), up=up, configuration_index=pairs[0],
+                             material_index=pairs[1])
+        start, pairs = solution.configuration, (np.arange(count), np.arange(count))
+    grippers = scene.grippers.take(pairs[0] * 0) if start.count > 1 else scene.grippers
+    with progress() as bar:
+        task = bar.add_task(scene.name, total=count * (grippers.instants - 1), unit="rods x frames")
+        found = simulate(start, scene.material, grippers, scene.dynamics, scene.rate, up=up, pairs=pairs,
+                         substeps=substeps or scene.substeps, scheme=options.scheme or scene.scheme,
+                         precision=options.precision, progress=lambda done: bar.update(task, completed=count * done))
+    first = start.vertices[pairs[0]]
+    positions = np.concatenate([first[:, None], found.positions], axis=1)
+    status = np.concatenate([np.zeros((count, 1), dtype=np.int8), found.status], axis=1)
+    return _Simulated(scene.name, list(scene.names), positions, status, scene.rate, up,
+                      energies=energies(positions, scene.start.rest_length, scene.material, scene.dynamics, scene.rate, up))
+
+
+def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
+    arrays = {"positions_mm": found.positions, "status": found.status, "rate_hz": np.float64(found.rate),
+              "recording": np.array(found.names)}
+    last = found.status[:, -1]
+    counts = {Status(value).name.lower(): int((last == value).sum()) for value in np.unique(last)}
+    summary = {"rods": len(found.names), "frames": found.positions.shape[1], "vertices": found.positions.shape[2],
+               "status": counts, "failed": [name for name, value in zip(found.names, last, strict=True) if value],
+               "out": str(out)}
+    if found.energies is not None:
+        arrays |= {f"energy_{name}": value for name, value in found.energies.items()}
+    if found.recorded is not None:
+        from doo_ti.dynamics.identify import mean_error
+
+        arrays["error_mm"] = mean_error(found.positions, found.recorded)
+        each = arrays["error_mm"][:, 2:].mean(axis=1)
+        sound = each[np.isfinite(each)]
+        summary |= {"error_mm": {name: value for name, value in zip(found.names, each, strict=True)},
+                    "mean_error_mm": sound.mean() if len(sound) else np.nan,
+                    "median_error_mm": np.median(sound) if len(sound) else np.nan, "glitches": list(found.glitches)}
+    return arrays, summary
+
+
+def _lines(found: _Simulated, summary: dict) -> list[str]:
+    duration = (summary["frames"] - 1) / found.rate
+    lines = [f"{in_line(found.name)}: {summary['rods']} rods of {summary['vertices'] - 1} edges, {duration:.3g} s at "
+             f"{found.rate:g} frames/s",
+             f"  status      {counted(summary['status'])} at the end"]
+    if summary["failed"]:
+        lines.append(f"  failed      {', '.join(map(in_line, summary['failed'][:MOST_LISTED]))}: no positions from there on")
+    if found.recorded is not None:
+        lines.append(f"  error       mean {summary['mean_error_mm']:.4g} mm, median {summary['median_error_mm']:.4g} mm over "
+                     "recordings (mean |difference| over markers and coordinates, grippers' included)")
+        lines += [f"  glitch      {in_line(line)}" for line in shortened(list(found.glitches), MOST_LISTED, "and {} more")]
+    return [*lines, f"  written to {in_line(summary['out'])}"]
+
+
+def _draw(found: _Simulated, shown: dict[str, Path]) -> None:
+    if "picture" in shown:
+        from doo_ti.report.rollouts import save_rollout
+
+        save_rollout(shown["picture"], found.name, found.names, found.positions, found.recorded, found.rate, found.up,
+                     found.energies)
+    if "animation" in shown:
+        from doo_ti.report.rollouts import save_animation
+
+        with busy("drawing the animation"):
+            save_animation(shown["animation"], found.name, found.names, found.positions, found.recorded, found.rate, found.up)
+    if "recording" in shown:
+        from doo_ti.record.rollouts import record_rollout
+
+        record_rollout(shown["recording"], found.name, found.names, found.positions, found.recorded, found.rate, found.up)

@@ -1,0 +1,141 @@
+"""Grippers: what holds the ends of rods at every instant of a motion (§III-B, moving)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti.errors import InputError, real_array
+from doo_ti.frames import (
+    FRAME_TOLERANCE,
+    across,
+    matrix_from_quaternion,
+    orthonormality_error,
+    quaternion_from_matrix,
+    quaternion_product,
+    smallest_rotation,
+)
+from doo_ti.types import Clamp, Clamps
+
+
+@dataclass(frozen=True)
+class Grippers:
+    """The clamps of S rods at T instants, the first of which is where the motion starts.
+
+    start, end                    Clamp, one for all rods or (S,) of them; they hold the same throughout
+    start_position, end_position  (S, T, 3) mm; unused where the end is free
+    start_frame, end_frame        (S, T, 3, 3) columns t, m1, m2; of a tangent clamp t only
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    start_position: np.ndarray
+    end_position: np.ndarray
+    start_frame: np.ndarray
+    end_frame: np.ndarray
+
+    def __post_init__(self):
+        shape = np.shape(self.start_position)
+        for name in _PATHS:
+            wanted = (*shape[:2], 3, 3) if name.endswith("frame") else (*shape[:2], 3)
+            value = real_array("Grippers", name, getattr(self, name), "give real numbers").astype(np.float64)
+            if len(shape) != 3 or value.shape != wanted or shape[1] < 2:
+                raise InputError("Grippers", name, f"shape {value.shape}",
+                                 "give positions (S, T, 3) and frames (S, T, 3, 3) at two instants or more")
+            self._check(name, value)
+            object.__setattr__(self, name, value)
+
+    def _check(self, name: str, value: np.ndarray) -> None:
+        """Raise InputError where a position or frame that is held is not finite, or a frame no rotation."""
+        end = name.split("_")[0]
+        kind = np.broadcast_to(np.asarray(getattr(self, end)), (len(value),))
+        held = value[kind >= (Clamp.TANGENT if name.endswith("frame") else Clamp.POSITION)]
+        if not np.isfinite(held).all():
+            raise InputError("Grippers", name, "not finite", "give finite numbers where the end is held")
+        whole = value[kind == Clamp.FRAME]
+        if name.endswith("frame") and len(whole) and orthonormality_error(whole.reshape(-1, 3, 3)).max() > FRAME_TOLERANCE:
+            raise InputError("Grippers", name, "no rotations", "give unit, orthogonal columns t, m1, m2")
+
+    @property
+    def count(self) -> int:
+        """S."""
+        return len(self.start_position)
+
+    @property
+    def instants(self) -> int:
+        """T."""
+        return self.start_position.shape[1]
+
+    @classmethod
+    def resting(cls, clamps: Clamps, instants: int) -> "Grippers":
+        """Clamps that do not move."""
+        def still(array):
+            array = np.asarray(array, dtype=np.float64)
+            return np.broadcast_to(array[:, None], (len(array), instants, *array.shape[1:]))
+        return cls(clamps.start, clamps.end, *(still(getattr(clamps, name)) for name in _PATHS))
+
+    def take(self, rows) -> "Grippers":
+        """Those of the rods named by ``rows``."""
+        kinds = [kind if np.ndim(kind) == 0 else np.asarray(kind)[rows] for kind in (self.start, self.end)]
+        return Grippers(*kinds, *(getattr(self, name)[rows] for name in _PATHS))
+
+    def at(self, instant: int) -> Clamps:
+        """The clamps at one instant."""
+        return Clamps(self.start, self.end, *(np.ascontiguousarray(getattr(self, name)[:, instant]) for name in _PATHS))
+
+    def refined(self, parts: int) -> "Grippers":
+        """With ``parts`` equal steps between neighbouring instants: positions on cubics through their neighbours, frames by the
+        shortest rotation."""
+        if parts == 1:
+            return self
+        share = np.arange(parts) / parts
+        return Grippers(self.start, self.end, _cubic(self.start_position, share), _cubic(self.end_position, share),
+                        _turning(self.start_frame, share), _turning(self.end_frame, share))
+
+
+_PATHS = ("start_position", "end_position", "start_frame", "end_frame")
+
+
+def edge_frames(edges: np.ndarray, first: np.ndarray | None = None) -> np.ndarray:
+    """(S, T, 3, 3) frames along recorded edges (S, T, 3), parallel-transported from instant to instant: an edge that does not
+    turn about itself.
+
+    first  (S, 3) m1 of the first instant, made orthogonal; by default a coordinate axis across the edge.
+
+    Raises InputError for an edge without length.
+    """
+    length = np.linalg.norm(edges, axis=-1, keepdims=True)
+    if not (length > 0).all():
+        raise InputError("edge_frames", "edges", "an edge without length", "give two distinct points of each gripper")
+    t = edges / length
+    m1 = across(t[:, 0]) if first is None else first - np.sum(first * t[:, 0], axis=-1, keepdims=True) * t[:, 0]
+    frames = np.empty((*t.shape, 3))
+    for k in range(t.shape[1]):
+        if k:
+            m1 = np.einsum("sij,sj->si", matrix_from_quaternion(smallest_rotation(t[:, k - 1], t[:, k])), m1)
+            m1 -= np.sum(m1 * t[:, k], axis=-1, keepdims=True) * t[:, k]
+        m1 = m1 / np.linalg.norm(m1, axis=-1, keepdims=True)
+        frames[:, k, :, 0], frames[:, k, :, 1], frames[:, k, :, 2] = t[:, k], m1, np.cross(t[:, k], m1)
+    return frames
+
+
+def _cubic(points: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """(S, (T − 1) parts + 1, 3) Catmull–Rom cubics through (S, T, 3) points."""
+    outer = np.concatenate([2 * points[:, :1] - points[:, 1:2], points, 2 * points[:, -1:] - points[:, -2:-1]], axis=1)
+    before, here, there, after = (outer[:, k : k + points.shape[1] - 1, None] for k in range(4))
+    u = share[:, None]
+    curve = here + 0.5 * u * (there - before + u * (2 * before - 5 * here + 4 * there - after
+                                                    + u * (3 * (here - there) + after - before)))
+    return np.concatenate([curve.reshape(len(points), -1, 3), points[:, -1:]], axis=1)
+
+
+def _turning(frames: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """(S, (T − 1) parts + 1, 3, 3) shortest rotations between (S, T, 3, 3) frames, in equal parts."""
+    q = quaternion_from_matrix(frames)
+    here, there = q[:, :-1], q[:, 1:]
+    turn = quaternion_product(there, here * [1.0, -1.0, -1.0, -1.0])
+    turn = np.where(turn[..., :1] < 0, -turn, turn)
+    angle = np.arctan2(np.linalg.norm(turn[..., 1:], axis=-1), turn[..., 0])[..., None, None]
+    axis = turn[..., None, 1:] / np.maximum(np.linalg.norm(turn[..., None, 1:], axis=-1, keepdims=True), 1e-300)
+    part = np.concatenate([np.cos(share[:, None] * angle), np.sin(share[:, None] * angle) * axis], axis=-1)
+    between = quaternion_product(part, np.broadcast_to(here[:, :, None], part.shape))
+    return matrix_from_quaternion(np.concatenate([between.reshape(len(q), -1, 4), q[:, -1:]], axis=1))

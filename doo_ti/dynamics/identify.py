@@ -1,0 +1,246 @@
+"""Identification: the Θ under which rods move as they were recorded (Eq. 3 for rods in motion).
+
+Σ ρ(x_simulated − x_recorded) over markers and frames, each recording rolled out open loop from its first two frames, is made
+small by Levenberg–Marquardt; ρ(r) = δ (√(δ² + r²) − δ) grows linearly beyond δ, so that glitches of the capture do not decide.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti.dynamics.parameters import Direction
+from doo_ti.dynamics.recorded import RecordedMotion, Rollout, roll_reference, rollout
+from doo_ti.dynamics.simulate import Trajectory, simulate
+from doo_ti.dynamics.theta import MotionTheta, Unknowns, simulated
+from doo_ti.types import Clamp, Status
+
+STEP = 1e-6
+"""Of an entry of p, for differences of material and dynamics."""
+GUESSES = (3e-4, 3e-3, 3e-2, 0.3)
+"""Bend stiffness over weight and the cube of the length."""
+
+
+@dataclass(frozen=True)
+class IdentifyOptions:
+    """How Θ is found.
+
+    modes         Legendre modes of the rest curvature in each direction
+    fitted        parameters besides bend and the rest curvature
+    horizons      frames that are rolled out, one fit after the other: short ones find the region, long ones the parameters
+    delta         mm, beyond which a difference counts linearly
+    substeps      time steps between frames
+    scheme        of :func:`.simulate`
+    iterations    most of each fit
+    end           what the far gripper holds
+    """
+
+    modes: int = 7
+    fitted: tuple[str, ...] = ("bend_damping", "drag", "quadratic_drag", "twist_ratio")
+    horizons: tuple[int, ...] = (60, 200, 10**6)
+    delta: float = 5.0
+    substeps: int = 1
+    scheme: str = "bdf2"
+    iterations: int = 20
+    end: Clamp = Clamp.FRAME
+
+    @property
+    def rounds(self) -> int:
+        """Most iterations of all fits."""
+        return self.iterations * len(self.horizons)
+
+
+def predicted(motion: RecordedMotion, thetas: list[MotionTheta], options: IdentifyOptions, precision: str = "f64",
+              progress=None, begun: Rollout | None = None):
+    """((R, G, T, V, 3) positions of the recordings under each Θ, (R, G, T) status): frames 0 and 1 and the grippers' vertices
+    as given, the rest predicted; NaN where a rod failed. ``begun`` is the layout of ``motion`` where that is known."""
+    at, found = _rolled_out(motion, thetas, options, begun, precision=precision, progress=progress)
+    count, each = motion.count, len(thetas)
+    rods = np.arange(count)[:, None]
+    positions = np.repeat(motion.positions[:, None], each, axis=1)
+    inner = found.positions.reshape(count, each, -1, *motion.positions.shape[2:])
+    for g in range(each):
+        positions[:, g, 2:, 2:-2] = inner[rods, g, at][:, :, 2:-2]
+    status = np.zeros(positions.shape[:3], dtype=np.int8)
+    status[:, :, 2:] = np.moveaxis(found.status.reshape(count, each, -1)[rods, :, at], 2, 1)
+    return positions, status
+
+
+def differentiated(motion: RecordedMotion, theta: MotionTheta, directions: list[Direction], options: IdentifyOptions,
+                   begun: Rollout | None = None):
+    """(positions (R, T − 2, V − 4, 3), their derivatives along P directions (R, P, T − 2, V − 4, 3), status (R, T − 2)) of what
+    :func:`predicted` predicts."""
+    at, found = _rolled_out(motion, [theta], options, begun, directions=directions)
+    rods = np.arange(motion.count)[:, None]
+    slopes = np.moveaxis(found.slopes[rods, at, :, 2:-2], 2, 1)
+    return found.positions[rods, at, 2:-2], slopes, found.status[rods, at]
+
+
+def _laid_out(motion: RecordedMotion, theta: MotionTheta, options: IdentifyOptions) -> Rollout:
+    """The layout of ``motion``, the same for every Θ of one rod."""
+    return rollout(motion, theta.rest_length, theta.reference, end=options.end)
+
+
+def _rolled_out(motion: RecordedMotion, thetas: list[MotionTheta], options: IdentifyOptions, begun: Rollout | None,
+                **more) -> tuple[np.ndarray, Trajectory]:
+    """((R, T − 2) frame of the simulation for each that is predicted, the simulation of every recording under every Θ)."""
+    begun = begun or _laid_out(motion, thetas[0], options)
+    count, each = motion.count, len(thetas)
+    pairs = np.repeat(np.arange(count), each), np.tile(np.arange(each), count)
+    material, dynamics = simulated(thetas)
+    found = simulate(begun.start, material, begun.grippers, dynamics, begun.rate, velocity=begun.velocity,
+                     substeps=options.substeps, scheme=options.scheme, up=thetas[0].up, pairs=pairs,
+                     velocity_age=0.5 / begun.rate, **more)
+    return begun.steps[:, 1:] - 1, found
+
+
+def mean_error(positions: np.ndarray, recorded: np.ndarray) -> np.ndarray:
+    """(R, T) mm: mean of |difference| over all markers and coordinates (L1), positions (R, T, V, 3)."""
+    return np.abs(positions - recorded).mean(axis=(-1, -2))
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What :func:`identify` found.
+
+    theta       Θ
+    unknowns    what the entries of p are
+    vector      (P,) p
+    covariance  (P, P) of p, recordings taken as independent
+    error       (R,) mm, the mean over frames from 2 on of :func:`mean_error`; NaN for recordings that failed
+    failed      (R,) bool: some step of the recording did not converge, and it was left out
+    cost        Σ ρ, mm²
+    iterations  in all
+    """
+
+    theta: MotionTheta
+    unknowns: Unknowns
+    vector: np.ndarray
+    covariance: np.ndarray
+    error: np.ndarray
+    failed: np.ndarray
+    cost: float
+    iterations: int
+
+    def parameters(self) -> list[dict]:
+        """Name, value, 95 % interval and unit of every parameter."""
+        return self.unknowns.intervals(self.vector, self.covariance, int((~self.failed).sum()) - 1)
+
+
+def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOptions = IdentifyOptions(),
+             report: Callable[[str, int, float], None] | None = None) -> Identified:
+    """The Θ of the rod that all recordings of ``motion`` show, from ``begin`` on.
+
+    report  called with the horizon, the iteration and the mean error in mm
+    """
+    unknowns = Unknowns(begin, options.modes, options.fitted)
+    p = unknowns.vector(begin)
+    made = 0
+    frames = motion.positions.shape[1]
+    for horizon in sorted({min(h + 2, frames) for h in options.horizons}):
+        fit = _Fit(motion.until(horizon), unknowns, options)
+        p, cost, iterations = fit.minimise(p, lambda k, error, horizon=horizon: report and report(horizon, k, error))
+        made += iterations
+    residual, slopes, status = fit.linearised(p)
+    failed = (status != Status.CONVERGED).any(axis=1)
+    theta = unknowns.theta(p)
+    error = np.where(failed, np.nan, np.abs(residual).mean(axis=(1, 2, 3)) * (residual.shape[2] / motion.positions.shape[2]))
+    return Identified(theta, unknowns, p, fit.covariance(residual, slopes, ~failed), error, failed, cost, made)
+
+
+def identify_from_guesses(motion: RecordedMotion, options: IdentifyOptions, bend: float | None = None,
+                          up=(0.0, 0.0, 1.0), report=None) -> Identified:
+    """:func:`identify` from the best of several guesses of bend stiffness on the shortest horizon, or from ``bend``."""
+    lengths = motion.edge_lengths()
+    guesses = [bend] if bend is not None else [share * lengths.sum() ** 3 for share in GUESSES]
+    thetas = [MotionTheta(guess, 1.0, 0.03, 0.2, 1e-5, 0.0, np.zeros((2, 0)), lengths, roll_reference(motion),
+                          np.asarray(up, dtype=np.float64)) for guess in guesses]
+    best = 0
+    if len(thetas) > 1:
+        part = motion.until(min(options.horizons) + 2)
+        positions, _ = predicted(part, thetas, options)
+        error = np.abs(positions - part.positions[:, None]).mean(axis=(2, 3, 4))
+        best = int(np.argmin(np.nanmedian(error, axis=0)))
+    return identify(motion, thetas[best], options, report)
+
+
+class _Fit:
+    """Levenberg–Marquardt over the recordings of one horizon."""
+
+    def __init__(self, motion: RecordedMotion, unknowns: Unknowns, options: IdentifyOptions):
+        self.motion, self.unknowns, self.options = motion, unknowns, options
+        self.seen = motion.positions[:, 2:, 2:-2]
+        self.begun = _laid_out(motion, unknowns.begin, options)
+
+    def residuals(self, vectors) -> tuple[np.ndarray, np.ndarray]:
+        """((R, G, T − 2, V − 4, 3) mm, (R, G, T) status) under each p."""
+        positions, status = predicted(self.motion, [self.unknowns.theta(p) for p in vectors], self.options,
+                                      begun=self.begun)
+        return positions[:, :, 2:, 2:-2] - self.seen[:, None], status
+
+    def linearised(self, p):
+        """(residuals (R, …) at p, their slopes (R, P, …), status (R, T − 2))."""
+        directions = [self.direction(p, k) for k in range(len(p))]
+        positions, slopes, status = differentiated(self.motion, self.unknowns.theta(p), directions, self.options, self.begun)
+        return positions - self.seen, slopes, status
+
+    def direction(self, p, entry: int) -> Direction:
+        """Along one entry of p, within its bounds."""
+        before, after = p.copy(), p.copy()
+        before[entry] = max(p[entry] - STEP, self.unknowns.lower[entry])
+        after[entry] = min(p[entry] + STEP, self.unknowns.upper[entry])
+        return Direction(*(simulated([self.unknowns.theta(q)]) for q in (before, after)), after[entry] - before[entry])
+
+    def cost(self, residual: np.ndarray) -> np.ndarray:
+        """(R,) Σ ρ of each recording, mm²; infinite where it failed."""
+        delta = self.options.delta
+        value = (delta * (np.sqrt(delta**2 + residual**2) - delta)).sum(axis=(1, 2, 3))
+        return np.where(np.isfinite(value), value, np.inf)
+
+    def normal(self, residual, slopes, used):
+        """(A, (R, P) gradients of the recordings): the normal equations of the reweighted squares."""
+        weight = 1.0 / np.sqrt(1.0 + (residual / self.options.delta) ** 2)
+        count, p = slopes.shape[:2]
+        a, gradients = np.zeros((p, p)), np.zeros((count, p))
+        for r in np.flatnonzero(used):
+            j, w = slopes[r].reshape(p, -1), weight[r].ravel()
+            a += (j * w) @ j.T
+            gradients[r] = (j * w) @ residual[r].ravel()
+        return a, gradients
+
+    def covariance(self, residual, slopes, used) -> np.ndarray:
+        """(P, P) of p: A⁻¹ (Σ g gᵀ) A⁻¹ over recordings, whose errors are as one each."""
+        a, gradients = self.normal(residual, slopes, used)
+        number = max(2, int(used.sum()))
+        inverse = np.linalg.pinv(a)
+        return inverse @ (gradients.T @ gradients) @ inverse * (number / (number - 1))
+
+    def minimise(self, p, report) -> tuple[np.ndarray, float, int]:
+        """(p, cost, iterations)."""
+        damping, lower, upper = 1e-3, self.unknowns.lower, self.unknowns.upper
+        for k in range(self.options.iterations):
+            residual, slopes, status = self.linearised(p)
+            used = (status == Status.CONVERGED).all(axis=1)
+            if not used.any():
+                return p, np.inf, k + 1
+            cost = self.cost(residual)[used].sum()
+            report(k, float(np.abs(residual[used]).mean()))
+            a, gradients = self.normal(residual, slopes, used)
+            g = gradients.sum(axis=0)
+            free = ~((p <= lower) & (g > 0) | (p >= upper) & (g < 0))
+            a, g = a[np.ix_(free, free)], g[free]
+            improved = np.inf
+            while damping < 1e6:
+                step = np.zeros_like(p)
+                step[free] = -np.linalg.solve(a + damping * (np.diag(np.diag(a)) + 1e-3 * np.trace(a) * np.eye(len(a))), g)
+                trial = np.clip(p + np.clip(step, -1.0, 1.0), lower, upper)
+                improved = self.cost(self.residuals([trial])[0][:, 0])[used].sum()
+                if improved < cost:
+                    break
+                damping *= 4.0
+            if not improved < cost:
+                return p, cost, k + 1
+            p, damping = trial, max(damping / 4.0, 1e-7)
+            if cost - improved < 1e-3 * cost:
+                return p, improved, k + 1
+        return p, improved, self.options.iterations

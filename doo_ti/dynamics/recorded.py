@@ -1,0 +1,311 @@
+"""Recorded motion: markers along rods held by grippers: where a simulation starts, and what it is compared with."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.dynamics.grippers import Grippers, edge_frames
+from doo_ti.errors import InputError
+from doo_ti.frames import bishop_frames, quaternion_from_matrix
+from doo_ti.io.arrays import read_npz
+from doo_ti.io.files import read_content
+from doo_ti.types import Clamp, Configuration
+
+LEAST_JUMP, LARGEST_MISFIT, SMALLEST_JUMP = 1.7, 0.2, 10.0
+"""Frames are missing where all gripper markers together move by more than this multiple of their usual move, but for this share
+of the squares, and by so many mm (root of the sum of squares)."""
+NEIGHBOURS = 3
+"""Frames on either side that tell how fast a gripper is."""
+MOST_LOST = 100
+"""Frames that may be missing at one place."""
+LARGEST_TURN = np.radians(60.0)
+"""A gripper that turns by more in one frame was not seen right: markers were confused."""
+FINE, SWAPPED, LOST = 0, 1, 2
+MOST_CONFUSED = 50
+"""Frames after which it is believed that it did turn."""
+LARGEST_REACH = 0.999
+"""Share of the rod's length between grippers, at most: beyond, the far gripper is moved back."""
+MOST_MM = 1e6
+"""From the origin."""
+GRIPPED = (0, 1, -2, -1)
+"""Vertices of the first and last edge."""
+
+
+@dataclass(frozen=True)
+class RecordedMotion:
+    """R rods of V markers at T frames.
+
+    positions  (R, T, V, 3) mm; the first and last edges are held by grippers
+    rate       frames per second
+    names      (R,) of the recordings
+    elapsed    (R, T) steps of 1/rate since the frame before: more than one where frames are missing from the recording
+    confused   (R, T, 2) of the start gripper's and the end gripper's markers: FINE, SWAPPED, or LOST, where they contradict the
+               frames around, from which the gripper is then taken
+
+    Raises InputError for shapes that do not fit and numbers that are not finite.
+    """
+
+    positions: np.ndarray
+    rate: float
+    names: tuple[str, ...]
+    elapsed: np.ndarray
+    confused: np.ndarray
+
+    @classmethod
+    def of(cls, positions, rate: float, names=None, source: str = "motion") -> "RecordedMotion":
+        """With ``elapsed`` found from how the grippers move."""
+        positions = np.asarray(positions, dtype=np.float64)
+        if positions.ndim == 3:
+            positions = positions[None]
+        if positions.ndim != 4 or positions.shape[-1] != 3 or positions.shape[2] < 5 or positions.shape[1] < 3:
+            raise InputError(source, "positions_mm", f"shape {positions.shape}",
+                             "give (R, T, V, 3) or (T, V, 3), three frames and five markers at least")
+        wrong = np.argwhere(~np.isfinite(positions).all(axis=(2, 3)))
+        if len(wrong):
+            raise InputError(source, "positions_mm", f"not finite in {len(wrong)} frames, first recording {wrong[0, 0]}, "
+                             f"frame {wrong[0, 1]}", "have them filled (`fill_gaps`), or leave those recordings out")
+        if not (np.isfinite(rate) and rate > 0):
+            raise InputError(source, "rate_hz", f"{rate}", "give frames per second")
+        if (np.abs(positions) > MOST_MM).any():
+            raise InputError(source, "positions_mm", f"up to {np.abs(positions).max():.3g} mm from the origin", "give mm")
+        names = tuple(str(k) for k in (range(len(positions)) if names is None else names))
+        return cls(positions, float(rate), names, elapsed_steps(positions), confused_frames(positions))
+
+    @classmethod
+    def load(cls, path: str | Path, fill_gaps: bool = False) -> "RecordedMotion":
+        """The recordings of an npz file: ``positions_mm`` (R, T, V, 3) or (T, V, 3), ``rate_hz``, and names in ``recording``.
+
+        fill_gaps  positions that are not finite are taken from lines between the frames around
+
+        Raises InputError for files that cannot be read, and as the class does.
+        """
+        path = Path(path)
+        found = read_npz(path, read_content(path), ("positions_mm", "rate_hz", "recording"))
+        for key in ("positions_mm", "rate_hz"):
+            if key not in found:
+                raise InputError(path, key, "missing", "give positions_mm (R, T, V, 3) or (T, V, 3) and rate_hz")
+            if found[key].dtype.kind not in "fiu":
+                raise InputError(path, key, f"dtype {found[key].dtype} is not numeric", "store real numbers")
+        positions, rate = found["positions_mm"].astype(np.float64), found["rate_hz"]
+        if rate.size != 1:
+            raise InputError(path, "rate_hz", f"shape {rate.shape}", "give one number: frames per second")
+        if positions.ndim == 3:
+            positions = positions[None]
+        if fill_gaps and positions.ndim == 4:
+            positions = _filled(positions, path)
+        names = found.get("recording")
+        if names is not None and names.shape != positions.shape[:1]:
+            raise InputError(path, "recording", f"shape {names.shape}", f"give ({len(positions)},) names")
+        return cls.of(positions, float(rate.reshape(())), None if names is None else names.tolist(), str(path))
+
+    @classmethod
+    def together(cls, parts: list["RecordedMotion"], sources: list[str]) -> "RecordedMotion":
+        """The recordings of several files, as long as the shortest. Raises InputError where markers or rates differ."""
+        first = parts[0]
+        for part, source in zip(parts, sources, strict=True):
+            if part.positions.shape[2] != first.positions.shape[2] or part.rate != first.rate:
+                problem = (f"{part.positions.shape[2]} markers at {part.rate:g}/s, the first file has "
+                           f"{first.positions.shape[2]} at {first.rate:g}/s")
+                raise InputError(source, "positions_mm", problem, "give recordings of one rod alike")
+        frames = min(part.positions.shape[1] for part in parts)
+        cut = [part.until(frames) for part in parts]
+        several = len(parts) > 1
+        names = tuple(f"{Path(source).stem} {name}" if several else name
+                      for part, source in zip(parts, sources, strict=True) for name in part.names)
+        return cls(np.concatenate([part.positions for part in cut]), first.rate, names,
+                   np.concatenate([part.elapsed for part in cut]), np.concatenate([part.confused for part in cut]))
+
+    @property
+    def count(self) -> int:
+        """R."""
+        return len(self.positions)
+
+    @property
+    def edges(self) -> int:
+        """E."""
+        return self.positions.shape[2] - 1
+
+    def take(self, rows) -> "RecordedMotion":
+        """The recordings named by ``rows``."""
+        rows = np.atleast_1d(rows)
+        return RecordedMotion(self.positions[rows], self.rate, tuple(np.array(self.names)[rows]), self.elapsed[rows],
+                              self.confused[rows])
+
+    def until(self, frames: int) -> "RecordedMotion":
+        """The first ``frames`` frames."""
+        return RecordedMotion(self.positions[:, :frames], self.rate, self.names, self.elapsed[:, :frames],
+                              self.confused[:, :frames])
+
+    def edge_lengths(self) -> np.ndarray:
+        """(E,) median lengths of the edges, mm."""
+        return np.median(np.linalg.norm(np.diff(self.positions, axis=2), axis=-1), axis=(0, 1))
+
+    def glitches(self) -> list[str]:
+        """What is wrong with the recordings, one line each."""
+        lines = [f"recording {self.names[r]}, frame {t}: {self.elapsed[r, t] - 1} frames are missing before it"
+                 for r, t in np.argwhere(self.elapsed > 1)]
+        for kind, problem in ((SWAPPED, "are swapped"), (LOST, "contradict the frames around")):
+            for r, end in np.argwhere((self.confused == kind).any(axis=1)):
+                frames = np.flatnonzero(self.confused[r, :, end] == kind)
+                lines.append(f"recording {self.names[r]}, {len(frames)} frames from {frames[0]} to {frames[-1]}: the two "
+                             f"markers of the {('start', 'end')[end]} gripper {problem}")
+        return lines
+
+
+def _filled(positions: np.ndarray, path: Path) -> np.ndarray:
+    """Positions (R, T, V, 3) with gaps closed by lines in time. Raises InputError for a marker that was never seen."""
+    result = positions.copy()
+    for r, v in np.argwhere(~np.isfinite(positions).all(axis=(1, 3))):
+        seen = np.isfinite(positions[r, :, v]).all(axis=-1)
+        if not seen.any():
+            raise InputError(path, "positions_mm", f"marker {v} of recording {r} is nowhere finite", "leave that recording out")
+        for axis in range(3):
+            result[r, :, v, axis] = np.interp(np.arange(len(seen)), np.flatnonzero(seen), positions[r, seen, v, axis])
+    return result
+
+
+def elapsed_steps(positions: np.ndarray) -> np.ndarray:
+    """(R, T) steps since the frame before, from (R, T, V, 3) positions.
+
+    A capture that loses frames leaves a jump: all markers of the grippers move by the same multiple n of what they do in the
+    frames around, in the same directions. With moves d of the four and the median u of their moves around, n = Σ d·u / Σ u·u.
+    """
+    moves = np.diff(positions[:, :, GRIPPED], axis=1)  # (R, T − 1, 4, 3)
+    around = np.full((2 * NEIGHBOURS, *moves.shape), np.nan)
+    for k, offset in enumerate([*range(-NEIGHBOURS, 0), *range(1, NEIGHBOURS + 1)]):
+        if abs(offset) < moves.shape[1]:
+            around[k, :, max(0, -offset) : moves.shape[1] - max(0, offset)] = (
+                moves[:, max(0, offset) : moves.shape[1] + min(0, offset)])
+    usual = np.nanmedian(around, axis=0)
+    square = np.sum(usual**2, axis=(-2, -1))
+    number = np.sum(moves * usual, axis=(-2, -1)) / np.maximum(square, 1e-12)
+    left = np.sum((moves - number[..., None, None] * usual) ** 2, axis=(-2, -1))
+    all_moves = np.sum(moves**2, axis=(-2, -1))
+    lost = (number > LEAST_JUMP) & (left < LARGEST_MISFIT * all_moves) & (all_moves > SMALLEST_JUMP**2)
+    steps = np.ones(positions.shape[:2], dtype=np.int64)
+    steps[:, 1:][lost] = np.clip(np.rint(number[lost]), 1, MOST_LOST).astype(np.int64)
+    return steps
+
+
+def confused_frames(positions: np.ndarray) -> np.ndarray:
+    """(R, T, 2) frames of (R, T, V, 3) positions in which the first or the last edge points elsewhere than before, for a while:
+    SWAPPED where it points the opposite way, else LOST. Before frame 0 it continues the edge beside it."""
+    edges = np.stack([positions[:, :, 1] - positions[:, :, 0], positions[:, :, -1] - positions[:, :, -2]], axis=2)
+    direction = edges / np.maximum(np.linalg.norm(edges, axis=-1, keepdims=True), 1e-12)
+    beside = np.stack([positions[:, 0, 2] - positions[:, 0, 1], positions[:, 0, -2] - positions[:, 0, -3]], axis=1)
+    kinked = np.sum(direction[:, 0] * beside, axis=-1) < -0.5 * np.linalg.norm(beside, axis=-1)
+    believed = np.where(kinked[..., None], -direction[:, 0], direction[:, 0])
+    confused = np.full(direction.shape[:3], FINE, dtype=np.int8)
+    since = np.zeros(kinked.shape, dtype=np.int64)
+    for t in range(direction.shape[1]):
+        along = np.sum(direction[:, t] * believed, axis=-1)
+        swapped, lost = along < -np.cos(LARGEST_TURN), np.abs(along) < np.cos(LARGEST_TURN)
+        since = np.where(lost, since + 1, 0)
+        for r, end in np.argwhere(since > MOST_CONFUSED):
+            confused[r, t - MOST_CONFUSED : t, end], lost[r, end] = FINE, False
+        since[~lost] = 0
+        confused[:, t] = np.where(lost, LOST, np.where(swapped, SWAPPED, FINE))
+        believed = np.where(lost[..., None], believed, np.where(swapped[..., None], -direction[:, t], direction[:, t]))
+    return confused
+
+
+def _believable(held: np.ndarray, confused: np.ndarray, elapsed: np.ndarray) -> np.ndarray:
+    """Gripper markers (R, T, 4, 3), changed back where ``confused`` (R, T, 2) says they are swapped, and on lines between the
+    frames around where they are lost."""
+    result, instants = held.copy(), np.cumsum(elapsed, axis=1)
+    for end in range(2):
+        pair = slice(2 * end, 2 * end + 2)
+        swapped = confused[:, :, end] == SWAPPED
+        result[swapped, pair] = held[swapped, pair][:, ::-1]
+        for r in np.flatnonzero((confused[:, :, end] == LOST).any(axis=1)):
+            good = confused[r, :, end] != LOST
+            for marker, axis in np.ndindex(2, 3):
+                column = result[r, :, 2 * end + marker, axis]
+                result[r, :, 2 * end + marker, axis] = np.interp(instants[r], instants[r, good], column[good])
+    return result
+
+
+def _within_reach(held: np.ndarray, rest_length: np.ndarray) -> np.ndarray:
+    """Gripper markers (R, T, 4, 3) with the far gripper moved towards the near one where the rod would not reach it."""
+    first, last = held[:, :, 1] - held[:, :, 0], held[:, :, 3] - held[:, :, 2]
+    first = first * (rest_length[0] / np.linalg.norm(first, axis=-1, keepdims=True))
+    last = last * (rest_length[-1] / np.linalg.norm(last, axis=-1, keepdims=True))
+    line = held[:, :, 3] - last - held[:, :, 0] - first
+    span = np.linalg.norm(line, axis=-1, keepdims=True)
+    excess = np.maximum(span - LARGEST_REACH * rest_length[1:-1].sum(), 0.0) / span
+    result = held.copy()
+    result[:, :, 2:] -= (excess * line)[:, :, None]
+    return result
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """A recorded motion as a simulation begins it: from frames 0 and 1.
+
+    start     R rods at frame 1
+    velocity  (R, V, 3) mm/s there
+    grippers  at every step from frame 1 on, missing frames included
+    steps     (R, T − 1) the step of each frame from 1 on
+    rate      steps per second
+    """
+
+    start: Configuration
+    velocity: np.ndarray
+    grippers: Grippers
+    steps: np.ndarray
+    rate: float
+
+
+def roll_reference(motion: RecordedMotion) -> np.ndarray:
+    """(3,) the coordinate axis most across the first edges where the recordings begin."""
+    first = motion.positions[:, 1, 1] - motion.positions[:, 1, 0]
+    direction = first / np.linalg.norm(first, axis=-1, keepdims=True)
+    return np.eye(3)[int(np.argmin((direction**2).mean(axis=0)))]
+
+
+def rollout(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarray, end: Clamp = Clamp.TANGENT) -> Rollout:
+    """Lay out the recordings of ``motion`` for :func:`doo_ti.dynamics.simulate.simulate`.
+
+    rest_length  (E,) mm
+    reference    (3,) direction towards which m1 of the first edge points at frame 1
+    end          what the far gripper holds
+    """
+    believed = _believable(motion.positions[:, :, GRIPPED], motion.confused, motion.elapsed)
+    held = _within_reach(believed[:, 1:], rest_length)
+    expanded, steps = _with_missing(held, motion.elapsed[:, 1:])
+    first = edge_frames(expanded[:, :, 1] - expanded[:, :, 0], np.broadcast_to(reference, (motion.count, 3)))
+    first_two = motion.positions[:, :2].copy()
+    first_two[:, :, GRIPPED] = believed[:, :2]
+    x = first_two[:, 1]
+    edges = np.diff(x, axis=1)
+    tangents = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+    frames = bishop_frames(tangents, first[:, 0, :, 1])  # without twist at the start
+    last = edge_frames(expanded[:, :, 3] - expanded[:, :, 2], frames[:, -1, :, 1])
+    grippers = Grippers(Clamp.FRAME, end, expanded[:, :, 0], expanded[:, :, 3], first, last)
+    velocity = (x - first_two[:, 0]) * motion.rate / motion.elapsed[:, 1, None, None]
+    start = Configuration(x[:, 0].copy(), quaternion_from_matrix(frames), rest_length)
+    return Rollout(start, velocity, grippers, steps, motion.rate)
+
+
+def _with_missing(held: np.ndarray, elapsed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """((R, steps, 4, 3) gripper markers at every step, (R, T) step of each frame) from (R, T, 4, 3), the last position held
+    where a recording is shorter: cubics through frames that are missing, with the velocities on either side."""
+    count, frames = held.shape[:2]
+    since = elapsed.copy()
+    since[:, 0] = 0
+    steps = np.cumsum(since, axis=1)
+    total = int(steps[:, -1].max()) + 1
+    result = np.repeat(held[:, -1:], total, axis=1)
+    for r in range(count):
+        result[r, steps[r]] = held[r]
+    for r, t in np.argwhere(since > 1):
+        n = int(since[r, t])
+        here, there = held[r, t - 1], held[r, t]
+        before = (here - held[r, t - 2]) / max(1, since[r, t - 1]) if t > 1 else (there - here) / n
+        after = (held[r, t + 1] - there) / since[r, t + 1] if t + 1 < frames else (there - here) / n
+        u = (np.arange(1, n) / n)[:, None, None]
+        result[r, steps[r, t - 1] + 1 : steps[r, t]] = (
+            (1 + 2 * u) * (1 - u) ** 2 * here + u**2 * (3 - 2 * u) * there
+            + n * (u * (1 - u) ** 2 * before + u**2 * (u - 1) * after))
+    return result, steps

@@ -1,0 +1,208 @@
+"""Scenes of rods in motion, in one TOML file.
+
+    name = "whip"
+    rate_hz = 200                      # frames per second
+    duration_s = 1.0
+    substeps = 2                       # time steps from one frame to the next (1)
+    scheme = "bdf2"                    # or "euler"
+
+    [rod]
+    length_mm = 1000.0
+    edges = 40
+    direction = [0, 0, -1]             # in which it is straight at first (along x)
+    position_mm = [0, 0, 0]            # of its first vertex (the origin)
+    at_rest = true                     # relaxed before the motion begins (false: it begins straight)
+
+    [materials.rope]                   # one or more, all in the same motion
+    bend = 6e5                         # mm³
+    twist = 8e5                        # mm³ (the same as bend)
+    weight = 1.0                       # (1)
+    density = 1.0                      # mass per length over that of a rod of weight 1 (the weight)
+    bend_damping_s = 0.01              # (0)
+    twist_damping_s = 0.01             # (0)
+    drag_per_s = 0.1                   # (0)
+    quadratic_drag_per_mm = 1e-5       # (0)
+
+    [clamps]                           # free, position, tangent or frame
+    start = "frame"                    # (frame)
+    end = "free"                       # (free)
+
+    [[moments]]                        # of the clamps, none or more; what is left out stays as it was; smooth between them
+    time_s = 0.0
+    start_position_mm = [0, 0, 0]
+    start_direction = [0, 0, -1]
+    end_position_mm = [0, 0, -1000]
+    end_direction = [0, 0, -1]
+
+    [circle]                           # on which the start runs besides, horizontal
+    radius_mm = 50.0
+    turns_per_s = 1.5
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from msgspec import Meta
+
+from doo_ti.dynamics.grippers import Grippers, edge_frames
+from doo_ti.dynamics.parameters import Dynamics
+from doo_ti.errors import InputError
+from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
+from doo_ti.io.toml_file import Finite, NotNegative, Positive, Table, Vector, checked, read_toml
+from doo_ti.terminal import in_line
+from doo_ti.types import Clamp, Configuration, Material
+
+MOST_FRAMES = 1_000_000
+
+
+@dataclass(frozen=True)
+class DynamicScene:
+    """A scene, checked: one rod ``start``, relaxed first where ``at_rest``, under G materials called ``names``."""
+
+    name: str
+    names: tuple[str, ...]
+    start: Configuration
+    at_rest: bool
+    material: Material
+    dynamics: Dynamics
+    grippers: Grippers
+    rate: float
+    substeps: int
+    scheme: str
+
+
+class _File(Table):
+    rate_hz: Positive
+    duration_s: Positive
+    rod: dict
+    materials: Annotated[dict, Meta(min_length=1)]
+    name: str | None = None
+    substeps: Annotated[int, Meta(ge=1, le=1000)] = 1
+    scheme: Literal["bdf2", "euler"] = "bdf2"
+    clamps: dict = {}
+    moments: list = []
+    circle: dict | None = None
+
+
+class _Rod(Table):
+    length_mm: Annotated[float, Meta(ge=1e-6, le=1e6)]
+    edges: Annotated[int, Meta(ge=4, le=10_000)]
+    direction: Vector = (1.0, 0.0, 0.0)
+    position_mm: Vector = (0.0, 0.0, 0.0)
+    at_rest: bool = False
+
+
+class _Material(Table):
+    bend: Positive
+    twist: Positive | None = None
+    weight: NotNegative = 1.0
+    density: Positive | None = None
+    bend_damping_s: NotNegative = 0.0
+    twist_damping_s: NotNegative = 0.0
+    drag_per_s: NotNegative = 0.0
+    quadratic_drag_per_mm: NotNegative = 0.0
+
+
+class _Clamps(Table):
+    start: Literal["free", "position", "tangent", "frame"] = "frame"
+    end: Literal["free", "position", "tangent", "frame"] = "free"
+
+
+class _Moment(Table):
+    time_s: NotNegative
+    start_position_mm: Vector | None = None
+    start_direction: Vector | None = None
+    end_position_mm: Vector | None = None
+    end_direction: Vector | None = None
+
+
+class _Circle(Table):
+    radius_mm: Positive
+    turns_per_s: Finite
+
+
+def load_dynamic_scene(path: str | Path) -> DynamicScene:
+    """The scene of a TOML file. Raises InputError for unreadable files, unknown keys, wrong types and values."""
+    path = Path(path)
+    file = checked(path, "", read_toml(path)[0], _File)
+    rod, clamps = checked(path, "rod", file.rod, _Rod), checked(path, "clamps", file.clamps, _Clamps)
+    frames = round(file.duration_s * file.rate_hz)
+    if not 1 <= frames <= MOST_FRAMES:
+        raise InputError(path, "duration_s", f"{frames} frames at rate_hz", f"give 1 to {MOST_FRAMES:,}")
+    direction = _unit(path, "rod.direction", rod.direction)
+    start = _straight(rod, direction)
+    time = np.arange(frames + 1) / file.rate_hz
+    grippers = _grippers(path, file, clamps, start, direction, time)
+    names = tuple(map(in_line, file.materials))
+    material, dynamics = _materials(path, file.materials)
+    return DynamicScene(in_line(path.stem if file.name is None else file.name), names, start, rod.at_rest, material, dynamics,
+                        grippers, file.rate_hz, file.substeps, file.scheme)
+
+
+def _unit(path: Path, key: str, vector) -> np.ndarray:
+    length = np.linalg.norm(vector)
+    if not length > 0:
+        raise InputError(path, key, "no direction", "give a vector X, Y, Z that is not zero")
+    return np.array(vector) / length
+
+
+def _straight(rod: _Rod, direction: np.ndarray) -> Configuration:
+    tangents = np.tile(direction, (1, rod.edges, 1))
+    frames = bishop_frames(tangents, across(direction)[None])
+    return Configuration(np.array([rod.position_mm]), quaternion_from_matrix(frames),
+                         np.full(rod.edges, rod.length_mm / rod.edges))
+
+
+def _materials(path: Path, table: dict) -> tuple[Material, Dynamics]:
+    found = [checked(path, f"materials.{name}", values, _Material) for name, values in table.items()]
+
+    def column(name):
+        return np.array([getattr(one, name) for one in found])
+    bend = column("bend")
+    weight = column("weight")
+    density = np.array([one.weight if one.density is None else one.density for one in found])
+    if not (density > 0).all():
+        raise InputError(path, f"materials.{list(table)[int(np.argmin(density))]}.density", "missing for a rod without weight",
+                         "give its mass per length over that of a rod of weight 1")
+    material = Material(bend, np.array([one.bend if one.twist is None else one.twist for one in found]), weight)
+    return material, Dynamics(density, column("bend_damping_s"), column("twist_damping_s"), column("drag_per_s"),
+                              column("quadratic_drag_per_mm"))
+
+
+def _grippers(path: Path, file: _File, clamps: _Clamps, start: Configuration, direction: np.ndarray,
+              time: np.ndarray) -> Grippers:
+    from scipy.interpolate import PchipInterpolator
+
+    vertices = start.vertices[0]
+    now = {"start_position_mm": vertices[0], "start_direction": direction, "end_position_mm": vertices[-1],
+           "end_direction": direction}
+    moments = [checked(path, f"moments[{k}]", row, _Moment) for k, row in enumerate(file.moments)]
+    at, rows = [0.0], {key: [value] for key, value in now.items()}
+    for k, moment in enumerate(moments):
+        if moment.time_s < at[-1] or k and moment.time_s == at[-1]:
+            raise InputError(path, f"moments[{k}].time_s", f"{moment.time_s:g} does not rise", "give moments in their order")
+        for key in now:
+            value = getattr(moment, key)
+            if value is not None:
+                now[key] = _unit(path, f"moments[{k}].{key}", value) if key.endswith("direction") else np.array(value)
+        if moment.time_s == at[-1]:
+            at.pop()
+            for key in now:
+                rows[key].pop()
+        at.append(moment.time_s)
+        for key in now:
+            rows[key].append(now[key])
+    if len(at) == 1:
+        at, rows = [0.0, 1.0], {key: values * 2 for key, values in rows.items()}
+    paths = {key: PchipInterpolator(at, np.array(values))(np.minimum(time, at[-1])) for key, values in rows.items()}
+    if file.circle is not None:
+        circle = checked(path, "circle", file.circle, _Circle)
+        angle = 2 * np.pi * circle.turns_per_s * time
+        paths["start_position_mm"] = paths["start_position_mm"] + circle.radius_mm * np.stack(
+            [np.cos(angle) - 1, np.sin(angle), 0 * angle], axis=-1)
+    m1 = across(direction)[None]
+    return Grippers(Clamp[clamps.start.upper()], Clamp[clamps.end.upper()], paths["start_position_mm"][None],
+                    paths["end_position_mm"][None], edge_frames(paths["start_direction"][None], m1),
+                    edge_frames(paths["end_direction"][None], m1))

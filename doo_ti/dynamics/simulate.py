@@ -1,0 +1,341 @@
+"""Simulation: many rods through time, every implicit step the minimum of an energy (docs/dynamics.md)."""
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti.dynamics.grippers import Grippers
+from doo_ti.dynamics.parameters import GRAVITY, Direction, Dynamics
+from doo_ti.errors import InputError, real_array, require_number, require_whole
+from doo_ti.frames import (
+    quaternion_from_matrix,
+    quaternion_product,
+    smallest_rotation,
+    tangent_from_quaternion,
+)
+from doo_ti.relaxation.external import Springs
+from doo_ti.relaxation.input_tables import tables, under
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.tables import Tables, whole_start
+from doo_ti.relaxation.time_loop import END_FORCE, MOMENT, PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_TARGET, STATE, TRIPS
+from doo_ti.relaxation.time_slopes import NUMBERS, REMEMBERED
+from doo_ti.relaxation.time_steps import Memory, Slopes, make_steps, slope_memory
+from doo_ti.relaxation.time_sweep import (
+    DRAG,
+    DRAG_BY_SPEED,
+    INERTIA,
+    LOAD,
+    PLACE_2,
+    SPRING,
+    SPRING_POINT,
+    VELOCITY_1,
+    VERTEX_ITEMS,
+)
+from doo_ti.types import Clamp, Configuration, Material, Status, unit_up
+
+RATES = {"euler": 1.0, "bdf2": 1.5}
+"""Time derivatives: a of D u = (a/h) (u − y)."""
+MOST_RATE = 1e7
+"""Instants per second."""
+NUMBERS_AT_ONCE = 16_000_000
+"""Numbers of positions that a launch writes."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """R rods at F frames.
+
+    positions   (R, F, V, 3) mm; NaN from where a rod failed
+    status      (R, F) Status; a rod that failed keeps its status to the end
+    iterations  (R, F) Newton iterations of all steps since the frame before
+    residual    (R, F) the largest residual of those steps
+    end_force   (R, F, 3) force of the far clamp on the rod, mm (energy per mm), zero where an end is free
+    rate        frames per second
+    memory      what the rods remember at the last frame, from where :func:`simulate` goes on
+    slopes      (R, F, P, V, 3) derivatives of positions by the parameters that were asked for, or None
+    """
+
+    positions: np.ndarray
+    status: np.ndarray
+    iterations: np.ndarray
+    residual: np.ndarray
+    end_force: np.ndarray
+    rate: float
+    memory: Memory
+    slopes: np.ndarray | None = None
+
+    @property
+    def converged(self) -> np.ndarray:
+        """(R,) whether all steps of the rod have converged."""
+        return self.status[:, -1] == Status.CONVERGED
+
+
+def simulate(
+    start: Configuration,
+    material: Material,
+    grippers: Grippers,
+    dynamics: Dynamics,
+    rate: float,
+    *,
+    velocity: np.ndarray | None = None,
+    substeps: int = 1,
+    scheme: str = "bdf2",
+    springs: Springs | None = None,
+    up=(0.0, 0.0, 1.0),
+    precision: str = "f64",
+    pairs: tuple[np.ndarray, np.ndarray] | None = None,
+    smooth_start: bool = True,
+    velocity_age: float = 0.0,
+    directions: Sequence[Direction] = (),
+    progress: Callable[[int], None] | None = None,
+) -> Trajectory:
+    """Move rods from ``start`` through the instants of ``grippers``.
+
+    start         S rods at the first instant
+    material      G rows; dynamics has G or one
+    grippers      of S rods, or of one that all share, at T instants
+    rate          instants per second
+    velocity      (S, V, 3) mm/s at the first instant; None: at rest
+    substeps      time steps between instants; grippers move smoothly between them
+    scheme        "bdf2", of second order, or "euler", backward Euler, of first order and strongly damping
+    springs       at the vertices, one row for all rods or R of them
+    precision     "f64" or "f32", in which a rod that rounding stops is reported as stalled
+    pairs         (R,) rows of start and of material that make up each rod; by default they pair one to one, a single row with
+                  every row of the other
+    smooth_start  the history before the first instant is that of the acceleration there; False: of constant velocity
+    velocity_age  s before the first instant for which ``velocity`` holds: ``smooth_start`` carries it on by the acceleration
+    directions    P parameters to differentiate the positions by, in f64
+    progress      called with the number of frames that are done
+
+    Returns the T − 1 later instants. A rod whose step fails stops alone. Raises InputError for inputs that do not match.
+    """
+    motion = _Motion(start, material, grippers, dynamics, rate, substeps, springs, unit_up(up, "simulate"), pairs)
+    if scheme not in RATES:
+        raise InputError("simulate", "scheme", f"{scheme!r}", f"give one of {', '.join(RATES)}")
+    if precision not in ("f32", "f64"):
+        raise InputError("simulate", "precision", f"{precision!r}", "give f32 or f64")
+    if directions and precision != "f64":
+        raise InputError("simulate", "precision", "f32 with directions", "give f64")
+    bits = 32 if precision == "f32" else 64
+    memory, remembered = motion.begin(_checked_velocity(velocity, start), smooth_start, velocity_age, directions)
+    return motion.run(memory, RATES[scheme], bits, progress, directions, remembered)
+
+
+def _checked_velocity(velocity, start: Configuration) -> np.ndarray:
+    shape = (start.count, start.edges + 1, 3)
+    if velocity is None:
+        return np.zeros(shape)
+    velocity = real_array("simulate", "velocity", velocity, "give real numbers").astype(np.float64)
+    if velocity.shape != shape:
+        raise InputError("simulate", "velocity", f"shape {velocity.shape}", f"give {shape}")
+    if not np.isfinite(velocity).all():
+        raise InputError("simulate", "velocity", "not finite", "give finite numbers of mm/s")
+    return velocity
+
+
+class _Motion:
+    """A motion laid out for the kernels."""
+
+    def __init__(self, start, material, grippers, dynamics, rate, substeps, springs, up, pairs):
+        require_number("simulate", "rate", rate)
+        if not 0 < rate <= MOST_RATE:
+            raise InputError("simulate", "rate", f"{rate}", f"give instants per second, above zero, at most {MOST_RATE:g}")
+        require_whole("simulate", "substeps", substeps, 1)
+        if grippers.count not in (1, start.count):
+            raise InputError("simulate", "grippers", f"{grippers.count} rods, start has {start.count}", "give one, or as many")
+        if dynamics.count not in (1, material.count):
+            raise InputError("simulate", "dynamics", f"{dynamics.count} rows, material has {material.count}",
+                             "give one, or as many")
+        self.start, self.material, self.dynamics, self.springs, self.up = start, material, dynamics, springs, up
+        self.rate, self.substeps, self.step = rate, substeps, 1.0 / (rate * substeps)
+        self.grippers = grippers.refined(substeps)
+        self.pairs = (None, None) if pairs is None else pairs
+        self.first = _spread(grippers.at(0), start.count)
+
+    def table(self, factor: float) -> Tables:
+        """The tables of the rods for time derivatives of that factor a."""
+        vertices = self.start.edges + 1
+        external = Springs(np.zeros((1, vertices, 3)), np.zeros((1, vertices)))
+        return tables(self.start, self._stiffened(factor), self.first, self.up, *self.pairs, external, None)
+
+    def _stiffened(self, factor: float) -> Material:
+        """The material with the stiffness and the rest curvature that damping adds."""
+        shares, damped = self._shares(factor)
+        m = self.material
+        if damped:
+            stiffer = 1.0 / (1.0 - shares)
+            count = len(stiffer)
+            rest = np.zeros((1, 1, 2)) if m.rest_curvature is None else m.rest_curvature
+            m = Material(np.broadcast_to(m.bend, (count, *m.bend.shape[1:])) * stiffer[:, :1, None, None],
+                         np.broadcast_to(m.twist, (count, m.twist.shape[1])) * stiffer[:, 1:],
+                         np.broadcast_to(m.weight, (count,)),
+                         np.broadcast_to(rest, (count, *rest.shape[1:])) * (1.0 - shares[:, :1, None]))
+        return m
+
+    def _shares(self, factor: float) -> tuple[np.ndarray, bool]:
+        """((G, 2) shares of rest curvature and twist that damping makes, r = τ a/h / (1 + τ a/h), whether any)."""
+        count = max(self.material.count, self.dynamics.count)
+        tau = np.stack([self.dynamics.column(name, count) for name in ("bend_damping", "twist_damping")], axis=1)
+        stiffening = tau * factor / self.step
+        return stiffening / (1.0 + stiffening), self.dynamics.is_damped
+
+    def numbers(self, table: Tables, factor: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(numbers (N, V, -), shares (N, 2), (R,) row of each rod), see :func:`.make_steps`."""
+        lengths = table.rest_length
+        vertices = self.start.edges + 1
+        of_rod = self.springs is not None and self.springs.count > 1 or len(lengths) > 1
+        rows = table.count if of_rod else max(self.material.count, self.dynamics.count)
+        of_material = table.material_index if of_rod else np.arange(rows)
+        if len(lengths) > 1:
+            lengths = lengths[table.configuration_index]
+        share = np.zeros((len(lengths), vertices))
+        share[:, :-1] += 0.5 * lengths
+        share[:, 1:] += 0.5 * lengths
+        count = max(self.material.count, self.dynamics.count)
+        weight = np.broadcast_to(self.material.weight, (count,))[of_material]
+        density = weight if self.dynamics.density is None else self.dynamics.column("density", count)[of_material]
+        if not (density > 0).all():
+            raise InputError("simulate", "density", "zero, since the material has no weight", "give Dynamics(density=...)")
+        point = self.dynamics.point_masses(count, vertices)[of_material]
+        mass = 2.0 * density[:, None] / GRAVITY * share
+        rate = factor / self.step
+        numbers = np.zeros((rows, vertices, VERTEX_ITEMS - INERTIA))
+        numbers[..., 0] = (mass + 2.0 * density[:, None] / GRAVITY * point) * rate**2
+        numbers[..., DRAG - INERTIA] = mass * self.dynamics.column("drag", count)[of_material, None] * rate
+        numbers[..., DRAG_BY_SPEED - INERTIA] = mass * self.dynamics.column("quadratic_drag", count)[of_material, None] * rate
+        numbers[..., LOAD - INERTIA] = 2.0 * weight[:, None] * point
+        if self.springs is not None:
+            if self.springs.vertices != vertices or self.springs.count not in (1, table.count):
+                shape = f"{self.springs.points.shape}"
+                raise InputError("simulate", "springs", f"points of shape {shape}", f"give 1 or R rows of {vertices} vertices")
+            numbers[..., SPRING - INERTIA] = self.springs.stiffness
+            numbers[..., SPRING_POINT - INERTIA :] = self.springs.points
+        index = np.arange(table.count) if of_rod else table.material_index % rows
+        return numbers, self._shares(factor)[0][of_material], index
+
+    def path(self, table: Tables) -> np.ndarray:
+        """(S, steps, PATH_COLUMNS) where the clamps are at the end of every step."""
+        g, count = self.grippers, self.start.count
+        path = np.zeros((g.count, g.instants - 1, PATH_COLUMNS))
+        kinds = np.broadcast_to(np.asarray(g.start), (g.count,)), np.broadcast_to(np.asarray(g.end), (g.count,))
+        free = (kinds[0] == Clamp.FREE)[:, None, None]
+        # A free vertex 0 is reckoned from where it starts.
+        first = np.asarray(self.start.start, dtype=np.float64)
+        path = np.broadcast_to(path, (count, *path.shape[1:])).copy()
+        path[..., PATH_ANCHOR : PATH_ANCHOR + 3] = np.where(free, first[:, None], g.start_position[:, 1:])
+        held = (kinds[1] != Clamp.FREE)[:, None, None]
+        path[..., PATH_TARGET : PATH_TARGET + 3] = np.where(
+            held, g.end_position[:, 1:] - path[..., PATH_ANCHOR : PATH_ANCHOR + 3], 0.0)
+        path[..., PATH_ENDS] = path[..., PATH_ENDS + 4] = 1.0
+        for column, kind, frames in ((PATH_ENDS, kinds[0], g.start_frame), (PATH_ENDS + 4, kinds[1], g.end_frame)):
+            if (kind >= Clamp.TANGENT).any():
+                path[..., column : column + 4] = _frames(frames[:, 1:], kind)
+        return path
+
+    def slopes(self, table: Tables, factor: float, directions: Sequence[Direction], memory: np.ndarray) -> Slopes | None:
+        """How what the kernel is given changes along ``directions``; ``memory`` is how what the rods remember does."""
+        if not directions:
+            return None
+        changes = []
+        for direction in directions:
+            given = [self._under(table, *other, factor) for other in (direction.before, direction.after)]
+            changes.append([(after - before) / direction.distance for before, after in zip(*given, strict=True)])
+        return Slopes(*(np.stack(change) for change in zip(*changes, strict=True)), memory)
+
+    def _under(self, table: Tables, material: Material, dynamics: Dynamics, factor: float):
+        """Of another material and other dynamics, what the kernel is given: its tables of materials, of numbers, of shares."""
+        if material.count != self.material.count or dynamics.count != self.dynamics.count:
+            raise InputError("simulate", "directions", f"{material.count} and {dynamics.count} rows",
+                             f"give as many as of material, {self.material.count}, and of dynamics, {self.dynamics.count}")
+        other = copy(self)
+        other.material, other.dynamics = material, dynamics
+        numbers, shares, _ = other.numbers(table, factor)
+        return under(table, other._stiffened(factor)).material, numbers[..., :NUMBERS], shares
+
+    def begin(self, velocity: np.ndarray, smooth: bool, age: float,
+              directions: Sequence[Direction]) -> tuple[Memory, np.ndarray]:
+        """The memory of rods that start with ``velocity`` (S, V, 3), and its derivatives."""
+        table = self.table(1.0)
+        index = table.configuration_index
+        frames = whole_start(table.start, table.clamp)[index]
+        x = self.start.vertices[index]
+        v = velocity[index]
+        a = np.zeros_like(v)
+        remembered = np.zeros((table.count, len(directions), table.edges + 1, REMEMBERED))
+        feasible = table.feasible[index]
+        status = np.where(feasible, int(Status.CONVERGED), int(Status.INFEASIBLE)).astype(np.int8)
+        if smooth and self.grippers.instants > 1:
+            trial = _memory(frames, x, v, a, table, self.step, status.copy())
+            numbers, shares, rows = self.numbers(table, 1.0)
+            table.external_index[:] = rows
+            path = np.ascontiguousarray(self.path(table)[:, :1])
+            slopes = self.slopes(table, 1.0, directions, remembered)
+            make_steps(table, trial, path, numbers, shares, np.array([self.step, 1.0, 0.0]), 1, _newton(), 64, slopes)
+            moved = trial.places[..., VELOCITY_1 : VELOCITY_1 + 3]
+            a = np.where((trial.status == Status.CONVERGED)[:, None, None], (moved - v) / self.step, 0.0)
+            v = v + age * a
+            da = remembered[..., VELOCITY_1 : VELOCITY_1 + 3] / self.step
+            da[trial.status != Status.CONVERGED] = 0.0
+            remembered = slope_memory(
+                lambda change: _memory(frames, x, v + age * change, a + change, table, self.step, status), da)
+        return _memory(frames, x, v, a, table, self.step, status), remembered
+
+    def run(self, memory: Memory, factor: float, bits: int, progress, directions: Sequence[Direction],
+            remembered: np.ndarray) -> Trajectory:
+        """All steps, in launches of bounded size."""
+        table = self.table(factor)
+        slopes = self.slopes(table, factor, directions, remembered)
+        numbers, shares, table.external_index[:] = self.numbers(table, factor)
+        path = self.path(table)
+        time = np.array([self.step, factor, (factor - 1.0) / factor])
+        frames = path.shape[1] // self.substeps
+        numbers_a_frame = 3 * table.count * (table.edges + 1) * (1 if slopes is None else 1 + slopes.count)
+        at_once = max(1, min(frames, NUMBERS_AT_ONCE // numbers_a_frame))
+        positions, outcomes, changes = [], [], []
+        for first in range(0, frames, at_once):
+            part = slice(first * self.substeps, min(frames, first + at_once) * self.substeps)
+            where, outcome, change = make_steps(table, memory, np.ascontiguousarray(path[:, part]), numbers, shares, time,
+                                                self.substeps, _newton(), bits, slopes)
+            positions.append(where)
+            outcomes.append(outcome)
+            changes.append(change)
+            if progress is not None:
+                progress(min(frames, first + at_once))
+        outcome = np.concatenate(outcomes, axis=1)
+        return Trajectory(
+            np.concatenate(positions, axis=1), outcome[..., STATE].astype(np.int8), outcome[..., TRIPS].astype(np.int32),
+            outcome[..., MOMENT], outcome[..., END_FORCE:], self.rate, memory,
+            None if slopes is None else changes[0] if len(changes) == 1 else np.concatenate(changes, axis=1))
+
+
+def _newton() -> Newton:
+    """Of a time step: from where the rod would go by itself, undamped, and never off a saddle."""
+    return Newton(first_shift=0.0, max_escapes=0)
+
+
+def _memory(frames, x, v, a, table: Tables, h: float, status) -> Memory:
+    """The memory of rods at places ``x`` with velocities ``v`` and accelerations ``a``, all (R, V, 3)."""
+    places = np.concatenate([x, x - h * v + 0.5 * h**2 * a, v, v - h * a], axis=-1)
+    edges = np.diff(places[..., PLACE_2 : PLACE_2 + 3], axis=1)
+    tangents = edges / np.maximum(np.linalg.norm(edges, axis=-1, keepdims=True), 1e-300)
+    turn = smallest_rotation(tangent_from_quaternion(frames), tangents)
+    before = quaternion_product(turn, frames)
+    return Memory(frames.copy(), np.ascontiguousarray(before), places, np.zeros((len(x), 3)), np.zeros((len(x), 3)), status)
+
+
+def _frames(frames: np.ndarray, kinds: np.ndarray) -> np.ndarray:
+    """(S, T, 4) quaternions of (S, T, 3, 3) frames; of tangent clamps of any frame with that tangent."""
+    tangent = np.broadcast_to((kinds == Clamp.TANGENT)[:, None], frames.shape[:2])
+    if not tangent.any():
+        return quaternion_from_matrix(frames)
+    t = frames[..., 0] / np.linalg.norm(frames[..., 0], axis=-1, keepdims=True)
+    any_frame = smallest_rotation(np.array([1.0, 0.0, 0.0]), t)
+    whole = np.where(tangent[..., None, None], np.eye(3), frames)
+    return np.where(tangent[..., None], any_frame, quaternion_from_matrix(whole))
+
+
+def _spread(clamps, count: int):
+    """The clamps of one rod for ``count`` of them."""
+    return clamps if len(clamps.start_position) == count else clamps.take(np.zeros(count, dtype=np.int64))

@@ -1,0 +1,173 @@
+"""Θ of a rod in motion: material, rest shape, mass of its markers, damping and drag, as a vector to fit and as a file."""
+
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from doo_ti.dynamics.parameters import Dynamics
+from doo_ti.errors import InputError
+from doo_ti.io.files import MOST_TEXT_BYTES, read_content
+from doo_ti.types import LARGEST, Material, unit_up
+
+FILE_KEYS = {"bend": "bend_mm3", "twist_ratio": "twist_ratio", "bend_damping": "bend_damping_s", "drag": "drag_per_s",
+             "quadratic_drag": "quadratic_drag_per_mm", "marker_share": "marker_share"}
+"""Numbers of Θ and their names in a file."""
+
+
+@dataclass(frozen=True)
+class MotionTheta:
+    """What moves a rod as it was seen to move; all stiffness relative to the weight per length of rod and markers together.
+
+    bend            α, mm³ (weight 1)
+    twist_ratio     β/α
+    bend_damping    τ, s; twist_damping is the same
+    drag            1/s
+    quadratic_drag  1/mm
+    marker_share    of the mass that is in the markers, one at every vertex, in [0, 1)
+    rest            (2, K) Legendre coefficients of the rest curvature about m2 and −m1 along the rod, 1/mm
+    rest_length     (E,) mm
+    reference       (3,) towards which m1 of the first edge points where a recording begins
+    up              (3,) unit vector against gravity
+    """
+
+    bend: float
+    twist_ratio: float
+    bend_damping: float
+    drag: float
+    quadratic_drag: float
+    marker_share: float
+    rest: np.ndarray
+    rest_length: np.ndarray
+    reference: np.ndarray
+    up: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+
+    @property
+    def rest_curvature(self) -> np.ndarray:
+        """(E − 1, 2) ω̄ at the inner vertices, 1/mm."""
+        along = 2.0 * np.cumsum(self.rest_length)[:-1] / np.sum(self.rest_length) - 1.0
+        return np.stack([legendre.legval(along, coefficients) if len(coefficients) else 0.0 * along
+                         for coefficients in self.rest], axis=-1)
+
+
+def save_form(theta: MotionTheta) -> dict:
+    """What a file holds of Θ."""
+    return {key: getattr(theta, name) for name, key in FILE_KEYS.items()} | {
+        "twist_mm3": theta.bend * theta.twist_ratio, "weight": 1.0, "rest_curvature_modes_per_mm": theta.rest,
+        "rest_curvature_per_mm": theta.rest_curvature, "rest_length_mm": theta.rest_length,
+        "roll_reference": theta.reference, "up": theta.up}
+
+
+def load_theta(path: str | Path) -> MotionTheta:
+    """Θ of a JSON file that ``doo-ti identify`` has written. Raises InputError for files that cannot be read, missing keys and
+    values that no rod has."""
+    try:
+        content = json.loads(read_content(Path(path), MOST_TEXT_BYTES, "name a file that doo-ti identify has written"))
+        if not isinstance(content, dict):
+            raise ValueError("no object")
+    except (ValueError, RecursionError) as error:
+        raise InputError(path, "file", f"not JSON ({str(error).splitlines()[0]})",
+                         "name a file that doo-ti identify has written") from None
+    numbers = {name: float(_numbers(path, content, key, (), name == "bend" or name == "twist_ratio"))
+               for name, key in FILE_KEYS.items()}
+    if not numbers["marker_share"] < 1:
+        raise InputError(path, "marker_share", f"{numbers['marker_share']:g}", "give a share from 0 to below 1")
+    modes = _numbers(path, content, "rest_curvature_modes_per_mm", (2, None))
+    length = _numbers(path, content, "rest_length_mm", (None,))
+    reference = _numbers(path, content, "roll_reference", (3,))
+    if not (length > 0).all() or len(length) < 4:
+        raise InputError(path, "rest_length_mm", "not the lengths of four edges or more", "give positive lengths in mm")
+    if not np.linalg.norm(reference) > 0:
+        raise InputError(path, "roll_reference", "no direction", "give three numbers, not all zero")
+    return MotionTheta(**numbers, rest=modes, rest_length=length, reference=reference,
+                       up=unit_up(_numbers(path, content, "up", (3,)), str(path)))
+
+
+def _numbers(path, content: dict, key: str, shape: tuple, positive: bool = False) -> np.ndarray:
+    """The numbers of ``key`` in that shape, None standing for any length."""
+    if key not in content:
+        raise InputError(path, key, "missing", "name a file that doo-ti identify has written")
+    try:
+        value = np.array(content[key], dtype=np.float64)
+    except (TypeError, ValueError):
+        value = np.array(np.nan)
+    fits = value.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, value.shape, strict=True))
+    if not fits or not (np.abs(value) <= LARGEST).all():
+        form = "a number" if not shape else f"an array of shape ({', '.join('N' if n is None else str(n) for n in shape)})"
+        raise InputError(path, key, f"{str(content[key])[:60]!r} is not {form}", f"give {form}")
+    if not shape and (value < 0 or positive and value == 0):
+        raise InputError(path, key, f"{value:g}", f"give a number {'above' if positive else 'from'} zero")
+    return value
+
+
+def simulated(thetas: list[MotionTheta]) -> tuple[Material, Dynamics]:
+    """The rows of several Θ for :func:`doo_ti.dynamics.simulate.simulate`."""
+    def column(name):
+        return np.array([getattr(theta, name) for theta in thetas])
+    bend, own = column("bend"), 1.0 - column("marker_share")
+    rest = np.stack([theta.rest_curvature for theta in thetas])
+    length = thetas[0].rest_length.sum()
+    marker = column("marker_share") / own * length / (len(thetas[0].rest_length) + 1)
+    material = Material(bend, bend * column("twist_ratio"), own, rest)
+    dynamics = Dynamics(bend_damping=column("bend_damping"), twist_damping=column("bend_damping"), drag=column("drag") / own,
+                        quadratic_drag=column("quadratic_drag") / own, point_mass=marker)
+    return material, dynamics
+
+
+class Unknowns:
+    """Θ as a vector p: log α, and the others in units in which a tenth is a small change.
+
+    lower, upper  (P,) bounds of p
+    """
+
+    UNITS = {"bend_damping": "s", "drag": "1/s", "quadratic_drag": "1/mm", "marker_share": "", "twist_ratio": ""}
+    SIZES = {"bend_damping": 0.03, "drag": 0.3, "quadratic_drag": 1e-4, "marker_share": 0.3, "twist_ratio": 1.0}
+    """In which an entry of p is counted."""
+    CURVATURE = 1e-3
+    """1/mm, the same of the rest curvature's coefficients."""
+
+    def __init__(self, begin: MotionTheta, modes: int, fitted: tuple[str, ...]):
+        self.begin, self.modes, self.fitted = begin, modes, tuple(fitted)
+        unbounded = 2 * modes
+        self.lower = np.array([-np.inf, *[0.02 if name == "twist_ratio" else 0.0 for name in fitted], *[-np.inf] * unbounded])
+        self.upper = np.array([np.inf, *[3.0 if name == "marker_share" else np.inf for name in fitted], *[np.inf] * unbounded])
+
+    @property
+    def names(self) -> list[str]:
+        """Of the entries of p."""
+        rest = (f"rest_curvature_{1 + k // self.modes}_{k % self.modes}" for k in range(2 * self.modes))
+        return ["bend", *self.fitted, *rest]
+
+    def vector(self, theta: MotionTheta) -> np.ndarray:
+        """(P,) p of Θ."""
+        rest = np.zeros((2, self.modes))
+        common = min(self.modes, theta.rest.shape[1])
+        rest[:, :common] = theta.rest[:, :common]
+        return np.array([np.log(theta.bend), *(getattr(theta, name) / self.SIZES[name] for name in self.fitted),
+                         *(rest / self.CURVATURE).ravel()])
+
+    def theta(self, p: np.ndarray) -> MotionTheta:
+        """Θ of p."""
+        values = {name: float(self.SIZES[name] * entry) for name, entry in zip(self.fitted, p[1:], strict=False)}
+        rest = p[1 + len(self.fitted) :].reshape(2, self.modes) * self.CURVATURE
+        return replace(self.begin, bend=float(np.exp(p[0])), rest=rest, **values)
+
+    def intervals(self, p: np.ndarray, covariance: np.ndarray, freedom: int) -> list[dict]:
+        """Name, value, 95 % interval (``low`` None where it ends at a bound) and unit of every parameter; ``freedom``: one less
+        than the recordings that ``covariance`` is from."""
+        from scipy.stats import t
+
+        deviation = t.ppf(0.975, max(freedom, 1)) * np.sqrt(np.diag(covariance))
+        rows = []
+        for k, name in enumerate(self.names):
+            size = self.SIZES.get(name, self.CURVATURE)
+            value, low, high = p[k], p[k] - deviation[k], p[k] + deviation[k]
+            bounded = low <= self.lower[k]
+            if name == "bend":
+                value, low, high = np.exp([value, low, high])
+                size = 1.0
+            rows.append({"name": name, "value": value * size, "low": None if bounded else low * size, "high": high * size,
+                         "unit": "mm³" if name == "bend" else self.UNITS.get(name, "1/mm")})
+        return rows

@@ -1,0 +1,259 @@
+"""Time steps inside the kernel: a lane whose step has converged goes on with the next, its clamps moved (docs/dynamics.md)."""
+
+import taichi as ti
+
+from doo_ti.physics.quaternion import tangent, transported
+from doo_ti.physics.tuples import dot, plus, put_lane, record, scaled
+from doo_ti.relaxation import chain
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.loading import LANES, Loading
+from doo_ti.relaxation.newton_loop import TOLERANCE, NewtonLoop
+from doo_ti.relaxation.time_sweep import (
+    EXTRAPOLATION,
+    FRAME_1,
+    FRAME_2,
+    INERTIA,
+    OF_BEND_SHARE,
+    OF_INERTIA,
+    OF_VERTEX,
+    RATE,
+    SPRING_POINT,
+    STEP,
+    VERTEX_ITEMS,
+    TimeSweep,
+)
+
+# Columns of the clamps at an instant: the point the chain hangs from, the far point from there, mm, the first and last frame.
+PATH_ANCHOR, PATH_TARGET, PATH_ENDS, PATH_COLUMNS = 0, 3, 6, 14
+# Columns of the outcome of a frame: the status, iterations of all its steps and the largest residual, and the force of the far
+# clamp at its end.
+STATE, TRIPS, MOMENT, END_FORCE, OUTCOMES = 0, 1, 2, 3, 6
+
+POSITION_ROUNDING = 1e-6
+"""Of the rod's length, in f32: what a step may be wrong by in every position."""
+
+
+@ti.data_oriented
+class MotionLoading(Loading):
+    """Loading and storing of what a rod remembers, besides what :class:`.Loading` does for any rod.
+
+    ``tables`` holds, besides, places (rod, V, INERTIA): positions and velocities at the last two instants; frames and
+    frames_before [rod · edge · 4]; numbers (row, V, VERTEX_ITEMS − INERTIA); shares (row, 2); path (clamps, step,
+    PATH_COLUMNS).
+    """
+
+    def __init__(self, sweep: TimeSweep):
+        super().__init__(sweep)
+        self.motion, self.time_parameters, self.damped = sweep.motion, sweep.time_parameters, sweep.damped
+
+    @ti.func
+    def load_motion(self, tables, scratch: ti.template(), head, slot, rod):
+        """What rod ``rod`` remembers, and what moves it, into lane ``slot``."""
+        row, numbers = tables.rods[rod, of.RESULT_ROW], tables.rods[rod, of.EXTERNAL_ROW]
+        own = head + self.time_parameters * self.stride
+        if ti.static(self.damped):
+            for k in ti.static(range(2)):
+                self.put(scratch, own + (OF_BEND_SHARE + k) * self.stride, slot, tables.shares[numbers, k])
+        unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
+        self.load_vertex(tables, scratch, own + OF_VERTEX * self.stride, slot, row, numbers, 0, 1.0 / unit)
+        inertia = ti.cast(0.0, ti.f64)
+        for vertex in range(tables.rest_length.shape[1] + 1):
+            inertia += tables.numbers[numbers, vertex, 0] / unit
+        self.put(scratch, own + OF_INERTIA * self.stride, slot, inertia)
+        at = head + (self.parameters + self.motion) * self.stride
+        edges = tables.rest_length.shape[1]
+        for e in range(edges):
+            self.load_vertex(tables, scratch, at, slot, row, numbers, e + 1, 1.0 / unit)
+            place = (row * edges + e) * 4
+            self.put_items(scratch, at + FRAME_1 * self.stride, slot, self.frame_from(tables.frames, place))
+            self.put_items(scratch, at + FRAME_2 * self.stride, slot, self.frame_from(tables.frames_before, place))
+            at += self.edge_stride
+
+    @ti.func
+    def load_vertex(self, tables, scratch: ti.template(), at, slot, row, numbers, vertex, scale):
+        """A vertex's items, energies times ``scale``."""
+        for k in range(INERTIA):
+            self.put(scratch, at + k * self.stride, slot, tables.places[row, vertex, k])
+        for k in range(VERTEX_ITEMS - INERTIA):
+            factor = ti.select(k < SPRING_POINT - INERTIA, scale, 1.0)
+            self.put(scratch, at + (INERTIA + k) * self.stride, slot, tables.numbers[numbers, vertex, k] * factor)
+
+    @ti.func
+    def load_path(self, tables, scratch: ti.template(), head, slot, rod, step):
+        """The clamps of step ``step`` into lane ``slot``: of frames as far as they are held."""
+        s = tables.rods[rod, of.CLAMP_ROW]
+        unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
+        for k in ti.static(range(3)):
+            self.put(scratch, head + (chain.OF_ANCHOR + k) * self.stride, slot, tables.path[s, step, PATH_ANCHOR + k] / unit)
+            self.put(scratch, head + (chain.OF_TARGET + k) * self.stride, slot, tables.path[s, step, PATH_TARGET + k] / unit)
+        origin, edges = head + self.parameters * self.stride, tables.rest_length.shape[1]
+        self.load_path_end(tables, s, step, 0, scratch, origin, slot)
+        self.load_path_end(tables, s, step, 1, scratch, origin + (edges - 1) * self.edge_stride, slot)
+
+    @ti.func
+    def lane_frame(self, scratch: ti.template(), at, slot):
+        """A frame of lane ``slot``."""
+        s = ti.static(self.stride)
+        return (ti.cast(self.get(scratch, at, slot), ti.f64), ti.cast(self.get(scratch, at + s, slot), ti.f64),
+                ti.cast(self.get(scratch, at + 2 * s, slot), ti.f64), ti.cast(self.get(scratch, at + 3 * s, slot), ti.f64))
+
+    @ti.func
+    def load_path_end(self, tables, s, step, end: ti.template(), scratch: ti.template(), at, slot):
+        """The frame of an end edge, whose items begin at ``at``."""
+        if tables.clamp[s, of.TILT_START + end] == 0.0:
+            column = ti.static(PATH_ENDS + 4 * end)
+            held = (tables.path[s, step, column], tables.path[s, step, column + 1], tables.path[s, step, column + 2],
+                    tables.path[s, step, column + 3])
+            if tables.clamp[s, of.SPIN_START + end] > 0.0:
+                # A tangent alone: the frame goes with it, by parallel transport from where it was.
+                frame = self.lane_frame(scratch, at + (self.motion + FRAME_1) * self.stride, slot)
+                old, new = tangent(frame), tangent(held)
+                if 1.0 + dot(old, new) > 1e-14:
+                    self.put_items(scratch, at, slot, transported(frame, old, new))
+            else:
+                self.put_items(scratch, at, slot, held)
+
+    @ti.func
+    def store_motion(self, tables, scratch: ti.template(), head, slot, row):
+        """What the lane's rod remembers into row ``row``."""
+        edges = tables.rest_length.shape[1]
+        self.store_vertices(tables.places, row, INERTIA, scratch, head, slot, edges)
+        at = head + (self.parameters + self.motion) * self.stride
+        for e in range(edges):
+            for k in ti.static(range(4)):
+                place = (row * edges + e) * 4 + k
+                tables.frames[place] = self.get(scratch, at + (FRAME_1 + k) * self.stride, slot)
+                tables.frames_before[place] = self.get(scratch, at + (FRAME_2 + k) * self.stride, slot)
+            at += self.edge_stride
+        if ti.static(self.moves_start):
+            unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
+            for k in ti.static(range(3)):
+                tables.results[row, of.DRIFT + k] = unit * self.get(scratch, head + (chain.OF_DRIFT + k) * self.stride, slot)
+
+    @ti.func
+    def store_vertices(self, target: ti.template(), row, count: ti.template(), scratch: ti.template(), head, slot, edges):
+        """The first ``count`` items of every vertex into row ``row`` of ``target`` (-, V, count)."""
+        own = head + (self.time_parameters + OF_VERTEX) * self.stride
+        for k in ti.static(range(count)):
+            target[row, 0, k] = self.get(scratch, own + k * self.stride, slot)
+        at = head + (self.parameters + self.motion) * self.stride
+        for e in range(edges):
+            for k in ti.static(range(count)):
+                target[row, e + 1, k] = self.get(scratch, at + k * self.stride, slot)
+            at += self.edge_stride
+
+
+@ti.data_oriented
+class TimeLoop(NewtonLoop):
+    """Newton's loop over the steps of every rod. ``tables`` holds, besides what :class:`MotionLoading` reads, what it writes:
+    positions (rod · frame, V, 3) mm, and outcome (rod, frame, OUTCOMES); and steps, and every: a frame is stored after so many.
+    """
+
+    def __init__(self, sweep: TimeSweep):
+        super().__init__(sweep)
+        self.loading = MotionLoading(sweep)
+        self.number_bits = sweep.number.bits
+
+    @ti.func
+    def exchange(self, tables, scratch: ti.template(), head, lane, supply):
+        """The finished lanes go on with the next step of their rod, or where that was the last or failed with another rod."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        edges = tables.rest_length.shape[1]
+        done = (lane.finished > 0.5) & (lane.active > 0.5)
+        time = record(step=zero + ti.cast(tables.time[STEP], self.scalar), rate=zero + ti.cast(tables.time[RATE], self.scalar),
+                      extrapolation=zero + ti.cast(tables.time[EXTRAPOLATION], self.scalar))
+        up = (ti.cast(tables.up[0], self.scalar), ti.cast(tables.up[1], self.scalar), ti.cast(tables.up[2], self.scalar))
+        rod = self.sweep.rods(scratch, head, edges, tables.numbers, tables.numbers, lane.coarse)
+        self.differentiate(tables, rod, time, up, ti.select(done, one, zero))
+        self.sweep.remember(rod, time, done)
+        steps_made = supply.places + (tables.queue.shape[0] - LANES) // 2
+        for slot in range(self.width):
+            if self.lane(lane.finished, slot) > 0.5:
+                again = 0
+                if self.lane(lane.active, slot) > 0.5:
+                    step = tables.queue[steps_made + slot]
+                    again = self.conclude(tables, scratch, head, slot, lane, tables.queue[supply.places + slot], step)
+                    tables.queue[steps_made + slot] = step + 1
+                if again == 0:
+                    self.refill(tables, scratch, head, slot, lane, supply)
+                    tables.queue[steps_made + slot] = 0
+                    if self.lane(lane.active, slot) > 0.5:
+                        row = tables.rods[tables.queue[supply.places + slot], of.RESULT_ROW]
+                        last = [tables.results[row, of.FORCE + k] for k in ti.static(range(3))]
+                        put_lane(lane, self.with_lane, slot, multiplier=last)
+                        self.loading.load_motion(tables, scratch, head, slot, tables.queue[supply.places + slot])
+                        self.load_slopes(tables, scratch, head, slot, tables.queue[supply.places + slot])
+        going = (lane.finished > 0.5) & (lane.active > 0.5)
+        if self.largest(ti.select(going, one, zero)) > 0.5:
+            next_rod = self.sweep.rods(scratch, head, edges, tables.numbers, tables.numbers, lane.coarse)
+            self.sweep.prepare(next_rod, time, up, going)
+            for slot in range(self.width):
+                if self.lane(lane.finished, slot) > 0.5 and self.lane(lane.active, slot) > 0.5:
+                    self.loading.load_path(tables, scratch, head, slot, tables.queue[supply.places + slot],
+                                           tables.queue[steps_made + slot])
+
+    @ti.func
+    def conclude(self, tables, scratch: ti.template(), head, slot, lane, rod, step):
+        """Report the step that the rod in lane ``slot`` has made; returns one where it is to make another."""
+        row, edges = tables.rods[rod, of.RESULT_ROW], tables.rest_length.shape[1]
+        frames = tables.outcome.shape[1]
+        frame = step // tables.every
+        status = self.lane(lane.status, slot)
+        total = self.get(scratch, head + chain.OF_TOTAL * self.stride, slot)
+        moment = ti.cast(self.lane(lane.residual, slot) * total, ti.f64)
+        tables.outcome[row, frame, TRIPS] += self.lane(lane.trips, slot)
+        tables.outcome[row, frame, MOMENT] = ti.max(tables.outcome[row, frame, MOMENT], moment)
+        again = 0
+        if status == self.converged:
+            if (step + 1) % tables.every == 0:
+                tables.outcome[row, frame, STATE] = status
+                unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
+                unit /= ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
+                for k in ti.static(range(3)):
+                    force = ti.cast(self.lane(lane.multiplier[k], slot), ti.f64)
+                    tables.outcome[row, frame, END_FORCE + k] = 0.0 - unit * force
+                self.loading.store_vertices(tables.positions, row * frames + frame, 3, scratch, head, slot, edges)
+                self.write_slopes(tables, scratch, slot, row * frames + frame)
+            if step + 1 < tables.steps:
+                again = 1
+            else:
+                self.loading.store_motion(tables, scratch, head, slot, row)
+                for k in ti.static(range(3)):
+                    tables.results[row, of.FORCE + k] = self.lane(lane.multiplier[k], slot)
+                self.store_slopes(tables, scratch, slot, row)
+        else:
+            for later in range(frame, frames):
+                tables.outcome[row, later, STATE] = status
+        return again
+
+    # --- of a loop that differentiates the steps, :class:`doo_ti.relaxation.time_slope_loop.TimeSlopeLoop` ---
+
+    @ti.func
+    def differentiate(self, tables, rod, time, up, done):
+        """The derivatives of the steps that have converged, in the lanes where ``done`` is one."""
+
+    @ti.func
+    def load_slopes(self, tables, scratch: ti.template(), head, slot, rod):
+        """The derivatives that rod ``rod`` remembers, and its parameters, into lane ``slot``."""
+
+    @ti.func
+    def store_slopes(self, tables, scratch: ti.template(), slot, row):
+        """The derivatives that the lane's rod remembers into row ``row``."""
+
+    @ti.func
+    def write_slopes(self, tables, scratch: ti.template(), slot, place):
+        """The derivatives of the lane's positions, for row ``place`` of the positions."""
+
+    @ti.func
+    def tolerance(self, tables, rod):
+        """The largest residual of a step: in f32 at least what rounding of positions makes of the inertia of the whole rod."""
+        given = self.constant(0.0) + ti.cast(tables.policy[TOLERANCE], self.scalar)
+        inertia = rod.scratch[rod.head + (self.sweep.time_parameters + OF_INERTIA) * self.stride]
+        length = rod.total * rod.length_unit
+        return given + ti.static(POSITION_ROUNDING if self.number_bits == 32 else 0.0) * inertia * length * length * rod.total
+
+    @ti.func
+    def multiplier(self, lane, fitted):
+        """λ of the Newton step; a time step begins with that of the step before."""
+        share = ti.select((lane.escaping < 0.5) & (lane.fresh < 0.5), lane.step_scale, self.constant(0.0))
+        return plus(lane.multiplier, scaled(lane.change, share))

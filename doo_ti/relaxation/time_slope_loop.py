@@ -1,0 +1,118 @@
+"""Time steps with their derivatives: the loop of :mod:`.time_loop`, in which the lanes of a pack make their steps together."""
+
+import taichi as ti
+
+from doo_ti.relaxation import chain
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.time_loop import TimeLoop
+from doo_ti.relaxation.time_slopes import (
+    NUMBERS,
+    OF_BEND,
+    OF_NUMBERS,
+    OF_REST,
+    OF_SHARES,
+    OF_TWIST,
+    OF_WEIGHT,
+    OWN,
+    REMEMBERED,
+    SHARED,
+)
+
+
+@ti.data_oriented
+class TimeSlopeLoop(TimeLoop):
+    """The loop with derivatives by P parameters. ``tables`` holds, besides, blocks, where this thread's begin in scratch, and
+
+    material_slopes, number_slopes, share_slopes  (P, material, -), (P, numbers, V, NUMBERS) and (P, numbers, 2) derivatives of
+                                                  what a rod is given
+    slopes                                        (row, P, V, REMEMBERED) those that it remembers, in and out
+    position_slopes                               (rod · frame, P, V, 3) those of positions, out
+
+    A parameter costs the same for one lane as for all: lanes that have converged wait for the others of their pack.
+    """
+
+    @ti.func
+    def exchanges(self, lane):
+        """Once all lanes with a rod have finished."""
+        return self.largest(lane.active * (1.0 - lane.finished)) < 0.5
+
+    @ti.func
+    def advance(self, tables, scratch: ti.template(), head, lane):
+        """A trip, in which lanes that wait keep their frames and repeat the elimination."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        waits = lane.finished > 0.5
+        lane.trying = ti.select(waits, zero, lane.trying)
+        lane.closing = ti.select(waits, zero, lane.closing)
+        lane.escaping = ti.select(waits, zero, lane.escaping)
+        lane.step_scale = ti.select(waits, zero, lane.step_scale)
+        waited = ti.select(waits, one, zero)
+        status, trips = lane.status + zero, lane.trips + zero
+        self.trip(tables, scratch, head, lane)
+        lane.finished = ti.max(lane.finished, waited)
+        lane.status = ti.select(waited > 0.5, status, lane.status)
+        lane.trips = ti.select(waited > 0.5, trips, lane.trips)
+
+    @ti.func
+    def differentiate(self, tables, rod, time, up, done):
+        if self.largest(done) > 0.5:
+            self.sweep.differentiate(rod, tables.blocks, tables.material_slopes.shape[0], time, up)
+
+    @ti.func
+    def own_block(self, tables, parameter, vertex):
+        """Place of a block of a parameter."""
+        vertices = tables.rest_length.shape[1] + 1
+        return tables.blocks + (vertices * SHARED + (parameter * vertices + vertex) * OWN) * self.stride
+
+    @ti.func
+    def load_slopes(self, tables, scratch: ti.template(), head, slot, rod):
+        row, g, numbers = tables.rods[rod, of.RESULT_ROW], tables.rods[rod, of.MATERIAL_ROW], tables.rods[rod, of.EXTERNAL_ROW]
+        unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
+        length_unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
+        for p in range(tables.material_slopes.shape[0]):
+            for v in range(tables.rest_length.shape[1] + 1):
+                at = self.own_block(tables, p, v)
+                for k in range(REMEMBERED):
+                    self.loading.put(scratch, at + k * self.stride, slot, tables.slopes[row, p, v, k])
+                for k in range(NUMBERS):
+                    self.loading.put(scratch, at + (OF_NUMBERS + k) * self.stride, slot,
+                                     tables.number_slopes[p, numbers, v, k] / unit)
+                if v > 0:
+                    self.load_stiffness_slopes(tables, scratch, at, slot, rod, p, v - 1, 1.0 / (unit * length_unit))
+            first = self.own_block(tables, p, 0)
+            for k in ti.static(range(2)):
+                self.loading.put(scratch, first + (OF_SHARES + k) * self.stride, slot, tables.share_slopes[p, numbers, k])
+            self.loading.put(scratch, first + OF_WEIGHT * self.stride, slot, tables.material_slopes[p, g, of.WEIGHT])
+
+    @ti.func
+    def load_stiffness_slopes(self, tables, scratch: ti.template(), at, slot, rod, p, e, scale):
+        """Derivatives of B of edge ``e``, and of β and ω̄ l̄/2 of the joint where it begins."""
+        g, s = tables.rods[rod, of.MATERIAL_ROW], tables.rods[rod, of.CLAMP_ROW]
+        columns = tables.material_slopes.shape[2] - of.STIFFNESS_COLUMNS
+        column = ti.min(of.STIFFNESS + e * of.STIFFNESS_COLUMNS, columns)
+        for k in ti.static(range(3)):
+            value = tables.material_slopes[p, g, column + (of.BEND + k)] * scale
+            self.loading.put(scratch, at + (OF_BEND + k) * self.stride, slot, value)
+        if e > 0:
+            twist = tables.material_slopes[p, g, column + of.TWIST] * scale
+            self.loading.put(scratch, at + OF_TWIST * self.stride, slot, twist)
+            lengths = ti.min(s, tables.rest_length.shape[0] - 1)
+            both = tables.rest_length[lengths, e - 1] + tables.rest_length[lengths, e]
+            for k in ti.static(range(2)):
+                rest = 0.5 * both * tables.material_slopes[p, g, column + (of.REST + k)]
+                self.loading.put(scratch, at + (OF_REST + k) * self.stride, slot, rest)
+
+    @ti.func
+    def store_slopes(self, tables, scratch: ti.template(), slot, row):
+        for p in range(tables.material_slopes.shape[0]):
+            for v in range(tables.rest_length.shape[1] + 1):
+                at = self.own_block(tables, p, v)
+                for k in range(REMEMBERED):
+                    tables.slopes[row, p, v, k] = self.get(scratch, at + k * self.stride, slot)
+
+    @ti.func
+    def write_slopes(self, tables, scratch: ti.template(), slot, place):
+        for p in range(tables.material_slopes.shape[0]):
+            for v in range(tables.rest_length.shape[1] + 1):
+                at = self.own_block(tables, p, v)
+                for k in ti.static(range(3)):
+                    tables.position_slopes[place, p, v, k] = self.get(scratch, at + k * self.stride, slot)

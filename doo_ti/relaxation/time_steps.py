@@ -1,0 +1,136 @@
+"""Many rods through many implicit time steps in one launch (docs/dynamics.md)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti import runtime
+from doo_ti.frames import quaternion_product
+from doo_ti.relaxation import newton
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.batch import _buffers, _machine
+from doo_ti.relaxation.loading import LANES
+from doo_ti.relaxation.newton_loop import CLOSING_DISTANCE
+from doo_ti.relaxation.tables import Tables, room
+from doo_ti.relaxation.time_kernel import slope_items, time_kernel, time_slope_kernel
+from doo_ti.relaxation.time_loop import OUTCOMES, STATE
+from doo_ti.relaxation.time_slopes import CURVATURE_1, CURVATURE_2, REMEMBERED
+from doo_ti.relaxation.time_sweep import PLACE_2
+from doo_ti.types import Status
+
+
+@dataclass
+class Memory:
+    """What R rods remember of their last two instants; changed in place as they move.
+
+    frames, frames_before  (R, E, 4) unit quaternions at the last instant and at the one before
+    places                 (R, V, 12): positions at both, mm, and velocities at both, mm/s
+    drift                  (R, 3) mm from the anchor to vertex 0 where that is free, else zero
+    multiplier             (R, 3) λ of closure, in the kernel's units
+    status                 (R,) Status: a rod whose step failed moves no further
+    """
+
+    frames: np.ndarray
+    frames_before: np.ndarray
+    places: np.ndarray
+    drift: np.ndarray
+    multiplier: np.ndarray
+    status: np.ndarray
+
+
+@dataclass
+class Slopes:
+    """Derivatives by P parameters of what R rods are given, and of what they remember; the latter change as they move.
+
+    material  (P, G, -) of the table of materials
+    numbers   (P, N, V, 4) of inertia, drag, its growth with speed and load
+    shares    (P, N, 2)
+    memory    (R, P, V, REMEMBERED) see :mod:`doo_ti.relaxation.time_slopes`; zero where the start depends on no parameter
+    """
+
+    material: np.ndarray
+    numbers: np.ndarray
+    shares: np.ndarray
+    memory: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """P."""
+        return len(self.material)
+
+
+def slope_memory(memory_of: Callable[[np.ndarray], Memory], changes: np.ndarray) -> np.ndarray:
+    """(R, P, V, REMEMBERED) derivatives of a memory along ``changes`` (R, P, V, 3), where its places are linear in a change and
+    its frames depend smoothly on one: the latter by central differences."""
+    slopes = np.zeros((*changes.shape[:3], REMEMBERED))
+    if not changes.size:
+        return slopes
+    still = memory_of(np.zeros_like(changes[:, 0]))
+    for p in range(changes.shape[1]):
+        slopes[:, p, :, :CURVATURE_1] = memory_of(changes[:, p]).places - still.places
+        small = 1e-4 * np.linalg.norm(still.places[:, -1, :3] - still.places[:, 0, :3], axis=-1).max()
+        share = small / max(np.abs(slopes[:, p, :, PLACE_2 : PLACE_2 + 3]).max(), 1e-300)
+        ahead, behind = (_curvatures(memory_of(sign * share * changes[:, p]).frames_before) for sign in (1.0, -1.0))
+        slopes[:, p, 2:, CURVATURE_2:] = (ahead - behind) / (2.0 * share)
+    return slopes
+
+
+def _curvatures(frames: np.ndarray) -> np.ndarray:
+    """(R, E − 1, 5) X, Y and m (:mod:`doo_ti.physics.pair`) at the joints of (R, E, 4) frames."""
+    q = quaternion_product(frames[:, :-1] * [1.0, -1.0, -1.0, -1.0], frames[:, 1:])
+    z, bent = q[..., 0] + 1j * q[..., 1], q[..., 2] + 1j * q[..., 3]
+    x, y = bent / z.conj(), bent / z
+    return np.stack([x.real, x.imag, y.real, y.imag, 2.0 * np.arctan(q[..., 1] / q[..., 0])], axis=-1)
+
+
+@runtime.exclusive
+def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndarray, shares: np.ndarray, time: np.ndarray,
+               every: int, options: newton.Newton, bits: int, slopes: Slopes | None = None):
+    """Carry the rods of ``table`` through the steps of ``path`` (S, steps, PATH_COLUMNS), from ``memory``, which is updated.
+
+    numbers  (N, V, VERTEX_ITEMS − INERTIA), shares (N, 2): rows as the rods' ``external_index`` says
+    time     (TIME_COLUMNS,), see :mod:`doo_ti.relaxation.time_sweep`
+    every    steps between the frames that are returned
+    slopes   what to differentiate by, in f64
+
+    Returns positions (R, frames, V, 3) mm, NaN from where a rod failed, outcomes (R, frames, OUTCOMES), and the derivatives of
+    positions (R, frames, P, V, 3) or None.
+    """
+    rods = table.rods[memory.status[table.rods[:, of.RESULT_ROW]] == Status.CONVERGED]
+    rods = np.ascontiguousarray(rods)
+    rods[:, of.START_ROW] = of.FROM_RESULTS
+    rods[:, of.EXTERNAL_ROW] = table.external_index[rods[:, of.RESULT_ROW]]
+    steps = path.shape[1]
+    frames = steps // every
+    positions = np.full((table.count * frames, table.edges + 1, 3), np.nan)
+    outcome = np.zeros((table.count, frames, OUTCOMES))
+    outcome[:, :, STATE] = memory.status[:, None]
+    position_slopes = None
+    if slopes is not None:
+        position_slopes = room(table.count * frames, slopes.count, table.edges + 1, 3)
+        position_slopes[...] = np.nan
+    if len(rods):
+        number, threads, stride, block = _machine(len(rods), bits)
+        if slopes is None:
+            kernel, items, parameters = time_kernel(number, table.isotropic, stride, block)
+            more, size = (), parameters + items * table.edges
+        else:
+            kernel, items, parameters = time_slope_kernel(stride, block, number.width)
+            more = slopes.material, slopes.numbers, slopes.shares, slopes.memory, position_slopes
+            size = parameters + items * table.edges + slope_items(table.edges, slopes.count)
+        scratch, _ = _buffers(number, threads, size)
+        queue = np.zeros(LANES + 2 * threads * number.width, dtype=np.int32)
+        results = np.zeros((table.count, of.LOADED_RESULTS))
+        results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:] = memory.multiplier, memory.drift
+        policy = np.array([
+            *table.up, options.tolerance or newton.TOLERANCES[bits], options.max_iterations, options.first_shift,
+            options.max_rotation, options.max_escapes, CLOSING_DISTANCE])
+        kernel(table.rest_length, table.clamp, path, table.material, numbers, shares, rods, policy, time, steps, every, threads,
+               scratch, queue, memory.frames.reshape(-1), memory.frames_before.reshape(-1), memory.places, results, positions,
+               outcome, *more)
+        memory.multiplier[:], memory.drift[:] = results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:]
+        memory.status[:] = outcome[:, -1, STATE].astype(memory.status.dtype)
+    if slopes is not None:
+        position_slopes = position_slopes.reshape(table.count, frames, slopes.count, table.edges + 1, 3)
+    return positions.reshape(table.count, frames, table.edges + 1, 3), outcome, position_slopes

@@ -1,0 +1,128 @@
+"""Rods in motion: pictures of them beside what was recorded, of errors over time, and animations. Axes: R rods, T frames."""
+
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.report.canvas import PICTURE_DPI, literal, new_figure
+from doo_ti.report.grid_view import upright_basis
+
+MOST_RODS = 6
+"""In a picture, those of the largest, the median and the smallest errors."""
+STILLS = 9
+"""Positions of a rod in a picture."""
+ANIMATED, FRAMES_PER_SECOND, MOST_FRAMES = 8, 25, 250
+RECORDED, PREDICTED = "#9a9a9a", "#c2410c"
+
+
+def _side_view(rods: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(2, 3) horizontal and vertical direction of the view."""
+    return upright_basis(rods.reshape(len(rods), -1, 3), up)[[0, 2]]
+
+
+def chosen(positions: np.ndarray, recorded: np.ndarray | None, most: int) -> np.ndarray:
+    """Rows of the rods that are shown: the first, or spread over the order of their errors."""
+    count = len(positions)
+    if recorded is None:
+        return np.arange(min(count, most))
+    error = np.abs(positions - recorded).mean(axis=(1, 2, 3))
+    order = np.argsort(np.where(np.isfinite(error), error, np.inf), kind="stable")
+    return order[np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))]
+
+
+def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray, recorded: np.ndarray | None, rate: float,
+                 up: np.ndarray, energies: dict[str, np.ndarray] | None = None) -> None:
+    """A picture of (R, T, V, 3) rods: some of them at several instants; where they were ``recorded`` that as well, and the
+    error of all over time; where ``energies`` (R, T) by name are given, those of the first rod."""
+    rows = chosen(positions, recorded, MOST_RODS)
+    columns = min(3, len(rows))
+    lines = -(-len(rows) // columns)
+    below = recorded is not None or energies is not None
+    figure = new_figure((max(5.0, 4.2 * columns), 3.4 * lines + (2.6 if below else 0.4)))
+    heights = [1.0] * lines + [0.75] * below
+    grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
+    shown = positions[rows]
+    axes = _side_view(shown if recorded is None else recorded[rows], up)
+    frames = np.linspace(0, positions.shape[1] - 1, min(STILLS, positions.shape[1])).round().astype(int)
+    for k, row in enumerate(rows):
+        plot = figure.add_subplot(grid[k // columns, k % columns])
+        for n, frame in enumerate(frames):
+            fade = 0.25 + 0.75 * (n + 1) / len(frames)
+            if recorded is not None:
+                plot.plot(*(recorded[row, frame] @ axes.T).T, color=RECORDED, lw=2.2, alpha=fade,
+                          label="recorded" if n == len(frames) - 1 else None)
+            plot.plot(*(positions[row, frame] @ axes.T).T, color=PREDICTED, lw=1.1, alpha=fade,
+                      label="simulated" if n == len(frames) - 1 else None)
+        plot.set_aspect("equal", adjustable="datalim")
+        title = names[row]
+        if recorded is not None:
+            title = f"recording {title}: {np.abs(positions[row, 2:] - recorded[row, 2:]).mean():.1f} mm"
+        plot.set_title(literal(title), fontsize=9)
+        plot.set_xlabel("mm", fontsize=8)
+        plot.tick_params(labelsize=8)
+        if not k:
+            plot.legend(fontsize=8, frameon=False)
+    if recorded is not None:
+        plot = figure.add_subplot(grid[lines, :])
+        error = np.abs(positions - recorded).mean(axis=(2, 3))
+        time = np.arange(positions.shape[1]) / rate
+        plot.plot(time, error.T, color=PREDICTED, lw=0.5, alpha=0.35)
+        plot.plot(time, np.nanmedian(error, axis=0), color="black", lw=1.6, label="median")
+        plot.set_ylim(0, max(1.0, 1.1 * np.nanquantile(error, 0.99)))
+        plot.set_xlabel("time [s]")
+        plot.set_ylabel("mean |difference| [mm]")
+        plot.legend(fontsize=8, frameon=False)
+    elif energies is not None:
+        plot = figure.add_subplot(grid[lines, :])
+        time = np.arange(positions.shape[1]) / rate
+        for label, value in energies.items():
+            plot.plot(time, value[0], lw=1.4, label=label, color="black" if label == "sum" else None)
+        plot.set_xlabel("time [s]")
+        plot.set_ylabel(literal(f"energy of {names[0]} [mm²]"))
+        plot.legend(fontsize=8, frameon=False, ncols=4)
+    last = (positions.shape[1] - 1) / rate
+    figure.suptitle(literal(f"{name}: {len(frames)} of {positions.shape[1]} frames from 0 to {last:.3g} s, seen from the side"),
+                    fontsize=10)
+    figure.savefig(path, dpi=PICTURE_DPI, metadata={"Software": None})
+
+
+def save_animation(path: Path, name: str, names: list[str], positions: np.ndarray, recorded: np.ndarray | None, rate: float,
+                   up: np.ndarray) -> None:
+    """A GIF or WebP of some of the (R, T, V, 3) rods moving side by side, in real time where that is not too long."""
+    from PIL import Image
+
+    rows = chosen(positions, recorded, ANIMATED)
+    axes = _side_view(positions[rows], up)
+    every = max(1, round(rate / FRAMES_PER_SECOND), -(-positions.shape[1] // MOST_FRAMES))
+    frames = range(0, positions.shape[1], every)
+    flat = positions[rows] @ axes.T
+    seen = None if recorded is None else recorded[rows] @ axes.T
+    low, high = np.nanmin(flat, axis=(0, 1, 2)), np.nanmax(flat, axis=(0, 1, 2))
+    centre, size = 0.5 * (low + high), np.maximum(0.54 * (high - low), 0.2 * max(high - low))
+    columns = min(4, len(rows))
+    lines = -(-len(rows) // columns)
+    figure = new_figure((2.6 * columns, min(2.6 * size[1] / size[0] + 0.3, 4.0) * lines + 0.3), 80)
+    curves, marks = [], []
+    for k in range(len(rows)):
+        plot = figure.add_subplot(lines, columns, k + 1)
+        plot.set_xlim(centre[0] - size[0], centre[0] + size[0])
+        plot.set_ylim(centre[1] - size[1], centre[1] + size[1])
+        plot.set_title(literal(names[rows[k]]), fontsize=9)
+        plot.set_aspect("equal")
+        plot.set_xticks([])
+        plot.set_yticks([])
+        if seen is not None:
+            marks.append(plot.plot([], [], color=RECORDED, lw=4)[0])
+        curves.append(plot.plot([], [], color=PREDICTED, lw=1.8)[0])
+    figure.suptitle(literal(name), fontsize=10)
+    images = []
+    for frame in frames:
+        for k, curve in enumerate(curves):
+            curve.set_data(*flat[k, frame].T)
+            if seen is not None:
+                marks[k].set_data(*seen[k, frame].T)
+        figure.canvas.draw()
+        images.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3]))
+    if path.suffix == ".gif":
+        images = [image.quantize(32, dither=Image.Dither.NONE) for image in images]
+    images[0].save(path, save_all=True, append_images=images[1:], duration=round(1000 * every / rate), loop=0)

@@ -1,0 +1,141 @@
+"""``doo-ti simulate`` and ``doo-ti identify``: from files to files, and what they refuse."""
+
+import json
+
+import numpy as np
+import pytest
+
+from doo_ti.cli import main
+
+SCENE = """
+rate_hz = 50
+duration_s = 0.2
+[rod]
+length_mm = 300.0
+edges = 6
+[materials.rope]
+bend = 1e6
+bend_damping_s = 0.02
+[clamps]
+end = "frame"
+[[moments]]
+time_s = 0.0
+end_position_mm = [250, 0, 0]
+[[moments]]
+time_s = 0.2
+end_position_mm = [250, 40, 20]
+"""
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """A recording of four rods that grippers move, made by a simulation."""
+    folder = tmp_path_factory.mktemp("motion")
+    scene = folder / "scene.toml"
+    scene.write_text(SCENE.replace("duration_s = 0.2", "duration_s = 1.2").replace(
+        "edges = 6", "edges = 6\nat_rest = true"))
+    assert main(["simulate", str(scene), "--out", str(folder / "made.npz")]) == 0
+    positions = np.load(folder / "made.npz")["positions_mm"]
+    noise = np.random.default_rng(5).normal(0, 0.05, (4, *positions.shape[1:]))
+    noise[:, :, [0, 1, -2, -1]] = 0.0  # noise of grippers shakes the rod, and biases its damping
+    np.savez(folder / "recorded.npz", positions_mm=positions + noise, rate_hz=50.0)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def theta(recording):
+    out = recording / "theta.json"
+    assert main(["identify", str(recording / "recorded.npz"), "--modes", "0", "--fit", "bend_damping", "--bend", "5e5", "--out",
+                 str(out)]) == 0
+    return out
+
+
+def test_the_bend_stiffness_that_made_the_motion_is_identified(theta):
+    assert json.loads(theta.read_text())["bend_mm3"] == pytest.approx(1e6, rel=0.05)
+
+
+def test_a_recording_is_predicted_from_its_grippers(recording, theta):
+    out = recording / "predicted.npz"
+    assert main(["simulate", str(recording / "recorded.npz"), "--theta", str(theta), "--out", str(out)]) == 0
+    recorded, found = np.load(recording / "recorded.npz")["positions_mm"], np.load(out)
+    assert found["positions_mm"].shape == recorded.shape
+    assert found["status"].shape == found["error_mm"].shape == recorded.shape[:2]
+    assert not found["status"].any()
+    np.testing.assert_array_equal(found["positions_mm"][:, :2], recorded[:, :2])
+    np.testing.assert_array_equal(found["positions_mm"][:, :, [0, 1, -2, -1]], recorded[:, :, [0, 1, -2, -1]])
+    assert found["error_mm"].mean() < 0.5
+
+
+def test_one_recording_without_an_axis_for_it(recording, theta):
+    positions = np.load(recording / "recorded.npz")["positions_mm"][0]
+    np.savez(recording / "one.npz", positions_mm=positions, rate_hz=50.0)
+    out = recording / "one_out.npz"
+    assert main(["simulate", str(recording / "one.npz"), "--theta", str(theta), "--out", str(out)]) == 0
+    found = np.load(out)
+    assert found["positions_mm"].shape == positions.shape
+    assert found["error_mm"].shape == found["status"].shape == positions.shape[:1]
+
+
+@pytest.mark.parametrize(("change", "field"), [
+    ({"rate_hz": -1.0}, "rate_hz"), ({"rate_hz": np.ones(3)}, "rate_hz"),
+    ({"positions_mm": np.zeros((4, 3, 3))}, "positions_mm"), ({"positions_mm": "text"}, "positions_mm"),
+    ({"positions_mm": None}, "positions_mm"), ({"positions_mm": np.nan}, "positions_mm"),
+])
+def test_wrong_recordings_are_one_line(recording, theta, change, field, tmp_path, capsys):
+    content = dict(np.load(recording / "recorded.npz"))
+    for key, value in change.items():
+        if value is None:
+            del content[key]
+        elif isinstance(value, float) and np.isnan(value):
+            content[key] = np.where(np.arange(content[key].shape[1])[None, :, None, None] == 7, np.nan, content[key])
+        else:
+            content[key] = np.asarray(value)
+    np.savez(tmp_path / "wrong.npz", **content)
+    out = tmp_path / "out.npz"
+    assert main(["simulate", str(tmp_path / "wrong.npz"), "--theta", str(theta), "--out", str(out)]) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and field in message and not out.exists()
+    assert main(["identify", str(tmp_path / "wrong.npz"), "--out", str(tmp_path / "t.json")]) == 2
+    assert not (tmp_path / "t.json").exists()
+
+
+def test_gaps_are_filled_only_if_asked(recording, theta, tmp_path):
+    content = dict(np.load(recording / "recorded.npz"))
+    content["positions_mm"] = content["positions_mm"].copy()
+    content["positions_mm"][1, 20:23, 3] = np.nan
+    np.savez(tmp_path / "gaps.npz", **content)
+    command = ["simulate", str(tmp_path / "gaps.npz"), "--theta", str(theta), "--out", str(tmp_path / "out.npz")]
+    assert main(command) == 2
+    assert main([*command, "--fill-gaps"]) == 0
+
+
+@pytest.mark.parametrize(("old", "new", "field"), [
+    ("edges = 6", "edges = 2", "rod.edges"), ("rate_hz = 50", "rate_hz = 0", "rate_hz"), ("bend = 1e6", "", "bend"),
+    ('end = "frame"', 'end = "glued"', "clamps.end"), ("time_s = 0.2", "time_s = -0.2", "time_s"),
+    ("bend_damping_s", "damping", "damping"),
+])
+def test_wrong_scenes_are_one_line(old, new, field, tmp_path, capsys):
+    (tmp_path / "scene.toml").write_text(SCENE.replace(old, new))
+    assert main(["simulate", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "f.npz")]) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and field in message and not (tmp_path / "f.npz").exists()
+
+
+def test_a_theta_of_another_rod(recording, theta, tmp_path, capsys):
+    content = json.loads(theta.read_text())
+    content["rest_length_mm"] = content["rest_length_mm"][:-1]
+    (tmp_path / "other.json").write_text(json.dumps(content))
+    assert main(["simulate", str(recording / "recorded.npz"), "--theta", str(tmp_path / "other.json"), "--out",
+                 str(tmp_path / "f.npz")]) == 2
+    assert "rest_length_mm" in capsys.readouterr().err
+
+
+def test_pictures_and_animations(recording, theta, tmp_path):
+    scene = tmp_path / "scene.toml"
+    scene.write_text(SCENE)
+    assert main(["simulate", str(scene), "--out", str(tmp_path / "f.npz"), "--picture", str(tmp_path / "f.png"), "--animation",
+                 str(tmp_path / "f.gif"), "--recording", str(tmp_path / "f.rrd")]) == 0
+    assert all((tmp_path / name).stat().st_size > 1000 for name in ("f.png", "f.gif", "f.rrd"))
+    energy = np.load(tmp_path / "f.npz")
+    parts = [energy[f"energy_{name}"] for name in ("kinetic", "gravity", "bending")]
+    np.testing.assert_allclose(energy["energy_sum"], sum(parts))

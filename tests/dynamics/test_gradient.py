@@ -1,0 +1,155 @@
+"""Derivatives of motions by what rods are made of, against central differences of whole motions."""
+
+import numpy as np
+import pytest
+
+from doo_ti.dynamics import simulate as simulation
+from doo_ti.dynamics.grippers import Grippers
+from doo_ti.dynamics.parameters import Direction, Dynamics
+from doo_ti.dynamics.simulate import simulate
+from doo_ti.errors import InputError
+from doo_ti.frames import bishop_frames, matrix_from_quaternion, quaternion_about, quaternion_from_matrix
+from doo_ti.relaxation.newton import Newton
+from doo_ti.types import Clamp, Configuration, Material, Status
+
+EDGES, STEPS, RATE = 7, 30, 100.0
+LENGTHS = np.linspace(38.0, 46.0, EDGES)
+NAMES = ("bend", "twist", "rest", "weight", "bend_damping", "twist_damping", "drag", "quadratic_drag", "point_mass")
+POINT = np.array([3e6, 2e6, 1.0, 1.1, 0.03, 0.02, 0.4, 3e-4, 4.0])
+SMALL = np.array([3e2, 2e2, 1e-4, 1e-4, 1e-5, 1e-5, 1e-4, 1e-7, 1e-3])
+
+
+@pytest.fixture(autouse=True)
+def tight(monkeypatch):
+    """Steps converged as far as f64 goes: differences between motions are small."""
+    monkeypatch.setattr(simulation, "_newton", lambda: Newton(tolerance=1e-11, first_shift=0.0, max_escapes=0))
+
+
+def rod(numbers):
+    """(material, dynamics) of the numbers that NAMES name."""
+    value = dict(zip(NAMES, numbers, strict=True))
+    along = np.linspace(-1.0, 1.0, EDGES - 1)
+    rest = value["rest"] * 1e-3 * np.stack([1.0 + along, 2.0 * along**2 - 0.5], axis=-1)
+    mass = value["point_mass"] * np.linspace(1.0, 2.0, EDGES + 1)[None]
+    return (Material(np.array([value["bend"]]), np.array([value["twist"]]), np.array([value["weight"]]), rest[None]),
+            Dynamics(bend_damping=value["bend_damping"], twist_damping=value["twist_damping"], drag=value["drag"],
+                     quadratic_drag=value["quadratic_drag"], point_mass=mass))
+
+
+def bow(rods: int):
+    """(start configurations, (S, V, 3) vertices): arches of different heights."""
+    place = (np.arange(EDGES) + 0.5) / EDGES
+    height = 0.7 + 0.2 * np.arange(rods)[:, None]
+    slope = height * np.cos(np.pi * place)
+    t = np.stack([np.cos(slope) * np.cos(0.3 * place), np.cos(slope) * np.sin(0.3 * place), np.sin(slope)], axis=-1)
+    vertices = np.concatenate([np.zeros((rods, 1, 3)), np.cumsum(t * LENGTHS[:, None], axis=1)], axis=1)
+    frames = quaternion_from_matrix(bishop_frames(t, np.broadcast_to([0.0, 1.0, 0.0], (rods, 3))))
+    return Configuration(vertices[:, 0].copy(), frames, LENGTHS), vertices
+
+
+def moving(configuration, vertices, start: Clamp, end: Clamp) -> Grippers:
+    """Grippers that swing and turn."""
+    time = np.arange(STEPS + 1)[:, None] / RATE
+    swing = np.concatenate([30 * np.sin(9 * time), 20 * np.sin(7 * time), 25 * (1 - np.cos(8 * time))], axis=-1)
+    angle = 0.5 * np.sin(6 * time[:, 0])
+    turn = matrix_from_quaternion(quaternion_about(np.broadcast_to([0.6, 0.0, 0.8], (STEPS + 1, 3)), angle))
+    ends = matrix_from_quaternion(configuration.quaternions[:, [0, -1]])
+    first, last = (np.einsum("tij,sjk->stik", turn, ends[:, k]) for k in (0, 1))
+    return Grippers(start, end, vertices[:, None, 0] + swing, vertices[:, None, -1] - 0.5 * swing * [1, 1, -1], first, last)
+
+
+def motion(start: Clamp, end: Clamp, numbers, rods: int = 2, directions=(), **options):
+    """The trajectory of rods with such ends and numbers."""
+    configuration, vertices = bow(rods)
+    material, dynamics = rod(numbers)
+    return simulate(configuration, material, moving(configuration, vertices, start, end), dynamics, RATE,
+                    directions=directions, **options)
+
+
+def all_directions(at=POINT, share: float = 1.0):
+    """Along each number, by that share of SMALL to both sides, above zero."""
+    pairs = [(np.maximum(at - way, 0.0), at + way) for way in np.diag(share * SMALL)]
+    return [Direction(rod(before), rod(after), (after - before).max()) for before, after in pairs]
+
+
+def slopes_and_differences(start: Clamp, end: Clamp, **options):
+    """(derivatives of the positions by each number, their central differences), both (P, R, F, V, 3)."""
+    def positions(numbers):
+        found = motion(start, end, numbers, **options)
+        assert found.converged.all()
+        return found.positions
+
+    slopes = np.moveaxis(motion(start, end, POINT, directions=all_directions(), **options).slopes, 2, 0)
+    differences = np.stack([(positions(POINT + 3 * way) - positions(POINT - 3 * way)) / (6.0 * way.max())
+                            for way in np.diag(SMALL)])
+    return slopes, differences
+
+
+def worst(slopes, differences):
+    """(P,) the largest error of a parameter's derivatives, over the largest of them."""
+    return np.abs(slopes - differences).max(axis=(1, 2, 3, 4)) / np.abs(differences).max(axis=(1, 2, 3, 4))
+
+
+@pytest.mark.parametrize("start, end, options", [
+    (Clamp.FRAME, Clamp.TANGENT, {"smooth_start": False}),
+    (Clamp.FRAME, Clamp.FRAME, {"smooth_start": False, "scheme": "euler"}),
+    (Clamp.FRAME, Clamp.FRAME, {"smooth_start": True, "substeps": 2}),
+    (Clamp.TANGENT, Clamp.POSITION, {"smooth_start": True}),
+    (Clamp.FRAME, Clamp.FREE, {"smooth_start": False}),
+    (Clamp.FREE, Clamp.FRAME, {"smooth_start": True}),
+    (Clamp.FREE, Clamp.FREE, {"smooth_start": False}),
+])
+def test_derivatives_are_those_of_the_motion(start, end, options):
+    slopes, differences = slopes_and_differences(start, end, **options)
+    assert worst(slopes, differences).max() < 1e-5, worst(slopes, differences)
+
+
+def test_rods_of_a_pack_do_not_depend_on_each_other(monkeypatch):
+    options = {"smooth_start": False, "directions": all_directions()}
+    together = motion(Clamp.FRAME, Clamp.TANGENT, POINT, rods=11, **options)
+    few = motion(Clamp.FRAME, Clamp.TANGENT, POINT, rods=2, **options)
+    plain = motion(Clamp.FRAME, Clamp.TANGENT, POINT, rods=11, smooth_start=False)
+    assert together.slopes.shape == (11, STEPS, len(NAMES), EDGES + 1, 3)
+    np.testing.assert_array_equal(together.slopes[:2], few.slopes)
+    np.testing.assert_array_equal(together.positions, plain.positions)
+    np.testing.assert_array_equal(together.iterations, plain.iterations)
+    monkeypatch.setattr(simulation, "NUMBERS_AT_ONCE", 20_000)
+    in_parts = motion(Clamp.FRAME, Clamp.TANGENT, POINT, rods=11, **options)
+    assert worst(np.moveaxis(in_parts.slopes, 2, 0), np.moveaxis(together.slopes, 2, 0)).max() < 1e-9
+
+
+def test_rods_without_losses():
+    """Round rods, straight at rest and undamped, which have a kernel of their own where nothing is differentiated: derivatives
+    by losses, which are zero or more, are one-sided."""
+    numbers = POINT * [1, 1, 0, 1, 0, 0, 0, 0, 1]
+
+    def positions(values):
+        return motion(Clamp.FRAME, Clamp.FRAME, values, smooth_start=False).positions
+
+    directions = all_directions(numbers, 1e-3)
+    slopes = motion(Clamp.FRAME, Clamp.FRAME, numbers, smooth_start=False, directions=directions).slopes
+    middle = positions(numbers)
+    for k, way in enumerate(np.diag(SMALL)):
+        step = 0.3 * way.max()
+        once, twice = positions(numbers + 0.3 * way) - middle, positions(numbers + 0.6 * way) - middle
+        difference = (4.0 * once - twice) / (2.0 * step)
+        assert np.abs(slopes[:, :, k] - difference).max() < 1e-4 * np.abs(difference).max(), NAMES[k]
+
+
+def test_a_rod_that_fails_has_no_derivatives_from_there_on():
+    configuration, vertices = bow(3)
+    grippers = moving(configuration, vertices, Clamp.FRAME, Clamp.FRAME)
+    grippers.end_position[1, 12:] += 1e4  # beyond the rod's reach
+    material, dynamics = rod(POINT)
+    found = simulate(configuration, material, grippers, dynamics, RATE, directions=all_directions(), smooth_start=False)
+    np.testing.assert_array_equal(found.converged, [True, False, True])
+    np.testing.assert_array_equal(np.isfinite(found.slopes).all(axis=(2, 3, 4)), found.status == Status.CONVERGED)
+
+
+def test_directions_fit_the_rods():
+    material, dynamics = rod(POINT)
+    two = Material(np.full(2, 3e6), np.full(2, 2e6), np.ones(2)), dynamics
+    with pytest.raises(InputError, match="directions"):
+        motion(Clamp.FRAME, Clamp.FRAME, POINT, directions=[Direction(two, two, 1.0)])
+    with pytest.raises(InputError, match="precision"):
+        motion(Clamp.FRAME, Clamp.FRAME, POINT, directions=all_directions(), precision="f32")

@@ -1,0 +1,194 @@
+"""Motions against theory and independent integrators: falling, swinging, oscillating, whirling and coming to rest."""
+
+import numpy as np
+import pytest
+from scipy.optimize import root
+from scipy.spatial.transform import Rotation
+
+from doo_ti.dynamics.grippers import Grippers
+from doo_ti.dynamics.parameters import Dynamics
+from doo_ti.dynamics.simulate import simulate
+from doo_ti.relaxation.external import Springs
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
+from doo_ti.types import Clamp, Configuration, Material
+from tests.dynamics.motions import (
+    GRAVITY,
+    MASS_PER_LENGTH,
+    clamped_mode,
+    joint_energy,
+    joint_moments,
+    oscillation,
+    pinned_mode,
+    planar,
+    resting,
+    shares,
+    swinging_chain,
+)
+from tests.references.rods import clamps_at
+from tests.relaxation.rods import wandering
+
+
+@pytest.mark.parametrize("scheme", ["bdf2", "euler"])
+def test_free_fall(rng, scheme):
+    """Both ends free, straight, thrown without turning: the parabola, of backward Euler that of its own sum."""
+    rods = planar(np.full(8, 0.3), 10.0, (5.0, 6.0, 7.0))
+    rate, thrown = 200.0, np.array([300.0, -200.0, 500.0])
+    found = simulate(rods, Material(1e5, 1e5), resting(rods, Clamp.FREE, Clamp.FREE, 41), Dynamics(), rate,
+                     velocity=np.broadcast_to(thrown, (1, 9, 3)), scheme=scheme)
+    time = np.arange(1, 41)[:, None, None] / rate
+    late = 0.0 if scheme == "bdf2" else 1.0 / rate
+    expected = rods.vertices[0] + time * thrown - 0.5 * GRAVITY * time * (time + late) * [0.0, 0.0, 1.0]
+    apart = np.abs(found.positions[0] - expected).max()
+    print(f"falls {expected[0, 0, 2] - expected[-1, 0, 2]:.0f} mm, off by {apart:.1e} mm")
+    assert found.converged.all() and apart < 1e-8
+
+
+def test_tumbling_rod_turns_as_a_rigid_body():
+    """A stiff rod without weight, thrown spinning about its middle across itself: angle and speed of turning, order 2."""
+    rods, spin, apart = planar(np.zeros(6), 10.0), 20.0, []
+    middle = rods.vertices[0].mean(axis=0)
+    velocity = np.cross([0.0, spin, 0.0], rods.vertices[0] - middle)[None]
+    for substeps in (10, 20, 40):
+        found = simulate(rods, Material(1e7, 1e7, 0.0), resting(rods, Clamp.FREE, Clamp.FREE, 3), Dynamics(density=1.0), 10.0,
+                         velocity=velocity, substeps=substeps)
+        turned = Rotation.from_rotvec([0.0, spin * 0.2, 0.0]).apply(rods.vertices[0] - middle) + middle
+        apart.append(np.abs(found.positions[0, -1] - turned).max())
+    order = np.log2(np.array(apart[:-1]) / apart[1:])
+    print("off by", apart, "mm, order", order)
+    assert order[-1] > 1.8
+
+
+def test_swinging_chain():
+    """A rod that hangs from a point, soft and let go from the side, against an integrator of order eight in its angles."""
+    angles, length, bend, rate = np.array([-0.3, -0.2, 0.1, 0.4]), 25.0, 5e3, 50.0
+    rods, instants = planar(angles, length), 14
+    times = np.arange(instants) / rate
+    expected = swinging_chain(angles, length, bend, times)[1:]
+    found = []
+    for substeps in (40, 80, 160):
+        moved = simulate(rods, Material(bend, bend), resting(rods, Clamp.POSITION, Clamp.FREE, instants), Dynamics(), rate,
+                         substeps=substeps)
+        assert moved.converged.all()
+        found.append(moved.positions[0])
+    error = [np.abs(f - expected).max() / 100.0 for f in found]
+    beyond = (4.0 * found[2] - found[1]) / 3.0
+    extrapolated = np.abs(beyond - expected).max() / 100.0
+    order = np.log2(np.array(error[:-1]) / error[1:])
+    print(f"of the length: {error}, orders {order}, extrapolated {extrapolated:.1e}")
+    assert order.min() > 1.8
+    assert extrapolated < 1e-6
+
+
+def frequency(mode, k: int, start: Clamp, edges: int, steps: int, support: bool) -> tuple[float, float]:
+    """(rad/s measured, of theory) of mode ``k`` of a rod of 400 mm without weight, ``steps`` a period."""
+    length, bend, size = 400.0 / edges, 1e7, 2e-5
+    held = 0.5 * length if start == Clamp.FRAME else 0.0
+    span = 400.0 - held
+    middles = (np.arange(edges) + 0.5) * length - held
+    ratio, slopes = mode(k, middles / span)
+    rods = planar(size * slopes * (middles > 0.0) if held else size * slopes, length)
+    theory = (ratio / span) ** 2 * np.sqrt(bend / MASS_PER_LENGTH)
+    springs, every = None, max(1, steps // 20)
+    if support:
+        points, stiffness = np.zeros((1, edges + 1, 3)), np.zeros((1, edges + 1))
+        points[0, -1], stiffness[0, -1] = [rods.vertices[0, -1, 0], 0.0, 0.0], 1e6 * bend / 400.0**3
+        springs = Springs(points, stiffness)
+    rate = steps / every * theory / (2 * np.pi)
+    found = simulate(rods, Material(bend, bend, 0.0), resting(rods, start, Clamp.FREE, 31), Dynamics(density=1.0), rate,
+                     substeps=every, springs=springs)
+    assert found.converged.all()
+    values = found.positions[0, :, :, 2] @ rods.vertices[0, :, 2]
+    return oscillation(values, 1.0 / rate), theory
+
+
+@pytest.mark.parametrize("name, mode, start", [("cantilever", clamped_mode, Clamp.FRAME),
+                                               ("pinned at both ends", pinned_mode, Clamp.POSITION)])
+def test_natural_frequencies(name, mode, start):
+    """The far pin is a stiff spring, so that the end may slide along the rod; the amplitude is small enough for no tension."""
+    for k in range(3):
+        found = [frequency(mode, k, start, 40, steps, start == Clamp.POSITION) for steps in (60, 120, 240)]
+        speeds, theory = np.array([pair[0] for pair in found]), found[0][1]
+        order = np.log2((speeds[0] - speeds[1]) / (speeds[1] - speeds[2]))
+        limit = (4.0 * speeds[2] - speeds[1]) / 3.0
+        print(f"{name}, mode {k + 1}: off by {limit / theory - 1:+.2e}, order in h {order:.2f}, 240 steps a period "
+              f"{speeds[2] / theory - 1:+.2e}")
+        assert abs(limit / theory - 1) < 5e-3
+        assert 1.8 < order < 2.2
+
+
+def test_frequency_is_of_second_order_in_the_edge_length():
+    errors = []
+    for edges in (10, 20, 40):
+        coarse, fine = (frequency(clamped_mode, 0, Clamp.FRAME, edges, steps, False) for steps in (120, 240))
+        errors.append(abs((4.0 * fine[0] - coarse[0]) / 3.0 / fine[1] - 1.0))
+    order = np.log2(np.array(errors[:-1]) / errors[1:])
+    print("off by", errors, "order in l", order)
+    assert order[-1] > 1.6
+
+
+def test_energy_of_an_undamped_rod():
+    """A cantilever let go in its first mode, ten periods."""
+    edges, length, bend = 12, 20.0, 1e7
+    middles = (np.arange(edges) + 0.5) * length - 0.5 * length
+    ratio, slopes = clamped_mode(0, middles / 230.0)
+    angles = 0.05 * slopes * (middles > 0)
+    rods = planar(angles, length)
+    period = 2 * np.pi / ((ratio / 230.0) ** 2 * np.sqrt(bend / MASS_PER_LENGTH))
+    before, lost = joint_energy(angles, bend, length), []
+    for steps in (100, 200):
+        found = simulate(rods, Material(bend, bend, 0.0), resting(rods, Clamp.FRAME, Clamp.FREE, 2), Dynamics(density=1.0),
+                         0.1 / period, substeps=10 * steps)
+        edge = np.diff(found.positions[0, -1], axis=0)
+        speed = found.memory.places[0, :, 6:9]
+        kinetic = 0.5 * MASS_PER_LENGTH * shares(edges, length) @ np.sum(speed**2, axis=1)
+        lost.append(1.0 - (kinetic + joint_energy(np.arctan2(edge[:, 2], edge[:, 0]), bend, length)) / before)
+    print("share of the energy lost in ten periods at 100 and 200 steps each", lost)
+    assert 0 <= lost[1] < lost[0] < 0.01
+
+
+@pytest.mark.parametrize("damping", [0.02, 0.0], ids=["damped", "dragged"])
+def test_damped_rod_comes_to_rest_where_statics_has_it(rng, damping):
+    rods = wandering(rng, 1, 10, 10.0, wander=0.2, twist=0.1)
+    material = Material(2e5, 1e5)
+    clamps = clamps_at(rods, Clamp.FRAME, Clamp.FRAME)
+    found = simulate(rods, material, Grippers.resting(clamps, 5), Dynamics(drag=20.0, bend_damping=damping), 1.0, substeps=100,
+                     scheme="euler")
+    ended = Configuration(rods.start, found.memory.frames, rods.rest_length)
+    statics = relax(ended, material, clamps, Newton.careful(tolerance=1e-12))
+    apart = np.abs(found.positions[0, -1] - statics.configuration.vertices[0]).max()
+    print(f"off by {apart:.1e} mm, moved {np.abs(rods.vertices[0] - found.positions[0, -1]).max():.1f} mm")
+    assert found.converged.all() and statics.converged.all() and statics.stable.all()
+    assert apart < 1e-6
+
+
+def test_whirling_rope_stays_at_rest_in_the_turning_frame():
+    """Held on a circle at constant speed; the static solution of the chain under weight and centrifugal force."""
+    edges, length, bend, radius, speed = 8, 25.0, 2e4, 60.0, 9.0
+    mass = MASS_PER_LENGTH * shares(edges, length)
+    beyond = np.cumsum(mass[::-1])[::-1][1:]
+
+    def moments(angles):
+        out = radius + np.append(0.0, np.cumsum(length * np.cos(angles)))
+        outward = np.cumsum((mass * out)[::-1])[::-1][1:] * speed**2
+        return (joint_moments(angles, bend, length) + GRAVITY * length * beyond * np.cos(angles)
+                + outward * length * np.sin(angles)) / (GRAVITY * length * beyond[0])
+
+    statics = root(moments, np.full(edges, -1.2), tol=1e-13)
+    assert statics.success
+    rods = planar(statics.x, length, (radius, 0.0, 0.0))
+    velocity = np.cross([0.0, 0.0, speed], rods.vertices[0])[None]
+    instants, rate, apart = 11, 10 * speed / (2 * np.pi), []
+    for substeps in (20, 40):
+        turn = Rotation.from_rotvec(np.outer(np.arange((instants - 1) * substeps + 1), [0.0, 0.0, speed / (rate * substeps)]))
+        held = turn.apply(rods.vertices[0, 0])[None]
+        still = resting(rods, Clamp.POSITION, Clamp.FREE, held.shape[1])
+        grippers = Grippers(still.start, still.end, held, still.end_position, still.start_frame, still.end_frame)
+        found = simulate(rods, Material(bend, bend), grippers, Dynamics(), rate * substeps, velocity=velocity)
+        assert found.converged.all()
+        expected = np.stack([one.apply(rods.vertices[0]) for one in turn[1:]])
+        apart.append(np.abs(found.positions[0] - expected).max() / (edges * length))
+    order = np.log2(apart[0] / apart[1])
+    print(f"outermost at {rods.vertices[0, :, 0].max():.0f} mm, off by {apart} of the length, order {order}")
+    assert apart[1] < 1e-3
+    assert order > 1.7

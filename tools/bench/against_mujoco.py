@@ -1,0 +1,103 @@
+"""MuJoCo beside `simulate`: the same rod, clamped at one end and released from the horizontal, at equal error of its tip.
+
+    pip install mujoco && python tools/bench/against_mujoco.py
+
+Each is compared with itself at its smallest step, so that what counts is how well a step of that length follows the motion,
+not how the two discretise the rod. MuJoCo's rod is a 1-D flex whose edges are held by equality constraints as stiff as its step
+allows. Times are processor seconds per simulated second and rod: of one rod in MuJoCo, of a batch here.
+"""
+
+import resource
+import sys
+from collections.abc import Callable
+
+import numpy as np
+
+from doo_ti import Clamp, Clamps, Configuration, Dynamics, Grippers, Material, simulate
+from doo_ti.dynamics.parameters import GRAVITY
+
+LENGTH, EDGES, BEND = 1000.0, 33, 1e8  # mm, -, mm³
+RADIUS, DENSITY = 0.005, 1000.0  # m, kg/m³: only EI over weight matters
+FRAMES = 50
+"""In the simulated second."""
+BATCH = 4096
+STEPS_HERE, STEPS_THERE = (1, 2, 4, 8, 64), (10, 20, 40, 80, 160, 1000)
+"""Steps between frames; the last are the references."""
+
+
+def flex(step: float) -> str:
+    """MuJoCo's model of the rod."""
+    weight = DENSITY * np.pi * RADIUS**2 * GRAVITY * 1e-3  # N/m
+    young = BEND * weight / 2e9 / (np.pi * RADIUS**4 / 4)
+    mass = DENSITY * np.pi * RADIUS**2 * LENGTH * 1e-3
+    return f"""<mujoco>
+<option timestep="{step}" integrator="discrete" gravity="0 0 {-GRAVITY * 1e-3}"><flag contact="disable"/></option>
+<worldbody><flexcomp name="rod" type="grid" count="{EDGES + 1} 1 1" spacing="{LENGTH * 1e-3 / EDGES} 1 1" dim="1"
+radius="{RADIUS}" mass="{mass}" dof="full"><edge equality="true" damping="0" solref="{2 * step} 1" solimp="0.99 0.9999 0.0001"/>
+<elasticity young="{young}" poisson="0" damping="0"/><pin id="0 1"/></flexcomp></worldbody></mujoco>"""
+
+
+def there(steps: int) -> np.ndarray:
+    """(FRAMES, 3) mm: the tip of MuJoCo's rod."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(flex(1.0 / (FRAMES * steps)))
+    data = mujoco.MjData(model)
+    tip = []
+    for _ in range(FRAMES):
+        for _ in range(steps):
+            mujoco.mj_step(model, data)
+        tip.append(1e3 * data.flexvert_xpos.reshape(-1, 3)[-1])
+    return np.array(tip)
+
+
+def here(steps: int, count: int = 1, precision: str = "f64") -> np.ndarray:
+    """(FRAMES, 3) mm: the tip of the first of ``count`` rods here."""
+    start = Configuration(np.zeros((count, 3)), np.tile([1.0, 0, 0, 0], (count, EDGES, 1)), np.full(EDGES, LENGTH / EDGES))
+    frames = np.broadcast_to(np.eye(3), (count, 3, 3))
+    grippers = Grippers.resting(Clamps(Clamp.FRAME, Clamp.FREE, start.start, start.start, frames, frames), FRAMES + 1)
+    found = simulate(start, Material(BEND, BEND), grippers, Dynamics(), float(FRAMES), substeps=steps, precision=precision)
+    return found.positions[0, :, -1]
+
+
+def seconds(run: Callable[[], np.ndarray], rounds: int = 3) -> float:
+    """Processor seconds of a call, the least of some."""
+    taken = []
+    for _ in range(rounds):
+        before = resource.getrusage(resource.RUSAGE_SELF)
+        run()
+        after = resource.getrusage(resource.RUSAGE_SELF)
+        taken.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    return min(taken)
+
+
+def main() -> int:
+    try:
+        import mujoco
+    except ImportError:
+        print("mujoco is not installed: pip install mujoco")
+        return 1
+    print(f"MuJoCo {mujoco.__version__}; {EDGES} edges, one simulated second, root mean square error of the tip")
+    table = {}
+    for name, steps, tip, timed in (
+            ("MuJoCo, one rod", STEPS_THERE, there, lambda n: seconds(lambda: there(n))),
+            (f"here, {BATCH} rods f64", STEPS_HERE, here, lambda n: seconds(lambda: here(n, BATCH)) / BATCH),
+            (f"here, {BATCH} rods f32", STEPS_HERE, lambda n: here(n, 1, "f32"),
+             lambda n: seconds(lambda: here(n, BATCH, "f32")) / BATCH)):
+        finest = tip(steps[-1]) if "f32" not in name else here(steps[-1])
+        rows = [(1.0 / (FRAMES * n), np.sqrt(((tip(n) - finest) ** 2).sum(axis=1).mean()), timed(n)) for n in steps[:-1]]
+        table[name] = rows
+        for step, error, cost in rows:
+            print(f"  {name:<24}{1e3 * step:8.2f} ms  {error:8.3f} mm  {1e6 * cost:10.1f} µs of processor", flush=True)
+    reference = np.array(table["MuJoCo, one rod"])
+    for name, rows in list(table.items())[1:]:
+        for _, error, cost in rows:
+            if reference[:, 1].min() <= error <= reference[:, 1].max():
+                order = np.argsort(reference[:, 1])
+                equal = np.exp(np.interp(np.log(error), np.log(reference[order, 1]), np.log(reference[order, 2])))
+                print(f"  at {error:.2f} mm: {name} {equal / cost:.0f} times MuJoCo's rate")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
