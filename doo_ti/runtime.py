@@ -123,7 +123,7 @@ def _started(architecture: str, threads: int | None, pinned: bool) -> str:
         # What only the thread that started Taichi may do, and would be done with the first kernel.
         ti.lang.impl.get_runtime().materialize()
     if architecture == "cpu" and pinned and os.environ.get("DOO_TI_PINNED") != "0":
-        _pin(sorted(_tasks() - others))
+        pin(sorted(_tasks() - others))
     if not os.environ.get("DOO_TI_DEBUG"):
         _spare_quotations()
     return architecture
@@ -147,7 +147,7 @@ def _tasks() -> set[int]:
     return {int(task.name) for task in TASKS.iterdir()} if TASKS.is_dir() else set()
 
 
-def _pin(tasks: list[int]) -> None:
+def pin(tasks: list[int]) -> None:
     """Give each of Taichi's ``tasks``, the threads it started, a processor of its own, in turn.
 
     Left alone the system often wakes two threads on one processor and parts them milliseconds later, when a call of a

@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -57,6 +58,7 @@ def layer(name: str) -> str:
     return name.split(".")[0]
 
 
+@cache
 def imported(path: Path) -> set[str]:
     """Dotted names that a file imports; ``from x import y`` counts as x.y where that is a module of ours, else as x."""
     names = set()

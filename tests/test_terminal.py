@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti.cli import main
 from doo_ti.terminal import busy, in_line, progress, visible
-from tests.cli.test_bad_input import MATERIAL, npz_bytes
+from tests.commands.test_bad_input import MATERIAL, npz_bytes
 
 NAME = "a\x1b[2J\x9b1m\u202e[red]b[/red]"
 SHOWN = r"a\x1b[2J\x9b1m\u202e[red]b[/red]"
@@ -53,6 +53,7 @@ def test_printouts_and_messages(tmp_path, capsys, code):
     assert r"\x1b[2J[bold]" in (err if code else out) and "\x1b" not in out + err
 
 
+@pytest.mark.thorough
 def test_a_name_of_several_lines_takes_one(tmp_path, capsys):
     """Lest it forges lines of the printout."""
     assert in_line("a\nb\x1b") == r"a\nb\x1b"

@@ -69,7 +69,7 @@ def completed(file: Path, seeds: range, variant: Variant, workers: int) -> list[
     there = {row.key for row in known}
     todo = [seed for seed in seeds if (seed, variant) not in there]
     if todo:
-        with progress(keep=True) as bar, _pool(min(workers, len(todo))) as pool:
+        with progress(keep=True) as bar, process_pool(min(workers, len(todo))) as pool:
             task = bar.add_task(variant.label, total=len(seeds), completed=len(seeds) - len(todo), unit="specimens")
             futures = [pool.submit(studied, seed, variant) for seed in todo]
             try:
@@ -143,7 +143,7 @@ def _parsed(words: list[str] | None) -> argparse.Namespace:
     return options
 
 
-def _pool(workers: int) -> ProcessPoolExecutor:
+def process_pool(workers: int) -> ProcessPoolExecutor:
     """Spawned processes, also if it is one: the output of the commands is kept separate from this process's progress."""
     threads = max(1, len(runtime.processors()) // workers)
     return ProcessPoolExecutor(workers, get_context("spawn"), initializer=partial(_start_worker, threads))

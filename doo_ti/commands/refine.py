@@ -81,7 +81,7 @@ def run(options: Namespace, words: list[str]) -> int:
     starts, folds = given.whole("--starts", options.starts, 1) or STARTS, given.whole("--folds", options.folds, 2)
     density = given.positive("--linear-density", options.linear_density, "g/m")
     tasks = [_task(options, source, starts) for source in options.sources]
-    groups = [_groups(options.groups, task.observations) for task in tasks]
+    groups = [read_groups(options.groups, task.observations) for task in tasks]
 
     from doo_ti.refinement.folds import folds_of, refine_held_out
     from doo_ti.refinement.refine import refine
@@ -214,7 +214,7 @@ def _check_model(chosen, task: Task) -> None:
     unknowns.begun(task.thetas[0], unknowns.clip_prior)
 
 
-def _groups(text: str | None, observations: Observations) -> np.ndarray:
+def read_groups(text: str | None, observations: Observations) -> np.ndarray:
     """(D,) the group of each observation; by default each is a group of its own."""
     if text is None:
         return np.arange(observations.count)

@@ -112,7 +112,7 @@ def _resumable(run: Path, command: list[str]) -> Iterator[None]:
         raise InterruptedRunError(f"{run}: sweep stopped ({reason}); finished cells are kept, resume with: {again}") from error
 
 
-def _rows(experiment: Experiment, first: int, last: int) -> dict[str, np.ndarray]:
+def chunk_rows(experiment: Experiment, first: int, last: int) -> dict[str, np.ndarray]:
     """The columns of a chunk, without its rods."""
     return relax_hypotheses(experiment, first, last)[0]
 
@@ -127,7 +127,7 @@ def _relax_chunks(
         before = cells - sum(last - first for first, last in chunks)
         task = bar.add_task(name, total=cells, completed=before, unit="cells", rate="compiling")
         done = 0
-        for (first, last), columns in workers.results(partial(_rows, experiment), chunks):
+        for (first, last), columns in workers.results(partial(chunk_rows, experiment), chunks):
             write_chunk(chunk_path(run, part, first, last), columns, name, identity)
             done += last - first
             rate = done * rods / (time.monotonic() - began)

@@ -9,7 +9,7 @@ import pytest
 from doo_ti.bench import cases, peak, summary
 from doo_ti.bench.table import percent
 from doo_ti.cli import main
-from tests.cli.test_bad_input import refused
+from tests.commands.test_bad_input import refused
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,7 @@ from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.types import Clamp, Material, Status
 from tests.references.rods import clamps_at
-from tests.relax.rods import wandering
+from tests.relaxation.rods import wandering
 
 INSTANTS, RATE = 6, 100.0
 MATERIAL, DYNAMICS = Material(3e4, 2e4), Dynamics(drag=1.0)

@@ -16,7 +16,7 @@ from tests.dynamics.dense import Body, Instant, step
 from tests.oracle.algebra import directors
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import clamped_start, vertices_of
-from tests.relax.rods import wandering
+from tests.relaxation.rods import wandering
 
 KINDS = (
     (Clamp.FRAME, Clamp.FREE), (Clamp.FRAME, Clamp.FRAME), (Clamp.FRAME, Clamp.TANGENT), (Clamp.POSITION, Clamp.FREE),

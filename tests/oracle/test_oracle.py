@@ -227,6 +227,7 @@ def ends_of(rod: Rod, state: State, start=Clamp.FRAME, end=Clamp.FRAME) -> Ends:
     return Ends(start, end, None if start == Clamp.FREE else vertices[0], None if end == Clamp.FREE else vertices[-1])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("end", list(Clamp))
 @pytest.mark.parametrize("start", [Clamp.POSITION, Clamp.TANGENT, Clamp.FRAME])
 def test_equilibrium_closes_descends_and_is_stationary(rng, start, end):

@@ -246,6 +246,7 @@ def test_tuples_pass_through_functions(rng, number):
         applied(number, crossed, values), (b * a - c * c) * c + (c * b - a * a) * a + (a * c - b * b) * b)
 
 
+@pytest.mark.sampled(4)
 @every_number
 def test_nan_is_detected(number):
     """The kernels rely on ``a == a``, on ``larger`` passing NaN on, and NaN comparing false, by ``!=`` too."""

@@ -42,6 +42,7 @@ def test_bands_have_the_given_width_and_lie_along_m1():
     np.testing.assert_allclose((sides[:, 1, 0] - sides[:, 0, 0]) / 6.7, across[:, 0], atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_picture_shows_each_kind_in_its_colour(tmp_path):
     from PIL import Image
 

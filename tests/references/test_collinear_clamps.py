@@ -41,6 +41,7 @@ def test_54_mm_and_120_degrees_is_nearly_blind_to_the_parameters():
     assert movement[60] > 3 * movement[120] and movement[180] > 3 * movement[120]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("distance", "side", "ratio"), [(42.0, -1, 0.2), (54.0, -1, 0.1), (66.0, 1, 1.0)],
                          ids=["42 mm, little twist", "54 mm, little twist", "standing"])
 def test_planar_saddle_at_0_degrees_is_named_and_left(distance, side, ratio):

@@ -53,6 +53,7 @@ def counted_by_rows(linear):
     return tuple(replace(kind, count=(np.abs(kind.shared).max(axis=2) > 0).sum(axis=1).astype(float)) for kind in linear)
 
 
+@pytest.mark.thorough
 def test_it_is_the_density_of_the_residuals(linear_model):
     evidence, linear, scales = linear_model
     linear = counted_by_rows(linear)
@@ -96,6 +97,7 @@ def test_held_directions_stay(linear_model):
     assert direction @ found.covariance @ direction == pytest.approx(0, abs=1e-12)
 
 
+@pytest.mark.thorough
 def test_left_out_is_the_decrease_of_the_evidence(linear_model):
     """ln p(one | others) = ln p(all) − ln p(others), both by dense algebra."""
     evidence, linear, scales = linear_model

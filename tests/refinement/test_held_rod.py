@@ -15,6 +15,7 @@ from doo_ti.refinement.unknowns import Unknowns
 from tests.refinement.rods_between_clips import TRUTH, held, suture
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kinds, count", [((None, None), 39), ((Clamp.POSITION, None), 39.5), ((None, Clamp.FREE), 39.5)])
 def test_edges_share_what_lies_between_the_clips(kinds, count):
     rod = held(suture(1), 40, kinds)

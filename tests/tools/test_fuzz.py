@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from doo_ti.io.observations import load_observations, save_observations
-from tests.cli.test_bad_input import npz_bytes
+from tests.commands.test_bad_input import npz_bytes
 from tools import fuzz
 from tools.fuzzing.commands import COMMANDS, RECIPES
 from tools.fuzzing.worker import judged, prepare
@@ -88,6 +88,7 @@ def test_how_a_command_ends_is_judged(code, out, err, problem):
     assert problem in found and bool(found) == bool(problem)
 
 
+@pytest.mark.thorough
 def test_a_short_campaign(folder):
     results = fuzz.campaign(folder, 2011, range(16), verbose=False)
     assert [each["problem"] for each in results if each["problem"]] == []
@@ -108,6 +109,7 @@ runpy.run_module("tools.fuzzing.worker", run_name="__main__")
 """
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("what", "problem"),
     [

@@ -46,6 +46,7 @@ def test_the_end_of_a_command_is_judged(code, message, fault):
     assert found.startswith(fault) and bool(found) == bool(fault)
 
 
+@pytest.mark.thorough
 @signals
 def test_a_terminated_prediction_leaves_nothing_and_says_so(tmp_path):
     prepared(tmp_path, [])

@@ -87,6 +87,7 @@ def test_fewer_cameras_and_sets(rng):
     np.testing.assert_array_equal(some.camera_error, whole.camera_error[[2, 0]])
 
 
+@pytest.mark.thorough
 def test_gaps_are_seen_and_filled():
     case, _ = photographed("vicryl", [5])
     pixels, whole = case.pixels, case.detections
@@ -102,6 +103,7 @@ def test_gaps_are_seen_and_filled():
     assert not unseen(again, pixels).any()
 
 
+@pytest.mark.thorough
 def test_rods_are_recovered():
     case, _ = photographed("vicryl", [3, 44])
     _, trial, _ = recovered(case, case.rods.point, case.rods.direction)

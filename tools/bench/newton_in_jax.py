@@ -107,8 +107,8 @@ def rate(rods: Rods, bits: int, rounds: int = 3, derivatives: str = "explicit") 
     "automatic". Timed is from NumPy in to NumPy out, without arranging the rods in batches. Raises InputError where jax is
     absent.
     """
-    with _precision(bits):
-        batches = _batches(rods, bits)
+    with floats_of(bits):
+        batches = batches_of(rods, bits)
         seconds, program = timed(lambda: _compiled(batches[0], bits, derivatives))
         runs = [timed(lambda: _run(program, batches, rods.count)) for _ in range(rounds)]
     _, _, converged, iterations = runs[0][1]
@@ -122,8 +122,8 @@ def relaxed(
 
     A rod that ends on a saddle or at the limit of iterations has not converged. Raises InputError where jax is absent.
     """
-    with _precision(bits):
-        batches = _batches(rods, bits)
+    with floats_of(bits):
+        batches = batches_of(rods, bits)
         frames, energy, converged, iterations = _run(_compiled(batches[0], bits, derivatives), batches, rods.count)
     total = np.broadcast_to(rods.starts.rest_length.sum(axis=-1), rods.starts.count)
     height = rods.clamps.start_position @ UP * 2 * total
@@ -131,7 +131,7 @@ def relaxed(
     return frames, energy + rods.material.weight[rods.of_material] * height[rods.of_start], converged, iterations
 
 
-def _precision(bits: int):
+def floats_of(bits: int):
     """The context in which numbers have that many bits."""
     if jax is None:
         raise InputError("study.py", "--jax", "jax is not installed", "pip install jax")
@@ -142,7 +142,7 @@ def _precision(bits: int):
     return enable_x64(bits == 64)
 
 
-def _batches(rods: Rods, bits: int) -> list[tuple[np.ndarray, "chain.Task"]]:
+def batches_of(rods: Rods, bits: int) -> list[tuple[np.ndarray, "chain.Task"]]:
     """(frames (W, E, 4), task) of each batch; the last one is filled up with rods from the front."""
     size = min(BATCH, rods.count)
     rows = np.resize(np.arange(rods.count), (-(-rods.count // size), size))

@@ -39,12 +39,12 @@ class Children:
         self._tables = tables
 
     def __enter__(self) -> "Children":
-        self._folder = tempfile.TemporaryDirectory(prefix="doo-ti-bench-")
-        self._starts = Path(self._folder.name) / "starts.npz"
+        self.folder = tempfile.TemporaryDirectory(prefix="doo-ti-bench-")
+        self._starts = Path(self.folder.name) / "starts.npz"
         return self
 
     def __exit__(self, *reason) -> None:
-        self._folder.cleanup()
+        self.folder.cleanup()
 
     def import_seconds(self) -> float:
         """How long ``import doo_ti`` takes."""
@@ -81,7 +81,7 @@ class Children:
         return [__file__, task, str(self._starts), *map(str, numbers)]
 
     def _told(self, words: list[str]) -> dict:
-        environment = {**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": self._folder.name}
+        environment = {**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": self.folder.name}
         done = subprocess.run([sys.executable, *words], env=environment, stdin=subprocess.DEVNULL, capture_output=True,
                               text=True, encoding="utf-8")
         if done.returncode:

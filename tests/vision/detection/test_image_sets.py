@@ -21,9 +21,10 @@ def test_a_file_of_sets(tmp_path):
     np.testing.assert_allclose(sets.direction[0], [0, 0.6, 0.8])
 
 
-def test_the_sets_of_the_images(shared_data):
-    sets = load_sets(shared_data / "images_a" / "sets.csv", load_rig(shared_data / "images_a" / "rig.yaml"))
-    assert sets.count == 10 and all(path.exists() for line in sets.paths for path in line)
+def test_the_sets_of_the_images(laboratory):
+    folder = laboratory / "images_a"
+    sets, truth = load_sets(folder / "sets.csv", load_rig(folder / "rig.yaml")), np.load(folder / "truth.npz")
+    assert sets.names == tuple(truth["names"]) and all(path.exists() for line in sets.paths for path in line)
 
 
 @pytest.mark.parametrize("text, word", [

@@ -64,6 +64,7 @@ def evaluated(number, scene, edges, coarse=0.0, nu=NU, points=POINTS):
     return found[:, 0], np.concatenate([g - h, h], axis=1), hessian
 
 
+@pytest.mark.sampled(1)
 @every_number
 def test_energy_and_gradient_are_the_oracle_s(number, scene, rng):
     rig, rods, maps = scene
@@ -78,6 +79,7 @@ def test_energy_and_gradient_are_the_oracle_s(number, scene, rng):
         np.testing.assert_allclose(slope, wanted, atol=(1e-11 if number.bits == 64 else 1e-3) * np.abs(wanted).max())
 
 
+@pytest.mark.thorough
 def test_hessian_is_that_of_finite_differences(scene, rng):
     """Off the lines halfway between pixels, where the spline's second derivative jumps."""
     rig, rods, maps = scene
