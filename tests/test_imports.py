@@ -59,10 +59,16 @@ def layer(name: str) -> str:
 
 
 @cache
+def statements(path: Path) -> list[ast.AST]:
+    """Every node of a file's syntax tree."""
+    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+@cache
 def imported(path: Path) -> set[str]:
     """Dotted names that a file imports; ``from x import y`` counts as x.y where that is a module of ours, else as x."""
     names = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in statements(path):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -120,7 +126,7 @@ def test_relax_does_not_know_vision():
 
 
 def test_one_place_starts_taichi():
-    starters = [name for name, path in MODULES.items() for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    starters = [name for name, path in MODULES.items() for node in statements(path)
                 if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "init"]
     assert starters == ["runtime"]
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from doo_ti.dynamics import simulate as simulation
 from doo_ti.dynamics.grippers import Grippers
@@ -64,6 +65,7 @@ def test_a_rod_that_fails_stops_alone(rng):
     np.testing.assert_array_equal(after.converged, others)
 
 
+@pytest.mark.thorough
 def test_launches_continue_one_another(rng, monkeypatch):
     """A long motion is several launches; both ends free, drag that grows with speed, and a rod that fails on the way."""
     rods, grippers = swung(rng, 6)
@@ -100,6 +102,7 @@ def test_pairs_are_rods_and_materials_of_their_own(rng):
         np.testing.assert_array_equal(together.positions[k], alone.positions[0])
 
 
+@pytest.mark.thorough
 def test_precisions_agree(rng):
     rods, grippers = swung(rng, 20)
     exact, single = moved(rods, grippers), moved(rods, grippers, precision="f32")

@@ -44,6 +44,7 @@ def test_an_example_finds_the_best_cell(folder, name, monkeypatch, capsys):
     assert np.isclose(found[4], best["mean_distance_mm"], rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_the_maker_of_each_file_is_printed(folder, monkeypatch, capsys):
     name, = (heading for heading in EXAMPLES if "who made it" in heading)
     out = printed(folder, name, monkeypatch, capsys)
@@ -51,6 +52,7 @@ def test_the_maker_of_each_file_is_printed(folder, monkeypatch, capsys):
     assert f"72 {summary['provenance']['sweep_sha256'][:8]} {maker()['doo_ti']}" in out
 
 
+@pytest.mark.thorough
 def test_every_column_and_status_is_explained(folder):
     names = set()
     for run in ("silk", "moved"):

@@ -70,6 +70,7 @@ def test_long_limp_rods_are_right_in_f32_or_left_to_f64(rng, size):
     assert both.all() and (apart[same] < SAME).all() and same.mean() > 0.8
 
 
+@pytest.mark.thorough
 def test_springs_of_any_size_and_any_ends(rng):
     kinds = [pair for pair in product(Clamp, Clamp)] + [(Clamp.FRAME, Clamp.FRAME)] * (COUNT - 16)
     rods, clamps, (bend, twist) = problem(rng, kinds)
