@@ -1,4 +1,4 @@
-"""Discrete elastic rods: fit them to observed shapes, at thousands of relaxations a second.
+"""Discrete elastic rods: relaxation, learning of material parameters, perception and prediction (Javdani et al., ICRA 2011).
 
     from doo_ti import Grid, Material, Newton, load_observations, relax
     from doo_ti import observation_clamps, start_configuration
@@ -9,7 +9,7 @@
     solution = relax(start, Material(bend=6e5, twist=8e5), clamps)      # F of §III-D, one rod per observation
     solution.configuration.vertices, solution.status, solution.stable   # per rod, nothing averaged
 
-Where each equation of the paper is: PAPER.md beside this file.
+PAPER.md, in the folder of this file, names the code of each equation of the paper.
 """
 
 import os
@@ -46,7 +46,7 @@ __all__ = sorted(_HOMES)
 
 
 def __getattr__(name: str):
-    """Import a public name from its module when it is first asked for: importing the package costs nothing."""
+    """Import a public name from its module on first use, so that importing the package is fast."""
     if name not in _HOMES:
         raise AttributeError(f"module 'doo_ti' has no attribute {name!r}")
     from importlib import import_module

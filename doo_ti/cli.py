@@ -1,6 +1,6 @@
 """The command line ``doo-ti``: options to text, commands to exit codes.
 
-0 done; 1 failed while running, what is done is kept; 2 wrong input: one line that names file or option, field and
+0 done; 1 failed while running, finished results are kept; 2 wrong input: one line that names file or option, field and
 remedy, and nothing written.
 """
 
@@ -101,8 +101,8 @@ def _run(argv: list[str]) -> int:
 
 
 def _again(argv: list[str]) -> str:
-    """What the same command will do if it is run again: only a sweep stores results before all of them are there."""
-    return f"the same command {'goes on with what is finished' if argv[:1] == ['sweep'] else 'starts anew'}"
+    """What the same command does if it is run again: only a sweep stores results before all of them are computed."""
+    return f"the same command {'resumes with the unfinished cells' if argv[:1] == ['sweep'] else 'starts from the beginning'}"
 
 
 def _report(problem: object, code: int) -> int:

@@ -1,4 +1,4 @@
-"""Errors that a user can cause; each message names where, what is wrong, and the remedy.
+"""Errors that a user can cause; each message names place, problem and remedy.
 
 A rod that cannot be computed is not an error: it has a :class:`~doo_ti.types.Status`.
 """
@@ -16,8 +16,8 @@ class InputError(ValueError):
     ----------
     source: the file, option or argument at fault.
     field: the key, column or option in it.
-    problem: what is wrong with the value, with the value.
-    remedy: what to do about it.
+    problem: the value, and why it is wrong.
+    remedy: what to give instead.
     """
 
     def __init__(self, source: str, field: str, problem: str, remedy: str):
@@ -49,7 +49,7 @@ def real_array(source: str, field: str, value, remedy: str, kinds: str = "fiu") 
     """``value`` as an array of real numbers. Raises InputError for rows of different lengths, text, booleans and complex
     numbers, which NumPy would convert.
 
-    kinds  NumPy's letters for what is allowed, ``b`` for booleans
+    kinds  NumPy's letters of the allowed kinds of dtype, ``b`` for booleans
     """
     try:
         array = np.asarray(value)

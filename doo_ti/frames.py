@@ -6,7 +6,7 @@ Quaternions are (..., 4) with the scalar first; the columns of a rotation matrix
 import numpy as np
 
 FRAME_TOLERANCE = 1e-3
-"""A frame that somebody gives may be off by this much (see :func:`orthonormality_error`)."""
+"""Largest allowed :func:`orthonormality_error` of an input frame."""
 
 
 def matrix_from_quaternion(quaternion: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Grids over Θ = (B, β, μ) for the exhaustive search of §III-E, and the range of each that fits nearly as well.
+"""Grids over Θ = (B, β, μ) for the exhaustive search of §III-E, and the range of each parameter near the minimum.
 
 Axes: G grid cells. Bend and twist in mm³, weight relative (footnote 6).
 """
@@ -137,7 +137,7 @@ class Grid:
     def with_axes(self, axes: tuple[Axis, ...], bend_12: float = 0.0) -> "Grid":
         """This grid with ``axes`` in place of its own of the same parameters, and ``bend_12`` where they give bend.
 
-        ``bend`` displaces ``bend_1`` and ``bend_2``, ``twist`` displaces ``twist_ratio``, and the other way round.
+        ``bend`` replaces ``bend_1`` and ``bend_2``, ``twist`` replaces ``twist_ratio``, and vice versa.
         """
         names = {axis.name for axis in axes}
         replaced = set(names)
@@ -166,7 +166,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Interval:
-    """One parameter in a landscape: its value in the best cell, and the range that fits nearly as well.
+    """One parameter in a landscape: its value in the best cell, and the range of cells with nearly the smallest error.
 
     The range ends half-way to the nearest cells outside it, as precisely as the grid allows. ``low_is_open`` and
     ``high_is_open``: it reaches the grid's edge, and values beyond may fit as well.

@@ -12,7 +12,7 @@ from threading import Timer, current_thread, main_thread
 from types import FrameType
 
 AGAIN_SECONDS = 0.05
-"""After which a signal that arrived where it cannot be used is sent again."""
+"""Delay before a signal that was raised where it is lost is sent again."""
 MOST_POSTPONED = 200
 """Times in succession: only an import that runs the program takes longer."""
 

@@ -1,11 +1,11 @@
-"""Where Taichi keeps compiled kernels from one process to the next, and that what is kept there can be used.
+"""The folder in which Taichi keeps compiled kernels between processes, and its repair.
 
-Left alone Taichi ends in a segmentation fault where it can write nowhere or where its table is damaged, compiles a damaged
-kernel anew at every start without replacing it, and keeps nothing any more once a process was killed while it wrote.
+Without this module Taichi ends in a segmentation fault where no folder is writable or its table is damaged, compiles a
+damaged kernel again at every start without replacing it, and stores no further kernel once a process was killed while it wrote.
 
     FOLDER/ticache.tcb   the table: a header, then an entry for each kernel
     FOLDER/T….tic        a kernel: a header, its content, sha256 of the content in hexadecimal
-    FOLDER/ticache.lock  there while a process writes
+    FOLDER/ticache.lock  exists while a process writes
 """
 
 import hashlib
@@ -21,19 +21,19 @@ from doo_ti.io.files import write_whole
 
 TABLE, LOCK = "ticache.tcb", "ticache.lock"
 WRITING_SECONDS = 60
-"""A lock that is older was left by a process that was killed."""
+"""An older lock was left by a process that was killed."""
 
 HEADER = Struct("<Q3HQQ")
 """Of the table: its length, Taichi's version, the length of all kernels, their number."""
 ENTRY = Struct("<Q65sQ65sQ16x")
 """A kernel's name and again its name, each after its length, the length of its file, and two times."""
 KNOWN_VERSION = (1, 7)
-"""What is said of the table's layout here holds for these versions of Taichi: others mend their own."""
+"""The table is read and repaired only for these versions of Taichi, whose layout is known."""
 KERNEL_HEADER, DIGEST = 24, 64
 
 
 def kernel_folder(usual: Path) -> Path | None:
-    """The folder for kernels, mended: ``usual``, or where nothing can be written there a private one among the temporary files;
+    """The folder for kernels, repaired: ``usual``, or where it is not writable a private one among the temporary files;
     None where neither can be used."""
     folder = usual if _is_writable(usual) else _private()
     if folder is None or not _is_writable(folder):

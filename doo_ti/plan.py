@@ -91,17 +91,17 @@ def plan(
     configurations: Observations, grid: Grid, *, sigma: float, picks: int = 10, clamp_start: Clamp | None = None,
     clamp_end: Clamp | None = None, measured=(),
 ) -> Plan:
-    """Rank ``configurations``, observed or planned, by how much measuring them would tell about Θ.
+    """Rank ``configurations``, observed or planned, by how much measuring them would reduce the uncertainty of Θ.
 
     configurations  clamps and shapes to start from, as for a sweep
     grid            the prior: Θ is in one of its cells, each as likely as the others
     sigma           label uncertainty, mm
     picks           K, configurations to rank, none twice
-    measured        rows that are measured already: their information counts, and they are not picked
+    measured        rows that are already measured: their information counts, and they are not ranked
 
-    The order is greedy in the mean over the cells of log det of the information about the logarithms of the parameters that
-    the grid varies, on top of a prior as wide as the grid (Bayesian D-optimality), everything else that ``refine`` learns
-    integrated out. Raises InputError for wrong input.
+    Greedy Bayesian D-optimality: the next configuration maximises the mean over the cells of log det (prior precision +
+    information) of the logarithms of the parameters that the grid varies, with a prior as wide as the grid; all other unknowns
+    of ``refine`` are integrated out. Raises InputError for wrong input.
     """
     clamps = observation_clamps(configurations, clamp_start, clamp_end)
     check_experiment(configurations, clamps, grid.axes[-1].values[-1], 0.0)

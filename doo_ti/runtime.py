@@ -16,11 +16,11 @@ from doo_ti.errors import InputError
 from doo_ti.kernel_cache import kernel_folder
 
 TAICHI_NAMES = {"cpu": ("x64", "arm64"), "cuda": ("cuda",)}
-"""What runs, and Taichi's names for it."""
+"""Architectures, and Taichi's names for them."""
 KERNELS = "TI_OFFLINE_CACHE_FILE_PATH"
-"""The variable that tells Taichi where compiled kernels are kept."""
+"""The environment variable with the folder of Taichi's compiled kernels."""
 TASKS = Path("/proc/self/task")
-"""Where Linux names a process's threads."""
+"""Where Linux lists the threads of a process."""
 
 _architecture: str | None = None
 _begun = False
@@ -123,7 +123,7 @@ def _started(architecture: str, threads: int | None, pinned: bool) -> str:
         # What only the thread that started Taichi may do, and would be done with the first kernel.
         ti.lang.impl.get_runtime().materialize()
     if architecture == "cpu" and pinned and os.environ.get("DOO_TI_PINNED") != "0":
-        _pin(sorted(_tasks() - others))
+        pin(sorted(_tasks() - others))
     if not os.environ.get("DOO_TI_DEBUG"):
         _spare_quotations()
     return architecture
@@ -143,11 +143,11 @@ def _spare_quotations() -> None:
 
 
 def _tasks() -> set[int]:
-    """The threads of this process; none where the system does not tell."""
+    """The threads of this process; none where the system does not list them."""
     return {int(task.name) for task in TASKS.iterdir()} if TASKS.is_dir() else set()
 
 
-def _pin(tasks: list[int]) -> None:
+def pin(tasks: list[int]) -> None:
     """Give each of Taichi's ``tasks``, the threads it started, a processor of its own, in turn.
 
     Left alone the system often wakes two threads on one processor and parts them milliseconds later, when a call of a

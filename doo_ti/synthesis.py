@@ -121,7 +121,7 @@ class _Rods:
 
 def _rods(synthesis: Synthesis, random: np.random.Generator) -> _Rods:
     """Every end distance at every end rotation."""
-    material = _specimen(synthesis, random)
+    material = specimen_material(synthesis, random)
     errors = _clip_errors(synthesis)
     shapes, ideal = _brought_to_distances(synthesis, material)
     clamps = ideal
@@ -150,7 +150,7 @@ def _rods(synthesis: Synthesis, random: np.random.Generator) -> _Rods:
     return _Rods(np.concatenate(vertices), np.concatenate(frames), _together(reported) if errors.any else None)
 
 
-def _specimen(synthesis: Synthesis, random: np.random.Generator) -> Material:
+def specimen_material(synthesis: Synthesis, random: np.random.Generator) -> Material:
     """Θ with a random rest curvature, the same in every observation."""
     rest = synthesis.rest_curvature_rms_per_mm * _curvature_field(synthesis, random)[None]
     return Material(np.array(synthesis.bend), synthesis.twist, synthesis.weight, rest)

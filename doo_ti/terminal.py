@@ -1,4 +1,4 @@
-"""What a terminal shows: names from files made harmless, progress bars and what is being done.
+"""Output on a terminal: names from files with control characters escaped, progress bars, the current step.
 
 Names of materials, files and cameras come from others; an escape sequence in one could clear the screen or forge a line.
 """
@@ -17,7 +17,7 @@ def in_line(text: object) -> str:
 
 
 class VisibleStream:
-    """A stream of text that writes what is :func:`visible`, and is the ``stream`` otherwise."""
+    """A stream that writes text as :func:`visible` returns it, and is otherwise the ``stream``."""
 
     def __init__(self, stream):
         self._stream = stream
@@ -31,7 +31,7 @@ class VisibleStream:
 
 
 def busy(doing: str):
-    """A context in which a terminal shows what is being done."""
+    """A context in which a terminal shows the current step."""
     from rich.console import Console
     from rich.text import Text
 

@@ -19,11 +19,18 @@ from doo_ti.frames import matrix_from_quaternion, vertices_from_quaternions
 from doo_ti.physical_units import bend_or_twist, force_in_newton
 
 LARGEST = 1e30
-"""No quantity is larger: squares of larger ones overflow."""
+"""Upper bound of all inputs: squares of larger numbers overflow in f32 or f64 arithmetic."""
 
 
 class Status(IntEnum):
-    """How a relaxation ended, one per rod."""
+    """How a relaxation ended, one per rod.
+
+    CONVERGED        residual and closure are within tolerance
+    ITERATION_LIMIT  more iterations would be needed
+    STALLED          neither energy nor residual decreases any more
+    NOT_FINITE       a number overflowed or is undefined
+    INFEASIBLE       the clamps are further apart than the free edges reach, or fewer than two edges are free
+    """
 
     CONVERGED = 0
     ITERATION_LIMIT = 1
@@ -33,7 +40,7 @@ class Status(IntEnum):
 
 
 class Clamp(IntEnum):
-    """How one end of a rod is held (§III-B). Each kind holds all that the kinds before it hold."""
+    """Constraint of one end of a rod (§III-B): none; its position; position and tangent; position and frame."""
 
     FREE = 0
     POSITION = 1
@@ -43,18 +50,20 @@ class Clamp(IntEnum):
 
 @dataclass(frozen=True)
 class Material:
-    """Θ = (B, β, μ) of §III-C for a table of materials; scalars broadcast.
+    """Θ = (B, β, μ) of §III-C for R materials; scalars broadcast.
 
     bend            B in mm³: a scalar α (isotropic, B = αI) or (R,) of them; or symmetric positive
                     definite matrices (2, 2), (R, 2, 2) or, edge by edge, (R, E, 2, 2)
     twist           β in mm³: scalar, (R,), or per inner vertex (R, E−1)
     weight          μ: scalar or (R,); the weight per length of the rod is 2 μ
-    rest_curvature  ω̄ in 1/mm, about m2 and −m1 as ω is: None, (2,), (R, 2) or, per inner vertex, (R, E−1, 2)
+    rest_curvature  ω̄ in 1/mm, components (κb·m2, −κb·m1)/(l̄/2): None (straight at rest), (2,), (R, 2) or, per inner
+                    vertex, (R, E−1, 2)
 
     After construction the arrays have the shapes (R, 1 or E, 2, 2), (R, 1 or E−1), (R,) and
     None or (R, 1 or E−1, 2), R being 1 where everything broadcasts.
 
-    Raises InputError for a B that is not symmetric positive definite, negative β or μ, or shapes that do not match.
+    Raises InputError for a B that is not symmetric positive definite, a β that is not positive, a negative μ, or shapes that
+    do not match.
     """
 
     bend: np.ndarray
@@ -143,8 +152,8 @@ class Material:
         )
 
 
-def lasting(before: np.ndarray, status: np.ndarray) -> np.ndarray:
-    """(R,) the status of rods relaxed several times in a row: the first one that is not CONVERGED, else the last."""
+def sticky(before: np.ndarray, status: np.ndarray) -> np.ndarray:
+    """(R,) sticky status of rods relaxed several times: the first status that is not CONVERGED, else CONVERGED."""
     return np.where(before == Status.CONVERGED, status, before)
 
 
@@ -228,19 +237,18 @@ class Solution:
 
     configuration  the relaxed rods
     energy         (R,) E(Γ) of §III-C, gravity measured from z = 0
-    residual       (R,) the largest moment left on a free edge, times the length, over the largest eigenvalue of B; of a taut
-                   rod, whose edges cannot tilt, the largest moment about a tangent
+    residual       (R,) the largest moment left on a free edge, times the length, over the largest eigenvalue of B (no unit); of
+                   a taut rod, whose edges cannot tilt, only moments about tangents count
     closure        (R,) distance by which the far end misses its clamp over the rod's length
-    iterations     (R,) steps taken
+    iterations     (R,) number of solver iterations
     status         (R,) Status
-    stable         (R,) True where the inertia of its KKT matrix certifies a minimum: the energy falls in no direction.
-                   Neutral motions, such as a weightless bow turning about its chord, are allowed
+    stable         (R,) True where the inertia of the rod's KKT matrix certifies a minimum, not a saddle. Neutral motions, such
+                   as the rotation of a weightless bow about its chord, are allowed
     end_force      (R, 3) force of the far clamp on the rod where both ends are held, energy (mm²) per mm: the energy
                    grows by end_force · d when the clamp moves by d. Zero where an end is free. NaN in a taut rod, one that
-                   can only be straight because its clamps are as far apart as it reaches, to 1e-7 of that: any pull above
-                   the buckling load holds it, and under a weight across it no finite one does
+                   is straight because its clamps are as far apart as it is long, to 1e-7: its tension is not determined
     precision      (R,) 32 or 64: the arithmetic that finished the rod
-    tables         the input, from which :func:`doo_ti.relaxation.relax.relax` can continue; None where solutions were joined
+    tables         the input, with which :func:`doo_ti.relaxation.relax.relax` can continue; None where solutions were joined
     """
 
     configuration: Configuration

@@ -1,6 +1,7 @@
-"""Shared by all tests: where the development data lies, and one printed seed for everything random."""
+"""Shared by all tests: where their data lies, and one printed seed for everything random."""
 
 import os
+from collections import Counter
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands set it, before NumPy reads it
@@ -13,6 +14,19 @@ SEED = 2011
 
 def pytest_report_header() -> str:
     return f"seed: {SEED}"
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Of a test with ``sampled(n)`` the cases after the first n belong to the full run."""
+    seen = Counter()
+    for item in items:
+        sampled = item.get_closest_marker("sampled")
+        if sampled and item.get_closest_marker("thorough") is None:
+            name = item.nodeid.partition("[")[0]
+            seen[name] += 1
+            if seen[name] > sampled.args[0]:
+                item.add_marker(pytest.mark.thorough)
 
 
 @pytest.fixture
@@ -29,3 +43,15 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"development data absent: {folder}")
     return folder
+
+
+@pytest.fixture(scope="session")
+def shipped_data() -> Path:
+    """The folder of the data that ships with the tests: ``lab_a`` and ``images_a``, described in its README."""
+    return Path(__file__).parent / "data"
+
+
+@pytest.fixture(params=["shipped_data", pytest.param("shared_data", marks=pytest.mark.thorough)])
+def laboratory(request) -> Path:
+    """A folder with ``lab_a`` and ``images_a``: the shipped one, and in the full run that of the development data too."""
+    return request.getfixturevalue(request.param)

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept: any process ends well, and what is damaged there is replaced."""
+"""The folder of compiled kernels: every process succeeds, and damaged files are replaced."""
 
 import hashlib
 import os
@@ -40,16 +40,19 @@ def run_kernel(folder: Path, temporary=None, **environment) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "3\n", "")
 
 
+@pytest.mark.thorough
 def test_a_process_without_a_home_ends_well(tmp_path):
     run_kernel(tmp_path, HOME=None, XDG_CACHE_HOME=None)
 
 
+@pytest.mark.thorough
 def test_nothing_lies_among_the_temporary_files_where_the_home_does(tmp_path):
     (tmp_path / "temporary").mkdir()
     run_kernel(tmp_path, tmp_path / "temporary", XDG_CACHE_HOME=tmp_path)
     assert list((tmp_path / "temporary").iterdir()) == [] and list(tmp_path.glob("taichi/ticache/*.tic"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("home", ["file", "/proc/self"])
 def test_where_the_home_cannot_be_written_kernels_are_kept_among_the_temporary_files(tmp_path, home):
     (tmp_path / "file").write_text("")
@@ -58,6 +61,7 @@ def test_where_the_home_cannot_be_written_kernels_are_kept_among_the_temporary_f
     assert kept.stat().st_mode & 0o077 == 0 and list(kept.glob("*.tic"))
 
 
+@pytest.mark.thorough
 def test_kernels_are_not_taken_from_a_folder_that_is_another_ones(tmp_path):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / f"doo_ti_kernels_{os.getuid()}").symlink_to(tmp_path / "elsewhere")
@@ -65,7 +69,8 @@ def test_kernels_are_not_taken_from_a_folder_that_is_another_ones(tmp_path):
     assert not list((tmp_path / "elsewhere").iterdir())
 
 
-def test_a_process_that_can_write_nowhere_ends_well(tmp_path):
+@pytest.mark.thorough
+def test_a_process_without_writable_folders_succeeds(tmp_path):
     run_kernel(tmp_path, "/proc/self", HOME="/proc/self", XDG_CACHE_HOME=None)
 
 
@@ -92,6 +97,7 @@ DAMAGE = {
 }
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_damage_is_replaced(tmp_path, kept, damage):
     folder = tmp_path / "taichi" / "ticache"
@@ -110,6 +116,7 @@ def test_damage_is_replaced(tmp_path, kept, damage):
         assert hashlib.sha256(content[24:-64]).hexdigest().encode() == content[-64:]
 
 
+@pytest.mark.thorough
 def test_the_lock_of_a_killed_process_goes(tmp_path, kept):
     folder = tmp_path / "taichi" / "ticache"
     folder.mkdir(parents=True)

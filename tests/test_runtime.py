@@ -32,11 +32,13 @@ def test_as_many_threads_as_processors_have_one_each():
     assert sorted(threads) == [[processor] for processor in PROCESSORS] and caller == PROCESSORS
 
 
+@pytest.mark.thorough
 def test_fewer_threads_go_where_the_system_likes():
     threads, _ = places(len(PROCESSORS) - 1)
     assert threads == [PROCESSORS] * (len(PROCESSORS) - 1)
 
 
+@pytest.mark.thorough
 def test_an_environment_variable_leaves_it_to_the_system():
     threads, _ = places(len(PROCESSORS), DOO_TI_PINNED="0")
     assert threads == [PROCESSORS] * len(PROCESSORS)
@@ -50,7 +52,7 @@ from doo_ti import runtime
 ended = subprocess.Popen(["true"])
 ended.wait()  # its number names nobody any more
 runtime.thread_count = lambda: len(runtime.processors())
-runtime._pin([ended.pid, os.getpid()])
+runtime.pin([ended.pid, os.getpid()])
 print(len(os.sched_getaffinity(0)))
 """
 
@@ -90,6 +92,7 @@ print(found)
 """
 
 
+@pytest.mark.thorough
 def test_any_thread_may_start_and_any_other_use_the_kernels():
     done = subprocess.run([sys.executable, "-c", OTHER_THREADS], capture_output=True, text=True)
     assert done.stdout.strip() in ("[True, True, True]", "[np.True_, np.True_, np.True_]"), done.stderr
@@ -98,6 +101,7 @@ def test_any_thread_may_start_and_any_other_use_the_kernels():
 START = "from doo_ti.cli import main; import sys; sys.exit(main(['relax', 'absent.npz', '--bend', '1e5', '--out', 'F.npz']))"
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("name", "value"), [("DOO_TI_ARCHITECTURE", "gpu"), ("DOO_TI_ARCHITECTURE", ""), ("TI_ARCH", "cuda"),
                                              ("TI_ARCH", "vulkan"), ("TI_ARCH", ""), ("TI_ARCH", "nothing")])
 def test_where_to_run_is_said_once(tmp_path, name, value):
@@ -106,6 +110,7 @@ def test_where_to_run_is_said_once(tmp_path, name, value):
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and f"environment: {name}" in done.stderr
 
 
+@pytest.mark.thorough
 def test_cuda_without_a_device_is_refused(tmp_path):
     script = "import taichi as ti; print(ti.lang.misc.is_arch_supported(ti.cuda))"
     if "True" in subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout:
@@ -148,6 +153,7 @@ if child == 0:
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="nothing forks here")
 @pytest.mark.parametrize(("script", "said"), [(FORKED, ["fork", "fork", "0"]), (FORKED_BEFORE, ["cpu", "cpu"])])
 def test_a_fork_says_that_it_cannot_use_its_parents_kernels(script, said):

@@ -7,14 +7,14 @@ import pytest
 
 from doo_ti.cli import main
 from doo_ti.terminal import busy, in_line, progress, visible
-from tests.cli.test_bad_input import MATERIAL, npz_bytes
+from tests.commands.test_bad_input import MATERIAL, npz_bytes
 
 NAME = "a\x1b[2J\x9b1m\u202e[red]b[/red]"
 SHOWN = r"a\x1b[2J\x9b1m\u202e[red]b[/red]"
 
 
 class Terminal(io.StringIO):
-    """What a person sees; rich asks whether it is one."""
+    """A terminal's output; rich asks whether the stream is one."""
 
     encoding = "utf-8"
 
@@ -22,7 +22,7 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_what_is_visible():
+def test_visible_text():
     assert visible(NAME) == SHOWN
     assert visible("Θ ± 5 mm³\n  φ = 3°\n") == "Θ ± 5 mm³\n  φ = 3°\n" and visible("a\rb\x00") == r"a\rb\x00"
 
@@ -53,6 +53,7 @@ def test_printouts_and_messages(tmp_path, capsys, code):
     assert r"\x1b[2J[bold]" in (err if code else out) and "\x1b" not in out + err
 
 
+@pytest.mark.thorough
 def test_a_name_of_several_lines_takes_one(tmp_path, capsys):
     """Lest it forges lines of the printout."""
     assert in_line("a\nb\x1b") == r"a\nb\x1b"
@@ -65,5 +66,5 @@ def test_a_name_of_several_lines_takes_one(tmp_path, capsys):
                  ["plan", str(source), "--bend", "4e5:8e5:2", "--twist", "6e5", "--out", f"{out}.plan"],
                  ["twist", str(source), *MATERIAL, "--out", f"{out}.npz"]):
         assert main(argv) == 0
-        told, err = capsys.readouterr()
-        assert r"a\nb" in told and not any(line.startswith(("b/", "d", "g")) for line in (told + err).splitlines())
+        printed, err = capsys.readouterr()
+        assert r"a\nb" in printed and not any(line.startswith(("b/", "d", "g")) for line in (printed + err).splitlines())

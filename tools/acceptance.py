@@ -1,7 +1,9 @@
-"""Measure the solver and the static search against their bars: ``python tools/acceptance.py [ROW ...] [--data DIR]``.
+"""Compare the solver and the static search with their required values (bars).
 
-Prints a Markdown table, ``| check | bar | measured | holds |``, and below it what each figure is made of. Rows whose
-data is absent are skipped and say so. Exit code 1 where a bar is missed.
+    python tools/acceptance.py [ROW ...] [--data DIR]
+
+Prints a Markdown table, ``| check | bar | measured | holds |``, and below it the details of each figure. Rows without
+data print that they are skipped. Exit code 1 where a bar is missed.
 """
 
 import argparse
@@ -37,7 +39,7 @@ LISTED = 30  # rods listed one by one, at most
 
 @dataclass(frozen=True)
 class Sizes:
-    """How much is measured; less only to try the study out."""
+    """Sizes of the study; smaller ones are for tests of the study."""
 
     observations: int = 60
     search: int = 25
@@ -66,7 +68,7 @@ class Study:
 
     data: Path
     sizes: Sizes = Sizes()
-    tell: Callable[[str], None] = lambda text: None
+    progress: Callable[[str], None] = lambda text: None
     checks: list[Check] = field(default_factory=list)
     details: list[str] = field(default_factory=list)
 
@@ -95,8 +97,8 @@ class Study:
             yield name, lab.crossed(*self.started(name), lab.search_grid(name, self.sizes.cells).materials())
 
     def swept(self, observations: Observations, grid: Grid, frame_weight: float = 0.0) -> Landscape:
-        """The landscape of a sweep into a folder that is thrown away."""
-        self.tell(f"sweep: {observations.name}, {grid.size} cells")
+        """The landscape of a sweep into a temporary folder."""
+        self.progress(f"sweep: {observations.name}, {grid.size} cells")
         with tempfile.TemporaryDirectory() as folder:
             run = Path(folder) / "run"
             sweep(run, observations, grid, options=SweepOptions(frame_weight=frame_weight))
@@ -116,7 +118,7 @@ def cables(study: Study) -> None:
 
 
 def sutures(study: Study) -> None:
-    """Sutures of the lab: the error at the true Θ, and how far below it the search gets."""
+    """Sutures of the lab: the error at the true Θ, and how much smaller the minimum of the search is."""
     count = study.sizes.search
     for name, bar in (("nylon", 0.90), ("vicryl", 0.85), ("silk", 0.90)):
         observations = study.observations(f"lab_a/{name}")
@@ -133,7 +135,7 @@ def sutures(study: Study) -> None:
 
 
 def ribbon(study: Study) -> None:
-    """The ribbon of the lab: bend_1 × bend_2, started from the measured frames, frames weighed in."""
+    """The ribbon of the lab: bend_1 × bend_2, started from the measured frames, with frames weighted in Eq. 1."""
     grid = lab.search_grid("ribbon", study.sizes.search)
     found = study.swept(study.observations("lab_a/ribbon"), grid, RIBBON_WIDTH)
     best = [grid.cell_values()[name][found.best] for name in ("bend_1", "bend_2")]
@@ -149,7 +151,7 @@ def newton(study: Study) -> None:
     """Newton in f64 on every rod of the lab × cells: convergence, certificate, edge lengths."""
     sound, edge_error, closure, lost = [], 0.0, 0.0, []
     for name, rods in study.searched():
-        study.tell(f"Newton f64: {name}")
+        study.progress(f"Newton f64: {name}")
         solution = rods.relaxed(Newton(tolerance=1e-7), "f64")
         good = solution.converged & solution.stable & (solution.residual <= TOLERANCES[64])
         steps = np.diff(solution.configuration.vertices, axis=1)
@@ -172,7 +174,7 @@ def single(study: Study) -> None:
     """Newton in f32 against f64 on the same rods."""
     agreement, apart, unsure = {}, [], 0
     for name, rods in study.searched():
-        study.tell(f"Newton f32: {name}")
+        study.progress(f"Newton f32: {name}")
         coarse, fine = rods.relaxed(Newton(), "f32"), rods.relaxed(Newton(), "f64")
         gap = vertex_distance(coarse, fine)
         same = agreement[name] = gap <= SAME_MM
@@ -196,7 +198,7 @@ def descent(study: Study) -> None:
     study.detail("Descent: cells are the truth, bend ×5 and ÷5 at the same twist ratio (β follows), and twist ratio "
                  f"×3; solved to 1e-5, counted as converged at a residual ≤ 1e-4, at most {limit} iterations")
     for name in lab.TRUTH:
-        study.tell(f"Descent: {name}")
+        study.progress(f"Descent: {name}")
         rods = lab.crossed(*study.started(name), lab.neighbours(name))
         slow = rods.relaxed(Descent(tolerance=1e-5, max_iterations=limit), "f64")
         fast = rods.relaxed(Newton(), "f64")
@@ -228,11 +230,11 @@ def throughput(study: Study) -> None:
     def relaxed() -> Solution:
         return replace(rods, material=Material(bend, twist)).relaxed(Newton(tolerance=1e-4), "f32")
 
-    study.tell("throughput")
+    study.progress("throughput")
     relaxed()
     seconds = []
     for _ in range(study.sizes.repeats):
-        solution = None  # whoever keeps results pays for fresh memory, which is not what is measured
+        solution = None  # results that are kept need new memory, whose cost is not to be measured
         elapsed, solution = clock.timed(relaxed)
         seconds.append(elapsed)
     done = solution.converged & (solution.residual <= TOLERANCES[32])
@@ -258,7 +260,7 @@ def independence(study: Study) -> None:
     solvers = [(Newton(), "f64"), (Newton(), "f32"), (Newton(), "mixed"), (Descent(max_iterations=200), "f64")]
     for name, solver, precision in [(name, *solver) for name in tables for solver in solvers]:
         label = f"{name}, {type(solver).__name__} {precision}"
-        study.tell(f"independence: {label}")
+        study.progress(f"independence: {label}")
         rods, random = workload.paired(*tables[name]), np.random.default_rng(workload.SEED)
         together, order = rods.relaxed(solver, precision), random.permutation(count)
         moved = ~identical(together, order, rods.take(order).relaxed(solver, precision), np.arange(count))
@@ -300,7 +302,7 @@ def _bits(array: np.ndarray) -> np.ndarray:
 
 
 def percent(good: np.ndarray) -> str:
-    """The share that is true; never rounded up to all of them."""
+    """The share that is true, rounded down: only all is 100 %."""
     share = 100 * np.mean(good) if len(good) else 0.0
     return "100 %" if share == 100 else f"{min(share, 99.99):.2f} %"
 
@@ -321,7 +323,7 @@ def state(solution: Solution, rod: int) -> str:
 
 
 def ended(result: Solution | Landscape) -> str:
-    """How many rods ended how."""
+    """Number of rods of each status."""
     counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in status_counts(result.status).items())
     return f"{counts}, {int(np.sum(result.stable))} certified stable"
 
@@ -362,7 +364,7 @@ def main(arguments: list[str]) -> int:
     unknown = [row for row in options.rows if row not in ROWS]
     if unknown:
         parser.error(f"no row {unknown[0]!r}; rows are {', '.join(ROWS)}")
-    study = Study(options.data, tell=Console(stderr=True, highlight=False).print)
+    study = Study(options.data, progress=Console(stderr=True, highlight=False).print)
     try:
         measure(study, options.rows or list(ROWS))
     except InputError as error:

@@ -1,10 +1,10 @@
-"""What becomes of a single flipped bit in the folder of a finished sweep: it is named, repaired, or changes nothing.
+"""Single flipped bits in the folder of a finished sweep: each must be reported, repaired, or without effect.
 
     python tools/bit_flips.py [--flips 2000] [--seed 2011]
 
 Positions are drawn evenly over the files of a static and a dynamic run, and evenly in each file. Every command that reads the
-file is called. It must refuse it in one line that names it, or print and write what it does without the flip; ``sweep``,
-repeated, may also make the file again, which it says.
+file is called. It must refuse the file in one line that names it, or print and write the same as without the flip; a
+repeated ``sweep`` may also write the file again, and must print that it does.
 """
 
 import argparse
@@ -40,7 +40,7 @@ READERS = {
     "observations.npz": ("figures", "refine", "sweep"), "pairs.csv": ("figures", "sweep"), "run.rrd": ("view", "sweep"),
     "landscape.png": ("sweep",), "identity.txt": ("sweep",), "plan.json": ("sweep",),
 }
-"""By the end of a file's name; a reader that has been refused is not asked to do without."""
+"""By the end of a file's name; a command that refuses the file is not run without it."""
 COMMANDS = {
     "learn": "learn RUN --json", "figures": "figures RUN --cells 2 --out out", "view": "view RUN",
     "refine": "refine RUN --no-models --clip 0 --clamps exact --rest-curvature none --parameters bend --json",
@@ -104,9 +104,9 @@ class Laboratory:
             yield Flip(run, name, chance.randrange(len(self.whole[run][name])), chance.randrange(8))
 
     def judged(self, flip: Flip) -> dict[str, str]:
-        """What each reader of the file makes of the flip."""
+        """The reaction of each reader of the file to the flip."""
         readers = next(commands for end, commands in READERS.items() if flip.file.endswith(end))
-        # Under Eq. 3 there is nothing to refine.
+        # refine does not read runs under Eq. 3.
         return {reader: self._verdict(reader, flip) for reader in readers if (reader, flip.run) != ("refine", "dynamic")}
 
     def _undisturbed(self, reader: str, run: str) -> tuple:
@@ -116,7 +116,7 @@ class Laboratory:
         return self._expected[reader, run]
 
     def _read(self, reader: str, run: str) -> tuple:
-        """What is printed, but for seconds and memory, and the picture of figures."""
+        """The output, without seconds and memory, and the picture of figures."""
         restore(Path("out"), {})
         code, out, err = called(reader, run)
         lines = [line for line in out.splitlines() if not re.search(r" s\)?$| MB of memory", line)]
@@ -147,7 +147,7 @@ def main() -> int:
     parser.add_argument("--flips", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=2011)
     options = parser.parse_args()
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):  # view shall open no window on a recording that is whole
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):  # view must not open a window where the recording is intact
         os.environ.pop(name, None)
     counts: Counter = Counter()
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
@@ -159,7 +159,7 @@ def main() -> int:
                 if verdict == UNNOTICED:
                     print(f"unnoticed by {reader}: {flip}", flush=True)
             if done % 50 == 0:
-                bindings.flush_and_cleanup_orphaned_recordings()  # rerun keeps the threads of each until it is asked
+                bindings.flush_and_cleanup_orphaned_recordings()  # rerun keeps the threads of each recording until this call
                 rate = done / (time.monotonic() - began)
                 print(f"{done} of {options.flips} flips, {rate:.1f} a second, "
                       f"{(options.flips - done) / rate / 60:.1f} min left", file=sys.stderr)

@@ -1,15 +1,15 @@
-"""Do the 95 % intervals of the default pipeline hold the truth? ``python tools/calibration_study.py [OPTION ...]``.
+"""Coverage of the 95 % intervals of the default pipeline: ``python tools/calibration_study.py [OPTION ...]``.
 
-Draws specimens from the virtual lab with everything random, fits each as a user would (``doo-ti sweep``, then ``doo-ti refine
-RUN``), and prints a Markdown table of coverage, bias and width for bend, twist and their ratio. FOLDER/calibration_….png shows
+Draws specimens of the virtual lab with all parameters random, fits each with ``doo-ti sweep`` and ``doo-ti refine
+RUN``, and prints a Markdown table of coverage, bias and width for bend, twist and their ratio. FOLDER/calibration_….png shows
 every interval over the truth. Exit code 1 where a coverage is outside 90–99 % or a fit failed.
 
 Rows go to FOLDER/specimens.csv. Rows that are already there, failed ones included, are not computed again: after a change of
-the estimator name another folder, or delete them.
+the estimator use another folder, or delete them.
 
     --observations 10   keeps as many of the 60, chosen at random
     --missing 0.2       makes that share of the marks invalid
-    --wrong-branch 2    puts that many observations of each specimen on another equilibrium than their total twist says
+    --wrong-branch 2    puts that many observations of each specimen on an equilibrium that contradicts their total twist
 """
 
 import argparse
@@ -69,7 +69,7 @@ def completed(file: Path, seeds: range, variant: Variant, workers: int) -> list[
     there = {row.key for row in known}
     todo = [seed for seed in seeds if (seed, variant) not in there]
     if todo:
-        with progress(keep=True) as bar, _pool(min(workers, len(todo))) as pool:
+        with progress(keep=True) as bar, process_pool(min(workers, len(todo))) as pool:
             task = bar.add_task(variant.label, total=len(seeds), completed=len(seeds) - len(todo), unit="specimens")
             futures = [pool.submit(studied, seed, variant) for seed in todo]
             try:
@@ -92,13 +92,13 @@ def studied(seed: int, variant: Variant) -> Row:
     with tempfile.TemporaryDirectory() as folder:
         try:
             parameters = fitted(made.observations, Path(folder))
-        except Exception as error:  # whatever it is, the other specimens are still worth fitting
+        except Exception as error:  # after any error the other specimens are still fitted
             failure = " ".join(f"{type(error).__name__}: {error}".replace(folder, "").split())
     return row_of(seed, variant, made, parameters, time.perf_counter() - began, failure)
 
 
 def report(rows: list[Row], variant: Variant, picture: Path) -> int:
-    """Print the table and what qualifies it, draw the picture; the exit code."""
+    """Print the table and its notes, draw the picture; the exit code."""
     sound, failed = [row for row in rows if not row.failure], [row for row in rows if row.failure]
     intervals = {name: [one for row in sound if (one := row.interval(name)) is not None] for name in NAMES}
     found = {name: coverage(some) for name, some in intervals.items()}
@@ -116,7 +116,7 @@ def report(rows: list[Row], variant: Variant, picture: Path) -> int:
     if drawn:
         title = f"95 % intervals of {len(sound)} specimens, {variant.label}"
         write_whole(picture, lambda out: calibration_picture(out, drawn, title=title))
-    # A ratio that is not reported is left out of the table's verdict; bend and twist always count.
+    # A ratio that is not reported does not affect the exit code; bend and twist always do.
     judged = [one for name, one in found.items() if one.all.total or name != "twist_ratio"]
     return int(bool(failed) or not all(one.accepted for one in judged))
 
@@ -143,8 +143,8 @@ def _parsed(words: list[str] | None) -> argparse.Namespace:
     return options
 
 
-def _pool(workers: int) -> ProcessPoolExecutor:
-    """Spawned processes, one too: what the commands print stays apart from the progress that this one shows."""
+def process_pool(workers: int) -> ProcessPoolExecutor:
+    """Spawned processes, also if it is one: the output of the commands is kept separate from this process's progress."""
     threads = max(1, len(runtime.processors()) // workers)
     return ProcessPoolExecutor(workers, get_context("spawn"), initializer=partial(_start_worker, threads))
 

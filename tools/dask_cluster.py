@@ -55,7 +55,7 @@ class Cluster:
 
 
 def another_version(package: Path, folder: Path) -> None:
-    """Copy ``package`` into ``folder``, with distances doubled: as an upgrade may change what is computed."""
+    """Copy ``package`` into ``folder``, with distances doubled, as an upgrade may change results."""
     shutil.copytree(package, folder / package.name, ignore=shutil.ignore_patterns("__pycache__"))
     metric = folder / package.name / "metric.py"
     metric.write_text(metric.read_text() + "\n_one = distance\n\n\ndef distance(*given, **options):\n"

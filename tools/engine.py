@@ -1,7 +1,9 @@
-"""Measure the engine against its bars, from one rod to a whole sweep: ``python tools/engine.py [ROW ...] [--data DIR]``.
+"""Compare the solver's speed with its required values (bars), from one rod to a whole sweep.
 
-Prints a Markdown table, ``| check | bar | measured | holds |``, and below it what each figure is made of. Figures are medians;
-only rods that converged count. Rows whose data is absent are skipped and say so. Exit code 1 where a bar is missed.
+    python tools/engine.py [ROW ...] [--data DIR]
+
+Prints a Markdown table, ``| check | bar | measured | holds |``, and below it the details of each figure. Figures are medians;
+only converged rods count. Rows without data print that they are skipped. Exit code 1 where a bar is missed.
 """
 
 import argparse
@@ -34,17 +36,17 @@ from tools.bench.process import Children  # noqa: E402
 
 SPEED = {"newton f32": 450_000, "newton mixed": 250_000, "newton f32 general B": 200_000, "newton f32 batches of 256": 150_000,
          "newton f32 free end, springs": 150_000}
-"""Cases of :mod:`tools.bench.cases`, and the rods/s that are asked of each."""
+"""Cases of :mod:`tools.bench.cases`, and the required rods/s of each."""
 ONE, COLD, WARM = "newton f32 one rod", "newton f32", "newton f32 warm start"
 SPREAD = 0.15
-"""How far the time for each may be from the median of all sizes, as a share of it."""
-FEWEST_EDGES = 33  # from here on that holds for edges: of fewer, what a rod costs as such is too large a part
+"""Allowed deviation of a size's time from the median of all sizes, as a share of it."""
+FEWEST_EDGES = 33  # least number of edges compared: with fewer the constant cost per rod dominates
 FLAT = 0.1  # kB a call that still count as flat: 200 kB over 2000 calls
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """How much is measured; less only to try the study out."""
+    """Sizes of the study; smaller ones are for tests of the study."""
 
     observations: int = 60
     cells: int = 10
@@ -81,10 +83,10 @@ class Engine(Study):
 def speed(study: Engine) -> None:
     """Rods a second, NumPy in to NumPy out, kernels warm; the processor's peak before and after."""
     found, known = {}, {case.name: case for case in cases(study.rods)}
-    study.tell("speed: peak")
+    study.progress("speed: peak")
     before, reference = peak.peak_gflops(), clock.Reference(runtime.thread_count())
     for name in (COLD, WARM, ONE, *(name for name in SPEED if name != COLD)):
-        study.tell(f"speed: {name}")
+        study.progress(f"speed: {name}")
         m = found[name] = measure(known[name], reference, study.sizes.repeats)
         study.detail(f"{name}: {m.per_second:,.0f} rods/s, {sum(m.gflops.values()):.0f} GFlop/s; "
                      f"{hard_set.percent(m.converged)} converged, {hard_set.percent(m.stable)} certified stable; "
@@ -96,7 +98,7 @@ def speed(study: Engine) -> None:
         study.check(f"speed: {name}", f"≥ {bar:,} rods/s", f"{rate:,.0f} rods/s", rate >= bar)
     each = 1e3 / found[ONE].per_second
     study.check(f"speed: {ONE}", "≤ 1 ms", f"{each:.2f} ms", each <= 1)
-    study.tell("speed: warm and cold in turn")
+    study.progress("speed: warm and cold in turn")
     seconds = np.median([[clock.timed(known[name].run)[0] for name in (COLD, WARM)] for _ in range(4 * study.sizes.repeats)],
                         axis=0)
     gain, fewer = seconds[0] / seconds[1], found[COLD].iterations / found[WARM].iterations
@@ -106,11 +108,11 @@ def speed(study: Engine) -> None:
 
 
 def accuracy(study: Engine) -> None:
-    """Every observation of the lab under every cell of its grid: how many feasible rods converge, and to a minimum."""
+    """Every observation of the lab under every cell of its grid: shares of feasible rods that converge and are certified."""
     sound = {"f32": [], "mixed": []}
     for name, rods in study.searched():
         for precision, shares in sound.items():
-            study.tell(f"accuracy: {name}, {precision}")
+            study.progress(f"accuracy: {name}, {precision}")
             solution = rods.relaxed(Newton(), precision)
             feasible = solution.status != Status.INFEASIBLE
             shares.append(np.stack([solution.converged, solution.converged & solution.stable])[:, feasible])
@@ -126,7 +128,7 @@ def accuracy(study: Engine) -> None:
 def hard(study: Engine) -> None:
     """The hard set in mixed precision."""
     for row in hard_set.ROWS:
-        study.tell(f"hard: {row}")
+        study.progress(f"hard: {row}")
         line = hard_set.measured(row, study.sizes.hard, "mixed")
         study.check(f"hard, mixed: {row}", f"≥ {100 * hard_set.BAR:.0f} %",
                     f"{hard_set.percent(line.converged)} of {line.rods}, {hard_set.percent(line.stable)} certified stable",
@@ -136,14 +138,14 @@ def hard(study: Engine) -> None:
 
 
 def growth(study: Engine) -> None:
-    """How the time grows with the number of rods, and with their edges."""
+    """Growth of the time with the number of rods, and with their edges."""
     sizes, held = study.sizes, (study.rods.many.starts, study.rods.many.clamps)
-    study.tell("growth: rods")
+    study.progress("growth: rods")
     batches = [workload.paired(*held, workload.isotropic_materials(count)) for count in sizes.batches]
     seconds, converged, _ = relaxed_in_turn(batches, COARSE, "f32", sizes.repeats)
     each = dict(zip(sizes.batches, 1e6 * seconds / converged, strict=True))
     proportional(study, "time per rod, f32, of batches", "rods", each, "µs")
-    study.tell("growth: edges")
+    study.progress("growth: edges")
     drawn = workload.isotropic_materials(sizes.rods_of_edges)
     finer = [workload.paired(scaling.refined(held[0], edges), held[1], drawn) for edges in sizes.edges]
     seconds, _, iterations = relaxed_in_turn(finer, FINE, "f64", sizes.repeats)
@@ -154,14 +156,14 @@ def growth(study: Engine) -> None:
 def relaxed_in_turn(batches: list[Rods], solver: Newton, precision: str, rounds: int) -> np.ndarray:
     """(3, batches): median seconds of a call, rods that converged, iterations of all rods together.
 
-    In a round the batches take turns, so that a busy moment falls on all; small ones are repeated until they are as many rods
+    In a round the batches alternate, so that a disturbance affects all; small ones are repeated until they have as many rods
     as the largest.
     """
     def seconds(batch: Rods) -> float:
         calls = max(1, max(rods.count for rods in batches) // batch.count)
         return sum(clock.timed(lambda: batch.relaxed(solver, precision))[0] for _ in range(calls)) / calls
 
-    # No solution is held: its memory is there for the next call.
+    # No solution is kept: its memory is available to the next call.
     solutions = (batch.relaxed(solver, precision) for batch in batches)
     counts = [(solution.converged.sum(), solution.iterations.sum()) for solution in solutions]
     taken = np.median([[seconds(batch) for batch in batches] for _ in range(rounds)], axis=0)
@@ -169,7 +171,7 @@ def relaxed_in_turn(batches: list[Rods], solver: Newton, precision: str, rounds:
 
 
 def proportional(study: Engine, name: str, size: str, each: dict[int, float], unit: str, smallest: int = 0) -> None:
-    """Enter how far the time ``each``, by size, is from being the same at all sizes from ``smallest`` on."""
+    """Add a check of the largest deviation of the times ``each`` from their median, over sizes from ``smallest`` on."""
     judged = {count: value for count, value in each.items() if count >= smallest}
     middle = np.median(list(judged.values()))
     at = max(judged, key=lambda count: abs(judged[count] / middle - 1))
@@ -180,14 +182,14 @@ def proportional(study: Engine, name: str, size: str, each: dict[int, float], un
 
 
 def swept(study: Engine) -> None:
-    """A sweep as a process, from start to end; what the first one compiles comes from the cache in those that count."""
+    """A sweep as a process, from start to end; the first, which compiles the kernels, does not count."""
     count, ranges = study.sizes.sweep, (workload.BEND_RANGE, workload.TWIST_RATIO_RANGE)
     bend, ratio = (f"{low}:{high}:{count}" for low, high in ranges)
     words = [sys.executable, "-m", "doo_ti", "sweep", str((study.data / "lab_a/nylon.npz").resolve()), "--bend", bend,
              "--twist-ratio", ratio]
     seconds = []
     for _ in range(1 + study.sizes.sweeps):
-        study.tell("sweep")
+        study.progress("sweep")
         with tempfile.TemporaryDirectory() as folder:
             whole, _ = clock.timed(lambda: subprocess.run([*words, "--out", f"{folder}/run"], cwd=ROOT, check=True,
                                                           stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL))
@@ -204,7 +206,7 @@ def startup(study: Engine) -> None:
     """Processes that relax one rod per start and end; each round has a kernel cache of its own."""
     rounds = []
     for _ in range(study.sizes.repeats):
-        study.tell("startup")
+        study.progress("startup")
         with study.children() as children:
             rounds.append((children.process_seconds(), children.process_seconds(), children.import_seconds()))
     empty, cached, imported = zip(*rounds, strict=True)
@@ -217,19 +219,19 @@ def memory(study: Engine) -> None:
     """Memory above the results, and over many calls."""
     rods, calls, rounds = study.sizes.rods, study.sizes.calls, range(study.sizes.repeats)
     with study.children() as children:
-        study.tell("memory: by rods")
+        study.progress("memory: by rods")
         each = [children.bytes_per_rod(rods) for _ in rounds]
-        study.tell("memory: over calls")
+        study.progress("memory: over calls")
         growing = [children.growth_kb_per_call(calls) for _ in rounds]
     at_most(study, f"memory: a rod above the results, {rods} to {4 * rods} rods", 1000, each, "{:,.0f} bytes")
     at_most(study, f"memory: growth a call, later half of {calls} calls of varied size", FLAT, growing, "{:.2f} kB")
 
 
 def at_most(study: Engine, name: str, bar: float, values, form: str) -> None:
-    """Enter the median of ``values``, which is to be no more than ``bar``, and their range; None says that the system does not
-    tell."""
+    """Add a check that the median of ``values`` is at most ``bar``, with their range; None: the system does not report
+    them."""
     if None in values:
-        study.checks.append(Check(name, f"≤ {form.format(bar)}", "–: the system does not tell", None))
+        study.checks.append(Check(name, f"≤ {form.format(bar)}", "–: the system does not report it", None))
         return
     middle = float(np.median(values))
     study.check(name, f"≤ {form.format(bar)}", form.format(middle), middle <= bar)
@@ -237,13 +239,13 @@ def at_most(study: Engine, name: str, bar: float, values, form: str) -> None:
 
 
 def threads(study: Engine) -> None:
-    """Two threads beside one, in processes that take turns; the processor time says whether both had a core."""
+    """Two threads compared with one, in alternating processes; the processor time shows whether both had a core."""
     rods, calls = study.sizes.rods, 4 * study.sizes.repeats
     rates, spent = {1: [], 2: []}, {1: [], 2: []}
     with study.children() as children:
         children.process_seconds()  # fills the cache
         for count in study.sizes.repeats * (1, 2):
-            study.tell(f"threads: {count}")
+            study.progress(f"threads: {count}")
             (_, once), (rate, often) = (rate_and_processor(children, count, rods, runs) for runs in (1, 1 + calls))
             rates[count].append(rate)
             spent[count].append((often - once) / (calls * rods))  # without what starting the process takes
@@ -286,7 +288,7 @@ def main(arguments: list[str]) -> int:
     unknown = [row for row in options.rows if row not in ROWS]
     if unknown:
         parser.error(f"no row {unknown[0]!r}; rows are {', '.join(ROWS)}")
-    study = Engine(options.data, tell=Console(stderr=True, highlight=False).print)
+    study = Engine(options.data, progress=Console(stderr=True, highlight=False).print)
     try:
         measure_rows(study, options.rows or list(ROWS))
     except (InputError, InterruptedRunError, subprocess.CalledProcessError) as error:

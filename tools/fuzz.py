@@ -1,20 +1,20 @@
-"""Damaged inputs and wrong options for every command: each is refused in one line, or done, and nothing else happens.
+"""Damaged inputs and wrong options for every command, which has to refuse them in one line or to succeed.
 
     python tools/fuzz.py [--cases 500] [--seed 2011] [--first 0] [--case N] [--folder FOLDER]
 
-A case is a good command line over small files of every format (tools/fuzzing/corpus.py), with one thing changed: bytes of a
-file, its structure, a value, what lies in its place, or the options. Cases follow from the seed and their number, so that
-``--case N`` repeats one alone and prints what it is and what came of it. They run in a worker process, one after another; one
-that hangs or crashes costs the worker, and the next case gets another. What counts as a failure:
+A case is a valid command line over small files of every format (tools/fuzzing/corpus.py), with one change: of bytes of a
+file, its structure, a value, of the file itself (replaced), or of the options. Cases follow from the seed and their number, so
+that ``--case N`` repeats one and prints its description and result. They run in a worker process, one after another; after a
+case that hangs or crashes the worker is replaced. Failures:
 
-- an end by a signal, a traceback, an exit code other than 0, 1 and 2; at 2 other than one line ``doo-ti: …`` on the standard
-  error, at 1 more than one; anything that is not of the package there;
-- more than 60 s, of the processor where others share it; more than 4 GB;
-- a file written outside ``--out``, or at all where the input is refused; part files left over;
-- control characters in what is printed, JSON that is none.
+- an end by a signal, a traceback, an exit code other than 0, 1 and 2; with 2 anything but one line ``doo-ti: …`` on the
+  standard error, with 1 more than one such line; lines there that are not the package's;
+- more than 60 s (of processor time on a shared machine); more than 4 GB;
+- a file written outside ``--out``, or any file where the input is refused; part files left over;
+- control characters in the output, invalid JSON.
 
-Exit code 1 if there is any. Each result is a line of FOLDER/results.jsonl. Changes of values, structure and options that were
-accepted are listed for a reader to judge.
+Exit code 1 if there is any failure. Each result is a line of FOLDER/results.jsonl. Changes of values, structure and options
+that were accepted are listed for inspection.
 """
 
 import argparse
@@ -38,18 +38,18 @@ from tools.fuzzing import corpus  # noqa: E402
 
 MOST_SECONDS, MOST_BYTES = 60.0, 4 << 30
 CASES_OF_A_WORKER = 1000
-"""After which it is replaced, lest what piles up over many commands is taken for a case's own."""
+"""Cases after which a worker is replaced, so that memory accumulated over many commands is not counted for one case."""
 MOST_AGAIN = 2
 """Cases of one kind of failure that are run again."""
 MOST_WAITING = 5
-"""Times as long, where others take the processor: a case that works has so many seconds of the processor."""
+"""On a shared machine a case may take so many times as long, if it uses the processor for so few seconds."""
 LOOK_SECONDS = 0.05
 START_SECONDS = 120.0
 COUNTED = {0: "accepted", 1: "failed in one line", 2: "refused"}
 
 
 class Worker:
-    """The process that runs cases, replaced when it is lost."""
+    """The process that runs cases; a new one is started when it has ended."""
 
     def __init__(self, folder: Path, seed: int):
         self.folder, self.seed, self.process, self.done = folder, seed, None, 0
@@ -76,7 +76,7 @@ class Worker:
             "OPENBLAS_NUM_THREADS": "1",
         }
         inward, self.asked = os.pipe()
-        self.told, outward = os.pipe()
+        self.results, outward = os.pipe()
         words = [sys.executable, "-m", "tools.fuzzing.worker", str(self.folder), str(self.seed), str(inward), str(outward)]
         with open(self.folder / "worker.log", "wb") as log:
             self.process = subprocess.Popen(
@@ -102,11 +102,11 @@ class Worker:
                 pass
             self.process.wait()
             os.close(self.asked)
-            os.close(self.told)
+            os.close(self.results)
         self.process = None
 
     def run(self, number: int) -> dict:
-        """What a case is and what came of it."""
+        """Description and result of a case."""
         if self.process is None or self.done >= CASES_OF_A_WORKER:
             self.stop()
             self.start()
@@ -144,15 +144,15 @@ class Worker:
         )
 
     def _line(self, most: float) -> tuple[dict, str]:
-        """(The next line that the worker tells, what is wrong where there is none)."""
+        """(The next line that the worker writes, the problem where there is none)."""
         began, used = time.monotonic(), self._processor()
         while b"\n" not in self.waiting:
-            if select.select([self.told], [], [], LOOK_SECONDS)[0]:
-                more = os.read(self.told, 1 << 16)
+            if select.select([self.results], [], [], LOOK_SECONDS)[0]:
+                more = os.read(self.results, 1 << 16)
                 if not more:
                     code = self.process.wait()
-                    told = (self.folder / "worker.log").read_text(errors="replace")[-300:]
-                    return {}, f"ended by signal {-code}" if code < 0 else f"the worker ended with {code}: {told}"
+                    log = (self.folder / "worker.log").read_text(errors="replace")[-300:]
+                    return {}, f"ended by signal {-code}" if code < 0 else f"the worker ended with {code}: {log}"
                 self.waiting += more
             elif time.monotonic() - began > most and not 0 < self._processor() - used < most or (
                 time.monotonic() - began > MOST_WAITING * most
@@ -201,8 +201,8 @@ def prepared(folder: Path) -> None:
         made.rename(folder / "corpus")
 
 
-def campaign(folder: Path, seed: int, numbers: range, told: bool = True) -> list[dict]:
-    """What came of all cases with these numbers; some that fail are run once more, alone."""
+def campaign(folder: Path, seed: int, numbers: range, verbose: bool = True) -> list[dict]:
+    """Results of all cases with these numbers; some that fail are run once more, alone."""
     prepared(folder)
     worker, results, began = Worker(folder, seed), [], time.monotonic()
     shown = began
@@ -211,13 +211,13 @@ def campaign(folder: Path, seed: int, numbers: range, told: bool = True) -> list
             results.append(worker.run(number))
             with open(folder / "results.jsonl", "a", encoding="utf-8") as kept:
                 print(json.dumps(results[-1]), file=kept)
-            if results[-1]["problem"] and told:
+            if results[-1]["problem"] and verbose:
                 print(
                     f"case {number}: {results[-1]['problem']}\n    doo-ti {' '.join(results[-1]['words'])[:200]}\n    "
                     f"{results[-1]['target']}: {results[-1]['change']}",
                     flush=True,
                 )
-            if told and time.monotonic() - shown > 30:
+            if verbose and time.monotonic() - shown > 30:
                 shown, rate = time.monotonic(), len(results) / (time.monotonic() - began)
                 print(
                     f"{len(results)} of {len(numbers)} cases, {rate:.1f} a second, "
@@ -276,7 +276,7 @@ def report(results: list[dict]) -> str:
 
 
 def _accepted(results: list[dict]) -> list[str]:
-    """What was changed in values, structure and options, and accepted."""
+    """Changes of values, structure and options that were accepted."""
     found = defaultdict(list)
     for each in results:
         if each["code"] == 0 and not each["problem"] and each["kind"] in ("values", "structure", "options"):
@@ -309,7 +309,7 @@ def main() -> int:
             results = campaign(folder, options.seed, range(options.first, options.first + options.cases))
             print(report(results))
         else:
-            results = campaign(folder, options.seed, range(options.case, options.case + 1), told=False)
+            results = campaign(folder, options.seed, range(options.case, options.case + 1), verbose=False)
             print(json.dumps(results[0], indent=1, ensure_ascii=False))
     return int(any(found["problem"] for found in results))
 

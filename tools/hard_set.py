@@ -1,4 +1,4 @@
-"""Rods that are hard for a solver, row by row: ``python tools/hard_set.py [ROW ...] [--rods N]``.
+"""Rods that are difficult for a solver, row by row: ``python tools/hard_set.py [ROW ...] [--rods N]``.
 
 Prints ``| rods | precision | converged | certified stable | feasible | worst residual | ... |`` as Markdown, three lines a
 row: f32, mixed and f64. Every row has its own difficulty and is drawn from a fixed seed. Exit code 1 where mixed converges
@@ -27,12 +27,12 @@ BAR = 0.99
 LENGTH, EDGES = 99.0, 33  # mm
 EVEN = np.full(EDGES, LENGTH / EDGES)
 WANDER, TWIST, NOISE = 0.15, 0.1, 0.08
-"""rad: how much direction and spin change from joint to joint on 33 edges, and how far each frame of a start is off."""
+"""rad: changes of direction and spin from joint to joint on 33 edges, and errors of the frames of a start."""
 
 
 @dataclass(frozen=True)
 class Rods:
-    """R rods, one row of each table for each; what the clamps hold need not be where the start has it."""
+    """R rods, one row of each table for each; clamps may differ from the ends of the start."""
 
     start: Configuration
     material: Material
@@ -56,7 +56,7 @@ def clamped(configuration: Configuration, start=Clamp.FRAME, end=Clamp.FRAME) ->
 
 
 def directions(random: np.random.Generator, count: int) -> np.ndarray:
-    """(R, 3) unit vectors, all directions alike."""
+    """(R, 3) unit vectors, uniformly distributed."""
     vectors = random.normal(size=(count, 3))
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
@@ -99,7 +99,7 @@ def wandering(random: np.random.Generator, count: int, rest_length: np.ndarray) 
 
 def held(random: np.random.Generator, count: int, material: Material, rest_length=EVEN, start=Clamp.FRAME,
          end=Clamp.FRAME) -> Rods:
-    """Wandering rods held where they end; every frame of their starts is off, as those of measured marks are."""
+    """Wandering rods clamped at their ends; every frame of their starts has an error, as frames of measured marks have."""
     rods = wandering(random, count, rest_length)
     angle = np.abs(random.normal(scale=NOISE, size=rods.quaternions.shape[:2]))
     noise = quaternion_about(directions(random, angle.size).reshape(*angle.shape, 3), angle)
@@ -116,8 +116,8 @@ def nearly_taut(random: np.random.Generator, count: int) -> Rods:
 
 
 def collinear(random: np.random.Generator, count: int, weight: float) -> Rods:
-    """Both clamps on one line and in its direction: an even bow to any side. It may swing about that line, for nothing
-    where there is no weight."""
+    """Both clamps on one line and in its direction: an even bow to any side. It can rotate about that line, without weight at
+    constant energy."""
     size = random.uniform(0.3, 1.8, count)[:, None] * np.sin(2 * np.pi * np.linspace(0.0, 1.0, EDGES))
     rods = chain(in_plane(random, size), even_twist(random, count), EVEN, random)
     return Rods(rods, isotropic(random, count, weight=weight), clamped(rods))
@@ -134,7 +134,7 @@ def ten_turns(random: np.random.Generator, count: int) -> Rods:
 
 
 def sharp_joints(random: np.random.Generator, count: int) -> Rods:
-    """Every joint of the start bent by 1.5 rad, each to its own side; held where that ends."""
+    """Every joint of the start bent by 1.5 rad, in random directions; clamped at its ends."""
     tangents = np.empty((count, EDGES, 3))
     tangents[:, 0] = directions(random, count)
     for j in range(1, EDGES):
@@ -176,12 +176,12 @@ def of_bend(random: np.random.Generator, count: int, bend: float) -> Rods:
 
 
 def hanging(random: np.random.Generator, count: int) -> Rods:
-    """Held by one frame, which points anywhere, upwards too."""
+    """Clamped at one end only, by a frame in any direction, upwards too."""
     return held(random, count, isotropic(random, count), end=Clamp.FREE)
 
 
 def positions_only(random: np.random.Generator, count: int) -> Rods:
-    """Both ends hinged: the rod may turn about its chord, and a round one about itself."""
+    """Both ends hinged: the rod can rotate about its chord, and a round rod about its own axis."""
     return held(random, count, isotropic(random, count), start=Clamp.POSITION, end=Clamp.POSITION)
 
 
@@ -205,7 +205,7 @@ ROWS: dict[str, Callable[[np.random.Generator, int], Rods]] = {
 
 @dataclass(frozen=True)
 class Line:
-    """What one precision made of one row; shares and extremes are over its feasible rods.
+    """Results of one precision on one row; shares and extremes are over its feasible rods.
 
     residual has no unit, edge_error in mm are the worst; in_doubles counts rods whose last arithmetic was f64.
     """
@@ -268,7 +268,7 @@ def table(lines: list[Line]) -> str:
 
 
 def percent(share: float) -> str:
-    """Rounded down, so that only all is 100 %."""
+    """A share in per cent, rounded down, so that only all is 100 %."""
     return f"{np.floor(1e3 * share + 1e-9) / 10:.1f} %"
 
 

@@ -1,11 +1,11 @@
-"""What is left when a command is killed at a random moment, and repeated: the same files as undisturbed, or it is refused.
+"""Commands killed at a random moment and repeated: the files must be those of an undisturbed run, or be refused.
 
     python tools/kill.py [--kills 100] [--seed 2011] [--case NAME ...] [--folder FOLDER]
 
 Every long command, sweeps alone, with two workers and on a Dask cluster of two, is ended by SIGKILL, SIGTERM and Ctrl-C (SIGINT
 to all processes of the command, as a terminal sends it), at a moment drawn evenly over the time that it takes undisturbed. Of a
 cluster also a worker is killed, or the scheduler, or a worker with another version of the package joins. The same command is
-then repeated, and what it leaves is compared with the undisturbed run.
+then repeated, and its files are compared with those of the undisturbed run.
 """
 
 import argparse
@@ -68,9 +68,9 @@ CASES = {
 EARLY = 0.2
 MOST_SECONDS = 300
 MOST_SECONDS_TO_END = 1.0
-"""After which a command that ends well has not just been about to."""
+"""A command that ends with 0 later than this after a signal has ignored it."""
 MOST_SECONDS_ON_CLUSTER = 120
-"""For the command to end once its scheduler has been killed, or to go on without a worker."""
+"""For the command to end once its scheduler has been killed, or to continue without a worker."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,8 @@ def drawn(count: int, seed: int, cases: list[str]) -> list[Kill]:
 
 
 def kept(folder: Path) -> dict[str, str]:
-    """What must be the same of each file below ``folder``: sha256 of tables; of pictures and recordings, which hold when they
-    were made, and of a sweep's summary, which holds how long it took, that they are whole."""
+    """What must be equal for each file below ``folder``: the sha256 of tables; for pictures and recordings, which contain their
+    time, and for a sweep's summary, which contains durations, only that they are intact."""
     whole = {".rrd": _recording, ".png": _picture, ".json": _summary}
     found = {}
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
@@ -134,9 +134,9 @@ def _summary(path: Path) -> str:
 
 
 def judged(before: dict[str, str], after: dict[str, str], code: int) -> str:
-    """``identical``, or what is wrong with a repeated command: its files beside the undisturbed ones, and its exit code."""
+    """``identical``, or the problem of a repeated command: differences from the undisturbed files, or its exit code."""
     if code:
-        return f"refused to go on (exit code {code})"
+        return f"refused to resume (exit code {code})"
     left = sorted(after.keys() - before.keys())
     different = sorted(name for name in before if before[name] != after.get(name))
     faults = [f"differs: {', '.join(different)}"] * bool(different) + [f"left over: {', '.join(left)}"] * bool(left)
@@ -144,7 +144,7 @@ def judged(before: dict[str, str], after: dict[str, str], code: int) -> str:
 
 
 def started(case: str, folder: Path, cluster: Cluster | None) -> subprocess.Popen:
-    """In a group of processes of its own, so that a signal reaches the workers too and nobody else."""
+    """Start the command in a process group of its own, so that a signal reaches its workers and no other process."""
     folder.mkdir(exist_ok=True)
     words = [cluster.address if word == "ADDRESS" else word for word in CASES[case].split()]
     return subprocess.Popen([sys.executable, "-m", "doo_ti", *words], env={**os.environ, "PYTHONPATH": str(ROOT)}, cwd=folder,
@@ -152,7 +152,7 @@ def started(case: str, folder: Path, cluster: Cluster | None) -> subprocess.Pope
 
 
 def finished(case: str, folder: Path) -> tuple[int, str, float]:
-    """Exit code and messages of the command that nobody disturbs, and the seconds that it took."""
+    """Exit code and messages of the undisturbed command, and the seconds that it took."""
     with ExitStack() as stack:
         cluster = stack.enter_context(Cluster(ROOT)) if "Dask" in case else None
         began, process = time.monotonic(), started(case, folder, cluster)
@@ -169,7 +169,7 @@ def undisturbed(case: str, folder: Path) -> tuple[dict[str, str], float]:
 
 
 def disturbed(kill: Kill, folder: Path, seconds: float, other: Path) -> tuple[int, str]:
-    """Exit code of the command, and what is wrong with how it ended; ``other`` holds another version of the package."""
+    """Exit code of the command, and the problem with its end, if any; ``other`` holds another version of the package."""
     with ExitStack() as stack:
         cluster = stack.enter_context(Cluster(ROOT)) if "Dask" in kill.case else None
         process = started(kill.case, folder, cluster)
@@ -188,7 +188,7 @@ def disturbed(kill: Kill, folder: Path, seconds: float, other: Path) -> tuple[in
             process.communicate()
             return process.returncode, "did not end"
         if kill.how in SIGNALS and process.returncode == 0 and time.monotonic() - sent > MOST_SECONDS_TO_END:
-            return 0, "went on in spite of the signal"
+            return 0, "ignored the signal"
         return process.returncode, faults(process.returncode, message)
 
 
@@ -199,7 +199,7 @@ def _ways(process: subprocess.Popen, cluster: Cluster | None, other: Path) -> di
 
 
 def faults(code: int, message: str) -> str:
-    """What is wrong with how a command ended: more than one line, or one that neither refuses nor says how to go on."""
+    """The problem with the end of a command: more than one line, or a line that neither refuses nor says how to resume."""
     own = [line for line in message.splitlines() if line.startswith("doo-ti: ")]
     if "Traceback" in message:
         return "traceback"
@@ -208,8 +208,8 @@ def faults(code: int, message: str) -> str:
     if len(own) != 1:
         return f"{len(own)} lines of its own"
     says = code == 2 or own[0] == "doo-ti: interrupted" or any(
-        words in own[0] for words in ("go on with", "starts anew", "goes on"))
-    return "" if says else f"does not say how to go on: {own[0]}"
+        words in own[0] for words in ("resume with", "resumes with", "starts from the"))
+    return "" if says else f"does not say how to resume: {own[0]}"
 
 
 def prepared(folder: Path, cases: list[str]) -> None:
@@ -259,23 +259,23 @@ def main() -> int:
             results.setdefault((kill.case, kill.how), []).append(result)
             print(f"| {number} | {kill.case} | {kill.how} | {kill.share * seconds:.2f} | {code} | {files} of {len(expected)} | "
                   f"{result} |", flush=True)
-            told_progress(number + 1 - options.first, options.kills, time.monotonic() - began)
-    tell(results)
+            print_progress(number + 1 - options.first, options.kills, time.monotonic() - began)
+    print_counts(results)
     return 0 if good else 1
 
 
 def repeated(case: str, run: Path) -> tuple[int, dict[str, str]]:
-    """Exit code of the repeated command, and what it leaves."""
+    """Exit code of the repeated command, and its files."""
     return finished(case, run)[0], kept(run)
 
 
-def told_progress(done: int, count: int, seconds: float) -> None:
+def print_progress(done: int, count: int, seconds: float) -> None:
     print(f"{done} of {count} kills, {60 * done / seconds:.1f} a minute, {seconds / done * (count - done) / 60:.1f} min left",
           file=sys.stderr)
 
 
-def tell(results: dict[tuple[str, str], list[str]]) -> None:
-    """How many of the kills of each case, each way, left what the undisturbed command leaves."""
+def print_counts(results: dict[tuple[str, str], list[str]]) -> None:
+    """Print, for each case and way to end it, how many repeated commands were identical to the undisturbed one."""
     cases, ways = (list(dict.fromkeys(key[place] for key in sorted(results))) for place in (0, 1))
     print(f"\n| case | {' | '.join(ways)} |\n|---|{'--:|' * len(ways)}")
     counts = {key: f"{found.count('identical')} of {len(found)}" for key, found in results.items()}

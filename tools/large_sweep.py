@@ -1,9 +1,9 @@
-"""What a sweep of many rods takes, and what it takes to give the same command again when it is finished.
+"""Time and memory of a sweep of many rods, and of the same command repeated when it is finished.
 
     python tools/large_sweep.py [--values 648] [--workers N] [--folder FOLDER]
 
 48 observations of the virtual lab under VALUES × VALUES cells: 648 are 2·10⁷ rods. Memory is the largest resident set. Give an
-empty folder: a sweep that is there goes on. Exit code 1 where a bar is missed.
+empty folder: an existing sweep is resumed. Exit code 1 where a bar is missed.
 """
 
 import argparse

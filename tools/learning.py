@@ -1,4 +1,6 @@
-"""What the sweeps say, against its bars: ``python tools/learning.py [ROW ...] [--data DIR] [--runs DIR]``.
+"""Results of sweeps, compared with their required values (bars).
+
+    python tools/learning.py [ROW ...] [--data DIR] [--runs DIR]
 
 Prints a Markdown table, ``| check | bar | measured | holds |``, and the tables behind it. Exit code 1 where a bar is missed.
 
@@ -6,7 +8,7 @@ Prints a Markdown table, ``| check | bar | measured | holds |``, and the tables 
     table1   training and test by material
     table2   by material and end distance
     table3   by objective and end distance, and a scene in which rods jump
-    plan     which configurations tell least and most
+    plan     the least and the most informative configurations
 """
 
 import argparse
@@ -63,7 +65,7 @@ def effort(data: Path, runs: Path) -> list[Check]:
     for objective in ("static", "dynamic"):
         with tempfile.TemporaryDirectory() as folder:
             rods, seconds, rate, memory = EFFORT.search(swept(data, Path(folder), objective)).groups()
-        checks.append(Check(f"3 materials × 60 observations × 50 × 50 cells, {objective}, one command", "told",
+        checks.append(Check(f"3 materials × 60 observations × 50 × 50 cells, {objective}, one command", "reported",
                             f"{rods} rods in {seconds} s, {rate} rods/s, loading the kernels included, {memory} MB", True))
     return checks
 
@@ -114,7 +116,7 @@ def table3(data: Path, runs: Path) -> list[Check]:
 
 
 def jumping(data: Path, runs: Path) -> Check:
-    """Silk carried only the way it was recorded: going back it would meet other branches than were seen."""
+    """Silk carried only in the recorded direction: in the other direction it would follow other branches."""
     observations = load_observations(data / "lab_a/silk.npz")
     distance, rotation = observations.end_distance, observations.end_rotation
     forward = (distance[:, None] == distance) & np.isclose(rotation - rotation[:, None], 120.0)
@@ -154,7 +156,7 @@ def plans(data: Path, runs: Path) -> list[Check]:
     return [
         Check("plan: the least informative configuration of lab_a nylon", "42 mm, 120°", label, label == "42 mm, 120°"),
         Check("plan: the same, clamps on one line, among rods that are turned", "54 mm, 120°",
-              f"{other}; untwisted arches tell less still: {'; '.join(untwisted)}", other == "54 mm, 120°"),
+              f"{other}; untwisted arches are even less informative: {'; '.join(untwisted)}", other == "54 mm, 120°"),
     ]
 
 

@@ -1,4 +1,4 @@
-"""How well rods are recovered from images (§V-E, Fig. 6): the virtual lab's 180 sets, loops, and worse images and seeds.
+"""Accuracy of rods recovered from images (§V-E, Fig. 6): the virtual lab's 180 sets, loops, and worse images and seeds.
 
     python tools/perception_study.py [lab loops seed camera occlusion clutter ...] [--sets N]
 """
@@ -95,7 +95,7 @@ def lab(sets: int) -> None:
 
 
 def loops(sets: int) -> None:
-    """Fig. 6: what crosses itself in every view, with the rod's energy and with little of it; and threads that do not."""
+    """Fig. 6: threads that cross themselves in every view, with the rod's energy and with little of it; and others."""
     for name in THREADS:
         case, _ = photographed(f"loops_{name}", None, crossing=True)
         again = mapped(case, filled(case.detections, case.maps, case.pixels))
@@ -131,7 +131,7 @@ def camera(sets: int) -> None:
 
 
 def occlusion(sets: int) -> None:
-    """Balls and bars before the thread that hide a fifth of it: at the default ν, and at one that leaves more to the energy."""
+    """Balls and bars in front of the thread that hide a fifth of it: at the default ν, and at a smaller one."""
     for name in THREADS:
         for gaps, look in OCCLUDED.items():
             case, _ = photographed(name, sets, look)
@@ -140,7 +140,7 @@ def occlusion(sets: int) -> None:
 
 
 def clutter(sets: int) -> None:
-    """Lines and specks about the thread."""
+    """Lines and specks around the thread."""
     for name in THREADS:
         case, _ = photographed(name, sets, CLUTTERED)
         report(f"6 lines, 20 specks: {name}", case, case.rods.point, case.rods.direction)

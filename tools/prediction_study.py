@@ -1,4 +1,4 @@
-"""How well motions are predicted (§III-D): the lab's rotation steps, cables between two grippers, and the rate for a planner.
+"""Accuracy of predicted motions (§III-D): the lab's rotation steps, cables between two grippers, and the rate for a planner.
 
     python tools/prediction_study.py --data ../shared/data
 """
@@ -28,7 +28,7 @@ from tools.trials.prediction import moved_as_one, moved_by_blend, predict_marks,
 
 CABLES = {"dlo1": 3.16e6, "dlo3": 4.47e7}
 """bend in mm³ at weight 1, the minimum of a sweep over the still frames (33 values over 2.4 decades; 14.07 and 15.76 mm). Twist
-cannot be told, ends may spin."""
+is not determined, because the ends may spin."""
 CANDIDATES = 4096
 
 
@@ -45,7 +45,7 @@ def main() -> None:
 def lab_steps(folder: Path) -> None:
     """Each observation from the one before it, 30° of rotation less, under the true Θ."""
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    print("| 30° steps | steps | mean mm | median mm | largest mm | own minimum's mean mm | predicted falls "
+    print("| 30° steps | steps | mean mm | median mm | largest mm | own minimum's mean mm | predicted jumps "
           "| on another branch | lost |")
     print("|---" * 9 + "|")
     named = []
@@ -58,14 +58,14 @@ def lab_steps(folder: Path) -> None:
               f"| {int(np.isnan(error).sum())} |")
         for row in np.flatnonzero((steps.jumps > 0) | ~steps.same_branch):
             place = steps.from_index[row]
-            told = ["falls"] * bool(steps.jumps[row]) + ["on another branch than observed"] * (not steps.same_branch[row])
+            reasons = ["jumps"] * bool(steps.jumps[row]) + ["on another branch than observed"] * (not steps.same_branch[row])
             named.append(f"  {name} {observations.end_distance[place]:g} mm, from {observations.end_rotation[place]:g}°: "
-                         f"{' and '.join(told)}, {error[row]:.2f} mm off")
+                         f"{' and '.join(reasons)}, {error[row]:.2f} mm off")
     print("\n".join(named))
 
 
 def cable(folder: Path, name: str, bend: float) -> None:
-    """The last frame of each stretch from the first and the grippers' path."""
+    """The last frame of each sequence, predicted from the first and the grippers' path."""
     still = load_observations(folder / f"{name}.npz")
     path = load_path(folder / f"{name}_motion.npz")
     with np.load(folder / f"{name}_motion.npz") as file:
@@ -77,7 +77,7 @@ def cable(folder: Path, name: str, bend: float) -> None:
                "blend": moved_by_blend(first.vertices, *shifts, still.rest_length)}
     off = distance(prediction.at(-1), last)
     print(f"\n| {name}, bend {bend:g} | model at first | predicted mm | "
-          + " | ".join(f"{guess} mm" for guess in guesses) + " | beaten | falls | followed |")
+          + " | ".join(f"{guess} mm" for guess in guesses) + " | beaten | jumps | followed |")
     print("|---" * (6 + len(guesses)) + "|")
     errors = {guess: np.linalg.norm(shape - last.vertices, axis=-1).sum(axis=1) / still.edges
               for guess, shape in guesses.items()}
@@ -91,7 +91,7 @@ def cable(folder: Path, name: str, bend: float) -> None:
 
 
 def candidates(folder: Path) -> None:
-    """Rods a second and sub-step over many end motions of one rod, warm."""
+    """Rods per second and sub-step over many end motions of one rod, kernels compiled."""
     observations = load_observations(folder / "vicryl.npz").take([14])
     clamps, material = observation_clamps(observations), Material(6e5, 8e5)
     rod = relax(start_configuration(observations, clamps), material, clamps).configuration
@@ -109,11 +109,12 @@ def candidates(folder: Path) -> None:
             for kept, now, then in zip((wall, processor, main), ended, began, strict=True):
                 kept.append(now - then)
         rate = CANDIDATES * steps / np.array(wall[1:])
-        # What does not run in this thread runs in two others.
+        # Work outside this thread runs in two others.
         alone = CANDIDATES * steps / min(own + 0.5 * (both - own) for own, both in zip(main, processor, strict=True))
-        print(f"  falls {'watched' if watch else 'not watched'}: median {np.median(rate):,.0f}, best {rate.max():,.0f} rods/s "
-              f"per sub-step; by its processor time {alone:,.0f} on two idle cores; {int(solution.converged.sum())} converged"
-              + (f", {int(jumps.sum())} falls" if watch else ""))
+        print(f"  jumps {'detected' if watch else 'not detected'}: median {np.median(rate):,.0f}, best {rate.max():,.0f} "
+              f"rods/s per sub-step; by its processor time {alone:,.0f} on two idle cores; "
+              f"{int(solution.converged.sum())} converged"
+              + (f", {int(jumps.sum())} jumps" if watch else ""))
 
 
 def _end_motions(clamps: Clamps) -> Clamps:

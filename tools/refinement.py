@@ -1,9 +1,9 @@
-"""What refinement gives, printed: ``python tools/refinement.py [ROW ...] [--data DIR]``.
+"""Results of refinement, compared with their required values (bars): ``python tools/refinement.py [ROW ...] [--data DIR]``.
 
-Prints a Markdown table, ``| check | bar | measured | holds |``. Rows whose data is absent are skipped and say so. Exit code 1
-where a bar is missed. How often intervals hold the truth is measured by ``tools/calibration_study.py``.
+Prints a Markdown table, ``| check | bar | measured | holds |``. Rows without data print that they are skipped. Exit code 1
+where a bar is missed. The coverage of the intervals is measured by ``tools/calibration_study.py``.
 
-    specimens  random rods of an independent mesh solver, ``doo-ti sweep`` and ``doo-ti refine RUN --json`` as a user gives them
+    specimens  random rods of an independent mesh solver, ``doo-ti sweep`` and ``doo-ti refine RUN --json`` as commands
     lab        the paper's sutures, likewise
     extra      the same optimum under parameters that add nothing: intervals of the others
     exact      rods of the model's own mesh, without noise, straight, clips known
@@ -90,8 +90,8 @@ def lab(data: Path) -> list[Check]:
 
 
 def extra(data: Path) -> list[Check]:
-    """Twist of a cable whose ends may spin, which nothing determines, learned besides bend. And, for comparison, gravity's
-    direction, which is no such parameter: what ties stiffness to weight is gravity."""
+    """The undetermined twist stiffness of a cable with free rolls, learned in addition to bend. And, for comparison, gravity's
+    direction, which does affect the interval of bend, because gravity relates stiffness to weight."""
     cable = load_observations(data / "cables/dlo1.npz")
     suture, (bend, _, twist) = load_observations(data / "lab_a/vicryl.npz"), TRUTH["vicryl"]
     cases = (("twist of a cable that may spin", cable, Theta(3.2e6 * np.eye(2), 3.2e6), ("bend",), "twist", 0.1),

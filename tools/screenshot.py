@@ -1,4 +1,4 @@
-"""Save what the viewer shows of a run as a PNG: ``python tools/screenshot.py RUN OUT.png``.
+"""Save a screenshot of the viewer with a run as a PNG: ``python tools/screenshot.py RUN OUT.png``.
 
 Needs no display but a Vulkan driver; on Debian: ``apt-get install mesa-vulkan-drivers libvulkan1``.
 """

@@ -1,8 +1,8 @@
-"""Whether commands start: many at once, again and again, each the cheapest that compiles or loads a kernel.
+"""Start many processes of a short command that compiles or loads a kernel, several at once, and count failures.
 
     python tools/starts.py [--starts 2000] [--together 8]
 
-A start fails that does not end with 0, says anything on standard error, or writes another file than the first.
+A start fails if its exit code is not 0, if it prints on standard error, or if its file differs from that of the first.
 """
 
 import argparse
@@ -23,7 +23,7 @@ MOST_SECONDS = 300
 
 
 def started(folder: Path, number: int) -> str:
-    """What is wrong with one start, and what it wrote where nothing is."""
+    """The problem of one start, if any, else the content of its file."""
     path = folder / f"{number}.npz"
     done = subprocess.run([sys.executable, *COMMAND.split(), path.name], cwd=folder, capture_output=True, text=True,
                           timeout=MOST_SECONDS, env={**os.environ, "PYTHONPATH": str(ROOT)})

@@ -1,9 +1,9 @@
-"""How often Eq. 4 finds the twist (§V-F, Fig. 7): a table over D = 1 … 6, and the histogram as a PNG.
+"""Success rate of Eq. 4 (§V-F, Fig. 7): a table over D = 1 … 6, and the histogram as a PNG.
 
     python tools/twist_study.py --runs RUNS --data ../shared/data/lab_a --out FOLDER
 
 RUNS/MATERIAL holds the sweep of each material (`doo-ti sweep lab_a/MATERIAL.npz --bend 5e4:1e7:25 --twist-ratio 0.1:6:25`), of
-which the best cell counts. With --perceived SHAPES the marks are not those of labels but what `doo-ti perceive` saw in images
+which the best cell counts. With --perceived SHAPES the marks are those of rods that `doo-ti perceive` recovered from images
 of scenes/MATERIAL.toml, SHAPES/MATERIAL.npz; then RUNS/MATERIAL is the sweep of that scene.
 """
 
@@ -84,7 +84,7 @@ def _labelled(options, material: str) -> tuple[Observations, np.ndarray]:
 
 
 def _perceived(options, material: str) -> tuple[Observations, np.ndarray]:
-    """The lab's end frames and twist, which its scene tells to half of 30°, with the shapes that images showed."""
+    """The lab's end frames and total twist, which follow from its scene to 15°, with the perceived shapes."""
     observations = synthesise(load_scene(SCENES / f"{material}.toml").observations)
     with np.load(options.perceived / f"{material}.npz") as seen:
         return replace(observations, vertices=seen["vertices_mm"]), observations.total_twist

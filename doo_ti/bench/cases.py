@@ -37,7 +37,7 @@ class Outcome:
 
     amount      how much of its unit
     converged, stable  shares of the rods
-    residual    the largest of the rods that converged, 1/mm; None where nothing is relaxed
+    residual    the largest of the rods that converged, without a unit; None where nothing is relaxed
     iterations  (R,) of the rods, empty where nothing is relaxed
     trips       through the kernels' loops, those of all lanes added up; 0 where they are not counted
     operations  floating-point operations that the kernels executed, by precision

@@ -1,4 +1,4 @@
-"""The most operations per second that the processor reaches: multiplications and additions in registers, nothing else."""
+"""The processor's peak rate: multiplications and additions per second in registers."""
 
 import time
 

@@ -40,7 +40,7 @@ def notes(summary: dict) -> list[str]:
 
 
 def percent(share: float | None) -> str:
-    """A share, rounded down: what is less than all never looks like all."""
+    """A share in per cent, rounded down: only a share of 1 is printed as 100 %."""
     return "–" if share is None else "100 %" if share == 1 else f"{math.floor(1e4 * share + 1e-6) / 100:.2f} %"
 
 

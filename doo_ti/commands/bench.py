@@ -1,4 +1,4 @@
-"""How fast this machine relaxes rods, and how accurately."""
+"""Throughput and accuracy of relaxations on this machine."""
 
 import os
 from argparse import Namespace
@@ -15,7 +15,7 @@ def declare(add) -> None:
     parser = given.command(add, "bench", run, "measure throughput and accuracy on this machine, in one table")
     parser.add_argument("--rods", metavar="N", help="rods in the large batches (default 65536)")
     parser.add_argument("--threads", metavar="N", help="threads of the kernels (default: one per processor)")
-    parser.add_argument("--rounds", metavar="N", help="measurements, of which the median counts (default 3)")
+    parser.add_argument("--rounds", metavar="N", help="number of measurements; their median is printed (default 3)")
     parser.add_argument("--out", metavar="FOLDER", help="folder for bench.json (default: not written)")
 
 

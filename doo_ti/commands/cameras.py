@@ -27,21 +27,22 @@ def declare(add) -> None:
     parser.add_argument("--board", required=True, metavar="BOARD", help=FORMS)
     parser.add_argument("--out", required=True, metavar="RIG.yaml", help="file to write")
     parser.add_argument("--world", choices=WORLDS, default=WORLDS[0],
-                        help="where the world's axes lie (default first-board: x along a row, y up the page, z out of it)")
+                        help="axes of the world (default first-board, those of the first view's board: x along a row, y up the "
+                        "page, z out of it)")
     parser.add_argument("--distortion", type=int, choices=COEFFICIENTS, default=4,
                         help="how many of k1, k2, p1, p2, k3 to fit (default 4)")
     parser = given.command(add, "triangulate", run_triangulate, "turn labelled marks in images into observations")
     parser.add_argument("marks", metavar="MARKS.csv",
-                        help="columns observation,camera,mark,u_px,v_px; of ribbons marks 0L, 0R, 1L …")
+                        help="columns observation,camera,mark,u_px,v_px; ribbons have marks 0L, 0R, 1L …")
     parser.add_argument("--rig", required=True, metavar="RIG.yaml", help="the calibrated cameras")
     parser.add_argument("--out", required=True, metavar="OBS", help="file to write: .npz, .csv or .parquet")
     parser.add_argument("--labels", metavar="LABELS.csv",
                         help="columns observation and any of end_distance_mm, end_rotation_deg, total_twist_deg")
     parser.add_argument("--rest-length", metavar="MM",
-                        help="from each mark to the next along the rod (default: the median observed)")
-    parser.add_argument("--sigma-px", type=float, default=0.5, metavar="PX", help="uncertainty of a label (default 0.5)")
+                        help="length of rod from each mark to the next (default: the median observed)")
+    parser.add_argument("--sigma-px", type=float, default=0.5, metavar="PX", help="standard deviation of a label (default 0.5)")
     parser.add_argument("--threshold", type=float, default=5.0, metavar="SIGMAS",
-                        help="labels that contradict the others by more than this are outliers (default 5)")
+                        help="labels further from the others than this many standard deviations are outliers (default 5)")
     given.add_up(parser, "0,0,1 in the rig's world")
 
 

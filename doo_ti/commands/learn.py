@@ -22,7 +22,8 @@ def declare(add) -> None:
     parser.add_argument("--by", action="append", metavar="FACTORS",
                         help=f"a table by one or more of {', '.join(FACTORS)}, joined by commas; repeat for further tables "
                              "(default: those of the paper that the runs allow)")
-    parser.add_argument("--end-distances", metavar="MM,MM", help="which ones tables by end distance compare (default: all)")
+    parser.add_argument("--end-distances", metavar="MM,MM",
+                        help="end distances to compare in tables by end distance (default: all)")
     parser.add_argument("--out", metavar="FOLDER",
                         help="folder for learn.json and the tables as .csv and .md (default: not written)")
 

@@ -1,6 +1,6 @@
 """Options of the command line: those that several commands share, and each option's text to a value, checked before any work.
 
-Raises InputError naming the option, what was given and what would do.
+Raises InputError naming the option, its value and the remedy.
 """
 
 import os
@@ -55,12 +55,13 @@ def add_material(parser: ArgumentParser, form: str) -> None:
     group.add_argument("--GJ", metavar="NM2", help="twist stiffness in N m², instead of --twist; needs --linear-density")
     group.add_argument("--theta", metavar="THETA.json",
                        help="bend and twist stiffness as doo-ti identify wrote them; its rest curvature is for simulate only")
-    group.add_argument("--linear-density", metavar="G_PER_M", help="of the rod in g/m, for --EI, --GJ and results in N m²")
+    group.add_argument("--linear-density", metavar="G_PER_M",
+                       help="mass per length of the rod in g/m, for --EI, --GJ and results in N m²")
 
 
 def add_clamps(parser: ArgumentParser, default: str = CLAMP_DEFAULT) -> None:
     for end in ("start", "end"):
-        parser.add_argument(f"--clamp-{end}", choices=CLAMPS, help=f"what is held at the rod's {end} (default: {default})")
+        parser.add_argument(f"--clamp-{end}", choices=CLAMPS, help=f"constraint of the rod's {end} (default: {default})")
 
 
 def add_up(parser: ArgumentParser, default: str = "the file's, else 0,0,1") -> None:
@@ -75,13 +76,14 @@ def add_relaxation(parser: ArgumentParser, precision: str | None) -> None:
     add_clamps(parser)
     add_frame_weight(parser, "0" if precision else "the scene's, else 0")
     add_up(parser)
-    parser.add_argument("--solver", choices=SOLVERS, default="newton", help="how equilibria are computed (default newton)")
+    parser.add_argument("--solver", choices=SOLVERS, default="newton",
+                        help="newton, or the paper's gradient descent (default newton)")
     parser.add_argument("--precision", choices=PRECISIONS, default=precision,
-                        help=f"arithmetic (default: {precision or 'the scene' + chr(39) + 's, else mixed'})")
+                        help=f"floating-point arithmetic (default: {precision or 'the scene' + chr(39) + 's, else mixed'})")
 
 
 def add_seen_rod(parser: ArgumentParser) -> None:
-    """The cameras, and what must be known about the rod beforehand."""
+    """The cameras, and the known properties of the rod."""
     parser.add_argument("--rig", required=True, metavar="RIG", help="the calibrated cameras: OpenCV FileStorage YAML")
     parser.add_argument("--rest-length", required=True, metavar="MM:COUNT|FILE",
                         help="lengths of the rod's edges: COUNT edges of MM each, a .npz with rest_length_mm, or a text file")

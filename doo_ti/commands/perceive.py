@@ -26,7 +26,7 @@ MOST_LISTED = 60
 
 
 def declare(add) -> None:
-    parser = given.command(add, "perceive", run, "recover rods from images (Algorithm 1)")
+    parser = given.command(add, "perceive", run, "recover rods from images (§IV-A, Algorithm 1)")
     parser.add_argument("images", nargs="*", metavar="IMAGE", help="for a single set: one image per camera of the rig")
     given.add_seen_rod(parser)
     parser.add_argument("--sets", metavar="SETS.csv", help="many sets of images with their seeds, instead of IMAGEs")
@@ -39,7 +39,7 @@ def declare(add) -> None:
                         "(default 0.005)")
     search.add_argument("--hypotheses", metavar="H", help="hypotheses kept for each set and step (default 40)")
     search.add_argument("--detector", choices=("ridge", "canny"), default="ridge",
-                        help="how the thread is found in images (default ridge; canny is the paper's)")
+                        help="detector of the thread (default ridge; canny is the paper's)")
     given.add_thread(search)
     shown = parser.add_argument_group("pictures and recording")
     shown.add_argument("--truth", metavar="OBS", help="true rods to compare with: observations, matched by name or in order")
@@ -51,7 +51,7 @@ def declare(add) -> None:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Alg. 1 on every set of images; writes rods and runners-up, and prints how sure each set is."""
+    """Alg. 1 on every set of images; writes rods and runners-up, and prints the verdict of each set."""
     out = given.output_file(options.out, ".npz")
     task = perception_task(options)
     sources = [options.rig, options.sets, options.truth, *(path for line in task.sets.paths for path in line)]
@@ -121,7 +121,7 @@ def _perceived(task: PerceptionTask, detected: list[list], bar):
 
 
 def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
-    """What the file holds; docs/perception.md."""
+    """The arrays of the file; docs/perception.md."""
     sound = found.sound[:, None]
     return {
         "name": np.array(task.sets.names), "vertices_mm": found.vertices, "rest_length_mm": task.rest_length, "up": task.up,
@@ -134,7 +134,7 @@ def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
 
 
 def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found, growth, out: Path) -> list[Path]:
-    """Draw and record what was found, beside ``out``; returns the files."""
+    """Draw and record the result beside ``out``; returns the files."""
     from doo_ti.vision.detection.images import read_image
 
     rig, written = task.sets.rig, []
@@ -173,7 +173,7 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
 
 
 def _summary(task: PerceptionTask, detected: list[list], found, written: list[Path]) -> dict:
-    """What ``--json`` prints, and the lines for a person are made of."""
+    """The content of ``--json``, from which the lines of text are made."""
     from doo_ti.perception.perceive import Verdict
 
     sets = [{
@@ -225,7 +225,7 @@ def _lines(summary: dict) -> list[str]:
 
 
 def _set_text(entry: dict) -> str:
-    """One set for a person."""
+    """One set as text."""
     pixels = " ".join(f"{max(value, 0.0):.2f}" if np.isfinite(value) else "unseen" for value in entry["camera_error_px"])
     rival = f"gap {entry['gap_px']:.2g} px" if np.isfinite(entry["gap_px"]) else "no rival"
     parts = [f"E_vis {entry['energy_vis']:.3g}/mm", f"{pixels} px off", f"{entry['verdict']} ({rival})",

@@ -21,15 +21,15 @@ SIGMA_MM = 0.1
 
 
 def declare(add) -> None:
-    parser = given.command(add, "plan", run, "rank configurations by how much measuring them would tell about the rod")
+    parser = given.command(add, "plan", run, "rank configurations by how much measuring them would reduce the uncertainty of Θ")
     parser.add_argument("source", metavar="SCENE.toml|OBS", help="a scene whose [synthesis] lists the possible clamp poses, or "
                         "observations that have them")
-    given.add_material(parser, "a number or LO:HI:N[:log|:lin], the values thought possible; overrides the scene's axis")
-    parser.add_argument("--end-distances", metavar="MM,MM,…", help="instead of the scene's")
-    parser.add_argument("--end-rotations", metavar="DEG,DEG,…", help="instead of the scene's")
+    given.add_material(parser, "a number or LO:HI:N[:log|:lin], the prior range; overrides the scene's axis")
+    parser.add_argument("--end-distances", metavar="MM,MM,…", help="end distances, instead of the scene's")
+    parser.add_argument("--end-rotations", metavar="DEG,DEG,…", help="end rotations, instead of the scene's")
     parser.add_argument("--sigma", metavar="MM", help=f"label uncertainty (default: the source's, else {SIGMA_MM:g})")
     parser.add_argument("--picks", metavar="K", help="how many configurations to rank (default 10)")
-    parser.add_argument("--measured", metavar="I,I,…", help="numbers of the configurations that are measured already")
+    parser.add_argument("--measured", metavar="I,I,…", help="row numbers, from 0, of the configurations already measured")
     given.add_clamps(parser)
     parser.add_argument("--out", metavar="FOLDER",
                         help="folder for plan.csv, plan.json and identifiability.png (default: not written)")
@@ -61,7 +61,7 @@ def run(options: Namespace, words: list[str]) -> int:
 
 
 def _configurations(options: Namespace, scene) -> Observations:
-    """What can be measured: the scene's recipe at the given distances and rotations, or the observations themselves."""
+    """The candidate configurations: the scene's recipe at the given distances and rotations, or the observations."""
     distances = given.numbers("--end-distances", options.end_distances)
     rotations = given.numbers("--end-rotations", options.end_rotations)
     recipe = scene.observations if scene and isinstance(scene.observations, Synthesis) else None

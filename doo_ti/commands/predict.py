@@ -48,7 +48,7 @@ class _Task:
 
 
 def declare(add) -> None:
-    parser = given.command(add, "predict", run, "predict where rods go when their clamps are moved")
+    parser = given.command(add, "predict", run, "predict the shapes of rods whose clamps move (§III-D)")
     parser.add_argument("source", metavar="OBS|SCENE.toml",
                         help="observations the rods start from: .npz, .csv or .parquet; or a scene of motion")
     parser.add_argument("--motion", metavar="PATH", help="poses of the clamps over time: .npz or .csv")
@@ -60,10 +60,11 @@ def declare(add) -> None:
                         help="predicted steps from one moment of the motion to the next (default: 1, or the scene's)")
     given.add_old_name(parser, "--between", "between")
     parser.add_argument("--sub-step", metavar="DEG",
-                        help="largest turn of a clamp before the rods are relaxed again (default 5)")
+                        help="largest rotation of a clamp in one sub-step; rods are relaxed after each (default 5)")
     given.add_clamps(parser)
     given.add_up(parser)
-    parser.add_argument("--precision", choices=PRECISIONS, default="mixed", help="arithmetic on the way (default mixed)")
+    parser.add_argument("--precision", choices=PRECISIONS, default="mixed",
+                        help="floating-point arithmetic of the stored steps (default mixed)")
     parser.add_argument("--picture", metavar="F.png", help="also draw the motion (default: no)")
     parser.add_argument("--recording", metavar="F.rrd", help="also record it for the viewer (default: no)")
 
@@ -220,20 +221,20 @@ def _draw(task: _Task, prediction, result: dict, pictures: dict) -> None:
 
 
 def _lines(task: _Task, prediction, result: dict) -> list[str]:
-    """What happened, for a person."""
+    """The result as lines of text."""
     count, moments = len(task.names), len(prediction.time)
-    falls = np.argwhere(prediction.jumps > 0)
+    jumps = np.argwhere(prediction.jumps > 0)
     lost = np.flatnonzero(~prediction.followed[-1])
     lines = [f"{task.name}: {count} rods of {task.start.edges} edges at {moments} moments",
              f"  status      {counted(status_counts(prediction.status))}; {int(prediction.stable.sum())} of {count * moments} "
              "certified stable",
              f"  far clamp   at the end turned about the rod by {_range(result['end_rotation_deg'][-1])}, total twist "
              f"{_range(result['total_twist_deg'][-1])}"]
-    fallen = f"to another branch, {len(np.unique(falls[:, 1]))} of {count} rods" if len(falls) else "all stayed on their branch"
-    lines.append(f"  jumps       {int(prediction.jumps.sum())}, {fallen}")
+    rods = f"to another branch, {len(np.unique(jumps[:, 1]))} of {count} rods" if len(jumps) else "all stayed on their branch"
+    lines.append(f"  jumps       {int(prediction.jumps.sum())}, {rods}")
     lines += shortened([
         f"    {task.names[rod]}: between {prediction.time[max(moment - 1, 0)]:g} and {prediction.time[moment]:g} s, far clamp "
-        f"turned by {result['end_rotation_deg'][moment, rod]:.1f}°" for moment, rod in falls], MOST_LISTED, "    and {} more")
+        f"turned by {result['end_rotation_deg'][moment, rod]:.1f}°" for moment, rod in jumps], MOST_LISTED, "    and {} more")
     if len(lost):
         lines.append(f"  lost        {len(lost)} of {count} rods cannot follow the motion to its end")
     return lines + shortened([

@@ -1,4 +1,4 @@
-"""From the grid's best cells, or from a guess, to the continuous optimum of Θ with its uncertainty (§III-E)."""
+"""Material parameters with intervals, fitted from a grid's best cells or from one Θ (§III-E)."""
 
 import json
 from argparse import Namespace
@@ -24,21 +24,21 @@ if TYPE_CHECKING:  # it reads Parquet
 
 STARTS = 3
 LEAST = 1e-6
-"""Of the spread and the range of a rest curvature, in 1/mm and mm; the inverse is the largest."""
+"""Least spread and range of a rest curvature, in 1/mm and mm; the largest is the inverse."""
 CURVATURES = ("field", "uniform", "none")
 OLD_CURVATURES = {"rest_curvature": "uniform", "rest_curvature_per_joint": "field"}
 """Old names in --parameters for a rest curvature."""
 
 
 def declare(add) -> None:
-    parser = given.command(add, "refine", run, "find the continuous optimum, with intervals and what is not determined")
+    parser = given.command(add, "refine", run, "fit material parameters with confidence intervals, starting from a sweep or one Θ")
     parser.add_argument("sources", nargs="+", metavar="RUN|OBS",
                         help="folders that sweep wrote, to start from their best cells, or "
                         "observations: .npz, .csv or .parquet")
-    given.add_material(parser, "one number each, to start from where observations are given")
+    given.add_material(parser, "one number each: the start of the fit where observations are given")
     parser.add_argument("--parameters", metavar="A,B", default="bend,twist",
                         help="material parameters to learn, of bend, bend-1, "
-                        "bend-2, bend-12, twist, weight, and up, the direction of gravity (default bend,twist)")
+                        "bend-2, bend-12, twist, weight, and up, the direction against gravity (default bend,twist)")
     parser.add_argument("--starts", metavar="N", help=f"number of best cells of a run to start from (default {STARTS})")
     parser.add_argument("--sigma", metavar="MM", help="label uncertainty (default: the file's, else learned)")
     model = parser.add_argument_group("the model of the experiment")
@@ -47,8 +47,8 @@ def declare(add) -> None:
     model.add_argument("--rest-curvature", choices=CURVATURES, default=None,
                        help="curvature of the unloaded rod (default: field, a smooth function along the rod)")
     model.add_argument("--clamps", choices=("auto", "loose", "exact"), default="auto",
-                       help="exact: clamps are where they were reported; loose: their errors are learned; auto: loose unless "
-                       "the evidence is for exact (default)")
+                       help="exact: the reported poses of clamps have no error; loose: their errors are learned; auto: loose "
+                       "unless the evidence is clearly for exact (default)")
     model.add_argument("--edges", metavar="N",
                        help="edges of the mesh (default: twice those between marks, with a correction for the mesh error)")
     model.add_argument("--curvature-spread", metavar="1/MM", help="standard deviation of the rest curvature (default: learned)")
@@ -81,7 +81,7 @@ def run(options: Namespace, words: list[str]) -> int:
     starts, folds = given.whole("--starts", options.starts, 1) or STARTS, given.whole("--folds", options.folds, 2)
     density = given.positive("--linear-density", options.linear_density, "g/m")
     tasks = [_task(options, source, starts) for source in options.sources]
-    groups = [_groups(options.groups, task.observations) for task in tasks]
+    groups = [read_groups(options.groups, task.observations) for task in tasks]
 
     from doo_ti.refinement.folds import folds_of, refine_held_out
     from doo_ti.refinement.refine import refine
@@ -214,7 +214,7 @@ def _check_model(chosen, task: Task) -> None:
     unknowns.begun(task.thetas[0], unknowns.clip_prior)
 
 
-def _groups(text: str | None, observations: Observations) -> np.ndarray:
+def read_groups(text: str | None, observations: Observations) -> np.ndarray:
     """(D,) the group of each observation; by default each is a group of its own."""
     if text is None:
         return np.arange(observations.count)

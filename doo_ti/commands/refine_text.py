@@ -1,4 +1,4 @@
-"""What ``doo-ti refine`` prints: a summary for machines, and lines made of it for a person."""
+"""The output of ``doo-ti refine``: a summary as JSON, and lines of text made of it."""
 
 from dataclasses import asdict
 
@@ -85,7 +85,7 @@ def _stiffness(estimate, density: float | None) -> dict:
 
 
 def summary_lines(summary: dict) -> list[str]:
-    """Lines for a person."""
+    """The summary as lines of text."""
     steps = f"{summary['iterations']} steps{'' if summary['converged'] else ', NOT converged: stopped'}"
     lines = [f"{in_line(summary['material'])}: {summary['rods_used']} of {summary['observations']} observations, {steps}"]
     lines += [_line(parameter["name"], interval_text(**{k: parameter[k] for k in ("value", "low", "high", "unit")}))
@@ -161,7 +161,7 @@ def _adequacy_lines(summary: dict) -> list[str]:
 
 
 def _rods_lines(summary: dict) -> list[str]:
-    """Which observations were left out, and which do not fit."""
+    """The observations that were left out, and those that do not fit."""
     lines = [_line("left out", counted(summary["left_out"]))] if summary["left_out"] else []
     rows = summary["misfits"]
     if len(rows):

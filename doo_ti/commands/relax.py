@@ -16,7 +16,8 @@ from doo_ti.types import Status
 
 
 def declare(add) -> None:
-    parser = given.command(add, "relax", run, "relax each observed rod under one material and compare it with the observation")
+    parser = given.command(add, "relax", run,
+                           "relax each observed rod under one material and compare it with its observation (Eq. 1)")
     parser.add_argument("observations", metavar="OBS", help="observations: .npz, .csv or .parquet")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
     given.add_material(parser, "one number each")
@@ -24,7 +25,7 @@ def declare(add) -> None:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """F on each observation (§III-D), to one npz; of several whole-turn hypotheses the one nearest to what was seen."""
+    """F on each observation (§III-D), to one npz; of several whole-turn hypotheses the one nearest to the observation."""
     grid = given.single_cell(options, "give one number, or use sweep")
     frame_weight, up, out = given.frame_weight(options), given.up(options), given.output_file(options.out, ".npz")
     observations = load_observations(options.observations, up)

@@ -1,4 +1,4 @@
-"""What the commands share about results: loading a scene's observations, writing files, and printing text or strict JSON."""
+"""Shared by the commands: loading a scene's observations, writing files, and printing text or strict JSON."""
 
 import json
 import sys
@@ -66,12 +66,12 @@ def plain(value):
 
 
 def report(options: Namespace, summary, lines: Callable[[], list[str]]) -> None:
-    """Print the ``summary`` as one line of JSON with ``--json``, else the ``lines`` for a person."""
+    """Print the ``summary`` as one line of JSON with ``--json``, else the ``lines`` of text."""
     print(json.dumps(plain(summary)) if options.json else "\n".join(lines()))
 
 
 def theta_text(theta: dict, isotropic: bool) -> str:
-    """Θ for a person."""
+    """Θ as text."""
     names = ["bend_1"] if isotropic else ["bend_1", "bend_2"] + ["bend_12"] * bool(theta["bend_12"])
     bend = ", ".join(f"{'bend' if isotropic else name} {theta[name]:.4g} mm³" for name in names)
     return f"{bend}, twist {theta['twist']:.4g} mm³, weight {theta['weight']:.4g}"
@@ -93,7 +93,7 @@ def shortened(lines: list[str], most: int, rest: str) -> list[str]:
 
 
 def peak_memory() -> int:
-    """Bytes that this process held at most; 0 where the system does not report it."""
+    """Peak memory of this process in bytes; 0 where the system does not report it."""
     try:
         import resource
     except ImportError:  # Windows
@@ -103,7 +103,7 @@ def peak_memory() -> int:
 
 
 def run_lines(result: dict) -> list[str]:
-    """What a sweep's overview, or its summary, holds."""
+    """Lines of a sweep's overview, or of its summary."""
     grid, rods, best = Grid.from_dict(result["grid"]), dict(result["rods"]), result["best"]
     count, stable = rods.pop("count"), rods.pop("stable")
     cells, terms = result["cells"], "observations" if result["objective"] == "static" else "pairs of observations (Eq. 3)"
@@ -123,14 +123,14 @@ def run_lines(result: dict) -> list[str]:
     if result["terms_left_out"]:
         lines.append(f"              left out: {result['terms_left_out']} of {per_cell} {terms}, certified in no cell")
     if "jumps" in result:
-        fell = result["jumps"]
-        lines.append(f"  jumps       {fell['rods_at_best']} of {per_cell} rods jumped to another branch on the way in the best "
-                     f"cell, {fell['rods']} of {count} in all")
+        jumps = result["jumps"]
+        lines.append(f"  jumps       {jumps['rods_at_best']} of {per_cell} rods jumped to another branch on the way in the "
+                     f"best cell, {jumps['rods']} of {count} in all")
     return lines
 
 
 def hypotheses_lines(summary: dict) -> list[str]:
-    """What became of the hypotheses about whole turns and rolls, where there were several."""
+    """The chosen hypotheses about whole turns and rolls, where there were several."""
     found = summary.get("hypotheses")
     if found is None:
         return []

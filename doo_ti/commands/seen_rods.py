@@ -24,7 +24,7 @@ RECORDED = 3
 
 @dataclass(frozen=True)
 class PerceptionTask:
-    """What to perceive, checked as far as possible before images are read."""
+    """The inputs of a perception, checked as far as possible before images are read."""
 
     sets: object  # ImageSets
     rest_length: np.ndarray
@@ -61,7 +61,7 @@ def perception_task(options: Namespace) -> PerceptionTask:
 
 @dataclass(frozen=True)
 class TrackingTask:
-    """What to track: T frames with a seed for each, and the T − 1 motions of the far clamp between them, if known."""
+    """The inputs of tracking: T frames with a seed for each, and the T − 1 motions of the far clamp between them, if known."""
 
     frames: object  # ImageSets
     time: np.ndarray | None
@@ -182,7 +182,7 @@ def load_frames(path: Path, rig):
 
 
 def _far_motions(path: Path, frames: int) -> list:
-    """How the far clamp moves from each frame to the next, tangents only."""
+    """The far clamp's motion from each frame to the next, tangents only."""
     from doo_ti.io.motion_file import load_path
     from doo_ti.motion.path import motion_between
 

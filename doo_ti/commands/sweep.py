@@ -29,7 +29,7 @@ RIBBON_PARAMETERS = " --parameters bend-1,bend-2,twist"
 
 
 def declare(add) -> None:
-    parser = given.command(add, "sweep", run, "search a grid of parameters for those that explain the observations best")
+    parser = given.command(add, "sweep", run, "search a grid of material parameters for the smallest error (Eq. 2 or 3)")
     parser.add_argument("sources", nargs="+", metavar="SCENE.toml|OBS",
                         help="scenes, or observations: .npz, .csv or .parquet; each "
                         "of several gets a folder of its name below RUN")
@@ -42,10 +42,10 @@ def declare(add) -> None:
     parser.add_argument("--roll-hypotheses", dest="spins", metavar="N",
                         help="roll angles to try for clamps whose roll was not measured (default 0: these clamps roll freely)")
     given.add_old_name(parser, "--spins", "spins")
-    parser.add_argument("--seed", metavar="N", help="of all random numbers (default: the scene's, else 0)")
-    parser.add_argument("--workers", metavar="N", help="number of processes to share the work (default: one)")
+    parser.add_argument("--seed", metavar="N", help="seed of all random numbers (default: the scene's, else 0)")
+    parser.add_argument("--workers", metavar="N", help="number of processes (default: one)")
     parser.add_argument("--dask", dest="scheduler", metavar="ADDRESS",
-                        help="share the work with the workers of a Dask cluster: its scheduler's address, tcp://HOST:8786")
+                        help="compute on the workers of a Dask cluster: its scheduler's address, tcp://HOST:8786")
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,8 @@ class _Search:
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Eq. 2 or 3 over a grid; writes a folder per source and prints the best-fitting cell and how flat the
-    landscape is around it."""
+    """Eq. 2 or 3 over a grid; writes a folder per source and prints the cell with the smallest error and
+    the flatness of the landscape around it."""
     searches = _searches(options)
 
     from doo_ti.learning.sweeps import sweep
@@ -175,7 +175,7 @@ def _pairs(options: Namespace, scene: Scene, observations: Observations, objecti
 
 
 def _true_theta(synthesis: Synthesis) -> str:
-    """Θ of the rod that the virtual lab made."""
+    """The true Θ of a simulated rod."""
     material = synthesis.material()
     (first, mixed), (_, second) = material.bend[0, 0]
     return theta_text({"bend_1": first, "bend_2": second, "bend_12": mixed, "twist": material.twist[0, 0],

@@ -18,15 +18,15 @@ def declare(add) -> None:
     parser = given.command(add, "convert", run_convert, "convert observations from one file format to another", json=False)
     parser.add_argument("observations", metavar="IN", help=".npz, .csv or .parquet")
     parser.add_argument("out", metavar="OUT", help=".npz, .csv or .parquet")
-    parser = given.command(add, "synth", run, "make a scene's observations, or images of its rods, in the virtual lab",
+    parser = given.command(add, "synth", run, "simulate a scene's observations, or render images of its rods (the virtual lab)",
                            json=False)
     parser.add_argument("scene", metavar="SCENE.toml", help="a scene with [synthesis]")
     parser.add_argument("--out", metavar="OBS", help="file for the observations: .npz, .csv or .parquet")
-    images = parser.add_argument_group("images", "of the rods themselves, without label noise")
+    images = parser.add_argument_group("images", "rendered images of the rods; label noise has no effect on them")
     images.add_argument("--images", metavar="FOLDER", help="folder for the images, sets.csv, rig.yaml and truth.npz")
     images.add_argument("--rig", metavar="RIG", help="the cameras: OpenCV FileStorage YAML, such as scenes/rig.yaml")
-    images.add_argument("--diameter", metavar="MM", help=f"of the thread (default {DIAMETER_MM:g})")
-    images.add_argument("--seed", metavar="N", help="of all random numbers for the images (default 0)")
+    images.add_argument("--diameter", metavar="MM", help=f"diameter of the thread (default {DIAMETER_MM:g})")
+    images.add_argument("--seed", metavar="N", help="seed of all random numbers for the images (default 0)")
     images.add_argument("--render", metavar="NAME=VALUE", action="append", default=[],
                         help="a property of the images, may be repeated: clutter=3, occluders=2, noise=5, jpeg_quality=none …")
 
@@ -57,7 +57,7 @@ def run(options: Namespace, words: list[str]) -> int:
 
 
 def _photograph(options: Namespace, scene: Scene) -> None:
-    """Check all options before the first rod is computed, and what the cameras see before the first image is written."""
+    """Render images; options are checked before the first rod is computed, views before the first image is written."""
     folder = given.output_folder(options.images, "--images")
     rig, look, seed = _rig(options, folder), _look(options.render), given.whole("--seed", options.seed, 0) or 0
     diameter = given.length("--diameter", options.diameter) or DIAMETER_MM

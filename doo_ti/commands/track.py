@@ -24,7 +24,7 @@ def declare(add) -> None:
     parser = given.command(add, "track", run, "follow a rod through a video")
     given.add_seen_rod(parser)
     parser.add_argument("--frames", required=True, metavar="FRAMES.csv",
-                        help="columns frame, one of images per camera, time_s if known, and the seed: seed_x … dir_z")
+                        help="columns frame, one of images per camera, time_s (optional), and the seed: seed_x … dir_z")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write; F.rrd is written beside it")
     given.add_material(parser, "one number each; tracked rods are round")
     parser.add_argument("--motion", metavar="PATH", help="poses of the far clamp, one moment for each frame: .npz or .csv")
@@ -43,7 +43,8 @@ def run(options: Namespace, words: list[str]) -> int:
     save_arrays(out, result)
     if problem is not None:
         raise InterruptedRunError(f"{problem}; {len(found)} of {task.frames.count} frames are kept in {out}; the same command "
-                                  "starts anew; or track the others as a video of their own, with the seed in its first line")
+                                  "starts from the first frame; or track the other frames as a video of their own, with the "
+                                  "seed in its first line")
     written = [out]
     if not options.no_recording:
         from doo_ti.record import record_track
@@ -57,7 +58,7 @@ def run(options: Namespace, words: list[str]) -> int:
 
 
 def _tracked(task: TrackingTask) -> tuple[list, str | None]:
-    """(Tracked frames, why the others were not). An error before the first frame is raised."""
+    """(Tracked frames, the error that ended tracking, or None). An error before the first frame is raised."""
     from doo_ti.perception.tracking import Tracker
 
     frames, found = task.frames, []
@@ -98,7 +99,7 @@ def _detected(task: TrackingTask) -> Iterator[list]:
 
 
 def _arrays(task: TrackingTask, found: list) -> dict[str, np.ndarray]:
-    """What the file holds; docs/tracking.md."""
+    """The arrays of the file; docs/tracking.md."""
     fields = {"vertices_mm": "vertices", "energy_vis": "energy_vis", "camera_error_px": "camera_error", "status": "status",
             "stable": "stable", "how": "how"}
     time = {} if task.time is None else {"time_s": task.time[: len(found)]}

@@ -19,7 +19,7 @@ MOST_LISTED = 20
 
 
 def declare(add) -> None:
-    parser = given.command(add, "twist", run, "estimate how far rods are twisted, from their shapes (Eq. 4)")
+    parser = given.command(add, "twist", run, "estimate the twist of rods from their shapes (Eq. 4)")
     parser.add_argument("observations", metavar="OBS",
                         help="observations, or a file that perceive wrote: .npz, .csv or .parquet")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
@@ -31,15 +31,15 @@ def declare(add) -> None:
                         help="angles between the observations' end frames: .npz or .csv "
                         "with offset_deg or end_frame (default: from the observations' end_frame)")
     parser.add_argument("--regrasp", nargs="+", action="extend", default=[], metavar="INDEX",
-                        help="observations before which the rod was released and grasped again; from each on φ is another one")
+                        help="observations before which the rod was released and grasped again; each starts a new φ")
     parser.add_argument("--picture", metavar="F.png", help="also draw the curves (default: no)")
     given.add_up(parser)
     parser.add_argument("--precision", choices=PRECISIONS, default="f32",
-                        help="arithmetic (default f32, more precise than labels)")
+                        help="floating-point arithmetic (default f32, whose error is below that of labels)")
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Eq. 4 for each group of observations that share φ; writes φ and the whole curve, and prints what is ambiguous."""
+    """Eq. 4 for each group of observations that share φ; writes φ and the whole curve, and prints ambiguous groups."""
     grid = given.single_cell(options)
     out, up = given.output_file(options.out, ".npz"), given.up(options)
     picture = None if options.picture is None else given.output_file(options.picture, ".png", "--picture")
@@ -80,7 +80,7 @@ def run(options: Namespace, words: list[str]) -> int:
 
 
 def _arrays(estimate) -> dict[str, np.ndarray]:
-    """What the file holds; docs/twist.md."""
+    """The arrays of the file; docs/twist.md."""
     return {
         "phi_deg": np.degrees(estimate.phi), "objective_mm": estimate.objective, "phi_grid_deg": np.degrees(estimate.angles),
         "least_mm": estimate.least, "verdict": estimate.verdict, "low_deg": np.degrees(estimate.low),

@@ -1,4 +1,4 @@
-"""Finished sweeps to look at: a recording in the viewer, and the paper's landscapes as pictures (Fig. 3, 4, 5)."""
+"""Finished sweeps: a recording in the viewer, and the paper's landscapes as pictures (Fig. 3, 4, 5)."""
 
 import os
 import sys
@@ -23,7 +23,7 @@ def declare(add) -> None:
     parser.add_argument("runs", nargs="+", metavar="RUN", help="folders that sweep wrote, over one grid")
     parser.add_argument("--out", required=True, metavar="FOLDER", help="folder to write")
     parser.add_argument("--by", choices=PARTS, dest="by_end_distance",
-                        help="also a landscape for each end distance beside that of all together")
+                        help="also draw a landscape for each end distance")
     parser.add_argument("--cells", metavar="all|N",
                         help=f"how many cells of the grid to record, evenly spread (default: at most {MOST_CELLS})")
     parser.add_argument("--observation", metavar="N",

@@ -23,7 +23,7 @@ AXES = ("x", "y", "z")
 MOST_UNPACKED_BYTES = 1 << 30
 """Of the arrays or columns of a file."""
 NEARLY = 0.88
-"""Similarity of two keys, as difflib measures it, from which on one is taken for a misspelling of the other."""
+"""Least similarity of two keys (difflib) at which one counts as a misspelling of the other."""
 # What reading a damaged npz may raise.
 _UNREADABLE = (ValueError, OSError, EOFError, KeyError, RuntimeError, MemoryError, OverflowError, SyntaxError,
                TypeError, TokenError, zipfile.BadZipFile, zlib.error)

@@ -17,7 +17,7 @@ from doo_ti.errors import InputError
 from doo_ti.io.files import MOST_TEXT_BYTES, read_content
 
 EMPTY = frozenset({"", "na", "n/a", "nan", "null"})
-"""What stands for a missing number, in lower case."""
+"""Texts for a missing number, in lower case."""
 TRUTH = {"true": "1", "false": "0"}
 
 
@@ -54,7 +54,7 @@ class CsvTable:
         cells = self.columns[name]
         try:
             values = np.array([float(cell or "nan") if may_be_empty else float(cell) for cell in cells])
-        except ValueError:  # the slower way, which knows more words and does not stop at what is not a number
+        except ValueError:  # the slower way, which accepts more spellings and does not stop at cells that are no number
             values = np.array([_number(cell, may_be_empty) for cell in cells])
         allowed = np.isfinite(values) | (np.isnan(values) if may_be_empty else False)
         self.refuse(name, ~allowed, "is not a finite number", "give decimal numbers")

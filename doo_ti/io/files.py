@@ -1,4 +1,4 @@
-"""Reading files that a user names, within bounds, and writing files that are either complete or not there at all.
+"""Reading files that a user names, within bounds, and writing files completely or not at all.
 
 A file is written under a name of its own, ``.NAME.<random>.part`` beside it, and then renamed. The part is locked while it
 is written: parts without a lock were left by a process that was killed, and are removed when the file is written again.

@@ -1,4 +1,4 @@
-"""Labelled marks: which mark of which rod is where in which image, and labels to partition observations by (§V-A).
+"""Labelled marks: the pixels of each mark of each rod in each image, and labels to partition observations by (§V-A).
 
 A CSV file with one row per label, in any order:
 
@@ -53,7 +53,7 @@ class Marks:
 def read_marks(path: str | os.PathLike, rig) -> Marks:
     """The marks of a CSV file, seen by the cameras of ``rig``, a :class:`doo_ti.vision.cameras.rig.Rig`.
 
-    Raises InputError, naming column, value and line, for what is not such a file, missing columns, cameras that the rig lacks,
+    Raises InputError, naming column, value and line, for any other file, missing columns, cameras that the rig lacks,
     marks that are not numbered from 0 without gap, a ribbon's edge marks beside plain marks, coordinates that are not
     numbers or outside the image, and a mark that a camera has twice in an observation.
     """
@@ -90,7 +90,7 @@ def read_marks(path: str | os.PathLike, rig) -> Marks:
 def read_labels(path: str | os.PathLike, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     """Field of Observations: (D,) values in the file's units, for the observations ``names``; rows of others are ignored.
 
-    Raises InputError for what is not such a file, for an observation without a row or with two, and for what is not a number.
+    Raises InputError for any other file, for an observation without a row or with two, and for cells that are no number.
     """
     path = Path(path)
     table = read_csv(path, ("observation",), form=f"observation and any of {', '.join(LABELS)}")

@@ -1,4 +1,4 @@
-"""Where grippers go: poses of both clamps over time, and the files that hold them.
+"""Motions of grippers: poses of both clamps over time, and their files.
 
     time_s                                 (T,), rising; by default 0, 1, 2, …
     start_position_mm, end_position_mm     (T, 3)
@@ -7,8 +7,8 @@
     positions_mm                           (T, V, 3) or (N, T, V, 3), npz only, instead of the others: marks of a rod, or of N
                                            rods, whose first and last edges are clamped
 
-in an npz, or in a CSV file, one row per moment, with the columns start_x_mm, …, end_frame_t_x, end_frame_m1_x, … What a file
-leaves out does not move. Between two moments frames turn by less than half a turn, unless ``end_rotation_deg`` is given.
+in an npz, or in a CSV file, one row per moment, with the columns start_x_mm, …, end_frame_t_x, end_frame_m1_x, … Omitted
+quantities do not change. Between two moments frames turn by less than half a turn, unless ``end_rotation_deg`` is given.
 
 Axes: T moments, N motions.
 """

@@ -1,4 +1,4 @@
-"""Scenes of motion: a straight rod, the materials it may be of, and where its clamps go, in one TOML file.
+"""Scenes of motion: a straight rod, its materials, and the motion of its clamps, in one TOML file.
 
     name = "loop"
     between = 40                       # moments kept from one to the next (1)
@@ -12,7 +12,7 @@
     twist = 8e5                        # mm³
     weight = 1.0                       # (1)
 
-    [[moments]]                        # two or more; what is left out stays as it was
+    [[moments]]                        # two or more; omitted quantities stay as they were
     time_s = 0.0
     start_position_mm = [0, 0, 0]      # at first the origin
     start_direction = [1, 0, 0]        # of the first edge, at first along x
@@ -92,7 +92,7 @@ class _Material(Table):
 
 
 class _Moment(Table):
-    """One moment; what is left out stays as at the moment before."""
+    """One moment; omitted quantities stay as at the moment before."""
 
     time_s: Finite | None = None
     start_position_mm: Vector | None = None

@@ -47,7 +47,7 @@ _COLUMNS = ("observation", "vertex", *(name for _, _, names in KEYS_IN_TABLES.va
 def read_table(path: Path, content: bytes) -> dict[str, np.ndarray]:
     """The keys of the npz format from the bytes of a CSV or Parquet file, by the suffix of ``path``.
 
-    Raises InputError for what is not a table, for missing or repeated rows and columns, and for values that are not
+    Raises InputError for files that are no table, for missing or repeated rows and columns, and for values that are not
     numbers or differ where they must agree.
     """
     columns, place = (_csv_columns if path.suffix == ".csv" else _parquet_columns)(path, content)

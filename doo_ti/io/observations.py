@@ -1,4 +1,4 @@
-"""Observations: labelled marks on rods whose ends are held, as files hold them (§V-A).
+"""Observations: labelled marks on clamped rods, in memory and in files (§V-A).
 
 A file carries keys with their units in their names (``vertices_mm``); :class:`Observations` is the same checked, in
 mm and rad. Axes: D observations, V vertices, E = V − 1 edges.
@@ -27,7 +27,7 @@ KEYS = {
 }
 TABLES = (".csv", ".parquet")
 MOST_CSV_BYTES = 1 << 28
-"""Reading CSV takes some fifteen times as much memory."""
+"""Reading CSV takes about fifteen times as much memory."""
 LEAST_SIGMA_MM, MOST_SIGMA_MM = 1e-9, 1e6
 """Of labels: the information in them grows with the inverse square."""
 
@@ -36,17 +36,17 @@ LEAST_SIGMA_MM, MOST_SIGMA_MM = 1e-9, 1e6
 class Observations:
     """D observed configurations Γ^d of one rod, and how its ends were held.
 
-    vertices     (D, V, 3) mm; anything, NaN too, at a mark that is not valid
+    vertices     (D, V, 3) mm; any value, NaN too, at a mark that is not valid
     valid        (D, V) bool: marks that were seen; all of them by default
     rest_length  (E,) mm; by default the median over D of the observed edge lengths
     start_frame  (D, 3, 3) columns t, m1, m2 of the first edge, or None: tangent as observed, roll unknown
     end_frame    the same for the last edge
     frames       (D, E, 3, 3) measured material frames (ribbons), or None
-    total_twist  (D,) rad, Σ m_i with its whole turns, or None; only used to choose the whole turn
+    total_twist  (D,) rad, sum of the twist angles, whole turns included, or None; only used to choose the whole turn
     up           (3,) unit vector against gravity
     sigma        label uncertainty in mm: None, () or (D, V)
     end_distance, end_rotation  (D,) labels to partition by, in mm and **degrees** as written in the file, or None
-    name         what the rod is called: the label of its material
+    name         name of the rod, used as the label of its material
     source       where it comes from, for messages
     sha256       hex digest of the file's bytes, or ""
 
@@ -215,7 +215,9 @@ class Observations:
 
 
 def load_observations(path: str | os.PathLike, up=None) -> Observations:
-    """The observations of an ``.npz``, ``.csv`` or ``.parquet`` file; ``up`` (3,) overrides the file's.
+    """Read and check the observations of an ``.npz``, ``.csv`` or ``.parquet`` file (docs/observations.md).
+
+    up  (3,) direction against gravity, instead of the file's
 
     Raises InputError for a file that cannot be read and for whatever :class:`Observations` refuses.
     """

@@ -1,4 +1,4 @@
-"""Values in OpenCV FileStorage YAML, which rigs are written in (§V-A).
+"""Values in OpenCV FileStorage YAML, the format of rigs (§V-A).
 
 OpenCV's own reader crashes on damaged files, so that its files are read without it; a matrix is a map ``rows, cols, dt, data``
 with the tag ``!!opencv-matrix``.

@@ -1,4 +1,4 @@
-"""Scenes: an experiment in one TOML file, its observations, the grid to search and how (§V-A).
+"""Scenes: an experiment in one TOML file: its observations, the grid to search, and the options of the search (§V-A).
 
     name = "silk"                 # the rod's material
     frame_weight_mm = 0.0         # w_m of Eq. 1
@@ -60,11 +60,11 @@ _Tilt = Annotated[float, Meta(ge=0, le=45)]
 
 @dataclass(frozen=True)
 class Synthesis:
-    """What the virtual lab makes: one rod, its ends held at each distance and turned to each rotation.
+    """A simulated experiment: one rod, its ends clamped at each end distance and end rotation.
 
     bend, twist, weight    Θ of the rod, mm³ and relative; bend is α or a 2×2 matrix B
-    name                   what the rod is called
-    seed                   of everything random
+    name                   name of the rod
+    seed                   of all random numbers
     length_mm, marks       the rod and the number V of marks on it, evenly spaced, ends included
     fine_edge_mm           edge length of the mesh that is relaxed; marks and clips lie on its vertices
     end_distances_mm, end_rotations_deg   every distance with every rotation
@@ -76,7 +76,7 @@ class Synthesis:
                            stands for is held half a fine edge less)
     label_noise_mm         standard deviation of each coordinate of the marks
     end_mark_noise         whether the marks that clips hold have that noise too; else they are known exactly
-    start_direction, end_direction        where the clips point along the rod; clips on one line would hide Θ
+    start_direction, end_direction        directions of the clips along the rod; if on one line, shapes hardly depend on Θ
     frames                 whether the material frames are labelled too (ribbons)
 
     A user's clamps do not hold a rod exactly as reported: it lies at an angle in the jaw, or the clamp's pose is
@@ -155,7 +155,7 @@ class Synthesis:
 
 @dataclass(frozen=True)
 class Scene:
-    """One experiment: what was observed, or how to synthesise it, and the search over Θ.
+    """One experiment: observations, or how to simulate them, and the search over Θ.
 
     observations  the file, or the recipe
     frame_weight  w_m of Eq. 1, mm

@@ -69,7 +69,7 @@ def checked(source, key: str, value, kind):
 
 
 def unknown_key(source, key: str, known) -> InputError:
-    """What is wrong with a ``key`` that is none of the ``known`` ones."""
+    """The error for a ``key`` that is none of the ``known`` ones."""
     return InputError(source, key, "unknown key", f"the keys are {', '.join(known)}")
 
 

@@ -16,7 +16,7 @@ from doo_ti.metric import distance
 from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import motion_between
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Configuration, Material, Solution, Status, lasting
+from doo_ti.types import Configuration, Material, Solution, Status, sticky
 
 RESULTS = ("energy", "residual", "iterations", "status", "stable", "precision")
 """Arrays of a solution that become columns."""
@@ -37,7 +37,7 @@ def carried(experiment: Experiment, materials: Material) -> tuple[Solution, np.n
     solution, jumps = journey(experiment, materials).end(begin.configuration.take(rows))
     first = np.tile(experiment.hypotheses.observation, materials.count)
     off = distance(begin.configuration, experiment.observations, first, experiment.options.frame_weight)
-    status, iterations = lasting(begin.status[rows], solution.status), begin.iterations[rows] + solution.iterations
+    status, iterations = sticky(begin.status[rows], solution.status), begin.iterations[rows] + solution.iterations
     return replace(solution, status=status, iterations=iterations), jumps, off[rows]
 
 

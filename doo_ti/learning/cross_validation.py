@@ -1,4 +1,4 @@
-"""Leave-one-out cross-validation over finished sweeps, Tables I to III (§V-B, §V-C): reductions, never new relaxations.
+"""Leave-one-out cross-validation over finished sweeps, Tables I to III (§V-B, §V-C), without new relaxations.
 
 Axes: G grid cells, P parts of a table, N terms of a part, K tested terms. A term is an observation under Eq. 2, a pair of
 observations under Eq. 3.

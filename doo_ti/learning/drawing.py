@@ -62,7 +62,7 @@ def plane_of(landscape: Summed):
 
 
 def trajectory(experiment: Experiment, cell: int):
-    """A :class:`doo_ti.record.Trajectory`: how the rods of a cell came to rest, iteration by iteration under Eq. 2, sub-step by
+    """A :class:`doo_ti.record.Trajectory`: the relaxation of a cell's rods, iteration by iteration under Eq. 2, sub-step by
     sub-step under Eq. 3, each observation under the hypothesis that is nearest in that cell."""
     from doo_ti.record import Trajectory
 
@@ -97,9 +97,9 @@ def _iterations(experiment: Experiment, material: Material) -> Iterator[tuple]:
 class Unfinished:
     """The stored cells of a sweep that is running or was interrupted.
 
-    experiment  what it searches
-    identity    which sweep it is
-    overview    of its stored cells
+    experiment  observations, grid and options
+    identity    identity of the sweep
+    overview    results of the stored cells
     age         seconds since the last of them were stored
     """
 
@@ -120,13 +120,13 @@ class Unfinished:
 
 
 def read_unfinished(run: Path) -> Unfinished:
-    """What is stored of a sweep; its folder is only read. Raises InputError where ``run`` is no sweep's folder,
-    InterruptedRunError where nothing is stored yet that could be shown."""
+    """The stored cells of a sweep; its folder is only read. Raises InputError where ``run`` is no sweep's folder,
+    InterruptedRunError where no cell is stored yet."""
     experiment, identity = read_plan(run)
     part = "hypotheses" if experiment.hypotheses.are_several else "cells"
     written = [path.stat().st_mtime for path in (run / part).glob("*.parquet")]
     if not written:
-        raise InterruptedRunError(f"view: {run}: none of {experiment.grid.size:,} cells is stored yet; look again later")
+        raise InterruptedRunError(f"view: {run}: none of {experiment.grid.size:,} cells is stored yet; try again later")
     overview = gather_part(run, experiment.grid, experiment.observations.name, identity, part)
     unfinished = Unfinished(experiment, identity, overview, max(0.0, time.time() - max(written)))
     if not overview.has_best:

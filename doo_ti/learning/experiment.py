@@ -1,4 +1,5 @@
-"""An experiment: what is observed, the grid to search, how to relax and compare, and the terms of the objective (§III-E).
+"""An experiment: the observations, the grid to search, the options of relaxation and comparison, and the terms of the
+objective (§III-E).
 
 Axes: G cells, D observations, H hypotheses of all observations, P pairs, N rods of each cell.
 """
@@ -21,12 +22,12 @@ from doo_ti.types import LARGEST, Clamp, Clamps
 
 SOLVERS = {"newton": Newton, "descent": Descent}
 LEAST_SUB_STEP = 1e-5
-"""rad: smaller ones change no result and take too long."""
+"""rad: smaller sub-steps change no result and take too long."""
 
 
 @dataclass(frozen=True)
 class SweepOptions:
-    """How a sweep relaxes and compares.
+    """Options of a sweep.
 
     frame_weight           w_m of Eq. 1, mm
     clamp_start, clamp_end what each clamp holds; None: the frame where it is given, else the tangent

@@ -1,7 +1,7 @@
-"""Hypotheses about what an observation does not record of its twist: its whole turns, and the roll of its clamps (§III-B).
+"""Hypotheses about unrecorded properties of an observation: its whole turns, and the roll of its clamps (§III-B).
 
-Every hypothesis is a rod of its own. At the end of a sweep each observation keeps the one that explains it best, the same in
-all cells, unless the data do not distinguish them.
+Every hypothesis is a rod of its own. At the end of a sweep each observation keeps the one with the smallest distance, the same
+in all cells, unless the data do not distinguish them.
 
 Axes: D observations, H hypotheses of all of them, M those of one observation, G cells.
 """

@@ -1,4 +1,4 @@
-"""What a sweep measured, read from its stored cells, never relaxed again: summed up per cell (:class:`Overview`), or rod by rod
+"""The results of a sweep, read from its stored cells: summed up per cell (:class:`Overview`), or rod by rod
 (:class:`Landscape`), as leave-one-out tables and figures need it (§III-E).
 
 Axes: G grid cells, N terms of the objective: observations under Eq. 2, pairs of observations under Eq. 3; n rods of a cell.

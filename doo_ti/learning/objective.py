@@ -5,8 +5,8 @@ r"""The objective over Θ: Eqs. 2 and 3 of §III-E, summed over the relaxed rods
 
 Γ^x are the observations and C^x their clamps, d is Eq. 1 in mm (:mod:`doo_ti.metric`), and F relaxes a rod
 (:mod:`doo_ti.learning.cells`). A term is an observation x under Eq. 2, and a pair (x, y) under Eq. 3: its clamps move from C^x
-to C^y. Both are divided by the sum of the weights, so that f is a mean distance in mm; the smallest f is where it was. Only
-certified minima are compared: a rod that did not converge says nothing about Θ.
+to C^y. Both are divided by the sum of the weights, so that f is a mean distance in mm, with the same minimum. Only
+certified minima are compared: the distance of a rod that did not converge does not depend on Θ alone.
 
 Axes: G grid cells, N terms, n rods that are added at once.
 """
@@ -75,7 +75,7 @@ class CellSums:
 
 
 def is_sound(distance: np.ndarray, status: np.ndarray, stable: np.ndarray) -> np.ndarray:
-    """Whether rods converged to certified minima. The distance of any other rod means nothing, be it small or large."""
+    """Whether rods converged to certified minima. The distance of any other rod has no meaning, even if it is small."""
     return (status == Status.CONVERGED) & stable & np.isfinite(distance)
 
 

@@ -1,8 +1,8 @@
-"""What a run says about itself: the maker of its cells, and summary.json, with the sha256 of each file of the folder and of the
+"""Provenance of a run: the maker of its cells, and summary.json, with the sha256 of each file of the folder and of the
 summary itself.
 
 The maker is the code that computes cells: this package's version, the sources that cells depend on, and Taichi. A run has one
-maker: cells of several would differ, and a reader could not tell which are whose.
+maker: cells of several makers would differ, and a reader could not distinguish them.
 """
 
 import hashlib

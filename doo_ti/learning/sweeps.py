@@ -42,12 +42,15 @@ MOST_RODS = 1_000_000_000
 
 def sweep(run: Path, observations: Observations, grid: Grid, *, options: SweepOptions = SweepOptions(),
           pairs: Pairs | None = None, command: list[str] = ()) -> dict:
-    """Run the sweep in the folder ``run``, or the rest of it, and return the summary.
+    """Relax ``observations`` under every cell of ``grid`` (Eq. 2 or 3), store the rods in the folder ``run``, and return the
+    summary; an unfinished sweep in ``run`` is resumed.
 
-    pairs  the terms of Eq. 3; by default those of the labels
+    options  objective, clamps, solver, precision, workers (:class:`doo_ti.learning.experiment.SweepOptions`)
+    pairs    the terms of Eq. 3; by default the paper's (footnote 7), from the labels of the observations
+    command  the words of the command, for the provenance and the message that says how to resume
 
-    Raises InputError as :class:`doo_ti.learning.experiment.Experiment` does, where ``run`` holds another sweep and where no
-    scheduler answers, InterruptedRunError where a chunk fails: the chunks stored before are kept.
+    Raises InputError as :class:`doo_ti.learning.experiment.Experiment` does, where ``run`` contains another sweep and where
+    the Dask scheduler does not answer; InterruptedRunError where a chunk fails: the chunks stored before are kept.
     """
     with started_workers(options.workers, options.scheduler) as workers:
         return _swept(run, Experiment(observations, grid, options, pairs), workers, command)
@@ -106,10 +109,10 @@ def _resumable(run: Path, command: list[str]) -> Iterator[None]:
     except (Exception, KeyboardInterrupt) as error:
         reason = " ".join(str(error).split()) or {KeyboardInterrupt: "interrupted"}.get(type(error), type(error).__name__)
         again = shlex.join(command) if command else "the same call"
-        raise InterruptedRunError(f"{run}: sweep stopped ({reason}); finished cells are kept, go on with: {again}") from error
+        raise InterruptedRunError(f"{run}: sweep stopped ({reason}); finished cells are kept, resume with: {again}") from error
 
 
-def _rows(experiment: Experiment, first: int, last: int) -> dict[str, np.ndarray]:
+def chunk_rows(experiment: Experiment, first: int, last: int) -> dict[str, np.ndarray]:
     """The columns of a chunk, without its rods."""
     return relax_hypotheses(experiment, first, last)[0]
 
@@ -124,7 +127,7 @@ def _relax_chunks(
         before = cells - sum(last - first for first, last in chunks)
         task = bar.add_task(name, total=cells, completed=before, unit="cells", rate="compiling")
         done = 0
-        for (first, last), columns in workers.results(partial(_rows, experiment), chunks):
+        for (first, last), columns in workers.results(partial(chunk_rows, experiment), chunks):
             write_chunk(chunk_path(run, part, first, last), columns, name, identity)
             done += last - first
             rate = done * rods / (time.monotonic() - began)

@@ -88,7 +88,7 @@ def started_workers(workers: int | None, scheduler: str | None) -> Iterator[This
     """
     if scheduler is not None:
         with _quiet(), _client(scheduler) as client:
-            _check_workers(client, maker())
+            check_workers(client, maker())
             yield Workers(client.get_executor(pure=False), max(4, 2 * len(client.nthreads())), (_on_dask_worker, maker()),
                           lambda: client.status == "running")
     elif workers is not None:
@@ -140,7 +140,7 @@ def _client(address: str):
                          "give the address that dask scheduler prints, tcp://HOST:8786") from None
 
 
-def _check_workers(client, expected: dict[str, str]) -> None:
+def check_workers(client, expected: dict[str, str]) -> None:
     """Raise InputError unless there are workers, and all are the ``expected`` maker."""
     try:
         client.wait_for_workers(1, timeout=ANSWER_SECONDS)

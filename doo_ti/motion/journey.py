@@ -15,7 +15,7 @@ from doo_ti.motion.path import Motion
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Configuration, Material, Solution, lasting
+from doo_ti.types import Configuration, Material, Solution, sticky
 
 FEWEST_STEPS = 2
 """Sub-steps of a motion: jumps are found by comparing a sub-step with the one before."""
@@ -101,7 +101,7 @@ class Journey:
             status, iterations = np.zeros(len(rods), dtype=np.int8), np.zeros(len(rods), dtype=np.int32)
             for part in range(1, PARTS * repeats + 1):
                 solution = self._relaxed(rods, here, (step + part / PARTS) / steps, self._step_precision)
-                status, iterations = lasting(status, solution.status), iterations + solution.iterations
+                status, iterations = sticky(status, solution.status), iterations + solution.iterations
                 here = solution.configuration
                 yield replace(solution, status=status, iterations=iterations)
         return repeated
@@ -127,7 +127,7 @@ def _last(states: Iterator[Solution]) -> Solution:
     """The last of several states, with the first status that was not converged and the iterations of all."""
     status = iterations = 0
     for solution in states:
-        status, iterations = lasting(status, solution.status), iterations + solution.iterations
+        status, iterations = sticky(status, solution.status), iterations + solution.iterations
     return replace(solution, status=status, iterations=iterations)
 
 

@@ -15,7 +15,7 @@ from doo_ti.frames import (
 )
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, lasting
+from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, sticky
 
 LARGEST_TURN = np.radians(5.0)
 """rad, of a clamp in one sub-step."""
@@ -114,7 +114,7 @@ def carry(configuration: Configuration, material: Material, path: Iterator[Clamp
         solution = relax(configuration, material, clamps, Newton.careful(), **options)
         configuration = solution.configuration
         if status is not None:
-            solution = replace(solution, status=lasting(status, solution.status))
+            solution = replace(solution, status=sticky(status, solution.status))
     return solution, clamps
 
 

@@ -7,8 +7,8 @@
         keep the H hypotheses of least E_vis that differ             Search.selected
     the Γ of least E_vis after F(Γ, E_vis, C)                        Search.relaxed
 
-A thin, uniform thread that crosses itself fits many curves; energy decides. The last hypotheses are relaxed on a finer rod. All
-image sets are searched at once.
+Images of a thin, uniform thread that crosses itself agree with many curves; the energy of the rod distinguishes them. The last
+hypotheses are relaxed on a finer mesh. All image sets are searched at once.
 
     found = perceive(maps, rig, point, direction, rest_length, Material(bend=6e5, twist=8e5))
     found.vertices    # (A, V, 3) mm
@@ -114,11 +114,12 @@ def perceive(
 ) -> Perception:
     """Recover the rods in A sets of images (Alg. 1).
 
-    maps         distances to the detected lines
-    point        (A, 3) mm, v⁰
-    direction    (A, 3) of e⁰; any length
+    maps         distances to the detected lines, from :func:`doo_ti.vision.reprojection.distance_map.distance_maps`
+    rig          the C calibrated cameras
+    point        (A, 3) mm, the first vertex v⁰
+    direction    (A, 3) direction of the first edge e⁰; any length
     rest_length  (E,) mm
-    material     one Θ for all
+    material     one Θ for all rods
     up           (3,) direction against gravity; any length
     on_step      called with the number of edges, the hypotheses kept and those pruned, after each step
 

@@ -96,7 +96,7 @@ class PerceptionOptions:
 
 @dataclass(frozen=True)
 class Search:
-    """What is constant while hypotheses grow.
+    """The constants of a search.
 
     maps, rig    the distance maps, and their cameras
     point        (A, 3) mm, v⁰

@@ -43,7 +43,7 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, nu: float, sigma_px: float, cor
     seen, image_length = _movement_across(rig, vertices, turns, length)
     weighted = image_length[..., None] * seen
     information = nu * CREASE_CURVATURE * np.swapaxes(seen, -1, -2) @ weighted
-    hessian = information + _bending(turns, length)
+    hessian = information + bending_hessian(turns, length)
     noise = nu * CREASE_CURVATURE * sigma_px**2 * correlation_px * information
     response = np.linalg.inv(hessian)
     covariance = response @ noise @ response
@@ -83,7 +83,7 @@ def _movement_across(rig: Rig, vertices: np.ndarray, turns: np.ndarray, length: 
     return across_image.reshape(rods, -1, across_image.shape[-1]), share.reshape(rods, -1)
 
 
-def _bending(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
+def bending_hessian(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
     """(A, P, P) 1/mm: second derivative of Σ |κb|²/l̄, with κb as the difference of tangents."""
     rods, edges = length.shape
     joint = 2.0 / (length[:, :-1] + length[:, 1:])

@@ -22,10 +22,10 @@ from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import LARGEST_TURN, Motion, motion_between
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, Status, lasting
+from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, Status, sticky
 
 STILL = 1e-9
-"""mm and rad: clamps that move by less count as resting."""
+"""mm and rad: clamps that move by less count as fixed."""
 REPORTED = ("energy", "residual", "iterations", "status", "stable", "end_force")
 """Fields of :class:`doo_ti.types.Solution` that are kept of every moment."""
 
@@ -88,19 +88,20 @@ def predict(
     between: int = 1, up=(0.0, 0.0, 1.0), solver: Newton | None = None, precision: str = "mixed",
     advance: Callable[[int], None] = lambda rods: None,
 ) -> Prediction:
-    """Carry rods along a path and keep them at its moments.
+    """Move the clamps of rods along a path, quasi-statically, and return the rods at its moments (§III-D).
 
-    configuration  R = G·N rods, material by material, or N, at rest under ``clamps`` or near it
+    configuration  R = G·N rods, material by material, or N, at or near equilibrium under ``clamps``
     material       G rows, each for N rods
-    clamps         (N) that hold them; from these the rods are first carried to the path's first moment
+    clamps         (N) clamps of the rods; from these they are first moved to the path's first moment
     path           of N motions, or of one for all
     sub_step       rad: largest rotation of a clamp in a sub-step; its shift is bounded in proportion
-    between        number of steps of each interval that are kept, its end included
-    precision      at the moments, as in :func:`doo_ti.relaxation.relax.relax`; between them f32, or f64 if this is "f64"
+    between        number of returned states per interval of the path, its end included
+    precision      of the returned states, as in :func:`doo_ti.relaxation.relax.relax`; sub-steps run in f32, or f64 if this is
+                   "f64"
     advance        called with the number of rods at each moment, (T − 1)·between·R in all
 
-    A rod that fails keeps its status from there on; the next interval begins at its last configuration. Raises InputError where
-    numbers of rods and motions do not match.
+    A rod that fails keeps that status at all later moments; the next interval begins at its last configuration. Raises
+    InputError where numbers of rods and motions do not match.
     """
     motions = len(clamps.start_position)
     if configuration.count not in (motions, motions * material.count) or path.count not in (1, motions):
@@ -196,7 +197,7 @@ class _Film:
     def developed(self, time, rest_length, material, motion) -> Prediction:
         solutions, jumps, rotation = zip(*self._moments, strict=True)
         reported = {name: np.stack([getattr(solution, name) for solution in solutions]) for name in REPORTED}
-        reported["status"] = np.array(list(accumulate(reported["status"], lasting)))
+        reported["status"] = np.array(list(accumulate(reported["status"], sticky)))
         shapes = [solution.configuration for solution in solutions]
         return Prediction(time=time, start=np.stack([shape.start for shape in shapes]), rest_length=rest_length,
                           quaternions=np.stack([shape.quaternions for shape in shapes]), jumps=np.stack(jumps),

@@ -40,7 +40,7 @@ def record_motion(path, *, run_id: str, name: str, rods: MovingRods, curves: dic
                 scalars=np.ascontiguousarray(shown).ravel()).partition([shown.shape[1]] * moments))
         for moment, rod in np.argwhere(rods.jumps > 0):
             stream.set_time("time", duration=float(rods.time[moment]))
-            stream.log("falls", rerun.TextLog(f"{rods.names[rod]} jumps to another branch", level=rerun.TextLogLevel.WARN))
+            stream.log("jumps", rerun.TextLog(f"{rods.names[rod]} jumps to another branch", level=rerun.TextLogLevel.WARN))
         stream.log("summary", rerun.TextDocument(text, media_type="text/markdown"), static=True)
 
 
@@ -52,7 +52,7 @@ def _motion_layout(rods: MovingRods, titles: list[str]) -> blueprint.Blueprint:
     view = space_view("Rods, mm", "rods", (middle - 1.1 * size * (into - 0.3 * up), middle, up))
     plots = [blueprint.TimeSeriesView(name=title, origin=f"curves/{entity_name(title)}") for title in titles]
     words = blueprint.Horizontal(blueprint.TextDocumentView(name="Summary", origin="summary"),
-                                 blueprint.TextLogView(name="Jumps", origin="falls"))
+                                 blueprint.TextLogView(name="Jumps", origin="jumps"))
     beside = blueprint.Vertical(*plots, words)
     return blueprint.Blueprint(blueprint.Horizontal(view, beside, column_shares=[1.3, 1]), *panels("time"))
 

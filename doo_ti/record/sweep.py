@@ -35,7 +35,7 @@ MOST_POINTS = 20_000
 
 @dataclass(frozen=True)
 class Trajectory:
-    """How D rods came to rest.
+    """The relaxation of D rods.
 
     vertices          (T, D, V, 3) mm; a rod with a NaN in it is not drawn
     energy, residual  (T, D): relative to weight, mm²; without a unit. Where NaN the rod's last value is used

@@ -111,15 +111,15 @@ class Evidence:
         return Posterior(step, covariance_x, effects, value + extra, learned + own)
 
     def left_out(self, linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
-        """(D,) ln of the probability density of each observation, given all others, at these sizes: half of the fall of F when
-        that observation is left out. ``linear``: the residuals that the moments are of."""
+        """(D,) ln of the probability density of each observation, given all others, at these sizes: half of the decrease of F
+        when that observation is left out. ``linear``: the residuals from which the moments follow."""
         own, slope, squares, constant = _integrated(linear, scales)
         precision, _ = self.unknowns.precision(scales)
         hessian, total = precision + own.sum(axis=0), slope.sum(axis=0) + precision @ self.offset
         without, rest = hessian - own, total - slope
-        fell = squares - total @ np.linalg.solve(hessian, total) + np.einsum(
+        decrease = squares - total @ np.linalg.solve(hessian, total) + np.einsum(
             "dp,dp->d", rest, np.linalg.solve(without, rest[..., None])[..., 0])
-        return -0.5 * (fell + constant + np.linalg.slogdet(hessian)[1] - np.linalg.slogdet(without)[1])
+        return -0.5 * (decrease + constant + np.linalg.slogdet(hessian)[1] - np.linalg.slogdet(without)[1])
 
     def best(self, scales: Scales, steps: int = STEPS) -> Scales:
         """The sizes with the largest evidence that is reached from ``scales``, each within a factor e² of its present value."""

@@ -28,12 +28,12 @@ LARGEST_STEP = 1.0  # of an unknown of Θ or a clip: small steps keep rods on th
 LARGEST_TURN = 0.3  # rad, of a clamp
 SHORTENED = 1 / 3  # factor by which a step that does not help is shortened
 MOST_SHORTENED = 8
-LEAST_SHARE = 2e-3  # share of a step: where it has to be shorter the fit stops
+LEAST_SHARE = 2e-3  # share of a step: if no longer step helps, the fit stops
 SETTLED = 0.03  # standard errors: the fit is done when Θ moves by less
 SCALE_STEPS = 25  # of the search for the sizes, in each step
 ODD = 9.0
 """Times the others' mean square, three times their size: a rod with such residuals is a misfit."""
-REFITTED = 0.5  # a misfit that is relaxed again counts as better where its squares fall below this share
+REFITTED = 0.5  # a misfit relaxed again is better if its squares are below this share of those before
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Fitted:
 class Fit:
     """What stays the same while the unknowns of one model are fitted.
 
-    comparison  what is compared, with the unknowns
+    comparison  the compared quantities and the unknowns
     origin      the values that the wide prior of Θ is centred on
     solver      of the relaxations
     rods        (D,) bool: rods that count, however large their residuals become; None: all except misfits

@@ -1,4 +1,4 @@
-"""Beyond the grid: the most probable Θ of observed rods, and its uncertainty (§III-E).
+"""Θ of observed rods by maximum a posteriori, and its uncertainty, without a grid (§III-E).
 
 The model is the rod between its clips (:mod:`doo_ti.refinement.held_rod`), curved at rest, with clamps slightly off their
 reported poses. Unknown are Θ, the clips' lengths, the rest curvature and the clamps' errors; the sizes of noise, curvature and
@@ -133,11 +133,13 @@ class Refinement:
 
 def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[Theta],
            options: RefinementOptions = RefinementOptions()) -> Refinement:
-    """The most probable Θ that is reached from ``theta``, or from the best of several.
+    """Fit Θ and the other unknowns of the experiment to ``observations`` (maximum a posteriori), with 95 % intervals.
 
-    Gravity's direction is that of ``theta``. Rods that do not converge, are unstable, infeasible or far from their marks do not
-    count; their number is in the result. Raises InputError for options that do not fit the observations or each other, and
-    where no rod is left.
+    clamps  reported clamps of the observations
+    theta   Θ and direction of gravity at the start of the fit; of several starts the best is continued
+
+    Rods that do not converge, are unstable, infeasible or far from their marks are left out; their number is in the result.
+    Raises InputError for options that do not fit the observations or each other, and where no rod is left.
     """
     thetas = (theta,) if isinstance(theta, Theta) else tuple(theta)
     fit, fitted = _fitted(observations, clamps, thetas, options)

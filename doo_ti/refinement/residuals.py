@@ -141,7 +141,7 @@ class _Quantity:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What is compared.
+    """The compared quantities.
 
     unknowns    of the fit
     weight      (D, M) of marks: zero for those that are left out

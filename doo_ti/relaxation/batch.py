@@ -75,7 +75,7 @@ def pack_trips(bits: int) -> tuple[int, int]:
 
 def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int, frames, results, moving: bool = True) -> None:
     """One launch over ``rods``, whose starts are rows of ``start`` (-, E, 4) or of ``frames``."""
-    number, threads, stride, block = _machine(len(rods), bits)
+    number, threads, stride, block = layout_for(len(rods), bits)
     external = table.external
     kind = None if external is None else type(external)
     outer = () if external is None else (external.numbers(), external.field())
@@ -105,7 +105,7 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     closed, _ = run_newton(table, projection, 64, moving=False)
     table = table.restarted(closed)
     vertices, directors = _vertex_form(table)
-    number, threads, stride, block = _machine(len(table.rods), bits)
+    number, threads, stride, block = layout_for(len(table.rods), bits)
     items = ITEMS * (table.edges + 1)
     scratch, queue = _buffers(number, threads, items)
     positions = np.full((table.count, table.edges + 1, 3), np.nan)
@@ -145,7 +145,7 @@ def _chain_form(vertices: np.ndarray, first_directors: np.ndarray) -> np.ndarray
     return quaternion_from_matrix(np.stack([tangents, m1, np.cross(tangents, m1)], axis=-1))
 
 
-def _machine(rods: int, bits: int) -> tuple[Number, int, int, int]:
+def layout_for(rods: int, bits: int) -> tuple[Number, int, int, int]:
     """(kind of number, threads, item stride, block) that suit the architecture Taichi runs on."""
     if runtime.start() == "cpu":
         number = Number(16 if bits == 32 else 8, bits)

@@ -185,9 +185,9 @@ class ClampReader:
         free = minus(minus(line, scaled(tangent(first), held_first)), scaled(tangent(last), held_last))
         slack = 1.0 - ti.sqrt(dot(free, free)) / (size.total - held_first - held_last)
         found = SOUND
-        # Two free edges at least leave the far point three ways to go.
+        # With at least two free edges the far point can move in three directions.
         if (slack >= -1e-12) & (tilts[0] + tilts[1] >= 4.0 - edges):
-            # Straight rods have their inner edges in line: two of them tell most others apart.
+            # Straight rods have their inner edges in line: comparing two of them excludes most other rods.
             inner, middle = frame_of(tables.start, s, ti.min(1, edges - 1)), frame_of(tables.start, s, edges // 2)
             apart = minus(tangent(inner), tangent(middle))
             if slack < TAUT_SLACK:

@@ -1,10 +1,12 @@
 """The paper's own relaxation scheme (§III-D), for many rods at once: the reference for Newton's basins.
 
-Per iteration: a step down the gradient of E with respect to the vertices, twist angles held; frames follow their tangents
-by parallel transport; twist angles are minimised (one Newton round, exact for isotropic rods); vertices are reprojected onto
-inextensibility and the clamps by fast projection, a tridiagonal system per round, with the multipliers of the last
-projection in the gradient (augmented Lagrangian). The step length is spectral (Barzilai–Borwein), capped to a small
-fraction of an edge so that the path stays close to steepest descent, and accepted against a running mean of the energy.
+    x ← x − h (g + Jᵀ λ)        g = ∂E/∂x with the twist angles held, λ = −(J Jᵀ)⁻¹ J g the constraints' multipliers
+    x ← x − Jᵀ (J Jᵀ)⁻¹ c(x)    fast projection onto fixed edge lengths, twice (:meth:`.VertexChain.eliminate_lengths`)
+    m1 ← P(m1)                  material frames follow their tangents by parallel transport
+    θ ← argmin_θ E              one Newton step, exact for isotropic rods (:meth:`.VertexEnergy.minimise_twist`)
+
+The step length h is spectral (Barzilai–Borwein), limited to a small fraction of an edge so that the path stays close to
+steepest descent, and a step is accepted if the energy does not exceed a running mean of the energies before.
 """
 
 from dataclasses import dataclass
@@ -60,7 +62,7 @@ class DescentLoop:
     held, spin, gravity              of ``rod``, for the lane's rod
     length, scale, limit_move        its longest edge, the divisor of its residual, and the largest move of a vertex in one step
     energy, residual                 of the accepted vertices
-    mean, count                      running mean of the energy, and the weight of what is in it
+    mean, count                      running mean of the energy, and the sum of its weights
     lowest, best, still              the lowest energy and residual so far, and iterations without progress
     step, short                      length of the next step, and the last three short steps s·y/y·y
     fresh, trips, active, finished   flags, and iterations made

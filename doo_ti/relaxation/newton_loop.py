@@ -16,11 +16,11 @@ SHAPE_TOLERANCE_32 = 1e-4
 # The policy's fixed numbers (shifts are over the largest diagonal entry of H).
 SHIFT_WRONG_INERTIA = 0.01
 SHIFT_REJECTED = 1e-5
-DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # after a step that was taken the shift falls by DECAY, below NEGLIGIBLE to zero;
-DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # more slowly once a step was refused or the inertia wrong
+DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # each accepted step multiplies the shift by DECAY, below NEGLIGIBLE it is zero;
+DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # the same once a step was refused or the inertia was wrong
 CLOSING_DISTANCE = 0.1  # edge lengths: above it a step only projects
 ESCAPE_ROTATION = 0.1  # rad
-ESCAPE_ROUNDS = 3.0  # inverse iterations before the first leap off a saddle
+ESCAPE_ROUNDS = 3.0  # inverse iterations before the first step off a saddle
 COARSE_ROTATION = 0.2  # rad: while steps are larger, an external energy gives its coarse curvature, if it has one
 PATIENCE = 25  # trips without progress
 PATIENCE_32 = 16  # the same in f32, after which f64 takes over
@@ -60,7 +60,7 @@ class NewtonLoop:
         self.shape_tolerance = SHAPE_TOLERANCE_32 if single else 1e30
         self.closure_tolerance = 1e-7 if single else 1e-12
         # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a small part of
-        # H's scale on the diagonal makes it positive. f32 cannot tell them from soft saddles and leaves them to f64.
+        # H's scale on the diagonal makes it positive. f32 cannot distinguish them from soft saddles and leaves them to f64.
         self.trace = 0.0 if single else 1e-12
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
         self.stalled, self.not_finite = int(Status.STALLED), int(Status.NOT_FINITE)
@@ -160,7 +160,7 @@ class NewtonLoop:
 
     @ti.func
     def begin(self, tables, scratch: ti.template(), head, lane):
-        """The lanes that were refilled start anew."""
+        """Initialise the lanes that were refilled."""
         zero, one = self.constant(0.0), self.constant(1.0)
         begun = lane.finished > 0.5
         lane.scale = ti.select(begun, scratch[head + chain.OF_SCALE * self.stride], lane.scale)
@@ -172,7 +172,7 @@ class NewtonLoop:
 
     @ti.func
     def advance(self, tables, scratch: ti.template(), head, lane):
-        """What is done between exchanges: a trip."""
+        """The work between two exchanges of rods: a trip."""
         self.trip(tables, scratch, head, lane)
 
     @ti.func
@@ -268,7 +268,7 @@ class NewtonLoop:
         right = (inertia > 2.5) & (inertia < 3.5) & judged.stands
         calm = small & (lane.escaping < 0.5) & judged.stands
         bare = (lane.shift <= 0.0) & (lane.coarse < 0.5)
-        # Where rounding limits the residual, the size of the next step tells how far off the shape may be.
+        # Where rounding limits the residual, the size of the next step bounds the error of the shape.
         settled = lane.longest <= self.shape_tolerance
         at_saddle = calm & bare & wrong
         # Beside a saddle a rod may make no progress though its residual is not yet small.

@@ -115,7 +115,7 @@ class ParameterGradient(Elimination):
         none = 0.0 * s[2]
         left, right = variable(repeated(none, 3)), variable(repeated(none, 3))
         if column.bends:
-            # Stretched, B/l̄ and β/l̄ fall; what is left of the strain at rest, ω̄ l̄/2, does not depend on the lengths.
+            # With the lengths B/l̄ and β/l̄ decrease; the rest strain ω̄ l̄/2 does not depend on them here.
             twist = column.twist * s[2] - column.stretch * s[3]
             left, right = self.gradient_of(bent, (column.bend, column.bend, s[2], twist, s[4]))
             if column.stretch != 0.0:

@@ -1,4 +1,4 @@
-"""F, the relaxation operator Γ̃ = F(Γ, E_Θ, C) of §III-D: many rods at once, each to the minimum below its start.
+"""F, the relaxation operator Γ̃ = F(Γ, E_Θ, C) of §III-D: many rods at once, each from its start down to a minimum.
 
     solution = relax(start, Material(bend=6e5, twist=8e5), clamps)
     solution.configuration.vertices    # (R, V, 3) mm
@@ -21,7 +21,7 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.tables import Tables
 from doo_ti.types import Clamps, Configuration, Material, Solution, Status, unit_up
 
-# As plain numbers, which NumPy compares ten times faster than members of an enumeration.
+# Plain integers: NumPy compares them ten times faster than members of an enumeration.
 CONVERGED, STALLED, INFEASIBLE = (int(status) for status in (Status.CONVERGED, Status.STALLED, Status.INFEASIBLE))
 PRECISIONS = ("f32", "f64", "mixed")
 F32_ONLY = "f32 only"
@@ -41,26 +41,27 @@ def relax(
     external: External | None = None,
     external_index=None,
 ) -> Solution:
-    """Relax rods to the constrained minimum of E_Θ that lies downhill of their starts (§III-D).
+    """Γ̃ = F(Γ, E_Θ, C): relax R rods from their starts down to constrained minima of E_Θ (§III-D).
 
-    x0                     the start of each rod: a table with S rows; or the Solution of an earlier call
-    material               table with G rows
-    clamps                 table with S rows: how the ends are held. None with a Solution: the same rods again, from the end of
+    x0                     Γ: S starts; or the Solution of an earlier call
+    material               Θ: G materials
+    clamps                 C: S of them, one for each start. None with a Solution: the same rods again, from the end of
                            that call or, where they failed, from their first start; clamps, gravity, lengths and the external
                            energy stay the same and only the material changes, which takes half the iterations
     solver                 ``Newton()`` (default), ``Newton.careful()`` or the paper's ``Descent()``. Without clamps only
                            Newton, by default without a first shift, which stays closest to the branch
     up                     (3,) direction against gravity, (0, 0, 1) unless given
-    precision              "f64"; "f32", where f64 finishes only the rods that f32 could not finish; "f32 only", where those
-                           stay unfinished; or "mixed": f32 first, then f64 from there to the f64 tolerance for all.
+    precision              "f64"; "f32": f64 finishes the rods that f32 cannot; "f32 only": these stay unfinished; or "mixed":
+                           f32 first, then f64 continues all rods to the f64 tolerance.
                            ``Solution.precision`` is the arithmetic that finished a rod
     external               an energy at the vertices besides the rod's own, with Newton only; it also moves vertex 0 where the
                            start is free
-    configuration_index,   (R,) rows of the tables that make up each rod; without them rows are paired one to one and a
-    material_index,        single row is used with every row of the other table. Without clamps ``material_index`` alone: by
-    external_index         default one row for each rod, one for all, or as many as before, each for the rods that had it
+    configuration_index,   (R,) start (with its clamps), material and external energy of each rod, as row numbers. Without
+    material_index,        them rows are paired one to one, and a single row is paired with all. Where clamps are None, only
+    external_index         ``material_index``: by default one row for each rod, one for all, or as many rows as before, paired
+                           as before
 
-    Clamped frames replace the first and last frame of the start. Inputs are never modified, results are float64.
+    Clamped frames replace the first and last frame of the start. Inputs are not modified, results are float64.
     Energies include the constant μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods have the
     status INFEASIBLE and NaN everywhere else.
     """

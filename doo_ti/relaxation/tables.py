@@ -47,7 +47,7 @@ POOLED_BYTES = 1 << 30
 SMALLEST = 1 << 14
 """Numbers below which an array takes no pages of its own."""
 
-_pool: list[np.ndarray] = []
+pool: list[np.ndarray] = []
 
 
 def room(*shape: int) -> np.ndarray:
@@ -56,14 +56,14 @@ def room(*shape: int) -> np.ndarray:
     size = prod(shape)
     if size < SMALLEST:
         return np.empty(shape)
-    for kept in _pool:
+    for kept in pool:
         # Held by the pool, by this loop and by the call only.
         if size <= kept.size <= 2 * size and sys.getrefcount(kept) == 3:
             return kept[:size].reshape(shape)
     fresh = np.empty(size)
-    _pool.append(fresh)
-    while sum(kept.nbytes for kept in _pool) > POOLED_BYTES:
-        _pool.pop(0)
+    pool.append(fresh)
+    while sum(kept.nbytes for kept in pool) > POOLED_BYTES:
+        pool.pop(0)
     return fresh.reshape(shape)
 
 

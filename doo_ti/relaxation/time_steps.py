@@ -9,7 +9,7 @@ from doo_ti import runtime
 from doo_ti.frames import quaternion_product
 from doo_ti.relaxation import newton
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.batch import _buffers, _machine
+from doo_ti.relaxation.batch import _buffers, layout_for
 from doo_ti.relaxation.loading import LANES
 from doo_ti.relaxation.newton_loop import CLOSING_DISTANCE
 from doo_ti.relaxation.tables import Tables, room
@@ -111,7 +111,7 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
         position_slopes = room(table.count * frames, slopes.count, table.edges + 1, 3)
         position_slopes[...] = np.nan
     if len(rods):
-        number, threads, stride, block = _machine(len(rods), bits)
+        number, threads, stride, block = layout_for(len(rods), bits)
         if slopes is None:
             kernel, items, parameters = time_kernel(number, table.isotropic, stride, block)
             more, size = (), parameters + items * table.edges

@@ -113,9 +113,12 @@ class VertexChain:
 
     @ti.func
     def eliminate_lengths(self, rod, of_gradient: ti.template()):
-        """Fast projection, the forward half: (J Jᵀ) y = b, J the Jacobian of (|e|² − l²)/2l at the trial vertices.
+        """Fast projection, the forward half (§III-D; Goldenthal 2007):
 
-        b is J times the trial gradient, or the violated constraints themselves.
+            c_j(x) = (|e_j|² − l_j²)/(2 l_j) = 0,    (J Jᵀ) y = c(x),    x ← x − Jᵀ y,
+
+        J the Jacobian of c at the trial vertices, its columns zero at held vertices. J Jᵀ is tridiagonal. Of the gradient g
+        the part that would change lengths is removed likewise: c(x) is replaced by J g, and g ← g − Jᵀ y.
         """
         one = 0.0 * rod.held[0] + 1.0
         zero = 0.0 * one
@@ -150,8 +153,8 @@ class VertexChain:
 
     @ti.func
     def apply_lengths(self, rod, of_gradient: ti.template()):
-        """Fast projection, the backward half: take Jᵀ y off the trial vertices, or off the trial gradient, which it also sets
-        to zero where vertices are held. Returns Σ |gradient| over the vertices (zero for positions)."""
+        """Fast projection, the backward half: subtract Jᵀ y from the trial vertices, or from the trial gradient, which is also
+        set to zero at held vertices. Returns Σ |gradient| over the vertices (zero for positions)."""
         item = ti.static(TRIAL_FORCE if of_gradient else TRIAL_POSITION)
         zero = 0.0 * rod.held[0]
         y, total = (zero, zero)

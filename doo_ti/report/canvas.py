@@ -28,7 +28,7 @@ def new_figure(inches: tuple[float, float] = PICTURE_INCHES, dpi: int = PICTURE_
 
 
 def literal(text: str) -> str:
-    """``text`` for matplotlib, which reads what is between dollar signs as mathematics."""
+    """``text`` for matplotlib, which parses text between dollar signs as mathematics."""
     return text.replace("$", r"\$")
 
 

@@ -69,7 +69,7 @@ def landscapes_picture(path_or_buffer, rows: list[list[LandscapePanel]], *, titl
     marks     what the panels' marks are, for the legend
     relative  one colour scale for all maps, in multiples of each one's minimum; else each has its own, which shows more
     """
-    figure, _ = _draw_panels(rows, title, marks, relative)
+    figure, _ = draw_panels(rows, title, marks, relative)
     figure.canvas.print_png(path_or_buffer)
 
 
@@ -77,7 +77,7 @@ def cells_image(rows: list[list[LandscapePanel]], index: tuple, *, marks: str = 
                 relative: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """The same drawing, small and without a title, as (H, W, 3) uint8, and (N, P, 4) left, top, width and height in pixels of N
     cells in each of the P panels. ``index`` holds (N,) indices per axis of the grid."""
-    figure, drawn = _draw_panels(rows, "", marks, relative, VIEWER_DPI)
+    figure, drawn = draw_panels(rows, "", marks, relative, VIEWER_DPI)
     image = pixels(figure)
     boxes = [cell_boxes(axes, panel.plane, panel.plane.places(index)) for axes, panel in drawn]
     return image, np.stack(boxes, axis=1)
@@ -98,7 +98,7 @@ def draw_landscape(plane: Plane, title: str, region: np.ndarray | None = None):
     return figure
 
 
-def _draw_panels(rows: list[list[LandscapePanel]], title: str, marks: str, relative: bool, dpi: int = PICTURE_DPI):
+def draw_panels(rows: list[list[LandscapePanel]], title: str, marks: str, relative: bool, dpi: int = PICTURE_DPI):
     """The figure of several landscapes, and its (axes, panel) in reading order."""
     panels, columns = [panel for row in rows for panel in row], max(len(row) for row in rows)
     size, width, height = (0.9, 5.4, 4.4) if columns <= 3 else (0.75, 3.2, 3.0)

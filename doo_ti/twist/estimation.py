@@ -110,13 +110,13 @@ def estimate_twist(
     observations: Observations, material: Material, group=None, offset=None, options: TwistOptions = TwistOptions(),
     advance: Callable[[int], None] = lambda rods: None,
 ) -> TwistEstimate:
-    """Eq. 4 for all groups at once.
+    """Estimate the twist of K groups of observations by Eq. 4, all at once.
 
-    observations  N of them, of which vertices, rest lengths, start frames and the end frames' tangents count
+    observations  N observations; vertices, rest lengths, start frames and the tangents of the end frames are used
     material      Θ, one for all or one for each observation
     group         (N,) 0, 0, …, 1, …, K − 1: observations of one group share φ; by default each has its own
     offset        (N,) τ in rad, from :func:`doo_ti.twist.curves.end_offsets`; zero by default
-    advance       called with the number of rods done; in all there are at least N·F
+    advance       called with the number of rods relaxed since the last call; N·F for the samples, and more to refine minima
 
     Raises InputError where the arguments do not match, and for a rod that is not round while the start's roll is unknown.
     """

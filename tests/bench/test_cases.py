@@ -1,4 +1,4 @@
-"""The cases on a few rods: each runs, counts what it says, and tells how its lanes were used."""
+"""The cases on a few rods: each runs, counts its rods, and reports the use of its lanes."""
 
 import numpy as np
 import pytest
@@ -29,6 +29,7 @@ def specimens():
     return Specimens(RODS)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", range(len(cases(Specimens(RODS)))))
 def test_a_case_does_what_it_counts(specimens, reference, number):
     case = cases(specimens)[number]
@@ -46,6 +47,7 @@ def test_names_are_different():
     assert len(set(names)) == len(names)
 
 
+@pytest.mark.thorough
 def test_only_rods_that_converged_count(specimens):
     solution = specimens.many.relaxed(timed.Newton(max_iterations=6), "f64")
     done = solution.converged
@@ -55,6 +57,7 @@ def test_only_rods_that_converged_count(specimens):
     assert outcome.residual == solution.residual[done].max()
 
 
+@pytest.mark.thorough
 def test_what_the_kernels_executed_is_counted_by_launch(monkeypatch, specimens):
     """Trips of all lanes, idle ones too; a launch in f64 only where it ended a rod."""
     monkeypatch.setattr(batch, "pack_trips", {32: (10, 16), 64: (5, 8)}.__getitem__)

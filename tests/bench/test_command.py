@@ -9,12 +9,12 @@ import pytest
 from doo_ti.bench import cases, peak, summary
 from doo_ti.bench.table import percent
 from doo_ti.cli import main
-from tests.cli.test_bad_input import refused
+from tests.commands.test_bad_input import refused
 
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
-    """The whole command in seconds."""
+    """The whole command, small enough to take seconds."""
     monkeypatch.setattr(cases, "ROUND_SECONDS", 0.0)
     monkeypatch.setattr(peak, "TRIPS", 1000)
 

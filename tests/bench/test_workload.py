@@ -1,4 +1,4 @@
-"""The rods that are timed: those of the shipped scenes, and what is made of them."""
+"""The timed rods: those of the shipped scenes, and rods derived from them."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +24,7 @@ def test_the_rods_are_those_of_the_shipped_scenes(name):
     assert replace(load_scene(SCENES / f"{name}.toml").observations, source="synthesis") == workload.LAB[name]
 
 
+@pytest.mark.thorough
 def test_starts_take_turns_and_rods_alone_are_the_same_rods():
     tables = [workload.started(observations) for observations in workload.observed("nylon", "silk")]
     starts, clamps = workload.in_turn(tables)
@@ -36,6 +37,7 @@ def test_starts_take_turns_and_rods_alone_are_the_same_rods():
     np.testing.assert_array_equal(together.energy[[125, 3]], alone.energy)
 
 
+@pytest.mark.thorough
 def test_near_materials_are_a_tenth_away_and_take_fewer_iterations(sutures):
     rods = workload.paired(*sutures, workload.isotropic_materials(200))
     near = workload.near(rods)

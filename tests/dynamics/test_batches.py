@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from doo_ti.dynamics import simulate as simulation
 from doo_ti.dynamics.grippers import Grippers
@@ -10,7 +11,7 @@ from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.types import Clamp, Material, Status
 from tests.references.rods import clamps_at
-from tests.relax.rods import wandering
+from tests.relaxation.rods import wandering
 
 INSTANTS, RATE = 6, 100.0
 MATERIAL, DYNAMICS = Material(3e4, 2e4), Dynamics(drag=1.0)
@@ -64,6 +65,7 @@ def test_a_rod_that_fails_stops_alone(rng):
     np.testing.assert_array_equal(after.converged, others)
 
 
+@pytest.mark.thorough
 def test_launches_continue_one_another(rng, monkeypatch):
     """A long motion is several launches; both ends free, drag that grows with speed, and a rod that fails on the way."""
     rods, grippers = swung(rng, 6)
@@ -100,6 +102,7 @@ def test_pairs_are_rods_and_materials_of_their_own(rng):
         np.testing.assert_array_equal(together.positions[k], alone.positions[0])
 
 
+@pytest.mark.thorough
 def test_precisions_agree(rng):
     rods, grippers = swung(rng, 20)
     exact, single = moved(rods, grippers), moved(rods, grippers, precision="f32")

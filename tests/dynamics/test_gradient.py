@@ -90,6 +90,7 @@ def worst(slopes, differences):
     return np.abs(slopes - differences).max(axis=(1, 2, 3, 4)) / np.abs(differences).max(axis=(1, 2, 3, 4))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("start, end, options", [
     (Clamp.FRAME, Clamp.TANGENT, {"smooth": False}),
     (Clamp.FRAME, Clamp.FRAME, {"smooth": False, "scheme": "euler"}),

@@ -45,6 +45,7 @@ def test_theta_is_found_from_recordings_without_noise(rng):
     assert apart < 1e-4 and found.error.max() < 1e-5
 
 
+@pytest.mark.thorough
 def test_theta_is_found_from_recordings_with_noise(rng):
     """0.1 mm at every marker, the first two frames included, from which the velocity is taken. Drag and quadratic drag
     cannot be separated by so few."""
@@ -64,6 +65,7 @@ def test_theta_is_found_from_recordings_with_noise(rng):
     assert np.mean(inside) > 0.5
 
 
+@pytest.mark.thorough
 def test_intervals_of_parameters_are_those_of_the_vector(rng):
     found = identify(rolled_out(rng, 4, 0.1), GUESS, replace(OPTIONS, horizons=(20,)))
     rows = {row["name"]: row for row in found.parameters()}

@@ -26,7 +26,7 @@ from tests.dynamics.motions import (
     swinging_chain,
 )
 from tests.references.rods import clamps_at
-from tests.relax.rods import wandering
+from tests.relaxation.rods import wandering
 
 
 @pytest.mark.parametrize("scheme", ["bdf2", "euler"])

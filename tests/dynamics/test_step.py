@@ -16,7 +16,7 @@ from tests.dynamics.dense import Body, Instant, step
 from tests.oracle.algebra import directors
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import clamped_start, vertices_of
-from tests.relax.rods import wandering
+from tests.relaxation.rods import wandering
 
 KINDS = (
     (Clamp.FRAME, Clamp.FREE), (Clamp.FRAME, Clamp.FRAME), (Clamp.FRAME, Clamp.TANGENT), (Clamp.POSITION, Clamp.FREE),
@@ -98,6 +98,7 @@ def random_rods(rng, general: bool):
     return rods, material, moving(rods, KINDS, rng), dynamics, velocity, springs
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("general, scheme, smooth", [(False, "bdf2", False), (True, "euler", True), (True, "bdf2", True)])
 def test_steps_are_those_of_dense_linear_algebra(rng, monkeypatch, general, scheme, smooth):
     rods, material, grippers, dynamics, velocity, springs = random_rods(rng, general)

@@ -15,7 +15,7 @@ from tests.learning.landscapes import static
 
 
 def fooled(name: str = "nylon"):
-    """Five cells of four rods, the second the best, but for the fourth, where a rod stalled close to its observation."""
+    """Five cells of four rods, the second the best, except for the fourth, in which a rod stalled close to its observation."""
     distance = np.array([3.0, 1.0, 2.0, 0.1, 3.0])[:, None] + np.zeros(4)
     landscape = static(name, distance)
     landscape.status[3, 1] = Status.STALLED
@@ -60,7 +60,7 @@ def test_an_entry_does_not_win_a_column_by_rods_that_stalled():
     assert replace(scores, uncertified=np.array([[0, 0], [1, 0]])).is_best.tolist() == [[True, False], [False, True]]
 
 
-def test_the_picture_tells_which_do_not_compete():
+def test_the_picture_marks_cells_that_do_not_compete():
     plane = plane_of(fooled())
     assert plane.minimum == (1, 0) and plane.unfinished.ravel().tolist() == [0, 0, 0, 1, 0]
     assert np.isnan(plane.values[3, 0]) and not plane.valley[3, 0]

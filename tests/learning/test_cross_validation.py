@@ -145,7 +145,7 @@ def test_best_and_near_in_each_column():
 
 
 def test_own_parameters_predict_best(rng):
-    """Bowls around a truth of each material: the diagonal wins, by leave-one-out as well."""
+    """Landscapes with a minimum at each material's truth: the diagonal is best, also with leave-one-out."""
     cell = np.arange(40)[:, None]
 
     def bowl(name, at):

@@ -1,4 +1,4 @@
-"""Which terms stand in which row and column, and what cannot be compared."""
+"""The terms of each row and column, and landscapes that cannot be compared."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -82,7 +82,7 @@ def test_tables_without_being_asked(runs, factors):
     ([lab("a"), lab("b")], ("end-distance",), (30.0, 31.0), "no observation at 31 mm; choose from 30, 54, 78"),
     ([lab("a", np.nan * LABELS)], ("end-distance",), (), "a_static: end_distance_mm: no observation has"),
 ])
-def test_what_cannot_be_compared_is_told(runs, by, distances, words):
+def test_runs_that_cannot_be_compared_are_reported(runs, by, distances, words):
     with pytest.raises(InputError) as problem:
         partition(runs, by, distances)
     assert words in str(problem.value)

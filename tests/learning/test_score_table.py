@@ -1,4 +1,4 @@
-"""The tables that people, pages and machines read: all say the same."""
+"""The tables as text, Markdown, CSV and JSON: all have the same content."""
 
 import csv
 import io
@@ -63,7 +63,7 @@ def test_csv_holds_the_numbers_in_full(scores):
     assert (lines[1]["within"], lines[1]["train"], lines[1]["test"]) == ("static", "nylon 30 mm", "nylon 54 mm")
 
 
-def test_what_is_not_certified_or_left_out_stands_under_the_table(scores):
+def test_terms_not_certified_or_left_out_are_listed_below_the_table(scores):
     left_out, uncertified = notes(scores)
     assert re.search(r"^left out.*: nylon 30 mm -> silk 54 mm 1 of 4, .*silk 54 mm -> silk 54 mm 1 of 4$", left_out)
     assert "no certified minimum" in uncertified and "nylon 54 mm -> nylon 30 mm 1 of 4" in uncertified
@@ -77,8 +77,8 @@ def test_what_is_not_certified_or_left_out_stands_under_the_table(scores):
 def test_long_notes_are_cut_and_say_so(scores):
     everywhere = replace(scores, left_out=np.ones((4, 4), int))
     assert f"and {16 - LISTED} more entries" in notes(everywhere)[0]
-    fallen = replace(scores, jumped=np.eye(4, dtype=int))
-    assert "jumped to another branch: nylon 30 mm -> nylon 30 mm 1 of 4, nylon 54 mm" in notes(fallen)[-1]
+    jumped = replace(scores, jumped=np.eye(4, dtype=int))
+    assert "jumped to another branch: nylon 30 mm -> nylon 30 mm 1 of 4, nylon 54 mm" in notes(jumped)[-1]
     sound = replace(scores, left_out=np.zeros((4, 4), int), uncertified=np.zeros((4, 4), int))
     assert notes(sound) == ["every scored rod is a certified minimum"]
     unlabelled = replace(sound, partition=replace(sound.partition, unlabelled=3))

@@ -1,1 +1,1 @@
-"""A slow, dense f64 twin of the rod in NumPy: what the package is checked against. It shares no code with it."""
+"""A slow, dense f64 implementation of the rod in NumPy, the reference of the package's tests. It shares no code with it."""

@@ -16,7 +16,7 @@ from tests.oracle.chain_form import Rod, chain_derivatives, chain_energy, closur
 from tests.oracle.equilibrium import Ends, State, closed, energy_of, free_variables, moved, vertices_of
 
 NEUTRAL = 1e-11
-"""Eigenvalues below this share of the largest are rounding: a motion that costs nothing."""
+"""Eigenvalues below this share of the largest are rounding: a motion at constant energy."""
 LEAP = 0.05  # rad, the first try off a saddle
 
 
@@ -137,7 +137,7 @@ def total_derivatives(rod: Rod, springs: Springs, state: State) -> tuple[np.ndar
     pull = springs.vertex_gradient(vertices)
     gradient = np.einsum("ia,iak->k", pull, jacobian)
     hessian = np.einsum("iak,iajb,jbl->kl", jacobian, springs.vertex_curvature(), jacobian, optimize=True)
-    # The turn of an edge moves what is behind it along an arc: p_j = Σ_{i>j} γ_i, a linear potential on edge j.
+    # The rotation of an edge moves the rod beyond it along an arc: p_j = Σ_{i>j} γ_i, a linear potential on edge j.
     behind = np.cumsum(pull[::-1], axis=0)[::-1][1:]
     hessian[3:, 3:] += linear_derivatives(rod, state.quaternions, behind)[1]
     own_gradient, own_hessian = chain_derivatives(rod, state.quaternions)

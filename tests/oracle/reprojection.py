@@ -1,4 +1,4 @@
-"""E_proj of edges, slow and obvious: each point by itself, derivatives by a complex step.
+"""E_proj of edges, slow and direct: point by point, derivatives by a complex step.
 
     E_proj = (1/n) Σ_k D_c(p(x_k)) |∂p/∂x Δ|,   x_k = a + (k − ½)/n Δ,   D_c = D/√(1 + D²/cap²)
 

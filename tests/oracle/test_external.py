@@ -80,6 +80,7 @@ def test_gradient_against_complex_steps_and_central_differences(rng):
         assert (sides[0] - sides[1]) / 2e-5 == pytest.approx(gradient[k], abs=1e-6 * np.abs(gradient).max())
 
 
+@pytest.mark.thorough
 def test_hessian_against_differences_of_complex_steps(rng):
     """Second derivatives in one chart: (1, w/2) of both steps added before normalising."""
     rod, state, springs = problem(rng)
@@ -141,10 +142,11 @@ def test_the_step_solves_the_shifted_problem(rng, start, end):
                                atol=1e-6 * np.abs(gradient).max())
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("end", [Clamp.FREE, Clamp.TANGENT], ids=["free end", "both held"])
 @pytest.mark.parametrize("start", STARTS)
 def test_unshifted_steps_converge_quadratically(rng, start, end):
-    """From near the minimum the residual falls as its square: gradient, Hessian and multiplier belong together."""
+    """Near the minimum the residual decreases quadratically: gradient, Hessian and multiplier are consistent."""
     rod, state, springs = problem(rng)
     ends = ends_of(rod, state, start, end)
     found = minimum(rod, springs, state, ends)
@@ -169,9 +171,10 @@ CASES = {
 }
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("case", CASES)
 def test_minimum_against_a_general_optimiser(rng, case):
-    """scipy's SLSQP, which sees values only, comes back to where the dense solver ended."""
+    """scipy's SLSQP, which uses values only, returns to the minimum of the dense solver."""
     edges, start, end = CASES[case]
     rod, state, springs = problem(rng, edges)
     ends = ends_of(rod, state, start, end)
@@ -189,6 +192,7 @@ def test_minimum_against_a_general_optimiser(rng, case):
     np.testing.assert_allclose(vertices_of(rod, moved(near, free, answer.x)), found.vertices, atol=1e-2)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("start", [*STARTS, Clamp.FREE])
 def test_no_neighbour_of_the_minimum_is_lower(rng, start):
     """Springs alone hold a rod that no clamp does."""
@@ -201,6 +205,7 @@ def test_no_neighbour_of_the_minimum_is_lower(rng, start):
         assert total_energy(rod, springs, moved(found.state, free, 1e-3 * rng.normal(size=len(free)))) > found.energy
 
 
+@pytest.mark.thorough
 def test_without_springs_it_is_the_equilibrium_of_the_rod(rng):
     for end in (Clamp.FREE, Clamp.TANGENT):
         rod, state = random_rod(rng, edges=7), random_state(rng, edges=7, bending=0.15)
@@ -212,7 +217,7 @@ def test_without_springs_it_is_the_equilibrium_of_the_rod(rng):
 
 
 def test_stiff_springs_put_the_vertices_on_their_targets(rng):
-    """Targets that a rod of these lengths can take, far stiffer than the rod: it takes them."""
+    """Targets that a rod of these lengths can reach, with springs far stiffer than the rod: it reaches them."""
     rod, state = random_rod(rng, edges=6), random_state(rng, edges=6, bending=0.1)
     free_end = ends_of(rod, state, Clamp.FRAME, Clamp.FREE)
     bent = turned(state, np.append(np.zeros(6), 0.2 * rng.normal(size=15)))
@@ -223,7 +228,7 @@ def test_stiff_springs_put_the_vertices_on_their_targets(rng):
 
 
 def test_an_unstable_start_is_left(rng):
-    """A straight rod pushed end on by a spring: at rest, and no minimum; the descent goes on to a bow."""
+    """A straight rod compressed along its axis by a spring: an equilibrium, but no minimum; the descent reaches a bow."""
     edges = 8
     rod = random_rod(rng, edges=edges, weight=0.0)
     identity = np.tile([1.0, 0.0, 0.0, 0.0], (edges, 1))

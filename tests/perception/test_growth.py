@@ -33,7 +33,7 @@ def test_suppression_is_greedy():
 def test_selection_is_greedy_in_every_set():
     random = np.random.default_rng(5)
     count = 90
-    of_set = np.sort(random.integers(0, 4, count)) * 2  # sets without any hypothesis are no trouble
+    of_set = np.sort(random.integers(0, 4, count)) * 2  # sets without any hypothesis are allowed
     score, tip = random.random(count), random.random((count, 3)) * 3
     direction = random.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)

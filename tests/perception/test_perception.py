@@ -10,7 +10,7 @@ from doo_ti import InputError, Material
 from doo_ti.perception import search
 from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.perceive import Perception, PerceptionOptions, Verdict, perceive
-from doo_ti.perception.shape_uncertainty import _bending, vertex_sigma
+from doo_ti.perception.shape_uncertainty import bending_hessian, vertex_sigma
 from doo_ti.types import Status
 from doo_ti.vision.cameras.rig import load_rig
 from doo_ti.vision.detection.detect import Detection, detect
@@ -62,6 +62,7 @@ def recovered(scene, rows=slice(None), **arguments) -> Perception:
                     options=arguments.pop("options", OPTIONS), **arguments)
 
 
+@pytest.mark.thorough
 def test_rods_are_recovered(scene, found):
     off = np.linalg.norm(found[0].vertices - scene[1], axis=-1)
     print("mean error of each set, mm:", off.mean(axis=1).round(3))
@@ -93,7 +94,7 @@ def test_a_set_is_the_same_alone(scene, found):
 
 
 def test_runners_up_differ_and_the_gap_is_a_distance(loop):
-    """Against E_vis and image lengths computed anew."""
+    """Against E_vis and image lengths computed independently."""
     rig, rods, maps, found = loop
     assert np.linalg.norm(found.vertices - rods, axis=-1).mean() < 0.1
     here = np.isfinite(found.runner_up_energy[0])
@@ -230,7 +231,7 @@ def test_bending_is_the_second_derivative_of_a_straight_rod_s_energy(rng):
 
     steps = 1e-4 * np.eye(8)
     numeric = [[(energy(a + b) - energy(a - b) - energy(b - a) + energy(-a - b)) / 4e-8 for b in steps] for a in steps]
-    np.testing.assert_allclose(_bending(turns, lengths[None])[0], numeric, atol=1e-6)
+    np.testing.assert_allclose(bending_hessian(turns, lengths[None])[0], numeric, atol=1e-6)
 
 
 def test_sigma_grows_along_the_rod_and_with_the_noise(scene):
@@ -287,12 +288,13 @@ def _noise(rig, curve: np.ndarray, detected) -> tuple[float, float]:
     return np.sqrt(np.mean(variance)), 1 + 2 * np.sum(np.mean(products, axis=0)) / np.mean(variance)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["vicryl", "silk"])
-def test_real_looking_images(shared_data, name):
-    """10 of 10, to a few hundredths of a millimetre."""
-    folder = shared_data / "images_a"
+def test_real_looking_images(laboratory, name):
+    """All of them, to a few hundredths of a millimetre."""
+    folder = laboratory / "images_a"
     truth, rig = np.load(folder / "truth.npz"), load_rig(folder / "rig.yaml")
-    theta = json.loads((shared_data / "lab_a" / "truth.json").read_text())[name]
+    theta = json.loads((laboratory / "lab_a" / "truth.json").read_text())[name]
     sets = load_sets(folder / "sets.csv", rig)
     rows = [row for row, called in enumerate(sets.names) if called.startswith(name)]
     detected = [[detect(read_image(*image)) for image in zip(sets.paths[row], sets.rig.cameras)] for row in rows]

@@ -93,6 +93,7 @@ def relative_error(value: np.ndarray, expected: np.ndarray) -> float:
 WHERE = ["lab", "1.5 to 3 rad", "twist next to ±π"]
 
 
+@pytest.mark.sampled(1)
 @every_number
 @pytest.mark.parametrize("kind", ["isotropic", "general"])
 def test_pair_on_packs_is_the_oracles(rng, kind, number):
@@ -118,8 +119,9 @@ def test_pair_on_packs_is_the_oracles(rng, kind, number):
         assert max(errors) < (1e-13 if number.bits == 64 else 1e-5)
 
 
+@pytest.mark.thorough
 def test_packs_are_scalars_to_the_last_bit(rng):
-    """What a lane holds depends on nothing but itself."""
+    """The value of a lane does not depend on other lanes."""
     runtime.start()
     for where in WHERE:
         q0, q1 = joints(rng, where)
@@ -270,6 +272,7 @@ def defined_energy(edges, frames, bend, rest, total):
     return energy
 
 
+@pytest.mark.sampled(3)
 @every_number
 def test_bend_force_is_the_slope_of_the_energy(rng, number):
     """Across an edge; along it the lengths are held and the two differ."""
@@ -321,6 +324,7 @@ def test_twist_changes_by_the_holonomy(rng):
             np.testing.assert_allclose(rate, 0.5 * np.sum(kb * across, axis=1) / lengths[:, side], atol=1e-13)
 
 
+@pytest.mark.sampled(4)
 @every_number
 def test_spin_derivatives(rng, number):
     """Slope and curvature of one frame's bend energy in its angle, against complex steps of the definition."""
@@ -354,7 +358,7 @@ def test_spin_derivatives(rng, number):
 
 
 @every_number
-def test_turned_frames_stay_unit_and_turn_as_told(rng, number):
+def test_turned_frames_stay_unit_and_turn_by_the_angle(rng, number):
     """Q (1, w/2) and (1, w/2) Q normalised; m1 spun about its tangent: second order in the angle, of unit length."""
     runtime.start()
 

@@ -246,8 +246,9 @@ def test_tuples_pass_through_functions(rng, number):
         applied(number, crossed, values), (b * a - c * c) * c + (c * b - a * a) * a + (a * c - b * b) * b)
 
 
+@pytest.mark.sampled(4)
 @every_number
-def test_what_is_not_a_number_is_seen(number):
+def test_nan_is_detected(number):
     """The kernels rely on ``a == a``, on ``larger`` passing NaN on, and NaN comparing false, by ``!=`` too."""
     runtime.start()
     nan = np.nan
@@ -319,7 +320,7 @@ def test_literals_are_exact_to_one_unit_in_the_last_place(number):
 
 
 def rounding(number: Number) -> float:
-    """What is asked of the angles, rad."""
+    """Required accuracy of the angles, rad."""
     return 3e-7 if number.bits == 32 else 2e-15
 
 

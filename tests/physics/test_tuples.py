@@ -112,6 +112,7 @@ def batches(sizes: dict[str, int], most: int) -> list[list[str]]:
     return result
 
 
+@pytest.mark.sampled(2)
 @every_number
 def test_every_function_is_numpys(rng, number):
     """Several of them in one kernel: it takes long to compile one for each, and Taichi warns of more than 32 results."""

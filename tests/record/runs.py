@@ -1,4 +1,4 @@
-"""A small made-up run, its axes and sizes unequal so that none can stand in for another."""
+"""A small artificial run, with different sizes of all axes, so that swapped axes are detected."""
 
 import numpy as np
 
@@ -41,7 +41,7 @@ def plane(**more) -> Plane:
 
 
 def relaxation(rng: np.random.Generator) -> dict:
-    """What `record_sweep` takes of a relaxation without a landscape."""
+    """Arguments of `record_sweep` for a relaxation without a landscape."""
     from doo_ti.record import Trajectory
 
     vertices = observations(rng)
@@ -59,5 +59,5 @@ def relaxation(rng: np.random.Generator) -> dict:
 
 
 def sweep(rng: np.random.Generator) -> dict:
-    """What `record_sweep` takes."""
+    """Arguments of `record_sweep`."""
     return relaxation(rng) | {"plane": plane(), "intervals": valley(grid(), landscape())}

@@ -33,7 +33,7 @@ def kinds(count: int) -> list[Ribbons]:
             Ribbons("3: blue", (48, 105, 205), ribbon_sides(vertices - [0, 0, 9.0], across, 6.7))]
 
 
-def test_bands_are_as_wide_as_told_and_lie_along_m1():
+def test_bands_have_the_given_width_and_lie_along_m1():
     vertices, across = helices(3)
     sides = ribbon_sides(vertices, across, 6.7)
     assert sides.shape == (3, 2, 20, 3)
@@ -42,6 +42,7 @@ def test_bands_are_as_wide_as_told_and_lie_along_m1():
     np.testing.assert_allclose((sides[:, 1, 0] - sides[:, 0, 0]) / 6.7, across[:, 0], atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_picture_shows_each_kind_in_its_colour(tmp_path):
     from PIL import Image
 

@@ -38,6 +38,7 @@ def logged(stream, value: float) -> None:
         stream.log("points", rerun.Points3D(np.full((100, 3), value + step)))
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not DESCRIPTORS.is_dir(), reason="rerun writes by itself here")
 def test_a_full_disk_ends_a_recording_in_one_error(tmp_path):
     done = subprocess.run([sys.executable, "-c", FULL, str(tmp_path / "run.rrd")], capture_output=True, text=True, timeout=120,

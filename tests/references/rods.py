@@ -33,7 +33,7 @@ def clamps_at(configuration: Configuration, start=Clamp.FRAME, end=Clamp.FRAME) 
 
 
 def jiggled(configuration: Configuration, rng: np.random.Generator, size: float) -> Configuration:
-    """Every frame turned by a random rotation of about ``size`` rad: a start that is not the answer."""
+    """Every frame rotated at random by about ``size`` rad: a start away from the solution."""
     turns = Rotation.from_rotvec(size * rng.normal(size=(configuration.count * configuration.edges, 3)))
     old = Rotation.from_quat(configuration.quaternions.reshape(-1, 4), scalar_first=True)
     quaternions = (old * turns).as_quat(scalar_first=True).reshape(configuration.quaternions.shape)

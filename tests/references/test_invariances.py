@@ -1,4 +1,4 @@
-"""What must not change a rod: rigid motion with the vertical, reading it from its other end, a common factor, units."""
+"""Invariances of a rod: rigid motion with the vertical, reading it from its other end, a common factor, units."""
 
 from dataclasses import replace
 

@@ -47,6 +47,7 @@ def clamped_middles(rod):
     return {-1: (middles[0], rod.frames[0, 0]), 1: (middles[-1], rod.frames[0, -1])}
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("graded", [False, True], ids=["even", "graded"])
 @pytest.mark.parametrize("kind", BEND)
 def test_rod_converges_to_kirchhoffs_with_second_order(kind, graded):

@@ -79,7 +79,7 @@ def test_buckled_elastica_converges_to_the_elliptic_integrals(kind, span_over_le
 
 
 def test_second_mode_is_named_a_saddle_and_left():
-    """An S between clamps is an equilibrium; F goes on to the single bow, which is stable."""
+    """An S between clamps is an equilibrium; F leaves it for the single bow, which is stable."""
     second = clamped_rod(33, 0.9, lambda s: np.cos(2 * np.pi * s) - np.cos(4 * np.pi * s))
     first = clamped_rod(33, 0.9, one_wave)
     rods = stacked([second, first])

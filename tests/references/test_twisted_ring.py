@@ -40,6 +40,7 @@ def circle_energy(joints: int, turns):
     return joints * (bend + BETA * (np.asarray(turns) / joints) ** 2) / (4 * RADIUS * np.sin(np.pi / joints))
 
 
+@pytest.mark.thorough
 def test_certificate_flips_at_michells_twist():
     """The flip, found on ever finer grids of twists in three batches, converges to 2π√3 α/β with second order."""
     joints, errors = [12, 24, 48], []

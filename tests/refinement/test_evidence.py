@@ -37,7 +37,7 @@ def dense(evidence: Evidence, linear, scales):
     variance = np.array([scales[name] for name in effect_scales(effects[0].shape[1])]) ** 2
     keep = [np.abs(j).max(axis=1) > 0 for j in shared]
     prior = np.linalg.inv(precision)
-    # r + J x + Z z + ε = 0 with x about −offset: what is seen of −r.
+    # r + J x + Z z + ε = 0 with x about −offset: the observed part of −r.
     rows = np.concatenate([j[k] for j, k in zip(shared, keep, strict=True)])
     covariance = rows @ prior @ rows.T
     at = 0
@@ -53,6 +53,7 @@ def counted_by_rows(linear):
     return tuple(replace(kind, count=(np.abs(kind.shared).max(axis=2) > 0).sum(axis=1).astype(float)) for kind in linear)
 
 
+@pytest.mark.thorough
 def test_it_is_the_density_of_the_residuals(linear_model):
     evidence, linear, scales = linear_model
     linear = counted_by_rows(linear)
@@ -96,7 +97,8 @@ def test_held_directions_stay(linear_model):
     assert direction @ found.covariance @ direction == pytest.approx(0, abs=1e-12)
 
 
-def test_left_out_is_what_the_evidence_falls_by(linear_model):
+@pytest.mark.thorough
+def test_left_out_is_the_decrease_of_the_evidence(linear_model):
     """ln p(one | others) = ln p(all) − ln p(others), both by dense algebra."""
     evidence, linear, scales = linear_model
     linear = counted_by_rows(linear)

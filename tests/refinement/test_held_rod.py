@@ -1,4 +1,4 @@
-"""The mesh between the clips, the field of rest curvature on it, and where marks come to lie."""
+"""The mesh between the clips, the field of rest curvature on it, and the places of the marks."""
 
 from dataclasses import replace
 
@@ -15,6 +15,7 @@ from doo_ti.refinement.unknowns import Unknowns
 from tests.refinement.rods_between_clips import TRUTH, held, suture
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kinds, count", [((None, None), 39), ((Clamp.POSITION, None), 39.5), ((None, Clamp.FREE), 39.5)])
 def test_edges_share_what_lies_between_the_clips(kinds, count):
     rod = held(suture(1), 40, kinds)
@@ -67,7 +68,7 @@ def test_the_field_is_linear_between_knots_and_its_covariance_slopes_as_it_says(
 
 
 def test_the_corrected_mesh_is_close_to_a_very_fine_one():
-    """Marks of 40 edges, corrected, against those of 640: the error falls by an order of magnitude."""
+    """Marks of 40 edges, corrected, against those of 640: the error decreases by an order of magnitude."""
     seen = suture(2, label_noise_mm=0.0)
     unknowns = Unknowns(held(seen, 40), ("bend", "twist"))
     values = unknowns.begun(TRUTH, np.array([2.25, 2.25]))

@@ -1,4 +1,4 @@
-"""The derivatives of everything that is compared by everything that is unknown, against rods relaxed again."""
+"""The derivatives of all residuals with respect to all unknowns, against rods relaxed again."""
 
 from dataclasses import replace
 
@@ -20,6 +20,7 @@ def moved_residuals(comparison, fit, state, step, scatter):
     return np.concatenate(comparison.values(fit.at(values, state.scales, state.solution).solution, values), axis=1)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("theta, parameters, kinds, fields", [
     (TRUTH, ("bend", "twist"), (None, None), {}),
     (TRUTH, ("bend", "twist", "weight", "up"), (Clamp.TANGENT, Clamp.FRAME), {"curvature": "uniform"}),

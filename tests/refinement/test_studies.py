@@ -5,14 +5,16 @@ import pytest
 from tools.refinement import ROWS, exact, main
 
 
+@pytest.mark.thorough
 def test_rows_without_data_are_skipped_and_say_so(tmp_path, capsys):
     assert main(["--data", str(tmp_path)]) == 0
     lines = capsys.readouterr().out.strip().splitlines()
     assert len(lines) == 2 + len(ROWS) and all("skipped" in line for line in lines[2:])
 
 
-def test_rods_of_the_model_s_own_mesh_give_their_theta_back(shared_data):
-    assert all(check.holds for check in exact(shared_data))
+@pytest.mark.thorough
+def test_rods_of_the_model_s_own_mesh_give_their_theta_back(laboratory):
+    assert all(check.holds for check in exact(laboratory))
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""What counts as fallen behind a baseline."""
+"""Detection of cases that are slower than the baseline allows."""
 
 from doo_ti.bench.cases import Measurement
 from tools.bench.baseline import regressions, table

@@ -90,6 +90,7 @@ def test_missing_marks_are_invalid_and_clamps_keep_theirs(whole):
     np.testing.assert_array_equal(less.vertices[less.valid], whole.observations.vertices[less.valid])
 
 
+@pytest.mark.thorough
 def test_wrong_branches_have_another_shape_or_another_turn(whole):
     """As many as asked for, of both kinds over some seeds; what the clamps hold is not touched."""
     kinds = {"shape": 0, "turn": 0}
@@ -106,6 +107,7 @@ def test_wrong_branches_have_another_shape_or_another_turn(whole):
     assert min(kinds.values()) > 0, kinds
 
 
+@pytest.mark.thorough
 def test_variants_do_not_change_which_rods_there_are():
     both = specimen(SEED, Variant(observations=10, missing=0.2)).observations
     few = specimen(SEED, Variant(observations=10)).observations
@@ -219,7 +221,7 @@ class Inline:
 
 def test_rows_that_are_there_are_not_computed_again(tmp_path, monkeypatch):
     pool = Inline()
-    monkeypatch.setattr(study, "_pool", lambda workers: pool)
+    monkeypatch.setattr(study, "process_pool", lambda workers: pool)
     file = tmp_path / "specimens.csv"
     old = row(11, parameters=[], failure="kept as it was")
     save_rows(file, [old, row(12, Variant(10))])
@@ -230,6 +232,7 @@ def test_rows_that_are_there_are_not_computed_again(tmp_path, monkeypatch):
     assert pool.seeds == [10, 12]
 
 
+@pytest.mark.thorough
 def test_a_failed_fit_is_reported_and_fails_the_study(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(study, "specimen", lambda seed, variant: Specimen(drawn(seed), None, 1))
 
@@ -251,6 +254,7 @@ def test_a_failed_fit_is_reported_and_fails_the_study(tmp_path, monkeypatch, cap
     assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.thorough
 def test_a_picture_of_every_kind_of_interval(tmp_path):
     kinds = [Interval(1.0, 1.0, 0.5, 2.0), Interval(1.0, 1e9, 1e8, None), Interval(1.0, None, None, None),
              Interval(1.0, 9.0, None, 0.5)]

@@ -1,4 +1,4 @@
-"""The engine's study on a handful of rods: every row prints, the table is well-formed, and what lacks data is skipped."""
+"""The engine's study on a few rods: every row prints, the table is well-formed, and rows without data are skipped."""
 
 from dataclasses import replace
 
@@ -24,9 +24,10 @@ def well_formed(text: str) -> bool:
     return all(line.count("|") == 5 for line in text.splitlines())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("row", [row for row in ROWS if row != "speed"])
-def test_a_row_prints_on_few_rods(shared_data, row):
-    study = Engine(shared_data, SMALL)
+def test_a_row_prints_on_few_rods(shipped_data, row):
+    study = Engine(shipped_data, SMALL)
     measure_rows(study, [row])
     assert study.checks and study.details
     assert all(check.name.startswith(row) and check.bar and check.measured for check in study.checks)
@@ -35,8 +36,9 @@ def test_a_row_prints_on_few_rods(shared_data, row):
         assert all(check.holds for check in study.checks), study.checks
 
 
-def test_speed_has_every_bar_and_the_peak_on_both_sides(shared_data):
-    study = Engine(shared_data, SMALL)
+@pytest.mark.thorough
+def test_speed_has_every_bar_and_the_peak_on_both_sides(shipped_data):
+    study = Engine(shipped_data, SMALL)
     measure_rows(study, ["speed"])
     names = [check.name for check in study.checks]
     assert names == [*(f"speed: {name}" for name in engine.SPEED), f"speed: {ONE}", f"speed: {WARM}, times the cold one"]
@@ -44,8 +46,8 @@ def test_speed_has_every_bar_and_the_peak_on_both_sides(shared_data):
     assert COLD in engine.SPEED and "before and after" in study.details[-1]
 
 
-def test_rods_start_from_the_lab_s_observations(shared_data):
-    study = Engine(shared_data, SMALL)
+def test_rods_start_from_the_lab_s_observations(shipped_data):
+    study = Engine(shipped_data, SMALL)
     assert [observations.count for observations in study.rods.sutures] == [3, 3, 3]
     starts, clamps = study.started("nylon")
     np.testing.assert_array_equal(study.rods.many.starts.quaternions[::3], starts.quaternions)
@@ -53,7 +55,7 @@ def test_rods_start_from_the_lab_s_observations(shared_data):
     np.testing.assert_array_equal(study.rods.band.starts.quaternions, study.started("ribbon")[0].quaternions)
 
 
-def test_the_command_prints_machine_table_and_details_and_tells_a_missed_bar(tmp_path, monkeypatch, capsys):
+def test_the_command_prints_machine_table_details_and_a_missed_bar(tmp_path, monkeypatch, capsys):
     def missed(study):
         at_most(study, "memory: much", 1, [2.0, 3.0], "{:.1f} kB")
 
@@ -65,7 +67,7 @@ def test_the_command_prints_machine_table_and_details_and_tells_a_missed_bar(tmp
     assert details == "- memory: much: median of 2, 2.0 kB … 3.0 kB"
 
 
-def test_what_the_system_does_not_tell_is_no_missed_bar(tmp_path):
+def test_figures_the_system_does_not_report_are_no_missed_bar(tmp_path):
     study = Engine(tmp_path, SMALL)
     at_most(study, "memory", 1, [None], "{:.1f} kB")
     assert study.checks[0].holds is None and not study.details
@@ -102,7 +104,7 @@ def test_growth_is_judged_by_the_size_farthest_from_the_median(tmp_path, last, h
     assert study.checks[0].measured == f"{100 * (last - 1):+.1f} % at 64 edges"
 
 
-def test_batches_take_turns_and_small_ones_are_repeated(shared_data):
+def test_batches_take_turns_and_small_ones_are_repeated(shipped_data):
     called = []
 
     class Counted(workload.Rods):
@@ -110,7 +112,7 @@ def test_batches_take_turns_and_small_ones_are_repeated(shared_data):
             called.append(self.count)
             return super().relaxed(solver, precision)
 
-    many = Engine(shared_data, replace(SMALL, rods=8)).rods.many
+    many = Engine(shipped_data, replace(SMALL, rods=8)).rods.many
     batches = [Counted(**vars(many.take(slice(count)))) for count in (2, 8)]
     seconds, converged, iterations = relaxed_in_turn(batches, engine.FINE, "f64", 2)
     assert called == [2, 8] + 2 * ([2] * 4 + [8])

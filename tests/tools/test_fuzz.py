@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from doo_ti.io.observations import load_observations, save_observations
-from tests.cli.test_bad_input import npz_bytes
+from tests.commands.test_bad_input import npz_bytes
 from tools import fuzz
 from tools.fuzzing.commands import COMMANDS, RECIPES
 from tools.fuzzing.worker import judged, prepare
 
 ROOT = Path(__file__).resolve().parents[2]
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="watches memory as Linux tells it")
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="measures memory with Linux' /proc")
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ LINE = "doo-ti: a.npz: vertices_mm: missing; give it\n"
         (2, "", "libpng warning\n" + LINE, "another line"),
         (0, "", "libpng warning\n", "another line"),
         (1, "", "", "0 lines"),
-        (2, "told\n", LINE, "stdout"),
+        (2, "printed\n", LINE, "stdout"),
         (0, "a\x1b[2J\n", "", "control"),
         (0, "[NaN]\n", "", "JSON"),
         (2, "", "Traceback (most recent call last):\nX\n", "traceback"),
@@ -88,12 +88,13 @@ def test_how_a_command_ends_is_judged(code, out, err, problem):
     assert problem in found and bool(found) == bool(problem)
 
 
+@pytest.mark.thorough
 def test_a_short_campaign(folder):
-    results = fuzz.campaign(folder, 2011, range(16), told=False)
+    results = fuzz.campaign(folder, 2011, range(16), verbose=False)
     assert [each["problem"] for each in results if each["problem"]] == []
     assert {each["code"] for each in results} >= {0, 2} and len({each["recipe"] for each in results}) > 3
-    told = fuzz.report(results)
-    assert "16 cases, 0 failures" in told and "| convert |" in told
+    printed = fuzz.report(results)
+    assert "16 cases, 0 failures" in printed and "| convert |" in printed
 
 
 SPOILT = """
@@ -108,6 +109,7 @@ runpy.run_module("tools.fuzzing.worker", run_name="__main__")
 """
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("what", "problem"),
     [

@@ -1,4 +1,4 @@
-"""The hard set on a few rods: it runs, its rods are always the same, and its exit code tells."""
+"""The hard set on a few rods: it runs, its rods are always the same, and its exit code reports misses."""
 
 from dataclasses import replace
 
@@ -11,6 +11,7 @@ from tools import hard_set
 from tools.hard_set import PRECISIONS, ROWS, Line, Rods, main, measured, percent, rods_of
 
 
+@pytest.mark.thorough
 def test_every_row_has_a_line_for_each_precision(capsys):
     assert main(["--rods", "4"]) == 0
     head, rule, *lines = capsys.readouterr().out.strip().splitlines()

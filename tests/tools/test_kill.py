@@ -1,4 +1,4 @@
-"""Commands that are killed and repeated: which kills are drawn, how what they leave is judged, and a few of them."""
+"""Commands that are killed and repeated: the drawn kills, the evaluation of their files, and a few kills."""
 
 import os
 import subprocess
@@ -36,8 +36,8 @@ def test_runs_are_judged_by_their_files(tmp_path):
 
 
 @pytest.mark.parametrize(("code", "message", "fault"), [
-    (1, "x 3/3 cells\ndoo-ti: interrupted; the same command starts anew\n", ""), (1, "doo-ti: interrupted\n", ""),
-    (1, "doo-ti: run: sweep stopped (interrupted); finished cells are kept, go on with: doo-ti sweep\n", ""), (-9, "", ""),
+    (1, "x 3/3 cells\ndoo-ti: interrupted; the same command starts from the beginning\n", ""), (1, "doo-ti: interrupted\n", ""),
+    (1, "doo-ti: run: sweep stopped (interrupted); finished cells are kept, resume with: doo-ti sweep\n", ""), (-9, "", ""),
     (1, "Traceback (most recent call last):\n", "traceback"), (1, "", "0 lines"),
     (2, "doo-ti: sweep: --dask: no scheduler answers; give one\n", ""), (1, "doo-ti: no\n", "does not say"),
 ])
@@ -46,8 +46,9 @@ def test_the_end_of_a_command_is_judged(code, message, fault):
     assert found.startswith(fault) and bool(found) == bool(fault)
 
 
+@pytest.mark.thorough
 @signals
-def test_a_prediction_that_is_told_to_end_leaves_nothing_and_says_so(tmp_path):
+def test_a_terminated_prediction_leaves_nothing_and_says_so(tmp_path):
     prepared(tmp_path, [])
     assert disturbed(Kill("predict", "SIGTERM", 0.6), tmp_path / "run", 1.0, tmp_path)[1] == ""
     assert kept(tmp_path / "run") == {}
@@ -55,7 +56,7 @@ def test_a_prediction_that_is_told_to_end_leaves_nothing_and_says_so(tmp_path):
 
 @pytest.mark.slow
 @signals
-def test_what_is_killed_and_repeated_is_as_undisturbed():
+def test_killed_and_repeated_commands_equal_undisturbed_ones():
     pytest.importorskip("distributed", reason="no cluster without Dask")
     done = subprocess.run([sys.executable, "tools/kill.py", "--kills", str(len(CASES))], cwd=ROOT, capture_output=True,
                           text=True)

@@ -1,4 +1,4 @@
-"""What the trials measure, what they do to images and seeds, and that rods are recovered: by their energy, not without it."""
+"""The trials' measures, their changes of images and seeds, and rods that are recovered with the energy, not without it."""
 
 from dataclasses import replace
 
@@ -87,6 +87,7 @@ def test_fewer_cameras_and_sets(rng):
     np.testing.assert_array_equal(some.camera_error, whole.camera_error[[2, 0]])
 
 
+@pytest.mark.thorough
 def test_gaps_are_seen_and_filled():
     case, _ = photographed("vicryl", [5])
     pixels, whole = case.pixels, case.detections
@@ -102,6 +103,7 @@ def test_gaps_are_seen_and_filled():
     assert not unseen(again, pixels).any()
 
 
+@pytest.mark.thorough
 def test_rods_are_recovered():
     case, _ = photographed("vicryl", [3, 44])
     _, trial, _ = recovered(case, case.rods.point, case.rods.direction)
@@ -125,7 +127,7 @@ def test_the_lab(thread):
 
 
 @pytest.mark.slow
-def test_energy_tells_rods_that_images_do_not():
+def test_energy_distinguishes_rods_that_images_do_not():
     """Fig. 6: all views cross themselves; gaps of the detection are filled as in §V-E."""
     case, _ = photographed("loops_vicryl", None, crossing=True)
     assert len(case.rods.names) > 15

@@ -1,4 +1,4 @@
-"""Predicted steps of the lab and predicted motions of a cable beside observed ones, and guesses that know no rod."""
+"""Predicted steps of the lab and predicted motions of a cable, compared with observations and with baselines."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from doo_ti.io.motion_file import ClampPath, load_path
 from doo_ti.io.observations import Observations, load_observations
 from doo_ti.types import Material
-from tests.relax.lab import lab
+from tests.relaxation.lab import lab
 from tools.trials.prediction import moved_as_one, moved_by_blend, predict_marks, predict_steps, rotation_steps
 
 
@@ -19,24 +19,24 @@ def test_guesses_that_know_no_rod():
 
 
 @pytest.mark.parametrize("name, largest", [("nylon", 1.0), ("vicryl", 1.0), ("silk", 1.0)])
-def test_the_lab_s_rotation_steps(shared_data, name, largest):
-    rods = lab(shared_data, name)
+def test_the_lab_s_rotation_steps(laboratory, name, largest):
+    rods = lab(laboratory, name)
     steps = predict_steps(rods.observations, *rotation_steps(rods.observations), rods.material())
-    print(f"{name}: mean {steps.error.mean():.3f} mm over {len(steps.error)} steps, {steps.jumps.sum()} falls")
+    print(f"{name}: mean {steps.error.mean():.3f} mm over {len(steps.error)} steps, {steps.jumps.sum()} jumps")
     assert len(steps.error) == 54 and steps.error.mean() <= largest and steps.same_branch.all()
 
 
-def test_the_ribbon_s_rotation_steps(shared_data):
+def test_the_ribbon_s_rotation_steps(laboratory):
     """Where the prediction ends on another branch than the observation, that is known, and named by the study."""
-    rods = lab(shared_data, "ribbon")
+    rods = lab(laboratory, "ribbon")
     steps = predict_steps(rods.observations, *rotation_steps(rods.observations), rods.material())
-    print(f"ribbon: median {np.median(steps.error):.3f} mm, {steps.jumps.sum()} falls, {(~steps.same_branch).sum()} elsewhere")
+    print(f"ribbon: median {np.median(steps.error):.3f} mm, {steps.jumps.sum()} jumps, {(~steps.same_branch).sum()} elsewhere")
     assert np.median(steps.error) <= 0.8
     assert (np.abs(steps.error - steps.own_error)[steps.same_branch] < 0.5).all()
 
 
 def test_a_cable_between_two_grippers(shared_data):
-    """0.2 m/s: quasi-static prediction beats what knows no rod on every stretch."""
+    """0.2 m/s: the quasi-static prediction is better than the baselines on every sequence."""
     folder = shared_data / "cables"
     still = load_observations(folder / "dlo1.npz")
     path = load_path(folder / "dlo1_motion.npz")

@@ -115,7 +115,7 @@ def test_materials_may_differ_from_one_observation_to_the_next(made):
 
 
 def test_rods_that_cannot_be_are_undetermined(made):
-    """Further apart than the rod is long: no curve, no angle, and the neighbours do not mind."""
+    """Further apart than the rod is long: no curve, no angle, and no effect on other observations."""
     torn = made.vertices.copy()
     torn[1, 20:] += [60.0, 0, 0]
     estimate = estimate_twist(Observations(torn, rest_length=made.rest_length, start_frame=made.start_frame), MATERIAL)

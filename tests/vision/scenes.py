@@ -1,4 +1,4 @@
-"""A rig and rods to render, and what a detection is worth against the curve that was drawn."""
+"""A rig and rods to render, and the errors of a detection against the drawn curve."""
 
 import cv2
 import numpy as np

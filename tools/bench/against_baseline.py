@@ -16,13 +16,13 @@ from tools.bench.baseline import as_baseline, measured_again, regressions, table
 
 @dataclass(frozen=True)
 class Benchmark:
-    """What is timed.
+    """A benchmark and its baseline.
 
     name         of the script
     description  one line
     baseline     the committed file
-    count        what there are many of, "rods": the option ``--rods`` says how many; with the default and the least number
-    cases        the cases for so many
+    count        the items, such as "rods", whose number the option ``--rods`` sets; its default and least value
+    cases        the cases for a number of items
     """
 
     name: str
@@ -51,7 +51,7 @@ def run(benchmark: Benchmark, arguments: list[str]) -> int:
         parser.error(f"the baseline is for {baseline['rods']} {benchmark.count}: name another file with --baseline")
     start_runtime()
     console = Console(stderr=True)
-    with console.status("making what is timed"):
+    with console.status("preparing the cases"):
         every = benchmark.cases(count)
     chosen = [case for case in every if not options.cases or any(part in case.name for part in options.cases)]
     if not chosen:
@@ -82,6 +82,6 @@ def _parser(benchmark: Benchmark) -> argparse.ArgumentParser:
     parser.add_argument("--rounds", type=int, default=5, help="measurements of which the median counts")
     parser.add_argument("--baseline", type=Path, default=benchmark.baseline, help="file to compare with and to write")
     action = parser.add_mutually_exclusive_group()
-    action.add_argument("--check", action="store_true", help="exit with 1 where a case has fallen behind the baseline")
+    action.add_argument("--check", action="store_true", help="exit with 1 where a case is slower than the baseline allows")
     action.add_argument("--write", action="store_true", help="make this run the baseline")
     return parser

@@ -6,7 +6,7 @@ from doo_ti.bench.cases import Case, Measurement, measure
 SLOWEST = 0.5
 """A ratio below this share of the baseline's is a regression."""
 FEWER = 0.002
-"""Share of rods that may converge less than in the baseline: a result that is wrong is worse than a slow one."""
+"""Allowed decrease of the share of converged rods."""
 
 
 def as_baseline(measured: dict[str, Measurement], rods: int, rounds: int, threads: int) -> dict:
@@ -38,8 +38,8 @@ def regressions(measured: dict[str, Measurement], baseline: dict) -> list[str]:
 
 
 def measured_again(case: Case, first: Measurement, reference: clock.Reference, rounds: int) -> Measurement:
-    """The better of two measurements, the second over twice the rounds: a case that seems to have fallen behind may
-    only have met a busy moment."""
+    """The better of two measurements, the second over twice the rounds: another process may have disturbed the
+    first."""
     second = measure(case, reference, 2 * rounds)
     return second if second.ratio > first.ratio else first
 

@@ -16,7 +16,7 @@ UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 class Task(NamedTuple):
-    """What W rods are asked, energies in units of α. Where the last axis is one, all rods share it.
+    """Parameters of W rods, energies in units of α. Where the last axis has length one, all rods share the value.
 
     length (E, 1 or W) of the edges and arm (E, 1 or W) Σ l̄ beyond each, mm; joint (E−1, 1 or W) 1/l̄, 1/mm; total and
     edge (1 or W) the rod's length and its longest edge, mm; twist (W,) β/α; gravity three of (W,) μ/α upwards, 1/mm³;
@@ -36,7 +36,7 @@ class Task(NamedTuple):
 def stepped(frames: tuple, step: tuple, cap) -> tuple:
     """The frames after the share ``cap`` (W,) of the rotations ``step``, three of (E−2, W), of the free edges."""
     free = tuple(part[1:-1] for part in frames)
-    # Where nothing is stepped the step may be anything, even what is not a number.
+    # Where no step is taken its value may be anything, even NaN.
     half = tuple(jnp.where(cap > 0, 0.5 * cap * part, 0) for part in step)
     return _between(frames, normalised(product(free, (jnp.ones_like(half[0]), *half))))
 

@@ -13,8 +13,8 @@ class Panel:
 
     x, y    labels of the axes, with units
     lines   name: (x values, y values), both positive; other values are left out
-    growth  whether the lines are to be compared with linear growth: the slope of their later half is told, and a dashed
-            line of slope one drawn through the middle of it. Otherwise they are counts and drawn as steps.
+    growth  True: compare the lines with linear growth: the slope of their later half is printed, and a dashed line of
+            slope one is drawn through the middle of it. False: the lines are counts, drawn as steps.
     """
 
     title: str

@@ -1,8 +1,8 @@
-"""The same Newton in plain JAX: what the package's kernel is compared with.
+"""The same Newton in plain JAX, for comparison with the package's kernel.
 
-Same rods, formulas, policy and precision (docs/chain.md; but no way off a saddle, and λ + δλ for λ), one program that XLA
-compiles whole. A slow opponent would prove nothing, so the obvious ways to write it were tried, and this is the fastest
-of them within what could be told apart. On two cores of an AMD EPYC shared with others, f32, 33 edges:
+Same rods, formulas, policy and precision (docs/chain.md; but it does not leave saddles, and has λ + δλ for λ), one program
+that XLA compiles as a whole. For a fair comparison the obvious ways to write it were tried; this is the fastest of them, up
+to the noise of the measurement. On two cores of an AMD EPYC shared with other processes, f32, 33 edges:
 
 4096 rods, thousands a second           51 best, 33 median; in f64 24 and 20
   in step until the last rod is done    11 best, 8 median
@@ -58,7 +58,7 @@ else:
 
 BATCH = 4096
 SHRINK = (1024, 256, 64)
-"""Sizes that a batch falls to: once no more rods than that are under way, they go on by themselves."""
+"""Sizes to which a batch is reduced: once no more rods than that are unfinished, they continue in a smaller batch."""
 
 POLICY = Newton()
 
@@ -103,12 +103,12 @@ class State(NamedTuple):
 def rate(rods: Rods, bits: int, rounds: int = 3, derivatives: str = "explicit") -> JaxRate:
     """How fast ``rods`` relax in batches of BATCH, compiled before the clock starts: the median of ``rounds``.
 
-    bits is 32 (scaled residual 1e-6) or 64 (1e-9); derivatives says how those of the pairs are come by, "explicit" or
-    "automatic". The clock runs from NumPy in to NumPy out; laying the rods out is left out. Raises InputError where jax is
+    bits is 32 (scaled residual 1e-6) or 64 (1e-9); derivatives selects those of the pairs, "explicit" or
+    "automatic". Timed is from NumPy in to NumPy out, without arranging the rods in batches. Raises InputError where jax is
     absent.
     """
-    with _precision(bits):
-        batches = _batches(rods, bits)
+    with floats_of(bits):
+        batches = batches_of(rods, bits)
         seconds, program = timed(lambda: _compiled(batches[0], bits, derivatives))
         runs = [timed(lambda: _run(program, batches, rods.count)) for _ in range(rounds)]
     _, _, converged, iterations = runs[0][1]
@@ -122,8 +122,8 @@ def relaxed(
 
     A rod that ends on a saddle or at the limit of iterations has not converged. Raises InputError where jax is absent.
     """
-    with _precision(bits):
-        batches = _batches(rods, bits)
+    with floats_of(bits):
+        batches = batches_of(rods, bits)
         frames, energy, converged, iterations = _run(_compiled(batches[0], bits, derivatives), batches, rods.count)
     total = np.broadcast_to(rods.starts.rest_length.sum(axis=-1), rods.starts.count)
     height = rods.clamps.start_position @ UP * 2 * total
@@ -131,7 +131,7 @@ def relaxed(
     return frames, energy + rods.material.weight[rods.of_material] * height[rods.of_start], converged, iterations
 
 
-def _precision(bits: int):
+def floats_of(bits: int):
     """The context in which numbers have that many bits."""
     if jax is None:
         raise InputError("study.py", "--jax", "jax is not installed", "pip install jax")
@@ -142,7 +142,7 @@ def _precision(bits: int):
     return enable_x64(bits == 64)
 
 
-def _batches(rods: Rods, bits: int) -> list[tuple[np.ndarray, "chain.Task"]]:
+def batches_of(rods: Rods, bits: int) -> list[tuple[np.ndarray, "chain.Task"]]:
     """(frames (W, E, 4), task) of each batch; the last one is filled up with rods from the front."""
     size = min(BATCH, rods.count)
     rows = np.resize(np.arange(rods.count), (-(-rods.count // size), size))
@@ -206,21 +206,21 @@ def _trip(bits: int, pairs, task: "chain.Task", state: State) -> State:
     """Try the step, evaluate where it leads, eliminate there, and judge; ``pairs`` is one of DERIVATIVES."""
     moving = state.trying | state.fresh | state.closing
     stepped = chain.stepped(state.frames, state.step, state.cap)
-    # Without the barriers XLA works frames and pairs out again in each of the many places that need them.
+    # Without the barriers XLA computes frames and pairs again at each of their many uses.
     frames = lax.optimization_barrier(chain.closed(bits, task, stepped, moving))
-    hoped = tuple(a + jnp.where(state.trying, b, 0) for a, b in zip(state.multiplier, state.change, strict=True))
+    tried = tuple(a + jnp.where(state.trying, b, 0) for a, b in zip(state.multiplier, state.change, strict=True))
     elastic, *of_pairs = lax.optimization_barrier(pairs(bits, task, frames))
     energy, magnitude, miss = chain.energy(task, frames, elastic)
-    gradient, diagonal, across, closure = chain.derivatives(task, frames, of_pairs, hoped)
+    gradient, diagonal, across, closure = chain.derivatives(task, frames, of_pairs, tried)
     scale = jnp.max(chain.largest(diagonal[0], diagonal[3], diagonal[5]), 0)
     residual = jnp.max(chain.largest(*map(jnp.abs, gradient)), 0)
     shift = _shift_after(state, scale)
     added = jnp.where(shift > 0, shift, 0.0 if bits == 32 else 1e-12 * scale)  # neutral motions pass, as in the kernel
     change, right, step = chain.solved(gradient, chain.on_diagonal(diagonal, added), across, closure, miss)
     noise = (2e-6 if bits == 32 else 1e-10) * magnitude
-    downhill = energy + chain.dot(hoped, miss) <= state.energy + chain.dot(hoped, state.miss) + noise
+    downhill = energy + chain.dot(tried, miss) <= state.energy + chain.dot(tried, state.miss) + noise
     taken = jnp.where(state.trying, downhill, jnp.isfinite(energy)) & ~state.done
-    there = {"frames": frames, "energy": energy, "miss": miss, "multiplier": hoped, "shift": shift, "scale": scale,
+    there = {"frames": frames, "energy": energy, "miss": miss, "multiplier": tried, "shift": shift, "scale": scale,
              "residual": residual}
     kept = {name: jax.tree.map(partial(jnp.where, taken), new, getattr(state, name)) for name, new in there.items()}
     return _judged(bits, task, state._replace(step=step, change=change, **kept), taken, right)
@@ -235,7 +235,7 @@ def _shift_after(state: State, scale):
 
 
 def _judged(bits: int, task: "chain.Task", state: State, taken, right) -> State:
-    """What comes next for rods whose trial was ``taken`` or not, the inertia there being ``right`` or not."""
+    """The next step of rods whose trial was ``taken`` or not, the inertia there being ``right`` or not."""
     uphill = state.trying & ~taken
     shift = jnp.where(uphill, jnp.maximum(4 * state.shift, SHIFT_REJECTED * state.scale), state.shift)
     gap = jnp.sqrt(chain.dot(state.miss, state.miss))

@@ -1,11 +1,11 @@
 """Operations of a trip through Newton's loop, counted in the compiled kernel: ``python tools/bench/operations.py [--check]``.
 
-Prints a line per kind of rod: operations in the loops over edges, for each edge, and outside, for each trip. What
-:data:`doo_ti.bench.cases.OPERATIONS` holds are these figures; ``--check`` exits with 1 where they differ by more than 3 %.
+Prints a line per kind of rod: operations in the loops over edges, for each edge, and outside, for each trip. These
+figures are in :data:`doo_ti.bench.cases.OPERATIONS`; ``--check`` exits with 1 where they differ by more than 3 %.
 
-The kernels are compiled in a process of their own, which has LLVM write down the optimised code. In that the additions,
-multiplications, divisions and roots on packs are counted by the loop that they lie in. Parts that the held edges skip are
-counted for every edge, so the loops count for the E − 2 free edges.
+The kernels are compiled in a separate process, in which LLVM writes the optimised code to a file. In it the additions,
+multiplications, divisions and roots on packs are counted by the loop that contains them. Parts that are skipped for held edges
+are counted for every edge, so the loops count for the E − 2 free edges.
 """
 
 import os

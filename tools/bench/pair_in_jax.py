@@ -40,7 +40,7 @@ def by_autodiff(bits: int, task: Task, frames: tuple) -> tuple:
     """The same as :func:`written_out` from ``jax.value_and_grad`` and ``jax.hessian`` of one pair's energy, under vmap over the
     rods and over the joints, where in f64 ``lax.map`` takes these one by one.
 
-    XLA likes to work the energy's parts out again for every entry of H. Tried as well, µs a rod for g and H of all its pairs,
+    XLA tends to compute the energy's parts again for every entry of H. Also tried, µs a rod for g and H of all its pairs,
     f32, beside 1.3 for the formulas in the same run: the rotations as six arguments (so it is kept) 15, six jvp of the gradient
     13, the rotations as one array of six 160 to 370, that with numbers for the quaternions' parts above 1800. ``lax.map`` in
     f32: 6.8 thousand rods a second for 9.3; vmap in f64 takes twice the time of a trip.

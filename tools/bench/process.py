@@ -1,4 +1,4 @@
-"""What only a fresh process shows: start-up, memory, and the number of threads.
+"""Measurements that need a new process: start-up, memory, and the number of threads.
 
 The parent calls :class:`Children`; a child is ``python tools/bench/process.py TASK STARTS NUMBER ...`` and prints one JSON
 object. Taichi's kernel cache is a temporary folder, so that nothing is left behind and the first child finds it empty.
@@ -39,12 +39,12 @@ class Children:
         self._tables = tables
 
     def __enter__(self) -> "Children":
-        self._folder = tempfile.TemporaryDirectory(prefix="doo-ti-bench-")
-        self._starts = Path(self._folder.name) / "starts.npz"
+        self.folder = tempfile.TemporaryDirectory(prefix="doo-ti-bench-")
+        self._starts = Path(self.folder.name) / "starts.npz"
         return self
 
     def __exit__(self, *reason) -> None:
-        self._folder.cleanup()
+        self.folder.cleanup()
 
     def import_seconds(self) -> float:
         """How long ``import doo_ti`` takes."""
@@ -60,12 +60,12 @@ class Children:
 
     def bytes_per_rod(self, rods: int) -> float | None:
         """Growth of the peak memory from ``rods`` to four times as many, per rod, less the results': input, tables, and
-        what the call needs on the way. None where the system does not tell."""
+        temporary arrays of the call. None where the system does not report it."""
         return self._run("memory", rods)["bytes"]
 
     def growth_kb_per_call(self, calls: int) -> float | None:
         """Growth of the memory per call over the second half of ``calls`` calls of varied size, in kB; None where the
-        system does not tell."""
+        system does not report it."""
         return self._run("calls", calls)["kb"]
 
     def rods_per_second(self, threads: int, rods: int, calls: int) -> float:
@@ -81,7 +81,7 @@ class Children:
         return [__file__, task, str(self._starts), *map(str, numbers)]
 
     def _told(self, words: list[str]) -> dict:
-        environment = {**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": self._folder.name}
+        environment = {**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": self.folder.name}
         done = subprocess.run([sys.executable, *words], env=environment, stdin=subprocess.DEVNULL, capture_output=True,
                               text=True, encoding="utf-8")
         if done.returncode:

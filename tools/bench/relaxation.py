@@ -1,7 +1,7 @@
-"""Benchmark of the hot path: ``python tools/bench/relaxation.py [CASE ...] [--rounds N] [--check | --write]``.
+"""Benchmark of relaxations: ``python tools/bench/relaxation.py [CASE ...] [--rounds N] [--check | --write]``.
 
 Prints one table: rods/s, the ratio to a NumPy workload timed in the same round, and that ratio over the baseline's.
-``--check`` exits with 1 where a ratio falls below half the baseline or fewer rods converge; ``--write`` makes a new
+``--check`` exits with 1 where a ratio is below half the baseline or fewer rods converge; ``--write`` makes a new
 baseline, on an idle machine. ``tools/bench/study.py`` measures the same cases and more.
 """
 

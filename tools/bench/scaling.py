@@ -1,4 +1,4 @@
-"""How the time grows with the number of rods, edges and threads."""
+"""Growth of the time with the number of rods, edges and threads."""
 
 from dataclasses import dataclass
 
@@ -49,7 +49,7 @@ def with_edges(tables: Rods, edges: int) -> Point:
 def refined(starts: Configuration, edges: int) -> Configuration:
     """The starts with ``edges`` equal edges: the same length, the frames between those that are given.
 
-    The far end comes out a little beside its clamp; the solver closes that.
+    The far end is then slightly off its clamp; the solver corrects that.
     """
     total = np.atleast_2d(starts.rest_length).sum(axis=-1)
     frames = starts.quaternions.copy()

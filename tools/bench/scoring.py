@@ -2,7 +2,7 @@
 
 Hypotheses of 34 vertices scored against three distorted images each, NumPy in to NumPy out, and rods relaxed between their
 energy and the images. Prints one table, with ratios to a NumPy workload timed in the same round; ``--check`` and ``--write``
-are those of the benchmark of the hot path. All comes from a fixed seed: no image is read.
+are those of the benchmark of relaxations. All data come from a fixed seed: no image is read.
 """
 
 import sys
@@ -130,7 +130,7 @@ def _detected(camera: Camera, points: np.ndarray) -> Detection:
 
 
 def cases(rods: Specimens, few: Specimens) -> list[Case]:
-    """What is timed: scores of ``rods``, relaxations of ``few``."""
+    """The timed cases: scores of ``rods``, relaxations of ``few``."""
     single = rods.hypotheses.astype(np.float32)
     scores = [Case(f"score, {points} points per edge", "hypotheses/s", partial(rods.scored, single, points))
               for points in (4, 8, 16)]

@@ -1,7 +1,7 @@
-"""All that can be measured of the engine's speed: ``python tools/bench/study.py [OPTION ...]``.
+"""All measurements of the solver's speed: ``python tools/bench/study.py [OPTION ...]``.
 
-What ``doo-ti bench`` prints, and besides: single rods, the paper's scheme, Eq. 1, start-up, memory, threads, how many
-iterations rods take; ``--scaling`` adds curves over rods, edges and threads, ``--jax`` the same solver in JAX (``pip install
+The table of ``doo-ti bench``, and: single rods, the paper's scheme, Eq. 1, start-up, memory, threads, numbers of
+iterations; ``--scaling`` adds curves over rods, edges and threads, ``--jax`` the same solver in JAX (``pip install
 jax``). With ``--out FOLDER`` also as bench.json, histogram.png and scaling.png.
 """
 
@@ -136,7 +136,7 @@ def _scaling(rods: Specimens) -> list[Step]:
 
 
 def _jax(rods: Specimens, bits: int, derivatives: str, summary: dict) -> str:
-    """The same solver in JAX, and how many times as fast the case beside it is."""
+    """The same solver in JAX, and the ratio of the kernel's rate to its rate."""
     from tools.bench.newton_in_jax import rate
 
     some = rods.many.take(slice(JAX_RODS))

@@ -1,4 +1,4 @@
-"""What the study adds to the table of ``doo-ti bench``: processes, iterations, JAX, scaling."""
+"""Additions of the study to the table of ``doo-ti bench``: processes, iterations, JAX, scaling."""
 
 from doo_ti.bench import table
 from doo_ti.bench.table import given, markdown, percent

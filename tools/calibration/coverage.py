@@ -1,4 +1,4 @@
-"""How often intervals hold the truth, how wide they are, and how far the values are off."""
+"""Coverage and width of intervals, and errors of the values."""
 
 import math
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ WIDE = 4.0
 
 @dataclass(frozen=True)
 class Interval:
-    """What a fit reports of one positive parameter, beside its truth.
+    """The value and interval that a fit reports for one positive parameter, and its true value.
 
     value      None where it is not determined
     low, high  None where unbounded; a lower bound of zero or less is none for a positive quantity
@@ -56,7 +56,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Count:
-    """Of how many intervals how many hold the truth."""
+    """Number of intervals, and number of those that contain the truth."""
 
     held: int
     total: int
@@ -117,7 +117,7 @@ def coverage(intervals: list[Interval]) -> Coverage:
 
 
 def wilson(count: Count) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share: what a study of that many specimens says about the true coverage."""
+    """Wilson's 95 % interval of a share: the uncertainty of the coverage from a finite number of specimens."""
     z, n, p = 1.959964, count.total, count.share
     middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
     return (middle - half) / (1 + z * z / n), (middle + half) / (1 + z * z / n)
@@ -129,7 +129,7 @@ HEAD = ("| parameter | truth in the 95 % interval | coverage (its own 95 % range
 
 
 def table(found: dict[str, Coverage]) -> str:
-    """Markdown, one line per parameter; counts are of intervals that hold the truth."""
+    """Markdown, one line per parameter; counts are of intervals that contain the truth."""
     lines = [HEAD, "|---" * (HEAD.replace("\\|", "").count("|") - 1) + "|"]
     for name, one in found.items():
         if not one.all.total:

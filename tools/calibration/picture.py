@@ -1,4 +1,4 @@
-"""Intervals over the truth, specimen by specimen, and how wide they are."""
+"""Intervals over the truth, specimen by specimen, and histograms of their widths."""
 
 import numpy as np
 
@@ -7,8 +7,8 @@ from tools.calibration.coverage import Interval
 
 HELD, MISSED = "#3b75af", "#d1342f"
 LARGEST = (30.0, 3.0, 1.2, 1.05)
-"""The axes end at such a factor from the truth, the smallest that nine tenths of all ends are within; what lies beyond is drawn
-at the ends of the axes."""
+"""The axes end at the smallest factor from the truth that contains nine tenths of all bounds; other bounds are drawn at the
+ends of the axes."""
 BINS = 24
 TICKS = {30.0: (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20), 3.0: (0.5, 0.7, 1, 1.5, 2), 1.2: (0.85, 0.9, 1, 1.1, 1.2),
          1.05: (0.96, 0.98, 1, 1.02, 1.04)}

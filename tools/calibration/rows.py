@@ -1,4 +1,4 @@
-"""One row per fitted specimen, kept in a CSV file so that a study that was stopped goes on where it was."""
+"""One row per fitted specimen, kept in a CSV file from which a study that was stopped resumes."""
 
 import csv
 import io
@@ -47,7 +47,7 @@ class Row:
         return (self.seed, Variant(self.observations, self.missing, self.wrong_branch))
 
     def interval(self, name: str) -> Interval | None:
-        """What was reported of one of ``NAMES``; None where nothing was."""
+        """The reported value and bounds of one of ``NAMES``; None where it was not reported."""
         truth = {"bend": self.bend, "twist": self.twist, "twist_ratio": self.twist / self.bend}[name]
         return Interval(truth, *self.fitted[name]) if name in self.fitted else None
 
@@ -84,7 +84,7 @@ def load_rows(path: Path) -> list[Row]:
 
 
 def save_rows(path: Path, rows: list[Row]) -> None:
-    """Write all rows, by seed; a file that is there stays until the new one is whole."""
+    """Write all rows, by seed; an existing file is replaced only when the new one is complete."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)

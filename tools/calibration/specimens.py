@@ -1,7 +1,7 @@
-"""Random specimens: a rod of the virtual lab with everything drawn from one seed, and what is then done to its observations.
+"""Random specimens: a rod of the virtual lab with all parameters drawn from one seed, and changes of its observations.
 
-The rods have edges of 0.5 mm, smooth rest curvature and clips of any length, none of which a fit is given. Every draw has a
-random stream of its own: subsets, missing marks and wrong branches do not change which rods a seed gives.
+The rods have edges of 0.5 mm, smooth rest curvature and clips of any length, none of which are inputs of the fit. Every draw
+has a random stream of its own: subsets, missing marks and wrong branches do not change which rods a seed gives.
 """
 
 from dataclasses import dataclass, replace
@@ -31,11 +31,11 @@ SUBSET, MISSING, WRONG = 1, 2, 3
 
 @dataclass(frozen=True)
 class Variant:
-    """What is done to the observations of each specimen before they are fitted.
+    """Changes of the observations of each specimen before they are fitted.
 
     observations  how many of them are kept, chosen at random
-    missing       share of the marks that are made invalid; not the outermost two, on which the clamps rest
-    wrong_branch  how many of those kept get the shape of another equilibrium, or a total twist that is off by a whole turn
+    missing       share of the marks that are made invalid; not the outermost two, from which the clamps follow
+    wrong_branch  how many of those kept get the shape of another equilibrium, or a total twist with an error of a whole turn
     """
 
     observations: int = 60

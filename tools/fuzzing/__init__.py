@@ -1,1 +1,1 @@
-"""What tools/fuzz.py feeds to the commands: good files of every format, and what is done to them."""
+"""Inputs of tools/fuzz.py: valid files of every format, and changes of them."""

@@ -1,4 +1,4 @@
-"""What is done to the arrays of npz files and the columns of Parquet: shapes, types, values, and the archive around them."""
+"""Changes of the arrays of npz files and the columns of Parquet: shapes, types, values, and the archive around them."""
 
 import io
 import random
@@ -82,9 +82,9 @@ def spoil_npz(path: Path, chance: random.Random) -> tuple[str, str]:
     )
     if way in ("values", "shape", "type"):
         change = {"values": spoilt_values, "shape": spoilt_shape, "type": spoilt_type}[way]
-        arrays[key], told = change(arrays[key], chance)
+        arrays[key], described = change(arrays[key], chance)
         np.savez(path, **arrays)
-        return "values" if way == "values" else "structure", f"{key}: {told}"
+        return "values" if way == "values" else "structure", f"{key}: {described}"
     if way == "drop":
         del arrays[key]
     elif way == "rename":
@@ -101,7 +101,7 @@ def spoil_npz(path: Path, chance: random.Random) -> tuple[str, str]:
 
 
 def _spoil_archive(path: Path, key: str, chance: random.Random) -> str:
-    """Write one member anew, once more, or beside the others."""
+    """Replace, repeat or add a member of the archive."""
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     name, good = f"{key}.npy", members[f"{key}.npy"]
@@ -120,7 +120,7 @@ def _spoil_archive(path: Path, key: str, chance: random.Random) -> str:
         "header of text": good.replace(b"'<f8'", b"'<U9'", 1),
         "header of objects": good.replace(b"'<f8'", b"'|O' ", 1),
     }
-    told = chance.choice(sorted(headers))
+    described = chance.choice(sorted(headers))
     way = chance.choice(("instead", "instead", "beside", "elsewhere", "method"))
     with (
         warnings.catch_warnings(),
@@ -130,9 +130,9 @@ def _spoil_archive(path: Path, key: str, chance: random.Random) -> str:
     ):
         warnings.simplefilter("ignore")  # that a name is there twice
         for member, content in members.items():
-            archive.writestr(member, headers[told] if member == name and way == "instead" else content)
+            archive.writestr(member, headers[described] if member == name and way == "instead" else content)
         if way == "beside":
-            archive.writestr(name, headers[told])
+            archive.writestr(name, headers[described])
         elif way == "elsewhere":
             archive.writestr(chance.choice(("../" + name, "/tmp/" + name, "a/" + name, "vertices_mm", "\x1b[2J.npy")), good)
     if way == "method":
@@ -140,7 +140,7 @@ def _spoil_archive(path: Path, key: str, chance: random.Random) -> str:
             b"PK\x01\x02\x14\x00\x14\x00\x00\x00\x00\x00", b"PK\x01\x02\x14\x00\x14\x00\x01\x00\x63\x00"
         )
         path.write_bytes(content)
-    return {"instead": told, "beside": f"twice, {told}"}.get(way, way)
+    return {"instead": described, "beside": f"twice, {described}"}.get(way, way)
 
 
 def _with_shape(member: bytes, shape: tuple) -> bytes:
@@ -158,10 +158,10 @@ def spoil_parquet(path: Path, chance: random.Random) -> tuple[str, str]:
     column = chance.randrange(table.num_columns)
     name, metadata = table.column_names[column], table.schema.metadata
     way = chance.choice(("values",) * 5 + ("type",) * 2 + ("drop", "rename", "twice", "rows", "null", "metadata", "list"))
-    kind, told = "structure", way
+    kind, described = "structure", way
     if way in ("values", "type"):
         array = table.column(column).to_numpy()
-        new, told = (
+        new, described = (
             (spoilt_values if way == "values" else spoilt_type)(array, chance)
             if array.dtype.kind in "fiub"
             else (array, "same")
@@ -176,10 +176,10 @@ def spoil_parquet(path: Path, chance: random.Random) -> tuple[str, str]:
         table = table.rename_columns(names)
     elif way == "rows":
         rows = list(range(table.num_rows))
-        told = chance.choice(("rows shuffled", "a row twice", "a row less", "no rows"))
+        described = chance.choice(("rows shuffled", "a row twice", "a row less", "no rows"))
         chance.shuffle(rows)
         table = table.take(
-            {"rows shuffled": rows, "a row twice": [*rows, rows[0]], "a row less": rows[1:], "no rows": []}[told]
+            {"rows shuffled": rows, "a row twice": [*rows, rows[0]], "a row less": rows[1:], "no rows": []}[described]
         )
     elif way == "null":
         table = table.set_column(column, name, pa.nulls(table.num_rows, table.schema.field(column).type))
@@ -188,9 +188,9 @@ def spoil_parquet(path: Path, chance: random.Random) -> tuple[str, str]:
     if way == "metadata" and metadata:
         key = chance.choice(sorted(metadata))
         metadata = {**metadata, key: chance.choice((b"", b"\xff\xfe", b"x", metadata[key] + b"0"))}
-        told = f"metadata {key.decode(errors='replace')}"
+        described = f"metadata {key.decode(errors='replace')}"
     pq.write_table(table.replace_schema_metadata(metadata), path, write_page_checksum=chance.random() < 0.5)
-    return kind, f"{name}: {told}"
+    return kind, f"{name}: {described}"
 
 
 def _column(array: np.ndarray):

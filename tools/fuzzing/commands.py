@@ -1,4 +1,4 @@
-"""Good command lines over the corpus, small enough to be done in well under a second."""
+"""Valid command lines over the corpus, each taking well under a second."""
 
 import re
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ SINGLE = (
     "--no-recording"
 )
 PATHS = {"--out", "--images", "--picture", "--recording", "--animation"}
-"""Options that say what to write."""
+"""Options that name outputs."""
 COMPANIONS = {
     "dynamic.toml": ("pairs.csv",),
     "file.toml": ("rods.npz",),
@@ -27,7 +27,7 @@ COMPANIONS = {
 
 @dataclass(frozen=True)
 class Recipe:
-    """A good command line, and how often it is taken.
+    """A valid command line, and its relative frequency.
 
     held  folder of the corpus that lies at the last word of ``--out`` before the command begins
     """

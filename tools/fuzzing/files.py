@@ -1,4 +1,4 @@
-"""What is done to any file: its bytes, images' chunks, and what lies in its place."""
+"""Changes of any file: of its bytes, of images' chunks, and its replacement by something else."""
 
 import os
 import random
@@ -65,7 +65,7 @@ def _replace(path: Path, corpus: Path, chance: random.Random) -> str:
     elif way == "loop":
         path.symlink_to(path.name)
     elif way == "dangling":
-        path.symlink_to("nowhere")
+        path.symlink_to("missing")
     elif way == "device":
         path.symlink_to(chance.choice(("/dev/zero", "/dev/null", "/proc/self/mem", "/dev/full")))
     elif way == "pipe":
@@ -109,7 +109,7 @@ def spoil_image(path: Path, chance: random.Random) -> tuple[str, str]:
         "second head": (b"IHDR", chunks[0][1]),
     }
     way = chance.choice(("head", "head", "extra", "extra", "data", "sum", "order", "end"))
-    told = way
+    described = way
     if way == "head":
         key = chance.choice(sorted(head))
         head[key] = chance.choice(
@@ -118,13 +118,13 @@ def spoil_image(path: Path, chance: random.Random) -> tuple[str, str]:
             else (0, 1, 159, 161, 20_000, 20_001, 2**31 - 1, 2**32 - 1)
         )
         chunks[0][1] = struct.pack(">IIBBBBB", *head.values())
-        told = f"{key} {head[key]}"
+        described = f"{key} {head[key]}"
     elif way == "extra":
-        told = chance.choice(sorted(extra))
-        chunks.insert(chance.choice((1, 1, len(chunks) - 1)), list(extra[told]))
+        described = chance.choice(sorted(extra))
+        chunks.insert(chance.choice((1, 1, len(chunks) - 1)), list(extra[described]))
     elif way == "data":
         data = next(chunk for chunk in chunks if chunk[0] == b"IDAT")
-        told, data[1] = chance.choice(
+        described, data[1] = chance.choice(
             (
                 ("half the data", data[1][: len(data[1]) // 2]),
                 ("other data", zlib.compress(b"\x09" * 19_000)),
@@ -145,7 +145,7 @@ def spoil_image(path: Path, chance: random.Random) -> tuple[str, str]:
             for index, (name, data) in enumerate(chunks)
         )
     )
-    return "structure", told
+    return "structure", described
 
 
 def _other_image(path: Path, chance: random.Random) -> str:
@@ -168,16 +168,16 @@ def _other_image(path: Path, chance: random.Random) -> str:
         "with one dot": np.where(np.arange(image.size).reshape(image.shape) == 5000, 0, 255).astype(np.uint8),
     }
     forms = (".png", ".png", ".png", ".jpg", ".bmp", ".tiff", ".webp", ".pgm", ".gif", ".hdr", ".jp2", ".ras")
-    told, form = chance.choice(sorted(images)), chance.choice(forms)
+    described, form = chance.choice(sorted(images)), chance.choice(forms)
     try:
-        good, content = cv2.imencode(form, images[told])
+        good, content = cv2.imencode(form, images[described])
     except cv2.error:
         good = False
     if not good:
-        form, (_, content) = ".png", cv2.imencode(".png", images[told])
+        form, (_, content) = ".png", cv2.imencode(".png", images[described])
     content = content.tobytes()
     if form != ".png" and chance.random() < 0.5:
         content = content[: chance.randrange(len(content))]
         form += ", cut off"
     path.write_bytes(content)
-    return f"{told} as {form}"
+    return f"{described} as {form}"

@@ -133,7 +133,7 @@ SMALL = {
     "--hypotheses",
     "--steps-between",
 }
-BESIDE = {"--dask": ("tcp://", "", "nowhere", "tcp://127.0.0.1:x", "http://127.0.0.1:1", "tcp://127.0.0.1:99999")}
+BESIDE = {"--dask": ("tcp://", "", "missing", "tcp://127.0.0.1:x", "http://127.0.0.1:1", "tcp://127.0.0.1:99999")}
 CONTRADICTIONS = (
     "--bend 1e5 --bend-1 1e5",
     "--twist 1e5 --twist-ratio 1",
@@ -224,9 +224,9 @@ def options_of(command: str) -> tuple[tuple[str, bool], ...]:
     """The options that ``--help`` of a command names, and whether each takes a value."""
     from doo_ti.cli import main
 
-    with redirect_stdout(StringIO()) as told:
+    with redirect_stdout(StringIO()) as printed:
         main([command, "--help"])
-    usage = told.getvalue().split("\n\n")[0]
+    usage = printed.getvalue().split("\n\n")[0]
     found = dict(re.findall(r"(--[a-z][\w-]*)([ \n]+[A-Z{])?", usage))
     return tuple((name, bool(value)) for name, value in sorted(found.items()))
 

@@ -1,4 +1,4 @@
-"""What is done to files of text: tables, scenes, rigs, and JSON."""
+"""Changes of text files: tables, scenes, rigs, and JSON."""
 
 import json
 import random
@@ -105,11 +105,10 @@ def spoil_text(path: Path, chance: random.Random) -> tuple[str, str]:
         return _spoil_json(path, chance)
     content = path.read_bytes()
     way = chance.choice(("number",) * 7 + ("word",) * 3 + ("line", "line", "cell", "cell", "bytes", "bytes", "form"))
-    new, kind, told = {"number": _number, "word": _word, "line": _line, "cell": _cell, "bytes": _bytes, "form": _form}[way](
-        content, chance
-    )
+    change = {"number": _number, "word": _word, "line": _line, "cell": _cell, "bytes": _bytes, "form": _form}[way]
+    new, kind, described = change(content, chance)
     path.write_bytes(new)
-    return kind, told
+    return kind, described
 
 
 def _number(content: bytes, chance: random.Random) -> tuple[bytes, str, str]:
@@ -201,14 +200,14 @@ def _spoil_json(path: Path, chance: random.Random) -> tuple[str, str]:
     value = json.loads(path.read_text())
     places = []
 
-    def walk(parent, told: str) -> None:
+    def walk(parent, described: str) -> None:
         for key in list(parent) if isinstance(parent, dict) else range(len(parent)):
-            places.append((parent, key, f"{told}.{key}"))
+            places.append((parent, key, f"{described}.{key}"))
             if isinstance(parent[key], (dict, list)):
-                walk(parent[key], f"{told}.{key}")
+                walk(parent[key], f"{described}.{key}")
 
     walk(value, "")
-    parent, key, told = chance.choice(places)
+    parent, key, described = chance.choice(places)
     way = chance.choice(("replace",) * 4 + ("drop", "rename"))
     if way == "replace":
         parent[key] = chance.choice(JSON_VALUES)
@@ -218,4 +217,4 @@ def _spoil_json(path: Path, chance: random.Random) -> tuple[str, str]:
     else:
         del parent[key]
     path.write_text(json.dumps(value))
-    return "values" if way.startswith("is ") else "structure", f"{told[1:]} {way}"
+    return "values" if way.startswith("is ") else "structure", f"{described[1:]} {way}"

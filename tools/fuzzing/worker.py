@@ -1,7 +1,9 @@
-"""A process that runs cases one after another, the commands in itself: ``python -m tools.fuzzing.worker FOLDER SEED IN OUT``.
+"""A process that runs cases one after another, without further processes.
 
-FOLDER holds ``corpus``, ``home`` and ``temporary``, the last two empty. The numbers of cases come line by line from the file
-descriptor IN; to OUT goes a line of JSON before each case, which says what it is, and one after it, which says what came of it.
+    python -m tools.fuzzing.worker FOLDER SEED IN OUT
+
+FOLDER holds ``corpus``, ``home`` and ``temporary``, the last two empty. The numbers of cases are read line by line from the
+file descriptor IN; a line of JSON with the description of each case is written to OUT before it, one with its result after it.
 """
 
 import json
@@ -33,19 +35,19 @@ WRITTEN_BESIDE = {"refine": ("refined.png",)}
 
 def main() -> None:
     folder, seed, inward, outward = Path(sys.argv[1]).resolve(), sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
-    with os.fdopen(inward) as asked, os.fdopen(outward, "w", buffering=1) as told:
-        for line in asked:
+    with os.fdopen(inward) as numbers, os.fdopen(outward, "w", buffering=1) as results:
+        for line in numbers:
             case = folder / "case"
             shutil.rmtree(case, ignore_errors=True)
             case.mkdir()
             os.chdir(case)
             about = prepare(folder / "corpus", seed, int(line))
-            print(json.dumps(about), file=told)
-            print(json.dumps(about | run(about, folder)), file=told)
+            print(json.dumps(about), file=results)
+            print(json.dumps(about | run(about, folder)), file=results)
 
 
 def prepare(corpus: Path, seed: str, number: int) -> dict:
-    """Lay the files of a case into the working directory; returns what it is: the same for the same seed and number."""
+    """Put the files of a case into the working directory; returns its description, which follows from seed and number."""
     chance = random.Random(f"{seed} {number}")
     usable = [recipe for recipe in RECIPES if all((corpus / name).exists() for name in recipe.names)]
     recipe = chance.choices(usable, [recipe.weight for recipe in usable])[0]
@@ -62,14 +64,14 @@ def prepare(corpus: Path, seed: str, number: int) -> dict:
             _unseal(summary)
     targets = sorted(path for path in Path().rglob("*") if path.is_file())
     if chance.random() < OPTIONS_SHARE or not targets:
-        words, told = spoilt(words, chance)
+        words, described = spoilt(words, chance)
         shape, kind, target = "options", "options", recipe.words[0]
     else:
         path = chance.choices(targets, [SELDOM_READ.get(each.name, 1.0) for each in targets])[0]
         shape, target = path.suffix, str(path)
-        kind, told = spoil(path, corpus, chance)
+        kind, described = spoil(path, corpus, chance)
         if kind == "values" and path.suffix in STRUCTURED and chance.random() < TWICE_SHARE:
-            told += "; " + spoil(path, corpus, chance)[1]
+            described += "; " + spoil(path, corpus, chance)[1]
     return {
         "number": number,
         "words": words,
@@ -77,13 +79,12 @@ def prepare(corpus: Path, seed: str, number: int) -> dict:
         "format": shape,
         "kind": kind,
         "target": target,
-        "change": told,
+        "change": described,
     }
 
 
 def _unseal(path: Path) -> None:
-    """Have a summary say nothing of the sums of files and of its own, as those of older versions, so that more of a changed
-    run is looked at."""
+    """Remove the digests from a summary, as in those of older versions, so that more of a changed run is read."""
     summary = json.loads(path.read_text())
     for key in ("files", SEAL):
         summary.pop(key, None)
@@ -91,7 +92,7 @@ def _unseal(path: Path) -> None:
 
 
 def run(about: dict, folder: Path) -> dict:
-    """What came of the command in the working directory: exit code, seconds, peak memory, and what is wrong with it."""
+    """Run the command in the working directory; returns exit code, seconds, peak memory, and the problem, if any."""
     from doo_ti.__main__ import main as command
 
     before, began = _everything(folder), monotonic()
@@ -125,22 +126,22 @@ def run(about: dict, folder: Path) -> dict:
 
 
 def _asked_for(name: str, words: list[str], there: bool) -> bool:
-    """Whether a file that was written lies where the command line has it written; what was ``there`` is of the folder
-    ``out``, or an input."""
+    """Whether the command line asks for a file that was written; ``there``: it existed before, in the folder ``out`` or as an
+    input."""
     name = name.removeprefix("case/")
     if name == "out" or name.startswith("out/") or Path(name).name in WRITTEN_BESIDE.get(words[0], ()):
         return True
-    told = [os.path.normpath(word) for option, word in zip(words, words[1:]) if option in PATHS or words[0] == "convert"]
+    outputs = [os.path.normpath(word) for option, word in zip(words, words[1:]) if option in PATHS or words[0] == "convert"]
     return not there and any(
         f"{name}/".startswith(f"{place}/")
         or place.startswith(f"{name}/")
         or Path(name).with_suffix("") == Path(place).with_suffix("")
-        for place in told
+        for place in outputs
     )
 
 
 def judged(code: int | None, out: str, err: str, as_json: bool) -> str:
-    """What is wrong with how a command ended; nothing where all is well."""
+    """The problem with the end of a command; empty where there is none."""
     lines = [line for line in err.splitlines() if not PROGRESS.search(line)]
     ours = [line for line in lines if line.startswith("doo-ti: ")]
     if "Traceback" in err:
@@ -194,7 +195,7 @@ def _captured(folder: Path):
 
 
 def _everything(folder: Path) -> dict[str, object]:
-    """What lies in the working directory, at home and among the temporary files: kind, size and time of each."""
+    """Kind, size and time of each file in the working directory, at home and among the temporary files."""
     found = {}
     for part in ("case", "home", "temporary"):
         for root, folders, files in os.walk(folder / part):

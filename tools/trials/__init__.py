@@ -1,1 +1,1 @@
-"""What the studies try on rods that are known: images to rods, motions, twist."""
+"""Trials of the studies on known rods: images to rods, motions, twist."""

@@ -1,4 +1,4 @@
-"""How well rods are recovered from images of known ones (§V-E), and from worse images and seeds than those of a careful lab.
+"""Accuracy of rods recovered from images of known rods (§V-E), also with degraded images and inexact seeds.
 
 Axes: A sets, C cameras, V vertices, n points of a curve.
 """
@@ -17,7 +17,7 @@ from doo_ti.vision.rendering.render import Photographs
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
 
 CORRECT_MM = 1.0
-"""A rod whose vertices are off by less on average is recovered: it runs as the true one does."""
+"""A rod with a smaller mean error of its vertices counts as recovered correctly."""
 
 UNSEEN_PX = 2.0
 """The thread is not detected where the next detected point is further away: an error of the line itself is far less."""
@@ -25,7 +25,7 @@ UNSEEN_PX = 2.0
 
 @dataclass(frozen=True)
 class Trial:
-    """What became of A sets.
+    """Results of A sets.
 
     vertex_error  (A,) mm: mean distance of the vertices to the true ones
     curve_error   (A,) mm: the same to the true curve, whatever the place along it
@@ -47,7 +47,7 @@ class Trial:
 
     @property
     def overlooked(self) -> np.ndarray:
-        """(A,) bool: not correct although the true rod scores better: the search lost it. Else the score preferred another."""
+        """(A,) bool: not correct although the true rod has a smaller E_vis: the search pruned it."""
         return ~self.correct & (self.truth_energy < self.energy_vis)
 
 
@@ -73,7 +73,7 @@ def distance_to_curve(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
 
 
 def truth_energy(search: Search, vertices: np.ndarray) -> np.ndarray:
-    """(A,) 1/mm: E_vis where a rod comes to rest that sets out along the true edges (A, V, 3), held as in the search."""
+    """(A,) 1/mm: E_vis of the rod relaxed from the true edges (A, V, 3), clamped as in the search."""
     tangents = np.diff(vertices, axis=1)
     tangents /= np.linalg.norm(tangents, axis=-1, keepdims=True)
     frames = quaternion_from_matrix(bishop_frames(tangents, search.first[:, 1]))
@@ -81,8 +81,7 @@ def truth_energy(search: Search, vertices: np.ndarray) -> np.ndarray:
 
 
 def with_energy(options: PerceptionOptions, share: float) -> PerceptionOptions:
-    """The same search where the rod's energy counts for ``share`` of itself beside the images: ν is larger by 1/share, all else
-    stays. A small share, not none, leaves every rod a minimum."""
+    """The same search with the rod's energy multiplied by ``share``, which must not be zero: ν is divided by it."""
     return replace(options, nu=options.nu / share, growing_nu=options.growing_nu / share)
 
 

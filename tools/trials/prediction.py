@@ -1,4 +1,4 @@
-"""How well predicted motions meet observed ones (§III-D), beside guesses that know no rod.
+"""Errors of predicted motions (§III-D), compared with baselines without a rod model.
 
 Axes: N observations, P pairs of them, T moments, V vertices.
 """
@@ -17,7 +17,7 @@ from doo_ti.start import observation_clamps, start_configuration
 from doo_ti.types import Material
 
 SAME_BRANCH = 1.0
-"""mm that a vertex may be off between two shapes on one branch."""
+"""mm: largest distance of vertices between two shapes on one branch."""
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,10 @@ class ObservedSteps:
 
     from_index, to_index  (P,) rows of the observations
     error        (P,) mm, Eq. 1 to the observation, NaN where the rod could not follow
-    start_error  (P,) mm, before the motion: how far the model is off where it sets out
-    own_error    (P,) mm, of the model relaxed from the observation itself: what no prediction can be blamed for
-    jumps        (P,) predicted falls
-    same_branch  (P,) bool: the prediction and the observation's own minimum are one; else either fell where the other did not
+    start_error  (P,) mm, error of the model before the motion
+    own_error    (P,) mm, error of the model relaxed from the observation itself, which no prediction can avoid
+    jumps        (P,) predicted jumps
+    same_branch  (P,) bool: the prediction is the minimum next to the observation; else one of the two jumped and the other not
     """
 
     from_index: np.ndarray
@@ -50,7 +50,7 @@ def rotation_steps(observations: Observations) -> tuple[np.ndarray, np.ndarray]:
 
 def predict_steps(observations: Observations, from_index: np.ndarray, to_index: np.ndarray, material: Material, *,
                   sub_step: float = LARGEST_TURN) -> ObservedSteps:
-    """From each observation to another, the far end turned by what their labels ``end_rotation`` differ."""
+    """From each observation to another, the far end rotated by the difference of their labels ``end_rotation``."""
     before, after = observations.take(from_index), observations.take(to_index)
     held, goal = observation_clamps(before), observation_clamps(after)
     turn = np.radians(after.end_rotation - before.end_rotation)
@@ -67,17 +67,17 @@ def predict_steps(observations: Observations, from_index: np.ndarray, to_index: 
 
 def predict_marks(observations: Observations, material: Material, path: ClampPath, *,
                   sub_step: float = LARGEST_TURN) -> Prediction:
-    """Rods that set out from their first marks, along with the grippers that hold their first edges and their last."""
+    """Rods that start from their first marks and follow the grippers that hold their first and last edges."""
     clamps = observation_clamps(observations)
     return predict(start_configuration(observations, clamps), material, clamps, path, sub_step=sub_step, up=observations.up)
 
 
 def moved_as_one(vertices: np.ndarray, start_shift: np.ndarray, end_shift: np.ndarray) -> np.ndarray:
-    """(N, V, 3) mm: the first shape, shifted by the mean of what its ends (N, 3) did."""
+    """(N, V, 3) mm: the first shape, moved by the mean displacement of its ends (N, 3)."""
     return vertices + 0.5 * (start_shift + end_shift)[:, None]
 
 
 def moved_by_blend(vertices: np.ndarray, start_shift: np.ndarray, end_shift: np.ndarray, rest_length: np.ndarray) -> np.ndarray:
-    """(N, V, 3) mm: each vertex shifted by what its ends (N, 3) did, in linear blend along the rod (E,) mm."""
+    """(N, V, 3) mm: each vertex moved by the displacements of the ends (N, 3), interpolated linearly along the rod (E,) mm."""
     share = np.concatenate([[0.0], np.cumsum(rest_length)]) / rest_length.sum()
     return vertices + (1 - share[:, None]) * start_shift[:, None] + share[:, None] * end_shift[:, None]

@@ -1,7 +1,7 @@
-"""How often Eq. 4 finds the twist, on rods whose twist is known (§V-F, Fig. 7).
+"""Success rate of Eq. 4 on rods with known twist (§V-F, Fig. 7).
 
-A trial takes some configurations of one rod at random. Where they are several, the gripper is said to hold the rod otherwise
-than it does: the known end frames, and the known total twist, are turned by one hidden angle. Eq. 4 has to find it again.
+A trial takes some configurations of one rod at random. Where they are several, the reported end frames and total twist
+are rotated by one hidden angle, which Eq. 4 has to find.
 A trial succeeds where φ is within a quarter turn of the truth, whole turns counted.
 
 Axes: D configurations of a trial, K trials, N = K·D observations.
@@ -24,11 +24,11 @@ SUCCESS = np.pi / 2
 
 @dataclass(frozen=True)
 class Trials:
-    """How K trials of D configurations ended.
+    """Results of K trials of D configurations.
 
     configurations  (K, D) rows of the observations
     truth           (K,) rad, total twist less τ, mean over the trial
-    estimate        what Eq. 4 said
+    estimate        the estimate of Eq. 4
     """
 
     configurations: np.ndarray

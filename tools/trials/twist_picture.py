@@ -1,4 +1,4 @@
-"""Twist angles: how far off they are over many trials (Fig. 7)."""
+"""Errors of twist angles over many trials (Fig. 7)."""
 
 import numpy as np
 

@@ -1,6 +1,6 @@
 """Least squares by Levenberg–Marquardt: P problems of K unknowns each, all at once.
 
-    x ← x − (JᵀJ + λ diag(JᵀJ))⁻¹ Jᵀr,    λ ← λ/10 where |r|² fell, else the step is taken back and λ ← 10 λ
+    x ← x − (JᵀJ + λ diag(JᵀJ))⁻¹ Jᵀr,    λ ← λ/10 where |r|² decreased, else the step is undone and λ ← 10 λ
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ def least_squares(start, linearised: Callable, moved: Callable, chosen: Callable
     linearised  (unknowns) → (P,) sums of squares, infinite for invalid unknowns, (P, K, K) JᵀJ and (P, K) Jᵀr
     moved       (unknowns, steps (P, K)) → unknowns
     chosen      ((P,) bool, unknowns, other unknowns) → the first where true, else the second
-    settled     (steps (P, K), (P,) fall of the sums, (P,) new sums) → (P,) bool: done
+    settled     (steps (P, K), (P,) decrease of the sums, (P,) new sums) → (P,) bool: done
     damping     λ of the first step
 
     Raises LinAlgError where a damped JᵀJ is singular.

@@ -65,7 +65,7 @@ def check_camera_names(source: str, names: list[str]) -> None:
 def load_rig(path: str | os.PathLike) -> Rig:
     """The rig of an OpenCV FileStorage YAML file: a sequence ``cameras`` of maps name, width, height, K, dist, R, t.
 
-    Raises InputError for a file that cannot be read, for what is missing, and for whatever :class:`Camera` refuses.
+    Raises InputError for a file that cannot be read, for missing entries, and for values that :class:`Camera` refuses.
     """
     path = Path(path)
     stored = read_content(path, MOST_FILE_BYTES, "name a readable rig")

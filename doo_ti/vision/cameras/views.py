@@ -35,7 +35,7 @@ class Views:
 
 
 def read_views(path: Path) -> Views:
-    """The views of a CSV file. Raises InputError for what is not such a file, for fewer than two cameras, names that occur
+    """The views of a CSV file. Raises InputError for any other file, for fewer than two cameras, names that occur
     twice, and images that are not there."""
     table = read_csv(path, ("view",), form="view,cam0,cam1,…")
     cameras = tuple(name for name in table.columns if name != "view")

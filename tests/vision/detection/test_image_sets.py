@@ -1,4 +1,4 @@
-"""SETS.csv: which images belong together, and where the rod sets out."""
+"""SETS.csv: the images of each set, and the seeds of the rods."""
 
 import numpy as np
 import pytest
@@ -21,9 +21,10 @@ def test_a_file_of_sets(tmp_path):
     np.testing.assert_allclose(sets.direction[0], [0, 0.6, 0.8])
 
 
-def test_the_sets_of_the_images(shared_data):
-    sets = load_sets(shared_data / "images_a" / "sets.csv", load_rig(shared_data / "images_a" / "rig.yaml"))
-    assert sets.count == 10 and all(path.exists() for line in sets.paths for path in line)
+def test_the_sets_of_the_images(laboratory):
+    folder = laboratory / "images_a"
+    sets, truth = load_sets(folder / "sets.csv", load_rig(folder / "rig.yaml")), np.load(folder / "truth.npz")
+    assert sets.names == tuple(truth["names"]) and all(path.exists() for line in sets.paths for path in line)
 
 
 @pytest.mark.parametrize("text, word", [
@@ -35,7 +36,7 @@ def test_the_sets_of_the_images(shared_data):
     (HEADER + LINE.replace("\n", ",7\n"), "10 cells under 9"), (HEADER + LINE.replace("a,", '"a\nb",', 1), "line break"),
     (HEADER.replace(",cam2", "") + LINE.replace(",a2.png", ""), "two cameras"),
 ])
-def test_what_is_wrong_is_told(tmp_path, text, word):
+def test_wrong_lists_are_reported(tmp_path, text, word):
     (tmp_path / "sets.csv").write_text(text)
     with pytest.raises(InputError, match=word):
         load_sets(tmp_path / "sets.csv", rig())

@@ -105,7 +105,7 @@ def test_derivatives_of_the_lens(number, rng):
 
 
 @every_number
-def test_what_is_behind_or_beyond_the_lens_is_not_seen(number):
+def test_points_behind_or_beyond_the_lens_are_not_seen(number):
     rig = three_cameras()
     camera = rig.cameras[CAMERA]
     # 1e-3 mm in front; behind; 87° off the axis; not a number.

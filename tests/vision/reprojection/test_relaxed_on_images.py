@@ -1,4 +1,4 @@
-"""F(Γ, E_vis, C): rods that come to rest between their energy and their images, against the oracle's E_vis."""
+"""F(Γ, E_vis, C): rods at minima of their energy and reprojection error, against the oracle's E_vis."""
 
 from itertools import product
 
@@ -15,7 +15,7 @@ from tests.oracle.equilibrium import State, clamped_start
 from tests.oracle.external import minimum, newton_step, total_energy
 from tests.oracle.reprojection import Images, edge_error, rod_energy
 from tests.references.rods import clamps_at, jiggled
-from tests.relax.rods import assert_same, with_kinds
+from tests.relaxation.rods import assert_same, with_kinds
 from tests.vision.drawn_maps import curves, drawn_maps, map_of, three_cameras
 
 EDGES, NU, POINTS = 14, 30.0, 4
@@ -56,6 +56,7 @@ def energy_vis(scene, row: int, vertices: np.ndarray, nu: float = NU) -> float:
     return rod_energy(vertices, ALPHA, 1.0, np.array([0.0, 0.0, 1.0])) + nu * errors
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", [Clamp.POSITION, Clamp.TANGENT, Clamp.FRAME])
 def test_at_rest_no_turn_of_an_edge_lowers_the_oracle_s_energy(kind, scene, rng):
     rig, rods, maps = scene
@@ -78,6 +79,7 @@ def test_at_rest_no_turn_of_an_edge_lowers_the_oracle_s_energy(kind, scene, rng)
             assert min(slope) > 0 and abs(slope[0] - slope[1]) < 0.1 * max(slope)
 
 
+@pytest.mark.thorough
 def test_any_ends_may_be_held(scene, rng):
     """All sixteen pairs of clamps: both ends held, vertex 0 free to move; at rest by dense linear algebra, forces too."""
     rig, rods, maps = scene
@@ -145,7 +147,7 @@ def test_single_precision_ends_where_double_does(scene, rng):
 
 
 def test_a_rod_does_not_depend_on_the_others(scene, rng):
-    """Three rods leave lanes without any: what those hold is never looked up."""
+    """Three rods leave lanes empty, whose values are never used."""
     rig, rods, maps = scene
     sets, start = starts(rng, rods, 40, 0.05)
     external, material = Reprojection(maps, rig, NU), Material(ALPHA, ALPHA)

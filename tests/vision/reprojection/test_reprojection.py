@@ -64,6 +64,7 @@ def evaluated(number, scene, edges, coarse=0.0, nu=NU, points=POINTS):
     return found[:, 0], np.concatenate([g - h, h], axis=1), hessian
 
 
+@pytest.mark.sampled(1)
 @every_number
 def test_energy_and_gradient_are_the_oracle_s(number, scene, rng):
     rig, rods, maps = scene
@@ -78,6 +79,7 @@ def test_energy_and_gradient_are_the_oracle_s(number, scene, rng):
         np.testing.assert_allclose(slope, wanted, atol=(1e-11 if number.bits == 64 else 1e-3) * np.abs(wanted).max())
 
 
+@pytest.mark.thorough
 def test_hessian_is_that_of_finite_differences(scene, rng):
     """Off the lines halfway between pixels, where the spline's second derivative jumps."""
     rig, rods, maps = scene
@@ -167,7 +169,7 @@ def test_a_score_does_not_depend_on_the_others(scene, rng):
             np.testing.assert_array_equal(getattr(some, name), getattr(together, name)[rows])
 
 
-def test_what_is_not_finite_or_not_seen_shows(scene, rng):
+def test_rods_not_finite_or_not_seen_are_reported(scene, rng):
     rig, rods, maps = scene
     vertices, sets = hypotheses(rng, rods, 3)
     vertices[0, 5, 1] = np.nan

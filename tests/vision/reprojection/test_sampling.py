@@ -47,6 +47,7 @@ def places(rng, maps, count=60):
     return np.column_stack([rows, corner + rng.uniform(-0.4, 1.4, (count, 2)) * size])
 
 
+@pytest.mark.sampled(1)
 @every_number
 def test_values_and_derivatives_are_those_of_the_spline(number, rng):
     maps, windows, values = five_maps(rng)
@@ -77,7 +78,7 @@ def test_second_derivatives_are_those_of_the_gradient(rng):
 
 
 def test_the_gradient_is_continuous(rng):
-    """Within the window: along a fine line through it no jump is larger than the step explains."""
+    """Within the window: along a fine line through it there is no discontinuity."""
     maps, windows, values = five_maps(rng)
     target = maps[3]
     line = np.linspace([1.0, 1.0], [37.0, 27.0], 20_001) + [target.left, target.top]
@@ -85,6 +86,7 @@ def test_the_gradient_is_continuous(rng):
     assert np.abs(np.diff(found[:, 2:4], axis=0)).max() < 100 * 40 / 20_000
 
 
+@pytest.mark.thorough
 @every_number
 def test_no_place_reads_outside_its_map(number, rng):
     """Far away, infinite, not a number: values of another map never show."""

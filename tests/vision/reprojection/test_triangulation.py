@@ -13,7 +13,7 @@ from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig, load_rig
 from doo_ti.vision.reprojection.marks import observe
 from doo_ti.vision.reprojection.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
-from tests.data.rods import twisted_frames, wavy_vertices
+from tests.io.rods import twisted_frames, wavy_vertices
 from tests.vision.boards import around
 
 NOISE = 0.3
@@ -79,16 +79,16 @@ def test_a_point_does_not_depend_on_the_others(rng):
     np.testing.assert_allclose(triangulate(rig, pixels[:, 7:8], SURE).position[0], together.position[7], atol=1e-9)
 
 
-def test_the_rig_of_the_images(shared_data, rng):
-    rig = load_rig(shared_data / "images_a" / "rig.yaml")
-    vertices = np.load(shared_data / "lab_a" / "silk_truth.npz")["vertices_mm"].reshape(-1, 3)
+def test_the_rig_of_the_images(laboratory, rng):
+    rig = load_rig(laboratory / "images_a" / "rig.yaml")
+    vertices = np.load(laboratory / "lab_a" / "silk_truth.npz")["vertices_mm"].reshape(-1, 3)
     exact = rig.project(vertices)
     found = triangulate(rig, exact + rng.normal(0, NOISE, exact.shape), SURE)
     assert found.valid.all()
     assert np.sqrt(np.mean((found.position - vertices) ** 2)) < 0.06
 
 
-# ---- what goes wrong
+# ---- errors
 
 @pytest.mark.parametrize("cameras", [3, 4])
 def test_outliers_are_found_and_left_out(rng, cameras):
@@ -232,7 +232,7 @@ def test_missing_edge_marks(rng):
     found = rods.observations
     assert not found.valid[1, 5] and not found.valid[2, 0] and found.valid.sum() == found.valid.size - 2
     assert np.argwhere(rods.frames_filled).tolist() == [[1, 4], [1, 5], [2, 0]]
-    assert found.start_frame is None and found.end_frame is not None
+    assert found.start_frame is None and np.shape(found.end_frame) == (4, 3, 3)
     assert orthonormality_error(found.frames).max() < 1e-12
     angle = np.arccos(np.clip(np.sum(found.frames[1, 4:6, :, 1] * frames[1, 4:6, :, 1], axis=-1), -1, 1))
     assert np.degrees(angle).max() < 25
@@ -242,7 +242,7 @@ def test_an_observation_without_two_vertices_is_named(rng):
     _, _, edges = ribbon(rng)
     marks = marked(around(), edges, 0.0, rng)
     marks.pixels[:, 2, 1:] = np.nan
-    with pytest.raises(InputError, match="'pose 2' has 1 vertices"):
+    with pytest.raises(InputError, match="pose 2"):
         observed(around(), marks)
 
 
@@ -307,7 +307,7 @@ def test_wrong_marks(tmp_path, case):
 def test_wrong_files_of_marks(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         read_marks(tmp_path / "none.csv", around())
-    with pytest.raises(InputError, match="v_px: the column is missing"):
+    with pytest.raises(InputError, match="v_px: "):
         read_marks(written(tmp_path, [("a", "cam0", 0, 1)], "observation,camera,mark,u_px\n"), around())
     for content, field in ((b"", "observation"), (b"\xff\xfe\x00\x01", "file"),
                            (b"observation,camera,mark,u_px,v_px\na,b\n", "line 2")):

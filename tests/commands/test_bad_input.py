@@ -1,0 +1,387 @@
+"""Wrong input: exit code 2, one line naming file or option, field and remedy, no traceback, nothing written."""
+
+import os
+import pickle
+import shutil
+import subprocess
+import sys
+import warnings
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from doo_ti.cli import main
+from tests.conftest import SEED
+from tests.io.rods import twisted_frames, wavy_vertices
+
+MATERIAL = ["--bend", "6e5", "--twist", "8e5", "--weight", "1"]
+
+
+def good_keys() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(SEED)
+    vertices = wavy_vertices(rng)
+    twist = np.array([0.1, -2.0, 4.0])
+    frames = twisted_frames(vertices, twist, rng)
+    lengths = np.linalg.norm(np.diff(vertices, axis=1), axis=-1).max(axis=0)
+    return {"vertices_mm": vertices, "rest_length_mm": lengths, "start_frame": frames[:, 0], "end_frame": frames[:, -1],
+            "total_twist_deg": np.degrees(twist)}
+
+
+def tree(folder: Path) -> dict[str, bytes | None]:
+    return {str(path): path.read_bytes() if path.is_file() else None for path in sorted(folder.rglob("*"))}
+
+
+def refused(capsys, folder: Path, argv: list[str], *words: str) -> None:
+    """Run the command and check that it is refused in one line that holds ``words``."""
+    before = tree(folder)
+    code = main(argv)
+    out, err = capsys.readouterr()
+    assert code == 2, err
+    assert err.count("\n") == 1 and err.endswith("\n") and out == ""
+    assert "Traceback" not in err and err.startswith("doo-ti: ") and "; " in err
+    for word in words:
+        assert word in err
+    assert tree(folder) == before
+
+
+# ---- files of observations: their content, and the field that the message names
+
+def without(key):
+    return lambda keys: keys.pop(key)
+
+
+def changed(key, change):
+    return lambda keys: keys.update({key: change(keys[key])})
+
+
+KEYS = {
+    "missing key": (without("vertices_mm"), "vertices_mm", "missing"),
+    "misshapen vertices": (changed("vertices_mm", lambda v: v[0]), "vertices_mm", "shape (9, 3)"),
+    "misshapen frame": (changed("end_frame", lambda f: f[:, :2]), "end_frame", "shape (3, 2, 3)"),
+    "misshapen twist": (changed("total_twist_deg", lambda t: t[:1]), "total_twist_deg", "shape (1,)"),
+    "NaN": (changed("vertices_mm", lambda v: np.where(v == v[1, 4, 0], np.nan, v)), "vertices_mm",
+            "observation 1, vertex 4"),
+    "negative rest length": (changed("rest_length_mm", lambda x: x * np.where(np.arange(8) == 2, -1, 1)),
+                             "rest_length_mm", "edge 2"),
+    "zero rest length": (changed("rest_length_mm", lambda x: 0 * x), "rest_length_mm", "0 mm at edge 0"),
+    "rest-length count": (changed("rest_length_mm", lambda x: x[:-1]), "rest_length_mm", "7 lengths for 8 edges"),
+    "clamps further apart than the rod": (changed("rest_length_mm", lambda x: x / 2), "vertices_mm", "further apart"),
+    "frame not orthonormal": (changed("start_frame", lambda f: 1.1 * f), "start_frame", "not orthonormal"),
+    "frame left-handed": (changed("end_frame", lambda f: -f), "end_frame", "left-handed"),
+    "non-numeric array": (changed("vertices_mm", lambda v: v.astype(str)), "vertices_mm", "not numeric"),
+    "complex array": (changed("vertices_mm", lambda v: v + 0j), "vertices_mm", "complex"),
+    "boolean array": (changed("vertices_mm", lambda v: v > 0), "vertices_mm", "bool"),
+    "a label below zero": (lambda keys: keys.update(end_distance_mm=np.array([30.0, -1.0, 30.0])), "end_distance_mm", "-1 mm"),
+    "lengths of another unit": (changed("rest_length_mm", lambda x: 1000 * x), "rest_length_mm", "mm apart on average"),
+    "an edge of no length": (changed("rest_length_mm", lambda x: np.where(np.arange(8) == 3, 5e-324, x)), "rest_length_mm",
+                             "at edge 3"),
+    "a rod at no place": (changed("vertices_mm", lambda v: v + 1e13), "vertices_mm", "from the origin"),
+    "a mark far away": (changed("vertices_mm", lambda v: np.where(v == v[1, 4, 0], 1e6, v)), "vertices_mm",
+                        "vertex 4 of observation 1 is 1e+06 mm away"),
+    "object array": (changed("vertices_mm", lambda v: v.astype(object)), "vertices_mm", "cannot be read"),
+}
+
+
+@pytest.mark.parametrize("command", ["relax", "sweep"])
+@pytest.mark.parametrize("case", KEYS)
+def test_wrong_keys(capsys, tmp_path, case, command):
+    edit, field, problem = KEYS[case]
+    keys = good_keys()
+    edit(keys)
+    path = tmp_path / "bad.npz"
+    np.savez(path, **keys)
+    out = tmp_path / ("F.npz" if command == "relax" else "run")
+    refused(capsys, tmp_path, [command, str(path), *MATERIAL, "--out", str(out)], str(path), field, problem)
+
+
+def npz_bytes(folder: Path) -> bytes:
+    np.savez(folder / "good.npz", **good_keys())
+    return (folder / "good.npz").read_bytes()
+
+
+FILES = {
+    "truncated npz": lambda folder: npz_bytes(folder)[:-200],
+    "half an npz": lambda folder: npz_bytes(folder)[: len(npz_bytes(folder)) // 2],
+    "pickle": lambda folder: pickle.dumps(good_keys()),
+    "empty file": lambda folder: b"",
+    "text": lambda folder: b"0 0 0\n1 1 1\n",
+}
+
+
+@pytest.mark.parametrize("case", FILES)
+@pytest.mark.parametrize("suffix", [".npz", ".csv", ".parquet"])
+def test_wrong_files(capsys, tmp_path, case, suffix):
+    path = tmp_path / f"bad{suffix}"
+    path.write_bytes(FILES[case](tmp_path))
+    for command in (["relax", str(path), *MATERIAL, "--out", str(tmp_path / "F.npz")],
+                    ["sweep", str(path), "--bend", "1e5:1e6:3", "--out", str(tmp_path / "run")],
+                    ["convert", str(path), str(tmp_path / "out.csv")]):
+        refused(capsys, tmp_path, command, str(path))
+
+
+def zipped(folder: Path, *members: tuple[str, bytes]) -> Path:
+    """bad.npz of these members, among good ones."""
+    npz_bytes(folder)
+    shutil.copy(folder / "good.npz", folder / "bad.npz")
+    with warnings.catch_warnings(), zipfile.ZipFile(folder / "bad.npz", "a") as archive:
+        warnings.simplefilter("ignore")  # that a name is there twice
+        for name, content in members:
+            archive.writestr(name, content)
+    return folder / "bad.npz"
+
+
+@pytest.mark.parametrize(("member", "content"), [
+    ("vertices_mm.npy", b""),  # beside another of that name
+    ("sigma_mm.npy", b"\x93NUMPY\x01\x00\x10\x00{'descr': '<f8', "),  # a header that is never closed
+])
+def test_an_npz_of_wrong_members(capsys, tmp_path, member, content):
+    bad = zipped(tmp_path, (member, content))
+    refused(capsys, tmp_path, ["relax", str(bad), *MATERIAL, "--out", str(tmp_path / "F.npz")], member.removesuffix(".npy"))
+
+
+@pytest.mark.parametrize("degrees", ["1e-300", "0", "-5", "1e300"])
+def test_sub_steps_that_never_end(capsys, tmp_path, degrees):
+    npz_bytes(tmp_path)
+    argv = ["predict", str(tmp_path / "good.npz"), "--motion", str(tmp_path / "path.csv"), *MATERIAL, "--sub-step", degrees,
+            "--out", str(tmp_path / "moved.npz")]
+    refused(capsys, tmp_path, argv, "--sub-step")
+
+
+def test_files_that_are_not_there(capsys, tmp_path):
+    for name, word in (("absent.npz", "no such file"), ("absent.txt", "suffix"), ("", "suffix")):
+        refused(capsys, tmp_path, ["relax", str(tmp_path / name), *MATERIAL, "--out", str(tmp_path / "F.npz")], word)
+    for command, out in (("sweep", "run"), ("synth", "x.npz")):
+        argv = [command, str(tmp_path / "absent.toml"), "--out", str(tmp_path / out)]
+        refused(capsys, tmp_path, argv, "absent.toml", "no such file")
+    refused(capsys, tmp_path, ["learn", str(tmp_path / "absent")], "summary.json", "no such file")
+    refused(capsys, tmp_path, ["view", str(tmp_path / "absent")], "absent", "no such file")
+
+
+# ---- options: replacements in a valid command line, and the words of the message
+
+OPTIONS = {
+    "B not positive definite": (["--bend", "1e5,1e5,2e5"], "--bend", "not positive definite"),
+    "B negative": (["--bend", "-6e5"], "--bend", "not positive"),
+    "B of four entries": (["--bend", "1,2,3,4"], "--bend", "4 entries"),
+    "bend no number": (["--bend", "stiff"], "--bend", "'stiff'"),
+    "bend without a value": (["--bend"], "--bend", "expected one argument"),
+    "bend an option": (["--bend", "--json"], "--bend", "expected one argument"),
+    "bend minus infinity": (["--bend", "-inf"], "--bend"),
+    "bend not finite": (["--bend", "nan"], "--bend", "not finite"),
+    "bend given twice": (["--bend-1", "1e5"], "bend_1", "beside bend"),
+    "twist no number": (["--twist", "1e5mm"], "--twist", "'1e5mm'"),
+    "twist zero": (["--twist", "0"], "--twist", "not positive"),
+    "twist and ratio": (["--twist-ratio", "1"], "twist_ratio", "beside twist"),
+    "weight negative": (["--weight", "-1e-3"], "--weight", "-0.001"),
+    "weight no number": (["--weight", ""], "--weight", "''"),
+    "frame weight no number": (["--frame-weight", "wide"], "--frame-weight", "'wide'"),
+    "frame weight beyond numbers": (["--frame-weight", "1e300"], "--frame-weight", "out of range"),
+    "twist below numbers": (["--twist", "1e-300"], "--twist", "below 1e-30"),
+    "frame weight negative": (["--frame-weight", "-6.7"], "--frame-weight", "out of range"),
+    "up no number": (["--up", "0,0,z"], "--up", "'z'"),
+    "up too short": (["--up", "-1,0"], "--up", "direction"),
+    "up zero": (["--up", "0,0,0"], "--up", "direction"),
+    "clamp": (["--clamp-start", "glued"], "--clamp-start", "'glued'"),
+    "solver": (["--solver", "annealing"], "--solver", "'annealing'"),
+    "precision": (["--precision", "f16"], "--precision", "'f16'"),
+    "unknown option": (["--stretch", "3"], "--stretch", "unknown option"),
+    "unknown short option": (["-x"], "-x", "unknown option"),
+    "abbreviated option": (["--weigh=3"], "--weigh", "unknown option"),
+    "one argument too many": (["more.npz"], "more.npz", "unexpected argument"),
+    "a value for a switch": (["--json=yes"], "--json", "yes"),
+    "an option over two lines": (["--bend", "1e5\n2e5"], "--bend"),
+}
+
+
+@pytest.mark.parametrize("command", ["relax", "sweep"])
+@pytest.mark.parametrize("case", OPTIONS)
+def test_wrong_options(capsys, tmp_path, case, command):
+    words, *expected = OPTIONS[case]
+    npz_bytes(tmp_path)
+    out = tmp_path / ("F.npz" if command == "relax" else "run")
+    argv = [command, str(tmp_path / "good.npz"), *MATERIAL, "--out", str(out), *words]
+    refused(capsys, tmp_path, argv, *expected)
+
+
+GRIDS = {
+    "grid of zero cells": (["--bend", "1e5:1e6:0"], "--bend", "zero cells"),
+    "grid of fewer": (["--bend", "1e5:1e6:-2"], "--bend", "zero cells"),
+    "half a value": (["--bend", "1e5:1e6:2.5"], "--bend", "'2.5'"),
+    "grid downwards": (["--bend", "1e6:1e5:5"], "--bend", "upwards"),
+    "grid from zero": (["--bend", "0:1e5:5"], "--bend", "logarithmic"),
+    "grid from below": (["--bend", "1e5", "--twist-ratio", "-1:1:5:lin"], "--twist-ratio", "not positive"),
+    "grid of text": (["--bend", "1e5", "--weight", "a:b:c"], "--weight", "'a'"),
+    "no bend": (["--twist", "1e5"], "--bend", "missing"),
+    "half of bend": (["--bend-1", "1e5:1e6:3"], "bend_2", "missing"),
+    "seed": (["--bend", "1e5", "--seed", "x"], "--seed", "'x'"),
+    "seed negative": (["--bend", "1e5", "--seed", "-1"], "--seed", "below 0"),
+    "workers": (["--bend", "1e5", "--workers", "0"], "--workers", "below 1"),
+    "workers without end": (["--bend", "1e5", "--workers", "9223372036854775808"], "--workers", "above 1024"),
+    "a cluster and workers": (["--bend", "1e5", "--workers", "2", "--dask", "tcp://127.0.0.1:1"], "--dask", "--workers"),
+    "objective": (["--bend", "1e5", "--objective", "both"], "--objective", "'both'"),
+}
+
+
+@pytest.mark.parametrize("case", GRIDS)
+def test_wrong_grids(capsys, tmp_path, case):
+    words, *expected = GRIDS[case]
+    npz_bytes(tmp_path)
+    refused(capsys, tmp_path, ["sweep", str(tmp_path / "good.npz"), *words, "--out", str(tmp_path / "run")], *expected)
+
+
+def test_relax_takes_one_material(capsys, tmp_path):
+    npz_bytes(tmp_path)
+    material = ["--bend", "1e5", "--twist-ratio", "1:2:3"]
+    argv = ["relax", str(tmp_path / "good.npz"), *material, "--out", str(tmp_path / "F.npz")]
+    refused(capsys, tmp_path, argv, "--twist-ratio", "3 cells")
+
+
+def test_no_or_unknown_command(capsys, tmp_path):
+    for argv, word in (([], "COMMAND"), (["dance"], "'dance'"), (["--bend", "3"], "doo-ti"), (["relax"], "OBS"),
+                       (["sweep", "x.npz"], "--out"), (["learn"], "RUN"), (["convert", "x.npz"], "OUT")):
+        refused(capsys, tmp_path, argv, word)
+
+
+# ---- outputs
+
+def test_outputs_that_cannot_be(capsys, tmp_path):
+    npz_bytes(tmp_path)
+    good, below = str(tmp_path / "good.npz"), str(tmp_path / "good.npz" / "deep" / "F.npz")
+    (tmp_path / "folder.npz").mkdir()
+    commands = {
+        "relax": ["relax", good, *MATERIAL, "--out"], "sweep": ["sweep", good, "--bend", "1e5:1e6:3", "--out"],
+        "convert": ["convert", good],
+        "synth": ["synth", str(Path(__file__).resolve().parents[2] / "scenes" / "silk.toml"), "--out"],
+    }
+    named = {name: "OUT" if name == "convert" else "--out" for name in commands}
+    for name, argv in commands.items():
+        refused(capsys, tmp_path, [*argv, below], named[name], "good.npz", "is a file")
+    refused(capsys, tmp_path, [*commands["sweep"], good], "--out", "good.npz")
+    refused(capsys, tmp_path, [*commands["sweep"], ""], "--out", "is not a folder")
+    for name in ("relax", "convert", "synth"):
+        refused(capsys, tmp_path, [*commands[name], str(tmp_path / "folder.npz")], named[name], "is a folder")
+        refused(capsys, tmp_path, [*commands[name], str(tmp_path / "F.txt")], "suffix '.txt'")
+    (tmp_path / "dangling").symlink_to(tmp_path / "missing")
+    refused(capsys, tmp_path, [*commands["sweep"], str(tmp_path / "dangling" / "run")], "--out", "dangling")
+
+
+def test_outputs_that_may_not_be(capsys, tmp_path, monkeypatch):
+    npz_bytes(tmp_path)
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    for argv in (["relax", str(tmp_path / "good.npz"), *MATERIAL, "--out", str(tmp_path / "F.npz")],
+                 ["sweep", str(tmp_path / "good.npz"), *MATERIAL, "--out", str(tmp_path / "new" / "run")]):
+        refused(capsys, tmp_path, argv, "--out", str(tmp_path), "not writable")
+
+
+# ---- scenes
+
+LAB, GRID = "[synthesis]\nbend = 1\ntwist = 1\n", "[grid]\nbend = 3\n"
+SCENES = {
+    "unknown scene key": (f"colour = 3\n{LAB}{GRID}", "colour", "unknown key"),
+    "unknown synthesis key": (f"{LAB}noise = 1\n{GRID}", "synthesis.noise", "unknown key"),
+    "grid of zero cells": (f'{LAB}[grid]\nbend = "1:2:0"\n', "bend", "zero cells"),
+    "B not positive definite": (f"[synthesis]\nbend = [[1, 3], [3, 1]]\ntwist = 1\n{GRID}", "synthesis.bend"),
+    "absent file": ('[observations]\nfile = "absent.npz"\n[grid]\nbend = 3\n', "absent.npz", "no such file"),
+    "no TOML": ("[synthesis\n", "not TOML"),
+    "TOML without end": (f"x={'[' * 20_000}", "not TOML"),
+    "a name that leads elsewhere": (f'name = "../../x"\n{LAB}{GRID}', "name", "cannot name a folder"),
+    "a name that is none": (f'name = "a\\u0000b"\n{LAB}{GRID}', "name", "cannot name a folder"),
+    "turns without end": (f"{LAB}end_rotations_deg = [1e18]\n{GRID}", "synthesis.end_rotations_deg", "360000"),
+    "a rod without end": (f"{LAB}length_mm = 1e300\n{GRID}", "synthesis.length_mm"),
+    "a weight of hundreds of digits": (f"frame_weight_mm = {'9' * 400}\n{LAB}{GRID}", "frame_weight_mm"),
+    "marks of hundreds of digits": (f"{LAB}marks = {'9' * 400}\n{GRID}", "synthesis.marks", "99999"),
+    "a direction out of range": (f"{LAB}start_direction = [1e200, 0, 0]\n{GRID}", "synthesis.start_direction"),
+}
+
+
+@pytest.mark.parametrize("case", SCENES)
+def test_wrong_scenes(capsys, tmp_path, case):
+    text, *expected = SCENES[case]
+    path = tmp_path / "scene.toml"
+    path.write_text(text, encoding="utf-8")
+    for command, out in (("sweep", "run"), ("synth", "x.npz")):
+        argv = [command, str(path), "--out", str(tmp_path / out)]
+        refused(capsys, tmp_path, argv, *expected, *([] if case == "absent file" else [str(path)]))
+
+
+def test_a_clamp_that_needs_a_frame_nobody_gave(capsys, tmp_path):
+    keys = good_keys()
+    del keys["end_frame"]
+    np.savez(tmp_path / "bad.npz", **keys)
+    argv = [str(tmp_path / "bad.npz"), *MATERIAL, "--clamp-end", "frame", "--out", str(tmp_path / "F.npz")]
+    refused(capsys, tmp_path, ["relax", *argv], "bad.npz", "end_frame", "missing")
+    refused(capsys, tmp_path, ["sweep", *argv], "bad.npz", "end_frame", "missing")
+
+
+def test_in_a_process_of_its_own(tmp_path):
+    root = Path(__file__).resolve().parents[2]
+    program = [sys.executable, "-m", "doo_ti"]
+    argv = ["relax", str(tmp_path / "absent.npz"), *MATERIAL, "--out", str(tmp_path / "F.npz")]
+    done = subprocess.run([*program, *argv], cwd=root, capture_output=True, text=True, encoding="utf-8")
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.count("\n") == 1 and "absent.npz" in done.stderr and not list(tmp_path.iterdir())
+    done = subprocess.run([*program, "--help"], cwd=root, capture_output=True, text=True, encoding="utf-8")
+    assert done.returncode == 0 and "sweep" in done.stdout and done.stderr == ""
+
+
+LIMITS = {
+    "label uncertainty": (["plan", "SCENE", "--sigma", "1e-300"], "sigma", "1e-09 to 1e+06"),
+    "occluders": (["synth", "SCENE", "--images", "OUT", "--rig", "RIG", "--render", "occluders=1000000"], "occluders", "1000"),
+    "noise": (["synth", "SCENE", "--images", "OUT", "--rig", "RIG", "--render", "noise=1e300"], "noise", "10000"),
+    "blur": (["synth", "SCENE", "--images", "OUT", "--rig", "RIG", "--render", "blur_px=1e9"], "blur_px", "100"),
+    "marks": (["synth", "SCENE", "--images", "OUT", "--rig", "RIG", "--render", "mark_spacing_mm=1e-300"], "mark_spacing_mm"),
+    "light": (["synth", "SCENE", "--images", "OUT", "--rig", "RIG", "--render", "light=1e300,0,0"], "light"),
+    "diameter": (["synth", "SCENE", "--images", "OUT", "--rig", "RIG", "--diameter", "1e300"], "--diameter", "1000"),
+    "distortion": (["synth", "SCENE", "--images", "OUT", "--rig", "WRONG_RIG"], "dist", "1,000,000"),
+    "positions": (["predict", "GOOD", "--motion", "FAR", *MATERIAL, "--out", "OUT"], "start_position", "1e+06 mm"),
+    "turns": (["predict", "GOOD", "--motion", "TURNS", *MATERIAL, "--out", "OUT"], "end_rotation", "rad"),
+}
+
+
+@pytest.fixture
+def limited(tmp_path) -> dict[str, Path]:
+    """The files that LIMITS names."""
+    scenes = Path(__file__).resolve().parents[2] / "scenes"
+    npz_bytes(tmp_path)
+    rig = (scenes / "rig.yaml").read_text()
+    first = rig.index("data: [", rig.index("dist:")) + len("data: [")
+    (tmp_path / "wrong.yaml").write_text(rig[:first] + " -1e300," + rig[rig.index(",", first) + 1 :])
+    marks = good_keys()["vertices_mm"][0]
+    np.savez(tmp_path / "far.npz", positions_mm=1e6 * np.stack([marks, 1.01 * marks]))
+    np.savez(tmp_path / "turns.npz", end_rotation_deg=np.array([0.0, 2.0**32]))
+    return {"SCENE": scenes / "silk.toml", "RIG": scenes / "rig.yaml", "WRONG_RIG": tmp_path / "wrong.yaml",
+            "GOOD": tmp_path / "good.npz", "FAR": tmp_path / "far.npz", "TURNS": tmp_path / "turns.npz",
+            "OUT": tmp_path / "out.npz"}
+
+
+@pytest.mark.parametrize("case", LIMITS)
+def test_limits_are_stated(capsys, tmp_path, limited, case):
+    words, *expected = LIMITS[case]
+    refused(capsys, tmp_path, [str(limited.get(word, word)) for word in words], *expected)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("case", ["label uncertainty", "diameter", "positions"])
+def test_no_library_says_anything_beside_the_line(limited, case):
+    """In a separate process, with Taichi loaded, whose standard error is captured."""
+    words = [str(limited.get(word, word)) for word in LIMITS[case][0]]
+    done = subprocess.run([sys.executable, "-m", "doo_ti", *words], cwd=Path(__file__).resolve().parents[2],
+                          capture_output=True, text=True, encoding="utf-8")
+    assert (done.returncode, done.stdout) == (2, "") and done.stderr.count("\n") == 1, done.stderr
+
+
+def test_a_slip_in_a_key(capsys, tmp_path):
+    """Other commands' files hold more keys than observations have, but end_frme is a misspelling."""
+    keys = good_keys()
+    keys["end_frme"] = keys.pop("end_frame")
+    np.savez(tmp_path / "bad.npz", **keys)
+    argv = ["relax", str(tmp_path / "bad.npz"), *MATERIAL, "--out", str(tmp_path / "F.npz")]
+    refused(capsys, tmp_path, argv, "bad.npz", "end_frme", "name it end_frame")
+
+
+def test_a_plan_over_twist_that_rides_on_bend(capsys, tmp_path):
+    npz_bytes(tmp_path)
+    argv = ["plan", str(tmp_path / "good.npz"), "--bend", "1e5:1e6:3", "--out", str(tmp_path / "plan")]
+    refused(capsys, tmp_path, argv, "twist", "--twist-ratio", "--twist-ratio")

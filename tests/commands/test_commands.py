@@ -1,0 +1,310 @@
+"""Commands on good input: what they write, print and pass on."""
+
+import json
+import subprocess
+import sys
+import types
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+import pytest
+
+from doo_ti.cli import main
+from doo_ti.errors import InterruptedRunError
+from doo_ti.frames import bishop_frames
+from doo_ti.grid import Grid
+from doo_ti.io.observations import Observations, load_observations, save_observations
+from doo_ti.learning.landscape import gather_overview
+from doo_ti.types import Clamp, Status
+from tests.commands.test_bad_input import MATERIAL, npz_bytes
+
+SCENE = """
+name = "silk"
+frame_weight_mm = 6.7
+clamp_start = "tangent"
+precision = "f64"
+[observations]
+file = "good.npz"
+[grid]
+bend = "1e5:1e7:3"
+twist_ratio = 0.5
+"""
+
+
+def write_run(run, grid: Grid, distance: np.ndarray, name: str = "silk") -> None:
+    """A run's folder as a sweep leaves it, in two shards, for distances (G, D)."""
+    (run / "cells").mkdir(parents=True)
+    cells, count = distance.shape
+    columns = {key: np.repeat(value, count) for key, value in grid.cell_values().items()}
+    columns |= {**dict.fromkeys(("end_distance_mm", "end_rotation_deg"), np.full(cells * count, np.nan)),
+                "observation": np.tile(np.arange(count), cells), "distance_mm": distance.ravel(),
+                "status": np.full(distance.size, Status.CONVERGED), "stable": np.ones(distance.size, dtype=bool)}
+    table = pyarrow.table(columns).take(np.random.default_rng(1).permutation(distance.size))
+    half = distance.size // 2
+    pyarrow.parquet.write_table(table.slice(half), run / "cells" / "a.parquet")
+    pyarrow.parquet.write_table(table.slice(0, half), run / "cells" / "b.parquet")
+    (run / "summary.json").write_text(json.dumps({"grid": grid.as_dict(), "material": name}))
+
+
+@pytest.fixture
+def swept(monkeypatch) -> list:
+    """Replaces the sweep; keeps its arguments."""
+    calls = []
+
+    def sweep(run, observations, grid, *, options, pairs, command):
+        calls.append((run, observations, grid, options, command))
+        write_run(run, grid, np.linspace(2, 1, grid.size)[:, None] + np.zeros(observations.count), observations.name)
+        return {**gather_overview(run, grid, observations.name, None).as_dict(), "gaps": [np.nan], "hypotheses": None,
+                "timing": {"relaxed_rods": 50, "relaxation_s": 0.5}}
+
+    monkeypatch.setitem(sys.modules, "doo_ti.learning.sweeps", types.SimpleNamespace(sweep=sweep))
+    return calls
+
+
+def ribbon(folder: Path) -> None:
+    """good.npz with measured frames, which a frame weight needs."""
+    observations = load_observations_of(folder)
+    tangents = np.diff(observations.vertices, axis=1)
+    tangents /= np.linalg.norm(tangents, axis=-1, keepdims=True)
+    across = np.array([0.31, 0.52, 0.79]) - np.sum([0.31, 0.52, 0.79] * tangents, axis=-1, keepdims=True) * tangents
+    save_observations(folder / "good.npz", replace(observations, frames=bishop_frames(tangents, across[:, 0])))
+
+
+def load_observations_of(folder: Path) -> Observations:
+    npz_bytes(folder)
+    return load_observations(folder / "good.npz")
+
+
+def test_sweep_of_a_file(capsys, tmp_path, swept):
+    ribbon(tmp_path)
+    argv = ["sweep", str(tmp_path / "good.npz"), "--bend", "1e5:1e7:3", "--twist-ratio", "0.5:2:2", "--out",
+            str(tmp_path / "new" / "run"), "--clamp-end", "tangent", "--up", "-1,0,0", "--workers", "2",
+            "--frame-weight", "1"]
+    assert main(argv) == 0
+    (run, observations, grid, options, command), = swept
+    assert run == tmp_path / "new" / "run" and command == ["doo-ti", *argv]
+    assert grid.shape == (3, 2, 1) and observations.name == "good"
+    np.testing.assert_array_equal(observations.up, [-1, 0, 0])
+    assert (options.clamp_start, options.clamp_end) == (None, Clamp.TANGENT)
+    assert (options.frame_weight, options.precision, options.objective) == (1.0, "mixed", "static")
+    assert (options.seed, options.workers) == (0, 2)
+    out = capsys.readouterr().out
+    assert "6 cells x 3 observations" in out and "1 mm" in out and "18 converged" in out
+    assert "bend = 1e+07 mm³ in 3.16e+06 .. >=1e+07" in out
+
+
+def test_sweep_of_several_sources(capsys, tmp_path, swept):
+    ribbon(tmp_path)
+    (tmp_path / "scene.toml").write_text(SCENE)
+    sources = [str(tmp_path / "good.npz"), str(tmp_path / "scene.toml")]
+    argv = ["sweep", *sources, "--bend", "1e5:1e7:3", "--out", str(tmp_path / "runs")]
+    assert main(argv) == 0
+    assert [call[0] for call in swept] == [tmp_path / "runs" / "good", tmp_path / "runs" / "silk"]
+    out = capsys.readouterr().out
+    assert "100 rods in" in out and "100 rods/s, loading the kernels included" in out and "MB of memory" in out
+    assert main([*argv[:-1], str(tmp_path / "again"), "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)) == 2
+    assert main(["sweep", sources[0], *argv[1:]]) == 2
+    assert "two of the name 'good'" in capsys.readouterr().err
+
+
+def test_sweep_of_a_scene_and_what_overrides_it(capsys, tmp_path, swept):
+    ribbon(tmp_path)
+    (tmp_path / "scene.toml").write_text(SCENE)
+    argv = ["sweep", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "run")]
+    assert main(argv) == 0
+    _, observations, grid, options, _ = swept[0]
+    assert observations.name == "silk" and grid.shape == (3, 1, 1)
+    assert (options.clamp_start, options.frame_weight, options.precision) == (Clamp.TANGENT, 6.7, "f64")
+    more = ["--bend-1", "2e5", "--bend-2", "1e5:2e5:4", "--twist", "3e5", "--precision", "mixed", "--clamp-start",
+            "position", "--frame-weight", "0", "--json"]
+    capsys.readouterr()
+    assert main([*argv[:-1], str(tmp_path / "other"), *more]) == 0
+    _, _, grid, options, _ = swept[1]
+    assert [axis.name for axis in grid.varying] == ["bend_2"] and grid.cell_values()["twist"][0] == 3e5
+    assert (options.clamp_start, options.frame_weight, options.precision) == (Clamp.POSITION, 0.0, "mixed")
+    assert json.loads(capsys.readouterr().out)["gaps"] == [None]
+
+
+def test_learn_prints_the_best_cell_and_its_range(capsys, tmp_path):
+    grid = Grid.from_dict({"axes": [{"name": "bend", "values": [1e5, 1e6, 1e7], "log": True},
+                                    {"name": "twist_ratio", "values": [0.5, 1.0], "log": True}], "bend_12": 0})
+    distance = np.full((6, 4), 3.0)
+    distance[3], distance[1] = 1.0, 1.04
+    distance[5, 2] = distance[3:, 0] = np.nan
+    distance[:3, 0] = np.nan
+    write_run(tmp_path / "a", grid, distance)
+    write_run(tmp_path / "b", grid, distance[::-1], "nylon")
+    assert main(["learn", str(tmp_path / "a"), str(tmp_path / "b"), "--json"]) == 0
+    first, second = json.loads(capsys.readouterr().out)["runs"]
+    assert (first["material"], first["bend_1"], first["twist"], first["mean_distance_mm"]) == ("silk", 1e6, 1e6, 1.0)
+    assert (second["material"], second["bend_1"], second["twist"]) == ("nylon", 1e6, 5e5)
+    bend, ratio = first["intervals"]
+    assert (bend["low"], bend["high"], bend["low_is_open"], bend["high_is_open"]) == (1e5, np.sqrt(1e6 * 1e7), True, False)
+    assert (ratio["low"], ratio["high"]) == (np.sqrt(0.5), 1.0)
+    assert main(["learn", str(tmp_path / "a")]) == 0
+    assert "silk: 6 cells x 4 observations" in capsys.readouterr().out
+
+
+def test_learn_refuses_runs_it_cannot_compare(capsys, tmp_path):
+    grid = Grid.from_dict({"axes": [{"name": "bend", "values": [1e5, 1e6], "log": True}], "bend_12": 0})
+    write_run(tmp_path / "a", grid, np.ones((2, 3)))
+    write_run(tmp_path / "b", Grid.from_dict({**grid.as_dict(), "bend_12": 1.0}), np.ones((2, 3)))
+    write_run(tmp_path / "part", grid, np.ones((2, 3)))
+    (tmp_path / "part" / "cells" / "b.parquet").unlink()
+    write_run(tmp_path / "torn", grid, np.ones((2, 3)))
+    (tmp_path / "torn" / "cells" / "b.parquet").write_bytes(b"PAR1")
+    write_run(tmp_path / "bare", grid, np.ones((2, 3)))
+    (tmp_path / "bare" / "summary.json").write_text("{}")
+    write_run(tmp_path / "blind", grid, np.full((2, 3), np.nan))
+    for runs, word in ((["a", "b"], "another grid"), (["part"], "each cell and observation"), (["bare"], "grid"),
+                       (["torn"], "cannot be read"), (["blind"], "no cell has an error")):
+        assert main(["learn", *(str(tmp_path / run) for run in runs)]) == 2
+        out, err = capsys.readouterr()
+        assert out == "" and err.count("\n") == 1 and word in err
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
+def test_convert(capsys, tmp_path, suffix):
+    npz_bytes(tmp_path)
+    assert main(["convert", str(tmp_path / "good.npz"), str(tmp_path / "new" / f"x{suffix}")]) == 0
+    there, here = load_observations(tmp_path / "new" / f"x{suffix}"), load_observations(tmp_path / "good.npz")
+    np.testing.assert_array_equal(there.vertices, here.vertices)
+    np.testing.assert_array_equal(there.end_frame, here.end_frame)
+    assert "3 observations of 9 vertices" in capsys.readouterr().out
+
+
+def test_synth_writes_what_the_lab_makes(capsys, tmp_path, monkeypatch):
+    npz_bytes(tmp_path)
+    asked = []
+
+    def synthesise(recipe):
+        asked.append(recipe)
+        return load_observations(tmp_path / "good.npz")
+
+    monkeypatch.setitem(sys.modules, "doo_ti.synthesis", types.SimpleNamespace(synthesise=synthesise))
+    lab = "[synthesis]\nbend = 1e5\ntwist = 1e5\nseed = 4\n[grid]\nbend = 1e5\n"
+    (tmp_path / "lab.toml").write_text(lab)
+    assert main(["synth", str(tmp_path / "lab.toml"), "--out", str(tmp_path / "x.parquet")]) == 0
+    assert asked[0].seed == 4 and asked[0].name == "lab"
+    assert load_observations(tmp_path / "x.parquet").count == 3
+
+
+def test_view_opens_the_recording(tmp_path, monkeypatch):
+    opened = []
+
+    def open_viewer(path):
+        opened.append(path)
+        if path.name == "broken":
+            raise InterruptedRunError("no window")
+
+    monkeypatch.setitem(sys.modules, "doo_ti.record", types.SimpleNamespace(open_viewer=open_viewer))
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setenv("DISPLAY", ":0")
+    for name, code in (("run", 0), ("broken", 1)):
+        (tmp_path / name).mkdir()
+        assert main(["view", str(tmp_path / name)]) == code
+    assert [path.name for path in opened] == ["run", "broken"]
+    monkeypatch.delenv("DISPLAY")
+    assert main(["view", str(tmp_path / "run")]) == (1 if sys.platform == "linux" else 0)
+    (tmp_path / "good.npz").write_bytes(b"")
+    assert main(["view", str(tmp_path / "good.npz")]) == 2
+
+
+def test_nothing_is_written_over_its_own_source(capsys, tmp_path):
+    before = npz_bytes(tmp_path)
+    good = str(tmp_path / "good.npz")
+    for argv in (["relax", good, *MATERIAL, "--out", good], ["convert", good, good]):
+        assert main(argv) == 2 and "is the input itself" in capsys.readouterr().err
+    assert (tmp_path / "good.npz").read_bytes() == before
+
+
+@pytest.mark.parametrize("words", [["--clamp-start", "free", "--clamp-end", "free"], ["--frame-weight", "2"]])
+def test_invalid_rods_are_reported_before_a_folder_is_made(capsys, tmp_path, words):
+    npz_bytes(tmp_path)
+    for command, out in (("relax", "F.npz"), ("sweep", "run")):
+        assert main([command, str(tmp_path / "good.npz"), *MATERIAL, *words, "--out", str(tmp_path / out)]) == 2
+        assert not (tmp_path / out).exists()
+    assert len(capsys.readouterr().err.splitlines()) == 2
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0 and capsys.readouterr().out.startswith("doo-ti ")
+
+
+@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), InterruptedRunError("stopped at cell 7"),
+                                     KeyboardInterrupt(), MemoryError()])
+def test_failure_while_running_exits_with_one(capsys, tmp_path, swept, monkeypatch, failure):
+    npz_bytes(tmp_path)
+
+    def fail(*args, **options):
+        raise failure
+
+    monkeypatch.setattr(sys.modules["doo_ti.learning.sweeps"], "sweep", fail)
+    assert main(["sweep", str(tmp_path / "good.npz"), "--bend", "1e5", "--out", str(tmp_path / "run")]) == 1
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["refine", "perceive", "predict", "figures", "learn", "synth", "sweep"])
+@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt(), RuntimeError("no\nmemory")])
+def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(capsys, monkeypatch, command, failure):
+    def fail(*args):
+        raise failure
+
+    name, module = ("run_figures", "view") if command == "figures" else ("run", command)
+    monkeypatch.setattr(f"doo_ti.commands.{module}.{name}", fail)
+    rig = ["--rig", "R", "--rest-length", "3:3"] if command == "perceive" else []
+    assert main([command, "source", "--out", "F", *rig]) == 1
+    out, err = capsys.readouterr()
+    way = "resumes with the unfinished cells" if command == "sweep" else "starts from the beginning"
+    assert out == "" and err.count("\n") == 1 and f"; the same command {way}" in err
+
+
+def test_relax_writes_every_key(capsys, tmp_path):
+    pytest.importorskip("doo_ti.metric", reason="Eq. 1 is not there yet")
+    npz_bytes(tmp_path)
+    out = tmp_path / "new" / "F.npz"
+    argv = ["relax", str(tmp_path / "good.npz"), *MATERIAL, "--out", str(out)]
+    assert main(argv) == 0
+    text = capsys.readouterr().out
+    assert "3 rods of 8 edges" in text and str(out) in text
+    with np.load(out) as found:
+        shapes = {key: found[key].shape for key in found.files}
+        assert (found["status"] == Status.CONVERGED).all() and found["stable"].all()
+        np.testing.assert_allclose(np.linalg.det(found["frames"]), 1, atol=1e-9)
+        first = {key: found[key] for key in found.files}
+    per_rod = dict.fromkeys(("energy", "distance_mm", "status", "iterations", "residual", "stable"), (3,))
+    assert shapes == {"vertices_mm": (3, 9, 3), "frames": (3, 8, 3, 3), **per_rod}
+    assert main([*argv, "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["status"] == {"converged": 3} and summary["bend_1"] == 6e5
+    with np.load(out) as found:
+        np.testing.assert_array_equal(found["vertices_mm"], first["vertices_mm"])
+
+
+@pytest.mark.thorough
+def test_machines_get_nothing_but_json(tmp_path):
+    pytest.importorskip("doo_ti.metric", reason="Eq. 1 is not there yet")
+    npz_bytes(tmp_path)
+    argv = [sys.executable, "-m", "doo_ti", "relax", str(tmp_path / "good.npz"), *MATERIAL, "--json", "--out",
+            str(tmp_path / "F.npz")]
+    root = Path(__file__).resolve().parents[2]
+    done = subprocess.run(argv, cwd=root, capture_output=True, text=True, encoding="utf-8", check=True)
+    assert json.loads(done.stdout)["observations"] == 3
+
+
+def test_relax_picks_the_turn_that_was_seen(tmp_path):
+    pytest.importorskip("doo_ti.metric", reason="Eq. 1 is not there yet")
+    npz_bytes(tmp_path)
+    known = load_observations(tmp_path / "good.npz")
+    keys = {"vertices_mm": known.vertices, "rest_length_mm": known.rest_length, "start_frame": known.start_frame,
+            "end_frame": known.end_frame}
+    np.savez(tmp_path / "unknown.npz", **keys)
+    for name in ("good", "unknown"):
+        assert main(["relax", str(tmp_path / f"{name}.npz"), *MATERIAL, "--out", str(tmp_path / f"F_{name}.npz")]) == 0
+    with np.load(tmp_path / "F_good.npz") as hinted, np.load(tmp_path / "F_unknown.npz") as guessed:
+        assert (guessed["distance_mm"] <= hinted["distance_mm"] + 1e-9).all()

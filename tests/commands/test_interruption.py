@@ -1,0 +1,118 @@
+"""Ctrl-C at any moment: one line, exit code 1, no traceback, and it is never ignored."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from doo_ti import interruption
+
+ROOT = Path(__file__).resolve().parents[2]
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals as a terminal does")
+
+# Ctrl-C comes while the command line is imported.
+STARTING = """
+import os, signal, sys
+from doo_ti.__main__ import main
+
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "doo_ti.cli":
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Finder())
+main()
+print("lost")
+"""
+SWALLOWED = """
+import os, signal, sys, time
+from doo_ti import interruption
+
+interruption.while_running(True)
+
+class Ended:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+
+try:
+    USE
+    time.sleep(10)
+    print("lost")
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+HIDING = """
+import os, signal, time
+try:
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(0.01)
+except BaseException:
+    pass
+"""
+
+
+def run_script(script: str, folder: Path) -> subprocess.CompletedProcess:
+    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=folder,
+                          env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{folder}"})
+
+
+def test_while_the_program_starts(tmp_path):
+    done = run_script(STARTING, tmp_path)
+    assert (done.returncode, done.stdout) == (1, "") and done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("use", ["import hiding", "Ended()"])
+def test_where_an_exception_would_be_lost(tmp_path, use):
+    (tmp_path / "hiding.py").write_text(HIDING)
+    done = run_script(SWALLOWED.replace("USE", use), tmp_path)
+    assert (done.stdout, done.stderr) == ("interrupted\n", "")
+
+
+def test_a_program_whose_caller_ignores_it_does_so_too(tmp_path):
+    script = f"import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n{STARTING}"
+    done = run_script(script.replace("main()", "sys.argv[1:] = ['--version']; main()"), tmp_path)
+    assert done.stdout.endswith("lost\n") and done.stderr == ""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_processes_are_started_waits_for_them(number):
+    """Another thread receives it, which the mask of the main one does not prevent."""
+    heard, before = [], signal.signal(number, lambda received, frame: heard.append(received))
+    stop = threading.Event()
+    other = threading.Thread(target=stop.wait)
+    other.start()
+    try:
+        with interruption.kept_from_children():
+            os.kill(os.getpid(), number)
+            time.sleep(0.05)
+            assert heard == []
+        assert heard == [number]
+    finally:
+        stop.set()
+        other.join()
+        signal.signal(number, before)
+
+
+@pytest.mark.thorough
+def test_a_terminals_signal_to_workers_too(tmp_path):
+    """It goes to all processes of the command: only the first prints a message."""
+    from doo_ti.io.observations import save_observations
+    from tests.learning.lab import small_lab
+
+    save_observations(tmp_path / "o.npz", small_lab())
+    words = ["sweep", "o.npz", "--bend", "1e5:1e6:200", "--twist-ratio", "0.5:2:200", "--workers", "2", "--out", "run"]
+    command = subprocess.Popen([sys.executable, "-m", "doo_ti", *words], cwd=tmp_path, stdout=subprocess.PIPE,
+                               stderr=subprocess.PIPE, text=True, start_new_session=True,
+                               env={**os.environ, "PYTHONPATH": str(ROOT)})
+    while command.poll() is None and not list(tmp_path.glob("run/cells/*.parquet")):
+        time.sleep(0.05)
+    os.killpg(command.pid, signal.SIGINT)
+    out, err = command.communicate()
+    assert (command.returncode, out) == (1, "") and "Traceback" not in err
+    assert err.splitlines()[-1].startswith("doo-ti: ") and "resume with: doo-ti sweep" in err

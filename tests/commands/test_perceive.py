@@ -1,0 +1,184 @@
+"""doo-ti perceive: from images of rods to a file that doo-ti twist reads, with a picture and a recording beside it."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from doo_ti.cli import main
+from doo_ti.io.observations import load_observations
+from doo_ti.vision.cameras.rig import Rig, load_rig, save_rig
+from doo_ti.vision.rendering.render import render_set
+from doo_ti.vision.rendering.tubes import smooth_curve
+from tests.commands.test_bad_input import refused
+from tests.vision.drawn_maps import curves, three_cameras
+
+EDGES = 14
+MATERIAL = ["--bend", "2e5", "--twist", "2e5", "--weight", "1", "--rest-length", f"3:{EDGES}"]
+HEADER = "name,cam0,cam1,cam2,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z\n"
+
+
+@pytest.fixture(scope="module")
+def photographed(tmp_path_factory):
+    """(folder of images, SETS.csv, the rig and the truth; the rods' vertices)."""
+    folder = tmp_path_factory.mktemp("images")
+    rods = curves(np.random.default_rng(8), 2, EDGES)
+    rig = three_cameras()
+    save_rig(folder / "rig.yaml", rig)
+    lines = [HEADER]
+    for name, rod in zip(("first", "second"), rods):
+        for camera, image in zip(rig.names, render_set(rig, smooth_curve(rod, 8), 1.0, seed=4)):
+            assert cv2.imwrite(str(folder / f"{name}_{camera}.png"), image)
+        numbers = ",".join(f"{value:.6f}" for value in (*rod[0], *(rod[1] - rod[0])))
+        lines.append(",".join([name, *(f"{name}_{camera}.png" for camera in rig.names), numbers]) + "\n")
+    (folder / "sets.csv").write_text("".join(lines))
+    np.savez(folder / "truth.npz", vertices_mm=rods[::-1], names=np.array(["second", "first"]))
+    return folder, rods
+
+
+def of_sets(folder, *more: str) -> list[str]:
+    return ["perceive", "--rig", str(folder / "rig.yaml"), "--sets", str(folder / "sets.csv"), *MATERIAL, *more]
+
+
+def of_images(folder, rod, *more: str) -> list[str]:
+    images = [str(folder / f"first_cam{index}.png") for index in range(3)]
+    seed = [",".join(f"{value:.6f}" for value in values) for values in (rod[0], rod[1] - rod[0])]
+    return ["perceive", *images, "--rig", str(folder / "rig.yaml"), "--seed-point", seed[0], "--seed-direction", seed[1],
+            *MATERIAL, *more]
+
+
+@pytest.fixture(scope="module")
+def perceived(photographed, tmp_path_factory):
+    """The command on both sets: (folder of what it wrote, its arrays)."""
+    out = tmp_path_factory.mktemp("perceived") / "new"
+    folder, _ = photographed
+    assert main(of_sets(folder, "--out", str(out / "f.npz"), "--truth", str(folder / "truth.npz"), "--recorded", "1")) == 0
+    return out, dict(np.load(out / "f.npz", allow_pickle=False))
+
+
+def test_rods_are_found_and_written(photographed, perceived):
+    _, rods = photographed
+    out, found = perceived
+    assert sorted(path.name for path in out.iterdir()) == ["f.npz", "f.png", "f.rrd"]
+    assert found["name"].tolist() == ["first", "second"] and found["status"].tolist() == [0, 0]
+    off = np.linalg.norm(found["vertices_mm"] - rods, axis=-1)
+    assert off.mean() < 0.1
+    shapes = {name: value.shape for name, value in found.items()}
+    vertices, edges = EDGES + 1, EDGES
+    assert shapes == {
+        "name": (2,), "vertices_mm": (2, vertices, 3), "rest_length_mm": (edges,), "up": (3,), "valid": (2, vertices),
+        "sigma_mm": (2, vertices), "energy_vis": (2,), "status": (2,), "stable": (2,), "camera_error_px": (2, 3),
+        "verdict": (2,), "gap_px": (2,),
+        "unsupported": (2, edges), "runner_up_mm": (2, 4, vertices, 3), "runner_up_energy_vis": (2, 4)}
+    assert (out / "f.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.thorough
+def test_other_commands_read_it(perceived, tmp_path, capsys):
+    out, found = perceived
+    observations = load_observations(out / "f.npz")
+    np.testing.assert_array_equal(observations.vertices, found["vertices_mm"])
+    assert observations.sigma.shape == (2, EDGES + 1)
+    assert main(["twist", str(out / "f.npz"), *MATERIAL[:6], "--out", str(tmp_path / "twist.npz")]) == 0
+    assert "2 observations in 2 groups" in capsys.readouterr().out
+
+
+def test_recording_holds_the_first_set(perceived):
+    from tests.record.recordings import read
+
+    static, moving = read(perceived[0] / "f.rrd")
+    assert moving["/set0_first/world/best"]["edges"]["edges"] == list(range(2, EDGES + 2))
+    assert not any("second" in entity for entity in (*static, *moving))
+    pruned = [len(strips or ()) for strips in moving["/set0_first/world/pruned"]["edges"]["LineStrips3D:strips"]]
+    assert sum(pruned) > 20 and pruned[-1] == 0
+    assert "/set0_first/cam1/truth" in static
+
+
+def test_one_set_is_the_same_alone(photographed, perceived, tmp_path, capsys):
+    folder, rods = photographed
+    argv = of_images(folder, rods[0], "--out", str(tmp_path / "one.npz"), "--no-picture", "--no-recording", "--json")
+    assert main(argv) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert [path.name for path in tmp_path.iterdir()] == ["one.npz"]
+    assert printed["sets"][0]["name"] == "first_cam0" and printed["status"] == {"converged": 1}
+    assert printed["not_certified"] == 0
+    assert printed["written"] == [str(tmp_path / "one.npz")]
+    # The seeds differ by rounding to 1e-6.
+    np.testing.assert_allclose(np.load(tmp_path / "one.npz")["vertices_mm"][0], perceived[1]["vertices_mm"][0], atol=1e-4)
+
+
+def test_printed_text(photographed, tmp_path, capsys):
+    folder, _ = photographed
+    (tmp_path / "lengths.txt").write_text("3.0\n" * EDGES)
+    argv = of_sets(folder, "--out", str(tmp_path / "f.npz"), "--truth", str(folder / "truth.npz"), "--no-recording",
+                   "--no-picture")
+    argv[argv.index("--rest-length") + 1] = str(tmp_path / "lengths.txt")
+    assert main(argv) == 0
+    printed = capsys.readouterr().out
+    assert "2 sets of 3 images" in printed and "14 edges" in printed and "2 converged" in printed
+    line = next(line for line in printed.splitlines() if line.strip().startswith("second"))
+    for part in ("E_vis", "px off", "σ", "error 0.0"):
+        assert part in line
+
+
+@pytest.mark.parametrize("change, words", [
+    (["--bend", "1e5:1e6:5"], ("--bend", "grid")), (["--bend", "1e5,2e5"], ("--bend", "round")),
+    (["--rest-length", "3:x"], ("--rest-length",)), (["--rest-length", "-3:14"], ("--rest-length",)),
+    (["--rest-length", "9e18:14"], ("--rest-length", "9e+18 mm")),
+    (["--rest-length", "3:1"], ("--rest-length",)), (["--rest-length", "missing.txt"], ("--rest-length", "missing.txt")),
+    (["--nu", "-1"], ("--nu",)), (["--hypotheses", "0"], ("--hypotheses",)),
+    (["--hypotheses", "9223372036854775808"], ("--hypotheses", "above")), (["--width", "1,2"], ("--width",)),
+    (["--seed-point", "1,2,3"], ("--seed-point", "--sets")), (["--up", "0,0"], ("--up",))])
+def test_wrong_options_are_reported(photographed, tmp_path, capsys, change, words):
+    argv = of_sets(photographed[0], "--out", str(tmp_path / "new" / "f.npz"))
+    if change[0] in argv:
+        argv[argv.index(change[0]) + 1] = change[1]
+    else:
+        argv += change
+    refused(capsys, tmp_path, argv, *words)
+
+
+def test_wrong_images_are_reported(photographed, tmp_path, capsys):
+    folder, rods = photographed
+    blank, small, broken = (str(tmp_path / name) for name in ("blank.png", "small.png", "broken.png"))
+    cv2.imwrite(blank, np.full((480, 640), 150, dtype=np.uint8))
+    cv2.imwrite(small, np.full((100, 100), 150, dtype=np.uint8))
+    (tmp_path / "broken.png").write_bytes(b"no image")
+    argv = of_images(folder, rods[0], "--out", str(tmp_path / "new" / "f.npz"))
+    for image, words in ((blank, ("blank.png", "no thread was found")), (small, ("small.png", "100 x 100")),
+                         (broken, ("broken.png", "image")), ("missing.png", ("missing.png", "no such file"))):
+        refused(capsys, tmp_path, [*argv[:2], image, *argv[3:]], *words)
+    refused(capsys, tmp_path, [*argv[:2], *argv[3:]], "2 images", "3 cameras", "cam0, cam1, cam2")
+    refused(capsys, tmp_path, [word for word in argv if not word.endswith("png")], "IMAGE", "missing")
+
+
+def test_no_input_is_overwritten(photographed, capsys):
+    """The picture lies beside the file: an image may be there already."""
+    folder, rods = photographed
+    refused(capsys, folder, of_images(folder, rods[0], "--out", str(folder / "first_cam0.npz")), "first_cam0.png")
+    truth = str(folder / "truth.npz")
+    refused(capsys, folder, of_sets(folder, "--out", truth, "--truth", truth), "truth.npz")
+
+
+def test_wrong_scenes_are_reported(photographed, tmp_path, capsys):
+    folder, rods = photographed
+    rig = load_rig(folder / "rig.yaml")
+    out = ["--out", str(tmp_path / "new" / "f.npz")]
+    argv = of_images(folder, rods[0], *out)
+    argv[argv.index("--seed-point") + 1] = ",".join(map(str, 2 * rig.cameras[0].centre))
+    refused(capsys, tmp_path, argv, "behind cam0")
+    save_rig(tmp_path / "one.yaml", Rig(rig.cameras[:1]))
+    argv = of_images(folder, rods[0], *out)
+    argv[argv.index("--rig") + 1] = str(tmp_path / "one.yaml")
+    refused(capsys, tmp_path, [*argv[:2], *argv[4:]], "two cameras")
+    np.savez(tmp_path / "truth.npz", vertices_mm=rods, name=np.array(["first", "third"]))
+    refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(tmp_path / "truth.npz")), "second")
+    np.savez(tmp_path / "truth.npz", vertices_mm=rods, name=np.array(["first", "second", "third"]))
+    refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(tmp_path / "truth.npz")), "shape (3,) for 2 rods")
+    np.savez(tmp_path / "unnamed.npz", vertices_mm=rods[:1])
+    refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(tmp_path / "unnamed.npz")), "1 rods for 2 sets")
+    np.savez(tmp_path / "lengths.npz", rest_length_mm=np.array([3.0, 9e18]))
+    argv = of_sets(folder, *out)
+    argv[argv.index("--rest-length") + 1] = str(tmp_path / "lengths.npz")
+    refused(capsys, tmp_path, argv, "rest_length_mm")

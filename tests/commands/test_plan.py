@@ -1,0 +1,59 @@
+"""``doo-ti plan``: output, files, refused input."""
+
+import csv
+import json
+
+import pytest
+
+from doo_ti.cli import main
+
+SCENE = """
+name = "cord"
+[synthesis]
+bend = 1.8e6
+twist = 1.2e6
+end_distances_mm = [42.0, 66.0]
+end_rotations_deg = [0.0, 120.0]
+[grid]
+bend = "2e5:5e6:3"
+twist_ratio = "0.3:3:2"
+"""
+
+
+@pytest.fixture
+def scene(tmp_path):
+    path = tmp_path / "cord.toml"
+    path.write_text(SCENE, encoding="utf-8")
+    return str(path)
+
+
+def test_a_scene(scene, tmp_path, capsys):
+    assert main(["plan", scene, "--picks", "3", "--out", str(tmp_path / "plan")]) == 0
+    out = capsys.readouterr().out
+    assert "4 configurations" in out and "6 cells" in out
+    summary = json.loads((tmp_path / "plan" / "plan.json").read_text())
+    assert summary["asked"] == ["bend", "twist"] and len(summary["order"]) == 3 and summary["sigma_mm"] == 0.12
+    rows = list(csv.DictReader((tmp_path / "plan" / "plan.csv").read_text().splitlines()))
+    assert [row["rank"] for row in rows].count("") == 1 and float(rows[0]["bend_mm"]) > 0
+    assert (tmp_path / "plan" / "identifiability.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_other_clamps_than_the_scene_s(scene, capsys):
+    words = ["plan", scene, "--end-distances", "50", "--end-rotations", "0,90,180", "--measured", "1", "--json"]
+    assert main(words) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["end_distance_mm"] == [50, 50, 50] and sorted(summary["order"]) == [0, 2]
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize("words, option", [
+    (["--sigma", "0"], "--sigma"), (["--sigma", "x"], "--sigma"), (["--measured", "9"], "--measured"),
+    (["--measured", "1,1"], "--measured"), (["--picks", "0"], "--picks"), (["--end-distances", "a"], "--end-distances"),
+    (["--end-distances", "200"], "end_distances_mm"), (["--bend", "1e6", "--twist", "1e6"], "single cell"),
+    (["--weight", "1:2:2"], "ratios"),
+])
+def test_wrong_input_is_one_line(scene, tmp_path, capsys, words, option):
+    assert main(["plan", scene, *words, "--out", str(tmp_path / "plan")]) == 2
+    printed = capsys.readouterr().err
+    assert option in printed and printed.count("\n") == 1
+    assert not (tmp_path / "plan").exists()

@@ -1,0 +1,126 @@
+"""``doo-ti predict``: output, files, refused input."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from doo_ti.cli import main
+from doo_ti.io.observations import Observations, save_observations
+from doo_ti.relaxation.relax import relax
+from doo_ti.types import Material
+from tests.references.rods import chain, clamps_at, stacked
+
+MATERIAL = ["--bend", "6e5", "--twist", "1e5"]
+SCENES = Path(__file__).resolve().parents[2] / "scenes" / "motion"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Two rods at rest, with and without their frames, and motions."""
+    rods = []
+    for size in (0.6, 0.9):
+        angle = np.linspace(-size, size, 20)
+        rods.append(chain(np.stack([np.cos(angle), 0.4 * np.sin(2 * angle), np.sin(angle)], axis=1), [0, 1, 0], 5.0))
+    rods = stacked(rods)
+    shape = relax(rods, Material(6e5, 1e5), clamps_at(rods)).configuration
+    save_observations(tmp_path / "seen.npz", Observations(
+        shape.vertices, rest_length=np.full(20, 5.0), start_frame=shape.frames[:, 0], end_frame=shape.frames[:, -1],
+        total_twist=np.zeros(2)))
+    save_observations(tmp_path / "bare.npz", Observations(shape.vertices, rest_length=np.full(20, 5.0)))
+    ends = shape.vertices[:1, -1] + np.linspace(0, 1, 3)[:, None] * [-6.0, 2.0, 0]
+    np.savez(tmp_path / "move.npz", end_position_mm=ends, time_s=[0.0, 1.0, 3.0])
+    (tmp_path / "turn.csv").write_text("time_s,end_rotation_deg\n0,0\n2,840\n", encoding="utf-8")
+    turn = np.array([[1, 0, 0], [0, 0.5, -np.sqrt(0.75)], [0, np.sqrt(0.75), 0.5]])
+    np.savez(tmp_path / "frames.npz", start_frame=np.tile(shape.frames[0, 0], (2, 1, 1)),
+             end_frame=np.stack([shape.frames[0, -1], shape.frames[0, -1] @ turn]))
+    marks = shape.vertices[:, None] + np.linspace(0, 1, 5)[:, None, None] * [3.0, 0, 1.0]
+    np.savez(tmp_path / "marks.npz", positions_mm=marks)
+    return tmp_path
+
+
+def words(folder, source: str, motion: str) -> list[str]:
+    return ["predict", str(folder / source), "--motion", str(folder / motion), *MATERIAL, "--out", str(folder / "f.npz")]
+
+
+def written(path):
+    with np.load(path, allow_pickle=False) as file:
+        return dict(file)
+
+
+def test_840_degrees_are_reported_as_840_degrees(folder, capsys):
+    assert main([*words(folder, "seen.npz", "turn.csv"), "--between", "4"]) == 0
+    printed = capsys.readouterr().out
+    assert "2 rods of 20 edges" in printed and "5 moments" in printed and "840.0°" in printed
+    found = written(folder / "f.npz")
+    np.testing.assert_allclose(found["end_rotation_deg"][:, 0], [0, 210, 420, 630, 840], atol=1e-6)
+    np.testing.assert_allclose(found["time_s"], [0, 0.5, 1, 1.5, 2])
+    assert found["vertices_mm"].shape == (5, 2, 21, 3) and found["jumps"].shape == found["energy"].shape == (5, 2)
+
+
+def test_materials_and_starts_at_once(folder, capsys):
+    assert main([*words(folder, "seen.npz", "move.npz"), "--relative", "--bend", "3e5:2e6:3", "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    found = written(folder / "f.npz")
+    assert summary["rods"] == 6 and summary["moments"] == 3 and summary["followed"] == int(found["followed"][-1].sum())
+    assert found["observation"].tolist() == [0, 1] * 3
+    np.testing.assert_allclose(found["bend_1"], np.repeat(np.geomspace(3e5, 2e6, 3), 2))
+    moved = found["vertices_mm"][-1, :, -1] - found["vertices_mm"][0, :, -1]
+    np.testing.assert_allclose(moved, np.tile([-6.0, 2.0, 0], (6, 1)), atol=1e-5)
+
+
+def test_frames_of_the_path_hold_rods_that_had_none(folder):
+    assert main([*words(folder, "bare.npz", "frames.npz"), "--relative"]) == 0
+    assert (written(folder / "f.npz")["end_rotation_deg"] == 0).all()  # spins are free
+    with np.load(folder / "bare.npz") as file:
+        np.savez(folder / "one.npz", vertices_mm=file["vertices_mm"][:1], rest_length_mm=file["rest_length_mm"])
+    assert main(words(folder, "one.npz", "frames.npz")) == 0
+    np.testing.assert_allclose(written(folder / "f.npz")["end_rotation_deg"], [[0], [60]], atol=1e-6)
+
+
+def test_marks_carry_rods_by_their_end_edges(folder):
+    assert main(words(folder, "bare.npz", "marks.npz")) == 0
+    vertices = written(folder / "f.npz")["vertices_mm"]
+    np.testing.assert_allclose(vertices[-1] - vertices[0], np.broadcast_to([3.0, 0, 1], (2, 21, 3)), atol=1e-3)
+
+
+def test_a_scene_with_picture_and_recording(folder, capsys):
+    pytest.importorskip("rerun")
+    scene = ["predict", str(SCENES / "pulled_straight.toml"), "--between", "2", "--out", str(folder / "f.npz")]
+    assert main([*scene, "--picture", str(folder / "f.png"), "--recording", str(folder / "f.rrd")]) == 0
+    assert "2 rods of 33 edges" in capsys.readouterr().out
+    assert (folder / "f.png").read_bytes().startswith(b"\x89PNG") and (folder / "f.rrd").stat().st_size > 10_000
+    assert written(folder / "f.npz")["material_name"].tolist() == ["silk", "vicryl"]
+
+
+def test_a_rod_that_is_lost_is_reported(folder, capsys):
+    np.savez(folder / "far.npz", end_position_mm=[[90.0, 0, 0], [300.0, 0, 0]])
+    assert main(words(folder, "seen.npz", "far.npz")) == 1
+    printed = capsys.readouterr().out
+    assert "infeasible" in printed and "no prediction from 1 s on" in printed
+    assert not written(folder / "f.npz")["followed"][-1].any()
+
+
+@pytest.mark.parametrize("more, printed", [
+    ([], "--motion"), (["--motion", "none.npz"], "none.npz"), (["--motion", "turn.csv", "--between", "0"], "--steps-between"),
+    (["--motion", "turn.csv", "--sub-step", "90"], "--sub-step"), (["--motion", "turn.csv", "--sub-step", "x"], "--sub-step"),
+    (["--motion", "turn.csv", "--out", "f.csv"], "--out"),
+    (["--motion", "turn.csv", "--steps-between", "100000000"], "--steps-between"),
+    (["--motion", "turn.csv", "--recording", "f.png"], "ends in .rrd"), (["--motion", "turn.csv", "--bend", "-1"], "--bend"),
+    (["--motion", "metres.npz"], "moment 1: the clamps are 9e+04 mm apart"),
+])
+def test_wrong_input_is_one_line(folder, capsys, monkeypatch, more, printed):
+    monkeypatch.chdir(folder)
+    np.savez("metres.npz", end_position_mm=[[90.0, 0, 0], [90000.0, 0, 0]])
+    assert main(["predict", "seen.npz", *MATERIAL, "--out", "f.npz", *more]) == 2
+    line = capsys.readouterr().err
+    assert printed in line and line.count("\n") == 1
+    assert not (folder / "f.npz").exists()
+
+
+@pytest.mark.parametrize("more, printed", [(["--bend", "1e6"], "--bend"), (["--relative"], "--relative"),
+                                         (["--motion", "turn.csv"], "--motion")])
+def test_a_scene_says_it_all(folder, capsys, more, printed):
+    assert main(["predict", str(SCENES / "pulled_straight.toml"), "--out", str(folder / "f.npz"), *more]) == 2
+    assert printed in capsys.readouterr().err

@@ -1,0 +1,112 @@
+"""``doo-ti refine``: from observations and from a sweep's folder, as text and as JSON, and refused input."""
+
+import json
+
+import numpy as np
+import pytest
+
+from doo_ti import Material, Observations, relax, save_observations
+from doo_ti.cli import main
+from tests.references.rods import clamps_at
+from tests.relaxation.rods import wandering
+
+BEND, TWIST = 3e4, 2e4
+
+
+@pytest.fixture
+def observed(tmp_path, rng):
+    """A file of rods made with BEND and TWIST, with 0.05 mm of noise, and the groups they belong to."""
+    rods = wandering(rng, 16, 12, wander=0.1)
+    clamps = clamps_at(rods)
+    vertices = relax(rods, Material(BEND, TWIST), clamps).configuration.vertices
+    vertices[:, 2:-2] += 0.05 * rng.normal(size=vertices[:, 2:-2].shape)
+    path = tmp_path / "rod.npz"
+    save_observations(path, Observations(vertices, rest_length=np.full(12, 3.0), start_frame=clamps.start_frame,
+                                         end_frame=clamps.end_frame, total_twist=np.zeros(16)))
+    np.savez(tmp_path / "groups.npz", recording=np.arange(16) // 3)
+    return path
+
+
+@pytest.mark.thorough
+def test_observations_for_a_machine(observed, tmp_path, capsys):
+    out = tmp_path / "new" / "found.json"
+    argv = ["refine", str(observed), "--bend", "4e4", "--twist", "2e4", "--sigma", "0.05", "--linear-density", "2",
+            "--folds", "3", "--groups", f"{tmp_path / 'groups.npz'}:recording", "--out", str(out), "--json"]
+    assert main(argv) == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    assert found == json.loads(out.read_text())[0]
+    bend, twist, ratio = found["parameters"][:3]
+    assert [one["name"] for one in (bend, twist, ratio)] == ["bend", "twist", "twist_ratio"] and bend["unit"] == "mm³"
+    for parameter, truth in ((bend, BEND), (twist, TWIST)):
+        assert parameter["low"] < parameter["value"] < parameter["high"] and abs(parameter["value"] / truth - 1) < 0.4
+    assert found["converged"] and found["rods_used"] == 16 and found["excess"] == pytest.approx(1, abs=0.25)
+    assert found["sigma_stated"] and found["mean_distance_mm"] > 0
+    assert {score["model"] for score in found["models"]} >= {"straight", "curved"}
+    value, low, high = found["stiffness"]["EI_Nm2"]
+    assert value == pytest.approx(bend["value"] / 2 * 2e-3 * 9.80665e-9) and low < value < high
+    assert found["stiffness"]["EI_over_weight_mm3"][0] == pytest.approx(bend["value"] / 2)
+    (region,) = found["regions"]
+    outline = np.array(region["outline"])
+    assert region["parameters"] == ["bend", "twist"] and outline[:, 0].min() < bend["value"] < outline[:, 0].max()
+    held = found["held_out"]
+    assert len(held["theta"]) == 3 and len(set(held["fold"][:3])) == 1 and held["mean_distance_mm"] < 0.2
+
+
+def test_observations_for_a_person(observed, capsys):
+    argv = ["refine", str(observed), "--bend", "4e4", "--twist", "2e4", "--parameters", "bend,twist,rest-curvature-per-joint",
+            "--clip", "2", "--folds", "2", "--no-models"]
+    assert main(argv) == 0
+    out = capsys.readouterr().out
+    for words in ("rod: 16 of 16 observations", "95 % intervals", "rest curvature", "noise", "EI over weight", "held out"):
+        assert words in out
+    assert "N m²" not in out
+
+
+@pytest.mark.thorough
+def test_a_run_s_best_cells(observed, tmp_path, capsys):
+    run = tmp_path / "run"
+    assert main(["sweep", str(observed), "--bend", "1e4:1e5:4", "--twist-ratio", "0.3:3:3", "--out", str(run)]) == 0
+    capsys.readouterr()
+    assert main(["refine", str(run), "--sigma", "0.05", "--starts", "2", "--no-models", "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    assert abs(found["parameters"][0]["value"] / BEND - 1) < 0.4
+    assert found["material"] == "rod" and (run / "refined.png").stat().st_size > 10_000
+    assert main(["refine", str(run), "--bend", "1e4"]) == 2
+    assert "--bend" in capsys.readouterr().err
+
+
+@pytest.mark.thorough
+def test_rods_that_one_end_holds(observed, capsys):
+    argv = ["refine", str(observed), "--bend", "4e4", "--twist", "2e4", "--no-models", "--rest-curvature", "none",
+            "--clamp-start", "free", "--parameters", "bend", "--json"]
+    assert main(argv) in (0, 1)
+    assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("more, message", [
+    ([], "--bend: missing"),
+    (["--bend", "1e4:1e5:3"], "refine the run of a sweep"),
+    (["--bend", "1e4", "--parameters", "bent"], "'bent' is unknown"),
+    (["--bend", "1e4,2e4"], "give bend_1 and bend_2"),
+    (["--bend", "1e4", "--folds", "1"], "--folds: 1 is below 2"),
+    (["--bend", "1e4", "--folds", "30"], "give 2 to 16 folds"),
+    (["--bend", "1e4", "--linear-density", "-1"], "not a positive number"),
+    (["--bend", "1e4", "--clip", "20"], "below a quarter"),
+    (["--bend", "1e4", "--edges", "3"], "--edges"),
+    (["--bend", "1e4", "--curvature-spread", "1e-300"], "--curvature-spread: 1e-300; give 1e-06"),
+    (["--bend", "1e4", "--curvature-range", "1e300"], "--curvature-range"),
+    (["--bend", "1e4", "--groups", "nothing"], "names no key"),
+    (["--bend", "1e4", "--groups", "nothing.npz:key"], "name a readable .npz file"),
+    (["--bend", "1e4", "--groups", "groups.npz:other"], "the key is missing"),
+    (["--bend", "1e4", "--groups", "nan.npz:recording"], "not finite"),
+    (["--bend", "1e4", "--frame-weight", "3"], "a frame weight is given"),
+    (["--bend", "1e4", "--out", "found.txt"], "ends in .json"),
+])
+def test_wrong_input_is_reported_in_a_line_and_nothing_is_written(observed, tmp_path, capsys, monkeypatch, more, message):
+    monkeypatch.chdir(tmp_path)
+    np.savez("nan.npz", recording=np.full(16, np.nan))
+    before = sorted(tmp_path.iterdir())
+    assert main(["refine", str(observed), *more]) == 2
+    captured = capsys.readouterr()
+    assert message in captured.err and captured.err.count("\n") == 1 and not captured.out
+    assert sorted(tmp_path.iterdir()) == before

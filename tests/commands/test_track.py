@@ -1,0 +1,131 @@
+"""doo-ti track: from a video to a file of rods and a recording, also with lost frames and errors."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from doo_ti.cli import main
+from doo_ti.vision.cameras.rig import save_rig
+from tests.commands.test_bad_input import refused
+from tests.perception.videos import EDGES, FRAMES, LENGTH, far_motion, images, rods
+from tests.vision.drawn_maps import three_cameras
+
+SEED = "seed_x,seed_y,seed_z,dir_x,dir_y,dir_z"
+BLANK = (4, 5)
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory):
+    """A folder with a video in which nothing is seen for two frames, its FRAMES.csv, the rig, and the far clamp's motion."""
+    folder = tmp_path_factory.mktemp("video")
+    save_rig(folder / "rig.yaml", three_cameras())
+    rod = rods()[0]
+    seed = ",".join(f"{value:.6f}" for value in (*rod[0], *(rod[1] - rod[0])))
+    lines = [f"frame,cam0,cam1,cam2,time_s,{SEED}\n"]
+    for row, frame in enumerate(images()):
+        names = [f"{row:03d}_cam{camera}.png" for camera in range(3)]
+        for name, image in zip(names, frame, strict=True):
+            assert cv2.imwrite(str(folder / name), np.full_like(image, 200) if row in BLANK else image)
+        lines.append(",".join([f"{row:03d}", *names, f"{row / 30:.4f}", seed if row == 0 else ",,,,,"]) + "\n")
+    (folder / "frames.csv").write_text("".join(lines))
+    clamps = [far_motion().at(row / (FRAMES - 1)) for row in range(FRAMES)]
+    np.savez(folder / "motion.npz", end_position_mm=np.array([held.end_position[0] for held in clamps]),
+             end_frame=np.array([held.end_frame[0] for held in clamps]))
+    return folder
+
+
+def of(folder, out, *more: str) -> list[str]:
+    return ["track", "--rig", str(folder / "rig.yaml"), "--frames", str(folder / "frames.csv"), "--rest-length",
+            f"{LENGTH}:{EDGES}", "--bend", "2e5", "--twist", "2e5", "--weight", "1", "--out", str(out), *more]
+
+
+def changed(folder, path, change) -> list[str]:
+    """Lines of FRAMES.csv, changed, beside the images."""
+    lines = change((folder / "frames.csv").read_text().splitlines())
+    path.write_text("\n".join(lines) + "\n")
+    return lines
+
+
+@pytest.mark.thorough
+def test_a_video_is_tracked_and_recorded(filmed, tmp_path, capsys):
+    out = tmp_path / "new" / "f.npz"
+    assert main(of(filmed, out)) == 0
+    printed = capsys.readouterr().out
+    assert "16 frames of 3 images" in printed and "2 frames by Algorithm 1: 000, 006" in printed and "lost: 004, 005" in printed
+    assert sorted(path.name for path in out.parent.iterdir()) == ["f.npz", "f.rrd"]
+    found = dict(np.load(out, allow_pickle=False))
+    assert {name: value.shape for name, value in found.items()} == {
+        "name": (FRAMES,), "time_s": (FRAMES,), "rest_length_mm": (EDGES,), "up": (3,), "vertices_mm": (FRAMES, EDGES + 1, 3),
+        "energy_vis": (FRAMES,), "camera_error_px": (FRAMES, 3), "status": (FRAMES,), "stable": (FRAMES,), "how": (FRAMES,),
+        "sigma_mm": (FRAMES, EDGES + 1)}
+    assert "".join(map(str, found["how"])) == "1000221000000000"
+    off = np.linalg.norm(found["vertices_mm"] - rods(), axis=-1).mean(axis=1)
+    assert np.isnan(off[list(BLANK)]).all() and np.delete(off, BLANK).max() < 0.15
+    from tests.record.recordings import read
+
+    static, moving = read(out.with_suffix(".rrd"))
+    assert moving["/world/rod"]["frame"]["frame"] == list(range(FRAMES))
+    drawn = [len(strips[0]) for strips in moving["/cam1/rod"]["frame"]["LineStrips2D:strips"]]
+    assert [row for row, count in enumerate(drawn) if count == 0] == list(BLANK) and set(drawn) == {0, EDGES + 1}
+    assert len(moving["/cam2"]["frame"]["frame"]) == FRAMES and "/world/cam0" in static
+
+
+def test_a_known_motion_is_taken(filmed, tmp_path, capsys):
+    out = tmp_path / "f.npz"
+    assert main(of(filmed, out, "--motion", str(filmed / "motion.npz"), "--no-recording", "--json")) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["seeded"] == ["000", "006"] and printed["lost"] == ["004", "005"] and len(printed["tracked"]) == FRAMES - 4
+    assert printed["written"] == [str(out)] and [path.name for path in tmp_path.iterdir()] == ["f.npz"]
+
+
+@pytest.mark.thorough
+def test_finished_frames_are_kept(filmed, tmp_path, capsys):
+    """An image in the middle is broken."""
+    broken = tmp_path / "broken.png"
+    broken.write_bytes(b"no image")
+    frames = filmed / "broken.csv"
+    changed(filmed, frames, lambda lines: [line.replace("003_cam1.png", str(broken)) for line in lines])
+    argv = of(filmed, tmp_path / "f.npz")
+    argv[argv.index("--frames") + 1] = str(frames)
+    assert main(argv) == 1
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and "broken.png" in err and "3 of 16 frames are kept" in err
+    assert np.load(tmp_path / "f.npz")["how"].tolist() == [1, 0, 0]
+
+
+@pytest.mark.parametrize("change, words", [
+    (lambda lines: lines[:1], ("no rows",)),
+    (lambda lines: [line.replace("dir_z", "dir_w") for line in lines], ("dir_z", "missing")),
+    (lambda lines: [line.replace("cam2,", "cam7,", 1) for line in lines], ("cam7", "no camera of the rig")),
+    (lambda lines: [lines[0], *lines[2:]], ("seed_x", "'' in line 2")),
+    (lambda lines: [*lines[:3], lines[3].replace(",,,,,,", ",1,2,3,4,5,x")], ("dir_z", "'x' in line 4")),
+    (lambda lines: [*lines[:2], lines[3], lines[2]], ("time_s", "rise")),
+    (lambda lines: [line.replace("002_cam0.png", "missing.png") for line in lines], ("cam0", "missing.png' in line 4")),
+])
+def test_wrong_frames_are_reported(filmed, tmp_path, capsys, change, words):
+    frames = filmed / "changed.csv"
+    changed(filmed, frames, change)
+    argv = of(filmed, tmp_path / "new" / "f.npz")
+    argv[argv.index("--frames") + 1] = str(frames)
+    refused(capsys, tmp_path, argv, "changed.csv", *words)
+
+
+@pytest.mark.parametrize("change, words", [
+    (("--bend", "1e5:1e6:5"), ("--bend", "grid")), (("--bend", "1e5,2e5"), ("--bend", "round")),
+    (("--rest-length", "3:x"), ("--rest-length",)), (("--frames", "missing.csv"), ("missing.csv",)),
+    (("--width", "0"), ("--width",)), (("--up", "0,0"), ("--up",)), (("--motion", "missing.npz"), ("missing.npz",))])
+def test_wrong_options_are_reported(filmed, tmp_path, capsys, change, words):
+    argv = of(filmed, tmp_path / "new" / "f.npz")
+    if change[0] in argv:
+        argv[argv.index(change[0]) + 1] = change[1]
+    else:
+        argv += change
+    refused(capsys, tmp_path, argv, *words)
+
+
+def test_a_motion_of_another_length_is_reported(filmed, tmp_path, capsys):
+    np.savez(filmed / "short.npz", end_position_mm=np.zeros((3, 3)))
+    argv = of(filmed, tmp_path / "new" / "f.npz", "--motion", str(filmed / "short.npz"))
+    refused(capsys, tmp_path, argv, "short.npz", "3 moments for 16 frames")

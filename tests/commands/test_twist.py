@@ -1,0 +1,119 @@
+"""``doo-ti twist``: output, files, refused input."""
+
+import json
+
+import numpy as np
+import pytest
+
+from doo_ti.cli import main
+from doo_ti.io.observations import Observations, save_observations
+from doo_ti.prediction.predict import total_twist
+from doo_ti.relaxation.relax import relax
+from doo_ti.types import Material
+from tests.references.rods import chain, clamps_at, stacked
+
+MATERIAL = ["--bend", "6e5", "--twist", "4e5"]
+TWIST = np.radians([-200.0, -40.0, 90.0, 250.0])
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Observations with their frames, perception's vertices alone, and two files of offsets."""
+    rods = []
+    for twist, size in zip(TWIST, (0.5, 0.8, 0.6, 0.9), strict=True):
+        angle = np.linspace(-size, size, 20)
+        tangents = np.stack([np.cos(angle), 0.4 * np.sin(2 * angle), np.sin(angle)], axis=1)
+        rods.append(chain(tangents, [0, 1, 0], 5.0, spin=twist * np.linspace(0, 1, 20)))
+    rods = stacked(rods)
+    shape = relax(rods, Material(6e5, 4e5), clamps_at(rods)).configuration
+    twist = total_twist(shape.quaternions)
+    save_observations(tmp_path / "seen.npz", Observations(
+        shape.vertices, rest_length=np.full(20, 5.0), start_frame=shape.frames[:, 0], end_frame=shape.frames[:, -1],
+        total_twist=twist))
+    np.savez(tmp_path / "bare.npz", vertices_mm=shape.vertices, name=np.array(["a", "b", "c", "d"]))
+    np.savez(tmp_path / "frames.npz", start_frame=shape.frames[:, 0], end_frame=shape.frames[:, -1],
+             total_twist_deg=np.degrees(twist))
+    (tmp_path / "offsets.csv").write_text("offset_deg\n" + "\n".join(str(np.degrees(t) + 45) for t in twist), encoding="utf-8")
+    return tmp_path, twist
+
+
+def written(path):
+    with np.load(path, allow_pickle=False) as file:
+        return dict(file)
+
+
+@pytest.mark.thorough
+def test_one_by_one(files, capsys):
+    folder, twist = files
+    words = ["twist", str(folder / "seen.npz"), *MATERIAL, "--out", str(folder / "phi.npz")]
+    assert main([*words, "--picture", str(folder / "phi.png")]) == 0
+    printed = capsys.readouterr().out
+    assert "4 observations in 4 groups" in printed and "4 clear" in printed and "196 rods" in printed
+    found = written(folder / "phi.npz")
+    np.testing.assert_allclose(found["phi_deg"], np.degrees(twist), atol=1.0)
+    assert found["objective_mm"].shape == (4, 49)
+    np.testing.assert_allclose(found["phi_grid_deg"], np.arange(-360, 361, 15))
+    assert found["group"].tolist() == [0, 1, 2, 3] and (found["offset_deg"] == 0).all()
+    assert (folder / "phi.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_perception_wrote(files, capsys):
+    folder, twist = files
+    assert main(["twist", str(folder / "bare.npz"), *MATERIAL, "--out", str(folder / "phi.npz"), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    np.testing.assert_allclose(summary["phi_deg"], np.degrees(twist), atol=2.0)
+    assert summary["verdicts"] == {"clear": 4} and summary["unsound_rods"] == 0
+
+
+def test_several_share_an_angle(files):
+    folder, twist = files
+    out = folder / "phi.npz"
+    assert main(["twist", str(folder / "seen.npz"), *MATERIAL, "--observations", "2", "--out", str(out)]) == 0
+    found = written(out)
+    np.testing.assert_allclose(found["phi_deg"], 0, atol=1.0)  # end frames and twist are the true ones
+    np.testing.assert_allclose(found["total_twist_deg"], np.degrees(twist), atol=1.0)
+    assert found["group"].tolist() == [0, 0, 1, 1]
+
+
+def test_offsets_and_grasps(files):
+    folder, twist = files
+    words = ["twist", str(folder / "bare.npz"), *MATERIAL, "--out", str(folder / "phi.npz")]
+    assert main([*words, "--offsets", str(folder / "offsets.csv")]) == 0
+    np.testing.assert_allclose(written(folder / "phi.npz")["phi_deg"], [-45.0], atol=2.0)
+    assert main([*words, "--offsets", str(folder / "frames.npz"), "--regrasp", "1", "3"]) == 0
+    found = written(folder / "phi.npz")
+    assert found["group"].tolist() == [0, 1, 1, 2]
+    np.testing.assert_allclose(found["phi_deg"], 0, atol=2.0)
+    np.testing.assert_allclose(found["total_twist_deg"], np.degrees(twist), atol=2.0)
+
+
+@pytest.mark.parametrize("words, printed", [
+    (["--observations", "2"], "end_frame"), (["--observations", "9"], "--observations"), (["--observations", "x"], "number"),
+    (["--regrasp", "7"], "--regrasp"), (["--offsets", "none.csv"], "none.csv"), (["--bend", "1e5:1e6:3"], "grid"),
+    (["--out", "phi.txt"], "--out"), (["--picture", "phi.jpg"], "ends in .png"), (["--up", "0,0,0"], "--up"),
+])
+def test_wrong_input_is_one_line(files, capsys, words, printed):
+    folder, _ = files
+    assert main(["twist", str(folder / "bare.npz"), *MATERIAL, "--out", str(folder / "phi.npz"), *words]) == 2
+    line = capsys.readouterr().err
+    assert printed in line and line.count("\n") == 1
+    assert not (folder / "phi.npz").exists()
+
+
+@pytest.mark.parametrize("text, printed", [
+    ("offset_deg\n1\n2\n3\n1e6\n", "more than 100 turns"),
+    ("offset_deg\n1\n2\n", "one for each"), ("total_twist_deg\n1\n2\n3\n4\n", "end_frame"), ("colour\n1\n", "colour"),
+])
+def test_wrong_offsets_are_named(files, capsys, text, printed):
+    folder, _ = files
+    (folder / "wrong.csv").write_text(text, encoding="utf-8")
+    words = ["twist", str(folder / "bare.npz"), *MATERIAL, "--out", str(folder / "phi.npz")]
+    assert main([*words, "--offsets", str(folder / "wrong.csv")]) == 2
+    assert printed in capsys.readouterr().err
+
+
+def test_the_input_is_not_overwritten(files, capsys):
+    folder, _ = files
+    before = (folder / "seen.npz").read_bytes()
+    assert main(["twist", str(folder / "seen.npz"), *MATERIAL, "--out", str(folder / "seen.npz")]) == 2
+    assert (folder / "seen.npz").read_bytes() == before

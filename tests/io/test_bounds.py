@@ -1,0 +1,97 @@
+"""Endless files, and files that unpack to huge sizes: refused before they fill the memory."""
+
+import io
+import os
+import struct
+import zipfile
+import zlib
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+import pytest
+
+from doo_ti.commands.refine import read_groups
+from doo_ti.errors import InputError
+from doo_ti.io import arrays, observation_tables
+from doo_ti.io.arrays import read_arrays
+from doo_ti.io.files import read_content
+from doo_ti.io.marks import read_labels
+from doo_ti.io.motion_scene import load_motion_scene
+from doo_ti.io.observations import load_observations, save_observations
+from doo_ti.io.scene import load_scene
+from doo_ti.learning.pairs import load_pairs
+from doo_ti.vision.cameras.rig import load_rig
+from doo_ti.vision.cameras.views import read_views
+from doo_ti.vision.detection.images import load_sets, read_image
+from tests.learning.lab import small_lab
+
+READERS = {
+    ".npz": load_observations, ".csv": load_observations, ".parquet": load_observations, ".yaml": load_rig, ".png": read_image,
+    "_sets.csv": lambda path: load_sets(path, None), "_views.csv": read_views,
+    "_arrays.csv": lambda path: read_arrays(path, {"a": ((), ("a",))}),
+    "_pairs.csv": lambda path: load_pairs(path, small_lab()), "_labels.csv": lambda path: read_labels(path, ("a",)),
+    ".toml": load_scene, "_motion.toml": load_motion_scene, "_groups.npz": lambda path: read_groups(f"{path}:key", small_lab()),
+}
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes in folders")
+@pytest.mark.parametrize("suffix", READERS)
+def test_pipes_and_devices_are_no_files(tmp_path, suffix):
+    os.mkfifo(tmp_path / f"pipe{suffix}")
+    (tmp_path / f"zero{suffix}").symlink_to("/dev/zero")
+    for name in ("pipe", "zero"):
+        with pytest.raises(InputError, match="not a file") as caught:
+            READERS[suffix](tmp_path / f"{name}{suffix}")
+        assert name in caught.value.source
+
+
+def test_a_file_beyond_its_bound_is_not_read(tmp_path):
+    with open(tmp_path / "large", "wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(InputError, match="at most"):
+        read_content(tmp_path / "large")
+
+
+def test_an_npz_that_unpacks_to_more_than_the_bound(tmp_path, monkeypatch):
+    """Zeros, a thousand times as many bytes as the file has."""
+    monkeypatch.setattr(arrays, "MOST_UNPACKED_BYTES", 1 << 20)
+    save_observations(tmp_path / "bomb.npz", small_lab())
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (1 << 18, 8)})
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("sigma_mm.npy", header.getvalue() + bytes(1 << 24))
+    with pytest.raises(InputError, match="unpacks to"):
+        load_observations(tmp_path / "bomb.npz")
+
+
+def test_a_table_that_unpacks_to_more_than_the_bound(tmp_path, monkeypatch):
+    save_observations(tmp_path / "small.parquet", small_lab())
+    monkeypatch.setattr(observation_tables, "MOST_UNPACKED_BYTES", 10_000)
+    with pytest.raises(InputError, match="unpacks to"):
+        load_observations(tmp_path / "small.parquet")
+
+
+def png(width: int, height: int) -> bytes:
+    """A grey image of zeros."""
+    def part(kind: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+    rows = zlib.compress(bytes((width + 1) * height), 9)
+    return b"\x89PNG\r\n\x1a\n" + part(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)) + part(
+        b"IDAT", rows) + part(b"IEND", b"")
+
+
+@pytest.mark.parametrize("size", [(100_000, 1), (1, 100_000)])
+def test_images_longer_than_any_camera_takes(tmp_path, size):
+    (tmp_path / "long.png").write_bytes(png(*size))
+    with pytest.raises(InputError, match="size"):
+        read_image(tmp_path / "long.png")
+    (tmp_path / "good.png").write_bytes(png(30, 20))
+    assert read_image(tmp_path / "good.png").shape == (20, 30)
+
+
+def test_a_parquet_of_cells_is_no_table_of_observations(tmp_path):
+    pyarrow.parquet.write_table(pyarrow.table({"observation": [0]}), tmp_path / "o.parquet")
+    with pytest.raises(InputError, match="vertex"):
+        load_observations(tmp_path / "o.parquet")

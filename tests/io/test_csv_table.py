@@ -1,0 +1,56 @@
+"""The reader of CSV files: accepted input, and the names in its messages."""
+
+import numpy as np
+import pytest
+
+from doo_ti.errors import InputError
+from doo_ti.io.csv_table import parse_csv, read_csv
+
+
+def test_cells_are_read_as_written(tmp_path):
+    """Spaces, quotes, blank lines and a byte order mark are no part of the cells; lines count as in an editor."""
+    path = tmp_path / "x.csv"
+    path.write_bytes('\ufeffname, x \r\n"a, b",1\r\n\r\n,\r\n c ,2e3\r\n'.encode())
+    table = read_csv(path, ("name", "x"))
+    assert table.columns["name"] == ["a, b", "c"] and table.lines == [2, 5]
+    np.testing.assert_array_equal(table.numbers("x"), [1, 2000])
+    np.testing.assert_array_equal(table.whole("x"), [1, 2000])
+
+
+def test_missing_numbers_and_truth(tmp_path):
+    table = parse_csv(tmp_path / "x.csv", b"x\n1.5\nNA\ntrue\nFalse\nNaN\n", ("x",))
+    np.testing.assert_array_equal(table.numbers("x", may_be_empty=True), [1.5, np.nan, 1, 0, np.nan])
+
+
+def test_short_lines_where_they_are_allowed(tmp_path):
+    assert parse_csv(tmp_path / "x.csv", b"a,b\n1\n", ("a",), short_lines=True).columns == {"a": ["1"], "b": [""]}
+
+
+WRONG = {
+    "not text": (b"\xff\xfe\xfa", "file"), "no rows": (b"a,b\n", "file"), "empty": (b"", "a"), "missing": (b"a\n1\n", "b"),
+    "unknown": (b"a,b,d\n1,2,3\n", "d"), "twice": (b"a,b,b\n1,2,3\n", "b"), "long line": (b"a,b\n1,2\n1,2,3\n", "line 3"),
+    "short line": (b"a,b\n1,2\n1\n", "line 3"), "open quote": (b'a,b\n1,"2\n3,4\n', "file"),
+    "line break": (b'a,b\n1,"2\n3"\n', "line 3"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_files_are_named(tmp_path, case):
+    content, field = WRONG[case]
+    with pytest.raises(InputError) as caught:
+        parse_csv(tmp_path / "x.csv", content, ("a", "b"), ("c",))
+    assert (caught.value.source, caught.value.field) == (str(tmp_path / "x.csv"), field)
+    assert caught.value.remedy and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("cell", ["", "x", "nan", "inf", "1,5"])
+def test_a_cell_that_is_no_number_is_named_with_its_line(tmp_path, cell):
+    table = parse_csv(tmp_path / "x.csv", f'a\n1\n\n"{cell}"\n'.encode() if cell else b"a,b\n1,\n\n,2\n", ("a",))
+    with pytest.raises(InputError) as caught:
+        table.numbers("a")
+    assert caught.value.field == "a" and repr(cell) in caught.value.problem and "line 4" in caught.value.problem
+
+
+def test_incomplete_rows_are_named(tmp_path):
+    with pytest.raises(InputError, match="'1.5' in line 3"):
+        parse_csv(tmp_path / "x.csv", b"a\n1\n1.5\n", ("a",)).whole("a")

@@ -1,0 +1,102 @@
+"""Tables: CSV and Parquet carry the same observations as npz, and wrong tables are refused with the reason."""
+
+import numpy as np
+import pyarrow
+import pyarrow.csv
+import pyarrow.parquet
+import pytest
+
+from doo_ti.errors import InputError
+from doo_ti.io.observations import Observations, load_observations, save_observations
+from tests.io.rods import wavy_vertices
+from tests.io.test_observations import LAB, full_keys, same
+
+SUFFIXES = (".csv", ".parquet")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_tables_are_lossless(tmp_path, rng, suffix):
+    for _ in range(5):
+        np.savez(tmp_path / "x.npz", **full_keys(rng))
+        observations = load_observations(tmp_path / "x.npz")
+        save_observations(tmp_path / f"x{suffix}", observations)
+        assert same(observations, load_observations(tmp_path / f"x{suffix}"), 1e-14)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("name", LAB)
+def test_lab_files_survive(tmp_path, laboratory, suffix, name):
+    observations = load_observations(laboratory / "lab_a" / f"{name}.npz")
+    save_observations(tmp_path / f"x{suffix}", observations)
+    assert same(observations, load_observations(tmp_path / f"x{suffix}"), 1e-14)
+
+
+def test_one_sigma_stays_one_number(tmp_path, rng):
+    save_observations(tmp_path / "x.csv", Observations(wavy_vertices(rng), sigma=0.12))
+    assert load_observations(tmp_path / "x.csv").sigma.shape == ()
+
+
+def test_a_plain_csv_written_by_hand(tmp_path):
+    rows = ["vertex,observation,z_mm,x_mm,y_mm,valid,total_twist_deg,comment"]
+    rows += ["2,7,0.5,6,0,1,90,x", "1,7,,,,0,,missing", "0,7,0,0,0,1,90,", "3,7,0,9,0,true,90,"]
+    rows += [f"{v},3,0,{3 * v},0,1,-30," for v in range(4)]
+    (tmp_path / "x.csv").write_text("\n".join(rows).replace("true", "1"))
+    observations = load_observations(tmp_path / "x.csv")
+    np.testing.assert_array_equal(observations.vertices[0, :, 0], [0, 3, 6, 9])
+    np.testing.assert_array_equal(observations.valid[1], [True, False, True, True])
+    np.testing.assert_allclose(observations.total_twist, np.radians([-30, 90]))
+    np.testing.assert_array_equal(observations.vertices[1, 2], [6, 0, 0.5])
+
+
+def table(rng) -> dict[str, list]:
+    """The columns of a good table of two observations of four vertices."""
+    vertices = wavy_vertices(rng, count=2, marks=4)
+    columns = {"observation": [0] * 4 + [1] * 4, "vertex": [0, 1, 2, 3] * 2}
+    columns |= {f"{axis}_mm": vertices[..., k].ravel().tolist() for k, axis in enumerate("xyz")}
+    return columns | {"rest_length_mm": [3.0, 3.0, 3.0, None] * 2, "total_twist_deg": [10.0] * 8}
+
+
+def change(columns: dict, name: str, row: int, value) -> None:
+    columns[name] = [*columns[name][:row], value, *columns[name][row + 1 :]]
+
+
+WRONG = {
+    "missing column": (lambda c: c.pop("y_mm"), "y_mm", "the column is missing"),
+    "missing vertex": (lambda c: [values.pop(5) for values in c.values()], "vertex", "observation 1"),
+    "vertex twice": (lambda c: change(c, "vertex", 2, 1), "vertex", "observation 0"),
+    "negative vertex": (lambda c: change(c, "vertex", 0, -1), "vertex", "observation 0"),
+    "half a vertex": (lambda c: change(c, "vertex", 2, 1.5), "vertex", "not a whole number"),
+    "text": (lambda c: c.update(x_mm=["three"] * 8), "x_mm", "'three' in"),
+    "empty coordinate": (lambda c: change(c, "z_mm", 6, None), "vertices_mm", "observation 1, vertex 2"),
+    "labels that differ": (lambda c: change(c, "total_twist_deg", 6, 11.0), "total_twist_deg", "observation number 1"),
+    "lengths that differ": (lambda c: change(c, "rest_length_mm", 5, 4.0), "rest_length_mm", "observation number 1"),
+    "half a frame": (lambda c: c.update(start_frame_t_x=[1.0] * 8), "start_frame_m1_x", "missing beside"),
+    "negative length": (lambda c: c.update(rest_length_mm=[-3.0] * 8), "rest_length_mm", "-3 mm"),
+}
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_tables_are_named(tmp_path, rng, case, suffix):
+    edit, field, problem = WRONG[case]
+    columns = table(rng)
+    edit(columns)
+    path = tmp_path / f"bad{suffix}"
+    writer = pyarrow.csv.write_csv if suffix == ".csv" else pyarrow.parquet.write_table
+    writer(pyarrow.table(columns), str(path))
+    with pytest.raises(InputError) as caught:
+        load_observations(path)
+    assert (caught.value.source, caught.value.field) == (str(path), field)
+    assert problem in caught.value.problem
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_files_that_are_no_table(tmp_path, suffix):
+    header = b"observation,vertex,x_mm,y_mm,z_mm\n"
+    for content in (b"", b"\x00\x01\x02", b"\n\n", b"PAR1PAR1", header, header + b"0,0\n",
+                    b"\xff\xfe\xfa,\xff\n1,2\n", b"observation,vertex,x_mm,x_mm,y_mm,z_mm\n0,0,1,1,1,1\n"):
+        path = tmp_path / f"bad{suffix}"
+        path.write_bytes(content)
+        with pytest.raises(InputError) as caught:
+            load_observations(path)
+        assert str(path) in str(caught.value) and "\n" not in str(caught.value)

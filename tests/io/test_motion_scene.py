@@ -1,0 +1,106 @@
+"""Scenes of motion: the shipped ones with their results, and errors in others."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from doo_ti.errors import InputError
+from doo_ti.io.motion_scene import load_motion_scene
+from doo_ti.prediction.predict import predict
+
+SCENES = Path(__file__).resolve().parents[2] / "scenes" / "motion"
+GOOD = """
+[rod]
+length_mm = 60.0
+edges = 20
+[materials.cord]
+bend = 1e6
+twist = 5e5
+[[moments]]
+end_position_mm = [50, 0, 0]
+[[moments]]
+time_s = 1
+end_rotation_deg = 30
+"""
+
+
+def carried(name: str):
+    scene = load_motion_scene(SCENES / f"{name}.toml")
+    prediction = predict(scene.start, scene.material, scene.clamps, scene.path, between=scene.between)
+    assert prediction.followed.all()
+    return scene, prediction
+
+
+@pytest.mark.thorough
+def test_one_start_and_three_materials():
+    """Fig. 1: the same clamps, different shapes."""
+    scene, prediction = carried("three_materials")
+    assert scene.names == ("nylon", "vicryl", "silk")
+    ends = prediction.vertices[-1]
+    np.testing.assert_allclose(ends[:, [0, -1]], np.broadcast_to(ends[0, [0, -1]], (3, 2, 3)), atol=1e-6)
+    apart = [np.linalg.norm(ends[i] - ends[j], axis=1).max() for i, j in ((0, 1), (0, 2), (1, 2))]
+    print("vertices apart by up to", np.round(apart, 1), "mm; jumps", prediction.jumps.sum(axis=0))
+    assert min(apart) > 10
+
+
+@pytest.mark.thorough
+def test_a_loop_is_thrown_and_pops_out():
+    """The loop forms while the ends come together, persists while most of the twist is removed, and pops out at the end."""
+    scene, prediction = carried("loop_pop_out")
+    jumps = np.flatnonzero(prediction.jumps[:, 0])
+    assert len(jumps) == 2
+    thrown, popped = prediction.time[jumps]
+    rotation = np.degrees(prediction.end_rotation[:, 0])
+    print(f"thrown at {thrown:.2f} s, popped at {popped:.2f} s, the end turned by {rotation[jumps[1]]:.0f}°")
+    assert 2 < thrown <= 4 < popped < 7
+    # While the loop is there a turn of writhe is, too: twist is a whole turn short of what the clamp did.
+    short = rotation - np.degrees(prediction.total_twist[:, 0])
+    inside = slice(jumps[0], jumps[1])
+    assert (short[inside] > 300).all() and np.abs(short[-1]) < 10 and np.abs(short[: jumps[0] - 40]).max() < 90
+
+
+@pytest.mark.thorough
+def test_a_suture_is_pulled_straight():
+    scene, prediction = carried("pulled_straight")
+    ends = prediction.vertices[-1]
+    away = np.abs(ends[..., 1:]).max()
+    print(f"at most {away:.1f} mm off the line at the end, {np.abs(prediction.vertices[0][..., 1:]).max():.0f} mm at first")
+    assert away < 3 and prediction.jumps.sum() == 0
+
+
+def test_omitted_quantities_stay_as_they_were(tmp_path):
+    file = tmp_path / "scene.toml"
+    file.write_text(GOOD, encoding="utf-8")
+    scene = load_motion_scene(file)
+    assert scene.name == "scene" and scene.between == 1 and scene.start.edges == 20
+    np.testing.assert_array_equal(scene.path.end_position[:, 0], [[50, 0, 0], [50, 0, 0]])
+    np.testing.assert_allclose(scene.clamps.end_position, [[60, 0, 0]])
+    np.testing.assert_allclose(np.degrees(scene.path.end_rotation[:, 0]), [0, 30])
+
+
+@pytest.mark.parametrize("old, new, word", [
+    ("[rod]", "[rods]", "rod"), ("edges = 20", "edges = 2", "rod.edges"), ("= 60.0", "= -1", "rod.length_mm"),
+    ("[materials.cord]", "[materials]", "materials"), ("bend = 1e6", "bend = [1, 2]", "bend"), ("twist = 5e5", "", "twist"),
+    ("bend = 1e6", "bend = -1e6", "positive definite"), ("time_s = 1", "", "time_s"), ("time_s = 1", "time_s = 0", "rising"),
+    ("[50, 0, 0]", "[50, 0]", "end_position_mm"), ("end_rotation_deg = 30", "end_direction = [0, 0, 0]", "end_direction"),
+    ("end_rotation_deg = 30", "colour = 3", "moments\\[1\\].colour"), ("length_mm", "length = [", "TOML"),
+])
+def test_wrong_scenes_are_named(tmp_path, old, new, word):
+    file = tmp_path / "scene.toml"
+    assert old in GOOD
+    file.write_text(GOOD.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(InputError, match=word) as raised:
+        load_motion_scene(file)
+    assert "scene.toml" in str(raised.value)
+
+
+def test_names_of_several_lines_take_one(tmp_path):
+    (tmp_path / "scene.toml").write_text('name = "a\\nb"\n' + GOOD.replace("[materials.cord]", '[materials."c\\nd"]'))
+    scene = load_motion_scene(tmp_path / "scene.toml")
+    assert scene.name == r"a\nb" and scene.names == (r"c\nd",)
+
+
+def test_a_scene_that_is_not_there(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        load_motion_scene(tmp_path / "none.toml")

@@ -1,0 +1,242 @@
+"""Observations: accepted values, their checked form, and errors with file, key, value and remedy."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from doo_ti.errors import InputError
+from doo_ti.io.observations import KEYS, Observations, load_observations, save_observations
+from tests.io.rods import twisted_frames, wavy_vertices
+
+LAB = ("nylon", "vicryl", "silk", "ribbon")
+
+
+def full_keys(rng) -> dict[str, np.ndarray]:
+    """Every key of the format, filled."""
+    vertices = wavy_vertices(rng)
+    twist = rng.uniform(-5, 5, len(vertices))
+    frames = twisted_frames(vertices, twist, rng)
+    valid = np.ones(vertices.shape[:2], dtype=bool)
+    valid[1, 4] = False
+    vertices[1, 4] = np.nan
+    return {
+        "vertices_mm": vertices, "valid": valid, "rest_length_mm": rng.uniform(2, 4, vertices.shape[1] - 1),
+        "start_frame": frames[:, 0], "end_frame": frames[:, -1], "frames": frames, "total_twist_deg": np.degrees(twist),
+        "up": np.array([0.0, 3.0, 4.0]), "sigma_mm": rng.uniform(0.1, 0.2, valid.shape),
+        "end_distance_mm": np.array([30.0, 42.0, 54.0]), "end_rotation_deg": np.array([0.0, 30.0, 60.0]),
+    }
+
+
+def same(first: Observations, second: Observations, tolerance: float = 0.0) -> bool:
+    pairs = [(getattr(first, name), getattr(second, name)) for name in KEYS]
+    return all(
+        (a is None) == (b is None) and (a is None or (np.shape(a) == np.shape(b) and np.allclose(
+            a, b, rtol=0, atol=tolerance, equal_nan=True)))
+        for a, b in pairs
+    )
+
+
+def test_every_key_is_read_in_our_units(tmp_path, rng):
+    keys = full_keys(rng)
+    path = tmp_path / "suture.npz"
+    np.savez(path, **keys, unsteadiness=np.array(["unknown keys", "are ignored"]))
+    observations = load_observations(path)
+    assert (observations.name, observations.source) == ("suture", str(path)) and len(observations.sha256) == 64
+    assert observations.count == 3 and observations.edges == 8
+    np.testing.assert_allclose(observations.total_twist, np.radians(keys["total_twist_deg"]))
+    np.testing.assert_allclose(observations.up, [0, 0.6, 0.8])
+    np.testing.assert_array_equal(observations.end_rotation, keys["end_rotation_deg"])
+    np.testing.assert_array_equal(observations.vertices, keys["vertices_mm"])
+    np.testing.assert_allclose(load_observations(path, up=(2, 0, 0)).up, [1, 0, 0])
+
+
+def test_defaults(rng):
+    vertices = wavy_vertices(rng, count=5)
+    vertices[2, 1] += 0.5
+    observations = Observations(vertices)
+    lengths = np.linalg.norm(np.diff(vertices, axis=1), axis=-1)
+    np.testing.assert_allclose(observations.rest_length, np.median(lengths, axis=0))
+    assert observations.valid.all() and observations.valid.shape == vertices.shape[:2]
+    np.testing.assert_array_equal(observations.up, [0, 0, 1])
+    others = [name for name in KEYS if name not in ("vertices", "valid", "rest_length", "up")]
+    assert all(getattr(observations, name) is None for name in others)
+
+
+def test_default_rest_length_leaves_missing_marks_out(rng):
+    vertices = wavy_vertices(rng, count=3)
+    expected = np.linalg.norm(np.diff(vertices[1:], axis=1), axis=-1)
+    valid = np.ones((3, 9), dtype=bool)
+    valid[0, 4] = False
+    vertices[0, 4] = np.nan
+    found = Observations(vertices, valid).rest_length
+    np.testing.assert_allclose(found[3:5], np.median(expected[:, 3:5], axis=0))
+
+
+def test_arrays_are_copies_that_cannot_be_written(rng):
+    vertices = wavy_vertices(rng)
+    observations = Observations(vertices)
+    vertices[0, 0] = 7e7
+    assert observations.vertices[0, 0, 0] != 7e7
+    with pytest.raises(ValueError, match="read-only"):
+        observations.vertices[0, 0] = 0
+
+
+def test_take_keeps_what_belongs_to_an_observation(tmp_path, rng):
+    path = tmp_path / "x.npz"
+    np.savez(path, **full_keys(rng))
+    observations = load_observations(path)
+    taken = observations.take(np.array([2, 0, 0]))
+    np.testing.assert_array_equal(taken.vertices, observations.vertices[[2, 0, 0]])
+    np.testing.assert_array_equal(taken.sigma, observations.sigma[[2, 0, 0]])
+    np.testing.assert_array_equal(taken.rest_length, observations.rest_length)
+    np.testing.assert_array_equal(taken.end_distance, [54, 30, 30])
+
+
+def test_saved_observations_come_back(tmp_path, rng):
+    np.savez(tmp_path / "x.npz", **full_keys(rng))
+    observations = load_observations(tmp_path / "x.npz")
+    save_observations(tmp_path / "y.npz", observations)
+    again = load_observations(tmp_path / "y.npz")
+    assert same(observations, again, 1e-14)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x.npz", "y.npz"]
+
+
+@pytest.mark.parametrize("name", LAB)
+def test_lab_files(laboratory, name):
+    observations = load_observations(laboratory / "lab_a" / f"{name}.npz")
+    assert observations.vertices.shape == (60, 34, 3) and observations.name == name
+    assert (observations.frames is not None) == (name == "ribbon")
+
+
+# One wrong key each: key, its value from the right one, a word of the problem.
+WRONG = {
+    "vertices two-dimensional": ("vertices_mm", lambda v: v[0], "shape (9, 3)"),
+    "vertices without z": ("vertices_mm", lambda v: v[..., :2], "shape (3, 9, 2)"),
+    "no observation": ("vertices_mm", lambda v: v[:0], "shape (0, 9, 3)"),
+    "two marks": ("vertices_mm", lambda v: v[:, :2], "shape (3, 2, 3)"),
+    "text vertices": ("vertices_mm", lambda v: v.astype(str), "not numeric"),
+    "complex vertices": ("vertices_mm", lambda v: v + 1j, "not numeric"),
+    "infinite vertex": ("vertices_mm", lambda v: np.where(v == v[0, 0, 0], np.inf, v), "inf"),
+    "valid misshapen": ("valid", lambda v: v[:, :-1], "shape (3, 8)"),
+    "valid not boolean": ("valid", lambda v: v * 2, "other values than true and false"),
+    "valid text": ("valid", lambda v: v.astype(str), "not numeric"),
+    "hardly any mark": ("valid", lambda v: v & (np.arange(9) == 1), "fewer than two"),
+    "negative rest length": ("rest_length_mm", lambda v: np.where(np.arange(8) == 3, -v, v), "at edge 3"),
+    "zero rest length": ("rest_length_mm", lambda v: v * (np.arange(8) != 5), "0 mm at edge 5"),
+    "rest-length count": ("rest_length_mm", lambda v: v[:5], "5 lengths for 8 edges"),
+    "rest lengths two-dimensional": ("rest_length_mm", lambda v: v[None], "shape (1, 8)"),
+    "rest length not a number": ("rest_length_mm", lambda v: v * np.nan, "nan"),
+    "start frame misshapen": ("start_frame", lambda v: v[0], "shape (3, 3)"),
+    "start frame not orthonormal": ("start_frame", lambda v: v * 1.01, "not orthonormal"),
+    "end frame left-handed": ("end_frame", lambda v: v * [1, 1, -1], "left-handed"),
+    "end frame not finite": ("end_frame", lambda v: v * np.nan, "nan"),
+    "frames one short": ("frames", lambda v: v[:, :-1], "E = 8"),
+    "frames left-handed": ("frames", lambda v: v[..., [1, 0, 2]], "left-handed"),
+    "twist misshapen": ("total_twist_deg", lambda v: v[:2], "shape (2,)"),
+    "twist text": ("total_twist_deg", lambda v: v.astype(str), "not numeric"),
+    "twist not a number": ("total_twist_deg", lambda v: v * np.nan, "nan"),
+    "up zero": ("up", lambda v: 0 * v, "no direction"),
+    "up misshapen": ("up", lambda v: v[:2], "shape (2,)"),
+    "sigma negative": ("sigma_mm", lambda v: -v, "-0."),
+    "sigma misshapen": ("sigma_mm", lambda v: v[0], "shape (9,)"),
+    "end distance misshapen": ("end_distance_mm", lambda v: v[None], "shape (1, 3)"),
+    "end rotation not finite": ("end_rotation_deg", lambda v: v + np.inf, "at [0]"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_keys_are_named(tmp_path, rng, case):
+    key, wrong, problem = WRONG[case]
+    keys = full_keys(rng)
+    keys[key] = wrong(keys[key])
+    path = tmp_path / "bad.npz"
+    np.savez(path, **keys)
+    with pytest.raises(InputError) as caught:
+        load_observations(path)
+    assert (caught.value.source, caught.value.field) == (str(path), key)
+    assert problem in str(caught.value) and caught.value.remedy
+
+
+def test_missing_key_is_named(tmp_path):
+    np.savez(tmp_path / "bad.npz", vertices=np.zeros((1, 3, 3)))
+    with pytest.raises(InputError, match="vertices_mm: "):
+        load_observations(tmp_path / "bad.npz")
+
+
+def test_nan_needs_valid(rng):
+    vertices = wavy_vertices(rng)
+    vertices[1, 3, 2] = np.nan
+    with pytest.raises(InputError, match="observation 1, vertex 3; .*valid"):
+        Observations(vertices)
+    valid = np.ones((3, 9), dtype=bool)
+    with pytest.raises(InputError, match=r"nan at \[1, 3, 2\]"):
+        Observations(vertices, valid)
+    valid[1, 3] = False
+    assert Observations(vertices, valid).count == 3
+
+
+def test_coinciding_neighbours_are_named_across_missing_marks(rng):
+    vertices = wavy_vertices(rng)
+    vertices[2, 6] = vertices[2, 4]
+    assert Observations(vertices).count == 3
+    valid = np.ones((3, 9), dtype=bool)
+    valid[2, 5] = False
+    with pytest.raises(InputError, match="4 and 6 of observation 2"):
+        Observations(vertices, valid)
+
+
+@pytest.mark.parametrize("key", ["vertices", "valid", "rest_length", "start_frame", "sigma", "up", "end_distance",
+                                 "total_twist"])
+@pytest.mark.parametrize("value", [[[1.0], [1.0, 2.0]], [1j, 2j], ["a"]])
+def test_values_that_are_no_array_of_numbers(rng, key, value):
+    with pytest.raises(InputError) as caught:
+        Observations(**{"vertices": wavy_vertices(rng), key: value})
+    assert key in caught.value.field
+
+
+def test_sigma_may_be_one_number_and_unknown_where_nothing_was_seen(rng):
+    vertices = wavy_vertices(rng)
+    assert Observations(vertices, sigma=0.1).sigma.shape == ()
+    valid = np.ones((3, 9), dtype=bool)
+    valid[0, 2] = False
+    assert np.isnan(Observations(vertices, valid, sigma=np.where(valid, 0.1, np.nan)).sigma[0, 2])
+
+
+def test_files_that_are_no_npz(tmp_path, rng):
+    good = tmp_path / "good.npz"
+    np.savez_compressed(good, **full_keys(rng))
+    content = good.read_bytes()
+    np.save(tmp_path / "bare.npy", np.zeros(3))
+    objects = tmp_path / "objects.npz"
+    np.savez(objects, vertices_mm=np.array([[1], [1, 2]], dtype=object))
+    contents = {
+        "empty": b"", "truncated": content[: len(content) // 2], "cut short": content[:-30], "one byte": b"P",
+        "pickled": pickle.dumps({"vertices_mm": [1.0]}), "text": b"vertices", "objects": objects.read_bytes(),
+        "bare": (tmp_path / "bare.npy").read_bytes(),
+    }
+    for case, data in contents.items():
+        path = tmp_path / f"{case}.npz"
+        path.write_bytes(data)
+        with pytest.raises(InputError) as caught:
+            load_observations(path)
+        assert str(path) in str(caught.value), case
+    for path, word in ((tmp_path / "absent.npz", "no such file"), (tmp_path, "suffix"), (tmp_path / "x.txt", "suffix")):
+        with pytest.raises(InputError, match=word):
+            load_observations(path)
+
+
+def test_damaged_files_never_escape_as_other_errors(tmp_path, rng):
+    path = tmp_path / "damaged.npz"
+    for save in (np.savez, np.savez_compressed):
+        save(path, **full_keys(rng))
+        content = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+        for _ in range(150):
+            damaged = content.copy()
+            place = rng.integers(0, len(damaged), rng.integers(1, 20))
+            damaged[place] = rng.integers(0, 256, len(place))
+            path.write_bytes(damaged[: rng.integers(1, len(damaged) + 1)] if rng.random() < 0.3 else damaged.tobytes())
+            try:
+                load_observations(path)
+            except InputError as error:
+                assert "\n" not in str(error)

@@ -1,0 +1,136 @@
+"""A sweep on a Dask cluster: the same rows, and a message of one line where there is no cluster."""
+
+import os
+import re
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from doo_ti.errors import InputError, InterruptedRunError
+from doo_ti.io.observations import save_observations
+from doo_ti.learning import sweeps, workers
+from doo_ti.learning.summary import maker
+from doo_ti.learning.sweeps import SweepOptions, sweep
+from tests.learning.lab import GRID, small_lab
+from tests.learning.test_sweep import assert_same_cells
+
+
+@pytest.fixture(scope="module")
+def scheduler():
+    distributed = pytest.importorskip("distributed", reason="no cluster without Dask")
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=2, host="127.0.0.1", dashboard_address=None) as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture
+def small_chunks(monkeypatch):
+    monkeypatch.setattr(sweeps, "CHUNK_BYTES", 18 * 32 * 33)  # three cells of six observations
+
+
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("default")
+def test_a_cluster_changes_nothing(tmp_path, scheduler, small_chunks):
+    observations = small_lab()
+    alone = sweep(tmp_path / "alone", observations, GRID)
+    shared = sweep(tmp_path / "shared", observations, GRID, options=SweepOptions(scheduler=scheduler))
+    assert shared["provenance"]["sweep_sha256"] == alone["provenance"]["sweep_sha256"], "either resumes the other's run"
+    assert_same_cells(tmp_path / "alone", tmp_path / "shared")
+
+
+def _refuses(*chunk):
+    raise ValueError("a worker's trouble")
+
+
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("default")
+def test_a_failure_on_a_worker_is_reported_with_the_way_to_resume(tmp_path, scheduler, small_chunks, monkeypatch):
+    monkeypatch.setattr(sweeps, "chunk_rows", _refuses)
+    with pytest.raises(InterruptedRunError, match="a worker's trouble.*doo-ti sweep"):
+        sweep(tmp_path / "run", small_lab(), GRID, options=SweepOptions(scheduler=scheduler), command=["doo-ti", "sweep"])
+
+
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("default")
+def test_no_scheduler_is_reported_before_anything_is_written(tmp_path, scheduler, monkeypatch):
+    monkeypatch.setattr(workers, "ANSWER_SECONDS", 0.5)
+    for address in ("tcp://127.0.0.1:1", "no address"):
+        with pytest.raises(InputError, match="scheduler: "):
+            sweep(tmp_path / "run", small_lab(), GRID, options=SweepOptions(scheduler=address))
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_port_that_says_nothing_is_no_scheduler(tmp_path, monkeypatch):
+    pytest.importorskip("distributed", reason="no cluster without Dask")
+    monkeypatch.setattr(workers, "ANSWER_SECONDS", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        with pytest.raises(InputError, match="scheduler: "):
+            sweep(tmp_path / "run", small_lab(), GRID,
+                  options=SweepOptions(scheduler=f"tcp://127.0.0.1:{mute.getsockname()[1]}"))
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.thorough
+def test_a_scheduler_that_is_killed_is_one_line(tmp_path):
+    """The command, in a separate process: exit code 1, how to resume, and no log of Dask."""
+    pytest.importorskip("distributed", reason="no cluster without Dask")
+    save_observations(tmp_path / "o.npz", small_lab())
+    root = Path(__file__).resolve().parents[2]
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+
+    def dask(part: str, *words: str, **streams) -> subprocess.Popen:
+        return subprocess.Popen([sys.executable, "-m", f"distributed.cli.dask_{part}", *words, "--no-dashboard"], cwd=tmp_path,
+                                env=environment, **streams)
+
+    with dask("scheduler", "--host", "127.0.0.1", "--port", "0", stderr=subprocess.PIPE, text=True) as scheduler:
+        address = next(found[1] for line in scheduler.stderr if (found := re.search(r"Scheduler at:\s+(tcp://\S+)", line)))
+        worker = dask("worker", address, "--nthreads", "1", "--death-timeout", "2", stderr=subprocess.DEVNULL)
+        words = ["sweep", "o.npz", "--bend", "1e5:1e6:300", "--twist-ratio", "0.5:2:300", "--out", "run", "--dask", address]
+        command = subprocess.Popen([sys.executable, "-m", "doo_ti", *words], cwd=tmp_path, stdout=subprocess.PIPE,
+                                   stderr=subprocess.PIPE, text=True, env=environment)
+        try:
+            while command.poll() is None and not list(tmp_path.glob("run/cells/*.parquet")):
+                time.sleep(0.02)
+            scheduler.kill()
+            out, err = command.communicate(timeout=60)
+        finally:
+            command.kill()
+            scheduler.kill()
+            worker.kill()
+            worker.wait()
+    assert (command.returncode, out) == (1, ""), err
+    messages = [line for line in err.splitlines() if "cells" not in line or line.startswith("doo-ti")]
+    assert len(messages) == 1 and "scheduler" in messages[0] and "doo-ti sweep" in messages[0], err
+
+
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("default")
+def test_workers_of_another_version_are_refused(scheduler):
+    from distributed import Client
+
+    with Client(scheduler, set_as_default=False) as client:
+        workers.check_workers(client, maker())
+        with pytest.raises(InputError, match="tcp://.*sources 00000000"):
+            workers.check_workers(client, maker() | {"sources_sha256": "0" * 64})
+
+
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("default")
+def test_a_cluster_without_workers_is_refused(tmp_path, monkeypatch):
+    distributed = pytest.importorskip("distributed", reason="no cluster without Dask")
+    monkeypatch.setattr(workers, "ANSWER_SECONDS", 1)
+    with distributed.LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address=":0") as cluster:
+        with pytest.raises(InputError, match="scheduler: "):
+            sweep(tmp_path / "run", small_lab(), GRID, options=SweepOptions(scheduler=cluster.scheduler_address))
+    assert not (tmp_path / "run").exists()
+
+
+def test_dask_that_is_not_installed(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(InputError, match=r"scheduler: .*pip install 'doo_ti\[dask\]'"):
+        sweep(tmp_path / "run", small_lab(), GRID, options=SweepOptions(scheduler="tcp://127.0.0.1:8786"))
+    assert not (tmp_path / "run").exists()

@@ -1,0 +1,237 @@
+"""A run's folder that differs from what a sweep wrote: refused in one line, never used."""
+
+import json
+import os
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+import pytest
+
+from doo_ti.cli import main
+from doo_ti.errors import InputError
+from doo_ti.learning import run_folder
+from doo_ti.learning.landscape import read_landscape
+from doo_ti.learning.summary import maker
+from doo_ti.learning.sweeps import sweep
+from tests.learning.lab import DYNAMIC, GRID, small_lab
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs")
+    sweep(folder / "static", small_lab(), GRID)
+    sweep(folder / "dynamic", small_lab(), GRID, options=DYNAMIC)
+    return folder
+
+
+@pytest.fixture
+def copy(runs, tmp_path):
+    def copied(name: str):
+        shutil.copytree(runs / name, tmp_path / name)
+        return tmp_path / name
+
+    return copied
+
+
+def refused(capsys, argv: list, field: str) -> None:
+    capsys.readouterr()
+    assert main([str(word) for word in argv]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1 and field in err
+
+
+def with_column(run, name: str, change) -> None:
+    """Change one column of a run's first file of cells."""
+    path = min((run / "cells").glob("*.parquet"))
+    table = pyarrow.parquet.read_table(path)
+    values = table.column(name).to_pylist()
+    change(values)
+    kind = table.schema.field(name).type
+    pyarrow.parquet.write_table(table.set_column(table.column_names.index(name), name, pyarrow.array(values, kind)), path)
+
+
+def unsealed(run) -> None:
+    """Take the digests out of a run's summary, as if it were from before there were any."""
+    summary = json.loads((run / "summary.json").read_text())
+    (run / "summary.json").write_text(json.dumps({key: summary[key] for key in summary.keys() - {"files", "sha256"}}))
+
+
+def flipped(path, place: int, bit: int) -> None:
+    content = bytearray(path.read_bytes())
+    content[place % len(content)] ^= 1 << bit
+    path.write_bytes(content)
+
+
+def at_two(value):
+    return lambda values: values.__setitem__(2, value)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("run", "column", "value"), [
+    ("static", "distance_mm", -1.0), ("static", "distance_mm", np.inf), ("static", "distance_mm", None),
+    ("static", "status", 77), ("static", "stable", None), ("static", "observation", -1), ("static", "bend_1", None),
+    ("dynamic", "pair_weight", -1.0), ("dynamic", "pair_weight", np.nan), ("dynamic", "jumps", -1),
+])
+def test_values_that_no_sweep_finds(capsys, copy, run, column, value):
+    folder = copy(run)
+    unsealed(folder)
+    with_column(folder, column, at_two(value))
+    refused(capsys, ["learn", folder], column)
+    with pytest.raises(InputError):
+        read_landscape(folder)
+
+
+@pytest.mark.parametrize(("option", "value"), [
+    ("frame_weight_mm", [1.0]), ("frame_weight_mm", -1), ("sub_step_rad", 1e-300), ("sub_step_rad", None), ("spins", -1),
+    ("precision", "f16"), ("objective", ["static"]), ("solver", 3), ("clamp_start", 5),
+])
+def test_options_that_no_sweep_has(capsys, copy, option, value):
+    folder = copy("static")
+    unsealed(folder)
+    summary = json.loads((folder / "summary.json").read_text())
+    summary["provenance"]["options"][option] = value
+    (folder / "summary.json").write_text(json.dumps(summary))
+    refused(capsys, ["refine", folder], "summary.json")
+
+
+def test_an_identity_that_is_no_text(copy):
+    folder = copy("static")
+    (folder / "cells" / "identity.txt").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="another sweep"):
+        sweep(folder, small_lab(), GRID)
+
+
+@pytest.mark.thorough
+def test_every_flipped_bit_of_cells_and_summary_is_named(capsys, copy, rng):
+    folder = copy("dynamic")
+    chunk = min((folder / "cells").glob("*.parquet"))
+    for path in (chunk, folder / "summary.json"):
+        whole = path.read_bytes()
+        for place, bit in zip(rng.integers(len(whole), size=40), rng.integers(8, size=40), strict=True):
+            flipped(path, place, bit)
+            refused(capsys, ["learn", folder], path.name)
+            path.write_bytes(whole)
+    assert main(["learn", str(folder)]) == 0
+
+
+@pytest.mark.parametrize("name", ["observations.npz", "pairs.csv"])
+def test_what_was_observed_is_not_taken_from_a_torn_file_and_is_made_again(capsys, copy, name):
+    folder = copy("dynamic")
+    whole = (folder / name).read_bytes()
+    (folder / name).write_bytes(whole[:-20])
+    refused(capsys, ["figures", folder, "--out", folder / "figures"], name)
+    sweep(folder, small_lab(), GRID, options=DYNAMIC)
+    assert (folder / name).read_bytes() == whole
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", ["run.rrd", "landscape.png", "summary.json"])
+def test_pictures_and_summary_are_made_again(copy, name):
+    folder = copy("static")
+    whole = (folder / name).read_bytes()
+    flipped(folder / name, len(whole) // 2, 3)
+    summary = sweep(folder, small_lab(), GRID)
+    assert summary["timing"]["relaxed_rods"] == 0, "the cells are kept"
+    assert sweep(folder, small_lab(), GRID) == summary
+    assert name != "landscape.png" or (folder / name).read_bytes() == whole
+
+
+def test_a_damaged_plan_changes_nothing_and_is_made_again(copy):
+    folder = copy("static")
+    plan = folder / "cells" / "plan.json"
+    whole, best = plan.read_bytes(), read_landscape(folder).best
+    flipped(plan, 700, 1)
+    assert read_landscape(folder).best == best
+    sweep(folder, small_lab(), GRID)
+    assert plan.read_bytes() == whole
+
+
+@pytest.mark.thorough
+def test_a_flipped_bit_in_a_finished_run_is_named_by_the_sweep(copy):
+    folder = copy("static")
+    chunk = min((folder / "cells").glob("*.parquet"))
+    flipped(chunk, 500, 1)
+    with pytest.raises(InputError, match=chunk.name):
+        sweep(folder, small_lab(), GRID)
+    chunk.unlink()
+    sweep(folder, small_lab(), GRID)
+    assert read_landscape(folder).best == 4
+
+
+def test_a_flipped_bit_in_an_unfinished_run_is_named(copy):
+    """There is no summary yet: the checksums of the pages detect it."""
+    folder = copy("static")
+    (folder / "summary.json").unlink()
+    chunk = min((folder / "cells").glob("*.parquet"))
+    column = pyarrow.parquet.ParquetFile(chunk).metadata.row_group(0).column(9)
+    assert column.path_in_schema == "energy", "which nothing but the recording needs"
+    begin = column.data_page_offset if column.dictionary_page_offset is None else column.dictionary_page_offset
+    flipped(chunk, begin + column.total_compressed_size - 20, 6)
+    with pytest.raises(InputError, match=chunk.name):
+        sweep(folder, small_lab(), GRID)
+
+
+@pytest.mark.thorough
+def test_cells_and_summaries_of_another_run_are_not_taken(capsys, copy, tmp_path):
+    folder = copy("static")
+    sweep(tmp_path / "other", replace(small_lab(), vertices=small_lab().vertices + 1.0), GRID)
+    chunk = min((folder / "cells").glob("*.parquet"))
+    shutil.copy(min((tmp_path / "other" / "cells").glob("*.parquet")), chunk)
+    refused(capsys, ["learn", folder], chunk.name)
+    unsealed(folder)
+    refused(capsys, ["learn", folder], "belongs to another sweep")
+    (folder / "summary.json").unlink()
+    with pytest.raises(InputError, match="sweep"):
+        sweep(folder, small_lab(), GRID)
+    shutil.rmtree(folder)
+    folder = copy("static")
+    shutil.copy(tmp_path / "other" / "summary.json", folder)
+    refused(capsys, ["learn", folder], chunk.name)
+
+
+def test_another_version_does_not_resume_a_run(copy, monkeypatch):
+    folder = copy("static")
+    monkeypatch.setattr(run_folder, "maker", lambda: maker() | {"doo_ti": "99.0"})
+    with pytest.raises(InputError, match=f"{maker()['doo_ti']}.*99.0"):
+        sweep(folder, small_lab(), GRID)
+
+
+def test_a_chunk_says_who_made_it(runs):
+    chunk = min((runs / "static" / "cells").glob("*.parquet"))
+    metadata = pyarrow.parquet.read_schema(chunk).metadata
+    summary = json.loads((runs / "static" / "summary.json").read_text())
+    assert json.loads(metadata[b"doo_ti_maker"]) == maker() == summary["provenance"]["maker"]
+    assert metadata[b"doo_ti_sweep"].decode() == summary["provenance"]["sweep_sha256"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="takes pipes with names")
+def test_a_pipe_in_the_place_of_cells_is_not_waited_for(capsys, copy):
+    run = copy("static")
+    unsealed(run)
+    path = min((run / "cells").glob("*.parquet"))
+    path.unlink()
+    os.mkfifo(path)
+    refused(capsys, ["learn", run], "a pipe")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="takes pipes with names")
+@pytest.mark.parametrize("name", ["observations.npz", "pairs.csv", "cells/plan.json"])
+def test_a_pipe_in_the_place_of_a_known_file_is_replaced(copy, name):
+    """Nor a device, which never ends: neither is read."""
+    run = copy("dynamic")
+    whole = (run / name).read_bytes()
+    (run / name).unlink()
+    os.mkfifo(run / name)
+    sweep(run, small_lab(), GRID, options=DYNAMIC)
+    assert (run / name).read_bytes() == whole
+
+
+def test_a_device_in_the_place_of_the_identity_is_refused(copy):
+    run = copy("static")
+    (run / "cells" / "identity.txt").unlink()
+    (run / "cells" / "identity.txt").symlink_to("/dev/zero")
+    with pytest.raises(InputError, match="a device"):
+        sweep(run, small_lab(), GRID)

@@ -1,0 +1,115 @@
+"""A run of many rods: only sums over cells are kept, and a finished run is checked without reading its rods."""
+
+import shutil
+import tracemalloc
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+import pytest
+
+from doo_ti.errors import InputError
+from doo_ti.grid import Axis, Grid
+from doo_ti.learning import chunks
+from doo_ti.learning.landscape import gather_landscape, gather_overview
+from doo_ti.learning.sweeps import sweep
+from doo_ti.types import Status
+from tests.learning.lab import DYNAMIC, GRID, small_lab
+
+CELLS_OF_A_FILE, OBSERVATIONS = 40, 100
+
+
+def written(run, files: int, rng) -> Grid:
+    """A run of ``files`` files of 4,000 rods in random order, some of which are not sound."""
+    grid = Grid((Axis("bend", np.geomspace(1e5, 1e6, files)), Axis("twist_ratio", np.geomspace(0.3, 3, CELLS_OF_A_FILE))))
+    (run / "cells").mkdir(parents=True)
+    for file in range(files):
+        values = grid.cell_values(slice(CELLS_OF_A_FILE * file, CELLS_OF_A_FILE * (file + 1)))
+        count = CELLS_OF_A_FILE * OBSERVATIONS
+        columns = {name: np.repeat(value, OBSERVATIONS) for name, value in values.items()}
+        columns |= {"observation": np.tile(np.arange(OBSERVATIONS), CELLS_OF_A_FILE), "distance_mm": rng.uniform(1, 9, count),
+                    "status": np.where(rng.random(count) < 1e-3, Status.STALLED, Status.CONVERGED).astype(np.int8),
+                    "stable": rng.random(count) > 1e-3, "end_distance_mm": np.full(count, np.nan),
+                    "end_rotation_deg": np.full(count, np.nan)}
+        columns["status"][columns["observation"] == 7] = Status.ITERATION_LIMIT  # sound in no cell
+        pyarrow.parquet.write_table(pyarrow.table(columns).take(rng.permutation(count)), run / "cells" / f"{file:03d}.parquet")
+    return grid
+
+
+def peak(work) -> int:
+    """Bytes that NumPy and Python hold at most during ``work``."""
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.thorough
+def test_memory_does_not_grow_with_rods(tmp_path, rng):
+    grids = {files: written(tmp_path / str(files), files, rng) for files in (5, 45)}
+    grown = {}
+    for gather in (gather_overview, gather_landscape):
+        small, large = (peak(lambda: gather(tmp_path / str(files), grid, "silk", None)) for files, grid in grids.items())
+        grown[gather] = (large - small) / (40 * CELLS_OF_A_FILE * OBSERVATIONS)
+    assert grown[gather_overview] < 2 and 9 < grown[gather_landscape], "bytes a rod"
+
+
+def test_sums_are_those_of_all_rods(tmp_path, rng):
+    grid = written(tmp_path, 6, rng)
+    overview, landscape = (gather(tmp_path, grid, "silk", None) for gather in (gather_overview, gather_landscape))
+    assert overview.as_dict() == landscape.as_dict() and not overview.sums.compared[7]
+    compared = landscape.sound.any(axis=0)
+    whole = landscape.sound[:, compared].all(axis=1)
+    # Term by term, as a column of a table is added up: to the last bit, whatever the order in the files.
+    mean = np.cumsum(landscape.distance[:, compared], axis=1)[:, -1] / compared.sum()
+    np.testing.assert_array_equal(overview.mean_distance, np.where(whole, mean, np.nan))
+    np.testing.assert_array_equal(overview.unsound, (~landscape.sound[:, compared]).sum(axis=1))
+    assert 0 < whole.sum() < grid.size
+
+
+@pytest.mark.parametrize("damage", ["twice", "elsewhere", "missing"])
+def test_a_rod_that_is_there_twice_or_never_is_found(tmp_path, rng, damage):
+    grid = written(tmp_path, 3, rng)
+    path = tmp_path / "cells" / "001.parquet"
+    rows = pyarrow.parquet.read_table(path)
+    changed = {"twice": pyarrow.concat_tables([rows.slice(0, len(rows) - 1), rows.slice(3, 1)]),
+               "elsewhere": rows.set_column(0, "bend_1", pyarrow.array(np.full(len(rows), 3.3e5))),
+               "missing": rows.slice(1)}[damage]
+    pyarrow.parquet.write_table(changed, path)
+    with pytest.raises(InputError, match="cell"):
+        gather_overview(tmp_path, grid, "silk", None)
+
+
+def test_cells_are_found_by_their_values():
+    for axes in ((Axis("bend", np.geomspace(1e4, 1e7, 57)), Axis("twist_ratio", np.geomspace(0.1, 6, 31)),
+                  Axis("weight", [0.0, 1.0, 3.0])),
+                 (Axis("bend_1", [1e5, 2e5]), Axis("bend_2", np.linspace(1e5, 7e5, 11)), Axis("twist", [1e4, 5e5]))):
+        grid = Grid(axes)
+        values = grid.cell_values()
+        np.testing.assert_array_equal(grid.cells_of(values), np.arange(grid.size))
+        values["twist"] = values["twist"] * (1 + 1e-14)
+        assert (grid.cells_of(values) == -1).all()
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("options", [None, DYNAMIC])
+def test_a_finished_sweep_reads_no_rods(tmp_path, monkeypatch, capsys, options):
+    from doo_ti.commands.results import run_lines
+
+    chosen = {} if options is None else {"options": options}
+    summary = sweep(tmp_path / "run", small_lab(), GRID, **chosen)
+    print("\n".join(run_lines(summary)))
+    monkeypatch.setattr(chunks, "read_rows", lambda *arguments: pytest.fail("rods were read"))
+    assert sweep(tmp_path / "run", small_lab(), GRID, **chosen) == summary
+    assert f"12 cells x {summary['rods']['count'] // 12} " in capsys.readouterr().out
+
+
+@pytest.mark.thorough
+def test_a_file_that_the_sweep_did_not_write_is_not_overlooked(tmp_path):
+    sweep(tmp_path / "run", small_lab(), GRID)
+    chunk = min((tmp_path / "run" / "cells").glob("*.parquet"))
+    shutil.copy(chunk, chunk.with_name("copy.parquet"))
+    with pytest.raises(InputError, match="once"):
+        sweep(tmp_path / "run", small_lab(), GRID)

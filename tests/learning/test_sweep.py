@@ -1,0 +1,193 @@
+"""A whole sweep on a small virtual lab: its files, resuming, and independence of the division into chunks."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+
+from doo_ti.errors import InputError, InterruptedRunError
+from doo_ti.grid import Axis, Grid
+from doo_ti.io.observations import Observations
+from doo_ti.learning import sweeps
+from doo_ti.learning.drawing import MOST_MOMENTS
+from doo_ti.learning.landscape import read_landscape
+from doo_ti.learning.sweeps import SweepOptions, sweep
+from tests.learning.lab import GRID, small_lab
+
+COLUMNS = {
+    "bend_1": "double", "bend_2": "double", "twist": "double", "weight": "double", "observation": "int32",
+    "turns": "int32", "end_distance_mm": "double", "end_rotation_deg": "double", "distance_mm": "double",
+    "energy": "double", "residual": "double", "iterations": "int32", "status": "int8", "stable": "bool",
+    "precision": "int8",
+}
+
+
+@pytest.fixture(scope="module")
+def observations() -> Observations:
+    return small_lab()
+
+
+@pytest.fixture
+def small_chunks(monkeypatch):
+    monkeypatch.setattr(sweeps, "CHUNK_BYTES", 18 * 32 * 33)  # three cells of six observations
+
+
+def cells(run) -> dict[str, np.ndarray]:
+    table = pyarrow.concat_tables([pyarrow.parquet.read_table(path) for path in sorted((run / "cells").glob("*.parquet"))])
+    return {name: table.column(name).to_numpy() for name in COLUMNS}
+
+
+def assert_same_cells(first, second):
+    one, other = cells(first), cells(second)
+    for name in COLUMNS:
+        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+
+
+def test_written_files(tmp_path, observations):
+    run = tmp_path / "run"
+    summary = sweep(run, observations, GRID, command=["doo-ti", "sweep", "lab"])
+    assert sorted(path.name for path in run.iterdir()) == [
+        "cells", "landscape.png", "observations.npz", "run.rrd", "summary.json"]
+    assert json.loads((run / "summary.json").read_text()) == json.loads(json.dumps(summary))
+    path, = (run / "cells").glob("*.parquet")
+    schema = pyarrow.parquet.read_schema(path)
+    assert {name: str(schema.field(name).type) for name in COLUMNS} == COLUMNS
+    assert "material" in schema.names and len(cells(run)["bend_1"]) == 12 * 6
+    landscape = read_landscape(run)
+    best = summary["best"]
+    assert (best["bend_1"], best["twist"]) == (4e5, 4e5)
+    assert best["mean_distance_mm"] == landscape.mean_distance[landscape.best] < 1
+    assert summary["rods"] == {"count": 72, "converged": 72, "stable": 72}
+    assert {"command", "seed", "versions", "input_sha256", "sweep_sha256"} <= summary["provenance"].keys()
+    assert (run / "landscape.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.mark.thorough
+def test_the_recording_holds_the_rods_of_the_best_cell(tmp_path, observations):
+    from rerun.chunk import RrdReader
+
+    run = tmp_path / "run"
+    sweep(run, observations, GRID)
+    recording, = RrdReader(run / "run.rrd").recordings()
+    frames = {"/world/rods": 0, "/landscape/cells": 0}
+    entities = set()
+    for chunk in RrdReader(run / "run.rrd").stream():
+        entities.add(chunk.entity_path)
+        if chunk.entity_path in frames and not chunk.is_static:
+            timeline = "iteration" if chunk.entity_path == "/world/rods" else "trial"
+            frames[chunk.entity_path] += chunk.num_rows * (timeline in chunk.timeline_names)
+    assert {"/world/observations", "/world/rods", "/landscape/picture", "/summary", "/curves/residual/largest"} <= entities
+    assert frames["/landscape/cells"] == GRID.size and 5 < frames["/world/rods"] <= MOST_MOMENTS + 1
+
+
+@pytest.mark.thorough
+def test_an_interrupted_sweep_resumes_and_ends_the_same(tmp_path, observations, small_chunks, monkeypatch):
+    sweep(tmp_path / "whole", observations, GRID)
+    work, calls = sweeps.relax_hypotheses, []
+
+    def interrupted(*arguments):
+        calls.append(arguments)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return work(*arguments)
+
+    monkeypatch.setattr(sweeps, "relax_hypotheses", interrupted)
+    with pytest.raises(InterruptedRunError, match="doo-ti sweep 'my lab'"):
+        sweep(tmp_path / "run", observations, GRID, command=["doo-ti", "sweep", "my lab"])
+    assert len(list((tmp_path / "run" / "cells").glob("*.parquet"))) == 2
+    monkeypatch.setattr(sweeps, "relax_hypotheses", work)
+    summary = sweep(tmp_path / "run", observations, GRID)
+    assert summary["timing"]["relaxed_rods"] == 36
+    assert_same_cells(tmp_path / "whole", tmp_path / "run")
+    assert sweep(tmp_path / "run", observations, GRID) == json.loads(json.dumps(summary)), "a finished sweep is left alone"
+
+
+@pytest.mark.thorough
+def test_chunks_and_workers_change_nothing(tmp_path, observations, monkeypatch):
+    sweep(tmp_path / "one", observations, GRID)
+    monkeypatch.setattr(sweeps, "CHUNK_BYTES", 18 * 32 * 33)
+    sweep(tmp_path / "chunks", observations, GRID)
+    sweep(tmp_path / "workers", observations, GRID, options=SweepOptions(workers=2))
+    assert_same_cells(tmp_path / "one", tmp_path / "chunks")
+    assert_same_cells(tmp_path / "one", tmp_path / "workers")
+    assert (tmp_path / "one" / "landscape.png").read_bytes() == (tmp_path / "workers" / "landscape.png").read_bytes()
+
+
+@pytest.mark.thorough
+def test_a_folder_is_not_shared(tmp_path, observations):
+    sweep(tmp_path / "run", observations, GRID)
+    with pytest.raises(InputError, match="another sweep"):
+        sweep(tmp_path / "run", observations, GRID, options=SweepOptions(precision="f64"))
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.tex").write_text("mine")
+    with pytest.raises(InputError, match="something else"):
+        sweep(tmp_path / "full", observations, GRID)
+    assert [path.name for path in (tmp_path / "full").iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.thorough
+def test_unknown_turns_are_hypotheses(tmp_path, observations):
+    """Without the hint three rods are relaxed for each observation and cell, and one of them is chosen for all cells."""
+    sweep(tmp_path / "hint", observations, GRID)
+    summary = sweep(tmp_path / "none", replace(observations, total_twist=None), GRID)
+    settled = summary["hypotheses"]
+    assert (settled["hypotheses"], settled["resolved"], settled["ambiguous"]) == (18, 6, [])
+    assert summary["timing"]["relaxed_rods"] == 3 * GRID.size * 6
+    assert_same_cells(tmp_path / "hint", tmp_path / "none")
+    assert sweep(tmp_path / "none", replace(observations, total_twist=None), GRID) == json.loads(json.dumps(summary))
+
+
+@pytest.mark.thorough
+def test_hypotheses_resume_too(tmp_path, observations, small_chunks, monkeypatch):
+    unknown = replace(observations, total_twist=None)
+    sweep(tmp_path / "whole", unknown, GRID)
+    assert len(list((tmp_path / "whole" / "hypotheses").glob("*.parquet"))) == GRID.size
+    work, calls = sweeps.relax_hypotheses, []
+
+    def interrupted(*arguments):
+        calls.append(arguments)
+        if len(calls) == 5:
+            raise MemoryError("no more")
+        return work(*arguments)
+
+    monkeypatch.setattr(sweeps, "relax_hypotheses", interrupted)
+    with pytest.raises(InterruptedRunError, match="no more"):
+        sweep(tmp_path / "run", unknown, GRID)
+    assert not list((tmp_path / "run" / "cells").glob("*.parquet"))
+    monkeypatch.setattr(sweeps, "relax_hypotheses", work)
+    assert sweep(tmp_path / "run", unknown, GRID)["timing"]["relaxed_rods"] == 3 * 6 * (GRID.size - 4)
+    assert_same_cells(tmp_path / "whole", tmp_path / "run")
+
+
+def test_too_large_a_grid_is_reported_before_it_starts(tmp_path, observations):
+    wide = Grid((Axis("bend", np.geomspace(1e5, 1e7, 30_000)), Axis("twist_ratio", np.geomspace(0.1, 6, 30_000))))
+    with pytest.raises(InputError, match="900,000,000 cells"):
+        sweep(tmp_path / "run", observations, wide)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("damage", [b"{", b"[]", b"null", b"{}", b"\xff\xfe", b"[" * 100_000])
+def test_a_damaged_summary_is_made_again(tmp_path, observations, damage):
+    summary = sweep(tmp_path / "run", observations, GRID)
+    (tmp_path / "run" / "summary.json").write_bytes(damage)
+    again = sweep(tmp_path / "run", observations, GRID)
+    assert again["best"] == summary["best"] and again["timing"]["relaxed_rods"] == 0
+
+
+@pytest.mark.thorough
+def test_rods_that_stall_at_their_observation_do_not_win(tmp_path, capsys):
+    from doo_ti.cli import main
+    from doo_ti.io.observations import save_observations
+    from tests.learning.lab import small_lab
+
+    save_observations(tmp_path / "o.npz", small_lab())
+    argv = ["sweep", str(tmp_path / "o.npz"), "--bend", "4e5", "--weight", "1:1e20:5", "--out", str(tmp_path / "run")]
+    assert main(argv) == 0
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["best"]["weight"] == 1.0 and summary["rods_at_best"] == {"converged": 6, "stable": 6}
+    out = capsys.readouterr().out
+    assert summary["cells_not_competing"] > 0
+    assert f"competing   {summary['cells_competing']} of 5" in out

@@ -1,0 +1,220 @@
+"""Jumps are counted where rods leave their branch, and only there."""
+
+import numpy as np
+import pytest
+
+from doo_ti.frames import quaternion_from_matrix
+from doo_ti.grid import Axis, Grid
+from doo_ti.learning.cells import carried, journey, relaxed
+from doo_ti.learning.experiment import Experiment
+from doo_ti.motion.journey import Journey
+from doo_ti.motion.path import Motion
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
+from doo_ti.types import Clamp, Clamps, Configuration, Material, Status
+from tests.learning.lab import DYNAMIC, lab_rods
+from tests.relaxation.lab import vertex_distance
+
+STRIP = Material.diagonal(1e5, 2e6, 1e5)
+UP = np.array([0.02, 0.02, 1.0])
+SHIFTS = np.array([[0, 0, -55.0], [0, 0, 55], [0, 50, 0], [-40, 0, 0], [10, 40, -20], [10, 0, -20], [-20, 20, 20]])
+SNAPS = {(0.0, 4), (0.3, 0), (0.3, 1)}
+
+
+def bowed_strips() -> tuple[list, Configuration, Clamps]:
+    """A strip bowed upwards between clamps that rise by three angles, each to be shifted in seven ways."""
+    cases = [(rise, way) for rise in (0.0, 0.3, 0.6) for way in range(len(SHIFTS))]
+    angle = np.linspace(1, -1, 33) * np.array([rise for rise, _ in cases])[:, None]
+    zero = np.zeros_like(angle)
+    t = np.stack([np.cos(angle), zero, np.sin(angle)], axis=-1)
+    m1 = np.broadcast_to([0.0, 1.0, 0.0], t.shape)
+    frames = np.stack([t, m1, np.cross(t, m1)], axis=-1)
+    origin, far = np.zeros((len(cases), 3)), np.tile([65.0, 0.0, 0.0], (len(cases), 1))
+    start = Configuration(origin, quaternion_from_matrix(frames), np.full(33, 3.0))
+    return cases, start, Clamps(Clamp.FRAME, Clamp.FRAME, origin, far, frames[:, 0], frames[:, -1])
+
+
+@pytest.mark.thorough
+def test_jumps_are_where_energy_is_lost():
+    """Where the far clamp is only shifted, its force does all the work. In 400 sub-steps the energy changes by that work, to
+    0.01, except where the strip snaps through: there it loses hundreds at once. The journey has 16 sub-steps."""
+    cases, start, clamps = bowed_strips()
+    motion = Motion(clamps, end_shift=SHIFTS[[way for _, way in cases]])
+    at_rest = relax(start, STRIP, clamps, Newton.careful(), up=UP)
+    assert (at_rest.converged & at_rest.stable).all()
+    way = Journey(motion, STRIP, np.radians(10), start.rest_length, UP)
+    end, jumps = way.end(at_rest.configuration)
+    fine, before, lost = 400, at_rest, []
+    for k in range(1, fine + 1):
+        after = relax(before.configuration, STRIP, motion.at(k / fine), Newton.careful(), up=UP)
+        work = np.sum(0.5 * (before.end_force + after.end_force) * motion.end_shift / fine, axis=-1)
+        lost.append(work - (after.energy - before.energy))
+        before = after
+    lost = np.array(lost)
+    snaps = (lost > 100).sum(axis=0)
+    assert (np.sort(np.abs(lost), axis=0)[-2] < 0.2).all()
+    assert {case for case, count in zip(cases, snaps, strict=True) if count} == SNAPS
+    print(f"{way.sub_steps.max()} sub-steps; energy lost in snaps {np.round(lost.max(axis=0)[snaps > 0], 1).tolist()}, "
+          f"else below {np.abs(lost)[:, snaps == 0].max():.1e}")
+    np.testing.assert_array_equal(jumps, snaps)
+    assert vertex_distance(end.configuration, after.configuration).max() < 1e-4
+
+
+def there_and_back(experiment: Experiment, materials: Material):
+    """(R,) mm by which rods come back elsewhere after they were carried there and back, and (R,) jumps of both ways."""
+    hypothesis, _ = experiment.rods
+    rows = (np.arange(materials.count)[:, None] * experiment.hypotheses.count + hypothesis).ravel()
+    begin = relaxed(experiment, materials).configuration.take(rows)
+    way = journey(experiment, materials)
+    there, first = way.end(begin)
+    went = way.motion
+    reverse = Motion(went.at(1.0), -went.start_shift, -went.end_shift, -went.start_turn, -went.end_turn, -went.end_spin)
+    back, second = Journey(reverse, materials, way.sub_step, way.rest_length).end(there.configuration)
+    assert (there.converged & there.stable & back.converged & back.stable).all()
+    return vertex_distance(begin, back.configuration), first, second
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("name", ["nylon", "vicryl", "silk", "ribbon"])
+def test_lab_rods_that_do_not_come_back_have_jumped(laboratory, name):
+    """Under its true material a rod that keeps to its branch comes back to where it set out. The stiff sutures all do, and no
+    jump is counted; many ribbons jump; nothing that does not come back is missed."""
+    experiment, material = lab_rods(laboratory, name)
+    apart, there, back = there_and_back(experiment, material)
+    print(f"{name}: {(apart > 0.05).sum()} of {len(apart)} do not come back, {(there > 0).sum()} jump on the way there")
+    jumping = (there > 0).mean()
+    assert jumping == 0 if name in ("nylon", "vicryl") else jumping < 0.1 if name == "silk" else 0.2 < jumping < 0.5
+    assert not ((apart > 0.05) & (there + back == 0)).any()
+    assert (apart[there + back == 0] < 1e-4).all()
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("name", ["nylon", "ribbon"])
+def test_halving_the_sub_steps_changes_nothing_at_the_true_material(laboratory, name):
+    ends = []
+    for degrees in (10.0, 5.0):
+        experiment, material = lab_rods(laboratory, name, sub_step=np.radians(degrees))
+        ends.append(carried(experiment, material)[0].configuration)
+    apart = vertex_distance(*ends)
+    print(f"{name}: {apart.max():.1e} mm at most")
+    assert (apart < 0.05).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["nylon", "vicryl", "silk", "ribbon"])
+def test_halving_the_sub_steps_over_a_grid(laboratory, name):
+    """Of 72 pairs under 144 materials from soft to stiff less than one in a thousand ends elsewhere; among the sutures none."""
+    values = np.geomspace(5e4, 1e7, 12)
+    axes = (Axis("bend_1", values), Axis("bend_2", values), Axis("twist", 5e5)) if name == "ribbon" else (
+        Axis("bend", values), Axis("twist_ratio", np.geomspace(0.1, 6, 12)))
+    ends, jumps = [], []
+    for degrees in (10.0, 5.0):
+        experiment, _ = lab_rods(laboratory, name, sub_step=np.radians(degrees))
+        solution, count, _ = carried(experiment, Grid(axes).materials())
+        ends.append(solution.configuration)
+        jumps.append(count)
+    share = (vertex_distance(*ends) > 0.05).mean()
+    print(f"{name}: {share:.2%} of {len(jumps[0])} rods end more than 0.05 mm elsewhere, {(jumps[0] > 0).mean():.2%} jump, "
+          f"{(jumps[0] != jumps[1]).mean():.2%} count otherwise")
+    assert share <= (1e-3 if name == "ribbon" else 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["silk", "ribbon"])
+def test_no_jump_is_missed_over_a_grid(laboratory, name):
+    values = np.geomspace(5e4, 1e7, 10)
+    axes = (Axis("bend_1", values), Axis("bend_2", values), Axis("twist", 5e5)) if name == "ribbon" else (
+        Axis("bend", values), Axis("twist_ratio", np.geomspace(0.1, 6, 10)))
+    experiment, _ = lab_rods(laboratory, name)
+    apart, there, back = there_and_back(experiment, Grid(axes).materials())
+    lost = apart > 0.05
+    print(f"{name}: {lost.sum()} of {len(apart)} do not come back, {(there + back > 0).sum()} jump there or back")
+    assert not (lost & (there + back == 0)).any()
+
+
+@pytest.mark.thorough
+def test_rods_alone_jump_as_in_company(laboratory):
+    experiment, material = lab_rods(laboratory, "ribbon")
+    together, jumps, off = carried(experiment, material)
+    pairs = experiment.pairs
+    few = np.flatnonzero(jumps)[:3].tolist() + np.flatnonzero(jumps == 0)[:2].tolist()
+    part = type(pairs)(pairs.from_index[few], pairs.to_index[few], pairs.weight[few], pairs.rotation[few])
+    alone, fewer, near = carried(Experiment(experiment.observations, experiment.grid, DYNAMIC, part), material)
+    np.testing.assert_array_equal(fewer, jumps[few])
+    np.testing.assert_array_equal(near, off[few])
+    np.testing.assert_array_equal(alone.configuration.quaternions, together.configuration.quaternions[few])
+    np.testing.assert_array_equal(alone.iterations, together.iterations[few])
+
+
+def test_an_infeasible_motion_affects_no_other():
+    """Clamps pulled further apart than the strip is long: infeasible, though they may come within reach again."""
+    cases, start, clamps = bowed_strips()
+    shifts = SHIFTS[[way for _, way in cases]].copy()
+    shifts[2], shifts[9] = [60.0, 0.0, 0.0], [-200.0, 0.0, 0.0]
+    at_rest = relax(start, STRIP, clamps, Newton.careful(), up=UP).configuration
+    end, jumps = Journey(Motion(clamps, end_shift=shifts), STRIP, np.radians(10), start.rest_length, UP).end(at_rest)
+    assert np.flatnonzero(end.status == Status.INFEASIBLE).tolist() == [2, 9]
+    assert np.isnan(end.configuration.quaternions[[2, 9]]).any(axis=(1, 2)).all()
+    others = np.setdiff1d(np.arange(len(cases)), [2, 9])
+    alone = Journey(Motion(clamps.take(others), end_shift=shifts[others]), STRIP, np.radians(10), start.rest_length, UP)
+    shorter, fewer = alone.end(at_rest.take(others))
+    assert end.converged[others].all() and alone.sub_steps.max() <= 32
+    assert vertex_distance(end.configuration.take(others), shorter.configuration).max() < 1e-4
+    np.testing.assert_array_equal(jumps[others], fewer)
+
+
+def test_a_way_is_the_same_in_any_company():
+    """How many sub-steps a rod takes is its own matter: short ways are not cut finer beside long ones."""
+    cases, start, clamps = bowed_strips()
+    shifts = SHIFTS[[way for _, way in cases]] * np.linspace(0.1, 1.0, len(cases))[:, None]
+    at_rest = relax(start, STRIP, clamps, Newton.careful(), up=UP).configuration
+    together = Journey(Motion(clamps, end_shift=shifts), STRIP, np.radians(10), start.rest_length, UP)
+    assert len(np.unique(together.sub_steps)) > 2
+    end, jumps = together.end(at_rest)
+    *_, shown = together.follow(at_rest)
+    np.testing.assert_array_equal(shown.energy, end.energy)
+    for rod in (0, 7, len(cases) - 1):
+        row = np.array([rod])
+        alone = Journey(Motion(clamps.take(row), end_shift=shifts[row]), STRIP, np.radians(10), start.rest_length, UP)
+        own, counted = alone.end(at_rest.take(row))
+        np.testing.assert_array_equal(own.configuration.quaternions, end.configuration.quaternions[row])
+        np.testing.assert_array_equal(counted, jumps[row])
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
+@pytest.mark.parametrize("degrees", [10, 60])
+def test_results_of_a_rod_are_those_of_its_end(precision, degrees):
+    """Also for rods whose last sub-step was repeated in parts: relaxed again, they keep their shape and numbers."""
+    cases, start, clamps = bowed_strips()
+    motion = Motion(clamps, end_shift=SHIFTS[[way for _, way in cases]])
+    at_rest = relax(start, STRIP, clamps, Newton.careful(), up=UP).configuration
+    journey = Journey(motion, STRIP, np.radians(degrees), start.rest_length, UP, precision=precision)
+    *_, shown = journey.follow(at_rest)
+    for solution in (journey.end(at_rest)[0], shown):
+        again = relax(solution.configuration, STRIP, motion.at(1.0), Newton.careful(), up=UP)
+        loose = 1e-3 if precision == "f32" else 1e-6
+        np.testing.assert_allclose(solution.energy, again.energy, rtol=loose)
+        np.testing.assert_allclose(solution.end_force, again.end_force, rtol=loose, atol=loose * np.abs(again.end_force).max())
+        np.testing.assert_array_equal(solution.stable, again.stable)
+
+
+def test_a_rod_of_two_edges_goes_its_way():
+    """It has no edge between its clamps to compare, and still counts as one that is watched."""
+    frames = np.array([[[1.0, 0, 0, 0], [np.cos(0.3), 0, 0, np.sin(0.3)]]])
+    start = Configuration(np.zeros((1, 3)), frames, np.full(2, 10.0))
+    clamps = Clamps(Clamp.POSITION, Clamp.POSITION, np.zeros((1, 3)), start.vertices[:, -1], np.eye(3)[None], np.eye(3)[None])
+    at_rest = relax(start, STRIP, clamps).configuration
+    shift = np.array([[-3.0, 1.0, 0.5]])
+    with np.errstate(all="raise"):
+        end, jumps = Journey(Motion(clamps, end_shift=shift), STRIP, np.radians(5), start.rest_length).end(at_rest)
+    assert end.converged.all() and jumps.tolist() == [0]
+    np.testing.assert_allclose(end.configuration.vertices[:, -1], clamps.end_position + shift, atol=1e-9)
+
+
+def test_a_journey_without_rods():
+    _, start, clamps = bowed_strips()
+    none = np.arange(0)
+    journey = Journey(Motion(clamps.take(none), end_shift=np.zeros((0, 3))), STRIP, np.radians(10), start.rest_length)
+    end, jumps = journey.end(start.take(none))
+    assert len(end.status) == len(jumps) == 0

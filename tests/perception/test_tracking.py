@@ -1,0 +1,164 @@
+"""Known rods tracked through videos: followed, lost, found again, and faster than by Algorithm 1."""
+
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+import pytest
+
+from doo_ti import InputError, Material
+from doo_ti.frames import matrix_from_quaternion, quaternion_about
+from doo_ti.motion.path import motion_between
+from doo_ti.perception.perceive import perceive
+from doo_ti.perception.search import Search
+from doo_ti.perception.tracking import How, Tracker, TrackingOptions
+from doo_ti.types import Status
+from doo_ti.vision.detection.detect import Detection, detect
+from doo_ti.vision.reprojection.distance_map import distance_maps
+from tests.perception.videos import FRAMES, MATERIAL, REST_LENGTH, far_motion, images, photographed, rods
+from tests.vision.drawn_maps import curves, three_cameras
+
+NOTHING = Detection(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.nan, "", (480, 640), "ridge")
+
+
+@pytest.fixture(scope="module")
+def video() -> list[list[Detection]]:
+    return [[detect(image) for image in frame] for frame in images()]
+
+
+def tracked(video, truth, material=MATERIAL, far=None):
+    """Every frame, and the mean distance of its vertices to the truth."""
+    tracker = Tracker(three_cameras(), REST_LENGTH, material)
+    found = [tracker.see(frame, rod[0], rod[1] - rod[0], None if far is None or row == 0 else far[row - 1])
+             for row, (frame, rod) in enumerate(zip(video, truth, strict=True))]
+    error = np.array([np.linalg.norm(frame.vertices - rod, axis=-1).mean() for frame, rod in zip(found, truth, strict=True)])
+    print("how:", "".join(frame.how.name[0] for frame in found), "error, mm:", error.round(3))
+    return found, error
+
+
+def test_a_rod_is_followed(video):
+    """Its far end moves 2.6 mm from frame to frame, its edges turn by up to 9°."""
+    found, error = tracked(video, rods())
+    assert [frame.how for frame in found] == [How.SEEDED] + [How.TRACKED] * (FRAMES - 1)
+    assert error.max() < 0.15 and error.mean() < 0.05
+    assert all(frame.status == Status.CONVERGED and frame.stable for frame in found)
+    assert max(frame.camera_error.max() for frame in found) < 0.6
+    again, _ = tracked(video, rods())
+    for one, other in zip(found, again, strict=True):
+        np.testing.assert_array_equal(one.vertices, other.vertices)
+
+
+@pytest.mark.thorough
+def test_a_tracked_rod_is_the_one_that_algorithm_1_finds(video):
+    """The last frame of fifteen that each began with the one before, against a search that knows none of them."""
+    found, _ = tracked(video, rods())
+    rod, rig = rods()[-1], three_cameras()
+    alone = perceive(distance_maps(video[-1:]), rig, rod[0], rod[1] - rod[0], REST_LENGTH, MATERIAL)
+    np.testing.assert_allclose(found[-1].vertices, alone.vertices[0], atol=1e-4)
+    assert found[-1].energy_vis == pytest.approx(alone.energy_vis[0], rel=1e-6)
+    np.testing.assert_allclose(found[-1].camera_error, alone.camera_error[0], rtol=1e-4)
+    np.testing.assert_allclose(found[-1].sigma, alone.sigma[0], rtol=1e-3)
+
+
+@pytest.mark.thorough
+def test_a_hidden_rod_is_lost_and_found_again(video):
+    """In three frames no camera sees anything; meanwhile the far end moves 10 mm."""
+    hidden = [[NOTHING] * 3 if 6 <= row < 9 else frame for row, frame in enumerate(video)]
+    found, error = tracked(hidden, rods())
+    how = [How.SEEDED] + 5 * [How.TRACKED] + 3 * [How.LOST] + [How.SEEDED] + (FRAMES - 10) * [How.TRACKED]
+    assert [frame.how for frame in found] == how
+    for frame in found[6:9]:
+        assert np.isnan(frame.vertices).all() and np.isnan(frame.energy_vis) and np.isnan(frame.camera_error).all()
+        assert frame.status == Status.NOT_FINITE and not frame.stable
+    assert np.delete(error, [6, 7, 8]).max() < 0.15
+
+
+@pytest.mark.thorough
+def test_two_cameras_will_do(video):
+    """One camera sees nothing for four frames."""
+    hidden = [[frame[0], NOTHING, frame[2]] if 4 <= row < 8 else frame for row, frame in enumerate(video)]
+    found, error = tracked(hidden, rods())
+    assert all(frame.how == How.TRACKED for frame in found[1:]) and error.max() < 0.15
+    blind = np.isnan([frame.camera_error for frame in found])
+    assert blind[4:8, 1].all() and blind.sum() == 4
+
+
+@pytest.mark.thorough
+def test_a_cut_is_noticed(video):
+    """From one frame to the next another rod is seen: Algorithm 1 finds it, and the next frames track it."""
+    other = curves(np.random.default_rng(16), 1, len(REST_LENGTH), turn=0.25).repeat(2, axis=0)
+    cut = video[:2] + [[detect(image) for image in frame] for frame in photographed(other)]
+    found, error = tracked(cut, np.concatenate([rods()[:2], other]))
+    assert [frame.how for frame in found] == [How.SEEDED, How.TRACKED, How.SEEDED, How.TRACKED]
+    assert error.max() < 0.15
+
+
+@pytest.mark.thorough
+def test_another_rod_is_not_tracked(video):
+    """The images of one rod with the seed of another, far from it."""
+    tracker, rod = Tracker(three_cameras(), REST_LENGTH, MATERIAL), rods()[0]
+    assert tracker.see(video[0], rod[0] + [0.0, 0.0, 60.0], [0.0, 0.0, 1.0]).how == How.LOST
+    assert tracker.see(video[0], rod[0], rod[1] - rod[0]).how == How.SEEDED
+
+
+@pytest.mark.thorough
+def test_a_moving_gripper_takes_the_rod_along():
+    """The rod turns as a whole by 12° from frame to frame, and moves 2 mm, as its seed shows."""
+    shape = rods()[5] - rods()[5].mean(axis=0)
+    axis = np.array([0.6, 0.0, 0.8])
+    turns = matrix_from_quaternion(quaternion_about(axis, np.radians(12.0) * np.arange(8)))
+    truth = shape @ np.swapaxes(turns, 1, 2) + np.array([2.0, 0, 0]) * np.arange(8)[:, None, None]
+    video = [[detect(image) for image in frame] for frame in photographed(truth)]
+    found, error = tracked(video, truth, Material(2e5, 2e5, 0.0))
+    assert all(frame.how == How.TRACKED for frame in found[1:]) and error.max() < 0.15
+
+
+def test_a_known_far_clamp_predicts(video, monkeypatch):
+    """Every fifth frame, the far end 13 mm further: the prediction is a much better start than the last rod."""
+    rows = np.arange(0, FRAMES, 5)
+    places = [far_motion().at(row / (FRAMES - 1)) for row in rows]
+    far = [motion_between(before, after) for before, after in zip(places, places[1:], strict=False)]
+    starts, nearly_relaxed = [], Search.nearly_relaxed
+    def watched(search, hypotheses):
+        if len(hypotheses.quaternions[0]) == len(REST_LENGTH) and search.options.growing_iterations > 6:
+            starts.append(search.vertices(hypotheses))
+        return nearly_relaxed(search, hypotheses)
+    monkeypatch.setattr(Search, "nearly_relaxed", watched)
+    found, error = tracked([video[row] for row in rows], rods()[rows], far=far)
+    assert all(frame.how == How.TRACKED for frame in found[1:]) and error.max() < 0.15
+    for row, vertices in zip(rows[1:], starts, strict=True):
+        off = np.linalg.norm(vertices - rods()[row], axis=-1).mean(axis=1)
+        print("places to set out from are off by, mm:", off.round(2))
+        assert off[-1] < 0.5 * off[0] and off[-1] < 0.5
+
+
+@pytest.mark.thorough
+def test_a_clamp_out_of_reach_does_no_harm(video):
+    """A motion with an error of 500 mm: the other starts remain."""
+    place = far_motion().at(0.0)
+    far = [motion_between(place, replace(place, end_position=place.end_position + 500.0))] * 2
+    found, error = tracked(video[:3], rods()[:3], far=far)
+    assert all(frame.how == How.TRACKED for frame in found[1:]) and error.max() < 0.15
+
+
+@pytest.mark.thorough
+def test_tracking_is_faster_than_algorithm_1(video):
+    """Median over the frames, each the best of three; maps and uncertainties are in both."""
+    truth, rig, seconds = rods(), three_cameras(), np.empty((2, 3, FRAMES))
+    for turn in range(3):
+        tracker = Tracker(rig, REST_LENGTH, MATERIAL)
+        for row, rod in enumerate(truth):
+            begin = perf_counter()
+            tracker.see(video[row], rod[0], rod[1] - rod[0])
+            middle = perf_counter()
+            perceive(distance_maps([video[row]]), rig, rod[0], rod[1] - rod[0], REST_LENGTH, MATERIAL)
+            seconds[:, turn, row] = middle - begin, perf_counter() - middle
+    ours, theirs = 1e3 * np.median(seconds.min(axis=1)[:, 1:], axis=1)
+    print(f"tracked {ours:.0f} ms, Algorithm 1 {theirs:.0f} ms a frame: {theirs / ours:.1f} times as fast")
+    assert ours < theirs
+
+
+@pytest.mark.parametrize("change", [{"lost_px": 0.0}, {"worse_px": np.nan}])
+def test_options_are_checked(change):
+    with pytest.raises(InputError, match=next(iter(change))):
+        replace(TrackingOptions(), **change)

@@ -1,0 +1,173 @@
+"""Prediction: rods follow their clamps, keep their turns, and report jumps and where they could not follow."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doo_ti.errors import InputError
+from doo_ti.io.motion_file import ClampPath
+from doo_ti.motion.path import carried_clamps, carry
+from doo_ti.prediction.predict import predict, predict_step
+from doo_ti.relaxation.relax import relax
+from doo_ti.types import Clamp, Clamps, Material, Status
+from tests.references.rods import chain, clamps_at, stacked
+
+MATERIAL = Material(6e5, 8e5)
+SOFT_IN_TWIST = Material(6e5, 1e5)
+EDGES = 33
+
+
+def bows(material: Material):
+    """Two bows between clamps that are not on one line, at rest."""
+    rods = []
+    for size in (0.6, 0.9):
+        angle = np.linspace(-size, size, EDGES)
+        rods.append(chain(np.stack([np.cos(angle), 0.5 * np.sin(2 * angle), np.sin(angle)], axis=1), [0, 1, 0], 3.0))
+    rods = stacked(rods)
+    rods = replace(rods, rest_length=rods.rest_length[0])
+    clamps = clamps_at(rods)
+    solution = relax(rods, material, clamps)
+    assert (solution.converged & solution.stable).all()
+    return solution.configuration, clamps
+
+
+def line(clamps: Clamps, *shifts, rotation=None) -> ClampPath:
+    """The far clamp at shifts (3,) from where it is, one each second."""
+    moments = len(shifts) if shifts else len(rotation)
+    positions = None if not shifts else clamps.end_position + np.array(shifts, float)[:, None]
+    return ClampPath(np.arange(moments, dtype=float), end_position=positions,
+                     end_rotation=None if rotation is None else np.array(rotation)[:, None])
+
+
+def test_it_is_where_small_steps_lead():
+    """Against the lab's own carrier, with steps of another size and in f64."""
+    rods, clamps = bows(MATERIAL)
+    shift = np.array([-6.0, 3.0, 2.0])
+    turn = np.radians(120.0) * clamps.end_frame[..., 0]
+    there, _ = carry(rods, MATERIAL, carried_clamps(clamps, clamps.end_position + shift, turn, 50))
+    path = line(clamps, np.zeros(3), shift, rotation=[0.0, np.radians(120.0)])
+    prediction = predict(rods, MATERIAL, clamps, path, between=3)
+    assert prediction.vertices.shape == (4, 2, EDGES + 1, 3) and prediction.followed.all()
+    np.testing.assert_allclose(prediction.vertices[-1], there.configuration.vertices, atol=1e-4)
+    np.testing.assert_allclose(prediction.energy[-1], there.energy, rtol=1e-8)
+    np.testing.assert_allclose(prediction.end_force[-1], there.end_force, rtol=1e-3, atol=1.0)
+    np.testing.assert_allclose(prediction.time, [0, 1 / 3, 2 / 3, 1])
+    np.testing.assert_allclose(prediction.vertices[:, :, -1], clamps.end_position + np.linspace(0, 1, 4)[:, None, None] * shift,
+                               atol=1e-6)
+
+
+def test_every_material_with_every_start():
+    """R = G·N rods, material by material, each as if it were alone."""
+    rods, clamps = bows(MATERIAL)
+    materials = Material(np.array([6e5, 2e6, 3e5]), 8e5)
+    path = line(clamps, np.zeros(3), np.array([-5.0, 2.0, 1.0]))
+    together = predict(rods, materials, clamps, path)
+    assert together.material.tolist() == [0, 0, 1, 1, 2, 2] and together.motion.tolist() == [0, 1] * 3
+    alone = predict(rods.take([1]), Material(2e6, 8e5), clamps.take([1]), line(clamps.take([1]), np.zeros(3), [-5.0, 2.0, 1.0]))
+    np.testing.assert_array_equal(together.quaternions[:, 3], alone.quaternions[:, 0])
+    np.testing.assert_array_equal(together.energy[:, 3], alone.energy[:, 0])
+
+
+def test_840_degrees_are_840_degrees():
+    """Two moments, the frame of 120° at the last: its rotation says how it got there, and the rod holds all of it."""
+    rods, clamps = bows(SOFT_IN_TWIST)
+    prediction = predict(rods, SOFT_IN_TWIST, clamps, line(clamps, rotation=[0.0, np.radians(840.0)]))
+    assert prediction.followed.all()
+    np.testing.assert_allclose(np.degrees(prediction.end_rotation[-1]), 840.0, atol=1e-6)
+    short = predict(rods, SOFT_IN_TWIST, clamps, line(clamps, rotation=[0.0, np.radians(120.0)]))
+    np.testing.assert_allclose(np.degrees(short.end_rotation[-1]), 120.0, atol=1e-6)
+    np.testing.assert_allclose(prediction.at(-1).frames[:, -1], short.at(-1).frames[:, -1], atol=1e-9)
+    # Twist and writhe add up to what the clamps did: modulo whole turns of writhe, the same frames.
+    gained = np.degrees(prediction.total_twist[-1] - short.total_twist[-1])
+    print(f"total twist after 840° less that after 120°: {gained.round(1)}")
+    assert (np.abs(gained) > 90).all()
+
+
+@pytest.mark.thorough
+def test_turns_stay_where_a_rod_is_straight():
+    """Pulled nearly straight a rod cannot writhe: what the clamp turns is twist, to the degree."""
+    straight = chain(np.tile([1.0, 0, 0], (EDGES, 1)), [0, 1, 0], 3.0)
+    clamps = clamps_at(straight)
+    clamps = replace(clamps, end_position=clamps.end_position - [[0.02, 0, 0]])
+    prediction = predict(straight, Material(6e5, 1e4), clamps, line(clamps, rotation=np.radians([0.0, 300.0, 840.0])))
+    assert prediction.followed.all() and not prediction.jumps.any()
+    np.testing.assert_allclose(np.degrees(prediction.total_twist[:, 0]), [0, 300, 840], atol=2.0)
+    here = replace(clamps, end_frame=prediction.at(-1).frames[:, -1])
+    back = predict(prediction.at(-1), Material(6e5, 1e4), here, line(here, rotation=np.radians([0.0, -840.0])))
+    np.testing.assert_allclose(np.degrees(back.total_twist[:, 0]), [840, 0], atol=2.0)
+
+
+def test_it_is_brought_to_where_the_path_begins():
+    rods, clamps = bows(MATERIAL)
+    shift = np.array([-4.0, 1.0, 0.0])
+    approached = predict(rods, MATERIAL, clamps, line(clamps, shift, 2 * shift))
+    at_once = predict(rods, MATERIAL, clamps, line(clamps, np.zeros(3), shift, 2 * shift))
+    np.testing.assert_allclose(approached.vertices, at_once.vertices[1:], atol=1e-5)
+    np.testing.assert_allclose(approached.end_rotation, 0, atol=1e-12)
+
+
+def test_relative_paths_set_out_from_each_rod():
+    rods, clamps = bows(MATERIAL)
+    turn = np.radians(40.0)
+    about_z = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    path = ClampPath(np.array([0.0, 1.0]), end_position=np.array([[[9.0, 9, 9]], [[4.0, 10, 9]]]),
+                     end_frame=np.stack([np.eye(3), about_z])[:, None])
+    own = path.relative_to(clamps)
+    np.testing.assert_allclose(own.end_position[0], clamps.end_position, atol=1e-12)
+    np.testing.assert_allclose(own.end_position[1] - own.end_position[0], np.tile([-5.0, 1, 0], (2, 1)), atol=1e-12)
+    np.testing.assert_allclose(own.end_frame[1], about_z @ clamps.end_frame, atol=1e-12)
+    assert predict(rods, MATERIAL, clamps, own).followed.all()
+
+
+def test_a_rod_that_is_pulled_too_far_is_lost_alone():
+    rods, clamps = bows(MATERIAL)
+    positions = np.repeat(clamps.end_position[None], 3, axis=0)
+    positions[1, 0] += [80.0, 0, 0]
+    path = ClampPath(np.arange(3.0), end_position=positions)
+    prediction = predict(rods, MATERIAL, clamps, path)
+    assert prediction.status[:, 0].tolist() == [Status.CONVERGED, Status.INFEASIBLE, prediction.status[2, 0]]
+    assert prediction.followed.tolist() == [[True, True], [False, True], [False, True]]
+    assert np.isnan(prediction.vertices[1, 0, 1:]).all() and np.isfinite(prediction.vertices[:, 1]).all()
+    alone = predict(rods.take([1]), MATERIAL, clamps.take([1]), ClampPath(np.arange(3.0), end_position=positions[:, 1:]))
+    np.testing.assert_array_equal(prediction.quaternions[:, 1], alone.quaternions[:, 0])
+
+
+def test_candidates_of_one_rod():
+    """For planners: the same as each motion predicted alone, with and without detection of jumps."""
+    rods, clamps = bows(MATERIAL)
+    rod, held = rods.take([0]), clamps.take([0])
+    shifts = np.array([[-3.0, 0, 0], [0, 3.0, 0], [-2.0, 1.0, 4.0]])
+    goal = held.take([0, 0, 0])
+    goal = replace(goal, end_position=goal.end_position + shifts)
+    rotation = np.radians([0.0, 40.0, -360.0])
+    turned = [predict(rod, MATERIAL, held, line(held, np.zeros(3), shift, rotation=[0.0, angle])).at(-1)
+              for shift, angle in zip(shifts, rotation, strict=True)]
+    goal = replace(goal, end_frame=np.concatenate([one.frames[:, -1] for one in turned]))
+    for watch in (True, False):
+        solution, jumps = predict_step(rod, MATERIAL, held, goal, rotation=rotation, watch=watch)
+        assert solution.converged.all() and (jumps is None) == (not watch)
+        vertices = np.concatenate([one.vertices for one in turned])
+        np.testing.assert_allclose(solution.configuration.vertices, vertices, atol=2e-2)
+    infeasible = replace(goal, end_position=goal.end_position + [[0, 0, 0], [90.0, 0, 0], [0, 0, 0]])
+    solution, _ = predict_step(rod, MATERIAL, held, infeasible, rotation=rotation, watch=False)
+    assert solution.status.tolist() == [Status.CONVERGED, Status.INFEASIBLE, Status.CONVERGED]
+
+
+def test_numbers_that_do_not_match_are_named():
+    rods, clamps = bows(MATERIAL)
+    path = ClampPath(np.arange(2.0), end_position=np.zeros((2, 3, 3)))
+    with pytest.raises(InputError, match="one motion for all"):
+        predict(rods, MATERIAL, clamps, path)
+
+
+def test_spin_free_ends_go_along_with_their_tangents():
+    rods, clamps = bows(MATERIAL)
+    held = replace(clamps, start=Clamp.TANGENT, end=Clamp.TANGENT)
+    turn = np.radians(30.0)
+    about_z = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    path = ClampPath(np.arange(2.0), end_frame=np.stack([clamps.end_frame, about_z @ clamps.end_frame]), tangents_only=True)
+    prediction = predict(rods, MATERIAL, held, path)
+    assert prediction.followed.all() and (prediction.end_rotation == 0).all()
+    np.testing.assert_allclose(prediction.at(-1).frames[:, -1, :, 0], (about_z @ clamps.end_frame)[..., 0], atol=1e-9)
+    np.testing.assert_allclose(prediction.total_twist[-1], 0, atol=1e-6)

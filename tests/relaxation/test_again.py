@@ -1,0 +1,105 @@
+"""F from a solution: the same equilibria as from other starts nearby; the first solution is not changed."""
+
+import numpy as np
+import pytest
+
+from doo_ti import Clamp, Descent, InputError, Material, Springs, Status, relax
+from doo_ti.relaxation import tables as of
+from tests.references.rods import clamps_at, jiggled
+from tests.relaxation.rods import assert_same, wandering, with_kinds
+
+COUNT = 24
+
+
+@pytest.fixture
+def solution(rng):
+    """Rods of three starts under eight materials."""
+    rods = wandering(rng, 3, 12)
+    kinds = [(Clamp.FRAME, Clamp.FRAME), (Clamp.FRAME, Clamp.TANGENT), (Clamp.POSITION, Clamp.FRAME)]
+    clamps = with_kinds(clamps_at(rods), kinds)
+    material = Material(rng.uniform(1e5, 3e5, 8), rng.uniform(1e5, 3e5, 8), 1.0)
+    index = np.arange(COUNT)
+    return relax(rods, material, clamps, configuration_index=index % 3, material_index=index // 3, up=[0.1, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("precision", ["f32", "f64", "mixed"])
+def test_another_material_gives_what_relax_gives_from_there(rng, solution, precision):
+    near = Material(rng.uniform(1e5, 3e5, COUNT), rng.uniform(1e5, 3e5, COUNT), 1.0)
+    before = solution.configuration.quaternions.copy()
+    again = relax(solution, near, precision=precision)
+    np.testing.assert_array_equal(solution.configuration.quaternions, before)
+    assert again.converged.all() and again.stable.all()
+    energies = [relax(again.configuration.take([row]), Material(near.bend[[row]], near.twist[[row]]),
+                      clamps_at(again.configuration.take([row])), up=[0.1, 0.0, 1.0]).energy[0] for row in range(COUNT)]
+    np.testing.assert_allclose(again.energy, energies, rtol=1e-4 if precision == "f32" else 1e-11)
+
+
+def test_the_same_material_is_done_at_once(solution):
+    index = np.arange(COUNT) // 3
+    stiffness = solution.tables.material[:, of.STIFFNESS :]
+    material = Material(stiffness[:, of.BEND], stiffness[:, of.TWIST], 1.0)
+    again = relax(solution, material, material_index=index)
+    np.testing.assert_allclose(again.energy, solution.energy, rtol=1e-12)
+    assert again.iterations.max() <= 2
+
+
+def test_one_material_serves_all_and_again_again(solution):
+    soft = relax(solution, Material(1e5, 1e5))
+    stiff = relax(relax(soft, Material(4e5, 4e5)), Material(1e5, 1e5))
+    np.testing.assert_allclose(stiff.energy, soft.energy, rtol=1e-9)
+
+
+def test_isotropic_rods_continue_as_ribbons(solution):
+    again = relax(solution, Material.diagonal(3e5, 1e5, 1e5))
+    assert again.converged.all() and (again.energy != solution.energy).all()
+
+
+def test_rods_that_came_to_nothing_start_where_they_did(rng):
+    rods = wandering(rng, 2, 12)
+    clamps = clamps_at(rods)
+    clamps.end_position[1] += 1000.0
+    first = relax(rods, Material(1e5, 1e5), clamps)
+    again = relax(first, Material(2e5, 1e5))
+    assert list(first.status) == list(again.status) == [Status.CONVERGED, Status.INFEASIBLE]
+    assert np.isnan(again.energy[1])
+
+
+@pytest.mark.parametrize(("precision", "rounding"), [("f32", 1e-6), ("f64", 1e-15)])
+def test_clamps_are_held_as_given(rng, precision, rounding):
+    rods = wandering(rng, 3, 12)
+    clamps = with_kinds(clamps_at(rods), [(Clamp.FRAME, Clamp.TANGENT)] * 3)
+    first = relax(jiggled(rods, rng, 0.05), Material(1e5, 1e5), clamps, precision=precision)
+    for solution in (first, relax(first, Material(2e5, 1e5), precision=precision)):
+        assert solution.converged.all()
+        frames = solution.configuration.frames
+        np.testing.assert_allclose(frames[:, 0], clamps.start_frame, atol=rounding)
+        np.testing.assert_allclose(frames[:, -1, :, 0], clamps.end_frame[..., 0], atol=rounding)
+
+
+@pytest.mark.thorough
+def test_springs_stay(rng):
+    rods = wandering(rng, 4, 12)
+    clamps = with_kinds(clamps_at(rods), [(Clamp.FRAME, Clamp.FREE)] * 4)
+    springs = Springs(rods.vertices, np.full((4, 13), 50.0))
+    again = relax(relax(rods, Material(1e5, 1e5), clamps, external=springs), Material(2e5, 1e5))
+    direct = relax(again.configuration, Material(2e5, 1e5), clamps, external=springs)
+    np.testing.assert_allclose(again.energy, direct.energy, rtol=1e-10)
+
+
+def test_a_rod_is_the_same_in_any_company(rng):
+    rods = wandering(rng, 40, 12)
+    material, near = Material(np.full(40, 1e5), 1e5), Material(np.linspace(1e5, 2e5, 40), 1e5)
+    together = relax(relax(rods, material, clamps_at(rods)), near)
+    alone = relax(relax(rods.take([7]), Material(1e5, 1e5), clamps_at(rods).take([7])), Material(near.bend[[7]], 1e5))
+    assert_same(together, [7], alone, [0])
+
+
+def test_wrong_input_is_reported(solution):
+    with pytest.raises(InputError, match="material_index"):
+        relax(solution, Material(np.full(5, 1e5), 1e5))
+    with pytest.raises(InputError, match="material_index"):
+        relax(solution, Material(np.full(5, 1e5), 1e5), material_index=np.full(COUNT, 5))
+    with pytest.raises(InputError, match="solver"):
+        relax(solution, Material(1e5, 1e5), solver=Descent())
+    with pytest.raises(InputError, match="entries along the rod"):
+        relax(solution, Material(1e5, np.full((1, 5), 1e5)))

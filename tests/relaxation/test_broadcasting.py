@@ -1,0 +1,180 @@
+"""Scalars, tables and pairs of rows: every way to specify the same rods gives the same bits; mismatches are refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doo_ti.errors import InputError
+from doo_ti.relaxation.relax import relax
+from doo_ti.types import Clamp, Material
+from tests.references.rods import clamps_at, jiggled
+from tests.relaxation.rods import assert_same, definite, wandering
+
+EDGES, COUNT = 10, 6
+B = np.array([[2e5, 3e4], [3e4, 1e5]])
+
+
+@pytest.fixture
+def rods(rng):
+    shapes = wandering(rng, COUNT, EDGES)
+    return jiggled(shapes, rng, 0.05), clamps_at(shapes)
+
+
+def repeated(value, *counts: int) -> np.ndarray:
+    return np.tile(np.asarray(value, dtype=float), (*counts, *(1,) * np.ndim(value)))
+
+
+SAME = {
+    "αI as a matrix": (Material(2e5, 1e5, 1.0), Material(2e5 * np.eye(2), 1e5, 1.0)),
+    "α for each rod": (Material(2e5, 1e5, 1.0), Material(repeated(2e5, COUNT), 1e5, 1.0)),
+    "all for each rod": (Material(2e5, 1e5, 1.0), Material(repeated(2e5, COUNT), repeated(1e5, COUNT), np.ones(COUNT))),
+    "integers": (Material(2e5, 1e5, 1.0), Material(200_000, 100_000, 1)),
+    "lists": (Material(2e5, 1e5, 1.0), Material([2e5], [1e5], [1.0])),
+    "B for each rod": (Material(B, 1e5, 1.0), Material(repeated(B, COUNT), 1e5, 1.0)),
+    "B for each edge": (Material(B, 1e5, 1.0), Material(repeated(B, COUNT, EDGES), 1e5, 1.0)),
+    "B for each edge of any rod": (Material(B, 1e5, 1.0), Material(repeated(B, 1, EDGES), 1e5, 1.0)),
+    "β for each vertex": (Material(B, 1e5, 1.0), Material(B, repeated(1e5, COUNT, EDGES - 1), 1.0)),
+    "β for each vertex of any rod": (Material(B, 1e5, 1.0), Material(B, repeated(1e5, 1, EDGES - 1), 1.0)),
+    "ω̄ for each rod": (Material(B, 1e5, 1.0, [0.01, -0.02]), Material(B, 1e5, 1.0, repeated([0.01, -0.02], COUNT))),
+    "ω̄ for each vertex": (
+        Material(B, 1e5, 1.0, [0.01, -0.02]), Material(B, 1e5, 1.0, repeated([0.01, -0.02], COUNT, EDGES - 1))),
+    "diagonal": (Material(np.diag([2e5, 1e5]), 1e5, 1.0), Material.diagonal(2e5, 1e5, 1e5)),
+    "diagonal for each rod": (
+        Material(np.diag([2e5, 1e5]), 1e5, 1.0), Material.diagonal(repeated(2e5, COUNT), 1e5, repeated(1e5, COUNT))),
+}
+
+
+@pytest.mark.parametrize("way", SAME)
+def test_the_same_material_said_in_two_ways(rods, way):
+    start, clamps = rods
+    first, second = SAME[way]
+    assert first.is_isotropic == second.is_isotropic
+    solution = relax(start, first, clamps)
+    assert solution.converged.all() and len(solution.energy) == COUNT
+    assert_same(solution, slice(None), relax(start, second, clamps), slice(None))
+
+
+@pytest.mark.parametrize("what", ["β", "B along the rod"])
+def test_isotropic_rods_through_the_general_formulas(rods, what):
+    """Uniform β or αI given edge by edge uses the general formulas and reaches the same minimum."""
+    start, clamps = rods
+    short = relax(start, Material(2e5, 1e5, 1.0), clamps)
+    twist = repeated(1e5, 1, EDGES - 1) if what == "β" else 1e5
+    bend = 2e5 if what == "β" else repeated(2e5 * np.eye(2), 1, EDGES)
+    long = relax(start, Material(bend, twist, 1.0), clamps)
+    np.testing.assert_allclose(long.energy, short.energy, rtol=1e-11)
+
+
+def test_each_rod_has_its_own_material(rng, rods):
+    """A row of every table with each rod is that rod alone with that row."""
+    start, clamps = rods
+    bend, twist = definite(rng, COUNT, EDGES), rng.uniform(5e4, 2e5, (COUNT, EDGES - 1))
+    weight, rest = rng.uniform(0, 3, COUNT), 0.01 * rng.normal(size=(COUNT, EDGES - 1, 2))
+    together = relax(start, Material(bend, twist, weight, rest), clamps)
+    for row in range(COUNT):
+        alone = Material(bend[[row]], twist[[row]], weight[row], rest[[row]])
+        assert_same(together, [row], relax(start.take([row]), alone, clamps.take([row])), [0])
+
+
+def test_own_rest_lengths_for_each_rod(rng, rods):
+    start, clamps = rods
+    lengths = rng.uniform(2.8, 3.2, (COUNT, EDGES))
+    uneven = replace(start, rest_length=lengths)
+    free = replace(clamps, end=Clamp.FREE)
+    together = relax(uneven, Material(2e5, 1e5, 1.0), free)
+    for row in range(COUNT):
+        alone = replace(start.take([row]), rest_length=lengths[row])
+        assert_same(together, [row], relax(alone, Material(2e5, 1e5, 1.0), free.take([row])), [0])
+    np.testing.assert_array_equal(together.configuration.rest_length, lengths)
+
+
+def test_pairs_of_rows(rods):
+    """Rows may come in any order and as often as they like; one index alone pairs with row 0 of the other table."""
+    start, clamps = rods
+    material = Material([1e5, 2e5, 5e5], 1e5, 1.0)
+    rows, cells = np.array([5, 0, 3, 3, 1]), np.array([2, 0, 1, 0, 2])
+    pairs = relax(start, material, clamps, configuration_index=rows, material_index=cells)
+    for place, (row, cell) in enumerate(zip(rows, cells, strict=True)):
+        alone = relax(start.take([row]), Material(material.bend[cell, 0], 1e5, 1.0), clamps.take([row]))
+        assert_same(pairs, [place], alone, [0])
+    assert_same(relax(start, Material(2e5, 1e5, 1.0), clamps, configuration_index=rows), slice(None),
+                relax(start.take(rows), Material(2e5, 1e5, 1.0), clamps.take(rows)), slice(None))
+    every = relax(start.take([4]), material, clamps.take([4]))
+    named = relax(start.take([4]), material, clamps.take([4]), material_index=[0, 1, 2])
+    assert_same(every, slice(None), named, slice(None))
+    none = relax(start, material, clamps, configuration_index=[], material_index=[])
+    assert len(none.energy) == 0 and none.configuration.vertices.shape == (0, EDGES + 1, 3)
+
+
+def test_length_of_up_does_not_matter(rods):
+    start, clamps = rods
+    material = Material(2e5, 1e5, 1.0)
+    one, two = (relax(start, material, clamps, up=up) for up in ([0, 0, 1], np.array([0, 0, 37.5])))
+    assert_same(one, slice(None), two, slice(None))
+    sideways = relax(start, material, clamps, up=[0, 1, 1])
+    assert (sideways.energy != one.energy).all()
+
+
+def refused(call) -> InputError:
+    with pytest.raises(InputError) as caught:
+        call()
+    error = caught.value
+    assert error.source and error.field and error.problem and error.remedy and "\n" not in str(error)
+    return error
+
+
+@pytest.mark.parametrize("bad", [
+    lambda s, c, m: relax(s, Material([1e5, 2e5], 1e5), c),
+    lambda s, c, m: relax(s, m, c, up=[0, 0, 0]),
+    lambda s, c, m: relax(s, m, c, up=[0, 1]),
+    lambda s, c, m: relax(s, m, c, up=[0, 0, np.nan]),
+    lambda s, c, m: relax(s, m, c, precision="f16"),
+    lambda s, c, m: relax(s, m, c, configuration_index=[0, COUNT]),
+    lambda s, c, m: relax(s, m, c, configuration_index=[-1]),
+    lambda s, c, m: relax(s, m, c, configuration_index=[[0, 1]]),
+    lambda s, c, m: relax(s, m, c, configuration_index=[0], material_index=[1]),
+    lambda s, c, m: relax(replace(s, rest_length=np.ones(EDGES + 1)), m, c),
+    lambda s, c, m: relax(replace(s, rest_length=np.zeros(EDGES)), m, c),
+    lambda s, c, m: relax(replace(s, rest_length=np.full(EDGES, np.nan)), m, c),
+    lambda s, c, m: relax(replace(s, quaternions=s.quaternions[:, :1], rest_length=np.ones(1)), m, c),
+    lambda s, c, m: relax(s, Material(1e5, np.full((1, EDGES), 1e5)), c),
+    lambda s, c, m: relax(s, Material(repeated(B, 1, EDGES - 1), 1e5), c),
+    lambda s, c, m: relax(s, Material(B, 1e5, 1.0, np.zeros((1, EDGES, 2))), c),
+    lambda s, c, m: relax(s, m, replace(c, start=Clamp.FREE, end=Clamp.FREE)),
+], ids=["materials", "no up", "short up", "up not a number", "precision", "row too large", "negative row",
+        "table of rows", "no such material", "count of lengths", "lengths zero", "lengths not a number",
+        "one edge", "count of β", "count of B", "count of ω̄", "both ends free"])
+def test_what_does_not_match_is_refused(rods, bad):
+    start, clamps = rods
+    print(refused(lambda: bad(start, clamps, Material(1e5, 1e5))))
+
+
+@pytest.mark.parametrize("bad", [
+    lambda: Material(-1e5, 1e5), lambda: Material(0.0, 1e5), lambda: Material([[1e5, 2e5], [2e5, 1e5]], 1e5),
+    lambda: Material([[1e5, 2e4], [0.0, 1e5]], 1e5), lambda: Material(np.nan, 1e5), lambda: Material("stiff", 1e5),
+    lambda: Material(1e5, 0.0), lambda: Material(1e5, -1.0), lambda: Material(1e5, 1e5, -1.0),
+    lambda: Material(1e5, np.inf), lambda: Material([1e5, 2e5], [1e5, 2e5, 3e5]),
+    lambda: Material(np.ones((3, 3)), 1e5),
+    lambda: Material(1e5, 1e5, 1.0, [1.0, 2.0, 3.0]), lambda: Material(1e5, 1e5, 1.0, 0.1),
+], ids=["negative B", "B zero", "indefinite B", "asymmetric B", "B not a number", "text", "β zero", "negative β",
+        "negative μ", "infinite β", "lengths differ", "3 × 3", "three curvatures", "one curvature"])
+def test_materials_out_of_range_are_refused(bad):
+    print(refused(bad))
+
+
+@pytest.mark.parametrize("bad", [
+    lambda s, c, m: relax(s, m, c.take(np.arange(COUNT - 1))),
+    lambda s, c, m: relax(s.take(np.arange(COUNT - 1)), m, c),
+    lambda s, c, m: relax(s, m, replace(c, start=np.array([1, 2]))),
+    lambda s, c, m: relax(s, m, replace(c, start=7)),
+    lambda s, c, m: relax(s, m, replace(c, end_frame=c.end_frame[:, 0])),
+    lambda s, c, m: relax(s, m, replace(c, end_position=c.end_position[:, :2])),
+    lambda s, c, m: relax(replace(s, start=s.start[:3]), m, c),
+    lambda s, c, m: relax(replace(s, quaternions=s.quaternions[..., :3]), m, c),
+    lambda s, c, m: relax(s, m, c, configuration_index=[0.5, 1.5]),
+], ids=["fewer clamps", "fewer starts", "count of kinds", "no such clamp", "frames of one axis", "positions in a plane",
+        "fewer positions", "quaternions of three", "rows that are not whole"])
+def test_tables_that_do_not_match_are_refused(rods, bad):
+    start, clamps = rods
+    print(refused(lambda: bad(start, clamps, Material(1e5, 1e5))))

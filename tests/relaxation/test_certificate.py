@@ -1,0 +1,159 @@
+"""The certificate: it detects saddles, agrees with the dense Hessian's eigenvalues, and F leaves detected saddles."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from doo_ti.relaxation.external import Springs
+from doo_ti.relaxation.relax import Newton, relax
+from doo_ti.types import Clamp, Clamps, Configuration, Material
+from tests.oracle.chain_form import rod_of
+from tests.oracle.equilibrium import State, clamped_start, equilibrium
+from tests.references.rods import chain, clamps_at, jiggled, stacked
+from tests.relaxation.rods import definite, wandering, with_kinds
+
+EDGES = 16
+
+
+def planar_bow(distance: float, side: float, edges: int = EDGES) -> Configuration:
+    """48 mm of rod between clamps on one line, both tangents along it, bowed in the vertical plane, down or up."""
+    length = 48.0 / edges
+    along = np.sin(2 * np.pi * np.arange(edges) / (edges - 1))
+    size = brentq(lambda a: length * np.cos(a * along).sum() - distance, 0, 2)
+    return chain(np.stack([np.cos(size * along), 0 * along, side * np.sin(size * along)], axis=1), [0, 1, 0], length)
+
+
+def dense(start: Configuration, material: Material, clamps: Clamps, solution, row: int, **options):
+    """The oracle at what F returned for that rod, without moving it."""
+    rod = rod_of(start, material, row, **options)
+    state = State(solution.configuration.start[row], solution.configuration.quaternions[row].astype(np.float64))
+    return equilibrium(rod, state, clamped_start(start, clamps, row)[1], max_iterations=0, leave_saddles=False)
+
+
+PLANAR = [(distance, side) for distance in (24.0, 32.0, 40.0) for side in (-1.0, 1.0)]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
+def test_planar_rods_at_0_degrees_rest_on_saddles_and_leave_them(precision):
+    """No force acts out of their plane; with low twist stiffness, or standing, they have a lower minimum outside it."""
+    rods = stacked([planar_bow(*place) for place in PLANAR])
+    ratio = np.array([0.05, 0.2, 1.0, 5.0])
+    material = Material(1e5, 1e5 * ratio, 4.0)
+    rows = np.arange(len(PLANAR)).repeat(4), np.tile(np.arange(4), len(PLANAR))
+    index = {"configuration_index": rows[0], "material_index": rows[1], "precision": precision}
+    clamps = clamps_at(rods)
+    resting = relax(rods, material, clamps, Newton(max_escapes=0), **index)
+    saddles = ~resting.stable
+    assert resting.converged.all() and 6 <= saddles.sum() < len(saddles)
+    assert np.abs(resting.configuration.vertices[..., 1]).max() < 1e-3  # still planar
+    for rod in range(len(saddles)):
+        one = Material(1e5, material.twist[rows[1][rod]], 4.0)
+        place = [rows[0][rod]]
+        lone = Configuration(rods.start[place], resting.configuration.quaternions[[rod]], rods.rest_length[place])
+        state, ends = clamped_start(lone, clamps.take(place), 0)
+        here = equilibrium(rod_of(lone, one), state, ends, max_iterations=0, leave_saddles=False)
+        assert (here.smallest_eigenvalue < 0) == saddles[rod]
+    left = relax(rods, material, clamps, **index)
+    gained = resting.energy - left.energy
+    least = (gained / np.abs(resting.energy))[saddles].min()
+    print(f"{precision}: {saddles.sum()} of {len(saddles)} planar rods rest on a saddle; leaving them gains at least "
+          f"{least:.1e} of the energy, in {left.iterations[saddles].max()} iterations")
+    assert left.converged.all() and left.stable.all()
+    rounding = 1e-9 if precision != "f32" else 1e-5
+    assert (gained[saddles] > rounding * np.abs(resting.energy[saddles])).all()
+    assert (np.abs(gained[~saddles]) <= rounding * np.abs(resting.energy[~saddles])).all()
+
+
+def test_straight_rods_twisted_beyond_buckling():
+    """Straight and twisted, then shortened: an evenly twisted planar bow stays allowed, but writhing costs less, the
+    more so the more turns there are."""
+    turns = np.arange(7.0)
+    straight = np.tile([1.0, 0.0, 0.0], (EDGES, 1))
+    along = np.arange(EDGES) / (EDGES - 1)
+    rods = stacked([chain(straight, [0, 1, 0], 3.0, spin=2 * np.pi * turn * along) for turn in turns])
+    taut = clamps_at(rods)
+    clamps = replace(taut, end_position=taut.end_position - [4.0, 0.0, 0.0])
+    material = Material(4e5, 3e5, 1e-3)
+    solution = relax(rods, material, clamps)
+    assert solution.converged.all() and solution.stable.all()
+    for row in range(len(turns)):
+        here = dense(rods, material, clamps, solution, row)
+        assert here.residual < 1e-8 and here.smallest_eigenvalue > 0
+    gained = solution.energy[0] + 3e5 * (2 * np.pi * turns) ** 2 / (2 * 3.0 * (EDGES - 1)) - solution.energy
+    saved = np.round(gained / solution.energy[0], 3)
+    print(f"energy saved by writhing, over that of the planar bow, 0 to 6 turns: {saved}")
+    assert abs(gained[0]) < 1e-9 and (np.diff(gained) > 0.02 * solution.energy[0]).all()
+
+
+def test_standing_column_buckles():
+    """Exactly upright it is in balance whatever its weight; above the critical weight of 7.84 α/L³ that is a saddle."""
+    rod = chain(np.tile([0.0, 0.0, 1.0], (EDGES, 1)), [1, 0, 0], 3.0)
+    clamps = clamps_at(rod, Clamp.FRAME, Clamp.FREE)
+    length = 3.0 * (EDGES - 0.5)
+    critical = 7.837 * 1e5 / length**3 / 2
+    material = Material(1e5, 1e5, critical * np.array([0.5, 0.95, 1.05, 2.0]))
+    upright = relax(rod, material, clamps, Newton(max_escapes=0))
+    assert upright.converged.all() and upright.stable.tolist() == [True, True, False, False]
+    relaxed = relax(rod, material, clamps, Newton(tolerance=1e-9))
+    assert relaxed.converged.all() and relaxed.stable.all()
+    lean = np.linalg.norm(relaxed.configuration.vertices[:, -1, :2], axis=1)
+    print(f"tip of a column at 0.5, 0.95, 1.05 and 2 times its critical weight leans {np.round(lean, 3)} mm")
+    assert (lean[:2] < 1e-6).all() and (lean[2:] > 5).all()
+    assert (relaxed.energy[2:] < upright.energy[2:]).all()
+
+
+def test_certificate_is_the_sign_of_the_smallest_eigenvalue(rng):
+    """At every equilibrium that random rods end on, against dense eigenvalues."""
+    rods = wandering(rng, 24, 8, 3.0, wander=0.4, twist=0.4)
+    clamps = clamps_at(rods)
+    material = Material(definite(rng, 24), rng.uniform(2e4, 2e5, 24), 5.0)
+    start = jiggled(rods, rng, 0.3)
+    for solver in (Newton(max_escapes=0), Newton()):
+        solution = relax(start, material, clamps, solver)
+        assert solution.converged.all()
+        for row in range(24):
+            here = dense(start, material, clamps, solution, row)
+            assert here.residual < 1e-8
+            assert solution.stable[row] == (here.smallest_eigenvalue > 0), (row, here.eigenvalues[:3])
+
+
+def test_what_has_not_converged_is_not_certified(rng):
+    rods = wandering(rng, 6, 12)
+    solution = relax(jiggled(rods, rng, 0.2), Material(2e5, 1e5, 1.0), clamps_at(rods), Newton(max_iterations=4))
+    assert not solution.converged.any() and not solution.stable.any()
+
+
+def test_ribbons_bent_exactly_about_their_stiff_axis_turn_over():
+    """Planar at 0° with the stiff direction in the plane: every rod is at a saddle, and every rod leaves it."""
+    places = [(distance / 99 * 48, side) for distance in (42.0, 48.0, 54.0, 60.0, 66.0) for side in (-1.0, 1.0)]
+    short = stacked([planar_bow(*place, edges=33) for place in places])
+    rods = Configuration(short.start, short.quaternions, np.full(33, 3.0))
+    bend, ratio = (axis.ravel() for axis in np.meshgrid([5e4, 1.4e5, 4.2e5], [0.03, 0.1, 0.3]))
+    material = Material.diagonal(bend, 3 * bend, bend * ratio)
+    index = {"configuration_index": np.arange(10).repeat(9), "material_index": np.tile(np.arange(9), 10)}
+    resting = relax(rods, material, clamps_at(rods), Newton(max_escapes=0, tolerance=1e-6), **index)
+    assert resting.converged.all() and not resting.stable.any()
+    left = relax(rods, material, clamps_at(rods), **index)
+    print(f"{left.converged.sum()} of 90 converged; residuals of the others {left.residual[~left.converged]}")
+    assert (left.energy[left.converged] < resting.energy[left.converged]).all()
+    assert left.converged.all() and left.stable.all()
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("other", [Clamp.FREE, Clamp.FRAME])
+def test_an_upright_rod_under_springs_buckles_whatever_the_others_hold(other):
+    """60 mm upright with a free tip, of half the critical stiffness 2 μ L³/7.84: a saddle, also beside a rod held at both ends,
+    with which the kernel takes closure into account."""
+    upright = chain(np.tile([0.0, 0.0, 1.0], (20, 1)), [1, 0, 0], 3.0)
+    beside = chain(np.tile([1.0, 0.0, 0.0], (20, 1)), [0, 0, 1], 3.0, spin=0.05 * np.arange(20))
+    rods = stacked([upright, jiggled(beside, np.random.default_rng(0), 0.1)])
+    clamps = with_kinds(clamps_at(rods), [(Clamp.FRAME, Clamp.FREE), (Clamp.FRAME, other)])
+    springs = Springs(np.zeros((1, 21, 3)), np.zeros((1, 21)))
+    for bend, stands in ((8e4, True), (3e4, False)):
+        resting = relax(rods, Material(bend, 1e5), clamps, Newton(max_escapes=0), external=springs)
+        assert resting.converged[0] and resting.stable[0] == stands
+        left = relax(rods, Material(bend, 1e5), clamps, external=springs)
+        assert left.stable[0] and (abs(left.configuration.vertices[0, -1, 2] - 60.0) < 1e-6) == stands

@@ -1,0 +1,169 @@
+"""Rods with a free end under springs at their vertices: the Riccati sweep against dense f64 linear algebra."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from doo_ti import Clamp, Descent, InputError, Material, Newton, Springs, relax
+from tests.oracle.chain_form import rod_of
+from tests.oracle.equilibrium import State, clamped_start, free_variables, moved
+from tests.oracle.external import Springs as DenseSprings
+from tests.oracle.external import minimum, newton_step, total_energy
+from tests.references.rods import clamps_at, jiggled
+from tests.relaxation.rods import assert_same, definite, wandering, with_kinds
+
+STARTS = (Clamp.POSITION, Clamp.TANGENT, Clamp.FRAME)
+ENDS = tuple((start, Clamp.FREE) for start in STARTS)
+ALL_ENDS = tuple(product(Clamp, Clamp))
+UP = np.array([0.4, -0.5, 0.7])
+EDGES = 7
+
+
+def rods_under_springs(rng, count: int, isotropic: bool, strength: float = 300.0, edges: int = EDGES, ends=ENDS):
+    """``count`` rods for each pair of ``ends``, and springs to points some way off their vertices, a few of none."""
+    kinds = [pair for pair in ends for _ in range(count)]
+    rods = wandering(rng, len(kinds), edges, rng.uniform(1, 6, edges), wander=0.2, twist=0.2)
+    total = len(kinds)
+    if isotropic:
+        material = Material(rng.uniform(1e5, 3e5, total), rng.uniform(1e5, 3e5, total), 100.0)
+    else:
+        material = Material(definite(rng, total, edges), rng.uniform(1e5, 3e5, (total, edges - 1)), 100.0,
+                            0.01 * rng.normal(size=(total, edges - 1, 2)))
+    stiffness = strength * rng.uniform(0, 1, (total, edges + 1)) * (rng.uniform(size=(total, edges + 1)) < 0.8)
+    springs = Springs(rods.vertices + 2.0 * rng.normal(size=rods.vertices.shape), stiffness)
+    return jiggled(rods, rng, 0.03), with_kinds(clamps_at(rods), kinds), material, springs
+
+
+def dense(springs: Springs, row: int) -> DenseSprings:
+    return DenseSprings.at_vertices(springs.stiffness[row], springs.points[row])
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("isotropic", [True, False], ids=["isotropic", "general"])
+def test_minima_are_those_of_dense_linear_algebra(rng, isotropic):
+    start, clamps, material, springs = rods_under_springs(rng, 4, isotropic)
+    solution = relax(start, material, clamps, Newton.careful(tolerance=1e-9), up=UP, external=springs)
+    assert solution.converged.all() and solution.stable.all()
+    apart = []
+    for row in range(start.count):
+        rod = rod_of(start, material, row, up=UP)
+        found = State(solution.configuration.start[row], solution.configuration.quaternions[row])
+        state, ends = clamped_start(start, clamps, row)
+        assert solution.energy[row] == pytest.approx(total_energy(rod, dense(springs, row), found), rel=1e-12)
+        here = minimum(rod, dense(springs, row), found, ends, max_iterations=0)
+        assert here.residual < 1e-10
+        expected = minimum(rod, dense(springs, row), state, ends)
+        apart.append(abs(solution.energy[row] - expected.energy) / abs(expected.energy))
+    print(f"energies off by up to {max(apart):.1e}")
+    # Of a dozen rods one may find another minimum than the dense solver, certified all the same.
+    assert np.sum(np.array(apart) > 1e-10) <= 1
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("isotropic", [True, False], ids=["isotropic", "general"])
+def test_any_ends_may_be_held(rng, isotropic):
+    """All sixteen pairs of clamps: both ends held, or vertex 0 free to move; minimum, energy and force of the far clamp."""
+    start, clamps, material, springs = rods_under_springs(rng, 2, isotropic, ends=ALL_ENDS)
+    solution = relax(start, material, clamps, Newton.careful(tolerance=1e-9), up=UP, external=springs)
+    assert solution.converged.all() and solution.stable.all()
+    assert solution.closure.max() < 1e-12
+    for row in range(start.count):
+        rod = rod_of(start, material, row, up=UP)
+        found = State(solution.configuration.start[row], solution.configuration.quaternions[row])
+        _, ends = clamped_start(start, clamps, row)
+        assert solution.energy[row] == pytest.approx(total_energy(rod, dense(springs, row), found), rel=1e-12)
+        here = minimum(rod, dense(springs, row), found, ends, max_iterations=0)
+        assert here.residual < 1e-9 and here.eigenvalues[0] > -1e-9 * here.eigenvalues[-1]  # a round rod may spin freely
+        if ends.end != Clamp.FREE:
+            np.testing.assert_allclose(-solution.end_force[row], here.force, atol=1e-8 * np.abs(here.force).max())
+
+
+@pytest.mark.thorough
+def test_precisions_agree_with_any_ends(rng):
+    start, clamps, material, springs = rods_under_springs(rng, 2, True, ends=ALL_ENDS)
+    exact, single, mixed = (relax(start, material, clamps, Newton.careful(), up=UP, external=springs, precision=precision)
+                            for precision in ("f64", "f32", "mixed"))
+    for other, bound in ((single, 2e-3), (mixed, 1e-5)):
+        assert other.converged.all()
+        assert np.abs(other.configuration.vertices - exact.configuration.vertices).max() < bound
+
+
+@pytest.mark.parametrize("isotropic", [True, False], ids=["isotropic", "general"])
+def test_one_step_is_the_dense_one(rng, isotropic):
+    """Second trip of the loop: the frames the first step leads to."""
+    start, clamps, material, springs = rods_under_springs(rng, 3, isotropic)
+    near = relax(start, material, clamps, Newton(tolerance=1e-7), up=UP, external=springs).configuration
+    start = jiggled(near, rng, 0.004)
+    option = Newton(first_shift=0.0, max_iterations=2, max_rotation=1.0, tolerance=1e-28, max_escapes=0)
+    after = relax(start, material, clamps, option, up=UP, external=springs)
+    steps = 0
+    for row in range(start.count):
+        rod = rod_of(start, material, row, up=UP)
+        state, ends = clamped_start(start, clamps, row)
+        free = free_variables(rod, ends)
+        if isotropic and STARTS[row // 3] != Clamp.FRAME:
+            free = free[free != 3]  # the spin of a round rod is held
+        step = newton_step(rod, dense(springs, row), state, ends, free=free)
+        unknowns = np.concatenate([step.translation, step.rotation.ravel()])[free]
+        expected = moved(state, free, unknowns)
+        if not step.descends:
+            continue
+        steps += 1
+        frames = after.configuration.quaternions[row]
+        same_sign = np.sign(np.sum(frames * expected.quaternions, axis=1))[:, None]
+        # The trace on the diagonal, 1e-12 of it, shows in the softest motion.
+        assert np.abs(frames - same_sign * expected.quaternions).max() < 2e-9
+    assert steps >= 6
+
+
+@pytest.mark.parametrize("precision", ["f32", "f64", "mixed"])
+def test_long_rods_are_pulled_to_their_points(rng, precision):
+    """33 edges, stiff springs: the vertices come to the points, whose polygon has the rod's lengths."""
+    rods = wandering(rng, 20, 33, 3.0)
+    clamps = with_kinds(clamps_at(rods), [(Clamp.FRAME, Clamp.FREE)] * 20)
+    springs = Springs(rods.vertices, np.full((20, 34), 1e5))
+    solution = relax(jiggled(rods, rng, 0.02), Material(1e5, 1e5, 1.0), clamps, precision=precision, external=springs)
+    assert solution.converged.all() and solution.stable.all()
+    off = np.linalg.norm(solution.configuration.vertices - rods.vertices, axis=-1).max()
+    print(f"{precision}: {solution.iterations.mean():.1f} iterations, {off:.2g} mm off")
+    assert off < 0.2
+
+
+def test_a_rod_is_the_same_alone_and_in_any_company(rng):
+    start, clamps, material, springs = rods_under_springs(rng, 30, True)
+    together = relax(start, material, clamps, up=UP, precision="mixed", external=springs)
+    for row in (0, 17, 89):
+        alone = relax(start.take([row]), Material(material.bend[[row]], material.twist[[row]], material.weight[[row]]),
+                      clamps.take([row]), up=UP, precision="mixed",
+                      external=Springs(springs.points[[row]], springs.stiffness[[row]]))
+        assert_same(together, [row], alone, [0])
+
+
+def test_springs_of_no_stiffness_are_none(rng):
+    start, clamps, material, springs = rods_under_springs(rng, 2, True)
+    slack = Springs(springs.points, 0.0 * springs.stiffness)
+    one, other = relax(start, material, clamps, external=slack), relax(start, material, clamps)
+    np.testing.assert_allclose(one.energy, other.energy, rtol=1e-10)
+
+
+def test_rods_share_springs_by_index(rng):
+    start, clamps, material, springs = rods_under_springs(rng, 2, True)
+    rows = np.array([2, 2, 0, 1, 5, 3])
+    picked = Springs(springs.points[rows], springs.stiffness[rows])
+    one = relax(start, material, clamps, external=springs, external_index=rows)
+    assert_same(one, slice(None), relax(start, material, clamps, external=picked), slice(None))
+
+
+def test_wrong_input_is_reported_in_one_sentence(rng):
+    start, clamps, material, springs = rods_under_springs(rng, 1, True)
+    with pytest.raises(InputError, match="external energy"):
+        relax(start, material, clamps, Descent(), external=springs)
+    with pytest.raises(InputError, match="vertices"):
+        relax(start, material, clamps, external=Springs(np.zeros((3, 4, 3)), np.zeros((3, 4))))
+    with pytest.raises(InputError, match="external_index"):
+        relax(start, material, clamps, external=springs, external_index=[0, 1, 9])
+    with pytest.raises(InputError, match="external"):
+        relax(start, material, clamps, external_index=[0, 1, 2])
+    with pytest.raises(InputError, match="stiffness"):
+        Springs(np.zeros((1, 4, 3)), -np.ones((1, 4)))

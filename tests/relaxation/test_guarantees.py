@@ -1,0 +1,191 @@
+"""Guarantees for every rod: edge lengths, clamps, closure, unchanged inputs, independence of other rods."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doo_ti.relaxation.relax import Descent, Newton, relax
+from doo_ti.types import Clamp, Clamps, Configuration, Material, Status
+from tests.oracle.chain_form import rod_of
+from tests.oracle.equilibrium import State, energy_of
+from tests.references.rods import clamps_at, jiggled
+from tests.relaxation.rods import PAIRS, assert_same, definite, wandering, with_kinds
+
+EDGES = 20
+SOLVERS = {"newton": Newton(), "descent": Descent(tolerance=1e-2, max_iterations=300)}
+BAD = 37  # the place of the bad rod
+
+
+def rods_under_all_clamps(rng, count: int = len(PAIRS)):
+    rods = wandering(rng, count, EDGES, rng.uniform(1, 6, EDGES))
+    kinds = [PAIRS[k % len(PAIRS)] for k in range(count)]
+    return jiggled(rods, rng, 0.05), with_kinds(clamps_at(rods), kinds), kinds
+
+
+def read_only(*owners) -> list[tuple[np.ndarray, np.ndarray]]:
+    """All arrays of the dataclasses made read-only, each with a copy of it."""
+    arrays = [value for owner in owners for value in vars(owner).values() if isinstance(value, np.ndarray)]
+    for array in arrays:
+        array.setflags(write=False)
+    return [(array, array.copy()) for array in arrays]
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_inputs_are_never_modified(rng, solver):
+    """They may be read-only, and stay what they were, straight starts that have to bow among them."""
+    start, clamps, _ = rods_under_all_clamps(rng)
+    straight = np.tile(start.quaternions[0, 0], (EDGES, 1))
+    start = replace(start, quaternions=np.concatenate([straight[None], start.quaternions[1:]]))
+    material = Material(definite(rng, 2), [2e5, 3e5], [1.0, 2.0], 0.01 * rng.normal(size=(2, 2)))
+    kept = read_only(start, clamps, material)
+    rows = np.arange(len(PAIRS)), np.arange(len(PAIRS)) % 2
+    up = np.array([0.0, 0.6, 0.8])
+    kept += [(array, array.copy()) for array in (*rows, up)]
+    solution = relax(
+        start, material, clamps, SOLVERS[solver], up=up, configuration_index=rows[0], material_index=rows[1])
+    for array, copy in kept:
+        np.testing.assert_array_equal(array, copy)
+    outputs = (solution.configuration.quaternions, solution.configuration.start, solution.energy)
+    assert not any(np.shares_memory(out, array) for out in outputs for array, _ in kept)
+
+
+def test_layout_and_number_type_of_inputs_do_not_matter(rng):
+    start, clamps, _ = rods_under_all_clamps(rng)
+    material = Material(2e5, 1e5, 1.0)
+    plain = relax(start, material, clamps)
+    strided = Configuration(
+        np.asfortranarray(start.start), start.quaternions[::-1][::-1], np.asfortranarray(start.rest_length))
+    turned = Clamps(list(clamps.start), list(clamps.end), np.asfortranarray(clamps.start_position),
+                    np.asfortranarray(clamps.end_position), np.asfortranarray(clamps.start_frame),
+                    np.asfortranarray(clamps.end_frame))
+    assert_same(plain, slice(None), relax(strided, material, turned, up=[0, 0, 2]), slice(None))
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_edge_lengths_and_clamps_are_exact(rng, solver):
+    start, clamps, kinds = rods_under_all_clamps(rng)
+    solution = relax(start, Material(definite(rng, len(PAIRS)), 2e5, 1.0), clamps, SOLVERS[solver])
+    vertices, frames = solution.configuration.vertices, solution.configuration.frames
+    lengths = np.linalg.norm(np.diff(vertices, axis=1), axis=2)
+    print(f"{solver}: edge lengths within {np.abs(lengths - start.rest_length).max():.1e} mm")
+    assert np.abs(lengths - start.rest_length).max() < 1e-10
+    worst = 0.0
+    for row, pair in enumerate(kinds):
+        ends = ((0, pair[0], clamps.start_position, clamps.start_frame),
+                (-1, pair[1], clamps.end_position, clamps.end_frame))
+        for end, kind, position, frame in ends:
+            if kind >= Clamp.POSITION:
+                worst = max(worst, np.linalg.norm(vertices[row, end] - position[row]))
+            if kind >= Clamp.TANGENT:
+                assert np.abs(frames[row, end, :, 0] - frame[row, :, 0]).max() < 1e-14
+            if kind == Clamp.FRAME:
+                assert np.abs(frames[row, end] - frame[row]).max() < 1e-14
+    print(f"{solver}: clamped ends within {worst:.1e} mm, closure up to {solution.closure.max():.1e} of the length")
+    assert worst < 1e-9
+    total = start.rest_length.sum(axis=1)
+    closed = np.array([min(pair) >= Clamp.POSITION for pair in kinds])
+    assert (solution.closure[~closed] == 0).all()
+    apart = np.linalg.norm(vertices[:, -1] - clamps.end_position, axis=1)
+    np.testing.assert_allclose(solution.closure[closed], (apart / total)[closed], atol=1e-14)
+
+
+@pytest.mark.parametrize("precision", ["f64", "f32"])
+def test_energy_is_that_of_the_returned_shape(rng, precision):
+    """Bend, twist and gravity of what came back, by the oracle, the constant μ z_0 Σ l̄ included."""
+    start, clamps, _ = rods_under_all_clamps(rng)
+    material = Material(definite(rng, len(PAIRS), EDGES), 2e5, 20.0, 0.01 * rng.normal(size=(len(PAIRS), EDGES - 1, 2)))
+    up = np.array([0.3, -0.2, 0.9])
+    solution = relax(start, material, clamps, up=up, precision=precision)
+    errors = []
+    for row in range(len(PAIRS)):
+        state = State(solution.configuration.start[row], solution.configuration.quaternions[row].astype(np.float64))
+        energy, size = energy_of(rod_of(start, material, row, up=up), state)
+        errors.append(abs(solution.energy[row] - energy) / size)
+    print(f"{precision}: energies within {max(errors):.1e} of the sum of their terms")
+    assert max(errors) < (1e-13 if precision == "f64" else 2e-6)
+
+
+def spoiled(start: Configuration, clamps: Clamps, how: str) -> tuple[Configuration, Clamps, Status]:
+    """The tables with rod BAD made impossible, and the status that has to say so."""
+    def edited(array, place, value):
+        array = np.array(array)
+        array[(BAD, *place)] = value
+        return array
+
+    if how == "a frame is not a number":
+        return replace(start, quaternions=edited(start.quaternions, (7,), np.nan)), clamps, Status.NOT_FINITE
+    if how == "a clamp is not a number":
+        return start, replace(clamps, end_position=edited(clamps.end_position, (), np.nan)), Status.INFEASIBLE
+    return start, replace(clamps, end_position=edited(clamps.end_position, (), 1e3)), Status.INFEASIBLE
+
+
+SPOILED = ["a frame is not a number", "a clamp is not a number", "clamps too far apart"]
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
+@pytest.mark.parametrize("how", SPOILED)
+def test_one_bad_rod_does_not_spoil_its_neighbours(rng, how, precision):
+    check_neighbours(rng, how, Newton(), precision)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("how", SPOILED)
+def test_one_bad_rod_does_not_spoil_its_neighbours_in_descent(rng, how):
+    check_neighbours(rng, how, SOLVERS["descent"], "f64")
+
+
+def check_neighbours(rng, how: str, solver, precision: str) -> None:
+    start, clamps, _ = rods_under_all_clamps(rng, 60)
+    clamps = replace(clamps, start=Clamp.FRAME, end=Clamp.FRAME)
+    material = Material(2e5, 1e5, 1.0)
+    healthy = relax(start, material, clamps, solver, precision=precision)
+    bad_start, bad_clamps, status = spoiled(start, clamps, how)
+    solution = relax(bad_start, material, bad_clamps, solver, precision=precision)
+    others = np.flatnonzero(np.arange(60) != BAD)
+    assert_same(solution, others, healthy, others)
+    assert solution.status[BAD] == status and not solution.stable[BAD] and not solution.converged[BAD]
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_rod_that_is_not_finite_says_so(rng, solver):
+    start, clamps, _ = rods_under_all_clamps(rng, 60)
+    bad_start, _, _ = spoiled(start, clamps, SPOILED[0])
+    clamps = replace(clamps, start=Clamp.FRAME, end=Clamp.FRAME).take([BAD])
+    solution = relax(bad_start.take([BAD]), Material(2e5, 1e5, 1.0), clamps, SOLVERS[solver])
+    assert solution.status[0] == Status.NOT_FINITE
+
+
+def test_a_rod_that_is_not_finite_reports_no_other_rods_numbers(rng):
+    start, clamps, _ = rods_under_all_clamps(rng, 60)
+    clamps = replace(clamps, start=Clamp.FRAME, end=Clamp.FRAME)
+    bad_start, _, _ = spoiled(start, clamps, SPOILED[0])
+    solution = relax(bad_start, Material(2e5, 1e5, 1.0), clamps)
+    assert solution.status[BAD] == Status.NOT_FINITE
+    print(f"energy {solution.energy[BAD]}, residual {solution.residual[BAD]}, closure {solution.closure[BAD]}")
+    assert np.isnan([solution.energy[BAD], solution.residual[BAD], solution.closure[BAD]]).all()
+
+
+def test_an_infeasible_rod_reports_nothing(rng):
+    start, clamps, _ = rods_under_all_clamps(rng, 60)
+    clamps = replace(clamps, start=Clamp.FRAME, end=Clamp.FRAME)
+    _, far, _ = spoiled(start, clamps, SPOILED[-1])
+    solution = relax(start, Material(2e5, 1e5, 1.0), far)
+    assert np.isnan([solution.energy[BAD], solution.residual[BAD], solution.closure[BAD]]).all()
+    assert np.isnan(solution.configuration.quaternions[BAD]).all()
+    assert np.isnan(solution.configuration.vertices[BAD, 1:]).all()
+    assert solution.iterations[BAD] == 0
+
+
+@pytest.mark.parametrize("how", ["a clamp at infinity", "a frame of zeros", "two edges, both clamped"])
+def test_bad_rods_are_data_and_not_warnings(rng, how):
+    """Warnings are errors here: a rod that cannot be relaxed says so by its status alone."""
+    rods = wandering(rng, 3, 2 if how.startswith("two") else EDGES)
+    clamps = clamps_at(rods)
+    if how == "a clamp at infinity":
+        clamps = replace(clamps, start_position=np.where(np.arange(3)[:, None] == 1, np.inf, clamps.start_position))
+    if how == "a frame of zeros":
+        rods = replace(rods, quaternions=np.where(np.arange(3)[:, None, None] == 1, 0.0, rods.quaternions))
+        clamps = replace(clamps, start=Clamp.POSITION, end=Clamp.FREE)
+    assert relax(rods, Material(2e5, 1e5, 1.0), clamps).status[1] in (Status.NOT_FINITE, Status.INFEASIBLE)

@@ -1,0 +1,59 @@
+"""Results own their memory while they are referenced; later results reuse it afterwards."""
+
+import numpy as np
+import pytest
+
+from doo_ti import InputError, Material, relax
+from doo_ti.relaxation import tables
+from tests.references.rods import clamps_at
+from tests.relaxation.rods import wandering
+
+
+def relaxed(rng, count: int, bend: float):
+    rods = wandering(rng, count, 12)
+    return relax(rods, Material(bend, bend), clamps_at(rods), precision="f32")
+
+
+@pytest.mark.thorough
+def test_referenced_results_are_never_overwritten(rng):
+    held = [relaxed(rng, 400, 1e5 * (k + 1)) for k in range(4)]
+    copies = [solution.configuration.quaternions.copy() for solution in held]
+    for _ in range(6):
+        relaxed(rng, 400, 3e6)
+    for solution, copy in zip(held, copies):
+        np.testing.assert_array_equal(solution.configuration.quaternions, copy)
+
+
+@pytest.mark.thorough
+def test_a_view_keeps_its_memory(rng):
+    """Even one frame of one rod, taken from a solution that is gone."""
+    view = relaxed(rng, 400, 1e5).configuration.quaternions[7, 3]
+    copy = view.copy()
+    for _ in range(6):
+        relaxed(rng, 400, 3e6)
+    np.testing.assert_array_equal(view, copy)
+
+
+@pytest.mark.thorough
+def test_memory_that_nobody_holds_is_used_again(rng):
+    for _ in range(3):
+        relaxed(rng, 500, 1e5)
+    before = len(tables.pool)
+    for _ in range(20):
+        relaxed(rng, 500, 1e5)
+    assert len(tables.pool) == before
+
+
+@pytest.mark.thorough
+def test_pooled_memory_is_bounded(rng, monkeypatch):
+    monkeypatch.setattr(tables, "POOLED_BYTES", 500_000)
+    kept = [relaxed(rng, 500, 1e5) for _ in range(8)]
+    assert sum(array.nbytes for array in tables.pool) <= 500_000
+    assert len(kept) == 8
+
+
+def test_too_many_rods_for_one_call_are_refused(rng, monkeypatch):
+    monkeypatch.setattr(tables, "MOST_NUMBERS", 12 * 4 * 10)
+    relaxed(rng, 10, 1e5)
+    with pytest.raises(InputError, match=" 10 "):
+        relaxed(rng, 11, 1e5)

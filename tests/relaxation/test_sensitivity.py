@@ -1,0 +1,243 @@
+"""dΓ*/dΘ against dense linear algebra and against rods relaxed again; which rods have none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from doo_ti import Clamp, InputError, Material, Newton, Springs, relax
+from doo_ti.frames import matrix_from_quaternion, quaternion_about
+from doo_ti.relaxation.sensitivity import sensitivity, tilt_axes
+from tests.oracle.chain_form import rod_of
+from tests.oracle.equilibrium import clamped_start, free_variables
+from tests.oracle.sensitivity import dense_sensitivity
+from tests.references.rods import chain, clamps_at
+from tests.relaxation.rods import PAIRS, definite, wandering, with_kinds
+
+SHARP = Newton(tolerance=1e-10)
+EVERY = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "rest_curvature", "rest_curvature_per_joint", "gravity")
+PENDULUMS = [(Clamp.FREE, Clamp.POSITION), (Clamp.POSITION, Clamp.FREE)]
+UP = np.array([0.2, -0.1, 1.0])
+
+
+def materials(rng, kind: str, count: int) -> Material:
+    if kind == "round":
+        return Material(rng.uniform(1e5, 3e5, count), rng.uniform(1e5, 3e5, count), rng.uniform(0.5, 2.0, count))
+    bend = definite(rng, count) if kind == "ribbon" else definite(rng, count, 12)
+    return Material(bend, rng.uniform(1e5, 3e5, (count, 11)), 1.3, 0.01 * rng.normal(size=(count, 11, 2)))
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("kind", ["round", "ribbon", "edge by edge"])
+def test_it_is_the_dense_bordered_system_s(rng, kind):
+    """Every pair of clamps, every parameter, uneven lengths, slanted gravity."""
+    count = len(PAIRS)
+    rods = wandering(rng, count, 12, rest_length=rng.uniform(2, 4, 12))
+    clamps, material = with_kinds(clamps_at(rods), PAIRS), materials(rng, kind, count)
+    solution = relax(rods, material, clamps, SHARP, up=UP)
+    found = sensitivity(solution, EVERY)
+    np.testing.assert_array_equal(found.usable, solution.converged & solution.stable)
+    assert found.usable.sum() > 0.8 * count
+    errors = []
+    for row in np.flatnonzero(found.usable):
+        rod = rod_of(solution.configuration, material, row, up=UP)
+        state, ends = clamped_start(solution.configuration, clamps, row)
+        free = free_variables(rod, ends)
+        if kind == "round" and max(ends.start, ends.end) < Clamp.FRAME:
+            free = free[free != 3]  # the first spin is held
+        closed = ends.end != Clamp.FREE
+        vertices, rotations = dense_sensitivity(rod, solution.configuration.quaternions[row], free, closed, EVERY)
+        pair = PAIRS[row]
+        if pair in PENDULUMS:  # it rotates about the vertical at constant energy: its angle is not determined
+            swing = np.einsum("ekd,k->ed", solution.configuration.frames[row], UP / np.linalg.norm(UP))
+            share = np.einsum("ed,edp->p", swing, found.rotations[row] - rotations) / (swing**2).sum()
+            assert relative_errors(found.rotations[row] - swing[..., None] * share, rotations).max() < 1e-6, pair
+        else:
+            errors += [relative_errors(found.vertices[row], vertices), relative_errors(found.rotations[row], rotations)]
+            assert max(errors[-1].max(), errors[-2].max()) < 1e-8, pair
+    assert np.median(errors) < 1e-10
+    print(f"{kind}: median {np.median(errors):.1e}, largest {np.max(errors):.1e}")
+
+
+def relative_errors(own, dense) -> np.ndarray:
+    """(P,) of the columns of EVERY, each against its own largest entry where that matters at all."""
+    size = np.abs(dense).max(axis=(0, 1))
+    typical = np.concatenate([[2e5] * 4, [1.5e5, 1.0], [0.01] * 24, [1.0] * 3])
+    return np.abs(own - dense).max(axis=(0, 1)) / np.maximum(size, 1e-3 * (size * typical).max() / typical)
+
+
+def test_rods_relaxed_again_move_so(rng):
+    """Central differences of equilibria at residual 1e-12, directors and tilts of gravity included."""
+    rods = wandering(rng, 6, 12)
+    kinds = [(Clamp.FRAME, Clamp.FRAME), (Clamp.TANGENT, Clamp.FRAME), (Clamp.FREE, Clamp.FRAME)] * 2
+    clamps = with_kinds(clamps_at(rods), kinds)
+    bend, twist, rest, up = np.array([[2e5, 3e4], [3e4, 1e5]]), 1.5e5, np.array([2e-3, -1e-3]), UP / np.linalg.norm(UP)
+    solution = relax(rods, Material(bend, twist, 1.0, rest), clamps, SHARP, up=up)
+    found = sensitivity(solution, ("bend_1", "bend_12", "twist", "weight", "rest_curvature", "up"))
+    assert found.usable.all()
+    assert found.columns == ("bend_1", "bend_12", "twist", "weight", "rest_curvature[0]", "rest_curvature[1]", "up[0]", "up[1]")
+    steps = [20.0, 20.0, 15.0, 1e-4, 1e-6, 1e-6, 1e-4, 1e-4]
+
+    def moved(column, amount):
+        change = np.zeros(8)
+        change[column] = amount
+        b = bend + [[change[0], change[1]], [change[1], 0.0]]
+        turn = change[6] * tilt_axes(up)[0] + change[7] * tilt_axes(up)[1]
+        size = np.linalg.norm(turn)
+        towards = up if size == 0 else matrix_from_quaternion(quaternion_about(turn / size, size)) @ up
+        tilted = replace(solution, tables=replace(solution.tables, up=towards))
+        material = Material(b, twist + change[2], 1.0 + change[3], rest + change[4:6])
+        return relax(tilted, material, solver=replace(SHARP, first_shift=0.0)).configuration
+
+    for column, step in enumerate(steps):
+        plus, minus = moved(column, step), moved(column, -step)
+        for own, difference in (
+            (found.vertices[..., column], plus.vertices - minus.vertices),
+            (found.directors[..., column], plus.frames[..., 1] - minus.frames[..., 1]),
+        ):
+            np.testing.assert_allclose(own, difference / (2 * step), atol=1e-6 * np.abs(own).max())
+
+
+def test_parts_of_hanging_rods_are_those_of_the_whole(rng):
+    """Of rods that the far end holds alone, moved by it."""
+    rods = wandering(rng, 4, 12)
+    solution = relax(rods, Material(2e5, 1e5), with_kinds(clamps_at(rods), [(Clamp.FREE, Clamp.FRAME)] * 4), SHARP)
+    whole, part = (sensitivity(solution, ("bend", "twist", "end_shift"), None, *rows) for rows in ((), (1, 3)))
+    np.testing.assert_array_equal(part.configuration.vertices, solution.configuration.vertices[1:3])
+    np.testing.assert_allclose(part.vertices, whole.vertices[1:3], atol=1e-9)
+    assert len(whole.configuration.vertices) == 4
+
+
+def test_a_column_for_every_joint_adds_up_to_the_constant_one(rng):
+    rods = wandering(rng, 3, 12)
+    solution = relax(rods, Material(2e5, 1e5), clamps_at(rods), SHARP)
+    found = sensitivity(solution, ("rest_curvature", "rest_curvature_per_joint"))
+    together = found.vertices[..., 2:].reshape(3, 13, 3, 11, 2).sum(axis=3)
+    np.testing.assert_allclose(together, found.vertices[..., :2], atol=1e-10 * np.abs(together).max())
+
+
+def test_all_parameters_of_one_unit_change_nothing(rng):
+    """Only ratios of bend, twist and weight matter."""
+    rods = wandering(rng, 4, 12)
+    found = sensitivity(relax(rods, Material(2e5, 1e5, 0.7), clamps_at(rods), SHARP))
+    columns = found.vertices * [2e5, 1e5, 0.7]
+    assert np.abs(columns.sum(axis=-1)).max() < 1e-9 * np.abs(columns).max()
+
+
+def test_a_taut_rod_only_spins(rng):
+    rods = chain(np.tile([1.0, 0.0, 0.0], (8, 1)), [0, 0, 1], 3.0, spin=0.1 * np.arange(8))
+    ribbon = relax(rods, Material.diagonal(2e5, 1e5, 1e5), clamps_at(rods), SHARP)
+    assert ribbon.stable.all()
+    found = sensitivity(ribbon, ("bend_1", "twist", "weight", "rest_curvature"))
+    assert found.usable.all() and (found.vertices == 0).all()
+    assert (found.rotations[:, :, 1:] == 0).all() and np.isfinite(found.rotations).all()
+
+
+def test_rods_without_an_equilibrium_have_none(rng):
+    rods = wandering(rng, 1, 12).take([0, 0, 0])
+    clamps = clamps_at(rods)
+    clamps.end_position[1] += 1000.0
+    solution = relax(rods, Material(1e5, 1e5), clamps)
+    solution = replace(solution, stable=solution.stable & [True, True, False])
+    found = sensitivity(solution)
+    assert found.usable.tolist() == [True, False, False]
+    assert np.isnan(found.vertices[1:]).all() and np.isnan(found.rotations[1:]).all()
+    assert np.isfinite(found.vertices[0]).all()
+
+
+def test_a_rod_is_the_same_in_any_company(rng):
+    rods = wandering(rng, 30, 12)
+    solution = relax(rods, Material(np.geomspace(1e5, 3e5, 30), 1e5), clamps_at(rods))
+    alone = relax(rods.take([7]), Material(np.geomspace(1e5, 3e5, 30)[[7]], 1e5), clamps_at(rods).take([7]))
+    np.testing.assert_array_equal(sensitivity(solution).vertices[7], sensitivity(alone).vertices[0])
+
+
+@pytest.mark.thorough
+def test_the_layout_of_a_gpu_gives_the_same_bits(rng, monkeypatch):
+    """Threads interleaved in scratch, here run on the processor."""
+    rods = wandering(rng, 5, 12)
+    solution = relax(rods, Material(np.geomspace(1e5, 3e5, 5), 1e5), clamps_at(rods))
+    own = sensitivity(solution, EVERY)
+    monkeypatch.setattr("doo_ti.relaxation.sensitivity_kernel.runtime.start", lambda: "cuda")
+    there = sensitivity(solution, EVERY)
+    np.testing.assert_array_equal(own.vertices, there.vertices)
+    np.testing.assert_array_equal(own.rotations, there.rotations)
+
+
+def test_tilt_axes_are_across_up():
+    for up in ([0.0, 0.0, 1.0], UP / np.linalg.norm(UP), [0.0, 0.0, -1.0]):
+        axes = tilt_axes(np.array(up))
+        np.testing.assert_allclose(axes @ axes.T, np.eye(2), atol=1e-14)
+        np.testing.assert_allclose(axes @ up, 0, atol=1e-14)
+    np.testing.assert_array_equal(tilt_axes(np.array([0.0, 0.0, 1.0])), np.eye(3)[:2])
+
+
+def test_wrong_input_is_reported(rng):
+    rods = wandering(rng, 2, 12)
+    solution = relax(rods, Material(1e5, 1e5), clamps_at(rods))
+    for parameters, message in ((("bent",), "'bent' is unknown"), (("bend", "bend"), "once"), ((), "give a list"),
+                                ("bend", "give a list")):
+        with pytest.raises(InputError, match=message):
+            sensitivity(solution, parameters)
+    clamps = with_kinds(clamps_at(rods), [(Clamp.FRAME, Clamp.FREE)] * 2)
+    springs = Springs(rods.vertices, np.full((2, 13), 50.0))
+    with pytest.raises(InputError, match="external energy"):
+        sensitivity(relax(rods, Material(1e5, 1e5), clamps, external=springs))
+
+
+@pytest.mark.parametrize("kind", ["round", "ribbon"])
+def test_rods_follow_their_lengths_and_clamps(rng, kind):
+    """Lengths, the far clamp's place and both clamps' turns against rods relaxed again, for every pair of clamps."""
+    rods = wandering(rng, len(PAIRS), 12, rest_length=rng.uniform(2, 4, 12))
+    clamps, up = with_kinds(clamps_at(rods), PAIRS), UP / np.linalg.norm(UP)
+    material = Material(2e5, 1.5e5) if kind == "round" else Material(
+        np.array([[2e5, 3e4], [3e4, 1e5]]), 1.5e5, 1.0, np.array([2e-3, -1e-3]))
+    solution = relax(rods, material, clamps, SHARP, up=up)
+    found = sensitivity(solution, ("length", "end_shift", "start_turn", "end_turn"))
+    assert found.usable.sum() > 0.8 * len(PAIRS)
+
+    def again(change):
+        start_turn, end_turn = (Rotation.from_rotvec(turn).as_matrix() for turn in (change[4:7], change[7:]))
+        there = replace(clamps, end_position=clamps.end_position + change[1:4], start_frame=start_turn @ clamps.start_frame,
+                        end_frame=end_turn @ clamps.end_frame)
+        begin = replace(solution.configuration, rest_length=rods.rest_length * np.exp(change[0]))
+        return relax(begin, material, there, replace(SHARP, first_shift=0.0), up=up)
+
+    for column, step in enumerate([1e-5, *[1e-4] * 3, *[1e-5] * 6]):
+        plus, minus = again(step * np.eye(10)[column]), again(-step * np.eye(10)[column])
+        expected = (plus.configuration.vertices - minus.configuration.vertices) / (2 * step)
+        rows = found.usable & plus.converged & minus.converged
+        size = np.maximum(np.abs(expected).max(axis=(1, 2)), 1e-2)
+        error = np.abs(found.vertices[..., column] - expected).max(axis=(1, 2)) / size
+        assert rows.sum() > 0.8 * len(PAIRS) and error[rows].max() < 2e-5, found.columns[column]
+
+
+def test_a_taut_rod_cannot_follow_its_clamps(rng):
+    rods = chain(np.tile([1.0, 0.0, 0.0], (8, 1)), [0, 0, 1], 3.0, spin=0.1 * np.arange(8))
+    solution = relax(rods, Material.diagonal(2e5, 1e5, 1e5), clamps_at(rods), SHARP)
+    found = sensitivity(solution, ("twist", "length", "end_shift"))
+    assert np.isnan(found.vertices[..., 1:]).all() and (found.vertices[..., 0] == 0).all()
+
+
+def test_modes_add_up_what_joints_do(rng):
+    rods = wandering(rng, 3, 12)
+    solution = relax(rods, Material(2e5, 1e5), clamps_at(rods), SHARP)
+    modes = rng.normal(size=(2, 11, 2))
+    found = sensitivity(solution, ("modes", "rest_curvature_per_joint"), modes)
+    joints = found.vertices[..., 2:].reshape(3, 13, 3, 11, 2)
+    np.testing.assert_allclose(found.vertices[..., :2], np.einsum("rvkjc,mjc->rvkm", joints, modes), atol=1e-9)
+    for given in (None, modes[:, 1:]):
+        with pytest.raises(InputError, match="modes"):
+            sensitivity(solution, ("modes",), given)
+
+
+def test_blocks_of_rods_have_the_derivatives_of_all(rng):
+    rods = wandering(rng, 6, 12)
+    kinds = [(Clamp.FRAME, Clamp.FRAME), (Clamp.FREE, Clamp.FRAME), (Clamp.FRAME, Clamp.FREE)] * 2
+    solution = relax(rods, Material(2e5, 1e5), with_kinds(clamps_at(rods), kinds), SHARP)
+    names = ("bend", "length", "end_shift", "end_turn")
+    whole, part = sensitivity(solution, names), sensitivity(solution, names, first=2, last=5)
+    np.testing.assert_array_equal(part.vertices, whole.vertices[2:5])
+    np.testing.assert_array_equal(part.usable, whole.usable[2:5])
+    assert part.configuration.count == 3

@@ -1,0 +1,133 @@
+"""Every status, and the results of a rod that ends with it."""
+
+import numpy as np
+import pytest
+
+from doo_ti.errors import InputError
+from doo_ti.relaxation.newton import TOLERANCES
+from doo_ti.relaxation.relax import Descent, Newton, relax
+from doo_ti.types import Clamp, Clamps, Configuration, Material, Status
+from tests.references.rods import chain, clamps_at, jiggled
+from tests.relaxation.rods import wandering
+
+MATERIAL = Material(2e5, 1e5, 1.0)
+
+
+def bows(rng, count: int = 9):
+    rods = wandering(rng, count, 12)
+    return jiggled(rods, rng, 0.1), clamps_at(rods)
+
+
+def pulled(clamps: Clamps, excess_mm: float, reach_mm: float) -> Clamps:
+    """Both end tangents along x and the far end ``excess_mm`` further than the rod reaches."""
+    count = len(clamps.start_position)
+    frame = np.tile(np.eye(3), (count, 1, 1))
+    end = clamps.start_position + [reach_mm + excess_mm, 0.0, 0.0]
+    return Clamps(Clamp.FRAME, Clamp.FRAME, clamps.start_position, end, frame, frame)
+
+
+@pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
+def test_converged(rng, precision):
+    start, clamps = bows(rng)
+    solution = relax(start, MATERIAL, clamps, precision=precision)
+    assert (solution.status == Status.CONVERGED).all() and solution.converged.all() and solution.stable.all()
+    tolerance, closure = (TOLERANCES[32], 1e-7) if precision == "f32" else (TOLERANCES[64], 1e-12)
+    print(f"{precision}: residual up to {solution.residual.max():.1e}, closure up to {solution.closure.max():.1e}")
+    assert solution.residual.max() <= tolerance and solution.closure.max() <= closure
+    assert (solution.iterations > 1).all()
+    tight = relax(start, MATERIAL, clamps, Newton(tolerance=1e-10))
+    assert tight.converged.all() and tight.residual.max() <= 1e-10
+
+
+@pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
+def test_iteration_limit(rng, precision):
+    start, clamps = bows(rng)
+    solution = relax(start, MATERIAL, clamps, Newton(max_iterations=3), precision=precision)
+    assert (solution.status == Status.ITERATION_LIMIT).all() and not solution.stable.any()
+    # What f32 could not finish f64 takes over.
+    assert (solution.iterations == (3 if precision == "f64" else 6)).all() and (solution.precision == 64).all()
+    # The unfinished rod still satisfies its clamps.
+    vertices = solution.configuration.vertices
+    assert np.isfinite(solution.energy).all() and np.isfinite(vertices).all()
+    np.testing.assert_allclose(np.linalg.norm(np.diff(vertices, axis=1), axis=2), 3.0, atol=1e-5)
+
+
+def test_iteration_limit_of_descent(rng):
+    start, clamps = bows(rng)
+    solution = relax(start, MATERIAL, clamps, Descent(max_iterations=7))
+    assert (solution.status == Status.ITERATION_LIMIT).all() and (solution.iterations == 7).all()
+    assert (solution.residual > 1e-4).all() and np.isfinite(solution.energy).all()
+
+
+def test_stalled(rng):
+    """A tolerance below rounding: the rod stops by itself, long before the limit, as good as it can be."""
+    start, clamps = bows(rng)
+    solution = relax(start, MATERIAL, clamps, Newton(tolerance=1e-17))
+    print(f"f64 floor: residuals {solution.residual.min():.1e} to {solution.residual.max():.1e}")
+    assert (solution.status == Status.STALLED).all() and not solution.stable.any()
+    assert (solution.iterations < 100).all() and (solution.residual < 1e-10).all()
+
+
+@pytest.mark.parametrize("solver", [Newton(), Descent(max_iterations=20)], ids=["newton", "descent"])
+@pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
+def test_infeasible_by_a_hair(rng, precision, solver):
+    """The clamped edges taken off, the span exceeds the free rest lengths, by any amount above rounding."""
+    start, clamps = bows(rng, 3)
+    for excess in (1e-6, 0.1, 100.0):
+        solution = relax(start, MATERIAL, pulled(clamps, excess, 36.0), solver, precision=precision)
+        assert (solution.status == Status.INFEASIBLE).all(), excess
+        assert np.isnan(solution.energy).all() and not solution.stable.any() and (solution.iterations == 0).all()
+
+
+def test_a_clamped_edge_counts_for_the_span():
+    """Bent back clamps take their edges' length twice: 33 mm of rod cannot span 30 mm so."""
+    rod = chain(np.tile([1.0, 0.0, 0.0], (11, 1)), [0, 0, 1], 3.0)
+    back = np.diag([-1.0, -1.0, 1.0])[None]
+    ends = np.array([[30.0, 0.0, 0.0]])
+    backwards = Clamps(Clamp.FRAME, Clamp.FRAME, np.zeros((1, 3)), ends, back, back)
+    assert relax(rod, MATERIAL, backwards).status[0] == Status.INFEASIBLE
+    forwards = Clamps(Clamp.FRAME, Clamp.FRAME, np.zeros((1, 3)), ends, np.eye(3)[None], np.eye(3)[None])
+    assert relax(rod, MATERIAL, forwards).status[0] == Status.CONVERGED
+    positions = Clamps(Clamp.POSITION, Clamp.POSITION, np.zeros((1, 3)), ends, back, back)
+    assert relax(rod, MATERIAL, positions).status[0] == Status.CONVERGED
+
+
+@pytest.mark.parametrize("bad", [
+    lambda: Newton(tolerance=0.0), lambda: Newton(tolerance=-1e-9), lambda: Newton(max_iterations=0),
+    lambda: Newton(max_rotation=0.0), lambda: Newton(max_rotation=2.0), lambda: Newton(first_shift=-1.0),
+    lambda: Newton(tolerance=np.nan), lambda: Descent(tolerance=0.0), lambda: Descent(max_iterations=0),
+    lambda: Descent(largest_move=0.0), lambda: Descent(largest_move=0.5)])
+def test_options_out_of_range_are_refused(bad):
+    with pytest.raises(InputError) as caught:
+        bad()
+    assert caught.value.field and caught.value.remedy
+
+
+@pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
+@pytest.mark.parametrize("start, end", [(Clamp.FRAME, Clamp.FREE), (Clamp.FREE, Clamp.FRAME)])
+def test_a_rod_whose_place_is_not_finite(rng, precision, start, end):
+    """Its shape does not depend on its place, but without one it has neither vertices nor energy."""
+    rods, held = bows(rng)
+    positions = {"start_position": held.start_position.copy(), "end_position": held.end_position.copy()}
+    positions["start_position" if end == Clamp.FREE else "end_position"][[2, 5], 1] = np.nan, np.inf
+    clamps = Clamps(start, end, **positions, start_frame=held.start_frame, end_frame=held.end_frame)
+    solution = relax(rods, MATERIAL, clamps, precision=precision)
+    lost = np.isin(np.arange(len(solution.status)), [2, 5])
+    np.testing.assert_array_equal(solution.status == Status.NOT_FINITE, lost)
+    assert solution.converged[~lost].all() and not solution.stable[lost].any()
+    for value in (solution.energy, solution.residual, solution.end_force, solution.configuration.quaternions):
+        assert np.isnan(value[lost]).all() and np.isfinite(value[~lost]).all()
+
+
+@pytest.mark.parametrize("kind", [Clamp.POSITION, Clamp.FRAME])
+@pytest.mark.parametrize("slack", [0.0, 1e-10, 2e-9, 2e-8, 9e-8, 1.1e-7, 5e-7, 1e-6, 1e-5])
+def test_straight_rods_with_little_slack(kind, slack):
+    """Straight to a ten-millionth of their length, which closure reports; bowed from there on."""
+    far = np.array([[99.0 * (1 - slack), 0.0, 0.0]])
+    rods = Configuration(np.zeros((1, 3)), np.tile([1.0, 0, 0, 0], (1, 33, 1)), np.full(33, 3.0))
+    clamps = Clamps(kind, kind, np.zeros((1, 3)), far, np.eye(3)[None], np.eye(3)[None])
+    solution = relax(rods, Material(6e5, 8e5), clamps)
+    assert solution.converged.all() and solution.stable.all()
+    missed = np.linalg.norm(solution.configuration.vertices[0, -1] - far[0]) / 99
+    np.testing.assert_allclose(solution.closure, missed, atol=1e-15)
+    assert missed <= 1e-7

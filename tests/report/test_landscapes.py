@@ -1,0 +1,132 @@
+"""Several landscapes in one picture, a ribbon's regimes, and where cells lie in a picture."""
+
+import io
+import re
+
+import numpy as np
+import pytest
+
+from doo_ti.report import (
+    LandscapePanel,
+    cells_image,
+    landscape_colors,
+    landscape_image,
+    landscape_picture,
+    landscapes_picture,
+)
+from doo_ti.report.plane import Plane, regime
+from tests.record import runs
+
+
+def plane(rng) -> Plane:
+    grid = runs.grid()
+    values = rng.uniform(1, 9, grid.shape)
+    return Plane.of(runs.axes(grid), values, np.unravel_index(np.argmin(values), grid.shape))
+
+
+def ribbon(count: int = 6, twist=(5e5,)) -> tuple[list, np.ndarray]:
+    bends = np.geomspace(5e4, 1e7, count)
+    axes = [("bend_1", bends, True, "mm³"), ("bend_2", bends, True, "mm³"), ("twist", np.array(twist), True, "mm³"),
+            ("weight", np.ones(1), True, "")]
+    return axes, np.arange(1.0, count * count * len(twist) + 1).reshape(count, count, len(twist), 1)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("relative", [False, True])
+def test_boxes_lie_on_the_cells_they_are_of(relative, rng):
+    panels = [LandscapePanel("one", plane(rng)), LandscapePanel("two", plane(rng), (("", (0, 0)), ("x", (4, 3)))),
+              LandscapePanel("three", plane(rng))]
+    index = np.unravel_index(np.arange(runs.BENDS * runs.RATIOS), runs.grid().shape)
+    image, boxes = cells_image([panels[:2], panels[2:]], index, relative=relative)
+    assert boxes.shape == (runs.BENDS * runs.RATIOS, 3, 4)
+    for panel, places in zip(panels, boxes.swapaxes(0, 1), strict=True):
+        values = panel.plane.values / (np.nanmin(panel.plane.values) if relative else 1.0)
+        corner = np.floor(places[:, :2] + 0.25 * places[:, 2:]).astype(int)  # aside of stars, marks and their lines
+        seen = image[corner[:, 1], corner[:, 0]].astype(int).reshape(runs.BENDS, runs.RATIOS, 3)
+        if relative:  # one scale: the larger of two cells is not darker in any panel
+            brightness = seen.sum(axis=-1)
+            assert brightness.flat[np.argmax(values)] > brightness.flat[np.argmin(values)]
+        else:
+            right = np.abs(seen - landscape_colors(values, values).astype(int)).max(axis=-1) <= 2
+            assert right.mean() > 0.8
+        assert (places[:, 2:] > 3).all()
+
+
+def test_cells_of_hidden_axes_lie_where_the_others_put_them(rng):
+    counts = {"bend": 1, "a": 4, "b": 3, "c": 5}
+    axes = [(name, np.arange(1.0, count + 1), False, "") for name, count in counts.items()]
+    whole = Plane.of(axes, rng.uniform(1, 2, (1, 4, 3, 5)), (0, 0, 0, 0))
+    index = np.unravel_index(np.arange(60), (1, 4, 3, 5))
+    np.testing.assert_array_equal(whole.places(index), index[1:3])
+    line = Plane.of(axes[:2], rng.uniform(1, 2, (1, 4)), (0, 0))
+    np.testing.assert_array_equal(line.places(([0, 0], [3, 1])), [[3, 1], [0, 0]])
+
+
+def test_a_line_s_boxes_are_as_high_as_its_axes(rng):
+    axes = [("bend", np.geomspace(1e5, 1e7, 5), True, "mm³"), ("weight", np.ones(1), True, "")]
+    line = Plane.of(axes, rng.uniform(1, 2, (5, 1)), (0, 0))
+    _, boxes = cells_image([[LandscapePanel("line", line)]], (np.arange(5), np.zeros(5, int)), relative=True)
+    np.testing.assert_allclose(boxes[1:, 0, 0], boxes[:-1, 0, 0] + boxes[:-1, 0, 2], atol=1e-6)
+    assert np.ptp(boxes[..., 3]) < 1e-9 and boxes[0, 0, 3] > 100
+
+
+def test_regimes_are_the_paper_s():
+    for bend_1, bend_2, twist, number in ((1, 2, 3, 1), (2, 1, 3, 1), (2, 3, 1, 2), (3, 2, 1, 3), (3, 1, 2, 0),
+                                          (1, 3, 2, 0), (1, 1, 1, 0), (2, 2, 1, 0)):
+        assert regime(bend_1, bend_2, twist) == number
+    axes, values = ribbon()
+    assert Plane.of(axes, values).twist == 5e5
+    axes, values = ribbon(twist=(1e5, 5e5))
+    assert Plane.of(axes, values).twist is None
+    grid = runs.grid()
+    assert Plane.of(runs.axes(grid), np.ones(grid.shape)).twist is None
+
+
+@pytest.mark.thorough
+def test_regimes_and_region_are_drawn():
+    axes, values = ribbon()
+
+    def image(axes, region=None):
+        return landscape_image(Plane.of(axes, values, (0, 0, 0, 0)), title="made up", region=region)
+
+    plain = image(axes)
+    angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    ellipse = np.stack([1e6 * np.exp(np.cos(angle)), 1e6 * np.exp(0.5 * np.sin(angle))], axis=-1)
+    region = image(axes, ellipse)
+    orange = (np.abs(region.astype(int) - (255, 159, 28)).max(axis=-1) < 8).sum()
+    assert orange > 500 > 20 > (np.abs(plain.astype(int) - (255, 159, 28)).max(axis=-1) < 8).sum()
+    without, _ = ribbon()
+    without[2] = ("twist_ratio", np.ones(1), True, "")
+    assert (image(without) != plain).mean() > 0.001
+    buffer = io.BytesIO()
+    landscape_picture(buffer, Plane.of(axes, values, (0, 0, 0, 0)), title="made up", region=ellipse)
+    assert buffer.getvalue().startswith(b"\x89PNG")
+
+
+@pytest.mark.thorough
+def test_every_panel_and_key_is_inside_the_picture(rng):
+    from doo_ti.report.landscapes import draw_panels
+
+    axes, values = ribbon(twist=(5e5,))
+    counts = np.zeros(values.shape, int)
+    counts[1, 1], values[2, 2] = 4, np.nan
+    whole = Plane.of(axes, values, (0, 0, 0, 0), counts)
+    lost = Plane.of(axes, np.full(values.shape, np.nan))
+    rows = [[LandscapePanel(f"ribbon {k}", whole, (("30, 42", (5, 5)), ("54", (4, 5)))) for k in range(5)],
+            [LandscapePanel("nothing", lost)]]
+    for relative in (False, True):
+        figure, drawn = draw_panels(rows, "made up", "others", relative)
+        figure.canvas.draw()
+        width, height = figure.canvas.get_width_height()
+        boxes = [one.title.get_window_extent() for one, _ in drawn] + [key.get_window_extent() for key in figure.legends]
+        assert len(drawn) == 6
+        for box in boxes:
+            assert 0 <= box.x0 < box.x1 <= width and 0 <= box.y0 < box.y1 <= height
+        numbers = [re.findall(r"\d+", text.get_text()) for text in figure.legends[0].get_texts()]
+        assert ["5", "20"] in numbers and ["41"] in numbers, "cells that do not compete, their rods, and cells not evaluated"
+
+
+def test_pictures_of_several_are_png(tmp_path, rng):
+    panels = [LandscapePanel(name, plane(rng)) for name in ("one", "two")]
+    landscapes_picture(tmp_path / "several.png", [panels], title="made up")
+    assert (tmp_path / "several.png").read_bytes().startswith(b"\x89PNG")

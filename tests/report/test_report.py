@@ -1,0 +1,165 @@
+"""The landscape's picture: its elements and their places, for every shape of grid."""
+
+import io
+
+import numpy as np
+import pytest
+
+from doo_ti.report import (
+    LandscapePanel,
+    MovingRods,
+    angle_curves_picture,
+    distance_colors,
+    landscape_colors,
+    landscape_image,
+    landscape_picture,
+    landscapes_picture,
+    motions_picture,
+    quantity,
+)
+from doo_ti.report.plane import Plane, cell_edges, valley_cells
+from tests.record import runs
+from tools.bench.curves import Panel, panels_picture
+from tools.trials.twist_picture import angle_errors_picture
+
+GREY = (154, 154, 154)
+
+
+def run() -> tuple[list, np.ndarray]:
+    grid = runs.grid()
+    return runs.axes(grid), runs.landscape().reshape(grid.shape)
+
+
+@pytest.mark.thorough
+def test_picture_and_image_are_one_drawing(tmp_path):
+    from PIL import Image
+
+    landscape_picture(tmp_path / "landscape.png", runs.plane(), title="made up")
+    buffer = io.BytesIO()
+    landscape_picture(buffer, runs.plane(), title="made up")
+    image = landscape_image(runs.plane(), title="made up")
+    assert image.shape == (1200, 1600, 3)
+    assert image.dtype == np.uint8
+    for source in (tmp_path / "landscape.png", buffer):
+        np.testing.assert_array_equal(np.asarray(Image.open(source).convert("RGB")), image)
+
+
+def test_a_name_is_no_mathematics():
+    """matplotlib parses text between dollar signs as mathematics, in which this is an error."""
+    landscape_picture(io.BytesIO(), runs.plane(), title="a$^{$ b")
+
+
+@pytest.mark.thorough
+def test_names_in_titles_legends_and_panels_are_no_mathematics():
+    name, vertices = "a$^{$ b", np.cumsum(np.ones((3, 1, 5, 3)), axis=2)
+    landscapes_picture(io.BytesIO(), [[LandscapePanel(name, runs.plane(), ((name, (0, 0)),))]], title=name)
+    panels_picture(io.BytesIO(), [Panel(name, "rods", "rods a second", {name: ([1, 2, 4], [1, 2, 3])}, grown) for grown in
+                                  (True, False)], name)
+    rods = MovingRods(np.arange(3.0), vertices, [name], np.zeros((3, 1), int), np.ones((3, 1), bool))
+    motions_picture(io.BytesIO(), rods, title=name)
+    angle_errors_picture(io.BytesIO(), {name: np.arange(9.0)}, success_deg=5.0, title=name)
+    angle = np.arange(0.0, 360.0, 90.0)
+    angle_curves_picture(io.BytesIO(), angle, angle[None], phi=[0.0], low=[0.0], high=[9.0], names=[name],
+                         unsound=np.zeros((1, 4), bool), title=name)
+
+
+@pytest.mark.thorough
+def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
+    axes, values = run()
+
+    def image(values, unfinished=None):
+        return landscape_image(Plane.of(axes, values, (2, 1, 0), unfinished), title="made up")
+
+    def grey(image):
+        return (image == GREY).all(axis=-1).sum()
+
+    plain = image(values)
+    filled = image(np.nan_to_num(values, nan=5.0))
+    assert grey(plain) > 20_000 > 100 > grey(filled)
+    counts = np.zeros(values.shape, int)
+    counts[0, 0] = 3
+    assert (image(values, counts) != plain).any()
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("shape", [(1, 1, 1), (7, 1, 1), (1, 1, 4), (3, 2, 2), (25, 30, 1), (3, 3, 3, 2)])
+@pytest.mark.parametrize("empty", [False, True])
+def test_every_shape_of_grid_is_drawn_with_its_key_inside_the_picture(shape, empty, rng):
+    from doo_ti.report.landscapes import draw_landscape
+
+    names = ["bend_1", "bend_2", "twist", "weight"]
+    axes = [(name, np.geomspace(5e4, 1.26e7, count), name != "weight", "mm³")
+            for name, count in zip(names, shape, strict=False)]
+    values = np.full(shape, np.nan) if empty else rng.uniform(0.5, 40, shape)
+    minimum = None if empty else np.unravel_index(np.argmin(values), shape)
+    unfinished = rng.integers(0, 60, shape)
+    if not empty and values.size > 1:
+        values.flat[(np.argmin(values) + 1) % values.size] = np.nan
+    figure = draw_landscape(Plane.of(axes, values, minimum, unfinished), "made up")
+    figure.canvas.draw()
+    width, height = figure.canvas.get_width_height()
+    for box in [key.get_window_extent() for key in figure.legends] + [figure.axes[0].title.get_window_extent()]:
+        assert 0 <= box.x0 < box.x1 <= width
+        assert 0 <= box.y0 < box.y1 <= height
+
+
+def test_more_than_two_free_axes_show_the_minimum_over_the_others(rng):
+    counts = {"bend": 1, "a": 4, "b": 3, "c": 5, "d": 2}
+    axes = [(name, np.arange(1.0, count + 1), False, "") for name, count in counts.items()]
+    values = rng.uniform(1, 2, (1, 4, 3, 5, 2))
+    minimum = np.unravel_index(np.argmin(values), values.shape)
+    unfinished = rng.integers(0, 9, values.shape)
+    plane = Plane.of(axes, values, minimum, unfinished)
+    np.testing.assert_array_equal(plane.values, values[0].min(axis=(2, 3)))
+    assert plane.minimum == minimum[1:3]
+    assert plane.hidden == ("c", "d")
+    assert plane.best == tuple((axis[0], axis[1][k], "") for axis, k in zip(axes[1:], minimum[1:], strict=True))
+    at = np.unravel_index(np.argmin(values[0, 2, 1]), (5, 2))
+    assert plane.unfinished[2, 1] == unfinished[0, 2, 1][at]
+
+
+def test_valley_is_within_five_percent_and_leaves_nan_out():
+    values = np.array([[1.0, 1.05, 1.0501], [np.nan, 2.0, 1.02]])
+    np.testing.assert_array_equal(valley_cells(values, (0, 0)), [[True, True, False], [False, False, True]])
+    assert not valley_cells(values, None).any()
+
+
+@pytest.mark.parametrize(("values", "minimum", "at_border"), [([3, 1, 2], 1, False), ([1, 2, 3], 0, True)])
+def test_minimum_at_the_border_is_reported(values, minimum, at_border):
+    assert Plane.of([("bend", [1, 2, 4], True, "mm³")], values, (minimum,)).at_border == at_border
+
+
+def test_cells_meet_halfway():
+    np.testing.assert_allclose(cell_edges(("a", [1.0, 2.0, 4.0], False, "")), [0.5, 1.5, 3.0, 5.0])
+    np.testing.assert_allclose(cell_edges(("a", [1.0, 100.0], True, "")), [0.1, 10.0, 1000.0])
+    np.testing.assert_allclose(cell_edges(("a", [5.0], False, "")), [4.5, 5.5])
+
+
+def test_surface_leaves_out_what_was_not_evaluated():
+    axes, values = run()
+    points, triangles = Plane.of(axes, values, (2, 1, 0)).surface()
+    assert points.shape == (runs.BENDS, runs.RATIOS, 3)
+    np.testing.assert_allclose(points[:, 0, 0], np.linspace(0, 1, runs.BENDS))
+    corners = points[np.isfinite(points[..., 2])][triangles]
+    area = 0.5 * np.linalg.det(corners[:, 1:, :2] - corners[:, :1, :2])
+    cells = (runs.BENDS - 1) * (runs.RATIOS - 1)
+    np.testing.assert_allclose(area.sum(), 1 - 1 / cells)
+    assert (area > 0).all()
+
+
+def test_colors_are_the_picture_s_and_never_a_colour_for_nan():
+    distance = np.array([0.4, 1.0, np.nan, 9.0])
+    for colors in (landscape_colors(distance, distance), distance_colors(distance)):
+        assert colors.shape == (4, 3)
+        assert colors.dtype == np.uint8
+        assert tuple(colors[2]) == GREY
+        assert len({tuple(color) for color in colors}) == 4
+    assert distance_colors(np.full(3, np.nan)).tolist() == [list(GREY)] * 3
+
+
+@pytest.mark.parametrize(("value", "text"), [
+    (0, "0"), (0.7471, "0.747"), (14.07, "14.1"), (9999.9, "10⁴"), (123456, "1.23×10⁵"), (1e6, "10⁶"),
+    (3.2e-5, "3.2×10⁻⁵"), (np.nan, "nan")])
+def test_quantities_are_written_for_people(value, text):
+    assert quantity(value) == text
+    assert quantity(value, "mm") == f"{text} mm"
