@@ -31,7 +31,7 @@ OLD_CURVATURES = {"rest_curvature": "uniform", "rest_curvature_per_joint": "fiel
 
 
 def declare(add) -> None:
-    parser = given.command(add, "refine", run, "fit material parameters with confidence intervals, starting from a sweep or one Θ")
+    parser = given.command(add, "refine", run, "fit parameters with confidence intervals, starting from a sweep or one Θ")
     parser.add_argument("sources", nargs="+", metavar="RUN|OBS",
                         help="folders that sweep wrote, to start from their best cells, or "
                         "observations: .npz, .csv or .parquet")
