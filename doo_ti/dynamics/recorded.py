@@ -179,13 +179,23 @@ def elapsed_steps(positions: np.ndarray) -> np.ndarray:
                 moves[:, max(0, offset) : moves.shape[1] + min(0, offset)])
     usual = np.nanmedian(around, axis=0)
     square = np.sum(usual**2, axis=(-2, -1))
+    # Longer than the moves on both sides: a gripper that starts or stops at once moves usually on one of them.
+    sides = np.stack([_median(around[:NEIGHBOURS]), _median(around[NEIGHBOURS:])])
+    fastest = np.nanmax(np.sum(sides**2, axis=(-2, -1)), axis=0)
     number = np.sum(moves * usual, axis=(-2, -1)) / np.maximum(square, 1e-12)
     left = np.sum((moves - number[..., None, None] * usual) ** 2, axis=(-2, -1))
     all_moves = np.sum(moves**2, axis=(-2, -1))
     lost = (number > LEAST_JUMP) & (left < LARGEST_MISFIT * all_moves) & (all_moves > SMALLEST_JUMP**2)
+    lost &= all_moves > LEAST_JUMP**2 * fastest
     steps = np.ones(positions.shape[:2], dtype=np.int64)
     steps[:, 1:][lost] = np.clip(np.rint(number[lost]), 1, MOST_LOST).astype(np.int64)
     return steps
+
+
+def _median(values: np.ndarray) -> np.ndarray:
+    """Over the first axis, NaN only where there is nothing else."""
+    some = np.isfinite(values).any(axis=0)
+    return np.where(some, np.nanmedian(np.where(some, values, 0.0), axis=0), np.nan)
 
 
 def confused_frames(positions: np.ndarray) -> np.ndarray:
