@@ -42,7 +42,7 @@ def declare(add) -> None:
     parser.add_argument("--precision", choices=("f32", "f64"), default="f64", help="arithmetic (default f64)")
     parser.add_argument("--fill-gaps", action="store_true",
                         help="take markers that were not seen from lines between the frames around")
-    given.add_up(parser, "0,0,1")
+    given.add_up(parser, "the one in THETA.json, else 0,0,1")
     parser.add_argument("--picture", metavar="F.png", help="also draw rods and errors over time (default: no)")
     parser.add_argument("--recording", metavar="F.rrd", help="also record the motion for the viewer (default: no)")
     parser.add_argument("--animation", metavar="F.gif|F.webp", help="also write a short animation (default: no)")
