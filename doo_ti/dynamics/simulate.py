@@ -35,7 +35,7 @@ from doo_ti.relaxation.time_sweep import (
 )
 from doo_ti.types import Clamp, Configuration, Material, Status, unit_up
 
-NUMBERS_AT_ONCE = 16_000_000
+NUMBERS_AT_ONCE = 32_000_000
 """Numbers of positions that a launch writes."""
 
 
@@ -179,23 +179,21 @@ class _Motion:
         index = np.arange(table.count) if of_rod else table.material_index % rows
         return numbers, self._shares(factor)[0][of_material], index
 
-    def path(self, table: Tables) -> np.ndarray:
-        """(S, steps, PATH_COLUMNS) where the clamps are at the end of every step."""
-        g, count = self.grippers, self.start.count
-        path = np.zeros((g.count, g.instants - 1, PATH_COLUMNS))
+    def path(self, steps: slice) -> np.ndarray:
+        """(S, steps, PATH_COLUMNS) where the clamps are at the end of these steps."""
+        g, after = self.grippers, slice(steps.start + 1, steps.stop + 1)
         kinds = np.broadcast_to(np.asarray(g.start), (g.count,)), np.broadcast_to(np.asarray(g.end), (g.count,))
-        free = (kinds[0] == Clamp.FREE)[:, None, None]
-        # A free vertex 0 is reckoned from where it starts.
-        first = np.asarray(self.start.start, dtype=np.float64)
-        path = np.broadcast_to(path, (count, *path.shape[1:])).copy()
-        path[..., PATH_ANCHOR : PATH_ANCHOR + 3] = np.where(free, first[:, None], g.start_position[:, 1:])
-        held = (kinds[1] != Clamp.FREE)[:, None, None]
+        path = np.zeros((self.start.count, steps.stop - steps.start, PATH_COLUMNS))
+        # A free vertex 0 is measured from where it starts.
+        first = np.asarray(self.start.start, dtype=np.float64)[:, None]
+        path[..., PATH_ANCHOR : PATH_ANCHOR + 3] = np.where((kinds[0] == Clamp.FREE)[:, None, None], first,
+                                                            g.start_position[:, after])
         path[..., PATH_TARGET : PATH_TARGET + 3] = np.where(
-            held, g.end_position[:, 1:] - path[..., PATH_ANCHOR : PATH_ANCHOR + 3], 0.0)
+            (kinds[1] != Clamp.FREE)[:, None, None], g.end_position[:, after] - path[..., PATH_ANCHOR : PATH_ANCHOR + 3], 0.0)
         path[..., PATH_ENDS] = path[..., PATH_ENDS + 4] = 1.0
         for column, kind, frames in ((PATH_ENDS, kinds[0], g.start_frame), (PATH_ENDS + 4, kinds[1], g.end_frame)):
             if (kind >= Clamp.TANGENT).any():
-                path[..., column : column + 4] = _frames(frames[:, 1:], kind)
+                path[..., column : column + 4] = _frames(frames[:, after], kind)
         return path
 
     def slopes(self, table: Tables, factor: float, directions: Sequence[Direction], memory: np.ndarray) -> Slopes | None:
@@ -233,7 +231,7 @@ class _Motion:
             trial = _memory(frames, x, v, a, table, self.step, status.copy())
             numbers, shares, rows = self.numbers(table, 1.0)
             table.external_index[:] = rows
-            path = np.ascontiguousarray(self.path(table)[:, :1])
+            path = self.path(slice(0, 1))
             slopes = self.slopes(table, 1.0, directions, remembered)
             make_steps(table, trial, path, numbers, shares, np.array([self.step, 1.0, 0.0]), 1, _newton(), 64, slopes)
             moved = trial.places[..., VELOCITY_1 : VELOCITY_1 + 3]
@@ -251,26 +249,30 @@ class _Motion:
         table = self.table(factor)
         slopes = self.slopes(table, factor, directions, remembered)
         numbers, shares, table.external_index[:] = self.numbers(table, factor)
-        path = self.path(table)
         time = np.array([self.step, factor, (factor - 1.0) / factor])
-        frames = path.shape[1] // self.substeps
+        frames = (self.grippers.instants - 1) // self.substeps
         numbers_a_frame = 3 * table.count * (table.edges + 1) * (1 if slopes is None else 1 + slopes.count)
         at_once = max(1, min(frames, NUMBERS_AT_ONCE // numbers_a_frame))
         positions, outcomes, changes = [], [], []
         for first in range(0, frames, at_once):
             part = slice(first * self.substeps, min(frames, first + at_once) * self.substeps)
-            where, outcome, change = make_steps(table, memory, np.ascontiguousarray(path[:, part]), numbers, shares, time,
-                                                self.substeps, _newton(), bits, slopes)
+            where, outcome, change = make_steps(table, memory, self.path(part), numbers, shares, time, self.substeps, _newton(),
+                                                bits, slopes)
             positions.append(where)
             outcomes.append(outcome)
             changes.append(change)
             if progress is not None:
                 progress(min(frames, first + at_once))
-        outcome = np.concatenate(outcomes, axis=1)
+        outcome = _joined(outcomes)
         return Trajectory(
-            np.concatenate(positions, axis=1), outcome[..., STATE].astype(np.int8), outcome[..., TRIPS].astype(np.int32),
+            _joined(positions), outcome[..., STATE].astype(np.int8), outcome[..., TRIPS].astype(np.int32),
             outcome[..., MOMENT], outcome[..., END_FORCE:], self.stepping.rate, memory,
-            None if slopes is None else changes[0] if len(changes) == 1 else np.concatenate(changes, axis=1))
+            None if slopes is None else _joined(changes))
+
+
+def _joined(parts: list[np.ndarray]) -> np.ndarray:
+    """The frames of several launches; a copy only where there are several."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
 
 def _newton() -> Newton:

@@ -103,7 +103,8 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
     rods[:, of.EXTERNAL_ROW] = table.external_index[rods[:, of.RESULT_ROW]]
     steps = path.shape[1]
     frames = steps // every
-    positions = np.full((table.count * frames, table.edges + 1, 3), np.nan)
+    positions = room(table.count * frames, table.edges + 1, 3)
+    positions[...] = np.nan
     outcome = np.zeros((table.count, frames, OUTCOMES))
     outcome[:, :, STATE] = memory.status[:, None]
     position_slopes = None
