@@ -34,7 +34,7 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
     when = [rerun.TimeColumn("time", duration=np.arange(frames) / rate)]
     with recording(path, f"rollout {name}", name, layout) as stream:
         log_up(stream, "/world", grid.basis[2])
-        for entity, shown, color, width in (("recorded", seen, OBSERVED, 2.5), ("simulated", rods, SIMULATED, 1.5)):
+        for entity, shown, color, width in (("recorded", seen, OBSERVED, 0.7), ("simulated", rods, SIMULATED, 1.2)):
             if shown is None:
                 continue
             placed = shown + grid.offset[:, None, None]
