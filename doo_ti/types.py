@@ -15,7 +15,7 @@ from enum import IntEnum
 import numpy as np
 
 from doo_ti.errors import InputError, real_array
-from doo_ti.frames import matrix_from_quaternion, vertices_from_quaternions
+from doo_ti.frames import across, bishop_frames, matrix_from_quaternion, quaternion_from_matrix, vertices_from_quaternions
 from doo_ti.physical_units import bend_or_twist, force_in_newton
 
 LARGEST = 1e30
@@ -192,6 +192,12 @@ class Configuration:
         """The rods named by ``index``, in that order."""
         lengths = self.rest_length if self.rest_length.ndim == 1 else self.rest_length[index]
         return Configuration(self.start[index], self.quaternions[index], lengths)
+
+    @classmethod
+    def straight(cls, start: np.ndarray, direction: np.ndarray, length: float, edges: int) -> "Configuration":
+        """One rod of that ``length`` in mm, straight from ``start`` (3,) in the unit ``direction`` (3,), without twist."""
+        frame = quaternion_from_matrix(bishop_frames(direction[None, None], across(direction[None])))
+        return cls(np.array(start, dtype=np.float64)[None], np.tile(frame, (1, edges, 1)), np.full(edges, length / edges))
 
     @classmethod
     def concatenate(cls, parts: Sequence["Configuration"]) -> "Configuration":

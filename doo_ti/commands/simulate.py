@@ -28,6 +28,7 @@ class _Simulated:
     up: np.ndarray
     recorded: np.ndarray | None = None
     glitches: tuple[str, ...] = ()
+    alone: bool = False  # one recording, written without an axis for several
     energies: dict[str, np.ndarray] | None = None  # (R, T) each
 
 
@@ -55,12 +56,12 @@ def run(options: Namespace, words: list[str]) -> int:
     shown = {kind: _shown(kind, text) for kind, text in (
         ("picture", options.picture), ("recording", options.recording), ("animation", options.animation)) if text is not None}
     up = given.world_up(options)
-    scene = Path(options.source).suffix == ".toml"
-    found = _scene(options, substeps, up) if scene else _recorded(options, out, substeps, up)
+    from_scene = Path(options.source).suffix == ".toml"
+    found = _scene(options, substeps, up) if from_scene else _recorded(options, out, substeps, up)
     for path in shown.values():
         path.parent.mkdir(parents=True, exist_ok=True)
     arrays, summary = _results(found, out)
-    if not scene and np.load(options.source)["positions_mm"].ndim == 3:
+    if found.alone:
         arrays = {key: value[0] if key in ("positions_mm", "status", "error_mm") else value for key, value in arrays.items()}
     save_arrays(out, arrays)
     _draw(found, shown)
@@ -97,7 +98,7 @@ def _recorded(options: Namespace, out: Path, substeps: int | None, up: np.ndarra
         positions, status = predicted(motion, [theta], chosen, options.precision,
                                       lambda done: bar.update(task, completed=motion.count * done))
     return _Simulated(Path(options.source).stem, list(motion.names), positions[:, 0], status[:, 0], motion.rate, theta.up,
-                      motion.positions, tuple(motion.glitches()))
+                      motion.positions, tuple(motion.glitches()), motion.alone)
 
 
 def _scene(options: Namespace, substeps: int | None, up: np.ndarray) -> _Simulated:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from doo_ti.dynamics.parameters import GRAVITY, Dynamics
+from doo_ti.dynamics.parameters import GRAVITY, Dynamics, vertex_lengths
 from doo_ti.types import Material
 
 
@@ -13,9 +13,7 @@ def energies(positions: np.ndarray, rest_length: np.ndarray, material: Material,
     material, dynamics  one row for each rod, straight at rest; bending is Σ α |κb|²/l̄ (§III-C E_bend). What the sum loses is
                         dissipated, or was done at the grippers.
     """
-    share = np.zeros(positions.shape[2])
-    share[:-1] += 0.5 * rest_length
-    share[1:] += 0.5 * rest_length
+    share = vertex_lengths(rest_length)
     weight = material.weight[:, None, None]
     density = weight if dynamics.density is None else dynamics.column("density", len(positions))[:, None, None]
     point = dynamics.point_masses(len(positions), positions.shape[2])[:, None]

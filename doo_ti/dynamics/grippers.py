@@ -8,11 +8,12 @@ from doo_ti.errors import InputError, real_array
 from doo_ti.frames import (
     FRAME_TOLERANCE,
     across,
+    bishop_frames,
     matrix_from_quaternion,
     orthonormality_error,
+    quaternion_about,
     quaternion_from_matrix,
     quaternion_product,
-    smallest_rotation,
 )
 from doo_ti.types import Clamp, Clamps
 
@@ -96,8 +97,8 @@ _PATHS = ("start_position", "end_position", "start_frame", "end_frame")
 
 
 def edge_frames(edges: np.ndarray, first: np.ndarray | None = None) -> np.ndarray:
-    """(S, T, 3, 3) frames along recorded edges (S, T, 3), parallel-transported from instant to instant: an edge that does not
-    turn about itself.
+    """(S, T, 3, 3) frames of an edge at T instants (S, T, 3), parallel-transported from each to the next, as a Bishop frame is
+    along a rod: the edge does not turn about itself.
 
     first  (S, 3) m1 of the first instant, made orthogonal; by default a coordinate axis across the edge.
 
@@ -107,15 +108,7 @@ def edge_frames(edges: np.ndarray, first: np.ndarray | None = None) -> np.ndarra
     if not (length > 0).all():
         raise InputError("edge_frames", "edges", "an edge without length", "give two distinct points of each gripper")
     t = edges / length
-    m1 = across(t[:, 0]) if first is None else first - np.sum(first * t[:, 0], axis=-1, keepdims=True) * t[:, 0]
-    frames = np.empty((*t.shape, 3))
-    for k in range(t.shape[1]):
-        if k:
-            m1 = np.einsum("sij,sj->si", matrix_from_quaternion(smallest_rotation(t[:, k - 1], t[:, k])), m1)
-            m1 -= np.sum(m1 * t[:, k], axis=-1, keepdims=True) * t[:, k]
-        m1 = m1 / np.linalg.norm(m1, axis=-1, keepdims=True)
-        frames[:, k, :, 0], frames[:, k, :, 1], frames[:, k, :, 2] = t[:, k], m1, np.cross(t[:, k], m1)
-    return frames
+    return bishop_frames(t, across(t[:, 0]) if first is None else first)
 
 
 def _cubic(points: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -134,8 +127,8 @@ def _turning(frames: np.ndarray, share: np.ndarray) -> np.ndarray:
     here, there = q[:, :-1], q[:, 1:]
     turn = quaternion_product(there, here * [1.0, -1.0, -1.0, -1.0])
     turn = np.where(turn[..., :1] < 0, -turn, turn)
-    angle = np.arctan2(np.linalg.norm(turn[..., 1:], axis=-1), turn[..., 0])[..., None, None]
+    angle = np.arctan2(np.linalg.norm(turn[..., 1:], axis=-1), turn[..., 0])[..., None]
     axis = turn[..., None, 1:] / np.maximum(np.linalg.norm(turn[..., None, 1:], axis=-1, keepdims=True), 1e-300)
-    part = np.concatenate([np.cos(share[:, None] * angle), np.sin(share[:, None] * angle) * axis], axis=-1)
+    part = quaternion_about(axis, 2.0 * share * angle)
     between = quaternion_product(part, np.broadcast_to(here[:, :, None], part.shape))
     return matrix_from_quaternion(np.concatenate([between.reshape(len(q), -1, 4), q[:, -1:]], axis=1))

@@ -128,7 +128,7 @@ class Identified:
 
 
 def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOptions = IdentifyOptions(),
-             report: Callable[[str, int, float], None] | None = None) -> Identified:
+             report: Callable[[int, int, float], None] | None = None) -> Identified:
     """The Θ of the rod that all recordings of ``motion`` show, from ``begin`` on.
 
     report  called with the horizon, the iteration and the mean error in mm

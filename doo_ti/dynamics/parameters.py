@@ -17,6 +17,14 @@ MOST_RATE = 1e7
 """Instants per second."""
 
 
+def vertex_lengths(rest_length: np.ndarray) -> np.ndarray:
+    """(..., V) the length of rod that each vertex stands for, half of both edges beside it, from (..., E) lengths, mm."""
+    length = np.zeros((*rest_length.shape[:-1], rest_length.shape[-1] + 1))
+    length[..., :-1] += 0.5 * rest_length
+    length[..., 1:] += 0.5 * rest_length
+    return length
+
+
 @dataclass(frozen=True)
 class Stepping:
     """The instants of a motion and the time steps between them.

@@ -13,17 +13,17 @@ from doo_ti.io.files import read_content
 from doo_ti.types import Clamp, Configuration
 
 LEAST_JUMP, LARGEST_MISFIT, SMALLEST_JUMP = 1.7, 0.2, 10.0
-"""Frames are missing where all gripper markers together move by more than this multiple of their usual move, but for this share
-of the squares, and by so many mm (root of the sum of squares)."""
+"""Frames are missing where the gripper markers together move by more than the first times their usual move; where what that
+multiple does not explain is below the second, a share of the sum of squares; and where they move by more than the third, mm."""
 NEIGHBOURS = 3
 """Frames on either side that tell how fast a gripper is."""
 MOST_LOST = 100
 """Frames that may be missing at one place."""
 LARGEST_TURN = np.radians(60.0)
-"""A gripper that turns by more in one frame was not seen right: markers were confused."""
+"""A gripper that seems to turn by more in one frame does not: its markers were confused."""
 FINE, SWAPPED, LOST = 0, 1, 2
 MOST_CONFUSED = 50
-"""Frames after which it is believed that it did turn."""
+"""Frames after which such a turn is taken as real."""
 LARGEST_REACH = 0.999
 """Share of the rod's length between grippers, at most: beyond, the far gripper is moved back."""
 MOST_MM = 1e6
@@ -42,6 +42,7 @@ class RecordedMotion:
     elapsed    (R, T) steps of 1/rate since the frame before: more than one where frames are missing from the recording
     confused   (R, T, 2) of the start gripper's and the end gripper's markers: FINE, SWAPPED, or LOST, where they contradict the
                frames around, from which the gripper is then taken
+    alone      the one recording came without an axis for several
 
     Raises InputError for shapes that do not fit and numbers that are not finite.
     """
@@ -51,12 +52,14 @@ class RecordedMotion:
     names: tuple[str, ...]
     elapsed: np.ndarray
     confused: np.ndarray
+    alone: bool = False
 
     @classmethod
     def of(cls, positions, rate: float, names=None, source: str = "motion") -> "RecordedMotion":
         """With ``elapsed`` found from how the grippers move."""
         positions = np.asarray(positions, dtype=np.float64)
-        if positions.ndim == 3:
+        alone = positions.ndim == 3
+        if alone:
             positions = positions[None]
         if positions.ndim != 4 or positions.shape[-1] != 3 or positions.shape[2] < 5 or positions.shape[1] < 3:
             raise InputError(source, "positions_mm", f"shape {positions.shape}",
@@ -70,7 +73,7 @@ class RecordedMotion:
         if (np.abs(positions) > MOST_MM).any():
             raise InputError(source, "positions_mm", f"up to {np.abs(positions).max():.3g} mm from the origin", "give mm")
         names = tuple(str(k) for k in (range(len(positions)) if names is None else names))
-        return cls(positions, float(rate), names, elapsed_steps(positions), confused_frames(positions))
+        return cls(positions, float(rate), names, elapsed_steps(positions), confused_frames(positions), alone)
 
     @classmethod
     def load(cls, path: str | Path, fill_gaps: bool = False) -> "RecordedMotion":
@@ -90,13 +93,12 @@ class RecordedMotion:
         positions, rate = found["positions_mm"].astype(np.float64), found["rate_hz"]
         if rate.size != 1:
             raise InputError(path, "rate_hz", f"shape {rate.shape}", "give one number: frames per second")
-        if positions.ndim == 3:
-            positions = positions[None]
-        if fill_gaps and positions.ndim == 4:
-            positions = _filled(positions, path)
+        if fill_gaps and positions.ndim in (3, 4):
+            positions = _filled(positions if positions.ndim == 4 else positions[None], path).reshape(positions.shape)
         names = found.get("recording")
-        if names is not None and names.shape != positions.shape[:1]:
-            raise InputError(path, "recording", f"shape {names.shape}", f"give ({len(positions)},) names")
+        count = 1 if positions.ndim == 3 else len(positions) if positions.ndim else 0
+        if names is not None and names.shape != (count,):
+            raise InputError(path, "recording", f"shape {names.shape}", f"give ({count},) names")
         return cls.of(positions, float(rate.reshape(())), None if names is None else names.tolist(), str(path))
 
     @classmethod
@@ -159,7 +161,7 @@ def _filled(positions: np.ndarray, path: Path) -> np.ndarray:
     for r, v in np.argwhere(~np.isfinite(positions).all(axis=(1, 3))):
         seen = np.isfinite(positions[r, :, v]).all(axis=-1)
         if not seen.any():
-            raise InputError(path, "positions_mm", f"marker {v} of recording {r} is nowhere finite", "leave that recording out")
+            raise InputError(path, "positions_mm", f"marker {v} of recording {r} is never finite", "leave that recording out")
         for axis in range(3):
             result[r, :, v, axis] = np.interp(np.arange(len(seen)), np.flatnonzero(seen), positions[r, seen, v, axis])
     return result

@@ -49,8 +49,8 @@ from msgspec import Meta
 from doo_ti.dynamics.grippers import Grippers, edge_frames
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.errors import InputError
-from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
-from doo_ti.io.toml_file import Finite, NotNegative, Positive, Table, Vector, checked, read_toml
+from doo_ti.frames import across
+from doo_ti.io.toml_file import Finite, NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.terminal import in_line
 from doo_ti.types import Clamp, Configuration, Material
 
@@ -129,8 +129,8 @@ def load_dynamic_scene(path: str | Path) -> DynamicScene:
     frames = round(file.duration_s * file.rate_hz)
     if not 1 <= frames <= MOST_FRAMES:
         raise InputError(path, "duration_s", f"{frames} frames at rate_hz", f"give 1 to {MOST_FRAMES:,}")
-    direction = _unit(path, "rod.direction", rod.direction)
-    start = _straight(rod, direction)
+    direction = unit_direction(path, "rod.direction", rod.direction)
+    start = Configuration.straight(rod.position_mm, direction, rod.length_mm, rod.edges)
     time = np.arange(frames + 1) / file.rate_hz
     grippers = _grippers(path, file, clamps, start, direction, time)
     names = tuple(map(in_line, file.materials))
@@ -139,27 +139,12 @@ def load_dynamic_scene(path: str | Path) -> DynamicScene:
                         grippers, Stepping(file.rate_hz, file.substeps, file.scheme))
 
 
-def _unit(path: Path, key: str, vector) -> np.ndarray:
-    length = np.linalg.norm(vector)
-    if not length > 0:
-        raise InputError(path, key, "no direction", "give a vector X, Y, Z that is not zero")
-    return np.array(vector) / length
-
-
-def _straight(rod: _Rod, direction: np.ndarray) -> Configuration:
-    tangents = np.tile(direction, (1, rod.edges, 1))
-    frames = bishop_frames(tangents, across(direction)[None])
-    return Configuration(np.array([rod.position_mm]), quaternion_from_matrix(frames),
-                         np.full(rod.edges, rod.length_mm / rod.edges))
-
-
 def _materials(path: Path, table: dict) -> tuple[Material, Dynamics]:
     found = [checked(path, f"materials.{name}", values, _Material) for name, values in table.items()]
 
     def column(name):
         return np.array([getattr(one, name) for one in found])
-    bend = column("bend")
-    weight = column("weight")
+    bend, weight = column("bend"), column("weight")
     density = np.array([one.weight if one.density is None else one.density for one in found])
     if not (density > 0).all():
         raise InputError(path, f"materials.{list(table)[int(np.argmin(density))]}.density", "missing for a rod without weight",
@@ -184,7 +169,7 @@ def _grippers(path: Path, file: _File, clamps: _Clamps, start: Configuration, di
         for key in now:
             value = getattr(moment, key)
             if value is not None:
-                now[key] = _unit(path, f"moments[{k}].{key}", value) if key.endswith("direction") else np.array(value)
+                now[key] = unit_direction(path, f"moments[{k}].{key}", value) if key.endswith("direction") else np.array(value)
         if moment.time_s == at[-1]:
             at.pop()
             for key in now:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.parameters import GRAVITY, RATES, Direction, Dynamics, MovingStart, Stepping
+from doo_ti.dynamics.parameters import GRAVITY, RATES, Direction, Dynamics, MovingStart, Stepping, vertex_lengths
 from doo_ti.errors import InputError
 from doo_ti.frames import (
     quaternion_from_matrix,
@@ -49,8 +49,8 @@ class Trajectory:
     residual    (R, F) the largest residual of those steps
     end_force   (R, F, 3) force of the far clamp on the rod, mm (energy per mm), zero where an end is free
     rate        frames per second
-    memory      what the rods remember at the last frame, from where :func:`simulate` goes on
-    slopes      (R, F, P, V, 3) derivatives of positions by the parameters that were asked for, or None
+    memory      frames, positions and velocities at the last two instants
+    slopes      (R, F, P, V, 3) derivatives of positions along the ``directions`` of :func:`simulate`, or None
     """
 
     positions: np.ndarray
@@ -126,39 +126,33 @@ class _Motion:
 
     def _stiffened(self, factor: float) -> Material:
         """The material with the stiffness and the rest curvature that damping adds."""
-        shares, damped = self._shares(factor)
         m = self.material
-        if damped:
-            stiffer = 1.0 / (1.0 - shares)
-            count = len(stiffer)
-            rest = np.zeros((1, 1, 2)) if m.rest_curvature is None else m.rest_curvature
-            m = Material(np.broadcast_to(m.bend, (count, *m.bend.shape[1:])) * stiffer[:, :1, None, None],
-                         np.broadcast_to(m.twist, (count, m.twist.shape[1])) * stiffer[:, 1:],
-                         np.broadcast_to(m.weight, (count,)),
-                         np.broadcast_to(rest, (count, *rest.shape[1:])) * (1.0 - shares[:, :1, None]))
-        return m
+        if not self.dynamics.is_damped:
+            return m
+        shares = self._shares(factor)
+        stiffer = 1.0 / (1.0 - shares)
+        rest = np.zeros((1, 1, 2)) if m.rest_curvature is None else m.rest_curvature
+        return Material(m.bend * stiffer[:, :1, None, None], m.twist * stiffer[:, 1:], m.weight,
+                        rest * (1.0 - shares[:, :1, None]))
 
-    def _shares(self, factor: float) -> tuple[np.ndarray, bool]:
-        """((G, 2) shares of rest curvature and twist that damping makes, r = τ a/h / (1 + τ a/h), whether any)."""
-        count = max(self.material.count, self.dynamics.count)
-        tau = np.stack([self.dynamics.column(name, count) for name in ("bend_damping", "twist_damping")], axis=1)
+    def _shares(self, factor: float) -> np.ndarray:
+        """(G, 2) shares of rest curvature and twist that damping adds, r = τ a/h / (1 + τ a/h)."""
+        tau = np.stack([self.dynamics.column(name, self.material.count) for name in ("bend_damping", "twist_damping")], axis=1)
         stiffening = tau * factor / self.step
-        return stiffening / (1.0 + stiffening), self.dynamics.is_damped
+        return stiffening / (1.0 + stiffening)
 
     def numbers(self, table: Tables, factor: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(numbers (N, V, -), shares (N, 2), (R,) row of each rod), see :func:`.make_steps`."""
         lengths = table.rest_length
         vertices = self.start.edges + 1
         of_rod = self.springs is not None and self.springs.count > 1 or len(lengths) > 1
-        rows = table.count if of_rod else max(self.material.count, self.dynamics.count)
+        rows = table.count if of_rod else self.material.count
         of_material = table.material_index if of_rod else np.arange(rows)
         if len(lengths) > 1:
             lengths = lengths[table.configuration_index]
-        share = np.zeros((len(lengths), vertices))
-        share[:, :-1] += 0.5 * lengths
-        share[:, 1:] += 0.5 * lengths
-        count = max(self.material.count, self.dynamics.count)
-        weight = np.broadcast_to(self.material.weight, (count,))[of_material]
+        share = vertex_lengths(lengths)
+        count = self.material.count
+        weight = self.material.weight[of_material]
         density = weight if self.dynamics.density is None else self.dynamics.column("density", count)[of_material]
         if not (density > 0).all():
             raise InputError("simulate", "density", "zero, since the material has no weight", "give Dynamics(density=...)")
@@ -176,8 +170,8 @@ class _Motion:
                 raise InputError("simulate", "springs", f"points of shape {shape}", f"give 1 or R rows of {vertices} vertices")
             numbers[..., SPRING - INERTIA] = self.springs.stiffness
             numbers[..., SPRING_POINT - INERTIA :] = self.springs.points
-        index = np.arange(table.count) if of_rod else table.material_index % rows
-        return numbers, self._shares(factor)[0][of_material], index
+        index = np.arange(table.count) if of_rod else table.material_index
+        return numbers, self._shares(factor)[of_material], index
 
     def path(self, steps: slice) -> np.ndarray:
         """(S, steps, PATH_COLUMNS) where the clamps are at the end of these steps."""

@@ -19,7 +19,7 @@ FILE_KEYS = {"bend": "bend_mm3", "twist_ratio": "twist_ratio", "bend_damping": "
 
 @dataclass(frozen=True)
 class MotionTheta:
-    """What moves a rod as it was seen to move; all stiffness relative to the weight per length of rod and markers together.
+    """Θ of a rod in motion; stiffness is relative to the weight per length of rod and markers together.
 
     bend            α, mm³ (weight 1)
     twist_ratio     β/α
@@ -124,9 +124,9 @@ class Unknowns:
 
     UNITS = {"bend_damping": "s", "drag": "1/s", "quadratic_drag": "1/mm", "marker_share": "", "twist_ratio": ""}
     SIZES = {"bend_damping": 0.03, "drag": 0.3, "quadratic_drag": 1e-4, "marker_share": 0.3, "twist_ratio": 1.0}
-    """In which an entry of p is counted."""
+    """The change of a parameter for a change of one in its entry of p."""
     CURVATURE = 1e-3
-    """1/mm, the same of the rest curvature's coefficients."""
+    """The same for the coefficients of the rest curvature, 1/mm."""
 
     def __init__(self, begin: MotionTheta, modes: int, fitted: tuple[str, ...]):
         self.begin, self.modes, self.fitted = begin, modes, tuple(fitted)

@@ -42,7 +42,7 @@ from doo_ti.frames import (
     smallest_rotation,
 )
 from doo_ti.io.motion_file import ClampPath
-from doo_ti.io.toml_file import Finite, NumberOrMatrix, Table, Vector, checked, read_toml
+from doo_ti.io.toml_file import Finite, NumberOrMatrix, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.terminal import in_line
 from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, Material
 
@@ -136,9 +136,7 @@ def _moments(path: Path, rows: list, length: float) -> dict[str, np.ndarray]:
         for key in now:
             value = now[key] if getattr(moment, key) is None else np.array(getattr(moment, key))
             if key.endswith("direction"):
-                if not (norm := np.linalg.norm(value)) > 0:
-                    raise InputError(path, f"moments[{number}].{key}", "no direction", "give a vector X, Y, Z that is not zero")
-                value = value / norm
+                value = unit_direction(path, f"moments[{number}].{key}", value)
             if key == "end_position_mm" and value is None:
                 value = now["start_position_mm"] + length * now["start_direction"]
             now[key] = value
@@ -147,10 +145,8 @@ def _moments(path: Path, rows: list, length: float) -> dict[str, np.ndarray]:
 
 
 def _straight(moments: dict[str, np.ndarray], length: float, edges: int) -> tuple[Configuration, Clamps]:
-    tangent = moments["start_direction"][:1]
-    frame = bishop_frames(tangent[:, None], across(tangent))[:, 0]
-    start = Configuration(moments["start_position_mm"][:1], np.tile(quaternion_from_matrix(frame)[:, None], (1, edges, 1)),
-                          np.full(edges, length / edges))
+    start = Configuration.straight(moments["start_position_mm"][0], moments["start_direction"][0], length, edges)
+    frame = bishop_frames(moments["start_direction"][:1, None], across(moments["start_direction"][:1]))[:, 0]
     return start, Clamps(Clamp.FRAME, Clamp.FRAME, start.start, start.vertices[:, -1], frame, frame)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Literal, get_args, get_origin
 
 import msgspec
+import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.io.files import MOST_TEXT_BYTES, read_content
@@ -66,6 +67,14 @@ def checked(source, key: str, value, kind):
     shown = repr(value)
     problem = f"{shown[:80] + '…' * (len(shown) > 80)} is not allowed"
     raise InputError(source, key, problem, _remedy(found["problem"], kind))
+
+
+def unit_direction(source, key: str, vector) -> np.ndarray:
+    """(3,) ``vector``, the value of that key, over its length. Raises InputError where that is zero."""
+    length = np.linalg.norm(vector)
+    if not length > 0:
+        raise InputError(source, key, "no direction", "give a vector X, Y, Z that is not zero")
+    return np.asarray(vector, dtype=np.float64) / length
 
 
 def unknown_key(source, key: str, known) -> InputError:
