@@ -1,4 +1,4 @@
-"""Time steps inside the kernel: a lane whose step has converged goes on with the next, its clamps moved (docs/dynamics.md)."""
+"""Time steps inside the kernel: a lane whose step has converged starts the next, with its clamps moved (docs/dynamics.md)."""
 
 import taichi as ti
 
@@ -35,7 +35,7 @@ POSITION_ROUNDING = 1e-6
 
 @ti.data_oriented
 class MotionLoading(Loading):
-    """Loading and storing of what a rod remembers, besides what :class:`.Loading` does for any rod.
+    """Loading and storing of a rod's state at its last two instants, in addition to what :class:`.Loading` does for any rod.
 
     ``tables`` holds, besides, places (rod, V, INERTIA): positions and velocities at the last two instants; frames and
     frames_before [rod · edge · 4]; numbers (row, V, VERTEX_ITEMS − INERTIA); shares (row, 2); path (clamps, step,
@@ -48,7 +48,7 @@ class MotionLoading(Loading):
 
     @ti.func
     def load_motion(self, tables, scratch: ti.template(), head, slot, rod):
-        """What rod ``rod`` remembers, and what moves it, into lane ``slot``."""
+        """Load the state of rod ``rod`` at its last two instants, its mass, drag and springs into lane ``slot``."""
         row, numbers = tables.rods[rod, of.RESULT_ROW], tables.rods[rod, of.EXTERNAL_ROW]
         own = head + self.time_parameters * self.stride
         if ti.static(self.damped):
@@ -80,7 +80,7 @@ class MotionLoading(Loading):
 
     @ti.func
     def load_path(self, tables, scratch: ti.template(), head, slot, rod, step):
-        """The clamps of step ``step`` into lane ``slot``: of frames as far as they are held."""
+        """Load the clamps of step ``step`` into lane ``slot``; of the end frames what they hold."""
         s = tables.rods[rod, of.CLAMP_ROW]
         unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
         for k in ti.static(range(3)):
@@ -115,7 +115,7 @@ class MotionLoading(Loading):
 
     @ti.func
     def store_motion(self, tables, scratch: ti.template(), head, slot, row):
-        """What the lane's rod remembers into row ``row``."""
+        """Store the state of the lane's rod at its last two instants in row ``row``."""
         edges = tables.rest_length.shape[1]
         self.store_vertices(tables.places, row, INERTIA, scratch, head, slot, edges)
         at = head + (self.parameters + self.motion) * self.stride
@@ -156,7 +156,7 @@ class TimeLoop(NewtonLoop):
 
     @ti.func
     def exchange(self, tables, scratch: ti.template(), head, lane, supply):
-        """The finished lanes go on with the next step of their rod, or where that was the last or failed with another rod."""
+        """Give every finished lane the next step of its rod; where that step was the last, or failed, another rod."""
         zero, one = self.constant(0.0), self.constant(1.0)
         edges = tables.rest_length.shape[1]
         done = (lane.finished > 0.5) & (lane.active > 0.5)

@@ -113,7 +113,7 @@ class TimeSlopes(TimeSweep):
 
     @ti.func
     def share_vertex(self, rod, block, at, place, time):
-        """The same of the vertex at ``place``, whose items begin at ``at``."""
+        """Fill the vertex part of the shared block for the vertex at ``place``, whose items begin at ``at``."""
         y, ahead, fast = self.extrapolated(rod, at, time)
         x = scaled(place, rod.length_unit)
         speed = ti.sqrt(dot(fast, fast))
@@ -122,7 +122,7 @@ class TimeSlopes(TimeSweep):
 
     @ti.func
     def share_joint(self, rod, block, at, time):
-        """The same of the joint where the edge at ``at`` begins."""
+        """Fill the joint part of the shared block for the joint where the edge at ``at`` begins."""
         x, y, inverse, turn, r = pair.curvature(self.load4(rod.scratch, at - self.edge_stride), self.load4(rod.scratch, at))
         m = self.twist_angle(r)
         rest_left, rest_right, rest_twist = self.rest(rod.scratch, at)

@@ -22,13 +22,13 @@ from doo_ti.types import Status
 
 @dataclass
 class Memory:
-    """What R rods remember of their last two instants; changed in place as they move.
+    """The state of R rods at their last two instants; changed in place as they move.
 
     frames, frames_before  (R, E, 4) unit quaternions at the last instant and at the one before
     places                 (R, V, 12): positions at both, mm, and velocities at both, mm/s
     drift                  (R, 3) mm from the anchor to vertex 0 where that is free, else zero
     multiplier             (R, 3) λ of closure, in the kernel's units
-    status                 (R,) Status: a rod whose step failed moves no further
+    status                 (R,) Status: a rod whose step failed stays there
     """
 
     frames: np.ndarray

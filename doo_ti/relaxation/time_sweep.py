@@ -67,7 +67,7 @@ class TimeSweep(LoadedElimination):
 
     @ti.func
     def remember(self, rod, time, done):
-        """Have where the rod is be the last instant, in the lanes that are ``done``."""
+        """Make the present shape the last instant, and the last instant the one before it, in the lanes that are ``done``."""
         place = variable(plus(rod.anchor, self.drift(rod)))
         vertex = rod.head + (self.time_parameters + OF_VERTEX) * self.stride
         self.remember_vertex(rod, vertex, place, time, done)
@@ -85,7 +85,7 @@ class TimeSweep(LoadedElimination):
 
     @ti.func
     def remember_vertex(self, rod, at, place, time, done):
-        """The same of a vertex, whose items begin at ``at``."""
+        """The same for the vertex at ``place``, whose items begin at ``at``."""
         x = scaled(place, rod.length_unit)
         last, before = self.load3(rod.scratch, at + PLACE_1 * self.stride), self.load3(rod.scratch, at + PLACE_2 * self.stride)
         velocity = self.load3(rod.scratch, at + VELOCITY_1 * self.stride)
@@ -101,8 +101,8 @@ class TimeSweep(LoadedElimination):
 
     @ti.func
     def prepare(self, rod, time, up, done):
-        """The springs and rests of the next step; and where ``done`` the frames, and a vertex 0 that is free, from which it
-        starts: as they would go on by themselves."""
+        """Set the springs and rest curvatures of the next step. In the lanes that are ``done`` also set where its Newton
+        iterations start: every frame turned once more as in the last step, and a free vertex 0 in free flight."""
         vertex = rod.head + (self.time_parameters + OF_VERTEX) * self.stride
         first, first_stiffness, free_flight = self.spring(rod, vertex, time, up)
         self.store(rod.scratch, rod.head + self.spring_start * self.stride, first + (first_stiffness,))
@@ -149,7 +149,7 @@ class TimeSweep(LoadedElimination):
 
     @ti.func
     def set_rest(self, rod, at, time):
-        """u̅ and m̅ of the joint where the edge at ``at`` begins: the material's share and that of damping."""
+        """Set u̅ and m̅ of the joint where the edge at ``at`` begins: the sum of the material's part and that of damping."""
         s = self.stride
         own = at + self.motion * s
         curved = self.extrapolated_curvature(rod, at, time)
