@@ -438,12 +438,7 @@ class Contacts:
                     pushed = self.barrier(rod, gap).push
                     new = ti.select(behind, pushed, ti.max(old - stiffness * gap, zero))
                     if ti.static(k == 1):
-                        # Rounds have the nearest point of an edge as long as it is nearer than the ends.
-                        sags = (rod.scratch[contact + SAGGING * self.stride] > 0.5 * tolerance) & (v > 0)
-                        new = ti.select(sags, new, zero)
-                        active = rod.scratch[contact + ACTIVE * self.stride]
-                        rod.scratch[contact + ACTIVE * self.stride] = ti.select(due, ti.select(sags, zero + 1.0, zero), active)
-                        late = ti.select(sags & (active < 0.5) & (gap < 0.0), stiffness * (0.0 - gap), zero)
+                        new, late = self.settle_between(rod, v, o, due, gap, new)
                         change = largest_of(change, ti.select(behind, zero, late))
                     secant = largest_of(secant, new / ti.max(gap + self.item(rod, OFFSET), 1e-3 * radius))
                     change = largest_of(change, absolute(new - old))
@@ -458,6 +453,26 @@ class Contacts:
         self.set_item(rod, STRENGTH, due & behind & ~last, WEAKER * self.item(rod, STRENGTH))
         self.set_item(rod, STAGE, due & behind, 1.0 + self.item(rod, STAGE))
         return change
+
+    @ti.func
+    def settle_between(self, rod, index, o, due, gap, force):
+        """Whether the rounds that follow have the nearest point of an edge: as long as it is nearer than the ends. Returns its
+        force, which otherwise goes to the nearer end, and what it should have been where they did not have it so far."""
+        zero = 0.0 * gap
+        contact = self.contact(self.vertex(rod, index), o)
+        active = rod.scratch[contact + ACTIVE * self.stride]
+        sags = (rod.scratch[contact + SAGGING * self.stride] > 0.5 * self.item(rod, TOLERANCE)) & (index > 0)
+        lost = due & (active > 0.5) & ~sags
+        if self.largest(ti.select(lost, zero + 1.0, zero)) > 0.5:
+            later = rod.scratch[contact + PLACE_BETWEEN * self.stride] > 0.5
+            given = ti.select(lost, force, zero)
+            end = contact + FORCE * self.stride
+            rod.scratch[end] = rod.scratch[end] + ti.select(later, given, zero)
+            start = self.contact(self.vertex(rod, index - 1), o) + FORCE * self.stride
+            rod.scratch[start] = rod.scratch[start] + ti.select(later, zero, given)
+        late = ti.select(sags & (active < 0.5), ti.max(self.item(rod, STIFFNESS) * (0.0 - gap), zero), zero)
+        rod.scratch[contact + ACTIVE * self.stride] = ti.select(due, ti.select(sags, zero + 1.0, zero), active)
+        return ti.select(sags, force, zero), late
 
     # --- a rod into a lane and out of it ---
 
