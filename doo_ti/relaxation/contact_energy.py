@@ -34,8 +34,9 @@ from doo_ti.physics.tuples import (
 from doo_ti.relaxation import tables as of
 
 # Items of a rod: its radius, κ, the tolerance of its gaps, by how much the last round changed a gap, its phase, and what the
-# barrier adds to its gaps, its strength μ and how many strengths it has had. The obstacles follow.
-RADIUS, STIFFNESS, TOLERANCE, CHANGE, PHASE, OFFSET, STRENGTH, STAGE, HEAD = 0, 1, 2, 3, 4, 5, 6, 7, 8
+# barrier adds to its gaps, its strength μ and how many strengths it has had, and how close to an obstacle a vertex is where more
+# than its φ counts. The obstacles follow.
+RADIUS, STIFFNESS, TOLERANCE, CHANGE, PHASE, OFFSET, STRENGTH, STAGE, REACH, HEAD = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
 # Phases of a rod: it has just been loaded; a barrier keeps it away from obstacles, which finds out where it will touch them;
 # rounds to a rough tolerance of its moments; rounds to the final one.
 LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0
@@ -67,6 +68,8 @@ BARRIER_SHARE = 1 / 16
 """The barrier at a quarter of a radius pushes at first like such a force."""
 WEAKER, STAGES = 1 / 30, 2
 """The barrier becomes weaker by that, until it has had so many stages."""
+CLOSE = 4.0
+"""Radii: what is further from an obstacle than that, and half an edge, is not close."""
 LEAST_OFFSET = 0.05
 """Of a radius: the smallest gap of a rod's start, as the barrier sees it."""
 APPROACH = 0.75
@@ -143,17 +146,22 @@ class Contacts:
         away = minus(place, self.load3(rod.scratch, at + STANDING * self.stride))
         self.store(rod.scratch, at + PLACE * self.stride, place)
         found.crossing = largest_of(found.crossing, dot(away, away) * self.nearness(rod, index, at, ROOM_STANDING))
-        radius, held = self.item(rod, RADIUS), self.held(rod, index) > 0.5
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
             seen = self.distance.measure(rod.scratch, self.obstacle(rod, o), rod.kinds[o], place)
-            self.store(rod.scratch, contact + NORMAL * self.stride, seen.normal)
-            self.store(rod.scratch, contact + CURVATURE * self.stride, seen.curvature)
             rod.scratch[contact + VALUE * self.stride] = seen.value
-            gap = seen.value - radius
-            found.deepest = ti.min(found.deepest, seen.value)
-            found.pinched = ti.min(found.pinched, ti.select(held, gap, 0.0 * gap))
-            found.closest = ti.min(found.closest, ti.select(held, found.closest, gap))
+            if self.is_close(rod, seen.value):
+                self.store(rod.scratch, contact + NORMAL * self.stride, seen.normal)
+                self.store(rod.scratch, contact + CURVATURE * self.stride, seen.curvature)
+                gap, held = seen.value - self.item(rod, RADIUS), self.held(rod, index) > 0.5
+                found.deepest = ti.min(found.deepest, seen.value)
+                found.pinched = ti.min(found.pinched, ti.select(held, gap, 0.0 * gap))
+                found.closest = ti.min(found.closest, ti.select(held, found.closest, gap))
+
+    @ti.func
+    def is_close(self, rod, value):
+        """Whether a vertex of some lane is close to an obstacle, ``value`` being its φ."""
+        return self.largest(ti.select(value < self.item(rod, REACH), 0.0 * value + 1.0, 0.0 * value)) > 0.5
 
     @ti.func
     def nearness(self, rod, index, at, item: ti.template()):
@@ -200,42 +208,55 @@ class Contacts:
         self.look(rod, index - 1, start, found)
         at, before = self.vertex(rod, index), self.vertex(rod, index - 1)
         total, edge = self.nothing(zero), minus(end, start)
-        radius = self.item(rod, RADIUS)
         for o in range(rod.obstacles):
             contact, previous = self.contact(at, o), self.contact(before, o)
-            self.add_vertex(rod, contact, total, found)
-            slope_start = dot(self.load3(rod.scratch, previous + NORMAL * self.stride), edge)
-            slope_end = dot(self.load3(rod.scratch, contact + NORMAL * self.stride), edge)
             value_start = rod.scratch[previous + VALUE * self.stride]
             value_end = rod.scratch[contact + VALUE * self.stride]
-            # φ along an edge lies above its tangents at both ends, which meet here.
-            meet = (value_end - value_start - slope_end) / ti.min(slope_start - slope_end, zero - 1e-20)
-            bridging = (slope_start < 0.0) & (slope_end > 0.0)
+            if self.is_close(rod, value_end):
+                self.add_vertex(rod, contact, total, found)
             least = ti.min(value_start, value_end)
-            low = ti.select(bridging, value_start + slope_start * meet, least)
-            total.room = ti.min(total.room, low + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
-            near = bridging & (low < 2.0 * radius)
-            active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
-            rod.scratch[contact + WEIGHT * self.stride] = zero
-            rod.scratch[contact + SAGGING * self.stride] = zero
-            if self.largest(ti.select(near | active, zero + 1.0, zero)) > 0.5:
-                seen = self.nearest(rod, o, start, edge, slope_start, slope_end)
-                lower = value_start < value_end
-                sagging = ti.select(near, least - seen.value, zero)
-                rod.scratch[contact + SAGGING * self.stride] = sagging
-                sag = ti.max(sagging / (SAG * radius), zero)
-                behind = self.item(rod, PHASE) > ti.static(0.5 * (BARRIER + ROUGH))
-                fading = ti.select(behind & near, 2.0 * sag / ((1.0 + sag * sag) * (1.0 + sag * sag) * SAG * radius), zero)
-                share = record(
-                    weight=ti.select(behind, sag * sag / (1.0 + sag * sag), ti.select(active, zero + 1.0, zero)),
-                    slope=fading, s=ti.select(lower, zero, zero + 1.0),
-                    normal=chosen(lower, self.load3(rod.scratch, previous + NORMAL * self.stride),
-                                  self.load3(rod.scratch, contact + NORMAL * self.stride)))
-                self.add_between(rod, contact, edge, seen, share, total, found)
+            if self.is_close(rod, least):
+                self.touched_between(rod, o, contact, previous, start, edge, total, found)
+            else:
+                rod.scratch[contact + WEIGHT * self.stride] = zero
+                rod.scratch[contact + SAGGING * self.stride] = zero
+                total.room = ti.min(total.room, least - self.item(rod, RADIUS))
         self.store(rod.scratch, at + FORCE_END * self.stride, negated(total.gradient_s))
         self.store(rod.scratch, at + FORCE_START * self.stride, minus(total.gradient_s, total.gradient))
         rod.scratch[at + ROOM * self.stride] = total.room
         return total
+
+    @ti.func
+    def touched_between(self, rod, o, contact, previous, start, edge, total, found):
+        """The same of the edge between its ends, of which one is close to obstacle ``o``. (A vertex that is not has no normal in
+        that lane or, where none of the lanes is close, an old one, which does no harm: its edge bridges nothing.)"""
+        zero, radius = 0.0 * start[0], self.item(rod, RADIUS)
+        normal_start = self.load3(rod.scratch, previous + NORMAL * self.stride)
+        normal_end = self.load3(rod.scratch, contact + NORMAL * self.stride)
+        value_start, value_end = rod.scratch[previous + VALUE * self.stride], rod.scratch[contact + VALUE * self.stride]
+        slope_start, slope_end = dot(normal_start, edge), dot(normal_end, edge)
+        # φ along an edge lies above its tangents at both ends, which meet here.
+        meet = (value_end - value_start - slope_end) / ti.min(slope_start - slope_end, zero - 1e-20)
+        bridging = (slope_start < 0.0) & (slope_end > 0.0)
+        least = ti.min(value_start, value_end)
+        low = ti.select(bridging, value_start + slope_start * meet, least)
+        total.room = ti.min(total.room, low + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
+        near = bridging & (low < 2.0 * radius)
+        active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
+        rod.scratch[contact + WEIGHT * self.stride] = zero
+        rod.scratch[contact + SAGGING * self.stride] = zero
+        if self.largest(ti.select(near | active, zero + 1.0, zero)) > 0.5:
+            seen = self.nearest(rod, o, start, edge, slope_start, slope_end)
+            lower = value_start < value_end
+            sagging = ti.select(near, least - seen.value, zero)
+            rod.scratch[contact + SAGGING * self.stride] = sagging
+            sag = ti.max(sagging / (SAG * radius), zero)
+            behind = self.item(rod, PHASE) > ti.static(0.5 * (BARRIER + ROUGH))
+            fading = ti.select(behind & near, 2.0 * sag / ((1.0 + sag * sag) * (1.0 + sag * sag) * SAG * radius), zero)
+            share = record(
+                weight=ti.select(behind, sag * sag / (1.0 + sag * sag), ti.select(active, zero + 1.0, zero)),
+                slope=fading, s=ti.select(lower, zero, zero + 1.0), normal=chosen(lower, normal_start, normal_end))
+            self.add_between(rod, contact, edge, seen, share, total, found)
 
     @ti.func
     def touched_start(self, rod, found):
@@ -244,9 +265,10 @@ class Contacts:
         total = self.nothing(zero)
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
-            self.add_vertex(rod, contact, total, found)
-            total.room = ti.min(total.room, rod.scratch[contact + VALUE * self.stride]
-                                + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
+            value = rod.scratch[contact + VALUE * self.stride]
+            if self.is_close(rod, value):
+                self.add_vertex(rod, contact, total, found)
+            total.room = ti.min(total.room, value + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
         self.store(rod.scratch, at + FORCE_END * self.stride, negated(total.gradient_s))
         rod.scratch[at + ROOM * self.stride] = total.room
         return total
@@ -386,9 +408,11 @@ class Contacts:
         most = zero
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
-            gap = ti.max(rod.scratch[contact + VALUE * self.stride] - radius, floor) + slack
-            normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
-            most = ti.max(most, (0.0 - APPROACH) * dot(normal, move) / ti.max(gap, 1e-6 * radius))
+            value = rod.scratch[contact + VALUE * self.stride]
+            if self.is_close(rod, value):
+                gap = ti.max(value - radius, floor) + slack
+                normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
+                most = ti.max(most, (0.0 - APPROACH) * dot(normal, move) / ti.max(gap, 1e-6 * radius))
             weight = rod.scratch[contact + WEIGHT * self.stride]
             if self.largest(weight) > 0.0:
                 s = rod.scratch[contact + PLACE_BETWEEN * self.stride]
@@ -479,7 +503,7 @@ class Contacts:
     @ti.func
     def load(self, tables, scratch: ti.template(), slot, rod, force_unit, unit, scale):
         """Rod ``rod``'s obstacles and contacts into lane ``slot``, forces over ``force_unit``, lengths over ``unit``; ``scale``:
-        the largest stiffness, the weight per length, the mean length of an edge and the rod's, in the units of the chain."""
+        the largest stiffness, the weight per length, the lengths of an edge, of the longest and of the rod, in the chain's units."""
         base = tables.contacts
         row = tables.rods[rod, of.RESULT_ROW]
         own = ti.min(row, tables.obstacles.shape[0] - 1)
@@ -487,7 +511,8 @@ class Contacts:
         radius = tables.radius[ti.min(row, tables.radius.shape[0] - 1)] / unit
         force = BENDING_LOADS * scale.bend / (scale.total * scale.total) + scale.weight * scale.length
         tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
-        head = (radius, force / (SOFT * radius), tolerance, 1e30, LOADED, 0.0, BARRIER_SHARE * force * radius, 0.0)
+        head = (radius, force / (SOFT * radius), tolerance, 1e30, LOADED, 0.0, BARRIER_SHARE * force * radius, 0.0,
+                CLOSE * radius + 0.5 * scale.longest)
         for k in ti.static(range(HEAD)):
             self.put(scratch, base + k * self.stride, slot, head[k])
         for o in range(count):
