@@ -23,19 +23,18 @@ def adapted(run: Callable[..., Trajectory], count: int, stepping: Stepping, deta
             progress: Callable[[int], None] | None) -> Trajectory:
     """The motion of R = ``count`` rods, each with the fewest substeps that reach the tolerance, or with the most.
 
-    run  (stepping, rows (n,), detailed, progress): the motion of some rods with fixed steps
+    run  (stepping, rows (n,), detailed, progress): the motion of some rods with fixed steps in one precision
 
     With d the largest distance of a vertex in any frame between the motions with n/2 and n substeps, and that distance before
     divided by d being the gain g, the error of n substeps is estimated as d/(g − 1), of a geometric series.
     """
     steps, rows = stepping.substeps, np.arange(count)
-    fixed = replace(stepping, tolerance=None)
-    coarse = run(fixed, rows, False, progress)
-    found, error = coarse, np.full(count, np.inf)
+    coarse = _moved(run, stepping, steps, rows, progress)
+    found, error = coarse, np.full(count, np.nan if stepping.tolerance is None else np.inf)
     before = np.full(count, np.nan)
-    while len(rows) and 2 * steps <= stepping.most_substeps:
+    while stepping.tolerance is not None and len(rows) and 2 * steps <= stepping.most_substeps:
         steps *= 2
-        fine = run(replace(fixed, substeps=steps), rows)
+        fine = _moved(run, stepping, steps, rows)
         apart = _apart(coarse, fine)
         estimate = apart / (_gain(before, apart, stepping.scheme) - 1.0)
         # A motion that fails only with finer steps is kept as it was.
@@ -45,7 +44,24 @@ def adapted(run: Callable[..., Trajectory], count: int, stepping: Stepping, deta
         left = ~(estimate <= stepping.tolerance)
         rows, before, coarse = rows[left], apart[left], _some(fine, left)
     found = replace(found, error=error)
-    return replace(found, detail=_detail(run, fixed, found)) if detailed else found
+    return replace(found, detail=_detail(run, _fixed(stepping, steps), found)) if detailed else found
+
+
+def _fixed(stepping: Stepping, steps: int, precision: str = "f64") -> Stepping:
+    """So many steps, in the precision that ``stepping`` states, or where that is mixed in the one given."""
+    precision = precision if stepping.precision == "mixed" else stepping.precision
+    return replace(stepping, substeps=steps, precision=precision, tolerance=None)
+
+
+def _moved(run: Callable[..., Trajectory], stepping: Stepping, steps: int, rows: np.ndarray, progress=None) -> Trajectory:
+    """The rods ``rows`` with so many substeps. In mixed precision the first substeps and twice as many are f32, whose rounding
+    grows with finer steps, and what it stops is repeated in f64."""
+    coarse = "f32" if steps <= 2 * stepping.substeps else "f64"
+    found = run(_fixed(stepping, steps, coarse), rows, False, progress)
+    again = np.flatnonzero(~found.converged)
+    if stepping.precision == "mixed" and coarse == "f32" and len(again):
+        _put(found, again, run(_fixed(stepping, steps), rows[again]), slice(None))
+    return found
 
 
 def _apart(coarse: Trajectory, fine: Trajectory) -> np.ndarray:
@@ -76,7 +92,7 @@ def _put(into: Trajectory, rows: np.ndarray, other: Trajectory, of: np.ndarray) 
 
 
 def _detail(run: Callable[..., Trajectory], fixed: Stepping, found: Trajectory) -> Detail:
-    """The detail of rods whose steps have been chosen: simulated once more."""
+    """The detail of rods whose steps have been chosen: simulated once more, where precision is mixed in f64."""
     parts, order = [], []
     for steps in np.unique(found.substeps):
         rows = np.flatnonzero(found.substeps == steps)

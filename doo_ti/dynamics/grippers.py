@@ -119,8 +119,8 @@ def _cubic(points: np.ndarray, share: np.ndarray) -> np.ndarray:
 
 
 def _turning(frames: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """(S, (T − 1) parts + 1, 3, 3) frames between (S, T, 3, 3): cubics through their quaternions, the shorter way from each to the
-    next, normalised. A speed of turning that jumps would be a blow to the rod at every instant, however small the steps."""
+    """(S, (T − 1) parts + 1, 3, 3) frames between (S, T, 3, 3): cubics through their quaternions, the shorter way from each to
+    the next, normalised. A speed of turning that jumps would be a blow to the rod at every instant, however small the steps."""
     q = quaternion_from_matrix(frames)
     signs = np.cumprod(np.where((q[:, 1:] * q[:, :-1]).sum(axis=-1) < 0, -1.0, 1.0), axis=1)
     q[:, 1:] *= signs[..., None]

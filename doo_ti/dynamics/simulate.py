@@ -83,7 +83,7 @@ def simulate(
         memory, remembered = motion.begin(begin, directions)
         return motion.run(memory, progress, directions, remembered, detailed)
 
-    if stepping.tolerance is None:
+    if stepping.tolerance is None and stepping.precision != "mixed":
         return run(stepping, pairs, springs, detailed, progress)
     index = paired_rows(begin.configuration.count, material.count, *((None, None) if pairs is None else pairs))
     many = springs is not None and springs.count > 1
@@ -203,8 +203,15 @@ class _Motion:
         return under(table, other._stiffened(factor)).material, numbers[..., :NUMBERS], shares
 
     def begin(self, start: MovingStart, directions: Sequence[Direction]) -> tuple[Memory, np.ndarray]:
-        """The memory of rods that start so, and its derivatives."""
-        table = self.table(1.0)
+        """The memory of rods that start so, and its derivatives.
+
+        The acceleration is that of one step of backward Euler, not shorter than twice the age of the velocity: where a measured
+        velocity contradicts the clamps, it is changed at once, by an acceleration that grows without limit as the step shrinks.
+        """
+        ahead = min(max(1, round(2.0 * start.velocity_age / self.step)), self.grippers.instants - 1)
+        trial_motion = copy(self)
+        trial_motion.step = trial_step = ahead * self.step
+        table = trial_motion.table(1.0)
         index = table.configuration_index
         frames = whole_start(table.start, table.clamp)[index]
         x = self.start.vertices[index]
@@ -214,16 +221,16 @@ class _Motion:
         feasible = table.feasible[index]
         status = np.where(feasible, int(Status.CONVERGED), int(Status.INFEASIBLE)).astype(np.int8)
         if start.smooth:
-            trial = _memory(frames, x, v, a, table, self.step, status.copy())
-            numbers, shares, rows = self.numbers(table, 1.0)
+            trial = _memory(frames, x, v, a, table, trial_step, status.copy())
+            numbers, shares, rows = trial_motion.numbers(table, 1.0)
             table.external_index[:] = rows
-            path = self.path(slice(0, 1))
-            slopes = self.slopes(table, 1.0, directions, remembered)
-            make_steps(table, trial, path, numbers, shares, np.array([self.step, 1.0, 0.0]), 1, _newton(), 64, slopes)
+            path = self.path(slice(ahead - 1, ahead))
+            slopes = trial_motion.slopes(table, 1.0, directions, remembered)
+            make_steps(table, trial, path, numbers, shares, np.array([trial_step, 1.0, 0.0]), 1, _newton(), 64, slopes)
             moved = trial.places[..., VELOCITY_1 : VELOCITY_1 + 3]
-            a = np.where((trial.status == Status.CONVERGED)[:, None, None], (moved - v) / self.step, 0.0)
+            a = np.where((trial.status == Status.CONVERGED)[:, None, None], (moved - v) / trial_step, 0.0)
             v = v + age * a
-            da = remembered[..., VELOCITY_1 : VELOCITY_1 + 3] / self.step
+            da = remembered[..., VELOCITY_1 : VELOCITY_1 + 3] / trial_step
             da[trial.status != Status.CONVERGED] = 0.0
             remembered = slope_memory(
                 lambda change: _memory(frames, x, v + age * change, a + change, table, self.step, status), da)
