@@ -13,10 +13,9 @@ from doo_ti.dynamics.parameters import Stepping
 from doo_ti.dynamics.trajectory import Detail, Trajectory
 from doo_ti.relaxation.time_steps import Memory
 
-GAINS = {"euler": 2.0, "bdf2": 4.0}
-"""Times by which a scheme's error becomes smaller with half the step, at most."""
-FIRST_GAIN, LEAST_GAIN = 2.0, 1.25
-"""The same as it is assumed before it can be measured, and at least."""
+MOST_GAIN, LEAST_GAIN = {"bdf2": 2.0, "euler": 1.5}, 1.25
+"""Times by which the error is taken to become smaller with half the step, at most and before it can be measured, and at least.
+In a smooth motion it is 4 and 2; less where a gripper starts at once or a velocity contradicts it, and in coarse steps."""
 
 
 def adapted(run: Callable[..., Trajectory], count: int, stepping: Stepping, detailed: bool,
@@ -26,7 +25,7 @@ def adapted(run: Callable[..., Trajectory], count: int, stepping: Stepping, deta
     run  (stepping, rows (n,), detailed, progress): the motion of some rods with fixed steps in one precision
 
     With d the largest distance of a vertex in any frame between the motions with n/2 and n substeps, and that distance before
-    divided by d being the gain g, the error of n substeps is estimated as d/(g − 1), of a geometric series.
+    divided by d being the gain g, at most MOST_GAIN, the error of n substeps is estimated as d/(g − 1), of a geometric series.
     """
     steps, rows = stepping.substeps, np.arange(count)
     coarse = _moved(run, stepping, steps, rows, progress)
@@ -36,7 +35,7 @@ def adapted(run: Callable[..., Trajectory], count: int, stepping: Stepping, deta
         steps *= 2
         fine = _moved(run, stepping, steps, rows)
         apart = _apart(coarse, fine)
-        estimate = apart / (_gain(before, apart, stepping.scheme) - 1.0)
+        estimate = apart / (_gain(before, apart, MOST_GAIN[stepping.scheme]) - 1.0)
         # A motion that fails only with finer steps is kept as it was.
         better = fine.converged | ~found.converged[rows]
         _put(found, rows[better], fine, better)
@@ -71,11 +70,11 @@ def _apart(coarse: Trajectory, fine: Trajectory) -> np.ndarray:
     return np.where(both, np.sqrt(square), np.inf)
 
 
-def _gain(before: np.ndarray, apart: np.ndarray, scheme: str) -> np.ndarray:
+def _gain(before: np.ndarray, apart: np.ndarray, most: float) -> np.ndarray:
     """(n,) times by which the distance has become smaller; as assumed where it was not measured before."""
     known = np.isfinite(before) & np.isfinite(apart)
-    ratio = np.where(known, before, FIRST_GAIN) / np.where(known, np.maximum(apart, 1e-300), 1.0)
-    return np.clip(ratio, LEAST_GAIN, GAINS[scheme])
+    ratio = np.where(known, before, most) / np.where(known, np.maximum(apart, 1e-300), 1.0)
+    return np.clip(ratio, LEAST_GAIN, most)
 
 
 def _some(trajectory: Trajectory, rows) -> Trajectory:
