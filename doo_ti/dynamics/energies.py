@@ -19,6 +19,8 @@ FLOWS = ("drag", "bend_damping", "twist_damping", "work")
 """What has been dissipated since the start, by what, and the grippers' work on the rod since then."""
 SMALL_TURN = 1e-5
 """rad, for differences of the strains."""
+TURNS = quaternion_of_turn(SMALL_TURN * np.repeat(np.eye(3), 2, axis=0) * np.tile([1.0, -1.0], 3)[:, None])
+"""By that about each axis, forwards and backwards."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +71,10 @@ class Losses:
         bent = 0.5 * self.pair_length[..., None] * self.rest
         return np.concatenate([bent, bent, np.zeros_like(bent[..., :1])], axis=-1)
 
-    def stored(self, memory: Memory) -> dict[str, np.ndarray]:
-        """(R,) energies of each of STORED."""
+    def stored(self, memory: Memory, strains: np.ndarray) -> dict[str, np.ndarray]:
+        """(R,) energies of each of STORED; ``strains`` are those of the memory."""
         place, velocity = memory.places[..., :3], memory.places[..., 6:9]
-        strains = _strains(memory.frames) - self.rest_strains()
+        strains = strains - self.rest_strains()
         work = 0.5 * strains * self.stresses(strains)
         apart = ((place - self.spring_point) ** 2).sum(axis=-1)
         return {
@@ -81,11 +83,11 @@ class Losses:
             "bending": work[..., :4].sum(axis=(-1, -2)), "twist": work[..., 4].sum(axis=-1),
             "springs": (0.5 * self.spring_stiffness * apart).sum(axis=-1)}
 
-    def dissipated(self, memory: Memory, step: float) -> dict[str, np.ndarray]:
-        """(R,) what was dissipated in the step before ``memory``, of h = ``step``: the loss at its mean speeds."""
+    def dissipated(self, memory: Memory, change: np.ndarray, step: float) -> dict[str, np.ndarray]:
+        """(R,) what was dissipated in the step before ``memory``, of h = ``step``, at its mean speeds; the strains changed by
+        ``change``."""
         moved = memory.places[..., :3] - memory.places[..., 3:6]
         square = (moved**2).sum(axis=-1) / step
-        change = _strains(memory.frames) - _strains(memory.frames_before)
         loss = change * self.stresses(change) / step
         return {"drag": (square * (self.drag + self.drag_by_speed * np.sqrt(square / step))).sum(axis=-1),
                 "bend_damping": self.bend_damping * loss[..., :4].sum(axis=(-1, -2)),
@@ -107,38 +109,43 @@ class Account:
         self.scheme = rate / step, (rate - 1.0) / rate
         self._flows = {name: np.zeros(len(held)) for name in FLOWS}
         self._forces, self._instants = None, []
+        self._strains = _strains(memory.frames_before), _strains(memory.frames)
         self._keep(memory)
         self._store(memory)
 
     def _keep(self, memory: Memory) -> None:
         """What the next step needs of the memory before it."""
         self._velocity = memory.places[..., 9:12].copy()
-        self._strains = _strains(memory.frames_before)
         self._before = memory.frames.copy(), memory.places[..., :3].copy()
 
     def _store(self, memory: Memory) -> None:
         """An instant for the tables."""
-        self._instants.append((memory.frames.copy(), memory.places[..., 6:9].copy(), self.losses.stored(memory) | self._flows))
+        stored = self.losses.stored(memory, self._strains[1])
+        self._instants.append((memory.frames.copy(), memory.places[..., 6:9].copy(), stored | self._flows))
 
     def see(self, memory: Memory, end_force: np.ndarray, is_frame: bool) -> None:
         """The step that led to ``memory``, with the force (R, 3) of the far clamp at its end, where the start is held too."""
-        own = self.losses
-        forces = self._gripper_forces(memory, end_force)
+        older, last = self._strains
+        now = _strains(memory.frames)
+        rate, extrapolation = self.scheme
+        forces = self._gripper_forces(memory, end_force, now, rate * (now - last - extrapolation * (last - older)))
         before = forces if self._forces is None else self._forces
         frames, places = self._before
         ends = [0, -1]
         moves = memory.places[:, ends, :3] - places[:, ends]
         turns = rotation_vector(quaternion_product(memory.frames[:, ends], frames[:, ends] * [1.0, -1.0, -1.0, -1.0]))
         work = sum((0.5 * (a + b) * way).sum(axis=(1, 2)) for a, b, way in zip(before, forces, (moves, turns), strict=True))
-        new = own.dissipated(memory, self.step) | {"work": work}
+        new = self.losses.dissipated(memory, now - last, self.step) | {"work": work}
         self._flows = {name: self._flows[name] + new[name] for name in FLOWS}
-        self._forces = forces
+        self._forces, self._strains = forces, (last, now)
         self._keep(memory)
         if is_frame:
             self._store(memory)
 
-    def _gripper_forces(self, memory: Memory, end_force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """((R, 2, 3) forces, (R, 2, 3) moments) of the grippers on the first and the last vertex and edge.
+    def _gripper_forces(self, memory: Memory, end_force: np.ndarray, strains: np.ndarray,
+                        rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """((R, 2, 3) forces, (R, 2, 3) moments) of the grippers on the first and the last vertex and edge; ``rates`` are those
+        of the ``strains``.
 
         Of the forces f on the vertices, inertia and drag included, the chain carries N_e = −Σ_{i>e} f_i − F_end through edge e;
         an edge is in balance under the joints' moments T, the gripper's and l t × (−N).
@@ -152,9 +159,6 @@ class Account:
         total = force.sum(axis=1)
         end = np.where(self.held.all(axis=1)[:, None], end_force, np.where(self.held[:, 1:], -total, 0.0))
         start = np.where(self.held[:, :1], -total - end, 0.0)
-        strains = _strains(memory.frames)
-        older = _strains(memory.frames_before)
-        rates = rate * (strains - older - extrapolation * (older - self._strains))
         damping = np.concatenate([np.repeat(own.bend_damping[:, None], 4, axis=1), own.twist_damping[:, None]], axis=1)
         stress = own.stresses(strains - own.rest_strains()) + damping[:, None] * own.stresses(rates)
         joints = [_joint_moment(memory.frames[:, :2], stress[:, 0], 0), _joint_moment(memory.frames[:, -2:], stress[:, -1], 1)]
@@ -195,13 +199,7 @@ def _strains(frames: np.ndarray) -> np.ndarray:
 def _joint_moment(frames: np.ndarray, stress: np.ndarray, edge: int) -> np.ndarray:
     """(R, 3) moment in the world of a joint with ``stress`` (R, 5) on its first or second ``edge``, of frames (R, 2, 4): minus
     the derivative of its energy by a turn of that edge, by differences of the strains."""
-    moment = np.zeros((len(frames), 3))
-    for axis in range(3):
-        sides = []
-        for sign in (1.0, -1.0):
-            turn = quaternion_of_turn(sign * SMALL_TURN * np.eye(3)[axis])
-            turned = frames.copy()
-            turned[:, edge] = quaternion_product(turn, frames[:, edge])
-            sides.append(_strains(turned)[:, 0])
-        moment[:, axis] = -(stress * (sides[0] - sides[1])).sum(axis=-1) / (2.0 * SMALL_TURN)
-    return moment
+    turned = np.repeat(frames[None], len(TURNS), axis=0)
+    turned[:, :, edge] = quaternion_product(TURNS[:, None], frames[:, edge])
+    sides = _strains(turned.reshape(-1, 2, 4)).reshape(3, 2, len(frames), 5)
+    return -((sides[:, 0] - sides[:, 1]) * stress).sum(axis=-1).T / (2.0 * SMALL_TURN)

@@ -11,8 +11,9 @@ import numpy as np
 
 from doo_ti.dynamics.parameters import Direction, MovingStart, Stepping
 from doo_ti.dynamics.recorded import RecordedMotion, Rollout, roll_reference, rollout
-from doo_ti.dynamics.simulate import Trajectory, simulate
+from doo_ti.dynamics.simulate import simulate
 from doo_ti.dynamics.theta import MotionTheta, Unknowns, simulated
+from doo_ti.dynamics.trajectory import Trajectory
 from doo_ti.types import Clamp, Status
 
 STEP = 1e-6
@@ -50,12 +51,32 @@ class IdentifyOptions:
         return self.iterations * len(self.horizons)
 
 
-def predicted(motion: RecordedMotion, thetas: list[MotionTheta], options: IdentifyOptions, precision: str = "f64",
-              progress=None, begun: Rollout | None = None):
+def predicted(motion: RecordedMotion, thetas: list[MotionTheta], options: IdentifyOptions, begun: Rollout | None = None):
     """((R, G, T, V, 3) positions of the recordings under each Θ, (R, G, T) status): frames 0 and 1 and the grippers' vertices
     as given, the rest predicted; NaN where a rod failed. ``begun`` is the layout of ``motion`` where that is known."""
-    at, found = _rolled_out(motion, thetas, options, begun, precision, progress=progress)
-    count, each = motion.count, len(thetas)
+    at, found = _rolled_out(motion, thetas, options, begun)
+    return _shown(motion, len(thetas), at, found)
+
+
+def simulated_recordings(motion: RecordedMotion, theta: MotionTheta, stepping: Stepping, end: Clamp = IdentifyOptions.end,
+                         progress=None):
+    """(positions (R, T, V, 3), status (R, T), energies (R, T) by name, the simulation itself) of the recordings under one Θ, as
+    :func:`predicted`; energies are NaN in frame 0: the simulation begins at frame 1. ``stepping`` has the recordings' rate."""
+    begun = rollout(motion, theta.rest_length, theta.reference, end=end)
+    material, dynamics = simulated([theta])
+    found = simulate(MovingStart(begun.start, begun.velocity, 0.5 / begun.rate), material, begun.grippers, dynamics, stepping,
+                     up=theta.up, detailed=True, progress=progress)
+    positions, status = (value[:, 0] for value in _shown(motion, 1, begun.steps[:, 1:] - 1, found))
+    rods = np.arange(motion.count)[:, None]
+    energies = {name: np.concatenate([np.full((motion.count, 1), np.nan), value[rods, begun.steps]], axis=1)
+                for name, value in found.detail.energies.items()}
+    return positions, status, energies, found
+
+
+def _shown(motion: RecordedMotion, each: int, at: np.ndarray, found: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """((R, G, T, V, 3) positions, (R, G, T) status) of a simulation of every recording under G = ``each`` Θ, as
+    :func:`predicted` has them."""
+    count = motion.count
     rods = np.arange(count)[:, None]
     positions = np.repeat(motion.positions[:, None], each, axis=1)
     inner = found.positions.reshape(count, each, -1, *motion.positions.shape[2:])
@@ -82,14 +103,14 @@ def _laid_out(motion: RecordedMotion, theta: MotionTheta, options: IdentifyOptio
 
 
 def _rolled_out(motion: RecordedMotion, thetas: list[MotionTheta], options: IdentifyOptions, begun: Rollout | None,
-                precision: str = "f64", **more) -> tuple[np.ndarray, Trajectory]:
+                **more) -> tuple[np.ndarray, Trajectory]:
     """((R, T − 2) frame of the simulation for each that is predicted, the simulation of every recording under every Θ)."""
     begun = begun or _laid_out(motion, thetas[0], options)
     count, each = motion.count, len(thetas)
     pairs = np.repeat(np.arange(count), each), np.tile(np.arange(each), count)
     material, dynamics = simulated(thetas)
     start = MovingStart(begun.start, begun.velocity, 0.5 / begun.rate)
-    stepping = Stepping(begun.rate, options.substeps, options.scheme, precision)
+    stepping = Stepping(begun.rate, options.substeps, options.scheme)
     found = simulate(start, material, begun.grippers, dynamics, stepping, up=thetas[0].up, pairs=pairs, **more)
     return begun.steps[:, 1:] - 1, found
 
