@@ -54,6 +54,22 @@ def test_the_bend_stiffness_that_made_the_motion_is_identified(theta):
     assert json.loads(theta.read_text())["bend_mm3"] == pytest.approx(1e6, rel=0.05)
 
 
+def test_still_frames_join_the_motion(recording, tmp_path, capsys):
+    shape = np.load(recording / "made.npz")["positions_mm"][0, :1]
+    np.savez(tmp_path / "still.npz", vertices_mm=np.repeat(shape, 3, axis=0), rest_length_mm=np.full(6, 50.0))
+    command = ["identify", str(recording / "recorded.npz"), "--modes", "0", "--fit", "bend_damping", "--bend", "5e5", "--out",
+               str(tmp_path / "theta.json"), "--still", str(tmp_path / "still.npz")]
+    assert main([*command, "--still-noise", "0.05"]) == 0
+    assert "3 still frames, 0 left out" in capsys.readouterr().out
+    written = json.loads((tmp_path / "theta.json").read_text())
+    assert written["bend_mm3"] == pytest.approx(1e6, rel=0.02) and written["stills"]["mean_error_mm"] < 0.2
+    np.savez(tmp_path / "still.npz", vertices_mm=2.0 * shape, rest_length_mm=np.full(6, 100.0))
+    for more in ([], ["--still-noise", "-1"]):
+        assert main([*command, *more]) == 2
+    assert main([*command[:-2], "--still-noise", "1"]) == 2
+    assert capsys.readouterr().err.count("\n") == 3
+
+
 def test_a_recording_is_predicted_from_its_grippers(recording, theta):
     out = recording / "predicted.npz"
     assert main(["simulate", str(recording / "recorded.npz"), "--theta", str(theta), "--out", str(out)]) == 0
