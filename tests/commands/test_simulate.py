@@ -89,7 +89,8 @@ def test_one_recording_without_an_axis_for_it(recording, theta):
     assert main(["simulate", str(recording / "one.npz"), "--theta", str(theta), "--out", str(out)]) == 0
     found = np.load(out)
     assert found["positions_mm"].shape == positions.shape
-    assert found["error_mm"].shape == found["status"].shape == positions.shape[:1]
+    assert found["error_mm"].shape == found["status"].shape == found["energy_sum"].shape == positions.shape[:1]
+    assert found["substeps"] == 1
 
 
 @pytest.mark.parametrize(("change", "field"), [
