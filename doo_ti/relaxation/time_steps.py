@@ -73,12 +73,12 @@ def slope_memory(memory_of: Callable[[np.ndarray], Memory], changes: np.ndarray)
         slopes[:, p, :, :CURVATURE_1] = memory_of(changes[:, p]).places - still.places
         small = 1e-4 * np.linalg.norm(still.places[:, -1, :3] - still.places[:, 0, :3], axis=-1).max()
         share = small / max(np.abs(slopes[:, p, :, PLACE_2 : PLACE_2 + 3]).max(), 1e-300)
-        ahead, behind = (_curvatures(memory_of(sign * share * changes[:, p]).frames_before) for sign in (1.0, -1.0))
+        ahead, behind = (curvatures(memory_of(sign * share * changes[:, p]).frames_before) for sign in (1.0, -1.0))
         slopes[:, p, 2:, CURVATURE_2:] = (ahead - behind) / (2.0 * share)
     return slopes
 
 
-def _curvatures(frames: np.ndarray) -> np.ndarray:
+def curvatures(frames: np.ndarray) -> np.ndarray:
     """(R, E − 1, 5) X, Y and m (:mod:`doo_ti.physics.pair`) at the joints of (R, E, 4) frames."""
     q = quaternion_product(frames[:, :-1] * [1.0, -1.0, -1.0, -1.0], frames[:, 1:])
     z, bent = q[..., 0] + 1j * q[..., 1], q[..., 2] + 1j * q[..., 3]
