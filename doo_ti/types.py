@@ -29,7 +29,8 @@ class Status(IntEnum):
     ITERATION_LIMIT  more iterations would be needed
     STALLED          neither energy nor residual decreases any more
     NOT_FINITE       a number overflowed or is undefined
-    INFEASIBLE       the clamps are further apart than the free edges reach, or fewer than two edges are free
+    INFEASIBLE       the clamps are further apart than the free edges reach, fewer than two edges are free, or clamps or the
+                     start are inside an obstacle
     """
 
     CONVERGED = 0
@@ -254,6 +255,7 @@ class Solution:
                    grows by end_force · d when the clamp moves by d. Zero where an end is free. NaN in a taut rod, one that
                    is straight because its clamps are as far apart as it is long, to 1e-7: its tension is not determined
     precision      (R,) 32 or 64: the arithmetic that finished the rod
+    contact_force  (R, V, 3) of obstacles on the vertices, energy (mm²) per mm; None without obstacles
     tables         the input, with which :func:`doo_ti.relaxation.relax.relax` can continue; None where solutions were joined
     """
 
@@ -267,6 +269,19 @@ class Solution:
     end_force: np.ndarray
     precision: np.ndarray
     tables: object = field(default=None, repr=False)
+    contact_force: np.ndarray | None = None
+
+    def __post_init__(self):
+        if self.contact_force is None and getattr(self.tables, "contact", None) is not None:
+            # A copy: relaxing these rods again changes the tables.
+            object.__setattr__(self, "contact_force", self.tables.contact.forces.copy())
+
+    @property
+    def contact(self):
+        """Forces, gaps and touching vertices as :class:`doo_ti.contact.contacts.Contacts`; None without obstacles, and without
+        ``tables``."""
+        table = getattr(self.tables, "contact", None)
+        return None if table is None else table.contacts(self.configuration.vertices, self.contact_force)
 
     @property
     def converged(self) -> np.ndarray:
@@ -280,7 +295,13 @@ class Solution:
 
     def take(self, index) -> "Solution":
         """The rods named by ``index``, in that order, without their input."""
-        return Solution(self.configuration.take(index), **{name: getattr(self, name)[index] for name in _PER_ROD})
+        return Solution(self.configuration.take(index), **{name: value[index] for name, value in self.per_rod.items()})
+
+    @property
+    def per_rod(self) -> dict[str, np.ndarray]:
+        """The arrays with a row for each rod, but for its configuration, by name."""
+        every = {name: getattr(self, name) for name in _PER_ROD}
+        return {name: value for name, value in every.items() if value is not None}
 
     @classmethod
     def concatenate(cls, parts: Sequence["Solution"]) -> "Solution":
@@ -289,7 +310,8 @@ class Solution:
         if len(parts) == 1:
             return parts[0]
         rods = Configuration.concatenate([part.configuration for part in parts])
-        return cls(rods, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _PER_ROD})
+        every = [part.per_rod for part in parts]
+        return cls(rods, **{name: np.concatenate([part[name] for part in every]) for name in every[0]})
 
 
 _PER_ROD = tuple(entry.name for entry in fields(Solution) if entry.name not in ("configuration", "tables"))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.grid import UNITS, Axis, Grid, parse_axes, parse_axis
 from doo_ti.io.observations import checked_suffix
@@ -85,6 +86,14 @@ def add_relaxation(parser: ArgumentParser, precision: str | None) -> None:
                         help="newton, or the paper's gradient descent (default newton)")
     parser.add_argument("--precision", choices=PRECISIONS, default=precision,
                         help=f"floating-point arithmetic (default: {precision or 'the scene' + chr(39) + 's, else mixed'})")
+
+
+def add_obstacles(parser: ArgumentParser, friction: str) -> None:
+    """``friction`` says what the command makes of the friction of obstacles."""
+    group = parser.add_argument_group("contact", f"obstacles that rods touch but do not enter (docs/contact.md); {friction}")
+    group.add_argument("--obstacles", metavar="FILE.toml",
+                       help="[[obstacles]], each a plane, sphere, capsule, cylinder, ring or box; lengths in mm")
+    group.add_argument("--radius", metavar="MM", help="radius of the rods, needed with --obstacles")
 
 
 def add_seen_rod(parser: ArgumentParser) -> None:
@@ -192,6 +201,28 @@ def clamps(options: Namespace) -> tuple[Clamp | None, Clamp | None]:
     """The kinds of clamps at the start and at the end, or None where the options leave them out."""
     start, end = (None if name is None else Clamp[name.upper()] for name in (options.clamp_start, options.clamp_end))
     return start, end
+
+
+def surroundings(options: Namespace) -> Surroundings:
+    """What ``--obstacles`` and ``--radius`` give."""
+    radius = length("--radius", options.radius)
+    if options.obstacles is None:
+        if radius is not None:
+            raise InputError(SOURCE, "--radius", "given without --obstacles", "give both, or neither")
+        return Surroundings()
+    from doo_ti.contact.obstacle_file import load_obstacles
+
+    if radius is None:
+        raise InputError(SOURCE, "--radius", "missing beside --obstacles", "give the radius of the rods in mm")
+    return Surroundings(load_obstacles(options.obstacles), radius)
+
+
+def scene_surroundings(options: Namespace, found: Surroundings) -> Surroundings:
+    """Those of a scene, or of the options where the scene has none."""
+    given = surroundings(options)
+    if given and found:
+        raise InputError(SOURCE, "--obstacles", "given, but the scene has its own", "leave it out")
+    return given or found
 
 
 def solver(name: str):

@@ -9,7 +9,8 @@ import numpy as np
 
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import add_dynamic, curved, is_dynamic, losses, stepping
-from doo_ti.commands.results import counted, report, save_arrays, shortened
+from doo_ti.commands.results import contact_lines, contact_summary, counted, report, save_arrays, shortened
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.io.files import write_whole
 from doo_ti.io.motion_file import ClampPath, load_path
@@ -25,6 +26,8 @@ LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0
 """Of a sub-step: rods that are carried further at once may leave their branch; smaller steps make no difference."""
 MOST_LENGTHS = 100.0
 """Of a rod, between its clamps."""
+MOST_STEPS = 1000
+"""With friction, from one state to the next."""
 MOST_BYTES = 8 << 30
 """Of frames: predictions are held in memory."""
 
@@ -47,7 +50,8 @@ class _Task:
     between: int
     up: np.ndarray
     dynamics: object = None  # Dynamics of rods with inertia
-    stepping: object = None  # Stepping, with them
+    stepping: object = None  # Stepping, with them, or quasi-static for friction
+    surroundings: Surroundings = Surroundings()
 
 
 def declare(add) -> None:
@@ -67,6 +71,7 @@ def declare(add) -> None:
     given.add_clamps(parser)
     given.add_up(parser)
     add_dynamic(parser, "moments of the motion per second (default: by its times)")
+    given.add_obstacles(parser, "with friction, where an obstacle has any, from one step to the next")
     parser.add_argument("--precision", choices=PRECISIONS, default="mixed",
                         help="floating-point arithmetic of the stored steps (default mixed)")
     parser.add_argument("--picture", metavar="F.png", help="also draw the motion (default: no)")
@@ -83,7 +88,7 @@ def run(options: Namespace, words: list[str]) -> int:
     sub_step = _sub_step(options)
     task = _scene(options) if Path(options.source).suffix == ".toml" else _observed(options, out)
     task = task if between is None else replace(task, between=between)
-    task = _with_inertia(options, task) if is_dynamic(options) else task
+    task = _with_inertia(options, task) if is_dynamic(options) else _with_friction(task, sub_step)
     rods, intervals = len(task.names), (task.path.moments - 1) * task.between
     if rods * intervals * task.start.edges * 32 > MOST_BYTES:
         raise InputError(given.SOURCE, "--steps-between", f"{rods} rods at {intervals + 1} moments are too many to hold",
@@ -103,7 +108,7 @@ def run(options: Namespace, words: list[str]) -> int:
 
 
 def _predicted(task: _Task, sub_step: float, precision: str, advance):
-    inputs = {"between": task.between, "up": task.up, "advance": advance}
+    inputs = {"between": task.between, "up": task.up, "advance": advance, **task.surroundings.arguments}
     if task.dynamics is not None:
         from doo_ti.prediction.moving import predict_moving
 
@@ -126,6 +131,22 @@ def _with_inertia(options: Namespace, task: _Task) -> _Task:
     return replace(task, dynamics=losses(options), stepping=stepping(options, rate))
 
 
+def _with_friction(task: _Task, sub_step: float) -> _Task:
+    """The task in quasi-static steps where an obstacle has friction, which depends on the step before: as many between the
+    returned states as their motion needs."""
+    if not task.surroundings.rub:
+        return task
+    from doo_ti.dynamics.parameters import Dynamics, Stepping
+    from doo_ti.motion.path import motion_between
+
+    motions = len(task.clamps.start_position)
+    parts = [motion_between(task.path.at(k, task.clamps), task.path.at(k + 1, task.clamps), task.path.rotation(k, motions))
+             for k in range(task.path.moments - 1)]
+    needed = max(part.needed_steps(task.start.rest_length, sub_step).max() for part in parts) / task.between
+    stepping = Stepping(1.0, int(np.clip(np.ceil(needed), 1, MOST_STEPS)), "euler", quasi_static=True)
+    return replace(task, dynamics=Dynamics(density=1.0), stepping=stepping)
+
+
 def _sub_step(options: Namespace) -> float:
     """rad."""
     given_degrees = given.numbers("--sub-step", options.sub_step) or (5.0,)
@@ -136,6 +157,7 @@ def _sub_step(options: Namespace) -> float:
 
 
 def _scene(options: Namespace) -> _Task:
+    from doo_ti.contact.obstacle_file import obstacles_of
     from doo_ti.io.motion_scene import load_motion_scene
 
     for name in ("motion", "theta", *given.MATERIAL, "clamp_start", "clamp_end"):
@@ -148,14 +170,15 @@ def _scene(options: Namespace) -> _Task:
     theta = {"material_name": np.array(scene.names), "bend": scene.material.bend[:, 0], "twist": scene.material.twist[:, 0],
              "weight": scene.material.weight}
     _check_reach(scene.path, scene.clamps, float(scene.start.rest_length.sum()))
+    own = Surroundings(obstacles_of(scene.source, scene.obstacles), scene.radius)
     return _Task(scene.name, scene.start, scene.clamps, scene.path, scene.material, list(scene.names), theta, scene.between,
-                 np.array([0.0, 0.0, 1.0]) if up is None else up)
+                 np.array([0.0, 0.0, 1.0]) if up is None else up, surroundings=given.scene_surroundings(options, own))
 
 
 def _observed(options: Namespace, out: Path) -> _Task:
     if options.motion is None:
         raise InputError(given.SOURCE, "--motion", "missing", "name a file of poses, or give a scene of motion")
-    grid, up = given.grid(options), given.up(options)
+    grid, up, surroundings = given.grid(options), given.up(options), given.surroundings(options)
     observations = load_observations(options.source, up)
     for source in (options.source, options.motion):
         given.refuse_overwriting(out, source)
@@ -171,10 +194,11 @@ def _observed(options: Namespace, out: Path) -> _Task:
     path = path.relative_to(clamps) if options.relative else path
     _check_reach(path, clamps, float(observations.rest_length.sum()))
     materials = curved(options, grid.materials(), observations.rest_length, options.dynamic)
-    start = _settled(observations, clamps, materials)
+    start = _settled(observations, clamps, materials, surroundings)
     cells, rows = np.divmod(np.arange(materials.count * observations.count), observations.count)
     names = [f"cell {cell}, " * (materials.count > 1) + f"observation {row}" for cell, row in zip(cells, rows, strict=True)]
-    return _Task(observations.name, start, clamps, path, materials, names, grid.cell_values(), 1, observations.up)
+    return _Task(observations.name, start, clamps, path, materials, names, grid.cell_values(), 1, observations.up,
+                 surroundings=surroundings)
 
 
 def _check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
@@ -199,7 +223,7 @@ def _with_frames(observations: Observations, path: ClampPath, relative: bool) ->
     return replace(observations, **frames)
 
 
-def _settled(observations: Observations, clamps: Clamps, materials: Material) -> Configuration:
+def _settled(observations: Observations, clamps: Clamps, materials: Material, surroundings: Surroundings) -> Configuration:
     """(G·N) the rods at the start, material by material: of several whole turns that fit, the one nearest to what was seen."""
     from doo_ti.metric import distance
     from doo_ti.relaxation.relax import relax
@@ -210,7 +234,7 @@ def _settled(observations: Observations, clamps: Clamps, materials: Material) ->
         return starts
     of_material, row = np.divmod(np.arange(materials.count * len(index)), len(index))
     solution = relax(starts, materials, clamps.take(index), up=observations.up, configuration_index=row,
-                     material_index=of_material)
+                     material_index=of_material, **surroundings.arguments)
     score = distance(solution.configuration, observations, index[row])
     best = choose_hypothesis(of_material * observations.count + index[row], score, solution.converged & solution.stable)
     return starts.take(row[best])
@@ -219,6 +243,9 @@ def _settled(observations: Observations, clamps: Clamps, materials: Material) ->
 def _arrays(task: _Task, prediction) -> dict[str, np.ndarray]:
     """What the file holds; docs/twist.md."""
     per_material = {name: np.asarray(value)[prediction.material] for name, value in task.theta.items()}
+    if task.surroundings:
+        gap = [task.surroundings.smallest_gap(rods) for rods in prediction.vertices]
+        per_material |= {"contact_force": prediction.contact_force, "smallest_gap_mm": np.stack(gap)}
     return {
         "time_s": prediction.time, "vertices_mm": prediction.vertices, "energy": prediction.energy, "status": prediction.status,
         "stable": prediction.stable, "followed": prediction.followed, "jumps": prediction.jumps,
@@ -251,10 +278,13 @@ def _lines(task: _Task, prediction, result: dict) -> list[str]:
     count, moments = len(task.names), len(prediction.time)
     jumps = np.argwhere(prediction.jumps > 0)
     lost = np.flatnonzero(~prediction.followed[-1])
+    how = f"{int(prediction.stable.sum())} of {count * moments} certified stable"
+    if task.dynamics is not None:
+        how = (f"with friction, {task.stepping.substeps} steps between states" if task.stepping.quasi_static else
+               f"with inertia, {task.stepping.rate * task.between:.4g} states/s")
     lines = [f"{task.name}: {count} rods of {task.start.edges} edges at {moments} moments",
-             f"  status      {counted(status_counts(prediction.status))}"
-             + (f"; {int(prediction.stable.sum())} of {count * moments} certified stable" if task.dynamics is None else
-                f"; with inertia, {task.stepping.rate * task.between:.4g} states/s"),
+             f"  status      {counted(status_counts(prediction.status))}; {how}",
+             *contact_lines(_contact(task, prediction, result), count),
              f"  far clamp   at the end turned about the rod by {_range(result['end_rotation_deg'][-1])}, total twist "
              f"{_range(result['total_twist_deg'][-1])}"]
     rods = f"to another branch, {len(np.unique(jumps[:, 1]))} of {count} rods" if len(jumps) else "all stayed on their branch"
@@ -268,6 +298,13 @@ def _lines(task: _Task, prediction, result: dict) -> list[str]:
     return lines + shortened([
         f"    {task.names[rod]}: no prediction from {prediction.time[int(np.argmin(prediction.followed[:, rod]))]:g} s on"
         for rod in lost], MOST_LISTED, "    and {} more")
+
+
+def _contact(task: _Task, prediction, result: dict) -> dict:
+    if not task.surroundings:
+        return {}
+    return contact_summary(task.surroundings, *(np.swapaxes(value, 0, 1) for value in (
+        result["contact_force"], result["smallest_gap_mm"], prediction.status)))
 
 
 def _range(degrees: np.ndarray) -> str:
@@ -285,4 +322,4 @@ def _summary(task: _Task, prediction, result: dict, out: Path) -> dict:
         "rods": len(task.names), "moments": len(prediction.time), "edges": task.start.edges,
         "status": status_counts(prediction.status), "stable": int(prediction.stable.sum()),
         "followed": int(prediction.followed[-1].sum()), "falls": falls, "end_rotation_deg": result["end_rotation_deg"][-1],
-        "total_twist_deg": result["total_twist_deg"][-1], "out": str(out)}
+        "total_twist_deg": result["total_twist_deg"][-1], "out": str(out), **_contact(task, prediction, result)}

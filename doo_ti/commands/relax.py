@@ -7,7 +7,16 @@ import numpy as np
 
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import curved
-from doo_ti.commands.results import counted, report, save_arrays, theta_of, theta_text
+from doo_ti.commands.results import (
+    contact_lines,
+    contact_summary,
+    counted,
+    report,
+    save_arrays,
+    theta_of,
+    theta_text,
+)
+from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.io.observations import Observations, load_observations
 from doo_ti.learning.objective import status_counts
@@ -23,12 +32,16 @@ def declare(add) -> None:
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
     given.add_material(parser, "one number each", given.SHAPE_ONLY)
     given.add_relaxation(parser, "f64")
+    given.add_obstacles(parser, "without friction, which acts in simulate and predict")
 
 
 def run(options: Namespace, words: list[str]) -> int:
     """F on each observation (§III-D), to one npz; of several whole-turn hypotheses the one nearest to the observation."""
     grid = given.single_cell(options, "give one number, or use sweep")
     frame_weight, up, out = given.frame_weight(options), given.up(options), given.output_file(options.out, ".npz")
+    surroundings = given.surroundings(options)
+    if surroundings and options.solver != "newton":
+        raise InputError(given.SOURCE, "--solver", f"{options.solver} given beside --obstacles", "leave it out")
     observations = load_observations(options.observations, up)
     clamps = observation_clamps(observations, *given.clamps(options))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
@@ -42,15 +55,20 @@ def run(options: Namespace, words: list[str]) -> int:
     observed, held = observations.take(index), clamps.take(index)
     with busy(f"relaxing {observed.count} rods (kernels are compiled once on a machine)"):
         solution = relax_rods(start_configuration(observed, held, turns), material, held, given.solver(options.solver),
-                              up=observations.up, precision=options.precision)
+                              up=observations.up, precision=options.precision, **surroundings.arguments)
     relaxed = solution.configuration
     error = distance(relaxed, observations, index, frame_weight)
     best = choose_hypothesis(index, error, solution.converged & solution.stable)
     configuration = relaxed.take(best)
     result = {"vertices_mm": configuration.vertices, "frames": configuration.frames, "distance_mm": error[best]}
     result |= {name: getattr(solution, name)[best] for name in ("energy", "status", "iterations", "residual", "stable")}
+    contact = {}
+    if surroundings:
+        result["contact_force"] = solution.contact_force[best]
+        result["smallest_gap_mm"] = surroundings.smallest_gap(result["vertices_mm"])
+        contact = contact_summary(surroundings, result["contact_force"], result["smallest_gap_mm"], result["status"])
     save_arrays(out, result)
-    summary = _summary(observations, grid, result, out)
+    summary = _summary(observations, grid, result, out) | contact
     report(options, summary, lambda: _lines(observations, grid, result, summary))
     return 0 if (result["status"] == Status.CONVERGED).any() else 1
 
@@ -73,5 +91,6 @@ def _lines(observations: Observations, grid: Grid, result: dict, summary: dict) 
     if np.isfinite(summary["mean_distance_mm"]):
         lines.append(f"  distance    mean {summary['mean_distance_mm']:.4g} mm, largest {summary['largest_distance_mm']:.4g} "
                      f"mm at observation {int(np.nanargmax(result['distance_mm']))} (Eq. 1)")
+    lines += contact_lines(summary, observations.count)
     return [*lines, f"  iterations  median {summary['median_iterations']:.0f}, most {int(result['iterations'].max())}",
             f"  written to {in_line(summary['out'])}"]

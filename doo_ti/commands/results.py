@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.grid import Grid, Interval
 from doo_ti.io.files import write_text, write_whole
 from doo_ti.io.observations import Observations, load_observations, save_observations
 from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.terminal import in_line
+from doo_ti.types import Status
 
 # --- files ---------------------------------------------------------------------------------------------------------------
 
@@ -97,6 +99,30 @@ def counted(counts: dict[str, int]) -> str:
 def shortened(lines: list[str], most: int, rest: str) -> list[str]:
     """The first ``most`` lines, then ``rest`` with the number of further lines in place of {}."""
     return lines if len(lines) <= most else [*lines[:most], rest.format(len(lines) - most)]
+
+
+def contact_summary(surroundings: Surroundings, force: np.ndarray, gap: np.ndarray, status: np.ndarray) -> dict:
+    """Of R rods, what the summaries say of contact: nothing without obstacles, else how many rods touch one in some vertex and
+    instant, the smallest gap in mm, and how many rods are infeasible.
+
+    force, gap, status  (R, ...) with or without instants, and vertices
+    """
+    if not surroundings:
+        return {}
+    rods, finite = len(gap), gap[np.isfinite(gap)]
+    return {"contact": {
+        "touching": int((np.nan_to_num(force).reshape(rods, -1) != 0).any(axis=1).sum()),
+        "smallest_gap_mm": finite.min() if len(finite) else np.nan,
+        "infeasible": int((status == Status.INFEASIBLE).reshape(rods, -1).any(axis=1).sum())}}
+
+
+def contact_lines(summary: dict, rods: int) -> list[str]:
+    """:func:`contact_summary` as text."""
+    found = summary.get("contact")
+    if found is None:
+        return []
+    return [f"  contact     {found['touching']} of {rods} rods touch an obstacle; smallest gap {found['smallest_gap_mm']:.2g} "
+            f"mm; {found['infeasible']} infeasible"]
 
 
 def peak_memory() -> int:

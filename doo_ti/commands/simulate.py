@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.commands import options as given
-from doo_ti.commands.results import counted, report, save_arrays, shortened
+from doo_ti.commands.results import contact_lines, contact_summary, counted, report, save_arrays, shortened
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.terminal import busy, in_line, progress
 from doo_ti.types import Clamp, Status
@@ -36,6 +37,8 @@ class _Simulated:
     substeps: np.ndarray | None = None  # (R,)
     step_error: np.ndarray | None = None  # (R,) mm, where there is a tolerance
     tolerance: float | None = None
+    surroundings: Surroundings = Surroundings()
+    contact: dict[str, np.ndarray] = field(default_factory=dict)  # (R, T, ...) arrays of contact, with obstacles
 
 
 def declare(add) -> None:
@@ -51,6 +54,9 @@ def declare(add) -> None:
     parser.add_argument("--scheme", choices=SCHEMES, help="of time steps: second order, or backward Euler (default bdf2)")
     parser.add_argument("--precision", choices=("f32", "f64", "mixed"), default="f64",
                         help="arithmetic; mixed: f32, and f64 for rods that it cannot finish (default f64)")
+    parser.add_argument("--quasi-static", action="store_true", help="without inertia and drag: every step is an equilibrium "
+                        "(default: as the scene says)")
+    given.add_obstacles(parser, "with friction")
     parser.add_argument("--fill-gaps", action="store_true",
                         help="take markers that were not seen from lines between the frames around")
     given.add_up(parser, "the one in THETA.json, else 0,0,1")
@@ -72,7 +78,8 @@ def run(options: Namespace, words: list[str]) -> int:
         path.parent.mkdir(parents=True, exist_ok=True)
     arrays, summary = _results(found, out)
     if found.alone:
-        per_rod = {"positions_mm", "status", "error_mm", "substeps", "step_error_mm", *map(ENERGY.format, found.energies)}
+        per_rod = {"positions_mm", "status", "error_mm", "substeps", "step_error_mm", *map(ENERGY.format, found.energies),
+                   *found.contact}
         arrays = {key: value[0] if key in per_rod else value for key, value in arrays.items()}
     save_arrays(out, arrays)
     _draw(found, shown)
@@ -86,7 +93,8 @@ def _stepping(options: Namespace) -> dict:
     if most is not None and options.tolerance is None:
         raise InputError(given.SOURCE, "--most-substeps", "given without --tolerance", "give both, or --substeps")
     found = {"substeps": given.whole("--substeps", options.substeps, 1, 1000), "scheme": options.scheme,
-             "precision": options.precision, "tolerance": given.length("--tolerance", options.tolerance), "most_substeps": most}
+             "precision": options.precision, "tolerance": given.length("--tolerance", options.tolerance), "most_substeps": most,
+             "quasi_static": options.quasi_static or None}
     return {name: value for name, value in found.items() if value is not None}
 
 
@@ -107,7 +115,7 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
 
     if options.theta is None:
         raise InputError(given.SOURCE, "--theta", "missing", "give the rod: a file that doo-ti identify has written")
-    theta = load_theta(options.theta)
+    theta, surroundings = load_theta(options.theta), given.surroundings(options)
     motion = RecordedMotion.load(options.source, options.fill_gaps)
     given.refuse_overwriting(out, options.source)
     if motion.edges != len(theta.rest_length):
@@ -118,10 +126,21 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
     with progress() as bar:
         task = bar.add_task("simulating", total=motion.count * (motion.positions.shape[1] - 2), unit="rods x frames")
         positions, status, energies, found = simulated_recordings(
-            motion, theta, stepping, progress=lambda done: bar.update(task, completed=motion.count * done))
+            motion, theta, stepping, progress=lambda done: bar.update(task, completed=motion.count * done),
+            surroundings=surroundings)
     return _Simulated(Path(options.source).stem, list(motion.names), positions, status, motion.rate, theta.up,
                       motion.positions, tuple(motion.glitches()), motion.alone, energies, found.substeps,
-                      None if stepping.tolerance is None else found.error, stepping.tolerance)
+                      None if stepping.tolerance is None else found.error, stepping.tolerance, surroundings,
+                      _contact(surroundings, positions, found.contact_force, found.friction_work))
+
+
+def _contact(surroundings: Surroundings, positions: np.ndarray, force, work) -> dict[str, np.ndarray]:
+    """What is written of contact, with obstacles: at every frame forces (R, T, V, 3), smallest gaps and work of friction
+    (R, T)."""
+    if not surroundings:
+        return {}
+    gap = np.stack([surroundings.smallest_gap(positions[:, frame]) for frame in range(positions.shape[1])], axis=1)
+    return {"contact_force": force, "smallest_gap_mm": gap, "friction_work": work}
 
 
 def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
@@ -133,39 +152,49 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
         if getattr(options, name):
             raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", "given, but a scene has its own rods", "leave it out")
     scene = load_dynamic_scene(options.source)
+    surroundings = given.scene_surroundings(options, scene.surroundings)
     count = scene.material.count
     pairs = np.zeros(count, dtype=np.int64), np.arange(count)
-    start = scene.start
+    start, first_force = scene.start, np.zeros((count, scene.start.edges + 1, 3))
     if scene.at_rest:
         if Clamp.FREE == scene.grippers.start and Clamp.FREE == scene.grippers.end:
             raise InputError(options.source, "rod.at_rest", "both ends are free", "let it begin straight, or clamp an end")
         with busy(f"relaxing {count} rods (kernels are compiled once on a machine)"):
             solution = relax(start, scene.material, scene.grippers.at(0), up=up, configuration_index=pairs[0],
-                             material_index=pairs[1])
+                             material_index=pairs[1], **surroundings.arguments)
+        first_force = first_force if solution.contact_force is None else solution.contact_force
         start, pairs = solution.configuration, (np.arange(count), np.arange(count))
     grippers = scene.grippers.take(pairs[0] * 0) if start.count > 1 else scene.grippers
     with progress() as bar:
         task = bar.add_task(scene.name, total=count * (grippers.instants - 1), unit="rods x frames")
         stepping = replace(scene.stepping, **changes)
         found = simulate(start, scene.material, grippers, scene.dynamics, stepping, up=up, pairs=pairs, detailed=True,
-                         progress=lambda done: bar.update(task, completed=count * done))
+                         progress=lambda done: bar.update(task, completed=count * done), **surroundings.arguments)
     first = start.vertices[pairs[0]]
     positions = np.concatenate([first[:, None], found.positions], axis=1)
     status = np.concatenate([np.zeros((count, 1), dtype=np.int8), found.status], axis=1)
+    contact = {}
+    if surroundings:
+        work = np.pad(found.friction_work, ((0, 0), (1, 0)))
+        force = np.concatenate([first_force[:, None], found.contact_force], axis=1)
+        contact = _contact(surroundings, positions, force, work)
     return _Simulated(scene.name, list(scene.names), positions, status, stepping.rate, up, energies=found.detail.energies,
                       substeps=found.substeps, step_error=None if stepping.tolerance is None else found.error,
-                      tolerance=stepping.tolerance)
+                      tolerance=stepping.tolerance, surroundings=surroundings, contact=contact)
 
 
 def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
     arrays = {"positions_mm": found.positions, "status": found.status, "rate_hz": np.float64(found.rate),
               "recording": np.array(found.names), "substeps": found.substeps}
-    arrays |= {ENERGY.format(name): value for name, value in found.energies.items()}
+    arrays |= {ENERGY.format(name): value for name, value in found.energies.items()} | found.contact
     last = found.status[:, -1]
     counts = {Status(value).name.lower(): int((last == value).sum()) for value in np.unique(last)}
     summary = {"rods": len(found.names), "frames": found.positions.shape[1], "vertices": found.positions.shape[2],
                "status": counts, "failed": [name for name, value in zip(found.names, last, strict=True) if value],
                "out": str(out)}
+    if found.contact:
+        summary |= contact_summary(found.surroundings, found.contact["contact_force"], found.contact["smallest_gap_mm"],
+                                   found.status)
     if found.step_error is not None:
         arrays["step_error_mm"] = found.step_error
         used, rods = np.unique(found.substeps, return_counts=True)
@@ -191,6 +220,10 @@ def _lines(found: _Simulated, summary: dict) -> list[str]:
              f"  status      {counted(summary['status'])} at the end"]
     if summary["failed"]:
         lines.append(f"  failed      {', '.join(map(in_line, summary['failed'][:MOST_LISTED]))}: no positions from there on")
+    lines += contact_lines(summary, len(found.names))
+    if found.contact:
+        work = found.contact["friction_work"][:, -1]
+        lines.append(f"  friction    takes {np.nanmin(work):.3g} to {np.nanmax(work):.3g} mm² in all")
     if found.step_error is not None:
         steps = ", ".join(f"{n} for {rods}" for n, rods in summary["substeps"].items())
         lines.append(f"  time steps  {steps} rods a frame; estimated error: median {np.median(found.step_error):.3g}, largest "

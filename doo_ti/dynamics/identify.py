@@ -6,10 +6,11 @@ Marks of still frames join the sum with the weight σ²_motion/σ²_still, σ_mo
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.parameters import Direction, MovingStart, Stepping
 from doo_ti.dynamics.recorded import RecordedMotion, Rollout, roll_reference, rollout
 from doo_ti.dynamics.simulate import simulate
@@ -62,17 +63,23 @@ def predicted(motion: RecordedMotion, thetas: list[MotionTheta], options: Identi
 
 
 def simulated_recordings(motion: RecordedMotion, theta: MotionTheta, stepping: Stepping, end: Clamp = IdentifyOptions.end,
-                         progress=None):
+                         progress=None, surroundings: Surroundings = Surroundings()):
     """(positions (R, T, V, 3), status (R, T), energies (R, T) by name, the simulation itself) of the recordings under one Θ, as
-    :func:`predicted`; energies are NaN in frame 0: the simulation begins at frame 1. ``stepping`` has the recordings' rate."""
+    :func:`predicted`; energies are NaN in frame 0: the simulation begins at frame 1. ``stepping`` has the recordings' rate.
+    Contact forces (R, T, V, 3) and work of friction (R, T) in the simulation are those at the recordings' frames, and zero in
+    frames 0 and 1."""
     begun = rollout(motion, theta.rest_length, theta.reference, end=end)
     material, dynamics = simulated([theta])
     found = simulate(MovingStart(begun.start, begun.velocity, 0.5 / begun.rate), material, begun.grippers, dynamics, stepping,
-                     up=theta.up, detailed=True, progress=progress)
+                     up=theta.up, detailed=True, progress=progress, **surroundings.arguments)
     positions, status = (value[:, 0] for value in _shown(motion, 1, begun.steps[:, 1:] - 1, found))
     rods = np.arange(motion.count)[:, None]
     energies = {name: np.concatenate([np.full((motion.count, 1), np.nan), value[rods, begun.steps]], axis=1)
                 for name, value in found.detail.energies.items()}
+    if surroundings:
+        for name in ("contact_force", "friction_work"):
+            value = getattr(found, name)[rods, begun.steps[:, 1:] - 1]
+            found = replace(found, **{name: np.concatenate([np.zeros_like(value[:, :1])] * 2 + [value], axis=1)})
     return positions, status, energies, found
 
 

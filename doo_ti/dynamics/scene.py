@@ -4,6 +4,7 @@
     rate_hz = 200                      # frames per second
     duration_s = 1.0
     substeps = 2                       # time steps from one frame to the next (1)
+    quasi_static = true                # without inertia and drag: every step is an equilibrium, with friction (false)
     scheme = "bdf2"                    # or "euler"
 
     [rod]
@@ -12,6 +13,7 @@
     direction = [0, 0, -1]             # in which it is straight at first (along x)
     position_mm = [0, 0, 0]            # of its first vertex (the origin)
     at_rest = true                     # relaxed before the motion begins (false: it begins straight)
+    radius_mm = 3.0                    # needed with obstacles
 
     [materials.rope]                   # one or more, all in the same motion
     bend = 6e5                         # mm³
@@ -37,6 +39,12 @@
     [circle]                           # on which the start runs besides, horizontal
     radius_mm = 50.0
     turns_per_s = 1.5
+
+    [[obstacles]]                      # none or more, see doo_ti/contact/obstacle_file.py
+    kind = "plane"
+    point = [0, 0, -900]
+    normal = [0, 0, 1]
+    friction = 0.3
 """
 
 from dataclasses import dataclass
@@ -46,10 +54,13 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
+from doo_ti.contact.obstacle_file import obstacles_of
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.grippers import Grippers, edge_frames
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.errors import InputError
 from doo_ti.frames import across
+from doo_ti.io.motion_scene import rod_radius
 from doo_ti.io.toml_file import Finite, NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.terminal import in_line
 from doo_ti.types import Clamp, Configuration, Material
@@ -69,6 +80,7 @@ class DynamicScene:
     dynamics: Dynamics
     grippers: Grippers
     stepping: Stepping
+    surroundings: Surroundings
 
 
 class _File(Table):
@@ -82,6 +94,8 @@ class _File(Table):
     clamps: dict = {}
     moments: list = []
     circle: dict | None = None
+    obstacles: list = []
+    quasi_static: bool = False
 
 
 class _Rod(Table):
@@ -90,6 +104,7 @@ class _Rod(Table):
     direction: Vector = (1.0, 0.0, 0.0)
     position_mm: Vector = (0.0, 0.0, 0.0)
     at_rest: bool = False
+    radius_mm: Positive | None = None
 
 
 class _Material(Table):
@@ -135,8 +150,10 @@ def load_dynamic_scene(path: str | Path) -> DynamicScene:
     grippers = _grippers(path, file, clamps, start, direction, time)
     names = tuple(map(in_line, file.materials))
     material, dynamics = _materials(path, file.materials)
+    surroundings = Surroundings(obstacles_of(path, file.obstacles), rod_radius(path, file.obstacles, rod.radius_mm))
     return DynamicScene(in_line(path.stem if file.name is None else file.name), names, start, rod.at_rest, material, dynamics,
-                        grippers, Stepping(file.rate_hz, file.substeps, file.scheme))
+                        grippers, Stepping(file.rate_hz, file.substeps, file.scheme, quasi_static=file.quasi_static),
+                        surroundings)
 
 
 def _materials(path: Path, table: dict) -> tuple[Material, Dynamics]:

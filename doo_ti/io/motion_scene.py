@@ -6,6 +6,7 @@
     [rod]
     length_mm = 99.0
     edges = 33
+    radius_mm = 0.5                    # needed with obstacles
 
     [materials.vicryl]                 # one or more, all under the same motion
     bend = 6e5                         # mm³, or a matrix [[A1, A12], [A12, A2]]
@@ -19,6 +20,11 @@
     end_position_mm = [90, 0, 0]       # at first where the straight rod ends
     end_direction = [1, 0, 0]          # of the last edge
     end_rotation_deg = 0.0             # of the last edge about itself, whole turns included
+
+    [[obstacles]]                      # none or more, see doo_ti/contact/obstacle_file.py
+    kind = "sphere"
+    centre = [50, 0, -20]
+    radius = 15.0
 
 The rod is straight at first, at the start position of the first moment, and is brought to that moment before the time begins.
 """
@@ -42,7 +48,7 @@ from doo_ti.frames import (
     smallest_rotation,
 )
 from doo_ti.io.motion_file import ClampPath
-from doo_ti.io.toml_file import Finite, NumberOrMatrix, Table, Vector, checked, read_toml, unit_direction
+from doo_ti.io.toml_file import Finite, NumberOrMatrix, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.terminal import in_line
 from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, Material
 
@@ -58,6 +64,7 @@ class MotionScene:
     start      one rod, straight, and ``clamps`` that hold it there
     path       where the clamps go
     between    moments kept from one to the next
+    obstacles  as they are written, with the ``radius`` of the rod in mm, or None without
     """
 
     name: str
@@ -68,6 +75,8 @@ class MotionScene:
     path: ClampPath
     between: int
     source: str
+    obstacles: list
+    radius: float | None
 
 
 class _File(Table):
@@ -78,11 +87,13 @@ class _File(Table):
     moments: Annotated[list, Meta(min_length=2)]
     name: str | None = None
     between: Annotated[int, Meta(ge=1, le=100_000)] = 1
+    obstacles: list = []
 
 
 class _Rod(Table):
     length_mm: Annotated[float, Meta(ge=1e-6, le=LARGEST)]
     edges: Annotated[int, Meta(ge=4, le=MOST_EDGES)]
+    radius_mm: Positive | None = None
 
 
 class _Material(Table):
@@ -111,7 +122,15 @@ def load_motion_scene(path: str | os.PathLike) -> MotionScene:
     moments = _moments(path, file.moments, rod.length_mm)
     start, clamps = _straight(moments, rod.length_mm, rod.edges)
     return MotionScene(name=in_line(path.stem if file.name is None else file.name), names=names, material=material, start=start,
-                       clamps=clamps, path=_path(moments, clamps, str(path)), between=file.between, source=str(path))
+                       clamps=clamps, path=_path(moments, clamps, str(path)), between=file.between, source=str(path),
+                       obstacles=file.obstacles, radius=rod_radius(path, file.obstacles, rod.radius_mm))
+
+
+def rod_radius(path: Path, obstacles: list, radius: float | None) -> float | None:
+    """``radius``, the value of ``rod.radius_mm``. Raises InputError where a scene has ``obstacles`` without it."""
+    if obstacles and radius is None:
+        raise InputError(path, "rod.radius_mm", "missing beside obstacles", "give the radius of the rod")
+    return radius
 
 
 def _materials(path: Path, table: dict) -> tuple[tuple[str, ...], Material]:

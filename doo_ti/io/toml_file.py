@@ -21,12 +21,13 @@ Finite = Annotated[float, msgspec.Meta(ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, msgspec.Meta(gt=0, le=LARGEST)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0, le=LARGEST)]
 Vector = tuple[Finite, Finite, Finite]
+Rotation = tuple[Vector, Vector, Vector]
 NumberOrPair = float | tuple[float, float]
 NumberOrMatrix = float | tuple[tuple[float, float], tuple[float, float]]
 """Without bounds, which are checked where the values are used: msgspec 0.22 crashes on a bounded number beside a tuple."""
 
-_FORMS = {Vector: "a vector [X, Y, Z]", NumberOrPair: "a number, or two: [START, END]",
-          NumberOrMatrix: "a number or a matrix [[A1, A12], [A12, A2]]"}
+_FORMS = {Vector: "a vector [X, Y, Z]", Rotation: "a matrix of three rows [X, Y, Z]",
+          NumberOrPair: "a number, or two: [START, END]", NumberOrMatrix: "a number or a matrix [[A1, A12], [A12, A2]]"}
 _WORDS = {"float": "a number", "int": "a whole number", "str": "text in quotes", "bool": "true or false", "array": "a list",
           "object": "a table"}
 """msgspec's names of types, for a person."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.motion.jumps import PARTS, JumpCount
 from doo_ti.motion.path import Motion
 from doo_ti.relaxation.descent import Descent
@@ -32,6 +33,7 @@ class Journey:
     solver       as :func:`doo_ti.relaxation.relax.relax` takes it; Newton runs without its first shift, which stays closest to
                  the branch
     precision    of the last state; sub-steps run in f64 if that is chosen, else in f32, with f64 where f32 does not converge
+    surroundings the obstacles that the R rods may touch, without friction
     """
 
     motion: Motion
@@ -41,6 +43,7 @@ class Journey:
     up: np.ndarray = (0.0, 0.0, 1.0)
     solver: Newton | Descent = Newton()
     precision: str = "mixed"
+    surroundings: Surroundings = Surroundings()
 
     @property
     def sub_steps(self) -> np.ndarray:
@@ -75,7 +78,9 @@ class Journey:
         first = motions * np.arange(self.material.count)[:, None]
         for steps in np.unique(need) if motions else [FEWEST_STEPS]:
             rows = np.flatnonzero(need == steps)
-            yield (first + rows).ravel(), int(steps), replace(self, motion=self.motion.take(rows))
+            rods = (first + rows).ravel()
+            part = replace(self, motion=self.motion.take(rows), surroundings=self.surroundings.take(rods))
+            yield rods, int(steps), part
 
     def _end(self, begin: Configuration, steps: int, watch: bool) -> tuple[Solution, np.ndarray]:
         """As :meth:`end`, all motions in ``steps`` sub-steps."""
@@ -110,7 +115,8 @@ class Journey:
         """``rods`` relaxed from ``configuration`` under the clamps after ``share`` of the motion."""
         solver = replace(self.solver, first_shift=0.0) if isinstance(self.solver, Newton) else self.solver
         return relax(configuration, self.material, self.motion.at(share).take(rods % self._motions), solver, up=self.up,
-                     precision=precision, configuration_index=np.arange(len(rods)), material_index=rods // self._motions)
+                     precision=precision, configuration_index=np.arange(len(rods)), material_index=rods // self._motions,
+                     **self.surroundings.take(rods).arguments)
 
     @property
     def _step_precision(self) -> str:

@@ -9,7 +9,6 @@ Axes: R rods, E edges.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import fields
 
 import numpy as np
 
@@ -89,8 +88,8 @@ class JumpCount:
 
 def _put(solution: Solution, rows: np.ndarray, other: Solution) -> None:
     """Write ``other`` into those ``rows`` of every array of a solution."""
-    for name in (field.name for field in fields(Solution) if field.name not in ("configuration", "tables")):
-        getattr(solution, name)[rows] = getattr(other, name)
+    for name, value in solution.per_rod.items():
+        value[rows] = getattr(other, name)
     solution.configuration.start[rows] = other.configuration.start
     solution.configuration.quaternions[rows] = other.configuration.quaternions
 

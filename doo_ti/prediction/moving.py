@@ -3,10 +3,13 @@
 Axes: T moments, G materials, N motions, R = G·N rods, material by material.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from doo_ti.contact.obstacles import Obstacle
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.grippers import Grippers, edge_frames
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
@@ -26,24 +29,28 @@ EVEN = 1e-3
 def predict_moving(
     configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, dynamics: Dynamics, stepping: Stepping,
     *, between: int = 1, up=(0.0, 0.0, 1.0), advance: Callable[[int], None] = lambda rods: None,
+    obstacles: Sequence[Obstacle] = (), radius=None,
 ) -> Prediction:
     """As :func:`doo_ti.prediction.predict.predict`, with inertia: rods at rest at the path's first moment, then carried along
     it at the speed that the rate gives it.
 
     dynamics  of G rows or one
-    stepping  rate: moments of the path per second; the time steps are between the states that are returned
+    stepping  rate: moments of the path per second; the time steps are between the states that are returned. Quasi-static steps
+              have friction without inertia
     between   number of returned states per interval of the path; clamps move between its moments on cubics
+    obstacles, radius  as in :func:`doo_ti.dynamics.simulate.simulate`, with friction; on the way to the path's first moment
+              there is none
 
     In what is returned ``stable`` says that all steps have converged, since a rod in motion is at no minimum; ``energy`` is
     without the kinetic energy, and ``jumps`` are counted only on the way to the first moment. Raises InputError where numbers
     of rods and motions do not match, and for a far frame that turns by half a turn or more from one moment to the next.
     """
-    _, rods, (first, held, jumps) = begun(configuration, material, clamps, path, LARGEST_TURN, up, Newton(), "f64")
+    _, rods, (first, held, jumps) = begun(configuration, material, clamps, path, LARGEST_TURN, up, Newton(), "f64",
+                                         Surroundings(obstacles, radius))
     rows = np.arange(len(rods)) % len(clamps.start_position)
     grippers = _grippers(path, held).refined(between)
     pairs = np.arange(len(rods)), rods
-    rate = Stepping(stepping.rate * between, stepping.substeps, stepping.scheme, stepping.precision, stepping.tolerance,
-                    stepping.most_substeps)
+    rate = replace(stepping, rate=stepping.rate * between)
     done = 0
 
     def progress(frames: int) -> None:
@@ -52,7 +59,7 @@ def predict_moving(
         done = frames
 
     found = simulate(first.configuration, material, grippers.take(rows), dynamics, rate, up=up, pairs=pairs, detailed=True,
-                     progress=progress)
+                     progress=progress, obstacles=obstacles, radius=radius)
     energies = found.detail.energies
     stored = sum(energies[name] for name in ("bending", "twist", "gravity"))
     status = sticky(first.status[:, None], found.status).T
@@ -60,11 +67,15 @@ def predict_moving(
     for k in range(grippers.instants - 1):
         turned.append(turned[-1] + rotation_about_rod(motion_between(grippers.at(k), grippers.at(k + 1)))[rows])
 
+    time = np.arange(grippers.instants) / rate.rate + path.time[0]
+    if stepping.quasi_static:
+        time = np.interp(np.arange(grippers.instants) / between, np.arange(path.moments), path.time)
+
     def with_first(before, after):
         return np.concatenate([before[None], np.moveaxis(after, 1, 0)])
 
     return Prediction(
-        time=np.arange(grippers.instants) / rate.rate + path.time[0],
+        time=time,
         start=with_first(first.configuration.vertices[:, 0], found.positions[:, :, 0]),
         quaternions=np.moveaxis(found.detail.quaternions, 1, 0), rest_length=configuration.rest_length,
         energy=first.energy + (stored - stored[:, :1]).T, residual=with_first(first.residual, found.residual),
@@ -72,7 +83,8 @@ def predict_moving(
         stable=np.concatenate([first.stable[None], status == Status.CONVERGED]),
         end_force=with_first(first.end_force, found.end_force),
         jumps=np.concatenate([jumps[None], np.zeros((grippers.instants - 1, len(rows)), dtype=jumps.dtype)]),
-        end_rotation=np.stack(turned), material=rods, motion=rows)
+        end_rotation=np.stack(turned), material=rods, motion=rows,
+        contact_force=None if found.contact_force is None else with_first(first.contact_force, found.contact_force))
 
 
 def rate_of(path: ClampPath) -> float:

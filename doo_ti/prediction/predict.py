@@ -9,12 +9,14 @@ one; jumps are counted. The motion is quasi-static, without inertia.
 Axes: T moments, G materials, N motions, R = G·N rods, material by material, E edges, K candidate poses.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
 
 import numpy as np
 
+from doo_ti.contact.obstacles import Obstacle
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.frames import angle_about, matrix_from_quaternion, smallest_rotation, total_twist, vertices_from_quaternions
 from doo_ti.io.motion_file import ClampPath
@@ -44,6 +46,7 @@ class Prediction:
     jumps         (T, R) jumps to another branch since the moment before
     end_rotation  (T, R) rad by which the far clamp has turned the rod about its tangent, whole turns included
     material, motion  (R,) rows
+    contact_force  (T, R, V, 3) of obstacles on the vertices, mm (energy per mm); None without obstacles
     """
 
     time: np.ndarray
@@ -60,6 +63,7 @@ class Prediction:
     end_rotation: np.ndarray
     material: np.ndarray
     motion: np.ndarray
+    contact_force: np.ndarray | None = None
 
     @property
     def vertices(self) -> np.ndarray:
@@ -86,7 +90,7 @@ class Prediction:
 def predict(
     configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, *, sub_step: float = LARGEST_TURN,
     between: int = 1, up=(0.0, 0.0, 1.0), solver: Newton | None = None, precision: str = "mixed",
-    advance: Callable[[int], None] = lambda rods: None,
+    advance: Callable[[int], None] = lambda rods: None, obstacles: Sequence[Obstacle] = (), radius=None,
 ) -> Prediction:
     """Move the clamps of rods along a path, quasi-statically, and return the rods at its moments (§III-D).
 
@@ -99,12 +103,14 @@ def predict(
     precision      of the returned states, as in :func:`doo_ti.relaxation.relax.relax`; sub-steps run in f32, or f64 if this is
                    "f64"
     advance        called with the number of rods at each moment, (T − 1)·between·R in all
+    obstacles, radius  as in :func:`doo_ti.relaxation.relax.relax`, without friction; for that there is
+                   :func:`doo_ti.prediction.moving.predict_moving` with quasi-static steps
 
     A rod that fails keeps that status at all later moments; the next interval begins at its last configuration. Raises
     InputError where numbers of rods and motions do not match.
     """
     travel, rods, (solution, held, jumps) = begun(configuration, material, clamps, path, sub_step, up, solver or Newton(),
-                                                  precision)
+                                                  precision, Surroundings(obstacles, radius))
     motions = len(clamps.start_position)
     film = _Film(solution, jumps, held)
     for moment in range(path.moments - 1):
@@ -118,7 +124,7 @@ def predict(
 
 
 def begun(configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, sub_step: float, up,
-          solver: Newton, precision: str):
+          solver: Newton, precision: str, surroundings: Surroundings):
     """The beginning of :func:`predict`: (the travel, the rods' (R,) rows of ``material``, (the R rods at rest at the path's
     first moment, their N clamps there, (R,) jumps on the way))."""
     motions = len(clamps.start_position)
@@ -128,7 +134,7 @@ def begun(configuration: Configuration, material: Material, clamps: Clamps, path
     rods = np.arange(motions * material.count)
     if configuration.count == motions:
         configuration = configuration.take(rods % motions)
-    travel = _Travel(material, configuration.rest_length, sub_step, up, solver, precision)
+    travel = _Travel(material, configuration.rest_length, sub_step, up, solver, precision, surroundings)
     solution = travel.rest(configuration, clamps)
     jumps = np.zeros(len(rods), dtype=np.int32)
     approach = motion_between(clamps, path.at(0, clamps))
@@ -173,16 +179,19 @@ class _Travel:
     up: np.ndarray
     solver: Newton
     precision: str
+    surroundings: Surroundings
 
     def rest(self, configuration: Configuration, clamps: Clamps) -> Solution:
         """R rods relaxed under N clamps."""
         rods, motions = np.arange(configuration.count), len(clamps.start_position)
         return relax(configuration, self.material, clamps.take(rods % motions), self.solver, up=self.up,
-                     precision=self.precision, configuration_index=rods, material_index=rods // motions)
+                     precision=self.precision, configuration_index=rods, material_index=rods // motions,
+                     **self.surroundings.arguments)
 
     def go(self, configuration: Configuration, motion: Motion) -> tuple[Solution, np.ndarray, Motion]:
         """The rods after ``motion``, their numbers of jumps, and the motion itself."""
-        journey = Journey(motion, self.material, self.sub_step, self.rest_length, self.up, self.solver, self.precision)
+        journey = Journey(motion, self.material, self.sub_step, self.rest_length, self.up, self.solver, self.precision,
+                          self.surroundings)
         return *journey.end(configuration), motion
 
 
@@ -208,6 +217,8 @@ class _Film:
         solutions, jumps, rotation = zip(*self._moments, strict=True)
         reported = {name: np.stack([getattr(solution, name) for solution in solutions]) for name in REPORTED}
         reported["status"] = np.array(list(accumulate(reported["status"], sticky)))
+        if solutions[0].contact_force is not None:
+            reported["contact_force"] = np.stack([solution.contact_force for solution in solutions])
         shapes = [solution.configuration for solution in solutions]
         return Prediction(time=time, start=np.stack([shape.start for shape in shapes]), rest_length=rest_length,
                           quaternions=np.stack([shape.quaternions for shape in shapes]), jumps=np.stack(jumps),

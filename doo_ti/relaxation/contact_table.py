@@ -5,7 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from doo_ti.contact.contacts import Contacts
 from doo_ti.contact.obstacles import FRICTION, OBSTACLE_COLUMNS, Obstacle
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError, real_array
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import REMEMBERED, REMEMBERED_IN_MOTION
@@ -24,6 +26,7 @@ class ContactTable:
     near       (R,) bool: rods that can reach an obstacle
     memory     (R, V, M, REMEMBERED) forces of the contacts of vertices and edges, in and out
     forces     (R, V, 3) on the vertices, energy per mm, out
+    surroundings  as they were given
     """
 
     obstacles: np.ndarray
@@ -32,6 +35,7 @@ class ContactTable:
     near: np.ndarray
     memory: np.ndarray
     forces: np.ndarray
+    surroundings: Surroundings
 
     @property
     def rubs(self) -> bool:
@@ -42,6 +46,10 @@ class ContactTable:
     def distinct(self) -> frozenset[int]:
         """The kinds there are."""
         return frozenset(self.kinds.tolist())
+
+    def contacts(self, vertices: np.ndarray, force: np.ndarray) -> Contacts:
+        """The contacts of rods at ``vertices`` (R, V, 3) that bear ``force`` (R, V, 3)."""
+        return Contacts(force, vertices, self.surroundings)
 
     def forget(self, rows: np.ndarray) -> None:
         """Make the rods ``rows`` ones that have touched nothing yet."""
@@ -76,7 +84,8 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     memory[...] = 0.0
     return ContactTable(
         obstacles=table, kinds=np.array([obstacle.kind for obstacle in obstacles], dtype=np.int32), radius=radius,
-        near=_near(obstacles, radius, clamp[index]), memory=memory, forces=np.zeros((count, edges + 1, 3)))
+        near=_near(obstacles, radius, clamp[index]), memory=memory, forces=np.zeros((count, edges + 1, 3)),
+        surroundings=Surroundings(obstacles, radius))
 
 
 def _near(obstacles: Sequence[Obstacle], radius: np.ndarray, clamp: np.ndarray) -> np.ndarray:

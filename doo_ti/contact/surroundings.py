@@ -1,0 +1,52 @@
+"""The obstacles around rods, with the rods' radius, and the gaps between them (docs/contact.md). Axes: R rods, V vertices."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti.contact.obstacles import Obstacle
+
+PLACES = 8
+"""Of an edge, both ends included, at which its gap is measured."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What rods may touch.
+
+    obstacles  each with one row, or R
+    radius     of the rods, mm, one or (R,); None without obstacles
+    """
+
+    obstacles: Sequence[Obstacle] = ()
+    radius: np.ndarray | float | None = None
+
+    def __bool__(self) -> bool:
+        return len(self.obstacles) > 0
+
+    @property
+    def arguments(self) -> dict:
+        """What :func:`doo_ti.relaxation.relax.relax` and :func:`doo_ti.dynamics.simulate.simulate` take."""
+        return {"obstacles": self.obstacles, "radius": self.radius}
+
+    @property
+    def rub(self) -> bool:
+        """Whether an obstacle has friction."""
+        return any((obstacle.friction > 0).any() for obstacle in self.obstacles)
+
+    def take(self, rows: np.ndarray) -> "Surroundings":
+        """Those of the rods ``rows``."""
+        radius = self.radius if np.size(self.radius) < 2 else np.asarray(self.radius)[rows]
+        return Surroundings([obstacle.take(rows) for obstacle in self.obstacles], radius)
+
+    def smallest_gap(self, vertices: np.ndarray) -> np.ndarray:
+        """(R,) mm between the surface of each rod (R, V, 3) and the nearest obstacle, the least along the rod, measured at
+        :data:`PLACES` of each edge; negative inside an obstacle, NaN for a rod without places."""
+        share = np.linspace(0.0, 1.0, PLACES)[:, None]
+        points = vertices[:, :-1, None] + share * np.diff(vertices, axis=1)[:, :, None]
+        points = points.reshape(len(vertices), -1, 3)
+        least = np.full(len(vertices), np.inf)
+        for obstacle in self.obstacles:
+            least = np.minimum(least, obstacle.distance(points)[0].min(axis=1))
+        return least - (0.0 if self.radius is None else np.asarray(self.radius, dtype=np.float64).reshape(-1))
