@@ -266,10 +266,11 @@ def _axes_about(direction: np.ndarray) -> np.ndarray:
 
 
 def _radial(local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance from the third axis, and the unit vector away from it."""
+    """Distance from the third axis, and the unit vector away from it; on the axis that is the first one."""
     radial = np.hypot(local[..., 0], local[..., 1])
     flat = local * [1.0, 1.0, 0.0]
-    return radial, flat / np.maximum(radial, 1e-300)[..., None]
+    away = flat / np.maximum(radial, 1e-300)[..., None]
+    return radial, np.where((radial > 0)[..., None], away, [1.0, 0.0, 0.0])
 
 
 def _to_core(beside: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
