@@ -51,7 +51,7 @@ def tensions(angle: float, friction: float, edges: int) -> tuple[float, float]:
     moved = simulate(rod, material, grippers, Dynamics(density=1e-2, drag=20.0), Stepping(rate=100.0, scheme="euler"),
                      springs=Springs(points, stiffness), radius=ROPE,
                      obstacles=[Cylinder((0, 0, -80), (0, 0, 80), DRUM, friction=friction)])
-    print(moved.status[0], moved.iterations[0])
+    assert moved.converged.all(), moved.status[0]
     drawn = moved.end_force[0, -1]
     held = -(drawn + moved.contact_force[0, -1].sum(axis=0))
     return np.linalg.norm(drawn), np.linalg.norm(held)
