@@ -37,6 +37,7 @@ class Stepping:
     tolerance  mm: a rod whose estimated error is larger at some frame, or that fails, is simulated again with twice as many
                steps, which also gives the estimate (:mod:`doo_ti.dynamics.adaptive`); None: no error is estimated
     most_substeps  with a tolerance
+    detailed   frames, velocities and energies are returned as well; every step is a launch of its own then
 
     Raises InputError for numbers out of range and unknown words.
     """
@@ -47,6 +48,7 @@ class Stepping:
     precision: str = "f64"
     tolerance: float | None = None
     most_substeps: int = 64
+    detailed: bool = False
 
     def __post_init__(self):
         require_number("Stepping", "rate", self.rate)

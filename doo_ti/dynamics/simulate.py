@@ -53,7 +53,6 @@ def simulate(
     up=(0.0, 0.0, 1.0),
     pairs: tuple[np.ndarray, np.ndarray] | None = None,
     directions: Sequence[Direction] = (),
-    detailed: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
     """Move rods from ``start`` through the instants of ``grippers``.
@@ -66,7 +65,6 @@ def simulate(
     pairs       (R,) rows of start and of material that make up each rod; by default they pair one to one, a single row with
                 every row of the other
     directions  P parameters to differentiate the positions by, in f64
-    detailed    also returns frames, velocities and energies; every step is a launch of its own then
     progress    called with the number of frames that are done
 
     Returns the T − 1 later instants. A rod whose step fails stops alone. Raises InputError for inputs that do not match.
@@ -78,21 +76,21 @@ def simulate(
     given = begin.configuration, material, grippers, dynamics
     direction = unit_up(up, "simulate")
 
-    def run(stepping: Stepping, rods, own_springs, detailed=False, progress=None) -> Trajectory:
+    def run(stepping: Stepping, rods, own_springs, progress=None) -> Trajectory:
         motion = _Motion(*given, stepping, own_springs, direction, rods)
         memory, remembered = motion.begin(begin, directions)
-        return motion.run(memory, progress, directions, remembered, detailed)
+        return motion.run(memory, progress, directions, remembered)
 
     if stepping.tolerance is None and stepping.precision != "mixed":
-        return run(stepping, pairs, springs, detailed, progress)
+        return run(stepping, pairs, springs, progress)
     index = paired_rows(begin.configuration.count, material.count, *((None, None) if pairs is None else pairs))
     many = springs is not None and springs.count > 1
 
-    def some(stepping: Stepping, rows: np.ndarray, detailed=False, progress=None) -> Trajectory:
+    def some(stepping: Stepping, rows: np.ndarray, progress=None) -> Trajectory:
         own = Springs(springs.points[rows], springs.stiffness[rows]) if many else springs
-        return run(stepping, tuple(part[rows] for part in index), own, detailed, progress)
+        return run(stepping, tuple(part[rows] for part in index), own, progress)
 
-    return adapted(some, len(index[0]), stepping, detailed, progress)
+    return adapted(some, len(index[0]), stepping, progress)
 
 
 class _Motion:
@@ -254,8 +252,7 @@ class _Motion:
         return Losses(length, m.bend[rods], m.twist[rods], rest[rods], *damping, weight, numbers[..., 0] * h**2, drag, by_speed,
                       numbers[..., SPRING - INERTIA], numbers[..., SPRING_POINT - INERTIA :], self.up)
 
-    def run(self, memory: Memory, progress, directions: Sequence[Direction], remembered: np.ndarray,
-            detailed: bool) -> Trajectory:
+    def run(self, memory: Memory, progress, directions: Sequence[Direction], remembered: np.ndarray) -> Trajectory:
         """All steps, in launches of bounded size."""
         factor, bits = RATES[self.stepping.scheme], 32 if self.stepping.precision == "f32" else 64
         table = self.table(factor)
@@ -271,7 +268,7 @@ class _Motion:
             return make_steps(table, memory, path, numbers, shares, time, every, _newton(), bits, slopes)
 
         account = None
-        if detailed:
+        if self.stepping.detailed:
             losses = self.losses(table, numbers[table.external_index], factor)
             account = Account(losses, self.stepping.scheme, self.step, self.held()[table.configuration_index], memory)
             at_once = 1
