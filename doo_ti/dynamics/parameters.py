@@ -38,6 +38,7 @@ class Stepping:
                steps, which also gives the estimate (:mod:`doo_ti.dynamics.adaptive`); None: no error is estimated
     most_substeps  with a tolerance
     detailed   frames, velocities and energies are returned as well; every step is a launch of its own then
+    quasi_static   without inertia and drag: every step is an equilibrium, in which friction remembers where the rod was
 
     Raises InputError for numbers out of range and unknown words.
     """
@@ -49,6 +50,7 @@ class Stepping:
     tolerance: float | None = None
     most_substeps: int = 64
     detailed: bool = False
+    quasi_static: bool = False
 
     def __post_init__(self):
         require_number("Stepping", "rate", self.rate)
