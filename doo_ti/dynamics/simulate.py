@@ -309,8 +309,9 @@ class _Motion:
         outcome = _joined(outcomes)
         status = outcome[..., STATE].astype(np.int8)
         return Trajectory(
-            _joined(positions), status, outcome[..., TRIPS].astype(np.int32), outcome[..., MOMENT], outcome[..., END_FORCE:FRICTION_WORK],
-            self.stepping.rate, memory, np.full(table.count, self.substeps), np.full(table.count, np.nan),
+            _joined(positions), status, outcome[..., TRIPS].astype(np.int32), outcome[..., MOMENT],
+            outcome[..., END_FORCE:FRICTION_WORK], self.stepping.rate, memory,
+            np.full(table.count, self.substeps), np.full(table.count, np.nan),
             None if slopes is None else _joined(changes), None if account is None else account.detail(status),
             None if forces[0] is None else _joined(forces), _summed([part[..., FRICTION_WORK] for part in outcomes]))
 
