@@ -146,8 +146,8 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
     grippers = scene.grippers.take(pairs[0] * 0) if start.count > 1 else scene.grippers
     with progress() as bar:
         task = bar.add_task(scene.name, total=count * (grippers.instants - 1), unit="rods x frames")
-        stepping = replace(scene.stepping, **changes)
-        found = simulate(start, scene.material, grippers, scene.dynamics, stepping, up=up, pairs=pairs, detailed=True,
+        stepping = replace(scene.stepping, detailed=True, **changes)
+        found = simulate(start, scene.material, grippers, scene.dynamics, stepping, up=up, pairs=pairs,
                          progress=lambda done: bar.update(task, completed=count * done))
     first = start.vertices[pairs[0]]
     positions = np.concatenate([first[:, None], found.positions], axis=1)

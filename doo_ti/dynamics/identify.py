@@ -6,7 +6,7 @@ Marks of still frames join the sum with the weight σ²_motion/σ²_still, σ_mo
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -67,8 +67,8 @@ def simulated_recordings(motion: RecordedMotion, theta: MotionTheta, stepping: S
     :func:`predicted`; energies are NaN in frame 0: the simulation begins at frame 1. ``stepping`` has the recordings' rate."""
     begun = rollout(motion, theta.rest_length, theta.reference, end=end)
     material, dynamics = simulated([theta])
-    found = simulate(MovingStart(begun.start, begun.velocity, 0.5 / begun.rate), material, begun.grippers, dynamics, stepping,
-                     up=theta.up, detailed=True, progress=progress)
+    found = simulate(MovingStart(begun.start, begun.velocity, 0.5 / begun.rate), material, begun.grippers, dynamics,
+                     replace(stepping, detailed=True), up=theta.up, progress=progress)
     positions, status = (value[:, 0] for value in _shown(motion, 1, begun.steps[:, 1:] - 1, found))
     rods = np.arange(motion.count)[:, None]
     energies = {name: np.concatenate([np.full((motion.count, 1), np.nan), value[rods, begun.steps]], axis=1)

@@ -37,6 +37,7 @@ class Stepping:
     tolerance  mm: a rod whose estimated error is larger at some frame, or that fails, is simulated again with twice as many
                steps, which also gives the estimate (:mod:`doo_ti.dynamics.adaptive`); None: no error is estimated
     most_substeps  with a tolerance
+    detailed   frames, velocities and energies are returned as well; every step is a launch of its own then
     quasi_static   without inertia and drag: every step is an equilibrium, in which friction remembers where the rod was
 
     Raises InputError for numbers out of range and unknown words.
@@ -48,6 +49,7 @@ class Stepping:
     precision: str = "f64"
     tolerance: float | None = None
     most_substeps: int = 64
+    detailed: bool = False
     quasi_static: bool = False
 
     def __post_init__(self):

@@ -4,6 +4,7 @@ Axes: T moments, G materials, N motions, R = G·N rods, material by material.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -42,8 +43,7 @@ def predict_moving(
     rows = np.arange(len(rods)) % len(clamps.start_position)
     grippers = _grippers(path, held).refined(between)
     pairs = np.arange(len(rods)), rods
-    rate = Stepping(stepping.rate * between, stepping.substeps, stepping.scheme, stepping.precision, stepping.tolerance,
-                    stepping.most_substeps)
+    rate = stepping.rate * between
     done = 0
 
     def progress(frames: int) -> None:
@@ -51,8 +51,8 @@ def predict_moving(
         advance((frames - done) * len(rods))
         done = frames
 
-    found = simulate(first.configuration, material, grippers.take(rows), dynamics, rate, up=up, pairs=pairs, detailed=True,
-                     progress=progress)
+    found = simulate(first.configuration, material, grippers.take(rows), dynamics,
+                     replace(stepping, rate=rate, detailed=True), up=up, pairs=pairs, progress=progress)
     energies = found.detail.energies
     stored = sum(energies[name] for name in ("bending", "twist", "gravity"))
     status = sticky(first.status[:, None], found.status).T
@@ -64,7 +64,7 @@ def predict_moving(
         return np.concatenate([before[None], np.moveaxis(after, 1, 0)])
 
     return Prediction(
-        time=np.arange(grippers.instants) / rate.rate + path.time[0],
+        time=np.arange(grippers.instants) / rate + path.time[0],
         start=with_first(first.configuration.vertices[:, 0], found.positions[:, :, 0]),
         quaternions=np.moveaxis(found.detail.quaternions, 1, 0), rest_length=configuration.rest_length,
         energy=first.energy + (stored - stored[:, :1]).T, residual=with_first(first.residual, found.residual),
