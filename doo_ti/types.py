@@ -15,7 +15,14 @@ from enum import IntEnum
 import numpy as np
 
 from doo_ti.errors import InputError, real_array
-from doo_ti.frames import across, bishop_frames, matrix_from_quaternion, quaternion_from_matrix, vertices_from_quaternions
+from doo_ti.frames import (
+    across,
+    bishop_frames,
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    tangent_from_quaternion,
+    vertices_from_quaternions,
+)
 from doo_ti.physical_units import bend_or_twist, force_in_newton
 
 LARGEST = 1e30
@@ -58,6 +65,7 @@ class Material:
     weight          μ: scalar or (R,); the weight per length of the rod is 2 μ
     rest_curvature  ω̄ in 1/mm, components (κb·m2, −κb·m1)/(l̄/2): None (straight at rest), (2,), (R, 2) or, per inner
                     vertex, (R, E−1, 2)
+    weight_per_length  in N/m, scalar or (R,), where it is known: forces then come out in N and moments in N m
 
     After construction the arrays have the shapes (R, 1 or E, 2, 2), (R, 1 or E−1), (R,) and
     None or (R, 1 or E−1, 2), R being 1 where everything broadcasts.
@@ -70,6 +78,7 @@ class Material:
     twist: np.ndarray
     weight: np.ndarray = 1.0
     rest_curvature: np.ndarray | None = None
+    weight_per_length: np.ndarray | None = None
 
     def __post_init__(self):
         bend = _finite("bend", self.bend)
@@ -83,7 +92,8 @@ class Material:
         twist = twist.reshape(-1, 1) if twist.ndim <= 1 else twist
         if twist.ndim != 2:
             raise InputError("material", "twist", f"shape {twist.shape}", "give β, (R,) or (R, E-1)")
-        weight = _finite("weight", self.weight).reshape(-1)
+        weight = _per_rod("weight", self.weight)
+        newton = None if self.weight_per_length is None else _per_rod("weight_per_length", self.weight_per_length)
         rest = self.rest_curvature
         if rest is not None:
             rest = _finite("rest_curvature", rest)
@@ -97,12 +107,17 @@ class Material:
             raise InputError("material", "twist", f"{twist.min():g} is not positive", "give a positive twist in mm³")
         if (weight < 0).any():
             raise InputError("material", "weight", f"{weight.min():g} is negative", "give zero or a positive weight")
-        count = max(len(a) for a in (bend, twist, weight, rest) if a is not None)
-        if not all(len(a) for a in (bend, twist, weight, rest) if a is not None):
+        if newton is not None and not ((newton > 0).all() and (weight > 0).all()):
+            raise InputError("material", "weight_per_length", "not positive, or given for a rod without weight",
+                             "give N/m; for a rod without weight leave it out")
+        values = {"bend": bend, "twist": twist, "weight": weight, "rest_curvature": rest, "weight_per_length": newton}
+        lengths = [len(value) for value in values.values() if value is not None]
+        count = max(lengths)
+        if not all(lengths):
             raise InputError("material", "bend, twist, weight", "no rows", "give at least one material")
-        if any(len(a) not in (1, count) for a in (bend, twist, weight, rest) if a is not None):
+        if any(length not in (1, count) for length in lengths):
             raise InputError("material", "bend, twist, weight", "leading lengths differ", "give one value or one per rod")
-        for name, value in (("bend", bend), ("twist", twist), ("weight", weight), ("rest_curvature", rest)):
+        for name, value in values.items():
             if value is not None:
                 value = np.array(np.broadcast_to(value, (count, *value.shape[1:])))
                 value.setflags(write=False)
@@ -128,7 +143,7 @@ class Material:
         if not (weight > 0).all():
             raise InputError("material", "weight_per_length", f"{weight.min():g} N/m is not positive",
                              "give N/m; for a rod without weight give Material(bend, twist, weight=0)")
-        return cls(bend_or_twist(_finite("EI", EI), weight), bend_or_twist(_finite("GJ", GJ), weight))
+        return cls(bend_or_twist(_finite("EI", EI), weight), bend_or_twist(_finite("GJ", GJ), weight), weight_per_length=weight)
 
     @property
     def count(self) -> int:
@@ -136,8 +151,8 @@ class Material:
 
     def take(self, index) -> "Material":
         """The rows named by ``index``, in that order and as often."""
-        rest = None if self.rest_curvature is None else self.rest_curvature[index]
-        return Material(self.bend[index], self.twist[index], self.weight[index], rest)
+        rest, newton = (None if value is None else value[index] for value in (self.rest_curvature, self.weight_per_length))
+        return Material(self.bend[index], self.twist[index], self.weight[index], rest, newton)
 
     @property
     def is_isotropic(self) -> bool:
@@ -182,6 +197,21 @@ class Configuration:
     def vertices(self) -> np.ndarray:
         """(R, V, 3) vertex positions, mm."""
         return vertices_from_quaternions(self.start, self.quaternions, self.rest_length)
+
+    @property
+    def curvature_binormal(self) -> np.ndarray:
+        """(R, E−1, 3) curvature at the inner vertices in 1/mm, along the axis about which the rod bends there:
+        κb/(l̄/2) of §III-C."""
+        t = tangent_from_quaternion(self.quaternions)
+        before, after = t[:, :-1], t[:, 1:]
+        both = self.rest_length[..., :-1] + self.rest_length[..., 1:]
+        share = 1.0 + np.sum(before * after, axis=-1)
+        return np.cross(before, after) * (4.0 / (share * both))[..., None]
+
+    @property
+    def curvature(self) -> np.ndarray:
+        """(R, E−1) curvature at the inner vertices, 1/mm: the length of :attr:`curvature_binormal`."""
+        return np.linalg.norm(self.curvature_binormal, axis=-1)
 
     @property
     def frames(self) -> np.ndarray:
@@ -308,6 +338,13 @@ def _finite(name: str, value) -> np.ndarray:
     if not (np.abs(array) <= LARGEST).all():
         raise InputError("material", name, f"not finite, or beyond {LARGEST:g}", "give finite numbers")
     return array
+
+
+def _per_rod(name: str, value) -> np.ndarray:
+    array = _finite(name, value)
+    if array.ndim > 1:
+        raise InputError("material", name, f"shape {array.shape}", "give one value or (R,)")
+    return np.atleast_1d(array)
 
 
 def _check_bend(bend: np.ndarray) -> None:
