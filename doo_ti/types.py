@@ -136,6 +136,7 @@ class Material:
     @classmethod
     def from_physical(cls, EI, GJ, weight_per_length) -> "Material":  # noqa: N803  (the field's symbols)
         """The round rods of stiffness EI and GJ in N m² that weigh ``weight_per_length`` in N/m, scalars or (R,); μ is 1.
+        Forces and moments of these rods come out in N and N m (:func:`doo_ti.relaxation.end_loads.end_loads`).
 
         Raises InputError as the class does, and for a rod without weight, which has no stiffness relative to it.
         """
@@ -280,7 +281,7 @@ class Solution:
     status         (R,) Status
     stable         (R,) True where the inertia of the rod's KKT matrix certifies a minimum, not a saddle. Neutral motions, such
                    as the rotation of a weightless bow about its chord, are allowed
-    end_force      (R, 3) force of the far clamp on the rod where both ends are held, energy (mm²) per mm: the energy
+    end_force      (R, 3) force of the far clamp on the rod where both ends are held, mm (energy in mm² per mm): the energy
                    grows by end_force · d when the clamp moves by d. Zero where an end is free. NaN in a taut rod, one that
                    is straight because its clamps are as far apart as it is long, to 1e-7: its tension is not determined
     precision      (R,) 32 or 64: the arithmetic that finished the rod

@@ -47,7 +47,7 @@ class Trajectory:
     status      (R, F) Status; a rod that failed keeps its status to the end
     iterations  (R, F) Newton iterations of all steps since the frame before
     residual    (R, F) the largest residual of those steps
-    end_force   (R, F, 3) force of the far clamp on the rod, mm (energy per mm), zero where an end is free
+    end_force   (R, F, 3) force of the far clamp on the rod, mm (energy in mm² per mm), zero where an end is free
     rate        frames per second
     memory      frames, positions and velocities at the last two instants
     slopes      (R, F, P, V, 3) derivatives of positions along the ``directions`` of :func:`simulate`, or None

@@ -278,7 +278,7 @@ def test_relax_writes_every_key(capsys, tmp_path):
         np.testing.assert_allclose(np.linalg.det(found["frames"]), 1, atol=1e-9)
         first = {key: found[key] for key in found.files}
     per_rod = dict.fromkeys(("energy", "distance_mm", "status", "iterations", "residual", "stable"), (3,))
-    assert shapes == {"vertices_mm": (3, 9, 3), "frames": (3, 8, 3, 3), **per_rod}
+    assert shapes == {"vertices_mm": (3, 9, 3), "frames": (3, 8, 3, 3), "rest_length_mm": (8,), "end_force": (3, 3), **per_rod}
     assert main([*argv, "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["status"] == {"converged": 3} and summary["bend_1"] == 6e5

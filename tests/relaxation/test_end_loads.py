@@ -36,8 +36,8 @@ def held_rods(rng, kinds, material):
 
 @pytest.mark.parametrize("material", [Material(2e5, 1.5e5, 0.8), RIBBON], ids=["round", "ribbon"])
 def test_jacobians_are_the_differences(rng, material):
-    """By every coordinate of both poses, for every pair of clamps: vertices, and forces and moments at both ends, to 1e-6 of the
-    largest entry of each rod, or a hundredth of all rods' where that is more."""
+    """By every coordinate of both poses, for every pair of clamps: vertices, and forces and moments at both ends, to 1e-6 of
+    the largest entry of each rod, or a hundredth of all rods' where that is more."""
     solution, moved = held_rods(rng, PAIRS, material)
     found = gripper_jacobian(solution)
     assert found.vertices.shape == (len(PAIRS), 13, 3, 12) and found.loads.end_moment.shape == (len(PAIRS), 3, 12)
@@ -80,7 +80,8 @@ def test_both_ends_carry_the_weight_and_balance_its_moment(rng):
     solution = relax(rods, material, with_kinds(clamps_at(rods), PAIRS), SHARP, up=UP)
     loads, x = end_loads(solution), solution.configuration.vertices
     rows = solution.converged
-    np.testing.assert_allclose((loads.start_force + loads.end_force)[rows], np.tile(1.6 * 36.0 * UP, (rows.sum(), 1)), rtol=1e-9)
+    carried = (loads.start_force + loads.end_force)[rows]
+    np.testing.assert_allclose(carried, np.tile(1.6 * 36.0 * UP, (len(carried), 1)), rtol=1e-9)
     share = np.full(13, 2 * 0.8 * 3.0)
     share[[0, -1]] /= 2
     gravity = np.cross(x, -UP * share[:, None]).sum(axis=1)
