@@ -135,9 +135,9 @@ def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
 
 def _found(found) -> np.ndarray:
     """(S,) bool: the rod is a certified minimum, and the thread in the images."""
-    from doo_ti.perception.perceive import Verdict
+    from doo_ti.perception.perceive import PerceptionVerdict
 
-    return found.sound & (found.verdict != Verdict.NOT_FOUND)
+    return found.sound & (found.verdict != PerceptionVerdict.NOT_FOUND)
 
 
 def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found, growth, out: Path) -> list[Path]:
@@ -181,7 +181,7 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
 
 def _summary(task: PerceptionTask, detected: list[list], found, written: list[Path]) -> dict:
     """The content of ``--json``, from which the lines of text are made."""
-    from doo_ti.perception.perceive import Verdict
+    from doo_ti.perception.perceive import PerceptionVerdict
 
     sets = [{
         "name": name, "status": Status(found.status[row]).name.lower(), "stable": found.stable[row],
@@ -196,7 +196,7 @@ def _summary(task: PerceptionTask, detected: list[list], found, written: list[Pa
         "stable": found.stable.sum(),
         "not_certified": (~found.sound).sum(),
         "found": _found(found).sum(),
-        "verdicts": {_word(verdict): (found.verdict == verdict).sum() for verdict in Verdict},
+        "verdicts": {_word(verdict): (found.verdict == verdict).sum() for verdict in PerceptionVerdict},
         "written": [str(path) for path in written],
     }
 
@@ -216,9 +216,9 @@ def _verdict_text(found, row: int) -> str:
 
 
 def _word(verdict: int) -> str:
-    from doo_ti.perception.perceive import Verdict
+    from doo_ti.perception.perceive import PerceptionVerdict
 
-    return Verdict(verdict).name.lower().replace("_", " ")
+    return PerceptionVerdict(verdict).name.lower().replace("_", " ")
 
 
 def _lines(summary: dict) -> list[str]:

@@ -21,11 +21,13 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.errors import InputError
 from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.perception.shape_uncertainty import vertex_sigma
+from doo_ti.short_repr import short_repr
 from doo_ti.types import Configuration, Material, Status
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
@@ -40,7 +42,7 @@ LOST_PX = 3.0
 """Bound of the largest distance where no two cameras fit: a rod that is farther off is not the thread in the images."""
 
 
-class Verdict(IntEnum):
+class PerceptionVerdict(IntEnum):
     """How certain the best rod is, by its gap to the best runner-up and its distance to the detection.
 
     CLEAR      a gap of at least 0.1 px, or no other rod: image evidence alone separates them. And the rod is within 1 px of the
@@ -51,6 +53,8 @@ class Verdict(IntEnum):
     NOT_FOUND  no rod was found that is within 1 px of the detection in two cameras, and it is 3 px off in one: images of other
                cameras, a wrong rig, seed or length
     """
+
+    __repr__ = short_repr
 
     CLEAR = 0
     LIKELY = 1
@@ -98,13 +102,13 @@ class Perception:
 
     @property
     def verdict(self) -> np.ndarray:
-        """(A,) Verdict."""
+        """(A,) PerceptionVerdict."""
         clear = (self.gap >= CLEAR_PX) & (self.camera_error <= FITTING_PX).all(axis=1)
         # A camera that does not see the rod counts as far off. Two cameras determine a rod: others may be occluded.
         error = np.sort(np.where(np.isfinite(self.camera_error), self.camera_error, np.inf), axis=1)
         lost = (error[:, min(2, error.shape[1]) - 1] > FITTING_PX) & (error[:, -1] > LOST_PX)
-        return np.select([lost, clear, self.gap >= AMBIGUOUS_PX], [Verdict.NOT_FOUND, Verdict.CLEAR, Verdict.LIKELY],
-                         Verdict.AMBIGUOUS).astype(np.int8)
+        kinds = PerceptionVerdict.NOT_FOUND, PerceptionVerdict.CLEAR, PerceptionVerdict.LIKELY
+        return np.select([lost, clear, self.gap >= AMBIGUOUS_PX], kinds, PerceptionVerdict.AMBIGUOUS).astype(np.int8)
 
     @classmethod
     def joined(cls, parts: list["Perception"]) -> "Perception":
@@ -116,7 +120,8 @@ class Perception:
 
 
 def perceive(
-    maps: DistanceMaps, rig: Rig, point, direction, rest_length, material: Material, *, up=(0.0, 0.0, 1.0),
+    maps: DistanceMaps, rig: Rig, point: ArrayLike, direction: ArrayLike, rest_length: ArrayLike, material: Material, *,
+    up: ArrayLike = (0.0, 0.0, 1.0),
     options: PerceptionOptions = PerceptionOptions(), on_step: Callable[[int, Hypotheses, Hypotheses], None] | None = None,
 ) -> Perception:
     """Recover the rods in A sets of images (Alg. 1).

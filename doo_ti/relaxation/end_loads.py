@@ -14,6 +14,7 @@ from doo_ti.physical_units import force_in_newton
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.sensitivity_kernel import run_sensitivity
 from doo_ti.relaxation.tables import Tables
+from doo_ti.short_repr import short_repr
 from doo_ti.types import Solution
 
 
@@ -26,6 +27,8 @@ class EndLoads:
     physical                                          whether in N and N m; else energies are mm² (relative to weight), forces
                                                       mm and moments mm²
     """
+
+    __repr__ = short_repr
 
     start_force: np.ndarray
     start_moment: np.ndarray

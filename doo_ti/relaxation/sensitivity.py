@@ -38,6 +38,7 @@ from doo_ti.relaxation import parameter_gradient as change
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.end_loads import EndLoads, own_tables
 from doo_ti.relaxation.sensitivity_kernel import run_sensitivity
+from doo_ti.short_repr import short_repr
 from doo_ti.types import Configuration, Solution
 
 CURVATURES = ("rest_curvature", "rest_curvature_per_joint", "modes")
@@ -57,6 +58,8 @@ class Sensitivity:
     usable         (R,) bool: the rod is at a stable equilibrium
     configuration  the rods
     """
+
+    __repr__ = short_repr
 
     columns: tuple[str, ...]
     vertices: np.ndarray
