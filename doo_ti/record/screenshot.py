@@ -1,8 +1,6 @@
 """Screenshots of the viewer without a display. They need a Vulkan driver; on Debian: ``apt-get install mesa-vulkan-drivers
 libvulkan1``."""
 
-import os
-import signal
 import subprocess
 import time
 from pathlib import Path
@@ -10,7 +8,7 @@ from pathlib import Path
 from rerun.experimental import ViewerClient
 
 from doo_ti.errors import InterruptedRunError
-from doo_ti.record.viewer import free_port, start_viewer
+from doo_ti.record.viewer import end_viewer, free_port, start_viewer
 
 
 def save_screenshot(path: str | Path, picture: str | Path, size: tuple[int, int] = (1600, 900)) -> None:
@@ -27,8 +25,7 @@ def save_screenshot(path: str | Path, picture: str | Path, size: tuple[int, int]
         time.sleep(12)  # until the viewer's notices disappear and its plots are drawn
         client.save_screenshot(str(Path(picture).resolve()))
     finally:
-        os.killpg(viewer.pid, signal.SIGTERM)  # the command and the viewer it started
-        viewer.wait()
+        end_viewer(viewer)
 
 
 def _connect(viewer: subprocess.Popen, port: int) -> ViewerClient:
