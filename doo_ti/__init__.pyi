@@ -48,7 +48,7 @@ from doo_ti.relaxation.sensitivity import Sensitivity as Sensitivity
 from doo_ti.relaxation.sensitivity import gripper_jacobian as gripper_jacobian
 from doo_ti.relaxation.sensitivity import sensitivity as sensitivity
 from doo_ti.report.grid_view import Observed as Observed
-from doo_ti.report.plane import Plane as Plane
+from doo_ti.report.plane import LandscapePlane as LandscapePlane
 from doo_ti.start import choose_hypothesis as choose_hypothesis
 from doo_ti.start import observation_clamps as observation_clamps
 from doo_ti.start import start_configuration as start_configuration

@@ -27,6 +27,7 @@ from doo_ti import (
     InterruptedRunError,
     Interval,
     Landscape,
+    LandscapePlane,
     Material,
     MotionTheta,
     MovingStart,
@@ -36,7 +37,6 @@ from doo_ti import (
     Perception,
     PerceptionOptions,
     PerceptionVerdict,
-    Plane,
     Prediction,
     RecordedMotion,
     Refinement,
@@ -163,7 +163,7 @@ def twisted(observations: Observations, material: Material) -> np.ndarray:
 
 def recorded(path: Path, observations: Observations) -> None:
     one = np.zeros((1, observations.count))
-    plane = Plane.of([("bend", [1e5, 2e5], True, "mm³")], [0.1, 0.2], minimum=[0])
+    plane = LandscapePlane.of([("bend", [1e5, 2e5], True, "mm³")], [0.1, 0.2], minimum=[0])
     interval = Interval("bend", 1e5, 1e5, 2e5, True, False)
     trajectory = SweepTrajectory(observations.vertices[None], one, one, one[0], one[0])
     record_sweep(path, run_id="1", name=doo_ti.__version__, observed=Observed.of(observations), trajectory=trajectory,
