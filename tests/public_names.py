@@ -9,6 +9,7 @@ import numpy as np
 import doo_ti
 from doo_ti import (
     Axis,
+    Camera,
     Clamp,
     ClampPath,
     Clamps,
@@ -16,11 +17,15 @@ from doo_ti import (
     Descent,
     Detection,
     DetectionOptions,
+    Direction,
     DistanceMaps,
     Dynamics,
     EndLoads,
+    External,
     Grid,
     Grippers,
+    How,
+    Hypotheses,
     Identified,
     IdentifyOptions,
     InputError,
@@ -29,11 +34,13 @@ from doo_ti import (
     Landscape,
     LandscapePlane,
     Material,
+    Motion,
     MotionTheta,
     MovingStart,
     Newton,
     Observations,
     Observed,
+    Pairs,
     Perception,
     PerceptionOptions,
     PerceptionVerdict,
@@ -52,6 +59,9 @@ from doo_ti import (
     SweepOptions,
     SweepTrajectory,
     Theta,
+    TrackedFrame,
+    Tracker,
+    TrackingOptions,
     Trajectory,
     TwistEstimate,
     TwistOptions,
@@ -66,6 +76,7 @@ from doo_ti import (
     estimate_twist,
     gripper_jacobian,
     identify,
+    identify_from_guesses,
     load_observations,
     load_path,
     load_rig,
@@ -138,8 +149,11 @@ def moved(path: Path, configuration: Configuration, clamps: Clamps, material: Ma
     trajectory: Trajectory = simulate(begin, material, grippers, Dynamics(drag=0.1, bend_damping=[0.02]), Stepping(100.0))
     motion = RecordedMotion.of(trajectory.positions, 100.0, names=["one"])
     theta: MotionTheta = load_theta(path)
-    found: Identified = identify(motion, theta, IdentifyOptions())
-    print(prediction.time, solution, jumps, found.theta)
+    guessed = identify_from_guesses(motion, IdentifyOptions(), up=[0, 0, 1])
+    found: Identified = identify(motion, guessed.theta, IdentifyOptions())
+    faster = Direction((material, Dynamics()), (material, Dynamics(drag=0.1)), 0.1)
+    simulate(begin, material, grippers, Dynamics(), Stepping(100.0), directions=[faster])
+    print(prediction.time, solution, jumps, found.theta, theta)
     return trajectory.positions
 
 
@@ -147,11 +161,27 @@ def seen(path: Path, images: Sequence[np.ndarray], material: Material) -> np.nda
     rig: Rig = load_rig(path)
     detections: list[Detection] = [detect(image, DetectionOptions(polarity="dark")) for image in images]
     maps: DistanceMaps = distance_maps([detections])
-    found: Perception = perceive(maps, rig, [0, 0, 0], [1, 0, 0], [3.0] * 33, material, options=PerceptionOptions(hypotheses=9))
+    found: Perception = perceive(maps, rig, [0, 0, 0], [1, 0, 0], [3.0] * 33, material, options=PerceptionOptions(hypotheses=9),
+                                 on_step=report)
     assert PerceptionVerdict(int(found.verdict[0])) != PerceptionVerdict.NOT_FOUND
     scores: Score = score(found.vertices, maps, 0, rig, 1.0, material)
     print(Reprojection(maps, rig, 1.0).count)
     return scores.total
+
+
+def followed(rig: Rig, frames: Sequence[list[Detection]], material: Material, motion: Motion) -> list[TrackedFrame]:
+    tracker = Tracker(rig, [3.0] * 33, material, options=TrackingOptions(lost_px=2.0))
+    camera: Camera = rig.cameras[0]
+    print(camera.name)
+    return [frame for detected in frames if (frame := tracker.see(detected, [0, 0, 0], [1, 0, 0], motion)).how != How.LOST]
+
+
+def report(edges: int, kept: Hypotheses, pruned: Hypotheses) -> None:
+    print(edges, kept, pruned)
+
+
+def pulled(external: External, pairs: Pairs) -> tuple[int, np.ndarray]:
+    return external.count, pairs.weight
 
 
 def twisted(observations: Observations, material: Material) -> np.ndarray:
