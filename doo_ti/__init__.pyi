@@ -72,7 +72,7 @@ from doo_ti.twist.estimation import estimate_twist as estimate_twist
 from doo_ti.types import Clamp as Clamp
 from doo_ti.types import Clamps as Clamps
 from doo_ti.types import Configuration as Configuration
-from doo_ti.types import Material as Material
+from doo_ti.material import Material as Material
 from doo_ti.types import Solution as Solution
 from doo_ti.types import Status as Status
 from doo_ti.vision.cameras.camera import Camera as Camera
