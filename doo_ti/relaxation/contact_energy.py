@@ -34,8 +34,15 @@ from doo_ti.physics.tuples import (
 from doo_ti.relaxation import tables as of
 
 # Items of a rod: its radius, κ, the tolerance of its gaps, by how much the last round changed a gap, its phase, and what the
-# barrier adds to its gaps, its strength μ and how many strengths it has had. The obstacles follow.
-RADIUS, STIFFNESS, TOLERANCE, CHANGE, PHASE, OFFSET, STRENGTH, STAGE, HEAD = 0, 1, 2, 3, 4, 5, 6, 7, 8
+# barrier adds to its gaps, its strength μ and how many strengths it has had, and how close to an obstacle a vertex is where more
+# than its φ counts. The obstacles follow.
+RADIUS, STIFFNESS, TOLERANCE, CHANGE, PHASE, OFFSET, STRENGTH, STAGE, REACH = 0, 1, 2, 3, 4, 5, 6, 7, 8
+# And sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts and
+# its magnitude; the square of the largest share of its way to the middle of an obstacle that a vertex has made in this step; the
+# least φ, the least gap where clamps hold a vertex and where none does; and of one edge the derivatives of its contacts' energy,
+# as :meth:`.LoadedElimination.load` returns them.
+ENERGY, MAGNITUDE, CROSSING, DEEPEST, PINCHED, CLOSEST = 9, 10, 11, 12, 13, 14
+GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, HEAD = 15, 18, 21, 27, 36, 42
 # Phases of a rod: it has just been loaded; a barrier keeps it away from obstacles, which finds out where it will touch them;
 # rounds to a rough tolerance of its moments; rounds to the final one.
 LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0
@@ -67,6 +74,8 @@ BARRIER_SHARE = 1 / 16
 """The barrier at a quarter of a radius pushes at first like such a force."""
 WEAKER, STAGES = 1 / 30, 2
 """The barrier becomes weaker by that, until it has had so many stages."""
+CLOSE = 4.0
+"""Radii: what is further from an obstacle than that, and half an edge, is not close."""
 LEAST_OFFSET = 0.05
 """Of a radius: the smallest gap of a rod's start, as the barrier sees it."""
 APPROACH = 0.75
@@ -137,23 +146,48 @@ class Contacts:
     # --- what a rod is near to ---
 
     @ti.func
-    def look(self, rod, index, place, found):
+    def begin(self, rod):
+        """Begin the sums over all vertices."""
+        zero = 0.0 * rod.total
+        most = zero + 1e30
+        self.store(rod.scratch, rod.contacts + ENERGY * self.stride, (zero, zero, zero, most, zero, most))
+
+    @ti.func
+    def add(self, rod, item: ti.template(), values):
+        """Add to a sum."""
+        for k in ti.static(range(len(values))):
+            at = rod.contacts + (item + k) * self.stride
+            rod.scratch[at] = rod.scratch[at] + values[k]
+
+    @ti.func
+    def lower(self, scratch: ti.template(), at, value):
+        """Take a value into a minimum."""
+        scratch[at] = ti.min(scratch[at], value)
+
+    @ti.func
+    def look(self, rod, index, place):
         """Measure how far vertex ``index``, at ``place``, is from all obstacles."""
         at = self.vertex(rod, index)
         away = minus(place, self.load3(rod.scratch, at + STANDING * self.stride))
         self.store(rod.scratch, at + PLACE * self.stride, place)
-        found.crossing = largest_of(found.crossing, dot(away, away) * self.nearness(rod, index, at, ROOM_STANDING))
-        radius, held = self.item(rod, RADIUS), self.held(rod, index) > 0.5
+        crossing = rod.contacts + CROSSING * self.stride
+        rod.scratch[crossing] = largest_of(rod.scratch[crossing], dot(away, away) * self.nearness(rod, index, at, ROOM_STANDING))
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
             seen = self.distance.measure(rod.scratch, self.obstacle(rod, o), rod.kinds[o], place)
-            self.store(rod.scratch, contact + NORMAL * self.stride, seen.normal)
-            self.store(rod.scratch, contact + CURVATURE * self.stride, seen.curvature)
             rod.scratch[contact + VALUE * self.stride] = seen.value
-            gap = seen.value - radius
-            found.deepest = ti.min(found.deepest, seen.value)
-            found.pinched = ti.min(found.pinched, ti.select(held, gap, 0.0 * gap))
-            found.closest = ti.min(found.closest, ti.select(held, found.closest, gap))
+            if self.is_close(rod, seen.value):
+                self.store(rod.scratch, contact + NORMAL * self.stride, seen.normal)
+                self.store(rod.scratch, contact + CURVATURE * self.stride, seen.curvature)
+                gap, held = seen.value - self.item(rod, RADIUS), self.held(rod, index) > 0.5
+                self.lower(rod.scratch, rod.contacts + DEEPEST * self.stride, seen.value)
+                self.lower(rod.scratch, rod.contacts + PINCHED * self.stride, ti.select(held, gap, 0.0 * gap))
+                self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(held, 0.0 * gap + 1e30, gap))
+
+    @ti.func
+    def is_close(self, rod, value):
+        """Whether a vertex of some lane is close to an obstacle, ``value`` being its φ."""
+        return self.largest(ti.select(value < self.item(rod, REACH), 0.0 * value + 1.0, 0.0 * value)) > 0.5
 
     @ti.func
     def nearness(self, rod, index, at, item: ti.template()):
@@ -179,77 +213,120 @@ class Contacts:
         return held
 
     @ti.func
-    def blocked(self, rod, found):
+    def blocked(self, rod):
         """Whether the rod's centreline is inside an obstacle, or a clamp holds the rod where it is in one."""
-        return (found.deepest < 0.0) | (found.pinched < 0.0 - self.item(rod, TOLERANCE))
+        return (self.item(rod, DEEPEST) < 0.0) | (self.item(rod, PINCHED) < 0.0 - self.item(rod, TOLERANCE))
 
     # --- energy ---
 
     @ti.func
-    def nothing(self, zero):
-        """The record of an edge's derivatives, as :meth:`.LoadedElimination.load` returns it, and its room."""
-        return record(
-            gradient=repeated(zero, 3), gradient_s=repeated(zero, 3), curvature=repeated(zero, 6),
-            curvature_s=repeated(zero, 9), curvature_ss=repeated(zero, 6), room=zero + 1e30)
-
-    @ti.func
-    def touched(self, rod, index, start, end, found):
-        """The energy of the contacts of vertex ``index``, at ``end``, and of the edge from ``start`` to there. Looks at
-        ``start``; somebody has looked at ``end`` before."""
+    def touched(self, rod, index, start, end):
+        """Sum up the derivatives of the energy of the contacts of vertex ``index``, at ``end``, and of the edge from ``start`` to
+        there; returns one where there are any. Looks at ``start``; somebody has looked at ``end`` before."""
         zero = 0.0 * end[0]
-        self.look(rod, index - 1, start, found)
+        self.look(rod, index - 1, start)
         at, before = self.vertex(rod, index), self.vertex(rod, index - 1)
-        total, edge = self.nothing(zero), minus(end, start)
-        radius = self.item(rod, RADIUS)
+        room = at + ROOM * self.stride
+        rod.scratch[room] = zero + 1e30
+        some, edge = 0, minus(end, start)
         for o in range(rod.obstacles):
             contact, previous = self.contact(at, o), self.contact(before, o)
-            self.add_vertex(rod, contact, total, found)
-            slope_start = dot(self.load3(rod.scratch, previous + NORMAL * self.stride), edge)
-            slope_end = dot(self.load3(rod.scratch, contact + NORMAL * self.stride), edge)
-            value_start = rod.scratch[previous + VALUE * self.stride]
             value_end = rod.scratch[contact + VALUE * self.stride]
-            # φ along an edge lies above its tangents at both ends, which meet here.
-            meet = (value_end - value_start - slope_end) / ti.min(slope_start - slope_end, zero - 1e-20)
-            bridging = (slope_start < 0.0) & (slope_end > 0.0)
-            least = ti.min(value_start, value_end)
-            low = ti.select(bridging, value_start + slope_start * meet, least)
-            total.room = ti.min(total.room, low + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
-            near = bridging & (low < 2.0 * radius)
-            active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
-            rod.scratch[contact + WEIGHT * self.stride] = zero
-            rod.scratch[contact + SAGGING * self.stride] = zero
-            if self.largest(ti.select(near | active, zero + 1.0, zero)) > 0.5:
-                seen = self.nearest(rod, o, start, edge, slope_start, slope_end)
-                lower = value_start < value_end
-                sagging = ti.select(near, least - seen.value, zero)
-                rod.scratch[contact + SAGGING * self.stride] = sagging
-                sag = ti.max(sagging / (SAG * radius), zero)
-                behind = self.item(rod, PHASE) > ti.static(0.5 * (BARRIER + ROUGH))
-                fading = ti.select(behind & near, 2.0 * sag / ((1.0 + sag * sag) * (1.0 + sag * sag) * SAG * radius), zero)
-                share = record(
-                    weight=ti.select(behind, sag * sag / (1.0 + sag * sag), ti.select(active, zero + 1.0, zero)),
-                    slope=fading, s=ti.select(lower, zero, zero + 1.0),
-                    normal=chosen(lower, self.load3(rod.scratch, previous + NORMAL * self.stride),
-                                  self.load3(rod.scratch, contact + NORMAL * self.stride)))
-                self.add_between(rod, contact, edge, seen, share, total, found)
-        self.store(rod.scratch, at + FORCE_END * self.stride, negated(total.gradient_s))
-        self.store(rod.scratch, at + FORCE_START * self.stride, minus(total.gradient_s, total.gradient))
-        rod.scratch[at + ROOM * self.stride] = total.room
-        return total
+            least = ti.min(rod.scratch[previous + VALUE * self.stride], value_end)
+            if self.is_close(rod, least):
+                if some == 0:
+                    self.clear(rod, zero)
+                    some = 1
+                if self.is_close(rod, value_end):
+                    self.add_vertex(rod, contact)
+                self.touched_between(rod, o, contact, previous, start, edge, room)
+            else:
+                rod.scratch[contact + WEIGHT * self.stride] = zero
+                rod.scratch[contact + SAGGING * self.stride] = zero
+                self.lower(rod.scratch, room, least - self.item(rod, RADIUS))
+        self.note_forces(rod, at, some)
+        return some
 
     @ti.func
-    def touched_start(self, rod, found):
+    def touched_start(self, rod):
         """The same of vertex 0."""
-        at, zero = self.vertex(rod, 0), 0.0 * rod.total
-        total = self.nothing(zero)
+        at, zero, some = self.vertex(rod, 0), 0.0 * rod.total, 0
+        rod.scratch[at + ROOM * self.stride] = zero + 1e30
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
-            self.add_vertex(rod, contact, total, found)
-            total.room = ti.min(total.room, rod.scratch[contact + VALUE * self.stride]
-                                + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
-        self.store(rod.scratch, at + FORCE_END * self.stride, negated(total.gradient_s))
-        rod.scratch[at + ROOM * self.stride] = total.room
-        return total
+            value = rod.scratch[contact + VALUE * self.stride]
+            if self.is_close(rod, value):
+                if some == 0:
+                    self.clear(rod, zero)
+                    some = 1
+                self.add_vertex(rod, contact)
+            self.lower(rod.scratch, at + ROOM * self.stride, value + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
+        self.note_forces(rod, at, some)
+        return some
+
+    @ti.func
+    def clear(self, rod, zero):
+        """Begin the sums over the contacts of an edge."""
+        for k in ti.static(range(HEAD - GRADIENT)):
+            rod.scratch[rod.contacts + (GRADIENT + k) * self.stride] = zero
+
+    @ti.func
+    def vector(self, rod, item: ti.template()):
+        """Three sums of an edge."""
+        return self.load3(rod.scratch, rod.contacts + item * self.stride)
+
+    @ti.func
+    def symmetric(self, rod, item: ti.template()):
+        """Six of them."""
+        return self.vector(rod, item) + self.vector(rod, item + 3)
+
+    @ti.func
+    def matrix(self, rod, item: ti.template()):
+        """Nine of them."""
+        return self.symmetric(rod, item) + self.vector(rod, item + 6)
+
+    @ti.func
+    def note_forces(self, rod, at, some):
+        """Keep the forces on the ends of an edge, of which ``some`` are not zero."""
+        zero = 0.0 * rod.total
+        self.store(rod.scratch, at + FORCE_END * self.stride, repeated(zero, 6))
+        if some == 1:
+            whole = self.load3(rod.scratch, rod.contacts + GRADIENT * self.stride)
+            late = self.load3(rod.scratch, rod.contacts + GRADIENT_S * self.stride)
+            self.store(rod.scratch, at + FORCE_END * self.stride, negated(late))
+            self.store(rod.scratch, at + FORCE_START * self.stride, minus(late, whole))
+
+    @ti.func
+    def touched_between(self, rod, o, contact, previous, start, edge, room):
+        """The same of the edge between its ends, of which one is close to obstacle ``o``. (A vertex that is not has no normal in
+        that lane or, where none of the lanes is close, an old one, which does no harm: its edge bridges nothing.)"""
+        zero, radius = 0.0 * start[0], self.item(rod, RADIUS)
+        normal_start = self.load3(rod.scratch, previous + NORMAL * self.stride)
+        normal_end = self.load3(rod.scratch, contact + NORMAL * self.stride)
+        value_start, value_end = rod.scratch[previous + VALUE * self.stride], rod.scratch[contact + VALUE * self.stride]
+        slope_start, slope_end = dot(normal_start, edge), dot(normal_end, edge)
+        # φ along an edge lies above its tangents at both ends, which meet here.
+        meet = (value_end - value_start - slope_end) / ti.min(slope_start - slope_end, zero - 1e-20)
+        bridging = (slope_start < 0.0) & (slope_end > 0.0)
+        least = ti.min(value_start, value_end)
+        low = ti.select(bridging, value_start + slope_start * meet, least)
+        self.lower(rod.scratch, room, low + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
+        near = bridging & (low < 2.0 * radius)
+        active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
+        rod.scratch[contact + WEIGHT * self.stride] = zero
+        rod.scratch[contact + SAGGING * self.stride] = zero
+        if self.largest(ti.select(near | active, zero + 1.0, zero)) > 0.5:
+            seen = self.nearest(rod, o, start, edge, slope_start, slope_end)
+            lower = value_start < value_end
+            sagging = ti.select(near, least - seen.value, zero)
+            rod.scratch[contact + SAGGING * self.stride] = sagging
+            sag = ti.max(sagging / (SAG * radius), zero)
+            behind = self.item(rod, PHASE) > ti.static(0.5 * (BARRIER + ROUGH))
+            fading = ti.select(behind & near, 2.0 * sag / ((1.0 + sag * sag) * (1.0 + sag * sag) * SAG * radius), zero)
+            share = record(
+                weight=ti.select(behind, sag * sag / (1.0 + sag * sag), ti.select(active, zero + 1.0, zero)),
+                slope=fading, s=ti.select(lower, zero, zero + 1.0), normal=chosen(lower, normal_start, normal_end))
+            self.add_between(rod, contact, edge, seen, share)
 
     @ti.func
     def nearest(self, rod, o, start, edge, slope_start, slope_end):
@@ -309,23 +386,21 @@ class Contacts:
                       push=strength * (3.0 * first + second) / radius, stiffness=strength * stiffness / (radius * radius))
 
     @ti.func
-    def add_vertex(self, rod, contact, total, found):
+    def add_vertex(self, rod, contact):
         """Add a contact of the vertex where the edge ends."""
         normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
         bent = (self.load3(rod.scratch, contact + CURVATURE * self.stride)
                 + self.load3(rod.scratch, contact + (CURVATURE + 3) * self.stride))
         pushed = self.push(rod, rod.scratch[contact + FORCE * self.stride],
                            rod.scratch[contact + VALUE * self.stride] - self.item(rod, RADIUS))
-        found.energy = found.energy + pushed.energy
-        found.magnitude = found.magnitude + pushed.push * rod.total
+        self.add(rod, ENERGY, (pushed.energy, pushed.push * rod.total))
         pull = scaled(normal, 0.0 - pushed.push)
         k = minus(scaled(outer(normal), pushed.stiffness), scaled(bent, pushed.push))
-        total.gradient, total.gradient_s = plus(total.gradient, pull), plus(total.gradient_s, pull)
-        total.curvature, total.curvature_ss = plus(total.curvature, k), plus(total.curvature_ss, k)
-        total.curvature_s = plus(total.curvature_s, full(k))
+        self.add(rod, GRADIENT, pull + pull)
+        self.add(rod, CURVATURES, k + full(k) + k)
 
     @ti.func
-    def add_between(self, rod, contact, edge, seen, share, total, found):
+    def add_between(self, rod, contact, edge, seen, share):
         """Add the contact at the nearest point of the edge, the energy of which counts by a weight. ``share``: that weight, its
         derivative by the sag of φ from the nearer end, s there and the normal."""
         s, normal, zero = seen.s, seen.normal, 0.0 * seen.s
@@ -334,11 +409,10 @@ class Contacts:
         self.store(rod.scratch, contact + PLACE_BETWEEN * self.stride, (s, seen.value) + normal + (weight,))
         gap = seen.value - self.item(rod, RADIUS)
         pushed = self.push(rod, rod.scratch[contact + FORCE_BETWEEN * self.stride], gap)
-        found.closest = ti.min(found.closest, ti.select(counts, gap, found.closest))
+        self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(counts, gap, zero + 1e30))
         force, stiffness = ti.select(counts, weight * pushed.push, zero), ti.select(counts, weight * pushed.stiffness, zero)
         own = ti.select(counts, pushed.energy, zero)
-        found.energy = found.energy + weight * own
-        found.magnitude = found.magnitude + force * rod.total
+        self.add(rod, ENERGY, (weight * own, force * rod.total))
         turned = applied(full(seen.curvature), edge)
         across = plus(normal, scaled(turned, s))
         slide = force / seen.bend
@@ -346,11 +420,11 @@ class Contacts:
         fading = share.slope * own
         pull = scaled(normal, 0.0 - force - fading)
         lift = scaled(share.normal, fading)
-        total.gradient = plus(total.gradient, plus(pull, lift))
-        total.gradient_s = plus(total.gradient_s, plus(scaled(pull, s), scaled(lift, share.s)))
-        total.curvature = plus(total.curvature, plus(fixed, scaled(outer(turned), slide)))
-        total.curvature_s = plus(total.curvature_s, plus(scaled(full(fixed), s), scaled(outer_product(turned, across), slide)))
-        total.curvature_ss = plus(total.curvature_ss, plus(scaled(fixed, s * s), scaled(outer(across), slide)))
+        self.add(rod, GRADIENT, plus(pull, lift))
+        self.add(rod, GRADIENT_S, plus(scaled(pull, s), scaled(lift, share.s)))
+        self.add(rod, CURVATURES, plus(fixed, scaled(outer(turned), slide)))
+        self.add(rod, CURVATURES_S, plus(scaled(full(fixed), s), scaled(outer_product(turned, across), slide)))
+        self.add(rod, CURVATURES_SS, plus(scaled(fixed, s * s), scaled(outer(across), slide)))
 
     # --- steps ---
 
@@ -386,9 +460,11 @@ class Contacts:
         most = zero
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
-            gap = ti.max(rod.scratch[contact + VALUE * self.stride] - radius, floor) + slack
-            normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
-            most = ti.max(most, (0.0 - APPROACH) * dot(normal, move) / ti.max(gap, 1e-6 * radius))
+            value = rod.scratch[contact + VALUE * self.stride]
+            if self.is_close(rod, value):
+                gap = ti.max(value - radius, floor) + slack
+                normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
+                most = ti.max(most, (0.0 - APPROACH) * dot(normal, move) / ti.max(gap, 1e-6 * radius))
             weight = rod.scratch[contact + WEIGHT * self.stride]
             if self.largest(weight) > 0.0:
                 s = rod.scratch[contact + PLACE_BETWEEN * self.stride]
@@ -411,11 +487,11 @@ class Contacts:
         return ti.select(phase > ti.static(0.5 * (ROUGH + FINE)), factor * given, given) + noise
 
     @ti.func
-    def enter(self, rod, found, fresh):
+    def enter(self, rod, fresh):
         """Begin with the barrier where a rod has just been loaded, its gaps larger by so much that its start is within."""
         loaded = fresh & (self.item(rod, PHASE) > ti.static(0.5 * (LOADED + BARRIER)))
         radius = self.item(rod, RADIUS)
-        self.set_item(rod, OFFSET, loaded, ti.max(LEAST_OFFSET * radius - found.closest, 0.0 * radius))
+        self.set_item(rod, OFFSET, loaded, ti.max(LEAST_OFFSET * radius - self.item(rod, CLOSEST), 0.0 * radius))
         self.set_item(rod, PHASE, loaded, 0.0 * radius + BARRIER)
         return loaded
 
@@ -479,7 +555,7 @@ class Contacts:
     @ti.func
     def load(self, tables, scratch: ti.template(), slot, rod, force_unit, unit, scale):
         """Rod ``rod``'s obstacles and contacts into lane ``slot``, forces over ``force_unit``, lengths over ``unit``; ``scale``:
-        the largest stiffness, the weight per length, the mean length of an edge and the rod's, in the units of the chain."""
+        the largest stiffness, the weight per length, the lengths of an edge, of the longest and of the rod, in the chain's units."""
         base = tables.contacts
         row = tables.rods[rod, of.RESULT_ROW]
         own = ti.min(row, tables.obstacles.shape[0] - 1)
@@ -487,8 +563,9 @@ class Contacts:
         radius = tables.radius[ti.min(row, tables.radius.shape[0] - 1)] / unit
         force = BENDING_LOADS * scale.bend / (scale.total * scale.total) + scale.weight * scale.length
         tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
-        head = (radius, force / (SOFT * radius), tolerance, 1e30, LOADED, 0.0, BARRIER_SHARE * force * radius, 0.0)
-        for k in ti.static(range(HEAD)):
+        head = (radius, force / (SOFT * radius), tolerance, 1e30, LOADED, 0.0, BARRIER_SHARE * force * radius, 0.0,
+                CLOSE * radius + 0.5 * scale.longest)
+        for k in ti.static(range(len(head))):
             self.put(scratch, base + k * self.stride, slot, head[k])
         for o in range(count):
             at = base + (HEAD + o * OBSTACLE_COLUMNS) * self.stride

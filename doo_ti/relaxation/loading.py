@@ -99,7 +99,7 @@ class Loading:
         if ti.static(self.touches):
             edge = tables.clamp[s, of.TOTAL] / unit / tables.rest_length.shape[1]
             scale = record(bend=tables.material[g, of.LARGEST_BEND] / divisor, length=edge, total=tables.clamp[s, of.TOTAL] / unit,
-                           weight=2.0 * tables.material[g, of.WEIGHT] / divisor * (unit * unit * unit))
+                           longest=tables.clamp[s, of.LONGEST] / unit, weight=2.0 * tables.material[g, of.WEIGHT] / divisor * (unit * unit * unit))
             self.contacts.load(tables, scratch, slot, rod, divisor / (unit * unit), unit, scale)
         if ti.static(self.moves_start):
             self.put(scratch, head + chain.OF_LOOSE * self.stride, slot, tables.clamp[s, of.LOOSE])

@@ -6,7 +6,7 @@ import taichi as ti
 from doo_ti.physics.tuples import choose, chosen, dot, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_energy import BARRIER, FINE, PHASE, ROUGH
+from doo_ti.relaxation.contact_energy import BARRIER, CROSSING, FINE, PHASE, ROUGH
 from doo_ti.relaxation.contact_energy import TOLERANCE as CONTACT_TOLERANCE
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.loading import LANES, NEXT, TRIPS, Loading
@@ -209,14 +209,14 @@ class NewtonLoop:
         found = self.sweep.eliminate(rod, diagonal, (noise, echo), multiplier, miss)
         found.energy += energy
         found.magnitude += magnitude
-        judged = self.judge_step(lane, found, miss)
+        judged = self.judge_step(rod, lane, found, miss)
         if self.largest(ti.select(judged.uphill, one, zero)) > 0.5:
             self.sweep.restore(rod, ti.select(judged.uphill, one, zero))
         lane.longest = self.sweep.substitute(rod, found)
         self.keep(lane, found, miss, multiplier, judged, next_shift)
         place = self.judge_place(tables, rod, lane, found.inertia, judged)
         self.plan(tables, rod, lane, judged, place, searching, found.slope)
-        self.end(tables, rod, lane, found, judged, place)
+        self.end(tables, rod, lane, judged, place)
 
     @ti.func
     def multiplier(self, lane, fitted):
@@ -231,7 +231,7 @@ class NewtonLoop:
         return value
 
     @ti.func
-    def judge_step(self, lane, found, miss):
+    def judge_step(self, rod, lane, found, miss):
         """Judge the step by the Lagrangian: a record of flags."""
         multiplier = plus(lane.multiplier, lane.change)
         before = lane.energy + dot(multiplier, lane.miss)
@@ -243,7 +243,7 @@ class NewtonLoop:
         if ti.static(self.touches):
             # No step, not even one that only closes, may carry a vertex past the middle of an obstacle.
             moved = moved | ((lane.closing > 0.5) & (lane.fresh < 0.5))
-            passable = found.crossing < 1.0
+            passable = self.sweep.contacts.item(rod, CROSSING) < 1.0
             downhill = downhill & passable
             finite = finite & (passable | ~moved)
         taken = ti.select(((lane.trying < 0.5) & finite) | downhill, self.constant(1.0), self.constant(0.0))
@@ -330,7 +330,7 @@ class NewtonLoop:
         lane.step_scale = ti.select(lane.trying > 0.5, ti.select(lane.escaping > 0.5, leap, cap), zero)
 
     @ti.func
-    def end(self, tables, rod, lane, found, judged, place):
+    def end(self, tables, rod, lane, judged, place):
         """Which lanes are finished, and with which status."""
         zero, one = self.constant(0.0), self.constant(1.0)
         better = place.leaving | (lane.closing > 0.5) | ((lane.residual < 0.7 * lane.best) & judged.stands)
@@ -351,10 +351,10 @@ class NewtonLoop:
         # At rest, though a neutral motion leaves the certificate undecided: converged, not certified.
         at_rest = place.small & place.settled & (late | stuck)
         if ti.static(self.touches):
-            entered = self.sweep.contacts.enter(rod, found, fresh)
+            entered = self.sweep.contacts.enter(rod, fresh)
             goes_on = self.settle(rod, lane, place.calm & ~entered, (ended | at_rest) & ~entered, entered)
             ended, at_rest, stuck = ended & ~goes_on, at_rest & ~goes_on, stuck & ~goes_on
-            blocked = fresh & self.sweep.contacts.blocked(rod, found)
+            blocked = fresh & self.sweep.contacts.blocked(rod)
             lane.status = ti.select(blocked, self.constant(self.infeasible), lane.status)
             ended, at_rest, lost = ended & ~blocked, at_rest & ~blocked, lost | blocked
         lane.status = ti.select(ended | at_rest, self.constant(self.converged), lane.status)
