@@ -10,6 +10,7 @@ import rerun
 import rerun.blueprint as blueprint
 
 from doo_ti.record.stream import OBSERVED, drawn_strips, front_view, log_up, panels, recording
+from doo_ti.report import distinct_colors
 from doo_ti.report.grid_view import Observed, grid_view
 
 SIMULATED = (255, 140, 60)
@@ -27,7 +28,7 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
     count, frames = rods.shape[:2]
     seen = None if recorded is None else recorded[:MOST_RODS]
     grid = grid_view(Observed((rods if seen is None else seen).reshape(count, -1, 3), up=up))
-    views = [front_view(grid, "world", "Rods, mm", 1.8)]
+    views = [front_view(grid, "world", f"Rods, mm: orange simulated{', white recorded' * (seen is not None)}", 1.8)]
     if seen is not None:
         views.append(blueprint.TimeSeriesView(name="Mean |difference|, mm", origin="curves/error"))
     layout = blueprint.Blueprint(blueprint.Vertical(*views, row_shares=[3, 1][: len(views)]), *panels("time"))
@@ -45,6 +46,7 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
             stream.send_columns(f"world/{entity}", when, rerun.LineStrips3D.columns(strips=strips).partition([count] * frames))
         if seen is not None:
             error = np.abs(rods - seen).mean(axis=(2, 3)).T
-            stream.log("curves/error", rerun.SeriesLines(names=names[:MOST_RODS], widths=[1.0] * count), static=True)
+            stream.log("curves/error", rerun.SeriesLines(
+                names=names[:MOST_RODS], widths=[1.0] * count, colors=distinct_colors(count)), static=True)
             stream.send_columns("curves/error", when, rerun.Scalars.columns(
                 scalars=np.ascontiguousarray(error).ravel()).partition([count] * frames))
