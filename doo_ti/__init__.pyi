@@ -27,6 +27,7 @@ from doo_ti.learning.landscape import Landscape as Landscape
 from doo_ti.learning.landscape import read_landscape as read_landscape
 from doo_ti.learning.pairs import Pairs as Pairs
 from doo_ti.learning.sweeps import sweep as sweep
+from doo_ti.material import Material as Material
 from doo_ti.metric import distance as distance
 from doo_ti.motion.path import Motion as Motion
 from doo_ti.perception.growth import Hypotheses as Hypotheses
@@ -72,7 +73,6 @@ from doo_ti.twist.estimation import estimate_twist as estimate_twist
 from doo_ti.types import Clamp as Clamp
 from doo_ti.types import Clamps as Clamps
 from doo_ti.types import Configuration as Configuration
-from doo_ti.material import Material as Material
 from doo_ti.types import Solution as Solution
 from doo_ti.types import Status as Status
 from doo_ti.vision.cameras.camera import Camera as Camera
