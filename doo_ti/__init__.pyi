@@ -8,10 +8,11 @@ from doo_ti.dynamics.parameters import Dynamics as Dynamics
 from doo_ti.dynamics.parameters import MovingStart as MovingStart
 from doo_ti.dynamics.parameters import Stepping as Stepping
 from doo_ti.dynamics.recorded import RecordedMotion as RecordedMotion
-from doo_ti.dynamics.simulate import Trajectory as Trajectory
 from doo_ti.dynamics.simulate import simulate as simulate
+from doo_ti.dynamics.stills import Stills as Stills
 from doo_ti.dynamics.theta import MotionTheta as MotionTheta
 from doo_ti.dynamics.theta import load_theta as load_theta
+from doo_ti.dynamics.trajectory import Trajectory as Trajectory
 from doo_ti.errors import InputError as InputError
 from doo_ti.errors import InterruptedRunError as InterruptedRunError
 from doo_ti.grid import Axis as Axis
@@ -36,9 +37,11 @@ from doo_ti.perception.perceive import PerceptionVerdict as PerceptionVerdict
 from doo_ti.perception.perceive import perceive as perceive
 from doo_ti.perception.search import PerceptionOptions as PerceptionOptions
 from doo_ti.perception.tracking import How as How
+from doo_ti.perception.tracking import Inertia as Inertia
 from doo_ti.perception.tracking import TrackedFrame as TrackedFrame
 from doo_ti.perception.tracking import Tracker as Tracker
 from doo_ti.perception.tracking import TrackingOptions as TrackingOptions
+from doo_ti.prediction.moving import predict_moving as predict_moving
 from doo_ti.prediction.predict import Prediction as Prediction
 from doo_ti.prediction.predict import predict as predict
 from doo_ti.prediction.predict import predict_step as predict_step

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.contact.obstacles import OBSTACLE_COLUMNS, Obstacle
+from doo_ti.contact.obstacles import FRICTION, OBSTACLE_COLUMNS, Obstacle
 from doo_ti.errors import InputError, real_array
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_energy import REMEMBERED
+from doo_ti.relaxation.contact_layout import REMEMBERED, REMEMBERED_IN_MOTION
 
 GAP_TOLERANCE = 2e-4
-"""Of a rod's radius: how far a gap or a force may be off, the latter over the stiffness κ. In f32 at least 2e-6 of the length."""
+"""Of a rod's radius: how far a gap may be off, or a force over the stiffness κ. In f32 at least 2e-6 of the length."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,11 @@ class ContactTable:
     forces: np.ndarray
 
     @property
+    def rubs(self) -> bool:
+        """Whether any obstacle has friction."""
+        return bool((self.obstacles[..., FRICTION] > 0).any())
+
+    @property
     def distinct(self) -> frozenset[int]:
         """The kinds there are."""
         return frozenset(self.kinds.tolist())
@@ -44,8 +49,9 @@ class ContactTable:
 
 
 def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int, clamp: np.ndarray, index: np.ndarray,
-                  function: str) -> ContactTable:
-    """The table of ``count`` rods of ``edges`` edges, whose rows of ``clamp`` are ``index``.
+                  function: str, in_motion: bool = False) -> ContactTable:
+    """The table of ``count`` rods of ``edges`` edges, whose rows of ``clamp`` are ``index``; rods ``in_motion`` remember
+    their friction.
 
     Raises InputError, for ``function``, where numbers of rows do not match or ``radius`` is missing or not positive.
     """
@@ -66,7 +72,7 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     table = np.empty((rows, len(obstacles), OBSTACLE_COLUMNS))
     for place, obstacle in enumerate(obstacles):
         table[:, place] = obstacle.numbers()
-    memory = of.room(count, edges + 1, len(obstacles), REMEMBERED)
+    memory = of.room(count, edges + 1, len(obstacles), REMEMBERED_IN_MOTION if in_motion else REMEMBERED)
     memory[...] = 0.0
     return ContactTable(
         obstacles=table, kinds=np.array([obstacle.kind for obstacle in obstacles], dtype=np.int32), radius=radius,

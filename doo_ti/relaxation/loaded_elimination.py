@@ -42,7 +42,7 @@ from doo_ti.physics.tuples import (
     variable,
 )
 from doo_ti.relaxation.chain import LENGTH, LOADED_PARAMETERS, PARAMETERS, ROTATION, item_count
-from doo_ti.relaxation.contact_energy import (
+from doo_ti.relaxation.contact_layout import (
     CURVATURES,
     CURVATURES_S,
     CURVATURES_SS,
@@ -50,8 +50,8 @@ from doo_ti.relaxation.contact_energy import (
     GRADIENT,
     GRADIENT_S,
     MAGNITUDE,
-    Contacts,
 )
+from doo_ti.relaxation.contact_rounds import Contacts
 from doo_ti.relaxation.elimination import held_pivot
 from doo_ti.relaxation.loose_start import LooseStart
 

@@ -24,7 +24,7 @@ from doo_ti.physics.tuples import (
     variable,
 )
 from doo_ti.relaxation.chain import LOADED_PARAMETERS, OF_DRIFT, OF_DRIFT_FACTORS, OF_DRIFT_STANDING, OF_DRIFT_STEP
-from doo_ti.relaxation.contact_energy import CURVATURES, GRADIENT
+from doo_ti.relaxation.contact_layout import CURVATURES, GRADIENT
 from doo_ti.relaxation.elimination import Elimination, held_pivot
 
 

@@ -6,8 +6,8 @@ import taichi as ti
 from doo_ti.physics.tuples import choose, chosen, dot, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_energy import BARRIER, CROSSING, FINE, PHASE, ROUGH
-from doo_ti.relaxation.contact_energy import TOLERANCE as CONTACT_TOLERANCE
+from doo_ti.relaxation.contact_layout import BARRIER, CROSSING, FINE, PHASE, ROUGH
+from doo_ti.relaxation.contact_layout import TOLERANCE as CONTACT_TOLERANCE
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.loading import LANES, NEXT, TRIPS, Loading
 from doo_ti.types import Status
@@ -114,8 +114,8 @@ class NewtonLoop:
         return record(
             energy=zero, magnitude=zero, miss=repeated(zero, 3), multiplier=repeated(zero, 3), residual=zero,
             change=repeated(zero, 3), longest=one, shift=zero, scale=one, step_scale=zero, coarse=zero, fresh=zero,
-            trying=zero, closing=zero, share=one, returned=zero, troubled=zero, escaping=zero, escapes=zero, rounds=zero, heading=one,
-            best=zero, idle_trips=zero, aimless=zero, rejects=zero, trips=zero, status=zero, stable=zero,
+            trying=zero, closing=zero, share=one, returned=zero, troubled=zero, escaping=zero, escapes=zero, rounds=zero,
+            heading=one, best=zero, idle_trips=zero, aimless=zero, rejects=zero, trips=zero, status=zero, stable=zero,
             lengths_known=zero, active=zero, finished=one)
 
     @ti.func
@@ -124,7 +124,10 @@ class NewtonLoop:
         row = tables.rods[rod, of.RESULT_ROW]
         origin = head + self.sweep.parameters * self.stride
         self.loading.store_frames(tables, row, scratch, origin, slot)
-        self.loading.store_contacts(tables, scratch, head, slot, row, row)
+        if ti.static(self.touches):
+            force_unit = self.loading.force_unit(scratch, head, slot)
+            self.sweep.contacts.unload(tables, scratch, slot, row, force_unit)
+            self.sweep.contacts.unload_forces(tables, scratch, slot, row, force_unit)
         status = self.lane(lane.status, slot)
         if status == self.not_finite or status == self.infeasible:
             for k in ti.static(range(of.RESULTS)):
@@ -363,8 +366,8 @@ class NewtonLoop:
 
     @ti.func
     def settle(self, rod, lane, calm, rests, entered):
-        """End a round where a lane's rod ``rests`` under the forces of its contacts or, while these still change, is ``calm`` to
-        a rougher tolerance; returns the lanes in which another round follows, those that have ``entered`` one included."""
+        """End a round where a lane's rod ``rests`` under the forces of its contacts or, while these still change, is ``calm``
+        to a rougher tolerance; returns the lanes in which another round follows, those that have ``entered`` one included."""
         zero, one = self.constant(0.0), self.constant(1.0)
         phase = rod.scratch[rod.contacts + PHASE * self.stride]
         due = (rests | (calm & (phase > ti.static(0.5 * (ROUGH + FINE))))) & (lane.active > 0.5)
