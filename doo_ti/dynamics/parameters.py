@@ -40,6 +40,7 @@ class Stepping:
     tolerance  mm: a rod whose estimated error is larger at some frame, or that fails, is simulated again with twice as many
                steps, which also gives the estimate (:mod:`doo_ti.dynamics.adaptive`); None: no error is estimated
     most_substeps  with a tolerance
+    quasi_static   without inertia and drag: every step is an equilibrium, in which friction remembers where the rod was
 
     Raises InputError for numbers out of range and unknown words.
     """
@@ -50,6 +51,7 @@ class Stepping:
     precision: str = "f64"
     tolerance: float | None = None
     most_substeps: int = 64
+    quasi_static: bool = False
 
     def __post_init__(self) -> None:
         require_number("Stepping", "rate", self.rate)

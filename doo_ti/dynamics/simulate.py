@@ -6,6 +6,7 @@ from copy import copy
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.contact.obstacles import Obstacle
 from doo_ti.dynamics.adaptive import adapted
 from doo_ti.dynamics.energies import Account, Losses
 from doo_ti.dynamics.grippers import Grippers
@@ -23,7 +24,17 @@ from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.input_tables import tables, under
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.tables import Tables, whole_start
-from doo_ti.relaxation.time_loop import END_FORCE, MOMENT, PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_TARGET, STATE, TRIPS
+from doo_ti.relaxation.time_loop import (
+    END_FORCE,
+    FRICTION_WORK,
+    MOMENT,
+    PATH_ANCHOR,
+    PATH_COLUMNS,
+    PATH_ENDS,
+    PATH_TARGET,
+    STATE,
+    TRIPS,
+)
 from doo_ti.relaxation.time_slopes import NUMBERS, REMEMBERED
 from doo_ti.relaxation.time_steps import Memory, Slopes, make_steps, slope_memory
 from doo_ti.relaxation.time_sweep import (
@@ -55,6 +66,8 @@ def simulate(
     pairs: tuple[np.ndarray, np.ndarray] | None = None,
     directions: Sequence[Direction] = (),
     detailed: bool = False,
+    obstacles: Sequence[Obstacle] = (),
+    radius=None,
     progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
     """Move rods from ``start`` through the instants of ``grippers``.
@@ -68,6 +81,9 @@ def simulate(
                 every row of the other
     directions  P parameters to differentiate the positions by, in f64
     detailed    also returns frames, velocities and energies; every step is a launch of its own then
+    obstacles   what the rods may touch but not enter, with friction where it states a coefficient; with f64 or f32 and without
+                directions
+    radius      of the rods, mm, one or (R,), with obstacles
     progress    called with the number of frames that are done
 
     Returns the T − 1 later instants. A rod whose step fails stops alone. Raises InputError for inputs that do not match.
@@ -76,22 +92,26 @@ def simulate(
     for name, value, plain in (("precision", stepping.precision, "f64"), ("tolerance", stepping.tolerance, None)):
         if directions and value != plain:
             raise InputError("simulate", name, f"{value} with directions", f"give {plain}")
+    if directions and obstacles:
+        raise InputError("simulate", "obstacles", "given with directions", "leave one of the two out")
     given = begin.configuration, material, grippers, dynamics
     direction = unit_up(up, "simulate")
 
-    def run(stepping: Stepping, rods, own_springs, detailed=False, progress=None) -> Trajectory:
-        motion = _Motion(*given, stepping, own_springs, direction, rods)
+    def run(stepping: Stepping, rods, own_springs, touchable, detailed=False, progress=None) -> Trajectory:
+        motion = _Motion(*given, stepping, own_springs, direction, rods, touchable)
         memory, remembered = motion.begin(begin, directions)
         return motion.run(memory, progress, directions, remembered, detailed)
 
     if stepping.tolerance is None and stepping.precision != "mixed":
-        return run(stepping, pairs, springs, detailed, progress)
+        return run(stepping, pairs, springs, (obstacles, radius), detailed, progress)
     index = paired_rows(begin.configuration.count, material.count, *((None, None) if pairs is None else pairs))
     many = springs is not None and springs.count > 1
 
     def some(stepping: Stepping, rows: np.ndarray, detailed=False, progress=None) -> Trajectory:
         own = Springs(springs.points[rows], springs.stiffness[rows]) if many else springs
-        return run(stepping, tuple(part[rows] for part in index), own, detailed, progress)
+        thick = radius if np.size(radius) < 2 else np.asarray(radius)[rows]
+        touchable = [obstacle.take(rows) for obstacle in obstacles], thick
+        return run(stepping, tuple(part[rows] for part in index), own, touchable, detailed, progress)
 
     return adapted(some, len(index[0]), stepping, detailed, progress)
 
@@ -99,7 +119,7 @@ def simulate(
 class _Motion:
     """A motion laid out for the kernels."""
 
-    def __init__(self, start, material, grippers, dynamics, stepping, springs, up, pairs):
+    def __init__(self, start, material, grippers, dynamics, stepping, springs, up, pairs, touchable):
         if grippers.count not in (1, start.count):
             raise InputError("simulate", "grippers", f"{grippers.count} rods, start has {start.count}", "give one, or as many")
         if dynamics.count not in (1, material.count):
@@ -109,13 +129,15 @@ class _Motion:
         self.stepping, self.substeps, self.step = stepping, stepping.substeps, stepping.step
         self.grippers = grippers.refined(stepping.substeps)
         self.pairs = (None, None) if pairs is None else pairs
+        self.obstacles, self.radius = touchable
         self.first = _spread(grippers.at(0), start.count)
 
     def table(self, factor: float) -> Tables:
         """The tables of the rods for time derivatives of that factor a."""
         vertices = self.start.edges + 1
         external = Springs(np.zeros((1, vertices, 3)), np.zeros((1, vertices)))
-        return tables(self.start, self._stiffened(factor), self.first, self.up, *self.pairs, external, None)
+        return tables(self.start, self._stiffened(factor), self.first, self.up, *self.pairs, external, None,
+                      self.obstacles, self.radius, in_motion=True)
 
     def _stiffened(self, factor: float) -> Material:
         """The material with the stiffness and the rest curvature that damping adds."""
@@ -156,6 +178,8 @@ class _Motion:
         numbers[..., 0] = (mass + 2.0 * density[:, None] / GRAVITY * point) * rate**2
         numbers[..., DRAG - INERTIA] = mass * self.dynamics.column("drag", count)[of_material, None] * rate
         numbers[..., DRAG_BY_SPEED - INERTIA] = mass * self.dynamics.column("quadratic_drag", count)[of_material, None] * rate
+        if self.stepping.quasi_static:
+            numbers[...] = 0.0
         numbers[..., LOAD - INERTIA] = 2.0 * weight[:, None] * point
         if self.springs is not None:
             if self.springs.vertices != vertices or self.springs.count not in (1, table.count):
@@ -221,7 +245,7 @@ class _Motion:
         remembered = np.zeros((table.count, len(directions), table.edges + 1, REMEMBERED))
         feasible = table.feasible[index]
         status = np.where(feasible, int(Status.CONVERGED), int(Status.INFEASIBLE)).astype(np.int8)
-        if start.smooth:
+        if start.smooth and not self.stepping.quasi_static:
             trial = _memory(frames, x, v, a, table, trial_step, status.copy())
             numbers, shares, rows = trial_motion.numbers(table, 1.0)
             table.external_index[:] = rows
@@ -285,24 +309,35 @@ class _Motion:
                 parts.append(_step_by_step(launch, first * self.substeps, last * self.substeps, memory, account))
             if progress is not None:
                 progress(last)
-        positions, outcomes, changes = zip(*parts, strict=True)
+        positions, outcomes, changes, forces = zip(*parts, strict=True)
         outcome = _joined(outcomes)
         status = outcome[..., STATE].astype(np.int8)
         return Trajectory(
-            _joined(positions), status, outcome[..., TRIPS].astype(np.int32), outcome[..., MOMENT], outcome[..., END_FORCE:],
+            _joined(positions), status, outcome[..., TRIPS].astype(np.int32), outcome[..., MOMENT], outcome[..., END_FORCE:FRICTION_WORK],
             self.stepping.rate, memory, np.full(table.count, self.substeps), np.full(table.count, np.nan),
-            None if slopes is None else _joined(changes), None if account is None else account.detail(status))
+            None if slopes is None else _joined(changes), None if account is None else account.detail(status),
+            None if forces[0] is None else _joined(forces), _summed([part[..., FRICTION_WORK] for part in outcomes]))
 
 
 def _step_by_step(launch, first: int, last: int, memory: Memory, account: Account):
     """What one launch of the steps from ``first`` to ``last`` returns, of launches of one step, which ``account`` sees."""
-    trips = moment = 0
+    trips = moment = work = 0
     for step in range(first, last):
-        positions, outcome, changes = launch(step, step + 1, 1)
-        account.see(memory, outcome[:, 0, END_FORCE:], step + 1 == last)
+        positions, outcome, changes, forces = launch(step, step + 1, 1)
+        account.see(memory, outcome[:, 0, END_FORCE:FRICTION_WORK], step + 1 == last)
         trips, moment = trips + outcome[..., TRIPS], np.maximum(moment, outcome[..., MOMENT])
-    outcome[..., TRIPS], outcome[..., MOMENT] = trips, moment
-    return positions, outcome, changes
+        work = work + outcome[..., FRICTION_WORK]
+    outcome[..., TRIPS], outcome[..., MOMENT], outcome[..., FRICTION_WORK] = trips, moment, work
+    return positions, outcome, changes, forces
+
+
+def _summed(parts: list[np.ndarray]) -> np.ndarray:
+    """(R, F) sums since the start, of several launches that each began at zero."""
+    before = 0.0
+    for part in parts:
+        part += before
+        before = part[:, -1:]
+    return _joined(parts)
 
 
 def _joined(parts: list[np.ndarray]) -> np.ndarray:

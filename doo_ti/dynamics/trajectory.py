@@ -39,6 +39,8 @@ class Trajectory:
                 estimated, infinite where no finer steps confirm the motion
     slopes      (R, F, P, V, 3) derivatives of positions along the ``directions`` of :func:`.simulate`, or None
     detail      frames, velocities and energies, if asked for, or None
+    contact_force  (R, F, V, 3) of obstacles on vertices, friction included, mm (energy per mm), or None without obstacles
+    friction_work  (R, F) energy that friction has taken since the start, mm²
     """
 
     __repr__ = short_repr
@@ -54,6 +56,8 @@ class Trajectory:
     error: np.ndarray
     slopes: np.ndarray | None = None
     detail: Detail | None = None
+    contact_force: np.ndarray | None = None
+    friction_work: np.ndarray | None = None
 
     @property
     def converged(self) -> np.ndarray:

@@ -143,7 +143,6 @@ class Contacts(ContactEnergy):
         zero = 0.0 * rod.total
         radius, stiffness, phase = self.item(rod, RADIUS), self.item(rod, STIFFNESS), self.item(rod, PHASE)
         behind = phase > ti.static(0.5 * (BARRIER + ROUGH))
-        tolerance = self.item(rod, TOLERANCE)
         change, secant = zero, zero
         for v in range(rod.edges + 1):
             at = self.vertex(rod, v)
