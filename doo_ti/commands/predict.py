@@ -93,6 +93,8 @@ def run(options: Namespace, words: list[str]) -> int:
     if rods * intervals * task.start.edges * 32 > MOST_BYTES:
         raise InputError(given.SOURCE, "--steps-between", f"{rods} rods at {intervals + 1} moments are too many to hold",
                          "give fewer materials, observations or moments")
+    if task.marks is not None and not options.relative:
+        _warn_of_distance(task.path, task.clamps, float(task.start.rest_length.sum()))
 
     with progress() as bar:
         shown = bar.add_task(task.name, total=rods * intervals, unit="rods x moments")
@@ -174,10 +176,7 @@ def _observed(options: Namespace, out: Path) -> _Task:
     clamps = observation_clamps(observations, *given.clamps(options))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], 0.0)
     path = path.relative_to(clamps) if options.relative else path
-    length = float(observations.rest_length.sum())
-    _check_reach(path, clamps, length)
-    if not options.relative:
-        _warn_of_distance(path, clamps, length)
+    _check_reach(path, clamps, float(observations.rest_length.sum()))
     materials = curved(options, grid.materials(), observations.rest_length, options.dynamic)
     start = _settled(observations, clamps, materials)
     cells, rows = np.divmod(np.arange(materials.count * observations.count), observations.count)
