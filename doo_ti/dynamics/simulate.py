@@ -67,7 +67,7 @@ def simulate(
     directions: Sequence[Direction] = (),
     detailed: bool = False,
     obstacles: Sequence[Obstacle] = (),
-    radius=None,
+    radius: ArrayLike | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
     """Move rods from ``start`` through the instants of ``grippers``.
