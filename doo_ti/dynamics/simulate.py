@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.dynamics.adaptive import adapted
@@ -61,11 +62,11 @@ def simulate(
     stepping: Stepping,
     *,
     springs: Springs | None = None,
-    up=(0.0, 0.0, 1.0),
+    up: ArrayLike = (0.0, 0.0, 1.0),
     pairs: tuple[np.ndarray, np.ndarray] | None = None,
     directions: Sequence[Direction] = (),
     obstacles: Sequence[Obstacle] = (),
-    radius=None,
+    radius: ArrayLike | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
     """Move rods from ``start`` through the instants of ``grippers``.

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.dynamics.grippers import Grippers, edge_frames
 from doo_ti.dynamics.parameters import Dynamics, Stepping
@@ -26,7 +27,7 @@ EVEN = 1e-3
 
 def predict_moving(
     configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, dynamics: Dynamics, stepping: Stepping,
-    *, between: int = 1, up=(0.0, 0.0, 1.0), advance: Callable[[int], None] = lambda rods: None,
+    *, between: int = 1, up: ArrayLike = (0.0, 0.0, 1.0), advance: Callable[[int], None] = lambda rods: None,
 ) -> Prediction:
     """As :func:`doo_ti.prediction.predict.predict`, with inertia: rods at rest at the path's first moment, then carried along
     it at the speed that the rate gives it.
