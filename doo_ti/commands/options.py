@@ -12,7 +12,7 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.grid import UNITS, Axis, Grid, parse_axes, parse_axis
-from doo_ti.io.observations import checked_suffix
+from doo_ti.io.formats import checked_suffix
 from doo_ti.io.scene import CLAMPS, PRECISIONS
 from doo_ti.physical_units import bend_or_twist, weight_per_length
 from doo_ti.types import LARGEST, Clamp, unit_up
