@@ -75,7 +75,6 @@ def add_frame_weight(parser: ArgumentParser, default: str) -> None:
 def add_relaxation(parser: ArgumentParser, precision: str | None) -> None:
     add_clamps(parser)
     add_frame_weight(parser, "0" if precision else "the scene's, else 0")
-    add_up(parser)
     parser.add_argument("--solver", choices=SOLVERS, default="newton",
                         help="newton, or the paper's gradient descent (default newton)")
     parser.add_argument("--precision", choices=PRECISIONS, default=precision,

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import counted, report, save_arrays, shortened, theta_of, theta_text
 from doo_ti.grid import Grid
 from doo_ti.io.files import write_whole
-from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.observations import Observations
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.terminal import in_line, progress
@@ -21,7 +22,7 @@ MOST_LISTED = 20
 def declare(add) -> None:
     parser = given.command(add, "twist", run, "estimate the twist of rods from their shapes (Eq. 4)")
     parser.add_argument("observations", metavar="OBS",
-                        help="observations, or a file that perceive wrote: .npz, .csv or .parquet")
+                        help=f"observations, or a file that perceive wrote: {loading.FORMATS}")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
     given.add_material(parser, "one number each")
     parser.add_argument("--observations", dest="together", metavar="D",
@@ -33,7 +34,7 @@ def declare(add) -> None:
     parser.add_argument("--regrasp", nargs="+", action="extend", default=[], metavar="INDEX",
                         help="observations before which the rod was released and grasped again; each starts a new φ")
     parser.add_argument("--picture", metavar="F.png", help="also draw the curves (default: no)")
-    given.add_up(parser)
+    loading.add_loading(parser)
     parser.add_argument("--precision", choices=PRECISIONS, default="f32",
                         help="floating-point arithmetic (default f32, whose error is below that of labels)")
 
@@ -41,9 +42,9 @@ def declare(add) -> None:
 def run(options: Namespace, words: list[str]) -> int:
     """Eq. 4 for each group of observations that share φ; writes φ and the whole curve, and prints ambiguous groups."""
     grid = given.single_cell(options)
-    out, up = given.output_file(options.out, ".npz"), given.up(options)
+    out = given.output_file(options.out, ".npz")
     picture = None if options.picture is None else given.output_file(options.picture, ".png", "--picture")
-    observations = load_observations(options.observations, up)
+    observations = loading.load(options, options.observations)
     given.refuse_overwriting(out, options.observations)
 
     from doo_ti.twist.curves import consecutive_groups, end_offsets, load_offsets
@@ -60,6 +61,7 @@ def run(options: Namespace, words: list[str]) -> int:
     check_experiment(replace(observations, frames=None), observation_clamps(observations), grid.axes[-1].values[-1], 0.0)
     if offset is None and (together > 1 or options.offset):
         offset = end_offsets(observations, group)
+    loading.warn(observations)
     search = TwistOptions(precision=options.precision)
     with progress() as bar:
         task = bar.add_task("twist", total=observations.count * len(search.angles), unit="rods")
@@ -128,6 +130,7 @@ def _lines(observations: Observations, grid: Grid, estimate, summary: dict) -> l
     rods = observations.count * len(estimate.angles)
     return [
         f"{observations.name}: {observations.count} observations in {summary['groups']} groups that share φ",
+        loading.rod_line(observations),
         f"  material    {theta_text(theta_of(grid), grid.is_isotropic)}",
         f"  verdicts    {counted(summary['verdicts'])}; {summary['unsound_rods']} of {rods} rods on the curves have no "
         "certified minimum",

@@ -6,7 +6,7 @@ Motive ("Export tracking data"):  line 1 is ``Format Version,…,Export Frame Ra
 ``Name``, ``ID`` and ``Position`` describe the columns. Markers of rigid bodies and unlabelled ones are left out unless they
 are named. Motive's y axis points up.
 
-Nexus ("Trajectories"):  a line ``Trajectories``, the rate, the names ``Subject:Marker``, ``Frame,Sub Frame,X,Y,Z,…``, units, and
+Nexus ("Trajectories"):  a line ``Trajectories``, the rate, names ``Subject:Marker``, ``Frame,Sub Frame,X,Y,Z,…``, units, and
 rows up to an empty line. z points up.
 
 Axes: T frames, V markers, in the order of the columns or of the names that the user gives.
