@@ -239,13 +239,13 @@ def rows(option: str, text: str | None, count: int) -> tuple[int, ...]:
     return found
 
 
-def output_file(text: str | Path, suffix: str | None = None, option: str = "--out") -> Path:
-    """The file to write, with this suffix, or with that of a format of observations."""
-    path = Path(text)
-    if suffix is None:
+def output_file(text: str | Path, suffix: str | tuple[str, ...] | None = None, option: str = "--out") -> Path:
+    """The file to write, with this suffix, or one of them, or with that of a format of observations."""
+    path, wanted = Path(text), (suffix,) if isinstance(suffix, str) else suffix
+    if wanted is None:
         checked_suffix(path)
-    elif path.suffix != suffix:
-        raise InputError(SOURCE, option, f"suffix {path.suffix!r} of {path}", f"name a file that ends in {suffix}")
+    elif path.suffix not in wanted:
+        raise InputError(SOURCE, option, f"suffix {path.suffix!r} of {path}", f"name a file that ends in {' or '.join(wanted)}")
     if path.is_dir():
         raise InputError(SOURCE, option, f"{path} is a folder", "name a file")
     if len(os.fsencode(path.name)) > LONGEST_NAME:

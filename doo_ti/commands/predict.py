@@ -9,7 +9,7 @@ import numpy as np
 
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
-from doo_ti.commands.results import counted, report, save_arrays, shortened
+from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened
 from doo_ti.errors import InputError
 from doo_ti.io.files import write_whole
 from doo_ti.io.motion_file import ClampPath, load_path
@@ -55,7 +55,7 @@ def declare(add) -> None:
     parser.add_argument("source", metavar="OBS|SCENE.toml",
                         help=f"observations the rods start from: {loading.FORMATS}; or a scene of motion")
     parser.add_argument("--motion", metavar="PATH", help="poses of the clamps over time: .npz or .csv")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
     given.add_material(parser, "a number or LO:HI:N[:log|:lin]: all materials of the grid at once")
     parser.add_argument("--relative", action="store_true",
                         help="apply the motion relative to each observation's own clamps, instead of as absolute poses")
@@ -74,7 +74,7 @@ def declare(add) -> None:
 
 def run(options: Namespace, words: list[str]) -> int:
     """Carry all rods along the motion; writes them at its moments and prints where they jumped."""
-    out = given.output_file(options.out, ".npz")
+    out = given.output_file(options.out, RODS)
     pictures = {suffix: None if text is None else given.output_file(text, suffix, option)
                 for suffix, text, option in (
                     (".png", options.picture, "--picture"), (".rrd", options.recording, "--recording"))}
@@ -96,7 +96,7 @@ def run(options: Namespace, words: list[str]) -> int:
     result = _arrays(task, prediction)
     for path in filter(None, pictures.values()):
         path.parent.mkdir(parents=True, exist_ok=True)
-    save_arrays(out, result)
+    save_arrays(out, result, ("moment", "rod"))
     _draw(task, prediction, result, pictures)
     report(options, _summary(task, prediction, result, out),
            lambda: [*_lines(task, prediction, result), *task.loaded, f"  written to {in_line(out)}"])

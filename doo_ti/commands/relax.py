@@ -7,7 +7,7 @@ import numpy as np
 
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
-from doo_ti.commands.results import counted, report, save_arrays, theta_of, theta_text
+from doo_ti.commands.results import RODS, counted, report, save_arrays, theta_of, theta_text
 from doo_ti.grid import Grid
 from doo_ti.io.observations import Observations
 from doo_ti.learning.objective import status_counts
@@ -20,7 +20,7 @@ def declare(add) -> None:
     parser = given.command(add, "relax", run,
                            "relax each observed rod under one material and compare it with its observation (Eq. 1)")
     parser.add_argument("observations", metavar="OBS", help=f"observations: {loading.FORMATS}")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
     given.add_material(parser, "one number each")
     given.add_relaxation(parser, "f64")
     loading.add_loading(parser)
@@ -29,7 +29,7 @@ def declare(add) -> None:
 def run(options: Namespace, words: list[str]) -> int:
     """F on each observation (§III-D), to one npz; of several whole-turn hypotheses the one nearest to the observation."""
     grid = given.single_cell(options, "give one number, or use sweep")
-    frame_weight, out = given.frame_weight(options), given.output_file(options.out, ".npz")
+    frame_weight, out = given.frame_weight(options), given.output_file(options.out, RODS)
     observations = loading.load(options, options.observations)
     clamps = observation_clamps(observations, *given.clamps(options))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.commands import options as given
-from doo_ti.commands.results import counted, report, save_arrays, shortened
+from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened
 from doo_ti.errors import InputError
 from doo_ti.terminal import busy, in_line, progress
 from doo_ti.types import Clamp, Status
@@ -37,7 +37,7 @@ def declare(add) -> None:
     parser.add_argument("source", metavar="MOTION.npz|SCENE.toml",
                         help="recorded markers, the first and last edges on the grippers (positions_mm, rate_hz); or a scene")
     parser.add_argument("--theta", metavar="THETA.json", help="the rod, as doo-ti identify writes it; needed for MOTION.npz")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
     parser.add_argument("--substeps", metavar="N", help="time steps from one frame to the next (default: 1, or the scene's)")
     parser.add_argument("--scheme", choices=SCHEMES, help="of time steps: second order, or backward Euler (default bdf2)")
     parser.add_argument("--precision", choices=("f32", "f64"), default="f64", help="arithmetic (default f64)")
@@ -51,7 +51,7 @@ def declare(add) -> None:
 
 def run(options: Namespace, words: list[str]) -> int:
     """Simulate; writes positions and status at every frame and prints the errors."""
-    out = given.output_file(options.out, ".npz")
+    out = given.output_file(options.out, RODS)
     substeps = given.whole("--substeps", options.substeps, 1, 1000)
     shown = {kind: _shown(kind, text) for kind, text in (
         ("picture", options.picture), ("recording", options.recording), ("animation", options.animation)) if text is not None}
@@ -63,7 +63,7 @@ def run(options: Namespace, words: list[str]) -> int:
     arrays, summary = _results(found, out)
     if found.alone:
         arrays = {key: value[0] if key in ("positions_mm", "status", "error_mm") else value for key, value in arrays.items()}
-    save_arrays(out, arrays)
+    save_arrays(out, arrays, ("frame",) if found.alone else ("rod", "frame"))
     _draw(found, shown)
     report(options, summary, lambda: _lines(found, summary))
     return 0 if (found.status[:, -1] == Status.CONVERGED).any() else 1

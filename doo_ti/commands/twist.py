@@ -8,10 +8,11 @@ import numpy as np
 
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
-from doo_ti.commands.results import counted, report, save_arrays, shortened, theta_of, theta_text
+from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened, theta_of, theta_text
 from doo_ti.grid import Grid
 from doo_ti.io.files import write_whole
 from doo_ti.io.observations import Observations
+from doo_ti.io.rod_table import write_columns
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.terminal import in_line, progress
@@ -23,7 +24,7 @@ def declare(add) -> None:
     parser = given.command(add, "twist", run, "estimate the twist of rods from their shapes (Eq. 4)")
     parser.add_argument("observations", metavar="OBS",
                         help=f"observations, or a file that perceive wrote: {loading.FORMATS}")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
     given.add_material(parser, "one number each")
     parser.add_argument("--observations", dest="together", metavar="D",
                         help="each D consecutive observations share one angle φ "
@@ -42,7 +43,7 @@ def declare(add) -> None:
 def run(options: Namespace, words: list[str]) -> int:
     """Eq. 4 for each group of observations that share φ; writes φ and the whole curve, and prints ambiguous groups."""
     grid = given.single_cell(options)
-    out = given.output_file(options.out, ".npz")
+    out = given.output_file(options.out, RODS)
     picture = None if options.picture is None else given.output_file(options.picture, ".png", "--picture")
     observations = loading.load(options, options.observations)
     given.refuse_overwriting(out, options.observations)
@@ -73,7 +74,11 @@ def run(options: Namespace, words: list[str]) -> int:
 
         estimate = estimate_twist(observations, grid.materials(), group, offset, search, advance)
     result = _arrays(estimate)
-    save_arrays(out, result)
+    if out.suffix == ".npz":
+        save_arrays(out, result)
+    else:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(out, lambda file: write_columns(file, _columns(result)))
     if picture is not None:
         _draw(picture, observations, estimate)
     summary = _summary(observations, grid, estimate, result, out)
@@ -90,6 +95,13 @@ def _arrays(estimate) -> dict[str, np.ndarray]:
         "minima_mm": estimate.minima_objective, "unsound": estimate.unsound, "group": estimate.group,
         "offset_deg": np.degrees(estimate.offset), "total_twist_deg": np.degrees(estimate.total_twist),
     }
+
+
+def _columns(result: dict) -> dict[str, np.ndarray]:
+    """What a CSV file holds of them: a row per observation, with the values of its group."""
+    own = {name: result[name] for name in ("group", "offset_deg", "total_twist_deg")}
+    shared = {name: result[name][result["group"]] for name in ("phi_deg", "least_mm", "verdict", "low_deg", "high_deg")}
+    return {"observation": np.arange(len(result["group"])), **own, **shared}
 
 
 def _rows(estimate, group: int) -> str:

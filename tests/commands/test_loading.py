@@ -72,3 +72,23 @@ def test_wrong_options_write_nothing(tmp_path, metres, capfd, words):
     assert not (tmp_path / "out.npz").exists()
     printed = capfd.readouterr().err.splitlines()[-1]
     assert printed.startswith("doo-ti: ")
+
+
+def test_results_as_csv(tmp_path, shipped_data):
+    """The same numbers as in the npz, for a program without NumPy."""
+    marks = str(tmp_path / "marks.npz")
+    assert main(["convert", str(shipped_data / "lab_a" / "vicryl.npz"), marks, "--select", "0:2"]) == 0
+    (tmp_path / "path.csv").write_text("time_s,end_rotation_deg\n0,0\n1,20\n")
+    material = ["--bend", "6e5", "--twist", "8e5"]
+    commands = {"relax": [], "predict": ["--motion", str(tmp_path / "path.csv")], "twist": []}
+    for name, more in commands.items():
+        for suffix in ("npz", "csv"):
+            assert main([name, marks, *more, *material, "--out", str(tmp_path / f"{name}.{suffix}")]) == 0
+    with np.load(tmp_path / "relax.npz") as found:
+        np.testing.assert_array_equal(load_observations(tmp_path / "relax.csv").vertices, found["vertices_mm"])
+    with np.load(tmp_path / "predict.npz") as found:
+        lines = (tmp_path / "predict.csv").read_text().splitlines()
+        assert lines[0].split(",")[:3] == ['"moment"', '"rod"', '"vertex"'] and len(lines) == 1 + found["vertices_mm"].size // 3
+    with np.load(tmp_path / "twist.npz") as found:
+        table = np.genfromtxt(tmp_path / "twist.csv", delimiter=",", names=True, deletechars='"')
+        np.testing.assert_allclose(table["total_twist_deg"], found["total_twist_deg"])
