@@ -30,6 +30,7 @@ _HOMES = {
     "Status": "types", "InputError": "errors", "Observations": "io.observations", "load_observations": "io.observations",
     "save_observations": "io.observations", "observation_clamps": "start", "start_configuration": "start",
     "turn_hypotheses": "start", "choose_hypothesis": "start", "Grid": "grid", "Axis": "grid", "distance": "metric",
+    "straight_rod": "rods", "hanging": "rods", "end_clamps": "rods",
     "Newton": "relaxation.newton", "Descent": "relaxation.descent", "relax": "relaxation.relax",
     "Springs": "relaxation.external",
     "sweep": "learning.sweeps", "SweepOptions": "learning.experiment", "read_landscape": "learning.landscape",

@@ -20,7 +20,7 @@ LAYERS = [
     {"io"},
     {"kernel_cache"},
     {"physics", "runtime"},
-    {"metric", "start"},
+    {"metric", "start", "rods"},
     {"relaxation"},
     {"vision", "motion", "dynamics"},
     {"synthesis", "twist", "report"},
