@@ -4,7 +4,7 @@
     of a vertex                    its own value
     of an edge                     at the vertex where it begins, empty at the last one; frames in nine columns
     of a rod, or one of its axes   repeated in all rows of the rod
-    of several numbers             NAME_x, NAME_y, NAME_z, or NAME_0, NAME_1, …
+    of several numbers             NAME_0, NAME_1, …; of forces and moments NAME_x, NAME_y, NAME_z
 
 A table that ``relax``, ``perceive`` or ``track`` wrote can be read as observations.
 """
@@ -20,6 +20,7 @@ POSITIONS = ("vertices_mm", "positions_mm")
 OWNERS = {"time_s": "first axis", "recording": "first axis", "rest_length_mm": "file", "up": "file", "rate_hz": "file"}
 """Of arrays whose shape alone does not tell; others belong to rods, or to the last axis of the rods."""
 OF_EDGES = ("rest_length_mm", "frames", "unsupported")
+VECTORS = ("start_force", "start_moment", "end_force", "end_moment", "up")
 OF_VERTICES = ("valid", "sigma_mm", *POSITIONS)
 
 
@@ -81,4 +82,4 @@ def _names(name: str, inner: tuple[int, ...]) -> tuple[str, ...]:
         return KEYS_IN_TABLES[name][2]
     if inner == (3, 3):
         return frame_columns(name)
-    return (name,) if not inner else tuple(f"{name}_{end}" for end in (AXES if inner == (3,) else range(*inner)))
+    return (name,) if not inner else tuple(f"{name}_{end}" for end in (AXES if name in VECTORS else range(*inner)))

@@ -40,7 +40,7 @@ CHUNK_BYTES = 32 << 20
 MOST_RODS = 1_000_000_000
 
 
-def sweep(run: Path, observations: Observations, grid: Grid, *, options: SweepOptions = SweepOptions(),
+def sweep(run: Path | str, observations: Observations, grid: Grid, *, options: SweepOptions = SweepOptions(),
           pairs: Pairs | None = None, command: list[str] = ()) -> dict:
     """Relax ``observations`` under every cell of ``grid`` (Eq. 2 or 3), store the rods in the folder ``run``, and return the
     summary; an unfinished sweep in ``run`` is resumed.
@@ -53,7 +53,7 @@ def sweep(run: Path, observations: Observations, grid: Grid, *, options: SweepOp
     the Dask scheduler does not answer; InterruptedRunError where a chunk fails: the chunks stored before are kept.
     """
     with started_workers(options.workers, options.scheduler) as workers:
-        return _swept(run, Experiment(observations, grid, options, pairs), workers, command)
+        return _swept(Path(run), Experiment(observations, grid, options, pairs), workers, command)
 
 
 def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, command: list[str]) -> dict:

@@ -28,7 +28,7 @@ def test_rods_of_one_axis_are_observations_again(tmp_path, rng):
     assert left_out == ["runner_up_mm"] and len(columns["x_mm"]) == rods * marks
     np.testing.assert_array_equal(columns["energy"], np.repeat(arrays["energy"], marks))
     np.testing.assert_array_equal(columns["name"][::marks], arrays["name"])
-    np.testing.assert_array_equal(columns["camera_error_px_y"][::marks], arrays["camera_error_px"][:, 1])
+    np.testing.assert_array_equal(columns["camera_error_px_1"][::marks], arrays["camera_error_px"][:, 1])
     np.testing.assert_array_equal(columns["unsupported"].reshape(rods, marks)[:, :-1], arrays["unsupported"])
     observations = load_observations(tmp_path / "x.csv")
     for name, key in (("vertices", "vertices_mm"), ("rest_length", "rest_length_mm"), ("up", "up"), ("valid", "valid"),
