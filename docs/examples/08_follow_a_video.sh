@@ -17,8 +17,10 @@ found, camera = load_observations("video.csv").vertices, load_rig(sys.argv[1]).c
 figure, panels = plt.subplots(1, 3, figsize=(10, 3), layout="constrained")
 for panel, frame in zip(panels, (0, 4, 7)):
     panel.imshow(plt.imread(f"video/{frame:03d}_{camera.name}.png"), cmap="gray")
-    panel.plot(*camera.project(found[frame]).T, color="tab:orange", linewidth=1)
-    panel.set(title=f"frame {frame}, camera {camera.name}", xticks=[], yticks=[])
+    points = camera.project(found[frame])
+    (left, top), (right, bottom) = points.min(axis=0) - 40, points.max(axis=0) + 40
+    panel.plot(*points.T, "--", color="tab:orange", linewidth=1)
+    panel.set(title=f"frame {frame}, camera {camera.name}", xlim=(left, right), ylim=(bottom, top), xticks=[], yticks=[])
 plt.savefig("08_follow_a_video.png", dpi=100)
 with np.load("video/truth.npz") as truth:
     error = np.linalg.norm(found - truth["vertices_mm"], axis=-1)

@@ -165,10 +165,10 @@ def _lines(search: _Search, summary: dict, finished_before: bool, made_again: li
 
 def _effort(summaries: list[dict], seconds: float) -> str:
     """``450,000 rods in 15.1 s, 29,800 rods/s; …``, of the rods relaxed now; none where all was finished before."""
-    rods = sum(summary["timing"]["relaxed_rods"] for summary in summaries)
-    relaxing = sum(summary["timing"]["relaxation_s"] for summary in summaries)
-    rate = f" ({rods / relaxing:,.0f} rods/s, loading the kernels included)" if rods else ""
-    return f"{rods:,} rods in {seconds:.1f} s{rate}; {peak_memory() / 2**20:,.0f} MB of memory at most"
+    rods, loading, relaxing = (sum(summary["timing"][name] for summary in summaries)
+                               for name in ("relaxed_rods", "loading_s", "relaxation_s"))
+    work = f": {loading:.1f} s to load the kernels, {relaxing:.1f} s to relax ({rods / relaxing:,.0f} rods/s)" if rods else ""
+    return f"{rods:,} rods in {seconds:.1f} s{work}; {peak_memory() / 2**20:,.0f} MB of memory at most"
 
 
 def _pairs(options: Namespace, scene: Scene, observations: Observations, objective: str) -> Pairs | None:

@@ -31,6 +31,14 @@ def relaxed(experiment: Experiment, materials: Material) -> Solution:
                  configuration_index=hypothesis, material_index=of_material)
 
 
+def load_kernels(experiment: Experiment) -> None:
+    """Relax one rod, which compiles the kernels of a sweep, or loads them where they were compiled before."""
+    options, observations = experiment.options, experiment.observations
+    starts, clamps = started(observations, experiment.clamps, experiment.hypotheses)
+    relax(starts.take([0]), experiment.grid.materials(slice(0, 1)), clamps.take([0]), options.solver, up=observations.up,
+          precision=options.precision)
+
+
 def carried(experiment: Experiment, materials: Material) -> tuple[Solution, np.ndarray, np.ndarray]:
     """Γ̃^xy of Eq. 3, R rods; the number of jumps of each (R,); and the distance of Γ̃^x from Γ^x (R,), Eq. 1 in mm."""
     begin, rows = _relaxed_once(experiment, materials)

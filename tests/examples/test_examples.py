@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = sorted((ROOT / "docs" / "examples").glob("[0-9][0-9]_*.*"))
 SCRIPTS = [path for path in EXAMPLES if path.suffix in (".py", ".sh")]
