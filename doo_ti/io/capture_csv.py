@@ -62,7 +62,7 @@ def read_nexus(path: Path, content: bytes, names: list[str] | None = None) -> Cu
     """The markers of a Nexus file. Raises InputError for files without markers, and for names that they do not have. A name may
     leave out the subject."""
     rows = csv_rows(path, content, REMEDY)
-    begin = next(row for row, (_, cells) in enumerate(rows) if cells and cells[0].strip() == "Trajectories")
+    begin = next((row for row, (_, cells) in enumerate(rows) if cells and cells[0].strip() == "Trajectories"), len(rows))
     if len(rows) < begin + 6:
         raise InputError(path, "Trajectories", "no rows below it", REMEDY)
     rate = _number(path, rows[begin + 1][0], _cell(rows[begin + 1][1], 0))

@@ -72,7 +72,10 @@ def _gather(path: Path, body, position: np.ndarray, rotation: np.ndarray, found:
 def _of_composite(path: Path, element) -> np.ndarray:
     """(V, 3) m in the coordinates of the element."""
     if element.get("vertex"):
-        return _vector(path, element, "vertex", "", None).reshape(-1, 3)
+        points = _vector(path, element, "vertex", "", None)
+        if len(points) % 3:
+            raise InputError(path, "vertex", f"{len(points)} numbers", "give three for each point")
+        return points.reshape(-1, 3)
     count = int(_vector(path, element, "count", "0", None)[0])
     size = np.resize(_vector(path, element, "size", "1 0 0", None), 3)
     if not 3 <= count <= 100_000:

@@ -226,12 +226,13 @@ def load_observations(path: str | os.PathLike, up=None, unit: str | None = None,
     Raises InputError for a file that cannot be read and for whatever :class:`Observations` refuses.
     """
     path = Path(path)
-    content, keys = read_keys(path, columns)
+    with np.errstate(over="ignore"):  # what is no longer finite in mm is refused below
+        content, keys = read_keys(path, columns)
+        values = {name: keys[key] for name, key in KEYS.items() if key in keys}
+        if unit is not None:
+            values = _in_mm(values, keys.get("unit", 1.0), unit)
     if "vertices_mm" not in keys:
         raise InputError(path, "vertices_mm", "the key is missing", "store the vertices as vertices_mm (D, V, 3)")
-    values = {name: keys[key] for name, key in KEYS.items() if key in keys}
-    if unit is not None:
-        values = _in_mm(values, keys.get("unit", 1.0), unit)
     observations = Observations(**values, name=in_line(path.stem), source=str(path), sha256=hashlib.sha256(content).hexdigest())
     changed = {} if up is None else {"up": np.asarray(up)}
     if observations.total_twist is not None:

@@ -15,6 +15,7 @@ from doo_ti.io.curves import Curves, checked_points, chosen_names
 
 UP = {"Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 CURVE = re.compile(r'\bdef\s+(?:BasisCurves|NurbsCurves)\s+"([^"]+)"')
+LEAST_METRES, MOST_METRES = 1e-9, 1e6
 TRIPLE = re.compile(r"\(\s*([^\s,()]+)\s*,\s*([^\s,()]+)\s*,\s*([^\s,()]+)\s*\)")
 
 
@@ -27,8 +28,8 @@ def read_usd(path: Path, content: bytes, names: list[str] | None = None) -> Curv
     if "xformOp:" in text:
         raise InputError(path, "xformOp", "the prims have transforms", "apply them to the points, and export again")
     starts = list(CURVE.finditer(text))
-    found = {match[1]: text[match.end() : after.start() if after else len(text)]
-             for match, after in zip(starts, [*starts[1:], None], strict=True)}
+    ends = [*(match.start() for match in starts[1:]), len(text)]
+    found = {match[1]: text[match.end() : end] for match, end in zip(starts, ends, strict=False)}
     if not found:
         raise InputError(path, "BasisCurves", "the file has none", "export the rod as a curve")
     chosen = chosen_names(path, "BasisCurves", list(found), names)
@@ -36,8 +37,20 @@ def read_usd(path: Path, content: bytes, names: list[str] | None = None) -> Curv
     sizes = {len(curve) for curve in curves}
     if len(sizes) > 1:
         raise InputError(path, "points", f"curves of {min(sizes)} to {max(sizes)} points", "name curves that have equally many")
-    scale, up = re.search(r"\bmetersPerUnit\s*=\s*([\d.eE+-]+)", text), re.search(r'\bupAxis\s*=\s*"([YZ])"', text)
-    return Curves(checked_points(path, np.stack(curves)), 1000.0 * float(scale[1]) if scale else 10.0, UP[up[1] if up else "Y"])
+    up = re.search(r'\bupAxis\s*=\s*"([YZ])"', text)
+    return Curves(checked_points(path, np.stack(curves)), 1000.0 * _metres_per_unit(path, text), UP[up[1] if up else "Y"])
+
+
+def _metres_per_unit(path: Path, text: str) -> float:
+    """The stage's unit of length; 0.01 where it states none."""
+    stated = re.search(r"\bmetersPerUnit\s*=\s*(\S+)", text)
+    try:
+        value = float(stated[1]) if stated else 0.01
+    except ValueError:
+        value = 0.0
+    if not LEAST_METRES <= value <= MOST_METRES:
+        raise InputError(path, "metersPerUnit", f"{stated[1][:20]!r}", f"give {LEAST_METRES:g} to {MOST_METRES:g}")
+    return value
 
 
 def _curves(path: Path, name: str, text: str) -> list[np.ndarray]:
@@ -52,6 +65,6 @@ def _curves(path: Path, name: str, text: str) -> list[np.ndarray]:
         points = [np.array([[float(part) for part in triple] for triple in TRIPLE.findall(sample)]) for sample in samples]
     except ValueError as error:
         raise InputError(path, name, str(error), "export the rod as a curve") from None
-    if not sizes or min(sizes) < 1 or any(len(each) != sum(sizes) for each in points):
+    if not sizes or min(sizes) < 1 or not points or any(len(each) != sum(sizes) for each in points):
         raise InputError(path, name, "curveVertexCounts do not add up to the points", "export the rod as a curve")
     return [curve for each in points for curve in np.split(each, np.cumsum(sizes)[:-1])]
