@@ -10,6 +10,7 @@ Axes: R rods, E edges. Lengths are in mm.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.errors import InputError, real_array, require_whole
 from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
@@ -21,7 +22,8 @@ LEAST_ACROSS = 1e-6
 """Of the direction against gravity, across a chord: below, the chord is vertical and any plane does."""
 
 
-def straight_rod(length: float, edges: int, start=(0.0, 0.0, 0.0), direction=(1.0, 0.0, 0.0)) -> Configuration:
+def straight_rod(length: float, edges: int, start: ArrayLike = (0.0, 0.0, 0.0), direction: ArrayLike = (1.0, 0.0, 0.0)
+                 ) -> Configuration:
     """One straight rod without twist, ``length`` mm long, from ``start`` (3,) mm in ``direction`` (3,) of any length. Raises
     InputError for a length that is not positive, fewer than two edges or no direction."""
     _check("straight_rod", length, edges)
@@ -29,8 +31,8 @@ def straight_rod(length: float, edges: int, start=(0.0, 0.0, 0.0), direction=(1.
                                   float(length), edges)
 
 
-def hanging(length: float, edges: int, start, end, *, clamp: Clamp = Clamp.POSITION, up=(0.0, 0.0, 1.0)
-            ) -> tuple[Configuration, Clamps]:
+def hanging(length: float, edges: int, start: ArrayLike, end: ArrayLike, *, clamp: Clamp = Clamp.POSITION,
+            up: ArrayLike = (0.0, 0.0, 1.0)) -> tuple[Configuration, Clamps]:
     """R ropes, each ``length`` mm long, that hang between two points, ready for ``relax``: the start Γ, an arc that sags, and
     the clamps C.
 
@@ -84,7 +86,7 @@ def _check(function: str, length: float, edges: int) -> None:
     require_whole(function, "edges", edges, 2)
 
 
-def _points(function: str, name: str, value) -> np.ndarray:
+def _points(function: str, name: str, value: ArrayLike) -> np.ndarray:
     """(R, 3) f64."""
     points = real_array(function, name, value, "give points (R, 3) in mm").astype(np.float64)
     points = points[None] if points.ndim == 1 else points
@@ -93,7 +95,7 @@ def _points(function: str, name: str, value) -> np.ndarray:
     return points
 
 
-def _direction(function: str, direction) -> np.ndarray:
+def _direction(function: str, direction: ArrayLike) -> np.ndarray:
     value = _points(function, "direction", direction)[0]
     if not (size := np.linalg.norm(value)) > 0:
         raise InputError(function, "direction", f"{value.tolist()}", "give three numbers, not all zero")

@@ -7,7 +7,7 @@
     .usda             curves of USD scenes
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +76,7 @@ def _opened(path: Path) -> tuple[bytes, Callable[..., Curves] | None]:
 
 
 def _names(path: Path, columns) -> list[str] | None:
-    if isinstance(columns, dict):
+    if isinstance(columns, Mapping):
         raise InputError(path, "columns", "the file is not a table of vertices",
                          "name its markers or curves in their order along the rod: A,B,C")
     return None if columns is None else list(columns)
@@ -85,7 +85,8 @@ def _names(path: Path, columns) -> list[str] | None:
 def _renamed(path: Path, columns) -> dict[str, str]:
     if columns is None:
         return {}
-    if not isinstance(columns, dict) or (unknown := next((name for name in columns if name not in RENAMED), None)) is not None:
-        named = f"{unknown!r}" if isinstance(columns, dict) else f"{','.join(columns)!r}"
-        raise InputError(path, "columns", named, f"give NAME=COLUMN for some of {', '.join(RENAMED)}")
-    return columns
+    unknown = [name for name in columns if name not in RENAMED]
+    if unknown or not isinstance(columns, Mapping):
+        raise InputError(path, "columns", f"{','.join(unknown or columns)!r}",
+                         f"give NAME=COLUMN for some of {', '.join(RENAMED)}")
+    return dict(columns)

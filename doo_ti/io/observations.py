@@ -6,6 +6,7 @@ mm and rad. Axes: D observations, V vertices, E = V − 1 edges.
 
 import hashlib
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -214,7 +215,8 @@ class Observations:
         return frames
 
 
-def load_observations(path: str | os.PathLike, up=None, unit: str | None = None, columns=None) -> Observations:
+def load_observations(path: str | os.PathLike, up=None, unit: str | None = None,
+                      columns: Mapping[str, str] | Sequence[str] | None = None) -> Observations:
     """Read and check observations of an ``.npz``, ``.csv`` or ``.parquet`` file, or curves of another program: motion capture
     of OptiTrack and Vicon, MuJoCo cables, USD curves, plain polylines (docs/observations.md).
 
