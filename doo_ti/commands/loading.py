@@ -24,15 +24,14 @@ OF_FILES = ("unit", "columns")
 FORMATS = ".npz, .csv, .parquet; or curves as .csv of OptiTrack or Vicon, .xml (MuJoCo), .usda, .txt"
 
 
-def add_loading(parser: ArgumentParser, up: bool = True) -> None:
-    """How the file states the marks; ``up``: the direction of gravity too."""
+def add_loading(parser: ArgumentParser) -> None:
+    """How the file states the marks, and the direction of gravity."""
     group = parser.add_argument_group("your own files", "docs/observations.md")
     group.add_argument("--unit", choices=tuple(UNITS_IN_MM), help="unit of all lengths in OBS (default: as the file states, "
                        "else mm)")
     group.add_argument("--columns", metavar="x=NAME,…|A,B,C", help="columns of a table that hold x, y, z, observation, vertex; "
                        "of other files, names of markers or curves in their order along the rod")
-    if up:
-        given.add_up(group)
+    given.add_up(group)
 
 
 def columns(options: Namespace) -> dict[str, str] | list[str] | None:
@@ -74,7 +73,7 @@ def rod_line(observations: Observations) -> str:
     ends = np.linalg.norm(observations.vertices[:, -1] - observations.vertices[:, 0], axis=-1)[seen]
     missing = int((~observations.valid).sum())
     span = "" if not len(ends) else f", its ends {_span(ends)} mm apart"
-    return (f"  loaded      {observations.count} observations of {observations.edges + 1} marks"
+    return (f"  loaded      {observations.count} observation{'s' * (observations.count > 1)} of {observations.edges + 1} marks"
             f"{f' ({missing} missing)' if missing else ''}; the rod is {observations.rest_length.sum():.4g} mm long{span}; "
             f"up {','.join(f'{value + 0:.3g}' for value in observations.up)}")
 
@@ -84,9 +83,8 @@ def unit_doubt(observations: Observations) -> str | None:
     length = float(observations.rest_length.sum())
     if LEAST_MM <= length <= MOST_MM:
         return None
-    likely = [unit for unit, factor in UNITS_IN_MM.items() if LEAST_MM <= length * factor <= MOST_MM and factor > 1]
-    remedy = f"if the file is in {'m' if 'm' in likely else likely[0]}, give --unit {'m' if 'm' in likely else likely[0]}" \
-        if length < LEAST_MM and likely else "check the unit of the file"
+    likely = next((unit for unit in ("m", "cm") if LEAST_MM <= length * UNITS_IN_MM[unit] <= MOST_MM), None)
+    remedy = "check the unit of the file" if likely is None else f"if the file is in {likely}, give --unit {likely}"
     return f"a rod {length:.4g} mm long; {remedy}"
 
 

@@ -53,6 +53,9 @@ def run_convert(options: Namespace, words: list[str]) -> int:
         raise InputError(options.observations, "observations", "none is left", "select others, or leave --complete out")
     loading.warn(observations)
     print(" ".join(loading.rod_line(observations).split()))
+    if Path(options.observations).suffix == ".xml":
+        facts = read_curves(Path(options.observations), loading.columns(options)).facts
+        print(f"the model states {facts}" if facts else "the model states no stiffness")
     save(out, observations.take(rows))
     return 0
 

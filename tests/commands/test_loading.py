@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti.cli import main
 from doo_ti.io.observations import load_observations
-from tests.io.test_formats import MARKS, motive, table
+from tests.io.test_formats import CABLE, MARKS, motive, table
 
 
 @pytest.fixture
@@ -16,6 +16,13 @@ def metres(tmp_path):
     path = tmp_path / "cable.csv"
     path.write_text(table(MARKS[..., [0, 2, 1]] / 1000, "shot,marker,east,height,north"))
     return path
+
+
+def test_the_stiffness_that_a_model_states_is_printed(tmp_path, capfd):
+    (tmp_path / "cable.xml").write_text(CABLE)
+    assert main(["convert", str(tmp_path / "cable.xml"), str(tmp_path / "out.npz"), "--columns", "a"]) == 0
+    printed = capfd.readouterr().out
+    assert "--EI 0.9817 --GJ 0.4909 --linear-density 86.39" in printed and "1 observation of 7 marks" in printed
 
 
 def test_a_csv_in_metres_with_y_up(tmp_path, metres, capfd):
@@ -57,7 +64,7 @@ def test_relax_prints_what_it_loaded(tmp_path, capfd):
     (tmp_path / "x.csv").write_text(table(marks[None], "observation,vertex,x,y,z"))
     words = ["relax", str(tmp_path / "x.csv"), "--unit", "m", "--bend", "1e6", "--out", str(tmp_path / "f.npz")]
     assert main(words) == 0
-    assert "observations of 12 marks" in capfd.readouterr().out
+    assert "1 observation of 12 marks" in capfd.readouterr().out
     assert main([*words, "--json"]) == 0
     printed = capfd.readouterr()
     assert json.loads(printed.out)["observations"] == 1 and printed.err == ""
