@@ -55,7 +55,7 @@ def read_motive(path: Path, content: bytes, names: list[str] | None = None) -> C
         ours = name in names if names is not None else what == "Marker" and not name.startswith("Unlabeled")
         if kind in ("Position", "") and axis in ("X", "Y", "Z") and ours:
             columns.setdefault(name, []).append(column)
-    return _frames(path, rows[header + 1 :], columns, names, Curves(np.empty(0), unit, (0.0, 1.0, 0.0), rate))
+    return Curves(_points(path, rows[header + 1 :], columns, names), unit, (0.0, 1.0, 0.0), rate)
 
 
 def read_nexus(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
@@ -75,11 +75,11 @@ def read_nexus(path: Path, content: bytes, names: list[str] | None = None) -> Cu
     rest = rows[begin + 5 :]
     end = next((row for row, (_, cells) in enumerate(rest) if not any(map(str.strip, cells))), len(rest))
     unit = UNITS_IN_MM.get(_cell(units, 2) or "mm", 1.0)
-    return _frames(path, rest[:end], columns, names, Curves(np.empty(0), unit, rate=rate))
+    return Curves(_points(path, rest[:end], columns, names), unit, rate=rate)
 
 
-def _frames(path: Path, rows: list, columns: dict[str, list[int]], names: list[str] | None, empty: Curves) -> Curves:
-    """``empty`` with the points of T frames of the markers in ``columns``."""
+def _points(path: Path, rows: list, columns: dict[str, list[int]], names: list[str] | None) -> np.ndarray:
+    """(T, V, 3) the positions of the markers in ``columns``, all or those of the ``names``; NaN where a marker was not seen."""
     order = chosen_names(path, "Name", list(columns), names)
     if len(order) < 3:
         raise InputError(path, "Name", f"{len(order)} markers", "name three or more along the rod, in their order")
@@ -91,7 +91,7 @@ def _frames(path: Path, rows: list, columns: dict[str, list[int]], names: list[s
                        for line, cells in rows if any(map(str.strip, cells))])
     if not len(points):
         raise InputError(path, "Frame", "no frames", REMEDY)
-    return Curves(points.reshape(len(points), -1, 3), empty.unit, empty.up, empty.rate)
+    return points.reshape(len(points), -1, 3)
 
 
 def _cell(cells: list[str], column: int) -> str:
