@@ -13,7 +13,7 @@ PACKAGE = ROOT / "doo_ti"
 
 # From the bottom up: a module imports from layers below its own, never from beside it.
 LAYERS = [
-    {"errors", "interruption", "terminal"},
+    {"errors", "interruption", "short_repr", "terminal"},
     {"frames", "physical_units"},
     {"types"},
     {"grid", "rods"},

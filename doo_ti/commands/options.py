@@ -4,12 +4,13 @@ Raises InputError naming the option, its value and the remedy.
 """
 
 import os
-from argparse import SUPPRESS, ArgumentParser, Namespace
+from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from doo_ti.commands.help_text import examples
 from doo_ti.errors import InputError
 from doo_ti.grid import UNITS, Axis, Grid, parse_axes, parse_axis
 from doo_ti.io.formats import checked_suffix
@@ -31,7 +32,8 @@ LONGEST_NAME = 200
 
 def command(add, name: str, run: Callable[[Namespace, list[str]], int], meaning: str, *, json: bool = True) -> ArgumentParser:
     """The parser of a command, which ``run`` carries out; with ``--json`` unless it prints nothing for machines."""
-    parser = add(name, allow_abbrev=False, help=meaning, description=f"{meaning[0].upper()}{meaning[1:]}.")
+    parser = add(name, allow_abbrev=False, help=meaning, description=f"{meaning[0].upper()}{meaning[1:]}.",
+                 epilog=examples(name), formatter_class=RawDescriptionHelpFormatter)
     if json:
         parser.add_argument("--json", action="store_true", help="print one line of JSON instead of text")
     parser.set_defaults(run=run, parser=parser)

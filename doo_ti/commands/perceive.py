@@ -66,7 +66,7 @@ def run(options: Namespace, words: list[str]) -> int:
     written = [out, *_shown(options, task, detected, found, growth, out)]
     summary = _summary(task, detected, found, written)
     report(options, summary, lambda: _lines(summary))
-    return 0 if summary["status"].get("converged") else 1
+    return 0 if summary["found"] else 1
 
 
 def _detected(task: PerceptionTask, bar) -> list[list]:
@@ -123,7 +123,7 @@ def _perceived(task: PerceptionTask, detected: list[list], bar):
 
 def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
     """The arrays of the file; docs/perception.md."""
-    sound = found.sound[:, None]
+    sound = _found(found)[:, None]
     return {
         "name": np.array(task.sets.names), "vertices_mm": found.vertices, "rest_length_mm": task.rest_length, "up": task.up,
         "valid": sound & np.isfinite(found.vertices).all(axis=-1),
@@ -132,6 +132,13 @@ def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
         "camera_error_px": found.camera_error, "verdict": found.verdict, "gap_px": found.gap, "unsupported": found.unsupported,
         "runner_up_mm": found.runner_up, "runner_up_energy_vis": found.runner_up_energy,
     }
+
+
+def _found(found) -> np.ndarray:
+    """(S,) bool: the rod is a certified minimum, and the thread in the images."""
+    from doo_ti.perception.perceive import PerceptionVerdict
+
+    return found.sound & (found.verdict != PerceptionVerdict.NOT_FOUND)
 
 
 def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found, growth, out: Path) -> list[Path]:
@@ -175,12 +182,12 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
 
 def _summary(task: PerceptionTask, detected: list[list], found, written: list[Path]) -> dict:
     """The content of ``--json``, from which the lines of text are made."""
-    from doo_ti.perception.perceive import Verdict
+    from doo_ti.perception.perceive import PerceptionVerdict
 
     sets = [{
         "name": name, "status": Status(found.status[row]).name.lower(), "stable": found.stable[row],
         "energy_vis": found.energy_vis[row], "camera_error_px": found.camera_error[row], "gap_px": found.gap[row],
-        "verdict": Verdict(found.verdict[row]).name.lower(), "unsupported_edges": found.unsupported[row].sum(),
+        "verdict": _word(found.verdict[row]), "unsupported_edges": found.unsupported[row].sum(),
         "mean_sigma_mm": found.sigma[row].mean() if found.sound[row] else None, **_errors(task, found, row),
     } for row, name in enumerate(task.sets.names)]
     return {
@@ -189,7 +196,8 @@ def _summary(task: PerceptionTask, detected: list[list], found, written: list[Pa
         "status": status_counts(found.status),
         "stable": found.stable.sum(),
         "not_certified": (~found.sound).sum(),
-        "verdicts": {verdict.name.lower(): (found.verdict == verdict).sum() for verdict in Verdict},
+        "found": _found(found).sum(),
+        "verdicts": {_word(verdict): (found.verdict == verdict).sum() for verdict in PerceptionVerdict},
         "written": [str(path) for path in written],
     }
 
@@ -204,10 +212,14 @@ def _errors(task: PerceptionTask, found, row: int) -> dict:
 
 def _verdict_text(found, row: int) -> str:
     """``clear, next best 0.31 px worse``."""
-    from doo_ti.perception.perceive import Verdict
-
     rival = f"next best {found.gap[row]:.2g} px worse" if np.isfinite(found.gap[row]) else "no other rod"
-    return f"{Verdict(found.verdict[row]).name.lower()}, {rival}"
+    return f"{_word(found.verdict[row])}, {rival}"
+
+
+def _word(verdict: int) -> str:
+    from doo_ti.perception.perceive import PerceptionVerdict
+
+    return PerceptionVerdict(verdict).name.lower().replace("_", " ")
 
 
 def _lines(summary: dict) -> list[str]:
@@ -227,7 +239,7 @@ def _lines(summary: dict) -> list[str]:
 
 def _set_text(entry: dict) -> str:
     """One set as text."""
-    pixels = " ".join(f"{max(value, 0.0):.2f}" if np.isfinite(value) else "unseen" for value in entry["camera_error_px"])
+    pixels = " ".join(f"{value:.2f}" if np.isfinite(value) else "unseen" for value in entry["camera_error_px"])
     rival = f"gap {entry['gap_px']:.2g} px" if np.isfinite(entry["gap_px"]) else "no rival"
     parts = [f"E_vis {entry['energy_vis']:.3g}/mm", f"{pixels} px off", f"{entry['verdict']} ({rival})",
              "σ unknown" if entry["mean_sigma_mm"] is None else f"σ {entry['mean_sigma_mm']:.2g} mm"]

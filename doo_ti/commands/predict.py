@@ -17,7 +17,7 @@ from doo_ti.io.observations import Observations
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.learning.objective import status_counts
 from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
-from doo_ti.terminal import in_line, progress
+from doo_ti.terminal import in_line, progress, warn
 from doo_ti.types import Clamps, Configuration, Material
 
 MOST_LISTED = 30
@@ -25,6 +25,8 @@ LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0
 """Of a sub-step: rods that are carried further at once may leave their branch; smaller steps make no difference."""
 MOST_LENGTHS = 100.0
 """Of a rod, between its clamps."""
+FAR_OFF = 0.05
+"""Of the rod's length, from a clamp to where its motion begins: more is no error of measurement."""
 MOST_BYTES = 8 << 30
 """Of frames: predictions are held in memory."""
 
@@ -146,7 +148,10 @@ def _observed(options: Namespace, out: Path) -> _Task:
     clamps = observation_clamps(observations, *given.clamps(options))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], 0.0)
     path = path.relative_to(clamps) if options.relative else path
-    _check_reach(path, clamps, float(observations.rest_length.sum()))
+    length = float(observations.rest_length.sum())
+    _check_reach(path, clamps, length)
+    if not options.relative:
+        _warn_of_distance(path, clamps, length)
     loading.warn(observations)
     materials = grid.materials()
     start = _settled(observations, clamps, materials)
@@ -165,6 +170,18 @@ def _check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
         if apart > MOST_LENGTHS * length:
             raise InputError(path.source, f"moment {moment}", f"the clamps are {apart:.4g} mm apart, and the rod "
                              f"{length:.4g} mm long", "correct the positions")
+
+
+def _warn_of_distance(path: ClampPath, clamps: Clamps, length: float) -> None:
+    """Print a warning where the path begins farther from the clamps than :data:`FAR_OFF` of the rod: displacements, perhaps, or
+    the path of another rod."""
+    first = path.at(0, clamps)
+    for name in ("start_position", "end_position"):
+        off = np.linalg.norm(getattr(first, name) - getattr(clamps, name), axis=-1)
+        if off.max() > FAR_OFF * length:
+            warn(f"{path.source}: {name}_mm: the motion begins {off.max():.4g} mm from the clamp of observation "
+                 f"{off.argmax()}; give --relative where these are displacements")
+            return
 
 
 def _with_frames(observations: Observations, path: ClampPath, relative: bool) -> Observations:
@@ -219,7 +236,7 @@ def _draw(task: _Task, prediction, result: dict, pictures: dict) -> None:
         from doo_ti.record import record_motion
 
         curves = {"Energy [mm²]": prediction.energy, "Total twist [°]": result["total_twist_deg"],
-                  "Force at the far clamp [mm²]": np.linalg.norm(prediction.end_force, axis=-1)}
+                  "Force at the far clamp [mm]": np.linalg.norm(prediction.end_force, axis=-1)}
         record_motion(pictures[".rrd"], run_id=hashlib.sha256(rods.vertices.tobytes()).hexdigest()[:32], name=task.name,
                       rods=rods, curves=curves,
                       text="\n\n".join(line.strip() for line in _lines(task, prediction, result)))

@@ -15,6 +15,8 @@ from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps
 from doo_ti.terminal import busy, in_line
 from doo_ti.types import Status
 
+WRITTEN = ("energy", "status", "iterations", "residual", "stable", "end_force")
+
 
 def declare(add) -> None:
     parser = given.command(add, "relax", run,
@@ -48,8 +50,9 @@ def run(options: Namespace, words: list[str]) -> int:
     error = distance(relaxed, observations, index, frame_weight)
     best = choose_hypothesis(index, error, solution.converged & solution.stable)
     configuration = relaxed.take(best)
-    result = {"vertices_mm": configuration.vertices, "frames": configuration.frames, "distance_mm": error[best]}
-    result |= {name: getattr(solution, name)[best] for name in ("energy", "status", "iterations", "residual", "stable")}
+    result = {"vertices_mm": configuration.vertices, "frames": configuration.frames, "distance_mm": error[best],
+              "rest_length_mm": observations.rest_length}
+    result |= {name: getattr(solution, name)[best] for name in WRITTEN}
     save_arrays(out, result)
     summary = _summary(observations, grid, result, out)
     report(options, summary, lambda: _lines(observations, grid, result, summary))

@@ -123,9 +123,9 @@ def _draw(path: Path, observations: Observations, estimate) -> None:
 
 
 def _word(verdict: int) -> str:
-    from doo_ti.twist.estimation import Verdict
+    from doo_ti.twist.estimation import TwistVerdict
 
-    return Verdict(verdict).name.lower().replace("_", " ")
+    return TwistVerdict(verdict).name.lower().replace("_", " ")
 
 
 def _summary(observations: Observations, grid: Grid, estimate, result: dict, out: Path) -> dict:
@@ -159,5 +159,5 @@ def _group_line(estimate, k: int) -> str:
     rivals = "".join(f"; also {other:.0f}°, {value:.3g} mm" for other, value in others if np.isfinite(other))
     together = int((estimate.group == k).sum())
     least = f"{estimate.least[k]:.3g} mm" if together == 1 else f"Σ {estimate.least[k]:.3g} mm over {together} rods"
-    return (f"  {_rows(estimate, k)}: φ = {phi:.1f}°, {least}, {_word(estimate.verdict[k])} (nearly as good: "
+    return (f"  {_rows(estimate, k)}: φ = {phi:.1f}°, {least}, {_word(estimate.verdict[k])} (95 %: "
             f"{low:.0f}° to {high:.0f}°){rivals}")

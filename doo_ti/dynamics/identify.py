@@ -13,6 +13,7 @@ from doo_ti.dynamics.parameters import Direction, MovingStart, Stepping
 from doo_ti.dynamics.recorded import RecordedMotion, Rollout, roll_reference, rollout
 from doo_ti.dynamics.simulate import Trajectory, simulate
 from doo_ti.dynamics.theta import MotionTheta, Unknowns, simulated
+from doo_ti.short_repr import short_repr
 from doo_ti.types import Clamp, Status
 
 STEP = 1e-6
@@ -112,6 +113,8 @@ class Identified:
     cost        Σ ρ, mm²
     iterations  in all
     """
+
+    __repr__ = short_repr
 
     theta: MotionTheta
     unknowns: Unknowns

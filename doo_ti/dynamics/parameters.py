@@ -1,10 +1,13 @@
 """What a rod in motion has besides its material, how it starts, and the time steps it makes (docs/dynamics.md)."""
 
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.errors import InputError, real_array, require_number, require_whole
+from doo_ti.short_repr import short_repr
 from doo_ti.types import Configuration, Material
 
 GRAVITY = 9806.65
@@ -42,7 +45,7 @@ class Stepping:
     scheme: str = "bdf2"
     precision: str = "f64"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require_number("Stepping", "rate", self.rate)
         if not 0 < self.rate <= MOST_RATE:
             raise InputError("Stepping", "rate", f"{self.rate}", f"give instants per second, above zero, at most {MOST_RATE:g}")
@@ -69,12 +72,14 @@ class MovingStart:
     Raises InputError for a velocity of another shape, or that is not finite.
     """
 
+    __repr__ = short_repr
+
     configuration: Configuration
     velocity: np.ndarray | None = None
     velocity_age: float = 0.0
     smooth: bool = True
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         shape = (self.configuration.count, self.configuration.edges + 1, 3)
         velocity = np.zeros(shape) if self.velocity is None else self.velocity
         velocity = real_array("MovingStart", "velocity", velocity, "give real numbers").astype(np.float64)
@@ -99,6 +104,8 @@ class Dynamics:
     Raises InputError for numbers that are negative or not finite, and shapes that do not match.
     """
 
+    __repr__ = short_repr
+
     density: np.ndarray | None = None
     bend_damping: np.ndarray = 0.0
     twist_damping: np.ndarray = 0.0
@@ -106,7 +113,11 @@ class Dynamics:
     quadratic_drag: np.ndarray = 0.0
     point_mass: np.ndarray = 0.0
 
-    def __post_init__(self):
+    if TYPE_CHECKING:  # what it takes; the fields are the arrays that it makes of them
+        def __init__(self, density: ArrayLike | None = None, bend_damping: ArrayLike = 0.0, twist_damping: ArrayLike = 0.0,
+                     drag: ArrayLike = 0.0, quadratic_drag: ArrayLike = 0.0, point_mass: ArrayLike = 0.0) -> None: ...
+
+    def __post_init__(self) -> None:
         for entry in fields(self):
             value = getattr(self, entry.name)
             if value is None:

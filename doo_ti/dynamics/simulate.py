@@ -5,6 +5,7 @@ from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import GRAVITY, RATES, Direction, Dynamics, MovingStart, Stepping, vertex_lengths
@@ -33,6 +34,7 @@ from doo_ti.relaxation.time_sweep import (
     VELOCITY_1,
     VERTEX_ITEMS,
 )
+from doo_ti.short_repr import short_repr
 from doo_ti.types import Clamp, Configuration, Material, Status, unit_up
 
 NUMBERS_AT_ONCE = 32_000_000
@@ -47,11 +49,13 @@ class Trajectory:
     status      (R, F) Status; a rod that failed keeps its status to the end
     iterations  (R, F) Newton iterations of all steps since the frame before
     residual    (R, F) the largest residual of those steps
-    end_force   (R, F, 3) force of the far clamp on the rod, mm (energy per mm), zero where an end is free
+    end_force   (R, F, 3) force of the far clamp on the rod, mm (energy in mm² per mm), zero where an end is free
     rate        frames per second
     memory      frames, positions and velocities at the last two instants
     slopes      (R, F, P, V, 3) derivatives of positions along the ``directions`` of :func:`simulate`, or None
     """
+
+    __repr__ = short_repr
 
     positions: np.ndarray
     status: np.ndarray
@@ -76,7 +80,7 @@ def simulate(
     stepping: Stepping,
     *,
     springs: Springs | None = None,
-    up=(0.0, 0.0, 1.0),
+    up: ArrayLike = (0.0, 0.0, 1.0),
     pairs: tuple[np.ndarray, np.ndarray] | None = None,
     directions: Sequence[Direction] = (),
     progress: Callable[[int], None] | None = None,

@@ -9,8 +9,10 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.errors import InputError, real_array
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
@@ -18,8 +20,9 @@ from doo_ti.io.curves import UNITS_IN_MM
 from doo_ti.io.files import write_whole
 from doo_ti.io.formats import TABLES, checked_suffix, read_keys
 from doo_ti.io.observation_tables import write_table
+from doo_ti.short_repr import counted
 from doo_ti.terminal import in_line
-from doo_ti.types import LARGEST
+from doo_ti.types import LARGEST, Rows
 
 # Field of Observations: key of the file.
 KEYS = {
@@ -71,7 +74,18 @@ class Observations:
     source: str = "observations"
     sha256: str = ""
 
-    def __post_init__(self):
+    if TYPE_CHECKING:  # what it takes; the fields are the arrays that it makes of them
+        def __init__(self, vertices: ArrayLike, valid: ArrayLike | None = None, rest_length: ArrayLike | None = None,
+                     start_frame: ArrayLike | None = None, end_frame: ArrayLike | None = None, frames: ArrayLike | None = None,
+                     total_twist: ArrayLike | None = None, up: ArrayLike = (0.0, 0.0, 1.0), sigma: ArrayLike | None = None,
+                     end_distance: ArrayLike | None = None, end_rotation: ArrayLike | None = None, name: str = "observations",
+                     source: str = "observations", sha256: str = "") -> None: ...
+
+    def __repr__(self) -> str:
+        length = self.rest_length.sum()
+        return f"Observations({self.name}: {counted(self.count, 'rod')} of {self.edges + 1} marks, {length:.4g} mm long)"
+
+    def __post_init__(self) -> None:
         vertices = self._numbers("vertices", ("D", "V", 3))
         count, marks = vertices.shape[:2]
         if count < 1 or marks < 3:
@@ -99,7 +113,7 @@ class Observations:
         """E."""
         return self.vertices.shape[1] - 1
 
-    def take(self, index) -> "Observations":
+    def take(self, index: Rows) -> "Observations":
         """The observations named by ``index``, in that order and as often."""
         per_observation = ("vertices", "valid", "start_frame", "end_frame", "frames", "total_twist", "end_distance",
                            "end_rotation")
@@ -215,7 +229,7 @@ class Observations:
         return frames
 
 
-def load_observations(path: str | os.PathLike, up=None, unit: str | None = None,
+def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None, unit: str | None = None,
                       columns: Mapping[str, str] | Sequence[str] | None = None) -> Observations:
     """Read and check observations of an ``.npz``, ``.csv`` or ``.parquet`` file, or curves of another program: motion capture
     of OptiTrack and Vicon, MuJoCo cables, USD curves, plain polylines (docs/observations.md).

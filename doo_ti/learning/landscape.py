@@ -16,6 +16,7 @@ from doo_ti.grid import Grid, Interval, valley
 from doo_ti.learning.chunks import RODS, Terms, cell_files, rods_in, terms_in, whole_rods_in
 from doo_ti.learning.objective import CellSums, counts_by_name, is_sound, status_counts
 from doo_ti.learning.summary import changed_files, check_cells, read_summary, sweep_identity
+from doo_ti.short_repr import short_repr
 from doo_ti.terminal import in_line
 
 LABELS = ("end_distance_mm", "end_rotation_deg")
@@ -121,6 +122,8 @@ class Landscape(Summed):
     end_distance, end_rotation  (N,) labels of ``observation`` in mm and degrees, NaN where unknown
     jumps             (G, N) sub-steps in which a rod jumped to another branch, None under Eq. 2
     """
+
+    __repr__ = short_repr
 
     distance: np.ndarray
     status: np.ndarray

@@ -11,7 +11,7 @@ stored.
 
 import shlex
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -41,7 +41,7 @@ MOST_RODS = 1_000_000_000
 
 
 def sweep(run: Path | str, observations: Observations, grid: Grid, *, options: SweepOptions = SweepOptions(),
-          pairs: Pairs | None = None, command: list[str] = ()) -> dict:
+          pairs: Pairs | None = None, command: Sequence[str] = ()) -> dict[str, object]:
     """Relax ``observations`` under every cell of ``grid`` (Eq. 2 or 3), store the rods in the folder ``run``, and return the
     summary; an unfinished sweep in ``run`` is resumed.
 

@@ -63,7 +63,7 @@ class TrackingOptions:
     lost_px: float = 1.5
     worse_px: float = 0.1
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("lost_px", "worse_px"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise InputError("TrackingOptions", name, f"{getattr(self, name)}", "give a positive number")

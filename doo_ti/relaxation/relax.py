@@ -9,6 +9,7 @@ A rod that fails raises no exception: every rod has its own status, and none aff
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti import runtime
 from doo_ti.errors import InputError
@@ -34,12 +35,12 @@ def relax(
     clamps: Clamps | None = None,
     solver: Newton | Descent | None = None,
     *,
-    up=None,
+    up: ArrayLike | None = None,
     precision: str = "f64",
-    configuration_index=None,
-    material_index=None,
+    configuration_index: ArrayLike | None = None,
+    material_index: ArrayLike | None = None,
     external: External | None = None,
-    external_index=None,
+    external_index: ArrayLike | None = None,
 ) -> Solution:
     """Γ̃ = F(Γ, E_Θ, C): relax R rods from their starts down to constrained minima of E_Θ (§III-D).
 

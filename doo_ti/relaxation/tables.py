@@ -75,7 +75,7 @@ class Tables:
     clamp (S, CLAMP_COLUMNS); material (G, STIFFNESS + 1 or E · STIFFNESS_COLUMNS), isotropic: all of them are;
     rods (feasible ones, ROD_COLUMNS) int32, each from its start; feasible (S,) bool;
     configuration_index, material_index and external_index (R,), infeasible rods included; external the external energy,
-    or None; up (3,); floating: some rod has both ends free.
+    or None; up (3,); floating: some rod has both ends free; weight_per_length (G,) N/m, None where it is not known.
     """
 
     start: np.ndarray
@@ -91,6 +91,7 @@ class Tables:
     external: External | None
     up: np.ndarray
     floating: bool
+    weight_per_length: np.ndarray | None = None
 
     @property
     def edges(self) -> int:

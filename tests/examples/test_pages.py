@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+import doo_ti
 from doo_ti.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -55,6 +56,11 @@ def test_commands_have_the_options_that_pages_give_them():
     unknown = [(page, words[0], word) for page, words in listed for word in words[1:]
                if word.startswith("--") and word.partition("=")[0] not in re.findall(r"--[\w-]+", help_of(words[0]))]
     assert not unknown
+
+
+def test_the_reference_has_every_public_name():
+    listed = re.findall(r"^::: doo_ti\..*?(\w+)$", (ROOT / "docs" / "reference.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted(listed) == sorted(doo_ti.__all__)
 
 
 @pytest.fixture

@@ -42,14 +42,14 @@ def plane(**more) -> Plane:
 
 def relaxation(rng: np.random.Generator) -> dict:
     """Arguments of `record_sweep` for a relaxation without a landscape."""
-    from doo_ti.record import Trajectory
+    from doo_ti.record import SweepTrajectory
 
     vertices = observations(rng)
     decay = np.exp(-np.arange(ITERATIONS))
     bump = np.sin(np.pi * np.linspace(0, 1, VERTICES))[None, :, None] * rng.normal(0, 4, (OBSERVATIONS, 1, 3))
     energy = 1e3 + 1e3 * decay[:, None] + rng.normal(0, 10, OBSERVATIONS)
     labels = {"end_distance_mm": np.repeat([30.0, 50.0, 70.0], 2), "end_rotation_deg": np.tile([0.0, 120.0], 3)}
-    trajectory = Trajectory(vertices + decay[:, None, None, None] * bump, energy,
+    trajectory = SweepTrajectory(vertices + decay[:, None, None, None] * bump, energy,
                             0.1 * decay[:, None] ** 2 * np.ones(OBSERVATIONS), np.full(OBSERVATIONS, Status.CONVERGED),
                             np.linspace(0.4, 0.9, OBSERVATIONS))
     return {
