@@ -11,6 +11,7 @@ from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened
 from doo_ti.errors import InputError
+from doo_ti.frames import matrix_from_quaternion
 from doo_ti.io.files import write_whole
 from doo_ti.io.motion_file import ClampPath, load_path
 from doo_ti.io.observations import Observations
@@ -18,7 +19,7 @@ from doo_ti.io.scene import PRECISIONS
 from doo_ti.learning.objective import status_counts
 from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.terminal import in_line, progress, warn
-from doo_ti.types import Clamps, Configuration, Material
+from doo_ti.types import Clamp, Clamps, Configuration, Material
 
 MOST_LISTED = 30
 LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0
@@ -37,6 +38,7 @@ class _Task:
 
     names  R of the rods, material by material
     theta  columns of the file that state the G materials
+    marks  (N, V, 3) mm, observed; None where nothing was
     loaded lines about the observations
     """
 
@@ -49,6 +51,7 @@ class _Task:
     theta: dict[str, np.ndarray]
     between: int
     up: np.ndarray
+    marks: np.ndarray | None = None
     loaded: tuple[str, ...] = ()
 
 
@@ -158,7 +161,7 @@ def _observed(options: Namespace, out: Path) -> _Task:
     cells, rows = np.divmod(np.arange(materials.count * observations.count), observations.count)
     names = [f"cell {cell}, " * (materials.count > 1) + f"observation {row}" for cell, row in zip(cells, rows, strict=True)]
     return _Task(observations.name, start, clamps, path, materials, names, grid.cell_values(), 1, observations.up,
-                 (loading.rod_line(observations),))
+                 np.where(observations.valid[..., None], observations.vertices, np.nan), (loading.rod_line(observations),))
 
 
 def _check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
@@ -229,7 +232,9 @@ def _draw(task: _Task, prediction, result: dict, pictures: dict) -> None:
         return
     from doo_ti.report import MovingRods, motions_picture
 
-    rods = MovingRods(prediction.time, result["vertices_mm"], task.names, prediction.jumps, prediction.followed, task.up)
+    marks = None if task.marks is None else task.marks[prediction.motion]
+    rods = MovingRods(prediction.time, result["vertices_mm"], task.names, prediction.jumps, prediction.followed, task.up,
+                      _gripper_lines(task, prediction, result["vertices_mm"]), marks)
     if pictures[".png"] is not None:
         write_whole(pictures[".png"], lambda file: motions_picture(file, rods, title=task.name))
     if pictures[".rrd"] is not None:
@@ -240,6 +245,19 @@ def _draw(task: _Task, prediction, result: dict, pictures: dict) -> None:
         record_motion(pictures[".rrd"], run_id=hashlib.sha256(rods.vertices.tobytes()).hexdigest()[:32], name=task.name,
                       rods=rods, curves=curves,
                       text="\n\n".join(line.strip() for line in _lines(task, prediction, result)))
+
+
+def _gripper_lines(task: _Task, prediction, vertices: np.ndarray) -> np.ndarray:
+    """(T, R, 4, 2, 3) mm: at each end the edge that is held, and a bar across it along m1; NaN where an end is free."""
+    lines = np.full((*vertices.shape[:2], 4, 2, 3), np.nan)
+    half = 0.02 * prediction.rest_length.sum()
+    for first, edge, kind in ((0, 0, task.clamps.start), (2, -1, task.clamps.end)):
+        held = np.broadcast_to(np.asarray(kind) > Clamp.FREE, len(task.clamps.start_position))[prediction.motion]
+        place = vertices[:, :, edge]
+        across = half * matrix_from_quaternion(prediction.quaternions[:, :, edge])[..., 1]
+        lines[:, held, first] = vertices[:, held][:, :, (0, 1) if edge == 0 else (-2, -1)]
+        lines[:, held, first + 1] = np.stack([place - across, place + across], axis=2)[:, held]
+    return lines
 
 
 def _lines(task: _Task, prediction, result: dict) -> list[str]:

@@ -131,6 +131,6 @@ def _lines(summary: dict) -> list[str]:
         listed = ", ".join(names[:MOST_LISTED]) + f" and {len(names) - MOST_LISTED} more" * (len(names) > MOST_LISTED)
         lines.append(f"  {key:<11} {len(names)} frames {words}{': ' * bool(len(names))}{listed}")
     if summary["camera_error_px"] is not None:
-        lines.append(f"  images      {max(summary['camera_error_px'], 0.0):.2f} px off on average; {summary['stable']} rods "
+        lines.append(f"  images      {summary['camera_error_px']:.2f} px off on average; {summary['stable']} rods "
                      "certified stable")
     return lines + [f"  written to  {in_line(path)}" for path in summary["written"]]

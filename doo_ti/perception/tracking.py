@@ -218,7 +218,8 @@ class Tracker:
         error = np.full(len(self._rig.cameras), np.nan)
         error[[self._rig.names.index(name) for name in search.rig.names]] = rod.camera_error
         sigma = vertex_sigma(search.rig, marks, search.options.nu, search.options.sigma_px, search.options.correlation_px)
-        return TrackedFrame(marks[0], sigma[0], rod.energy_vis, error, Status(rod.status), bool(rod.stable), how)
+        return TrackedFrame(marks[0], sigma[0], rod.energy_vis, np.maximum(error, 0.0), Status(rod.status), bool(rod.stable),
+                            how)
 
     def _lost(self) -> TrackedFrame:
         """The rod is lost: the next frame begins with Algorithm 1."""

@@ -87,6 +87,6 @@ def own_tables(solution: Solution, function: str) -> Tables:
     table = solution.tables
     if table is None:
         raise InputError(function, "solution", "joins several calls", "relax where its rods ended")
-    if table.external is not None:
-        raise InputError(function, "solution", "rods under an external energy", "relax them without one")
+    if table.loaded:
+        raise InputError(function, "solution", "rods under an external energy or at obstacles", "relax them without")
     return table

@@ -3,7 +3,7 @@
 import taichi as ti
 
 from doo_ti.physics.quaternion import tangent, transported
-from doo_ti.physics.tuples import dot, plus, put_lane, record, scaled
+from doo_ti.physics.tuples import chosen, dot, plus, put_lane, record, scaled
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loading import LANES, Loading
@@ -158,12 +158,11 @@ class TimeLoop(NewtonLoop):
     def exchange(self, tables, scratch: ti.template(), head, lane, supply):
         """Give every finished lane the next step of its rod; where that step was the last, or failed, another rod."""
         zero, one = self.constant(0.0), self.constant(1.0)
-        edges = tables.rest_length.shape[1]
         done = (lane.finished > 0.5) & (lane.active > 0.5)
         time = record(step=zero + ti.cast(tables.time[STEP], self.scalar), rate=zero + ti.cast(tables.time[RATE], self.scalar),
                       extrapolation=zero + ti.cast(tables.time[EXTRAPOLATION], self.scalar))
         up = (ti.cast(tables.up[0], self.scalar), ti.cast(tables.up[1], self.scalar), ti.cast(tables.up[2], self.scalar))
-        rod = self.sweep.rods(scratch, head, edges, tables.numbers, tables.numbers, lane.coarse)
+        rod = self.sweep.rods(tables, scratch, head, lane.coarse)
         self.differentiate(tables, rod, time, up, ti.select(done, one, zero))
         self.sweep.remember(rod, time, done)
         steps_made = supply.places + (tables.queue.shape[0] - LANES) // 2
@@ -185,7 +184,7 @@ class TimeLoop(NewtonLoop):
                         self.load_slopes(tables, scratch, head, slot, tables.queue[supply.places + slot])
         going = (lane.finished > 0.5) & (lane.active > 0.5)
         if self.largest(ti.select(going, one, zero)) > 0.5:
-            next_rod = self.sweep.rods(scratch, head, edges, tables.numbers, tables.numbers, lane.coarse)
+            next_rod = self.sweep.rods(tables, scratch, head, lane.coarse)
             self.sweep.prepare(next_rod, time, up, going)
             for slot in range(self.width):
                 if self.lane(lane.finished, slot) > 0.5 and self.lane(lane.active, slot) > 0.5:
@@ -256,4 +255,4 @@ class TimeLoop(NewtonLoop):
     def multiplier(self, lane, fitted):
         """λ of the Newton step; a time step begins with that of the step before."""
         share = ti.select((lane.escaping < 0.5) & (lane.fresh < 0.5), lane.step_scale, self.constant(0.0))
-        return plus(lane.multiplier, scaled(lane.change, share))
+        return chosen(share > 0.0, plus(lane.multiplier, scaled(lane.change, share)), lane.multiplier)

@@ -107,7 +107,7 @@ class TimeSweep(LoadedElimination):
         first, first_stiffness, free_flight = self.spring(rod, vertex, time, up)
         self.store(rod.scratch, rod.head + self.spring_start * self.stride, first + (first_stiffness,))
         drift = minus(scaled(free_flight, 1.0 / rod.length_unit), rod.anchor)
-        going = done & (self.loose(rod) > 0.5)
+        going = done & (rod.loose > 0.5)
         self.store(rod.scratch, rod.head + OF_DRIFT * self.stride, chosen(going, drift, self.drift(rod)))
         at = rod.origin
         for e in range(rod.edges):

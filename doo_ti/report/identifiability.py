@@ -3,7 +3,7 @@ over the twist angle."""
 
 import numpy as np
 
-from doo_ti.report.canvas import MISSING, SYMBOLS, literal, new_figure
+from doo_ti.report.canvas import MISSING, SYMBOLS, literal, new_figure, save_figure
 from doo_ti.report.grid_view import label_table
 
 RANK = MINIMUM = "#ff2e63"
@@ -53,7 +53,7 @@ def identifiability_picture(path_or_buffer, parameters, strength, rank, end_dist
     figure.colorbar(mesh, ax=list(panels), pad=0.01, aspect=30).set_label("shift of a mark per factor e [mm]", fontsize=11)
     figure.suptitle("Effect of each parameter in each configuration (median over the grid); red: the order in which to measure",
                     fontsize=13)
-    figure.canvas.print_png(path_or_buffer)
+    save_figure(figure, path_or_buffer)
 
 
 def angle_curves_picture(path_or_buffer, angles: np.ndarray, objective: np.ndarray, *, phi, low, high, names: list[str],
@@ -91,4 +91,4 @@ def angle_curves_picture(path_or_buffer, angles: np.ndarray, objective: np.ndarr
     figure.supxlabel(f"φ [°]; red: the minimum, yellow: 95 % interval{more}", fontsize=10)
     figure.supylabel("Σ d [mm] (Eq. 4)", fontsize=10)
     figure.suptitle(literal(title), fontsize=12)
-    figure.canvas.print_png(path_or_buffer)
+    save_figure(figure, path_or_buffer)

@@ -16,6 +16,7 @@ from doo_ti.report.canvas import (
     pixels,
     plain_ticks,
     quantity,
+    save_figure,
     values_text,
 )
 from doo_ti.report.landscape_axes import (
@@ -54,7 +55,7 @@ def landscape_picture(path_or_buffer, plane: Plane, *, title: str, region: np.nd
 
     region  (n, 2) outline of a confidence region in the units of the two axes drawn; not drawn over one axis
     """
-    draw_landscape(plane, title, region).canvas.print_png(path_or_buffer)
+    save_figure(draw_landscape(plane, title, region), path_or_buffer)
 
 
 def landscape_image(plane: Plane, *, title: str, region: np.ndarray | None = None) -> np.ndarray:
@@ -70,7 +71,7 @@ def landscapes_picture(path_or_buffer, rows: list[list[LandscapePanel]], *, titl
     relative  one colour scale for all maps, in multiples of each one's minimum; else each has its own, which shows more
     """
     figure, _ = draw_panels(rows, title, marks, relative)
-    figure.canvas.print_png(path_or_buffer)
+    save_figure(figure, path_or_buffer)
 
 
 def cells_image(rows: list[list[LandscapePanel]], index: tuple, *, marks: str = "",

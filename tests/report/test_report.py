@@ -17,6 +17,7 @@ from doo_ti.report import (
     motions_picture,
     quantity,
 )
+from doo_ti.report.canvas import fit_titles, new_figure
 from doo_ti.report.plane import Plane, cell_edges, valley_cells
 from tests.record import runs
 from tools.bench.curves import Panel, panels_picture
@@ -47,6 +48,19 @@ def test_picture_and_image_are_one_drawing(tmp_path):
 def test_a_name_is_no_mathematics():
     """matplotlib parses text between dollar signs as mathematics, in which this is an error."""
     landscape_picture(io.BytesIO(), runs.plane(), title="a$^{$ b")
+
+
+def test_titles_fit_into_the_picture():
+    figure = new_figure((4.0, 3.0))
+    left, right = figure.subplots(1, 2)
+    figure.suptitle("a long title of a picture " * 4, fontsize=12)
+    left.set_title("on the left " * 5, loc="left", fontsize=9)
+    right.set_title("short", fontsize=9)
+    fit_titles(figure)
+    for title in (figure.texts[0], left._left_title, right.title):
+        box = title.get_window_extent()
+        assert box.x0 >= -1 and box.x1 <= figure.bbox.width + 1, title.get_text()[:9]
+    assert right.title.get_fontsize() == 9
 
 
 @pytest.mark.thorough
