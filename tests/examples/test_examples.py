@@ -1,54 +1,80 @@
-"""Every example runs as it stands, in an empty folder; each ends with a check of its own result."""
+"""Every example runs as it stands, in an empty folder; each ends with a check of its own result.
+
+Python examples, and the ``doo-ti`` of the shell scripts, run in this process, where the kernels are loaded already.
+"""
 
 import os
-import shlex
+import runpy
+import selectors
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import chdir
 from pathlib import Path
 
 import pytest
 
+from doo_ti.cli import main
+
 ROOT = Path(__file__).resolve().parents[2]
-EXAMPLES = sorted((ROOT / "docs" / "examples").glob("[0-9][0-9]_*.*"))
-SCRIPTS = [path for path in EXAMPLES if path.suffix in (".py", ".sh")]
+SCRIPTS = [path for path in sorted((ROOT / "docs" / "examples").glob("[0-9][0-9]_*.*")) if path.suffix in (".py", ".sh")]
 DEFAULT = ("01_hang_a_rope.py",)
 """Of the default run; the full run has all."""
-SECONDS = 300
+SHIM = """#!/bin/bash
+printf '%s\\0' "$PWD" "$@" > {requests}
+read -r code < {answers}
+exit "$code"
+"""
+"""The doo-ti of shell scripts: asks this process to run the command, and takes its exit code."""
 
 
-@pytest.fixture(scope="module")
-def started(tmp_path_factory, request):
-    """Name: the finished process of each example that was collected; two run at a time."""
-    folder = tmp_path_factory.mktemp("examples")
-    programs = folder / "bin"
-    programs.mkdir()
-    for name, words in (("python", [sys.executable]), ("doo-ti", [sys.executable, "-m", "doo_ti"])):
-        (programs / name).write_text(f"#!/bin/sh\nexec {shlex.join(words)} \"$@\"\n")
-        (programs / name).chmod(0o755)
-    paths = filter(None, [str(ROOT), os.environ.get("PYTHONPATH")])
-    environment = os.environ | {"PATH": f"{programs}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": os.pathsep.join(paths),
-                                "MPLBACKEND": "Agg"}
-
-    def done(script: Path):
-        own = folder / script.stem
-        own.mkdir()
-        program = "bash" if script.suffix == ".sh" else "python"
-        return subprocess.run([program, str(script)], cwd=own, env=environment, capture_output=True, text=True, timeout=SECONDS)
-
-    chosen = {item.callspec.params["script"] for item in request.session.items if "script" in getattr(
-        getattr(item, "callspec", None), "params", {})}
-    with ThreadPoolExecutor(2) as threads:
-        yield dict(zip(sorted(chosen), threads.map(done, sorted(chosen)), strict=True))
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty folder, with python and doo-ti on the path of scripts that run there."""
+    programs, empty = tmp_path / "bin", tmp_path / "empty"
+    for path in (programs, empty):
+        path.mkdir()
+    for name in ("requests", "answers"):
+        os.mkfifo(tmp_path / name)
+    (programs / "python").write_text(f"#!/bin/sh\nexec '{sys.executable}' \"$@\"\n")
+    (programs / "doo-ti").write_text(SHIM.format(requests=tmp_path / "requests", answers=tmp_path / "answers"))
+    for path in programs.iterdir():
+        path.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    return empty
 
 
+def run_shell(script: Path, folder: Path) -> int:
+    """The exit code of a script, whose ``doo-ti`` commands this process carries out."""
+    requests, answers = (os.open(folder.parent / name, os.O_RDWR) for name in ("requests", "answers"))
+    with subprocess.Popen(["bash", str(script)], cwd=folder) as process, selectors.DefaultSelector() as selector:
+        selector.register(requests, selectors.EVENT_READ)
+        while process.poll() is None:
+            if selector.select(timeout=0.05):
+                where, *words = os.read(requests, 1 << 16).decode().split("\0")[:-1]
+                with chdir(where):
+                    code = main(words)
+                os.write(answers, f"{code}\n".encode())
+    for pipe in (requests, answers):
+        os.close(pipe)
+    return process.returncode
+
+
+@pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize("script", [
     pytest.param(path, marks=() if path.name in DEFAULT else pytest.mark.thorough, id=path.name) for path in SCRIPTS])
-def test_example(script, started):
-    if script.stem.endswith("cluster"):
+def test_example(script, folder, monkeypatch):
+    monkeypatch.setattr(sys, "argv", [str(script)])
+    if script.suffix == ".sh":
+        assert run_shell(script, folder) == 0
+    elif script.stem.endswith("cluster"):  # its workers are processes that import it
         pytest.importorskip("distributed", reason="no cluster without Dask")
-    done = started[script]
-    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+        subprocess.run([sys.executable, str(script)], cwd=folder, check=True)
+    else:
+        with chdir(folder):
+            runpy.run_path(str(script), run_name="__main__")
+        sys.modules["matplotlib.pyplot"].close("all")
 
 
 def test_every_example_has_a_page_in_the_gallery_and_a_picture():
