@@ -2,6 +2,8 @@ from doo_ti.dynamics.grippers import Grippers as Grippers
 from doo_ti.dynamics.identify import Identified as Identified
 from doo_ti.dynamics.identify import IdentifyOptions as IdentifyOptions
 from doo_ti.dynamics.identify import identify as identify
+from doo_ti.dynamics.identify import identify_from_guesses as identify_from_guesses
+from doo_ti.dynamics.parameters import Direction as Direction
 from doo_ti.dynamics.parameters import Dynamics as Dynamics
 from doo_ti.dynamics.parameters import MovingStart as MovingStart
 from doo_ti.dynamics.parameters import Stepping as Stepping
@@ -23,12 +25,19 @@ from doo_ti.io.observations import save_observations as save_observations
 from doo_ti.learning.experiment import SweepOptions as SweepOptions
 from doo_ti.learning.landscape import Landscape as Landscape
 from doo_ti.learning.landscape import read_landscape as read_landscape
+from doo_ti.learning.pairs import Pairs as Pairs
 from doo_ti.learning.sweeps import sweep as sweep
 from doo_ti.metric import distance as distance
+from doo_ti.motion.path import Motion as Motion
+from doo_ti.perception.growth import Hypotheses as Hypotheses
 from doo_ti.perception.perceive import Perception as Perception
 from doo_ti.perception.perceive import PerceptionVerdict as PerceptionVerdict
 from doo_ti.perception.perceive import perceive as perceive
 from doo_ti.perception.search import PerceptionOptions as PerceptionOptions
+from doo_ti.perception.tracking import How as How
+from doo_ti.perception.tracking import TrackedFrame as TrackedFrame
+from doo_ti.perception.tracking import Tracker as Tracker
+from doo_ti.perception.tracking import TrackingOptions as TrackingOptions
 from doo_ti.prediction.predict import Prediction as Prediction
 from doo_ti.prediction.predict import predict as predict
 from doo_ti.prediction.predict import predict_step as predict_step
@@ -41,6 +50,7 @@ from doo_ti.refinement.unknowns import Theta as Theta
 from doo_ti.relaxation.descent import Descent as Descent
 from doo_ti.relaxation.end_loads import EndLoads as EndLoads
 from doo_ti.relaxation.end_loads import end_loads as end_loads
+from doo_ti.relaxation.external import External as External
 from doo_ti.relaxation.external import Springs as Springs
 from doo_ti.relaxation.newton import Newton as Newton
 from doo_ti.relaxation.relax import relax as relax
@@ -48,7 +58,7 @@ from doo_ti.relaxation.sensitivity import Sensitivity as Sensitivity
 from doo_ti.relaxation.sensitivity import gripper_jacobian as gripper_jacobian
 from doo_ti.relaxation.sensitivity import sensitivity as sensitivity
 from doo_ti.report.grid_view import Observed as Observed
-from doo_ti.report.plane import Plane as Plane
+from doo_ti.report.plane import LandscapePlane as LandscapePlane
 from doo_ti.rods import end_clamps as end_clamps
 from doo_ti.rods import hanging as hanging
 from doo_ti.rods import straight_rod as straight_rod
@@ -65,9 +75,10 @@ from doo_ti.twist.estimation import estimate_twist as estimate_twist
 from doo_ti.types import Clamp as Clamp
 from doo_ti.types import Clamps as Clamps
 from doo_ti.types import Configuration as Configuration
-from doo_ti.types import Material as Material
+from doo_ti.material import Material as Material
 from doo_ti.types import Solution as Solution
 from doo_ti.types import Status as Status
+from doo_ti.vision.cameras.camera import Camera as Camera
 from doo_ti.vision.cameras.rig import Rig as Rig
 from doo_ti.vision.cameras.rig import load_rig as load_rig
 from doo_ti.vision.detection.detect import Detection as Detection

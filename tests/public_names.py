@@ -9,6 +9,7 @@ import numpy as np
 import doo_ti
 from doo_ti import (
     Axis,
+    Camera,
     Clamp,
     ClampPath,
     Clamps,
@@ -16,27 +17,33 @@ from doo_ti import (
     Descent,
     Detection,
     DetectionOptions,
+    Direction,
     DistanceMaps,
     Dynamics,
     EndLoads,
+    External,
     Grid,
     Grippers,
+    How,
+    Hypotheses,
     Identified,
     IdentifyOptions,
     InputError,
     InterruptedRunError,
     Interval,
     Landscape,
+    LandscapePlane,
     Material,
+    Motion,
     MotionTheta,
     MovingStart,
     Newton,
     Observations,
     Observed,
+    Pairs,
     Perception,
     PerceptionOptions,
     PerceptionVerdict,
-    Plane,
     Prediction,
     RecordedMotion,
     Refinement,
@@ -52,6 +59,9 @@ from doo_ti import (
     SweepOptions,
     SweepTrajectory,
     Theta,
+    TrackedFrame,
+    Tracker,
+    TrackingOptions,
     Trajectory,
     TwistEstimate,
     TwistOptions,
@@ -68,6 +78,7 @@ from doo_ti import (
     gripper_jacobian,
     hanging,
     identify,
+    identify_from_guesses,
     load_observations,
     load_path,
     load_rig,
@@ -141,8 +152,11 @@ def moved(path: Path, configuration: Configuration, clamps: Clamps, material: Ma
     trajectory: Trajectory = simulate(begin, material, grippers, Dynamics(drag=0.1, bend_damping=[0.02]), Stepping(100.0))
     motion = RecordedMotion.of(trajectory.positions, 100.0, names=["one"])
     theta: MotionTheta = load_theta(path)
-    found: Identified = identify(motion, theta, IdentifyOptions())
-    print(prediction.time, solution, jumps, found.theta)
+    guessed = identify_from_guesses(motion, IdentifyOptions(), up=[0, 0, 1])
+    found: Identified = identify(motion, guessed.theta, IdentifyOptions())
+    faster = Direction((material, Dynamics()), (material, Dynamics(drag=0.1)), 0.1)
+    simulate(begin, material, grippers, Dynamics(), Stepping(100.0), directions=[faster])
+    print(prediction.time, solution, jumps, found.theta, theta)
     return trajectory.positions
 
 
@@ -150,7 +164,8 @@ def seen(path: Path, images: Sequence[np.ndarray], material: Material) -> np.nda
     rig: Rig = load_rig(path)
     detections: list[Detection] = [detect(image, DetectionOptions(polarity="dark")) for image in images]
     maps: DistanceMaps = distance_maps([detections])
-    found: Perception = perceive(maps, rig, [0, 0, 0], [1, 0, 0], [3.0] * 33, material, options=PerceptionOptions(hypotheses=9))
+    found: Perception = perceive(maps, rig, [0, 0, 0], [1, 0, 0], [3.0] * 33, material, options=PerceptionOptions(hypotheses=9),
+                                 on_step=report)
     assert PerceptionVerdict(int(found.verdict[0])) != PerceptionVerdict.NOT_FOUND
     scores: Score = score(found.vertices, maps, 0, rig, 1.0, material)
     print(Reprojection(maps, rig, 1.0).count)
@@ -165,6 +180,21 @@ def hung(material: Material) -> np.ndarray:
     return relax(ropes, material, held).energy
 
 
+def followed(rig: Rig, frames: Sequence[list[Detection]], material: Material, motion: Motion) -> list[TrackedFrame]:
+    tracker = Tracker(rig, [3.0] * 33, material, options=TrackingOptions(lost_px=2.0))
+    camera: Camera = rig.cameras[0]
+    print(camera.name)
+    return [frame for detected in frames if (frame := tracker.see(detected, [0, 0, 0], [1, 0, 0], motion)).how != How.LOST]
+
+
+def report(edges: int, kept: Hypotheses, pruned: Hypotheses) -> None:
+    print(edges, kept, pruned)
+
+
+def pulled(external: External, pairs: Pairs) -> tuple[int, np.ndarray]:
+    return external.count, pairs.weight
+
+
 def twisted(observations: Observations, material: Material) -> np.ndarray:
     group = consecutive_groups(observations.count, 3, regrasps=[12])
     estimate: TwistEstimate = estimate_twist(observations, material, group, end_offsets(observations, group), TwistOptions())
@@ -174,7 +204,7 @@ def twisted(observations: Observations, material: Material) -> np.ndarray:
 
 def recorded(path: Path, observations: Observations) -> None:
     one = np.zeros((1, observations.count))
-    plane = Plane.of([("bend", [1e5, 2e5], True, "mm³")], [0.1, 0.2], minimum=[0])
+    plane = LandscapePlane.of([("bend", [1e5, 2e5], True, "mm³")], [0.1, 0.2], minimum=[0])
     interval = Interval("bend", 1e5, 1e5, 2e5, True, False)
     trajectory = SweepTrajectory(observations.vertices[None], one, one, one[0], one[0])
     record_sweep(path, run_id="1", name=doo_ti.__version__, observed=Observed.of(observations), trajectory=trajectory,

@@ -15,6 +15,7 @@ PACKAGE = ROOT / "doo_ti"
 LAYERS = [
     {"errors", "interruption", "short_repr", "terminal"},
     {"frames", "physical_units"},
+    {"material"},
     {"types"},
     {"grid", "rods"},
     {"io"},

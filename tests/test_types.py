@@ -1,11 +1,13 @@
 """Types of the public names: complete, and as type checkers see them. And how public objects are printed."""
 
+import enum
 import inspect
 import os
 import re
 import shutil
 import subprocess
 import sys
+import typing
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -80,3 +82,23 @@ def test_objects_are_printed_in_one_line(rng):
         "Solution(3 rods of 12 edges: 3 converged; 3 certified stable)",
         "Observations(rope: 3 rods of 13 marks, 36 mm long)",
         "EndLoads(start_force (3, 3), start_moment (3, 3), end_force (3, 3), end_moment (3, 3), physical True)"]
+
+
+def test_arguments_are_of_public_types():
+    """Whatever a public function or constructor takes can be made from public names."""
+    def classes(annotation):
+        if inspect.isclass(annotation):
+            yield annotation
+        for part in typing.get_args(annotation):
+            for inner in part if isinstance(part, list) else [part]:
+                yield from classes(inner)
+
+    others = {"Refinement", "Identified", "Trajectory", "External", "InterruptedRunError"}  # not made by a program itself
+    public = set(PUBLIC.values())
+    for name, thing in PUBLIC.items():
+        if name in others or isinstance(thing, enum.EnumMeta):
+            continue
+        for argument in inspect.signature(thing).parameters.values():
+            own = {one for one in classes(argument.annotation) if one.__module__.startswith("doo_ti.")
+                   and "contact" not in one.__module__}  # obstacles are not public yet
+            assert not own - public, f"{name}: {argument.name} is of {own - public}"

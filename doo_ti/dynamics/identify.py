@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.dynamics.parameters import Direction, MovingStart, Stepping
 from doo_ti.dynamics.recorded import RecordedMotion, Rollout, roll_reference, rollout
@@ -152,7 +153,8 @@ def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOption
 
 
 def identify_from_guesses(motion: RecordedMotion, options: IdentifyOptions, bend: float | None = None,
-                          up=(0.0, 0.0, 1.0), report=None) -> Identified:
+                          up: ArrayLike = (0.0, 0.0, 1.0),
+                          report: Callable[[int, int, float], None] | None = None) -> Identified:
     """:func:`identify` from the best of several guesses of bend stiffness on the shortest horizon, or from ``bend``."""
     lengths = motion.edge_lengths()
     guesses = [bend] if bend is not None else [share * lengths.sum() ** 3 for share in GUESSES]

@@ -53,11 +53,11 @@ def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str
 
 
 def plane_of(landscape: Summed):
-    """The landscape as :class:`doo_ti.report.plane.Plane`, which pictures and recordings take."""
-    from doo_ti.report.plane import Plane
+    """The landscape as :class:`doo_ti.report.plane.LandscapePlane`, which pictures and recordings take."""
+    from doo_ti.report.plane import LandscapePlane
 
     shape = landscape.grid.shape
-    return Plane.of(landscape.grid.picture_axes, landscape.mean_distance.reshape(shape),
+    return LandscapePlane.of(landscape.grid.picture_axes, landscape.mean_distance.reshape(shape),
                     np.unravel_index(landscape.best, shape), landscape.unsound.reshape(shape))
 
 

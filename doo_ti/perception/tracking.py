@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.errors import InputError
 from doo_ti.frames import quaternion_product, smallest_rotation, tangent_from_quaternion
@@ -113,8 +114,8 @@ class Tracker:
     options                                  when the rod counts as lost
     """
 
-    def __init__(self, rig: Rig, rest_length, material: Material, *, up=(0.0, 0.0, 1.0),
-                 search: PerceptionOptions = PerceptionOptions(), options: TrackingOptions = TrackingOptions()):
+    def __init__(self, rig: Rig, rest_length: ArrayLike, material: Material, *, up: ArrayLike = (0.0, 0.0, 1.0),
+                 search: PerceptionOptions = PerceptionOptions(), options: TrackingOptions = TrackingOptions()) -> None:
         self._rig, self._material, self._search, self._options = rig, material, search, options
         self._rest_length = np.asarray(rest_length, dtype=np.float64)
         self._up = np.asarray(up, dtype=np.float64) / np.linalg.norm(up)
@@ -122,7 +123,7 @@ class Tracker:
         self._usual = np.inf  # px, mean over the cameras: the least since the last run of Algorithm 1
         self._turn: np.ndarray | None = None  # (E, 4) of each edge, from the frame before the last one to the last one
 
-    def see(self, detected: list[Detection], point, direction, far: Motion | None = None) -> TrackedFrame:
+    def see(self, detected: list[Detection], point: ArrayLike, direction: ArrayLike, far: Motion | None = None) -> TrackedFrame:
         """The rod in the next frame.
 
         detected   of each camera; a detection without points means that the camera sees no thread

@@ -25,7 +25,7 @@ from doo_ti.record.stream import (
     vectors,
 )
 from doo_ti.report.grid_view import GridView, Observed, grid_view
-from doo_ti.report.plane import Plane
+from doo_ti.report.plane import LandscapePlane
 from doo_ti.short_repr import short_repr
 from doo_ti.types import Status
 
@@ -54,7 +54,7 @@ class SweepTrajectory:
 
 
 def record_sweep(path: str | os.PathLike[str], *, run_id: str, name: str, observed: Observed, trajectory: SweepTrajectory,
-                 properties: dict[str, object], plane: Plane | None = None, intervals: tuple[Interval, ...] = (),
+                 properties: dict[str, object], plane: LandscapePlane | None = None, intervals: tuple[Interval, ...] = (),
                  region: np.ndarray | None = None) -> None:
     """Write the recording ``path``.
 
@@ -126,7 +126,7 @@ def _held(values: np.ndarray) -> np.ndarray:
     return np.take_along_axis(values, np.maximum.accumulate(last, axis=0), axis=0)
 
 
-def log_surface(stream, plane: Plane) -> None:
+def log_surface(stream, plane: LandscapePlane) -> None:
     """The landscape as a surface over the unit square (on log axes, of the logarithms), height in proportion to mm."""
     plane, _ = plane.blocks()
     points, triangles = plane.surface()
@@ -142,7 +142,7 @@ def log_surface(stream, plane: Plane) -> None:
             colors=MINIMUM, radii=rerun.Radius.ui_points(6)), static=True)
 
 
-def _log_surface_axes(stream, plane: Plane) -> None:
+def _log_surface_axes(stream, plane: LandscapePlane) -> None:
     """A frame around the surface's base, labelled with the ends of the axes and the height."""
     strips = [np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 0), (0, 0, plane.HEIGHT)])]
     texts, places = [], []
@@ -159,7 +159,7 @@ def _log_surface_axes(stream, plane: Plane) -> None:
         places, labels=texts, show_labels=True, colors=TEXT, radii=rerun.Radius.ui_points(0)), static=True)
 
 
-def log_cells(stream, plane: Plane) -> None:
+def log_cells(stream, plane: LandscapePlane) -> None:
     """One point per cell that has a value, on the timeline ``trial`` at its number in the grid. Of a grid of more than
     ``MOST_POINTS`` cells every second, third, … along each axis, and the best."""
     shape, values = plane.grid.shape, plane.grid.reshape(-1)
@@ -180,7 +180,7 @@ def log_cells(stream, plane: Plane) -> None:
         labels=[report.quantity(value, "mm") for value in values[trial]], show_labels=np.zeros(len(trial), bool)))
 
 
-def _layout(grid: GridView, plane: Plane | None) -> blueprint.Blueprint:
+def _layout(grid: GridView, plane: LandscapePlane | None) -> blueprint.Blueprint:
     """Rods and summary on the left, landscape and curves on the right; it opens on the last iteration."""
     rods = front_view(grid, "world", f"Rods on observed marks (white), mm; {grid.meaning}".removesuffix("; "))
     plots = [blueprint.TimeSeriesView(name=name, origin=f"curves/{entity}", plot_legend=blueprint.Corner2D.RightTop)

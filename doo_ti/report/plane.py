@@ -24,7 +24,7 @@ GridAxis = tuple[str, Sequence[float] | np.ndarray, bool, str]
 
 
 @dataclass(frozen=True)
-class Plane:
+class LandscapePlane:
     """A landscape over at most two free axes, A × B cells (B = 1 where there is one).
 
     axes        one or two (name, values, is_log, unit)
@@ -59,7 +59,7 @@ class Plane:
 
     @classmethod
     def of(cls, axes: Sequence[GridAxis], values: ArrayLike, minimum: Sequence[int] | None = None,
-           unfinished: ArrayLike | None = None) -> "Plane":
+           unfinished: ArrayLike | None = None) -> "LandscapePlane":
         """The landscape over its first two free axes.
 
         axes        one (name, values, is_log, unit) per grid axis; those with one value are not drawn
@@ -116,7 +116,7 @@ class Plane:
         finite = self.values[np.isfinite(self.values)]
         return self.HEIGHT * values / (finite.max() if finite.size and finite.max() > 0 else 1.0)
 
-    def blocks(self) -> tuple["Plane", list[np.ndarray]]:
+    def blocks(self) -> tuple["LandscapePlane", list[np.ndarray]]:
         """The landscape in at most ``MOST_DRAWN`` cells along each axis, as many as a picture can show, and the borders of
         those cells along each axis.
 

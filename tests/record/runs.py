@@ -4,7 +4,7 @@ import numpy as np
 
 from doo_ti.grid import Axis, Grid, valley
 from doo_ti.report.grid_view import Observed
-from doo_ti.report.plane import Plane
+from doo_ti.report.plane import LandscapePlane
 from doo_ti.types import Status
 
 ITERATIONS, OBSERVATIONS, VERTICES, BENDS, RATIOS = 13, 6, 9, 5, 4
@@ -35,9 +35,9 @@ def axes(of: Grid) -> list:
     return [(axis.name, axis.values, axis.log, axis.unit) for axis in of.axes]
 
 
-def plane(**more) -> Plane:
+def plane(**more) -> LandscapePlane:
     cells = grid()
-    return Plane.of(axes(cells), landscape().reshape(cells.shape), (2, 1, 0), **more)
+    return LandscapePlane.of(axes(cells), landscape().reshape(cells.shape), (2, 1, 0), **more)
 
 
 def relaxation(rng: np.random.Generator) -> dict:
