@@ -8,10 +8,11 @@ from doo_ti.dynamics.parameters import Dynamics as Dynamics
 from doo_ti.dynamics.parameters import MovingStart as MovingStart
 from doo_ti.dynamics.parameters import Stepping as Stepping
 from doo_ti.dynamics.recorded import RecordedMotion as RecordedMotion
-from doo_ti.dynamics.simulate import Trajectory as Trajectory
 from doo_ti.dynamics.simulate import simulate as simulate
+from doo_ti.dynamics.stills import Stills as Stills
 from doo_ti.dynamics.theta import MotionTheta as MotionTheta
 from doo_ti.dynamics.theta import load_theta as load_theta
+from doo_ti.dynamics.trajectory import Trajectory as Trajectory
 from doo_ti.errors import InputError as InputError
 from doo_ti.errors import InterruptedRunError as InterruptedRunError
 from doo_ti.grid import Axis as Axis
@@ -27,6 +28,7 @@ from doo_ti.learning.landscape import Landscape as Landscape
 from doo_ti.learning.landscape import read_landscape as read_landscape
 from doo_ti.learning.pairs import Pairs as Pairs
 from doo_ti.learning.sweeps import sweep as sweep
+from doo_ti.material import Material as Material
 from doo_ti.metric import distance as distance
 from doo_ti.motion.path import Motion as Motion
 from doo_ti.perception.growth import Hypotheses as Hypotheses
@@ -35,9 +37,11 @@ from doo_ti.perception.perceive import PerceptionVerdict as PerceptionVerdict
 from doo_ti.perception.perceive import perceive as perceive
 from doo_ti.perception.search import PerceptionOptions as PerceptionOptions
 from doo_ti.perception.tracking import How as How
+from doo_ti.perception.tracking import Inertia as Inertia
 from doo_ti.perception.tracking import TrackedFrame as TrackedFrame
 from doo_ti.perception.tracking import Tracker as Tracker
 from doo_ti.perception.tracking import TrackingOptions as TrackingOptions
+from doo_ti.prediction.moving import predict_moving as predict_moving
 from doo_ti.prediction.predict import Prediction as Prediction
 from doo_ti.prediction.predict import predict as predict
 from doo_ti.prediction.predict import predict_step as predict_step
@@ -75,7 +79,6 @@ from doo_ti.twist.estimation import estimate_twist as estimate_twist
 from doo_ti.types import Clamp as Clamp
 from doo_ti.types import Clamps as Clamps
 from doo_ti.types import Configuration as Configuration
-from doo_ti.material import Material as Material
 from doo_ti.types import Solution as Solution
 from doo_ti.types import Status as Status
 from doo_ti.vision.cameras.camera import Camera as Camera

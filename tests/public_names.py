@@ -28,6 +28,7 @@ from doo_ti import (
     Hypotheses,
     Identified,
     IdentifyOptions,
+    Inertia,
     InputError,
     InterruptedRunError,
     Interval,
@@ -56,6 +57,7 @@ from doo_ti import (
     Springs,
     Status,
     Stepping,
+    Stills,
     SweepOptions,
     SweepTrajectory,
     Theta,
@@ -86,6 +88,7 @@ from doo_ti import (
     observation_clamps,
     perceive,
     predict,
+    predict_moving,
     predict_step,
     read_landscape,
     record_sweep,
@@ -146,6 +149,8 @@ def learned(path: Path) -> float:
 def moved(path: Path, configuration: Configuration, clamps: Clamps, material: Material) -> np.ndarray:
     along: ClampPath = load_path(path)
     prediction: Prediction = predict(configuration, material, clamps, along, up=[0, 0, 1])
+    fast: Prediction = predict_moving(configuration, material, clamps, along, Dynamics(), Stepping(100.0), up=[0, 0, 1])
+    print(fast)
     solution, jumps = predict_step(configuration, material, clamps, clamps, rotation=0.1)
     grippers: Grippers = Grippers.resting(clamps, 50)
     begin = MovingStart(configuration, np.zeros((1, 9, 3)))
@@ -180,8 +185,13 @@ def hung(material: Material) -> np.ndarray:
     return relax(ropes, material, held).energy
 
 
+def at_rest(stills: Stills, motion: RecordedMotion, theta: MotionTheta) -> np.ndarray:
+    return identify(motion, theta, IdentifyOptions(), stills=[stills]).theta.rest_curvature
+
+
 def followed(rig: Rig, frames: Sequence[list[Detection]], material: Material, motion: Motion) -> list[TrackedFrame]:
-    tracker = Tracker(rig, [3.0] * 33, material, options=TrackingOptions(lost_px=2.0))
+    tracker = Tracker(rig, [3.0] * 33, material, options=TrackingOptions(lost_px=2.0),
+                      inertia=Inertia(Dynamics(drag=0.1)))
     camera: Camera = rig.cameras[0]
     print(camera.name)
     return [frame for detected in frames if (frame := tracker.see(detected, [0, 0, 0], [1, 0, 0], motion)).how != How.LOST]

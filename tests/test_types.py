@@ -66,7 +66,7 @@ def test_type_checkers_find_nothing(checker, tmp_path):
     else:
         words = [command, "--pythonpath", sys.executable]
     done = subprocess.run([*words, str(program)], capture_output=True, text=True, cwd=tmp_path,
-                          env={**os.environ, "MYPYPATH": str(ROOT), "PYTHONPATH": str(ROOT)})
+                          env={**os.environ, "MYPYPATH": str(ROOT), "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path[1:]])})
     assert done.returncode == 0, done.stdout + done.stderr
 
 

@@ -8,7 +8,7 @@ n = n_r e_r + n_z e_z, and with k the curvature of the profile's parallel curve 
 
 import taichi as ti
 
-from doo_ti.contact.obstacles import AXES, BOX, CAPSULE, CYLINDER, POINT, RING, SIZES
+from doo_ti.contact.obstacles import AXES, BOX, CAPSULE, CYLINDER, PLANE, POINT, RING, SIZES
 from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.tuples import dot, minus, plus, record, repeated, scaled, traced
 
@@ -28,9 +28,9 @@ class Distance:
 
     def __init__(self, number, stride: int, kinds: frozenset[int]):
         self.stride, self.tiny = stride, TINY
-        self.has_box, self.has_capsule, self.has_ring, self.has_cylinder = (
-            kind in kinds for kind in (BOX, CAPSULE, RING, CYLINDER))
-        self.has_revolved = bool(kinds - {BOX})
+        self.has_plane, self.has_box, self.has_capsule, self.has_ring, self.has_cylinder = (
+            kind in kinds for kind in (PLANE, BOX, CAPSULE, RING, CYLINDER))
+        self.has_revolved = bool(kinds - {PLANE, BOX})
 
     @ti.func
     def load3(self, scratch: ti.template(), at):
@@ -46,14 +46,18 @@ class Distance:
         if ti.static(self.has_box):
             if kind == ti.static(BOX):
                 self.box(scratch, at, away, seen)
+        if ti.static(self.has_plane):
+            if kind == ti.static(PLANE):
+                seen.normal = self.load3(scratch, at + (AXES + 6) * self.stride)
+                seen.value = dot(away, seen.normal)
         if ti.static(self.has_revolved):
-            if kind != ti.static(BOX):
+            if kind != ti.static(BOX) and kind != ti.static(PLANE):
                 self.revolved(scratch, at, kind, away, seen)
         return seen
 
     @ti.func
     def revolved(self, scratch: ti.template(), at, kind, away, seen):
-        """A body of revolution."""
+        """A capsule, a cylinder or a ring."""
         axis = self.load3(scratch, at + (AXES + 6) * self.stride)
         z = dot(away, axis)
         zero, one = 0.0 * z, 0.0 * z + 1.0
@@ -61,7 +65,7 @@ class Distance:
         radial = ti.sqrt(dot(flat, flat) + self.tiny)
         outward = scaled(flat, 1.0 / radial)
         a, b = scratch[at + SIZES * self.stride], scratch[at + (SIZES + 1) * self.stride]
-        profile = record(value=z, r=zero, z=one, bend=zero, around=zero)  # a plane
+        profile = record(value=z, r=zero, z=one, bend=zero, around=zero)
         if ti.static(self.has_capsule):
             if kind == ti.static(CAPSULE):
                 beyond = z - ti.min(ti.max(z, 0.0 - b), b)

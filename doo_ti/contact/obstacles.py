@@ -5,7 +5,7 @@
 All lengths are in mm. Every field may have one row for all rods or, with a leading axis (R,), a row for each rod.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import ClassVar
 
 import numpy as np
@@ -65,6 +65,11 @@ class Obstacle:
     def count(self) -> int:
         """Rows: one, or R."""
         return max(len(getattr(self, name)) for name in self.shapes)
+
+    def take(self, rows) -> "Obstacle":
+        """Those of the rods ``rows``; one that all share as it is."""
+        names = self.shapes
+        return replace(self, **{name: value[rows] for name in names if len(value := getattr(self, name)) > 1})
 
     def placed(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """(rows, 3) point, (rows, 3, 3) axes as columns, (rows, 3) sizes and (rows,) largest depth inside, mm."""

@@ -12,7 +12,7 @@ from doo_ti.frames import matrix_from_quaternion, quaternion_from_matrix, vertic
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import chain, descent, newton
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_energy import contact_items
+from doo_ti.relaxation.contact_layout import contact_items
 from doo_ti.relaxation.contact_table import GAP_TOLERANCE
 from doo_ti.relaxation.external import Nothing
 from doo_ti.relaxation.loaded_elimination import FORCE_ITEMS

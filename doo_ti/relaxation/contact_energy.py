@@ -15,72 +15,56 @@ derivatives lower than those at a fixed s by v vᵀ/φ_ss, v = (H p, n + s H p),
 import taichi as ti
 
 from doo_ti.contact.distance import Distance, outer
-from doo_ti.contact.obstacles import DEPTH, OBSTACLE_COLUMNS, SIZES
-from doo_ti.physics.algebra import absolute, largest_of
-from doo_ti.physics.tuples import (
-    applied,
-    chosen,
-    dot,
-    full,
-    minus,
-    negated,
-    picked,
-    plus,
-    record,
-    repeated,
-    scaled,
-    traced,
+from doo_ti.contact.obstacles import DEPTH, OBSTACLE_COLUMNS
+from doo_ti.contact.obstacles import FRICTION as COEFFICIENT
+from doo_ti.physics.algebra import largest_of
+from doo_ti.physics.tuples import applied, chosen, dot, full, minus, negated, plus, record, repeated, scaled, traced
+from doo_ti.relaxation.contact_layout import (
+    ACTIVE,
+    BARRIER,
+    CLOSEST,
+    CONTACT_ITEMS,
+    CROSSING,
+    CURVATURE,
+    CURVATURES,
+    CURVATURES_S,
+    CURVATURES_SS,
+    DEEPEST,
+    ENERGY,
+    FORCE,
+    FORCE_BETWEEN,
+    FORCE_END,
+    FORCE_START,
+    FRICTION,
+    FRICTION_BETWEEN,
+    GRADIENT,
+    GRADIENT_S,
+    HEAD,
+    LOADED,
+    NORMAL,
+    NORMAL_BETWEEN,
+    OFFSET,
+    PHASE,
+    PINCHED,
+    PLACE,
+    PLACE_BETWEEN,
+    PREVIOUS,
+    RADIUS,
+    REACH,
+    ROOM,
+    ROOM_STANDING,
+    ROUGH,
+    SAG,
+    SAGGING,
+    SEARCHES,
+    STANDING,
+    STIFFNESS,
+    STRENGTH,
+    TOLERANCE,
+    VALUE,
+    VERTEX_ITEMS,
+    WEIGHT,
 )
-from doo_ti.relaxation import tables as of
-
-# Items of a rod: its radius, κ, the tolerance of its gaps, by how much the last round changed a gap, its phase, and what the
-# barrier adds to its gaps, its strength μ and how many strengths it has had. The obstacles follow.
-RADIUS, STIFFNESS, TOLERANCE, CHANGE, PHASE, OFFSET, STRENGTH, STAGE, HEAD = 0, 1, 2, 3, 4, 5, 6, 7, 8
-# Phases of a rod: it has just been loaded; a barrier keeps it away from obstacles, which finds out where it will touch them;
-# rounds to a rough tolerance of its moments; rounds to the final one.
-LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0
-# Items of a vertex: its place; the least room of the edge that ends there, which is how far it is from the middle of an
-# obstacle; both also from before the step; and the forces on that edge's end and on its start. Its contacts follow.
-PLACE, STANDING, ROOM, ROOM_STANDING, FORCE_END, FORCE_START, VERTEX_ITEMS = 0, 3, 6, 7, 8, 11, 14
-# Items of the contact of a vertex and the edge that ends there with an obstacle: λ of both; of the vertex φ, its normal and
-# ∇∇φ; of the edge the nearest point s, φ* and its normal, and the weight of its contact; by how much it is nearer there than at
-# its ends; and one where rounds have that contact.
-FORCE, FORCE_BETWEEN, VALUE, NORMAL, CURVATURE, PLACE_BETWEEN, VALUE_BETWEEN, NORMAL_BETWEEN, WEIGHT, SAGGING, ACTIVE = (
-    0, 1, 2, 3, 6, 12, 13, 14, 17, 18, 19)
-CONTACT_ITEMS = 20
-REMEMBERED = 2
-"""Items of a contact that last from one relaxation to the next."""
-
-SEARCHES = 5
-"""Evaluations to find the point of an edge that is nearest to an obstacle."""
-SAG = 0.1
-"""Of a radius: where an edge is nearer to an obstacle than its ends by so much, its nearest point has half its weight."""
-BENDING_LOADS = 20.0
-"""The forces to expect are the weight of an edge and so many B/L²."""
-SOFT = 0.05
-"""Of a radius: at first κ gives way by that under such a force."""
-STIFFER, SLOW = 5.0, 0.3
-"""κ grows by so much where a round leaves more than that share of the change of the round before."""
-SECANT = 0.3
-"""After the barrier κ is that share of the barrier's largest force over its gap."""
-BARRIER_SHARE = 1 / 16
-"""The barrier at a quarter of a radius pushes at first like such a force."""
-WEAKER, STAGES = 1 / 30, 2
-"""The barrier becomes weaker by that, until it has had so many stages."""
-LEAST_OFFSET = 0.05
-"""Of a radius: the smallest gap of a rod's start, as the barrier sees it."""
-APPROACH = 0.75
-"""A whole step may take 0.6 over that of a gap."""
-SLACK = 0.1
-"""Of a radius: by so much more it may in rounds."""
-ROUGHEST, ROUGHER = 1e5, 1e3
-"""By so much the tolerance of a rod's moments is larger under the barrier, and until the forces of contacts have settled."""
-
-
-@picked
-def contact_items(edges, obstacles):
-    """Numbers of a rod's contacts in scratch."""
-    return HEAD + obstacles * OBSTACLE_COLUMNS + (edges + 1) * (VERTEX_ITEMS + obstacles * CONTACT_ITEMS)
 
 
 @traced
@@ -90,14 +74,14 @@ def outer_product(a, b) -> tuple:
 
 
 @ti.data_oriented
-class Contacts:
-    """Contacts of the rods in a pack with obstacles of some ``kinds``. Of the record ``rod`` it reads ``contacts``, where its
+class ContactEnergy:
+    """Contacts of the rods in a pack with obstacles of some ``kinds``, in a motion with friction if they ``rub``. Of the record ``rod`` it reads ``contacts``, where its
     items begin in scratch, ``kinds``, and ``obstacles``, how many there are."""
 
-    def __init__(self, number, stride: int, kinds: frozenset[int]):
+    def __init__(self, number, stride: int, kinds: frozenset[int], rub: bool = False):
         lanes = number.lanes()
         self.put, self.get, self.largest = lanes.put, lanes.get, lanes.largest
-        self.stride = stride
+        self.stride, self.rub = stride, rub
         self.distance = Distance(number, stride, kinds)
         self.load3 = self.distance.load3
         # What the places of vertices are wrong by, as a share of the rod's length.
@@ -137,23 +121,48 @@ class Contacts:
     # --- what a rod is near to ---
 
     @ti.func
-    def look(self, rod, index, place, found):
+    def begin(self, rod):
+        """Begin the sums over all vertices."""
+        zero = 0.0 * rod.total
+        most = zero + 1e30
+        self.store(rod.scratch, rod.contacts + ENERGY * self.stride, (zero, zero, zero, most, zero, most))
+
+    @ti.func
+    def add(self, rod, item: ti.template(), values):
+        """Add to a sum."""
+        for k in ti.static(range(len(values))):
+            at = rod.contacts + (item + k) * self.stride
+            rod.scratch[at] = rod.scratch[at] + values[k]
+
+    @ti.func
+    def lower(self, scratch: ti.template(), at, value):
+        """Take a value into a minimum."""
+        scratch[at] = ti.min(scratch[at], value)
+
+    @ti.func
+    def look(self, rod, index, place):
         """Measure how far vertex ``index``, at ``place``, is from all obstacles."""
         at = self.vertex(rod, index)
         away = minus(place, self.load3(rod.scratch, at + STANDING * self.stride))
         self.store(rod.scratch, at + PLACE * self.stride, place)
-        found.crossing = largest_of(found.crossing, dot(away, away) * self.nearness(rod, index, at, ROOM_STANDING))
-        radius, held = self.item(rod, RADIUS), self.held(rod, index) > 0.5
+        crossing = rod.contacts + CROSSING * self.stride
+        rod.scratch[crossing] = largest_of(rod.scratch[crossing], dot(away, away) * self.nearness(rod, index, at, ROOM_STANDING))
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
             seen = self.distance.measure(rod.scratch, self.obstacle(rod, o), rod.kinds[o], place)
-            self.store(rod.scratch, contact + NORMAL * self.stride, seen.normal)
-            self.store(rod.scratch, contact + CURVATURE * self.stride, seen.curvature)
             rod.scratch[contact + VALUE * self.stride] = seen.value
-            gap = seen.value - radius
-            found.deepest = ti.min(found.deepest, seen.value)
-            found.pinched = ti.min(found.pinched, ti.select(held, gap, 0.0 * gap))
-            found.closest = ti.min(found.closest, ti.select(held, found.closest, gap))
+            if self.is_close(rod, seen.value):
+                self.store(rod.scratch, contact + NORMAL * self.stride, seen.normal)
+                self.store(rod.scratch, contact + CURVATURE * self.stride, seen.curvature)
+                gap, held = seen.value - self.item(rod, RADIUS), self.held(rod, index) > 0.5
+                self.lower(rod.scratch, rod.contacts + DEEPEST * self.stride, seen.value)
+                self.lower(rod.scratch, rod.contacts + PINCHED * self.stride, ti.select(held, gap, 0.0 * gap))
+                self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(held, 0.0 * gap + 1e30, gap))
+
+    @ti.func
+    def is_close(self, rod, value):
+        """Whether a vertex of some lane is close to an obstacle, ``value`` being its φ."""
+        return self.largest(ti.select(value < self.item(rod, REACH), 0.0 * value + 1.0, 0.0 * value)) > 0.5
 
     @ti.func
     def nearness(self, rod, index, at, item: ti.template()):
@@ -179,77 +188,123 @@ class Contacts:
         return held
 
     @ti.func
-    def blocked(self, rod, found):
+    def blocked(self, rod):
         """Whether the rod's centreline is inside an obstacle, or a clamp holds the rod where it is in one."""
-        return (found.deepest < 0.0) | (found.pinched < 0.0 - self.item(rod, TOLERANCE))
+        return (self.item(rod, DEEPEST) < 0.0) | (self.item(rod, PINCHED) < 0.0 - self.item(rod, TOLERANCE))
 
     # --- energy ---
 
     @ti.func
-    def nothing(self, zero):
-        """The record of an edge's derivatives, as :meth:`.LoadedElimination.load` returns it, and its room."""
-        return record(
-            gradient=repeated(zero, 3), gradient_s=repeated(zero, 3), curvature=repeated(zero, 6),
-            curvature_s=repeated(zero, 9), curvature_ss=repeated(zero, 6), room=zero + 1e30)
-
-    @ti.func
-    def touched(self, rod, index, start, end, found):
-        """The energy of the contacts of vertex ``index``, at ``end``, and of the edge from ``start`` to there. Looks at
-        ``start``; somebody has looked at ``end`` before."""
+    def touched(self, rod, index, start, end):
+        """Sum up the derivatives of the energy of the contacts of vertex ``index``, at ``end``, and of the edge from ``start`` to
+        there; returns one where there are any. Looks at ``start``; somebody has looked at ``end`` before."""
         zero = 0.0 * end[0]
-        self.look(rod, index - 1, start, found)
+        self.look(rod, index - 1, start)
         at, before = self.vertex(rod, index), self.vertex(rod, index - 1)
-        total, edge = self.nothing(zero), minus(end, start)
-        radius = self.item(rod, RADIUS)
+        room = at + ROOM * self.stride
+        rod.scratch[room] = zero + 1e30
+        some, edge = 0, minus(end, start)
         for o in range(rod.obstacles):
             contact, previous = self.contact(at, o), self.contact(before, o)
-            self.add_vertex(rod, contact, total, found)
-            slope_start = dot(self.load3(rod.scratch, previous + NORMAL * self.stride), edge)
-            slope_end = dot(self.load3(rod.scratch, contact + NORMAL * self.stride), edge)
-            value_start = rod.scratch[previous + VALUE * self.stride]
             value_end = rod.scratch[contact + VALUE * self.stride]
-            # φ along an edge lies above its tangents at both ends, which meet here.
-            meet = (value_end - value_start - slope_end) / ti.min(slope_start - slope_end, zero - 1e-20)
-            bridging = (slope_start < 0.0) & (slope_end > 0.0)
-            least = ti.min(value_start, value_end)
-            low = ti.select(bridging, value_start + slope_start * meet, least)
-            total.room = ti.min(total.room, low + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
-            near = bridging & (low < 2.0 * radius)
-            active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
-            rod.scratch[contact + WEIGHT * self.stride] = zero
-            rod.scratch[contact + SAGGING * self.stride] = zero
-            if self.largest(ti.select(near | active, zero + 1.0, zero)) > 0.5:
-                seen = self.nearest(rod, o, start, edge, slope_start, slope_end)
-                lower = value_start < value_end
-                sagging = ti.select(near, least - seen.value, zero)
-                rod.scratch[contact + SAGGING * self.stride] = sagging
-                sag = ti.max(sagging / (SAG * radius), zero)
-                behind = self.item(rod, PHASE) > ti.static(0.5 * (BARRIER + ROUGH))
-                fading = ti.select(behind & near, 2.0 * sag / ((1.0 + sag * sag) * (1.0 + sag * sag) * SAG * radius), zero)
-                share = record(
-                    weight=ti.select(behind, sag * sag / (1.0 + sag * sag), ti.select(active, zero + 1.0, zero)),
-                    slope=fading, s=ti.select(lower, zero, zero + 1.0),
-                    normal=chosen(lower, self.load3(rod.scratch, previous + NORMAL * self.stride),
-                                  self.load3(rod.scratch, contact + NORMAL * self.stride)))
-                self.add_between(rod, contact, edge, seen, share, total, found)
-        self.store(rod.scratch, at + FORCE_END * self.stride, negated(total.gradient_s))
-        self.store(rod.scratch, at + FORCE_START * self.stride, minus(total.gradient_s, total.gradient))
-        rod.scratch[at + ROOM * self.stride] = total.room
-        return total
+            least = ti.min(rod.scratch[previous + VALUE * self.stride], value_end)
+            if self.is_close(rod, least):
+                if some == 0:
+                    self.clear(rod, zero)
+                    some = 1
+                if self.is_close(rod, value_end):
+                    self.add_vertex(rod, o, at, contact)
+                self.touched_between(rod, o, at, before, start, edge)
+            else:
+                rod.scratch[contact + WEIGHT * self.stride] = zero
+                rod.scratch[contact + SAGGING * self.stride] = zero
+                self.lower(rod.scratch, room, least - self.item(rod, RADIUS))
+        self.note_forces(rod, at, some)
+        return some
 
     @ti.func
-    def touched_start(self, rod, found):
+    def touched_start(self, rod):
         """The same of vertex 0."""
-        at, zero = self.vertex(rod, 0), 0.0 * rod.total
-        total = self.nothing(zero)
+        at, zero, some = self.vertex(rod, 0), 0.0 * rod.total, 0
+        rod.scratch[at + ROOM * self.stride] = zero + 1e30
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
-            self.add_vertex(rod, contact, total, found)
-            total.room = ti.min(total.room, rod.scratch[contact + VALUE * self.stride]
-                                + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
-        self.store(rod.scratch, at + FORCE_END * self.stride, negated(total.gradient_s))
-        rod.scratch[at + ROOM * self.stride] = total.room
-        return total
+            value = rod.scratch[contact + VALUE * self.stride]
+            if self.is_close(rod, value):
+                if some == 0:
+                    self.clear(rod, zero)
+                    some = 1
+                self.add_vertex(rod, o, at, contact)
+            self.lower(rod.scratch, at + ROOM * self.stride, value + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
+        self.note_forces(rod, at, some)
+        return some
+
+    @ti.func
+    def clear(self, rod, zero):
+        """Begin the sums over the contacts of an edge."""
+        for k in ti.static(range(HEAD - GRADIENT)):
+            rod.scratch[rod.contacts + (GRADIENT + k) * self.stride] = zero
+
+    @ti.func
+    def vector(self, rod, item: ti.template()):
+        """Three sums of an edge."""
+        return self.load3(rod.scratch, rod.contacts + item * self.stride)
+
+    @ti.func
+    def symmetric(self, rod, item: ti.template()):
+        """Six of them."""
+        return self.vector(rod, item) + self.vector(rod, item + 3)
+
+    @ti.func
+    def matrix(self, rod, item: ti.template()):
+        """Nine of them."""
+        return self.symmetric(rod, item) + self.vector(rod, item + 6)
+
+    @ti.func
+    def note_forces(self, rod, at, some):
+        """Keep the forces on the ends of an edge, of which ``some`` are not zero."""
+        zero = 0.0 * rod.total
+        self.store(rod.scratch, at + FORCE_END * self.stride, repeated(zero, 6))
+        if some == 1:
+            whole = self.load3(rod.scratch, rod.contacts + GRADIENT * self.stride)
+            late = self.load3(rod.scratch, rod.contacts + GRADIENT_S * self.stride)
+            self.store(rod.scratch, at + FORCE_END * self.stride, negated(late))
+            self.store(rod.scratch, at + FORCE_START * self.stride, minus(late, whole))
+
+    @ti.func
+    def touched_between(self, rod, o, at, before, start, edge):
+        """The same of the edge between its ends, of which one is close to obstacle ``o``. (A vertex that is not has no normal in
+        that lane or, where none of the lanes is close, an old one, which does no harm: its edge bridges nothing.)"""
+        zero, radius = 0.0 * start[0], self.item(rod, RADIUS)
+        contact, previous = self.contact(at, o), self.contact(before, o)
+        normal_start = self.load3(rod.scratch, previous + NORMAL * self.stride)
+        normal_end = self.load3(rod.scratch, contact + NORMAL * self.stride)
+        value_start, value_end = rod.scratch[previous + VALUE * self.stride], rod.scratch[contact + VALUE * self.stride]
+        slope_start, slope_end = dot(normal_start, edge), dot(normal_end, edge)
+        # φ along an edge lies above its tangents at both ends, which meet here.
+        meet = (value_end - value_start - slope_end) / ti.min(slope_start - slope_end, zero - 1e-20)
+        bridging = (slope_start < 0.0) & (slope_end > 0.0)
+        least = ti.min(value_start, value_end)
+        low = ti.select(bridging, value_start + slope_start * meet, least)
+        self.lower(rod.scratch, at + ROOM * self.stride, low + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
+        near = bridging & (low < 2.0 * radius)
+        active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
+        rod.scratch[contact + WEIGHT * self.stride] = zero
+        rod.scratch[contact + SAGGING * self.stride] = zero
+        if self.largest(ti.select(near | active, zero + 1.0, zero)) > 0.5:
+            seen = self.nearest(rod, o, start, edge, slope_start, slope_end)
+            lower = value_start < value_end
+            sagging = ti.select(near, least - seen.value, zero)
+            rod.scratch[contact + SAGGING * self.stride] = sagging
+            sag = ti.max(sagging / (SAG * radius), zero)
+            behind = self.item(rod, PHASE) > ti.static(0.5 * (BARRIER + ROUGH))
+            fading = ti.select(behind & near, 2.0 * sag / ((1.0 + sag * sag) * (1.0 + sag * sag) * SAG * radius), zero)
+            share = record(
+                weight=ti.select(behind, sag * sag / (1.0 + sag * sag), ti.select(active, zero + 1.0, zero)),
+                slope=fading, s=ti.select(lower, zero, zero + 1.0), normal=chosen(lower, normal_start, normal_end))
+            self.add_between(rod, contact, edge, seen, share)
+            if ti.static(self.rub):
+                self.rub_between(rod, o, at, before, contact)
 
     @ti.func
     def nearest(self, rod, o, start, edge, slope_start, slope_end):
@@ -309,23 +364,67 @@ class Contacts:
                       push=strength * (3.0 * first + second) / radius, stiffness=strength * stiffness / (radius * radius))
 
     @ti.func
-    def add_vertex(self, rod, contact, total, found):
+    def add_vertex(self, rod, o, at, contact):
         """Add a contact of the vertex where the edge ends."""
         normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
         bent = (self.load3(rod.scratch, contact + CURVATURE * self.stride)
                 + self.load3(rod.scratch, contact + (CURVATURE + 3) * self.stride))
         pushed = self.push(rod, rod.scratch[contact + FORCE * self.stride],
                            rod.scratch[contact + VALUE * self.stride] - self.item(rod, RADIUS))
-        found.energy = found.energy + pushed.energy
-        found.magnitude = found.magnitude + pushed.push * rod.total
+        self.add(rod, ENERGY, (pushed.energy, pushed.push * rod.total))
         pull = scaled(normal, 0.0 - pushed.push)
         k = minus(scaled(outer(normal), pushed.stiffness), scaled(bent, pushed.push))
-        total.gradient, total.gradient_s = plus(total.gradient, pull), plus(total.gradient_s, pull)
-        total.curvature, total.curvature_ss = plus(total.curvature, k), plus(total.curvature_ss, k)
-        total.curvature_s = plus(total.curvature_s, full(k))
+        self.add(rod, GRADIENT, pull + pull)
+        self.add(rod, CURVATURES, k + full(k) + k)
+        if ti.static(self.rub):
+            rubbed = self.rubbed(rod, o, contact, FORCE, FRICTION, normal, self.moved(rod, at))
+            self.add(rod, ENERGY, (rubbed.energy, dot(rubbed.pull, rubbed.pull) / self.item(rod, STIFFNESS)))
+            self.add(rod, GRADIENT, rubbed.pull + rubbed.pull)
+            self.add(rod, CURVATURES, rubbed.stiffness + full(rubbed.stiffness) + rubbed.stiffness)
 
     @ti.func
-    def add_between(self, rod, contact, edge, seen, share, total, found):
+    def rub_between(self, rod, o, at, before, contact):
+        """Add the friction at the nearest point of an edge in the lanes where rounds have it."""
+        counts = rod.scratch[contact + ACTIVE * self.stride] > 0.5
+        zero = 0.0 * rod.total
+        place = rod.scratch[contact + PLACE_BETWEEN * self.stride]
+        s = ti.select(counts, place, zero)
+        u = plus(scaled(self.moved(rod, before), 1.0 - s), scaled(self.moved(rod, at), s))
+        away = chosen(counts, self.load3(rod.scratch, contact + NORMAL_BETWEEN * self.stride), repeated(zero, 3))
+        rubbed = self.rubbed(rod, o, contact, FORCE_BETWEEN, FRICTION_BETWEEN, away, u)
+        share = ti.select(counts, zero + 1.0, zero)
+        pull, bent = scaled(rubbed.pull, share), scaled(rubbed.stiffness, share)
+        self.add(rod, ENERGY, (share * rubbed.energy, dot(pull, pull) / self.item(rod, STIFFNESS)))
+        self.add(rod, GRADIENT, pull + scaled(pull, s))
+        self.add(rod, CURVATURES, bent + scaled(full(bent), s) + scaled(bent, s * s))
+
+    @ti.func
+    def moved(self, rod, vertex):
+        """How far a vertex has moved since the instant before."""
+        return minus(self.load3(rod.scratch, vertex + PLACE * self.stride),
+                     self.load3(rod.scratch, vertex + PREVIOUS * self.stride))
+
+    @ti.func
+    def rubbed(self, rod, o, contact, force: ti.template(), friction: ti.template(), normal, u):
+        """Friction of a contact that has moved by ``u``: its energy, its derivative and its stiffness.
+
+        With the friction q of the round before and z = q + κ u along the surface it is z where |z| ≤ μ λ, and else of that size
+        along z: the derivative of |z|²/2κ, or of μ λ (|z| − μ λ/2)/κ.
+        """
+        stiffness = self.item(rod, STIFFNESS)
+        limit = rod.scratch[self.obstacle(rod, o) + COEFFICIENT * self.stride] * rod.scratch[contact + force * self.stride]
+        whole = plus(self.load3(rod.scratch, contact + friction * self.stride), scaled(u, stiffness))
+        z = minus(whole, scaled(normal, dot(normal, whole)))
+        size = ti.sqrt(dot(z, z) + 1e-30)
+        slips = size > limit
+        share = ti.select(slips, limit / size, 0.0 * limit + 1.0)
+        energy = ti.select(slips, limit * (size - 0.5 * limit), 0.5 * size * size) / stiffness
+        across = scaled(plus(outer(normal), scaled(outer(z), ti.select(slips, 1.0 / (size * size), 0.0 * size))), 0.0 - 1.0)
+        flat = (1.0 + across[0], across[1], across[2], 1.0 + across[3], across[4], 1.0 + across[5])
+        return record(energy=energy, pull=scaled(z, share), stiffness=scaled(flat, stiffness * share))
+
+    @ti.func
+    def add_between(self, rod, contact, edge, seen, share):
         """Add the contact at the nearest point of the edge, the energy of which counts by a weight. ``share``: that weight, its
         derivative by the sag of φ from the nearer end, s there and the normal."""
         s, normal, zero = seen.s, seen.normal, 0.0 * seen.s
@@ -334,11 +433,10 @@ class Contacts:
         self.store(rod.scratch, contact + PLACE_BETWEEN * self.stride, (s, seen.value) + normal + (weight,))
         gap = seen.value - self.item(rod, RADIUS)
         pushed = self.push(rod, rod.scratch[contact + FORCE_BETWEEN * self.stride], gap)
-        found.closest = ti.min(found.closest, ti.select(counts, gap, found.closest))
+        self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(counts, gap, zero + 1e30))
         force, stiffness = ti.select(counts, weight * pushed.push, zero), ti.select(counts, weight * pushed.stiffness, zero)
         own = ti.select(counts, pushed.energy, zero)
-        found.energy = found.energy + weight * own
-        found.magnitude = found.magnitude + force * rod.total
+        self.add(rod, ENERGY, (weight * own, force * rod.total))
         turned = applied(full(seen.curvature), edge)
         across = plus(normal, scaled(turned, s))
         slide = force / seen.bend
@@ -346,182 +444,8 @@ class Contacts:
         fading = share.slope * own
         pull = scaled(normal, 0.0 - force - fading)
         lift = scaled(share.normal, fading)
-        total.gradient = plus(total.gradient, plus(pull, lift))
-        total.gradient_s = plus(total.gradient_s, plus(scaled(pull, s), scaled(lift, share.s)))
-        total.curvature = plus(total.curvature, plus(fixed, scaled(outer(turned), slide)))
-        total.curvature_s = plus(total.curvature_s, plus(scaled(full(fixed), s), scaled(outer_product(turned, across), slide)))
-        total.curvature_ss = plus(total.curvature_ss, plus(scaled(fixed, s * s), scaled(outer(across), slide)))
-
-    # --- steps ---
-
-    @ti.func
-    def stand(self, rod):
-        """Keep the places before a step."""
-        for v in range(rod.edges + 1):
-            at = self.vertex(rod, v)
-            self.store(rod.scratch, at + STANDING * self.stride, self.load3(rod.scratch, at + PLACE * self.stride))
-            rod.scratch[at + ROOM_STANDING * self.stride] = rod.scratch[at + ROOM * self.stride]
-
-    @ti.func
-    def restore(self, rod, lost):
-        """Restore them in the lanes that reject the step."""
-        for v in range(rod.edges + 1):
-            at = self.vertex(rod, v)
-            standing = self.load3(rod.scratch, at + STANDING * self.stride)
-            place = self.load3(rod.scratch, at + PLACE * self.stride)
-            self.store(rod.scratch, at + PLACE * self.stride, chosen(lost > 0.5, standing, place))
-            kept, room = rod.scratch[at + ROOM_STANDING * self.stride], rod.scratch[at + ROOM * self.stride]
-            rod.scratch[at + ROOM * self.stride] = ti.select(lost > 0.5, kept, room)
-
-    @ti.func
-    def approach(self, rod, index, before, move):
-        """By how much a step is too large for one that may be taken whole: the square of its share of a vertex's way to the
-        middle of an obstacle, or of the gap there and on the edge that ends there, whose start makes the step ``before``."""
-        zero = 0.0 * move[0]
-        at = self.vertex(rod, index)
-        behind = self.item(rod, PHASE) > ti.static(0.5 * (BARRIER + ROUGH))
-        radius = self.item(rod, RADIUS)
-        slack = ti.select(behind, self.item(rod, OFFSET), SLACK * radius)
-        floor = ti.select(behind, zero - 1e30, zero)
-        most = zero
-        for o in range(rod.obstacles):
-            contact = self.contact(at, o)
-            gap = ti.max(rod.scratch[contact + VALUE * self.stride] - radius, floor) + slack
-            normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
-            most = ti.max(most, (0.0 - APPROACH) * dot(normal, move) / ti.max(gap, 1e-6 * radius))
-            weight = rod.scratch[contact + WEIGHT * self.stride]
-            if self.largest(weight) > 0.0:
-                s = rod.scratch[contact + PLACE_BETWEEN * self.stride]
-                between = plus(before, scaled(minus(move, before), s))
-                gap = ti.max(rod.scratch[contact + VALUE_BETWEEN * self.stride] - radius, floor) + slack
-                away = self.load3(rod.scratch, contact + NORMAL_BETWEEN * self.stride)
-                share = (0.0 - APPROACH) * dot(away, between) / ti.max(gap, 1e-6 * radius)
-                most = ti.select(weight > 0.0, ti.max(most, share), most)
-        return ti.max(dot(move, move) * self.nearness(rod, index, at, ROOM), most * most)
-
-    # --- rounds ---
-
-    @ti.func
-    def tolerance(self, rod, given):
-        """The residual that a rod is to reach where ``given`` is that of one without contact: more while its rounds are rough,
-        and at least what rounding of places makes of the forces."""
-        phase = self.item(rod, PHASE)
-        factor = ti.select(phase > ti.static(0.5 * (BARRIER + ROUGH)), 0.0 * given + ROUGHEST, 0.0 * given + ROUGHER)
-        noise = self.rounding * self.item(rod, STIFFNESS) * rod.longest * rod.total * rod.total
-        return ti.select(phase > ti.static(0.5 * (ROUGH + FINE)), factor * given, given) + noise
-
-    @ti.func
-    def enter(self, rod, found, fresh):
-        """Begin with the barrier where a rod has just been loaded, its gaps larger by so much that its start is within."""
-        loaded = fresh & (self.item(rod, PHASE) > ti.static(0.5 * (LOADED + BARRIER)))
-        radius = self.item(rod, RADIUS)
-        self.set_item(rod, OFFSET, loaded, ti.max(LEAST_OFFSET * radius - found.closest, 0.0 * radius))
-        self.set_item(rod, PHASE, loaded, 0.0 * radius + BARRIER)
-        return loaded
-
-    @ti.func
-    def settle(self, rod, due):
-        """End a round in the lanes that are ``due`` with new forces, or the barrier with those it exerts. Returns the largest
-        change of a gap that they mean."""
-        zero = 0.0 * rod.total
-        radius, stiffness, phase = self.item(rod, RADIUS), self.item(rod, STIFFNESS), self.item(rod, PHASE)
-        behind = phase > ti.static(0.5 * (BARRIER + ROUGH))
-        tolerance = self.item(rod, TOLERANCE)
-        change, secant = zero, zero
-        for v in range(rod.edges + 1):
-            at = self.vertex(rod, v)
-            for o in range(rod.obstacles):
-                contact = self.contact(at, o)
-                for k in ti.static(range(2)):
-                    old = rod.scratch[contact + (FORCE + k) * self.stride]
-                    gap = rod.scratch[contact + (VALUE_BETWEEN if k else VALUE) * self.stride] - radius
-                    pushed = self.barrier(rod, gap).push
-                    new = ti.select(behind, pushed, ti.max(old - stiffness * gap, zero))
-                    if ti.static(k == 1):
-                        new, late = self.settle_between(rod, v, o, due, gap, new)
-                        change = largest_of(change, ti.select(behind, zero, late))
-                    secant = largest_of(secant, new / ti.max(gap + self.item(rod, OFFSET), 1e-3 * radius))
-                    change = largest_of(change, absolute(new - old))
-                    rod.scratch[contact + (FORCE + k) * self.stride] = ti.select(due, new, old)
-        change = ti.select(due & ~behind, change / stiffness, zero)
-        slow = due & ~behind & (change > SLOW * self.item(rod, CHANGE)) & (change > self.item(rod, TOLERANCE))
-        self.set_item(rod, STIFFNESS, slow, STIFFER * stiffness)
-        self.set_item(rod, CHANGE, due & ~behind, change)
-        last = due & behind & (self.item(rod, STAGE) > STAGES - 1.5)
-        self.set_item(rod, STIFFNESS, last & (secant > 0.0), SECANT * secant)
-        self.set_item(rod, PHASE, last, zero + ROUGH)
-        self.set_item(rod, STRENGTH, due & behind & ~last, WEAKER * self.item(rod, STRENGTH))
-        self.set_item(rod, STAGE, due & behind, 1.0 + self.item(rod, STAGE))
-        return change
-
-    @ti.func
-    def settle_between(self, rod, index, o, due, gap, force):
-        """Whether the rounds that follow have the nearest point of an edge: as long as it is nearer than the ends. Returns its
-        force, which otherwise goes to the nearer end, and what it should have been where they did not have it so far."""
-        zero = 0.0 * gap
-        contact = self.contact(self.vertex(rod, index), o)
-        active = rod.scratch[contact + ACTIVE * self.stride]
-        sags = (rod.scratch[contact + SAGGING * self.stride] > 0.5 * self.item(rod, TOLERANCE)) & (index > 0)
-        lost = due & (active > 0.5) & ~sags
-        if self.largest(ti.select(lost, zero + 1.0, zero)) > 0.5:
-            later = rod.scratch[contact + PLACE_BETWEEN * self.stride] > 0.5
-            given = ti.select(lost, force, zero)
-            end = contact + FORCE * self.stride
-            rod.scratch[end] = rod.scratch[end] + ti.select(later, given, zero)
-            start = self.contact(self.vertex(rod, index - 1), o) + FORCE * self.stride
-            rod.scratch[start] = rod.scratch[start] + ti.select(later, zero, given)
-        late = ti.select(sags & (active < 0.5), ti.max(self.item(rod, STIFFNESS) * (0.0 - gap), zero), zero)
-        rod.scratch[contact + ACTIVE * self.stride] = ti.select(due, ti.select(sags, zero + 1.0, zero), active)
-        return ti.select(sags, force, zero), late
-
-    # --- a rod into a lane and out of it ---
-
-    @ti.func
-    def load(self, tables, scratch: ti.template(), slot, rod, force_unit, unit, scale):
-        """Rod ``rod``'s obstacles and contacts into lane ``slot``, forces over ``force_unit``, lengths over ``unit``; ``scale``:
-        the largest stiffness, the weight per length, the mean length of an edge and the rod's, in the units of the chain."""
-        base = tables.contacts
-        row = tables.rods[rod, of.RESULT_ROW]
-        own = ti.min(row, tables.obstacles.shape[0] - 1)
-        count, vertices = tables.kinds.shape[0], tables.rest_length.shape[1] + 1
-        radius = tables.radius[ti.min(row, tables.radius.shape[0] - 1)] / unit
-        force = BENDING_LOADS * scale.bend / (scale.total * scale.total) + scale.weight * scale.length
-        tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
-        head = (radius, force / (SOFT * radius), tolerance, 1e30, LOADED, 0.0, BARRIER_SHARE * force * radius, 0.0)
-        for k in ti.static(range(HEAD)):
-            self.put(scratch, base + k * self.stride, slot, head[k])
-        for o in range(count):
-            at = base + (HEAD + o * OBSTACLE_COLUMNS) * self.stride
-            for k in range(OBSTACLE_COLUMNS):
-                is_length = (k < 3) | ((k >= SIZES) & (k <= DEPTH))
-                factor = ti.select(is_length, 1.0 / unit, ti.cast(1.0, ti.f64))
-                self.put(scratch, at + k * self.stride, slot, tables.obstacles[own, o, k] * factor)
-        first = base + (HEAD + count * OBSTACLE_COLUMNS) * self.stride
-        for v in range(vertices):
-            at = first + v * (VERTEX_ITEMS + count * CONTACT_ITEMS) * self.stride
-            self.put(scratch, at + ROOM * self.stride, slot, 1e30)
-            for o in range(count):
-                contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
-                self.put(scratch, contact + WEIGHT * self.stride, slot, 0.0)
-                self.put(scratch, contact + ACTIVE * self.stride, slot, 0.0)
-                for k in ti.static(range(REMEMBERED)):
-                    self.put(scratch, contact + k * self.stride, slot, tables.memory[row, v, o, k] / force_unit)
-
-    @ti.func
-    def unload(self, tables, scratch: ti.template(), slot, row, place, force_unit):
-        """The lane's contacts into row ``row`` of the memory, and the forces on its vertices into row ``place``."""
-        count, vertices = tables.kinds.shape[0], tables.rest_length.shape[1] + 1
-        first = tables.contacts + (HEAD + count * OBSTACLE_COLUMNS) * self.stride
-        size = (VERTEX_ITEMS + count * CONTACT_ITEMS) * self.stride
-        for v in range(vertices):
-            at = first + v * size
-            for k in ti.static(range(3)):
-                force = ti.cast(self.get(scratch, at + (FORCE_END + k) * self.stride, slot), ti.f64)
-                if v < vertices - 1:
-                    force += self.get(scratch, at + size + (FORCE_START + k) * self.stride, slot)
-                tables.forces[place, v, k] = force * force_unit
-            for o in range(count):
-                contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
-                for k in ti.static(range(REMEMBERED)):
-                    value = ti.cast(self.get(scratch, contact + k * self.stride, slot), ti.f64)
-                    tables.memory[row, v, o, k] = value * force_unit
+        self.add(rod, GRADIENT, plus(pull, lift))
+        self.add(rod, GRADIENT_S, plus(scaled(pull, s), scaled(lift, share.s)))
+        self.add(rod, CURVATURES, plus(fixed, scaled(outer(turned), slide)))
+        self.add(rod, CURVATURES_S, plus(scaled(full(fixed), s), scaled(outer_product(turned, across), slide)))
+        self.add(rod, CURVATURES_SS, plus(scaled(fixed, s * s), scaled(outer(across), slide)))

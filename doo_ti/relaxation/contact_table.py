@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.contact.obstacles import OBSTACLE_COLUMNS, Obstacle
+from doo_ti.contact.obstacles import FRICTION, OBSTACLE_COLUMNS, Obstacle
 from doo_ti.errors import InputError, real_array
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_energy import REMEMBERED
+from doo_ti.relaxation.contact_layout import REMEMBERED, REMEMBERED_IN_MOTION
 
 GAP_TOLERANCE = 2e-4
-"""Of a rod's radius: how far a gap or a force may be off, the latter over the stiffness κ. In f32 at least 2e-6 of the length."""
+"""Of a rod's radius: how far a gap may be off, or a force over the stiffness κ. In f32 at least 2e-6 of the length."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,11 @@ class ContactTable:
     forces: np.ndarray
 
     @property
+    def rubs(self) -> bool:
+        """Whether any obstacle has friction."""
+        return bool((self.obstacles[..., FRICTION] > 0).any())
+
+    @property
     def distinct(self) -> frozenset[int]:
         """The kinds there are."""
         return frozenset(self.kinds.tolist())
@@ -44,29 +49,30 @@ class ContactTable:
 
 
 def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int, clamp: np.ndarray, index: np.ndarray,
-                  function: str) -> ContactTable:
-    """The table of ``count`` rods of ``edges`` edges, whose rows of ``clamp`` are ``index``.
+                  in_motion: bool = False) -> ContactTable:
+    """The table of ``count`` rods of ``edges`` edges, whose rows of ``clamp`` are ``index``; rods ``in_motion`` remember
+    their friction.
 
-    Raises InputError, for ``function``, where numbers of rows do not match or ``radius`` is missing or not positive.
+    Raises InputError where numbers of rows do not match or ``radius`` is missing or not positive.
     """
     obstacles = list(obstacles)
     for obstacle in obstacles:
         if not isinstance(obstacle, Obstacle):
-            raise InputError(function, "obstacles", f"{type(obstacle).__name__}", "give Plane(...), Sphere(...) and the like")
+            raise InputError("contact", "obstacles", f"{type(obstacle).__name__}", "give Plane(...), Sphere(...) and the like")
         if obstacle.count not in (1, count):
-            raise InputError(function, "obstacles", f"{obstacle.count} rows of {type(obstacle).__name__} for {count} rods",
+            raise InputError("contact", "obstacles", f"{obstacle.count} rows of {type(obstacle).__name__} for {count} rods",
                              "give one, or one for each rod")
     if radius is None:
-        raise InputError(function, "radius", "missing beside obstacles", "give the rod's radius in mm")
-    radius = real_array(function, "radius", radius, "give mm, or one for each rod").astype(np.float64).reshape(-1)
+        raise InputError("contact", "radius", "missing beside obstacles", "give the rod's radius in mm")
+    radius = real_array("contact", "radius", radius, "give mm, or one for each rod").astype(np.float64).reshape(-1)
     if len(radius) not in (1, count) or not ((radius > 0) & (radius < np.inf)).all():
-        raise InputError(function, "radius", f"{radius.min():g}" if len(radius) in (1, count) and len(radius) else
+        raise InputError("contact", "radius", f"{radius.min():g}" if len(radius) in (1, count) and len(radius) else
                          f"{len(radius)} for {count} rods", "give a positive radius in mm, or one for each rod")
     rows = count if any(obstacle.count > 1 for obstacle in obstacles) else 1
     table = np.empty((rows, len(obstacles), OBSTACLE_COLUMNS))
     for place, obstacle in enumerate(obstacles):
         table[:, place] = obstacle.numbers()
-    memory = of.room(count, edges + 1, len(obstacles), REMEMBERED)
+    memory = of.room(count, edges + 1, len(obstacles), REMEMBERED_IN_MOTION if in_motion else REMEMBERED)
     memory[...] = 0.0
     return ContactTable(
         obstacles=table, kinds=np.array([obstacle.kind for obstacle in obstacles], dtype=np.int32), radius=radius,

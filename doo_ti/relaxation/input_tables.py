@@ -26,7 +26,7 @@ from doo_ti.types import Clamps, Configuration, Material
 def tables(
     configuration: Configuration, material: Material, clamps: Clamps, up: np.ndarray,
     configuration_index=None, material_index=None, external: External | None = None, external_index=None,
-    obstacles: Sequence[Obstacle] = (), radius=None,
+    obstacles: Sequence[Obstacle] = (), radius=None, in_motion: bool = False,
 ) -> Tables:
     """Check the input of F and lay it out for the kernels.
 
@@ -53,7 +53,7 @@ def tables(
     feasible = found != INFEASIBLE
     sound = feasible[index_c]
     all_rods = rod_rows(index_c, index_m, np.arange(rods), index_c, index_e)
-    contact = contact_table(obstacles, radius, rods, edges, clamp, index_c, "relax") if obstacles else None
+    contact = contact_table(obstacles, radius, rods, edges, clamp, index_c, in_motion) if obstacles else None
     return Tables(
         start=start, rest_length=lengths, clamp=clamp, material=_material_table(material, isotropic, edges),
         isotropic=isotropic, rods=all_rods if sound.all() else all_rods[sound], feasible=feasible, configuration_index=index_c,

@@ -42,7 +42,16 @@ from doo_ti.physics.tuples import (
     variable,
 )
 from doo_ti.relaxation.chain import LENGTH, LOADED_PARAMETERS, PARAMETERS, ROTATION, item_count
-from doo_ti.relaxation.contact_energy import Contacts
+from doo_ti.relaxation.contact_layout import (
+    CURVATURES,
+    CURVATURES_S,
+    CURVATURES_SS,
+    ENERGY,
+    GRADIENT,
+    GRADIENT_S,
+    MAGNITUDE,
+)
+from doo_ti.relaxation.contact_rounds import Contacts
 from doo_ti.relaxation.elimination import held_pivot
 from doo_ti.relaxation.loose_start import LooseStart
 
@@ -87,8 +96,7 @@ class LoadedElimination(LooseStart):
         elimination changes, enters the right-hand side.
         """
         zero = 0.0 * rod.total
-        found = record(squared=zero, scale=zero, negative=zero, slope=zero, energy=zero, magnitude=zero, crossing=zero,
-                       deepest=zero + 1e30, closest=zero + 1e30, pinched=zero)
+        found = record(squared=zero, scale=zero, negative=zero, slope=zero, energy=zero, magnitude=zero)
         beyond = record(
             force=repeated(zero, 3), c=repeated(zero, 3), f=repeated(zero, 3), cc=repeated(zero, 6), ff=repeated(zero, 6),
             z=repeated(zero, 9), length=zero)
@@ -100,7 +108,8 @@ class LoadedElimination(LooseStart):
         h, g = variable(repeated(zero, 6)), variable(repeated(zero, 3))  # H and gradient of the pair with the edge after
         end = self.tip(rod)
         if ti.static(self.touches):
-            self.contacts.look(rod, rod.edges, end, found)
+            self.contacts.begin(rod)
+            self.contacts.look(rod, rod.edges, end)
         searching = self.largest(search[0] + search[1]) > 0.0
         some_taut = self.largest(1.0 - rod.free[4]) > 0.5
         at = rod.origin + (rod.edges - 1) * self.edge_stride
@@ -159,10 +168,12 @@ class LoadedElimination(LooseStart):
         positive = zero + 3.0  # what a minimum counts without closure
         if ti.static(self.moves_start):
             self.eliminate_start(rod, shift, beyond, border, found)
+            if ti.static(self.touches):
+                found.energy = found.energy + self.contacts.item(rod, ENERGY)
+                found.magnitude = found.magnitude + self.contacts.item(rod, MAGNITUDE)
             change, positive = self.bordered(rod, border.schur, plus(border.right, miss))
         return record(moment=ti.sqrt(found.squared), scale=found.scale, change=change, inertia=found.negative + positive,
-                      slope=found.slope, energy=found.energy, magnitude=found.magnitude, crossing=found.crossing,
-                      deepest=found.deepest, closest=found.closest, pinched=found.pinched)
+                      slope=found.slope, energy=found.energy, magnitude=found.magnitude)
 
     @ti.func
     def load(self, rod, at, edge, start, end, found):
@@ -178,12 +189,12 @@ class LoadedElimination(LooseStart):
             gradient=scaled(gradient, unit), gradient_s=scaled(gradient_s, unit), curvature=scaled(curvature, square),
             curvature_s=scaled(curvature_s, square), curvature_ss=scaled(curvature_ss, square))
         if ti.static(self.touches):
-            touched = self.contacts.touched(rod, edge + 1, start, end, found)
-            load.gradient = plus(load.gradient, touched.gradient)
-            load.gradient_s = plus(load.gradient_s, touched.gradient_s)
-            load.curvature = plus(load.curvature, touched.curvature)
-            load.curvature_s = plus(load.curvature_s, touched.curvature_s)
-            load.curvature_ss = plus(load.curvature_ss, touched.curvature_ss)
+            if self.contacts.touched(rod, edge + 1, start, end) == 1:
+                load.gradient = plus(load.gradient, self.contacts.vector(rod, GRADIENT))
+                load.gradient_s = plus(load.gradient_s, self.contacts.vector(rod, GRADIENT_S))
+                load.curvature = plus(load.curvature, self.contacts.symmetric(rod, CURVATURES))
+                load.curvature_s = plus(load.curvature_s, self.contacts.matrix(rod, CURVATURES_S))
+                load.curvature_ss = plus(load.curvature_ss, self.contacts.symmetric(rod, CURVATURES_SS))
         return load
 
     @ti.func

@@ -97,9 +97,11 @@ class Loading:
                 at += self.edge_stride
         self.load_parameters(tables, scratch, head, slot, s, g, divisor, unit)
         if ti.static(self.touches):
-            edge = tables.clamp[s, of.TOTAL] / unit / tables.rest_length.shape[1]
-            scale = record(bend=tables.material[g, of.LARGEST_BEND] / divisor, length=edge, total=tables.clamp[s, of.TOTAL] / unit,
-                           weight=2.0 * tables.material[g, of.WEIGHT] / divisor * (unit * unit * unit))
+            total = tables.clamp[s, of.TOTAL] / unit
+            scale = record(
+                bend=tables.material[g, of.LARGEST_BEND] / divisor, total=total, length=total / tables.rest_length.shape[1],
+                longest=tables.clamp[s, of.LONGEST] / unit,
+                weight=2.0 * tables.material[g, of.WEIGHT] / divisor * (unit * unit * unit))
             self.contacts.load(tables, scratch, slot, rod, divisor / (unit * unit), unit, scale)
         if ti.static(self.moves_start):
             self.put(scratch, head + chain.OF_LOOSE * self.stride, slot, tables.clamp[s, of.LOOSE])
@@ -153,12 +155,10 @@ class Loading:
             at += self.edge_stride
 
     @ti.func
-    def store_contacts(self, tables, scratch: ti.template(), head, slot, row, place):
-        """The lane's contacts, if the rod may have any, into row ``row`` and the forces on its vertices into row ``place``."""
-        if ti.static(self.touches):
-            unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
-            unit /= ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
-            self.contacts.unload(tables, scratch, slot, row, place, unit)
+    def force_unit(self, scratch: ti.template(), head, slot):
+        """The lane's unit of force, energy per mm."""
+        unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
+        return unit / ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
 
     @ti.func
     def load_lengths(self, tables, scratch: ti.template(), origin, slot, row, unit):

@@ -24,6 +24,7 @@ from doo_ti.physics.tuples import (
     variable,
 )
 from doo_ti.relaxation.chain import LOADED_PARAMETERS, OF_DRIFT, OF_DRIFT_FACTORS, OF_DRIFT_STANDING, OF_DRIFT_STEP
+from doo_ti.relaxation.contact_layout import CURVATURES, GRADIENT
 from doo_ti.relaxation.elimination import Elimination, held_pivot
 
 
@@ -84,9 +85,10 @@ class LooseStart(Elimination):
             force, c = plus(force, slope), plus(c, slope)
             beyond.cc = plus(beyond.cc, scaled(curvature, rod.length_unit * rod.length_unit))
         if ti.static(self.touches):
-            touched = self.contacts.touched_start(rod, found)
-            force, c = plus(force, touched.gradient), plus(c, touched.gradient)
-            beyond.cc = plus(beyond.cc, touched.curvature)
+            if self.contacts.touched_start(rod) == 1:
+                slope = self.contacts.vector(rod, GRADIENT)
+                force, c = plus(force, slope), plus(c, slope)
+                beyond.cc = plus(beyond.cc, self.contacts.symmetric(rod, CURVATURES))
         moment = scaled(force, loose * rod.total)
         self.observe_moment(found, moment)
         f = factor(held_pivot(on_diagonal(beyond.cc, shift / (rod.total * rod.total)), free))

@@ -6,8 +6,8 @@ import taichi as ti
 from doo_ti.physics.tuples import choose, chosen, dot, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_energy import BARRIER, FINE, PHASE, ROUGH
-from doo_ti.relaxation.contact_energy import TOLERANCE as CONTACT_TOLERANCE
+from doo_ti.relaxation.contact_layout import BARRIER, CROSSING, FINE, PHASE, ROUGH
+from doo_ti.relaxation.contact_layout import TOLERANCE as CONTACT_TOLERANCE
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.loading import LANES, NEXT, TRIPS, Loading
 from doo_ti.types import Status
@@ -114,8 +114,8 @@ class NewtonLoop:
         return record(
             energy=zero, magnitude=zero, miss=repeated(zero, 3), multiplier=repeated(zero, 3), residual=zero,
             change=repeated(zero, 3), longest=one, shift=zero, scale=one, step_scale=zero, coarse=zero, fresh=zero,
-            trying=zero, closing=zero, share=one, returned=zero, troubled=zero, escaping=zero, escapes=zero, rounds=zero, heading=one,
-            best=zero, idle_trips=zero, aimless=zero, rejects=zero, trips=zero, status=zero, stable=zero,
+            trying=zero, closing=zero, share=one, returned=zero, troubled=zero, escaping=zero, escapes=zero, rounds=zero,
+            heading=one, best=zero, idle_trips=zero, aimless=zero, rejects=zero, trips=zero, status=zero, stable=zero,
             lengths_known=zero, active=zero, finished=one)
 
     @ti.func
@@ -124,7 +124,10 @@ class NewtonLoop:
         row = tables.rods[rod, of.RESULT_ROW]
         origin = head + self.sweep.parameters * self.stride
         self.loading.store_frames(tables, row, scratch, origin, slot)
-        self.loading.store_contacts(tables, scratch, head, slot, row, row)
+        if ti.static(self.touches):
+            force_unit = self.loading.force_unit(scratch, head, slot)
+            self.sweep.contacts.unload(tables, scratch, slot, row, force_unit)
+            self.sweep.contacts.unload_forces(tables, scratch, slot, row, force_unit)
         status = self.lane(lane.status, slot)
         if status == self.not_finite or status == self.infeasible:
             for k in ti.static(range(of.RESULTS)):
@@ -209,14 +212,14 @@ class NewtonLoop:
         found = self.sweep.eliminate(rod, diagonal, (noise, echo), multiplier, miss)
         found.energy += energy
         found.magnitude += magnitude
-        judged = self.judge_step(lane, found, miss)
+        judged = self.judge_step(rod, lane, found, miss)
         if self.largest(ti.select(judged.uphill, one, zero)) > 0.5:
             self.sweep.restore(rod, ti.select(judged.uphill, one, zero))
         lane.longest = self.sweep.substitute(rod, found)
         self.keep(lane, found, miss, multiplier, judged, next_shift)
         place = self.judge_place(tables, rod, lane, found.inertia, judged)
         self.plan(tables, rod, lane, judged, place, searching, found.slope)
-        self.end(tables, rod, lane, found, judged, place)
+        self.end(tables, rod, lane, judged, place)
 
     @ti.func
     def multiplier(self, lane, fitted):
@@ -231,7 +234,7 @@ class NewtonLoop:
         return value
 
     @ti.func
-    def judge_step(self, lane, found, miss):
+    def judge_step(self, rod, lane, found, miss):
         """Judge the step by the Lagrangian: a record of flags."""
         multiplier = plus(lane.multiplier, lane.change)
         before = lane.energy + dot(multiplier, lane.miss)
@@ -243,7 +246,7 @@ class NewtonLoop:
         if ti.static(self.touches):
             # No step, not even one that only closes, may carry a vertex past the middle of an obstacle.
             moved = moved | ((lane.closing > 0.5) & (lane.fresh < 0.5))
-            passable = found.crossing < 1.0
+            passable = self.sweep.contacts.item(rod, CROSSING) < 1.0
             downhill = downhill & passable
             finite = finite & (passable | ~moved)
         taken = ti.select(((lane.trying < 0.5) & finite) | downhill, self.constant(1.0), self.constant(0.0))
@@ -330,7 +333,7 @@ class NewtonLoop:
         lane.step_scale = ti.select(lane.trying > 0.5, ti.select(lane.escaping > 0.5, leap, cap), zero)
 
     @ti.func
-    def end(self, tables, rod, lane, found, judged, place):
+    def end(self, tables, rod, lane, judged, place):
         """Which lanes are finished, and with which status."""
         zero, one = self.constant(0.0), self.constant(1.0)
         better = place.leaving | (lane.closing > 0.5) | ((lane.residual < 0.7 * lane.best) & judged.stands)
@@ -351,10 +354,10 @@ class NewtonLoop:
         # At rest, though a neutral motion leaves the certificate undecided: converged, not certified.
         at_rest = place.small & place.settled & (late | stuck)
         if ti.static(self.touches):
-            entered = self.sweep.contacts.enter(rod, found, fresh)
+            entered = self.sweep.contacts.enter(rod, fresh)
             goes_on = self.settle(rod, lane, place.calm & ~entered, (ended | at_rest) & ~entered, entered)
             ended, at_rest, stuck = ended & ~goes_on, at_rest & ~goes_on, stuck & ~goes_on
-            blocked = fresh & self.sweep.contacts.blocked(rod, found)
+            blocked = fresh & self.sweep.contacts.blocked(rod)
             lane.status = ti.select(blocked, self.constant(self.infeasible), lane.status)
             ended, at_rest, lost = ended & ~blocked, at_rest & ~blocked, lost | blocked
         lane.status = ti.select(ended | at_rest, self.constant(self.converged), lane.status)
@@ -363,8 +366,8 @@ class NewtonLoop:
 
     @ti.func
     def settle(self, rod, lane, calm, rests, entered):
-        """End a round where a lane's rod ``rests`` under the forces of its contacts or, while these still change, is ``calm`` to
-        a rougher tolerance; returns the lanes in which another round follows, those that have ``entered`` one included."""
+        """End a round where a lane's rod ``rests`` under the forces of its contacts or, while these still change, is ``calm``
+        to a rougher tolerance; returns the lanes in which another round follows, those that have ``entered`` one included."""
         zero, one = self.constant(0.0), self.constant(1.0)
         phase = rod.scratch[rod.contacts + PHASE * self.stride]
         due = (rests | (calm & (phase > ti.static(0.5 * (ROUGH + FINE))))) & (lane.active > 0.5)

@@ -64,7 +64,7 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
         items = chain.PARAMETERS + (chain.GENERAL_ITEMS + KEPT_ITEMS) * edges
         # Those of f32 are unit quaternions to seven digits.
         frames = solution.configuration.quaternions[first:last]
-        frames = frames / np.linalg.norm(frames, axis=-1, keepdims=True)
+        frames = frames / np.sqrt(np.einsum("rek,rek->re", frames, frames))[..., None]
         # Kernels take no arrays without entries.
         arrays, given = (vertices, rotations, loads), np.ascontiguousarray(directions)
         if not columns:

@@ -6,6 +6,7 @@ from doo_ti.physics.quaternion import tangent, transported
 from doo_ti.physics.tuples import chosen, dot, plus, put_lane, record, scaled
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.contact_layout import WORK
 from doo_ti.relaxation.loading import LANES, Loading
 from doo_ti.relaxation.newton_loop import TOLERANCE, NewtonLoop
 from doo_ti.relaxation.time_sweep import (
@@ -26,8 +27,8 @@ from doo_ti.relaxation.time_sweep import (
 # Columns of the clamps at an instant: the point the chain hangs from, the far point from there, mm, the first and last frame.
 PATH_ANCHOR, PATH_TARGET, PATH_ENDS, PATH_COLUMNS = 0, 3, 6, 14
 # Columns of the outcome of a frame: the status, iterations of all its steps and the largest residual, and the force of the far
-# clamp at its end.
-STATE, TRIPS, MOMENT, END_FORCE, OUTCOMES = 0, 1, 2, 3, 6
+# clamp at its end; and the work that friction has done since the launch began.
+STATE, TRIPS, MOMENT, END_FORCE, FRICTION_WORK, OUTCOMES = 0, 1, 2, 3, 6, 7
 
 POSITION_ROUNDING = 1e-6
 """Of the rod's length, in f32: what a step may be wrong by in every position."""
@@ -60,6 +61,10 @@ class MotionLoading(Loading):
         for vertex in range(tables.rest_length.shape[1] + 1):
             inertia += tables.numbers[numbers, vertex, 0] / unit
         self.put(scratch, own + OF_INERTIA * self.stride, slot, inertia)
+        if ti.static(self.touches):
+            length_unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
+            share = inertia * length_unit * length_unit / (tables.rest_length.shape[1] + 1)
+            self.contacts.load_motion(tables, scratch, slot, row, length_unit, share)
         at = head + (self.parameters + self.motion) * self.stride
         edges = tables.rest_length.shape[1]
         for e in range(edges):
@@ -165,6 +170,8 @@ class TimeLoop(NewtonLoop):
         rod = self.sweep.rods(tables, scratch, head, lane.coarse)
         self.differentiate(tables, rod, time, up, ti.select(done, one, zero))
         self.sweep.remember(rod, time, done)
+        if ti.static(self.touches):
+            self.sweep.contacts.renew(rod, done)
         steps_made = supply.places + (tables.queue.shape[0] - LANES) // 2
         for slot in range(self.width):
             if self.lane(lane.finished, slot) > 0.5:
@@ -213,10 +220,17 @@ class TimeLoop(NewtonLoop):
                     tables.outcome[row, frame, END_FORCE + k] = 0.0 - unit * force
                 self.loading.store_vertices(tables.positions, row * frames + frame, 3, scratch, head, slot, edges)
                 self.write_slopes(tables, scratch, slot, row * frames + frame)
+                if ti.static(self.touches):
+                    self.sweep.contacts.unload_forces(tables, scratch, slot, row * frames + frame, unit)
+                    work = ti.cast(self.get(scratch, tables.contacts + WORK * self.stride, slot), ti.f64)
+                    tables.outcome[row, frame, FRICTION_WORK] = work * ti.cast(
+                        self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
             if step + 1 < tables.steps:
                 again = 1
             else:
                 self.loading.store_motion(tables, scratch, head, slot, row)
+                if ti.static(self.touches):
+                    self.sweep.contacts.unload(tables, scratch, slot, row, self.loading.force_unit(scratch, head, slot))
                 for k in ti.static(range(3)):
                     tables.results[row, of.FORCE + k] = self.lane(lane.multiplier[k], slot)
                 self.store_slopes(tables, scratch, slot, row)
@@ -249,6 +263,8 @@ class TimeLoop(NewtonLoop):
         given = self.constant(0.0) + ti.cast(tables.policy[TOLERANCE], self.scalar)
         inertia = rod.scratch[rod.head + (self.sweep.time_parameters + OF_INERTIA) * self.stride]
         length = rod.total * rod.length_unit
+        if ti.static(self.touches):
+            given = self.sweep.contacts.tolerance(rod, given)
         return given + ti.static(POSITION_ROUNDING if self.number_bits == 32 else 0.0) * inertia * length * length * rod.total
 
     @ti.func
