@@ -53,9 +53,12 @@ def run_shell(script: Path, folder: Path) -> int:
         while process.poll() is None:
             if selector.select(timeout=0.05):
                 where, *words = os.read(requests, 1 << 16).decode().split("\0")[:-1]
-                with chdir(where):
-                    code = main(words)
-                os.write(answers, f"{code}\n".encode())
+                code = 1
+                try:
+                    with chdir(where):
+                        code = main(words)
+                finally:  # else the script would wait for ever
+                    os.write(answers, f"{code}\n".encode())
     for pipe in (requests, answers):
         os.close(pipe)
     return process.returncode
