@@ -3,19 +3,19 @@
     loaded      60 observations of 34 marks; the rod is 99 mm long, its ends 30 to 78 mm apart; up 0,0,1
 """
 
-import sys
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 
 import numpy as np
 
+from doo_ti import terminal
 from doo_ti.commands import options as given
 from doo_ti.commands.results import observed
 from doo_ti.errors import InputError
 from doo_ti.io.curves import UNITS_IN_MM
 from doo_ti.io.observations import Observations, load_observations
 from doo_ti.io.scene import Scene, Synthesis
-from doo_ti.terminal import in_line, visible
+from doo_ti.terminal import in_line
 
 LEAST_MM, MOST_MM = 10.0, 20_000.0
 """Lengths of rods that raise no doubt about the unit."""
@@ -64,7 +64,7 @@ def warn(observations: Observations) -> None:
     """Print a warning where the rod's length is implausible. To be called once everything is checked, so that wrong input is
     reported in one line."""
     if (doubt := unit_doubt(observations)) is not None:
-        print(visible(f"doo-ti: warning: {in_line(observations.source)}: {doubt}"), file=sys.stderr)
+        terminal.warn(f"{in_line(observations.source)}: {doubt}")
 
 
 def rod_line(observations: Observations) -> str:
