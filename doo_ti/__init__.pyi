@@ -63,6 +63,9 @@ from doo_ti.relaxation.sensitivity import gripper_jacobian as gripper_jacobian
 from doo_ti.relaxation.sensitivity import sensitivity as sensitivity
 from doo_ti.report.grid_view import Observed as Observed
 from doo_ti.report.plane import LandscapePlane as LandscapePlane
+from doo_ti.rods import end_clamps as end_clamps
+from doo_ti.rods import hanging as hanging
+from doo_ti.rods import straight_rod as straight_rod
 from doo_ti.start import choose_hypothesis as choose_hypothesis
 from doo_ti.start import observation_clamps as observation_clamps
 from doo_ti.start import start_configuration as start_configuration

@@ -73,10 +73,12 @@ from doo_ti import (
     detect,
     distance,
     distance_maps,
+    end_clamps,
     end_loads,
     end_offsets,
     estimate_twist,
     gripper_jacobian,
+    hanging,
     identify,
     identify_from_guesses,
     load_observations,
@@ -97,6 +99,7 @@ from doo_ti import (
     sensitivity,
     simulate,
     start_configuration,
+    straight_rod,
     sweep,
     turn_hypotheses,
 )
@@ -172,6 +175,14 @@ def seen(path: Path, images: Sequence[np.ndarray], material: Material) -> np.nda
     scores: Score = score(found.vertices, maps, 0, rig, 1.0, material)
     print(Reprojection(maps, rig, 1.0).count)
     return scores.total
+
+
+def hung(material: Material) -> np.ndarray:
+    ropes, held = hanging(1000.0, 40, [0, 0, 0], np.array([[300.0, 0, 0], [600, 0, 0]]), clamp=Clamp.TANGENT)
+    rod: Configuration = straight_rod(300.0, 30, direction=(0, 0, 1))
+    cantilever: Clamps = end_clamps(rod, Clamp.FRAME, Clamp.FREE)
+    assert relax(rod, material, cantilever).converged.all()
+    return relax(ropes, material, held).energy
 
 
 def at_rest(stills: Stills, motion: RecordedMotion, theta: MotionTheta) -> np.ndarray:

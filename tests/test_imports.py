@@ -17,7 +17,7 @@ LAYERS = [
     {"frames", "physical_units"},
     {"material"},
     {"types"},
-    {"grid"},
+    {"grid", "rods"},
     {"io"},
     {"kernel_cache"},
     {"physics", "runtime", "contact"},

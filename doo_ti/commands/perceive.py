@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.commands import options as given
-from doo_ti.commands.results import counted, report, save_arrays, shortened
+from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened
 from doo_ti.commands.seen_rods import RECORDED, PerceptionTask, perception_task
 from doo_ti.errors import InputError
 from doo_ti.io.files import write_whole
@@ -32,7 +32,8 @@ def declare(add) -> None:
     parser.add_argument("--sets", metavar="SETS.csv", help="many sets of images with their seeds, instead of IMAGEs")
     parser.add_argument("--seed-point", metavar="X,Y,Z", help="start v⁰ of the rod in a single set, mm")
     parser.add_argument("--seed-direction", metavar="X,Y,Z", help="direction e⁰ of the rod at its start in a single set")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write; F.png and F.rrd are written beside it")
+    parser.add_argument("--out", required=True, metavar="F.npz|F.csv",
+                        help="file to write; F.png and F.rrd are written beside it")
     given.add_material(parser, "one number each; perceived rods are round")
     search = parser.add_argument_group("search")
     search.add_argument("--nu", metavar="NU", help="weight ν of the images against the rod's energy, in 1/(mm px²) "
@@ -52,7 +53,7 @@ def declare(add) -> None:
 
 def run(options: Namespace, words: list[str]) -> int:
     """Alg. 1 on every set of images; writes rods and runners-up, and prints the verdict of each set."""
-    out = given.output_file(options.out, ".npz")
+    out = given.output_file(options.out, RODS)
     task = perception_task(options)
     sources = [options.rig, options.sets, options.truth, *(path for line in task.sets.paths for path in line)]
     for path in (out, *(given.output_file(out.with_suffix(suffix), suffix) for suffix in (".png", ".rrd"))):

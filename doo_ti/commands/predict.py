@@ -7,14 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import add_dynamic, curved, is_dynamic, losses, stepping
-from doo_ti.commands.results import counted, report, save_arrays, shortened
+from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened
 from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion
 from doo_ti.io.files import write_whole
 from doo_ti.io.motion_file import ClampPath, load_path
-from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.observations import Observations
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.learning.objective import status_counts
 from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
@@ -39,6 +40,7 @@ class _Task:
     names  R of the rods, material by material
     theta  columns of the file that state the G materials
     marks  (N, V, 3) mm, observed; None where nothing was
+    loaded lines about the observations
     """
 
     name: str
@@ -53,14 +55,15 @@ class _Task:
     marks: np.ndarray | None = None
     dynamics: object = None  # Dynamics of rods with inertia
     stepping: object = None  # Stepping, with them
+    loaded: tuple[str, ...] = ()
 
 
 def declare(add) -> None:
     parser = given.command(add, "predict", run, "predict the shapes of rods whose clamps move (§III-D)")
     parser.add_argument("source", metavar="OBS|SCENE.toml",
-                        help="observations the rods start from: .npz, .csv or .parquet; or a scene of motion")
+                        help=f"observations the rods start from: {loading.FORMATS}; or a scene of motion")
     parser.add_argument("--motion", metavar="PATH", help="poses of the clamps over time: .npz or .csv")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
     given.add_material(parser, "a number or LO:HI:N[:log|:lin]: all materials of the grid at once", given.SHAPE_ONLY)
     parser.add_argument("--relative", action="store_true",
                         help="apply the motion relative to each observation's own clamps, instead of as absolute poses")
@@ -70,7 +73,7 @@ def declare(add) -> None:
     parser.add_argument("--sub-step", metavar="DEG",
                         help="largest rotation of a clamp in one sub-step; rods are relaxed after each (default 5)")
     given.add_clamps(parser)
-    given.add_up(parser)
+    loading.add_loading(parser)
     add_dynamic(parser, "moments of the motion per second (default: by its times)")
     parser.add_argument("--precision", choices=PRECISIONS, default="mixed",
                         help="floating-point arithmetic of the stored steps (default mixed)")
@@ -80,7 +83,7 @@ def declare(add) -> None:
 
 def run(options: Namespace, words: list[str]) -> int:
     """Carry all rods along the motion; writes them at its moments and prints where they jumped."""
-    out = given.output_file(options.out, ".npz")
+    out = given.output_file(options.out, RODS)
     pictures = {suffix: None if text is None else given.output_file(text, suffix, option)
                 for suffix, text, option in (
                     (".png", options.picture, "--picture"), (".rrd", options.recording, "--recording"))}
@@ -102,10 +105,10 @@ def run(options: Namespace, words: list[str]) -> int:
     result = _arrays(task, prediction)
     for path in filter(None, pictures.values()):
         path.parent.mkdir(parents=True, exist_ok=True)
-    save_arrays(out, result)
+    save_arrays(out, result, ("moment", "rod"))
     _draw(task, prediction, result, pictures)
     report(options, _summary(task, prediction, result, out),
-           lambda: [*_lines(task, prediction, result), f"  written to {in_line(out)}"])
+           lambda: [*_lines(task, prediction, result), *task.loaded, f"  written to {in_line(out)}"])
     return 0 if prediction.followed[-1].any() else 1
 
 
@@ -145,7 +148,7 @@ def _sub_step(options: Namespace) -> float:
 def _scene(options: Namespace) -> _Task:
     from doo_ti.io.motion_scene import load_motion_scene
 
-    for name in ("motion", "theta", *given.MATERIAL, "clamp_start", "clamp_end"):
+    for name in ("motion", "theta", *given.MATERIAL, "clamp_start", "clamp_end", *loading.OF_FILES):
         if getattr(options, name) is not None:
             raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", "given, but the scene has it",
                              "leave it out, or give observations")
@@ -162,8 +165,8 @@ def _scene(options: Namespace) -> _Task:
 def _observed(options: Namespace, out: Path) -> _Task:
     if options.motion is None:
         raise InputError(given.SOURCE, "--motion", "missing", "name a file of poses, or give a scene of motion")
-    grid, up = given.grid(options), given.up(options)
-    observations = load_observations(options.source, up)
+    grid = given.grid(options)
+    observations = loading.load(options, options.source)
     for source in (options.source, options.motion):
         given.refuse_overwriting(out, source)
     path = load_path(Path(options.motion))
@@ -176,13 +179,15 @@ def _observed(options: Namespace, out: Path) -> _Task:
     clamps = observation_clamps(observations, *given.clamps(options))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], 0.0)
     path = path.relative_to(clamps) if options.relative else path
+    loading.warn(observations)
     _check_reach(path, clamps, float(observations.rest_length.sum()))
     materials = curved(options, grid.materials(), observations.rest_length, options.dynamic)
     start = _settled(observations, clamps, materials)
     cells, rows = np.divmod(np.arange(materials.count * observations.count), observations.count)
     names = [f"cell {cell}, " * (materials.count > 1) + f"observation {row}" for cell, row in zip(cells, rows, strict=True)]
     return _Task(observations.name, start, clamps, path, materials, names, grid.cell_values(), 1, observations.up,
-                 np.where(observations.valid[..., None], observations.vertices, np.nan))
+                 np.where(observations.valid[..., None], observations.vertices, np.nan),
+                 loaded=(loading.rod_line(observations),))
 
 
 def _check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import add_dynamic
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
-from doo_ti.commands.results import report, save_arrays
+from doo_ti.commands.results import RODS, report, save_arrays
 from doo_ti.commands.seen_rods import TrackingTask, tracking_task
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.terminal import in_line, progress
@@ -26,7 +26,7 @@ def declare(add) -> None:
     given.add_seen_rod(parser)
     parser.add_argument("--frames", required=True, metavar="FRAMES.csv",
                         help="columns frame, one of images per camera, time_s (optional), and the seed: seed_x … dir_z")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write; F.rrd is written beside it")
+    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write; F.rrd is written beside it")
     given.add_material(parser, "one number each; tracked rods are round")
     parser.add_argument("--motion", metavar="PATH", help="poses of the far clamp, one moment for each frame: .npz or .csv")
     given.add_thread(parser)
@@ -36,7 +36,7 @@ def declare(add) -> None:
 
 def run(options: Namespace, words: list[str]) -> int:
     """Track the rod from frame to frame; writes it, and prints where it was lost and found again."""
-    out = given.output_file(options.out, ".npz")
+    out = given.output_file(options.out, RODS)
     for source in filter(None, (options.frames, options.motion, options.rest_length)):
         given.refuse_overwriting(out, source)
     task = tracking_task(options)

@@ -160,8 +160,9 @@ class Landscape(Summed):
         return {name: column[cell] for name, column in columns.items()}
 
 
-def read_landscape(run: Path) -> Landscape:
+def read_landscape(run: Path | str) -> Landscape:
     """The landscape in the folder of a finished sweep. Raises InputError where it holds none."""
+    run = Path(run)
     summary = read_summary(run)
     check_cells(run, changed_files(run, summary))
     grid = Grid.from_dict(summary.get("grid"), str(run / "summary.json"))

@@ -58,7 +58,7 @@ def swept(monkeypatch) -> list:
         calls.append((run, observations, grid, options, command))
         write_run(run, grid, np.linspace(2, 1, grid.size)[:, None] + np.zeros(observations.count), observations.name)
         return {**gather_overview(run, grid, observations.name, None).as_dict(), "gaps": [np.nan], "hypotheses": None,
-                "timing": {"relaxed_rods": 50, "relaxation_s": 0.5}}
+                "timing": {"relaxed_rods": 50, "loading_s": 0.2, "relaxation_s": 0.5}}
 
     monkeypatch.setitem(sys.modules, "doo_ti.learning.sweeps", types.SimpleNamespace(sweep=sweep))
     return calls
@@ -104,7 +104,7 @@ def test_sweep_of_several_sources(capsys, tmp_path, swept):
     assert main(argv) == 0
     assert [call[0] for call in swept] == [tmp_path / "runs" / "good", tmp_path / "runs" / "silk"]
     out = capsys.readouterr().out
-    assert "100 rods in" in out and "100 rods/s, loading the kernels included" in out and "MB of memory" in out
+    assert "100 rods in" in out and "0.4 s to load" in out and "100 rods/s" in out and "MB of memory" in out
     assert main([*argv[:-1], str(tmp_path / "again"), "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)) == 2
     assert main(["sweep", sources[0], *argv[1:]]) == 2

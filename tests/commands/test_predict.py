@@ -120,7 +120,7 @@ def test_a_rod_that_is_lost_is_reported(folder, capsys):
 @pytest.mark.parametrize("more, printed", [
     ([], "--motion"), (["--motion", "none.npz"], "none.npz"), (["--motion", "turn.csv", "--between", "0"], "--steps-between"),
     (["--motion", "turn.csv", "--sub-step", "90"], "--sub-step"), (["--motion", "turn.csv", "--sub-step", "x"], "--sub-step"),
-    (["--motion", "turn.csv", "--out", "f.csv"], "--out"),
+    (["--motion", "turn.csv", "--out", "f.txt"], "--out"),
     (["--motion", "turn.csv", "--steps-between", "100000000"], "--steps-between"),
     (["--motion", "turn.csv", "--recording", "f.png"], "ends in .rrd"), (["--motion", "turn.csv", "--bend", "-1"], "--bend"),
     (["--motion", "metres.npz"], "moment 1: the clamps are 9e+04 mm apart"),
