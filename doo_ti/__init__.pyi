@@ -1,3 +1,10 @@
+from doo_ti.contact.obstacles import Box as Box
+from doo_ti.contact.obstacles import Capsule as Capsule
+from doo_ti.contact.obstacles import Cylinder as Cylinder
+from doo_ti.contact.obstacles import Obstacle as Obstacle
+from doo_ti.contact.obstacles import Plane as Plane
+from doo_ti.contact.obstacles import Ring as Ring
+from doo_ti.contact.obstacles import Sphere as Sphere
 from doo_ti.dynamics.grippers import Grippers as Grippers
 from doo_ti.dynamics.identify import Identified as Identified
 from doo_ti.dynamics.identify import IdentifyOptions as IdentifyOptions

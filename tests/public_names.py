@@ -9,11 +9,14 @@ import numpy as np
 import doo_ti
 from doo_ti import (
     Axis,
+    Box,
     Camera,
+    Capsule,
     Clamp,
     ClampPath,
     Clamps,
     Configuration,
+    Cylinder,
     Descent,
     Detection,
     DetectionOptions,
@@ -41,19 +44,23 @@ from doo_ti import (
     Newton,
     Observations,
     Observed,
+    Obstacle,
     Pairs,
     Perception,
     PerceptionOptions,
     PerceptionVerdict,
+    Plane,
     Prediction,
     RecordedMotion,
     Refinement,
     RefinementOptions,
     Reprojection,
     Rig,
+    Ring,
     Score,
     Sensitivity,
     Solution,
+    Sphere,
     Springs,
     Status,
     Stepping,
@@ -114,6 +121,10 @@ def relaxed(observations: Observations) -> Solution:
     places, frames = np.zeros((2, 3)), np.zeros((2, 3, 3))
     held = Clamps(Clamp.FRAME, np.array([2, 3]), places, places, frames, frames)
     relax(solution, Material.from_physical(1e-6, [1e-6, 2e-6], 0.01), held, Newton.careful(), material_index=[0, 1])
+    about: list[Obstacle] = [
+        Plane((0, 0, -20), (0, 0, 1), friction=0.3), Sphere((10, 0, -5), 2.0), Capsule((0, -9, -9), (0, 9, -9), 2.0),
+        Cylinder((0, -9, -9), (0, 9, -9), 2.0), Box((0, 0, -40), (9, 9, 9)), Ring((0, 0, -9), (1, 0, 0), 9.0, 1.0)]
+    relax(start, material, clamps, obstacles=about, radius=0.5)
     relax(start, Material.diagonal(1e5, 2e5, 1e5), clamps, Descent(), external=Springs(np.zeros((1, 9, 3)), np.zeros((1, 9))))
     best = choose_hypothesis(index, distance(solution.configuration, observations, index), solution.converged)
     assert_type(solution.configuration.curvature, np.ndarray)

@@ -99,6 +99,5 @@ def test_arguments_are_of_public_types():
         if name in others or isinstance(thing, enum.EnumMeta):
             continue
         for argument in inspect.signature(thing).parameters.values():
-            own = {one for one in classes(argument.annotation) if one.__module__.startswith("doo_ti.")
-                   and "contact" not in one.__module__}  # obstacles are not public yet
+            own = {one for one in classes(argument.annotation) if one.__module__.startswith("doo_ti.")}
             assert not own - public, f"{name}: {argument.name} is of {own - public}"

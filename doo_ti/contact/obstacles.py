@@ -6,9 +6,10 @@ All lengths are in mm. Every field may have one row for all rods or, with a lead
 """
 
 from dataclasses import dataclass, fields, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.errors import InputError, real_array
 
@@ -108,6 +109,9 @@ class Plane(Obstacle):
     kind: ClassVar[int] = PLANE
     shapes: ClassVar[dict] = {"point": (3,), "normal": (3,), "friction": ()}
 
+    if TYPE_CHECKING:
+        def __init__(self, point: ArrayLike, normal: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
+
     def _check(self):
         _require_direction("Plane", "normal", self.normal)
 
@@ -130,6 +134,9 @@ class Sphere(Obstacle):
     shapes: ClassVar[dict] = {"centre": (3,), "radius": (), "friction": ()}
     positive: ClassVar[tuple] = ("radius",)
 
+    if TYPE_CHECKING:
+        def __init__(self, centre: ArrayLike, radius: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
+
     def placed(self):
         return self.centre, np.eye(3)[None], np.stack([self.radius, 0 * self.radius, 0 * self.radius], -1), self.radius
 
@@ -148,6 +155,9 @@ class _Rod(Obstacle):
     friction: np.ndarray = 0.0
     shapes: ClassVar[dict] = {"start": (3,), "end": (3,), "radius": (), "friction": ()}
     positive: ClassVar[tuple] = ("radius",)
+
+    if TYPE_CHECKING:
+        def __init__(self, start: ArrayLike, end: ArrayLike, radius: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
 
     def _check(self):
         _require_direction(type(self).__name__, "end", self.end - self.start, "at the start")
@@ -203,6 +213,10 @@ class Ring(Obstacle):
     shapes: ClassVar[dict] = {"centre": (3,), "axis": (3,), "radius": (), "thickness": (), "friction": ()}
     positive: ClassVar[tuple] = ("radius", "thickness")
 
+    if TYPE_CHECKING:
+        def __init__(self, centre: ArrayLike, axis: ArrayLike, radius: ArrayLike, thickness: ArrayLike,
+                     friction: ArrayLike = 0.0) -> None: ...
+
     def _check(self):
         _require_direction("Ring", "axis", self.axis)
         if (self.thickness >= self.radius).any():
@@ -230,6 +244,10 @@ class Box(Obstacle):
     kind: ClassVar[int] = BOX
     shapes: ClassVar[dict] = {"centre": (3,), "size": (3,), "rotation": (3, 3), "friction": ()}
     positive: ClassVar[tuple] = ("size",)
+
+    if TYPE_CHECKING:
+        def __init__(self, centre: ArrayLike, size: ArrayLike, rotation: ArrayLike = np.eye(3),
+                     friction: ArrayLike = 0.0) -> None: ...
 
     def _check(self):
         off = np.abs(np.swapaxes(self.rotation, -1, -2) @ self.rotation - np.eye(3)).max()
