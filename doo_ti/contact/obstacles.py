@@ -156,9 +156,6 @@ class _Rod(Obstacle):
     shapes: ClassVar[dict] = {"start": (3,), "end": (3,), "radius": (), "friction": ()}
     positive: ClassVar[tuple] = ("radius",)
 
-    if TYPE_CHECKING:
-        def __init__(self, start: ArrayLike, end: ArrayLike, radius: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
-
     def _check(self):
         _require_direction(type(self).__name__, "end", self.end - self.start, "at the start")
 
@@ -176,6 +173,9 @@ class Capsule(_Rod):
 
     kind: ClassVar[int] = CAPSULE
 
+    if TYPE_CHECKING:
+        def __init__(self, start: ArrayLike, end: ArrayLike, radius: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
+
     @staticmethod
     def local_distance(local, sizes):
         axial = local[..., 2] - np.clip(local[..., 2], -sizes[..., 1], sizes[..., 1])
@@ -187,6 +187,9 @@ class Cylinder(_Rod):
     """A cylinder with flat ends, whose axis goes from ``start`` (3,) to ``end`` (3,): a peg."""
 
     kind: ClassVar[int] = CYLINDER
+
+    if TYPE_CHECKING:
+        def __init__(self, start: ArrayLike, end: ArrayLike, radius: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
 
     @staticmethod
     def local_distance(local, sizes):
