@@ -13,6 +13,8 @@ PAPER.md, in the folder of this file, names the code of each equation of the pap
 """
 
 import os
+import re
+from pathlib import Path
 
 __version__ = "0.1.0"
 
@@ -25,26 +27,9 @@ if os.name == "posix" and not {"HOME", "XDG_CACHE_HOME"} & os.environ.keys():
     _home = os.path.expanduser("~")
     os.environ["XDG_CACHE_HOME"] = f"{_home}/.cache" if os.path.isabs(_home) else os.devnull
 
-_HOMES = {
-    "Clamp": "types", "Clamps": "types", "Configuration": "types", "Material": "types", "Solution": "types",
-    "Status": "types", "InputError": "errors", "Observations": "io.observations", "load_observations": "io.observations",
-    "save_observations": "io.observations", "observation_clamps": "start", "start_configuration": "start",
-    "turn_hypotheses": "start", "choose_hypothesis": "start", "Grid": "grid", "Axis": "grid", "distance": "metric",
-    "Newton": "relaxation.newton", "Descent": "relaxation.descent", "relax": "relaxation.relax",
-    "Springs": "relaxation.external", "Plane": "contact.obstacles", "Sphere": "contact.obstacles",
-    "Capsule": "contact.obstacles", "Cylinder": "contact.obstacles", "Ring": "contact.obstacles", "Box": "contact.obstacles",
-    "load_obstacles": "contact.obstacle_file",
-    "sweep": "learning.sweeps", "SweepOptions": "learning.experiment", "read_landscape": "learning.landscape",
-    "refine": "refinement.refine", "predict": "prediction.predict", "predict_step": "prediction.predict",
-    "predict_moving": "prediction.moving",
-    "load_rig": "vision.cameras.rig", "detect": "vision.detection.detect", "distance_maps": "vision.reprojection.distance_map",
-    "Reprojection": "vision.reprojection.image_energy", "score": "vision.reprojection.score", "perceive": "perception.perceive",
-    "estimate_twist": "twist.estimation",
-    "simulate": "dynamics.simulate", "Trajectory": "dynamics.simulate", "Dynamics": "dynamics.parameters",
-    "Stepping": "dynamics.parameters", "MovingStart": "dynamics.parameters",
-    "Grippers": "dynamics.grippers", "RecordedMotion": "dynamics.recorded", "identify": "dynamics.identify",
-    "IdentifyOptions": "dynamics.identify", "MotionTheta": "dynamics.theta", "load_theta": "dynamics.theta",
-}
+_HOMES = {name: module for module, name in re.findall(
+    r"^from (\S+) import (\w+)", Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8"), re.MULTILINE)}
+"""The module of each public name: those that ``__init__.pyi``, which type checkers read, imports."""
 __all__ = sorted(_HOMES)
 
 
@@ -54,7 +39,7 @@ def __getattr__(name: str):
         raise AttributeError(f"module 'doo_ti' has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(f"doo_ti.{_HOMES[name]}"), name)
+    return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:

@@ -31,6 +31,7 @@ from doo_ti.commands import (
     twist,
     view,
 )
+from doo_ti.commands.help_text import nearest, overview
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.runtime import check_architecture
 from doo_ti.terminal import VisibleStream, visible
@@ -56,6 +57,16 @@ class _Parser(argparse.ArgumentParser):
         if error.field in names and not os.path.lexists(error.source):
             return InputError("command line", names[error.field], problem, remedy)
         return InputError(error.source, error.field, problem, remedy)
+
+
+    def options(self) -> list[str]:
+        """The names of this command's options."""
+        return [name for action in self._actions for name in action.option_strings if action.help != argparse.SUPPRESS]
+
+    def meanings(self) -> dict[str, str]:
+        """Of the program: its commands, and what each does."""
+        commands = next(action for action in self._actions if isinstance(action, argparse._SubParsersAction))
+        return {choice.dest: choice.help for choice in commands._choices_actions}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -84,6 +95,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(argv: list[str]) -> int:
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it warns where it cannot store its fonts
     parser = _parser()
+    if argv[:1] == ["help"] and len(argv) > 1 and argv[1] != "help":
+        argv = [*argv[1:2], "--help"]
+    meanings = parser.meanings()
+    if not argv or argv[0] in ("help", "-h", "--help"):
+        print(overview(meanings))
+        return 0
+    if not argv[0].startswith("-") and argv[0] not in meanings:
+        meant = nearest(argv[0], meanings)
+        remedy = f"did you mean {meant}? See doo-ti help" if meant else "see doo-ti help"
+        raise InputError("doo-ti", argv[0], "unknown command", remedy)
     try:
         options, unknown = parser.parse_known_args(_joined(argv))
     except SystemExit as stop:  # --help
@@ -91,8 +112,9 @@ def _run(argv: list[str]) -> int:
     if unknown:
         option = next((word for word in unknown if word.startswith("-")), unknown[0])
         kind = "unknown option" if option.startswith("-") else "unexpected argument"
-        prog = f"{parser.prog} {options.command}"
-        raise InputError(prog, option.split("=")[0], kind, f"see {prog} --help")
+        prog, word = f"{parser.prog} {options.command}", option.split("=")[0]
+        meant = nearest(word, options.parser.options()) if word.startswith("--") else None
+        raise InputError(prog, word, kind, f"did you mean {meant}? See {prog} --help" if meant else f"see {prog} --help")
     check_architecture()
     try:
         return options.run(options, ["doo-ti", *argv])

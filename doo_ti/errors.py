@@ -21,10 +21,13 @@ class InputError(ValueError):
     """
 
     def __init__(self, source: str, field: str, problem: str, remedy: str):
-        self.source, self.field, self.problem, self.remedy = str(source), str(field), problem, remedy
+        self.source: str = str(source)
+        self.field: str = str(field)
+        self.problem: str = problem
+        self.remedy: str = remedy
         super().__init__(" ".join(f"{source}: {field}: {problem}; {remedy}".split()))
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[type, tuple[str, str, str, str]]:
         """Its parts, so that it can be sent from one process to another."""
         return type(self), (self.source, self.field, self.problem, self.remedy)
 

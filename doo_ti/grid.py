@@ -4,10 +4,13 @@ Axes: G grid cells. Bend and twist in mm³, weight relative (footnote 6).
 """
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.errors import InputError
+from doo_ti.short_repr import short_repr
 from doo_ti.types import LARGEST, Material
 
 # Axis name: unit, in the order in which a grid's axes run.
@@ -20,11 +23,16 @@ _FORM = "give a number or LO:HI:N[:log|:lin], such as 5e4:1e7:25"
 class Axis:
     """One parameter's values: ``name`` from UNITS, ``values`` (n,) increasing, ``log`` if spaced by factors."""
 
+    __repr__ = short_repr
+
     name: str
     values: np.ndarray
     log: bool = True
 
-    def __post_init__(self):
+    if TYPE_CHECKING:  # what it takes; the field is the array that it makes of it
+        def __init__(self, name: str, values: ArrayLike, log: bool = True) -> None: ...
+
+    def __post_init__(self) -> None:
         values = np.atleast_1d(np.array(self.values, dtype=np.float64))
         values.setflags(write=False)
         object.__setattr__(self, "values", values)
@@ -59,7 +67,7 @@ class Grid:
     bend_12: float = 0.0
     source: str = field(default="grid", compare=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         axes = {axis.name: axis for axis in self.axes}
         _check_names(self.source, [axis.name for axis in self.axes])
         if "twist" not in axes and "twist_ratio" not in axes:

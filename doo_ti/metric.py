@@ -7,6 +7,7 @@ Missing marks are left out: the first sum then runs over the valid marks and div
 
 import numpy as np
 import taichi as ti
+from numpy.typing import ArrayLike
 
 from doo_ti import runtime
 from doo_ti.errors import InputError
@@ -16,7 +17,8 @@ from doo_ti.types import Configuration
 
 
 @runtime.exclusive
-def distance(configuration: Configuration, observations: Observations, index=None, frame_weight: float = 0.0) -> np.ndarray:
+def distance(configuration: Configuration, observations: Observations, index: ArrayLike | None = None,
+             frame_weight: float = 0.0) -> np.ndarray:
     """(R,) Eq. 1 in mm between each rod and the observation it belongs to.
 
     index         (R,) row of ``observations`` for each rod; by default one to one

@@ -6,11 +6,13 @@ threads is not cut into blocks.
 """
 
 import os
+from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
 from functools import wraps
 from io import StringIO
 from pathlib import Path
 from threading import RLock
+from typing import ParamSpec, TypeVar
 
 from doo_ti.errors import InputError
 from doo_ti.kernel_cache import kernel_folder
@@ -21,6 +23,9 @@ KERNELS = "TI_OFFLINE_CACHE_FILE_PATH"
 """The environment variable with the folder of Taichi's compiled kernels."""
 TASKS = Path("/proc/self/task")
 """Where Linux lists the threads of a process."""
+
+_Arguments = ParamSpec("_Arguments")
+_Result = TypeVar("_Result")
 
 _architecture: str | None = None
 _begun = False
@@ -75,11 +80,11 @@ def check_architecture(architecture: str | None = None) -> str:
     return architecture
 
 
-def exclusive(function):
+def exclusive(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
     """``function``, which uses kernels, for one Python thread at a time: Taichi compiles for one only, and calls share the
     kernels' memory. A call takes all processors by itself."""
     @wraps(function)
-    def alone(*arguments, **options):
+    def alone(*arguments: _Arguments.args, **options: _Arguments.kwargs) -> _Result:
         _refuse_forked()
         with _one_at_a_time:
             return function(*arguments, **options)

@@ -3,6 +3,14 @@
 Names of materials, files and cameras come from others; an escape sequence in one could clear the screen or forge a line.
 """
 
+import sys
+import threading
+import time
+from contextlib import contextmanager
+
+LINE_SECONDS = 30.0
+"""Between two lines of a long run whose standard error is no terminal."""
+
 
 def visible(text: str) -> str:
     """``text`` with control characters, and those that turn the direction of writing, as ``\\x1b``; line ends stay."""
@@ -30,17 +38,44 @@ class VisibleStream:
         return getattr(self._stream, name)
 
 
+def warn(text: str) -> None:
+    """Print a warning on standard error, in one line."""
+    print(f"doo-ti: warning: {in_line(text)}", file=sys.stderr)
+
+
 def busy(doing: str):
-    """A context in which a terminal shows the current step."""
+    """A context in which a terminal shows the current step; elsewhere a line is printed every :data:`LINE_SECONDS`."""
     from rich.console import Console
     from rich.text import Text
 
-    return Console(stderr=True).status(Text(visible(doing)))  # as Text: [markup] in a string would be obeyed
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        return _lines_meanwhile(doing)
+    return console.status(Text(visible(doing)))  # as Text: [markup] in a string would be obeyed
+
+
+@contextmanager
+def _lines_meanwhile(doing: str):
+    ended = threading.Event()
+
+    def report() -> None:
+        began = time.monotonic()
+        while not ended.wait(LINE_SECONDS):
+            print(f"{in_line(doing)}: {time.monotonic() - began:.0f} s so far", file=sys.stderr, flush=True)
+
+    thread = threading.Thread(target=report, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 def progress(*, keep: bool = False):
     """A progress bar on standard error as a context: how much of how much is done, the rate and the time left. Work is added
-    with ``bar.add_task("growth", total=320, unit="edges")``.
+    with ``bar.add_task("growth", total=320, unit="edges")``. Where standard error is no terminal, a line reports every
+    :data:`LINE_SECONDS` instead.
 
     keep  True: the last state of the bar stays, also in a file. False: it is shown on a terminal only, and removed at the end
 
@@ -62,6 +97,29 @@ def progress(*, keep: bool = False):
         def render(self, task) -> Text:
             return Text(visible(task.description))
 
+    class Lines(Progress):
+        """Reports in lines where there is no terminal."""
+
+        reported = time.monotonic()
+
+        def update(self, task_id, **changes) -> None:
+            super().update(task_id, **changes)
+            self.report(task_id)
+
+        def advance(self, task_id, advance=1) -> None:
+            super().advance(task_id, advance)
+            self.report(task_id)
+
+        def report(self, task_id) -> None:
+            now = time.monotonic()
+            if not console.is_terminal and now - self.reported >= LINE_SECONDS:
+                self.reported = now
+                task = next(task for task in self.tasks if task.id == task_id)
+                of_all = "" if task.total is None else f" of {task.total:,.0f}"
+                left = "" if task.time_remaining is None else f", about {task.time_remaining:.0f} s left"
+                print(f"{in_line(task.description)}: {task.completed:,.0f}{of_all} {task.fields['unit']}{left}",
+                      file=sys.stderr, flush=True)
+
     console = Console(stderr=True)
     columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[unit]}"), Rate(), TimeRemainingColumn()
-    return Progress(Description(), *columns, console=console, transient=not keep, disable=not (keep or console.is_terminal))
+    return Lines(Description(), *columns, console=console, transient=not keep, disable=not (keep or console.is_terminal))

@@ -11,15 +11,25 @@ bend and twist come out in mm³ (footnote 6: only ratios of the parameters matte
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.errors import InputError, real_array
-from doo_ti.frames import across, bishop_frames, matrix_from_quaternion, quaternion_from_matrix, vertices_from_quaternions
-from doo_ti.physical_units import bend_or_twist, force_in_newton
+from doo_ti.frames import (
+    across,
+    bishop_frames,
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    tangent_from_quaternion,
+    vertices_from_quaternions,
+)
+from doo_ti.material import LARGEST, Material, Rows
+from doo_ti.physical_units import force_in_newton
+from doo_ti.short_repr import counted, span_text
 
-LARGEST = 1e30
-"""Upper bound of all inputs: squares of larger numbers overflow in f32 or f64 arithmetic."""
+__all__ = ["LARGEST", "Clamp", "Clamps", "Configuration", "Material", "Rows", "Solution", "Status", "sticky", "unit_up"]
 
 
 class Status(IntEnum):
@@ -41,116 +51,18 @@ class Status(IntEnum):
 
 
 class Clamp(IntEnum):
-    """Constraint of one end of a rod (§III-B): none; its position; position and tangent; position and frame."""
+    """Constraint of one end of a rod (§III-B).
+
+    FREE      none
+    POSITION  the end vertex, as by a ball joint
+    TANGENT   the end vertex and the direction of the end edge, which may roll
+    FRAME     the end vertex and the whole frame of the end edge, as by a gripper
+    """
 
     FREE = 0
     POSITION = 1
     TANGENT = 2
     FRAME = 3
-
-
-@dataclass(frozen=True)
-class Material:
-    """Θ = (B, β, μ) of §III-C for R materials; scalars broadcast.
-
-    bend            B in mm³: a scalar α (isotropic, B = αI) or (R,) of them; or symmetric positive
-                    definite matrices (2, 2), (R, 2, 2) or, edge by edge, (R, E, 2, 2)
-    twist           β in mm³: scalar, (R,), or per inner vertex (R, E−1)
-    weight          μ: scalar or (R,); the weight per length of the rod is 2 μ
-    rest_curvature  ω̄ in 1/mm, components (κb·m2, −κb·m1)/(l̄/2): None (straight at rest), (2,), (R, 2) or, per inner
-                    vertex, (R, E−1, 2)
-
-    After construction the arrays have the shapes (R, 1 or E, 2, 2), (R, 1 or E−1), (R,) and
-    None or (R, 1 or E−1, 2), R being 1 where everything broadcasts.
-
-    Raises InputError for a B that is not symmetric positive definite, a β that is not positive, a negative μ, or shapes that
-    do not match.
-    """
-
-    bend: np.ndarray
-    twist: np.ndarray
-    weight: np.ndarray = 1.0
-    rest_curvature: np.ndarray | None = None
-
-    def __post_init__(self):
-        bend = _finite("bend", self.bend)
-        if bend.ndim <= 1:
-            bend = bend.reshape(-1, 1, 1, 1) * np.eye(2)
-        elif bend.ndim == 2:
-            bend = bend[None, None]
-        elif bend.ndim == 3:
-            bend = bend[:, None]
-        twist = _finite("twist", self.twist)
-        twist = twist.reshape(-1, 1) if twist.ndim <= 1 else twist
-        if twist.ndim != 2:
-            raise InputError("material", "twist", f"shape {twist.shape}", "give β, (R,) or (R, E-1)")
-        weight = _finite("weight", self.weight).reshape(-1)
-        rest = self.rest_curvature
-        if rest is not None:
-            rest = _finite("rest_curvature", rest)
-            rest = {1: rest[None, None] if rest.ndim == 1 else None, 2: rest[:, None] if rest.ndim == 2 else None}.get(
-                rest.ndim, rest
-            )
-            if rest.ndim != 3 or rest.shape[-1] != 2:
-                raise InputError("material", "rest_curvature", f"shape {rest.shape}", "give (2,), (R, 2) or (R, E-1, 2)")
-        _check_bend(bend)
-        if (twist <= 0).any():
-            raise InputError("material", "twist", f"{twist.min():g} is not positive", "give a positive twist in mm³")
-        if (weight < 0).any():
-            raise InputError("material", "weight", f"{weight.min():g} is negative", "give zero or a positive weight")
-        count = max(len(a) for a in (bend, twist, weight, rest) if a is not None)
-        if not all(len(a) for a in (bend, twist, weight, rest) if a is not None):
-            raise InputError("material", "bend, twist, weight", "no rows", "give at least one material")
-        if any(len(a) not in (1, count) for a in (bend, twist, weight, rest) if a is not None):
-            raise InputError("material", "bend, twist, weight", "leading lengths differ", "give one value or one per rod")
-        for name, value in (("bend", bend), ("twist", twist), ("weight", weight), ("rest_curvature", rest)):
-            if value is not None:
-                value = np.array(np.broadcast_to(value, (count, *value.shape[1:])))
-                value.setflags(write=False)
-            object.__setattr__(self, name, value)
-
-    @classmethod
-    def diagonal(cls, bend_1, bend_2, twist, weight=1.0) -> "Material":
-        """B = diag(bend_1, bend_2) along the material frame: bend_1 weighs bending about m2, bend_2 about m1."""
-        first, second = np.atleast_1d(_finite("bend_1", bend_1), _finite("bend_2", bend_2))
-        if first.ndim != 1 or second.ndim != 1 or (len(first) != len(second) and 1 not in (len(first), len(second))):
-            shapes = f"shapes {first.shape}, {second.shape}"
-            raise InputError("material", "bend_1, bend_2", shapes, "give one value or one per rod")
-        first, second = np.broadcast_arrays(first, second)
-        return cls(first[:, None, None] * np.diag([1.0, 0.0]) + second[:, None, None] * np.diag([0.0, 1.0]), twist, weight)
-
-    @classmethod
-    def from_physical(cls, EI, GJ, weight_per_length) -> "Material":  # noqa: N803  (the field's symbols)
-        """The round rods of stiffness EI and GJ in N m² that weigh ``weight_per_length`` in N/m, scalars or (R,); μ is 1.
-
-        Raises InputError as the class does, and for a rod without weight, which has no stiffness relative to it.
-        """
-        weight = np.atleast_1d(_finite("weight_per_length", weight_per_length))
-        if not (weight > 0).all():
-            raise InputError("material", "weight_per_length", f"{weight.min():g} N/m is not positive",
-                             "give N/m; for a rod without weight give Material(bend, twist, weight=0)")
-        return cls(bend_or_twist(_finite("EI", EI), weight), bend_or_twist(_finite("GJ", GJ), weight))
-
-    @property
-    def count(self) -> int:
-        return len(self.weight)
-
-    def take(self, index) -> "Material":
-        """The rows named by ``index``, in that order and as often."""
-        rest = None if self.rest_curvature is None else self.rest_curvature[index]
-        return Material(self.bend[index], self.twist[index], self.weight[index], rest)
-
-    @property
-    def is_isotropic(self) -> bool:
-        """Uniform B = αI and β along every rod, straight at rest: the case with the shorter formulas."""
-        b = self.bend
-        return bool(
-            self.rest_curvature is None
-            and b.shape[1] == 1
-            and self.twist.shape[1] == 1
-            and (b[..., 0, 1] == 0).all()
-            and (b[..., 0, 0] == b[..., 1, 1]).all()
-        )
 
 
 def sticky(before: np.ndarray, status: np.ndarray) -> np.ndarray:
@@ -185,11 +97,30 @@ class Configuration:
         return vertices_from_quaternions(self.start, self.quaternions, self.rest_length)
 
     @property
+    def curvature_binormal(self) -> np.ndarray:
+        """(R, E−1, 3) curvature at the inner vertices in 1/mm, along the axis about which the rod bends there:
+        κb/(l̄/2) of §III-C."""
+        t = tangent_from_quaternion(self.quaternions)
+        before, after = t[:, :-1], t[:, 1:]
+        both = self.rest_length[..., :-1] + self.rest_length[..., 1:]
+        share = 1.0 + np.sum(before * after, axis=-1)
+        return np.cross(before, after) * (4.0 / (share * both))[..., None]
+
+    @property
+    def curvature(self) -> np.ndarray:
+        """(R, E−1) curvature at the inner vertices, 1/mm: the length of :attr:`curvature_binormal`."""
+        return np.linalg.norm(self.curvature_binormal, axis=-1)
+
+    @property
     def frames(self) -> np.ndarray:
         """(R, E, 3, 3) material frames, columns t, m1, m2."""
         return matrix_from_quaternion(self.quaternions)
 
-    def take(self, index) -> "Configuration":
+    def __repr__(self) -> str:
+        length = span_text(self.rest_length.sum(axis=-1), "mm")
+        return f"Configuration({counted(self.count, 'rod')} of {counted(self.edges, 'edge')}, {length} long)"
+
+    def take(self, index: Rows) -> "Configuration":
         """The rods named by ``index``, in that order."""
         lengths = self.rest_length if self.rest_length.ndim == 1 else self.rest_length[index]
         return Configuration(self.start[index], self.quaternions[index], lengths)
@@ -227,9 +158,17 @@ class Clamps:
     start_frame: np.ndarray
     end_frame: np.ndarray
 
-    def take(self, index) -> "Clamps":
+    if TYPE_CHECKING:  # one kind serves for all rods
+        def __init__(self, start: Clamp | ArrayLike, end: Clamp | ArrayLike, start_position: np.ndarray,
+                     end_position: np.ndarray, start_frame: np.ndarray, end_frame: np.ndarray) -> None: ...
+
+    def __repr__(self) -> str:
+        start, end = (" or ".join(Clamp(kind).name.lower() for kind in np.unique(kinds)) for kinds in (self.start, self.end))
+        return f"Clamps({counted(len(self.start_position), 'rod')}: start {start}, end {end})"
+
+    def take(self, index: Rows) -> "Clamps":
         """The clamps of the rods named by ``index``, in that order."""
-        def pick(kind):
+        def pick(kind: ArrayLike) -> np.ndarray:
             kind = np.asarray(kind)
             return kind if kind.ndim == 0 else kind[index]
         return Clamps(
@@ -251,7 +190,7 @@ class Solution:
     status         (R,) Status
     stable         (R,) True where the inertia of the rod's KKT matrix certifies a minimum, not a saddle. Neutral motions, such
                    as the rotation of a weightless bow about its chord, are allowed
-    end_force      (R, 3) force of the far clamp on the rod where both ends are held, energy (mm²) per mm: the energy
+    end_force      (R, 3) force of the far clamp on the rod where both ends are held, mm (energy in mm² per mm): the energy
                    grows by end_force · d when the clamp moves by d. Zero where an end is free. NaN in a taut rod, one that
                    is straight because its clamps are as far apart as it is long, to 1e-7: its tension is not determined
     precision      (R,) 32 or 64: the arithmetic that finished the rod
@@ -288,12 +227,18 @@ class Solution:
         """(R,) bool."""
         return self.status == Status.CONVERGED
 
-    def end_force_in_newton(self, weight_per_length, weight=1.0) -> np.ndarray:
+    def end_force_in_newton(self, weight_per_length: ArrayLike, weight: ArrayLike = 1.0) -> np.ndarray:
         """(R, 3) ``end_force`` in N, of rods that weigh ``weight_per_length`` in N/m, a scalar or (R, 1), and whose material's
         weight μ is ``weight``."""
         return force_in_newton(self.end_force, weight_per_length, weight)
 
-    def take(self, index) -> "Solution":
+    def __repr__(self) -> str:
+        counts = [f"{count} {Status(kind).name.lower().replace('_', ' ')}"
+                  for kind, count in zip(*np.unique(self.status, return_counts=True), strict=True)]
+        of_edges = f"{counted(len(self.status), 'rod')} of {counted(self.configuration.edges, 'edge')}"
+        return f"Solution({of_edges}: {', '.join(counts)}; {int(self.stable.sum())} certified stable)"
+
+    def take(self, index: Rows) -> "Solution":
         """The rods named by ``index``, in that order, without their input."""
         return Solution(self.configuration.take(index), **{name: value[index] for name, value in self.per_rod.items()})
 
@@ -317,28 +262,9 @@ class Solution:
 _PER_ROD = tuple(entry.name for entry in fields(Solution) if entry.name not in ("configuration", "tables"))
 
 
-def unit_up(up, function: str) -> np.ndarray:
+def unit_up(up: ArrayLike, function: str) -> np.ndarray:
     """(3,) the unit vector along ``up``, an argument of ``function``. Raises InputError where it is not a direction."""
     direction = real_array(function, "up", up, "give a direction of three numbers").astype(np.float64)
     if direction.shape != (3,) or not (np.abs(direction) <= LARGEST).all() or not (length := np.linalg.norm(direction)) > 0:
         raise InputError(function, "up", f"{direction.tolist()}", "give a direction of three finite numbers, not all zero")
     return direction / length
-
-
-def _finite(name: str, value) -> np.ndarray:
-    array = real_array("material", name, value, "give real numbers").astype(np.float64)
-    if not (np.abs(array) <= LARGEST).all():
-        raise InputError("material", name, f"not finite, or beyond {LARGEST:g}", "give finite numbers")
-    return array
-
-
-def _check_bend(bend: np.ndarray) -> None:
-    if not bend.size:
-        raise InputError("material", "bend", "no rows", "give at least one material")
-    if bend.ndim != 4 or bend.shape[-2:] != (2, 2):
-        raise InputError("material", "bend", f"shape {bend.shape}", "give α, (R,), (2, 2), (R, 2, 2) or (R, E, 2, 2)")
-    symmetric = np.abs(bend[..., 0, 1] - bend[..., 1, 0]) <= 1e-12 * np.abs(bend).max()
-    definite = (bend[..., 0, 0] > 0) & (bend[..., 0, 0] * bend[..., 1, 1] > bend[..., 0, 1] * bend[..., 1, 0])
-    if not (symmetric & definite).all():
-        worst = f"{bend[~(symmetric & definite)][0].tolist()} is not symmetric positive definite"
-        raise InputError("material", "bend", worst, "give A1 > 0, A2 > 0, |A12| < sqrt(A1*A2)")

@@ -13,14 +13,15 @@ PACKAGE = ROOT / "doo_ti"
 
 # From the bottom up: a module imports from layers below its own, never from beside it.
 LAYERS = [
-    {"errors", "interruption", "terminal"},
+    {"errors", "interruption", "short_repr", "terminal"},
     {"frames", "physical_units"},
+    {"material"},
     {"types"},
-    {"grid"},
+    {"grid", "rods"},
     {"io"},
     {"kernel_cache"},
-    {"physics", "runtime", "contact"},
-    {"metric", "start"},
+    {"physics", "runtime"},
+    {"metric", "start", "contact"},
     {"relaxation"},
     {"vision", "motion", "dynamics"},
     {"synthesis", "twist", "report"},

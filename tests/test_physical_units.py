@@ -74,6 +74,23 @@ def test_ranges_in_newton_square_metres_are_axes_of_bend_and_twist():
 
 
 @pytest.mark.parametrize(("given", "field"), [
+    (dict(weight=np.ones((1, 33))), "weight"),
+    (dict(weight_per_length=np.ones((2, 2))), "weight_per_length"),
+    (dict(weight_per_length=-1.0), "weight_per_length"),
+    (dict(weight=0.0, weight_per_length=1.0), "weight_per_length"),
+])
+def test_a_weight_is_one_number_per_rod(given, field):
+    """A row of 33 numbers is no 33 materials."""
+    with pytest.raises(InputError, match=f"material: {field}: "):
+        Material(1e5, 1e5, **given)
+
+
+def test_rows_of_materials_keep_their_weight_per_length():
+    material = Material.from_physical([1e-6, 2e-6], 1e-6, [1e-2, 3e-2])
+    np.testing.assert_array_equal(material.take([1]).weight_per_length, [3e-2])
+
+
+@pytest.mark.parametrize(("given", "field"), [
     (dict(EI="1e-6", GJ="1e-6"), "--linear-density"),
     (dict(EI="1e-6", bend="1e5", linear_density="1"), "--EI"),
     (dict(EI="1e-6", GJ="x", linear_density="1"), "--GJ"),

@@ -2,9 +2,11 @@
 
 import io
 import sys
+import time
 
 import pytest
 
+from doo_ti import terminal as terminal_module
 from doo_ti.cli import main
 from doo_ti.terminal import busy, in_line, progress, visible
 from tests.commands.test_bad_input import MATERIAL, npz_bytes
@@ -40,6 +42,23 @@ def test_progress(monkeypatch, shown):
         with busy(f"refining {NAME}"):
             pass
     assert SHOWN in terminal.getvalue() and "\u202e" not in terminal.getvalue()
+
+
+@pytest.mark.parametrize("keep", [False, True])
+def test_long_work_reports_in_lines_without_a_terminal(monkeypatch, capsys, keep):
+    monkeypatch.setattr(terminal_module, "LINE_SECONDS", 0.05)
+    with progress(keep=keep) as bar:
+        task = bar.add_task(NAME, total=200, unit="cells")
+        bar.advance(task, 1)
+        time.sleep(0.06)
+        bar.advance(task, 119)
+        bar.advance(task, 1)
+    lines = capsys.readouterr().err.splitlines()
+    assert sum(f"{SHOWN}: 120 of 200 cells" in line for line in lines) == 1 and not any(": 121 of" in line for line in lines)
+    with busy(f"refining {NAME}"):
+        time.sleep(0.12)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].startswith(f"refining {SHOWN}: 0 s so far") and len(lines) < 4
 
 
 @pytest.mark.parametrize("code", [0, 2])

@@ -24,7 +24,7 @@ from doo_ti.io.observations import Observations, load_observations  # noqa: E402
 from doo_ti.io.scene import load_scene  # noqa: E402
 from doo_ti.learning.landscape import read_landscape  # noqa: E402
 from doo_ti.synthesis import synthesise  # noqa: E402
-from doo_ti.twist.estimation import Verdict  # noqa: E402
+from doo_ti.twist.estimation import TwistVerdict  # noqa: E402
 from tools.trials.twist import SUCCESS, twist_trials  # noqa: E402
 from tools.trials.twist_picture import angle_errors_picture  # noqa: E402
 
@@ -59,8 +59,8 @@ def main() -> None:
             [one.estimate.verdict for one in trials], [~one.successful for one in trials]))
         print(f"| {together} | " + " | ".join(f"{100 * share:.1f} %" for share in success)
               + f" | **{100 * np.mean(success):.1f} %** | {PAPER.get(together, '')} | {np.nanmedian(error):.0f}° "
-              f"| {np.mean(verdict == Verdict.AMBIGUOUS):.1%} | {_share(failed, verdict == Verdict.AMBIGUOUS)} "
-              f"| {_share(failed, verdict == Verdict.CLEAR)} | {np.sum(verdict == Verdict.UNDETERMINED)} "
+              f"| {np.mean(verdict == TwistVerdict.AMBIGUOUS):.1%} | {_share(failed, verdict == TwistVerdict.AMBIGUOUS)} "
+              f"| {_share(failed, verdict == TwistVerdict.CLEAR)} | {np.sum(verdict == TwistVerdict.UNDETERMINED)} "
               f"| {sum(int(one.estimate.unsound.sum()) for one in trials)} |")
     errors = {f"D = {together}": np.degrees(np.concatenate([one.error for one in trials]))
               for together, trials in found.items()}

@@ -4,16 +4,17 @@ Raises InputError naming the option, its value and the remedy.
 """
 
 import os
-from argparse import SUPPRESS, ArgumentParser, Namespace
+from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from doo_ti.commands.help_text import examples
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.grid import UNITS, Axis, Grid, parse_axes, parse_axis
-from doo_ti.io.observations import checked_suffix
+from doo_ti.io.formats import checked_suffix
 from doo_ti.io.scene import CLAMPS, PRECISIONS
 from doo_ti.physical_units import bend_or_twist, weight_per_length
 from doo_ti.types import LARGEST, Clamp, unit_up
@@ -35,7 +36,8 @@ LONGEST_NAME = 200
 
 def command(add, name: str, run: Callable[[Namespace, list[str]], int], meaning: str, *, json: bool = True) -> ArgumentParser:
     """The parser of a command, which ``run`` carries out; with ``--json`` unless it prints nothing for machines."""
-    parser = add(name, allow_abbrev=False, help=meaning, description=f"{meaning[0].upper()}{meaning[1:]}.")
+    parser = add(name, allow_abbrev=False, help=meaning, description=f"{meaning[0].upper()}{meaning[1:]}.",
+                 epilog=examples(name), formatter_class=RawDescriptionHelpFormatter)
     if json:
         parser.add_argument("--json", action="store_true", help="print one line of JSON instead of text")
     parser.set_defaults(run=run, parser=parser)
@@ -81,7 +83,6 @@ def add_frame_weight(parser: ArgumentParser, default: str) -> None:
 def add_relaxation(parser: ArgumentParser, precision: str | None) -> None:
     add_clamps(parser)
     add_frame_weight(parser, "0" if precision else "the scene's, else 0")
-    add_up(parser)
     parser.add_argument("--solver", choices=SOLVERS, default="newton",
                         help="newton, or the paper's gradient descent (default newton)")
     parser.add_argument("--precision", choices=PRECISIONS, default=precision,
@@ -276,13 +277,13 @@ def rows(option: str, text: str | None, count: int) -> tuple[int, ...]:
     return found
 
 
-def output_file(text: str | Path, suffix: str | None = None, option: str = "--out") -> Path:
-    """The file to write, with this suffix, or with that of a format of observations."""
-    path = Path(text)
-    if suffix is None:
+def output_file(text: str | Path, suffix: str | tuple[str, ...] | None = None, option: str = "--out") -> Path:
+    """The file to write, with this suffix, or one of them, or with that of a format of observations."""
+    path, wanted = Path(text), (suffix,) if isinstance(suffix, str) else suffix
+    if wanted is None:
         checked_suffix(path)
-    elif path.suffix != suffix:
-        raise InputError(SOURCE, option, f"suffix {path.suffix!r} of {path}", f"name a file that ends in {suffix}")
+    elif path.suffix not in wanted:
+        raise InputError(SOURCE, option, f"suffix {path.suffix!r} of {path}", f"name a file that ends in {' or '.join(wanted)}")
     if path.is_dir():
         raise InputError(SOURCE, option, f"{path} is a folder", "name a file")
     if len(os.fsencode(path.name)) > LONGEST_NAME:

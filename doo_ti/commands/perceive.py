@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.commands import options as given
-from doo_ti.commands.results import counted, report, save_arrays, shortened
+from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened
 from doo_ti.commands.seen_rods import RECORDED, PerceptionTask, perception_task
 from doo_ti.errors import InputError
 from doo_ti.io.files import write_whole
@@ -32,7 +32,8 @@ def declare(add) -> None:
     parser.add_argument("--sets", metavar="SETS.csv", help="many sets of images with their seeds, instead of IMAGEs")
     parser.add_argument("--seed-point", metavar="X,Y,Z", help="start v⁰ of the rod in a single set, mm")
     parser.add_argument("--seed-direction", metavar="X,Y,Z", help="direction e⁰ of the rod at its start in a single set")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write; F.png and F.rrd are written beside it")
+    parser.add_argument("--out", required=True, metavar="F.npz|F.csv",
+                        help="file to write; F.png and F.rrd are written beside it")
     given.add_material(parser, "one number each; perceived rods are round")
     search = parser.add_argument_group("search")
     search.add_argument("--nu", metavar="NU", help="weight ν of the images against the rod's energy, in 1/(mm px²) "
@@ -52,7 +53,7 @@ def declare(add) -> None:
 
 def run(options: Namespace, words: list[str]) -> int:
     """Alg. 1 on every set of images; writes rods and runners-up, and prints the verdict of each set."""
-    out = given.output_file(options.out, ".npz")
+    out = given.output_file(options.out, RODS)
     task = perception_task(options)
     sources = [options.rig, options.sets, options.truth, *(path for line in task.sets.paths for path in line)]
     for path in (out, *(given.output_file(out.with_suffix(suffix), suffix) for suffix in (".png", ".rrd"))):
@@ -65,7 +66,7 @@ def run(options: Namespace, words: list[str]) -> int:
     written = [out, *_shown(options, task, detected, found, growth, out)]
     summary = _summary(task, detected, found, written)
     report(options, summary, lambda: _lines(summary))
-    return 0 if summary["status"].get("converged") else 1
+    return 0 if summary["found"] else 1
 
 
 def _detected(task: PerceptionTask, bar) -> list[list]:
@@ -122,7 +123,7 @@ def _perceived(task: PerceptionTask, detected: list[list], bar):
 
 def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
     """The arrays of the file; docs/perception.md."""
-    sound = found.sound[:, None]
+    sound = _found(found)[:, None]
     return {
         "name": np.array(task.sets.names), "vertices_mm": found.vertices, "rest_length_mm": task.rest_length, "up": task.up,
         "valid": sound & np.isfinite(found.vertices).all(axis=-1),
@@ -131,6 +132,13 @@ def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
         "camera_error_px": found.camera_error, "verdict": found.verdict, "gap_px": found.gap, "unsupported": found.unsupported,
         "runner_up_mm": found.runner_up, "runner_up_energy_vis": found.runner_up_energy,
     }
+
+
+def _found(found) -> np.ndarray:
+    """(S,) bool: the rod is a certified minimum, and the thread in the images."""
+    from doo_ti.perception.perceive import PerceptionVerdict
+
+    return found.sound & (found.verdict != PerceptionVerdict.NOT_FOUND)
 
 
 def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found, growth, out: Path) -> list[Path]:
@@ -174,12 +182,12 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
 
 def _summary(task: PerceptionTask, detected: list[list], found, written: list[Path]) -> dict:
     """The content of ``--json``, from which the lines of text are made."""
-    from doo_ti.perception.perceive import Verdict
+    from doo_ti.perception.perceive import PerceptionVerdict
 
     sets = [{
         "name": name, "status": Status(found.status[row]).name.lower(), "stable": found.stable[row],
         "energy_vis": found.energy_vis[row], "camera_error_px": found.camera_error[row], "gap_px": found.gap[row],
-        "verdict": Verdict(found.verdict[row]).name.lower(), "unsupported_edges": found.unsupported[row].sum(),
+        "verdict": _word(found.verdict[row]), "unsupported_edges": found.unsupported[row].sum(),
         "mean_sigma_mm": found.sigma[row].mean() if found.sound[row] else None, **_errors(task, found, row),
     } for row, name in enumerate(task.sets.names)]
     return {
@@ -188,7 +196,8 @@ def _summary(task: PerceptionTask, detected: list[list], found, written: list[Pa
         "status": status_counts(found.status),
         "stable": found.stable.sum(),
         "not_certified": (~found.sound).sum(),
-        "verdicts": {verdict.name.lower(): (found.verdict == verdict).sum() for verdict in Verdict},
+        "found": _found(found).sum(),
+        "verdicts": {_word(verdict): (found.verdict == verdict).sum() for verdict in PerceptionVerdict},
         "written": [str(path) for path in written],
     }
 
@@ -203,10 +212,14 @@ def _errors(task: PerceptionTask, found, row: int) -> dict:
 
 def _verdict_text(found, row: int) -> str:
     """``clear, next best 0.31 px worse``."""
-    from doo_ti.perception.perceive import Verdict
-
     rival = f"next best {found.gap[row]:.2g} px worse" if np.isfinite(found.gap[row]) else "no other rod"
-    return f"{Verdict(found.verdict[row]).name.lower()}, {rival}"
+    return f"{_word(found.verdict[row])}, {rival}"
+
+
+def _word(verdict: int) -> str:
+    from doo_ti.perception.perceive import PerceptionVerdict
+
+    return PerceptionVerdict(verdict).name.lower().replace("_", " ")
 
 
 def _lines(summary: dict) -> list[str]:
@@ -226,7 +239,7 @@ def _lines(summary: dict) -> list[str]:
 
 def _set_text(entry: dict) -> str:
     """One set as text."""
-    pixels = " ".join(f"{max(value, 0.0):.2f}" if np.isfinite(value) else "unseen" for value in entry["camera_error_px"])
+    pixels = " ".join(f"{value:.2f}" if np.isfinite(value) else "unseen" for value in entry["camera_error_px"])
     rival = f"gap {entry['gap_px']:.2g} px" if np.isfinite(entry["gap_px"]) else "no rival"
     parts = [f"E_vis {entry['energy_vis']:.3g}/mm", f"{pixels} px off", f"{entry['verdict']} ({rival})",
              "σ unknown" if entry["mean_sigma_mm"] is None else f"σ {entry['mean_sigma_mm']:.2g} mm"]

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.commands import loading
 from doo_ti.commands import options as given
-from doo_ti.commands.results import observed, report, save_json
+from doo_ti.commands.results import report, save_json
 from doo_ti.errors import InputError
 from doo_ti.io.files import write_text, write_whole
-from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.observations import Observations
 from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.terminal import in_line
 
@@ -31,6 +32,7 @@ def declare(add) -> None:
     parser.add_argument("--picks", metavar="K", help="how many configurations to rank (default 10)")
     parser.add_argument("--measured", metavar="I,I,…", help="row numbers, from 0, of the configurations already measured")
     given.add_clamps(parser)
+    loading.add_loading(parser)
     parser.add_argument("--out", metavar="FOLDER",
                         help="folder for plan.csv, plan.json and identifiability.png (default: not written)")
 
@@ -52,6 +54,7 @@ def run(options: Namespace, words: list[str]) -> int:
     clamp_start, clamp_end = given.clamps(options)
     found = plan(configurations, grid, sigma=sigma, picks=picks, clamp_start=clamp_start, clamp_end=clamp_end,
                  measured=measured)
+    loading.warn(configurations)
     summary = _summary(configurations, found, sigma)
     if out is not None:
         _write(out, configurations, found, summary)
@@ -69,7 +72,7 @@ def _configurations(options: Namespace, scene) -> Observations:
         if distances or rotations:
             raise InputError(given.SOURCE, "--end-distances" if distances else "--end-rotations",
                              "given for observations, whose clamps are fixed", "plan with a scene that has [synthesis]")
-        return observed(scene, None) if scene else load_observations(options.source)
+        return loading.of_scene(options, scene) if scene else loading.load(options, options.source)
 
     from doo_ti.plan import planned
 
@@ -123,6 +126,7 @@ def _lines(configurations: Observations, found, sigma: float) -> list[str]:
     asked = ", ".join(found.parameters[k] for k in found.asked)
     names = "".join(f"{name + ' [mm]':>13}" for name in found.parameters)
     lines = [f"{configurations.name}: {configurations.count} configurations over {found.cells} cells, labels to {sigma:g} mm",
+             loading.rod_line(configurations),
              "  motion of a mark, rms along the rod and median over the cells, when a parameter grows by a factor e:",
              f"  {'rank':>4}  {'configuration':18}{names}{'region left':>14}"]
     ranked = [(str(place), row, f"{left:.2g}")

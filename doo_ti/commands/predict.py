@@ -7,19 +7,21 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import add_dynamic, curved, is_dynamic, losses, stepping
-from doo_ti.commands.results import contact_lines, contact_summary, counted, report, save_arrays, shortened
+from doo_ti.commands.results import RODS, contact_lines, contact_summary, counted, report, save_arrays, shortened
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
+from doo_ti.frames import matrix_from_quaternion
 from doo_ti.io.files import write_whole
 from doo_ti.io.motion_file import ClampPath, load_path
-from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.observations import Observations
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.learning.objective import status_counts
 from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
-from doo_ti.terminal import in_line, progress
-from doo_ti.types import Clamps, Configuration, Material
+from doo_ti.terminal import in_line, progress, warn
+from doo_ti.types import Clamp, Clamps, Configuration, Material
 
 MOST_LISTED = 30
 LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0
@@ -28,6 +30,8 @@ MOST_LENGTHS = 100.0
 """Of a rod, between its clamps."""
 MOST_STEPS = 1000
 """With friction, from one state to the next."""
+FAR_OFF = 0.05
+"""Of the rod's length, from a clamp to where its motion begins: more is no error of measurement."""
 MOST_BYTES = 8 << 30
 """Of frames: predictions are held in memory."""
 
@@ -38,6 +42,8 @@ class _Task:
 
     names  R of the rods, material by material
     theta  columns of the file that state the G materials
+    marks  (N, V, 3) mm, observed; None where nothing was
+    loaded lines about the observations
     """
 
     name: str
@@ -49,17 +55,19 @@ class _Task:
     theta: dict[str, np.ndarray]
     between: int
     up: np.ndarray
+    marks: np.ndarray | None = None
     dynamics: object = None  # Dynamics of rods with inertia
     stepping: object = None  # Stepping, with them, or quasi-static for friction
+    loaded: tuple[str, ...] = ()
     surroundings: Surroundings = Surroundings()
 
 
 def declare(add) -> None:
     parser = given.command(add, "predict", run, "predict the shapes of rods whose clamps move (§III-D)")
     parser.add_argument("source", metavar="OBS|SCENE.toml",
-                        help="observations the rods start from: .npz, .csv or .parquet; or a scene of motion")
+                        help=f"observations the rods start from: {loading.FORMATS}; or a scene of motion")
     parser.add_argument("--motion", metavar="PATH", help="poses of the clamps over time: .npz or .csv")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
     given.add_material(parser, "a number or LO:HI:N[:log|:lin]: all materials of the grid at once", given.SHAPE_ONLY)
     parser.add_argument("--relative", action="store_true",
                         help="apply the motion relative to each observation's own clamps, instead of as absolute poses")
@@ -69,7 +77,7 @@ def declare(add) -> None:
     parser.add_argument("--sub-step", metavar="DEG",
                         help="largest rotation of a clamp in one sub-step; rods are relaxed after each (default 5)")
     given.add_clamps(parser)
-    given.add_up(parser)
+    loading.add_loading(parser)
     add_dynamic(parser, "moments of the motion per second (default: by its times)")
     given.add_obstacles(parser, "with friction, where an obstacle has any, from one step to the next")
     parser.add_argument("--precision", choices=PRECISIONS, default="mixed",
@@ -80,7 +88,7 @@ def declare(add) -> None:
 
 def run(options: Namespace, words: list[str]) -> int:
     """Carry all rods along the motion; writes them at its moments and prints where they jumped."""
-    out = given.output_file(options.out, ".npz")
+    out = given.output_file(options.out, RODS)
     pictures = {suffix: None if text is None else given.output_file(text, suffix, option)
                 for suffix, text, option in (
                     (".png", options.picture, "--picture"), (".rrd", options.recording, "--recording"))}
@@ -93,6 +101,8 @@ def run(options: Namespace, words: list[str]) -> int:
     if rods * intervals * task.start.edges * 32 > MOST_BYTES:
         raise InputError(given.SOURCE, "--steps-between", f"{rods} rods at {intervals + 1} moments are too many to hold",
                          "give fewer materials, observations or moments")
+    if task.marks is not None and not options.relative:
+        _warn_of_distance(task.path, task.clamps, float(task.start.rest_length.sum()))
 
     with progress() as bar:
         shown = bar.add_task(task.name, total=rods * intervals, unit="rods x moments")
@@ -100,10 +110,10 @@ def run(options: Namespace, words: list[str]) -> int:
     result = _arrays(task, prediction)
     for path in filter(None, pictures.values()):
         path.parent.mkdir(parents=True, exist_ok=True)
-    save_arrays(out, result)
+    save_arrays(out, result, ("moment", "rod"))
     _draw(task, prediction, result, pictures)
     report(options, _summary(task, prediction, result, out),
-           lambda: [*_lines(task, prediction, result), f"  written to {in_line(out)}"])
+           lambda: [*_lines(task, prediction, result), *task.loaded, f"  written to {in_line(out)}"])
     return 0 if prediction.followed[-1].any() else 1
 
 
@@ -160,7 +170,7 @@ def _scene(options: Namespace) -> _Task:
     from doo_ti.contact.obstacle_file import obstacles_of
     from doo_ti.io.motion_scene import load_motion_scene
 
-    for name in ("motion", "theta", *given.MATERIAL, "clamp_start", "clamp_end"):
+    for name in ("motion", "theta", *given.MATERIAL, "clamp_start", "clamp_end", *loading.OF_FILES):
         if getattr(options, name) is not None:
             raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", "given, but the scene has it",
                              "leave it out, or give observations")
@@ -178,8 +188,8 @@ def _scene(options: Namespace) -> _Task:
 def _observed(options: Namespace, out: Path) -> _Task:
     if options.motion is None:
         raise InputError(given.SOURCE, "--motion", "missing", "name a file of poses, or give a scene of motion")
-    grid, up, surroundings = given.grid(options), given.up(options), given.surroundings(options)
-    observations = load_observations(options.source, up)
+    grid, surroundings = given.grid(options), given.surroundings(options)
+    observations = loading.load(options, options.source)
     for source in (options.source, options.motion):
         given.refuse_overwriting(out, source)
     path = load_path(Path(options.motion))
@@ -192,13 +202,15 @@ def _observed(options: Namespace, out: Path) -> _Task:
     clamps = observation_clamps(observations, *given.clamps(options))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], 0.0)
     path = path.relative_to(clamps) if options.relative else path
+    loading.warn(observations)
     _check_reach(path, clamps, float(observations.rest_length.sum()))
     materials = curved(options, grid.materials(), observations.rest_length, options.dynamic)
     start = _settled(observations, clamps, materials, surroundings)
     cells, rows = np.divmod(np.arange(materials.count * observations.count), observations.count)
     names = [f"cell {cell}, " * (materials.count > 1) + f"observation {row}" for cell, row in zip(cells, rows, strict=True)]
     return _Task(observations.name, start, clamps, path, materials, names, grid.cell_values(), 1, observations.up,
-                 surroundings=surroundings)
+                 np.where(observations.valid[..., None], observations.vertices, np.nan),
+                 loaded=(loading.rod_line(observations),), surroundings=surroundings)
 
 
 def _check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
@@ -210,6 +222,18 @@ def _check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
         if apart > MOST_LENGTHS * length:
             raise InputError(path.source, f"moment {moment}", f"the clamps are {apart:.4g} mm apart, and the rod "
                              f"{length:.4g} mm long", "correct the positions")
+
+
+def _warn_of_distance(path: ClampPath, clamps: Clamps, length: float) -> None:
+    """Print a warning where the path begins farther from the clamps than :data:`FAR_OFF` of the rod: displacements, perhaps, or
+    the path of another rod."""
+    first = path.at(0, clamps)
+    for name in ("start_position", "end_position"):
+        off = np.linalg.norm(getattr(first, name) - getattr(clamps, name), axis=-1)
+        if off.max() > FAR_OFF * length:
+            warn(f"{path.source}: {name}_mm: the motion begins {off.max():.4g} mm from the clamp of observation "
+                 f"{off.argmax()}; give --relative where these are displacements")
+            return
 
 
 def _with_frames(observations: Observations, path: ClampPath, relative: bool) -> Observations:
@@ -260,17 +284,32 @@ def _draw(task: _Task, prediction, result: dict, pictures: dict) -> None:
         return
     from doo_ti.report import MovingRods, motions_picture
 
-    rods = MovingRods(prediction.time, result["vertices_mm"], task.names, prediction.jumps, prediction.followed, task.up)
+    marks = None if task.marks is None else task.marks[prediction.motion]
+    rods = MovingRods(prediction.time, result["vertices_mm"], task.names, prediction.jumps, prediction.followed, task.up,
+                      _gripper_lines(task, prediction, result["vertices_mm"]), marks)
     if pictures[".png"] is not None:
         write_whole(pictures[".png"], lambda file: motions_picture(file, rods, title=task.name))
     if pictures[".rrd"] is not None:
         from doo_ti.record import record_motion
 
         curves = {"Energy [mm²]": prediction.energy, "Total twist [°]": result["total_twist_deg"],
-                  "Force at the far clamp [mm²]": np.linalg.norm(prediction.end_force, axis=-1)}
+                  "Force at the far clamp [mm]": np.linalg.norm(prediction.end_force, axis=-1)}
         record_motion(pictures[".rrd"], run_id=hashlib.sha256(rods.vertices.tobytes()).hexdigest()[:32], name=task.name,
                       rods=rods, curves=curves,
                       text="\n\n".join(line.strip() for line in _lines(task, prediction, result)))
+
+
+def _gripper_lines(task: _Task, prediction, vertices: np.ndarray) -> np.ndarray:
+    """(T, R, 4, 2, 3) mm: at each end the edge that is held, and a bar across it along m1; NaN where an end is free."""
+    lines = np.full((*vertices.shape[:2], 4, 2, 3), np.nan)
+    half = 0.02 * prediction.rest_length.sum()
+    for first, edge, kind in ((0, 0, task.clamps.start), (2, -1, task.clamps.end)):
+        held = np.broadcast_to(np.asarray(kind) > Clamp.FREE, len(task.clamps.start_position))[prediction.motion]
+        place = vertices[:, :, edge]
+        across = half * matrix_from_quaternion(prediction.quaternions[:, :, edge])[..., 1]
+        lines[:, held, first] = vertices[:, held][:, :, (0, 1) if edge == 0 else (-2, -1)]
+        lines[:, held, first + 1] = np.stack([place - across, place + across], axis=2)[:, held]
+    return lines
 
 
 def _lines(task: _Task, prediction, result: dict) -> list[str]:

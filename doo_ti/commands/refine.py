@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.refine_text import summary_lines, summary_of
 from doo_ti.commands.results import note_theta, plain, save_json
 from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
-from doo_ti.io.files import read_content
-from doo_ti.io.observations import Observations, load_observations, write_whole
+from doo_ti.io.files import read_content, write_whole
+from doo_ti.io.observations import Observations
 from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.terminal import busy, in_line
 from doo_ti.types import Clamps
@@ -34,7 +35,7 @@ def declare(add) -> None:
     parser = given.command(add, "refine", run, "fit parameters with confidence intervals, starting from a sweep or one Θ")
     parser.add_argument("sources", nargs="+", metavar="RUN|OBS",
                         help="folders that sweep wrote, to start from their best cells, or "
-                        "observations: .npz, .csv or .parquet")
+                        f"observations: {loading.FORMATS}")
     given.add_material(parser, "one number each: the start of the fit where observations are given")
     parser.add_argument("--parameters", metavar="A,B", default="bend,twist",
                         help="material parameters to learn, of bend, bend-1, "
@@ -60,7 +61,7 @@ def declare(add) -> None:
                         help="a number per observation; those with the same number stay in one fold")
     given.add_clamps(parser, "the run's, else frame where the file gives one, else tangent")
     given.add_frame_weight(parser, "the run's, else 0")
-    given.add_up(parser)
+    loading.add_loading(parser)
     parser.add_argument("--out", metavar="F.json", help="file to write (default: none)")
 
 
@@ -86,6 +87,9 @@ def run(options: Namespace, words: list[str]) -> int:
     from doo_ti.refinement.folds import folds_of, refine_held_out
     from doo_ti.refinement.refine import refine
 
+    for task in tasks:
+        if task.landscape is None:
+            loading.warn(task.observations)
     splits = [None if folds is None else folds_of(group, folds) for group in groups]
     summaries = []
     for task, split in zip(tasks, splits, strict=True):
@@ -101,7 +105,8 @@ def run(options: Namespace, words: list[str]) -> int:
         picture = None if task.landscape is None else _draw(task.landscape, found)
         if not options.json:
             drawn = [] if picture is None else [f"  picture            {in_line(picture)}"]
-            print("\n".join([*summary_lines(summaries[-1]), *drawn]))
+            first, *rest = summary_lines(summaries[-1])
+            print("\n".join([first, loading.rod_line(task.observations), *rest, *drawn]))
     if out is not None:
         save_json(out, summaries)
     if options.json:
@@ -140,7 +145,7 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
     else:
         from doo_ti.refinement.fit import theta_of_cell
 
-        observations, landscape = load_observations(source, given.up(options)), None
+        observations, landscape = loading.load(options, source), None
         grid = given.single_cell(options, "give one, or refine the run of a sweep")
         thetas, kinds, weight = (theta_of_cell(grid, 0, observations.up),), (None, None), given.frame_weight(options)
     sigma = given.length("--sigma", options.sigma)
@@ -160,9 +165,9 @@ def _of_run(options: Namespace, run: Path, starts: int):
     from doo_ti.learning.run_folder import read_experiment
     from doo_ti.refinement.fit import lowest_cells, theta_of_cell
 
-    for name in given.MATERIAL:
+    for name in (*given.MATERIAL, *loading.OF_FILES):
         if getattr(options, name) is not None:
-            raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", f"given, but {run} has cells to start from",
+            raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", f"given, but {run} is the run of a sweep",
                              "leave it out, or name a file of observations")
     experiment, landscape = read_experiment(run), read_landscape(run)
     if experiment.options.objective != "static" or experiment.options.spins:

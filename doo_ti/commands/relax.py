@@ -5,9 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import curved
 from doo_ti.commands.results import (
+    RODS,
     contact_lines,
     contact_summary,
     counted,
@@ -18,34 +20,38 @@ from doo_ti.commands.results import (
 )
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
-from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.observations import Observations
 from doo_ti.learning.objective import status_counts
 from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.terminal import busy, in_line
 from doo_ti.types import Status
 
+WRITTEN = ("energy", "status", "iterations", "residual", "stable", "end_force")
+
 
 def declare(add) -> None:
     parser = given.command(add, "relax", run,
                            "relax each observed rod under one material and compare it with its observation (Eq. 1)")
-    parser.add_argument("observations", metavar="OBS", help="observations: .npz, .csv or .parquet")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+    parser.add_argument("observations", metavar="OBS", help=f"observations: {loading.FORMATS}")
+    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
     given.add_material(parser, "one number each", given.SHAPE_ONLY)
     given.add_relaxation(parser, "f64")
+    loading.add_loading(parser)
     given.add_obstacles(parser, "without friction, which acts in simulate and predict")
 
 
 def run(options: Namespace, words: list[str]) -> int:
     """F on each observation (§III-D), to one npz; of several whole-turn hypotheses the one nearest to the observation."""
     grid = given.single_cell(options, "give one number, or use sweep")
-    frame_weight, up, out = given.frame_weight(options), given.up(options), given.output_file(options.out, ".npz")
+    frame_weight, out = given.frame_weight(options), given.output_file(options.out, RODS)
     surroundings = given.surroundings(options)
     if surroundings and options.solver != "newton":
         raise InputError(given.SOURCE, "--solver", f"{options.solver} given beside --obstacles", "leave it out")
-    observations = load_observations(options.observations, up)
+    observations = loading.load(options, options.observations)
     clamps = observation_clamps(observations, *given.clamps(options))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
     given.refuse_overwriting(out, options.observations)
+    loading.warn(observations)
 
     from doo_ti.metric import distance
     from doo_ti.relaxation.relax import relax as relax_rods
@@ -60,8 +66,9 @@ def run(options: Namespace, words: list[str]) -> int:
     error = distance(relaxed, observations, index, frame_weight)
     best = choose_hypothesis(index, error, solution.converged & solution.stable)
     configuration = relaxed.take(best)
-    result = {"vertices_mm": configuration.vertices, "frames": configuration.frames, "distance_mm": error[best]}
-    result |= {name: getattr(solution, name)[best] for name in ("energy", "status", "iterations", "residual", "stable")}
+    result = {"vertices_mm": configuration.vertices, "frames": configuration.frames, "distance_mm": error[best],
+              "rest_length_mm": observations.rest_length}
+    result |= {name: getattr(solution, name)[best] for name in WRITTEN}
     contact = {}
     if surroundings:
         result["contact_force"] = solution.contact_force[best]
@@ -86,7 +93,7 @@ def _summary(observations: Observations, grid: Grid, result: dict, out: Path) ->
 
 def _lines(observations: Observations, grid: Grid, result: dict, summary: dict) -> list[str]:
     lines = [f"{observations.name}: {observations.count} rods of {observations.edges} edges",
-             f"  material    {theta_text(theta_of(grid), grid.is_isotropic)}",
+             loading.rod_line(observations), f"  material    {theta_text(theta_of(grid), grid.is_isotropic)}",
              f"  status      {counted(summary['status'])}; {summary['stable']} certified stable"]
     if np.isfinite(summary["mean_distance_mm"]):
         lines.append(f"  distance    mean {summary['mean_distance_mm']:.4g} mm, largest {summary['largest_distance_mm']:.4g} "

@@ -13,6 +13,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.grid import Grid, Interval
 from doo_ti.io.files import write_text, write_whole
 from doo_ti.io.observations import Observations, load_observations, save_observations
+from doo_ti.io.rod_table import write_rod_table
 from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.terminal import in_line
 from doo_ti.types import Status
@@ -38,10 +39,24 @@ def save(out: Path, observations: Observations) -> None:
     print(f"{observations.count} observations of {observations.edges + 1} vertices written to {in_line(out)}")
 
 
-def save_arrays(out: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write an npz, completely or not at all."""
+RODS = (".npz", ".csv")
+"""Suffixes of files of results."""
+
+
+def save_arrays(out: Path, arrays: dict[str, np.ndarray], axes: tuple[str, ...] = ("observation",)) -> None:
+    """Write an npz, or by its suffix a CSV file with a row per vertex (:mod:`doo_ti.io.rod_table`), completely or not at all;
+    arrays that have no place in the table are named on standard error.
+
+    axes  names of the leading axes of the positions
+    """
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(out, lambda file: np.savez_compressed(file, **arrays))
+    left_out: list[str] = []
+    if out.suffix == ".npz":
+        write_whole(out, lambda file: np.savez_compressed(file, **arrays))
+    else:
+        write_whole(out, lambda file: left_out.extend(write_rod_table(file, arrays, axes)))
+    if left_out:
+        print(f"doo-ti: {in_line(out)}: without {', '.join(left_out)}, which an .npz holds", file=sys.stderr)
 
 
 def save_json(out: Path, content) -> None:

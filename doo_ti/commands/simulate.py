@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.commands import options as given
-from doo_ti.commands.results import contact_lines, contact_summary, counted, report, save_arrays, shortened
+from doo_ti.commands.results import RODS, contact_lines, contact_summary, counted, report, save_arrays, shortened
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.terminal import busy, in_line, progress
@@ -46,7 +46,7 @@ def declare(add) -> None:
     parser.add_argument("source", metavar="MOTION.npz|SCENE.toml",
                         help="recorded markers, the first and last edges on the grippers (positions_mm, rate_hz); or a scene")
     parser.add_argument("--theta", metavar="THETA.json", help="the rod, as doo-ti identify writes it; needed for MOTION.npz")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
     parser.add_argument("--substeps", metavar="N", help="time steps from one frame to the next (default: 1, or the scene's)")
     parser.add_argument("--tolerance", metavar="MM", help="estimate the error of the time steps, and double them for each rod "
                         "until it is below this in all frames (default: fixed steps, no estimate)")
@@ -67,7 +67,7 @@ def declare(add) -> None:
 
 def run(options: Namespace, words: list[str]) -> int:
     """Simulate; writes positions and status at every frame and prints the errors."""
-    out = given.output_file(options.out, ".npz")
+    out = given.output_file(options.out, RODS)
     changes = _stepping(options)
     shown = {kind: _shown(kind, text) for kind, text in (
         ("picture", options.picture), ("recording", options.recording), ("animation", options.animation)) if text is not None}
@@ -81,7 +81,7 @@ def run(options: Namespace, words: list[str]) -> int:
         per_rod = {"positions_mm", "status", "error_mm", "substeps", "step_error_mm", *map(ENERGY.format, found.energies),
                    *found.contact}
         arrays = {key: value[0] if key in per_rod else value for key, value in arrays.items()}
-    save_arrays(out, arrays)
+    save_arrays(out, arrays, ("frame",) if found.alone else ("rod", "frame"))
     _draw(found, shown)
     report(options, summary, lambda: _lines(found, summary))
     return 0 if (found.status[:, -1] == Status.CONVERGED).any() else 1
@@ -167,8 +167,8 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
     grippers = scene.grippers.take(pairs[0] * 0) if start.count > 1 else scene.grippers
     with progress() as bar:
         task = bar.add_task(scene.name, total=count * (grippers.instants - 1), unit="rods x frames")
-        stepping = replace(scene.stepping, **changes)
-        found = simulate(start, scene.material, grippers, scene.dynamics, stepping, up=up, pairs=pairs, detailed=True,
+        stepping = replace(scene.stepping, detailed=True, **changes)
+        found = simulate(start, scene.material, grippers, scene.dynamics, stepping, up=up, pairs=pairs,
                          progress=lambda done: bar.update(task, completed=count * done), **surroundings.arguments)
     first = start.vertices[pairs[0]]
     positions = np.concatenate([first[:, None], found.positions], axis=1)

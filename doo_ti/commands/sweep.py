@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from doo_ti.commands import loading
 from doo_ti.commands import options as given
-from doo_ti.commands.results import hypotheses_lines, note_theta, observed, peak_memory, plain, run_lines, theta_text
+from doo_ti.commands.results import hypotheses_lines, note_theta, peak_memory, plain, run_lines, theta_text
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.io.observations import Observations
@@ -31,11 +32,12 @@ RIBBON_PARAMETERS = " --parameters bend-1,bend-2,twist"
 def declare(add) -> None:
     parser = given.command(add, "sweep", run, "search a grid of material parameters for the smallest error (Eq. 2 or 3)")
     parser.add_argument("sources", nargs="+", metavar="SCENE.toml|OBS",
-                        help="scenes, or observations: .npz, .csv or .parquet; each "
+                        help=f"scenes, or observations: {loading.FORMATS}; each "
                         "of several gets a folder of its name below RUN")
     parser.add_argument("--out", required=True, metavar="RUN", help="folder to write; an unfinished run in it is resumed")
     given.add_material(parser, "a number or LO:HI:N[:log|:lin]; overrides the scene's axis")
     given.add_relaxation(parser, None)
+    loading.add_loading(parser)
     parser.add_argument("--objective", choices=OBJECTIVES, help="static: Eq. 2 (default), dynamic: Eq. 3")
     parser.add_argument("--pairs", metavar="FILE.csv", help="pairs of observations for Eq. 3, columns "
                         "from,to[,weight][,rotation_deg] (default: those of the paper, from the labels)")
@@ -64,6 +66,8 @@ def run(options: Namespace, words: list[str]) -> int:
     """Eq. 2 or 3 over a grid; writes a folder per source and prints the cell with the smallest error and
     the flatness of the landscape around it."""
     searches = _searches(options)
+    for search in searches:
+        loading.warn(search.observations)
 
     from doo_ti.learning.sweeps import sweep
 
@@ -120,7 +124,7 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     if isinstance(scene.observations, Synthesis):
         seed = scene.observations.seed if seed is None else seed
         scene = replace(scene, observations=replace(scene.observations, seed=seed))
-    observations = observed(scene, given.up(options))
+    observations = loading.of_scene(options, scene)
     clamp_start, clamp_end = (own if chosen is None else chosen for own, chosen in zip(
         (scene.clamp_start, scene.clamp_end), given.clamps(options), strict=True))
     clamps = observation_clamps(observations, clamp_start, clamp_end)
@@ -139,7 +143,8 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
 
 
 def _lines(search: _Search, summary: dict, finished_before: bool, made_again: list[str]) -> list[str]:
-    lines = [*run_lines(summary), *hypotheses_lines(summary)]
+    first, *rest = run_lines(summary)
+    lines = [first, loading.rod_line(search.observations), *rest, *hypotheses_lines(summary)]
     clamps = observation_clamps(search.observations, search.options.clamp_start, search.options.clamp_end)
     if search.grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not search.options.spins:
         lines.append("  note        an end rolls freely, so nothing twists the rod: twist is not determined")
@@ -161,10 +166,10 @@ def _lines(search: _Search, summary: dict, finished_before: bool, made_again: li
 
 def _effort(summaries: list[dict], seconds: float) -> str:
     """``450,000 rods in 15.1 s, 29,800 rods/s; …``, of the rods relaxed now; none where all was finished before."""
-    rods = sum(summary["timing"]["relaxed_rods"] for summary in summaries)
-    relaxing = sum(summary["timing"]["relaxation_s"] for summary in summaries)
-    rate = f" ({rods / relaxing:,.0f} rods/s, loading the kernels included)" if rods else ""
-    return f"{rods:,} rods in {seconds:.1f} s{rate}; {peak_memory() / 2**20:,.0f} MB of memory at most"
+    rods, loading, relaxing = (sum(summary["timing"][name] for summary in summaries)
+                               for name in ("relaxed_rods", "loading_s", "relaxation_s"))
+    work = f": {loading:.1f} s to load the kernels, {relaxing:.1f} s to relax ({rods / relaxing:,.0f} rods/s)" if rods else ""
+    return f"{rods:,} rods in {seconds:.1f} s{work}; {peak_memory() / 2**20:,.0f} MB of memory at most"
 
 
 def _pairs(options: Namespace, scene: Scene, observations: Observations, objective: str) -> Pairs | None:

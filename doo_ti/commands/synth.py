@@ -4,10 +4,14 @@ from argparse import Namespace
 from dataclasses import fields, replace
 from pathlib import Path
 
+import numpy as np
+
+from doo_ti.commands import loading
 from doo_ti.commands import options as given
-from doo_ti.commands.results import observed, save
+from doo_ti.commands.results import observed, save, save_arrays
 from doo_ti.errors import InputError
-from doo_ti.io.observations import load_observations
+from doo_ti.io.curves import UNITS_IN_MM
+from doo_ti.io.formats import read_curves
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.terminal import in_line, progress
 
@@ -16,8 +20,13 @@ DIAMETER_MM = 0.5
 
 def declare(add) -> None:
     parser = given.command(add, "convert", run_convert, "convert observations from one file format to another", json=False)
-    parser.add_argument("observations", metavar="IN", help=".npz, .csv or .parquet")
+    parser.add_argument("observations", metavar="IN", help=loading.FORMATS)
     parser.add_argument("out", metavar="OUT", help=".npz, .csv or .parquet")
+    loading.add_loading(parser)
+    parser.add_argument("--select", metavar="FROM:TO[:STEP]", help="only these observations, numbered from 0 (default: all)")
+    parser.add_argument("--complete", action="store_true", help="leave out observations with a missing mark")
+    parser.add_argument("--motion", action="store_true", help="write a recording of motion capture as one motion, "
+                        "positions_mm and rate_hz, for identify and simulate")
     parser = given.command(add, "synth", run, "simulate a scene's observations, or render images of its rods (the virtual lab)",
                            json=False)
     parser.add_argument("scene", metavar="SCENE.toml", help="a scene with [synthesis]")
@@ -35,8 +44,48 @@ def run_convert(options: Namespace, words: list[str]) -> int:
     """Observations from one format to another; keys that observations do not have are dropped."""
     out = given.output_file(options.out, option="OUT")
     given.refuse_overwriting(out, options.observations, "OUT")
-    save(out, load_observations(options.observations))
+    if options.motion:
+        return _convert_motion(options, out)
+    observations = loading.load(options, options.observations)
+    rows = np.arange(observations.count)[_selected(options.select)]
+    rows = rows[observations.valid[rows].all(axis=1)] if options.complete else rows
+    if not len(rows):
+        raise InputError(options.observations, "observations", "none is left", "select others, or leave --complete out")
+    loading.warn(observations)
+    print(" ".join(loading.rod_line(observations).split()))
+    if Path(options.observations).suffix == ".xml":
+        facts = read_curves(Path(options.observations), loading.columns(options)).facts
+        print(f"the model states {facts}" if facts else "the model states no stiffness")
+    save(out, observations.take(rows))
     return 0
+
+
+def _convert_motion(options: Namespace, out: Path) -> int:
+    """Curves at the frames of a recording to positions_mm (T, V, 3) and rate_hz."""
+    if out.suffix != ".npz":
+        raise InputError(given.SOURCE, "OUT", f"suffix {out.suffix!r}", "name a .npz file: a motion has a third axis")
+    curves = read_curves(Path(options.observations), loading.columns(options))
+    if curves is None or curves.rate is None:
+        raise InputError(options.observations, "--motion", "the file is not a recording of motion capture", "leave it out")
+    unit = curves.unit if options.unit is None else UNITS_IN_MM[options.unit]
+    positions = unit * curves.points[_selected(options.select)]
+    save_arrays(out, {"positions_mm": positions, "rate_hz": np.float64(curves.rate)})
+    gaps = int((~np.isfinite(positions)).any(axis=-1).sum())
+    print(f"{len(positions)} frames of {positions.shape[1]} markers at {curves.rate:g}/s, {gaps} positions missing, written to "
+          f"{in_line(out)}; up is {','.join(f'{value:g}' for value in curves.up)}: give it to identify and simulate as --up")
+    return 0
+
+
+def _selected(text: str | None) -> slice:
+    """The rows of ``--select``; a step takes every so many-th."""
+    parts = [] if text is None else text.split(":")
+    try:
+        first, last, step = [int(part) if part else None for part in [*parts, "", "", ""][:3]]
+    except ValueError:
+        first, last, step = 0, 0, 0
+    if text is not None and len(parts) not in (2, 3) or step is not None and step < 1:
+        raise InputError(given.SOURCE, "--select", f"{text!r}", "give FROM:TO or FROM:TO:STEP, whole numbers")
+    return slice(first, last, step)
 
 
 def run(options: Namespace, words: list[str]) -> int:

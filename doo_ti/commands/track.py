@@ -11,7 +11,7 @@ import numpy as np
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import add_dynamic
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
-from doo_ti.commands.results import report, save_arrays
+from doo_ti.commands.results import RODS, report, save_arrays
 from doo_ti.commands.seen_rods import TrackingTask, tracking_task
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.terminal import in_line, progress
@@ -26,7 +26,7 @@ def declare(add) -> None:
     given.add_seen_rod(parser)
     parser.add_argument("--frames", required=True, metavar="FRAMES.csv",
                         help="columns frame, one of images per camera, time_s (optional), and the seed: seed_x … dir_z")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write; F.rrd is written beside it")
+    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write; F.rrd is written beside it")
     given.add_material(parser, "one number each; tracked rods are round")
     parser.add_argument("--motion", metavar="PATH", help="poses of the far clamp, one moment for each frame: .npz or .csv")
     given.add_thread(parser)
@@ -36,7 +36,7 @@ def declare(add) -> None:
 
 def run(options: Namespace, words: list[str]) -> int:
     """Track the rod from frame to frame; writes it, and prints where it was lost and found again."""
-    out = given.output_file(options.out, ".npz")
+    out = given.output_file(options.out, RODS)
     for source in filter(None, (options.frames, options.motion, options.rest_length)):
         given.refuse_overwriting(out, source)
     task = tracking_task(options)
@@ -134,6 +134,6 @@ def _lines(summary: dict) -> list[str]:
         listed = ", ".join(names[:MOST_LISTED]) + f" and {len(names) - MOST_LISTED} more" * (len(names) > MOST_LISTED)
         lines.append(f"  {key:<11} {len(names)} frames {words}{': ' * bool(len(names))}{listed}")
     if summary["camera_error_px"] is not None:
-        lines.append(f"  images      {max(summary['camera_error_px'], 0.0):.2f} px off on average; {summary['stable']} rods "
+        lines.append(f"  images      {summary['camera_error_px']:.2f} px off on average; {summary['stable']} rods "
                      "certified stable")
     return lines + [f"  written to  {in_line(path)}" for path in summary["written"]]

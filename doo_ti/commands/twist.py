@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import curved
-from doo_ti.commands.results import counted, report, save_arrays, shortened, theta_of, theta_text
+from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened, theta_of, theta_text
 from doo_ti.grid import Grid
 from doo_ti.io.files import write_whole
-from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.observations import Observations
+from doo_ti.io.rod_table import write_columns
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.terminal import in_line, progress
@@ -22,8 +24,8 @@ MOST_LISTED = 20
 def declare(add) -> None:
     parser = given.command(add, "twist", run, "estimate the twist of rods from their shapes (Eq. 4)")
     parser.add_argument("observations", metavar="OBS",
-                        help="observations, or a file that perceive wrote: .npz, .csv or .parquet")
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+                        help=f"observations, or a file that perceive wrote: {loading.FORMATS}")
+    parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
     given.add_material(parser, "one number each", given.SHAPE_ONLY)
     parser.add_argument("--observations", dest="together", metavar="D",
                         help="each D consecutive observations share one angle φ "
@@ -34,7 +36,7 @@ def declare(add) -> None:
     parser.add_argument("--regrasp", nargs="+", action="extend", default=[], metavar="INDEX",
                         help="observations before which the rod was released and grasped again; each starts a new φ")
     parser.add_argument("--picture", metavar="F.png", help="also draw the curves (default: no)")
-    given.add_up(parser)
+    loading.add_loading(parser)
     parser.add_argument("--precision", choices=PRECISIONS, default="f32",
                         help="floating-point arithmetic (default f32, whose error is below that of labels)")
 
@@ -42,9 +44,9 @@ def declare(add) -> None:
 def run(options: Namespace, words: list[str]) -> int:
     """Eq. 4 for each group of observations that share φ; writes φ and the whole curve, and prints ambiguous groups."""
     grid = given.single_cell(options)
-    out, up = given.output_file(options.out, ".npz"), given.up(options)
+    out = given.output_file(options.out, RODS)
     picture = None if options.picture is None else given.output_file(options.picture, ".png", "--picture")
-    observations = load_observations(options.observations, up)
+    observations = loading.load(options, options.observations)
     given.refuse_overwriting(out, options.observations)
 
     from doo_ti.twist.curves import consecutive_groups, end_offsets, load_offsets
@@ -61,6 +63,7 @@ def run(options: Namespace, words: list[str]) -> int:
     check_experiment(replace(observations, frames=None), observation_clamps(observations), grid.axes[-1].values[-1], 0.0)
     if offset is None and (together > 1 or options.offset):
         offset = end_offsets(observations, group)
+    loading.warn(observations)
     material = curved(options, grid.materials(), observations.rest_length)
     search = TwistOptions(precision=options.precision)
     with progress() as bar:
@@ -73,7 +76,11 @@ def run(options: Namespace, words: list[str]) -> int:
 
         estimate = estimate_twist(observations, material, group, offset, search, advance)
     result = _arrays(estimate)
-    save_arrays(out, result)
+    if out.suffix == ".npz":
+        save_arrays(out, result)
+    else:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(out, lambda file: write_columns(file, _columns(result)))
     if picture is not None:
         _draw(picture, observations, estimate)
     summary = _summary(observations, grid, estimate, result, out)
@@ -90,6 +97,13 @@ def _arrays(estimate) -> dict[str, np.ndarray]:
         "minima_mm": estimate.minima_objective, "unsound": estimate.unsound, "group": estimate.group,
         "offset_deg": np.degrees(estimate.offset), "total_twist_deg": np.degrees(estimate.total_twist),
     }
+
+
+def _columns(result: dict) -> dict[str, np.ndarray]:
+    """What a CSV file holds of them: a row per observation, with the values of its group."""
+    own = {name: result[name] for name in ("group", "offset_deg", "total_twist_deg")}
+    shared = {name: result[name][result["group"]] for name in ("phi_deg", "least_mm", "verdict", "low_deg", "high_deg")}
+    return {"observation": np.arange(len(result["group"])), **own, **shared}
 
 
 def _rows(estimate, group: int) -> str:
@@ -111,9 +125,9 @@ def _draw(path: Path, observations: Observations, estimate) -> None:
 
 
 def _word(verdict: int) -> str:
-    from doo_ti.twist.estimation import Verdict
+    from doo_ti.twist.estimation import TwistVerdict
 
-    return Verdict(verdict).name.lower().replace("_", " ")
+    return TwistVerdict(verdict).name.lower().replace("_", " ")
 
 
 def _summary(observations: Observations, grid: Grid, estimate, result: dict, out: Path) -> dict:
@@ -130,6 +144,7 @@ def _lines(observations: Observations, grid: Grid, estimate, summary: dict) -> l
     rods = observations.count * len(estimate.angles)
     return [
         f"{observations.name}: {observations.count} observations in {summary['groups']} groups that share φ",
+        loading.rod_line(observations),
         f"  material    {theta_text(theta_of(grid), grid.is_isotropic)}",
         f"  verdicts    {counted(summary['verdicts'])}; {summary['unsound_rods']} of {rods} rods on the curves have no "
         "certified minimum",
@@ -146,5 +161,5 @@ def _group_line(estimate, k: int) -> str:
     rivals = "".join(f"; also {other:.0f}°, {value:.3g} mm" for other, value in others if np.isfinite(other))
     together = int((estimate.group == k).sum())
     least = f"{estimate.least[k]:.3g} mm" if together == 1 else f"Σ {estimate.least[k]:.3g} mm over {together} rods"
-    return (f"  {_rows(estimate, k)}: φ = {phi:.1f}°, {least}, {_word(estimate.verdict[k])} (nearly as good: "
+    return (f"  {_rows(estimate, k)}: φ = {phi:.1f}°, {least}, {_word(estimate.verdict[k])} (95 %: "
             f"{low:.0f}° to {high:.0f}°){rivals}")

@@ -34,13 +34,18 @@ def declare(add) -> None:
     parser.add_argument("--out", metavar="FOLDER",
                         help="for an unfinished sweep: folder for landscape.png and run.rrd of the cells "
                         "so far, instead of a window")
+    shown = parser.add_mutually_exclusive_group()
+    shown.add_argument("--web", action="store_true",
+                       help="serve the viewer to a browser on this machine until Ctrl-C, instead of opening a window")
+    shown.add_argument("--screenshot", metavar="FILE.png",
+                       help="save a picture of the viewer, without a display (needs a Vulkan driver: docs/recording.md)")
 
 
 # --- view ----------------------------------------------------------------------------------------------------------------
 
 
 def run(options: Namespace, words: list[str]) -> int:
-    """Open the rerun viewer on a run; of an unfinished sweep on the cells stored so far."""
+    """Open the rerun viewer on a run, serve it, or save its picture; of an unfinished sweep with the cells stored so far."""
     path = Path(options.recording)
     if not path.exists() or (path.is_file() and path.suffix != ".rrd"):
         problem = "not a recording" if path.exists() else "no such file or directory"
@@ -57,17 +62,31 @@ def run(options: Namespace, words: list[str]) -> int:
         return 0
     if (path / RECORDING).exists() and (path / SUMMARY).exists() and changed_files(path, read_summary(path), (RECORDING,)):
         raise InputError(path / RECORDING, "file", "not as the sweep wrote it", "run the sweep again, which makes it again")
-    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        instead = "--out FOLDER writes the pictures so far" if unfinished else "tools/screenshot.py saves a picture"
-        raise InterruptedRunError(f"view: this machine has no display; {instead}")
-    from doo_ti.record import open_viewer
-
+    picture = None if options.screenshot is None else given.output_file(options.screenshot, ".png", "--screenshot")
+    if not (options.web or picture) and sys.platform == "linux" and not (
+            os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        instead = "--out FOLDER writes the pictures so far" if unfinished else "--screenshot FILE.png saves a picture"
+        raise InterruptedRunError(f"view: this machine has no display; --web serves a browser, {instead}")
     if not unfinished:
-        open_viewer(path)
-        return 0
+        return _show(options, path, picture)
     with TemporaryDirectory() as folder:
         _draw_unfinished(path, Path(folder))
-        open_viewer(folder)
+        return _show(options, Path(folder), picture)
+
+
+def _show(options: Namespace, recording: Path, picture: Path | None) -> int:
+    """The viewer as the options ask for it."""
+    from doo_ti.record import open_viewer, save_screenshot, serve_viewer
+
+    if picture is not None:
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        with busy("drawing"):
+            save_screenshot(recording, picture)
+        print(f"written to {in_line(picture)}")
+    elif options.web:
+        serve_viewer(recording, lambda address: print(f"open {address}\nCtrl-C ends", flush=True))
+    else:
+        open_viewer(recording)
     return 0
 
 

@@ -6,9 +6,10 @@ All lengths are in mm. Every field may have one row for all rods or, with a lead
 """
 
 from dataclasses import dataclass, fields, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.errors import InputError, real_array
 
@@ -18,6 +19,9 @@ PLANE, CAPSULE, CYLINDER, RING, BOX, GRID = range(6)
 # Columns of an obstacle: its point, its three axes one after the other (the third is the axis of revolution), three sizes,
 # the largest depth inside it, and its coefficient of friction.
 POINT, AXES, SIZES, DEPTH, FRICTION, OBSTACLE_COLUMNS = 0, 3, 12, 15, 16, 17
+
+Placed = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+Distances = tuple[np.ndarray, np.ndarray]
 
 UNBOUNDED = 1e6
 """mm: the depth of a half space."""
@@ -34,7 +38,7 @@ class Obstacle:
     shapes: ClassVar[dict[str, tuple[int, ...]]]
     positive: ClassVar[tuple[str, ...]] = ()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         name, count = type(self).__name__, 1
         for field in fields(self):
             if field.name not in self.shapes:
@@ -66,12 +70,12 @@ class Obstacle:
         """Rows: one, or R."""
         return max(len(getattr(self, name)) for name in self.shapes)
 
-    def take(self, rows) -> "Obstacle":
+    def take(self, rows: ArrayLike) -> "Obstacle":
         """Those of the rods ``rows``; one that all share as it is."""
         names = self.shapes
         return replace(self, **{name: value[rows] for name in names if len(value := getattr(self, name)) > 1})
 
-    def placed(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def placed(self) -> Placed:
         """(rows, 3) point, (rows, 3, 3) axes as columns, (rows, 3) sizes and (rows,) largest depth inside, mm."""
         raise NotImplementedError
 
@@ -85,7 +89,7 @@ class Obstacle:
         table[:, DEPTH], table[:, FRICTION] = depth, self.friction
         return table
 
-    def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def distance(self, points: np.ndarray) -> Distances:
         """φ (R, N) mm and its gradient, the outward normal (R, N, 3), at ``points`` (R, N, 3)."""
         point, axes, sizes, _ = self.placed()
         local = np.einsum("rni,rij->rnj", points - point[:, None], np.broadcast_to(axes, (len(axes), 3, 3)))
@@ -93,7 +97,7 @@ class Obstacle:
         return value, np.einsum("rnj,rij->rni", normal, np.broadcast_to(axes, (len(axes), 3, 3)))
 
     @staticmethod
-    def local_distance(local: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def local_distance(local: np.ndarray, sizes: np.ndarray) -> Distances:
         """The same of points along the obstacle's axes from its point."""
         raise NotImplementedError
 
@@ -106,16 +110,19 @@ class Plane(Obstacle):
     normal: np.ndarray
     friction: np.ndarray = 0.0
     kind: ClassVar[int] = PLANE
-    shapes: ClassVar[dict] = {"point": (3,), "normal": (3,), "friction": ()}
+    shapes: ClassVar[dict[str, tuple[int, ...]]] = {"point": (3,), "normal": (3,), "friction": ()}
 
-    def _check(self):
+    if TYPE_CHECKING:
+        def __init__(self, point: ArrayLike, normal: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
+
+    def _check(self) -> None:
         _require_direction("Plane", "normal", self.normal)
 
-    def placed(self):
+    def placed(self) -> Placed:
         return self.point, _axes_about(self.normal), np.zeros((1, 3)), np.full(1, UNBOUNDED)
 
     @staticmethod
-    def local_distance(local, sizes):
+    def local_distance(local: np.ndarray, sizes: np.ndarray) -> Distances:
         return local[..., 2], np.broadcast_to([0.0, 0.0, 1.0], local.shape)
 
 
@@ -127,14 +134,17 @@ class Sphere(Obstacle):
     radius: np.ndarray
     friction: np.ndarray = 0.0
     kind: ClassVar[int] = CAPSULE
-    shapes: ClassVar[dict] = {"centre": (3,), "radius": (), "friction": ()}
-    positive: ClassVar[tuple] = ("radius",)
+    shapes: ClassVar[dict[str, tuple[int, ...]]] = {"centre": (3,), "radius": (), "friction": ()}
+    positive: ClassVar[tuple[str, ...]] = ("radius",)
 
-    def placed(self):
+    if TYPE_CHECKING:
+        def __init__(self, centre: ArrayLike, radius: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
+
+    def placed(self) -> Placed:
         return self.centre, np.eye(3)[None], np.stack([self.radius, 0 * self.radius, 0 * self.radius], -1), self.radius
 
     @staticmethod
-    def local_distance(local, sizes):
+    def local_distance(local: np.ndarray, sizes: np.ndarray) -> Distances:
         return _to_core(local, sizes[..., :1])
 
 
@@ -146,13 +156,13 @@ class _Rod(Obstacle):
     end: np.ndarray
     radius: np.ndarray
     friction: np.ndarray = 0.0
-    shapes: ClassVar[dict] = {"start": (3,), "end": (3,), "radius": (), "friction": ()}
-    positive: ClassVar[tuple] = ("radius",)
+    shapes: ClassVar[dict[str, tuple[int, ...]]] = {"start": (3,), "end": (3,), "radius": (), "friction": ()}
+    positive: ClassVar[tuple[str, ...]] = ("radius",)
 
-    def _check(self):
+    def _check(self) -> None:
         _require_direction(type(self).__name__, "end", self.end - self.start, "at the start")
 
-    def placed(self):
+    def placed(self) -> Placed:
         axis = self.end - self.start
         half = 0.5 * np.linalg.norm(axis, axis=-1)
         radius, half = np.broadcast_arrays(self.radius, half)
@@ -166,8 +176,11 @@ class Capsule(_Rod):
 
     kind: ClassVar[int] = CAPSULE
 
+    if TYPE_CHECKING:
+        def __init__(self, start: ArrayLike, end: ArrayLike, radius: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
+
     @staticmethod
-    def local_distance(local, sizes):
+    def local_distance(local: np.ndarray, sizes: np.ndarray) -> Distances:
         axial = local[..., 2] - np.clip(local[..., 2], -sizes[..., 1], sizes[..., 1])
         return _to_core(np.concatenate([local[..., :2], axial[..., None]], -1), sizes[..., :1])
 
@@ -178,8 +191,11 @@ class Cylinder(_Rod):
 
     kind: ClassVar[int] = CYLINDER
 
+    if TYPE_CHECKING:
+        def __init__(self, start: ArrayLike, end: ArrayLike, radius: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
+
     @staticmethod
-    def local_distance(local, sizes):
+    def local_distance(local: np.ndarray, sizes: np.ndarray) -> Distances:
         radial, outward = _radial(local)
         side, cap = radial - sizes[..., 0], np.abs(local[..., 2]) - sizes[..., 1]
         upward = np.where(local[..., 2] < 0, -1.0, 1.0)[..., None] * [0.0, 0.0, 1.0]
@@ -200,20 +216,24 @@ class Ring(Obstacle):
     thickness: np.ndarray
     friction: np.ndarray = 0.0
     kind: ClassVar[int] = RING
-    shapes: ClassVar[dict] = {"centre": (3,), "axis": (3,), "radius": (), "thickness": (), "friction": ()}
-    positive: ClassVar[tuple] = ("radius", "thickness")
+    shapes: ClassVar[dict[str, tuple[int, ...]]] = {"centre": (3,), "axis": (3,), "radius": (), "thickness": (), "friction": ()}
+    positive: ClassVar[tuple[str, ...]] = ("radius", "thickness")
 
-    def _check(self):
+    if TYPE_CHECKING:
+        def __init__(self, centre: ArrayLike, axis: ArrayLike, radius: ArrayLike, thickness: ArrayLike,
+                     friction: ArrayLike = 0.0) -> None: ...
+
+    def _check(self) -> None:
         _require_direction("Ring", "axis", self.axis)
         if (self.thickness >= self.radius).any():
             raise InputError("Ring", "thickness", f"{self.thickness.max():g} mm closes the hole", "give less than the radius")
 
-    def placed(self):
+    def placed(self) -> Placed:
         radius, thickness = np.broadcast_arrays(self.radius, self.thickness)
         return self.centre, _axes_about(self.axis), np.stack([radius, thickness, 0 * radius], -1), thickness
 
     @staticmethod
-    def local_distance(local, sizes):
+    def local_distance(local: np.ndarray, sizes: np.ndarray) -> Distances:
         radial, outward = _radial(local)
         beside = (radial - sizes[..., 0])[..., None] * outward + local[..., 2:] * [0.0, 0.0, 1.0]
         return _to_core(beside, sizes[..., 1:2])
@@ -228,19 +248,23 @@ class Box(Obstacle):
     rotation: np.ndarray = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     friction: np.ndarray = 0.0
     kind: ClassVar[int] = BOX
-    shapes: ClassVar[dict] = {"centre": (3,), "size": (3,), "rotation": (3, 3), "friction": ()}
-    positive: ClassVar[tuple] = ("size",)
+    shapes: ClassVar[dict[str, tuple[int, ...]]] = {"centre": (3,), "size": (3,), "rotation": (3, 3), "friction": ()}
+    positive: ClassVar[tuple[str, ...]] = ("size",)
 
-    def _check(self):
+    if TYPE_CHECKING:
+        def __init__(self, centre: ArrayLike, size: ArrayLike, rotation: ArrayLike = np.eye(3),
+                     friction: ArrayLike = 0.0) -> None: ...
+
+    def _check(self) -> None:
         off = np.abs(np.swapaxes(self.rotation, -1, -2) @ self.rotation - np.eye(3)).max()
         if off > 1e-6:
             raise InputError("Box", "rotation", f"off a rotation by {off:.2g}", "give a 3×3 rotation matrix")
 
-    def placed(self):
+    def placed(self) -> Placed:
         return self.centre, self.rotation, 0.5 * self.size, 0.5 * self.size.min(axis=-1)
 
     @staticmethod
-    def local_distance(local, sizes):
+    def local_distance(local: np.ndarray, sizes: np.ndarray) -> Distances:
         beyond = np.abs(local) - sizes
         sign = np.where(local < 0, -1.0, 1.0)
         outside = np.maximum(beyond, 0.0)

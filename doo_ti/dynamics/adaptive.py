@@ -18,11 +18,11 @@ MOST_GAIN, LEAST_GAIN = {"bdf2": 2.0, "euler": 1.5}, 1.25
 In a smooth motion it is 4 and 2; less where a gripper starts at once or a velocity contradicts it, and in coarse steps."""
 
 
-def adapted(run: Callable[..., Trajectory], count: int, stepping: Stepping, detailed: bool,
+def adapted(run: Callable[..., Trajectory], count: int, stepping: Stepping,
             progress: Callable[[int], None] | None) -> Trajectory:
     """The motion of R = ``count`` rods, each with the fewest substeps that reach the tolerance, or with the most.
 
-    run  (stepping, rows (n,), detailed, progress): the motion of some rods with fixed steps in one precision
+    run  (stepping, rows (n,), progress): the motion of some rods with fixed steps in one precision
 
     With d the largest distance of a vertex in any frame between the motions with n/2 and n substeps, and that distance before
     divided by d being the gain g, at most MOST_GAIN, the error of n substeps is estimated as d/(g − 1), of a geometric series.
@@ -43,20 +43,20 @@ def adapted(run: Callable[..., Trajectory], count: int, stepping: Stepping, deta
         left = ~(estimate <= stepping.tolerance)
         rows, before, coarse = rows[left], apart[left], _some(fine, left)
     found = replace(found, error=error)
-    return replace(found, detail=_detail(run, _fixed(stepping, steps), found)) if detailed else found
+    return replace(found, detail=_detail(run, _fixed(stepping, steps), found)) if stepping.detailed else found
 
 
 def _fixed(stepping: Stepping, steps: int, precision: str = "f64") -> Stepping:
     """So many steps, in the precision that ``stepping`` states, or where that is mixed in the one given."""
     precision = precision if stepping.precision == "mixed" else stepping.precision
-    return replace(stepping, substeps=steps, precision=precision, tolerance=None)
+    return replace(stepping, substeps=steps, precision=precision, tolerance=None, detailed=False)
 
 
 def _moved(run: Callable[..., Trajectory], stepping: Stepping, steps: int, rows: np.ndarray, progress=None) -> Trajectory:
     """The rods ``rows`` with so many substeps. In mixed precision the first substeps and twice as many are f32, whose rounding
     grows with finer steps, and what it stops is repeated in f64."""
     coarse = "f32" if steps <= 2 * stepping.substeps else "f64"
-    found = run(_fixed(stepping, steps, coarse), rows, False, progress)
+    found = run(_fixed(stepping, steps, coarse), rows, progress)
     again = np.flatnonzero(~found.converged)
     if stepping.precision == "mixed" and coarse == "f32" and len(again):
         _put(found, again, run(_fixed(stepping, steps), rows[again]), slice(None))
@@ -98,7 +98,7 @@ def _detail(run: Callable[..., Trajectory], fixed: Stepping, found: Trajectory) 
     parts, order = [], []
     for steps in np.unique(found.substeps):
         rows = np.flatnonzero(found.substeps == steps)
-        parts.append(run(replace(fixed, substeps=int(steps)), rows, True).detail)
+        parts.append(run(replace(fixed, substeps=int(steps), detailed=True), rows).detail)
         order.append(rows)
     back = np.argsort(np.concatenate(order))
     energies = {name: np.concatenate([part.energies[name] for part in parts])[back] for name in parts[0].energies}

@@ -13,7 +13,8 @@ from doo_ti.frames import (
     orthonormality_error,
     quaternion_from_matrix,
 )
-from doo_ti.types import Clamp, Clamps
+from doo_ti.short_repr import short_repr
+from doo_ti.types import Clamp, Clamps, Rows
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,8 @@ class Grippers:
     start_frame, end_frame        (S, T, 3, 3) columns t, m1, m2; of a tangent clamp t only
     """
 
+    __repr__ = short_repr
+
     start: np.ndarray
     end: np.ndarray
     start_position: np.ndarray
@@ -32,7 +35,7 @@ class Grippers:
     start_frame: np.ndarray
     end_frame: np.ndarray
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         shape = np.shape(self.start_position)
         for name in _PATHS:
             wanted = (*shape[:2], 3, 3) if name.endswith("frame") else (*shape[:2], 3)
@@ -72,7 +75,7 @@ class Grippers:
             return np.broadcast_to(array[:, None], (len(array), instants, *array.shape[1:]))
         return cls(clamps.start, clamps.end, *(still(getattr(clamps, name)) for name in _PATHS))
 
-    def take(self, rows) -> "Grippers":
+    def take(self, rows: Rows) -> "Grippers":
         """Those of the rods named by ``rows``."""
         kinds = [kind if np.ndim(kind) == 0 else np.asarray(kind)[rows] for kind in (self.start, self.end)]
         return Grippers(*kinds, *(getattr(self, name)[rows] for name in _PATHS))

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.parameters import Direction, MovingStart, Stepping
@@ -18,6 +19,7 @@ from doo_ti.dynamics.stills import Stills
 from doo_ti.dynamics.theta import MotionTheta, Unknowns, simulated
 from doo_ti.dynamics.trajectory import Trajectory
 from doo_ti.io.observations import Observations
+from doo_ti.short_repr import short_repr
 from doo_ti.types import Clamp, Status
 
 STEP = 1e-6
@@ -70,8 +72,8 @@ def simulated_recordings(motion: RecordedMotion, theta: MotionTheta, stepping: S
     frames 0 and 1."""
     begun = rollout(motion, theta.rest_length, theta.reference, end=end)
     material, dynamics = simulated([theta])
-    found = simulate(MovingStart(begun.start, begun.velocity, 0.5 / begun.rate), material, begun.grippers, dynamics, stepping,
-                     up=theta.up, detailed=True, progress=progress, **surroundings.arguments)
+    found = simulate(MovingStart(begun.start, begun.velocity, 0.5 / begun.rate), material, begun.grippers, dynamics,
+                     replace(stepping, detailed=True), up=theta.up, progress=progress, **surroundings.arguments)
     positions, status = (value[:, 0] for value in _shown(motion, 1, begun.steps[:, 1:] - 1, found))
     rods = np.arange(motion.count)[:, None]
     energies = {name: np.concatenate([np.full((motion.count, 1), np.nan), value[rods, begun.steps]], axis=1)
@@ -145,6 +147,8 @@ class Identified:
     still_error (S,) mm, the mean distance of the marks of each still, of all sets one after the other; NaN for those left out
     """
 
+    __repr__ = short_repr
+
     theta: MotionTheta
     unknowns: Unknowns
     vector: np.ndarray
@@ -186,7 +190,8 @@ def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOption
 
 
 def identify_from_guesses(motion: RecordedMotion, options: IdentifyOptions, bend: float | None = None,
-                          up=(0.0, 0.0, 1.0), report=None, stills: Sequence[Observations] = ()) -> Identified:
+                          up: ArrayLike = (0.0, 0.0, 1.0), report: Callable[[int, int, float], None] | None = None,
+                          stills: Sequence[Observations] = ()) -> Identified:
     """:func:`identify` from the best of several guesses of bend stiffness on the shortest horizon, or from ``bend``."""
     lengths, reference = motion.edge_lengths(), roll_reference(motion)
     at_rest = [Stills.of(observations, reference, lengths.sum()) for observations in stills]

@@ -1,10 +1,13 @@
 """What a rod in motion has besides its material, how it starts, and the time steps it makes (docs/dynamics.md)."""
 
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.errors import InputError, real_array, require_number, require_whole
+from doo_ti.short_repr import short_repr
 from doo_ti.types import Configuration, Material
 
 GRAVITY = 9806.65
@@ -37,6 +40,7 @@ class Stepping:
     tolerance  mm: a rod whose estimated error is larger at some frame, or that fails, is simulated again with twice as many
                steps, which also gives the estimate (:mod:`doo_ti.dynamics.adaptive`); None: no error is estimated
     most_substeps  with a tolerance
+    detailed   frames, velocities and energies are returned as well; every step is a launch of its own then
     quasi_static   without inertia and drag: every step is an equilibrium, in which friction remembers where the rod was
 
     Raises InputError for numbers out of range and unknown words.
@@ -48,9 +52,10 @@ class Stepping:
     precision: str = "f64"
     tolerance: float | None = None
     most_substeps: int = 64
+    detailed: bool = False
     quasi_static: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require_number("Stepping", "rate", self.rate)
         if not 0 < self.rate <= MOST_RATE:
             raise InputError("Stepping", "rate", f"{self.rate}", f"give instants per second, above zero, at most {MOST_RATE:g}")
@@ -85,12 +90,14 @@ class MovingStart:
     Raises InputError for a velocity of another shape, or that is not finite.
     """
 
+    __repr__ = short_repr
+
     configuration: Configuration
     velocity: np.ndarray | None = None
     velocity_age: float = 0.0
     smooth: bool = True
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         shape = (self.configuration.count, self.configuration.edges + 1, 3)
         velocity = np.zeros(shape) if self.velocity is None else self.velocity
         velocity = real_array("MovingStart", "velocity", velocity, "give real numbers").astype(np.float64)
@@ -115,6 +122,8 @@ class Dynamics:
     Raises InputError for numbers that are negative or not finite, and shapes that do not match.
     """
 
+    __repr__ = short_repr
+
     density: np.ndarray | None = None
     bend_damping: np.ndarray = 0.0
     twist_damping: np.ndarray = 0.0
@@ -122,7 +131,11 @@ class Dynamics:
     quadratic_drag: np.ndarray = 0.0
     point_mass: np.ndarray = 0.0
 
-    def __post_init__(self):
+    if TYPE_CHECKING:  # what it takes; the fields are the arrays that it makes of them
+        def __init__(self, density: ArrayLike | None = None, bend_damping: ArrayLike = 0.0, twist_damping: ArrayLike = 0.0,
+                     drag: ArrayLike = 0.0, quadratic_drag: ArrayLike = 0.0, point_mass: ArrayLike = 0.0) -> None: ...
+
+    def __post_init__(self) -> None:
         for entry in fields(self):
             value = getattr(self, entry.name)
             if value is None:

@@ -1,9 +1,11 @@
 """Recorded motion: markers along rods held by grippers: where a simulation starts, and what it is compared with."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.dynamics.grippers import Grippers, edge_frames
 from doo_ti.errors import InputError
@@ -12,7 +14,8 @@ from doo_ti.io.arrays import read_npz
 from doo_ti.io.files import read_content
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.short_repr import short_repr
+from doo_ti.types import Clamp, Clamps, Configuration, Material, Rows
 
 LEAST_JUMP, LARGEST_MISFIT, SMALLEST_JUMP = 1.7, 0.2, 10.0
 """Frames are missing where the gripper markers together move by more than the first times their usual move; where what that
@@ -51,6 +54,8 @@ class RecordedMotion:
     Raises InputError for shapes that do not fit and numbers that are not finite.
     """
 
+    __repr__ = short_repr
+
     positions: np.ndarray
     rate: float
     names: tuple[str, ...]
@@ -59,7 +64,8 @@ class RecordedMotion:
     alone: bool = False
 
     @classmethod
-    def of(cls, positions, rate: float, names=None, source: str = "motion") -> "RecordedMotion":
+    def of(cls, positions: ArrayLike, rate: float, names: Iterable[object] | None = None,
+           source: str = "motion") -> "RecordedMotion":
         """With ``elapsed`` found from how the grippers move."""
         positions = np.asarray(positions, dtype=np.float64)
         alone = positions.ndim == 3
@@ -132,7 +138,7 @@ class RecordedMotion:
         """E."""
         return self.positions.shape[2] - 1
 
-    def take(self, rows) -> "RecordedMotion":
+    def take(self, rows: Rows) -> "RecordedMotion":
         """The recordings named by ``rows``."""
         rows = np.atleast_1d(rows)
         return RecordedMotion(self.positions[rows], self.rate, tuple(np.array(self.names)[rows]), self.elapsed[rows],

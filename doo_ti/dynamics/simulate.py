@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.dynamics.adaptive import adapted
@@ -61,12 +62,11 @@ def simulate(
     stepping: Stepping,
     *,
     springs: Springs | None = None,
-    up=(0.0, 0.0, 1.0),
+    up: ArrayLike = (0.0, 0.0, 1.0),
     pairs: tuple[np.ndarray, np.ndarray] | None = None,
     directions: Sequence[Direction] = (),
-    detailed: bool = False,
     obstacles: Sequence[Obstacle] = (),
-    radius=None,
+    radius: ArrayLike | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
     """Move rods from ``start`` through the instants of ``grippers``.
@@ -79,7 +79,6 @@ def simulate(
     pairs       (R,) rows of start and of material that make up each rod; by default they pair one to one, a single row with
                 every row of the other
     directions  P parameters to differentiate the positions by, in f64
-    detailed    also returns frames, velocities and energies; every step is a launch of its own then
     obstacles   what the rods may touch but not enter, with friction where it states a coefficient; with f64 or f32 and without
                 directions
     radius      of the rods, mm, one or (R,), with obstacles
@@ -96,23 +95,23 @@ def simulate(
     given = begin.configuration, material, grippers, dynamics
     direction = unit_up(up, "simulate")
 
-    def run(stepping: Stepping, rods, own_springs, touchable, detailed=False, progress=None) -> Trajectory:
+    def run(stepping: Stepping, rods, own_springs, touchable, progress=None) -> Trajectory:
         motion = _Motion(*given, stepping, own_springs, direction, rods, touchable)
         memory, remembered = motion.begin(begin, directions)
-        return motion.run(memory, progress, directions, remembered, detailed)
+        return motion.run(memory, progress, directions, remembered)
 
     if stepping.tolerance is None and stepping.precision != "mixed":
-        return run(stepping, pairs, springs, (obstacles, radius), detailed, progress)
+        return run(stepping, pairs, springs, (obstacles, radius), progress)
     index = paired_rows(begin.configuration.count, material.count, *((None, None) if pairs is None else pairs))
     many = springs is not None and springs.count > 1
 
-    def some(stepping: Stepping, rows: np.ndarray, detailed=False, progress=None) -> Trajectory:
+    def some(stepping: Stepping, rows: np.ndarray, progress=None) -> Trajectory:
         own = Springs(springs.points[rows], springs.stiffness[rows]) if many else springs
         thick = radius if np.size(radius) < 2 else np.asarray(radius)[rows]
         touchable = [obstacle.take(rows) for obstacle in obstacles], thick
-        return run(stepping, tuple(part[rows] for part in index), own, touchable, detailed, progress)
+        return run(stepping, tuple(part[rows] for part in index), own, touchable, progress)
 
-    return adapted(some, len(index[0]), stepping, detailed, progress)
+    return adapted(some, len(index[0]), stepping, progress)
 
 
 class _Motion:
@@ -278,8 +277,7 @@ class _Motion:
         return Losses(length, m.bend[rods], m.twist[rods], rest[rods], *damping, weight, numbers[..., 0] * h**2, drag, by_speed,
                       numbers[..., SPRING - INERTIA], numbers[..., SPRING_POINT - INERTIA :], self.up)
 
-    def run(self, memory: Memory, progress, directions: Sequence[Direction], remembered: np.ndarray,
-            detailed: bool) -> Trajectory:
+    def run(self, memory: Memory, progress, directions: Sequence[Direction], remembered: np.ndarray) -> Trajectory:
         """All steps, in launches of bounded size."""
         factor, bits = RATES[self.stepping.scheme], 32 if self.stepping.precision == "f32" else 64
         table = self.table(factor)
@@ -295,7 +293,7 @@ class _Motion:
             return make_steps(table, memory, path, numbers, shares, time, every, _newton(), bits, slopes)
 
         account = None
-        if detailed:
+        if self.stepping.detailed:
             losses = self.losses(table, numbers[table.external_index], factor)
             account = Account(losses, self.stepping.scheme, self.step, self.held()[table.configuration_index], memory)
             at_once = 1
@@ -312,8 +310,9 @@ class _Motion:
         outcome = _joined(outcomes)
         status = outcome[..., STATE].astype(np.int8)
         return Trajectory(
-            _joined(positions), status, outcome[..., TRIPS].astype(np.int32), outcome[..., MOMENT], outcome[..., END_FORCE:FRICTION_WORK],
-            self.stepping.rate, memory, np.full(table.count, self.substeps), np.full(table.count, np.nan),
+            _joined(positions), status, outcome[..., TRIPS].astype(np.int32), outcome[..., MOMENT],
+            outcome[..., END_FORCE:FRICTION_WORK], self.stepping.rate, memory,
+            np.full(table.count, self.substeps), np.full(table.count, np.nan),
             None if slopes is None else _joined(changes), None if account is None else account.detail(status),
             None if forces[0] is None else _joined(forces), _summed([part[..., FRICTION_WORK] for part in outcomes]))
 

@@ -10,6 +10,7 @@ from numpy.polynomial import legendre
 from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.errors import InputError
 from doo_ti.io.files import MOST_TEXT_BYTES, read_content
+from doo_ti.short_repr import short_repr
 from doo_ti.types import LARGEST, Material, unit_up
 
 FILE_KEYS = {"bend": "bend_mm3", "twist_ratio": "twist_ratio", "bend_damping": "bend_damping_s", "drag": "drag_per_s",
@@ -32,6 +33,8 @@ class MotionTheta:
     reference       (3,) towards which m1 of the first edge points where a recording begins
     up              (3,) unit vector against gravity
     """
+
+    __repr__ = short_repr
 
     bend: float
     twist_ratio: float

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.relaxation.time_steps import Memory
+from doo_ti.short_repr import short_repr
 from doo_ti.types import Status
 
 
@@ -30,7 +31,7 @@ class Trajectory:
     status      (R, F) Status; a rod that failed keeps its status to the end
     iterations  (R, F) Newton iterations of all steps since the frame before
     residual    (R, F) the largest residual of those steps
-    end_force   (R, F, 3) force of the far clamp on the rod, mm (energy per mm), zero where an end is free
+    end_force   (R, F, 3) force of the far clamp on the rod, mm (energy in mm² per mm), zero where an end is free
     rate        frames per second
     memory      frames, positions and velocities at the last two instants
     substeps    (R,) time steps from one frame to the next
@@ -41,6 +42,8 @@ class Trajectory:
     contact_force  (R, F, V, 3) of obstacles on vertices, friction included, mm (energy per mm), or None without obstacles
     friction_work  (R, F) energy that friction has taken since the start, mm²
     """
+
+    __repr__ = short_repr
 
     positions: np.ndarray
     status: np.ndarray

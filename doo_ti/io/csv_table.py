@@ -95,10 +95,9 @@ def read_csv(path: Path, needed: tuple[str, ...], optional: tuple[str, ...] | No
                      short_lines=short_lines)
 
 
-def parse_csv(path: Path, content: bytes, needed: tuple[str, ...], optional: tuple[str, ...] | None = None, *,
-              form: str | None = None, short_lines: bool = False) -> CsvTable:
-    """The table in the bytes of a CSV file, as :func:`read_csv` reads it; ``path`` names it in messages."""
-    remedy = f"give the columns {form or ', '.join(needed)}"
+def csv_rows(path: Path, content: bytes, remedy: str) -> list[tuple[int, list[str]]]:
+    """Each line of a CSV file: (its number from 1, its cells). Raises InputError, with that ``remedy``, for bytes that are not
+    CSV, and for cells that hold a line break, as after a quote that is not closed."""
     try:
         reader = csv.reader(StringIO(content.decode("utf-8-sig"), newline=""), strict=True)
         ends = [(reader.line_num, row) for row in reader]  # the line on which each row ends
@@ -107,7 +106,14 @@ def parse_csv(path: Path, content: bytes, needed: tuple[str, ...], optional: tup
     for (before, _), (line, _) in pairwise([(0, []), *ends]):
         if line > before + 1:
             raise InputError(path, f"line {line}", "a line break within a cell", "close the quote")
-    rows = [(line, row) for line, row in ends if any(row) and any(map(str.strip, row))]
+    return ends
+
+
+def parse_csv(path: Path, content: bytes, needed: tuple[str, ...], optional: tuple[str, ...] | None = None, *,
+              form: str | None = None, short_lines: bool = False) -> CsvTable:
+    """The table in the bytes of a CSV file, as :func:`read_csv` reads it; ``path`` names it in messages."""
+    remedy = f"give the columns {form or ', '.join(needed)}"
+    rows = [(line, row) for line, row in csv_rows(path, content, remedy) if any(row) and any(map(str.strip, row))]
     names = [name.strip() for name in rows[0][1]] if rows else []
     for name in needed:
         if name not in names:

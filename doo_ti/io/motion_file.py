@@ -33,6 +33,7 @@ from doo_ti.frames import (
     smallest_rotation,
 )
 from doo_ti.io.arrays import frame_columns, position_columns, read_arrays
+from doo_ti.short_repr import short_repr
 from doo_ti.types import Clamps
 
 KNOWN = {
@@ -67,6 +68,8 @@ class ClampPath:
     rotation that contradicts the end frames.
     """
 
+    __repr__ = short_repr
+
     time: np.ndarray
     start_position: np.ndarray | None = None
     end_position: np.ndarray | None = None
@@ -76,7 +79,7 @@ class ClampPath:
     tangents_only: bool = False
     source: str = "motion"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.time.ndim != 1 or len(self.time) < 2 or not (np.diff(self.time) > 0).all():
             raise InputError(self.source, "time_s", "not two or more rising times", "give the moments in their order")
         for name, most, unit in (("start_position", MOST_MM, "mm"), ("end_position", MOST_MM, "mm"),

@@ -10,8 +10,9 @@ A table has one row per vertex:
                                of the observation: at its vertex 0, the other rows repeat it or are empty
     up_x, up_y, up_z           of the file
 
-The nine columns of a frame end in t_x, m1_x, m2_x, t_y, …, m2_z. All but the first five are optional; other columns
-are ignored.
+The nine columns of a frame end in t_x, m1_x, m2_x, t_y, …, m2_z. Only the position is required, and its columns may state
+another unit, x_m or x_cm, or none, x, which is mm; without ``vertex`` rows are in order along the rod, without ``observation``
+there is one. Other columns are ignored.
 """
 
 from collections.abc import Callable
@@ -23,6 +24,7 @@ import numpy as np
 from doo_ti.errors import InputError
 from doo_ti.io.arrays import AXES, MOST_UNPACKED_BYTES, first_line, frame_columns, given_columns
 from doo_ti.io.csv_table import parse_csv
+from doo_ti.io.curves import UNITS_IN_MM
 
 # Key of the npz format: what a value of it belongs to, the shape of the value, the names of its columns.
 KEYS_IN_TABLES = {
@@ -40,17 +42,25 @@ KEYS_IN_TABLES = {
 }
 # Keys that hold one value for all observations.
 _SHARED = ("rest_length_mm", "up")
-_NEEDED = ("observation", "vertex", *KEYS_IN_TABLES["vertices_mm"][2])
+_POSITION = KEYS_IN_TABLES["vertices_mm"][2]
 _COLUMNS = ("observation", "vertex", *(name for _, _, names in KEYS_IN_TABLES.values() for name in names))
+RENAMED = ("observation", "vertex", *AXES, "valid", "sigma_mm", "rest_length_mm")
+"""What a user may say is in a column of another name."""
 
 
-def read_table(path: Path, content: bytes) -> dict[str, np.ndarray]:
-    """The keys of the npz format from the bytes of a CSV or Parquet file, by the suffix of ``path``.
+def read_table(path: Path, content: bytes, renamed: dict[str, str] | None = None) -> dict[str, np.ndarray]:
+    """The keys of the npz format from the bytes of a CSV or Parquet file, by the suffix of ``path``; and ``unit``: mm in the
+    unit that the columns of positions state.
+
+    renamed  some of :data:`RENAMED`: the column of the file that holds it
 
     Raises InputError for files that are no table, for missing or repeated rows and columns, and for values that are not
     numbers or differ where they must agree.
     """
-    columns, place = (_csv_columns if path.suffix == ".csv" else _parquet_columns)(path, content)
+    columns, place, unit = (_csv_columns if path.suffix == ".csv" else _parquet_columns)(path, content, renamed or {})
+    count = len(columns[_POSITION[0]])
+    columns.setdefault("observation", np.zeros(count))
+    columns.setdefault("vertex", _counted(columns["observation"]))
     rows = {}
     for name in ("observation", "vertex"):
         values = columns[name]
@@ -59,7 +69,7 @@ def read_table(path: Path, content: bytes) -> dict[str, np.ndarray]:
             raise InputError(path, name, f"{values[bad[0]]:g} in {place(bad[0])} is not a whole number", "give whole numbers")
         rows[name] = values.astype(np.int64)
     order, shape = _row_order(path, **rows)
-    keys = {}
+    keys = {"unit": unit}
     for key, (owner, value_shape, names) in KEYS_IN_TABLES.items():
         if given_columns(path, names, columns):
             values = np.stack([columns[name][order].reshape(shape) for name in names], axis=-1)
@@ -99,14 +109,42 @@ def write_table(file: BinaryIO, suffix: str, keys: dict[str, np.ndarray]) -> Non
     (pyarrow.csv.write_csv if suffix == ".csv" else pyarrow.parquet.write_table)(table, file)
 
 
-def _csv_columns(path: Path, content: bytes) -> tuple[dict[str, np.ndarray], Callable[[int], str]]:
-    """The known columns as (N,) f64, NaN where a cell is empty, and how a message names a row."""
-    table = parse_csv(path, content, _NEEDED)
-    return ({name: table.numbers(name, may_be_empty=True) for name in _COLUMNS if name in table.columns},
-            lambda row: f"line {table.lines[row]}")
+def _counted(labels: np.ndarray) -> np.ndarray:
+    """(N,) how many rows before this one have its label."""
+    order = np.argsort(labels, kind="stable")
+    firsts = np.searchsorted(labels[order], labels[order])
+    count = np.empty(len(labels))
+    count[order] = np.arange(len(labels)) - firsts
+    return count
 
 
-def _parquet_columns(path: Path, content: bytes) -> tuple[dict[str, np.ndarray], Callable[[int], str]]:
+def _named(path: Path, names, renamed: dict[str, str]) -> dict[str, tuple[str, float]]:
+    """Column of the format: (column of the file, factor to its unit), of those that a file with columns ``names`` has."""
+    found = {name: (name, 1.0) for name in _COLUMNS if name in names}
+    for unit, factor in (*((f"_{unit}", factor) for unit, factor in UNITS_IN_MM.items()), ("", 1.0)):
+        own = [f"{axis}{unit}" for axis in AXES]
+        if _POSITION[0] not in found and own[0] in names:
+            found |= {name: (column, factor) for name, column in zip(_POSITION, own, strict=True) if column in names}
+    for name, column in renamed.items():
+        if column not in names:
+            raise InputError(path, column, "the column is missing", f"the file has {', '.join(list(names)[:20])}")
+        found[f"{name}_mm" if name in AXES else name] = (column, 1.0)
+    missing = next((name for name in _POSITION if name not in found), None)
+    if missing is not None:
+        raise InputError(path, missing, "the column is missing",
+                         f"give the columns observation, vertex, {', '.join(_POSITION)}, or name yours with `columns`")
+    return found
+
+
+def _csv_columns(path: Path, content: bytes, renamed) -> tuple[dict[str, np.ndarray], Callable[[int], str], float]:
+    """The known columns as (N,) f64, NaN where a cell is empty, how a message names a row, and mm in the unit of positions."""
+    table = parse_csv(path, content, ())
+    named = _named(path, table.columns, renamed)
+    return ({name: factor * table.numbers(column, may_be_empty=True) for name, (column, factor) in named.items()},
+            lambda row: f"line {table.lines[row]}", named[_POSITION[0]][1])
+
+
+def _parquet_columns(path: Path, content: bytes, renamed) -> tuple[dict[str, np.ndarray], Callable[[int], str], float]:
     """The same of a Parquet file."""
     import pyarrow
     import pyarrow.parquet
@@ -117,16 +155,14 @@ def _parquet_columns(path: Path, content: bytes) -> tuple[dict[str, np.ndarray],
         names = table.column_names
     except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
         raise InputError(path, "file", f"is not a Parquet table ({first_line(error)})", "write one row per vertex") from None
-    for name in _NEEDED:
-        if name not in names:
-            raise InputError(path, name, "the column is missing", f"give the columns {', '.join(_NEEDED)}")
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise InputError(path, twice, "the column is there twice", "keep one of them")
     if table.num_rows == 0:
         raise InputError(path, "file", "holds no rows", "write one row per vertex")
-    return ({name: _parquet_numbers(path, name, table.column(name)) for name in _COLUMNS if name in names},
-            lambda row: f"row {row + 1}")
+    named = _named(path, names, renamed)
+    return ({name: factor * _parquet_numbers(path, column, table.column(column)) for name, (column, factor) in named.items()},
+            lambda row: f"row {row + 1}", named[_POSITION[0]][1])
 
 
 def _check_unpacked(path: Path, metadata) -> None:

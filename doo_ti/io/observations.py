@@ -6,18 +6,23 @@ mm and rad. Axes: D observations, V vertices, E = V − 1 edges.
 
 import hashlib
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.errors import InputError, real_array
 from doo_ti.frames import FRAME_TOLERANCE, handedness, orthonormality_error
-from doo_ti.io.arrays import read_npz
-from doo_ti.io.files import MOST_BYTES, read_content, write_whole
-from doo_ti.io.observation_tables import KEYS_IN_TABLES, read_table, write_table
+from doo_ti.io.curves import UNITS_IN_MM
+from doo_ti.io.files import write_whole
+from doo_ti.io.formats import TABLES, checked_suffix, read_keys
+from doo_ti.io.observation_tables import write_table
+from doo_ti.short_repr import counted
 from doo_ti.terminal import in_line
-from doo_ti.types import LARGEST
+from doo_ti.types import LARGEST, Rows
 
 # Field of Observations: key of the file.
 KEYS = {
@@ -25,9 +30,8 @@ KEYS = {
     "end_frame": "end_frame", "frames": "frames", "total_twist": "total_twist_deg", "up": "up", "sigma": "sigma_mm",
     "end_distance": "end_distance_mm", "end_rotation": "end_rotation_deg",
 }
-TABLES = (".csv", ".parquet")
-MOST_CSV_BYTES = 1 << 28
-"""Reading CSV takes about fifteen times as much memory."""
+LENGTHS = ("vertices", "rest_length", "sigma", "end_distance")
+"""Fields in mm."""
 LEAST_SIGMA_MM, MOST_SIGMA_MM = 1e-9, 1e6
 """Of labels: the information in them grows with the inverse square."""
 
@@ -70,7 +74,18 @@ class Observations:
     source: str = "observations"
     sha256: str = ""
 
-    def __post_init__(self):
+    if TYPE_CHECKING:  # what it takes; the fields are the arrays that it makes of them
+        def __init__(self, vertices: ArrayLike, valid: ArrayLike | None = None, rest_length: ArrayLike | None = None,
+                     start_frame: ArrayLike | None = None, end_frame: ArrayLike | None = None, frames: ArrayLike | None = None,
+                     total_twist: ArrayLike | None = None, up: ArrayLike = (0.0, 0.0, 1.0), sigma: ArrayLike | None = None,
+                     end_distance: ArrayLike | None = None, end_rotation: ArrayLike | None = None, name: str = "observations",
+                     source: str = "observations", sha256: str = "") -> None: ...
+
+    def __repr__(self) -> str:
+        length = self.rest_length.sum()
+        return f"Observations({self.name}: {counted(self.count, 'rod')} of {self.edges + 1} marks, {length:.4g} mm long)"
+
+    def __post_init__(self) -> None:
         vertices = self._numbers("vertices", ("D", "V", 3))
         count, marks = vertices.shape[:2]
         if count < 1 or marks < 3:
@@ -98,7 +113,7 @@ class Observations:
         """E."""
         return self.vertices.shape[1] - 1
 
-    def take(self, index) -> "Observations":
+    def take(self, index: Rows) -> "Observations":
         """The observations named by ``index``, in that order and as often."""
         per_observation = ("vertices", "valid", "start_frame", "end_frame", "frames", "total_twist", "end_distance",
                            "end_rotation")
@@ -214,25 +229,41 @@ class Observations:
         return frames
 
 
-def load_observations(path: str | os.PathLike, up=None) -> Observations:
-    """Read and check the observations of an ``.npz``, ``.csv`` or ``.parquet`` file (docs/observations.md).
+def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None, unit: str | None = None,
+                      columns: Mapping[str, str] | Sequence[str] | None = None) -> Observations:
+    """Read and check observations of an ``.npz``, ``.csv`` or ``.parquet`` file, or curves of another program: motion capture
+    of OptiTrack and Vicon, MuJoCo cables, USD curves, plain polylines (docs/observations.md).
 
-    up  (3,) direction against gravity, instead of the file's
+    up       (3,) direction against gravity, instead of the file's
+    unit     "mm", "cm" or "m": the unit of all lengths in the file, whatever it states itself
+    columns  of a table: {"x": "PosX", …}, the columns that hold x, y, z, observation and vertex where they have other names;
+             of other files: names of markers or curves, in their order along the rod
 
     Raises InputError for a file that cannot be read and for whatever :class:`Observations` refuses.
     """
     path = Path(path)
-    content = _read_bytes(path)
-    keys = read_table(path, content) if path.suffix in TABLES else read_npz(path, content, tuple(KEYS_IN_TABLES))
+    with np.errstate(over="ignore"):  # what is no longer finite in mm is refused below
+        content, keys = read_keys(path, columns)
+        values = {name: keys[key] for name, key in KEYS.items() if key in keys}
+        if unit is not None:
+            values = _in_mm(values, keys.get("unit", 1.0), unit)
     if "vertices_mm" not in keys:
         raise InputError(path, "vertices_mm", "the key is missing", "store the vertices as vertices_mm (D, V, 3)")
-    values = {name: keys[key] for name, key in KEYS.items() if key in keys}
     observations = Observations(**values, name=in_line(path.stem), source=str(path), sha256=hashlib.sha256(content).hexdigest())
     changed = {} if up is None else {"up": np.asarray(up)}
     if observations.total_twist is not None:
         _check_turns(observations)
         changed["total_twist"] = np.radians(observations.total_twist)
     return replace(observations, **changed)
+
+
+def _in_mm(values: dict, read_as: float, unit: str) -> dict:
+    """``values`` with all lengths taken to be in ``unit``; they were read as ``read_as`` mm."""
+    if unit not in UNITS_IN_MM:
+        raise InputError("load_observations", "unit", f"{unit!r}", f"give one of {', '.join(UNITS_IN_MM)}")
+    factor = UNITS_IN_MM[unit] / read_as
+    return {name: value * factor if name in LENGTHS and np.asarray(value).dtype.kind in "fiu" else value
+            for name, value in values.items()}
 
 
 def _check_turns(observations: Observations) -> None:
@@ -262,18 +293,3 @@ def save_observations(path: str | os.PathLike, observations: Observations) -> No
         write_whole(path, lambda file: write_table(file, path.suffix, keys))
     else:
         write_whole(path, lambda file: np.savez_compressed(file, **keys))
-
-
-def checked_suffix(path: Path) -> None:
-    """Raise InputError unless the suffix of ``path`` is that of a format of observations."""
-    if path.suffix not in (".npz", *TABLES):
-        raise InputError(path, "file", f"suffix {path.suffix!r} is not a format of observations",
-                         f"use one of .npz, {', '.join(TABLES)}")
-
-
-def _read_bytes(path: Path) -> bytes:
-    checked_suffix(path)
-    content = read_content(path, MOST_CSV_BYTES if path.suffix == ".csv" else MOST_BYTES)
-    if not content:
-        raise InputError(path, "file", "0 bytes, the file is empty", "write the observations again")
-    return content

@@ -113,7 +113,7 @@ class Synthesis:
     clip_scatter_deg: _Tilt = 0.0
     source: str = "synthesis"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
             value = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value

@@ -18,6 +18,8 @@ from doo_ti.motion.path import motion_between
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Configuration, Material, Solution, Status, sticky
 
+FEW_RODS = 64
+"""Enough for the kernels of large batches: fewer rods have kernels with fewer of them in a value."""
 RESULTS = ("energy", "residual", "iterations", "status", "stable", "precision")
 """Arrays of a solution that become columns."""
 
@@ -29,6 +31,15 @@ def relaxed(experiment: Experiment, materials: Material) -> Solution:
     of_material, hypothesis = np.divmod(np.arange(materials.count * starts.count), starts.count)
     return relax(starts, materials, clamps, options.solver, up=observations.up, precision=options.precision,
                  configuration_index=hypothesis, material_index=of_material)
+
+
+def load_kernels(experiment: Experiment) -> None:
+    """Relax a few rods, which compiles the kernels of a sweep, or loads them where they were compiled before."""
+    options, observations = experiment.options, experiment.observations
+    starts, clamps = started(observations, experiment.clamps, experiment.hypotheses)
+    rows = np.resize(np.arange(starts.count), FEW_RODS)
+    relax(starts.take(rows), experiment.grid.materials(slice(0, 1)), clamps.take(rows), options.solver, up=observations.up,
+          precision=options.precision)
 
 
 def carried(experiment: Experiment, materials: Material) -> tuple[Solution, np.ndarray, np.ndarray]:

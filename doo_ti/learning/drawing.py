@@ -53,18 +53,18 @@ def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str
 
 
 def plane_of(landscape: Summed):
-    """The landscape as :class:`doo_ti.report.plane.Plane`, which pictures and recordings take."""
-    from doo_ti.report.plane import Plane
+    """The landscape as :class:`doo_ti.report.plane.LandscapePlane`, which pictures and recordings take."""
+    from doo_ti.report.plane import LandscapePlane
 
     shape = landscape.grid.shape
-    return Plane.of(landscape.grid.picture_axes, landscape.mean_distance.reshape(shape),
+    return LandscapePlane.of(landscape.grid.picture_axes, landscape.mean_distance.reshape(shape),
                     np.unravel_index(landscape.best, shape), landscape.unsound.reshape(shape))
 
 
 def trajectory(experiment: Experiment, cell: int):
-    """A :class:`doo_ti.record.Trajectory`: the relaxation of a cell's rods, iteration by iteration under Eq. 2, sub-step by
-    sub-step under Eq. 3, each observation under the hypothesis that is nearest in that cell."""
-    from doo_ti.record import Trajectory
+    """A :class:`doo_ti.record.SweepTrajectory`: the relaxation of a cell's rods, iteration by iteration under Eq. 2,
+    sub-step by sub-step under Eq. 3, each observation under the hypothesis that is nearest in that cell."""
+    from doo_ti.record import SweepTrajectory
 
     experiment = settled(experiment, cell)
     material = experiment.grid.materials(slice(cell, cell + 1))
@@ -76,7 +76,7 @@ def trajectory(experiment: Experiment, cell: int):
     configurations, energy, residual, status = zip(*(moments[k] for k in kept), strict=True)
     error = distance(configurations[-1], experiment.observations, index, experiment.options.frame_weight)
     vertices = np.stack([configuration.vertices for configuration in configurations])
-    return Trajectory(vertices, np.stack(energy), np.stack(residual), status[-1], error)
+    return SweepTrajectory(vertices, np.stack(energy), np.stack(residual), status[-1], error)
 
 
 def _iterations(experiment: Experiment, material: Material) -> Iterator[tuple]:

@@ -52,7 +52,7 @@ class SweepOptions:
     workers: int | None = None
     scheduler: str | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require_number("sweep", "frame_weight", self.frame_weight)
         require_number("sweep", "sub_step", self.sub_step)
         if not 0 <= self.frame_weight <= LARGEST:
@@ -102,7 +102,7 @@ class Experiment:
     pairs: Pairs | None = None
     hypotheses: Hypotheses | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         dynamic = self.options.objective == "dynamic"
         if self.pairs is not None and not dynamic:
             raise InputError(self.pairs.source, "pairs", "given, but the objective is static", "choose the dynamic objective")

@@ -16,6 +16,7 @@ from doo_ti.grid import Grid, Interval, valley
 from doo_ti.learning.chunks import RODS, Terms, cell_files, rods_in, terms_in, whole_rods_in
 from doo_ti.learning.objective import CellSums, counts_by_name, is_sound, status_counts
 from doo_ti.learning.summary import changed_files, check_cells, read_summary, sweep_identity
+from doo_ti.short_repr import short_repr
 from doo_ti.terminal import in_line
 
 LABELS = ("end_distance_mm", "end_rotation_deg")
@@ -122,6 +123,8 @@ class Landscape(Summed):
     jumps             (G, N) sub-steps in which a rod jumped to another branch, None under Eq. 2
     """
 
+    __repr__ = short_repr
+
     distance: np.ndarray
     status: np.ndarray
     stable: np.ndarray
@@ -157,8 +160,9 @@ class Landscape(Summed):
         return {name: column[cell] for name, column in columns.items()}
 
 
-def read_landscape(run: Path) -> Landscape:
+def read_landscape(run: Path | str) -> Landscape:
     """The landscape in the folder of a finished sweep. Raises InputError where it holds none."""
+    run = Path(run)
     summary = read_summary(run)
     check_cells(run, changed_files(run, summary))
     grid = Grid.from_dict(summary.get("grid"), str(run / "summary.json"))

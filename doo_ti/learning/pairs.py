@@ -44,7 +44,7 @@ class Pairs:
     rotation: np.ndarray | None = None
     source: str = "pairs"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, kind in (("from_index", np.int64), ("to_index", np.int64), ("weight", float), ("rotation", float)):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, np.array(getattr(self, name), dtype=kind))

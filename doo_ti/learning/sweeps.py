@@ -11,7 +11,7 @@ stored.
 
 import shlex
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -22,7 +22,7 @@ import numpy as np
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.grid import Grid
 from doo_ti.io.observations import Observations
-from doo_ti.learning.cells import relax_hypotheses, resolve
+from doo_ti.learning.cells import load_kernels, relax_hypotheses, resolve
 from doo_ti.learning.chunks import check_identity, chunk_path, read_rows, write_chunk
 from doo_ti.learning.drawing import draw
 from doo_ti.learning.experiment import Experiment, SweepOptions
@@ -40,8 +40,8 @@ CHUNK_BYTES = 32 << 20
 MOST_RODS = 1_000_000_000
 
 
-def sweep(run: Path, observations: Observations, grid: Grid, *, options: SweepOptions = SweepOptions(),
-          pairs: Pairs | None = None, command: list[str] = ()) -> dict:
+def sweep(run: Path | str, observations: Observations, grid: Grid, *, options: SweepOptions = SweepOptions(),
+          pairs: Pairs | None = None, command: Sequence[str] = ()) -> dict[str, object]:
     """Relax ``observations`` under every cell of ``grid`` (Eq. 2 or 3), store the rods in the folder ``run``, and return the
     summary; an unfinished sweep in ``run`` is resumed.
 
@@ -53,7 +53,7 @@ def sweep(run: Path, observations: Observations, grid: Grid, *, options: SweepOp
     the Dask scheduler does not answer; InterruptedRunError where a chunk fails: the chunks stored before are kept.
     """
     with started_workers(options.workers, options.scheduler) as workers:
-        return _swept(run, Experiment(observations, grid, options, pairs), workers, command)
+        return _swept(Path(run), Experiment(observations, grid, options, pairs), workers, command)
 
 
 def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, command: list[str]) -> dict:
@@ -79,7 +79,7 @@ def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, co
         check_identity(paths, identity)
         for path in paths:  # chunks stored before are read whole: the summary takes their digests
             read_rows(path)
-        seconds = _relax_chunks(run, part, experiment, left, workers, identity)
+        loading, seconds = _relax_chunks(run, part, experiment, left, workers, identity)
         resolution = None
         if part == "hypotheses":
             resolution = resolve(run, experiment, chunks)
@@ -91,7 +91,8 @@ def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, co
         summary = {
             **overview.as_dict(), "observations": observations.count,
             **({} if experiment.pairs is None else {"pairs": experiment.pairs.count}), "hypotheses": resolution,
-            "timing": {"relaxed_rods": rods * sum(last - first for first, last in left), "relaxation_s": seconds},
+            "timing": {"relaxed_rods": rods * sum(last - first for first, last in left), "loading_s": loading,
+                       "relaxation_s": seconds},
             "provenance": provenance(experiment, identity, command),
         }
         draw(run, experiment, overview, identity)
@@ -119,17 +120,20 @@ def chunk_rows(experiment: Experiment, first: int, last: int) -> dict[str, np.nd
 
 def _relax_chunks(
     run: Path, part: str, experiment: Experiment, chunks: list[tuple[int, int]], workers: ThisProcess | Workers, identity: str,
-) -> float:
-    """Have ``workers`` relax ``chunks``, and store them; returns the seconds it took."""
-    began = time.monotonic()
+) -> tuple[float, float]:
+    """Have ``workers`` relax ``chunks``, and store them; returns the seconds that it took to load the kernels, where this
+    process relaxes, and then to relax the rods."""
+    begin = time.monotonic()
     name, cells, rods = experiment.observations.name, experiment.grid.size, len(experiment.rods[0])
     with progress(keep=True) as bar:
         before = cells - sum(last - first for first, last in chunks)
         task = bar.add_task(name, total=cells, completed=before, unit="cells", rate="compiling")
-        done = 0
+        if chunks and isinstance(workers, ThisProcess):
+            load_kernels(experiment)
+        began, done = time.monotonic(), 0
         for (first, last), columns in workers.results(partial(chunk_rows, experiment), chunks):
             write_chunk(chunk_path(run, part, first, last), columns, name, identity)
             done += last - first
             rate = done * rods / (time.monotonic() - began)
             bar.update(task, advance=last - first, rate=f"{rate:,.0f} rods/s")
-    return time.monotonic() - began
+    return began - begin, time.monotonic() - began

@@ -21,11 +21,13 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.errors import InputError
 from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.perception.shape_uncertainty import vertex_sigma
+from doo_ti.short_repr import short_repr
 from doo_ti.types import Configuration, Material, Status
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
@@ -36,9 +38,11 @@ CLEAR_PX, AMBIGUOUS_PX = 0.1, 0.02
 the rod's energy, which depends on an inexact Θ, between rods that fit the images equally."""
 FITTING_PX = 1.0
 """Bound of the distance to the detection; with more in any camera, much of the thread or something else was detected."""
+LOST_PX = 3.0
+"""Bound of the largest distance where no two cameras fit: a rod that is farther off is not the thread in the images."""
 
 
-class Verdict(IntEnum):
+class PerceptionVerdict(IntEnum):
     """How certain the best rod is, by its gap to the best runner-up and its distance to the detection.
 
     CLEAR      a gap of at least 0.1 px, or no other rod: image evidence alone separates them. And the rod is within 1 px of the
@@ -46,11 +50,16 @@ class Verdict(IntEnum):
     LIKELY     a gap of at least 0.02 px: image evidence alone does not separate them, the rod's energy helps to decide. Or a
                wider gap, but the rod is further from the detection
     AMBIGUOUS  a smaller gap: either may be the rod
+    NOT_FOUND  no rod was found that is within 1 px of the detection in two cameras, and it is 3 px off in one: images of other
+               cameras, a wrong rig, seed or length
     """
+
+    __repr__ = short_repr
 
     CLEAR = 0
     LIKELY = 1
     AMBIGUOUS = 2
+    NOT_FOUND = 3
 
 
 @dataclass(frozen=True)
@@ -60,8 +69,7 @@ class Perception:
     vertices          (A, V, 3) mm: the best rod of each set at its marks, a certified minimum if there is one
     configuration     the same rod with every edge in pieces, as it was relaxed
     energy_vis        (A,) its E_vis, 1/mm
-    camera_error      (A, C) px: its distance to the detection, mean along it, in each camera. The smoothing of a map at its
-                      crease is compensated: about 0 is a perfect fit
+    camera_error      (A, C) px: its distance to the detection, mean along it, in each camera; 0 is a perfect fit
     status            (A,) Status of its last relaxation
     stable            (A,) bool: certified to be a minimum of E_vis
     sigma             (A, V) mm: uncertainty of its vertices by noise in the detection
@@ -94,10 +102,13 @@ class Perception:
 
     @property
     def verdict(self) -> np.ndarray:
-        """(A,) Verdict."""
+        """(A,) PerceptionVerdict."""
         clear = (self.gap >= CLEAR_PX) & (self.camera_error <= FITTING_PX).all(axis=1)
-        return np.where(clear, Verdict.CLEAR, np.where(
-            self.gap >= AMBIGUOUS_PX, Verdict.LIKELY, Verdict.AMBIGUOUS)).astype(np.int8)
+        # A camera that does not see the rod counts as far off. Two cameras determine a rod: others may be occluded.
+        error = np.sort(np.where(np.isfinite(self.camera_error), self.camera_error, np.inf), axis=1)
+        lost = (error[:, min(2, error.shape[1]) - 1] > FITTING_PX) & (error[:, -1] > LOST_PX)
+        kinds = PerceptionVerdict.NOT_FOUND, PerceptionVerdict.CLEAR, PerceptionVerdict.LIKELY
+        return np.select([lost, clear, self.gap >= AMBIGUOUS_PX], kinds, PerceptionVerdict.AMBIGUOUS).astype(np.int8)
 
     @classmethod
     def joined(cls, parts: list["Perception"]) -> "Perception":
@@ -109,7 +120,8 @@ class Perception:
 
 
 def perceive(
-    maps: DistanceMaps, rig: Rig, point, direction, rest_length, material: Material, *, up=(0.0, 0.0, 1.0),
+    maps: DistanceMaps, rig: Rig, point: ArrayLike, direction: ArrayLike, rest_length: ArrayLike, material: Material, *,
+    up: ArrayLike = (0.0, 0.0, 1.0),
     options: PerceptionOptions = PerceptionOptions(), on_step: Callable[[int, Hypotheses, Hypotheses], None] | None = None,
 ) -> Perception:
     """Recover the rods in A sets of images (Alg. 1).
@@ -177,7 +189,8 @@ def _result(search: Search, kept: Hypotheses) -> Perception:
         vertices=marks[best],
         configuration=rods,
         energy_vis=final.energy_vis[best],
-        camera_error=np.einsum("ace,ace->ac", edge_error, image_length) / image_length.sum(axis=2),
+        # The distance is smoothed near lines, whose mean effect is subtracted: on the line itself it can be -0.01.
+        camera_error=np.maximum(np.einsum("ace,ace->ac", edge_error, image_length) / image_length.sum(axis=2), 0.0),
         status=solution.status[best],
         stable=solution.stable[best],
         sigma=sigma,

@@ -84,7 +84,7 @@ class PerceptionOptions:
     sigma_px: float = 0.1
     correlation_px: float = 5.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("nu", "separation", "similar_distance", "similar_angle", "cap", "growing_nu", "growing_cap", "unsupported",
                      "sigma_px", "correlation_px"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
@@ -117,7 +117,7 @@ class Search:
     first: np.ndarray = field(init=False)
     scale: float = field(init=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "first", bishop_frames(self.direction[:, None], across(self.direction))[:, 0])
         object.__setattr__(self, "scale", float(np.linalg.eigvalsh(self.material.bend).max()))
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, MovingStart, Stepping
@@ -66,7 +67,7 @@ class TrackingOptions:
     lost_px: float = 1.5
     worse_px: float = 0.1
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("lost_px", "worse_px"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise InputError("TrackingOptions", name, f"{getattr(self, name)}", "give a positive number")
@@ -129,9 +130,9 @@ class Tracker:
     inertia                                  where given, the rod as it moves on by its velocity is one more initial shape
     """
 
-    def __init__(self, rig: Rig, rest_length, material: Material, *, up=(0.0, 0.0, 1.0),
+    def __init__(self, rig: Rig, rest_length: ArrayLike, material: Material, *, up: ArrayLike = (0.0, 0.0, 1.0),
                  search: PerceptionOptions = PerceptionOptions(), options: TrackingOptions = TrackingOptions(),
-                 inertia: Inertia | None = None):
+                 inertia: Inertia | None = None) -> None:
         self._rig, self._material, self._search, self._options = rig, material, search, options
         self._rest_length = np.asarray(rest_length, dtype=np.float64)
         self._up = np.asarray(up, dtype=np.float64) / np.linalg.norm(up)
@@ -141,7 +142,7 @@ class Tracker:
         self._usual = np.inf  # px, mean over the cameras: the least since the last run of Algorithm 1
         self._turn: np.ndarray | None = None  # (E, 4) of each edge, from the frame before the last one to the last one
 
-    def see(self, detected: list[Detection], point, direction, far: Motion | None = None,
+    def see(self, detected: list[Detection], point: ArrayLike, direction: ArrayLike, far: Motion | None = None,
             elapsed: float | None = None) -> TrackedFrame:
         """The rod in the next frame.
 
@@ -260,7 +261,8 @@ class Tracker:
         error = np.full(len(self._rig.cameras), np.nan)
         error[[self._rig.names.index(name) for name in search.rig.names]] = rod.camera_error
         sigma = vertex_sigma(search.rig, marks, search.options.nu, search.options.sigma_px, search.options.correlation_px)
-        return TrackedFrame(marks[0], sigma[0], rod.energy_vis, error, Status(rod.status), bool(rod.stable), how)
+        return TrackedFrame(marks[0], sigma[0], rod.energy_vis, np.maximum(error, 0.0), Status(rod.status), bool(rod.stable),
+                            how)
 
     def _lost(self) -> TrackedFrame:
         """The rod is lost: the next frame begins with Algorithm 1."""

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
@@ -28,8 +29,8 @@ EVEN = 1e-3
 
 def predict_moving(
     configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, dynamics: Dynamics, stepping: Stepping,
-    *, between: int = 1, up=(0.0, 0.0, 1.0), advance: Callable[[int], None] = lambda rods: None,
-    obstacles: Sequence[Obstacle] = (), radius=None,
+    *, between: int = 1, up: ArrayLike = (0.0, 0.0, 1.0), advance: Callable[[int], None] = lambda rods: None,
+    obstacles: Sequence[Obstacle] = (), radius: ArrayLike | None = None,
 ) -> Prediction:
     """As :func:`doo_ti.prediction.predict.predict`, with inertia: rods at rest at the path's first moment, then carried along
     it at the speed that the rate gives it.
@@ -50,7 +51,7 @@ def predict_moving(
     rows = np.arange(len(rods)) % len(clamps.start_position)
     grippers = _grippers(path, held).refined(between)
     pairs = np.arange(len(rods)), rods
-    rate = replace(stepping, rate=stepping.rate * between)
+    rate = stepping.rate * between
     done = 0
 
     def progress(frames: int) -> None:
@@ -58,8 +59,9 @@ def predict_moving(
         advance((frames - done) * len(rods))
         done = frames
 
-    found = simulate(first.configuration, material, grippers.take(rows), dynamics, rate, up=up, pairs=pairs, detailed=True,
-                     progress=progress, obstacles=obstacles, radius=radius)
+    found = simulate(first.configuration, material, grippers.take(rows), dynamics,
+                     replace(stepping, rate=rate, detailed=True), up=up, pairs=pairs, progress=progress,
+                     obstacles=obstacles, radius=radius)
     energies = found.detail.energies
     stored = sum(energies[name] for name in ("bending", "twist", "gravity"))
     status = sticky(first.status[:, None], found.status).T
@@ -67,7 +69,7 @@ def predict_moving(
     for k in range(grippers.instants - 1):
         turned.append(turned[-1] + rotation_about_rod(motion_between(grippers.at(k), grippers.at(k + 1)))[rows])
 
-    time = np.arange(grippers.instants) / rate.rate + path.time[0]
+    time = np.arange(grippers.instants) / rate + path.time[0]
     if stepping.quasi_static:
         time = np.interp(np.arange(grippers.instants) / between, np.arange(path.moments), path.time)
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
@@ -24,6 +25,7 @@ from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import LARGEST_TURN, Motion, motion_between
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
+from doo_ti.short_repr import short_repr
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution, Status, sticky
 
 STILL = 1e-9
@@ -48,6 +50,8 @@ class Prediction:
     material, motion  (R,) rows
     contact_force  (T, R, V, 3) of obstacles on the vertices, mm (energy per mm); None without obstacles
     """
+
+    __repr__ = short_repr
 
     time: np.ndarray
     start: np.ndarray
@@ -89,8 +93,8 @@ class Prediction:
 
 def predict(
     configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, *, sub_step: float = LARGEST_TURN,
-    between: int = 1, up=(0.0, 0.0, 1.0), solver: Newton | None = None, precision: str = "mixed",
-    advance: Callable[[int], None] = lambda rods: None, obstacles: Sequence[Obstacle] = (), radius=None,
+    between: int = 1, up: ArrayLike = (0.0, 0.0, 1.0), solver: Newton | None = None, precision: str = "mixed",
+    advance: Callable[[int], None] = lambda rods: None, obstacles: Sequence[Obstacle] = (), radius: ArrayLike | None = None,
 ) -> Prediction:
     """Move the clamps of rods along a path, quasi-statically, and return the rods at its moments (§III-D).
 
@@ -144,8 +148,9 @@ def begun(configuration: Configuration, material: Material, clamps: Clamps, path
 
 
 def predict_step(
-    configuration: Configuration, material: Material, clamps: Clamps, goal: Clamps, *, rotation=None,
-    sub_step: float = LARGEST_TURN, up=(0.0, 0.0, 1.0), precision: str = "f32", watch: bool = True,
+    configuration: Configuration, material: Material, clamps: Clamps, goal: Clamps, *,
+    rotation: ArrayLike | None = None, sub_step: float = LARGEST_TURN, up: ArrayLike = (0.0, 0.0, 1.0), precision: str = "f32",
+    watch: bool = True,
 ) -> tuple[Solution, np.ndarray | None]:
     """One rod after each of K candidate motions of its clamps, for planners: the solution, K rods, and (K,) how often each has
     jumped to another branch.

@@ -79,7 +79,7 @@ def record_cells(path, *, run_id: str, name: str, runs: list[CellsOfRun], cells:
         for run, grid in zip(runs, grids, strict=True):
             _log_static(stream, run, grid)
             _log_marker(stream, run, _times(cells, rank))
-        stream.send_columns("cell", _times(cells, rank), rerun.TextDocument.columns(
+        stream.send_columns("summary", _times(cells, rank), rerun.TextDocument.columns(
             text=texts, media_type=["text/markdown"] * len(texts)))
         for piece in rods:
             part = slice(piece.first, piece.first + len(piece.vertices))
@@ -87,7 +87,7 @@ def record_cells(path, *, run_id: str, name: str, runs: list[CellsOfRun], cells:
 
 
 def entity(run: CellsOfRun) -> str:
-    """The path below which a run's entities lie."""
+    """The name of a run's entities, below ``world`` and ``landscape``."""
     return entity_name(run.name)
 
 
@@ -97,13 +97,13 @@ def _times(cells: np.ndarray, rank: np.ndarray) -> list[rerun.TimeColumn]:
 
 def _log_static(stream, run: CellsOfRun, grid: GridView) -> None:
     """Everything that is the same in all cells: observations, landscapes, names and width of the rods."""
-    world, names = f"{entity(run)}/world", run.observed.names
+    world, names = f"world/{entity(run)}", run.observed.names
     log_observations(stream, world, grid, run.observed)
     stream.log(f"{world}/rods", rerun.LineStrips3D.from_fields(
         radii=rerun.Radius.ui_points(1.7), labels=[names[d] for d in run.observation], show_labels=False),
         rerun.AnyValues(offset_mm=vectors(grid.offset[run.observation])), static=True)
-    stream.log(f"{entity(run)}/landscape", rerun.Image(run.picture).compress(), static=True)
-    stream.log(f"{entity(run)}/landscape/cell", rerun.Boxes2D.from_fields(
+    stream.log(f"landscape/{entity(run)}", rerun.Image(run.picture).compress(), static=True)
+    stream.log(f"landscape/{entity(run)}/cell", rerun.Boxes2D.from_fields(
         colors=[FAILED], radii=rerun.Radius.ui_points(1.5), draw_order=10.0), static=True)
 
 
@@ -111,7 +111,7 @@ def _log_marker(stream, run: CellsOfRun, times: list[rerun.TimeColumn]) -> None:
     """A box around the cell in each panel, a little larger than the cell, so that its colour stays visible."""
     steps, count, _ = run.boxes.shape
     half = 0.5 * run.boxes[..., 2:]
-    stream.send_columns(f"{entity(run)}/landscape/cell", times, rerun.Boxes2D.columns(
+    stream.send_columns(f"landscape/{entity(run)}/cell", times, rerun.Boxes2D.columns(
         centers=(run.boxes[..., :2] + half).reshape(-1, 2).astype(np.float32),
         half_sizes=(1.25 * half).reshape(-1, 2).astype(np.float32)).partition([count] * steps))
 
@@ -121,7 +121,7 @@ def _log_rods(stream, run: CellsOfRun, grid: GridView, piece: Rods, times: list[
     steps, count, marks, _ = piece.vertices.shape
     strips = drawn_strips((piece.vertices + grid.offset[run.observation][:, None]).reshape(-1, marks, 3))
     colors = np.where(piece.sound[..., None], report.distance_colors(piece.distance, run.distance), FAILED)
-    place, lengths = f"{entity(run)}/world/rods", [count] * steps
+    place, lengths = f"world/{entity(run)}/rods", [count] * steps
     stream.send_columns(place, times, [
         *rerun.LineStrips3D.columns(strips=strips, colors=colors.reshape(-1, 3).astype(np.uint8)).partition(lengths),
         *rerun.AnyValues.columns(distance_mm=piece.distance.reshape(-1).astype(np.float32)).partition(lengths)])
@@ -129,11 +129,11 @@ def _log_rods(stream, run: CellsOfRun, grid: GridView, piece: Rods, times: list[
 
 def _layout(runs: list[CellsOfRun], grids: list[GridView]) -> blueprint.Blueprint:
     """Each run's rods and landscapes, and the cell's Θ and errors as text; it opens on the best cell."""
-    text = blueprint.TextDocumentView(name="Cell", origin="cell")
+    text = blueprint.TextDocumentView(name="Cell", origin="summary")
     views = []
     for run, grid in zip(runs, grids, strict=True):
-        rods = front_view(grid, f"{entity(run)}/world", f"{run.name}: rods on observed marks (white)", aspect=1.1)
-        views.append((rods, blueprint.Spatial2DView(name=f"{run.name}: landscape", origin=f"{entity(run)}/landscape")))
+        rods = front_view(grid, f"world/{entity(run)}", f"{run.name}: rods on observed marks (white)", aspect=1.1)
+        views.append((rods, blueprint.Spatial2DView(name=f"{run.name}: landscape", origin=f"landscape/{entity(run)}")))
     if len(runs) == 1:
         (rods, landscape), = views
         body = blueprint.Horizontal(rods, blueprint.Vertical(landscape, text, row_shares=[3, 1.5]), column_shares=[1.1, 1])

@@ -11,7 +11,17 @@ import rerun
 import rerun.blueprint as blueprint
 
 from doo_ti.perception.growth import GrowthStep
-from doo_ti.record.stream import BACKGROUND, FAILED, drawn_strips, entity_name, log_up, panels, recording, space_view
+from doo_ti.record.stream import (
+    BACKGROUND,
+    FAILED,
+    drawn_strips,
+    entity_name,
+    log_up,
+    log_view,
+    panels,
+    recording,
+    space_view,
+)
 from doo_ti.report.reprojections import BEST, DETECTED, RUNNER_UP, TRUTH, SeenRod
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig
@@ -39,41 +49,41 @@ def record_perception(path, *, run_id: str, name: str, rig: Rig, rods: list[Seen
     places = [_entity(index, seen.name) for index, seen in enumerate(rods)]
     with recording(path, run_id, name, _growth_layout(rig, places, rods, np.asarray(up, float))) as stream:
         for place, seen, steps in zip(places, rods, growth, strict=True):
-            log_up(stream, f"{place}/world", np.asarray(up, float))
+            log_up(stream, f"world/{place}", np.asarray(up, float))
             _log_cameras(stream, place, rig, seen)
             _log_styles(stream, place, rig)
             for number, step in enumerate(steps, 2):
                 stream.set_time("edges", sequence=number)
-                stream.log(f"{place}/energy_vis", rerun.AnyValues(per_mm=step.energy_vis, kept=step.kept))
+                stream.log(f"curves/{place}/energy_vis", rerun.AnyValues(per_mm=step.energy_vis, kept=step.kept))
                 _log_curves(stream, place, rig, _step_curves(step))
             stream.set_time("edges", sequence=len(steps) + 2)
             _log_curves(stream, place, rig, {
-                "best": [seen.best], "runner_up": [] if seen.runner_up is None else [seen.runner_up], "kept": [], "pruned": []})
+                "rods": [seen.best], "runner_up": [] if seen.runner_up is None else [seen.runner_up], "kept": [], "pruned": []})
             stream.reset_time()
 
 
 def _entity(index: int, name: str) -> str:
-    """The path below which a set's entities lie."""
+    """The name of a set's entities, below ``world`` and ``images``."""
     return f"set{index}_{entity_name(name)}"
 
 
 def _log_cameras(stream, place: str, rig: Rig, seen: SeenRod) -> None:
     """Everything that is the same in all steps: images and their detected points, frusta, the true rod."""
     for camera, image, detected in zip(rig.cameras, seen.images, seen.detected, strict=True):
-        flat = f"{place}/{camera.name}"
+        flat = f"images/{place}/{camera.name}"
         stream.log(flat, rerun.Image(image, color_model="L").compress(jpeg_quality=JPEG_QUALITY), static=True)
         stream.log(f"{flat}/detected", rerun.Points2D(
             _drawn(detected), colors=_rgb(DETECTED), radii=rerun.Radius.ui_points(1.2), draw_order=5.0), static=True)
-        _log_frustum(stream, f"{place}/world/{camera.name}", camera, FRUSTUM_MM)
+        _log_frustum(stream, f"world/{place}/cameras/{camera.name}", camera, FRUSTUM_MM)
         if seen.truth is not None:
             stream.log(f"{flat}/truth", rerun.LineStrips2D(
                 [_drawn(camera.project(seen.truth))], colors=_rgb(TRUTH), radii=rerun.Radius.ui_points(1.0), draw_order=8.0),
                 static=True)
     if seen.truth is not None:
-        stream.log(f"{place}/world/truth", rerun.LineStrips3D(
+        stream.log(f"world/{place}/truth", rerun.LineStrips3D(
             drawn_strips(seen.truth[None]), colors=_rgb(TRUTH), radii=rerun.Radius.ui_points(1.0)), static=True)
     words = rerun.TextDocument(f"**{seen.name}**: {seen.verdict}", media_type="text/markdown")
-    stream.log(f"{place}/verdict", words, static=True)
+    stream.log(f"summary/{place}", words, static=True)
 
 
 def _log_frustum(stream, entity: str, camera: Camera, size: float) -> None:
@@ -85,10 +95,10 @@ def _log_frustum(stream, entity: str, camera: Camera, size: float) -> None:
 
 def _log_styles(stream, place: str, rig: Rig) -> None:
     """Colours and widths of all curves, once."""
-    for root, strips in [(f"{place}/world", rerun.LineStrips3D)] + [
-            (f"{place}/{camera.name}", rerun.LineStrips2D) for camera in rig.cameras]:
+    for root, strips in [(f"world/{place}", rerun.LineStrips3D)] + [
+            (f"images/{place}/{camera.name}", rerun.LineStrips2D) for camera in rig.cameras]:
         for name, color, width in (("pruned", FAILED, 0.4), ("kept", KEPT, 0.7), ("runner_up", _rgb(RUNNER_UP), 1.6),
-                                   ("best", _rgb(BEST), 1.6)):
+                                   ("rods", _rgb(BEST), 1.6)):
             order = {} if strips is rerun.LineStrips3D else {"draw_order": {"pruned": 6.0, "kept": 7.0}.get(name, 9.0)}
             stream.log(f"{root}/{name}", strips.from_fields(colors=[color], radii=rerun.Radius.ui_points(width), **order),
                        static=True)
@@ -97,17 +107,17 @@ def _log_styles(stream, place: str, rig: Rig) -> None:
 def _step_curves(step: GrowthStep) -> dict[str, list[np.ndarray]]:
     """The hypotheses of a step: the best, the others that are kept, and those that are pruned."""
     kept = np.flatnonzero(step.kept)
-    rows = {"best": kept[:1], "kept": kept[1:], "pruned": np.flatnonzero(~step.kept)}
+    rows = {"rods": kept[:1], "kept": kept[1:], "pruned": np.flatnonzero(~step.kept)}
     return {name: list(step.vertices[own]) for name, own in rows.items()}
 
 
 def _log_curves(stream, place: str, rig: Rig, curves: dict[str, list[np.ndarray]]) -> None:
     """Curves (V, 3) by the name of their entity, in space and in every image."""
     for name, some in curves.items():
-        stream.log(f"{place}/world/{name}", rerun.LineStrips3D.from_fields(
+        stream.log(f"world/{place}/{name}", rerun.LineStrips3D.from_fields(
             strips=[strip for curve in some for strip in drawn_strips(curve[None])]))
         for camera in rig.cameras:
-            stream.log(f"{place}/{camera.name}/{name}", rerun.LineStrips2D.from_fields(
+            stream.log(f"images/{place}/{camera.name}/{name}", rerun.LineStrips2D.from_fields(
                 strips=[_drawn(camera.project(curve)) for curve in some]))
 
 
@@ -127,13 +137,13 @@ def _growth_layout(rig: Rig, places: list[str], rods: list[SeenRod], up: np.ndar
         middle, size = seen.best.mean(axis=0), np.ptp(seen.best, axis=0).max()
         toward = np.mean([camera.centre for camera in rig.cameras], axis=0) - middle
         toward = toward / np.linalg.norm(toward) + 0.3 * up / np.linalg.norm(up)
-        space = space_view("Hypotheses: best and kept blue, pruned red", f"{place}/world",
-                           (middle + 2.0 * size * toward, middle, up))
-        cameras = space_view("Cameras", f"{place}/world")
-        images = [blueprint.Spatial2DView(name=camera.name, origin=f"{place}/{camera.name}", background=BACKGROUND,
+        space = space_view("Hypotheses: best and kept blue, pruned red", f"world/{place}",
+                           (middle + 1.3 * size * toward, middle, up))
+        cameras = space_view("Cameras", f"world/{place}")
+        images = [blueprint.Spatial2DView(name=camera.name, origin=f"images/{place}/{camera.name}", background=BACKGROUND,
                                           visual_bounds=_bounds(seen.detected[column]))
                   for column, camera in enumerate(rig.cameras)]
-        words = blueprint.TextDocumentView(name="Verdict", origin=f"{place}/verdict")
+        words = blueprint.TextDocumentView(name="Verdict", origin=f"summary/{place}")
         tabs.append(blueprint.Horizontal(
             blueprint.Vertical(space, words, row_shares=[6, 1]), blueprint.Grid(*images, cameras), column_shares=[1, 1.2],
             name=seen.name))
@@ -160,26 +170,27 @@ def record_track(path, *, run_id: str, name: str, rig: Rig, paths, vertices: np.
     with recording(path, run_id, name, _track_layout(rig)) as stream:
         log_up(stream, "world", np.asarray(up, float))
         for camera in rig.cameras:
-            _log_frustum(stream, f"world/{camera.name}", camera, 0.2 * float(np.linalg.norm(camera.centre)))
+            _log_frustum(stream, f"world/cameras/{camera.name}", camera, 0.2 * float(np.linalg.norm(camera.centre)))
         for frame, (images, rod) in enumerate(zip(paths, vertices, strict=True)):
             stream.set_time("frame", sequence=frame)
             color, drawn = TRACKED_COLORS[how[frame]], rod[np.isfinite(rod).all(axis=1)]
-            stream.log("world/rod", rerun.LineStrips3D([drawn], colors=color, radii=rerun.Radius.ui_points(2.0)))
+            stream.log("world/rods", rerun.LineStrips3D([drawn], colors=color, radii=rerun.Radius.ui_points(2.0)))
             if frame == 0 or how[frame] != how[frame - 1]:
-                stream.log("how", rerun.TextLog(f"frame {frame}: {TRACKED_WORDS[how[frame]]}"))
+                stream.log("log", rerun.TextLog(f"frame {frame}: {TRACKED_WORDS[how[frame]]}"))
             for camera, image, off in zip(rig.cameras, images, error[frame], strict=True):
                 seen = rerun.Image(read_image(image, camera), color_model="L").compress(jpeg_quality=JPEG_QUALITY)
-                stream.log(camera.name, seen)
-                stream.log(f"{camera.name}/rod", rerun.LineStrips2D([_drawn(camera.project(drawn))], colors=color,
+                stream.log(f"images/{camera.name}", seen)
+                stream.log(f"images/{camera.name}/rods", rerun.LineStrips2D([_drawn(camera.project(drawn))], colors=color,
                                                                    radii=rerun.Radius.ui_points(1.4)))
-                stream.log(f"error/{camera.name}", rerun.Scalars(off))
+                stream.log(f"curves/error/{camera.name}", rerun.Scalars(off))
 
 
 def _track_layout(rig: Rig) -> blueprint.Blueprint:
     """The rod among the cameras and its distance to the detection on the left, images on the right."""
     space = space_view("Rod: blue tracked, orange by Algorithm 1", "world")
-    error = blueprint.TimeSeriesView(name="Distance to the detection [px]", origin="error")
-    images = [blueprint.Spatial2DView(name=camera.name, origin=camera.name, background=BACKGROUND) for camera in rig.cameras]
-    words = blueprint.TextLogView(name="How the rod was found", origin="how")
+    error = blueprint.TimeSeriesView(name="Distance to the detection [px]", origin="curves/error")
+    images = [blueprint.Spatial2DView(name=camera.name, origin=f"images/{camera.name}", background=BACKGROUND)
+              for camera in rig.cameras]
+    words = log_view("How the rod was found", "frame")
     beside = blueprint.Vertical(space, blueprint.Horizontal(error, words), row_shares=[3, 1])
     return blueprint.Blueprint(blueprint.Horizontal(beside, blueprint.Grid(*images)), *panels("frame"))

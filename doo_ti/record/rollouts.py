@@ -10,6 +10,7 @@ import rerun
 import rerun.blueprint as blueprint
 
 from doo_ti.record.stream import OBSERVED, drawn_strips, front_view, log_up, panels, recording
+from doo_ti.report import distinct_colors
 from doo_ti.report.grid_view import Observed, grid_view
 
 SIMULATED = (255, 140, 60)
@@ -20,38 +21,40 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
                    rate: float, up: np.ndarray, energies: dict[str, np.ndarray] | None = None) -> None:
     """Record the first :data:`MOST_RODS` of (R, T, V, 3) rods in mm, on the timeline ``time``.
 
-    ``/world/simulated`` and ``/world/recorded`` hold a strip for each rod, moved to its place in the grid view; ``/error`` the
-    mean |difference| of each rod in mm; ``/energy`` has the ``energies`` (R, T) of the first rod by name, mm².
+    ``world/rods`` and ``world/observations`` hold a strip for each rod, moved to its place in the grid view; ``curves/error``
+    the mean |difference| of each rod in mm; ``curves/energy`` has the ``energies`` (R, T) of the first rod by name, mm².
     """
     rods = positions[:MOST_RODS]
     count, frames = rods.shape[:2]
     seen = None if recorded is None else recorded[:MOST_RODS]
     grid = grid_view(Observed((rods if seen is None else seen).reshape(count, -1, 3), up=up))
-    views = [front_view(grid, "/world", "Rods, mm", 1.8)]
+    views = [front_view(grid, "world", f"Rods, mm: orange simulated{', white recorded' * (seen is not None)}", 1.8)]
     if seen is not None:
-        views.append(blueprint.TimeSeriesView(name="Mean |difference|, mm", origin="/error"))
+        views.append(blueprint.TimeSeriesView(name="Mean |difference|, mm", origin="curves/error"))
     if energies is not None:
-        views.append(blueprint.TimeSeriesView(name=f"Energies of {names[0]}, mm²", origin="/energy"))
+        views.append(blueprint.TimeSeriesView(name=f"Energies of {names[0]}, mm²", origin="curves/energy"))
     layout = blueprint.Blueprint(blueprint.Vertical(*views, row_shares=[3, 1, 1][: len(views)]), *panels("time"))
     when = [rerun.TimeColumn("time", duration=np.arange(frames) / rate)]
     with recording(path, f"rollout {name}", name, layout) as stream:
-        log_up(stream, "/world", grid.basis[2])
-        for entity, shown, color, width in (("recorded", seen, OBSERVED, 0.7), ("simulated", rods, SIMULATED, 1.2)):
+        log_up(stream, "world", grid.basis[2])
+        for entity, shown, color, width in (("observations", seen, OBSERVED, 0.7), ("rods", rods, SIMULATED, 1.2)):
             if shown is None:
                 continue
             placed = shown + grid.offset[:, None, None]
-            stream.log(f"/world/{entity}", rerun.LineStrips3D.from_fields(
+            stream.log(f"world/{entity}", rerun.LineStrips3D.from_fields(
                 colors=color, radii=rerun.Radius.ui_points(width), labels=names[:MOST_RODS], show_labels=count <= 12),
                 static=True)
             strips = drawn_strips(placed.swapaxes(0, 1).reshape(-1, *rods.shape[2:]))
-            stream.send_columns(f"/world/{entity}", when, rerun.LineStrips3D.columns(strips=strips).partition([count] * frames))
+            stream.send_columns(f"world/{entity}", when, rerun.LineStrips3D.columns(strips=strips).partition([count] * frames))
         if seen is not None:
             error = np.abs(rods - seen).mean(axis=(2, 3)).T
-            stream.log("/error", rerun.SeriesLines(names=names[:MOST_RODS], widths=[1.0] * count), static=True)
-            stream.send_columns("/error", when, rerun.Scalars.columns(
+            stream.log("curves/error", rerun.SeriesLines(
+                names=names[:MOST_RODS], widths=[1.0] * count, colors=distinct_colors(count)), static=True)
+            stream.send_columns("curves/error", when, rerun.Scalars.columns(
                 scalars=np.ascontiguousarray(error).ravel()).partition([count] * frames))
         if energies is not None:
             values = np.stack([value[0] for value in energies.values()], axis=-1)
-            stream.log("/energy", rerun.SeriesLines(names=list(energies), widths=[1.0] * len(energies)), static=True)
-            stream.send_columns("/energy", when, rerun.Scalars.columns(scalars=values.ravel()).partition(
+            stream.log("curves/energy", rerun.SeriesLines(names=list(energies), widths=[1.0] * len(energies),
+                                                          colors=distinct_colors(len(energies))), static=True)
+            stream.send_columns("curves/energy", when, rerun.Scalars.columns(scalars=values.ravel()).partition(
                 [len(energies)] * frames))

@@ -7,16 +7,18 @@ import numpy as np
 import rerun
 import rerun.blueprint as blueprint
 
-from doo_ti.record.stream import FAILED, drawn_strips, entity_name, log_up, panels, recording, space_view
-from doo_ti.report import MovingRods, Ribbons
+from doo_ti.record.stream import FAILED, OBSERVED, drawn_strips, entity_name, log_up, log_view, panels, recording, space_view
+from doo_ti.report import MovingRods, Ribbons, distinct_colors
 
-COLORS = np.array([(45, 212, 191), (253, 231, 37), (125, 170, 255), (255, 159, 28), (198, 120, 221), (152, 195, 121)],
-                  dtype=np.uint8)
+GRIPPER = (120, 120, 130)
 MOST_CURVES = 12
+MOST_IN_LEGEND = 6
+"""Names of rods in the legend of a plot; of more it would be cut off, and only the rods in space show their names."""
 
 
 def record_motion(path, *, run_id: str, name: str, rods: MovingRods, curves: dict[str, np.ndarray], text: str) -> None:
-    """Write the recording ``path``: rods over time, red from where they are no certified minima; jumps are in the log.
+    """Write the recording ``path``: rods over time with the grippers that hold them, red from where they are no certified
+    minima, and the observed marks that they started from; jumps are in the log.
 
     curves  title, with its unit: (T, R), a line for each of the first ``MOST_CURVES`` rods
     text    Markdown
@@ -24,24 +26,40 @@ def record_motion(path, *, run_id: str, name: str, rods: MovingRods, curves: dic
     count, moments = len(rods.names), len(rods.time)
     when = [rerun.TimeColumn("time", duration=rods.time)]
     with recording(path, run_id, name, _motion_layout(rods, list(curves))) as stream:
-        log_up(stream, "rods", rods.basis[2])
-        stream.log("rods", rerun.LineStrips3D.from_fields(
-            radii=rerun.Radius.ui_points(2.0), labels=rods.names, show_labels=count <= len(COLORS)), static=True)
-        colors = np.where(rods.sound[..., None], COLORS[np.arange(count) % len(COLORS)], np.uint8(FAILED)).astype(np.uint8)
-        stream.send_columns("rods", when, rerun.LineStrips3D.columns(
+        log_up(stream, "world", rods.basis[2])
+        stream.log("world/rods", rerun.LineStrips3D.from_fields(
+            radii=rerun.Radius.ui_points(2.0), labels=rods.names, show_labels=count <= MOST_CURVES), static=True)
+        _log_held(stream, rods, when)
+        own = distinct_colors(count)
+        colors = np.where(rods.sound[..., None], own, np.uint8(FAILED)).astype(np.uint8)
+        stream.send_columns("world/rods", when, rerun.LineStrips3D.columns(
             strips=drawn_strips(rods.vertices.reshape(moments * count, *rods.vertices.shape[2:])),
             colors=colors.reshape(-1, 3)).partition([count] * moments))
         for title, values in curves.items():
             shown = values[:, :MOST_CURVES]
             entity = f"curves/{entity_name(title)}"
             stream.log(entity, rerun.SeriesLines(names=rods.names[:MOST_CURVES], widths=[2.0] * shown.shape[1],
-                                                 colors=COLORS[np.arange(shown.shape[1]) % len(COLORS)]), static=True)
+                                                 colors=own[:MOST_CURVES]), static=True)
             stream.send_columns(entity, when, rerun.Scalars.columns(
                 scalars=np.ascontiguousarray(shown).ravel()).partition([shown.shape[1]] * moments))
         for moment, rod in np.argwhere(rods.jumps > 0):
             stream.set_time("time", duration=float(rods.time[moment]))
-            stream.log("jumps", rerun.TextLog(f"{rods.names[rod]} jumps to another branch", level=rerun.TextLogLevel.WARN))
+            stream.log("log", rerun.TextLog(f"{rods.names[rod]} jumps to another branch", level=rerun.TextLogLevel.WARN))
         stream.log("summary", rerun.TextDocument(text, media_type="text/markdown"), static=True)
+
+
+def _log_held(stream, rods: MovingRods, when: list[rerun.TimeColumn]) -> None:
+    """The grippers over time, and the marks, where they are known."""
+    if rods.grippers is not None:
+        moments, count, lines = rods.grippers.shape[:3]
+        stream.log("world/grippers", rerun.LineStrips3D.from_fields(
+            colors=[GRIPPER], radii=rerun.Radius.ui_points(3.5)), static=True)
+        stream.send_columns("world/grippers", when, rerun.LineStrips3D.columns(
+            strips=drawn_strips(rods.grippers.reshape(-1, *rods.grippers.shape[3:]))).partition([count * lines] * moments))
+    if rods.marks is not None:
+        present = rods.marks[np.isfinite(rods.marks).all(axis=-1)].astype(np.float32)
+        stream.log("world/observations/marks", rerun.Points3D(present, colors=OBSERVED, radii=rerun.Radius.ui_points(1.4)),
+                   static=True)
 
 
 def _motion_layout(rods: MovingRods, titles: list[str]) -> blueprint.Blueprint:
@@ -49,10 +67,14 @@ def _motion_layout(rods: MovingRods, titles: list[str]) -> blueprint.Blueprint:
     low, high = np.nanmin(rods.vertices, axis=(0, 1, 2)), np.nanmax(rods.vertices, axis=(0, 1, 2))
     middle, size = 0.5 * (low + high), max(np.linalg.norm(high - low), 1.0)
     _, into, up = rods.basis
-    view = space_view("Rods, mm", "rods", (middle - 1.1 * size * (into - 0.3 * up), middle, up))
-    plots = [blueprint.TimeSeriesView(name=title, origin=f"curves/{entity_name(title)}") for title in titles]
-    words = blueprint.Horizontal(blueprint.TextDocumentView(name="Summary", origin="summary"),
-                                 blueprint.TextLogView(name="Jumps", origin="jumps"))
+    view = space_view("Rods, mm; grey: grippers, white: observed marks", "world",
+                      (middle - 0.8 * size * (into - 0.3 * up), middle, up))
+    # The same colours everywhere: one legend, that of the first plot.
+    plots = [blueprint.TimeSeriesView(
+        name=title, origin=f"curves/{entity_name(title)}",
+        plot_legend=blueprint.PlotLegend("LeftTop", visible=not place and len(rods.names) <= MOST_IN_LEGEND))
+        for place, title in enumerate(titles)]
+    words = blueprint.Horizontal(blueprint.TextDocumentView(name="Summary", origin="summary"), log_view("Jumps", "time"))
     beside = blueprint.Vertical(*plots, words)
     return blueprint.Blueprint(blueprint.Horizontal(view, beside, column_shares=[1.3, 1]), *panels("time"))
 
@@ -69,9 +91,9 @@ def record_ribbons(path, *, run_id: str, name: str, ribbons: list[Ribbons], obse
     count, _, marks, _ = ribbons[0].sides.shape
     times = [rerun.TimeColumn("observation", sequence=observation), rerun.TimeColumn("difference", sequence=rank)]
     with recording(path, run_id, name, _ribbon_layout(ribbons, basis)) as stream:
-        log_up(stream, "ribbons", basis[2])
+        log_up(stream, "world", basis[2])
         for number, kind in enumerate(ribbons):
-            place, borders = f"ribbons/{number}", kind.sides.reshape(-1, marks, 3)
+            place, borders = f"world/ribbons/{number}", kind.sides.reshape(-1, marks, 3)
             if kind.filled:
                 # The mesh of a ribbon without a configuration is a point.
                 sides = np.where(np.isfinite(kind.sides).all(axis=(1, 2, 3), keepdims=True), kind.sides, 0.0).astype(np.float32)
@@ -108,6 +130,6 @@ def _ribbon_layout(ribbons: list[Ribbons], basis: np.ndarray) -> blueprint.Bluep
     low, high = np.nanmin(points, axis=(0, 2, 3)), np.nanmax(points, axis=(0, 2, 3))
     middle, size = np.median(0.5 * (low + high), axis=0), np.linalg.norm(high - low, axis=-1).max()
     position = middle - 0.9 * size * (basis[1] - 0.35 * basis[2] - 0.35 * basis[0])
-    view = space_view("Ribbons, mm", "ribbons", (position, middle, basis[2]))
+    view = space_view("Ribbons, mm", "world", (position, middle, basis[2]))
     text = blueprint.TextDocumentView(name="Ribbons", origin="summary")
     return blueprint.Blueprint(blueprint.Horizontal(view, text, column_shares=[1.2, 1]), *panels("difference"))

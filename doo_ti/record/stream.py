@@ -133,6 +133,13 @@ def space_view(name: str, origin: str, eye: tuple | None = None, **options) -> b
     return blueprint.Spatial3DView(name=name, origin=origin, line_grid=False, background=BACKGROUND, **options)
 
 
+def log_view(name: str, timeline: str) -> blueprint.TextLogView:
+    """The lines of the entity ``log`` with their place on ``timeline``, and nothing else."""
+    columns = blueprint.TextLogColumns(timeline_columns=[blueprint.encodings.TimelineColumn(timeline)],
+                                       text_log_columns=[blueprint.encodings.TextLogColumn("Body")])
+    return blueprint.TextLogView(name=name, origin="log", columns=columns)
+
+
 def front_view(grid: GridView, world: str, name: str, aspect: float = 1.35) -> blueprint.Spatial3DView:
     """The grid view from the front, far enough away to fit into a view ``aspect`` times as wide as high."""
     width, height = grid.extent

@@ -3,6 +3,7 @@
 Axes: T iterations, D observations (one rod each), V vertices.
 """
 
+import os
 from dataclasses import dataclass
 from itertools import count
 
@@ -24,7 +25,8 @@ from doo_ti.record.stream import (
     vectors,
 )
 from doo_ti.report.grid_view import GridView, Observed, grid_view
-from doo_ti.report.plane import Plane
+from doo_ti.report.plane import LandscapePlane
+from doo_ti.short_repr import short_repr
 from doo_ti.types import Status
 
 BLOCK = 10
@@ -34,13 +36,15 @@ MOST_POINTS = 20_000
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class SweepTrajectory:
     """The relaxation of D rods.
 
     vertices          (T, D, V, 3) mm; a rod with a NaN in it is not drawn
     energy, residual  (T, D): relative to weight, mm²; without a unit. Where NaN the rod's last value is used
     status, distance  (D,) at the end: Status; Eq. 1, mm
     """
+
+    __repr__ = short_repr
 
     vertices: np.ndarray
     energy: np.ndarray
@@ -49,8 +53,9 @@ class Trajectory:
     distance: np.ndarray
 
 
-def record_sweep(path, *, run_id: str, name: str, observed: Observed, trajectory: Trajectory, properties: dict,
-                 plane: Plane | None = None, intervals: tuple[Interval, ...] = (), region: np.ndarray | None = None) -> None:
+def record_sweep(path: str | os.PathLike[str], *, run_id: str, name: str, observed: Observed, trajectory: SweepTrajectory,
+                 properties: dict[str, object], plane: LandscapePlane | None = None, intervals: tuple[Interval, ...] = (),
+                 region: np.ndarray | None = None) -> None:
     """Write the recording ``path``.
 
     observed    the D observations
@@ -76,7 +81,7 @@ def record_sweep(path, *, run_id: str, name: str, observed: Observed, trajectory
         stream.log("summary", rerun.TextDocument(text, media_type="text/markdown"), static=True)
 
 
-def _log_rods(stream, grid: GridView, trajectory: Trajectory, names: list[str], with_trials: bool) -> None:
+def _log_rods(stream, grid: GridView, trajectory: SweepTrajectory, names: list[str], with_trials: bool) -> None:
     """One entity for all rods, one instance per rod: an entity per rod makes files large and the viewer slow."""
     status, distance = trajectory.status, trajectory.distance
     colors = np.where((status == Status.CONVERGED)[:, None], report.distance_colors(distance), FAILED)
@@ -96,7 +101,7 @@ def _log_rods(stream, grid: GridView, trajectory: Trajectory, names: list[str], 
                             rerun.LineStrips3D.columns(strips=strips[-rods_of_step:]).partition([rods_of_step]))
 
 
-def _log_curves(stream, trajectory: Trajectory) -> None:
+def _log_curves(stream, trajectory: SweepTrajectory) -> None:
     """Statistics over the rods: among curves of single rods an outlier would not be seen."""
     energy, residual = _held(trajectory.energy), _held(trajectory.residual)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -121,7 +126,7 @@ def _held(values: np.ndarray) -> np.ndarray:
     return np.take_along_axis(values, np.maximum.accumulate(last, axis=0), axis=0)
 
 
-def log_surface(stream, plane: Plane) -> None:
+def log_surface(stream, plane: LandscapePlane) -> None:
     """The landscape as a surface over the unit square (on log axes, of the logarithms), height in proportion to mm."""
     plane, _ = plane.blocks()
     points, triangles = plane.surface()
@@ -137,7 +142,7 @@ def log_surface(stream, plane: Plane) -> None:
             colors=MINIMUM, radii=rerun.Radius.ui_points(6)), static=True)
 
 
-def _log_surface_axes(stream, plane: Plane) -> None:
+def _log_surface_axes(stream, plane: LandscapePlane) -> None:
     """A frame around the surface's base, labelled with the ends of the axes and the height."""
     strips = [np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 0), (0, 0, plane.HEIGHT)])]
     texts, places = [], []
@@ -154,7 +159,7 @@ def _log_surface_axes(stream, plane: Plane) -> None:
         places, labels=texts, show_labels=True, colors=TEXT, radii=rerun.Radius.ui_points(0)), static=True)
 
 
-def log_cells(stream, plane: Plane) -> None:
+def log_cells(stream, plane: LandscapePlane) -> None:
     """One point per cell that has a value, on the timeline ``trial`` at its number in the grid. Of a grid of more than
     ``MOST_POINTS`` cells every second, third, … along each axis, and the best."""
     shape, values = plane.grid.shape, plane.grid.reshape(-1)
@@ -175,7 +180,7 @@ def log_cells(stream, plane: Plane) -> None:
         labels=[report.quantity(value, "mm") for value in values[trial]], show_labels=np.zeros(len(trial), bool)))
 
 
-def _layout(grid: GridView, plane: Plane | None) -> blueprint.Blueprint:
+def _layout(grid: GridView, plane: LandscapePlane | None) -> blueprint.Blueprint:
     """Rods and summary on the left, landscape and curves on the right; it opens on the last iteration."""
     rods = front_view(grid, "world", f"Rods on observed marks (white), mm; {grid.meaning}".removesuffix("; "))
     plots = [blueprint.TimeSeriesView(name=name, origin=f"curves/{entity}", plot_legend=blueprint.Corner2D.RightTop)
@@ -197,7 +202,8 @@ def _surface_view() -> blueprint.Spatial3DView:
                                                end=blueprint.TimeRangeBoundary.cursor_relative()))
 
 
-def _summary(name: str, intervals: tuple[Interval, ...], names: list[str], trajectory: Trajectory, properties: dict) -> str:
+def _summary(name: str, intervals: tuple[Interval, ...], names: list[str], trajectory: SweepTrajectory,
+             properties: dict) -> str:
     """Best Θ with its interval, the statuses of the rods, and the properties, in Markdown."""
     status, distance = trajectory.status, trajectory.distance
     lines, finite = [f"**{name}**"], np.isfinite(distance)

@@ -1,8 +1,12 @@
 """Starting the rerun viewer."""
 
 import os
+import signal
+import socket
 import subprocess
 import sys
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -25,7 +29,37 @@ def open_viewer(path) -> None:
         reasons = [line for line in log.read().decode(errors="replace").splitlines() if line.startswith("Error: ")]
     reason = reasons[-1].removeprefix("Error: ") if reasons else "without a reason"
     raise InterruptedRunError(f"view: the viewer opened no window, or failed ({reason}); set DISPLAY or WAYLAND_DISPLAY to a "
-                              "display that answers, or save a picture without one: tools/screenshot.py")
+                              "display that answers, or give --screenshot FILE.png or --web")
+
+
+def serve_viewer(path, announce: Callable[[str], None]) -> None:
+    """Serve a run's recording (the run's folder or the .rrd file) to browsers on this machine until interrupted; ``announce``
+    gets the address. Raises InputError where there is no recording, InterruptedRunError where the server fails."""
+    web, data = free_port(), free_port()
+    server = start_viewer(path, "--serve-web", "--web-viewer-port", str(web), "--port", str(data), own_group=True,
+                          log=subprocess.DEVNULL)
+    announce(f"http://127.0.0.1:{web}?url=rerun%2Bhttp://127.0.0.1:{data}/proxy")
+    try:
+        if server.wait():
+            raise InterruptedRunError(f"view: the server ended with exit code {server.returncode}")
+    except KeyboardInterrupt:  # the way to end it
+        pass
+    finally:
+        end_viewer(server)
+
+
+def end_viewer(process: subprocess.Popen) -> None:
+    """End a viewer that has a process group of its own: the command, and the program that it started."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGTERM)
+    process.wait()
+
+
+def free_port() -> int:
+    """A port of this machine that no program uses."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
 
 
 def start_viewer(path, *options: str, own_group: bool = False, log=None) -> subprocess.Popen:

@@ -29,6 +29,7 @@ from doo_ti.refinement.residuals import Comparison, mark_distance
 from doo_ti.refinement.unknowns import Theta, Unknowns, Values
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
+from doo_ti.short_repr import short_repr
 from doo_ti.types import Clamp, Clamps, Configuration, Solution, Status
 
 FEWEST_EDGES, MOST_EDGES = 24, 400
@@ -63,6 +64,8 @@ class RefinementOptions:
     intervals         "profile", or "covariance", which takes no extra time
     models            whether other models are fitted and compared
     """
+
+    __repr__ = short_repr
 
     parameters: tuple[str, ...] = ("bend", "twist")
     clip: float | None = None

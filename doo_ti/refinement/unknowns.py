@@ -16,14 +16,17 @@ Axes: D observations, P unknowns, the first T of them Θ's, K knots, E edges bet
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.errors import InputError
 from doo_ti.frames import rotation_matrix
 from doo_ti.refinement.held_rod import POSE, HeldRod, Mesh
 from doo_ti.refinement.priors import Scales, covariance, knots_of, values_at
 from doo_ti.relaxation.sensitivity import tilt_axes
+from doo_ti.short_repr import short_repr
 from doo_ti.types import Material
 
 PARAMETERS = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "up")
@@ -41,19 +44,25 @@ class Theta:
     bend (2, 2) mm³, twist mm³, weight μ, rest_curvature None, (2,) or (E−1, 2) in 1/mm, up (3,) unit vector
     """
 
+    __repr__ = short_repr
+
     bend: np.ndarray
     twist: float
     weight: float = 1.0
     rest_curvature: np.ndarray | None = None
     up: np.ndarray = (0.0, 0.0, 1.0)
 
-    def __post_init__(self):
+    if TYPE_CHECKING:  # what it takes; the fields are the arrays that it makes of them
+        def __init__(self, bend: ArrayLike, twist: float, weight: float = 1.0, rest_curvature: ArrayLike | None = None,
+                     up: ArrayLike = (0.0, 0.0, 1.0)) -> None: ...
+
+    def __post_init__(self) -> None:
         for name in ("bend", "rest_curvature", "up"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64))
 
     @classmethod
-    def of(cls, material: Material, row: int = 0, up=(0.0, 0.0, 1.0)) -> "Theta":
+    def of(cls, material: Material, row: int = 0, up: ArrayLike = (0.0, 0.0, 1.0)) -> "Theta":
         """Row ``row`` of ``material``. Raises InputError where bend or twist vary along the rod."""
         if material.bend.shape[1] > 1 or material.twist.shape[1] > 1:
             raise InputError("refine", "material", "bend or twist vary along the rod", "give one value for the whole rod")
@@ -111,7 +120,7 @@ class Unknowns:
     curvature: str = "field"
     clamps: bool = True
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         names = self.parameters
         for name in names:
             if name not in PARAMETERS:

@@ -85,7 +85,7 @@ class ContactEnergy:
         self.distance = Distance(number, stride, kinds)
         self.load3 = self.distance.load3
         # What the places of vertices are wrong by, as a share of the rod's length.
-        self.rounding = 2e-7 if number.bits == 32 else 1e-16
+        self.rounding = 2e-7 if number.bits == 32 else 1e-13
 
     # --- places in scratch ---
 

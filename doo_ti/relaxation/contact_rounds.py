@@ -166,7 +166,8 @@ class Contacts(ContactEnergy):
         self.set_item(rod, STIFFNESS, slow, STIFFER * stiffness)
         self.set_item(rod, CHANGE, due & ~behind, change)
         last = due & behind & (self.item(rod, STAGE) > STAGES - 1.5)
-        self.set_item(rod, STIFFNESS, last & (secant > 0.0), SECANT * secant)
+        for item in ti.static((STIFFNESS, FIRST_STIFFNESS)):
+            self.set_item(rod, item, last & (secant > 0.0), ti.max(SECANT * secant, self.item(rod, FIRST_STIFFNESS)))
         self.set_item(rod, PHASE, last, zero + ROUGH)
         self.set_item(rod, STRENGTH, due & behind & ~last, WEAKER * self.item(rod, STRENGTH))
         self.set_item(rod, STAGE, due & behind, 1.0 + self.item(rod, STAGE))
@@ -240,15 +241,16 @@ class Contacts(ContactEnergy):
                         u = plus(scaled(self.moved(rod, self.vertex(rod, v - 1)), 1.0 - s), scaled(self.moved(rod, at), s))
                         between = dot(self.load3(rod.scratch, contact + FRICTION_BETWEEN * self.stride), u)
                         work = work + ti.select(active, between, zero)
-        for v in range(rod.edges + 1):
-            at = self.vertex(rod, v)
-            place = self.load3(rod.scratch, at + PLACE * self.stride)
-            before = self.load3(rod.scratch, at + PREVIOUS * self.stride)
-            self.store(rod.scratch, at + PREVIOUS * self.stride, chosen(done, place, before))
         self.set_item(rod, WORK, done, self.item(rod, WORK) + work)
         self.set_item(rod, PHASE, done, zero + ROUGH)
         self.set_item(rod, CHANGE, done, zero + 1e30)
         self.set_item(rod, STIFFNESS, done, self.item(rod, FIRST_STIFFNESS))
+
+    @ti.func
+    def remember(self, rod, index, place, done):
+        """Make ``place`` that of vertex ``index`` at the instant before, in the lanes that are ``done``."""
+        at = self.vertex(rod, index) + PREVIOUS * self.stride
+        self.store(rod.scratch, at, chosen(done, place, self.load3(rod.scratch, at)))
 
     @ti.func
     def load_motion(self, tables, scratch: ti.template(), slot, row, unit, inertia):
@@ -258,17 +260,21 @@ class Contacts(ContactEnergy):
         for v in range(tables.rest_length.shape[1] + 1):
             for k in ti.static(range(3)):
                 self.put(scratch, first + v * size + (PREVIOUS + k) * self.stride, slot, tables.places[row, v, k] / unit)
-        stiffness = self.get(scratch, tables.contacts + STIFFNESS * self.stride, slot) + INERT * inertia
+        # The first step of a motion begins with the barrier, which also finds κ.
+        stiffness = ti.cast(self.get(scratch, tables.contacts + STIFFNESS * self.stride, slot), ti.f64) + INERT * inertia
+        phase = ti.cast(LOADED, ti.f64)
+        if tables.memory[row, 0, 0, FORCE_BETWEEN] > 0.0:
+            stiffness, phase = tables.memory[row, 0, 0, FORCE_BETWEEN], ROUGH
         for item in ti.static((STIFFNESS, FIRST_STIFFNESS)):
             self.put(scratch, tables.contacts + item * self.stride, slot, stiffness)
-        self.put(scratch, tables.contacts + PHASE * self.stride, slot, ROUGH)
+        self.put(scratch, tables.contacts + PHASE * self.stride, slot, phase)
         self.put(scratch, tables.contacts + WORK * self.stride, slot, 0.0)
 
     # --- a rod into a lane and out of it ---
 
     @ti.func
-    def load(self, tables, scratch: ti.template(), slot, rod, force_unit, unit, scale):
-        """Rod ``rod``'s obstacles and contacts into lane ``slot``, forces over ``force_unit``, lengths over ``unit``; ``scale``:
+    def load(self, tables, scratch: ti.template(), slot, rod, unit, scale):
+        """Rod ``rod``'s obstacles and contacts into lane ``slot``, lengths over ``unit``; ``scale``:
         the largest stiffness, the weight per length, the lengths of an edge, of the longest and of the rod, in the chain's units."""
         base = tables.contacts
         row = tables.rods[rod, of.RESULT_ROW]
@@ -278,7 +284,7 @@ class Contacts(ContactEnergy):
         force = BENDING_LOADS * scale.bend / (scale.total * scale.total) + scale.weight * scale.length
         tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
         head = (radius, force / (SOFT * radius), tolerance, 1e30, LOADED, 0.0, BARRIER_SHARE * force * radius, 0.0,
-                CLOSE * radius + 0.5 * scale.longest)
+                CLOSE * radius + 0.5 * scale.longest, 0.0)
         for k in ti.static(range(len(head))):
             self.put(scratch, base + k * self.stride, slot, head[k])
         for o in range(count):
@@ -296,7 +302,7 @@ class Contacts(ContactEnergy):
                 self.put(scratch, contact + WEIGHT * self.stride, slot, 0.0)
                 self.put(scratch, contact + ACTIVE * self.stride, slot, 0.0)
                 for k in range(tables.memory.shape[3]):
-                    self.put(scratch, contact + k * self.stride, slot, tables.memory[row, v, o, k] / force_unit)
+                    self.put(scratch, contact + k * self.stride, slot, tables.memory[row, v, o, k])
 
     @ti.func
     def unload_forces(self, tables, scratch: ti.template(), slot, place, force_unit):
@@ -313,13 +319,14 @@ class Contacts(ContactEnergy):
                 tables.forces[place, v, k] = force * force_unit
 
     @ti.func
-    def unload(self, tables, scratch: ti.template(), slot, row, force_unit):
-        """The lane's contacts into row ``row`` of the memory."""
+    def unload(self, tables, scratch: ti.template(), slot, row):
+        """The lane's contacts into row ``row`` of the memory, in the units of the chain; in the place of the edge before vertex 0,
+        which there is not, κ."""
         first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_COLUMNS) * self.stride
         for v in range(tables.rest_length.shape[1] + 1):
             at = first + v * (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
             for o in range(tables.kinds.shape[0]):
                 contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
                 for k in range(tables.memory.shape[3]):
-                    value = ti.cast(self.get(scratch, contact + k * self.stride, slot), ti.f64)
-                    tables.memory[row, v, o, k] = value * force_unit
+                    tables.memory[row, v, o, k] = self.get(scratch, contact + k * self.stride, slot)
+        tables.memory[row, 0, 0, FORCE_BETWEEN] = self.get(scratch, tables.contacts + FIRST_STIFFNESS * self.stride, slot)

@@ -37,7 +37,7 @@ class Descent:
     max_iterations: int = 100_000
     largest_move: float = 0.05
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("tolerance", "largest_move"):
             require_number("Descent", name, getattr(self, name))
         require_whole("Descent", "max_iterations", self.max_iterations, 1)

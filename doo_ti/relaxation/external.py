@@ -11,6 +11,8 @@ from typing import ClassVar, NamedTuple, Protocol
 import numpy as np
 
 from doo_ti.errors import InputError
+from doo_ti.physics.number import Number
+from doo_ti.short_repr import short_repr
 
 
 class ExternalFunctions(NamedTuple):
@@ -62,7 +64,7 @@ class External(Protocol):
         """(R,) the part that no edge carries: at vertex 0 in ``start`` (R, 3), of the rows ``index`` (R,)."""
 
     @staticmethod
-    def functions(number, stride: int, first: int) -> ExternalFunctions:
+    def functions(number: Number, stride: int, first: int) -> ExternalFunctions:
         """For one kind of number, its items in scratch from ``first`` on."""
 
 
@@ -77,13 +79,15 @@ class Springs:
     numbers that are negative or not finite.
     """
 
+    __repr__ = short_repr
+
     points: np.ndarray
     stiffness: np.ndarray
     items: ClassVar[int] = 4
     start_items: ClassVar[int] = 4
     has_coarse: ClassVar[bool] = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         try:
             points, stiffness = (np.array(value, dtype=np.float64) for value in (self.points, self.stiffness))
         except (TypeError, ValueError):
@@ -121,7 +125,7 @@ class Springs:
         return 0.5 * self.stiffness[index, 0] * np.sum((start - self.points[index, 0]) ** 2, axis=-1)
 
     @staticmethod
-    def functions(number, stride: int, first: int) -> ExternalFunctions:
+    def functions(number: Number, stride: int, first: int) -> ExternalFunctions:
         """On the device, with its items from ``first`` on: each edge carries the spring of the vertex where it ends."""
         import taichi as ti
 

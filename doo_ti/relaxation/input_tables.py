@@ -58,7 +58,7 @@ def tables(
         start=start, rest_length=lengths, clamp=clamp, material=_material_table(material, isotropic, edges),
         isotropic=isotropic, rods=all_rods if sound.all() else all_rods[sound], feasible=feasible, configuration_index=index_c,
         material_index=index_m, external_index=index_e, external=external, up=up, floating=floating,
-        contact=contact)
+        contact=contact, weight_per_length=material.weight_per_length)
 
 
 def _loosen(clamp: np.ndarray, kinds: np.ndarray, configuration: Configuration, clamps: Clamps) -> None:
@@ -92,7 +92,8 @@ def under(table: Tables, material: Material, index=None) -> Tables:
     stiffness = _material_table(material, isotropic, table.edges)
     rods = table.rods.copy()
     rods[:, of.MATERIAL_ROW] = rows[rods[:, of.RESULT_ROW]]
-    return replace(table, material=stiffness, isotropic=isotropic, material_index=rows, rods=rods)
+    return replace(table, material=stiffness, isotropic=isotropic, material_index=rows, rods=rods,
+                   weight_per_length=material.weight_per_length)
 
 
 def _material_table(material: Material, isotropic: bool, edges: int) -> np.ndarray:

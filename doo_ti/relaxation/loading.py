@@ -102,7 +102,7 @@ class Loading:
                 bend=tables.material[g, of.LARGEST_BEND] / divisor, total=total, length=total / tables.rest_length.shape[1],
                 longest=tables.clamp[s, of.LONGEST] / unit,
                 weight=2.0 * tables.material[g, of.WEIGHT] / divisor * (unit * unit * unit))
-            self.contacts.load(tables, scratch, slot, rod, divisor / (unit * unit), unit, scale)
+            self.contacts.load(tables, scratch, slot, rod, unit, scale)
         if ti.static(self.moves_start):
             self.put(scratch, head + chain.OF_LOOSE * self.stride, slot, tables.clamp[s, of.LOOSE])
             for k in ti.static(range(3)):

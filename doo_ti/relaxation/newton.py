@@ -38,7 +38,7 @@ class Newton:
     max_rotation: float = 0.6
     max_escapes: int = 3
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("first_shift", "max_rotation", *(() if self.tolerance is None else ("tolerance",))):
             require_number("Newton", name, getattr(self, name))
         if self.tolerance is not None and not self.tolerance > 0:
@@ -51,9 +51,9 @@ class Newton:
             raise InputError("Newton", "first_shift", f"{self.first_shift}", "give a finite number from zero up")
 
     @classmethod
-    def careful(cls, **options) -> "Newton":
+    def careful(cls, tolerance: float | None = None, max_iterations: int = 300) -> "Newton":
         """The options that stay closest to descent: use them where the basin matters (ribbons)."""
-        return cls(first_shift=0.0, **options)
+        return cls(tolerance, max_iterations, first_shift=0.0)
 
 
 TOLERANCES = {32: 9.9e-5, 64: 9.9e-8}

@@ -125,9 +125,8 @@ class NewtonLoop:
         origin = head + self.sweep.parameters * self.stride
         self.loading.store_frames(tables, row, scratch, origin, slot)
         if ti.static(self.touches):
-            force_unit = self.loading.force_unit(scratch, head, slot)
-            self.sweep.contacts.unload(tables, scratch, slot, row, force_unit)
-            self.sweep.contacts.unload_forces(tables, scratch, slot, row, force_unit)
+            self.sweep.contacts.unload(tables, scratch, slot, row)
+            self.sweep.contacts.unload_forces(tables, scratch, slot, row, self.loading.force_unit(scratch, head, slot))
         status = self.lane(lane.status, slot)
         if status == self.not_finite or status == self.infeasible:
             for k in ti.static(range(of.RESULTS)):
@@ -195,8 +194,10 @@ class NewtonLoop:
         # Take the step, and judge it afterwards. The factorisation at its end has the shift that follows a good step.
         moving = ti.max(lane.trying, ti.max(lane.fresh, lane.closing))
         if ti.static(self.touches):
-            # Where the rod may touch something, its start is looked at before it moves.
-            moving = ti.max(lane.trying, lane.closing * lane.share)
+            # Where the rod may touch something, its start is looked at before it moves, and a step that is not taken whole closes
+            # no more than it is to.
+            whole = ti.select(lane.step_scale > 0.999, lane.trying, zero)
+            moving = ti.max(whole, lane.closing * lane.share)
         x, normal = self.sweep.step(rod, lane.step_scale, moving)
         decay = ti.select(lane.troubled > 0.5, self.constant(DECAY_TROUBLED), self.constant(DECAY))
         negligible = ti.select(lane.troubled > 0.5, self.constant(NEGLIGIBLE_TROUBLED), self.constant(NEGLIGIBLE)) * lane.scale

@@ -18,9 +18,10 @@ from doo_ti.relaxation.elimination import Elimination
 
 # A column changes B by BEND = (11, 22, 12), β by TWIST, ω̄ along the rod by row MODE of the table of modes (NO_MODE: not at
 # all), gravity by PULL, which is multiplied by μ where TIMES_WEIGHT is one, all lengths by the factor 1 + STRETCH, the far
-# point by SHIFT, and the frames that the clamps hold by the rotations TURN_START and TURN_END, all three in the world.
+# point, as seen from vertex 0, by SHIFT, the frames that the clamps hold by the rotations TURN_START and TURN_END, and vertex 0
+# by MOVE, all four in the world.
 BEND, TWIST, MODE, PULL, TIMES_WEIGHT, STRETCH = 0, 3, 4, 5, 8, 9
-SHIFT, TURN_START, TURN_END, DIRECTION_COLUMNS = 10, 13, 16, 19
+SHIFT, TURN_START, TURN_END, MOVE, DIRECTION_COLUMNS = 10, 13, 16, 19, 22
 NO_MODE = -1
 
 KEPT = chain.GENERAL_ITEMS
@@ -39,7 +40,8 @@ class ParameterGradient(Elimination):
     mode, modes              row of the table of changes of ω̄, or NO_MODE, and that table
     pull                     of gravity
     stretch                  of the logarithm of all lengths
-    shift                    of the far point
+    shift, move              of the far point as seen from vertex 0, and of vertex 0
+    local                    whether only the last two edges and closure are changed
     turned                   whether edges that clamps hold turn
     turn_start, turn_end     rotations of the first edge and the last, in their own axes
     multiplier               λ of the equilibrium
@@ -84,12 +86,23 @@ class ParameterGradient(Elimination):
         holds_end = (1.0 - tables.clamp[s, of.SPIN_END], 1.0 - tables.clamp[s, of.TILT_END])
         start = self.held_turn(rod, rod.origin, self.three(tables.directions, p, TURN_START), holds_start)
         end = self.held_turn(rod, last, self.three(tables.directions, p, TURN_END), holds_end)
+        pull, mode = self.three(tables.directions, p, PULL), ti.cast(tables.directions[p, MODE], ti.i32)
+        along = change + dot(pull, pull) + dot(start, start)
         return record(
-            bends=change > 0.0, bend=(bend[0] / unit, bend[1] / unit, bend[2] / unit),
-            twist=tables.directions[p, TWIST] / unit, mode=ti.cast(tables.directions[p, MODE], ti.i32), modes=tables.modes,
-            pull=scaled(self.three(tables.directions, p, PULL), factor), stretch=stretch,
-            shift=self.three(tables.directions, p, SHIFT), turned=dot(start, start) + dot(end, end) > 0.0,
-            turn_start=start, turn_end=end, multiplier=multiplier)
+            local=(along == 0.0) & (mode == NO_MODE), bends=change > 0.0, bend=(bend[0] / unit, bend[1] / unit, bend[2] / unit),
+            twist=tables.directions[p, TWIST] / unit, mode=mode, modes=tables.modes, pull=scaled(pull, factor), stretch=stretch,
+            shift=self.three(tables.directions, p, SHIFT), move=self.three(tables.directions, p, MOVE),
+            turned=dot(start, start) + dot(end, end) > 0.0, turn_start=start, turn_end=end, multiplier=multiplier)
+
+    @ti.func
+    def length_at(self, rod, at):
+        """Length of the edge at ``at``."""
+        return rod.scratch[at + chain.LENGTH * self.stride]
+
+    @ti.func
+    def rotation_at(self, rod, at):
+        """Rotation of the edge at ``at``, from the place of the step."""
+        return self.load3(rod.scratch, at + chain.ROTATION * self.stride)
 
     @ti.func
     def three(self, table: ti.template(), row, column: ti.template()):
@@ -138,7 +151,7 @@ class ParameterGradient(Elimination):
         """The record of an edge: length, frame, and the coefficient of gravity on it, where ``remaining`` is the length of the
         edges after it."""
         q = self.load4(rod.scratch, at)
-        length = rod.scratch[at + chain.LENGTH * self.stride]
+        length = self.length_at(rod, at)
         return record(length=length, hang=self.hanging_weight(rod, length, remaining), t=tangent(q), m1=first_director(q),
                       m2=second_director(q))
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti import runtime
 from doo_ti.contact.obstacles import Obstacle
@@ -36,14 +37,14 @@ def relax(
     clamps: Clamps | None = None,
     solver: Newton | Descent | None = None,
     *,
-    up=None,
+    up: ArrayLike | None = None,
     precision: str = "f64",
-    configuration_index=None,
-    material_index=None,
+    configuration_index: ArrayLike | None = None,
+    material_index: ArrayLike | None = None,
     external: External | None = None,
-    external_index=None,
+    external_index: ArrayLike | None = None,
     obstacles: Sequence[Obstacle] = (),
-    radius=None,
+    radius: ArrayLike | None = None,
 ) -> Solution:
     """Γ̃ = F(Γ, E_Θ, C): relax R rods from their starts down to constrained minima of E_Θ (§III-D).
 

@@ -17,12 +17,12 @@ dx_{i+1} = dx_i + l_i (dω_i × t_i). Parameters by name, and the columns each o
     up                        2: turns of up about the axes of :func:`tilt_axes`; rad
     gravity                   3: the vector μ up in the world
     length                    ln of a factor on all rest lengths, the clamps staying where they are
-    end_shift                 3: displacement of the far clamp in the world, the start's staying where it is; mm per mm
+    start_shift, end_shift    3 each: displacement of a clamp in the world, the other staying where it is; mm per mm
     start_turn, end_turn      3 each: rotations of a clamped frame in the world, its vertex on the clamp staying where it is;
                               rad. What the clamp does not hold does not turn: the spin of a tangent, all of a position
     modes                     M: changes of ω̄ along the rod, given as an array (M, E−1, 2); 1/mm per 1/mm
 
-With ``end_shift`` and the turns a rod follows its clamps. A straight, taut rod cannot: these columns and ``length`` are NaN
+With the shifts and the turns a rod follows its clamps. A straight, taut rod cannot: these columns and ``length`` are NaN
 where it has no slack.
 """
 
@@ -36,11 +36,14 @@ from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, smallest_rotation
 from doo_ti.relaxation import parameter_gradient as change
 from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.end_loads import EndLoads, own_tables
 from doo_ti.relaxation.sensitivity_kernel import run_sensitivity
+from doo_ti.short_repr import short_repr
 from doo_ti.types import Configuration, Solution
 
 CURVATURES = ("rest_curvature", "rest_curvature_per_joint", "modes")
-OF_CLAMPS = ("length", "end_shift", "start_turn", "end_turn")
+GRIPPERS = ("start_shift", "start_turn", "end_shift", "end_turn")
+OF_CLAMPS = ("length", *GRIPPERS)
 PARAMETERS = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "up", "gravity", *CURVATURES, *OF_CLAMPS)
 
 
@@ -51,13 +54,17 @@ class Sensitivity:
     columns        (P,) what each column is the derivative by, such as "bend", "rest_curvature[1]", "up[0]"
     vertices       (R, V, 3, P) dx, mm per unit of the parameter
     rotations      (R, E, 3, P) rotation of each frame in its own axes (t, m1, m2), rad per unit
+    loads          (R, 3, P) each: changes of the forces and moments at both ends, per unit of the parameter
     usable         (R,) bool: the rod is at a stable equilibrium
     configuration  the rods
     """
 
+    __repr__ = short_repr
+
     columns: tuple[str, ...]
     vertices: np.ndarray
     rotations: np.ndarray
+    loads: EndLoads
     usable: np.ndarray
     configuration: Configuration
 
@@ -86,17 +93,13 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
 
     Raises InputError for unknown or repeated parameters, modes of another shape, and for rods under an external energy.
     """
-    table = solution.tables
-    if table is None:
-        raise InputError("sensitivity", "solution", "joins several calls", "relax where its rods ended")
-    if table.external is not None:
-        raise InputError("sensitivity", "solution", "rods under an external energy", "relax them without one")
+    table = own_tables(solution, "sensitivity")
     _check(parameters, modes, table.edges)
     names, directions, along = parameter_directions(parameters, table.edges, table.up, modes)
     usable = solution.converged & solution.stable
     runtime.start()
     last = table.count if last is None else last
-    vertices, rotations, sound = run_sensitivity(solution, usable, directions, along, first, last)
+    vertices, rotations, loads, _, sound = run_sensitivity(solution, usable, directions, along, first, last)
     start = table.configuration_index[first:last]
     hanging = table.released[start]
     if hanging.any() and "end_shift" in parameters:
@@ -107,7 +110,22 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
         columns = [k for k, name in enumerate(names) if name.partition("[")[0] in OF_CLAMPS]
         for array in (vertices, rotations):
             array[np.ix_(taut, range(array.shape[1]), range(3), columns)] = np.nan
-    return Sensitivity(names, vertices, rotations, sound, solution.configuration.take(slice(first, last)))
+        loads[taut] = np.nan
+    return Sensitivity(names, vertices, rotations, EndLoads.of(loads, table, first, last), sound,
+                       solution.configuration.take(slice(first, last)))
+
+
+def gripper_jacobian(solution: Solution) -> Sensitivity:
+    """The derivatives of R rods at rest by the poses of both grippers, 12 columns: displacement of the start clamp (mm) and its
+    rotation about its vertex (rad), then of the end clamp, all in the axes of the world.
+
+        jacobian = gripper_jacobian(solution)
+        jacobian.vertices            # (R, V, 3, 12) mm per mm and mm per rad
+        jacobian.loads.end_moment    # (R, 3, 12)
+
+    See :func:`sensitivity` for rods that have none.
+    """
+    return sensitivity(solution, GRIPPERS)
 
 
 def tilt_axes(up: np.ndarray) -> np.ndarray:
@@ -167,7 +185,7 @@ def _unchanged(count: int) -> np.ndarray:
 
 def _directions(name: str, up: np.ndarray) -> np.ndarray:
     """The rows of :func:`parameter_directions` of one parameter that is no curvature."""
-    rows = _unchanged({"up": 2, "gravity": 3, "end_shift": 3, "start_turn": 3, "end_turn": 3}.get(name, 1))
+    rows = _unchanged({"up": 2, "gravity": 3, **dict.fromkeys(GRIPPERS, 3)}.get(name, 1))
     if name in ("bend", "bend_1", "bend_2", "bend_12"):
         entries = {"bend": (1, 1, 0), "bend_1": (1, 0, 0), "bend_2": (0, 1, 0), "bend_12": (0, 0, 1)}[name]
         rows[0, change.BEND : change.BEND + 3] = entries
@@ -181,7 +199,9 @@ def _directions(name: str, up: np.ndarray) -> np.ndarray:
     elif name == "length":
         rows[0, change.STRETCH] = 1.0
     else:
-        first = {"gravity": change.PULL, "end_shift": change.SHIFT, "start_turn": change.TURN_START,
-                 "end_turn": change.TURN_END}[name]
+        first = {"gravity": change.PULL, "start_shift": change.MOVE, "end_shift": change.SHIFT,
+                 "start_turn": change.TURN_START, "end_turn": change.TURN_END}[name]
         rows[:, first : first + 3] = np.eye(3)
+        if name == "start_shift":
+            rows[:, change.SHIFT : change.SHIFT + 3] = -np.eye(3)
     return rows

@@ -75,7 +75,8 @@ class Tables:
     clamp (S, CLAMP_COLUMNS); material (G, STIFFNESS + 1 or E · STIFFNESS_COLUMNS), isotropic: all of them are;
     rods (feasible ones, ROD_COLUMNS) int32, each from its start; feasible (S,) bool;
     configuration_index, material_index and external_index (R,), infeasible rods included; external the external energy,
-    or None; up (3,); floating: some rod has both ends free; contact (a ``ContactTable``) with obstacles, or None.
+    or None; up (3,); floating: some rod has both ends free; contact (a ``ContactTable``) with obstacles, or None;
+    weight_per_length (G,) N/m, None where it is not known.
     """
 
     start: np.ndarray
@@ -92,6 +93,7 @@ class Tables:
     up: np.ndarray
     floating: bool
     contact: object = None
+    weight_per_length: np.ndarray | None = None
 
     @property
     def loaded(self) -> bool:

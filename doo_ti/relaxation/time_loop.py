@@ -169,9 +169,9 @@ class TimeLoop(NewtonLoop):
         up = (ti.cast(tables.up[0], self.scalar), ti.cast(tables.up[1], self.scalar), ti.cast(tables.up[2], self.scalar))
         rod = self.sweep.rods(tables, scratch, head, lane.coarse)
         self.differentiate(tables, rod, time, up, ti.select(done, one, zero))
-        self.sweep.remember(rod, time, done)
         if ti.static(self.touches):
             self.sweep.contacts.renew(rod, done)
+        self.sweep.remember(rod, time, done)
         steps_made = supply.places + (tables.queue.shape[0] - LANES) // 2
         for slot in range(self.width):
             if self.lane(lane.finished, slot) > 0.5:
@@ -230,7 +230,7 @@ class TimeLoop(NewtonLoop):
             else:
                 self.loading.store_motion(tables, scratch, head, slot, row)
                 if ti.static(self.touches):
-                    self.sweep.contacts.unload(tables, scratch, slot, row, self.loading.force_unit(scratch, head, slot))
+                    self.sweep.contacts.unload(tables, scratch, slot, row)
                 for k in ti.static(range(3)):
                     tables.results[row, of.FORCE + k] = self.lane(lane.multiplier[k], slot)
                 self.store_slopes(tables, scratch, slot, row)

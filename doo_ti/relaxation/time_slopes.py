@@ -180,7 +180,7 @@ class TimeSlopes(TimeSweep):
         start = self.pull_slope(rod, rod.head + (self.time_parameters + OF_VERTEX) * s, blocks, first, time, up)
         c = plus(plus(c, start), scaled(weight, 2.0 * rod.total))
         pivots, wa = self.start_factors(rod)
-        w = forward(pivots, scaled(c, 0.0 - self.loose(rod)))
+        w = forward(pivots, scaled(c, 0.0 - rod.loose))
         self.store(rod.scratch, first + RIGHT * s, w)
         return plus(right, against(pivots, wa, w))
 

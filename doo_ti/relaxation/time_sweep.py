@@ -72,12 +72,16 @@ class TimeSweep(LoadedElimination):
         place = variable(plus(rod.anchor, self.drift(rod)))
         vertex = rod.head + (self.time_parameters + OF_VERTEX) * self.stride
         self.remember_vertex(rod, vertex, place, time, done)
+        if ti.static(self.touches):
+            self.contacts.remember(rod, 0, place, done)
         at = rod.origin
-        for _ in range(rod.edges):
+        for e in range(rod.edges):
             q = self.load4(rod.scratch, at + FRAME * self.stride)
             place = plus(place, scaled(tangent(q), rod.scratch[at + LENGTH * self.stride]))
             own = at + self.motion * self.stride
             self.remember_vertex(rod, own, place, time, done)
+            if ti.static(self.touches):
+                self.contacts.remember(rod, e + 1, place, done)
             last = self.load4(rod.scratch, own + FRAME_1 * self.stride)
             before = self.load4(rod.scratch, own + FRAME_2 * self.stride)
             self.store(rod.scratch, own + FRAME_2 * self.stride, chosen(done, last, before))

@@ -7,6 +7,7 @@ from doo_ti.report.canvas import (
     SYMBOLS,
     axis_label,
     distance_colors,
+    distinct_colors,
     landscape_colors,
     quantity,
     values_text,
@@ -24,7 +25,7 @@ from doo_ti.report.shapes import MovingRods, Ribbons, motions_picture, ribbon_si
 
 __all__ = [
     "SYMBOLS", "LandscapePanel", "MovingRods", "Ribbons", "SeenRod", "angle_curves_picture", "axis_label", "cells_image",
-    "distance_colors", "identifiability_picture", "landscape_colors", "landscape_image", "landscape_picture",
+    "distance_colors", "distinct_colors", "identifiability_picture", "landscape_colors", "landscape_image", "landscape_picture",
     "landscapes_picture", "motions_picture", "quantity", "reprojections_picture", "ribbon_sides", "ribbons_picture",
     "values_text",
 ]

@@ -13,6 +13,9 @@ SYMBOLS = {
     "twist_ratio": "twist ratio β/α", "weight": "weight μ",
 }
 """How the axes of the grid are written; other names stay as they are."""
+FEW_COLORS = ((45, 212, 191), (253, 231, 37), (125, 170, 255), (255, 159, 28), (198, 120, 221), (152, 195, 121))
+"""Of a few rods on a dark ground."""
+SMALLEST_FONT = 4.0
 MISSING = "#9a9a9a"
 """Colour where there is no distance."""
 
@@ -32,8 +35,29 @@ def literal(text: str) -> str:
     return text.replace("$", r"\$")
 
 
+def save_figure(figure, path_or_buffer) -> None:
+    """Write a figure as a PNG, its titles as large as fit."""
+    fit_titles(figure)
+    figure.canvas.print_png(path_or_buffer)
+
+
+def fit_titles(figure) -> None:
+    """Make titles that reach out of the figure smaller until they fit; this also lays the figure out."""
+    from matplotlib.text import Text
+
+    figure.canvas.draw()
+    width = figure.bbox.width
+    for title in [*figure.texts, *(child for axes in figure.axes for child in axes.get_children() if isinstance(child, Text))]:
+        box = title.get_window_extent()
+        middle = 0.5 * (box.x0 + box.x1)
+        room = width - box.x0 if title.get_horizontalalignment() == "left" else 2 * min(middle, width - middle)
+        if title.get_text() and box.width > room > 0:
+            title.set_fontsize(max(SMALLEST_FONT, 0.97 * room / box.width * title.get_fontsize()))
+
+
 def pixels(figure) -> np.ndarray:
     """(H, W, 3) uint8 of a figure; this also lays it out."""
+    fit_titles(figure)
     figure.canvas.draw()
     return np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()
 
@@ -91,6 +115,18 @@ def distance_colors(distance: np.ndarray, scale: np.ndarray | None = None) -> np
     else:
         norm = Normalize(norm.vmin - 0.9 * (norm.vmax - norm.vmin), norm.vmax)
     return _colors(norm, distance)
+
+
+def distinct_colors(count: int) -> np.ndarray:
+    """(count, 3) uint8: colours on a dark ground of which no two are the same, none of them the red of failed rods."""
+    from matplotlib.colors import hsv_to_rgb
+
+    if count <= len(FEW_COLORS):
+        return np.array(FEW_COLORS[:count], dtype=np.uint8)
+    place = np.arange(count)
+    hue = 0.1 + 0.78 * place / count
+    saturation, value = np.array([(0.85, 0.95), (0.45, 1.0), (0.75, 0.65)])[place % 3].T
+    return np.round(255 * hsv_to_rgb(np.stack([hue, saturation, value], axis=-1))).astype(np.uint8)
 
 
 def norm_of(values: np.ndarray):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from doo_ti.io.observations import Observations
+from doo_ti.short_repr import short_repr
 
 UNITS = {"mm": " mm", "deg": "°"}
 
@@ -21,6 +22,8 @@ class Observed:
               view, the second its rows
     up        (3,) direction against gravity
     """
+
+    __repr__ = short_repr
 
     vertices: np.ndarray
     labels: dict[str, np.ndarray] = field(default_factory=dict)

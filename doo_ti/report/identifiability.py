@@ -3,7 +3,7 @@ over the twist angle."""
 
 import numpy as np
 
-from doo_ti.report.canvas import MISSING, SYMBOLS, literal, new_figure
+from doo_ti.report.canvas import MISSING, SYMBOLS, literal, new_figure, save_figure
 from doo_ti.report.grid_view import label_table
 
 RANK = MINIMUM = "#ff2e63"
@@ -53,7 +53,7 @@ def identifiability_picture(path_or_buffer, parameters, strength, rank, end_dist
     figure.colorbar(mesh, ax=list(panels), pad=0.01, aspect=30).set_label("shift of a mark per factor e [mm]", fontsize=11)
     figure.suptitle("Effect of each parameter in each configuration (median over the grid); red: the order in which to measure",
                     fontsize=13)
-    figure.canvas.print_png(path_or_buffer)
+    save_figure(figure, path_or_buffer)
 
 
 def angle_curves_picture(path_or_buffer, angles: np.ndarray, objective: np.ndarray, *, phi, low, high, names: list[str],
@@ -61,7 +61,7 @@ def angle_curves_picture(path_or_buffer, angles: np.ndarray, objective: np.ndarr
     """Write the curves of Eq. 4 as a PNG, a panel each, at most the first ``MOST_CURVES`` of them.
 
     angles     (F,) degrees, objective (K, F) mm
-    phi        (K,) degrees of the minimum, NaN where there is none; low and high (K,) bound the angles that are nearly as good
+    phi        (K,) degrees of the minimum, NaN where there is none; low and high (K,) are the ends of the 95 % interval
     names      K titles of panels
     unsound    (K, F) rods that are no certified minima: points with any are hollow
     """
@@ -88,7 +88,7 @@ def angle_curves_picture(path_or_buffer, angles: np.ndarray, objective: np.ndarr
         axes.set_title(literal(names[k]), fontsize=9)
         axes.grid(alpha=0.25)
     more = f"; {len(objective) - shown} more are not drawn" if len(objective) > shown else ""
-    figure.supxlabel(f"φ [°]; red: the minimum, yellow: nearly as good{more}", fontsize=10)
+    figure.supxlabel(f"φ [°]; red: the minimum, yellow: 95 % interval{more}", fontsize=10)
     figure.supylabel("Σ d [mm] (Eq. 4)", fontsize=10)
     figure.suptitle(literal(title), fontsize=12)
-    figure.canvas.print_png(path_or_buffer)
+    save_figure(figure, path_or_buffer)

@@ -3,12 +3,12 @@
 import numpy as np
 
 from doo_ti.report.canvas import MEAN_DISTANCE, MISSING, axis_label, literal, plain_ticks, quantity
-from doo_ti.report.plane import REGIMES, Plane, cell_edges, regime
+from doo_ti.report.plane import REGIMES, LandscapePlane, cell_edges, regime
 
 STAR, VALLEY, REGION, LINE, BORDER = "#ff2e63", "#fde725", "#ff9f1c", "#31688e", "#202020"
 
 
-def draw_map(axes, plane: Plane, norm, size: float = 1.0):
+def draw_map(axes, plane: LandscapePlane, norm, size: float = 1.0):
     """Cells in colour, valley outlined, uncertified cells hatched, lines between the regimes of a ribbon; returns the coloured
     mesh. ``size`` scales text and marks: 1 in a picture of its own.
     """
@@ -38,7 +38,7 @@ def draw_map(axes, plane: Plane, norm, size: float = 1.0):
     return mesh
 
 
-def draw_line(axes, plane: Plane, size: float = 1.0) -> None:
+def draw_line(axes, plane: LandscapePlane, size: float = 1.0) -> None:
     """Distance over the one free axis, log where it spans decades."""
     drawn, (edges,) = plane.blocks()
     axis = drawn.axes[0]
@@ -64,19 +64,19 @@ def draw_line(axes, plane: Plane, size: float = 1.0) -> None:
     axes.grid(alpha=0.25)
 
 
-def place_of(plane: Plane, cell: tuple[int, int]) -> tuple[float, float]:
+def place_of(plane: LandscapePlane, cell: tuple[int, int]) -> tuple[float, float]:
     """The middle of a cell of the plane, in the axes' units."""
     first, *second = plane.axes
     return first[1][cell[0]], second[0][1][cell[1]] if second else plane.values[cell]
 
 
-def draw_star(axes, plane: Plane, size: float = 1.0) -> None:
+def draw_star(axes, plane: LandscapePlane, size: float = 1.0) -> None:
     """The minimum."""
     axes.plot(*place_of(plane, plane.minimum), "*", markersize=17 * size, color=STAR, markeredgecolor="white",
               markeredgewidth=1.2 * size, zorder=5)
 
 
-def draw_marks(axes, plane: Plane, marks, size: float = 1.0) -> None:
+def draw_marks(axes, plane: LandscapePlane, marks, size: float = 1.0) -> None:
     """Circles on further cells, (text, cell) each; texts are in a column on the side with more room, a line leads to each."""
     from matplotlib.patheffects import Normal, Stroke
 
@@ -96,7 +96,7 @@ def draw_marks(axes, plane: Plane, marks, size: float = 1.0) -> None:
             path_effects=rim, arrowprops={"arrowstyle": "-", "color": "white", "linewidth": 0.9 * size, "shrinkB": 4 * size})
 
 
-def label_minimum(axes, plane: Plane) -> None:
+def label_minimum(axes, plane: LandscapePlane) -> None:
     """The value at the minimum, in a box towards the middle of the axes."""
     fractions = [(k + 0.5) / n for k, n in zip(plane.minimum, plane.values.shape, strict=True)]
     x, y = (1 if f < 0.5 else -1 for f in fractions) if len(plane.axes) == 2 else (0, -1)
@@ -116,7 +116,7 @@ def draw_region(axes, region) -> None:
                            path_effects=edged()))
 
 
-def cell_boxes(axes, plane: Plane, cells: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+def cell_boxes(axes, plane: LandscapePlane, cells: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """(N, 4) left, top, width and height in pixels of the cells a and b (N,), once the figure is laid out. Over one free
     axis a cell is as high as the axes."""
     edges = [cell_edges(axis) for axis in plane.axes]
@@ -135,7 +135,7 @@ def edged() -> list:
     return [Stroke(linewidth=3.8, foreground="#202020"), Normal()]
 
 
-def _draw_regimes(axes, plane: Plane, size: float) -> None:
+def _draw_regimes(axes, plane: LandscapePlane, size: float) -> None:
     """B₁₁ = B₂₂, B₁₁ = β and B₂₂ = β, and the regimes' numbers in the middle of their cells (Fig. 5)."""
     from matplotlib.patheffects import withStroke
 

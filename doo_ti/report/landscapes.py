@@ -16,6 +16,7 @@ from doo_ti.report.canvas import (
     pixels,
     plain_ticks,
     quantity,
+    save_figure,
     values_text,
 )
 from doo_ti.report.landscape_axes import (
@@ -32,7 +33,7 @@ from doo_ti.report.landscape_axes import (
     edged,
     label_minimum,
 )
-from doo_ti.report.plane import REGIMES, Plane
+from doo_ti.report.plane import REGIMES, LandscapePlane
 
 
 @dataclass(frozen=True)
@@ -44,20 +45,20 @@ class LandscapePanel:
     """
 
     title: str
-    plane: Plane
+    plane: LandscapePlane
     marks: tuple = ()
 
 
-def landscape_picture(path_or_buffer, plane: Plane, *, title: str, region: np.ndarray | None = None) -> None:
+def landscape_picture(path_or_buffer, plane: LandscapePlane, *, title: str, region: np.ndarray | None = None) -> None:
     """Write the landscape as a 1600 × 1200 PNG: a line over one free axis, else a map; cells without a value are grey, cells
     that do not compete hatched.
 
     region  (n, 2) outline of a confidence region in the units of the two axes drawn; not drawn over one axis
     """
-    draw_landscape(plane, title, region).canvas.print_png(path_or_buffer)
+    save_figure(draw_landscape(plane, title, region), path_or_buffer)
 
 
-def landscape_image(plane: Plane, *, title: str, region: np.ndarray | None = None) -> np.ndarray:
+def landscape_image(plane: LandscapePlane, *, title: str, region: np.ndarray | None = None) -> np.ndarray:
     """The same drawing as (1200, 1600, 3) uint8."""
     return pixels(draw_landscape(plane, title, region))
 
@@ -70,7 +71,7 @@ def landscapes_picture(path_or_buffer, rows: list[list[LandscapePanel]], *, titl
     relative  one colour scale for all maps, in multiples of each one's minimum; else each has its own, which shows more
     """
     figure, _ = draw_panels(rows, title, marks, relative)
-    figure.canvas.print_png(path_or_buffer)
+    save_figure(figure, path_or_buffer)
 
 
 def cells_image(rows: list[list[LandscapePanel]], index: tuple, *, marks: str = "",
@@ -83,7 +84,7 @@ def cells_image(rows: list[list[LandscapePanel]], index: tuple, *, marks: str = 
     return image, np.stack(boxes, axis=1)
 
 
-def draw_landscape(plane: Plane, title: str, region: np.ndarray | None = None):
+def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None = None):
     """The figure of one landscape, its legend below."""
     figure = new_figure()
     axes = figure.add_subplot()
@@ -136,7 +137,7 @@ def _draw_panel(figure, axes, panel: LandscapePanel, norm, size: float):
     return mesh
 
 
-def _draw(figure, axes, plane: Plane, norm, size: float):
+def _draw(figure, axes, plane: LandscapePlane, norm, size: float):
     """A line or a map, on a colour scale of its own unless a common one, ``norm``, is given, and the minimum; returns the
     coloured mesh, None for a line."""
     mesh = None
@@ -162,12 +163,12 @@ def _leave_inner_labels(axes, at_left: bool, at_bottom: bool) -> None:
         axes.tick_params(labelbottom=False)
 
 
-def _multiples(plane: Plane) -> np.ndarray:
+def _multiples(plane: LandscapePlane) -> np.ndarray:
     """The values over the smallest one."""
     return plane.values / (plane.values[plane.minimum] if plane.minimum is not None else 1.0)
 
 
-def _common_norm(planes: list[Plane]):
+def _common_norm(planes: list[LandscapePlane]):
     """One colour scale for several landscapes, in multiples of their minima, up to the largest of the flattest one."""
     from matplotlib.colors import LogNorm
 
@@ -184,7 +185,7 @@ def _color_bar(figure, mesh, axes, label: str = MEAN_DISTANCE, size: float = 1.0
     plain_ticks(bar.ax.yaxis, isinstance(mesh.norm, LogNorm), mesh.norm.vmin, mesh.norm.vmax)
 
 
-def _remarks(plane: Plane) -> list[str]:
+def _remarks(plane: LandscapePlane) -> list[str]:
     """Lines for the title: axes that are not shown, and a minimum at the border."""
     lines = []
     if plane.hidden:
@@ -194,7 +195,8 @@ def _remarks(plane: Plane) -> list[str]:
     return lines
 
 
-def _put_legend(figure, planes: list[Plane], columns: int, marks: str | None = None, with_region: bool = False) -> None:
+def _put_legend(figure, planes: list[LandscapePlane], columns: int, marks: str | None = None,
+                with_region: bool = False) -> None:
     """The legend below the axes, its entries in rows: matplotlib fills columns first.
 
     marks  what the panels' marks are, empty where there are none; None: of one landscape, with its numbers
@@ -206,7 +208,7 @@ def _put_legend(figure, planes: list[Plane], columns: int, marks: str | None = N
                       handlelength=1.6, handletextpad=0.6, columnspacing=1.4)
 
 
-def _legend(planes: list[Plane], marks: str | None) -> list:
+def _legend(planes: list[LandscapePlane], marks: str | None) -> list:
     """Entries for the minimum, the valley, marks, and cells that do not compete or have no value."""
     from matplotlib.patches import Patch
 
@@ -237,7 +239,7 @@ def _region_key() -> list:
     return [Line2D([], [], color=REGION, linewidth=2.2, linestyle="--", path_effects=edged(), label="confidence region")]
 
 
-def _regime_keys(planes: list[Plane]) -> list:
+def _regime_keys(planes: list[LandscapePlane]) -> list:
     """Entries for the regimes of a ribbon and the lines between them, where there are any."""
     from matplotlib.lines import Line2D
 

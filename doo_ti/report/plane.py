@@ -3,10 +3,14 @@
 Axes of a grid are (name, values, is_log, unit); a landscape holds one mean distance (Eq. 1) per cell of the grid.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+from doo_ti.short_repr import short_repr
 
 REGIMES = ("β > B₁₁ and B₂₂", "B₂₂ > B₁₁ > β", "B₁₁ > B₂₂ > β")
 """The regimes of a ribbon in the order of Fig. 5: it bends sharply instead of twisting, it bends about the stiff axis, it
@@ -15,8 +19,12 @@ MOST_DRAWN = 512
 """Cells along an axis of a picture, whose axes are some 1100 × 800 pixels."""
 
 
+GridAxis = tuple[str, Sequence[float] | np.ndarray, bool, str]
+"""(name, values, is_log, unit)."""
+
+
 @dataclass(frozen=True)
-class Plane:
+class LandscapePlane:
     """A landscape over at most two free axes, A × B cells (B = 1 where there is one).
 
     axes        one or two (name, values, is_log, unit)
@@ -32,10 +40,12 @@ class Plane:
     twist       β in mm³ where the grid has one and the axes are bend_1 and bend_2 (Fig. 5), else None
     """
 
+    __repr__ = short_repr
+
     HEIGHT: ClassVar[float] = 0.6
     """Height of the surface's highest cell over its base, the unit square."""
 
-    axes: tuple
+    axes: tuple[GridAxis, ...]
     shown: tuple[int, ...]
     grid: np.ndarray
     values: np.ndarray
@@ -48,7 +58,8 @@ class Plane:
     twist: float | None
 
     @classmethod
-    def of(cls, axes, values, minimum=None, unfinished=None) -> "Plane":
+    def of(cls, axes: Sequence[GridAxis], values: ArrayLike, minimum: Sequence[int] | None = None,
+           unfinished: ArrayLike | None = None) -> "LandscapePlane":
         """The landscape over its first two free axes.
 
         axes        one (name, values, is_log, unit) per grid axis; those with one value are not drawn
@@ -86,7 +97,7 @@ class Plane:
             twist=float(twist[0]) if twist and [axes[k][0] for k in shown] == ["bend_1", "bend_2"] else None,
         )
 
-    def places(self, index) -> tuple[np.ndarray, np.ndarray]:
+    def places(self, index: Sequence[ArrayLike]) -> tuple[np.ndarray, np.ndarray]:
         """The cells a and b (N,) of the plane at which cells of the grid are drawn, given as (N,) indices per axis."""
         first, *rest = (np.asarray(index[k]) for k in self.shown)
         return first, rest[0] if rest else 0 * first
@@ -105,7 +116,7 @@ class Plane:
         finite = self.values[np.isfinite(self.values)]
         return self.HEIGHT * values / (finite.max() if finite.size and finite.max() > 0 else 1.0)
 
-    def blocks(self) -> tuple["Plane", list[np.ndarray]]:
+    def blocks(self) -> tuple["LandscapePlane", list[np.ndarray]]:
         """The landscape in at most ``MOST_DRAWN`` cells along each axis, as many as a picture can show, and the borders of
         those cells along each axis.
 

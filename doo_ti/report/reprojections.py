@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.report.canvas import literal, new_figure
+from doo_ti.report.canvas import literal, new_figure, save_figure
 from doo_ti.vision.cameras.rig import Rig
 
 BEST, RUNNER_UP, TRUTH, DETECTED = "#2f7bff", "#ff2e4d", "#ffd400", "#00c08b"
@@ -63,6 +63,9 @@ def reprojections_picture(path_or_buffer, rig: Rig, sets: list[SeenRod], *, up, 
             _draw_image(axes, camera, seen, column)
             if column == 0:
                 axes.set_title(f"{literal(seen.name)}: {seen.verdict}", fontsize=9, loc="left")
+                axes.set_ylabel("v [px]", fontsize=7)
+            if row == len(sets) - 1:
+                axes.set_xlabel("u [px]", fontsize=7)
         _draw_space(figure.add_subplot(grid[row, -1], projection="3d"), seen, np.asarray(up, float))
     keys = [Line2D([], [], color=color, linewidth=2, label=name) for name, color in
             (("detected", DETECTED), ("best", BEST), ("runner-up", RUNNER_UP), ("truth", TRUTH))
@@ -70,7 +73,7 @@ def reprojections_picture(path_or_buffer, rig: Rig, sets: list[SeenRod], *, up, 
     more = f"; {left_out} more sets are not drawn" if left_out else ""
     figure.legend(handles=keys, loc="outside lower center", ncols=len(keys), frameon=False, fontsize=10)
     figure.suptitle(f"Rods recovered from images (Alg. 1){more}", fontsize=12)
-    figure.canvas.print_png(path_or_buffer)
+    save_figure(figure, path_or_buffer)
 
 
 def _draw_image(axes, camera, seen: SeenRod, column: int) -> None:
@@ -87,7 +90,9 @@ def _draw_image(axes, camera, seen: SeenRod, column: int) -> None:
     around = around[np.isfinite(around).all(axis=1)]
     low = np.maximum(around.min(axis=0) - MARGIN_PX, -0.5)
     high = np.minimum(around.max(axis=0) + MARGIN_PX, (width - 0.5, height - 0.5))
-    axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), xticks=[], yticks=[])
+    axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
+    axes.tick_params(labelsize=6, length=2, pad=1)
+    axes.locator_params(nbins=5)
 
 
 def _draw_space(axes, seen: SeenRod, up: np.ndarray) -> None:
@@ -102,8 +107,11 @@ def _draw_space(axes, seen: SeenRod, up: np.ndarray) -> None:
     middle = 0.5 * (low + high)
     axes.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]),
              zlim=(middle[2] - half[2], middle[2] + half[2]))
-    axes.set_box_aspect(half, zoom=1.15)
+    axes.set_box_aspect(half, zoom=0.85)
     axes.view_init(elev=18, azim=-65)
+    for axis, label in ((axes.xaxis, "horizontal [mm]"), (axes.yaxis, "depth [mm]"), (axes.zaxis, "height [mm]")):
+        axis.set_label_text(label, fontsize=7)
+        axis.labelpad = -5
     axes.tick_params(labelsize=6, pad=-2)
     axes.locator_params(nbins=4)
 

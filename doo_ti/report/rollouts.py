@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.report.canvas import PICTURE_DPI, literal, new_figure
+from doo_ti.report.canvas import PICTURE_DPI, fit_titles, literal, new_figure
 from doo_ti.report.grid_view import upright_basis
 
 MOST_RODS = 6
@@ -62,6 +62,7 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
     last = (positions.shape[1] - 1) / rate
     figure.suptitle(literal(f"{name}: {len(frames)} of {positions.shape[1]} frames from 0 to {last:.3g} s, seen from the side"),
                     fontsize=10)
+    fit_titles(figure)
     figure.savefig(path, dpi=PICTURE_DPI, metadata={"Software": None})
 
 

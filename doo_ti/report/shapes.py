@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.report.canvas import literal, new_figure
+from doo_ti.report.canvas import literal, new_figure, save_figure
 
 MOST_RODS, COLUMNS = 12, 4
 SHOWN = 9
@@ -26,6 +26,8 @@ class MovingRods:
     jumps     (T, R) jumps to another branch since the moment before
     sound     (T, R) bool: certified minima so far
     up        (3,) direction against gravity
+    grippers  (T, R, lines, points, 3) mm: lines that show how the ends are held; None: not drawn
+    marks     (R, V, 3) mm: what was observed of the rods at the start, NaN where missing; None where nothing was
     """
 
     time: np.ndarray
@@ -34,6 +36,8 @@ class MovingRods:
     jumps: np.ndarray
     sound: np.ndarray
     up: np.ndarray = (0.0, 0.0, 1.0)
+    grippers: np.ndarray | None = None
+    marks: np.ndarray | None = None
 
     @property
     def basis(self) -> np.ndarray:
@@ -80,7 +84,7 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
     more = f" ({len(rods.names) - shown} more are not drawn)" if len(rods.names) > shown else ""
     red = "\nred: before a jump (dashed) and after it" if jumps.any() else ""
     figure.suptitle(f"{literal(title)}{more}{red}", fontsize=12)
-    figure.canvas.print_png(path_or_buffer)
+    save_figure(figure, path_or_buffer)
 
 
 def _draw_moments(axes, flat: np.ndarray, time: np.ndarray, moments: np.ndarray, jumps: np.ndarray) -> None:
@@ -161,7 +165,7 @@ def ribbons_picture(path_or_buffer, ribbons: list[Ribbons], which: int, *, basis
     if outlined:
         keys = [Line2D([], [], color=np.array(kind.color) / 255, label=literal(kind.label)) for kind in outlined]
         figure.legend(handles=keys, loc="outside lower center", ncols=len(keys), frameon=False, fontsize=10)
-    figure.canvas.print_png(path_or_buffer)
+    save_figure(figure, path_or_buffer)
 
 
 def _draw_band(axes, sides: np.ndarray, color: tuple[int, int, int]) -> None:

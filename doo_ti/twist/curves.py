@@ -5,7 +5,7 @@
 Axes: N observations, K groups that share a φ, n of them, f angles.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -145,7 +145,7 @@ KNOWN = {"offset_deg": ((), ("offset_deg",)), "total_twist_deg": ((), ("total_tw
          "start_frame": ((3, 3), frame_columns("start_frame")), "end_frame": ((3, 3), frame_columns("end_frame"))}
 
 
-def consecutive_groups(count: int, together: int, regrasps=()) -> np.ndarray:
+def consecutive_groups(count: int, together: int, regrasps: Sequence[int] = ()) -> np.ndarray:
     """(count,) groups of ``together`` consecutive observations; a new grasp begins at each of the rows ``regrasps``, and the
     last group before it may be smaller."""
     begins = np.zeros(count, dtype=np.int64)

@@ -58,7 +58,7 @@ def swept(monkeypatch) -> list:
         calls.append((run, observations, grid, options, command))
         write_run(run, grid, np.linspace(2, 1, grid.size)[:, None] + np.zeros(observations.count), observations.name)
         return {**gather_overview(run, grid, observations.name, None).as_dict(), "gaps": [np.nan], "hypotheses": None,
-                "timing": {"relaxed_rods": 50, "relaxation_s": 0.5}}
+                "timing": {"relaxed_rods": 50, "loading_s": 0.2, "relaxation_s": 0.5}}
 
     monkeypatch.setitem(sys.modules, "doo_ti.learning.sweeps", types.SimpleNamespace(sweep=sweep))
     return calls
@@ -104,7 +104,7 @@ def test_sweep_of_several_sources(capsys, tmp_path, swept):
     assert main(argv) == 0
     assert [call[0] for call in swept] == [tmp_path / "runs" / "good", tmp_path / "runs" / "silk"]
     out = capsys.readouterr().out
-    assert "100 rods in" in out and "100 rods/s, loading the kernels included" in out and "MB of memory" in out
+    assert "100 rods in" in out and "0.4 s to load" in out and "100 rods/s" in out and "MB of memory" in out
     assert main([*argv[:-1], str(tmp_path / "again"), "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)) == 2
     assert main(["sweep", sources[0], *argv[1:]]) == 2
@@ -201,7 +201,11 @@ def test_view_opens_the_recording(tmp_path, monkeypatch):
         if path.name == "broken":
             raise InterruptedRunError("no window")
 
-    monkeypatch.setitem(sys.modules, "doo_ti.record", types.SimpleNamespace(open_viewer=open_viewer))
+    def otherwise(path, *more):
+        opened.append(path)
+
+    monkeypatch.setitem(sys.modules, "doo_ti.record", types.SimpleNamespace(
+        open_viewer=open_viewer, save_screenshot=otherwise, serve_viewer=otherwise))
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setenv("DISPLAY", ":0")
     for name, code in (("run", 0), ("broken", 1)):
@@ -210,6 +214,11 @@ def test_view_opens_the_recording(tmp_path, monkeypatch):
     assert [path.name for path in opened] == ["run", "broken"]
     monkeypatch.delenv("DISPLAY")
     assert main(["view", str(tmp_path / "run")]) == (1 if sys.platform == "linux" else 0)
+    opened.clear()
+    for more, code in ((["--web"], 0), (["--screenshot", str(tmp_path / "new" / "f.png")], 0), (["--screenshot", "f.jpg"], 2),
+                       (["--web", "--screenshot", "f.png"], 2)):
+        assert main(["view", str(tmp_path / "run"), *more]) == code
+    assert len(opened) == 2
     (tmp_path / "good.npz").write_bytes(b"")
     assert main(["view", str(tmp_path / "good.npz")]) == 2
 
@@ -278,7 +287,7 @@ def test_relax_writes_every_key(capsys, tmp_path):
         np.testing.assert_allclose(np.linalg.det(found["frames"]), 1, atol=1e-9)
         first = {key: found[key] for key in found.files}
     per_rod = dict.fromkeys(("energy", "distance_mm", "status", "iterations", "residual", "stable"), (3,))
-    assert shapes == {"vertices_mm": (3, 9, 3), "frames": (3, 8, 3, 3), **per_rod}
+    assert shapes == {"vertices_mm": (3, 9, 3), "frames": (3, 8, 3, 3), "rest_length_mm": (8,), "end_force": (3, 3), **per_rod}
     assert main([*argv, "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["status"] == {"converged": 3} and summary["bend_1"] == 6e5

@@ -61,16 +61,16 @@ def test_round_rods(lab, tmp_path, capsys):
     assert printed.startswith("silk; nylon: 12 cells\n") and "recorded" not in printed and str(out / "cells.rrd") in printed
     _, moving = read(out / "cells.rrd")
     for name in ("silk", "nylon"):
-        landscape, rods = read_landscape(lab / name), moving[f"/{name}/world/rods"]
+        landscape, rods = read_landscape(lab / name), moving[f"/world/{name}/rods"]
         assert rods["cell"]["cell"] == list(range(12))
         # The rods are those of the sweep, relaxed again.
         np.testing.assert_allclose(rods["cell"]["distance_mm"], landscape.distance, rtol=1e-6)
         # Two end distances and both together.
-        assert np.array(moving[f"/{name}/landscape/cell"]["cell"]["Boxes2D:centers"]).shape == (12, 3, 2)
+        assert np.array(moving[f"/landscape/{name}/cell"]["cell"]["Boxes2D:centers"]).shape == (12, 3, 2)
     mean = np.stack([read_landscape(lab / name).mean_distance for name in ("silk", "nylon")])
     relative = (mean / mean.min(axis=1, keepdims=True)).mean(axis=0)
-    assert moving["/cell"]["falling_error"]["cell"] == np.argsort(-relative, kind="stable").tolist()
-    assert "| silk | **" in moving["/cell"]["cell"]["TextDocument:text"][3][0]
+    assert moving["/summary"]["falling_error"]["cell"] == np.argsort(-relative, kind="stable").tolist()
+    assert "| silk | **" in moving["/summary"]["cell"]["TextDocument:text"][3][0]
 
 
 @pytest.mark.thorough
@@ -84,14 +84,14 @@ def test_a_ribbon_under_both_objectives_and_its_regimes(lab, tmp_path, capsys):
     assert [file["path"] for file in summary["files"]][:2] == [str(tmp_path / "landscapes.png"), str(tmp_path / "cells.rrd")]
     dynamic = read_landscape(lab / "dynamic")
     static, moving = read(tmp_path / "cells.rrd")
-    rods = moving["/ribbon__dynamic/world/rods"]["cell"]
+    rods = moving["/world/ribbon__dynamic/rods"]["cell"]
     np.testing.assert_allclose(rods["distance_mm"], dynamic.distance, rtol=1e-6)
-    labels = static["/ribbon__dynamic/world/rods"]["LineStrips3D:labels"][0]
+    labels = static["/world/ribbon__dynamic/rods"]["LineStrips3D:labels"][0]
     assert [int(label.split()[1].rstrip(":")) for label in labels] == dynamic.observation.tolist()
     still, bands = read(tmp_path / "regimes_ribbon_static.rrd")
     assert bands["/summary"]["observation"]["observation"] == list(range(8))
     assert bands["/summary"]["difference"]["observation"][-1] == 2
-    assert [still[f"/ribbons/{k}/borders"]["LineStrips3D:labels"][0][0].split("\n")[0] for k in range(4)] == [
+    assert [still[f"/world/ribbons/{k}/borders"]["LineStrips3D:labels"][0][0].split("\n")[0] for k in range(4)] == [
         "observed", "1: β > B₁₁ and B₂₂", "2: B₂₂ > B₁₁ > β", "3: B₁₁ > B₂₂ > β"]
 
 
@@ -101,7 +101,7 @@ def test_a_large_grid_is_thinned_and_that_is_reported(one_run, tmp_path, capsys)
     assert "recorded    6 cells: " in printed and "of 4 values of bend" in printed and "--cells all" in printed
     landscape = read_landscape(one_run / "silk")
     _, moving = read(tmp_path / "cells.rrd")
-    rods = moving["/silk/world/rods"]["cell"]
+    rods = moving["/world/silk/rods"]["cell"]
     assert len(rods["cell"]) == 6 and landscape.best in rods["cell"]
     np.testing.assert_allclose(rods["distance_mm"], landscape.distance[rods["cell"]], rtol=1e-6)
     assert main(["figures", str(one_run / "silk"), "--cells", "all", "--out", str(tmp_path / "all")]) == 0

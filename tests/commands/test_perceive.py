@@ -88,11 +88,11 @@ def test_recording_holds_the_first_set(perceived):
     from tests.record.recordings import read
 
     static, moving = read(perceived[0] / "f.rrd")
-    assert moving["/set0_first/world/best"]["edges"]["edges"] == list(range(2, EDGES + 2))
+    assert moving["/world/set0_first/rods"]["edges"]["edges"] == list(range(2, EDGES + 2))
     assert not any("second" in entity for entity in (*static, *moving))
-    pruned = [len(strips or ()) for strips in moving["/set0_first/world/pruned"]["edges"]["LineStrips3D:strips"]]
+    pruned = [len(strips or ()) for strips in moving["/world/set0_first/pruned"]["edges"]["LineStrips3D:strips"]]
     assert sum(pruned) > 20 and pruned[-1] == 0
-    assert "/set0_first/cam1/truth" in static
+    assert "/images/set0_first/cam1/truth" in static
 
 
 def test_one_set_is_the_same_alone(photographed, perceived, tmp_path, capsys):

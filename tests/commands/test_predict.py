@@ -74,6 +74,17 @@ def test_materials_and_starts_at_once(folder, capsys):
     np.testing.assert_allclose(moved, np.tile([-6.0, 2.0, 0], (6, 1)), atol=1e-5)
 
 
+def test_a_motion_that_begins_elsewhere_is_pointed_out(folder, capsys):
+    """Displacements without --relative: one line on standard error; none with it, or where the motion begins at the clamp."""
+    np.savez(folder / "moves.npz", end_position_mm=np.outer([0, 0.5, 1], [-6.0, 2.0, 0]))
+    main(words(folder, "seen.npz", "moves.npz"))
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and "doo-ti: warning:" in err and "moves.npz: end_position_mm" in err and "--relative" in err
+    for more, motion in (["--relative"], "moves.npz"), ([], "turn.csv"):
+        main([*words(folder, "seen.npz", motion), *more])
+        assert "warning" not in capsys.readouterr().err
+
+
 def test_frames_of_the_path_hold_rods_that_had_none(folder):
     assert main([*words(folder, "bare.npz", "frames.npz"), "--relative"]) == 0
     assert (written(folder / "f.npz")["end_rotation_deg"] == 0).all()  # spins are free
@@ -109,7 +120,7 @@ def test_a_rod_that_is_lost_is_reported(folder, capsys):
 @pytest.mark.parametrize("more, printed", [
     ([], "--motion"), (["--motion", "none.npz"], "none.npz"), (["--motion", "turn.csv", "--between", "0"], "--steps-between"),
     (["--motion", "turn.csv", "--sub-step", "90"], "--sub-step"), (["--motion", "turn.csv", "--sub-step", "x"], "--sub-step"),
-    (["--motion", "turn.csv", "--out", "f.csv"], "--out"),
+    (["--motion", "turn.csv", "--out", "f.txt"], "--out"),
     (["--motion", "turn.csv", "--steps-between", "100000000"], "--steps-between"),
     (["--motion", "turn.csv", "--recording", "f.png"], "ends in .rrd"), (["--motion", "turn.csv", "--bend", "-1"], "--bend"),
     (["--motion", "metres.npz"], "moment 1: the clamps are 9e+04 mm apart"),

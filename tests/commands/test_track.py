@@ -66,10 +66,10 @@ def test_a_video_is_tracked_and_recorded(filmed, tmp_path, capsys):
     from tests.record.recordings import read
 
     static, moving = read(out.with_suffix(".rrd"))
-    assert moving["/world/rod"]["frame"]["frame"] == list(range(FRAMES))
-    drawn = [len(strips[0]) for strips in moving["/cam1/rod"]["frame"]["LineStrips2D:strips"]]
+    assert moving["/world/rods"]["frame"]["frame"] == list(range(FRAMES))
+    drawn = [len(strips[0]) for strips in moving["/images/cam1/rods"]["frame"]["LineStrips2D:strips"]]
     assert [row for row, count in enumerate(drawn) if count == 0] == list(BLANK) and set(drawn) == {0, EDGES + 1}
-    assert len(moving["/cam2"]["frame"]["frame"]) == FRAMES and "/world/cam0" in static
+    assert len(moving["/images/cam2"]["frame"]["frame"]) == FRAMES and "/world/cameras/cam0" in static
 
 
 def test_a_known_motion_is_taken(filmed, tmp_path, capsys):

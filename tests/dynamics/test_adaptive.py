@@ -48,13 +48,13 @@ def test_pairs_springs_and_detail_go_with_their_rods(rng):
     rods, grippers = swung(rng, 3)
     material, pairs = Material([3e4, 6e4], [2e4, 4e4]), (np.array([0, 2, 2, 1]), np.array([1, 0, 1, 0]))
     springs = Springs(rods.vertices[pairs[0]], np.linspace(0.0, 0.3, 4)[:, None] * np.ones(9))
-    stepping = Stepping(RATE, tolerance=0.1)
-    found = simulate(rods, material, grippers, DYNAMICS, stepping, springs=springs, pairs=pairs, detailed=True)
+    stepping = Stepping(RATE, tolerance=0.1, detailed=True)
+    found = simulate(rods, material, grippers, DYNAMICS, stepping, springs=springs, pairs=pairs)
     assert len(np.unique(found.substeps)) > 1
     for k, (r, g) in enumerate(zip(*pairs, strict=True)):
         own = Springs(springs.points[[k]], springs.stiffness[[k]])
-        fixed = Stepping(RATE, int(found.substeps[k]))
-        alone = simulate(rods.take([r]), material.take([g]), rows(grippers, [r]), DYNAMICS, fixed, springs=own, detailed=True)
+        fixed = Stepping(RATE, int(found.substeps[k]), detailed=True)
+        alone = simulate(rods.take([r]), material.take([g]), rows(grippers, [r]), DYNAMICS, fixed, springs=own)
         np.testing.assert_array_equal(found.positions[k], alone.positions[0])
         np.testing.assert_array_equal(found.detail.velocities[k], alone.detail.velocities[0])
         for name, value in alone.detail.energies.items():

@@ -33,7 +33,7 @@ def shaken(rods, start: Clamp, end: Clamp) -> Grippers:
 
 def accounts(rods, material, grippers, dynamics, scheme="bdf2", **options):
     """The energies with 8 and 16 substeps."""
-    found = [simulate(rods, material, grippers, dynamics, Stepping(RATE, n, scheme), detailed=True, **options) for n in (8, 16)]
+    found = [simulate(rods, material, grippers, dynamics, Stepping(RATE, n, scheme, detailed=True), **options) for n in (8, 16)]
     assert all(one.converged.all() for one in found)
     return [one.detail.energies for one in found]
 
@@ -78,7 +78,7 @@ def test_what_is_stored_is_the_energy_of_relaxed_rods(rng):
     solution = relax(rods, CURVED, clamps)
     rest = solution.configuration
     springs = Springs(rest.vertices[:1] + 1.0, np.full((1, 9), 0.2))
-    found = simulate(rest, CURVED, Grippers.resting(clamps, 2), Dynamics(), Stepping(RATE), springs=springs, detailed=True)
+    found = simulate(rest, CURVED, Grippers.resting(clamps, 2), Dynamics(), Stepping(RATE, detailed=True), springs=springs)
     stored = {name: value[:, 0] for name, value in found.detail.energies.items()}
     height = rest.vertices[..., 2] @ np.array([6.0, *[12.0] * 7, 6.0]) * 2.0
     np.testing.assert_allclose(stored["bending"] + stored["twist"], solution.energy - height, rtol=1e-9)
@@ -92,7 +92,7 @@ def test_a_detailed_motion_is_the_same_motion(rng):
     grippers = shaken(rods, Clamp.FRAME, Clamp.POSITION)
     grippers.end_position[2, 12:] += 1e3
     plain = simulate(rods, CURVED, grippers, LOSSES, Stepping(RATE, 3))
-    found = simulate(rods, CURVED, grippers, LOSSES, Stepping(RATE, 3), detailed=True)
+    found = simulate(rods, CURVED, grippers, LOSSES, Stepping(RATE, 3, detailed=True))
     for name in ("positions", "status", "iterations", "residual", "end_force"):
         np.testing.assert_array_equal(getattr(found, name), getattr(plain, name))
     np.testing.assert_array_equal(found.converged, [True, True, False])

@@ -4,7 +4,7 @@ import numpy as np
 
 from doo_ti.grid import Axis, Grid, valley
 from doo_ti.report.grid_view import Observed
-from doo_ti.report.plane import Plane
+from doo_ti.report.plane import LandscapePlane
 from doo_ti.types import Status
 
 ITERATIONS, OBSERVATIONS, VERTICES, BENDS, RATIOS = 13, 6, 9, 5, 4
@@ -35,21 +35,21 @@ def axes(of: Grid) -> list:
     return [(axis.name, axis.values, axis.log, axis.unit) for axis in of.axes]
 
 
-def plane(**more) -> Plane:
+def plane(**more) -> LandscapePlane:
     cells = grid()
-    return Plane.of(axes(cells), landscape().reshape(cells.shape), (2, 1, 0), **more)
+    return LandscapePlane.of(axes(cells), landscape().reshape(cells.shape), (2, 1, 0), **more)
 
 
 def relaxation(rng: np.random.Generator) -> dict:
     """Arguments of `record_sweep` for a relaxation without a landscape."""
-    from doo_ti.record import Trajectory
+    from doo_ti.record import SweepTrajectory
 
     vertices = observations(rng)
     decay = np.exp(-np.arange(ITERATIONS))
     bump = np.sin(np.pi * np.linspace(0, 1, VERTICES))[None, :, None] * rng.normal(0, 4, (OBSERVATIONS, 1, 3))
     energy = 1e3 + 1e3 * decay[:, None] + rng.normal(0, 10, OBSERVATIONS)
     labels = {"end_distance_mm": np.repeat([30.0, 50.0, 70.0], 2), "end_rotation_deg": np.tile([0.0, 120.0], 3)}
-    trajectory = Trajectory(vertices + decay[:, None, None, None] * bump, energy,
+    trajectory = SweepTrajectory(vertices + decay[:, None, None, None] * bump, energy,
                             0.1 * decay[:, None] ** 2 * np.ones(OBSERVATIONS), np.full(OBSERVATIONS, Status.CONVERGED),
                             np.linspace(0.4, 0.9, OBSERVATIONS))
     return {

@@ -51,10 +51,10 @@ def test_each_cell_is_a_step_with_its_rods_its_box_and_its_text(tmp_path, rng):
     record_cells(tmp_path / "cells.rrd", **given)
     assert [entry.name for entry in tmp_path.iterdir()] == ["cells.rrd"]
     static, moving = read(tmp_path / "cells.rrd")
-    assert set(moving) == {"/silk/world/rods", "/silk/landscape/cell", "/a_ribbon__dynamic/world/rods",
-                           "/a_ribbon__dynamic/landscape/cell", "/cell"}
-    for run, place in enumerate(("/silk", "/a_ribbon__dynamic")):
-        rods, still = moving[f"{place}/world/rods"], static[f"{place}/world/rods"]
+    assert set(moving) == {"/world/silk/rods", "/landscape/silk/cell", "/world/a_ribbon__dynamic/rods",
+                           "/landscape/a_ribbon__dynamic/cell", "/summary"}
+    for run, place in enumerate(("silk", "a_ribbon__dynamic")):
+        rods, still = moving[f"/world/{place}/rods"], static[f"/world/{place}/rods"]
         assert rods["cell"]["cell"] == given["cells"].tolist()
         assert rods["falling_error"]["cell"] == given["cells"][np.argsort(given["rank"])].tolist()
         offset = np.array(still["offset_mm"][0])
@@ -62,16 +62,16 @@ def test_each_cell_is_a_step_with_its_rods_its_box_and_its_text(tmp_path, rng):
         strips = np.array(rods["cell"]["LineStrips3D:strips"])
         np.testing.assert_allclose(strips - offset[:, None], joined(given, run, "vertices"), atol=1e-4)
         np.testing.assert_allclose(rods["cell"]["distance_mm"], joined(given, run, "distance"), rtol=1e-6)
-        np.testing.assert_allclose(offset, np.array(static[f"{place}/world/observations"]["offset_mm"][0])[
+        np.testing.assert_allclose(offset, np.array(static[f"/world/{place}/observations"]["offset_mm"][0])[
             given["runs"][run].observation])
-        boxes = moving[f"{place}/landscape/cell"]["cell"]
+        boxes = moving[f"/landscape/{place}/cell"]["cell"]
         centers, half = (np.array(boxes[f"Boxes2D:{name}"]) for name in ("centers", "half_sizes"))
         assert centers.shape == (CELLS, PANELS, 2)
         corner, size = given["runs"][run].boxes[..., :2], given["runs"][run].boxes[..., 2:]
         np.testing.assert_allclose(centers, corner + size / 2, rtol=1e-5)
         np.testing.assert_allclose(half, 0.625 * size, rtol=1e-5)
-    assert moving["/cell"]["cell"]["TextDocument:text"] == [[text] for text in given["texts"]]
-    assert static["/a_ribbon__dynamic/world/rods"]["LineStrips3D:labels"][0][-1] == "observation 1: 30 mm 120°"
+    assert moving["/summary"]["cell"]["TextDocument:text"] == [[text] for text in given["texts"]]
+    assert static["/world/a_ribbon__dynamic/rods"]["LineStrips3D:labels"][0][-1] == "observation 1: 30 mm 120°"
 
 
 def test_rods_are_coloured_on_one_scale_and_uncertified_ones_red(tmp_path, rng):
@@ -81,7 +81,7 @@ def test_rods_are_coloured_on_one_scale_and_uncertified_ones_red(tmp_path, rng):
     given = figure(rng)
     record_cells(tmp_path / "cells.rrd", **given)
     _, moving = read(tmp_path / "cells.rrd")
-    colors = np.array(moving["/silk/world/rods"]["cell"]["LineStrips3D:colors"])
+    colors = np.array(moving["/world/silk/rods"]["cell"]["LineStrips3D:colors"])
     red = int.from_bytes(bytes(FAILED))
     np.testing.assert_array_equal(colors >> 8 == red, ~joined(given, 0, "sound"))
     expected = distance_colors(joined(given, 0, "distance"), given["runs"][0].distance).astype(np.int64)
@@ -97,7 +97,7 @@ def test_a_rod_that_is_nan_is_not_drawn(tmp_path, rng):
     given["rods"][0].distance[2, 4] = np.nan
     record_cells(tmp_path / "cells.rrd", **given)
     _, moving = read(tmp_path / "cells.rrd")
-    counts = [[len(strip) for strip in row] for row in moving["/silk/world/rods"]["cell"]["LineStrips3D:strips"]]
+    counts = [[len(strip) for strip in row] for row in moving["/world/silk/rods"]["cell"]["LineStrips3D:strips"]]
     expected = np.full((CELLS, runs.OBSERVATIONS), runs.VERTICES)
     expected[2, 4] = 0
     np.testing.assert_array_equal(counts, expected)

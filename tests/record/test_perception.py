@@ -37,27 +37,27 @@ def test_recording_shows_growth_and_pruning(tmp_path, seen):
     record_perception(tmp_path / "r.rrd", run_id="r", name="made up", rig=rig, rods=[seen], growth=[growth])
     assert [entry.name for entry in tmp_path.iterdir()] == ["r.rrd"]
     static, moving = read(tmp_path / "r.rrd")
-    root = "/set0_silk_42_mm"
-    world = {name: moving[f"{root}/world/{name}"]["edges"] for name in ("best", "kept", "pruned", "runner_up")}
+    root = "set0_silk_42_mm"
+    world = {name: moving[f"/world/{root}/{name}"]["edges"] for name in ("rods", "kept", "pruned", "runner_up")}
     count = {name: [len(strips or ()) for strips in timeline["LineStrips3D:strips"]] for name, timeline in world.items()}
-    assert world["best"]["edges"] == [2, 3, 4]
-    assert count == {"best": [1, 1, 1], "kept": [1, 1, 0], "pruned": [1, 3, 0], "runner_up": [1]}
+    assert world["rods"]["edges"] == [2, 3, 4]
+    assert count == {"rods": [1, 1, 1], "kept": [1, 1, 0], "pruned": [1, 3, 0], "runner_up": [1]}
     np.testing.assert_allclose(world["pruned"]["LineStrips3D:strips"][1], growth[1].vertices[2:], atol=1e-4)
-    energy = moving[f"{root}/energy_vis"]["edges"]
+    energy = moving[f"/curves/{root}/energy_vis"]["edges"]
     assert energy["per_mm"][1] == [1, 2, 3, 4, 5] and energy["kept"][1] == [True, True, False, False, False]
-    np.testing.assert_allclose(world["best"]["LineStrips3D:strips"][2][0], seen.best, atol=1e-4)
+    np.testing.assert_allclose(world["rods"]["LineStrips3D:strips"][2][0], seen.best, atol=1e-4)
     for camera in rig.cameras:
-        flat = f"{root}/{camera.name}"
+        flat = f"/images/{root}/{camera.name}"
         assert static[flat]["EncodedImage:media_type"] == [["image/jpeg"]]
         found = np.array(static[f"{flat}/detected"]["Points2D:positions"][0])
         # The viewer's pixels have their corners at whole numbers, ours their centres.
         np.testing.assert_allclose(found, camera.project(seen.best) + 0.5, atol=1e-3)
-        shown = moving[f"{flat}/best"]["edges"]["LineStrips2D:strips"]
+        shown = moving[f"{flat}/rods"]["edges"]["LineStrips2D:strips"]
         np.testing.assert_allclose(shown[2][0], camera.project(seen.best) + 0.5, atol=1e-3)
-        pinhole = static[f"{root}/world/{camera.name}"]
+        pinhole = static[f"/world/{root}/cameras/{camera.name}"]
         np.testing.assert_allclose(np.array(pinhole["Pinhole:image_from_camera"][0]).reshape(3, 3).T, camera.matrix, rtol=1e-6)
         np.testing.assert_allclose(pinhole["Transform3D:translation"][0][0], camera.centre, rtol=1e-5)
-    assert "0.05 px" in static[f"{root}/verdict"]["TextDocument:text"][0][0]
+    assert "0.05 px" in static[f"/summary/{root}"]["TextDocument:text"][0][0]
 
 
 @pytest.mark.thorough

@@ -7,7 +7,7 @@ import pytest
 
 from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.report.grid_view import Observed
-from doo_ti.report.plane import Plane
+from doo_ti.report.plane import LandscapePlane
 from doo_ti.types import Status
 
 from . import runs
@@ -188,7 +188,7 @@ def test_one_free_axis_gives_cells_on_a_line_and_no_surface(tmp_path, rng):
 
     run = runs.sweep(rng)
     cells = runs.Grid((runs.Axis("bend", np.geomspace(1e5, 1e7, runs.BENDS)),))
-    run |= {"plane": Plane.of(runs.axes(cells), run["plane"].grid[:, 1:2], (2, 0, 0)), "intervals": ()}
+    run |= {"plane": LandscapePlane.of(runs.axes(cells), run["plane"].grid[:, 1:2], (2, 0, 0)), "intervals": ()}
     static, moving = written(tmp_path, record_sweep, run)
     assert "/landscape/surface" not in static
     assert len(moving["/landscape/cells"]["trial"]["trial"]) == runs.BENDS

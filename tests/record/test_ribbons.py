@@ -66,15 +66,15 @@ def test_recording_holds_a_band_per_kind_and_step(tmp_path):
                    rank=np.array([2, 0, 1, 3]), texts=[f"text {k}" for k in range(4)], basis=np.eye(3))
     assert [entry.name for entry in tmp_path.iterdir()] == ["r.rrd"]
     static, moving = read(tmp_path / "r.rrd")
-    assert set(moving) == {"/ribbons/0/borders", "/ribbons/1", "/ribbons/1/borders", "/ribbons/2", "/ribbons/2/borders",
-                           "/summary"}
-    band = moving["/ribbons/2"]
+    assert set(moving) == {"/world/ribbons/0/borders", "/world/ribbons/1", "/world/ribbons/1/borders", "/world/ribbons/2",
+                           "/world/ribbons/2/borders", "/summary"}
+    band = moving["/world/ribbons/2"]
     assert set(band) == {"observation", "difference"}
     assert band["observation"]["observation"] == [3, 5, 6, 9] and band["difference"]["difference"] == [0, 1, 2, 3]
     assert band["difference"]["observation"] == [5, 6, 3, 9]
     points = np.array(band["observation"]["Mesh3D:vertex_positions"]).reshape(4, 2, 20, 3)
     np.testing.assert_allclose(points, shown[2].sides, atol=1e-4)
-    triangles = np.array(static["/ribbons/2"]["Mesh3D:triangle_indices"][0])
+    triangles = np.array(static["/world/ribbons/2"]["Mesh3D:triangle_indices"][0])
     assert triangles.shape == (2 * 19, 3) and triangles.max() == 39
     corners = points.reshape(4, 40, 3)[:, triangles]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]), axis=-1)
@@ -82,7 +82,7 @@ def test_recording_holds_a_band_per_kind_and_step(tmp_path):
     np.testing.assert_allclose(area.sum(axis=1), 6.7 * length, rtol=0.1)
     normals = np.array(band["observation"]["Mesh3D:vertex_normals"])
     np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-5)
-    red = moving["/ribbons/1"]["observation"]["Mesh3D:vertex_positions"]
+    red = moving["/world/ribbons/1"]["observation"]["Mesh3D:vertex_positions"]
     assert np.isfinite(red).all() and (np.array(red)[2] == 0).all()
-    assert [len(strip) for strip in moving["/ribbons/1/borders"]["observation"]["LineStrips3D:strips"][2]] == [0, 0]
+    assert [len(strip) for strip in moving["/world/ribbons/1/borders"]["observation"]["LineStrips3D:strips"][2]] == [0, 0]
     assert moving["/summary"]["observation"]["TextDocument:text"][1] == ["text 1"]

@@ -14,14 +14,14 @@ from doo_ti.report import (
     landscape_picture,
     landscapes_picture,
 )
-from doo_ti.report.plane import Plane, regime
+from doo_ti.report.plane import LandscapePlane, regime
 from tests.record import runs
 
 
-def plane(rng) -> Plane:
+def plane(rng) -> LandscapePlane:
     grid = runs.grid()
     values = rng.uniform(1, 9, grid.shape)
-    return Plane.of(runs.axes(grid), values, np.unravel_index(np.argmin(values), grid.shape))
+    return LandscapePlane.of(runs.axes(grid), values, np.unravel_index(np.argmin(values), grid.shape))
 
 
 def ribbon(count: int = 6, twist=(5e5,)) -> tuple[list, np.ndarray]:
@@ -55,16 +55,16 @@ def test_boxes_lie_on_the_cells_they_are_of(relative, rng):
 def test_cells_of_hidden_axes_lie_where_the_others_put_them(rng):
     counts = {"bend": 1, "a": 4, "b": 3, "c": 5}
     axes = [(name, np.arange(1.0, count + 1), False, "") for name, count in counts.items()]
-    whole = Plane.of(axes, rng.uniform(1, 2, (1, 4, 3, 5)), (0, 0, 0, 0))
+    whole = LandscapePlane.of(axes, rng.uniform(1, 2, (1, 4, 3, 5)), (0, 0, 0, 0))
     index = np.unravel_index(np.arange(60), (1, 4, 3, 5))
     np.testing.assert_array_equal(whole.places(index), index[1:3])
-    line = Plane.of(axes[:2], rng.uniform(1, 2, (1, 4)), (0, 0))
+    line = LandscapePlane.of(axes[:2], rng.uniform(1, 2, (1, 4)), (0, 0))
     np.testing.assert_array_equal(line.places(([0, 0], [3, 1])), [[3, 1], [0, 0]])
 
 
 def test_a_line_s_boxes_are_as_high_as_its_axes(rng):
     axes = [("bend", np.geomspace(1e5, 1e7, 5), True, "mm³"), ("weight", np.ones(1), True, "")]
-    line = Plane.of(axes, rng.uniform(1, 2, (5, 1)), (0, 0))
+    line = LandscapePlane.of(axes, rng.uniform(1, 2, (5, 1)), (0, 0))
     _, boxes = cells_image([[LandscapePanel("line", line)]], (np.arange(5), np.zeros(5, int)), relative=True)
     np.testing.assert_allclose(boxes[1:, 0, 0], boxes[:-1, 0, 0] + boxes[:-1, 0, 2], atol=1e-6)
     assert np.ptp(boxes[..., 3]) < 1e-9 and boxes[0, 0, 3] > 100
@@ -75,11 +75,11 @@ def test_regimes_are_the_paper_s():
                                           (1, 3, 2, 0), (1, 1, 1, 0), (2, 2, 1, 0)):
         assert regime(bend_1, bend_2, twist) == number
     axes, values = ribbon()
-    assert Plane.of(axes, values).twist == 5e5
+    assert LandscapePlane.of(axes, values).twist == 5e5
     axes, values = ribbon(twist=(1e5, 5e5))
-    assert Plane.of(axes, values).twist is None
+    assert LandscapePlane.of(axes, values).twist is None
     grid = runs.grid()
-    assert Plane.of(runs.axes(grid), np.ones(grid.shape)).twist is None
+    assert LandscapePlane.of(runs.axes(grid), np.ones(grid.shape)).twist is None
 
 
 @pytest.mark.thorough
@@ -87,7 +87,7 @@ def test_regimes_and_region_are_drawn():
     axes, values = ribbon()
 
     def image(axes, region=None):
-        return landscape_image(Plane.of(axes, values, (0, 0, 0, 0)), title="made up", region=region)
+        return landscape_image(LandscapePlane.of(axes, values, (0, 0, 0, 0)), title="made up", region=region)
 
     plain = image(axes)
     angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
@@ -99,7 +99,7 @@ def test_regimes_and_region_are_drawn():
     without[2] = ("twist_ratio", np.ones(1), True, "")
     assert (image(without) != plain).mean() > 0.001
     buffer = io.BytesIO()
-    landscape_picture(buffer, Plane.of(axes, values, (0, 0, 0, 0)), title="made up", region=ellipse)
+    landscape_picture(buffer, LandscapePlane.of(axes, values, (0, 0, 0, 0)), title="made up", region=ellipse)
     assert buffer.getvalue().startswith(b"\x89PNG")
 
 
@@ -110,8 +110,8 @@ def test_every_panel_and_key_is_inside_the_picture(rng):
     axes, values = ribbon(twist=(5e5,))
     counts = np.zeros(values.shape, int)
     counts[1, 1], values[2, 2] = 4, np.nan
-    whole = Plane.of(axes, values, (0, 0, 0, 0), counts)
-    lost = Plane.of(axes, np.full(values.shape, np.nan))
+    whole = LandscapePlane.of(axes, values, (0, 0, 0, 0), counts)
+    lost = LandscapePlane.of(axes, np.full(values.shape, np.nan))
     rows = [[LandscapePanel(f"ribbon {k}", whole, (("30, 42", (5, 5)), ("54", (4, 5)))) for k in range(5)],
             [LandscapePanel("nothing", lost)]]
     for relative in (False, True):

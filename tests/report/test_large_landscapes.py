@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import report
-from doo_ti.report.plane import MOST_DRAWN, Plane, cell_edges
+from doo_ti.report.plane import MOST_DRAWN, LandscapePlane, cell_edges
 from tests.record import runs
 from tests.record.recordings import read
 
@@ -29,7 +29,7 @@ def large(shape: tuple[int, ...]):
 @pytest.mark.parametrize("shape", [(1300, 700), (5, 2000), (3000,)])
 def test_blocks_keep_what_matters(shape):
     axes, values, minimum, unfinished = large(shape)
-    plane = Plane.of(axes, values, minimum, unfinished)
+    plane = LandscapePlane.of(axes, values, minimum, unfinished)
     drawn, borders = plane.blocks()
     assert max(drawn.values.shape) <= MOST_DRAWN
     assert drawn.values[drawn.minimum] == 1.0 == np.nanmin(drawn.values) and drawn.valley[drawn.minimum]
@@ -43,7 +43,7 @@ def test_blocks_keep_what_matters(shape):
 
 def test_a_small_landscape_stays_as_it_is():
     axes, values, minimum, unfinished = large((MOST_DRAWN, 7))
-    plane = Plane.of(axes, values, minimum, unfinished)
+    plane = LandscapePlane.of(axes, values, minimum, unfinished)
     drawn, borders = plane.blocks()
     assert drawn is plane
     np.testing.assert_array_equal(borders[1], cell_edges(plane.axes[1]))
@@ -54,7 +54,7 @@ def test_a_small_landscape_stays_as_it_is():
 def test_a_picture_of_many_cells(shape):
     axes, values, minimum, unfinished = large(shape)
     file = io.BytesIO()
-    report.landscape_picture(file, Plane.of(axes, values, minimum, unfinished), title="many")
+    report.landscape_picture(file, LandscapePlane.of(axes, values, minimum, unfinished), title="many")
     assert file.getvalue()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
@@ -64,7 +64,7 @@ def test_a_recording_of_many_cells(tmp_path, rng):
     from doo_ti.record.sweep import MOST_POINTS
 
     axes, values, minimum, unfinished = large((900, 800))
-    run = runs.sweep(rng) | {"plane": Plane.of(axes, values, minimum, unfinished)}
+    run = runs.sweep(rng) | {"plane": LandscapePlane.of(axes, values, minimum, unfinished)}
     record_sweep(tmp_path / "run.rrd", **run)
     _, moving = read(tmp_path / "run.rrd")
     trials = moving["/landscape/cells"]["trial"]["trial"]

@@ -17,7 +17,8 @@ from doo_ti.report import (
     motions_picture,
     quantity,
 )
-from doo_ti.report.plane import Plane, cell_edges, valley_cells
+from doo_ti.report.canvas import fit_titles, new_figure
+from doo_ti.report.plane import LandscapePlane, cell_edges, valley_cells
 from tests.record import runs
 from tools.bench.curves import Panel, panels_picture
 from tools.trials.twist_picture import angle_errors_picture
@@ -49,6 +50,19 @@ def test_a_name_is_no_mathematics():
     landscape_picture(io.BytesIO(), runs.plane(), title="a$^{$ b")
 
 
+def test_titles_fit_into_the_picture():
+    figure = new_figure((4.0, 3.0))
+    left, right = figure.subplots(1, 2)
+    figure.suptitle("a long title of a picture " * 4, fontsize=12)
+    left.set_title("on the left " * 5, loc="left", fontsize=9)
+    right.set_title("short", fontsize=9)
+    fit_titles(figure)
+    for title in (figure.texts[0], left._left_title, right.title):
+        box = title.get_window_extent()
+        assert box.x0 >= -1 and box.x1 <= figure.bbox.width + 1, title.get_text()[:9]
+    assert right.title.get_fontsize() == 9
+
+
 @pytest.mark.thorough
 def test_names_in_titles_legends_and_panels_are_no_mathematics():
     name, vertices = "a$^{$ b", np.cumsum(np.ones((3, 1, 5, 3)), axis=2)
@@ -68,7 +82,7 @@ def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
     axes, values = run()
 
     def image(values, unfinished=None):
-        return landscape_image(Plane.of(axes, values, (2, 1, 0), unfinished), title="made up")
+        return landscape_image(LandscapePlane.of(axes, values, (2, 1, 0), unfinished), title="made up")
 
     def grey(image):
         return (image == GREY).all(axis=-1).sum()
@@ -95,7 +109,7 @@ def test_every_shape_of_grid_is_drawn_with_its_key_inside_the_picture(shape, emp
     unfinished = rng.integers(0, 60, shape)
     if not empty and values.size > 1:
         values.flat[(np.argmin(values) + 1) % values.size] = np.nan
-    figure = draw_landscape(Plane.of(axes, values, minimum, unfinished), "made up")
+    figure = draw_landscape(LandscapePlane.of(axes, values, minimum, unfinished), "made up")
     figure.canvas.draw()
     width, height = figure.canvas.get_width_height()
     for box in [key.get_window_extent() for key in figure.legends] + [figure.axes[0].title.get_window_extent()]:
@@ -109,7 +123,7 @@ def test_more_than_two_free_axes_show_the_minimum_over_the_others(rng):
     values = rng.uniform(1, 2, (1, 4, 3, 5, 2))
     minimum = np.unravel_index(np.argmin(values), values.shape)
     unfinished = rng.integers(0, 9, values.shape)
-    plane = Plane.of(axes, values, minimum, unfinished)
+    plane = LandscapePlane.of(axes, values, minimum, unfinished)
     np.testing.assert_array_equal(plane.values, values[0].min(axis=(2, 3)))
     assert plane.minimum == minimum[1:3]
     assert plane.hidden == ("c", "d")
@@ -126,7 +140,7 @@ def test_valley_is_within_five_percent_and_leaves_nan_out():
 
 @pytest.mark.parametrize(("values", "minimum", "at_border"), [([3, 1, 2], 1, False), ([1, 2, 3], 0, True)])
 def test_minimum_at_the_border_is_reported(values, minimum, at_border):
-    assert Plane.of([("bend", [1, 2, 4], True, "mm³")], values, (minimum,)).at_border == at_border
+    assert LandscapePlane.of([("bend", [1, 2, 4], True, "mm³")], values, (minimum,)).at_border == at_border
 
 
 def test_cells_meet_halfway():
@@ -137,7 +151,7 @@ def test_cells_meet_halfway():
 
 def test_surface_leaves_out_what_was_not_evaluated():
     axes, values = run()
-    points, triangles = Plane.of(axes, values, (2, 1, 0)).surface()
+    points, triangles = LandscapePlane.of(axes, values, (2, 1, 0)).surface()
     assert points.shape == (runs.BENDS, runs.RATIOS, 3)
     np.testing.assert_allclose(points[:, 0, 0], np.linspace(0, 1, runs.BENDS))
     corners = points[np.isfinite(points[..., 2])][triangles]

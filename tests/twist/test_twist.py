@@ -13,7 +13,7 @@ from doo_ti.prediction.predict import total_twist
 from doo_ti.relaxation.relax import relax
 from doo_ti.start import held_spins, observation_clamps, start_configuration
 from doo_ti.twist.curves import consecutive_groups, end_offsets
-from doo_ti.twist.estimation import TwistOptions, Verdict, estimate_twist
+from doo_ti.twist.estimation import TwistOptions, TwistVerdict, estimate_twist
 from doo_ti.types import Clamp, Material
 from tests.references.rods import chain
 from tests.twist.rods import EDGES, MATERIAL, twisted_rods
@@ -29,7 +29,7 @@ def test_one_configuration_gives_its_total_twist(made):
     estimate = estimate_twist(made, MATERIAL)
     print("errors in degrees:", np.degrees(estimate.phi - made.total_twist).round(2))
     assert (np.abs(estimate.phi - made.total_twist) < np.radians(1.0)).all()
-    assert (estimate.verdict == Verdict.CLEAR).all() and estimate.unsound.sum() == 0
+    assert (estimate.verdict == TwistVerdict.CLEAR).all() and estimate.unsound.sum() == 0
     assert ((estimate.low <= estimate.phi) & (estimate.phi <= estimate.high)).all()
     np.testing.assert_allclose(estimate.total_twist, estimate.phi)
     bare = estimate_twist(Observations(made.vertices, rest_length=made.rest_length, start_frame=made.start_frame), MATERIAL)
@@ -119,7 +119,7 @@ def test_rods_that_cannot_be_are_undetermined(made):
     torn = made.vertices.copy()
     torn[1, 20:] += [60.0, 0, 0]
     estimate = estimate_twist(Observations(torn, rest_length=made.rest_length, start_frame=made.start_frame), MATERIAL)
-    assert estimate.verdict[1] == Verdict.UNDETERMINED and np.isnan(estimate.phi[1])
+    assert estimate.verdict[1] == TwistVerdict.UNDETERMINED and np.isnan(estimate.phi[1])
     assert (estimate.unsound[1] == 1).all() and np.isfinite(np.delete(estimate.phi, 1)).all()
 
 
@@ -129,7 +129,7 @@ def test_a_rod_that_does_not_feel_twist_is_ambiguous(made):
     tilt = np.linspace(0, 0.2, EDGES + 1)[:, None] * [0, 0, 1]
     seen = Observations(straight.vertices + tilt, rest_length=np.full(EDGES, 3.01))
     estimate = estimate_twist(seen, Material(1e7, 1e4))
-    assert estimate.verdict[0] in (Verdict.AMBIGUOUS, Verdict.AT_BORDER)
+    assert estimate.verdict[0] in (TwistVerdict.AMBIGUOUS, TwistVerdict.AT_BORDER)
     assert estimate.high[0] - estimate.low[0] > np.pi
 
 

@@ -1,11 +1,11 @@
-"""Cases beside those of ``doo-ti bench``: single rods, the paper's scheme, Eq. 1."""
+"""Cases beside those of ``doo-ti bench``: single rods, the paper's scheme, derivatives by both grippers, motion, Eq. 1."""
 
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
-from doo_ti.bench.cases import COARSE, Case, Outcome, Specimens, relaxed
+from doo_ti.bench.cases import COARSE, FINE, Case, Outcome, Specimens, relaxed
 from doo_ti.bench.cases import cases as command_cases
 from doo_ti.bench.workload import Rods
 from doo_ti.dynamics.grippers import Grippers
@@ -15,16 +15,21 @@ from doo_ti.io.observations import Observations
 from doo_ti.metric import distance
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.relax import relax
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.relaxation.sensitivity import gripper_jacobian
+from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
+
+DERIVED = 4096
 
 
 def cases(rods: Specimens) -> list[Case]:
     """All cases, those of the command first."""
     singles = cache(lambda: rods.alone(1, max(rods.count // 512, 1)))
+    resting = cache(lambda: rods.many.take(slice(DERIVED)).relaxed(FINE, "f64"))
     return [
         *command_cases(rods),
         Case("newton f32 one rod", "rods/s", lambda: relaxed(singles(), COARSE, "f32")),
         Case("descent f64", "iterations/s", lambda: stepped(rods.many.take(slice(max(rods.count // 64, 1))))),
+        Case("gripper jacobians", "rods/s", lambda: derived(resting())),
         Case("motion f32", "rod-steps/s", lambda: moved(rods.count, "f32", Dynamics())),
         Case("motion f32 damped", "rod-steps/s", lambda: moved(rods.count, "f32", Dynamics(bend_damping=0.02, drag=0.1))),
         Case("motion f64 damped", "rod-steps/s", lambda: moved(rods.count, "f64", Dynamics(bend_damping=0.02, drag=0.1))),
@@ -61,6 +66,12 @@ def stepped(rods: Rods) -> Outcome:
     """Gradient steps of the paper's scheme, whether they were enough or not."""
     iterations = rods.relaxed(Descent(max_iterations=1000), "f64").iterations
     return Outcome(float(iterations.sum()), iterations=iterations)
+
+
+def derived(solution: Solution) -> Outcome:
+    """Derivatives of shapes, forces and moments by both grippers' poses, 12 columns."""
+    usable = gripper_jacobian(solution).usable
+    return Outcome(float(usable.sum()), float(usable.mean()))
 
 
 def compared(configuration: Configuration, observations: Observations) -> Outcome:

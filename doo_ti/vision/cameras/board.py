@@ -37,7 +37,7 @@ class Board:
     marker: float | None = None
     dictionary: str = DICTIONARY
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         size = f"{self.columns} x {self.rows}"
         if min(self.columns, self.rows) < 3:
             raise InputError("Board", "columns, rows", f"{size} is too small", "use a board of at least 3 x 4")

@@ -89,7 +89,7 @@ class CalibrationOptions:
     world: str = "first-board"
     distortion: int = 4
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.world not in WORLDS:
             raise InputError("options", "world", f"{self.world!r}", f"use one of {', '.join(WORLDS)}")
         if self.distortion not in COEFFICIENTS:

@@ -115,7 +115,7 @@ class Camera:
     translation: np.ndarray
     source: str = "rig"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, shape in (("matrix", (3, 3)), ("distortion", None), ("rotation", (3, 3)), ("translation", (3,))):
             value = np.array(real_array(self.source, f"cameras.{self.name}.{KEYS[name]}", getattr(self, name), "give numbers"),
                              dtype=np.float64)

@@ -4,6 +4,7 @@ Axes: C cameras.
 """
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,7 +28,7 @@ class Rig:
     cameras: tuple[Camera, ...]
     source: str = "rig"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not self.cameras:
             raise InputError(self.source, "cameras", "no camera", "describe at least two")
         check_camera_names(self.source, [camera.name for camera in self.cameras])
@@ -40,7 +41,7 @@ class Rig:
         """(C, ..., 2) px of (..., 3) points in the world."""
         return np.stack([camera.project(points) for camera in self.cameras])
 
-    def only(self, names) -> "Rig":
+    def only(self, names: Iterable[str]) -> "Rig":
         """The cameras of these names, in that order. Raises InputError for one that is not there."""
         by_name = {camera.name: camera for camera in self.cameras}
         for name in names:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.errors import InputError
+from doo_ti.short_repr import short_repr
 from doo_ti.vision.detection.ridge import (
     POINTS_PER_PX,
     REACH_PX,
@@ -57,13 +58,15 @@ class DetectionOptions:
     Raises InputError for another method or polarity, and numbers that are not positive.
     """
 
+    __repr__ = short_repr
+
     method: str = "ridge"
     polarity: str | None = None
     width_px: float | None = None
     least_contrast: float = 10.0
     shortest_px: float = 10.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise InputError("detection", "method", f"{self.method!r} is unknown", f"give {' or '.join(METHODS)}")
         if self.polarity not in (None, *POLARITIES):

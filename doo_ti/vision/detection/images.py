@@ -108,7 +108,7 @@ class ImageSets:
     direction: np.ndarray
     source: str = "sets"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if len(self.rig.cameras) < FEWEST_CAMERAS:
             raise InputError(self.source, "cameras", f"{len(self.rig.cameras)} camera", "give images of two cameras or more")
         length = np.linalg.norm(self.direction, axis=-1, keepdims=True)

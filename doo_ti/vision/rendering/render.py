@@ -82,7 +82,7 @@ class RenderOptions:
     mark: float = 150.0
     smooth: bool = True
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in (field.name for field in fields(self) if field.name not in ("light", "smooth")):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value >= 0):
@@ -247,7 +247,7 @@ class Photographs:
     options: RenderOptions = RenderOptions()
     seed: int = 0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if len(set(self.names)) < len(self.names) or any(not name or set(name) & set('/\\\0') for name in self.names):
             raise InputError("image synthesis", "names", "one occurs twice, or cannot name a file", "name the sets apart")
         for camera in self.rig.cameras:

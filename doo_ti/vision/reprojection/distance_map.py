@@ -14,6 +14,7 @@ import taichi as ti
 
 from doo_ti import runtime
 from doo_ti.errors import InputError
+from doo_ti.short_repr import short_repr
 from doo_ti.vision.detection.detect import Detection
 
 HALF_LENGTH_PX = 0.5
@@ -35,6 +36,8 @@ class DistanceMaps:
     values  (N,) float32: all windows one after the other, each line by line
     window  (A, C, 5) int64: index in ``values`` where a window starts, and its left, top, width and height in px
     """
+
+    __repr__ = short_repr
 
     values: np.ndarray
     window: np.ndarray

@@ -15,6 +15,7 @@ import numpy as np
 import taichi as ti
 
 from doo_ti.errors import InputError
+from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import minus, scaled
 from doo_ti.relaxation.external import ExternalFunctions
 from doo_ti.relaxation.tables import MOST_NUMBERS
@@ -56,7 +57,7 @@ class Reprojection:
     has_coarse: ClassVar[bool] = True
     vertices: ClassVar[None] = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _check_maps(self.maps, self.rig)
         for name in ("nu", "cap", "reach"):
             value = getattr(self, name)
@@ -89,7 +90,7 @@ class Reprojection:
         return np.zeros(len(start))
 
     @staticmethod
-    def functions(number, stride: int, first: int) -> ExternalFunctions:
+    def functions(number: Number, stride: int, first: int) -> ExternalFunctions:
         """On the device, with its items from ``first`` on: the set of images and ν."""
         energy = ImageEnergy(number, stride, first)
         return ExternalFunctions(energy.load, energy.evaluate)

@@ -9,12 +9,14 @@ from functools import cache
 
 import numpy as np
 import taichi as ti
+from numpy.typing import ArrayLike
 
 from doo_ti import runtime
 from doo_ti.errors import InputError
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import cross, dot, minus, put_lane, record, repeated, variable
 from doo_ti.relaxation.tables import MOST_NUMBERS
+from doo_ti.short_repr import short_repr
 from doo_ti.types import Material, unit_up
 from doo_ti.vision.cameras.rig import Rig
 from doo_ti.vision.reprojection.distance_map import DistanceMaps
@@ -32,6 +34,8 @@ class Score:
     unseen        (N, C) share of the rod that is behind a camera; where it is not 0, the camera's error has no meaning
     """
 
+    __repr__ = short_repr
+
     energy: np.ndarray
     camera_error: np.ndarray
     total: np.ndarray
@@ -40,8 +44,8 @@ class Score:
 
 @runtime.exclusive
 def score(
-    vertices: np.ndarray, maps: DistanceMaps, set_index, rig: Rig, nu: float, material: Material | None = None,
-    *, material_index=None, points: int = 8, cap: float = 40.0, up=(0.0, 0.0, 1.0),
+    vertices: np.ndarray, maps: DistanceMaps, set_index: ArrayLike, rig: Rig, nu: float, material: Material | None = None,
+    *, material_index: ArrayLike | None = None, points: int = 8, cap: float = 40.0, up: ArrayLike = (0.0, 0.0, 1.0),
 ) -> Score:
     """E_vis of N hypotheses (§IV-A), in f32, with six correct digits.
 

@@ -51,7 +51,7 @@ class TriangulationOptions:
     sigma_px: float = 0.5
     threshold: float = 5.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("sigma_px", "threshold"):
             if not 0 < getattr(self, name) <= MOST:
                 raise InputError("options", name, f"{getattr(self, name)!r}", f"give a positive number up to {MOST:g}")

@@ -1,0 +1,90 @@
+"""The help of the command line: commands by what they are for, examples of each, and which command a wrong word means."""
+
+from difflib import get_close_matches
+from textwrap import indent
+
+GROUPS = {
+    "Fit a rod to observed shapes": ("sweep", "refine", "learn", "plan", "figures"),
+    "Predict shapes": ("relax", "predict", "twist"),
+    "Images": ("calibrate", "triangulate", "perceive", "track"),
+    "Motion": ("simulate", "identify"),
+    "Utilities": ("synth", "convert", "view", "bench"),
+}
+"""Commands by what they are for, in the order of their use."""
+EXAMPLES = {
+    "sweep": ("learning", ("sweep scenes/vicryl.toml --out runs/vicryl", "the virtual lab, 37 500 rods"),
+              ("sweep rope.npz --EI 1e-5:1e-3:25 --linear-density 50 --out runs/rope", "own marks, in N m² and g/m")),
+    "refine": ("refinement", ("refine runs/vicryl", "parameters with 95 % intervals, from the best cell of a sweep"),
+               ("refine runs/rope --linear-density 50 --json", "the same in N m², as JSON")),
+    "learn": ("learning", ("learn runs/nylon runs/vicryl runs/silk --by material", "leave-one-out tables"),
+              ("learn runs/vicryl --by end-distance --out tables", "as text, CSV and Markdown")),
+    "plan": ("refinement", ("plan scenes/vicryl.toml --out plan", "which configurations to measure next"),
+             ("plan rope.npz --bend 4e5:8e5:5 --twist 6e5 --out plan", "of own observations")),
+    "figures": ("recording", ("figures runs/nylon runs/vicryl --out figures", "landscapes, and a recording of all cells"),
+                ("figures runs/vicryl --by end-distance --out figures", "a landscape for each end distance")),
+    "relax": ("observations", ("relax suture.npz --bend 6e5 --twist 8e5 --out relaxed.npz", "each observation as relaxed"),
+              ("relax rope.csv --EI 1e-4 --linear-density 50 --out relaxed.npz", "in physical units")),
+    "predict": ("twist", ("predict suture.npz --motion path.csv --bend 6e5 --twist 8e5 --out moved.npz", "poses in the world"),
+                ("predict scenes/motion/loop_pop_out.toml --out loop.npz --picture loop.png", "a scene of motion")),
+    "twist": ("twist", ("twist suture.npz --bend 6e5 --twist 8e5 --out phi.npz --picture phi.png", "a twist angle each"),
+              ("twist rods.npz --bend 6e5 --twist 8e5 --observations 6 --out phi.npz", "six share one unknown angle")),
+    "calibrate": ("cameras", ("calibrate views.csv --board charuco:10x7:10:7 --out rig.yaml", "cameras from images of a board"),
+                  ("calibrate views.csv --board chessboard:9x6:25 --out rig.yaml", "the same from a chessboard")),
+    "triangulate": ("cameras", ("triangulate marks.csv --rig rig.yaml --out suture.npz", "labelled marks to observations"),
+                    ("triangulate marks.csv --rig rig.yaml --out suture.npz --json", "counts and outliers as JSON")),
+    "perceive": ("perception", (
+        "perceive --rig rig.yaml --sets sets.csv --rest-length 3:33 --bend 6e5 --twist 8e5 --out rods.npz", "many sets"), (
+        "perceive a.png b.png c.png --rig rig.yaml --seed-point 0,0,0 --seed-direction 1,0,0 --rest-length 3:33 --bend 6e5 "
+        "--twist 8e5 --out rod.npz", "one set")),
+    "track": ("tracking", (
+        "track --rig rig.yaml --frames video.csv --rest-length 3:33 --bend 6e5 --twist 8e5 --out video.npz", "from a video"), (
+        "track --rig rig.yaml --frames video.csv --rest-length lengths.txt --bend 6e5 --twist 8e5 --out video.npz --json",
+        "with lengths of each edge")),
+    "simulate": ("dynamics", (
+        "simulate scenes/motion/hanging_cables.toml --out hanging.npz --animation hanging.gif", "eight cables"), (
+        "simulate motion.npz --theta theta.json --out predicted.npz --recording predicted.rrd", "recorded grippers")),
+    "identify": ("dynamics", ("identify motion.npz --out theta.json", "a rod from recorded motion"),
+                 ("identify motion.npz --folds 4 --out theta.json", "with the error on recordings not used for the fit")),
+    "synth": ("observations", ("synth scenes/vicryl.toml --out vicryl.npz", "simulated observations"),
+              ("synth scenes/vicryl.toml --images lab --rig scenes/rig.yaml", "rendered images, and the true rods")),
+    "convert": ("observations", ("convert marks.csv marks.npz", "from a table to arrays"),
+                ("convert suture.npz suture.parquet", "to a table for other programs")),
+    "view": ("recording", ("view runs/vicryl", "a recording in the viewer's window"),
+             ("view runs/vicryl --screenshot run.png", "as a picture, without a display")),
+    "bench": ("chain", ("bench", "throughput and accuracy on this machine, as a table"),
+              ("bench --out bench", "and as files")),
+}
+"""Of each command the page of the documentation, and two examples with their meaning."""
+OTHER_WORDS = {
+    "fit": "sweep", "search": "sweep", "estimate": "refine", "train": "learn", "forward": "relax", "solve": "relax",
+    "render": "synth", "generate": "synth", "detect": "perceive", "rollout": "simulate", "import": "convert",
+    "export": "convert", "open": "view", "show": "view", "plot": "figures", "benchmark": "bench",
+}
+"""Words that other programs use."""
+
+
+def overview(meanings: dict[str, str]) -> str:
+    """The help of the program, from the meaning of every command."""
+    grouped = {name for names in GROUPS.values() for name in names}
+    groups = {**GROUPS, "Utilities": GROUPS["Utilities"] + tuple(name for name in meanings if name not in grouped)}
+    lines = ["usage: doo-ti COMMAND ...", "",
+             "Discrete elastic rods for suture, rope, cable and ribbon (Javdani et al., ICRA 2011).", ""]
+    for title, names in groups.items():
+        lines += [f"{title}:", *(f"  {name:<12} {meanings[name]}" for name in names if name in meanings), ""]
+    return "\n".join([*lines, "doo-ti help COMMAND shows options and examples. Begin with:", "",
+                      f"  doo-ti {EXAMPLES['sweep'][1][0]}", ""])
+
+
+def examples(command: str) -> str | None:
+    """The end of a command's help."""
+    if command not in EXAMPLES:
+        return None
+    page, *lines = EXAMPLES[command]
+    text = "\n".join(f"doo-ti {line}\n    {meaning}" for line, meaning in lines)
+    return f"examples:\n{indent(text, '  ')}\n\nMore in docs/{page}.md"
+
+
+def nearest(word: str, known) -> str | None:
+    """What was probably meant by ``word``."""
+    close = get_close_matches(word, list(known), 1, 0.6)
+    return OTHER_WORDS.get(word) or (close[0] if close else None)

@@ -1,0 +1,93 @@
+"""Observations of a command: the options that say how a file states them, what was loaded, and doubts about its unit.
+
+    loaded      60 observations of 34 marks; the rod is 99 mm long, its ends 30 to 78 mm apart; up 0,0,1
+"""
+
+from argparse import ArgumentParser, Namespace
+from dataclasses import replace
+
+import numpy as np
+
+from doo_ti import terminal
+from doo_ti.commands import options as given
+from doo_ti.commands.results import observed
+from doo_ti.errors import InputError
+from doo_ti.io.curves import UNITS_IN_MM
+from doo_ti.io.observations import Observations, load_observations
+from doo_ti.io.scene import Scene, Synthesis
+from doo_ti.terminal import in_line
+
+LEAST_MM, MOST_MM = 10.0, 20_000.0
+"""Lengths of rods that raise no doubt about the unit."""
+OF_FILES = ("unit", "columns")
+"""Options that only files of observations have a use for."""
+FORMATS = ".npz, .csv, .parquet; or curves as .csv of OptiTrack or Vicon, .xml (MuJoCo), .usda, .txt"
+
+
+def add_loading(parser: ArgumentParser) -> None:
+    """How the file states the marks, and the direction of gravity."""
+    group = parser.add_argument_group("your own files", "docs/observations.md")
+    group.add_argument("--unit", choices=tuple(UNITS_IN_MM), help="unit of all lengths in OBS (default: as the file states, "
+                       "else mm)")
+    group.add_argument("--columns", metavar="x=NAME,…|A,B,C", help="columns of a table that hold x, y, z, observation, vertex; "
+                       "of other files, names of markers or curves in their order along the rod")
+    given.add_up(group)
+
+
+def columns(options: Namespace) -> dict[str, str] | list[str] | None:
+    """The value of ``--columns``: by name, or in order."""
+    if options.columns is None:
+        return None
+    parts = [part.strip() for part in options.columns.split(",")]
+    pairs = [part.partition("=") for part in parts]
+    if not all(parts) or len({bool(sign) for _, sign, _ in pairs}) > 1:
+        raise InputError(given.SOURCE, "--columns", f"{options.columns!r}", "give NAME=COLUMN,… or names between commas")
+    return {name: column for name, _, column in pairs} if pairs[0][1] else parts
+
+
+def load(options: Namespace, source: str) -> Observations:
+    """The observations of ``source``."""
+    return load_observations(source, given.up(options), options.unit, columns(options))
+
+
+def of_scene(options: Namespace, scene: Scene) -> Observations:
+    """A scene's observations, loaded or synthesised, under the scene's name."""
+    if isinstance(scene.observations, Synthesis):
+        for option in OF_FILES:
+            if getattr(options, option) is not None:
+                raise InputError(given.SOURCE, f"--{option}", "given, but the scene is simulated", "leave it out")
+        return observed(scene, given.up(options))
+    return replace(load(options, scene.observations), name=scene.name)
+
+
+def warn(observations: Observations) -> None:
+    """Print a warning where the rod's length is implausible. To be called once everything is checked, so that wrong input is
+    reported in one line."""
+    if (doubt := unit_doubt(observations)) is not None:
+        terminal.warn(f"{in_line(observations.source)}: {doubt}")
+
+
+def rod_line(observations: Observations) -> str:
+    """What was loaded, as a line of text."""
+    seen = observations.valid.all(axis=1)
+    ends = np.linalg.norm(observations.vertices[:, -1] - observations.vertices[:, 0], axis=-1)[seen]
+    missing = int((~observations.valid).sum())
+    span = "" if not len(ends) else f", its ends {_span(ends)} mm apart"
+    return (f"  loaded      {observations.count} observation{'s' * (observations.count > 1)} of {observations.edges + 1} marks"
+            f"{f' ({missing} missing)' if missing else ''}; the rod is {observations.rest_length.sum():.4g} mm long{span}; "
+            f"up {','.join(f'{value + 0:.3g}' for value in observations.up)}")
+
+
+def unit_doubt(observations: Observations) -> str | None:
+    """Why the unit of the lengths may be another one than stated, or None."""
+    length = float(observations.rest_length.sum())
+    if LEAST_MM <= length <= MOST_MM:
+        return None
+    likely = next((unit for unit in ("m", "cm") if LEAST_MM <= length * UNITS_IN_MM[unit] <= MOST_MM), None)
+    remedy = "check the unit of the file" if likely is None else f"if the file is in {likely}, give --unit {likely}"
+    return f"a rod {length:.4g} mm long; {remedy}"
+
+
+def _span(values: np.ndarray) -> str:
+    low, high = f"{values.min():.4g}", f"{values.max():.4g}"
+    return low if low == high else f"{low} to {high}"

@@ -1,0 +1,109 @@
+"""Motion capture as CSV: the trajectories of markers, from OptiTrack Motive and Vicon Nexus.
+
+Both put three columns X, Y, Z for each marker below a few lines of header; a cell is empty where the marker was not seen.
+
+Motive ("Export tracking data"):  line 1 is ``Format Version,…,Export Frame Rate,120,…,Length Units,Meters,…``; rows ``Type``,
+``Name``, ``ID`` and ``Position`` describe the columns. Markers of rigid bodies and unlabelled ones are left out unless they
+are named. Motive's y axis points up.
+
+Nexus ("Trajectories"):  a line ``Trajectories``, the rate, names ``Subject:Marker``, ``Frame,Sub Frame,X,Y,Z,…``, units, and
+rows up to an empty line. z points up.
+
+Axes: T frames, V markers, in the order of the columns or of the names that the user gives.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.io.csv_table import csv_rows
+from doo_ti.io.curves import UNITS_IN_MM, Curves, chosen_names
+
+MOTIVE_UNITS = {"meters": "m", "centimeters": "cm", "millimeters": "mm"}
+REMEDY = "export the markers' trajectories as CSV again"
+
+
+def is_motive(content: bytes) -> bool:
+    """Whether these bytes begin a CSV file of OptiTrack Motive."""
+    return content[:200].lstrip(b"\xef\xbb\xbf").startswith(b"Format Version")
+
+
+def is_nexus(content: bytes) -> bool:
+    """Whether these bytes are a CSV file of Vicon Nexus: one line says only ``Trajectories``."""
+    lines = content[: 1 << 16].lstrip(b"\xef\xbb\xbf").splitlines()
+    return any(line.strip(b' ,"') == b"Trajectories" for line in lines)
+
+
+def read_motive(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
+    """The markers of a Motive file. Raises InputError for files without markers, and for names that they do not have."""
+    rows = csv_rows(path, content, REMEDY)
+    about = dict(zip(rows[0][1][::2], rows[0][1][1::2], strict=False))
+    unit = UNITS_IN_MM[MOTIVE_UNITS.get(about.get("Length Units", "Meters").strip().lower(), "m")]
+    rate = _number(path, 1, about.get("Export Frame Rate") or about.get("Capture Frame Rate") or "")
+    header = next((row for row, (_, cells) in enumerate(rows) if cells and cells[0].strip() == "Frame"), None)
+    if header is None:
+        raise InputError(path, "Frame", "no row begins with it", REMEDY)
+    above = {cells[1].strip(): cells for _, cells in rows[1:header] if len(cells) > 1}
+    if "Name" not in above:
+        raise InputError(path, "Name", "no row names the markers", REMEDY)
+    kinds = rows[header - 1][1]
+    columns: dict[str, list[int]] = {}
+    for column in range(2, len(rows[header][1])):
+        kind, axis = _cell(kinds, column), _cell(rows[header][1], column)
+        name, what = _cell(above["Name"], column), _cell(above.get("Type", []), column) or "Marker"
+        ours = name in names if names is not None else what == "Marker" and not name.startswith("Unlabeled")
+        if kind in ("Position", "") and axis in ("X", "Y", "Z") and ours:
+            columns.setdefault(name, []).append(column)
+    return Curves(_points(path, rows[header + 1 :], columns, names), unit, (0.0, 1.0, 0.0), rate)
+
+
+def read_nexus(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
+    """The markers of a Nexus file. Raises InputError for files without markers, and for names that they do not have. A name may
+    leave out the subject."""
+    rows = csv_rows(path, content, REMEDY)
+    begin = next((row for row, (_, cells) in enumerate(rows) if cells and cells[0].strip() == "Trajectories"), len(rows))
+    if len(rows) < begin + 6:
+        raise InputError(path, "Trajectories", "no rows below it", REMEDY)
+    rate = _number(path, rows[begin + 1][0], _cell(rows[begin + 1][1], 0))
+    labels, units = rows[begin + 2][1], rows[begin + 4][1]
+    columns: dict[str, list[int]] = {}
+    for column in range(2, len(labels)):
+        if name := _cell(labels, column):
+            short = name.partition(":")[2] or name
+            columns[short if names is not None and name not in names else name] = [column, column + 1, column + 2]
+    rest = rows[begin + 5 :]
+    end = next((row for row, (_, cells) in enumerate(rest) if not any(map(str.strip, cells))), len(rest))
+    unit = UNITS_IN_MM.get(_cell(units, 2) or "mm", 1.0)
+    return Curves(_points(path, rest[:end], columns, names), unit, rate=rate)
+
+
+def _points(path: Path, rows: list, columns: dict[str, list[int]], names: list[str] | None) -> np.ndarray:
+    """(T, V, 3) the positions of the markers in ``columns``, all or those of the ``names``; NaN where a marker was not seen."""
+    order = chosen_names(path, "Name", list(columns), names)
+    if len(order) < 3:
+        raise InputError(path, "Name", f"{len(order)} markers", "name three or more along the rod, in their order")
+    short = next((name for name in order if len(columns[name]) != 3), None)
+    if short is not None:
+        raise InputError(path, short, f"{len(columns[short])} columns of a position", "give markers of different names")
+    chosen = [column for name in order for column in columns[name]]
+    points = np.array([[_number(path, line, _cell(cells, column)) for column in chosen]
+                       for line, cells in rows if any(map(str.strip, cells))])
+    if not len(points):
+        raise InputError(path, "Frame", "no frames", REMEDY)
+    return points.reshape(len(points), -1, 3)
+
+
+def _cell(cells: list[str], column: int) -> str:
+    return cells[column].strip() if column < len(cells) else ""
+
+
+def _number(path: Path, line: int, cell: str) -> float:
+    """The number in a cell, NaN where it is empty."""
+    try:
+        value = float(cell or "nan")
+    except ValueError:
+        value = np.inf
+    if np.isinf(value):
+        raise InputError(path, f"line {line}", f"{cell!r} is not a finite number", REMEDY)
+    return value

@@ -1,0 +1,126 @@
+"""Cables of MuJoCo models: ``<composite type="cable">`` and ``<flexcomp dim="1" type="grid">``, in their shape in the model.
+
+A composite states its points as ``vertex``, or as a ``curve``: with i = 0 … N − 1 along the cable and sizes (a, b, c), the word
+``s`` means a i/(N − 1), ``cos(s)`` b cos(π c i/(N − 1)), ``sin(s)`` the same with sin, and ``0`` zero. Poses of the element
+and of the bodies around it are applied. The stiffness is that of the elasticity plug-in's moduli for a round cross-section.
+Lengths are in metres, z points up.
+"""
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.frames import matrix_from_quaternion
+from doo_ti.io.curves import Curves, checked_points, chosen_names
+
+OTHER_ROTATIONS = ("euler", "axisangle", "xyaxes", "zaxis")
+REMEDY = "give a model with a cable, as MuJoCo's documentation describes it"
+DENSITY = 1000.0
+"""kg/m³, MuJoCo's default."""
+
+
+def read_mujoco(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
+    """The cables of a model, all or those whose ``prefix`` or ``name`` is in ``names``. Raises InputError for files that are no
+    model, for models without a cable and for poses in other forms than ``pos`` and ``quat``."""
+    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
+        raise InputError(path, "file", "declares a document type", "leave the declaration out")
+    try:
+        root = ElementTree.fromstring(content)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise InputError(path, "file", f"is not XML ({error})", REMEDY) from None
+    found: dict[str, tuple] = {}
+    for world in root.iter("worldbody"):
+        _gather(path, world, np.zeros(3), np.eye(3), found)
+    if not found:
+        raise InputError(path, "worldbody", "has no cable", REMEDY)
+    chosen = [found[name] for name in chosen_names(path, "prefix", list(found), names)]
+    sizes = {len(points) for points, _ in chosen}
+    if len(sizes) > 1:
+        raise InputError(path, "count", f"cables of {min(sizes)} to {max(sizes)} points", "name cables that have equally many")
+    facts = {fact for _, fact in chosen if fact}
+    return Curves(checked_points(path, np.stack([points for points, _ in chosen])), 1000.0,
+                  facts=facts.pop() if len(facts) == 1 else "")
+
+
+def _gather(path: Path, body, position: np.ndarray, rotation: np.ndarray, found: dict) -> None:
+    """Add the cables (points (V, 3), facts) below ``body``, whose pose in the world is given, by name."""
+    for child in body:
+        if child.tag not in ("body", "frame", "composite", "flexcomp"):
+            continue
+        if child.tag == "composite" and child.get("type") != "cable" or child.tag == "flexcomp" and (
+                child.get("dim", "2"), child.get("type", "grid")) != ("1", "grid"):
+            continue
+        own = next((name for name in OTHER_ROTATIONS if child.get(name)), None)
+        if own is not None:
+            raise InputError(path, own, f"of a {child.tag}", "give its rotation as quat")
+        place = "offset" if child.tag == "composite" else "pos"
+        here = position + rotation @ _vector(path, child, place, "0 0 0", 3)
+        quaternion = _vector(path, child, "quat", "1 0 0 0", 4)
+        if not np.linalg.norm(quaternion) > 0:
+            raise InputError(path, "quat", "of no length", "give a rotation")
+        turned = rotation @ matrix_from_quaternion(quaternion / np.linalg.norm(quaternion))
+        if child.tag in ("body", "frame"):
+            _gather(path, child, here, turned, found)
+        else:
+            name = child.get("prefix") or child.get("name") or f"cable {len(found)}"
+            points = _of_composite(path, child) if child.tag == "composite" else _of_flex(path, child)
+            found[name] = here + points @ turned.T, _facts(path, child)
+
+
+def _of_composite(path: Path, element) -> np.ndarray:
+    """(V, 3) m in the coordinates of the element."""
+    if element.get("vertex"):
+        points = _vector(path, element, "vertex", "", None)
+        if len(points) % 3:
+            raise InputError(path, "vertex", f"{len(points)} numbers", "give three for each point")
+        return points.reshape(-1, 3)
+    count = int(_vector(path, element, "count", "0", None)[0])
+    size = np.resize(_vector(path, element, "size", "1 0 0", None), 3)
+    if not 3 <= count <= 100_000:
+        raise InputError(path, "count", f"{count} points", "give three or more")
+    share, points = np.arange(count) / (count - 1), np.zeros((count, 3))
+    shapes = {"s": size[0] * share, "cos(s)": size[1] * np.cos(np.pi * size[2] * share),
+              "sin(s)": size[1] * np.sin(np.pi * size[2] * share), "0": 0.0 * share}
+    for axis, word in enumerate(element.get("curve", "s 0 0").split()[:3]):
+        if word not in shapes:
+            raise InputError(path, "curve", f"{word!r}", f"give three of {', '.join(shapes)}")
+        points[:, axis] = shapes[word]
+    return points
+
+
+def _of_flex(path: Path, element) -> np.ndarray:
+    """(V, 3) m: a line along x, its middle at the origin."""
+    count = int(_vector(path, element, "count", "10 1 1", None)[0])
+    if not 3 <= count <= 100_000:
+        raise InputError(path, "count", f"{count} points", "give three or more")
+    spacing = _vector(path, element, "spacing", "0.02 0.02 0.02", None)[0]
+    return np.outer((np.arange(count) - (count - 1) / 2) * spacing, [1.0, 0.0, 0.0])
+
+
+def _facts(path: Path, element) -> str:
+    """EI, GJ and linear density of a composite with the elasticity plug-in and round geoms, as text."""
+    config = {entry.get("key"): entry.get("value", "") for entry in element.iter("config")}
+    geom = element.find("geom")
+    if geom is None or not geom.get("size") or not {"bend", "twist"} <= config.keys():
+        return ""
+    radius = _vector(path, geom, "size", "", None)[0]
+    density = _vector(path, geom, "density", str(DENSITY), 1)[0]
+    try:
+        bend, twist = (float(config[key]) * np.pi * radius**4 / share for key, share in (("bend", 4), ("twist", 2)))
+    except ValueError:
+        return ""
+    return f"--EI {bend:.4g} --GJ {twist:.4g} --linear-density {1e3 * density * np.pi * radius**2:.4g}"
+
+
+def _vector(path: Path, element, name: str, default: str, size: int | None) -> np.ndarray:
+    """The finite numbers of an attribute."""
+    text = element.get(name, default)
+    try:
+        value = np.array([float(word) for word in text.split()])
+    except ValueError:
+        value = np.array([np.nan])
+    if not len(value) or not np.isfinite(value).all() or size is not None and len(value) != size:
+        raise InputError(path, name, f"{text[:40]!r}", f"give {size or 'finite'} numbers")
+    return value

@@ -1,0 +1,43 @@
+"""Screenshots of the viewer without a display. They need a Vulkan driver; on Debian: ``apt-get install mesa-vulkan-drivers
+libvulkan1``."""
+
+import subprocess
+import time
+from pathlib import Path
+
+from rerun.experimental import ViewerClient
+
+from doo_ti.errors import InterruptedRunError
+from doo_ti.record.viewer import end_viewer, free_port, start_viewer
+
+
+def save_screenshot(path: str | Path, picture: str | Path, size: tuple[int, int] = (1600, 900)) -> None:
+    """Write what the viewer shows of a run (its folder or the .rrd file) as a PNG; the software driver of Mesa suffices.
+
+    Raises InputError where there is no recording, InterruptedRunError where the viewer does not start.
+    """
+    port = free_port()
+    viewer = start_viewer(path, "--headless", "--port", str(port), "--window-size", "{}x{}".format(*size), own_group=True,
+                          log=subprocess.DEVNULL)
+    try:
+        client = _connect(viewer, port)
+        client.run_command("ui.toggle_top_panel")
+        time.sleep(12)  # until the viewer's notices disappear and its plots are drawn
+        client.save_screenshot(str(Path(picture).resolve()))
+    finally:
+        end_viewer(viewer)
+
+
+def _connect(viewer: subprocess.Popen, port: int) -> ViewerClient:
+    """The viewer on ``port``, once it has the recording open."""
+    client, deadline = None, time.monotonic() + 60
+    while viewer.poll() is None and time.monotonic() < deadline:
+        try:
+            client = client or ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+            if client.get_state().active_recording:
+                return client
+        except ConnectionError:  # not listening yet
+            pass
+        time.sleep(0.5)
+    raise InterruptedRunError("view: the viewer did not start; on Debian apt-get install mesa-vulkan-drivers libvulkan1")
+

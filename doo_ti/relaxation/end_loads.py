@@ -1,0 +1,92 @@
+"""Forces and moments with which the clamps hold the two ends of rods at rest.
+
+    loads = end_loads(solution)
+    loads.start_force, loads.end_moment, loads.force_unit      # (R, 3), (R, 3), "N"
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti import runtime
+from doo_ti.errors import InputError
+from doo_ti.physical_units import force_in_newton
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.sensitivity_kernel import run_sensitivity
+from doo_ti.relaxation.tables import Tables
+from doo_ti.short_repr import short_repr
+from doo_ti.types import Solution
+
+
+@dataclass(frozen=True)
+class EndLoads:
+    """Forces and moments of the clamps on R rods, in the axes of the world; moments about the clamped vertex. The energy grows
+    by force · d when a clamp moves by d, and by moment · a when it turns by the small rotation vector a.
+
+    start_force, start_moment, end_force, end_moment  (R, 3), or (R, 3, P) where they are derivatives by P parameters
+    physical                                          whether in N and N m; else energies are mm² (relative to weight), forces
+                                                      mm and moments mm²
+    """
+
+    __repr__ = short_repr
+
+    start_force: np.ndarray
+    start_moment: np.ndarray
+    end_force: np.ndarray
+    end_moment: np.ndarray
+    physical: bool
+
+    @property
+    def force_unit(self) -> str:
+        """"N", or "mm"."""
+        return "N" if self.physical else "mm"
+
+    @property
+    def moment_unit(self) -> str:
+        """"N m", or "mm²"."""
+        return "N m" if self.physical else "mm²"
+
+    @classmethod
+    def of(cls, loads: np.ndarray, table: Tables, first: int, last: int) -> "EndLoads":
+        """``loads`` (R, 4, 3, …) of the rods from ``first`` to ``last`` of ``table``, in N and N m where its materials are in
+        physical units."""
+        physical = table.weight_per_length is not None
+        if physical:
+            rows = table.material_index[first:last]
+            newton = force_in_newton(1.0, table.weight_per_length[rows], table.material[rows, of.WEIGHT])
+            loads = loads * np.stack([newton, 1e-3 * newton] * 2, axis=1).reshape(-1, 4, *[1] * (loads.ndim - 2))
+        return cls(*(loads[:, k] for k in range(4)), physical)
+
+
+@runtime.exclusive
+def end_loads(solution: Solution) -> EndLoads:
+    """The forces and moments at both ends of every rod of ``solution``, which also holds its materials, clamps and the
+    direction of gravity. In N and N m where the material has a weight per length (``Material.from_physical``), else relative to
+    weight (:class:`EndLoads`).
+
+    What an end does not hold is zero: the moment at a position clamp, all of a free end. Both forces together carry the rod's
+    weight. NaN in rods that have not converged, and in taut ones (:class:`doo_ti.types.Solution`).
+
+    Raises InputError for joined solutions and for rods under an external energy.
+    """
+    table = own_tables(solution, "end_loads")
+    runtime.start()
+    nothing = np.zeros((0, 0)), np.zeros((1, table.edges - 1, 2))
+    moments = run_sensitivity(solution, solution.converged, *nothing, 0, table.count)[3]
+    clamp = table.clamp[table.configuration_index]
+    weight = 2.0 * table.material[table.material_index, of.WEIGHT, None] * clamp[:, of.TOTAL, None] * table.up
+    end = np.where(clamp[:, of.RELEASED, None] > 0, weight, solution.end_force)
+    loads = np.stack([weight - end, moments[:, 0], end, moments[:, 1]], axis=1)
+    loads[~solution.converged | (clamp[:, of.TILT_INNER] == 0)] = np.nan
+    return EndLoads.of(loads, table, 0, table.count)
+
+
+def own_tables(solution: Solution, function: str) -> Tables:
+    """The tables of ``solution``, an argument of ``function``. Raises InputError where it has none, and for rods under an
+    external energy."""
+    table = solution.tables
+    if table is None:
+        raise InputError(function, "solution", "joins several calls", "relax where its rods ended")
+    if table.loaded:
+        raise InputError(function, "solution", "rods under an external energy or at obstacles", "relax them without")
+    return table

@@ -1,0 +1,88 @@
+"""The moments with which the clamps hold a rod's ends at rest, and their derivatives by parameters.
+
+Where a clamp holds the frame of an end edge, what is left of g + Aλ on that edge is the moment of the clamp on the rod about
+the clamped vertex: the energy grows by it times the angle by which the clamp turns. What a clamp does not hold is in balance.
+"""
+
+import taichi as ti
+
+from doo_ti.physics.closure import linear_gradient, linear_hessian
+from doo_ti.physics.tuples import applied, cross, full, minus, plus, scaled, transposed, variable
+from doo_ti.relaxation.parameter_gradient import NO_MODE, ParameterGradient
+
+FIRST, LAST = 0, 1
+
+
+@ti.data_oriented
+class EndMoments(ParameterGradient):
+    """The chain with the moments at its ends; ``end`` is FIRST or LAST, known when the kernel is compiled."""
+
+    @ti.func
+    def end_places(self, rod, end: ti.template()):
+        """Places of the end's edge and of the edge at whose end its pair is bent, that pair's joint, and the length after the
+        end's edge."""
+        at, joint_at, joint = rod.origin, rod.origin, 0
+        remaining = rod.total - self.length_at(rod, rod.origin)
+        if ti.static(end == LAST):
+            joint = rod.edges - 2
+            at = rod.origin + (rod.edges - 1) * self.edge_stride
+            joint_at = at - self.edge_stride
+            remaining = 0.0 * rod.total
+        return at, joint_at, joint, remaining
+
+    @ti.func
+    def own_part(self, end: ti.template(), left, right):
+        """Of what a pair does to its two edges, the part of the end's own edge."""
+        part = variable(left)
+        if ti.static(end == LAST):
+            part = right
+        return part
+
+    @ti.func
+    def in_world(self, edge, v):
+        """A vector in the edge's axes as one in the world."""
+        return plus(plus(scaled(edge.t, v[0]), scaled(edge.m1, v[1])), scaled(edge.m2, v[2]))
+
+    @ti.func
+    def body_moment(self, rod, end: ti.template(), multiplier):
+        """g + Aλ of the end's edge, in its own axes."""
+        at, joint_at, joint, remaining = self.end_places(rod, end)
+        bent, s = self.kept_pair(rod, joint_at)
+        left, right = self.gradient_of(bent, s)
+        own = self.own_part(end, left, right)
+        edge = self.edge(rod, at, remaining)
+        l1, l2 = linear_gradient(plus(scaled(rod.gravity, edge.hang), multiplier), edge.length, edge.m1, edge.m2)
+        return plus(own, (0.0 * l1, l1, l2))
+
+    @ti.func
+    def end_moment(self, rod, end: ti.template(), multiplier):
+        """The moment at an end, in the world."""
+        at, joint_at, joint, remaining = self.end_places(rod, end)
+        return self.in_world(self.edge(rod, at, remaining), self.body_moment(rod, end, multiplier))
+
+    @ti.func
+    def moment_change(self, rod, end: ti.template(), column, change):
+        """The derivative of an end's moment, in the world, by a column whose rotations lie in the place of the step and whose
+        change of λ is ``change``.
+
+        In the edge's axes g + Aλ changes by H w + ½ g × w with the edge's own rotation w, and those axes turn by w.
+        """
+        at, joint_at, joint, remaining = self.end_places(rod, end)
+        bent, s = self.kept_pair(rod, joint_at)
+        left, right, h_left, h_right, across = self.derivatives(bent, s)
+        w0, w1 = self.rotation_at(rod, joint_at), self.rotation_at(rod, joint_at + self.edge_stride)
+        of_left = plus(applied(full(h_left), w0), applied(across, w1))
+        of_right = plus(applied(full(h_right), w1), applied(transposed(across), w0))
+        found = self.own_part(end, of_left, of_right)
+        if column.bends or column.mode != NO_MODE:
+            explicit_left, explicit_right = self.pair_change(rod, joint_at, joint, column)
+            found = plus(found, self.own_part(end, explicit_left, explicit_right))
+        edge = self.edge(rod, at, remaining)
+        w = self.own_part(end, w0, w1)
+        h = linear_hessian(plus(scaled(rod.gravity, edge.hang), column.multiplier), edge.length, edge.t, edge.m1, edge.m2)
+        l1, l2 = self.linear_change(rod, edge, column)
+        c1, c2 = linear_gradient(change, edge.length, edge.m1, edge.m2)
+        bent_by_pull = (h[0] * w[1] + h[1] * w[2], h[0] * w[0] + h[2] * w[1], h[1] * w[0] + h[2] * w[2])
+        found = plus(plus(found, bent_by_pull), (0.0 * l1, l1 + c1, l2 + c2))
+        turned = scaled(cross(self.body_moment(rod, end, column.multiplier), w), 0.5)
+        return self.in_world(edge, minus(found, turned))

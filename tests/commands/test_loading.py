@@ -1,0 +1,101 @@
+"""Own files on the command line: units, columns, motion capture; what was loaded, and a warning for implausible lengths."""
+
+import json
+
+import numpy as np
+import pytest
+
+from doo_ti.cli import main
+from doo_ti.io.observations import load_observations
+from tests.io.test_formats import CABLE, MARKS, motive, table
+
+
+@pytest.fixture
+def metres(tmp_path):
+    """A cable of 0.1 m in metres, y up, its columns named otherwise."""
+    path = tmp_path / "cable.csv"
+    path.write_text(table(MARKS[..., [0, 2, 1]] / 1000, "shot,marker,east,height,north"))
+    return path
+
+
+def test_the_stiffness_that_a_model_states_is_printed(tmp_path, capfd):
+    (tmp_path / "cable.xml").write_text(CABLE)
+    assert main(["convert", str(tmp_path / "cable.xml"), str(tmp_path / "out.npz"), "--columns", "a"]) == 0
+    printed = capfd.readouterr().out
+    assert "--EI 0.9817 --GJ 0.4909 --linear-density 86.39" in printed and "1 observation of 7 marks" in printed
+
+
+def test_a_csv_in_metres_with_y_up(tmp_path, metres, capfd):
+    words = ["convert", str(metres), str(tmp_path / "out.npz"), "--unit", "m", "--up", "0,1,0",
+             "--columns", "observation=shot,vertex=marker,x=east,y=height,z=north"]
+    assert main(words) == 0
+    observations = load_observations(tmp_path / "out.npz")
+    np.testing.assert_allclose(observations.vertices, MARKS[..., [0, 2, 1]])
+    np.testing.assert_array_equal(observations.up, [0, 1, 0])
+    printed, length = capfd.readouterr(), f"{observations.rest_length.sum():.4g} mm"
+    assert "2 observations of 4 marks" in printed.out and length in printed.out and printed.err == ""
+
+
+def test_metres_taken_for_millimetres_are_warned_of(tmp_path, metres, capfd):
+    assert main(["convert", str(metres), str(tmp_path / "out.npz"), "--columns",
+                 "observation=shot,vertex=marker,x=east,y=height,z=north"]) == 0
+    printed = capfd.readouterr().err
+    assert "warning" in printed and "--unit m" in printed and str(metres) in printed
+    np.savez(tmp_path / "large.npz", vertices_mm=1e4 * MARKS)
+    assert main(["convert", str(tmp_path / "large.npz"), str(tmp_path / "out.npz")]) == 0
+    assert "warning" in capfd.readouterr().err
+
+
+def test_motion_capture_as_motion_and_as_observations(tmp_path, capfd):
+    seen = np.concatenate([MARKS] * 5)
+    seen[3, 1] = np.nan
+    (tmp_path / "take.csv").write_text(motive(seen / 1000, "Meters"))
+    assert main(["convert", str(tmp_path / "take.csv"), str(tmp_path / "motion.npz"), "--motion"]) == 0
+    assert "0,1,0" in capfd.readouterr().out
+    with np.load(tmp_path / "motion.npz") as found:
+        np.testing.assert_allclose(found["positions_mm"], seen)
+        assert found["rate_hz"] == 120.0
+    assert main(["convert", str(tmp_path / "take.csv"), str(tmp_path / "marks.csv"), "--select", "1:10:2", "--complete"]) == 0
+    np.testing.assert_allclose(load_observations(tmp_path / "marks.csv").vertices, seen[[1, 5, 7, 9]])
+
+
+def test_relax_prints_what_it_loaded(tmp_path, capfd):
+    marks = np.stack([np.linspace(0, 0.09, 12), np.zeros(12), 0.01 * np.sin(np.linspace(0, np.pi, 12))], axis=-1)
+    (tmp_path / "x.csv").write_text(table(marks[None], "observation,vertex,x,y,z"))
+    words = ["relax", str(tmp_path / "x.csv"), "--unit", "m", "--bend", "1e6", "--out", str(tmp_path / "f.npz")]
+    assert main(words) == 0
+    assert "1 observation of 12 marks" in capfd.readouterr().out
+    assert main([*words, "--json"]) == 0
+    printed = capfd.readouterr()
+    assert json.loads(printed.out)["observations"] == 1 and printed.err == ""
+
+
+@pytest.mark.parametrize("words", [
+    ["--unit", "inch"], ["--columns", "x=east,y"], ["--columns", "x=west,y=height,z=north"], ["--select", "1"],
+    ["--select", "a:b"],
+    ["--select", "5:6"], ["--motion"]])
+def test_wrong_options_write_nothing(tmp_path, metres, capfd, words):
+    assert main(["convert", str(metres), str(tmp_path / "out.npz"), "--columns", "x=east,y=height,z=north", *words]) == 2
+    assert not (tmp_path / "out.npz").exists()
+    printed = capfd.readouterr().err.splitlines()[-1]
+    assert printed.startswith("doo-ti: ")
+
+
+def test_results_as_csv(tmp_path, shipped_data):
+    """The same numbers as in the npz, for a program without NumPy."""
+    marks = str(tmp_path / "marks.npz")
+    assert main(["convert", str(shipped_data / "lab_a" / "vicryl.npz"), marks, "--select", "0:2"]) == 0
+    (tmp_path / "path.csv").write_text("time_s,end_rotation_deg\n0,0\n1,20\n")
+    material = ["--bend", "6e5", "--twist", "8e5"]
+    commands = {"relax": [], "predict": ["--motion", str(tmp_path / "path.csv")], "twist": []}
+    for name, more in commands.items():
+        for suffix in ("npz", "csv"):
+            assert main([name, marks, *more, *material, "--out", str(tmp_path / f"{name}.{suffix}")]) == 0
+    with np.load(tmp_path / "relax.npz") as found:
+        np.testing.assert_array_equal(load_observations(tmp_path / "relax.csv").vertices, found["vertices_mm"])
+    with np.load(tmp_path / "predict.npz") as found:
+        lines = (tmp_path / "predict.csv").read_text().splitlines()
+        assert lines[0].split(",")[:3] == ['"moment"', '"rod"', '"vertex"'] and len(lines) == 1 + found["vertices_mm"].size // 3
+    with np.load(tmp_path / "twist.npz") as found:
+        table = np.genfromtxt(tmp_path / "twist.csv", delimiter=",", names=True, deletechars='"')
+        np.testing.assert_allclose(table["total_twist_deg"], found["total_twist_deg"])

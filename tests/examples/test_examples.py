@@ -1,0 +1,90 @@
+"""Every example runs as it stands, in an empty folder; each ends with a check of its own result.
+
+Python examples, and the ``doo-ti`` of the shell scripts, run in this process, where the kernels are loaded already.
+"""
+
+import os
+import runpy
+import selectors
+import subprocess
+import sys
+from contextlib import chdir
+from pathlib import Path
+
+import pytest
+
+from doo_ti.cli import main
+
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPTS = [path for path in sorted((ROOT / "docs" / "examples").glob("[0-9][0-9]_*.*")) if path.suffix in (".py", ".sh")]
+DEFAULT = ("01_hang_a_rope.py",)
+"""Of the default run; the full run has all."""
+SHIM = """#!/bin/bash
+printf '%s\\0' "$PWD" "$@" > {requests}
+read -r code < {answers}
+exit "$code"
+"""
+"""The doo-ti of shell scripts: asks this process to run the command, and takes its exit code."""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty folder, with python and doo-ti on the path of scripts that run there."""
+    programs, empty = tmp_path / "bin", tmp_path / "empty"
+    for path in (programs, empty):
+        path.mkdir()
+    for name in ("requests", "answers"):
+        os.mkfifo(tmp_path / name)
+    (programs / "python").write_text(f"#!/bin/sh\nexec '{sys.executable}' \"$@\"\n")
+    (programs / "doo-ti").write_text(SHIM.format(requests=tmp_path / "requests", answers=tmp_path / "answers"))
+    for path in programs.iterdir():
+        path.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    return empty
+
+
+def run_shell(script: Path, folder: Path) -> int:
+    """The exit code of a script, whose ``doo-ti`` commands this process carries out."""
+    requests, answers = (os.open(folder.parent / name, os.O_RDWR) for name in ("requests", "answers"))
+    with subprocess.Popen(["bash", str(script)], cwd=folder) as process, selectors.DefaultSelector() as selector:
+        selector.register(requests, selectors.EVENT_READ)
+        while process.poll() is None:
+            if selector.select(timeout=0.05):
+                where, *words = os.read(requests, 1 << 16).decode().split("\0")[:-1]
+                code = 1
+                try:
+                    with chdir(where):
+                        code = main(words)
+                finally:  # else the script would wait for ever
+                    os.write(answers, f"{code}\n".encode())
+    for pipe in (requests, answers):
+        os.close(pipe)
+    return process.returncode
+
+
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize("script", [
+    pytest.param(path, marks=() if path.name in DEFAULT else pytest.mark.thorough, id=path.name) for path in SCRIPTS])
+def test_example(script, folder, monkeypatch):
+    monkeypatch.setattr(sys, "argv", [str(script)])
+    if script.suffix == ".sh":
+        assert run_shell(script, folder) == 0
+    elif script.stem.endswith("cluster"):  # its workers are processes that import it
+        pytest.importorskip("distributed", reason="no cluster without Dask")
+        subprocess.run([sys.executable, str(script)], cwd=folder, check=True)
+    else:
+        with chdir(folder):
+            runpy.run_path(str(script), run_name="__main__")
+        sys.modules["matplotlib.pyplot"].close("all")
+
+
+def test_every_example_has_a_page_in_the_gallery_and_a_picture():
+    gallery = (ROOT / "docs" / "examples" / "index.md").read_text(encoding="utf-8")
+    for script in SCRIPTS:
+        page = script.with_suffix(".md")
+        assert page.is_file() and f"({page.name})" in gallery, script
+        assert f"{script.name}\"" in page.read_text(encoding="utf-8"), f"{page} does not show its code"
+        assert (picture := script.with_suffix(".png")).is_file() and f"({picture.name})" in gallery, script
+    assert [int(path.name[:2]) for path in SCRIPTS] == list(range(1, len(SCRIPTS) + 1))

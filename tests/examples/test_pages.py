@@ -1,0 +1,113 @@
+"""README and docs: links lead somewhere, commands have the options that pages give them, README's blocks run as written."""
+
+import importlib.util
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from contextlib import chdir, redirect_stdout
+from functools import cache
+from io import StringIO
+from pathlib import Path
+
+import pytest
+
+import doo_ti
+from doo_ti.cli import main
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_lead_somewhere(page):
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    links = [link for link in re.findall(r"\]\(([^)\s]+)\)", text) if not re.match(r"https?:", link)]
+    missing = [link for link in links if link.partition("#")[0] and not (page.parent / link.partition("#")[0]).exists()]
+    assert not missing
+
+
+def commands() -> list[tuple[str, list[str]]]:
+    """(page, words) of every line of a page that begins with ``doo-ti``, without comments."""
+    found = []
+    for page in PAGES:
+        lines = page.read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
+        for line in lines:
+            text = line.strip().removeprefix("$ ")
+            if text.startswith("doo-ti ") and "…" not in text:
+                found.append((page.name, shlex.split(text, comments=True)[1:]))
+    return found
+
+
+@cache
+def help_of(command: str) -> str:
+    shown = StringIO()
+    with redirect_stdout(shown):
+        assert main([command, "--help"]) == 0
+    return shown.getvalue()
+
+
+def test_commands_have_the_options_that_pages_give_them():
+    listed = commands()
+    assert len(listed) > 30
+    unknown = [(page, words[0], word) for page, words in listed for word in words[1:]
+               if word.startswith("--") and word.partition("=")[0] not in re.findall(r"--[\w-]+", help_of(words[0]))]
+    assert not unknown
+
+
+def test_the_reference_has_every_public_name():
+    listed = re.findall(r"^::: doo_ti\..*?(\w+)$", (ROOT / "docs" / "reference.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted(listed) == sorted(doo_ti.__all__)
+
+
+@pytest.fixture
+def clone(tmp_path):
+    """An empty folder with what a fresh clone has, as far as README's commands use it."""
+    for name in ("scenes", "docs"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    return tmp_path
+
+
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("ignore")
+def test_readme_runs_as_written(clone, capfd):
+    """Its commands in order, without the installation, then its Python."""
+    blocks = BLOCK.findall((ROOT / "README.md").read_text(encoding="utf-8"))
+    ran = 0
+    with chdir(clone):
+        for language, text in blocks:
+            if language == "python":
+                exec(compile(text, "README.md", "exec"), {})
+                ran += 1
+            for line in text.splitlines() if language == "bash" else ():
+                words = shlex.split(line.split("&&")[-1].replace(".venv/bin/", ""), comments=True)
+                if words[0] == "doo-ti":
+                    assert main(words[1:]) == 0, capfd.readouterr().err
+                    ran += 1
+    assert ran == 4
+
+
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("ignore")
+def test_the_notebook_runs(tmp_path, monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    cells = json.loads((ROOT / "docs" / "examples" / "landscape_and_rods.ipynb").read_text(encoding="utf-8"))["cells"]
+    names = {}
+    with chdir(tmp_path):
+        for cell in cells:
+            if cell["cell_type"] == "code":
+                exec("".join(cell["source"]), names)
+    assert 0.3 < names["bend"][names["best"][0]] / 6e5 < 3
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(importlib.util.find_spec("mkdocs") is None, reason="pip install '.[docs]' to build the pages")
+def test_the_site_builds_without_warnings(tmp_path):
+    """As .ci/run does; a warning is an error."""
+    words = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")]
+    done = subprocess.run(words, cwd=ROOT, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "load_observations" in (tmp_path / "site" / "reference" / "index.html").read_text(encoding="utf-8")

@@ -1,0 +1,198 @@
+"""Files of other programs: each format gives the same marks in mm, the right way up; units, names and errors."""
+
+import numpy as np
+import pytest
+
+from doo_ti.errors import InputError
+from doo_ti.io.formats import read_curves
+from doo_ti.io.observations import load_observations
+
+MARKS = np.array([[[0.0, 10, 0], [30, 5, 1], [60, 5, 0], [90, 10, 2]], [[0.0, 10, 0], [25, 0, 1], [55, 0, 0], [80, 10, 2]]])
+"""(2, 4, 3) mm."""
+
+
+def motive(points: np.ndarray, unit: str) -> str:
+    """A Motive export of markers M1 … MV, with a rigid body and an unlabelled marker before them."""
+    names = ["Gripper", *(f"Rope:M{k + 1}" for k in range(points.shape[1])), "Unlabeled 7"]
+    kinds = ["Rigid Body", *["Marker"] * (len(names) - 1)]
+    def row(first, second, cells):
+        return ",".join([first, second, *(cell for cell in cells for _ in range(3))])
+    lines = ["Format Version,1.23,Take Name,rope,Export Frame Rate,120.000000,Rotation Type,Quaternion,"
+             f"Length Units,{unit},Coordinate Space,Global", "", row("", "Type", kinds), row("", "Name", names),
+             row("", "ID", names), row("", "", ["Position"] * len(names)), "Frame,Time (Seconds)" + ",X,Y,Z" * len(names)]
+    for frame, marks in enumerate(points):
+        cells = ["1.5"] * 3 + ["" if np.isnan(x) else repr(float(x)) for x in marks.ravel()] + [""] * 3
+        lines.append(",".join([str(frame), f"{frame / 120:.6f}", *cells]))
+    return "\n".join(lines) + "\n"
+
+
+def nexus(points: np.ndarray) -> str:
+    """A Nexus export, with another section before it and one behind."""
+    names = [f"Rope:M{k + 1}" for k in range(points.shape[1])]
+    rows = [f"{frame + 1},0," + ",".join(repr(float(x)) for x in marks.ravel()) for frame, marks in enumerate(points)]
+    return "\n".join(["Devices", "1000", "Frame,Sub Frame,Fx", ",,N", "1,0,3", "", "Trajectories", "100",
+                      ",," + ",,,".join(names) + ",,", "Frame,Sub Frame" + ",X,Y,Z" * len(names),
+                      ",," + ",".join(["mm"] * 3 * len(names)), *rows, "", "Joints", "100"]) + "\n"
+
+
+def usda(points: np.ndarray, header: str) -> str:
+    triples = ", ".join(f"({x:g}, {y:g}, {z:g})" for x, y, z in points.reshape(-1, 3))
+    return (f'#usda 1.0\n(\n    {header}\n)\ndef Xform "World"\n{{\n    def BasisCurves "rope"\n    {{\n'
+            f"        int[] curveVertexCounts = {[points.shape[1]] * len(points)}\n        point3f[] points = [{triples}]\n"
+            '        uniform token type = "linear"\n        float[] widths = [4]\n    }\n}\n')
+
+
+def table(points: np.ndarray, names: str, number: bool = True) -> str:
+    rows = [",".join([*([str(d), str(v)] if number else []), *(repr(float(x)) for x in mark)])
+            for d, rod in enumerate(points) for v, mark in enumerate(rod)]
+    return "\n".join([names, *rows]) + "\n"
+
+
+FILES = {
+    "motive.csv": (motive(MARKS / 1000, "Meters"), (0, 1, 0)),
+    "motive_mm.csv": (motive(MARKS, "Millimeters"), (0, 1, 0)),
+    "nexus.csv": (nexus(MARKS), (0, 0, 1)),
+    "cm.usda": (usda(MARKS / 10, "metersPerUnit = 0.01"), (0, 1, 0)),
+    "m.usda": (usda(MARKS / 1000, 'metersPerUnit = 1\n    upAxis = "Z"'), (0, 0, 1)),
+    "blocks.txt": ("# a rod\n" + "\n\n".join("\n".join("%r, %r, %r" % tuple(mark) for mark in rod.tolist()) for rod in MARKS),
+                   (0, 0, 1)),
+    "lines.csv": ("\n".join(" ".join(map(repr, rod.ravel().tolist())) for rod in MARKS), (0, 0, 1)),
+    "metres.csv": (table(MARKS / 1000, "observation,vertex,x_m,y_m,z_m"), (0, 0, 1)),
+    "bare.csv": (table(MARKS, "observation,vertex,x,y,z"), (0, 0, 1)),
+    "sample.usda": (usda(MARKS, "metersPerUnit = 0.001").replace(
+        "point3f[] points = [", "point3f[] points.timeSamples = { 0: [").replace(")]", ")] }"), (0, 1, 0)),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_each_format_gives_the_same_marks(tmp_path, name):
+    text, up = FILES[name]
+    (tmp_path / name).write_text(text)
+    observations = load_observations(tmp_path / name)
+    np.testing.assert_allclose(observations.vertices, MARKS, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(observations.up, up)
+    assert load_observations(tmp_path / name, up=(1, 0, 0)).up.tolist() == [1, 0, 0]
+
+
+@pytest.mark.parametrize("name", ["motive.csv", "m.usda", "blocks.txt", "bare.csv"])
+def test_a_unit_applies_whatever_the_file_states(tmp_path, name):
+    numbers = {"motive.csv": MARKS / 1000, "m.usda": MARKS / 1000}.get(name, MARKS)
+    (tmp_path / name).write_text(FILES[name][0])
+    for unit, factor in (("mm", 1), ("cm", 10), ("m", 1000)):
+        observations = load_observations(tmp_path / name, unit=unit)
+        np.testing.assert_allclose(observations.vertices, factor * numbers, rtol=1e-12)
+        np.testing.assert_allclose(observations.rest_length.sum(), factor * load_observations(
+            tmp_path / name, unit="mm").rest_length.sum(), rtol=1e-12)
+
+
+def test_an_npz_in_metres(tmp_path):
+    np.savez(tmp_path / "x.npz", vertices_mm=MARKS / 1000, rest_length_mm=np.full(3, 0.031), sigma_mm=1e-4)
+    observations = load_observations(tmp_path / "x.npz", unit="m")
+    np.testing.assert_allclose(observations.vertices, MARKS)
+    np.testing.assert_allclose(observations.rest_length, 31.0)
+    np.testing.assert_allclose(observations.sigma, 0.1)
+
+
+def test_columns_of_other_names(tmp_path):
+    (tmp_path / "x.csv").write_text(table(MARKS, "shot,mark,PosX,PosY,PosZ"))
+    names = {"observation": "shot", "vertex": "mark", "x": "PosX", "y": "PosY", "z": "PosZ"}
+    np.testing.assert_array_equal(load_observations(tmp_path / "x.csv", columns=names).vertices, MARKS)
+    (tmp_path / "y.csv").write_text(table(MARKS[:1], "x,y,z", number=False))  # rows in order, of one observation
+    np.testing.assert_array_equal(load_observations(tmp_path / "y.csv").vertices, MARKS[:1])
+    swapped = load_observations(tmp_path / "y.csv", columns={"y": "z", "z": "y"})
+    np.testing.assert_array_equal(swapped.vertices, MARKS[:1][..., [0, 2, 1]])
+
+
+@pytest.mark.parametrize("text", [motive(MARKS, "Millimeters"), nexus(MARKS)], ids=["motive", "nexus"])
+def test_markers_by_name(tmp_path, text):
+    (tmp_path / "x.csv").write_text(text)
+    order = [3, 1, 0]
+    names = [f"Rope:M{k + 1}" for k in order]
+    np.testing.assert_allclose(load_observations(tmp_path / "x.csv", columns=names).vertices, MARKS[:, order])
+    assert read_curves(tmp_path / "x.csv").rate in (100.0, 120.0)
+    with pytest.raises(InputError, match="M9"):
+        load_observations(tmp_path / "x.csv", columns=["M9"])
+
+
+def test_markers_that_were_not_seen(tmp_path):
+    seen = np.concatenate([MARKS, MARKS])
+    seen[1, 2], seen[3] = np.nan, np.nan
+    (tmp_path / "x.csv").write_text(motive(seen, "Millimeters"))
+    observations = load_observations(tmp_path / "x.csv")
+    np.testing.assert_array_equal(observations.valid, [[True] * 4, [True, True, False, True], [True] * 4])
+    assert np.isnan(read_curves(tmp_path / "x.csv").points[3]).all()  # a recording keeps its frames
+
+
+CABLE = """<mujoco><worldbody><body name="b" pos="1 2 3" quat="0.70710678118 0 0 0.70710678118">
+<composite prefix="a" type="cable" curve="cos(s) sin(s) s" count="7 1 1" size="0.6 .1 4" offset="0.1 0 1" initial="none">
+<plugin plugin="mujoco.elasticity.cable"><config key="twist" value="5e8"/><config key="bend" value="2e9"/></plugin>
+<geom type="capsule" size=".005" density="1100"/></composite></body>
+<composite prefix="v" type="cable" vertex="0 0 0 .1 0 0 .2 .01 0 .3 0 0 .4 0 0 .5 0 0 .6 0 0"/>
+<flexcomp name="f" type="grid" dim="1" count="7 1 1" spacing="0.1 .1 .1" pos="0.5 0 0"/></worldbody></mujoco>"""
+
+
+def test_mujoco_cables(tmp_path):
+    """The points of the first are those that MuJoCo 3.3 gives its capsules."""
+    (tmp_path / "x.xml").write_text(CABLE)
+    expected = 1000 * np.array([[1.0, 2.2, 4.0], [0.91339746, 2.05, 4.1], [1.08660254, 2.05, 4.2], [1.0, 2.2, 4.3],
+                                [0.91339746, 2.05, 4.4], [1.08660254, 2.05, 4.5], [1.0, 2.2, 4.6]])
+    observations = load_observations(tmp_path / "x.xml")
+    assert observations.vertices.shape == (3, 7, 3)
+    np.testing.assert_allclose(observations.vertices[0], expected, atol=1e-4)
+    np.testing.assert_allclose(observations.vertices[1, 2], [200, 10, 0])
+    np.testing.assert_allclose(observations.vertices[2, :, 0], 500 + 100 * np.arange(-3, 4))
+    facts = read_curves(tmp_path / "x.xml", ["a"]).facts
+    radius = 0.005
+    assert facts == (f"--EI {2e9 * np.pi * radius**4 / 4:.4g} --GJ {5e8 * np.pi * radius**4 / 2:.4g} "
+                     f"--linear-density {1e6 * 1.1 * np.pi * radius**2:.4g}")
+
+
+def test_files_that_are_refused(tmp_path):
+    cases = {
+        "x.usda": ("nothing", "text form"),
+        "y.usda": (FILES["m.usda"][0].replace("def Basis", "xformOp:translate def Basis"), "xformOp"),
+        "z.usda": (FILES["m.usda"][0].replace("[4, 4]", "[4, 5]"), "rope"), "x.usd": ("x", "usdcat"),
+        "x.xml": ("<mujoco>", "XML"), "y.xml": ("<mujoco><worldbody/></mujoco>", "cable"),
+        "z.xml": (CABLE.replace("quat=", "euler="), "euler"), "w.xml": ("<!DOCTYPE x>" + CABLE, "document type"),
+        "v.xml": (CABLE.replace("cos(s) sin(s)", "tan(s) s"), "tan"), "x.txt": ("1 2 3\n4 5", "line 2"),
+        "y.txt": ("1 2 3\n4 5 6\n7 8 9\n\n1 2 3", "points"), "z.txt": ("1 2 3\n4 5 nan\n7 8 9", "finite"),
+        "x.csv": (motive(MARKS[:, :2], "Meters"), "2 markers"),
+        "y.csv": (motive(MARKS, "Meters").replace("Frame,T", "T"), "Frame"),
+        "z.csv": (nexus(MARKS).replace("10.0", "ten", 1), "ten"), "w.csv": ("a,b\n1,2\n", "x_mm"),
+    }
+    for name, (text, word) in cases.items():
+        (tmp_path / name).write_text(text)
+        with pytest.raises(InputError, match=word) as caught:
+            load_observations(tmp_path / name)
+        assert str(tmp_path / name) in str(caught.value)
+
+
+def test_damaged_files_are_read_or_refused(tmp_path, rng):
+    """Bytes changed, cut out and repeated: never another error, nor a warning."""
+    texts = {name: text for name, (text, _) in FILES.items()} | {"cable.xml": CABLE}
+    words = [b"nan", b"1e400", b"-1", b"", b",", b"\n", b"[", b")", b"99999999999", b"\x00", b"\xff", b'"', b"<body>"]
+    for trial in range(400):
+        name = sorted(texts)[trial % len(texts)]
+        content = bytearray(texts[name].encode())
+        for _ in range(rng.integers(1, 5)):
+            at, length = rng.integers(len(content)), rng.integers(0, 40)
+            content[at : at + length] = words[rng.integers(len(words))] if rng.random() < 0.6 else content[: rng.integers(50)]
+        path = tmp_path / name
+        path.write_bytes(bytes(content) or b" ")
+        try:
+            load_observations(path, unit="m" if trial % 2 else None)
+        except InputError as error:
+            assert str(path) in str(error)
+
+
+def test_options_that_do_not_fit_the_file(tmp_path):
+    (tmp_path / "x.txt").write_text(FILES["blocks.txt"][0])
+    (tmp_path / "x.csv").write_text(table(MARKS, "observation,vertex,x,y,z"))
+    (tmp_path / "m.csv").write_text(motive(MARKS, "Meters"))
+    np.savez(tmp_path / "x.npz", vertices_mm=MARKS)
+    for name, columns in (("x.txt", ["a"]), ("x.csv", ["x", "y"]), ("x.csv", {"w": "x"}), ("x.csv", {"x": "w"}),
+                          ("m.csv", {"x": "w"}), ("x.npz", ["a"])):
+        with pytest.raises(InputError):
+            load_observations(tmp_path / name, columns=columns)
+    with pytest.raises(InputError, match="inch"):
+        load_observations(tmp_path / "x.csv", unit="inch")

@@ -1,0 +1,156 @@
+"""Forces and moments at both ends, and the derivatives by both grippers' poses, against rods relaxed again."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from doo_ti import Clamp, InputError, Material, Newton, Springs, relax
+from doo_ti.relaxation.end_loads import end_loads
+from doo_ti.relaxation.sensitivity import gripper_jacobian, sensitivity
+from tests.references.rods import chain, clamps_at
+from tests.relaxation.rods import PAIRS, wandering, with_kinds
+
+SHARP = Newton(tolerance=1e-11)
+UP = np.array([0.2, -0.1, 1.0]) / np.linalg.norm([0.2, -0.1, 1.0])
+LOADS = ("start_force", "start_moment", "end_force", "end_moment")
+HELD = [pair for pair in PAIRS if Clamp.FREE not in pair]
+RIBBON = Material(np.array([[2e5, 3e4], [3e4, 1e5]]), 1.5e5, 1.2, np.array([2e-3, -1e-3]))
+
+
+def held_rods(rng, kinds, material):
+    """(solution, function that relaxes the rods again after a change (12,) of both clamps' poses)."""
+    rods = wandering(rng, len(kinds), 12, rest_length=rng.uniform(2, 4, 12))
+    clamps = with_kinds(clamps_at(rods), kinds)
+    solution = relax(rods, material, clamps, SHARP, up=UP)
+
+    def moved(change):
+        turns = Rotation.from_rotvec([change[3:6], change[9:]]).as_matrix()
+        there = replace(clamps, start_position=clamps.start_position + change[:3], start_frame=turns[0] @ clamps.start_frame,
+                        end_position=clamps.end_position + change[6:9], end_frame=turns[1] @ clamps.end_frame)
+        return relax(solution.configuration, material, there, replace(SHARP, first_shift=0.0), up=UP)
+
+    return solution, moved
+
+
+@pytest.mark.parametrize("material", [Material(2e5, 1.5e5, 0.8), RIBBON], ids=["round", "ribbon"])
+def test_jacobians_are_the_differences(rng, material):
+    """By every coordinate of both poses, for every pair of clamps: vertices, and forces and moments at both ends, to 1e-6 of
+    the largest entry of each rod, or a hundredth of all rods' where that is more."""
+    solution, moved = held_rods(rng, PAIRS, material)
+    found = gripper_jacobian(solution)
+    assert found.vertices.shape == (len(PAIRS), 13, 3, 12) and found.loads.end_moment.shape == (len(PAIRS), 3, 12)
+    pendulum = np.array([set(pair) == {Clamp.FREE, Clamp.POSITION} for pair in PAIRS])  # its angle is not determined
+    worst = {}
+    for column in range(12):
+        step = (5e-4 if column % 6 < 3 else 2e-5) * np.eye(12)[column]
+        near = [moved(sign * step) for sign in (-2, -1, 1, 2)]
+        rows = found.usable & ~pendulum & np.all([solution.converged for solution in near], axis=0)
+        assert rows.sum() > 0.7 * len(PAIRS)
+        loads = [end_loads(solution) for solution in near]
+        pairs = {"vertices": (found.vertices, [solution.configuration.vertices for solution in near])}
+        pairs |= {name: (getattr(found.loads, name), [getattr(one, name) for one in loads]) for name in LOADS}
+        for name, (derivative, values) in pairs.items():
+            expected = (values[0] - 8 * values[1] + 8 * values[2] - values[3])[rows] / (12 * step.max())
+            own = derivative[rows]
+            axes = tuple(range(1, own.ndim))
+            size = np.abs(own).max(axis=axes)
+            error = np.abs(own[..., column] - expected).max(axis=axes[:-1]) / np.maximum(size, 0.01 * size.max())
+            worst[name] = max(worst.get(name, 0.0), error.max())
+    print({name: f"{error:.1e}" for name, error in worst.items()})
+    assert max(worst.values()) < 1e-6
+
+
+@pytest.mark.parametrize("material", [Material(2e5, 1.5e5, 0.8), RIBBON], ids=["round", "ribbon"])
+def test_the_energy_grows_by_the_loads_times_the_ways(rng, material):
+    solution, moved = held_rods(rng, HELD, material)
+    loads = end_loads(solution)
+    work = np.concatenate([getattr(loads, name) for name in LOADS], axis=1)
+    for column in range(12):
+        step = (1e-3 if column % 6 < 3 else 1e-4) * np.eye(12)[column]
+        slope = (moved(step).energy - moved(-step).energy) / (2 * step.max())
+        rows = solution.converged & solution.stable
+        np.testing.assert_allclose(work[rows, column], slope[rows], atol=2e-6 * np.abs(work[rows]).max())
+
+
+def test_both_ends_carry_the_weight_and_balance_its_moment(rng):
+    rods = wandering(rng, len(PAIRS), 12)
+    material = Material(2e5, 1.5e5, 0.8)
+    solution = relax(rods, material, with_kinds(clamps_at(rods), PAIRS), SHARP, up=UP)
+    loads, x = end_loads(solution), solution.configuration.vertices
+    rows = solution.converged
+    carried = (loads.start_force + loads.end_force)[rows]
+    np.testing.assert_allclose(carried, np.tile(1.6 * 36.0 * UP, (len(carried), 1)), rtol=1e-9)
+    share = np.full(13, 2 * 0.8 * 3.0)
+    share[[0, -1]] /= 2
+    gravity = np.cross(x, -UP * share[:, None]).sum(axis=1)
+    of_forces = np.cross(x[:, 0], loads.start_force) + np.cross(x[:, -1], loads.end_force)
+    balance = loads.start_moment + loads.end_moment + of_forces + gravity
+    assert np.abs(balance[rows]).max() < 1e-6 * np.abs(gravity).max()
+    for row, pair in enumerate(PAIRS):
+        for kind, name in zip(pair, ("start", "end"), strict=True):
+            if kind == Clamp.FREE:
+                assert np.abs(getattr(loads, f"{name}_force")[row]).max() < 1e-9
+            if kind < Clamp.TANGENT:
+                assert np.abs(getattr(loads, f"{name}_moment")[row]).max() < 1e-4
+
+
+def test_other_parameters_change_the_loads(rng):
+    """Forces and moments by stiffness, weight, rest curvature and lengths, against rods relaxed again."""
+    rods = wandering(rng, 4, 12)
+    clamps = clamps_at(rods)
+    bend, twist, rest = np.array([[2e5, 3e4], [3e4, 1e5]]), 1.5e5, np.array([2e-3, -1e-3])
+    solution = relax(rods, Material(bend, twist, 1.0, rest), clamps, SHARP)
+    found = sensitivity(solution, ("bend_12", "twist", "weight", "rest_curvature", "length"))
+
+    def moved(change):
+        material = Material(bend + change[0] * np.array([[0, 1], [1, 0]]), twist + change[1], 1 + change[2], rest + change[3:5])
+        start = replace(solution.configuration, rest_length=rods.rest_length * np.exp(change[5]))
+        return end_loads(relax(start, material, clamps, replace(SHARP, first_shift=0.0)))
+
+    for column, step in enumerate([20.0, 15.0, 1e-4, 1e-6, 1e-6, 1e-6]):
+        near = [moved(sign * step * np.eye(6)[column]) for sign in (1, -1)]
+        for name in LOADS:
+            own = getattr(found.loads, name)[..., column]
+            expected = (getattr(near[0], name) - getattr(near[1], name)) / (2 * step)
+            np.testing.assert_allclose(own, expected, atol=2e-5 * np.abs(own).max(), err_msg=f"{found.columns[column]} {name}")
+
+
+def test_in_newton_where_the_weight_is_known():
+    """A steel wire of 0.1 m, 1e-4 N m², bent by half a turn, without a noticeable weight: the moment EI κ at both ends."""
+    angle = (np.arange(50) + 0.5) * np.pi / 50
+    rod = chain(np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1), [0, 0, 1], 2.0)
+    solution = relax(rod, Material.from_physical(1e-4, 1e-4, 1e-6), clamps_at(rod))
+    loads = end_loads(solution)
+    assert (loads.force_unit, loads.moment_unit) == ("N", "N m")
+    moment = 1e-4 * solution.configuration.curvature.mean() * 1e3
+    np.testing.assert_allclose(loads.end_moment[0], [0, 0, moment], rtol=1e-2, atol=1e-6)
+    np.testing.assert_allclose(loads.start_moment[0], [0, 0, -moment], rtol=1e-2, atol=1e-6)
+    assert np.abs(loads.end_force).max() < 1e-2 * moment / 0.1
+    relative = end_loads(relax(rod, Material(2e2 * 1e6, 2e2 * 1e6, 1.0), clamps_at(rod)))
+    assert (relative.force_unit, relative.moment_unit) == ("mm", "mm²")
+
+
+def test_curvature_of_a_circle():
+    angle = 0.05 * np.arange(20)
+    rod = chain(np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1), [0, 0, 1], 3.0)
+    np.testing.assert_allclose(rod.curvature, np.full((1, 19), 2 * np.tan(0.025) / 3.0))
+    np.testing.assert_allclose(rod.curvature_binormal[..., 2], rod.curvature)
+
+
+def test_loads_of_rods_that_have_none(rng):
+    """Infeasible and taut rods: NaN; joined solutions and external energies: an error."""
+    rods = wandering(rng, 2, 12)
+    clamps = clamps_at(rods)
+    clamps.end_position[1] += 1000.0
+    loads = end_loads(relax(rods, Material(1e5, 1e5), clamps))
+    assert np.isfinite(loads.start_moment[0]).all() and np.isnan(loads.start_moment[1]).all()
+    taut = chain(np.tile([1.0, 0.0, 0.0], (8, 1)), [0, 0, 1], 3.0)
+    solution = relax(taut, Material(1e5, 1e5), clamps_at(taut))
+    assert np.isnan(end_loads(solution).start_force).all() and np.isnan(gripper_jacobian(solution).loads.end_force).all()
+    with pytest.raises(InputError, match="joins several"):
+        end_loads(solution.take([0]))
+    free = with_kinds(clamps_at(rods), [(Clamp.FRAME, Clamp.FREE)] * 2)
+    with pytest.raises(InputError, match="external"):
+        end_loads(relax(rods, Material(1e5, 1e5), free, external=Springs(rods.vertices, np.full((2, 13), 50.0))))
