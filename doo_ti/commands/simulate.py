@@ -167,6 +167,7 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
     grippers = scene.grippers.take(pairs[0] * 0) if start.count > 1 else scene.grippers
     with progress() as bar:
         task = bar.add_task(scene.name, total=count * (grippers.instants - 1), unit="rods x frames")
+        # Energies take launches of single steps, in which contact converges in fewer rods.
         stepping = replace(scene.stepping, detailed=not surroundings, **changes)
         found = simulate(start, scene.material, grippers, scene.dynamics, stepping, up=up, pairs=pairs,
                          progress=lambda done: bar.update(task, completed=count * done), **surroundings.arguments)
@@ -178,8 +179,8 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
         work = np.pad(found.friction_work, ((0, 0), (1, 0)))
         force = np.concatenate([first_force[:, None], found.contact_force], axis=1)
         contact = _contact(surroundings, positions, force, work)
-    return _Simulated(scene.name, list(scene.names), positions, status, stepping.rate, up, energies=found.detail.energies if found.detail else {},
-                      substeps=found.substeps, step_error=None if stepping.tolerance is None else found.error,
+    return _Simulated(scene.name, list(scene.names), positions, status, stepping.rate, up,
+                      energies={} if found.detail is None else found.detail.energies, substeps=found.substeps, step_error=None if stepping.tolerance is None else found.error,
                       tolerance=stepping.tolerance, surroundings=surroundings, contact=contact)
 
 
@@ -236,12 +237,17 @@ def _lines(found: _Simulated, summary: dict) -> list[str]:
 
 
 def _draw(found: _Simulated, shown: dict[str, Path]) -> None:
+    touched = None
+    if shown and found.contact:
+        from doo_ti.report.touched import Touched
+
+        touched = Touched(found.surroundings, found.positions, found.contact["contact_force"])
     energies = {name: found.energies[name] for name in SPLIT} if found.energies else None
     if "picture" in shown:
         from doo_ti.report.rollouts import save_rollout
 
         save_rollout(shown["picture"], found.name, found.names, found.positions, found.recorded, found.rate, found.up,
-                     energies)
+                     energies, touched)
     if "animation" in shown:
         from doo_ti.report.rollouts import save_animation
 
@@ -251,4 +257,4 @@ def _draw(found: _Simulated, shown: dict[str, Path]) -> None:
         from doo_ti.record.rollouts import record_rollout
 
         record_rollout(shown["recording"], found.name, found.names, found.positions, found.recorded, found.rate, found.up,
-                       energies)
+                       energies, touched)

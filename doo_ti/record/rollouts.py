@@ -9,26 +9,31 @@ import numpy as np
 import rerun
 import rerun.blueprint as blueprint
 
+from doo_ti.record.obstacles import log_forces, log_obstacles
 from doo_ti.record.stream import OBSERVED, drawn_strips, front_view, log_up, panels, recording
 from doo_ti.report import distinct_colors
 from doo_ti.report.grid_view import Observed, grid_view
+from doo_ti.report.touched import Touched
 
 SIMULATED = (255, 140, 60)
 MOST_RODS = 64
 
 
 def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarray, recorded: np.ndarray | None,
-                   rate: float, up: np.ndarray, energies: dict[str, np.ndarray] | None = None) -> None:
+                   rate: float, up: np.ndarray, energies: dict[str, np.ndarray] | None = None,
+                   touched: Touched | None = None) -> None:
     """Record the first :data:`MOST_RODS` of (R, T, V, 3) rods in mm, on the timeline ``time``.
 
     ``world/rods`` and ``world/observations`` hold a strip for each rod, moved to its place in the grid view; ``curves/error``
-    the mean |difference| of each rod in mm; ``curves/energy`` has the ``energies`` (R, T) of the first rod by name, mm².
+    the mean |difference| of each rod in mm; ``curves/energy`` has the ``energies`` (R, T) of the first rod by name, mm²;
+    ``world/obstacles`` and ``world/forces`` what rods have ``touched``, and what that exerts on them.
     """
     rods = positions[:MOST_RODS]
     count, frames = rods.shape[:2]
     seen = None if recorded is None else recorded[:MOST_RODS]
     grid = grid_view(Observed((rods if seen is None else seen).reshape(count, -1, 3), up=up))
-    views = [front_view(grid, "world", f"Rods, mm: orange simulated{', white recorded' * (seen is not None)}", 1.8)]
+    title = f"Rods, mm: orange simulated{', white recorded' * (seen is not None)}"
+    views = [front_view(grid, "world", title if touched is None else f"{title}, blue {touched.legend}", 1.8)]
     if seen is not None:
         views.append(blueprint.TimeSeriesView(name="Mean |difference|, mm", origin="curves/error"))
     if energies is not None:
@@ -46,6 +51,9 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
                 static=True)
             strips = drawn_strips(placed.swapaxes(0, 1).reshape(-1, *rods.shape[2:]))
             stream.send_columns(f"world/{entity}", when, rerun.LineStrips3D.columns(strips=strips).partition([count] * frames))
+        if touched is not None:
+            log_obstacles(stream, "world/obstacles", touched, grid.offset)
+            log_forces(stream, "world/forces", when, touched, grid.offset)
         if seen is not None:
             error = np.abs(rods - seen).mean(axis=(2, 3)).T
             stream.log("curves/error", rerun.SeriesLines(

@@ -6,6 +6,7 @@ import numpy as np
 
 from doo_ti.report.canvas import PICTURE_DPI, fit_titles, literal, new_figure
 from doo_ti.report.grid_view import upright_basis
+from doo_ti.report.touched import Touched
 
 MOST_RODS = 6
 """In a picture, those of the largest, the median and the smallest errors."""
@@ -31,9 +32,10 @@ def chosen(positions: np.ndarray, recorded: np.ndarray | None, most: int) -> np.
 
 
 def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray, recorded: np.ndarray | None, rate: float,
-                 up: np.ndarray, energies: dict[str, np.ndarray] | None = None) -> None:
+                 up: np.ndarray, energies: dict[str, np.ndarray] | None = None, touched: Touched | None = None) -> None:
     """A picture of (R, T, V, 3) rods: some of them at several instants; where they were ``recorded`` that as well, and the
-    error of all over time; where ``energies`` (R, T) by name are given, those of the first rod that is shown."""
+    error of all over time; where ``energies`` (R, T) by name are given, those of the first rod that is shown; obstacles, and
+    contact forces at the last instant, where rods have ``touched`` any."""
     rows = chosen(positions, recorded, MOST_RODS)
     columns = min(3, len(rows))
     lines = -(-len(rows) // columns)
@@ -47,6 +49,8 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
     for k, row in enumerate(rows):
         plot = figure.add_subplot(grid[k // columns, k % columns])
         _draw_stills(plot, positions[row, frames] @ axes.T, None if recorded is None else recorded[row, frames] @ axes.T)
+        if touched is not None:
+            touched.draw(plot, row, axes, frames[-1:])
         title = names[row]
         if recorded is not None:
             title = f"recording {title}: {np.abs(positions[row, 2:] - recorded[row, 2:]).mean():.1f} mm"
@@ -60,8 +64,8 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
         first = {name: value[rows[0]] for name, value in energies.items()}
         _draw_energies(figure.add_subplot(grid[-1, :]), time, first, names[rows[0]])
     last = (positions.shape[1] - 1) / rate
-    figure.suptitle(literal(f"{name}: {len(frames)} of {positions.shape[1]} frames from 0 to {last:.3g} s, seen from the side"),
-                    fontsize=10)
+    title = f"{name}: {len(frames)} of {positions.shape[1]} frames from 0 to {last:.3g} s, seen from the side"
+    figure.suptitle(literal(title) + ("" if touched is None else f"\nblue: {touched.legend}, at the end"), fontsize=10)
     fit_titles(figure)
     figure.savefig(path, dpi=PICTURE_DPI, metadata={"Software": None})
 

@@ -1,0 +1,54 @@
+"""Obstacles as triangles, for pictures and recordings. Axes: N vertices, M triangles."""
+
+import numpy as np
+
+from doo_ti.contact.obstacles import BOX, CAPSULE, CYLINDER, PLANE, Obstacle
+
+AROUND, ALONG = 48, 24
+"""Vertices around an axis, and along a round profile."""
+WIDER = 0.6
+"""Of the size of the scene: half the side of the square that stands for a plane."""
+
+
+def mesh(obstacle: Obstacle, row: int, centre: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (N, 3) in mm and triangles (M, 3) of one obstacle's surface.
+
+    row           of the rod, where each has its own obstacle
+    centre, size  (3,) and mm, of the scene, near which a plane is shown
+    """
+    point, axes, sizes, _ = (part[min(row, len(part) - 1)] for part in obstacle.placed())
+    if obstacle.kind == PLANE:
+        middle = (centre - point) @ axes * [1.0, 1.0, 0.0]
+        local = middle + WIDER * size * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
+        triangles = np.array([(0, 1, 2), (0, 2, 3)])
+    elif obstacle.kind == BOX:
+        local = sizes * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        quads = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
+        triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    else:
+        local, triangles = _revolved(_profile(obstacle.kind, sizes))
+    return point + local @ axes.T, triangles
+
+
+def _profile(kind: int, sizes: np.ndarray) -> np.ndarray:
+    """(P, 2) distance from the axis and place along it of the profile of a body of revolution."""
+    a, b = sizes[:2]
+    if kind == CYLINDER:
+        return np.array([(0.0, -b), (a, -b), (a, b), (0.0, b)])
+    if kind == CAPSULE:
+        angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, ALONG)
+        return np.stack([a * np.cos(angle), a * np.sin(angle) + b * np.sign(angle)], axis=-1)
+    angle = np.linspace(0.0, 2 * np.pi, ALONG)
+    return np.stack([a + b * np.cos(angle), b * np.sin(angle)], axis=-1)
+
+
+def _revolved(profile: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The surface that a profile (P, 2) makes around the third axis."""
+    angle = 2 * np.pi * np.arange(AROUND) / AROUND
+    radial = profile[:, :1] * np.stack([np.cos(angle), np.sin(angle)])[:, None]  # (2, P, AROUND)
+    vertices = np.concatenate([radial, np.broadcast_to(profile[:, 1:], radial.shape[1:])[None]]).transpose(2, 1, 0)
+    count = len(profile)
+    here = (np.arange(AROUND)[:, None] * count + np.arange(count - 1)).ravel()
+    beside = (here + count) % (AROUND * count)
+    return vertices.reshape(-1, 3), np.concatenate([np.stack([here, beside, here + 1], -1),
+                                                    np.stack([beside, beside + 1, here + 1], -1)])

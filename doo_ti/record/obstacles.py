@@ -1,0 +1,30 @@
+"""Obstacles and contact forces in recordings. Axes: R rods, T frames."""
+
+import numpy as np
+import rerun
+
+from doo_ti.report.touched import Touched
+
+OBSTACLE, FORCE = (130, 138, 150, 255), (110, 160, 255)
+
+
+def log_obstacles(stream, entity: str, touched: Touched, offset: np.ndarray) -> None:
+    """The obstacles around each rod, moved by the rod's ``offset`` (R, 3), below ``entity``."""
+    for row, move in enumerate(offset):
+        for number, (vertices, triangles, normals) in enumerate(touched.meshes(row)):
+            stream.log(f"{entity}/{row}/{number}", rerun.Mesh3D(
+                vertex_positions=vertices + move, triangle_indices=triangles, vertex_normals=normals, albedo_factor=OBSTACLE),
+                static=True)
+
+
+def log_forces(stream, entity: str, when: list, touched: Touched, offset: np.ndarray) -> None:
+    """Contact forces on the rods that have an ``offset`` (R, 3), as arrows at the T times ``when``."""
+    places, vectors, counts = [], [], []
+    for frame in range(touched.force.shape[1]):
+        found = [touched.arrows(row, frame) for row in range(len(offset))]
+        places += [origin + move for (origin, _), move in zip(found, offset, strict=True)]
+        vectors += [vector for _, vector in found]
+        counts.append(sum(len(origin) for origin, _ in found))
+    stream.log(entity, rerun.Arrows3D.from_fields(colors=FORCE, radii=rerun.Radius.ui_points(0.8)), static=True)
+    stream.send_columns(entity, when, rerun.Arrows3D.columns(
+        origins=np.concatenate(places), vectors=np.concatenate(vectors)).partition(counts))

@@ -1,0 +1,76 @@
+"""Obstacles and contact forces in pictures and recordings. Axes: R rods, T frames, V vertices."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from doo_ti.contact.meshes import mesh
+from doo_ti.contact.surroundings import Surroundings
+
+OBSTACLE, FORCE = "#d3d7de", "#1d4ed8"
+LONG, MOST_SHORTER = 0.1, 0.95
+"""Of the size of the scene: the length of an arrow; that share of all forces has shorter ones."""
+
+
+@dataclass(frozen=True)
+class Touched:
+    """What rods touch, and what it exerts.
+
+    surroundings  the obstacles
+    positions     (R, T, V, 3) mm of the rods
+    force         (R, T, V, 3) on their vertices, energy (mm²) per mm
+    """
+
+    surroundings: Surroundings
+    positions: np.ndarray
+    force: np.ndarray
+
+    @cached_property
+    def _box(self) -> tuple[np.ndarray, float]:
+        """Centre (3,) and size of where the rods are."""
+        low, high = np.nanmin(self.positions, axis=(0, 1, 2)), np.nanmax(self.positions, axis=(0, 1, 2))
+        return 0.5 * (low + high), float(np.linalg.norm(high - low))
+
+    def meshes(self, row: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Vertices (N, 3), triangles (M, 3) and normals (N, 3) of each obstacle around the rod ``row``."""
+        for obstacle in self.surroundings.take(np.array([row])).obstacles:
+            vertices, triangles = mesh(obstacle, 0, *self._box)
+            yield vertices, triangles, obstacle.distance(vertices[None])[1][0]
+
+    @cached_property
+    def arrow_scale(self) -> float:
+        """mm that a force of 1 is long: a round number."""
+        force = np.linalg.norm(self.force, axis=-1)
+        if not (force > 0).any():
+            return 1.0
+        wanted = LONG * self._box[1] / np.quantile(force[force > 0], MOST_SHORTER)
+        power = 10.0 ** np.floor(np.log10(wanted))
+        return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= wanted * (1 + 1e-9)))
+
+    @property
+    def legend(self) -> str:
+        """What the arrows say."""
+        return f"contact forces (an arrow of 10 mm: {10 / self.arrow_scale:g} mm²/mm)"
+
+    def arrows(self, row: int, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        """Origins and vectors (N, 3) in mm of the forces on a rod at a frame."""
+        force, places = self.force[row, frame], self.positions[row, frame]
+        shown = np.isfinite(places).all(axis=-1) & (np.nan_to_num(force) != 0).any(axis=-1)
+        return places[shown], self.arrow_scale * force[shown]
+
+    def draw(self, plot, row: int, view: np.ndarray, frames: list[int]) -> None:
+        """The obstacles around a rod, and the forces on it at some frames, in a plot with the axes ``view`` (2, 3)."""
+        from matplotlib.collections import PolyCollection
+
+        limits = plot.axis()
+        for vertices, triangles, _ in self.meshes(row):
+            plot.add_collection(PolyCollection((vertices @ view.T)[triangles], facecolors=OBSTACLE, edgecolors=OBSTACLE,
+                                               linewidths=0.8, zorder=0), autolim=False)
+        plot.axis(limits)
+        for frame in frames:
+            places, vectors = self.arrows(row, frame)
+            if len(places):
+                plot.quiver(*(places @ view.T).T, *(vectors @ view.T).T, angles="xy", scale_units="xy", scale=1.0, color=FORCE,
+                            width=0.003, zorder=3)
