@@ -118,17 +118,18 @@ def shortened(lines: list[str], most: int, rest: str) -> list[str]:
 
 def contact_summary(surroundings: Surroundings, force: np.ndarray, gap: np.ndarray, status: np.ndarray) -> dict:
     """Of R rods, what the summaries say of contact: nothing without obstacles, else how many rods touch one in some vertex and
-    instant, the smallest gap in mm, and how many rods are infeasible.
+    instant, the smallest gap of feasible ones in mm, and how many are infeasible.
 
     force, gap, status  (R, ...) with or without instants, and vertices
     """
     if not surroundings:
         return {}
-    rods, finite = len(gap), gap[np.isfinite(gap)]
+    infeasible = status == Status.INFEASIBLE
+    rods, finite = len(gap), gap[np.isfinite(gap) & ~infeasible]
     return {"contact": {
         "touching": int((np.nan_to_num(force).reshape(rods, -1) != 0).any(axis=1).sum()),
         "smallest_gap_mm": finite.min() if len(finite) else np.nan,
-        "infeasible": int((status == Status.INFEASIBLE).reshape(rods, -1).any(axis=1).sum())}}
+        "infeasible": int(infeasible.reshape(rods, -1).any(axis=1).sum())}}
 
 
 def contact_lines(summary: dict, rods: int) -> list[str]:

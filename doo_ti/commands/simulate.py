@@ -180,8 +180,9 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
         force = np.concatenate([first_force[:, None], found.contact_force], axis=1)
         contact = _contact(surroundings, positions, force, work)
     return _Simulated(scene.name, list(scene.names), positions, status, stepping.rate, up,
-                      energies={} if found.detail is None else found.detail.energies, substeps=found.substeps, step_error=None if stepping.tolerance is None else found.error,
-                      tolerance=stepping.tolerance, surroundings=surroundings, contact=contact)
+                      energies={} if found.detail is None else found.detail.energies, substeps=found.substeps,
+                      step_error=None if stepping.tolerance is None else found.error, tolerance=stepping.tolerance,
+                      surroundings=surroundings, contact=contact)
 
 
 def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:

@@ -12,9 +12,9 @@ def log_obstacles(stream, entity: str, touched: Touched, offset: np.ndarray) -> 
     """The obstacles around each rod, moved by the rod's ``offset`` (R, 3), below ``entity``."""
     for row, move in enumerate(offset):
         for number, (vertices, triangles, normals) in enumerate(touched.meshes(row)):
+            corners = vertices[triangles].reshape(-1, 3) + move
             stream.log(f"{entity}/{row}/{number}", rerun.Mesh3D(
-                vertex_positions=vertices + move, triangle_indices=triangles, vertex_normals=normals, albedo_factor=OBSTACLE),
-                static=True)
+                vertex_positions=corners, vertex_normals=np.repeat(normals, 3, axis=0), albedo_factor=OBSTACLE), static=True)
 
 
 def log_forces(stream, entity: str, when: list, touched: Touched, offset: np.ndarray) -> None:

@@ -34,10 +34,10 @@ class Touched:
         return 0.5 * (low + high), float(np.linalg.norm(high - low))
 
     def meshes(self, row: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Vertices (N, 3), triangles (M, 3) and normals (N, 3) of each obstacle around the rod ``row``."""
+        """Vertices (N, 3), triangles (M, 3) and their outward normals (M, 3) of each obstacle around the rod ``row``."""
         for obstacle in self.surroundings.take(np.array([row])).obstacles:
             vertices, triangles = mesh(obstacle, 0, *self._box)
-            yield vertices, triangles, obstacle.distance(vertices[None])[1][0]
+            yield vertices, triangles, obstacle.distance(vertices[triangles].mean(axis=1)[None])[1][0]
 
     @cached_property
     def arrow_scale(self) -> float:

@@ -1,0 +1,125 @@
+"""``--obstacles`` of ``doo-ti relax``, ``predict`` and ``simulate``: what is written, and what is refused."""
+
+import json
+
+import numpy as np
+import pytest
+
+from doo_ti.cli import main
+from doo_ti.io.observations import Observations, save_observations
+
+PLANE = '[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n'
+MATERIAL = ["--bend", "6e5", "--precision", "f64", "--clamp-end", "free"]
+SCENE = """
+rate_hz = 50
+duration_s = 0.3
+[rod]
+length_mm = 200.0
+edges = 10
+position_mm = [0, 0, 20]
+radius_mm = 2.0
+[materials.rope]
+bend = 4e5
+bend_damping_s = 0.02
+drag_per_s = 5.0
+[[moments]]
+time_s = 0.3
+start_position_mm = [-20, 0, 20]
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Rods held 10 mm above a table, the last of them below it; the table, without friction and with it; a motion."""
+    folder = tmp_path_factory.mktemp("contact")
+    x = np.linspace(0, 100, 11)
+    rods = np.stack([np.stack([x, 0 * x, height + 0 * x], axis=1) for height in (10.0, 60.0, -10.0)])
+    save_observations(folder / "rods.npz", Observations(rods, rest_length=np.full(10, 10.0)))
+    save_observations(folder / "low.npz", Observations(rods[:1], rest_length=np.full(10, 10.0)))
+    (folder / "table.toml").write_text(PLANE)
+    (folder / "rough.toml").write_text(PLANE + "friction = 0.3\n")
+    np.savez(folder / "move.npz", start_position_mm=np.array([[0.0, 0, 10], [0, 0, 10], [-10, 0, 10]]), time_s=[0.0, 1.0, 3.0])
+    (folder / "scene.toml").write_text(SCENE + PLANE + "friction = 0.4\n")
+    return folder
+
+
+def written(path):
+    with np.load(path, allow_pickle=False) as file:
+        return dict(file)
+
+
+def test_relax_writes_forces_and_gaps_and_counts_infeasible_rods(folder, tmp_path, capsys):
+    words = ["relax", str(folder / "rods.npz"), *MATERIAL, "--obstacles", str(folder / "table.toml"), "--radius", "2"]
+    assert main([*words, "--out", str(tmp_path / "f.npz")]) == 0
+    assert "contact     1 of 3 rods touch an obstacle; smallest gap " in (printed := capsys.readouterr().out)
+    assert "mm; 1 infeasible" in printed and "2 converged, 1 infeasible" in printed
+    found = written(tmp_path / "f.npz")
+    assert found["contact_force"].shape == (3, 11, 3) and found["status"].tolist() == [0, 0, 4]
+    assert found["contact_force"][0, :, 2].max() > 1 and not found["contact_force"][1:].any()
+    assert abs(found["smallest_gap_mm"][0]) < 5e-4 and found["smallest_gap_mm"][1] > 10
+    assert main([*words, "--out", str(tmp_path / "f.npz"), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)["contact"]
+    assert summary["touching"] == 1 and summary["infeasible"] == 1 and abs(summary["smallest_gap_mm"]) < 5e-4
+
+
+def test_a_radius_above_the_length_of_an_edge_is_allowed(folder, tmp_path):
+    words = ["relax", str(folder / "rods.npz"), *MATERIAL, "--obstacles", str(folder / "table.toml"), "--radius", "15"]
+    assert main([*words, "--out", str(tmp_path / "f.npz")]) == 0
+    assert written(tmp_path / "f.npz")["status"].tolist() == [4, 0, 4]  # clamps 10 mm above the table are too low
+
+
+@pytest.mark.parametrize("table", ["table.toml", "rough.toml"])
+def test_predict_carries_rods_over_a_table(folder, tmp_path, capsys, table):
+    words = ["predict", str(folder / "low.npz"), "--motion", str(folder / "move.npz"), *MATERIAL, "--obstacles",
+             str(folder / table), "--radius", "2", "--out", str(tmp_path / "f.npz")]
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    assert "contact     1 of 1 rods touch" in printed and ("with friction" in printed) == (table == "rough.toml")
+    found = written(tmp_path / "f.npz")
+    assert found["followed"].all() and found["time_s"].tolist() == [0, 1, 3]
+    assert found["contact_force"].shape == (3, 1, 11, 3) and (found["contact_force"][..., 2].max(axis=-1) > 1).all()
+    assert np.abs(found["smallest_gap_mm"]).max() < 5e-4
+    assert (np.abs(found["contact_force"][-1, ..., :2]).max() > 1e-3) == (table == "rough.toml")
+
+
+def test_simulate_reads_obstacles_of_a_scene(folder, tmp_path, capsys):
+    words = ["simulate", str(folder / "scene.toml"), "--out", str(tmp_path / "f.npz")]
+    assert main([*words, "--picture", str(tmp_path / "f.png"), "--recording", str(tmp_path / "f.rrd")]) == 0
+    assert "contact     1 of 1 rods touch" in (printed := capsys.readouterr().out) and "friction    takes" in printed
+    found = written(tmp_path / "f.npz")
+    assert found["contact_force"].shape == (1, 16, 11, 3) and not found["contact_force"][0, 0].any()
+    assert found["smallest_gap_mm"].min() > -5e-4 and found["friction_work"][0, -1] > 0
+    assert (tmp_path / "f.png").stat().st_size > 10_000 and (tmp_path / "f.rrd").stat().st_size > 1_000
+    assert main([*words, "--obstacles", str(folder / "table.toml"), "--radius", "2"]) == 2
+    assert "--obstacles: given, but the scene has its own" in capsys.readouterr().err
+    (tmp_path / "bare.toml").write_text(SCENE)
+    words[1] = str(tmp_path / "bare.toml")
+    assert main([*words, "--obstacles", str(folder / "rough.toml"), "--radius", "2", "--quasi-static"]) in (0, 1)
+    assert "contact_force" in written(tmp_path / "f.npz")
+
+
+REFUSED = {
+    "no radius": (["--obstacles", "{table}"], "--radius: missing beside --obstacles"),
+    "a negative radius": (["--obstacles", "{table}", "--radius", "-1"], "--radius: '-1' is not a positive number"),
+    "a radius of zero": (["--obstacles", "{table}", "--radius", "0"], "--radius: '0' is not a positive number"),
+    "a radius alone": (["--radius", "1"], "--radius: given without --obstacles"),
+    "no file": (["--obstacles", "none.toml", "--radius", "1"], "none.toml"),
+    "another solver": (["--obstacles", "{table}", "--radius", "1", "--solver", "descent"], "--solver: descent given beside"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_wrong_options_are_refused_in_one_line(folder, tmp_path, capsys, case):
+    words, message = REFUSED[case]
+    words = [word.format(table=folder / "table.toml") for word in words]
+    assert main(["relax", str(folder / "rods.npz"), *MATERIAL, *words, "--out", str(tmp_path / "f.npz")]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("doo-ti: ") and message in error and error.count("\n") == 1 and not any(tmp_path.iterdir())
+
+
+def test_an_unknown_kind_is_refused_in_one_line(folder, tmp_path, capsys):
+    (tmp_path / "cone.toml").write_text(PLANE.replace("plane", "cone"))
+    assert main(["relax", str(folder / "rods.npz"), *MATERIAL, "--obstacles", str(tmp_path / "cone.toml"), "--radius", "1",
+                 "--out", str(tmp_path / "f.npz")]) == 2
+    error = capsys.readouterr().err
+    assert "obstacles[0].kind: 'cone' is not allowed; give one of plane" in error and error.count("\n") == 1
