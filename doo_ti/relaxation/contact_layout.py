@@ -45,6 +45,8 @@ BARRIER_SHARE = 1 / 16
 """The barrier at a quarter of a radius pushes at first like such a force."""
 WEAKER, STAGES = 1 / 30, 2
 """The barrier becomes weaker by that, until it has had so many stages."""
+NEAR_ENOUGH = 0.03
+"""Of a radius: or until it leaves so small a gap."""
 CLOSE = 4.0
 """Radii: what is further from an obstacle than that, and half an edge, is not close."""
 LEAST_OFFSET = 0.05

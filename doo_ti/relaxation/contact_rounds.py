@@ -29,6 +29,7 @@ from doo_ti.relaxation.contact_layout import (
     INERT,
     LEAST_OFFSET,
     LOADED,
+    NEAR_ENOUGH,
     NORMAL,
     NORMAL_BETWEEN,
     OFFSET,
@@ -165,7 +166,8 @@ class Contacts(ContactEnergy):
         slow = due & ~behind & (change > SLOW * self.item(rod, CHANGE)) & (change > self.item(rod, TOLERANCE))
         self.set_item(rod, STIFFNESS, slow, STIFFER * stiffness)
         self.set_item(rod, CHANGE, due & ~behind, change)
-        last = due & behind & (self.item(rod, STAGE) > STAGES - 1.5)
+        nearest = self.item(rod, CLOSEST) + self.item(rod, OFFSET)
+        last = due & behind & ((self.item(rod, STAGE) > STAGES - 1.5) | (nearest < NEAR_ENOUGH * radius))
         for item in ti.static((STIFFNESS, FIRST_STIFFNESS)):
             self.set_item(rod, item, last & (secant > 0.0), ti.max(SECANT * secant, self.item(rod, FIRST_STIFFNESS)))
         self.set_item(rod, PHASE, last, zero + ROUGH)
