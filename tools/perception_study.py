@@ -6,7 +6,7 @@
 import argparse
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from doo_ti.commands.results import counted  # noqa: E402
-from doo_ti.io.scene import load_scene  # noqa: E402
+from doo_ti.io.scene import Synthesis, load_scene  # noqa: E402
 from doo_ti.learning.objective import status_counts  # noqa: E402
 from doo_ti.perception.lab_images import LabRods, lab_rods  # noqa: E402
 from doo_ti.perception.perceive import Perception, perceive  # noqa: E402
@@ -146,14 +146,16 @@ def clutter(sets: int) -> None:
         report(f"6 lines, 20 specks: {name}", case, case.rods.point, case.rods.direction)
 
 
-def photographed(scene: str, sets: int | list[int] | None, look: RenderOptions = RenderOptions(),
-                 crossing: bool = False) -> tuple[Case, float]:
+def photographed(scene: str | Synthesis, sets: int | list[int] | None, look: RenderOptions = RenderOptions(),
+                 crossing: bool = False, detection: DetectionOptions = DetectionOptions()) -> tuple[Case, float]:
     """Images of a scene's rods, detected; and the seconds from images to distance maps.
 
+    scene     name of a shipped one, or a recipe
     sets      how many rods, evenly chosen, or the rows of the rods
     crossing  instead all rods that cross themselves in every image
     """
-    rig, recipe = load_rig(SCENES / "rig.yaml"), load_scene(SCENES / f"{scene}.toml").observations
+    rig = load_rig(SCENES / "rig.yaml")
+    recipe = load_scene(SCENES / f"{scene}.toml").observations if isinstance(scene, str) else scene
     rods = lab_rods(recipe)
     if crossing:
         rods = rods.take(np.flatnonzero((crossings(rig.project(rods.curve)) > 0).all(axis=0)))
@@ -163,9 +165,9 @@ def photographed(scene: str, sets: int | list[int] | None, look: RenderOptions =
         rods = rods.take(np.linspace(0, len(rods.names) - 1, sets).round().astype(int))
     images = taken(Photographs(rods.names, rods.curve, rods.point, rods.direction, DIAMETER_MM, rig, look, SEED))
     began = time.perf_counter()
-    found = detected(images)
+    found = detected(images, detection)
     if crossing:
-        found = detected(images, DetectionOptions(width_px=usual_width(found)))
+        found = detected(images, replace(detection, width_px=usual_width(found)))
     curve = smooth_curve(rods.curve, 8)
     maps = distance_maps(found, MARGIN_PX)
     return Case(rods, recipe.material(), rig, found, maps, rig.project(curve), curve), time.perf_counter() - began

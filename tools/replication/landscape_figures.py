@@ -28,8 +28,9 @@ def figure_3(specimens: list[dict[str, Landscape]]) -> tuple[dict[str, list[bool
     lines = ["| material | best bend, mm³, by specimen | best β/α, by specimen |", "|---|---|---|"]
     for name in specimens[0]:
         best = [values(one[name], one[name].best) for one in specimens]
-        lines.append(f"| {name} | {', '.join(f'{b['bend_1']:.2g}' for b in best)} "
-                     f"| {', '.join(f'{b['twist'] / b['bend_1']:.2f}' for b in best)} |")
+        bends = ", ".join(f"{theta['bend_1']:.2g}" for theta in best)
+        ratios = ", ".join(f"{theta['twist'] / theta['bend_1']:.2f}" for theta in best)
+        lines.append(f"| {name} | {bends} | {ratios} |")
     return {"differ": held}, lines
 
 

@@ -1,6 +1,6 @@
 """The two configurations, and how much is run."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -44,28 +44,33 @@ SETTINGS = (PAPER, PACKAGE)
 class Size:
     """How much is run.
 
-    specimens   of each material, the first one that of the shipped scene
-    images      specimens whose images are perceived, by setting
-    sets        rods of each of them, of 60
-    loops       rods in loops of each material, None: all that cross themselves in every view
-    trials      of Fig. 7, for each specimen and D
-    harder      specimens of each harder laboratory; of its images
-    descent     observations of each material that the paper's own scheme relaxes at the learned Θ
+    name         of the size
+    specimens    of each material, the first one that of the shipped scene
+    ribbons      specimens of the ribbon
+    images       of the specimens, those whose images are perceived, and rods of each, of 60; by setting
+    loops        threads in loops, and rods of each, None: all that cross themselves in every view; by setting
+    trials       of Fig. 7, for each specimen and D
+    harder       specimens of each harder laboratory
+    harder_sets  rods of each whose images are perceived
+    descent      observations of each material that the paper's own scheme relaxes at the learned Θ
     """
 
+    name: str
     specimens: int
-    images: dict[str, int] = field(hash=False)
-    sets: int = 60
-    loops: int | None = None
-    trials: int = 1000
-    harder: tuple[int, int] = (5, 1)
-    descent: int = 60
+    ribbons: int
+    images: dict[str, tuple[int, int]]
+    loops: dict[str, tuple[int, int | None]]
+    trials: int
+    harder: int
+    harder_sets: int
+    descent: int
 
 
-FULL = Size(10, {PAPER.name: 1, PACKAGE.name: 5})
-QUICK = Size(5, {PAPER.name: 1, PACKAGE.name: 1}, sets=10, loops=6, trials=100, harder=(2, 1), descent=4)
-TINY = Size(1, {PAPER.name: 1, PACKAGE.name: 1}, sets=2, loops=1, trials=5, harder=(1, 1), descent=1)
-"""For a test of the tool."""
+FULL = Size("full", 10, 5, {PAPER.name: (1, 60), PACKAGE.name: (5, 60)}, {PAPER.name: (3, 4), PACKAGE.name: (3, None)}, 1000, 5,
+            60, 60)
+QUICK = Size("quick", 3, 1, {PAPER.name: (1, 5), PACKAGE.name: (1, 10)}, {PAPER.name: (1, 1), PACKAGE.name: (1, 4)}, 200, 1, 8, 4)
+TINY = Size("tiny", 1, 1, {PAPER.name: (1, 1), PACKAGE.name: (1, 2)}, {PAPER.name: (1, 1), PACKAGE.name: (1, 1)}, 4, 1, 1, 1)
+"""For a test of the tool: too small for a verdict."""
 
 
 def over_specimens(values) -> tuple[float, float]:

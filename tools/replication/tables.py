@@ -112,7 +112,7 @@ def beside(paper: tuple, runs: list[TableRuns]) -> list[str]:
     return lines
 
 
-def entry(values) -> str:
+def entry(values, digits: int = 2) -> str:
     """``0.36 ± 0.02``: mean and standard error over specimens."""
     mean, error = over_specimens(values)
-    return f"{mean:.2f}" if np.isnan(error) else f"{mean:.2f} ± {error:.2f}"
+    return f"{mean:.{digits}f}" if np.isnan(error) else f"{mean:.{digits}f} ± {error:.{digits}f}"

@@ -1,0 +1,4 @@
+"""What the report says beside the numbers."""
+
+LABORATORY = []
+REASONS = {}

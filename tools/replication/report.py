@@ -1,0 +1,66 @@
+"""REPLICATION.md: verdicts, numbers beside the paper's, and why they differ."""
+
+from dataclasses import dataclass
+
+from doo_ti.bench import clock
+from tools.replication.criteria import CRITERIA, verdict
+from tools.replication.reasons import LABORATORY, REASONS
+from tools.replication.settings import SETTINGS, Size
+from tools.replication.study import Found
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Of one item: ``found``, or the ``problem`` that kept it from running; and the seconds it took."""
+
+    name: str
+    found: Found | None
+    problem: str
+    seconds: float
+
+    @property
+    def failures(self) -> list[str]:
+        """What makes the run fail: an item that did not run, or a criterion that is worse than what the documents claim."""
+        if self.found is None:
+            return [f"{self.name}: did not run: {self.problem}"]
+        failed = []
+        for key, criterion in CRITERIA.get(self.name, {}).items():
+            for setting, claimed in zip(SETTINGS, criterion.claimed, strict=True):
+                measured = verdict(self.found.held[setting.name][key])
+                if measured.rank < claimed.rank:
+                    failed.append(f"{self.name}, {setting.name}: {criterion.text}: claimed {claimed}, found {measured}")
+        return failed
+
+
+def report(outcomes: list[Outcome], size: Size, command: str) -> str:
+    """The text of the file."""
+    machine = clock.machine()
+    seconds = sum(outcome.seconds for outcome in outcomes)
+    lines = [
+        "# Replication", "",
+        f"Written by `{command}` ({size.name}, {seconds / 60:.0f} minutes on {machine['processor']}, {machine['cores']} cores). Do "
+        "not edit: change the tool, and run it again.", "", *LABORATORY, "",
+        "## Verdicts", "",
+        "A criterion is tested on each specimen: *reproduced* where it holds for at least 80 %, *partly* from 20 % on, else *not*. "
+        "Criteria are stated in `tools/replication/criteria.py`; *here*: the paper states none.", "",
+        "| item | criterion | of | as the paper | as this package |", "|---|---|---|---|---|",
+    ]
+    for outcome in outcomes:
+        for key, criterion in CRITERIA.get(outcome.name, {}).items():
+            source = "the paper" if criterion.source == "paper" else "here"
+            entries = ["did not run"] * 2 if outcome.found is None else [
+                _entry(outcome.found.held[setting.name][key]) for setting in SETTINGS]
+            lines.append(f"| {outcome.name} | {criterion.text} | {source} | " + " | ".join(entries) + " |")
+    lines += ["", f"± is the standard error over specimens. Specimens: {size.specimens} of each suture, {size.ribbons} of the ribbon; "
+              f"of images {', '.join(f'{count} × {sets} sets a material {name}' for name, (count, sets) in size.images.items())}."]
+    for outcome in outcomes:
+        lines += ["", f"## {outcome.name}", ""]
+        lines += [f"Did not run: {outcome.problem}"] if outcome.found is None else outcome.found.lines
+        lines += ["", REASONS.get(outcome.name, "")]
+    lines += ["", "## Time", "", "| item | s |", "|---|---|"]
+    lines += [f"| {outcome.name} | {outcome.seconds:.0f} |" for outcome in outcomes]
+    return "\n".join(lines).replace("\n\n\n", "\n\n") + "\n"
+
+
+def _entry(held: list[bool]) -> str:
+    return f"**{verdict(held)}** ({sum(held)} of {len(held)})"

@@ -1,0 +1,68 @@
+"""Every table and figure of the paper, from the shipped scenes alone, in two configurations; writes REPLICATION.md.
+
+    python tools/reproduce.py [ITEM ...] [--quick] [--report FILE]
+
+The whole run takes up to 40 minutes on two cores, ``--quick`` 5. Exit code 1 where an item cannot run, for example because a
+scene is missing, and where a result is worse than the documents claim (``tools/replication/criteria.py``).
+"""
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+if not __package__:
+    sys.path.insert(0, str(ROOT))
+
+from doo_ti.errors import InputError, InterruptedRunError  # noqa: E402
+from doo_ti.io.files import write_text  # noqa: E402
+from tools.replication.report import Outcome, report  # noqa: E402
+from tools.replication.settings import FULL, QUICK, TINY, Size  # noqa: E402
+from tools.replication.study import ITEMS, Study  # noqa: E402
+
+SIZES = {size.name: size for size in (FULL, QUICK, TINY)}
+
+
+def measured(names: list[str], size: Size) -> list[Outcome]:
+    """The items, one after the other; one that cannot run does not keep the others from running."""
+    study = Study(size, lambda text: print(text, file=sys.stderr, flush=True))
+    outcomes = []
+    for name in names:
+        began, found, problem = time.monotonic(), None, ""
+        try:
+            found = ITEMS[name](study)
+        except (InputError, InterruptedRunError, OSError) as error:
+            problem = str(error)
+        outcomes.append(Outcome(name, found, problem, time.monotonic() - began))
+    return outcomes
+
+
+def main(words: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("items", nargs="*", metavar="ITEM", help=f"of {', '.join(ITEMS)} (default: all)")
+    parser.add_argument("--quick", action="store_true", help="fewer specimens and rods, 5 minutes")
+    parser.add_argument("--size", choices=SIZES, help=argparse.SUPPRESS)
+    parser.add_argument("--report", type=Path, help="file to write (default: REPLICATION.md, with --quick "
+                        "runs/replication/REPLICATION.md)")
+    options = parser.parse_args(words)
+    unknown = [name for name in options.items if name not in ITEMS]
+    if unknown:
+        parser.error(f"no item {unknown[0]!r}; choose from {', '.join(ITEMS)}")
+    size = SIZES[options.size or ("quick" if options.quick else "full")]
+    path = options.report or (ROOT if size is FULL else ROOT / "runs" / "replication") / "REPLICATION.md"
+    command = " ".join(["python tools/reproduce.py", *(f'"{name}"' for name in options.items), *["--quick"] * options.quick])
+    outcomes = measured(options.items or list(ITEMS), size)
+    text = report(outcomes, size, command)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, text)
+    print(text)
+    failures = [failure for outcome in outcomes for failure in outcome.failures]
+    for failure in failures:
+        print(f"failed: {failure}", file=sys.stderr)
+    print(f"written to {path}; {len(failures)} failed", file=sys.stderr)
+    return int(bool(failures))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
