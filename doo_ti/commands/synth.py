@@ -7,6 +7,7 @@ from pathlib import Path
 from doo_ti.commands import options as given
 from doo_ti.commands.results import observed, save
 from doo_ti.errors import InputError
+from doo_ti.io.cable_recordings import read_recordings, save_recordings
 from doo_ti.io.observations import load_observations
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.terminal import in_line, progress
@@ -16,7 +17,8 @@ DIAMETER_MM = 0.5
 
 def declare(add) -> None:
     parser = given.command(add, "convert", run_convert, "convert observations from one file format to another", json=False)
-    parser.add_argument("observations", metavar="IN", help=".npz, .csv or .parquet")
+    parser.add_argument("observations", metavar="IN", help=".npz, .csv or .parquet; or recorded motion of the public cable data, "
+                        ".pkl or a folder of them, to .npz (docs/cables.md)")
     parser.add_argument("out", metavar="OUT", help=".npz, .csv or .parquet")
     parser = given.command(add, "synth", run, "simulate a scene's observations, or render images of its rods (the virtual lab)",
                            json=False)
@@ -32,8 +34,15 @@ def declare(add) -> None:
 
 
 def run_convert(options: Namespace, words: list[str]) -> int:
-    """Observations from one format to another; keys that observations do not have are dropped."""
+    """Observations from one format to another; keys that observations do not have are dropped. Pickles of recorded motion to
+    one npz."""
     out = given.output_file(options.out, option="OUT")
+    source = Path(options.observations)
+    if source.suffix == ".pkl" or source.is_dir():
+        if out.suffix != ".npz":
+            raise InputError(given.SOURCE, "OUT", f"{out.name!r}", "name a .npz file for recorded motion")
+        save_recordings(out, *read_recordings(source))
+        return 0
     given.refuse_overwriting(out, options.observations, "OUT")
     save(out, load_observations(options.observations))
     return 0

@@ -136,7 +136,7 @@ class Study:
                             {name: self.theta(name, number, setting, setting.by_distance) for name in SUTURES},
                             self.size.trials, number)
 
-    def harder(self) -> Found:
+    def laboratories(self) -> Found:
         """Table III and Fig. 7 in laboratories less close to the model; Θ of Fig. 7 by end distance, as the paper takes it."""
         lines = ["| laboratory | Eq. 3 under Θ of Eq. 2, mm | gain of Θ of Eq. 3, mm | *dynamic* holds | Fig. 7, D = 1 | D = 6 "
                  "| ambiguous |", "|---" * 7 + "|"]
@@ -186,5 +186,5 @@ class Study:
 ITEMS: dict[str, Callable[[Study], Found]] = {
     "F (§III-D)": Study.scheme, "Table I": Study.table_1, "Table II": Study.table_2, "Table III": Study.table_3,
     "Fig. 1": Study.figure_1, "Fig. 3": Study.figure_3, "Fig. 4": Study.figure_4, "Fig. 5": Study.figure_5,
-    "Fig. 6": Study.figure_6, "Perception": Study.perception, "Fig. 7": Study.figure_7, "Harder laboratories": Study.harder,
+    "Fig. 6": Study.figure_6, "Perception": Study.perception, "Fig. 7": Study.figure_7, "Harder laboratories": Study.laboratories,
 }

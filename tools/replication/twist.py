@@ -27,13 +27,15 @@ class Errors:
     ambiguous: float
 
     def success(self, together: int) -> float:
-        return float(np.mean(self.by_count[together] <= SUCCESS))
+        """Share of errors within a quarter turn; NaN where there are too few rods for that many."""
+        return float(np.mean(self.by_count[together] <= SUCCESS)) if together in self.by_count else np.nan
 
 
 def twist_errors(specimens: dict[str, Specimen], seen: dict[str, Seen], theta: dict[str, Material], trials: int,
                  seed: int) -> Errors:
     """theta: by material, one, or a row for each observation of the specimen."""
-    errors, ambiguous = {together: [] for together in range(1, MOST_TOGETHER + 1)}, []
+    fewest = min(np.isfinite(rods.vertices).all(axis=(1, 2)).sum() for rods in seen.values())
+    errors, ambiguous = {together: [] for together in range(1, min(MOST_TOGETHER, fewest) + 1)}, []
     for name, specimen in specimens.items():
         rods = seen[name]
         sound = np.isfinite(rods.vertices).all(axis=(1, 2))
