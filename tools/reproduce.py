@@ -3,21 +3,25 @@
     python tools/reproduce.py [ITEM ...] [--quick] [--report FILE]
 
 The whole run takes up to 40 minutes on two cores, ``--quick`` 5. Exit code 1 where an item cannot run, for example because a
-scene is missing, and where a result is worse than the documents claim (``tools/replication/criteria.py``).
+scene is missing, and where a result is worse than the documents claim (``tools/replication/criteria.py``). Results are kept
+beside the report, results.json in runs/replication; ``--rewrite`` writes the report from them again, without a run.
 """
 
 import argparse
+import json
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 if not __package__:
     sys.path.insert(0, str(ROOT))
 
+from doo_ti.bench import clock  # noqa: E402
 from doo_ti.errors import InputError, InterruptedRunError  # noqa: E402
 from doo_ti.io.files import write_text  # noqa: E402
-from tools.replication.report import Outcome, report  # noqa: E402
+from tools.replication.report import Outcome, Run, report  # noqa: E402
 from tools.replication.settings import FULL, QUICK, TINY, Size  # noqa: E402
 from tools.replication.study import ITEMS, Study  # noqa: E402
 
@@ -35,6 +39,7 @@ def measured(names: list[str], size: Size) -> list[Outcome]:
         except (InputError, InterruptedRunError, OSError) as error:
             problem = str(error)
         outcomes.append(Outcome(name, found, problem, time.monotonic() - began))
+        print(f"{name}: {outcomes[-1].seconds:.0f} s", file=sys.stderr, flush=True)
     return outcomes
 
 
@@ -42,6 +47,7 @@ def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("items", nargs="*", metavar="ITEM", help=f"of {', '.join(ITEMS)} (default: all)")
     parser.add_argument("--quick", action="store_true", help="fewer specimens and rods, 5 minutes")
+    parser.add_argument("--rewrite", action="store_true", help="write the report of the last run again, with new words")
     parser.add_argument("--size", choices=SIZES, help=argparse.SUPPRESS)
     parser.add_argument("--report", type=Path, help="file to write (default: REPLICATION.md, with --quick "
                         "runs/replication/REPLICATION.md)")
@@ -52,8 +58,13 @@ def main(words: list[str] | None = None) -> int:
     size = SIZES[options.size or ("quick" if options.quick else "full")]
     path = options.report or (ROOT if size is FULL else ROOT / "runs" / "replication") / "REPLICATION.md"
     command = " ".join(["python tools/reproduce.py", *(f'"{name}"' for name in options.items), *["--quick"] * options.quick])
-    outcomes = measured(options.items or list(ITEMS), size)
-    text = report(outcomes, size, command)
+    kept = ROOT / "runs" / "replication" / f"results_{size.name}.json"
+    if options.rewrite:
+        run = Run.from_dict(json.loads(kept.read_text(encoding="utf-8")))
+    else:
+        run = Run(measured(options.items or list(ITEMS), size), command, clock.machine())
+        write_text(kept, json.dumps(asdict(run)) + "\n")
+    outcomes, text = run.outcomes, report(run, size)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, text)
     print(text)

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-from doo_ti.bench import clock
 from tools.replication.criteria import CRITERIA, verdict
 from tools.replication.reasons import LABORATORY, REASONS
 from tools.replication.settings import SETTINGS, Size
@@ -32,9 +31,24 @@ class Outcome:
         return failed
 
 
-def report(outcomes: list[Outcome], size: Size, command: str) -> str:
+@dataclass(frozen=True)
+class Run:
+    """All items of a run, the command, and the machine (:func:`doo_ti.bench.clock.machine`)."""
+
+    outcomes: list[Outcome]
+    command: str
+    machine: dict
+
+    @classmethod
+    def from_dict(cls, content: dict) -> "Run":
+        """What ``dataclasses.asdict`` made."""
+        outcomes = [Outcome(**{**one, "found": one["found"] and Found(**one["found"])}) for one in content["outcomes"]]
+        return cls(outcomes, content["command"], content["machine"])
+
+
+def report(run: Run, size: Size) -> str:
     """The text of the file."""
-    machine = clock.machine()
+    outcomes, machine, command = run.outcomes, run.machine, run.command
     seconds = sum(outcome.seconds for outcome in outcomes)
     lines = [
         "# Replication", "",

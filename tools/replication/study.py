@@ -30,6 +30,10 @@ class Found:
     held: dict[str, Held] = field(default_factory=dict)
     lines: list[str] = field(default_factory=list)
 
+    def __post_init__(self):
+        plain = {setting: {key: [bool(one) for one in held] for key, held in of.items()} for setting, of in self.held.items()}
+        object.__setattr__(self, "held", plain)
+
 
 class Study:
     """What is measured, at one size."""
