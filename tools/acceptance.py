@@ -123,7 +123,7 @@ def cables(study: Study) -> None:
 
 
 def sutures(study: Study) -> None:
-    """Sutures of the lab: the error at the true Θ, and how far from it the search finds the twist ratio, which shapes determine."""
+    """Sutures of the lab: the error at the true Θ, and how far from it the search finds the twist ratio."""
     count = study.sizes.search
     for name, bar in (("nylon", 0.90), ("vicryl", 0.85), ("silk", 0.90)):
         observations = study.observations(f"lab_a/{name}")

@@ -1,8 +1,8 @@
 """Other simulators on the same rods, side by side in one run: pip install '.[peers]' && python tools/compare_peers.py [--quick]
 
 At rest: rods between two ends held by position and tangent (tools/peers/problem.py), each peer from the same start. In motion:
-a rod swings (tools/peers/swinging.py). Prints a table of each; ``--report FILE`` writes it, too. Peers that are not installed are
-listed as left out. Exit code 1 where MuJoCo is left out, or less than 3000 times slower at rest at equal or larger error.
+a rod swings (tools/peers/swinging.py). Prints a table of each, and with ``--report FILE`` writes it. Peers that are not
+installed are listed as left out. Exit code 1 where MuJoCo is left out, or less than 3000 times slower at rest at equal or larger error.
 """
 
 import argparse
@@ -78,7 +78,7 @@ def at_rest(quick: bool) -> tuple[list[Row], list[str]]:
 
 
 def ratio(rows: list[Row]) -> float:
-    """How many times longer MuJoCo takes than this package in f32, at its fastest; 0 where MuJoCo's error is smaller there, or it
+    """How many times longer MuJoCo takes than this package in f32, at its fastest; 0 where an error of MuJoCo is smaller, or it
     is left out."""
     first, peers = rows[0], [row for row in rows if row.name.startswith("MuJoCo")]
     sound = [row.microseconds / first.microseconds for row in peers if row.continuum >= first.continuum]
@@ -86,8 +86,8 @@ def ratio(rows: list[Row]) -> float:
 
 
 def table(rows: list[Row]) -> list[str]:
-    lines = ["| simulator | µs of processor a rod | residual | largest strain | from f64, same mesh, mm | from the continuum, mm "
-             "| times the first row |", "|---" * 7 + "|"]
+    lines = ["| simulator | µs of processor a rod | residual | largest strain | from f64, same mesh, mm "
+             "| from the continuum, mm | times the first row |", "|---" * 7 + "|"]
     for row in rows:
         lines.append(f"| {row.name} | {row.microseconds:,.1f} | {row.residual} | {row.strain:.0e} | {row.same_mesh:.2g} "
                      f"| {row.continuum:.2g} | {row.microseconds / rows[0].microseconds:,.0f} |")

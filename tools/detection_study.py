@@ -1,7 +1,7 @@
-"""Errors of the detected line in rendered images: ``python tools/detection_study.py [--rods N]`` prints the table of docs/detection.md.
+"""Errors of the detected line in rendered images (docs/detection.md): ``python tools/detection_study.py [--rods N]``.
 
-The lab's vicryl, three cameras. Across the projected curve, px: bias (mean), median and 95th percentile of the distance; covered:
-share of the curve with a detected point within 2 px; false: share of points farther than 3 px from the curve.
+The lab's vicryl, three cameras. Across the projected curve, px: bias (mean), median and 95th percentile of the distance.
+Covered: share of the curve with a detected point within 2 px; false: share of points farther than 3 px from the curve.
 """
 
 import argparse

@@ -2,8 +2,8 @@
 
     python tools/mutations.py [NAME ...] [--whole]
 
-For each fault prints the tests that fail. Its own rooms' tests run first, in the default tier; ``--whole``, or where none of these
-fails, all default tests. The copy is thrown away. Exit code 1 where a fault is caught by no test, or no longer applies.
+For each fault prints the tests that fail. Its own rooms' tests run first, in the default tier; with ``--whole``, and where
+none of these fails, all default tests. The copy is thrown away. Exit code 1 where a fault is caught by no test, or no longer applies.
 """
 
 import argparse
@@ -72,8 +72,8 @@ FAULTS = {
 
 def failing(copy: Path, tests: tuple[str, ...], first: bool) -> list[str]:
     """The default tests that fail, of these files and folders; none: of all. ``first``: stops after LISTED of them."""
-    words = [sys.executable, "-m", "pytest", "-q", "--tb=no", "-p", "no:cacheprovider", *([f"--maxfail={LISTED}"] if first else []),
-             *tests]
+    words = [sys.executable, "-m", "pytest", "-q", "--tb=no", "-p", "no:cacheprovider", *tests,
+             *([f"--maxfail={LISTED}"] if first else [])]
     done = subprocess.run(words, cwd=copy, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(copy)})
     if done.returncode not in (0, 1):
         raise SystemExit(f"the tests did not run: {done.stdout[-500:]}{done.stderr[-500:]}")

@@ -81,7 +81,8 @@ def main() -> None:
     unknown = [name for name in options.rows if name not in rows]
     if unknown:
         parser.error(f"no row {unknown[0]}: give some of {', '.join(rows)}")
-    print(f"seed {SEED}; correct: mean vertex error below 1 mm; clear, likely, ambiguous: those correct of each verdict\n{HEAD}\n" + "|---" * (HEAD.count("|") - 1) + "|")
+    print(f"seed {SEED}; correct: mean vertex error below 1 mm; clear, likely, ambiguous: those correct of each verdict\n"
+          f"{HEAD}\n" + "|---" * (HEAD.count("|") - 1) + "|")
     for name in options.rows or rows:
         rows[name](options.sets)
 

@@ -1,7 +1,8 @@
 """Results of refinement, compared with their required values (bars): ``python tools/refinement.py [ROW ...] [--data DIR]``.
 
 Prints a Markdown table, ``| check | bar | measured | holds |``. The data of the sutures ships with
-the tests; ``specimens`` and ``cable`` need --data and run where they are named. Exit code 1 where a bar is missed or a row has no data. The coverage of the intervals is measured by ``tools/calibration_study.py``.
+the tests; ``specimens`` and ``cable`` need --data and run where they are named. Exit code 1 where a bar is missed or a row has
+no data. The coverage of the intervals is measured by ``tools/calibration_study.py``.
 
     specimens  random rods of an independent mesh solver, ``doo-ti sweep`` and ``doo-ti refine RUN --json`` as commands
     lab        the paper's sutures, likewise

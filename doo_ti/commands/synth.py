@@ -17,8 +17,8 @@ DIAMETER_MM = 0.5
 
 def declare(add) -> None:
     parser = given.command(add, "convert", run_convert, "convert observations from one file format to another", json=False)
-    parser.add_argument("observations", metavar="IN", help=".npz, .csv or .parquet; or recorded motion of the public cable data, "
-                        ".pkl or a folder of them, to .npz (docs/cables.md)")
+    parser.add_argument("observations", metavar="IN", help=".npz, .csv or .parquet; or recorded motion of the public cable "
+                        "data, .pkl or a folder of them, to .npz (docs/cables.md)")
     parser.add_argument("out", metavar="OUT", help=".npz, .csv or .parquet")
     parser = given.command(add, "synth", run, "simulate a scene's observations, or render images of its rods (the virtual lab)",
                            json=False)

@@ -14,13 +14,13 @@ from tools.replication.criteria import CRITERIA, Verdict, verdict
 from tools.replication.study import ITEMS
 
 ROOT = Path(__file__).resolve().parents[2]
-DOCUMENTS = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "doo_ti" / "PAPER.md", ROOT / "tools" / "README.md", ROOT / "README.md"]
+DOCUMENTS = [*sorted((ROOT / "docs").glob("*.md")), *(ROOT / name for name in ("doo_ti/PAPER.md", "tools/README.md", "README.md"))]
 COMMANDS = re.findall(r"`((?:python|doo-ti) [^`]+)`", (ROOT / "docs" / "figures.md").read_text(encoding="utf-8"))
 
 
 def test_every_tool_that_documents_name_exists():
     for document in DOCUMENTS:
-        for name in re.findall(r"\btools/[\w/]+\.py\b", document.read_text(encoding="utf-8")):
+        for name in re.findall(r"(?<!/)\btools/[\w/]+\.py\b", document.read_text(encoding="utf-8")):
             assert (ROOT / name).is_file(), f"{document.name} names {name}"
 
 

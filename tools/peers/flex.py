@@ -26,8 +26,8 @@ def model(step: float) -> str:
     weight = DENSITY * np.pi * RADIUS**2 * GRAVITY * 1e-3  # N/m
     young = BEND * weight / 2e9 / (np.pi * RADIUS**4 / 4)
     mass = DENSITY * np.pi * RADIUS**2 * LENGTH * 1e-3
-    held = "".join(f'<connect name="hold{k}" body1="rod_{k}" body2="world" anchor="0 0 0" solref="{2 * step} 1" solimp="{IMPEDANCE}"/>'
-                   for k in HELD)
+    held = "".join(f'<connect name="hold{k}" body1="rod_{k}" body2="world" anchor="0 0 0" solref="{2 * step} 1" '
+                   f'solimp="{IMPEDANCE}"/>' for k in HELD)
     return f"""<mujoco>
 <option timestep="{step}" integrator="discrete" gravity="0 0 {-GRAVITY * 1e-3}"><flag contact="disable"/></option>
 <worldbody><flexcomp name="rod" type="grid" count="{EDGES + 1} 1 1" spacing="{LENGTH * 1e-3 / EDGES} 1 1" dim="1"
@@ -36,7 +36,8 @@ radius="{RADIUS}" mass="{mass}" dof="full"><edge equality="true" damping="0" sol
 
 
 def settled(problem: Problem, step: float) -> tuple[np.ndarray, float, float]:
-    """(R, V, 3) mm at rest, processor seconds for each rod, and the speed that is left, m/s. Raises ImportError without MuJoCo."""
+    """(R, V, 3) mm at rest, processor seconds for each rod, and the speed that is left, m/s. Raises ImportError where MuJoCo is
+    absent."""
     import mujoco
 
     shapes, taken, left = [], [], []

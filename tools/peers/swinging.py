@@ -69,7 +69,8 @@ def seconds(run: Callable[[], np.ndarray], rounds: int = 3) -> float:
 
 
 def table() -> list[str]:
-    """Error of the tip over processor time for several steps, and the ratio at equal error. Raises ImportError without MuJoCo."""
+    """Error of the tip over processor time for several steps, and the ratio at equal error. Raises ImportError where MuJoCo is
+    absent."""
     found, lines = {}, ["| simulator | step ms | tip, root mean square error mm | µs of processor a rod |", "|---" * 4 + "|"]
     for name, steps, tip, timed in (
             ("MuJoCo flex, one rod", STEPS_THERE, there, lambda n: seconds(lambda: there(n))),

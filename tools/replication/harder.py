@@ -57,7 +57,8 @@ def made(name: str, number: int, laboratory: Laboratory) -> Specimen:
     vertices = found.observations.vertices.copy()
     if not laboratory.calibrated:
         pixels = load_rig(SCENES / "rig.yaml").project(vertices.reshape(-1, 3))
-        vertices = triangulate(calibrated(number), pixels, TriangulationOptions(sigma_px=ANY_PX)).position.reshape(vertices.shape)
+        found_at = triangulate(calibrated(number), pixels, TriangulationOptions(sigma_px=ANY_PX)).position
+        vertices = found_at.reshape(vertices.shape)
     if laboratory.outliers:
         inner = vertices[:, 2:-2]
         off = random.normal(size=inner.shape)

@@ -38,7 +38,8 @@ def figure_4(vicryl: list[Landscape]) -> tuple[dict[str, list[bool]], list[str]]
     ratios = np.array([[_ratio(one, best_cells(one)[54.0]), _ratio(one, best_cells(one)[66.0]), _ratio(one, one.best)]
                        for one in vicryl])
     low, high = ratios[:, :2].min(axis=1), ratios[:, :2].max(axis=1)
-    held = {"lower": (ratios[:, 0] < ratios[:, 1]).tolist(), "between": ((low <= ratios[:, 2]) & (ratios[:, 2] <= high)).tolist()}
+    between = (low <= ratios[:, 2]) & (ratios[:, 2] <= high)
+    held = {"lower": (ratios[:, 0] < ratios[:, 1]).tolist(), "between": between.tolist()}
     columns = ("54 mm", "66 mm", "all")
     texts = (f"{name}: {', '.join(f'{value:.2f}' for value in ratios[:, k])}" for k, name in enumerate(columns))
     return held, [f"β/α of the best cell, by specimen: {'; '.join(texts)}."]

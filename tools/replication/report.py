@@ -1,9 +1,9 @@
 """REPLICATION.md: verdicts, numbers beside the paper's, and why they differ."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from tools.replication.criteria import CRITERIA, verdict
-from tools.replication.reasons import LABORATORY, REASONS
 from tools.replication.settings import SETTINGS, Size
 from tools.replication.study import Found
 
@@ -49,14 +49,15 @@ class Run:
 def report(run: Run, size: Size) -> str:
     """The text of the file."""
     outcomes, machine, command = run.outcomes, run.machine, run.command
+    laboratory, reasons = _reasons()
     seconds = sum(outcome.seconds for outcome in outcomes)
     lines = [
         "# Replication", "",
-        f"Written by `{command}` ({size.name}, {seconds / 60:.0f} minutes on {machine['processor']}, {machine['cores']} cores). Do "
-        "not edit: change the tool, and run it again.", "", *LABORATORY, "",
+        f"Written by `{command}` ({size.name}, {seconds / 60:.0f} minutes on {machine['processor']}, {machine['cores']} "
+        "cores). Do not edit: change the tool, and run it again.", "", laboratory, "",
         "## Verdicts", "",
-        "A criterion is tested on each specimen: *reproduced* where it holds for at least 80 %, *partly* from 20 % on, else *not*. "
-        "Criteria are stated in `tools/replication/criteria.py`; *here*: the paper states none.", "",
+        "A criterion is tested on each specimen: *reproduced* where it holds for at least 80 %, *partly* from 20 % on, else "
+        "*not*. Criteria are stated in `tools/replication/criteria.py`; *here*: the paper states none.", "",
         "| item | criterion | of | as the paper | as this package |", "|---|---|---|---|---|",
     ]
     for outcome in outcomes:
@@ -65,15 +66,23 @@ def report(run: Run, size: Size) -> str:
             entries = ["did not run"] * 2 if outcome.found is None else [
                 _entry(outcome.found.held[setting.name][key]) for setting in SETTINGS]
             lines.append(f"| {outcome.name} | {criterion.text} | {source} | " + " | ".join(entries) + " |")
-    lines += ["", f"± is the standard error over specimens. Specimens: {size.specimens} of each suture, {size.ribbons} of the ribbon; "
-              f"of images {', '.join(f'{count} × {sets} sets a material {name}' for name, (count, sets) in size.images.items())}."]
+    images = ", ".join(f"{count} × {sets} sets a material {name}" for name, (count, sets) in size.images.items())
+    lines += ["", f"± is the standard error over specimens. Specimens: {size.specimens} of each suture, {size.ribbons} of the "
+              f"ribbon; of images {images}; {size.harder} in each harder laboratory. Tables: paper / as the paper / as this "
+              "package."]
     for outcome in outcomes:
         lines += ["", f"## {outcome.name}", ""]
         lines += [f"Did not run: {outcome.problem}"] if outcome.found is None else outcome.found.lines
-        lines += ["", REASONS.get(outcome.name, "")]
+        lines += ["", reasons.get(outcome.name, "")]
     lines += ["", "## Time", "", "| item | s |", "|---|---|"]
     lines += [f"| {outcome.name} | {outcome.seconds:.0f} |" for outcome in outcomes]
     return "\n".join(lines).replace("\n\n\n", "\n\n") + "\n"
+
+
+def _reasons() -> tuple[str, dict[str, str]]:
+    """What the report says beside the numbers: its introduction, and a text for each item."""
+    first, *sections = (Path(__file__).parent / "reasons.md").read_text(encoding="utf-8").split("\n## ")
+    return first.strip(), {name: text.strip() for name, _, text in (section.partition("\n") for section in sections)}
 
 
 def _entry(held: list[bool]) -> str:

@@ -126,11 +126,15 @@ class Study:
 
     def perception(self) -> Found:
         return self.by_setting(lambda setting: recovery(
-            [{name: self.seen(name, number, setting) for name in SUTURES} for number in range(self.size.images[setting.name][0])]))
+            [{name: self.seen(name, number, setting) for name in SUTURES} for number in self._with_images(setting)]))
+
+    def _with_images(self, setting: Setting) -> range:
+        """Numbers of the specimens whose images are perceived."""
+        return range(self.size.images[setting.name][0])
 
     def figure_7(self) -> Found:
         def one(setting: Setting):
-            return figure_7([self._twist(number, setting) for number in range(self.size.images[setting.name][0])])
+            return figure_7([self._twist(number, setting) for number in self._with_images(setting)])
         return self.by_setting(one)
 
     def _twist(self, number: int, setting: Setting) -> Errors:
@@ -190,5 +194,6 @@ class Study:
 ITEMS: dict[str, Callable[[Study], Found]] = {
     "F (§III-D)": Study.scheme, "Table I": Study.table_1, "Table II": Study.table_2, "Table III": Study.table_3,
     "Fig. 1": Study.figure_1, "Fig. 3": Study.figure_3, "Fig. 4": Study.figure_4, "Fig. 5": Study.figure_5,
-    "Fig. 6": Study.figure_6, "Perception": Study.perception, "Fig. 7": Study.figure_7, "Harder laboratories": Study.laboratories,
+    "Fig. 6": Study.figure_6, "Perception": Study.perception, "Fig. 7": Study.figure_7,
+    "Harder laboratories": Study.laboratories,
 }

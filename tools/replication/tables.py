@@ -35,7 +35,7 @@ class TableRuns:
     @classmethod
     def of(cls, scores: list[Scores], held: list[dict[str, bool]]) -> "TableRuns":
         labels = tuple(part.label for part in scores[0].partition.parts)
-        return cls({name: [bool(one[name]) for one in held] for name in held[0]}, np.stack([one.mean for one in scores]), labels)
+        return cls({name: [one[name] for one in held] for name in held[0]}, np.stack([one.mean for one in scores]), labels)
 
 
 def scored(landscapes: list[Landscape], by: tuple[str, ...]) -> Scores:

@@ -1,4 +1,0 @@
-"""What the report says beside the numbers."""
-
-LABORATORY = []
-REASONS = {}
