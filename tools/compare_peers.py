@@ -2,7 +2,8 @@
 
 At rest: rods between two ends held by position and tangent (tools/peers/problem.py), each peer from the same start. In motion:
 a rod swings (tools/peers/swinging.py). Prints a table of each, and with ``--report FILE`` writes it. Peers that are not
-installed are listed as left out. Exit code 1 where MuJoCo is left out, or less than 3000 times slower at rest at equal or larger error.
+installed are listed as left out. Exit code 1 where MuJoCo is left out, and where at rest it is less than 3000 times slower, or
+closer to the reference.
 """
 
 import argparse

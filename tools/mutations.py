@@ -2,8 +2,9 @@
 
     python tools/mutations.py [NAME ...] [--whole]
 
-For each fault prints the tests that fail. Its own rooms' tests run first, in the default tier; with ``--whole``, and where
-none of these fails, all default tests. The copy is thrown away. Exit code 1 where a fault is caught by no test, or no longer applies.
+For each fault prints the tests that fail. Its own rooms' tests run first, in the default tier; all default tests run with
+``--whole``, and where none of these fails. The copy is thrown away. Exit code 1 where a fault is caught by no test, or no
+longer applies.
 """
 
 import argparse

@@ -11,7 +11,7 @@ import argparse
 import json
 import sys
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -48,6 +48,7 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("items", nargs="*", metavar="ITEM", help=f"of {', '.join(ITEMS)} (default: all)")
     parser.add_argument("--quick", action="store_true", help="fewer specimens and rods, 5 minutes")
     parser.add_argument("--rewrite", action="store_true", help="write the report of the last run again, with new words")
+    parser.add_argument("--note", default="", help="a remark on the run, for the report")
     parser.add_argument("--size", choices=SIZES, help=argparse.SUPPRESS)
     parser.add_argument("--report", type=Path, help="file to write (default: REPLICATION.md, with --quick "
                         "runs/replication/REPLICATION.md)")
@@ -60,9 +61,9 @@ def main(words: list[str] | None = None) -> int:
     command = " ".join(["python tools/reproduce.py", *(f'"{name}"' for name in options.items), *["--quick"] * options.quick])
     kept = ROOT / "runs" / "replication" / f"results_{size.name}.json"
     if options.rewrite:
-        run = Run.from_dict(json.loads(kept.read_text(encoding="utf-8")))
+        run = replace(Run.from_dict(json.loads(kept.read_text(encoding="utf-8"))), note=options.note)
     else:
-        run = Run(measured(options.items or list(ITEMS), size), command, clock.machine())
+        run = Run(measured(options.items or list(ITEMS), size), command, clock.machine(), options.note)
         write_text(kept, json.dumps(asdict(run)) + "\n")
     outcomes, text = run.outcomes, report(run, size)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -14,7 +14,8 @@ from tools.replication.criteria import CRITERIA, Verdict, verdict
 from tools.replication.study import ITEMS
 
 ROOT = Path(__file__).resolve().parents[2]
-DOCUMENTS = [*sorted((ROOT / "docs").glob("*.md")), *(ROOT / name for name in ("doo_ti/PAPER.md", "tools/README.md", "README.md"))]
+DOCUMENTS = [*sorted((ROOT / "docs").glob("*.md")),
+             *(ROOT / name for name in ("doo_ti/PAPER.md", "tools/README.md", "README.md"))]
 COMMANDS = re.findall(r"`((?:python|doo-ti) [^`]+)`", (ROOT / "docs" / "figures.md").read_text(encoding="utf-8"))
 
 

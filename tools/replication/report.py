@@ -33,17 +33,18 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Run:
-    """All items of a run, the command, and the machine (:func:`doo_ti.bench.clock.machine`)."""
+    """All items of a run, the command, the machine (:func:`doo_ti.bench.clock.machine`), and a remark."""
 
     outcomes: list[Outcome]
     command: str
     machine: dict
+    note: str = ""
 
     @classmethod
     def from_dict(cls, content: dict) -> "Run":
         """What ``dataclasses.asdict`` made."""
         outcomes = [Outcome(**{**one, "found": one["found"] and Found(**one["found"])}) for one in content["outcomes"]]
-        return cls(outcomes, content["command"], content["machine"])
+        return cls(outcomes, content["command"], content["machine"], content.get("note", ""))
 
 
 def report(run: Run, size: Size) -> str:
@@ -54,7 +55,7 @@ def report(run: Run, size: Size) -> str:
     lines = [
         "# Replication", "",
         f"Written by `{command}` ({size.name}, {seconds / 60:.0f} minutes on {machine['processor']}, {machine['cores']} "
-        "cores). Do not edit: change the tool, and run it again.", "", laboratory, "",
+        f"cores{'; ' * bool(run.note)}{run.note}). Do not edit: change the tool, and run it again.", "", laboratory, "",
         "## Verdicts", "",
         "A criterion is tested on each specimen: *reproduced* where it holds for at least 80 %, *partly* from 20 % on, else "
         "*not*. Criteria are stated in `tools/replication/criteria.py`; *here*: the paper states none.", "",
