@@ -65,7 +65,7 @@ def mujoco(task: Problem, step: float) -> Row:
 
 def at_rest(quick: bool) -> tuple[list[Row], list[str]]:
     """The rows, and the peers that are left out."""
-    task, rows, left_out = problem(), [], ["PyElastica, Newton: no adapter is written"]
+    task, rows, left_out = problem(), [], ["PyElastica, Newton: no adapter is written (PyElastica 1.0 would take 2·10⁵ explicit steps a simulated second)"]
     rows += [here(task, precision) for precision in ("f32", "mixed", "f64")]
     for name, make in (("JAX", [lambda bits=bits: jax_twin(task, bits) for bits in (32, 64)]),
                        ("MuJoCo", [lambda step=step: mujoco(task, step) for step in (STEPS[:2] if quick else STEPS)])):
@@ -79,10 +79,10 @@ def at_rest(quick: bool) -> tuple[list[Row], list[str]]:
 
 
 def ratio(rows: list[Row]) -> float:
-    """How many times longer MuJoCo takes than this package in f32, at its fastest; 0 where an error of MuJoCo is smaller, or it
-    is left out."""
+    """How many times longer MuJoCo takes than this package in f32, at its fastest; 0 where any row of it is closer to the f64
+    reference on the same mesh, or it is left out."""
     first, peers = rows[0], [row for row in rows if row.name.startswith("MuJoCo")]
-    sound = [row.microseconds / first.microseconds for row in peers if row.continuum >= first.continuum]
+    sound = [row.microseconds / first.microseconds for row in peers if row.same_mesh >= first.same_mesh]
     return min(sound) if sound and len(sound) == len(peers) else 0.0
 
 
@@ -104,8 +104,10 @@ def main(words: list[str] | None = None) -> int:
     rows, left_out = at_rest(options.quick)
     found = ratio(rows)
     lines = [f"{machine['processor']}, {machine['cores']} cores. At rest:", "", *table(rows), "",
-             f"MuJoCo at its fastest takes {found:,.0f} times as long as this package in f32, at equal or larger error."
-             if found else "No ratio to MuJoCo: it is left out, or closer to the continuum.",
+             f"MuJoCo at its fastest takes {found:,.0f} times as long as this package in f32, all its rows being farther from "
+             "the f64 reference of the same mesh." if found else "No ratio to MuJoCo: it is left out, or closer to the reference.",
+             "", "The distance from the continuum is the error of the 3 mm mesh, the same for all but where a stretch of edges "
+             "happens to cancel some of it.", "",
              *(f"Left out: {one}." for one in left_out)]
     if not options.quick:
         lines += ["", "In motion:", "", *swinging.table()]

@@ -11,6 +11,7 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -28,19 +29,18 @@ from tools.replication.study import ITEMS, Study  # noqa: E402
 SIZES = {size.name: size for size in (FULL, QUICK, TINY)}
 
 
-def measured(names: list[str], size: Size) -> list[Outcome]:
+def measured(names: list[str], size: Size) -> Iterator[Outcome]:
     """The items, one after the other; one that cannot run does not keep the others from running."""
     study = Study(size, lambda text: print(text, file=sys.stderr, flush=True))
-    outcomes = []
     for name in names:
         began, found, problem = time.monotonic(), None, ""
         try:
             found = ITEMS[name](study)
         except (InputError, InterruptedRunError, OSError) as error:
             problem = str(error)
-        outcomes.append(Outcome(name, found, problem, time.monotonic() - began))
-        print(f"{name}: {outcomes[-1].seconds:.0f} s", file=sys.stderr, flush=True)
-    return outcomes
+        outcome = Outcome(name, found, problem, time.monotonic() - began)
+        print(f"{name}: {outcome.seconds:.0f} s", file=sys.stderr, flush=True)
+        yield outcome
 
 
 def main(words: list[str] | None = None) -> int:
@@ -63,8 +63,11 @@ def main(words: list[str] | None = None) -> int:
     if options.rewrite:
         run = replace(Run.from_dict(json.loads(kept.read_text(encoding="utf-8"))), note=options.note)
     else:
-        run = Run(measured(options.items or list(ITEMS), size), command, clock.machine(), options.note)
-        write_text(kept, json.dumps(asdict(run)) + "\n")
+        outcomes = []
+        for outcome in measured(options.items or list(ITEMS), size):
+            outcomes.append(outcome)  # kept at once: a run that is ended keeps the items that were done
+            run = Run(outcomes, command, clock.machine(), options.note)
+            write_text(kept, json.dumps(asdict(run)) + "\n")
     outcomes, text = run.outcomes, report(run, size)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, text)
