@@ -65,7 +65,7 @@ def mujoco(task: Problem, step: float) -> Row:
 
 def at_rest(quick: bool) -> tuple[list[Row], list[str]]:
     """The rows, and the peers that are left out."""
-    task, rows, left_out = problem(), [], ["PyElastica, Newton: no adapter is written (PyElastica 1.0 would take 2·10⁵ explicit steps a simulated second)"]
+    task, rows, left_out = problem(), [], ["PyElastica (2·10⁵ explicit steps a simulated second), Newton: no adapter"]
     rows += [here(task, precision) for precision in ("f32", "mixed", "f64")]
     for name, make in (("JAX", [lambda bits=bits: jax_twin(task, bits) for bits in (32, 64)]),
                        ("MuJoCo", [lambda step=step: mujoco(task, step) for step in (STEPS[:2] if quick else STEPS)])):
@@ -103,9 +103,11 @@ def main(words: list[str] | None = None) -> int:
     machine = clock.machine()
     rows, left_out = at_rest(options.quick)
     found = ratio(rows)
-    lines = [f"{machine['processor']}, {machine['cores']} cores. At rest:", "", *table(rows), "",
+    lines = ["# Other simulators on the same rods", "", "Written by `python tools/compare_peers.py`, "
+             f"{machine['processor']}, {machine['cores']} cores. At rest:", "", *table(rows), "",
              f"MuJoCo at its fastest takes {found:,.0f} times as long as this package in f32, all its rows being farther from "
-             "the f64 reference of the same mesh." if found else "No ratio to MuJoCo: it is left out, or closer to the reference.",
+             "the f64 reference of the same mesh."
+             if found else "No ratio to MuJoCo: it is left out, or closer to the reference.",
              "", "The distance from the continuum is the error of the 3 mm mesh, the same for all but where a stretch of edges "
              "happens to cancel some of it.", "",
              *(f"Left out: {one}." for one in left_out)]

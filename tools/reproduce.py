@@ -3,8 +3,8 @@
     python tools/reproduce.py [ITEM ...] [--quick] [--report FILE]
 
 The whole run takes up to 40 minutes on two cores, ``--quick`` 5. Exit code 1 where an item cannot run, for example because a
-scene is missing, and where a result is worse than the documents claim (``tools/replication/criteria.py``). Results are kept
-beside the report, results.json in runs/replication; ``--rewrite`` writes the report from them again, without a run.
+scene is missing, and where a result is worse than the documents claim (``tools/replication/criteria.py``). Results are kept in
+runs/replication, or beside the report where that is named; ``--rewrite`` writes the report from them again, without a run.
 """
 
 import argparse
@@ -59,7 +59,7 @@ def main(words: list[str] | None = None) -> int:
     size = SIZES[options.size or ("quick" if options.quick else "full")]
     path = options.report or (ROOT if size is FULL else ROOT / "runs" / "replication") / "REPLICATION.md"
     command = " ".join(["python tools/reproduce.py", *(f'"{name}"' for name in options.items), *["--quick"] * options.quick])
-    kept = ROOT / "runs" / "replication" / f"results_{size.name}.json"
+    kept = (path.parent if options.report else ROOT / "runs" / "replication") / f"results_{size.name}.json"
     if options.rewrite:
         run = replace(Run.from_dict(json.loads(kept.read_text(encoding="utf-8"))), note=options.note)
     else:

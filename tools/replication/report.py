@@ -69,7 +69,7 @@ def report(run: Run, size: Size) -> str:
             lines.append(f"| {outcome.name} | {criterion.text} | {source} | " + " | ".join(entries) + " |")
     images = ", ".join(f"{count} × {sets} sets a material {name}" for name, (count, sets) in size.images.items())
     lines += ["", f"± is the standard error over specimens. Specimens: {size.specimens} of each suture, {size.ribbons} of the "
-              f"ribbon; of images {images}; {size.harder} in each harder laboratory. Tables: paper / as the paper / as this "
+              f"ribbon; of images {images}; {size.harder[0]} in each harder laboratory. Tables: paper / as the paper / as this "
               "package."]
     for outcome in outcomes:
         lines += ["", f"## {outcome.name}", ""]

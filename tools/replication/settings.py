@@ -50,8 +50,7 @@ class Size:
     images       of the specimens, those whose images are perceived, and rods of each, of 60; by setting
     loops        threads in loops, and rods of each, None: all that cross themselves in every view; by setting
     trials       of Fig. 7, for each specimen and D
-    harder       specimens of each harder laboratory
-    harder_sets  rods of each whose images are perceived
+    harder       of each harder laboratory: specimens, rods of each whose images are perceived, trials
     descent      observations of each material that the paper's own scheme relaxes at the learned Θ
     """
 
@@ -61,16 +60,16 @@ class Size:
     images: dict[str, tuple[int, int]]
     loops: dict[str, tuple[int, int | None]]
     trials: int
-    harder: int
-    harder_sets: int
+    harder: tuple[int, int, int]
     descent: int
 
 
-FULL = Size("full", 6, 3, {PAPER.name: (1, 60), PACKAGE.name: (5, 60)}, {PAPER.name: (3, 4), PACKAGE.name: (3, None)}, 1000, 5,
-            18, 60)
-QUICK = Size("quick", 2, 1, {PAPER.name: (1, 6), PACKAGE.name: (1, 10)}, {PAPER.name: (1, 1), PACKAGE.name: (1, 4)}, 200, 1,
-             6, 4)
-TINY = Size("tiny", 1, 1, {PAPER.name: (1, 1), PACKAGE.name: (1, 2)}, {PAPER.name: (1, 1), PACKAGE.name: (1, 1)}, 4, 1, 1, 1)
+FULL = Size("full", 6, 3, {PAPER.name: (1, 60), PACKAGE.name: (5, 60)}, {PAPER.name: (3, 4), PACKAGE.name: (3, None)}, 1000,
+            (3, 12, 300), 60)
+QUICK = Size("quick", 2, 1, {PAPER.name: (1, 6), PACKAGE.name: (1, 10)}, {PAPER.name: (1, 1), PACKAGE.name: (1, 4)}, 200,
+             (1, 6, 200), 4)
+TINY = Size("tiny", 1, 1, {PAPER.name: (1, 1), PACKAGE.name: (1, 2)}, {PAPER.name: (1, 1), PACKAGE.name: (1, 1)}, 4,
+            (1, 1, 4), 1)
 """For a test of the tool: too small for a verdict."""
 
 

@@ -158,23 +158,23 @@ class Study:
 
     def _harder_table(self, laboratory: harder.Laboratory) -> tables.TableRuns:
         pairs = []
-        for number in range(self.size.harder):
+        for number in range(self.size.harder[0]):
             self.progress(f"{laboratory.name}: vicryl {number}")
             rods = harder.made("vicryl", number, laboratory)
             pairs.append((landscape(rods, PACKAGE, "static"), landscape(rods, PACKAGE, "dynamic")))
         return tables.table_3(pairs)
 
     def _harder_twist(self, laboratory: harder.Laboratory) -> list[Errors]:
-        found = []
-        for number in range(self.size.harder):
+        found, (specimens, sets, trials) = [], self.size.harder
+        for number in range(specimens):
             self.progress(f"{laboratory.name}: Fig. 7, specimens {number}")
             rods = {name: harder.made(name, number, laboratory) for name in SUTURES}
             static = {name: landscape(one, PACKAGE, "static") for name, one in rods.items()}
             rig = None if laboratory.calibrated else harder.calibrated(number)
-            seen = {name: perceived(one, PACKAGE, learned(static[name], False), self.size.harder_sets, laboratory.look, rig)
+            seen = {name: perceived(one, PACKAGE, learned(static[name], False), sets, laboratory.look, rig)
                     for name, one in rods.items()}
             theta = {name: learned(one, True) for name, one in static.items()}
-            found.append(twist_errors(rods, seen, theta, self.size.trials, number))
+            found.append(twist_errors(rods, seen, theta, trials, number))
         return found
 
     def _forward(self) -> Iterator[str]:
@@ -183,7 +183,7 @@ class Study:
         yield ""
         for name in SUTURES:
             gained = []
-            for number in range(self.size.harder):
+            for number in range(self.size.harder[0]):
                 rods = self.specimen(name, number)
                 both = self.static(name, number, PACKAGE), landscape(rods, PACKAGE, "dynamic", harder.forward(rods))
                 (_, static), (_, dynamic) = tables.scored(list(both), ("objective",)).mean
