@@ -65,7 +65,7 @@ class Size:
 
 
 FULL = Size("full", 6, 3, {PAPER.name: (1, 60), PACKAGE.name: (5, 60)}, {PAPER.name: (3, 4), PACKAGE.name: (3, None)}, 1000,
-            (3, 12, 300), 60)
+            (2, 8, 200), 60)
 QUICK = Size("quick", 2, 1, {PAPER.name: (1, 6), PACKAGE.name: (1, 10)}, {PAPER.name: (1, 1), PACKAGE.name: (1, 4)}, 200,
              (1, 6, 200), 4)
 TINY = Size("tiny", 1, 1, {PAPER.name: (1, 1), PACKAGE.name: (1, 2)}, {PAPER.name: (1, 1), PACKAGE.name: (1, 1)}, 4,
