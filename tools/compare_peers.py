@@ -108,8 +108,8 @@ def main(words: list[str] | None = None) -> int:
              f"MuJoCo at its fastest takes {found:,.0f} times as long as this package in f32, all its rows being farther from "
              "the f64 reference of the same mesh."
              if found else "No ratio to MuJoCo: it is left out, or closer to the reference.",
-             "", "MuJoCo has no static solver: its rod moves, damped, until no vertex is faster than 0.01 mm/s. Here and in JAX "
-             "the time is that of a batch, over its rods.", "",
+             "", "MuJoCo has no static solver: its rod moves, damped, until no vertex is faster than 0.01 mm/s. Here and in "
+             "JAX the time is that of a batch, over its rods.", "",
              "The distance from the continuum is the error of the 3 mm mesh, the same for all but where a stretch of edges "
              "happens to cancel some of it.", "",
              *(f"Left out: {one}." for one in left_out)]
