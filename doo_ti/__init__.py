@@ -34,6 +34,7 @@ _HOMES = {
     "Springs": "relaxation.external",
     "sweep": "learning.sweeps", "SweepOptions": "learning.experiment", "read_landscape": "learning.landscape",
     "refine": "refinement.refine", "predict": "prediction.predict", "predict_step": "prediction.predict",
+    "predict_moving": "prediction.moving",
     "load_rig": "vision.cameras.rig", "detect": "vision.detection.detect", "distance_maps": "vision.reprojection.distance_map",
     "Reprojection": "vision.reprojection.image_energy", "score": "vision.reprojection.score", "perceive": "perception.perceive",
     "estimate_twist": "twist.estimation",

@@ -148,6 +148,13 @@ def quaternion_of_turn(turn: np.ndarray) -> np.ndarray:
     return quaternion_about(turn / np.where(angle > 0, angle, 1.0)[..., None], angle)
 
 
+def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
+    """(..., 3) rad, of unit quaternions (..., 4), at most half a turn."""
+    q = np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    return 2 * np.arctan2(sine, q[..., :1]) * q[..., 1:] / np.maximum(sine, 1e-300)
+
+
 def rotation_matrix(turn: np.ndarray) -> np.ndarray:
     """(..., 3, 3) the same as :func:`quaternion_of_turn`."""
     return matrix_from_quaternion(quaternion_of_turn(turn))

@@ -19,7 +19,7 @@ LAYERS = [
     {"grid"},
     {"io"},
     {"kernel_cache"},
-    {"physics", "runtime"},
+    {"physics", "runtime", "contact"},
     {"metric", "start"},
     {"relaxation"},
     {"vision", "motion", "dynamics"},

@@ -1,6 +1,7 @@
 """Learning a rod's Θ from recorded motion (Eq. 3 for rods in motion, docs/dynamics.md)."""
 
 from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,10 @@ def declare(add) -> None:
                         help="recorded markers of one rod: positions_mm (R, T, V, 3) or (T, V, 3), rate_hz; the first and last "
                         "edges are the grippers")
     parser.add_argument("--out", required=True, metavar="THETA.json", help="file to write")
+    parser.add_argument("--still", nargs="+", default=[], metavar="OBS",
+                        help="also observations of the same rod at rest: .npz, .csv or .parquet, marked from the same end")
+    parser.add_argument("--still-noise", metavar="MM",
+                        help="standard deviation of a coordinate of their marks (default: the file's, else from the residuals)")
     parser.add_argument("--modes", default="7", metavar="K",
                         help="Legendre modes of the rest curvature in each direction; 0: straight at rest (default 7)")
     parser.add_argument("--fit", metavar="NAME,…", default=",".join(FITTED[:4]),
@@ -55,6 +60,7 @@ def run(options: Namespace, words: list[str]) -> int:
     up = given.world_up(options)
     parts = [RecordedMotion.load(path, options.fill_gaps) for path in options.motions]
     motion = RecordedMotion.together(parts, options.motions)
+    stills = _stills(options, motion)
     if folds == 1 or folds > motion.count:
         raise InputError(given.SOURCE, "--folds", f"{folds} for {motion.count} recordings", "give 0, or from 2 to their number")
     with progress(keep=True) as bar:
@@ -62,7 +68,7 @@ def run(options: Namespace, words: list[str]) -> int:
             task = bar.add_task(label, total=chosen.rounds, unit="iterations")
             def advance(horizon, k, error):
                 bar.update(task, advance=1, rate=f"{horizon} frames: {error:.3g} mm")
-            found = identify_from_guesses(part, chosen, bend, up, advance)
+            found = identify_from_guesses(part, chosen, bend, up, advance, stills)
             bar.update(task, completed=chosen.rounds)
             return found
         held_out = _held_out(motion, folds, chosen, fit) if folds else None
@@ -71,11 +77,26 @@ def run(options: Namespace, words: list[str]) -> int:
         raise RuntimeError(f"no recording could be rolled out, from {len(motion.names)}; give a higher --bend to begin with")
     summary = _summary(found, motion, held_out, out)
     save_json(out, {"doo_ti": "theta", **summary["theta"], **{key: summary[key] for key in (
-        "parameters", "error_mm", "mean_error_mm", "median_error_mm", "failed", "held_out", "glitches")}})
+        "parameters", "error_mm", "mean_error_mm", "median_error_mm", "failed", "held_out", "stills", "glitches")}})
     if picture is not None:
         _draw(picture, found, motion, chosen)
     report(options, summary, lambda: _lines(summary, motion))
     return 0
+
+
+def _stills(options: Namespace, motion) -> list:
+    """The observations at rest of the rod in ``motion``, with their noise, checked."""
+    from doo_ti.dynamics.recorded import roll_reference
+    from doo_ti.dynamics.stills import Stills
+    from doo_ti.io.observations import load_observations
+
+    noise = given.length("--still-noise", options.still_noise)
+    if noise is not None and not options.still:
+        raise InputError(given.SOURCE, "--still-noise", "given without --still", "give both")
+    found = [load_observations(path, given.up(options)) for path in options.still]
+    for one in found:
+        Stills.of(one, roll_reference(motion), motion.edge_lengths().sum())
+    return found if noise is None else [replace(one, sigma=np.array(noise)) for one in found]
 
 
 def _held_out(motion, folds: int, chosen, fit) -> np.ndarray:
@@ -104,6 +125,8 @@ def _summary(found, motion, held_out, out: Path) -> dict:
         "recordings": motion.count, "frames": motion.positions.shape[1], "theta": save_form(found.theta),
         "parameters": found.parameters(), "error_mm": dict(zip(motion.names, found.error, strict=True)),
         "mean_error_mm": sound.mean() if len(sound) else np.nan, "median_error_mm": np.median(sound) if len(sound) else np.nan,
+        "stills": {"count": len(found.still_error), "left_out": int(np.isnan(found.still_error).sum()),
+                   "mean_error_mm": np.nanmean(found.still_error) if np.isfinite(found.still_error).any() else None},
         "failed": [name for name, failed in zip(motion.names, found.failed, strict=True) if failed], "held_out": held,
         "iterations": found.iterations, "glitches": motion.glitches(), "out": str(out)}
 
@@ -119,6 +142,9 @@ def _lines(summary: dict, motion) -> list[str]:
         lines.append(f"  rest curvature  {np.sqrt((rest**2).sum(axis=1).mean()):.3g} 1/mm root mean square along the rod")
     lines.append(f"  error           mean {summary['mean_error_mm']:.4g} mm, median {summary['median_error_mm']:.4g} mm over "
                  "recordings, rolled out from their first two frames")
+    if (still := summary["stills"])["count"]:
+        error = "none was usable" if still["mean_error_mm"] is None else f"mean distance {still['mean_error_mm']:.4g} mm"
+        lines.append(f"  at rest         {still['count']} still frames, {still['left_out']} left out; {error}")
     if held := summary["held_out"]:
         lines.append(f"  held out        mean {held['mean_error_mm']:.4g} ± {held['standard_error_mm']:.2g} mm, median "
                      f"{held['median_error_mm']:.4g} mm")

@@ -21,6 +21,9 @@ SOURCE = "command line"
 SOLVERS = ("newton", "descent")
 MATERIAL = ("bend", "bend_1", "bend_2", "twist", "twist_ratio", "weight", "EI", "GJ")
 """The options that state Θ."""
+STIFFNESS_ONLY = "bend and twist stiffness are used; rest curvature, damping, drag and markers are ignored"
+SHAPE_ONLY = "bend, twist and rest curvature are used; damping, drag and markers are ignored"
+EVERYTHING = "bend, twist, rest curvature, damping, drag and markers are used"
 CLAMP_DEFAULT = "frame where the file gives one, else tangent"
 LONGEST_NAME = 200
 """Bytes in the name of a file: systems allow 255, and while the file is written it has a longer name."""
@@ -43,7 +46,9 @@ def add_old_name(parser: ArgumentParser, old: str, argument: str) -> None:
     parser.add_argument(old, dest=argument, default=SUPPRESS, help=SUPPRESS)
 
 
-def add_material(parser: ArgumentParser, form: str) -> None:
+def add_material(parser: ArgumentParser, form: str, theta: str = STIFFNESS_ONLY) -> None:
+    """``theta`` says what the command uses of ``--theta`` and what it ignores."""
+    parser.set_defaults(theta_note=theta)
     group = parser.add_argument_group("material", f"bend and twist stiffness in mm³; {form}")
     group.add_argument("--bend", metavar="A", help="bend stiffness α of a round rod, or the matrix of another one, A1,A2[,A12]")
     group.add_argument("--bend-1", metavar="A1", help="stiffness against bending about m2")
@@ -54,7 +59,7 @@ def add_material(parser: ArgumentParser, form: str) -> None:
     group.add_argument("--EI", metavar="NM2", help="bend stiffness in N m², instead of --bend; needs --linear-density")
     group.add_argument("--GJ", metavar="NM2", help="twist stiffness in N m², instead of --twist; needs --linear-density")
     group.add_argument("--theta", metavar="THETA.json",
-                       help="bend and twist stiffness as doo-ti identify wrote them; its rest curvature is for simulate only")
+                       help=f"the rod as doo-ti identify wrote it: {theta}")
     group.add_argument("--linear-density", metavar="G_PER_M",
                        help="mass per length of the rod in g/m, for --EI, --GJ and results in N m²")
 

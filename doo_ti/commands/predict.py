@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.commands import options as given
+from doo_ti.commands.moving_rods import add_dynamic, curved, is_dynamic, losses, stepping
 from doo_ti.commands.results import counted, report, save_arrays, shortened
 from doo_ti.errors import InputError
 from doo_ti.io.files import write_whole
@@ -45,6 +46,8 @@ class _Task:
     theta: dict[str, np.ndarray]
     between: int
     up: np.ndarray
+    dynamics: object = None  # Dynamics of rods with inertia
+    stepping: object = None  # Stepping, with them
 
 
 def declare(add) -> None:
@@ -53,7 +56,7 @@ def declare(add) -> None:
                         help="observations the rods start from: .npz, .csv or .parquet; or a scene of motion")
     parser.add_argument("--motion", metavar="PATH", help="poses of the clamps over time: .npz or .csv")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
-    given.add_material(parser, "a number or LO:HI:N[:log|:lin]: all materials of the grid at once")
+    given.add_material(parser, "a number or LO:HI:N[:log|:lin]: all materials of the grid at once", given.SHAPE_ONLY)
     parser.add_argument("--relative", action="store_true",
                         help="apply the motion relative to each observation's own clamps, instead of as absolute poses")
     parser.add_argument("--steps-between", dest="between", metavar="N",
@@ -63,6 +66,7 @@ def declare(add) -> None:
                         help="largest rotation of a clamp in one sub-step; rods are relaxed after each (default 5)")
     given.add_clamps(parser)
     given.add_up(parser)
+    add_dynamic(parser, "moments of the motion per second (default: by its times)")
     parser.add_argument("--precision", choices=PRECISIONS, default="mixed",
                         help="floating-point arithmetic of the stored steps (default mixed)")
     parser.add_argument("--picture", metavar="F.png", help="also draw the motion (default: no)")
@@ -79,17 +83,15 @@ def run(options: Namespace, words: list[str]) -> int:
     sub_step = _sub_step(options)
     task = _scene(options) if Path(options.source).suffix == ".toml" else _observed(options, out)
     task = task if between is None else replace(task, between=between)
+    task = _with_inertia(options, task) if is_dynamic(options) else task
     rods, intervals = len(task.names), (task.path.moments - 1) * task.between
     if rods * intervals * task.start.edges * 32 > MOST_BYTES:
         raise InputError(given.SOURCE, "--steps-between", f"{rods} rods at {intervals + 1} moments are too many to hold",
                          "give fewer materials, observations or moments")
 
-    from doo_ti.prediction.predict import predict
-
     with progress() as bar:
         shown = bar.add_task(task.name, total=rods * intervals, unit="rods x moments")
-        prediction = predict(task.start, task.material, task.clamps, task.path, sub_step=sub_step, between=task.between,
-                             up=task.up, precision=options.precision, advance=lambda done: bar.advance(shown, done))
+        prediction = _predicted(task, sub_step, options.precision, lambda done: bar.advance(shown, done))
     result = _arrays(task, prediction)
     for path in filter(None, pictures.values()):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -98,6 +100,30 @@ def run(options: Namespace, words: list[str]) -> int:
     report(options, _summary(task, prediction, result, out),
            lambda: [*_lines(task, prediction, result), f"  written to {in_line(out)}"])
     return 0 if prediction.followed[-1].any() else 1
+
+
+def _predicted(task: _Task, sub_step: float, precision: str, advance):
+    inputs = {"between": task.between, "up": task.up, "advance": advance}
+    if task.dynamics is not None:
+        from doo_ti.prediction.moving import predict_moving
+
+        return predict_moving(task.start, task.material, task.clamps, task.path, task.dynamics, task.stepping, **inputs)
+    from doo_ti.prediction.predict import predict
+
+    return predict(task.start, task.material, task.clamps, task.path, sub_step=sub_step, precision=precision, **inputs)
+
+
+def _with_inertia(options: Namespace, task: _Task) -> _Task:
+    """The task for rods with inertia. Raises InputError where neither times nor --rate say how fast the motion is."""
+    from doo_ti.prediction.moving import rate_of
+
+    rate = given.positive("--rate", options.rate, "moments per second")
+    if rate is None:
+        if np.array_equal(task.path.time, np.arange(task.path.moments)):
+            raise InputError(given.SOURCE, "--rate", "missing, and the motion has no times", "give its moments per second")
+        rate = rate_of(task.path)
+    options.theta_note = given.EVERYTHING
+    return replace(task, dynamics=losses(options), stepping=stepping(options, rate))
 
 
 def _sub_step(options: Namespace) -> float:
@@ -112,7 +138,7 @@ def _sub_step(options: Namespace) -> float:
 def _scene(options: Namespace) -> _Task:
     from doo_ti.io.motion_scene import load_motion_scene
 
-    for name in ("motion", *given.MATERIAL, "clamp_start", "clamp_end"):
+    for name in ("motion", "theta", *given.MATERIAL, "clamp_start", "clamp_end"):
         if getattr(options, name) is not None:
             raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", "given, but the scene has it",
                              "leave it out, or give observations")
@@ -144,7 +170,7 @@ def _observed(options: Namespace, out: Path) -> _Task:
     check_experiment(observations, clamps, grid.axes[-1].values[-1], 0.0)
     path = path.relative_to(clamps) if options.relative else path
     _check_reach(path, clamps, float(observations.rest_length.sum()))
-    materials = grid.materials()
+    materials = curved(options, grid.materials(), observations.rest_length, options.dynamic)
     start = _settled(observations, clamps, materials)
     cells, rows = np.divmod(np.arange(materials.count * observations.count), observations.count)
     names = [f"cell {cell}, " * (materials.count > 1) + f"observation {row}" for cell, row in zip(cells, rows, strict=True)]
@@ -226,12 +252,14 @@ def _lines(task: _Task, prediction, result: dict) -> list[str]:
     jumps = np.argwhere(prediction.jumps > 0)
     lost = np.flatnonzero(~prediction.followed[-1])
     lines = [f"{task.name}: {count} rods of {task.start.edges} edges at {moments} moments",
-             f"  status      {counted(status_counts(prediction.status))}; {int(prediction.stable.sum())} of {count * moments} "
-             "certified stable",
+             f"  status      {counted(status_counts(prediction.status))}"
+             + (f"; {int(prediction.stable.sum())} of {count * moments} certified stable" if task.dynamics is None else
+                f"; with inertia, {task.stepping.rate * task.between:.4g} states/s"),
              f"  far clamp   at the end turned about the rod by {_range(result['end_rotation_deg'][-1])}, total twist "
              f"{_range(result['total_twist_deg'][-1])}"]
     rods = f"to another branch, {len(np.unique(jumps[:, 1]))} of {count} rods" if len(jumps) else "all stayed on their branch"
-    lines.append(f"  jumps       {int(prediction.jumps.sum())}, {rods}")
+    if task.dynamics is None:
+        lines.append(f"  jumps       {int(prediction.jumps.sum())}, {rods}")
     lines += shortened([
         f"    {task.names[rod]}: between {prediction.time[max(moment - 1, 0)]:g} and {prediction.time[moment]:g} s, far clamp "
         f"turned by {result['end_rotation_deg'][moment, rod]:.1f}°" for moment, rod in jumps], MOST_LISTED, "    and {} more")

@@ -10,7 +10,7 @@ import numpy as np
 
 from doo_ti.commands import options as given
 from doo_ti.commands.refine_text import summary_lines, summary_of
-from doo_ti.commands.results import plain, save_json
+from doo_ti.commands.results import note_theta, plain, save_json
 from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.files import read_content
@@ -108,6 +108,7 @@ def run(options: Namespace, words: list[str]) -> int:
         print(json.dumps(plain(summaries)))
     elif out is not None:
         print(f"written to {in_line(out)}")
+    note_theta(options)
     return 0
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.commands import options as given
+from doo_ti.commands.moving_rods import curved
 from doo_ti.commands.results import counted, report, save_arrays, theta_of, theta_text
 from doo_ti.grid import Grid
 from doo_ti.io.observations import Observations, load_observations
@@ -20,7 +21,7 @@ def declare(add) -> None:
                            "relax each observed rod under one material and compare it with its observation (Eq. 1)")
     parser.add_argument("observations", metavar="OBS", help="observations: .npz, .csv or .parquet")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
-    given.add_material(parser, "one number each")
+    given.add_material(parser, "one number each", given.SHAPE_ONLY)
     given.add_relaxation(parser, "f64")
 
 
@@ -36,10 +37,11 @@ def run(options: Namespace, words: list[str]) -> int:
     from doo_ti.metric import distance
     from doo_ti.relaxation.relax import relax as relax_rods
 
+    material = curved(options, grid.materials(), observations.rest_length)
     index, turns = turn_hypotheses(observations, clamps)
     observed, held = observations.take(index), clamps.take(index)
     with busy(f"relaxing {observed.count} rods (kernels are compiled once on a machine)"):
-        solution = relax_rods(start_configuration(observed, held, turns), grid.materials(), held, given.solver(options.solver),
+        solution = relax_rods(start_configuration(observed, held, turns), material, held, given.solver(options.solver),
                               up=observations.up, precision=options.precision)
     relaxed = solution.configuration
     error = distance(relaxed, observations, index, frame_weight)

@@ -68,6 +68,13 @@ def plain(value):
 def report(options: Namespace, summary, lines: Callable[[], list[str]]) -> None:
     """Print the ``summary`` as one line of JSON with ``--json``, else the ``lines`` of text."""
     print(json.dumps(plain(summary)) if options.json else "\n".join(lines()))
+    note_theta(options)
+
+
+def note_theta(options: Namespace) -> None:
+    """Say in one line, where ``--theta`` is given, what of the file the command has used."""
+    if getattr(options, "theta", None) and getattr(options, "theta_note", None):
+        print(f"{in_line(options.theta)}: {options.theta_note}", file=sys.stderr)
 
 
 def theta_text(theta: dict, isotropic: bool) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.commands import options as given
+from doo_ti.commands.moving_rods import is_dynamic, losses
 from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.csv_table import read_csv
@@ -70,6 +71,7 @@ class TrackingTask:
     detection: object  # DetectionOptions
     up: np.ndarray
     far: list | None  # of Motion
+    inertia: object = None  # Inertia of rods that move fast, whose frames have times
 
 
 def tracking_task(options: Namespace) -> TrackingTask:
@@ -83,8 +85,27 @@ def tracking_task(options: Namespace) -> TrackingTask:
 
     frames, time = load_frames(Path(options.frames), load_rig(options.rig))
     far = None if options.motion is None else _far_motions(Path(options.motion), frames.count)
+    inertia, time = _inertia(options, frames.count, time)
     detection = DetectionOptions(polarity=options.polarity, width_px=width)
-    return TrackingTask(frames, time, rest_length, grid.materials(), detection, up, far)
+    return TrackingTask(frames, time, rest_length, grid.materials(), detection, up, far, inertia)
+
+
+def _inertia(options: Namespace, count: int, time: np.ndarray | None) -> tuple:
+    """(Inertia or None, the times of the frames). Raises InputError where nothing says how fast they follow each other."""
+    if not is_dynamic(options):
+        return None, time
+    rate = given.positive("--rate", options.rate, "frames per second")
+    if options.tolerance is not None:
+        raise InputError(given.SOURCE, "--tolerance", "given to track", "give --substeps")
+    if rate is None and time is None:
+        raise InputError(given.SOURCE, "--rate", "missing, and the frames have no time_s", "give frames per second")
+
+    from doo_ti.perception.tracking import Inertia
+
+    substeps = given.whole("--substeps", options.substeps, 1, 1000)
+    options.theta_note = "bend, twist, damping and drag are used; rest curvature is ignored, markers count as the rod's weight"
+    inertia = Inertia(losses(options, markers=False), **({} if substeps is None else {"substeps": substeps}))
+    return inertia, time if rate is None else np.arange(count) / rate
 
 
 def read_rest_length(text: str) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Rods in motion: simulated from a recording's grippers, or from a scene (docs/dynamics.md)."""
 
 from argparse import Namespace
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,9 @@ from doo_ti.types import Clamp, Status
 
 MOST_LISTED = 8
 SCHEMES = ("bdf2", "euler")
+ENERGY = "energy_{}"
+SPLIT = ("kinetic", "gravity", "bending", "twist", "dissipated", "work", "unaccounted", "sum")
+"""Energies in pictures and recordings."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +32,10 @@ class _Simulated:
     recorded: np.ndarray | None = None
     glitches: tuple[str, ...] = ()
     alone: bool = False  # one recording, written without an axis for several
-    energies: dict[str, np.ndarray] | None = None  # (R, T) each
+    energies: dict[str, np.ndarray] = field(default_factory=dict)  # (R, T) each
+    substeps: np.ndarray | None = None  # (R,)
+    step_error: np.ndarray | None = None  # (R,) mm, where there is a tolerance
+    tolerance: float | None = None
 
 
 def declare(add) -> None:
@@ -39,8 +45,12 @@ def declare(add) -> None:
     parser.add_argument("--theta", metavar="THETA.json", help="the rod, as doo-ti identify writes it; needed for MOTION.npz")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
     parser.add_argument("--substeps", metavar="N", help="time steps from one frame to the next (default: 1, or the scene's)")
+    parser.add_argument("--tolerance", metavar="MM", help="estimate the error of the time steps, and double them for each rod "
+                        "until it is below this in all frames (default: fixed steps, no estimate)")
+    parser.add_argument("--most-substeps", metavar="N", help="with --tolerance, at most (default 64)")
     parser.add_argument("--scheme", choices=SCHEMES, help="of time steps: second order, or backward Euler (default bdf2)")
-    parser.add_argument("--precision", choices=("f32", "f64"), default="f64", help="arithmetic (default f64)")
+    parser.add_argument("--precision", choices=("f32", "f64", "mixed"), default="f64",
+                        help="arithmetic; mixed: f32, and f64 for rods that it cannot finish (default f64)")
     parser.add_argument("--fill-gaps", action="store_true",
                         help="take markers that were not seen from lines between the frames around")
     given.add_up(parser, "the one in THETA.json, else 0,0,1")
@@ -52,21 +62,32 @@ def declare(add) -> None:
 def run(options: Namespace, words: list[str]) -> int:
     """Simulate; writes positions and status at every frame and prints the errors."""
     out = given.output_file(options.out, ".npz")
-    substeps = given.whole("--substeps", options.substeps, 1, 1000)
+    changes = _stepping(options)
     shown = {kind: _shown(kind, text) for kind, text in (
         ("picture", options.picture), ("recording", options.recording), ("animation", options.animation)) if text is not None}
     up = given.world_up(options)
     from_scene = Path(options.source).suffix == ".toml"
-    found = _scene(options, substeps, up) if from_scene else _recorded(options, out, substeps, up)
+    found = _scene(options, changes, up) if from_scene else _recorded(options, out, changes, up)
     for path in shown.values():
         path.parent.mkdir(parents=True, exist_ok=True)
     arrays, summary = _results(found, out)
     if found.alone:
-        arrays = {key: value[0] if key in ("positions_mm", "status", "error_mm") else value for key, value in arrays.items()}
+        per_rod = {"positions_mm", "status", "error_mm", "substeps", "step_error_mm", *map(ENERGY.format, found.energies)}
+        arrays = {key: value[0] if key in per_rod else value for key, value in arrays.items()}
     save_arrays(out, arrays)
     _draw(found, shown)
     report(options, summary, lambda: _lines(found, summary))
     return 0 if (found.status[:, -1] == Status.CONVERGED).any() else 1
+
+
+def _stepping(options: Namespace) -> dict:
+    """The fields of :class:`doo_ti.dynamics.parameters.Stepping` that the options give."""
+    most = given.whole("--most-substeps", options.most_substeps, 2, 4096)
+    if most is not None and options.tolerance is None:
+        raise InputError(given.SOURCE, "--most-substeps", "given without --tolerance", "give both, or --substeps")
+    found = {"substeps": given.whole("--substeps", options.substeps, 1, 1000), "scheme": options.scheme,
+             "precision": options.precision, "tolerance": given.length("--tolerance", options.tolerance), "most_substeps": most}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def _shown(kind: str, text: str) -> Path:
@@ -78,8 +99,9 @@ def _shown(kind: str, text: str) -> Path:
     return given.output_file(text, suffix, f"--{kind}")
 
 
-def _recorded(options: Namespace, out: Path, substeps: int | None, up: np.ndarray) -> _Simulated:
-    from doo_ti.dynamics.identify import IdentifyOptions, predicted
+def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _Simulated:
+    from doo_ti.dynamics.identify import simulated_recordings
+    from doo_ti.dynamics.parameters import Stepping
     from doo_ti.dynamics.recorded import RecordedMotion
     from doo_ti.dynamics.theta import load_theta
 
@@ -92,17 +114,17 @@ def _recorded(options: Namespace, out: Path, substeps: int | None, up: np.ndarra
         raise InputError(options.theta, "rest_length_mm", f"{len(theta.rest_length)} edges, {in_line(options.source)} has "
                          f"{motion.edges}", "give the theta of this rod")
     theta = replace(theta, up=up) if options.up is not None else theta
-    chosen = IdentifyOptions(substeps=substeps or 1, scheme=options.scheme or "bdf2")
+    stepping = Stepping(motion.rate, **changes)
     with progress() as bar:
         task = bar.add_task("simulating", total=motion.count * (motion.positions.shape[1] - 2), unit="rods x frames")
-        positions, status = predicted(motion, [theta], chosen, options.precision,
-                                      lambda done: bar.update(task, completed=motion.count * done))
-    return _Simulated(Path(options.source).stem, list(motion.names), positions[:, 0], status[:, 0], motion.rate, theta.up,
-                      motion.positions, tuple(motion.glitches()), motion.alone)
+        positions, status, energies, found = simulated_recordings(
+            motion, theta, stepping, progress=lambda done: bar.update(task, completed=motion.count * done))
+    return _Simulated(Path(options.source).stem, list(motion.names), positions, status, motion.rate, theta.up,
+                      motion.positions, tuple(motion.glitches()), motion.alone, energies, found.substeps,
+                      None if stepping.tolerance is None else found.error, stepping.tolerance)
 
 
-def _scene(options: Namespace, substeps: int | None, up: np.ndarray) -> _Simulated:
-    from doo_ti.dynamics.energies import energies
+def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
     from doo_ti.dynamics.scene import load_dynamic_scene
     from doo_ti.dynamics.simulate import simulate
     from doo_ti.relaxation.relax import relax
@@ -124,27 +146,32 @@ def _scene(options: Namespace, substeps: int | None, up: np.ndarray) -> _Simulat
     grippers = scene.grippers.take(pairs[0] * 0) if start.count > 1 else scene.grippers
     with progress() as bar:
         task = bar.add_task(scene.name, total=count * (grippers.instants - 1), unit="rods x frames")
-        stepping = replace(scene.stepping, substeps=substeps or scene.stepping.substeps,
-                           scheme=options.scheme or scene.stepping.scheme, precision=options.precision)
-        found = simulate(start, scene.material, grippers, scene.dynamics, stepping, up=up, pairs=pairs,
+        stepping = replace(scene.stepping, **changes)
+        found = simulate(start, scene.material, grippers, scene.dynamics, stepping, up=up, pairs=pairs, detailed=True,
                          progress=lambda done: bar.update(task, completed=count * done))
     first = start.vertices[pairs[0]]
     positions = np.concatenate([first[:, None], found.positions], axis=1)
     status = np.concatenate([np.zeros((count, 1), dtype=np.int8), found.status], axis=1)
-    return _Simulated(scene.name, list(scene.names), positions, status, stepping.rate, up,
-                      energies=energies(positions, scene.start.rest_length, scene.material, scene.dynamics, stepping.rate, up))
+    return _Simulated(scene.name, list(scene.names), positions, status, stepping.rate, up, energies=found.detail.energies,
+                      substeps=found.substeps, step_error=None if stepping.tolerance is None else found.error,
+                      tolerance=stepping.tolerance)
 
 
 def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
     arrays = {"positions_mm": found.positions, "status": found.status, "rate_hz": np.float64(found.rate),
-              "recording": np.array(found.names)}
+              "recording": np.array(found.names), "substeps": found.substeps}
+    arrays |= {ENERGY.format(name): value for name, value in found.energies.items()}
     last = found.status[:, -1]
     counts = {Status(value).name.lower(): int((last == value).sum()) for value in np.unique(last)}
     summary = {"rods": len(found.names), "frames": found.positions.shape[1], "vertices": found.positions.shape[2],
                "status": counts, "failed": [name for name, value in zip(found.names, last, strict=True) if value],
                "out": str(out)}
-    if found.energies is not None:
-        arrays |= {f"energy_{name}": value for name, value in found.energies.items()}
+    if found.step_error is not None:
+        arrays["step_error_mm"] = found.step_error
+        used, rods = np.unique(found.substeps, return_counts=True)
+        summary |= {"substeps": {str(n): int(rod) for n, rod in zip(used, rods, strict=True)},
+                    "above_tolerance": int((~(found.step_error <= found.tolerance)).sum()),
+                    "step_error_mm": {name: value for name, value in zip(found.names, found.step_error, strict=True)}}
     if found.recorded is not None:
         from doo_ti.dynamics.identify import mean_error
 
@@ -164,6 +191,10 @@ def _lines(found: _Simulated, summary: dict) -> list[str]:
              f"  status      {counted(summary['status'])} at the end"]
     if summary["failed"]:
         lines.append(f"  failed      {', '.join(map(in_line, summary['failed'][:MOST_LISTED]))}: no positions from there on")
+    if found.step_error is not None:
+        steps = ", ".join(f"{n} for {rods}" for n, rods in summary["substeps"].items())
+        lines.append(f"  time steps  {steps} rods a frame; estimated error: median {np.median(found.step_error):.3g}, largest "
+                     f"{found.step_error.max():.3g} mm, above the tolerance in {summary['above_tolerance']} rods")
     if found.recorded is not None:
         lines.append(f"  error       mean {summary['mean_error_mm']:.4g} mm, median {summary['median_error_mm']:.4g} mm over "
                      "recordings (mean |difference| over markers and coordinates, grippers' included)")
@@ -172,11 +203,12 @@ def _lines(found: _Simulated, summary: dict) -> list[str]:
 
 
 def _draw(found: _Simulated, shown: dict[str, Path]) -> None:
+    energies = {name: found.energies[name] for name in SPLIT}
     if "picture" in shown:
         from doo_ti.report.rollouts import save_rollout
 
         save_rollout(shown["picture"], found.name, found.names, found.positions, found.recorded, found.rate, found.up,
-                     found.energies)
+                     energies)
     if "animation" in shown:
         from doo_ti.report.rollouts import save_animation
 
@@ -185,4 +217,5 @@ def _draw(found: _Simulated, shown: dict[str, Path]) -> None:
     if "recording" in shown:
         from doo_ti.record.rollouts import record_rollout
 
-        record_rollout(shown["recording"], found.name, found.names, found.positions, found.recorded, found.rate, found.up)
+        record_rollout(shown["recording"], found.name, found.names, found.positions, found.recorded, found.rate, found.up,
+                       energies)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from doo_ti.commands import options as given
-from doo_ti.commands.results import hypotheses_lines, observed, peak_memory, plain, run_lines, theta_text
+from doo_ti.commands.results import hypotheses_lines, note_theta, observed, peak_memory, plain, run_lines, theta_text
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.io.observations import Observations
@@ -83,6 +83,7 @@ def run(options: Namespace, words: list[str]) -> int:
         print(json.dumps(plain(summaries if len(options.sources) > 1 else summaries[0])))
     else:
         print(_effort(relaxed, time.monotonic() - began))
+    note_theta(options)
     return 0
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.commands import options as given
+from doo_ti.commands.moving_rods import add_dynamic
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
 from doo_ti.commands.results import report, save_arrays
 from doo_ti.commands.seen_rods import TrackingTask, tracking_task
@@ -29,6 +30,7 @@ def declare(add) -> None:
     given.add_material(parser, "one number each; tracked rods are round")
     parser.add_argument("--motion", metavar="PATH", help="poses of the far clamp, one moment for each frame: .npz or .csv")
     given.add_thread(parser)
+    add_dynamic(parser, "frames per second (default: by their time_s)")
     parser.add_argument("--no-recording", action="store_true", help="do not write F.rrd")
 
 
@@ -62,13 +64,14 @@ def _tracked(task: TrackingTask) -> tuple[list, str | None]:
     from doo_ti.perception.tracking import Tracker
 
     frames, found = task.frames, []
-    tracker = Tracker(frames.rig, task.rest_length, task.material, up=task.up)
+    tracker = Tracker(frames.rig, task.rest_length, task.material, up=task.up, inertia=task.inertia)
+    elapsed = [None] * frames.count if task.time is None else [None, *np.diff(task.time)]
     try:
         with progress() as bar:
             shown = bar.add_task("tracking", total=frames.count, unit="frames")
             for row, detected in enumerate(_detected(task)):
                 far = None if task.far is None or row == 0 else task.far[row - 1]
-                found.append(tracker.see(detected, frames.point[row], frames.direction[row], far))
+                found.append(tracker.see(detected, frames.point[row], frames.direction[row], far, elapsed[row]))
                 bar.advance(shown)
     except (InputError, OSError, KeyboardInterrupt) as problem:
         if not found:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.commands import options as given
+from doo_ti.commands.moving_rods import curved
 from doo_ti.commands.results import counted, report, save_arrays, shortened, theta_of, theta_text
 from doo_ti.grid import Grid
 from doo_ti.io.files import write_whole
@@ -23,7 +24,7 @@ def declare(add) -> None:
     parser.add_argument("observations", metavar="OBS",
                         help="observations, or a file that perceive wrote: .npz, .csv or .parquet")
     parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
-    given.add_material(parser, "one number each")
+    given.add_material(parser, "one number each", given.SHAPE_ONLY)
     parser.add_argument("--observations", dest="together", metavar="D",
                         help="each D consecutive observations share one angle φ "
                         "(default 1; with --offsets all of one grasp)")
@@ -60,6 +61,7 @@ def run(options: Namespace, words: list[str]) -> int:
     check_experiment(replace(observations, frames=None), observation_clamps(observations), grid.axes[-1].values[-1], 0.0)
     if offset is None and (together > 1 or options.offset):
         offset = end_offsets(observations, group)
+    material = curved(options, grid.materials(), observations.rest_length)
     search = TwistOptions(precision=options.precision)
     with progress() as bar:
         task = bar.add_task("twist", total=observations.count * len(search.angles), unit="rods")
@@ -69,7 +71,7 @@ def run(options: Namespace, words: list[str]) -> int:
             # How many rods refining the minima takes is known only afterwards.
             bar.update(task, total=max(bar.tasks[task].completed, bar.tasks[task].total))
 
-        estimate = estimate_twist(observations, grid.materials(), group, offset, search, advance)
+        estimate = estimate_twist(observations, material, group, offset, search, advance)
     result = _arrays(estimate)
     save_arrays(out, result)
     if picture is not None:

@@ -1,30 +1,205 @@
-"""Energies of round rods that move, from their positions. Axes: R rods, T frames, V vertices."""
+"""Energies of rods that move, what is dissipated, and what the grippers do, summed up step by step (docs/dynamics.md).
+
+Axes: R rods, V vertices, E edges, T instants. Energies in the package's unit, mm².
+"""
+
+from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.dynamics.parameters import GRAVITY, Dynamics, vertex_lengths
-from doo_ti.types import Material
+from doo_ti.dynamics.parameters import RATES
+from doo_ti.dynamics.trajectory import Detail
+from doo_ti.frames import quaternion_of_turn, quaternion_product, rotation_vector, tangent_from_quaternion
+from doo_ti.relaxation.time_steps import Memory, curvatures
+from doo_ti.types import Status
+
+STORED = ("kinetic", "gravity", "bending", "twist", "springs")
+"""Parts of the energy that a rod has at an instant."""
+FLOWS = ("drag", "bend_damping", "twist_damping", "work")
+"""What has been dissipated since the start, by what, and the grippers' work on the rod since then."""
+SMALL_TURN = 1e-5
+"""rad, for differences of the strains."""
+TURNS = quaternion_of_turn(SMALL_TURN * np.repeat(np.eye(3), 2, axis=0) * np.tile([1.0, -1.0], 3)[:, None])
+"""By that about each axis, forwards and backwards."""
 
 
-def energies(positions: np.ndarray, rest_length: np.ndarray, material: Material, dynamics: Dynamics, rate: float,
-             up: np.ndarray) -> dict[str, np.ndarray]:
-    """(R, T) kinetic energy, by central differences, gravity, bending, and their sum, mm², of (R, T, V, 3) positions in mm.
+@dataclass(frozen=True)
+class Losses:
+    """What R rods are made of, for the account of their energies.
 
-    material, dynamics  one row for each rod, straight at rest; bending is Σ α |κb|²/l̄ (§III-C E_bend). What the sum loses is
-                        dissipated, or was done at the grippers.
+    length         (R, E) mm
+    bend           (R, 1 or E, 2, 2), twist (R, 1 or E − 1), rest (R, 1 or E − 1, 2) ω̄ in 1/mm: as :class:`.Material`
+    bend_damping, twist_damping  (R,) s
+    weight         (R, V) energy per mm of height: of the rod and of point masses
+    mass           (R, V) energy over (mm/s)², drag (R, V) energy s/mm², drag_by_speed (R, V) energy s²/mm³
+    spring_stiffness (R, V), spring_point (R, V, 3)
+    up             (3,)
     """
-    share = vertex_lengths(rest_length)
-    weight = material.weight[:, None, None]
-    density = weight if dynamics.density is None else dynamics.column("density", len(positions))[:, None, None]
-    point = dynamics.point_masses(len(positions), positions.shape[2])[:, None]
-    velocity = np.gradient(positions, 1.0 / rate, axis=1)
-    kinetic = (density / GRAVITY * (share + point) * (velocity**2).sum(axis=-1)).sum(axis=-1)
-    gravity = (2.0 * weight * (share + point) * (positions @ up)).sum(axis=-1)
-    edges = np.diff(positions, axis=2)
-    t = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-    before, after = t[:, :, :-1], t[:, :, 1:]
-    curvature = 2.0 * np.cross(before, after) / (1.0 + np.sum(before * after, axis=-1, keepdims=True))
-    both = rest_length[:-1] + rest_length[1:]
-    bend = (material.bend[:, :1, 0, 0][:, :, None] * (curvature**2).sum(axis=-1) / both).sum(axis=-1)
-    gravity = gravity - gravity[:, :1]
-    return {"kinetic": kinetic, "gravity": gravity, "bending": bend, "sum": kinetic + gravity + bend}
+
+    length: np.ndarray
+    bend: np.ndarray
+    twist: np.ndarray
+    rest: np.ndarray
+    bend_damping: np.ndarray
+    twist_damping: np.ndarray
+    weight: np.ndarray
+    mass: np.ndarray
+    drag: np.ndarray
+    drag_by_speed: np.ndarray
+    spring_stiffness: np.ndarray
+    spring_point: np.ndarray
+    up: np.ndarray
+
+    @property
+    def pair_length(self) -> np.ndarray:
+        """(R, E − 1) l̄ of the joints."""
+        return self.length[:, :-1] + self.length[:, 1:]
+
+    def bending(self, left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """B κ of the left edges and of the right ones, (R, E − 1, 2) each."""
+        bend = np.broadcast_to(self.bend, (len(self.bend), self.length.shape[1], 2, 2))
+        return np.einsum("rjab,rjb->rja", bend[:, :-1], left), np.einsum("rjab,rjb->rja", bend[:, 1:], right)
+
+    def stresses(self, strains: np.ndarray) -> np.ndarray:
+        """(R, E − 1, 5) derivatives of the elastic energy by ``strains``, less the rest's: B κ/l̄ twice and 2 β m/l̄."""
+        left, right = self.bending(strains[..., :2], strains[..., 2:4])
+        turn = 2.0 * self.twist * strains[..., 4]
+        return np.concatenate([left, right, turn[..., None]], axis=-1) / self.pair_length[..., None]
+
+    def rest_strains(self) -> np.ndarray:
+        """(R, E − 1, 5) at which there is no stress."""
+        bent = 0.5 * self.pair_length[..., None] * self.rest
+        return np.concatenate([bent, bent, np.zeros_like(bent[..., :1])], axis=-1)
+
+    def stored(self, memory: Memory, strains: np.ndarray) -> dict[str, np.ndarray]:
+        """(R,) energies of each of STORED; ``strains`` are those of the memory."""
+        place, velocity = memory.places[..., :3], memory.places[..., 6:9]
+        strains = strains - self.rest_strains()
+        work = 0.5 * strains * self.stresses(strains)
+        apart = ((place - self.spring_point) ** 2).sum(axis=-1)
+        return {
+            "kinetic": (0.5 * self.mass * (velocity**2).sum(axis=-1)).sum(axis=-1),
+            "gravity": (self.weight * (place @ self.up)).sum(axis=-1),
+            "bending": work[..., :4].sum(axis=(-1, -2)), "twist": work[..., 4].sum(axis=-1),
+            "springs": (0.5 * self.spring_stiffness * apart).sum(axis=-1)}
+
+    def dissipated(self, memory: Memory, change: np.ndarray, step: float) -> dict[str, np.ndarray]:
+        """(R,) what was dissipated in the step before ``memory``, of h = ``step``, at its mean speeds; the strains changed by
+        ``change``."""
+        moved = memory.places[..., :3] - memory.places[..., 3:6]
+        square = (moved**2).sum(axis=-1) / step
+        loss = change * self.stresses(change) / step
+        return {"drag": (square * (self.drag + self.drag_by_speed * np.sqrt(square / step))).sum(axis=-1),
+                "bend_damping": self.bend_damping * loss[..., :4].sum(axis=(-1, -2)),
+                "twist_damping": self.twist_damping * loss[..., 4].sum(axis=-1)}
+
+
+class Account:
+    """The energies of R rods as they move, at every instant, and what has flown since the first.
+
+    losses  what the rods are made of
+    scheme  of the steps, h = ``step`` in s
+    held    (R, 2) bool: whether a gripper holds the start, and the end
+    memory  of the rods at the start
+    """
+
+    def __init__(self, losses: Losses, scheme: str, step: float, held: np.ndarray, memory: Memory):
+        self.losses, self.step, self.held = losses, step, held
+        rate = RATES[scheme]
+        self.scheme = rate / step, (rate - 1.0) / rate
+        self._flows = {name: np.zeros(len(held)) for name in FLOWS}
+        self._forces, self._instants = None, []
+        self._strains = _strains(memory.frames_before), _strains(memory.frames)
+        self._keep(memory)
+        self._store(memory)
+
+    def _keep(self, memory: Memory) -> None:
+        """What the next step needs of the memory before it."""
+        self._velocity = memory.places[..., 9:12].copy()
+        self._before = memory.frames.copy(), memory.places[..., :3].copy()
+
+    def _store(self, memory: Memory) -> None:
+        """An instant for the tables."""
+        stored = self.losses.stored(memory, self._strains[1])
+        self._instants.append((memory.frames.copy(), memory.places[..., 6:9].copy(), stored | self._flows))
+
+    def see(self, memory: Memory, end_force: np.ndarray, is_frame: bool) -> None:
+        """The step that led to ``memory``, with the force (R, 3) of the far clamp at its end, where the start is held too."""
+        older, last = self._strains
+        now = _strains(memory.frames)
+        rate, extrapolation = self.scheme
+        forces = self._gripper_forces(memory, end_force, now, rate * (now - last - extrapolation * (last - older)))
+        before = forces if self._forces is None else self._forces
+        frames, places = self._before
+        ends = [0, -1]
+        moves = memory.places[:, ends, :3] - places[:, ends]
+        turns = rotation_vector(quaternion_product(memory.frames[:, ends], frames[:, ends] * [1.0, -1.0, -1.0, -1.0]))
+        work = sum((0.5 * (a + b) * way).sum(axis=(1, 2)) for a, b, way in zip(before, forces, (moves, turns), strict=True))
+        new = self.losses.dissipated(memory, now - last, self.step) | {"work": work}
+        self._flows = {name: self._flows[name] + new[name] for name in FLOWS}
+        self._forces, self._strains = forces, (last, now)
+        self._keep(memory)
+        if is_frame:
+            self._store(memory)
+
+    def _gripper_forces(self, memory: Memory, end_force: np.ndarray, strains: np.ndarray,
+                        rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """((R, 2, 3) forces, (R, 2, 3) moments) of the grippers on the first and the last vertex and edge; ``rates`` are those
+        of the ``strains``.
+
+        Of the forces f on the vertices, inertia and drag included, the chain carries N_e = −Σ_{i>e} f_i − F_end through edge e;
+        an edge is in balance under the joints' moments T, the gripper's and l t × (−N).
+        """
+        own, (rate, extrapolation) = self.losses, self.scheme
+        place, velocity, last = (memory.places[..., k : k + 3] for k in (0, 6, 9))
+        acceleration = rate * (velocity - last - extrapolation * (last - self._velocity))
+        speed = np.linalg.norm(velocity, axis=-1)
+        force = (-own.mass[..., None] * acceleration - (own.drag + own.drag_by_speed * speed)[..., None] * velocity
+                 - own.weight[..., None] * own.up - own.spring_stiffness[..., None] * (place - own.spring_point))
+        total = force.sum(axis=1)
+        end = np.where(self.held.all(axis=1)[:, None], end_force, np.where(self.held[:, 1:], -total, 0.0))
+        start = np.where(self.held[:, :1], -total - end, 0.0)
+        damping = np.concatenate([np.repeat(own.bend_damping[:, None], 4, axis=1), own.twist_damping[:, None]], axis=1)
+        stress = own.stresses(strains - own.rest_strains()) + damping[:, None] * own.stresses(rates)
+        joints = [_joint_moment(memory.frames[:, :2], stress[:, 0], 0), _joint_moment(memory.frames[:, -2:], stress[:, -1], 1)]
+        edges = own.length[:, [0, -1], None] * tangent_from_quaternion(memory.frames[:, [0, -1]])
+        through = np.stack([force[:, 0] + start, -force[:, -1] - end], axis=1)
+        moments = np.cross(edges, through) - np.stack(joints, axis=1)
+        return np.stack([start, end], axis=1), np.where(self.held[..., None], moments, 0.0)
+
+    def detail(self, status: np.ndarray) -> Detail:
+        """Frames, velocities and energies at the start and at all frames seen, of rods with that ``status`` (R, F).
+
+        Energies are those of STORED and FLOWS, ``sum`` of the former, ``dissipated`` by drag and damping together, and
+        ``unaccounted``: the sum at the start and the work, less the sum and what was dissipated. That is lost by the scheme, or
+        an error of this account; both are of the scheme's order in h. Gravity counts from the start.
+        """
+        frames, velocities, rows = zip(*self._instants, strict=True)
+        failed = np.pad(status != Status.CONVERGED, ((0, 0), (1, 0)))
+        parts = {name: np.where(failed, np.nan, np.stack([row[name] for row in rows], axis=1)) for name in (*STORED, *FLOWS)}
+        parts["gravity"] = parts["gravity"] - parts["gravity"][:, :1]
+        if not self.losses.spring_stiffness.any():
+            del parts["springs"]
+        total = sum(parts[name] for name in STORED if name in parts)
+        dissipated = sum(parts[name] for name in FLOWS if name != "work")
+        energies = parts | {"sum": total, "dissipated": dissipated,
+                            "unaccounted": total[:, :1] + parts["work"] - total - dissipated}
+        lost = failed[..., None, None]
+        return Detail(np.where(lost, np.nan, np.stack(frames, axis=1)), np.where(lost, np.nan, np.stack(velocities, axis=1)),
+                      energies)
+
+
+def _strains(frames: np.ndarray) -> np.ndarray:
+    """(R, J, 5) of the joints of (R, J + 1, 4) frames: κ = (κb·m2, −κb·m1) of the left frame and of the right one, and the
+    twist m."""
+    x1, x2, y1, y2, turn = np.moveaxis(curvatures(frames), -1, 0)
+    return np.stack([2.0 * x2, -2.0 * x1, 2.0 * y2, -2.0 * y1, turn], axis=-1)
+
+
+def _joint_moment(frames: np.ndarray, stress: np.ndarray, edge: int) -> np.ndarray:
+    """(R, 3) moment in the world of a joint with ``stress`` (R, 5) on its first or second ``edge``, of frames (R, 2, 4): minus
+    the derivative of its energy by a turn of that edge, by differences of the strains."""
+    turned = np.repeat(frames[None], len(TURNS), axis=0)
+    turned[:, :, edge] = quaternion_product(TURNS[:, None], frames[:, edge])
+    sides = _strains(turned.reshape(-1, 2, 4)).reshape(3, 2, len(frames), 5)
+    return -((sides[:, 0] - sides[:, 1]) * stress).sum(axis=-1).T / (2.0 * SMALL_TURN)

@@ -11,9 +11,7 @@ from doo_ti.frames import (
     bishop_frames,
     matrix_from_quaternion,
     orthonormality_error,
-    quaternion_about,
     quaternion_from_matrix,
-    quaternion_product,
 )
 from doo_ti.types import Clamp, Clamps
 
@@ -84,8 +82,7 @@ class Grippers:
         return Clamps(self.start, self.end, *(np.ascontiguousarray(getattr(self, name)[:, instant]) for name in _PATHS))
 
     def refined(self, parts: int) -> "Grippers":
-        """With ``parts`` equal steps between neighbouring instants: positions on cubics through their neighbours, frames by the
-        shortest rotation."""
+        """With ``parts`` equal steps between neighbouring instants: positions and frames on cubics through their neighbours."""
         if parts == 1:
             return self
         share = np.arange(parts) / parts
@@ -112,23 +109,20 @@ def edge_frames(edges: np.ndarray, first: np.ndarray | None = None) -> np.ndarra
 
 
 def _cubic(points: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """(S, (T − 1) parts + 1, 3) Catmull–Rom cubics through (S, T, 3) points."""
+    """(S, (T − 1) parts + 1, n) Catmull–Rom cubics through (S, T, n) points."""
     outer = np.concatenate([2 * points[:, :1] - points[:, 1:2], points, 2 * points[:, -1:] - points[:, -2:-1]], axis=1)
     before, here, there, after = (outer[:, k : k + points.shape[1] - 1, None] for k in range(4))
     u = share[:, None]
     curve = here + 0.5 * u * (there - before + u * (2 * before - 5 * here + 4 * there - after
                                                     + u * (3 * (here - there) + after - before)))
-    return np.concatenate([curve.reshape(len(points), -1, 3), points[:, -1:]], axis=1)
+    return np.concatenate([curve.reshape(len(points), -1, points.shape[2]), points[:, -1:]], axis=1)
 
 
 def _turning(frames: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """(S, (T − 1) parts + 1, 3, 3) shortest rotations between (S, T, 3, 3) frames, in equal parts."""
+    """(S, (T − 1) parts + 1, 3, 3) frames between (S, T, 3, 3): cubics through their quaternions, the shorter way from each to
+    the next, normalised. A speed of turning that jumps would be a blow to the rod at every instant, however small the steps."""
     q = quaternion_from_matrix(frames)
-    here, there = q[:, :-1], q[:, 1:]
-    turn = quaternion_product(there, here * [1.0, -1.0, -1.0, -1.0])
-    turn = np.where(turn[..., :1] < 0, -turn, turn)
-    angle = np.arctan2(np.linalg.norm(turn[..., 1:], axis=-1), turn[..., 0])[..., None]
-    axis = turn[..., None, 1:] / np.maximum(np.linalg.norm(turn[..., None, 1:], axis=-1, keepdims=True), 1e-300)
-    part = quaternion_about(axis, 2.0 * share * angle)
-    between = quaternion_product(part, np.broadcast_to(here[:, :, None], part.shape))
-    return matrix_from_quaternion(np.concatenate([between.reshape(len(q), -1, 4), q[:, -1:]], axis=1))
+    signs = np.cumprod(np.where((q[:, 1:] * q[:, :-1]).sum(axis=-1) < 0, -1.0, 1.0), axis=1)
+    q[:, 1:] *= signs[..., None]
+    between = _cubic(q, share)
+    return matrix_from_quaternion(between / np.linalg.norm(between, axis=-1, keepdims=True))

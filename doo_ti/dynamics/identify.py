@@ -2,17 +2,21 @@
 
 Σ ρ(x_simulated − x_recorded) over markers and frames, each recording rolled out open loop from its first two frames, is made
 small by Levenberg–Marquardt; ρ(r) = δ (√(δ² + r²) − δ) grows linearly beyond δ, so that glitches of the capture do not decide.
+Marks of still frames join the sum with the weight σ²_motion/σ²_still, σ_motion being the scatter of the recordings' residuals.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from doo_ti.dynamics.parameters import Direction, MovingStart, Stepping
 from doo_ti.dynamics.recorded import RecordedMotion, Rollout, roll_reference, rollout
-from doo_ti.dynamics.simulate import Trajectory, simulate
+from doo_ti.dynamics.simulate import simulate
+from doo_ti.dynamics.stills import Stills
 from doo_ti.dynamics.theta import MotionTheta, Unknowns, simulated
+from doo_ti.dynamics.trajectory import Trajectory
+from doo_ti.io.observations import Observations
 from doo_ti.types import Clamp, Status
 
 STEP = 1e-6
@@ -50,12 +54,32 @@ class IdentifyOptions:
         return self.iterations * len(self.horizons)
 
 
-def predicted(motion: RecordedMotion, thetas: list[MotionTheta], options: IdentifyOptions, precision: str = "f64",
-              progress=None, begun: Rollout | None = None):
+def predicted(motion: RecordedMotion, thetas: list[MotionTheta], options: IdentifyOptions, begun: Rollout | None = None):
     """((R, G, T, V, 3) positions of the recordings under each Θ, (R, G, T) status): frames 0 and 1 and the grippers' vertices
     as given, the rest predicted; NaN where a rod failed. ``begun`` is the layout of ``motion`` where that is known."""
-    at, found = _rolled_out(motion, thetas, options, begun, precision, progress=progress)
-    count, each = motion.count, len(thetas)
+    at, found = _rolled_out(motion, thetas, options, begun)
+    return _shown(motion, len(thetas), at, found)
+
+
+def simulated_recordings(motion: RecordedMotion, theta: MotionTheta, stepping: Stepping, end: Clamp = IdentifyOptions.end,
+                         progress=None):
+    """(positions (R, T, V, 3), status (R, T), energies (R, T) by name, the simulation itself) of the recordings under one Θ, as
+    :func:`predicted`; energies are NaN in frame 0: the simulation begins at frame 1. ``stepping`` has the recordings' rate."""
+    begun = rollout(motion, theta.rest_length, theta.reference, end=end)
+    material, dynamics = simulated([theta])
+    found = simulate(MovingStart(begun.start, begun.velocity, 0.5 / begun.rate), material, begun.grippers, dynamics, stepping,
+                     up=theta.up, detailed=True, progress=progress)
+    positions, status = (value[:, 0] for value in _shown(motion, 1, begun.steps[:, 1:] - 1, found))
+    rods = np.arange(motion.count)[:, None]
+    energies = {name: np.concatenate([np.full((motion.count, 1), np.nan), value[rods, begun.steps]], axis=1)
+                for name, value in found.detail.energies.items()}
+    return positions, status, energies, found
+
+
+def _shown(motion: RecordedMotion, each: int, at: np.ndarray, found: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """((R, G, T, V, 3) positions, (R, G, T) status) of a simulation of every recording under G = ``each`` Θ, as
+    :func:`predicted` has them."""
+    count = motion.count
     rods = np.arange(count)[:, None]
     positions = np.repeat(motion.positions[:, None], each, axis=1)
     inner = found.positions.reshape(count, each, -1, *motion.positions.shape[2:])
@@ -82,14 +106,14 @@ def _laid_out(motion: RecordedMotion, theta: MotionTheta, options: IdentifyOptio
 
 
 def _rolled_out(motion: RecordedMotion, thetas: list[MotionTheta], options: IdentifyOptions, begun: Rollout | None,
-                precision: str = "f64", **more) -> tuple[np.ndarray, Trajectory]:
+                **more) -> tuple[np.ndarray, Trajectory]:
     """((R, T − 2) frame of the simulation for each that is predicted, the simulation of every recording under every Θ)."""
     begun = begun or _laid_out(motion, thetas[0], options)
     count, each = motion.count, len(thetas)
     pairs = np.repeat(np.arange(count), each), np.tile(np.arange(each), count)
     material, dynamics = simulated(thetas)
     start = MovingStart(begun.start, begun.velocity, 0.5 / begun.rate)
-    stepping = Stepping(begun.rate, options.substeps, options.scheme, precision)
+    stepping = Stepping(begun.rate, options.substeps, options.scheme)
     found = simulate(start, material, begun.grippers, dynamics, stepping, up=thetas[0].up, pairs=pairs, **more)
     return begun.steps[:, 1:] - 1, found
 
@@ -111,6 +135,7 @@ class Identified:
     failed      (R,) bool: some step of the recording did not converge, and it was left out
     cost        Σ ρ, mm²
     iterations  in all
+    still_error (S,) mm, the mean distance of the marks of each still, of all sets one after the other; NaN for those left out
     """
 
     theta: MotionTheta
@@ -121,39 +146,45 @@ class Identified:
     failed: np.ndarray
     cost: float
     iterations: int
+    still_error: np.ndarray
 
     def parameters(self) -> list[dict]:
         """Name, value, 95 % interval and unit of every parameter."""
-        return self.unknowns.intervals(self.vector, self.covariance, int((~self.failed).sum()) - 1)
+        used = int((~self.failed).sum() + np.isfinite(self.still_error).sum())
+        return self.unknowns.intervals(self.vector, self.covariance, used - 1)
 
 
 def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOptions = IdentifyOptions(),
-             report: Callable[[int, int, float], None] | None = None) -> Identified:
+             report: Callable[[int, int, float], None] | None = None, stills: Sequence[Stills] = ()) -> Identified:
     """The Θ of the rod that all recordings of ``motion`` show, from ``begin`` on.
 
     report  called with the horizon, the iteration and the mean error in mm
+    stills  sets of shapes of the same rod at rest, which count as well
     """
     unknowns = Unknowns(begin, options.modes, options.fitted)
     p = unknowns.vector(begin)
     made = 0
     frames = motion.positions.shape[1]
     for horizon in sorted({min(h + 2, frames) for h in options.horizons}):
-        fit = _Fit(motion.until(horizon), unknowns, options)
+        fit = _Fit(motion.until(horizon), unknowns, options, stills)
         p, cost, iterations = fit.minimise(p, lambda k, error, horizon=horizon: report and report(horizon, k, error))
         made += iterations
     residual, slopes, status = fit.linearised(p)
     failed = (status != Status.CONVERGED).any(axis=1)
     theta = unknowns.theta(p)
     error = np.where(failed, np.nan, np.abs(residual).mean(axis=(1, 2, 3)) * (residual.shape[2] / motion.positions.shape[2]))
-    return Identified(theta, unknowns, p, fit.covariance(residual, slopes, ~failed), error, failed, cost, made)
+    still = fit.linearised_stills(p, fit.variance(residual, ~failed))
+    return Identified(theta, unknowns, p, fit.covariance(residual, slopes, ~failed, still), error, failed, cost, made,
+                      np.concatenate([np.zeros(0), *(part.error for part in still)]))
 
 
 def identify_from_guesses(motion: RecordedMotion, options: IdentifyOptions, bend: float | None = None,
-                          up=(0.0, 0.0, 1.0), report=None) -> Identified:
+                          up=(0.0, 0.0, 1.0), report=None, stills: Sequence[Observations] = ()) -> Identified:
     """:func:`identify` from the best of several guesses of bend stiffness on the shortest horizon, or from ``bend``."""
-    lengths = motion.edge_lengths()
+    lengths, reference = motion.edge_lengths(), roll_reference(motion)
+    at_rest = [Stills.of(observations, reference, lengths.sum()) for observations in stills]
     guesses = [bend] if bend is not None else [share * lengths.sum() ** 3 for share in GUESSES]
-    thetas = [MotionTheta(guess, 1.0, 0.03, 0.2, 1e-5, 0.0, np.zeros((2, 0)), lengths, roll_reference(motion),
+    thetas = [MotionTheta(guess, 1.0, 0.03, 0.2, 1e-5, 0.0, np.zeros((2, 0)), lengths, reference,
                           np.asarray(up, dtype=np.float64)) for guess in guesses]
     best = 0
     if len(thetas) > 1:
@@ -161,14 +192,27 @@ def identify_from_guesses(motion: RecordedMotion, options: IdentifyOptions, bend
         positions, _ = predicted(part, thetas, options)
         error = np.abs(positions - part.positions[:, None]).mean(axis=(2, 3, 4))
         best = int(np.argmin(np.nanmedian(error, axis=0)))
-    return identify(motion, thetas[best], options, report)
+    return identify(motion, thetas[best], options, report, at_rest)
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """A set of stills near some p: residuals (D, V, 3) and slopes (D, P, V, 3) times the root of their ``weight``, of the rods
+    that are ``used`` (D,); error (D,) mm."""
+
+    stills: Stills
+    weight: float
+    residual: np.ndarray
+    slopes: np.ndarray
+    used: np.ndarray
+    error: np.ndarray
 
 
 class _Fit:
-    """Levenberg–Marquardt over the recordings of one horizon."""
+    """Levenberg–Marquardt over the recordings of one horizon, and all stills."""
 
-    def __init__(self, motion: RecordedMotion, unknowns: Unknowns, options: IdentifyOptions):
-        self.motion, self.unknowns, self.options = motion, unknowns, options
+    def __init__(self, motion: RecordedMotion, unknowns: Unknowns, options: IdentifyOptions, stills: Sequence[Stills] = ()):
+        self.motion, self.unknowns, self.options, self.stills = motion, unknowns, options, stills
         self.seen = motion.positions[:, 2:, 2:-2]
         self.begun = _laid_out(motion, unknowns.begin, options)
 
@@ -184,6 +228,35 @@ class _Fit:
         positions, slopes, status = differentiated(self.motion, self.unknowns.theta(p), directions, self.options, self.begun)
         return positions - self.seen, slopes, status
 
+    @staticmethod
+    def variance(residual: np.ndarray, used: np.ndarray) -> float:
+        """mm², of a coordinate of the recordings; squared median-based deviation, which glitches do not change."""
+        return float((1.4826 * np.median(np.abs(residual[used]))) ** 2) if used.any() else 1.0
+
+    def linearised_stills(self, p, variance: float) -> list[_Linear]:
+        """The stills near p, weighted against recordings of that ``variance``."""
+        theta, found = self.unknowns.theta(p), []
+        for stills in self.stills:
+            solution = stills.rested(theta)
+            apart, used = stills.residuals(solution)
+            weight = variance / stills.variance(apart, used)
+            seen = stills.observations.valid
+            error = np.where(used, np.linalg.norm(apart, axis=-1).sum(axis=1) / seen.sum(axis=1), np.nan)
+            root = np.sqrt(weight)
+            slopes = root * stills.slopes(theta, solution, self.unknowns)
+            found.append(_Linear(stills, weight, root * apart, slopes, used, error))
+        return found
+
+    def still_cost(self, p, linear: list[_Linear]) -> float:
+        """Σ ρ of the stills that ``linear`` uses, at another p; infinite where one of them fails."""
+        theta, total = self.unknowns.theta(p), 0.0
+        for part in linear:
+            apart, used = part.stills.residuals(part.stills.rested(theta))
+            if (part.used & ~used).any():
+                return np.inf
+            total += self.cost(np.sqrt(part.weight) * apart[part.used, None]).sum()
+        return total
+
     def direction(self, p, entry: int) -> Direction:
         """Along one entry of p, within its bounds."""
         before, after = p.copy(), p.copy()
@@ -198,22 +271,32 @@ class _Fit:
         return np.where(np.isfinite(value), value, np.inf)
 
     def normal(self, residual, slopes, used):
-        """(A, (R, P) gradients of the recordings): the normal equations of the reweighted squares."""
+        """((R, P, P), (R, P) gradients) of the recordings, or of the stills: the normal equations of the reweighted squares,
+        zero where a rod is not ``used``."""
         weight = 1.0 / np.sqrt(1.0 + (residual / self.options.delta) ** 2)
         count, p = slopes.shape[:2]
-        a, gradients = np.zeros((p, p)), np.zeros((count, p))
+        a, gradients = np.zeros((count, p, p)), np.zeros((count, p))
         for r in np.flatnonzero(used):
             j, w = slopes[r].reshape(p, -1), weight[r].ravel()
-            a += (j * w) @ j.T
+            a[r] = (j * w) @ j.T
             gradients[r] = (j * w) @ residual[r].ravel()
         return a, gradients
 
-    def covariance(self, residual, slopes, used) -> np.ndarray:
-        """(P, P) of p: A⁻¹ (Σ g gᵀ) A⁻¹ over recordings, whose errors are as one each."""
-        a, gradients = self.normal(residual, slopes, used)
-        number = max(2, int(used.sum()))
-        inverse = np.linalg.pinv(a)
-        return inverse @ (gradients.T @ gradients) @ inverse * (number / (number - 1))
+    def joint_normal(self, residual, slopes, used, still: list[_Linear]):
+        """The same of recordings and stills together, without those that are not used."""
+        parts = [self.normal(residual, slopes, used), *(self.normal(one.residual, one.slopes, one.used) for one in still)]
+        chosen = np.concatenate([used, *(one.used for one in still)])
+        return tuple(np.concatenate(arrays)[chosen] for arrays in zip(*parts, strict=True))
+
+    def covariance(self, residual, slopes, used, still: list[_Linear]) -> np.ndarray:
+        """(P, P) of p: of the values it takes, to first order, where one recording or still is left out after the other (the
+        jackknife), whose errors are as one each."""
+        a, gradients = self.joint_normal(residual, slopes, used, still)
+        number = len(a)
+        if number < 2:
+            return np.full(a.shape[1:], np.inf)
+        changes = np.stack([np.linalg.pinv(a.sum(axis=0) - own) @ g for own, g in zip(a, gradients, strict=True)])
+        return changes.T @ changes * ((number - 1) / number)
 
     def minimise(self, p, report) -> tuple[np.ndarray, float, int]:
         """(p, cost, iterations)."""
@@ -223,10 +306,11 @@ class _Fit:
             used = (status == Status.CONVERGED).all(axis=1)
             if not used.any():
                 return p, np.inf, k + 1
-            cost = self.cost(residual)[used].sum()
+            still = self.linearised_stills(p, self.variance(residual, used))
+            cost = self.cost(residual)[used].sum() + self.still_cost(p, still)
             report(k, float(np.abs(residual[used]).mean()))
-            a, gradients = self.normal(residual, slopes, used)
-            g = gradients.sum(axis=0)
+            a, gradients = self.joint_normal(residual, slopes, used, still)
+            a, g = a.sum(axis=0), gradients.sum(axis=0)
             free = ~((p <= lower) & (g > 0) | (p >= upper) & (g < 0))
             a, g = a[np.ix_(free, free)], g[free]
             improved = np.inf
@@ -234,7 +318,7 @@ class _Fit:
                 step = np.zeros_like(p)
                 step[free] = -np.linalg.solve(a + damping * (np.diag(np.diag(a)) + 1e-3 * np.trace(a) * np.eye(len(a))), g)
                 trial = np.clip(p + np.clip(step, -1.0, 1.0), lower, upper)
-                improved = self.cost(self.residuals([trial])[0][:, 0])[used].sum()
+                improved = self.cost(self.residuals([trial])[0][:, 0])[used].sum() + self.still_cost(trial, still)
                 if improved < cost:
                     break
                 damping *= 4.0

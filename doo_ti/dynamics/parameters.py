@@ -32,7 +32,12 @@ class Stepping:
     rate       instants of the grippers per second
     substeps   time steps from one instant to the next; grippers move smoothly between them
     scheme     "bdf2", of second order, or "euler", backward Euler, of first order and strongly damping
-    precision  "f64" or "f32", in which a rod that rounding stops is reported as stalled
+    precision  "f64"; "f32", in which a rod that rounding stops is reported as stalled; or "mixed": f32, and f64 for the rods
+               that it stops or that need finer steps
+    tolerance  mm: a rod whose estimated error is larger at some frame, or that fails, is simulated again with twice as many
+               steps, which also gives the estimate (:mod:`doo_ti.dynamics.adaptive`); None: no error is estimated
+    most_substeps  with a tolerance
+    quasi_static   without inertia and drag: every step is an equilibrium, in which friction remembers where the rod was
 
     Raises InputError for numbers out of range and unknown words.
     """
@@ -41,13 +46,24 @@ class Stepping:
     substeps: int = 1
     scheme: str = "bdf2"
     precision: str = "f64"
+    tolerance: float | None = None
+    most_substeps: int = 64
+    quasi_static: bool = False
 
     def __post_init__(self):
         require_number("Stepping", "rate", self.rate)
         if not 0 < self.rate <= MOST_RATE:
             raise InputError("Stepping", "rate", f"{self.rate}", f"give instants per second, above zero, at most {MOST_RATE:g}")
         require_whole("Stepping", "substeps", self.substeps, 1)
-        for name, known in (("scheme", tuple(RATES)), ("precision", ("f32", "f64"))):
+        require_whole("Stepping", "most_substeps", self.most_substeps, 1)
+        if self.tolerance is not None:
+            require_number("Stepping", "tolerance", self.tolerance)
+            if not self.tolerance > 0:
+                raise InputError("Stepping", "tolerance", f"{self.tolerance}", "give mm above zero, or None")
+            if self.most_substeps < 2 * self.substeps:
+                raise InputError("Stepping", "most_substeps", f"{self.most_substeps} with {self.substeps} substeps at first",
+                                 "give at least twice as many: errors are estimated by doubling")
+        for name, known in (("scheme", tuple(RATES)), ("precision", ("f32", "f64", "mixed"))):
             if getattr(self, name) not in known:
                 raise InputError("Stepping", name, f"{getattr(self, name)!r}", f"give one of {', '.join(known)}")
 

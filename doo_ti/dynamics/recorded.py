@@ -7,10 +7,12 @@ import numpy as np
 
 from doo_ti.dynamics.grippers import Grippers, edge_frames
 from doo_ti.errors import InputError
-from doo_ti.frames import bishop_frames, quaternion_from_matrix
+from doo_ti.frames import bishop_frames, quaternion_from_matrix, tangent_from_quaternion
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.files import read_content
-from doo_ti.types import Clamp, Configuration
+from doo_ti.relaxation.external import Springs
+from doo_ti.relaxation.relax import relax
+from doo_ti.types import Clamp, Clamps, Configuration, Material
 
 LEAST_JUMP, LARGEST_MISFIT, SMALLEST_JUMP = 1.7, 0.2, 10.0
 """Frames are missing where the gripper markers together move by more than the first times their usual move; where what that
@@ -28,6 +30,8 @@ LARGEST_REACH = 0.999
 """Share of the rod's length between grippers, at most: beyond, the far gripper is moved back."""
 MOST_MM = 1e6
 """From the origin."""
+FIT_STIFFNESS = 0.01
+"""Of a rod that is fitted to markers, over that of the springs to them and the cube of an edge: it hardly resists."""
 GRIPPED = (0, 1, -2, -1)
 """Vertices of the first and last edge."""
 
@@ -289,15 +293,33 @@ def rollout(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarr
     first = edge_frames(expanded[:, :, 1] - expanded[:, :, 0], np.broadcast_to(reference, (motion.count, 3)))
     first_two = motion.positions[:, :2].copy()
     first_two[:, :, GRIPPED] = believed[:, :2]
-    x = first_two[:, 1]
-    edges = np.diff(x, axis=1)
-    tangents = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-    frames = bishop_frames(tangents, first[:, 0, :, 1])  # without twist at the start
+    x = first_two[:, 1].copy()
+    velocity = (x - first_two[:, 0]) * motion.rate / motion.elapsed[:, 1, None, None]
+    x[:, GRIPPED] = held[:, 0]
+    # Without twist at the start.
+    frames = bishop_frames(_fitted_tangents(x, rest_length, first[:, 0]), first[:, 0, :, 1])
     last = edge_frames(expanded[:, :, 3] - expanded[:, :, 2], frames[:, -1, :, 1])
     grippers = Grippers(Clamp.FRAME, end, expanded[:, :, 0], expanded[:, :, 3], first, last)
-    velocity = (x - first_two[:, 0]) * motion.rate / motion.elapsed[:, 1, None, None]
     start = Configuration(x[:, 0].copy(), quaternion_from_matrix(frames), rest_length)
     return Rollout(start, velocity, grippers, steps, motion.rate)
+
+
+def _fitted_tangents(markers: np.ndarray, rest_length: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """(R, E, 3) tangents of rods whose edges have their lengths, whose ends are where the grippers are, and which are otherwise
+    as near as possible to ``markers`` (R, V, 3); ``first`` (R, 3, 3) is the frame of the first edge.
+
+    A rod that did not end in its gripper would be thrown there within the first time step. Where there is none: as the markers
+    show it.
+    """
+    edges = np.diff(markers, axis=1)
+    tangents = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+    seen = Configuration(markers[:, 0], quaternion_from_matrix(bishop_frames(tangents, first[..., 1])), rest_length)
+    clamps = Clamps(Clamp.TANGENT, Clamp.TANGENT, markers[:, 0], markers[:, -1], first, seen.frames[:, -1])
+    stiff = FIT_STIFFNESS * rest_length.mean() ** 3
+    springs = Springs(markers, np.ones(markers.shape[:2]))
+    found = relax(seen, Material(stiff, stiff, 0.0), clamps, up=(0.0, 0.0, 1.0), precision="f64", external=springs,
+                  external_index=np.arange(len(markers)))
+    return np.where(found.converged[:, None, None], tangent_from_quaternion(found.configuration.quaternions), tangents)
 
 
 def _with_missing(held: np.ndarray, elapsed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -2,12 +2,15 @@
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass
 
 import numpy as np
 
+from doo_ti.contact.obstacles import Obstacle
+from doo_ti.dynamics.adaptive import adapted
+from doo_ti.dynamics.energies import Account, Losses
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import GRAVITY, RATES, Direction, Dynamics, MovingStart, Stepping, vertex_lengths
+from doo_ti.dynamics.trajectory import Trajectory
 from doo_ti.errors import InputError
 from doo_ti.frames import (
     quaternion_from_matrix,
@@ -15,11 +18,22 @@ from doo_ti.frames import (
     smallest_rotation,
     tangent_from_quaternion,
 )
+from doo_ti.relaxation.checked_input import paired_rows
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.input_tables import tables, under
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.tables import Tables, whole_start
-from doo_ti.relaxation.time_loop import END_FORCE, MOMENT, PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_TARGET, STATE, TRIPS
+from doo_ti.relaxation.time_loop import (
+    END_FORCE,
+    FRICTION_WORK,
+    MOMENT,
+    PATH_ANCHOR,
+    PATH_COLUMNS,
+    PATH_ENDS,
+    PATH_TARGET,
+    STATE,
+    TRIPS,
+)
 from doo_ti.relaxation.time_slopes import NUMBERS, REMEMBERED
 from doo_ti.relaxation.time_steps import Memory, Slopes, make_steps, slope_memory
 from doo_ti.relaxation.time_sweep import (
@@ -39,35 +53,6 @@ NUMBERS_AT_ONCE = 32_000_000
 """Numbers of positions that a launch writes."""
 
 
-@dataclass(frozen=True)
-class Trajectory:
-    """R rods at F frames.
-
-    positions   (R, F, V, 3) mm; NaN from where a rod failed
-    status      (R, F) Status; a rod that failed keeps its status to the end
-    iterations  (R, F) Newton iterations of all steps since the frame before
-    residual    (R, F) the largest residual of those steps
-    end_force   (R, F, 3) force of the far clamp on the rod, mm (energy per mm), zero where an end is free
-    rate        frames per second
-    memory      frames, positions and velocities at the last two instants
-    slopes      (R, F, P, V, 3) derivatives of positions along the ``directions`` of :func:`simulate`, or None
-    """
-
-    positions: np.ndarray
-    status: np.ndarray
-    iterations: np.ndarray
-    residual: np.ndarray
-    end_force: np.ndarray
-    rate: float
-    memory: Memory
-    slopes: np.ndarray | None = None
-
-    @property
-    def converged(self) -> np.ndarray:
-        """(R,) whether all steps of the rod have converged."""
-        return self.status[:, -1] == Status.CONVERGED
-
-
 def simulate(
     start: Configuration | MovingStart,
     material: Material,
@@ -79,6 +64,9 @@ def simulate(
     up=(0.0, 0.0, 1.0),
     pairs: tuple[np.ndarray, np.ndarray] | None = None,
     directions: Sequence[Direction] = (),
+    detailed: bool = False,
+    obstacles: Sequence[Obstacle] = (),
+    radius=None,
     progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
     """Move rods from ``start`` through the instants of ``grippers``.
@@ -91,22 +79,46 @@ def simulate(
     pairs       (R,) rows of start and of material that make up each rod; by default they pair one to one, a single row with
                 every row of the other
     directions  P parameters to differentiate the positions by, in f64
+    detailed    also returns frames, velocities and energies; every step is a launch of its own then
+    obstacles   what the rods may touch but not enter, with friction where it states a coefficient; with f64 or f32 and without
+                directions
+    radius      of the rods, mm, one or (R,), with obstacles
     progress    called with the number of frames that are done
 
     Returns the T − 1 later instants. A rod whose step fails stops alone. Raises InputError for inputs that do not match.
     """
     begin = start if isinstance(start, MovingStart) else MovingStart(start)
-    if directions and stepping.precision != "f64":
-        raise InputError("simulate", "precision", "f32 with directions", "give f64")
-    motion = _Motion(begin.configuration, material, grippers, dynamics, stepping, springs, unit_up(up, "simulate"), pairs)
-    memory, remembered = motion.begin(begin, directions)
-    return motion.run(memory, progress, directions, remembered)
+    for name, value, plain in (("precision", stepping.precision, "f64"), ("tolerance", stepping.tolerance, None)):
+        if directions and value != plain:
+            raise InputError("simulate", name, f"{value} with directions", f"give {plain}")
+    if directions and obstacles:
+        raise InputError("simulate", "obstacles", "given with directions", "leave one of the two out")
+    given = begin.configuration, material, grippers, dynamics
+    direction = unit_up(up, "simulate")
+
+    def run(stepping: Stepping, rods, own_springs, touchable, detailed=False, progress=None) -> Trajectory:
+        motion = _Motion(*given, stepping, own_springs, direction, rods, touchable)
+        memory, remembered = motion.begin(begin, directions)
+        return motion.run(memory, progress, directions, remembered, detailed)
+
+    if stepping.tolerance is None and stepping.precision != "mixed":
+        return run(stepping, pairs, springs, (obstacles, radius), detailed, progress)
+    index = paired_rows(begin.configuration.count, material.count, *((None, None) if pairs is None else pairs))
+    many = springs is not None and springs.count > 1
+
+    def some(stepping: Stepping, rows: np.ndarray, detailed=False, progress=None) -> Trajectory:
+        own = Springs(springs.points[rows], springs.stiffness[rows]) if many else springs
+        thick = radius if np.size(radius) < 2 else np.asarray(radius)[rows]
+        touchable = [obstacle.take(rows) for obstacle in obstacles], thick
+        return run(stepping, tuple(part[rows] for part in index), own, touchable, detailed, progress)
+
+    return adapted(some, len(index[0]), stepping, detailed, progress)
 
 
 class _Motion:
     """A motion laid out for the kernels."""
 
-    def __init__(self, start, material, grippers, dynamics, stepping, springs, up, pairs):
+    def __init__(self, start, material, grippers, dynamics, stepping, springs, up, pairs, touchable):
         if grippers.count not in (1, start.count):
             raise InputError("simulate", "grippers", f"{grippers.count} rods, start has {start.count}", "give one, or as many")
         if dynamics.count not in (1, material.count):
@@ -116,13 +128,15 @@ class _Motion:
         self.stepping, self.substeps, self.step = stepping, stepping.substeps, stepping.step
         self.grippers = grippers.refined(stepping.substeps)
         self.pairs = (None, None) if pairs is None else pairs
+        self.obstacles, self.radius = touchable
         self.first = _spread(grippers.at(0), start.count)
 
     def table(self, factor: float) -> Tables:
         """The tables of the rods for time derivatives of that factor a."""
         vertices = self.start.edges + 1
         external = Springs(np.zeros((1, vertices, 3)), np.zeros((1, vertices)))
-        return tables(self.start, self._stiffened(factor), self.first, self.up, *self.pairs, external, None)
+        return tables(self.start, self._stiffened(factor), self.first, self.up, *self.pairs, external, None,
+                      self.obstacles, self.radius, in_motion=True)
 
     def _stiffened(self, factor: float) -> Material:
         """The material with the stiffness and the rest curvature that damping adds."""
@@ -163,6 +177,8 @@ class _Motion:
         numbers[..., 0] = (mass + 2.0 * density[:, None] / GRAVITY * point) * rate**2
         numbers[..., DRAG - INERTIA] = mass * self.dynamics.column("drag", count)[of_material, None] * rate
         numbers[..., DRAG_BY_SPEED - INERTIA] = mass * self.dynamics.column("quadratic_drag", count)[of_material, None] * rate
+        if self.stepping.quasi_static:
+            numbers[...] = 0.0
         numbers[..., LOAD - INERTIA] = 2.0 * weight[:, None] * point
         if self.springs is not None:
             if self.springs.vertices != vertices or self.springs.count not in (1, table.count):
@@ -211,8 +227,15 @@ class _Motion:
         return under(table, other._stiffened(factor)).material, numbers[..., :NUMBERS], shares
 
     def begin(self, start: MovingStart, directions: Sequence[Direction]) -> tuple[Memory, np.ndarray]:
-        """The memory of rods that start so, and its derivatives."""
-        table = self.table(1.0)
+        """The memory of rods that start so, and its derivatives.
+
+        The acceleration is that of one step of backward Euler, not shorter than twice the age of the velocity: where a measured
+        velocity contradicts the clamps, it is changed at once, by an acceleration that grows without limit as the step shrinks.
+        """
+        ahead = min(max(1, round(2.0 * start.velocity_age / self.step)), self.grippers.instants - 1)
+        trial_motion = copy(self)
+        trial_motion.step = trial_step = ahead * self.step
+        table = trial_motion.table(1.0)
         index = table.configuration_index
         frames = whole_start(table.start, table.clamp)[index]
         x = self.start.vertices[index]
@@ -221,23 +244,42 @@ class _Motion:
         remembered = np.zeros((table.count, len(directions), table.edges + 1, REMEMBERED))
         feasible = table.feasible[index]
         status = np.where(feasible, int(Status.CONVERGED), int(Status.INFEASIBLE)).astype(np.int8)
-        if start.smooth:
-            trial = _memory(frames, x, v, a, table, self.step, status.copy())
-            numbers, shares, rows = self.numbers(table, 1.0)
+        if start.smooth and not self.stepping.quasi_static:
+            trial = _memory(frames, x, v, a, table, trial_step, status.copy())
+            numbers, shares, rows = trial_motion.numbers(table, 1.0)
             table.external_index[:] = rows
-            path = self.path(slice(0, 1))
-            slopes = self.slopes(table, 1.0, directions, remembered)
-            make_steps(table, trial, path, numbers, shares, np.array([self.step, 1.0, 0.0]), 1, _newton(), 64, slopes)
+            path = self.path(slice(ahead - 1, ahead))
+            slopes = trial_motion.slopes(table, 1.0, directions, remembered)
+            make_steps(table, trial, path, numbers, shares, np.array([trial_step, 1.0, 0.0]), 1, _newton(), 64, slopes)
             moved = trial.places[..., VELOCITY_1 : VELOCITY_1 + 3]
-            a = np.where((trial.status == Status.CONVERGED)[:, None, None], (moved - v) / self.step, 0.0)
+            a = np.where((trial.status == Status.CONVERGED)[:, None, None], (moved - v) / trial_step, 0.0)
             v = v + age * a
-            da = remembered[..., VELOCITY_1 : VELOCITY_1 + 3] / self.step
+            da = remembered[..., VELOCITY_1 : VELOCITY_1 + 3] / trial_step
             da[trial.status != Status.CONVERGED] = 0.0
             remembered = slope_memory(
                 lambda change: _memory(frames, x, v + age * change, a + change, table, self.step, status), da)
         return _memory(frames, x, v, a, table, self.step, status), remembered
 
-    def run(self, memory: Memory, progress, directions: Sequence[Direction], remembered: np.ndarray) -> Trajectory:
+    def held(self) -> np.ndarray:
+        """(S, 2) whether a gripper holds the start, and the end."""
+        kinds = [np.broadcast_to(kind, (self.start.count,)) for kind in (self.grippers.start, self.grippers.end)]
+        return np.stack(kinds, axis=1) != Clamp.FREE
+
+    def losses(self, table: Tables, numbers: np.ndarray, factor: float) -> Losses:
+        """What the energies of the rods are computed from; ``numbers`` (R, V, -) are those of each rod."""
+        m, rods, count = self.material, table.material_index, self.material.count
+        length = table.rest_length if len(table.rest_length) == 1 else table.rest_length[table.configuration_index]
+        length = np.broadcast_to(length, (table.count, table.edges))
+        rest = np.zeros((count, 1, 2)) if m.rest_curvature is None else m.rest_curvature
+        damping = [self.dynamics.column(name, count)[rods] for name in ("bend_damping", "twist_damping")]
+        weight = 2.0 * m.weight[rods, None] * vertex_lengths(length) + numbers[..., LOAD - INERTIA]
+        h = self.step / factor
+        drag, by_speed = (numbers[..., column - INERTIA] * h for column in (DRAG, DRAG_BY_SPEED))
+        return Losses(length, m.bend[rods], m.twist[rods], rest[rods], *damping, weight, numbers[..., 0] * h**2, drag, by_speed,
+                      numbers[..., SPRING - INERTIA], numbers[..., SPRING_POINT - INERTIA :], self.up)
+
+    def run(self, memory: Memory, progress, directions: Sequence[Direction], remembered: np.ndarray,
+            detailed: bool) -> Trajectory:
         """All steps, in launches of bounded size."""
         factor, bits = RATES[self.stepping.scheme], 32 if self.stepping.precision == "f32" else 64
         table = self.table(factor)
@@ -247,21 +289,54 @@ class _Motion:
         frames = (self.grippers.instants - 1) // self.substeps
         numbers_a_frame = 3 * table.count * (table.edges + 1) * (1 if slopes is None else 1 + slopes.count)
         at_once = max(1, min(frames, NUMBERS_AT_ONCE // numbers_a_frame))
-        positions, outcomes, changes = [], [], []
+
+        def launch(first: int, last: int, every: int):
+            path = self.path(slice(first, last))
+            return make_steps(table, memory, path, numbers, shares, time, every, _newton(), bits, slopes)
+
+        account = None
+        if detailed:
+            losses = self.losses(table, numbers[table.external_index], factor)
+            account = Account(losses, self.stepping.scheme, self.step, self.held()[table.configuration_index], memory)
+            at_once = 1
+        parts = []
         for first in range(0, frames, at_once):
-            part = slice(first * self.substeps, min(frames, first + at_once) * self.substeps)
-            where, outcome, change = make_steps(table, memory, self.path(part), numbers, shares, time, self.substeps, _newton(),
-                                                bits, slopes)
-            positions.append(where)
-            outcomes.append(outcome)
-            changes.append(change)
+            last = min(frames, first + at_once)
+            if account is None:
+                parts.append(launch(first * self.substeps, last * self.substeps, self.substeps))
+            else:
+                parts.append(_step_by_step(launch, first * self.substeps, last * self.substeps, memory, account))
             if progress is not None:
-                progress(min(frames, first + at_once))
+                progress(last)
+        positions, outcomes, changes, forces = zip(*parts, strict=True)
         outcome = _joined(outcomes)
+        status = outcome[..., STATE].astype(np.int8)
         return Trajectory(
-            _joined(positions), outcome[..., STATE].astype(np.int8), outcome[..., TRIPS].astype(np.int32),
-            outcome[..., MOMENT], outcome[..., END_FORCE:], self.stepping.rate, memory,
-            None if slopes is None else _joined(changes))
+            _joined(positions), status, outcome[..., TRIPS].astype(np.int32), outcome[..., MOMENT], outcome[..., END_FORCE:FRICTION_WORK],
+            self.stepping.rate, memory, np.full(table.count, self.substeps), np.full(table.count, np.nan),
+            None if slopes is None else _joined(changes), None if account is None else account.detail(status),
+            None if forces[0] is None else _joined(forces), _summed([part[..., FRICTION_WORK] for part in outcomes]))
+
+
+def _step_by_step(launch, first: int, last: int, memory: Memory, account: Account):
+    """What one launch of the steps from ``first`` to ``last`` returns, of launches of one step, which ``account`` sees."""
+    trips = moment = work = 0
+    for step in range(first, last):
+        positions, outcome, changes, forces = launch(step, step + 1, 1)
+        account.see(memory, outcome[:, 0, END_FORCE:FRICTION_WORK], step + 1 == last)
+        trips, moment = trips + outcome[..., TRIPS], np.maximum(moment, outcome[..., MOMENT])
+        work = work + outcome[..., FRICTION_WORK]
+    outcome[..., TRIPS], outcome[..., MOMENT], outcome[..., FRICTION_WORK] = trips, moment, work
+    return positions, outcome, changes, forces
+
+
+def _summed(parts: list[np.ndarray]) -> np.ndarray:
+    """(R, F) sums since the start, of several launches that each began at zero."""
+    before = 0.0
+    for part in parts:
+        part += before
+        before = part[:, -1:]
+    return _joined(parts)
 
 
 def _joined(parts: list[np.ndarray]) -> np.ndarray:

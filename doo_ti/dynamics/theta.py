@@ -47,9 +47,18 @@ class MotionTheta:
     @property
     def rest_curvature(self) -> np.ndarray:
         """(E − 1, 2) ω̄ at the inner vertices, 1/mm."""
-        along = 2.0 * np.cumsum(self.rest_length)[:-1] / np.sum(self.rest_length) - 1.0
+        return self.rest_curvature_at(self.rest_length)
+
+    def rest_curvature_at(self, rest_length: np.ndarray) -> np.ndarray:
+        """(E − 1, 2) the same of the rod with edges of ``rest_length`` (E,)."""
+        along = rest_places(rest_length)
         return np.stack([legendre.legval(along, coefficients) if len(coefficients) else 0.0 * along
                          for coefficients in self.rest], axis=-1)
+
+
+def rest_places(rest_length: np.ndarray) -> np.ndarray:
+    """(E − 1,) where the inner vertices are along a rod, from −1 to 1."""
+    return 2.0 * np.cumsum(rest_length)[:-1] / np.sum(rest_length) - 1.0
 
 
 def save_form(theta: MotionTheta) -> dict:

@@ -11,6 +11,7 @@ from doo_ti.frames import (
     quaternion_about,
     quaternion_from_matrix,
     quaternion_product,
+    rotation_vector,
     smallest_rotation,
 )
 from doo_ti.relaxation.newton import Newton
@@ -116,13 +117,6 @@ def carry(configuration: Configuration, material: Material, path: Iterator[Clamp
         if status is not None:
             solution = replace(solution, status=sticky(status, solution.status))
     return solution, clamps
-
-
-def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
-    """(..., 3) rad, of unit quaternions (..., 4), at most half a turn."""
-    q = np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
-    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
-    return 2 * np.arctan2(sine, q[..., :1]) * q[..., 1:] / np.maximum(sine, 1e-300)
 
 
 def _shifted(position: np.ndarray, shift: np.ndarray | None, share: float) -> np.ndarray:

@@ -103,20 +103,10 @@ def predict(
     A rod that fails keeps that status at all later moments; the next interval begins at its last configuration. Raises
     InputError where numbers of rods and motions do not match.
     """
+    travel, rods, (solution, held, jumps) = begun(configuration, material, clamps, path, sub_step, up, solver or Newton(),
+                                                  precision)
     motions = len(clamps.start_position)
-    if configuration.count not in (motions, motions * material.count) or path.count not in (1, motions):
-        raise InputError(path.source, "motion", f"{path.count} motions and {configuration.count} rods for {motions} clamps and "
-                         f"{material.count} materials", "give one motion for all, or one for each rod")
-    rods = np.arange(motions * material.count)
-    if configuration.count == motions:
-        configuration = configuration.take(rods % motions)
-    travel = _Travel(material, configuration.rest_length, sub_step, up, solver or Newton(), precision)
-    solution = travel.rest(configuration, clamps)
-    jumps = np.zeros(len(rods), dtype=np.int32)
-    approach = motion_between(clamps, path.at(0, clamps))
-    if _moves(approach):
-        solution, jumps, _ = travel.go(solution.configuration, approach)
-    film = _Film(solution, jumps, approach.at(1.0))
+    film = _Film(solution, jumps, held)
     for moment in range(path.moments - 1):
         motion = motion_between(film.clamps, path.at(moment + 1, clamps), path.rotation(moment, motions))
         for part in range(between):
@@ -124,7 +114,27 @@ def predict(
             advance(len(rods))
     share = np.arange(between * (path.moments - 1) + 1) / between
     time = np.interp(share, np.arange(path.moments), path.time)
-    return film.developed(time, configuration.rest_length, rods // motions, rods % motions)
+    return film.developed(time, configuration.rest_length, rods, np.arange(len(rods)) % motions)
+
+
+def begun(configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, sub_step: float, up,
+          solver: Newton, precision: str):
+    """The beginning of :func:`predict`: (the travel, the rods' (R,) rows of ``material``, (the R rods at rest at the path's
+    first moment, their N clamps there, (R,) jumps on the way))."""
+    motions = len(clamps.start_position)
+    if configuration.count not in (motions, motions * material.count) or path.count not in (1, motions):
+        raise InputError(path.source, "motion", f"{path.count} motions and {configuration.count} rods for {motions} clamps and "
+                         f"{material.count} materials", "give one motion for all, or one for each rod")
+    rods = np.arange(motions * material.count)
+    if configuration.count == motions:
+        configuration = configuration.take(rods % motions)
+    travel = _Travel(material, configuration.rest_length, sub_step, up, solver, precision)
+    solution = travel.rest(configuration, clamps)
+    jumps = np.zeros(len(rods), dtype=np.int32)
+    approach = motion_between(clamps, path.at(0, clamps))
+    if _moves(approach):
+        solution, jumps, _ = travel.go(solution.configuration, approach)
+    return travel, rods // motions, (solution, approach.at(1.0), jumps)
 
 
 def predict_step(
@@ -186,7 +196,7 @@ class _Film:
     def keep(self, solution: Solution, jumps: np.ndarray, motion: Motion) -> None:
         """Another moment, at the end of ``motion``."""
         here, rotation = solution.configuration, self._moments[-1][2]
-        turned = np.tile(_rotation_about_rod(motion), here.count // len(motion.clamps.start_position))
+        turned = np.tile(rotation_about_rod(motion), here.count // len(motion.clamps.start_position))
         # A rod that is not finite continues from its last configuration.
         lost = ~np.isfinite(here.quaternions).all(axis=(1, 2))
         frames = np.where(lost[:, None, None], self.configuration.quaternions, here.quaternions)
@@ -217,7 +227,7 @@ def _part(motion: Motion, first: float, last: float) -> Motion:
                    start_turn=share(motion.start_turn), end_turn=share(motion.end_turn), end_spin=share(motion.end_spin))
 
 
-def _rotation_about_rod(motion: Motion) -> np.ndarray:
+def rotation_about_rod(motion: Motion) -> np.ndarray:
     """(N,) rad by which a motion turns the far frame about its tangent, beyond the parallel transport of the frame; whole turns
     are those of the motion's own rotation vector and roll."""
     before, after = motion.clamps.end_frame, motion.at(1.0).end_frame

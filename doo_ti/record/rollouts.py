@@ -17,11 +17,11 @@ MOST_RODS = 64
 
 
 def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarray, recorded: np.ndarray | None,
-                   rate: float, up: np.ndarray) -> None:
+                   rate: float, up: np.ndarray, energies: dict[str, np.ndarray] | None = None) -> None:
     """Record the first :data:`MOST_RODS` of (R, T, V, 3) rods in mm, on the timeline ``time``.
 
     ``/world/simulated`` and ``/world/recorded`` hold a strip for each rod, moved to its place in the grid view; ``/error`` the
-    mean |difference| of each rod in mm.
+    mean |difference| of each rod in mm; ``/energy`` has the ``energies`` (R, T) of the first rod by name, mm².
     """
     rods = positions[:MOST_RODS]
     count, frames = rods.shape[:2]
@@ -30,7 +30,9 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
     views = [front_view(grid, "/world", "Rods, mm", 1.8)]
     if seen is not None:
         views.append(blueprint.TimeSeriesView(name="Mean |difference|, mm", origin="/error"))
-    layout = blueprint.Blueprint(blueprint.Vertical(*views, row_shares=[3, 1][: len(views)]), *panels("time"))
+    if energies is not None:
+        views.append(blueprint.TimeSeriesView(name=f"Energies of {names[0]}, mm²", origin="/energy"))
+    layout = blueprint.Blueprint(blueprint.Vertical(*views, row_shares=[3, 1, 1][: len(views)]), *panels("time"))
     when = [rerun.TimeColumn("time", duration=np.arange(frames) / rate)]
     with recording(path, f"rollout {name}", name, layout) as stream:
         log_up(stream, "/world", grid.basis[2])
@@ -48,3 +50,8 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
             stream.log("/error", rerun.SeriesLines(names=names[:MOST_RODS], widths=[1.0] * count), static=True)
             stream.send_columns("/error", when, rerun.Scalars.columns(
                 scalars=np.ascontiguousarray(error).ravel()).partition([count] * frames))
+        if energies is not None:
+            values = np.stack([value[0] for value in energies.values()], axis=-1)
+            stream.log("/energy", rerun.SeriesLines(names=list(energies), widths=[1.0] * len(energies)), static=True)
+            stream.send_columns("/energy", when, rerun.Scalars.columns(scalars=values.ravel()).partition(
+                [len(energies)] * frames))

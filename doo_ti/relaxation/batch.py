@@ -3,6 +3,8 @@
 Scratch memory is allocated once per thread and reused, independent of the number of rods.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from doo_ti import runtime
@@ -10,6 +12,9 @@ from doo_ti.frames import matrix_from_quaternion, quaternion_from_matrix, vertic
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import chain, descent, newton
 from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.contact_layout import contact_items
+from doo_ti.relaxation.contact_table import GAP_TOLERANCE
+from doo_ti.relaxation.external import Nothing
 from doo_ti.relaxation.loaded_elimination import FORCE_ITEMS
 from doo_ti.relaxation.loading import LANES, TRIPS
 from doo_ti.relaxation.newton_loop import CLOSING_DISTANCE
@@ -36,7 +41,7 @@ def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution
     With ``moving`` false only the projection runs, which brings a start onto closure.
     """
     frames = room(table.count, table.edges, 4)
-    results = room(table.count, of.RESULTS if table.external is None else of.LOADED_RESULTS)
+    results = room(table.count, of.LOADED_RESULTS if table.loaded else of.RESULTS)
     results[:, of.DRIFT:] = 0.0
     if len(table.rods) < table.count:
         infeasible = ~table.feasible[table.configuration_index]
@@ -46,7 +51,7 @@ def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution
     else:
         ended = np.ascontiguousarray(begin.configuration.quaternions)
         usable = begin.status == int(Status.CONVERGED)
-        if table.external is not None:
+        if table.loaded:
             moved = usable & (table.clamp[table.configuration_index, of.LOOSE] > 0)
             results[moved, of.DRIFT:] = (begin.configuration.start - table.anchor[table.configuration_index])[moved]
         lost = np.flatnonzero(~usable & table.feasible[table.configuration_index])
@@ -57,6 +62,8 @@ def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution
 
 def continue_newton(table: Tables, options: newton.Newton, bits: int, frames, results, rows, usable) -> None:
     """Relax the rods ``rows`` further, in place: from their ``frames`` where ``usable`` (R,), else from their starts."""
+    if table.contact is not None:
+        table.contact.forget(rows[~usable[rows]])
     _launch_newton(table, table.start, table.continued(usable, rows), options, bits, frames, results)
 
 
@@ -75,18 +82,32 @@ def pack_trips(bits: int) -> tuple[int, int]:
 
 def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int, frames, results, moving: bool = True) -> None:
     """One launch over ``rods``, whose starts are rows of ``start`` (-, E, 4) or of ``frames``."""
+    contact = table.contact
+    if contact is not None:
+        near = contact.near[rods[:, of.RESULT_ROW]]
+        if not near.all():
+            # Rods out of reach of all obstacles are relaxed without them.
+            _launch_newton(replace(table, contact=None), start, rods[~near], options, bits, frames, results, moving)
+            rods = rods[near]
+        if not len(rods):
+            return
     number, threads, stride, block = layout_for(len(rods), bits)
-    external = table.external
+    external = table.external if contact is None or table.external is not None else Nothing()
     kind = None if external is None else type(external)
     outer = () if external is None else (external.numbers(), external.field())
     # Decided by the rods of the call, not of this launch: the few rods that a large call leaves to f64 need no second kernel.
     # An external energy has no serial kernel, because it takes long to compile.
     serial = block == 1 and table.count <= number.width and external is None
-    any_ends = external is not None and bool((table.clamp[:, [of.CLOSED, of.LOOSE]] > 0).any())
-    kernel = newton.newton_kernel(number, table.isotropic, stride, block, serial, kind, any_ends)
+    any_ends = contact is not None or external is not None and bool((table.clamp[:, [of.CLOSED, of.LOOSE]] > 0).any())
+    kinds = frozenset() if contact is None else contact.distinct
+    kernel = newton.newton_kernel(number, table.isotropic, stride, block, serial, kind, any_ends, kinds)
     per_edge = chain.item_count(table.isotropic) + (0 if external is None else external.items + FORCE_ITEMS * any_ends)
     per_rod = chain.LOADED_PARAMETERS + external.start_items if any_ends else chain.PARAMETERS
-    scratch, queue = _buffers(number, threads, per_rod + per_edge * table.edges)
+    items = per_rod + per_edge * table.edges
+    if contact is not None:
+        items += contact_items(table.edges, len(contact.kinds))
+        outer += (contact.obstacles, contact.kinds, contact.radius, GAP_TOLERANCE, contact.memory, contact.forces)
+    scratch, queue = _buffers(number, threads, items)
     policy = np.array([
         *table.up, options.tolerance or newton.TOLERANCES[bits], options.max_iterations, options.first_shift,
         options.max_rotation, options.max_escapes, CLOSING_DISTANCE if moving else -1.0])

@@ -55,12 +55,15 @@ class Chain:
     free                    (spin_start, tilt_start, spin_end, tilt_end, tilt_inner): one where that rotation of the first edge,
                             of the last or of those between is unknown, zero where it is held
     released                one where vertex 0 is free and the far end holds the rod
+    loose                   one where vertex 0 is free to move (:class:`.LooseStart`)
     total, longest          length of the rod and of its longest edge
     stiffness               (α, β) of isotropic rods, unused otherwise
     gravity                 μ times the unit vector up
     anchor                  the point that the chain hangs from
     length_unit             of all these lengths, mm; energies have a unit of their own (:meth:`.Loading.load`)
     numbers, field, coarse  of an external energy (see :class:`doo_ti.relaxation.external.ExternalFunctions`)
+    contacts, kinds, obstacles  where the items of contacts begin, the kinds of the obstacles and how many these are
+                            (:class:`.Contacts`)
 
     extra: items of an edge that belong to an external energy.
     """
@@ -73,6 +76,7 @@ class Chain:
         self.edge_stride = self.items * stride
         self.parameters = PARAMETERS
         self.moves_start = False
+        self.touches = False
         self.largest = number.lanes().largest
         self.twist_angle = twist_angle_function(number)
         # What makes AᵀA regular: a share of its trace, and where that is zero a number whose cube is not.
@@ -102,10 +106,11 @@ class Chain:
             scratch[at + k * self.stride] = values[k]
 
     @ti.func
-    def rods(self, scratch: ti.template(), head, edges, numbers: ti.template(), field: ti.template(), coarse):
+    def rods(self, tables, scratch: ti.template(), head, coarse):
         """The record of the rods whose parameters begin at ``head``, with the tables of an external energy if there is one."""
         return record(
-            scratch=scratch, head=head, origin=head + self.parameters * self.stride, edges=edges,
+            scratch=scratch, head=head, origin=head + self.parameters * self.stride, edges=tables.rest_length.shape[1],
+            loose=self.loose(scratch, head), contacts=tables.contacts, kinds=tables.kinds, obstacles=tables.kinds.shape[0],
             target=self.load3(scratch, head + OF_TARGET * self.stride),
             length_unit=scratch[head + OF_LENGTH_UNIT * self.stride],
             closed=scratch[head + OF_CLOSED * self.stride],
@@ -115,7 +120,16 @@ class Chain:
             longest=scratch[head + OF_LONGEST * self.stride],
             stiffness=(scratch[head + OF_STIFFNESS * self.stride], scratch[head + (OF_STIFFNESS + 1) * self.stride]),
             gravity=self.load3(scratch, head + OF_GRAVITY * self.stride),
-            anchor=self.load3(scratch, head + OF_ANCHOR * self.stride), numbers=numbers, field=field, coarse=coarse)
+            anchor=self.load3(scratch, head + OF_ANCHOR * self.stride), numbers=tables.numbers, field=tables.field,
+            coarse=coarse)
+
+    @ti.func
+    def loose(self, scratch: ti.template(), head):
+        """One where vertex 0 is free to move (:class:`.LooseStart`)."""
+        loose = 0.0 * scratch[head + OF_CLOSED * self.stride]
+        if ti.static(self.moves_start):
+            loose = scratch[head + OF_LOOSE * self.stride]
+        return loose
 
     @ti.func
     def stiffness(self, scratch: ti.template(), left, right, material):
@@ -208,6 +222,8 @@ class Chain:
         stepping = (scale > 0.0) | (scale < 0.0)
         reached, lost = variable(repeated(zero, 3)), variable(repeated(zero, 3))
         normal = variable(repeated(zero, 6))
+        if ti.static(self.touches):
+            self.contacts.stand(rod)
         at = rod.origin
         for e in range(rod.edges):
             # In a lane that does not step the rotation is undefined and may be NaN.
@@ -316,3 +332,5 @@ class Chain:
             at += self.edge_stride
         if ti.static(self.moves_start):
             self.restore_start(rod, lost)
+        if ti.static(self.touches):
+            self.contacts.restore(rod, lost)

@@ -162,3 +162,44 @@ class Springs:
             return 0.5 * k * dot(d, d), scaled(d, k), (k, none, none, k, none, k)
 
         return ExternalFunctions(load, evaluate, load_start, evaluate_start)
+
+
+@dataclass(frozen=True)
+class Nothing:
+    """No energy: for rods that only contact loads."""
+
+    items: ClassVar[int] = 0
+    start_items: ClassVar[int] = 0
+    has_coarse: ClassVar[bool] = False
+    count: ClassVar[int] = 1
+    vertices: ClassVar[None] = None
+
+    def numbers(self) -> np.ndarray:
+        """Unused."""
+        return np.zeros((1, 1, 1))
+
+    def field(self) -> np.ndarray:
+        """Unused."""
+        return np.zeros(1, dtype=np.float32)
+
+    def energy_at_start(self, start: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """(R,) zero."""
+        return np.zeros(len(start))
+
+    @staticmethod
+    def functions(number, stride: int, first: int) -> ExternalFunctions:
+        """On the device."""
+        import taichi as ti
+
+        from doo_ti.physics.tuples import repeated
+
+        @ti.func
+        def load(scratch: ti.template(), at, slot, numbers: ti.template(), row, edge, scale):
+            pass
+
+        @ti.func
+        def evaluate(scratch: ti.template(), at, numbers: ti.template(), field: ti.template(), start, end, coarse):
+            none = 0.0 * start[0]
+            return none, repeated(none, 3), repeated(none, 3), repeated(none, 6), repeated(none, 9), repeated(none, 6)
+
+        return ExternalFunctions(load, evaluate)

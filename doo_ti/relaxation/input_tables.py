@@ -1,9 +1,11 @@
 """The input of ``relax`` as tables: materials row by row, and starts that can be projected onto closure (§III-B)."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from doo_ti.contact.obstacles import Obstacle
 from doo_ti.errors import InputError
 from doo_ti.frames import (
     matrix_from_quaternion,
@@ -15,6 +17,7 @@ from doo_ti.frames import (
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_kinds, external_rows, paired_rows, rest_lengths
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, TAUT, TAUT_SLACK, clamp_table
+from doo_ti.relaxation.contact_table import contact_table
 from doo_ti.relaxation.external import External
 from doo_ti.relaxation.tables import FREE, Tables, outer_edges, rod_rows, room, whole_start
 from doo_ti.types import Clamps, Configuration, Material
@@ -23,6 +26,7 @@ from doo_ti.types import Clamps, Configuration, Material
 def tables(
     configuration: Configuration, material: Material, clamps: Clamps, up: np.ndarray,
     configuration_index=None, material_index=None, external: External | None = None, external_index=None,
+    obstacles: Sequence[Obstacle] = (), radius=None, in_motion: bool = False,
 ) -> Tables:
     """Check the input of F and lay it out for the kernels.
 
@@ -43,16 +47,18 @@ def tables(
     check_material(material, edges, floating and external is None)
     isotropic = material.is_isotropic
     clamp, found = clamp_table(configuration, lengths, kinds, clamps)
-    if external is not None:
+    if external is not None or obstacles:
         _loosen(clamp, kinds, configuration, clamps)
     start = _projectable(np.ascontiguousarray(configuration.quaternions, dtype=np.float64), lengths, clamp, found, up)
     feasible = found != INFEASIBLE
     sound = feasible[index_c]
     all_rods = rod_rows(index_c, index_m, np.arange(rods), index_c, index_e)
+    contact = contact_table(obstacles, radius, rods, edges, clamp, index_c, in_motion) if obstacles else None
     return Tables(
         start=start, rest_length=lengths, clamp=clamp, material=_material_table(material, isotropic, edges),
         isotropic=isotropic, rods=all_rods if sound.all() else all_rods[sound], feasible=feasible, configuration_index=index_c,
-        material_index=index_m, external_index=index_e, external=external, up=up, floating=floating)
+        material_index=index_m, external_index=index_e, external=external, up=up, floating=floating,
+        contact=contact)
 
 
 def _loosen(clamp: np.ndarray, kinds: np.ndarray, configuration: Configuration, clamps: Clamps) -> None:

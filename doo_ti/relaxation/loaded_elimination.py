@@ -13,7 +13,7 @@ border of closure.
 
 import taichi as ti
 
-from doo_ti.physics.algebra import absolute, factor
+from doo_ti.physics.algebra import absolute, factor, largest_of
 from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import (
@@ -42,6 +42,16 @@ from doo_ti.physics.tuples import (
     variable,
 )
 from doo_ti.relaxation.chain import LENGTH, LOADED_PARAMETERS, PARAMETERS, ROTATION, item_count
+from doo_ti.relaxation.contact_layout import (
+    CURVATURES,
+    CURVATURES_S,
+    CURVATURES_SS,
+    ENERGY,
+    GRADIENT,
+    GRADIENT_S,
+    MAGNITUDE,
+)
+from doo_ti.relaxation.contact_rounds import Contacts
 from doo_ti.relaxation.elimination import held_pivot
 from doo_ti.relaxation.loose_start import LooseStart
 
@@ -54,16 +64,17 @@ class LoadedElimination(LooseStart):
     """The chain under an external energy of class ``external``, whose functions on the device are ``functions``.
 
     any_ends: some rods have their far end held or vertex 0 free; otherwise λ with its columns and the place of vertex 0 are
-    left out.
+    left out. ``contacts`` with obstacles, if rods may touch any, come on top.
     """
 
-    def __init__(self, number, isotropic: bool, stride: int, external: type, any_ends: bool):
+    def __init__(self, number, isotropic: bool, stride: int, external: type, any_ends: bool, contacts: Contacts | None = None):
         super().__init__(number, isotropic, stride, external.items + (FORCE_ITEMS if any_ends else 0))
         self.functions = external.functions(number, stride, item_count(isotropic))
         self.force_columns = item_count(isotropic) + external.items
         self.moves_start = any_ends
         self.pulls_start = self.functions.evaluate_start is not None
         self.parameters = LOADED_PARAMETERS + external.start_items if any_ends else PARAMETERS
+        self.contacts, self.touches = contacts, contacts is not None
 
     @ti.func
     def tip(self, rod):
@@ -96,6 +107,9 @@ class LoadedElimination(LooseStart):
             beyond.c = multiplier
         h, g = variable(repeated(zero, 6)), variable(repeated(zero, 3))  # H and gradient of the pair with the edge after
         end = self.tip(rod)
+        if ti.static(self.touches):
+            self.contacts.begin(rod)
+            self.contacts.look(rod, rod.edges, end)
         searching = self.largest(search[0] + search[1]) > 0.0
         some_taut = self.largest(1.0 - rod.free[4]) > 0.5
         at = rod.origin + (rod.edges - 1) * self.edge_stride
@@ -105,7 +119,7 @@ class LoadedElimination(LooseStart):
             t, m1, m2 = tangent(q), first_director(q), second_director(q)
             length = rod.scratch[at + LENGTH * self.stride]
             start = minus(end, scaled(t, length))
-            load = self.load(rod, at, start, end, found)
+            load = self.load(rod, at, e, start, end, found)
             end = start
             hang = self.hanging_weight(rod, length, beyond.length)
             beyond.length = beyond.length + length
@@ -154,23 +168,34 @@ class LoadedElimination(LooseStart):
         positive = zero + 3.0  # what a minimum counts without closure
         if ti.static(self.moves_start):
             self.eliminate_start(rod, shift, beyond, border, found)
+            if ti.static(self.touches):
+                found.energy = found.energy + self.contacts.item(rod, ENERGY)
+                found.magnitude = found.magnitude + self.contacts.item(rod, MAGNITUDE)
             change, positive = self.bordered(rod, border.schur, plus(border.right, miss))
         return record(moment=ti.sqrt(found.squared), scale=found.scale, change=change, inertia=found.negative + positive,
                       slope=found.slope, energy=found.energy, magnitude=found.magnitude)
 
     @ti.func
-    def load(self, rod, at, start, end, found):
-        """The external energy of an edge (:class:`doo_ti.relaxation.external.ExternalFunctions`): its value goes to ``found``,
-        and the record of its derivatives is returned."""
+    def load(self, rod, at, edge, start, end, found):
+        """The external energy of an edge (:class:`doo_ti.relaxation.external.ExternalFunctions`) and that of its contacts: the
+        value goes to ``found``, and the record of the derivatives is returned."""
         unit = rod.length_unit  # the energy is a function of places in mm
         value, gradient, gradient_s, curvature, curvature_s, curvature_ss = self.functions.evaluate(
             rod.scratch, at, rod.numbers, rod.field, scaled(start, unit), scaled(end, unit), rod.coarse)
         found.energy = found.energy + value
         found.magnitude = found.magnitude + absolute(value)
         square = unit * unit
-        return record(
+        load = record(
             gradient=scaled(gradient, unit), gradient_s=scaled(gradient_s, unit), curvature=scaled(curvature, square),
             curvature_s=scaled(curvature_s, square), curvature_ss=scaled(curvature_ss, square))
+        if ti.static(self.touches):
+            if self.contacts.touched(rod, edge + 1, start, end) == 1:
+                load.gradient = plus(load.gradient, self.contacts.vector(rod, GRADIENT))
+                load.gradient_s = plus(load.gradient_s, self.contacts.vector(rod, GRADIENT_S))
+                load.curvature = plus(load.curvature, self.contacts.symmetric(rod, CURVATURES))
+                load.curvature_s = plus(load.curvature_s, self.contacts.matrix(rod, CURVATURES_S))
+                load.curvature_ss = plus(load.curvature_ss, self.contacts.symmetric(rod, CURVATURES_SS))
+        return load
 
     @ti.func
     def condensed(self, h, shift, beyond, a1, a2):
@@ -220,7 +245,8 @@ class LoadedElimination(LooseStart):
 
     @ti.func
     def substitute(self, rod, found):
-        """ω = L⁻ᵀ D⁻¹ (W_r − W_λ δλ − W_Z ξ − W_U ω_before) from the start on; returns the largest rotation, rad."""
+        """ω = L⁻ᵀ D⁻¹ (W_r − W_λ δλ − W_Z ξ − W_U ω_before) from the start on; returns the largest rotation, rad,
+        or the largest share of the way to the middle of an obstacle, if that is more."""
         zero = 0.0 * rod.total
         w, x = variable(repeated(zero, 3)), variable(repeated(zero, 3))
         longest = zero
@@ -228,14 +254,17 @@ class LoadedElimination(LooseStart):
             x = self.solved_start(rod, found.change)
             longest = dot(x, x) / (rod.total * rod.total)
         at = rod.origin
-        for _ in range(rod.edges):
+        for e in range(rod.edges):
             if ti.static(self.moves_start):
                 self.add_force(rod, at, found.change)
             w = self.solved_edge(rod, at, x, w)
             q = self.load4(rod.scratch, at)
             length = rod.scratch[at + LENGTH * self.stride]
             m1, m2 = first_director(q), second_director(q)
-            x = plus(x, scaled(minus(scaled(m1, w[2]), scaled(m2, w[1])), length))
+            change = scaled(minus(scaled(m1, w[2]), scaled(m2, w[1])), length)
+            if ti.static(self.touches):
+                longest = largest_of(longest, self.contacts.approach(rod, e + 1, x, plus(x, change)))
+            x = plus(x, change)
             longest = self.longer(longest, w)
             at += self.edge_stride
         return ti.sqrt(longest)

@@ -3,7 +3,7 @@
 import taichi as ti
 
 from doo_ti.physics.quaternion import normalised, tangent, transported
-from doo_ti.physics.tuples import dot
+from doo_ti.physics.tuples import dot, record
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 
@@ -49,6 +49,9 @@ class Loading:
         self.stride, self.edge_stride, self.isotropic = sweep.stride, sweep.edge_stride, sweep.isotropic
         self.parameters, self.moves_start = sweep.parameters, sweep.moves_start
         self.functions, self.in_millimetres = functions, in_millimetres
+        self.touches = sweep.touches
+        if self.touches:
+            self.contacts = sweep.contacts
         self.loaded = functions is not None
         self.loads_start = self.loaded and functions.load_start is not None
 
@@ -93,6 +96,13 @@ class Loading:
                                     1.0 / divisor * unit)
                 at += self.edge_stride
         self.load_parameters(tables, scratch, head, slot, s, g, divisor, unit)
+        if ti.static(self.touches):
+            total = tables.clamp[s, of.TOTAL] / unit
+            scale = record(
+                bend=tables.material[g, of.LARGEST_BEND] / divisor, total=total, length=total / tables.rest_length.shape[1],
+                longest=tables.clamp[s, of.LONGEST] / unit,
+                weight=2.0 * tables.material[g, of.WEIGHT] / divisor * (unit * unit * unit))
+            self.contacts.load(tables, scratch, slot, rod, divisor / (unit * unit), unit, scale)
         if ti.static(self.moves_start):
             self.put(scratch, head + chain.OF_LOOSE * self.stride, slot, tables.clamp[s, of.LOOSE])
             for k in ti.static(range(3)):
@@ -143,6 +153,12 @@ class Loading:
                 tables.frames[place + k] = self.get(scratch, at + (chain.FRAME + k) * self.stride, slot)
             place += 4
             at += self.edge_stride
+
+    @ti.func
+    def force_unit(self, scratch: ti.template(), head, slot):
+        """The lane's unit of force, energy per mm."""
+        unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
+        return unit / ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
 
     @ti.func
     def load_lengths(self, tables, scratch: ti.template(), origin, slot, row, unit):

@@ -23,18 +23,14 @@ from doo_ti.physics.tuples import (
     symmetric_gram,
     variable,
 )
-from doo_ti.relaxation.chain import LOADED_PARAMETERS, OF_DRIFT, OF_DRIFT_FACTORS, OF_DRIFT_STANDING, OF_DRIFT_STEP, OF_LOOSE
+from doo_ti.relaxation.chain import LOADED_PARAMETERS, OF_DRIFT, OF_DRIFT_FACTORS, OF_DRIFT_STANDING, OF_DRIFT_STEP
+from doo_ti.relaxation.contact_layout import CURVATURES, GRADIENT
 from doo_ti.relaxation.elimination import Elimination, held_pivot
 
 
 @ti.data_oriented
 class LooseStart(Elimination):
     """The part of :class:`.LoadedElimination` for vertex 0. Lanes whose rods hold it are not changed."""
-
-    @ti.func
-    def loose(self, rod):
-        """One where vertex 0 is free."""
-        return rod.scratch[rod.head + OF_LOOSE * self.stride]
 
     @ti.func
     def drift(self, rod):
@@ -60,11 +56,11 @@ class LooseStart(Elimination):
         full = self.load3(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride)
         stepping = (scale > 0.0) | (scale < 0.0)
         drift = variable(chosen(stepping, plus(standing, scaled(full, scale)), standing))
-        tied = self.loose(rod) * rod.closed * moving
+        tied = rod.loose * rod.closed * moving
         drift = chosen(tied > 0.5, minus(rod.target, reached), drift)
         self.store(rod.scratch, rod.head + OF_DRIFT_STANDING * self.stride, standing)
         self.store(rod.scratch, rod.head + OF_DRIFT * self.stride, drift)
-        return ti.select(self.loose(rod) > 0.5, zero, moving)
+        return ti.select(rod.loose > 0.5, zero, moving)
 
     @ti.func
     def restore_start(self, rod, lost):
@@ -75,7 +71,7 @@ class LooseStart(Elimination):
     @ti.func
     def eliminate_start(self, rod, shift, beyond, border, found):
         """Eliminate ξ of vertex 0 from the quadratic form that edge 0 leaves, ½ ξᵀC ξ + c·ξ."""
-        loose = self.loose(rod)
+        loose = rod.loose
         free = (loose, loose, loose)
         weight = scaled(rod.gravity, 2.0 * rod.total)
         force, c = variable(plus(beyond.force, weight)), variable(plus(beyond.c, weight))
@@ -88,6 +84,11 @@ class LooseStart(Elimination):
             slope = scaled(gradient, rod.length_unit)
             force, c = plus(force, slope), plus(c, slope)
             beyond.cc = plus(beyond.cc, scaled(curvature, rod.length_unit * rod.length_unit))
+        if ti.static(self.touches):
+            if self.contacts.touched_start(rod) == 1:
+                slope = self.contacts.vector(rod, GRADIENT)
+                force, c = plus(force, slope), plus(c, slope)
+                beyond.cc = plus(beyond.cc, self.contacts.symmetric(rod, CURVATURES))
         moment = scaled(force, loose * rod.total)
         self.observe_moment(found, moment)
         f = factor(held_pivot(on_diagonal(beyond.cc, shift / (rod.total * rod.total)), free))

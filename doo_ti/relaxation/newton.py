@@ -13,6 +13,8 @@ import taichi as ti
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import record
+from doo_ti.relaxation.contact_layout import contact_items
+from doo_ti.relaxation.contact_rounds import Contacts
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 from doo_ti.relaxation.newton_loop import UP, NewtonLoop
@@ -60,7 +62,7 @@ TOLERANCES = {32: 9.9e-5, 64: 9.9e-8}
 
 @cache
 def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, serial: bool, external: type | None = None,
-                  any_ends: bool = False):
+                  any_ends: bool = False, obstacles: frozenset[int] = frozenset()):
     """The compiled-on-first-use kernel for one kind of number, of material and of external energy.
 
     stride: distance between the items of an edge in scratch, 1 on a CPU, the number of threads on a GPU.
@@ -68,15 +70,17 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
     serial: on a CPU, work on the caller's thread: to wake another takes as long as to relax a few rods.
     external: the class of the external energy, whose numbers and field the kernel then takes as two more arrays.
     any_ends: not all rods under the external energy have vertex 0 held and the far end free, which is faster.
+    obstacles: the kinds of obstacles that rods may touch; with any the kernel takes more arrays, and needs an external energy
+    and any_ends.
     """
     if external is None:
         loop = NewtonLoop(Elimination(number, isotropic, stride))
     else:
-        sweep = LoadedElimination(number, isotropic, stride, external, any_ends)
+        contacts = Contacts(number, stride, obstacles) if obstacles else None
+        sweep = LoadedElimination(number, isotropic, stride, external, any_ends, contacts)
         loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
-    table1, table2 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2))
+    table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
     index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
-    numbers = ti.types.ndarray(dtype=ti.f64, ndim=3)
     field = ti.types.ndarray(dtype=ti.f32, ndim=1)
 
     @ti.kernel
@@ -97,21 +101,50 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
         for thread in range(threads):
             up = (policy[UP], policy[UP + 1], policy[UP + 2])
             tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
-                            policy=policy, queue=queue, frames=frames, results=results, numbers=material, field=material)
+                            policy=policy, queue=queue, frames=frames, results=results, numbers=material, field=material,
+                            contacts=0, kinds=queue)
             loop.work(tables, scratch, threads, thread)
 
     @ti.kernel
     def newton_under_load(
         start: table1, rest_length: table2, clamp: table2, material: table2, rods: index2, policy: table1, threads: ti.i32,
         scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, results: table2,
-        outer: numbers,  # of the external energy
+        outer: table3,  # of the external energy
         space: field,  # what it looks up in space
     ):
         ti.loop_config(block_dim=block, serialize=serial)
         for thread in range(threads):
             up = (policy[UP], policy[UP + 1], policy[UP + 2])
             tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
-                            policy=policy, queue=queue, frames=frames, results=results, numbers=outer, field=space)
+                            policy=policy, queue=queue, frames=frames, results=results, numbers=outer, field=space,
+                            contacts=0, kinds=queue)
             loop.work(tables, scratch, threads, thread)
 
+    @ti.kernel
+    def newton_in_contact(
+        start: table1, rest_length: table2, clamp: table2, material: table2, rods: index2, policy: table1, threads: ti.i32,
+        scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, results: table2,
+        outer: table3, space: field,  # as above
+        obstacles: table3,  # [1 or row, obstacle, OBSTACLE_COLUMNS]
+        kinds: index1,  # [obstacle]
+        radius: table1,  # [1 or row] mm
+        gap_tolerance: ti.f64,  # over the radius
+        memory: table4,  # [row, vertex, obstacle, REMEMBERED] in and out
+        forces: table3,  # [row, vertex, 3] out
+    ):
+        ti.loop_config(block_dim=block, serialize=serial)
+        for thread in range(threads):
+            up = (policy[UP], policy[UP + 1], policy[UP + 2])
+            edges = rest_length.shape[1]
+            contacts = threads * (loop.sweep.parameters + loop.sweep.items * edges) + thread
+            if ti.static(stride == 1):
+                contacts += thread * (contact_items(edges, kinds.shape[0]) - 1)
+            tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
+                            policy=policy, queue=queue, frames=frames, results=results, numbers=outer, field=space,
+                            contacts=contacts, obstacles=obstacles, kinds=kinds, radius=radius, tolerance=gap_tolerance,
+                            memory=memory, forces=forces)
+            loop.work(tables, scratch, threads, thread)
+
+    if obstacles:
+        return newton_in_contact
     return newton if external is None else newton_under_load

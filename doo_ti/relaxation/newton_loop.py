@@ -6,6 +6,8 @@ import taichi as ti
 from doo_ti.physics.tuples import choose, chosen, dot, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.contact_layout import BARRIER, CROSSING, FINE, PHASE, ROUGH
+from doo_ti.relaxation.contact_layout import TOLERANCE as CONTACT_TOLERANCE
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.loading import LANES, NEXT, TRIPS, Loading
 from doo_ti.types import Status
@@ -15,7 +17,7 @@ SHAPE_TOLERANCE_32 = 1e-4
 
 # The policy's fixed numbers (shifts are over the largest diagonal entry of H).
 SHIFT_WRONG_INERTIA = 0.01
-SHIFT_REJECTED = 1e-5
+SHIFT_REJECTED, SHIFT_REJECTED_IN_CONTACT, GROWTH_IN_CONTACT = 1e-5, 1e-3, 10.0
 DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # each accepted step multiplies the shift by DECAY, below NEGLIGIBLE it is zero;
 DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # the same once a step was refused or the inertia was wrong
 CLOSING_DISTANCE = 0.1  # edge lengths: above it a step only projects
@@ -45,12 +47,13 @@ class NewtonLoop:
     step_scale                           share of the step that is taken
     trying, closing, escaping            flags: the step is judged by its energy; it only closes; it leaves a saddle
     rounds, heading, escapes             of leaving a saddle: inverse iterations made, the way taken, saddles left so far
+    share                                of a step that only closes: less where it would carry the rod through an obstacle
     best, idle_trips, aimless            the smallest residual so far, trips without progress and without notable progress
     """
 
     def __init__(self, sweep: Elimination, functions=None, has_coarse: bool = False):
         number = sweep.number
-        self.sweep, self.stride, self.has_coarse = sweep, sweep.stride, has_coarse
+        self.sweep, self.stride, self.has_coarse, self.touches = sweep, sweep.stride, has_coarse, sweep.touches
         self.loading = Loading(sweep, functions)
         self.largest, self.lane, self.with_lane, self.constant, _, self.get = number.lanes()
         self.width, self.scalar = number.width, number.scalar
@@ -64,6 +67,7 @@ class NewtonLoop:
         self.trace = 0.0 if single else 1e-12
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
         self.stalled, self.not_finite = int(Status.STALLED), int(Status.NOT_FINITE)
+        self.infeasible = int(Status.INFEASIBLE)
 
     @ti.func
     def work(self, tables, scratch: ti.template(), threads, thread):
@@ -110,8 +114,8 @@ class NewtonLoop:
         return record(
             energy=zero, magnitude=zero, miss=repeated(zero, 3), multiplier=repeated(zero, 3), residual=zero,
             change=repeated(zero, 3), longest=one, shift=zero, scale=one, step_scale=zero, coarse=zero, fresh=zero,
-            trying=zero, closing=zero, returned=zero, troubled=zero, escaping=zero, escapes=zero, rounds=zero, heading=one,
-            best=zero, idle_trips=zero, aimless=zero, rejects=zero, trips=zero, status=zero, stable=zero,
+            trying=zero, closing=zero, share=one, returned=zero, troubled=zero, escaping=zero, escapes=zero, rounds=zero,
+            heading=one, best=zero, idle_trips=zero, aimless=zero, rejects=zero, trips=zero, status=zero, stable=zero,
             lengths_known=zero, active=zero, finished=one)
 
     @ti.func
@@ -120,7 +124,12 @@ class NewtonLoop:
         row = tables.rods[rod, of.RESULT_ROW]
         origin = head + self.sweep.parameters * self.stride
         self.loading.store_frames(tables, row, scratch, origin, slot)
-        if self.lane(lane.status, slot) == self.not_finite:
+        if ti.static(self.touches):
+            force_unit = self.loading.force_unit(scratch, head, slot)
+            self.sweep.contacts.unload(tables, scratch, slot, row, force_unit)
+            self.sweep.contacts.unload_forces(tables, scratch, slot, row, force_unit)
+        status = self.lane(lane.status, slot)
+        if status == self.not_finite or status == self.infeasible:
             for k in ti.static(range(of.RESULTS)):
                 tables.results[row, k] = ti.math.nan
         else:
@@ -140,7 +149,7 @@ class NewtonLoop:
                 drift = ti.cast(self.get(scratch, head + (chain.OF_DRIFT + k) * self.stride, slot), ti.f64)
                 tables.results[row, of.DRIFT + k] = drift * self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot)
         tables.results[row, of.ITERATIONS] = self.lane(lane.trips, slot)
-        tables.results[row, of.STATUS] = self.lane(lane.status, slot)
+        tables.results[row, of.STATUS] = status
         tables.results[row, of.STABLE] = self.lane(lane.stable, slot)
 
     @ti.func
@@ -167,7 +176,8 @@ class NewtonLoop:
         shift = ti.cast(tables.policy[FIRST_SHIFT], self.scalar) * lane.scale
         choose(
             lane, begun, shift=shift, fresh=one, best=self.constant(1e30), step_scale=zero, trips=zero, idle_trips=zero,
-            aimless=zero, rejects=zero, trying=zero, closing=zero, returned=zero, troubled=zero, escaping=zero, escapes=zero)
+            aimless=zero, rejects=zero, trying=zero, closing=zero, share=one, returned=zero, troubled=zero, escaping=zero,
+            escapes=zero)
         lane.finished = zero
 
     @ti.func
@@ -181,9 +191,12 @@ class NewtonLoop:
         zero, one = self.constant(0.0), self.constant(1.0)
         if ti.static(self.has_coarse):
             lane.coarse = ti.max(lane.coarse, lane.fresh)
-        rod = self.sweep.rods(scratch, head, tables.rest_length.shape[1], tables.numbers, tables.field, lane.coarse)
+        rod = self.sweep.rods(tables, scratch, head, lane.coarse)
         # Take the step, and judge it afterwards. The factorisation at its end has the shift that follows a good step.
         moving = ti.max(lane.trying, ti.max(lane.fresh, lane.closing))
+        if ti.static(self.touches):
+            # Where the rod may touch something, its start is looked at before it moves.
+            moving = ti.max(lane.trying, lane.closing * lane.share)
         x, normal = self.sweep.step(rod, lane.step_scale, moving)
         decay = ti.select(lane.troubled > 0.5, self.constant(DECAY_TROUBLED), self.constant(DECAY))
         negligible = ti.select(lane.troubled > 0.5, self.constant(NEGLIGIBLE_TROUBLED), self.constant(NEGLIGIBLE)) * lane.scale
@@ -199,14 +212,14 @@ class NewtonLoop:
         found = self.sweep.eliminate(rod, diagonal, (noise, echo), multiplier, miss)
         found.energy += energy
         found.magnitude += magnitude
-        judged = self.judge_step(lane, found, miss)
+        judged = self.judge_step(rod, lane, found, miss)
         if self.largest(ti.select(judged.uphill, one, zero)) > 0.5:
             self.sweep.restore(rod, ti.select(judged.uphill, one, zero))
         lane.longest = self.sweep.substitute(rod, found)
         self.keep(lane, found, miss, multiplier, judged, next_shift)
         place = self.judge_place(tables, rod, lane, found.inertia, judged)
         self.plan(tables, rod, lane, judged, place, searching, found.slope)
-        self.end(tables, lane, judged, place)
+        self.end(tables, rod, lane, judged, place)
 
     @ti.func
     def multiplier(self, lane, fitted):
@@ -215,12 +228,13 @@ class NewtonLoop:
         value = variable(fitted)
         if ti.static(self.sweep.moves_start):
             share = ti.select(lane.escaping < 0.5, lane.step_scale, self.constant(0.0))
-            stepped = plus(lane.multiplier, scaled(lane.change, share))
+            # Where no step is taken the change may be NaN.
+            stepped = chosen(share > 0.0, plus(lane.multiplier, scaled(lane.change, share)), lane.multiplier)
             value = chosen(lane.fresh > 0.5, fitted, stepped)
         return value
 
     @ti.func
-    def judge_step(self, lane, found, miss):
+    def judge_step(self, rod, lane, found, miss):
         """Judge the step by the Lagrangian: a record of flags."""
         multiplier = plus(lane.multiplier, lane.change)
         before = lane.energy + dot(multiplier, lane.miss)
@@ -228,10 +242,17 @@ class NewtonLoop:
         noise_level = self.rounding * lane.magnitude
         finite = found.energy == found.energy
         downhill = (lane.trying > 0.5) & (after <= before + noise_level)
+        moved = lane.trying > 0.5
+        if ti.static(self.touches):
+            # No step, not even one that only closes, may carry a vertex past the middle of an obstacle.
+            moved = moved | ((lane.closing > 0.5) & (lane.fresh < 0.5))
+            passable = self.sweep.contacts.item(rod, CROSSING) < 1.0
+            downhill = downhill & passable
+            finite = finite & (passable | ~moved)
         taken = ti.select(((lane.trying < 0.5) & finite) | downhill, self.constant(1.0), self.constant(0.0))
         stands = taken > 0.5
         return record(
-            stands=stands, downhill=downhill, uphill=(lane.trying > 0.5) & (taken < 0.5),
+            stands=stands, downhill=downhill, uphill=moved & (taken < 0.5),
             gained=(after < before - noise_level) & downhill, notable=(after < before - NOTABLE * lane.magnitude) & downhill,
             broken=(lane.fresh > 0.5) & ~stands)
 
@@ -248,15 +269,21 @@ class NewtonLoop:
         lane.change = found.change
         lane.shift = ti.select(judged.stands, next_shift, lane.shift)
         stiffer = judged.uphill & (lane.escaping < 0.5)
-        lane.shift = ti.select(stiffer, ti.max(4.0 * lane.shift, SHIFT_REJECTED * lane.scale), lane.shift)
+        growth, floor = ti.static((GROWTH_IN_CONTACT, SHIFT_REJECTED_IN_CONTACT) if self.touches else (4.0, SHIFT_REJECTED))
+        lane.shift = ti.select(stiffer, ti.max(growth * lane.shift, floor * lane.scale), lane.shift)
         lane.rejects = ti.select(judged.downhill, zero, lane.rejects + ti.select(judged.uphill, one, zero))
         lane.escaping = ti.select(judged.downhill, zero, lane.escaping)
+        lane.share = ti.select(judged.uphill, 0.5 * lane.share, ti.min(2.0 * lane.share, one))
         lane.trips = lane.trips + lane.active
 
     @ti.func
     def tolerance(self, tables, rod):
         """The largest residual of a rod that has converged."""
-        return ti.cast(tables.policy[TOLERANCE], self.scalar)
+        given = ti.cast(tables.policy[TOLERANCE], self.scalar)
+        if ti.static(self.touches):
+            return self.sweep.contacts.tolerance(rod, self.constant(0.0) + given)
+        else:
+            return given
 
     @ti.func
     def judge_place(self, tables, rod, lane, inertia, judged):
@@ -276,7 +303,7 @@ class NewtonLoop:
         limit = ti.cast(tables.policy[ESCAPES], self.scalar)
         leaving = (at_saddle & (lane.escapes < limit)) | (aimless & (limit > 0.0))
         return record(
-            gap=gap, small=small, settled=settled, right=right, wrong=wrong,
+            gap=gap, small=small, calm=calm, settled=settled, right=right, wrong=wrong,
             at_minimum=calm & bare & right & settled, at_saddle=at_saddle, leaving=leaving,
             resting=at_saddle & (lane.escapes >= limit), certify=calm & ((lane.shift > 0.0) | (lane.coarse > 0.5)))
 
@@ -306,7 +333,7 @@ class NewtonLoop:
         lane.step_scale = ti.select(lane.trying > 0.5, ti.select(lane.escaping > 0.5, leap, cap), zero)
 
     @ti.func
-    def end(self, tables, lane, judged, place):
+    def end(self, tables, rod, lane, judged, place):
         """Which lanes are finished, and with which status."""
         zero, one = self.constant(0.0), self.constant(1.0)
         better = place.leaving | (lane.closing > 0.5) | ((lane.residual < 0.7 * lane.best) & judged.stands)
@@ -316,6 +343,7 @@ class NewtonLoop:
         lane.idle_trips = ti.select(judged.gained | better, zero, lane.idle_trips + waited)
         lane.best = ti.select(better & judged.stands, ti.min(lane.best, lane.residual), lane.best)
         lane.returned = ti.select(judged.uphill, one, zero)
+        fresh = lane.fresh > 0.5
         lane.fresh = zero
         ended = place.at_minimum | place.resting
         late = lane.trips >= ti.cast(tables.policy[ITERATION_LIMIT], self.scalar)
@@ -325,6 +353,34 @@ class NewtonLoop:
         lane.status = ti.select(lost, self.constant(self.not_finite), lane.status)
         # At rest, though a neutral motion leaves the certificate undecided: converged, not certified.
         at_rest = place.small & place.settled & (late | stuck)
+        if ti.static(self.touches):
+            entered = self.sweep.contacts.enter(rod, fresh)
+            goes_on = self.settle(rod, lane, place.calm & ~entered, (ended | at_rest) & ~entered, entered)
+            ended, at_rest, stuck = ended & ~goes_on, at_rest & ~goes_on, stuck & ~goes_on
+            blocked = fresh & self.sweep.contacts.blocked(rod)
+            lane.status = ti.select(blocked, self.constant(self.infeasible), lane.status)
+            ended, at_rest, lost = ended & ~blocked, at_rest & ~blocked, lost | blocked
         lane.status = ti.select(ended | at_rest, self.constant(self.converged), lane.status)
         lane.stable = ti.select(place.at_minimum, one, zero)
         lane.finished = ti.select((ended | late | stuck | lost) & (lane.active > 0.5), one, zero)
+
+    @ti.func
+    def settle(self, rod, lane, calm, rests, entered):
+        """End a round where a lane's rod ``rests`` under the forces of its contacts or, while these still change, is ``calm``
+        to a rougher tolerance; returns the lanes in which another round follows, those that have ``entered`` one included."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        phase = rod.scratch[rod.contacts + PHASE * self.stride]
+        due = (rests | (calm & (phase > ti.static(0.5 * (ROUGH + FINE))))) & (lane.active > 0.5)
+        again = due | entered
+        if self.largest(ti.select(due, one, zero)) > 0.5:
+            change = self.sweep.contacts.settle(rod, due)
+            close = change <= rod.scratch[rod.contacts + CONTACT_TOLERANCE * self.stride]
+            fine = phase < ti.static(0.5 * (ROUGH + FINE))
+            behind = phase > ti.static(0.5 * (ROUGH + BARRIER))
+            after = rod.scratch[rod.contacts + PHASE * self.stride]
+            rod.scratch[rod.contacts + PHASE * self.stride] = ti.select(due & close & ~behind, zero + FINE, after)
+            again = entered | (due & ~(close & fine))
+        # The next trip evaluates the rod where it is, under the new forces.
+        choose(lane, again, trying=zero, closing=zero, escaping=zero, step_scale=zero, best=self.constant(1e30),
+               idle_trips=zero, aimless=zero, returned=zero)
+        return again

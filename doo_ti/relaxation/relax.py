@@ -6,11 +6,13 @@
 A rod that fails raises no exception: every rod has its own status, and none affects the others.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from doo_ti import runtime
+from doo_ti.contact.obstacles import Obstacle
 from doo_ti.errors import InputError
 from doo_ti.relaxation import batch
 from doo_ti.relaxation import tables as of
@@ -40,6 +42,8 @@ def relax(
     material_index=None,
     external: External | None = None,
     external_index=None,
+    obstacles: Sequence[Obstacle] = (),
+    radius=None,
 ) -> Solution:
     """Γ̃ = F(Γ, E_Θ, C): relax R rods from their starts down to constrained minima of E_Θ (§III-D).
 
@@ -60,6 +64,10 @@ def relax(
     material_index,        them rows are paired one to one, and a single row is paired with all. Where clamps are None, only
     external_index         ``material_index``: by default one row for each rod, one for all, or as many rows as before, paired
                            as before
+    obstacles, radius      what the rods may touch but not enter, and their radius in mm, one or (R,): the rod, edges of that
+                           thickness, ends outside all of them to 2e-4 of its radius (in f32 to 2e-6 of its length, if that is
+                           more). Every obstacle has one row, or R. A start whose centreline is inside one, or whose clamps
+                           are, is INFEASIBLE. Friction acts only in motions. See ``Solution.contact``
 
     Clamped frames replace the first and last frame of the start. Inputs are not modified, results are float64.
     Energies include the constant μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods have the
@@ -76,7 +84,7 @@ def relax(
         else:
             start = x0.configuration if isinstance(x0, Solution) else x0
             table = tables(start, material, clamps, unit_up((0.0, 0.0, 1.0) if up is None else up, "relax"),
-                           configuration_index, material_index, external, external_index)
+                           configuration_index, material_index, external, external_index, obstacles, radius)
         if isinstance(solver, Descent):
             frames, results, bits = _descent(table, solver, precision)
         else:
@@ -142,9 +150,10 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
     lifted = 2 * height * table.clamp[:, of.TOTAL]
     energy = results[:, of.ENERGY] + table.material[table.material_index, of.WEIGHT] * lifted[index]
     start = anchor[index]
-    if table.external is not None:
-        held = table.clamp[index, of.LOOSE] == 0
-        energy += np.where(held, table.external.energy_at_start(start, table.external_index), 0.0)
+    if table.loaded:
+        if table.external is not None:
+            held = table.clamp[index, of.LOOSE] == 0
+            energy += np.where(held, table.external.energy_at_start(start, table.external_index), 0.0)
         start = start + results[:, of.DRIFT:]
     rest_length = table.rest_length[0].copy() if len(table.rest_length) == 1 else table.rest_length[index]
     configuration = Configuration(start, frames, rest_length)

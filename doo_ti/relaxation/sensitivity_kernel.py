@@ -88,7 +88,7 @@ class SensitivitySweep(ParameterGradient):
         while index < tables.rods.shape[0]:
             row = tables.rods[index, of.RESULT_ROW]
             self.loading.load(tables, scratch, head, 0, index, 0.0)
-            rod = self.rods(scratch, head, edges, tables.material, tables.material, 0.0)
+            rod = self.rods(tables, scratch, head, 0.0)
             unit = scratch[head + chain.OF_ENERGY_UNIT * self.stride]
             force = (tables.end_force[row, 0] / unit, tables.end_force[row, 1] / unit, tables.end_force[row, 2] / unit)
             multiplier = negated(force)
@@ -234,7 +234,8 @@ def sensitivity_kernel(stride: int, block: int):
             tables = record(
                 start=start, rest_length=rest_length, clamp=clamp, material=material, up=(up0, up1, up2), rods=rods,
                 frames=frames, end_force=end_force, directions=directions, modes=modes, vertices=vertices,
-                rotations=rotations, sound=sound, results=end_force)
+                rotations=rotations, sound=sound, results=end_force, numbers=material, field=material, contacts=0,
+                kinds=rods)
             sweep.work(tables, scratch, threads, thread)
 
     return solve

@@ -75,7 +75,7 @@ class Tables:
     clamp (S, CLAMP_COLUMNS); material (G, STIFFNESS + 1 or E · STIFFNESS_COLUMNS), isotropic: all of them are;
     rods (feasible ones, ROD_COLUMNS) int32, each from its start; feasible (S,) bool;
     configuration_index, material_index and external_index (R,), infeasible rods included; external the external energy,
-    or None; up (3,); floating: some rod has both ends free.
+    or None; up (3,); floating: some rod has both ends free; contact (a ``ContactTable``) with obstacles, or None.
     """
 
     start: np.ndarray
@@ -91,6 +91,12 @@ class Tables:
     external: External | None
     up: np.ndarray
     floating: bool
+    contact: object = None
+
+    @property
+    def loaded(self) -> bool:
+        """Whether an external energy or a contact may move vertex 0."""
+        return self.external is not None or self.contact is not None
 
     @property
     def edges(self) -> int:

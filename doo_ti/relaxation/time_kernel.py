@@ -6,6 +6,8 @@ import taichi as ti
 
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import picked, record
+from doo_ti.relaxation.contact_layout import contact_items
+from doo_ti.relaxation.contact_rounds import Contacts
 from doo_ti.relaxation.newton_loop import UP
 from doo_ti.relaxation.time_loop import TimeLoop
 from doo_ti.relaxation.time_slope_loop import TimeSlopeLoop
@@ -56,7 +58,43 @@ def time_kernel(number: Number, isotropic: bool, stride: int, block: int):
                 start=frames, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods, policy=policy,
                 queue=queue, frames=frames, results=results, numbers=numbers, field=material, path=path, shares=shares,
                 time=time, steps=steps, every=every, frames_before=frames_before, places=places, positions=positions,
-                outcome=outcome)
+                outcome=outcome, contacts=0, kinds=queue)
+            loop.work(tables, scratch, threads, thread)
+
+    return make_steps, sweep.items, sweep.parameters
+
+
+@cache
+def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int, kinds: frozenset[int], rub: bool):
+    """The same for rods that may touch obstacles of some ``kinds``, with friction if they ``rub``; the numbers that
+    :func:`.contact_items` says come on top in scratch."""
+    sweep = TimeSweep(number, isotropic, stride, Contacts(number, stride, kinds, rub))
+    loop = TimeLoop(sweep)
+    table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
+    index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
+
+    @ti.kernel
+    def make_steps(
+        rest_length: table2, clamp: table2, path: table3, material: table2, numbers: table3, shares: table2, rods: index2,
+        policy: table1, time: table1, steps: ti.i32, every: ti.i32, threads: ti.i32,
+        scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, frames_before: table1,
+        places: table3, results: table2, positions: table3, outcome: table3,  # as :func:`time_kernel` has them
+        obstacles: table3, obstacle_kinds: index1, radius: table1, gap_tolerance: ti.f64, memory: table4,  # as Newton's has them
+        forces: table3,  # [row · frame, vertex, 3] out
+    ):
+        ti.loop_config(block_dim=block)
+        for thread in range(threads):
+            up = (policy[UP], policy[UP + 1], policy[UP + 2])
+            edges = rest_length.shape[1]
+            contacts = threads * (sweep.parameters + sweep.items * edges) + thread
+            if ti.static(stride == 1):
+                contacts += thread * (contact_items(edges, obstacle_kinds.shape[0]) - 1)
+            tables = record(
+                start=frames, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods, policy=policy,
+                queue=queue, frames=frames, results=results, numbers=numbers, field=material, path=path, shares=shares,
+                time=time, steps=steps, every=every, frames_before=frames_before, places=places, positions=positions,
+                outcome=outcome, contacts=contacts, obstacles=obstacles, kinds=obstacle_kinds, radius=radius,
+                tolerance=gap_tolerance, memory=memory, forces=forces)
             loop.work(tables, scratch, threads, thread)
 
     return make_steps, sweep.items, sweep.parameters
@@ -96,7 +134,7 @@ def time_slope_kernel(stride: int, block: int, width: int):
                 queue=queue, frames=frames, results=results, numbers=numbers, field=material, path=path, shares=shares,
                 time=time, steps=steps, every=every, frames_before=frames_before, places=places, positions=positions,
                 outcome=outcome, material_slopes=material_slopes, number_slopes=number_slopes, share_slopes=share_slopes,
-                slopes=slopes, position_slopes=position_slopes, blocks=blocks)
+                slopes=slopes, position_slopes=position_slopes, blocks=blocks, contacts=0, kinds=queue)
             loop.work(tables, scratch, threads, thread)
 
     return make_steps, sweep.items, sweep.parameters

@@ -3,9 +3,10 @@
 import taichi as ti
 
 from doo_ti.physics.quaternion import tangent, transported
-from doo_ti.physics.tuples import dot, plus, put_lane, record, scaled
+from doo_ti.physics.tuples import chosen, dot, plus, put_lane, record, scaled
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.contact_layout import WORK
 from doo_ti.relaxation.loading import LANES, Loading
 from doo_ti.relaxation.newton_loop import TOLERANCE, NewtonLoop
 from doo_ti.relaxation.time_sweep import (
@@ -26,8 +27,8 @@ from doo_ti.relaxation.time_sweep import (
 # Columns of the clamps at an instant: the point the chain hangs from, the far point from there, mm, the first and last frame.
 PATH_ANCHOR, PATH_TARGET, PATH_ENDS, PATH_COLUMNS = 0, 3, 6, 14
 # Columns of the outcome of a frame: the status, iterations of all its steps and the largest residual, and the force of the far
-# clamp at its end.
-STATE, TRIPS, MOMENT, END_FORCE, OUTCOMES = 0, 1, 2, 3, 6
+# clamp at its end; and the work that friction has done since the launch began.
+STATE, TRIPS, MOMENT, END_FORCE, FRICTION_WORK, OUTCOMES = 0, 1, 2, 3, 6, 7
 
 POSITION_ROUNDING = 1e-6
 """Of the rod's length, in f32: what a step may be wrong by in every position."""
@@ -60,6 +61,10 @@ class MotionLoading(Loading):
         for vertex in range(tables.rest_length.shape[1] + 1):
             inertia += tables.numbers[numbers, vertex, 0] / unit
         self.put(scratch, own + OF_INERTIA * self.stride, slot, inertia)
+        if ti.static(self.touches):
+            length_unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
+            share = inertia * length_unit * length_unit / (tables.rest_length.shape[1] + 1)
+            self.contacts.load_motion(tables, scratch, slot, row, length_unit, share)
         at = head + (self.parameters + self.motion) * self.stride
         edges = tables.rest_length.shape[1]
         for e in range(edges):
@@ -158,14 +163,15 @@ class TimeLoop(NewtonLoop):
     def exchange(self, tables, scratch: ti.template(), head, lane, supply):
         """Give every finished lane the next step of its rod; where that step was the last, or failed, another rod."""
         zero, one = self.constant(0.0), self.constant(1.0)
-        edges = tables.rest_length.shape[1]
         done = (lane.finished > 0.5) & (lane.active > 0.5)
         time = record(step=zero + ti.cast(tables.time[STEP], self.scalar), rate=zero + ti.cast(tables.time[RATE], self.scalar),
                       extrapolation=zero + ti.cast(tables.time[EXTRAPOLATION], self.scalar))
         up = (ti.cast(tables.up[0], self.scalar), ti.cast(tables.up[1], self.scalar), ti.cast(tables.up[2], self.scalar))
-        rod = self.sweep.rods(scratch, head, edges, tables.numbers, tables.numbers, lane.coarse)
+        rod = self.sweep.rods(tables, scratch, head, lane.coarse)
         self.differentiate(tables, rod, time, up, ti.select(done, one, zero))
         self.sweep.remember(rod, time, done)
+        if ti.static(self.touches):
+            self.sweep.contacts.renew(rod, done)
         steps_made = supply.places + (tables.queue.shape[0] - LANES) // 2
         for slot in range(self.width):
             if self.lane(lane.finished, slot) > 0.5:
@@ -185,7 +191,7 @@ class TimeLoop(NewtonLoop):
                         self.load_slopes(tables, scratch, head, slot, tables.queue[supply.places + slot])
         going = (lane.finished > 0.5) & (lane.active > 0.5)
         if self.largest(ti.select(going, one, zero)) > 0.5:
-            next_rod = self.sweep.rods(scratch, head, edges, tables.numbers, tables.numbers, lane.coarse)
+            next_rod = self.sweep.rods(tables, scratch, head, lane.coarse)
             self.sweep.prepare(next_rod, time, up, going)
             for slot in range(self.width):
                 if self.lane(lane.finished, slot) > 0.5 and self.lane(lane.active, slot) > 0.5:
@@ -214,10 +220,17 @@ class TimeLoop(NewtonLoop):
                     tables.outcome[row, frame, END_FORCE + k] = 0.0 - unit * force
                 self.loading.store_vertices(tables.positions, row * frames + frame, 3, scratch, head, slot, edges)
                 self.write_slopes(tables, scratch, slot, row * frames + frame)
+                if ti.static(self.touches):
+                    self.sweep.contacts.unload_forces(tables, scratch, slot, row * frames + frame, unit)
+                    work = ti.cast(self.get(scratch, tables.contacts + WORK * self.stride, slot), ti.f64)
+                    tables.outcome[row, frame, FRICTION_WORK] = work * ti.cast(
+                        self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
             if step + 1 < tables.steps:
                 again = 1
             else:
                 self.loading.store_motion(tables, scratch, head, slot, row)
+                if ti.static(self.touches):
+                    self.sweep.contacts.unload(tables, scratch, slot, row, self.loading.force_unit(scratch, head, slot))
                 for k in ti.static(range(3)):
                     tables.results[row, of.FORCE + k] = self.lane(lane.multiplier[k], slot)
                 self.store_slopes(tables, scratch, slot, row)
@@ -250,10 +263,12 @@ class TimeLoop(NewtonLoop):
         given = self.constant(0.0) + ti.cast(tables.policy[TOLERANCE], self.scalar)
         inertia = rod.scratch[rod.head + (self.sweep.time_parameters + OF_INERTIA) * self.stride]
         length = rod.total * rod.length_unit
+        if ti.static(self.touches):
+            given = self.sweep.contacts.tolerance(rod, given)
         return given + ti.static(POSITION_ROUNDING if self.number_bits == 32 else 0.0) * inertia * length * length * rod.total
 
     @ti.func
     def multiplier(self, lane, fitted):
         """λ of the Newton step; a time step begins with that of the step before."""
         share = ti.select((lane.escaping < 0.5) & (lane.fresh < 0.5), lane.step_scale, self.constant(0.0))
-        return plus(lane.multiplier, scaled(lane.change, share))
+        return chosen(share > 0.0, plus(lane.multiplier, scaled(lane.change, share)), lane.multiplier)

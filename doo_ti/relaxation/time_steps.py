@@ -10,10 +10,12 @@ from doo_ti.frames import quaternion_product
 from doo_ti.relaxation import newton
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import _buffers, layout_for
+from doo_ti.relaxation.contact_layout import contact_items
+from doo_ti.relaxation.contact_table import GAP_TOLERANCE
 from doo_ti.relaxation.loading import LANES
 from doo_ti.relaxation.newton_loop import CLOSING_DISTANCE
 from doo_ti.relaxation.tables import Tables, room
-from doo_ti.relaxation.time_kernel import slope_items, time_kernel, time_slope_kernel
+from doo_ti.relaxation.time_kernel import slope_items, time_contact_kernel, time_kernel, time_slope_kernel
 from doo_ti.relaxation.time_loop import OUTCOMES, STATE
 from doo_ti.relaxation.time_slopes import CURVATURE_1, CURVATURE_2, REMEMBERED
 from doo_ti.relaxation.time_sweep import PLACE_2
@@ -71,12 +73,12 @@ def slope_memory(memory_of: Callable[[np.ndarray], Memory], changes: np.ndarray)
         slopes[:, p, :, :CURVATURE_1] = memory_of(changes[:, p]).places - still.places
         small = 1e-4 * np.linalg.norm(still.places[:, -1, :3] - still.places[:, 0, :3], axis=-1).max()
         share = small / max(np.abs(slopes[:, p, :, PLACE_2 : PLACE_2 + 3]).max(), 1e-300)
-        ahead, behind = (_curvatures(memory_of(sign * share * changes[:, p]).frames_before) for sign in (1.0, -1.0))
+        ahead, behind = (curvatures(memory_of(sign * share * changes[:, p]).frames_before) for sign in (1.0, -1.0))
         slopes[:, p, 2:, CURVATURE_2:] = (ahead - behind) / (2.0 * share)
     return slopes
 
 
-def _curvatures(frames: np.ndarray) -> np.ndarray:
+def curvatures(frames: np.ndarray) -> np.ndarray:
     """(R, E − 1, 5) X, Y and m (:mod:`doo_ti.physics.pair`) at the joints of (R, E, 4) frames."""
     q = quaternion_product(frames[:, :-1] * [1.0, -1.0, -1.0, -1.0], frames[:, 1:])
     z, bent = q[..., 0] + 1j * q[..., 1], q[..., 2] + 1j * q[..., 3]
@@ -95,7 +97,7 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
     slopes   what to differentiate by, in f64
 
     Returns positions (R, frames, V, 3) mm, NaN from where a rod failed, outcomes (R, frames, OUTCOMES), and the derivatives of
-    positions (R, frames, P, V, 3) or None.
+    positions (R, frames, P, V, 3) or None, and the forces of contacts on vertices (R, frames, V, 3), energy per mm, or None.
     """
     rods = table.rods[memory.status[table.rods[:, of.RESULT_ROW]] == Status.CONVERGED]
     rods = np.ascontiguousarray(rods)
@@ -106,6 +108,11 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
     positions = room(table.count * frames, table.edges + 1, 3)
     positions[...] = np.nan
     outcome = np.zeros((table.count, frames, OUTCOMES))
+    contact = table.contact
+    forces = None
+    if contact is not None:
+        forces = room(table.count * frames, table.edges + 1, 3)
+        forces[...] = 0.0
     outcome[:, :, STATE] = memory.status[:, None]
     position_slopes = None
     if slopes is not None:
@@ -113,7 +120,11 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
         position_slopes[...] = np.nan
     if len(rods):
         number, threads, stride, block = layout_for(len(rods), bits)
-        if slopes is None:
+        if contact is not None:
+            kernel, items, parameters = time_contact_kernel(number, table.isotropic, stride, block, contact.distinct, contact.rubs)
+            more = contact.obstacles, contact.kinds, contact.radius, GAP_TOLERANCE, contact.memory, forces
+            size = parameters + items * table.edges + contact_items(table.edges, len(contact.kinds))
+        elif slopes is None:
             kernel, items, parameters = time_kernel(number, table.isotropic, stride, block)
             more, size = (), parameters + items * table.edges
         else:
@@ -134,4 +145,6 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
         memory.status[:] = outcome[:, -1, STATE].astype(memory.status.dtype)
     if slopes is not None:
         position_slopes = position_slopes.reshape(table.count, frames, slopes.count, table.edges + 1, 3)
-    return positions.reshape(table.count, frames, table.edges + 1, 3), outcome, position_slopes
+    if contact is not None:
+        forces = forces.reshape(table.count, frames, table.edges + 1, 3)
+    return positions.reshape(table.count, frames, table.edges + 1, 3), outcome, position_slopes, forces

@@ -16,6 +16,7 @@ from doo_ti.physics import pair
 from doo_ti.physics.quaternion import normalised, product, relative_rotation, tangent
 from doo_ti.physics.tuples import chosen, dot, minus, plus, scaled, variable
 from doo_ti.relaxation.chain import FRAME, LENGTH, LOADED_PARAMETERS, OF_DRIFT, REST
+from doo_ti.relaxation.contact_rounds import Contacts
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 
@@ -40,11 +41,11 @@ STEP, RATE, EXTRAPOLATION, TIME_COLUMNS = 0, 1, 2, 3
 class TimeSweep(LoadedElimination):
     """The chain under the springs of a time step, whose points it sets itself.
 
-    damped: joints have rest curvatures and twists of their own; ``isotropic`` rods are undamped.
+    damped: joints have rest curvatures and twists of their own; ``isotropic`` rods are undamped. ``contacts`` with obstacles.
     """
 
-    def __init__(self, number, isotropic: bool, stride: int):
-        super().__init__(number, isotropic, stride, Springs, any_ends=True)
+    def __init__(self, number, isotropic: bool, stride: int, contacts: Contacts | None = None):
+        super().__init__(number, isotropic, stride, Springs, any_ends=True, contacts=contacts)
         self.damped = not isotropic
         self.springs = self.force_columns - Springs.items
         self.motion = self.items
@@ -107,7 +108,9 @@ class TimeSweep(LoadedElimination):
         first, first_stiffness, free_flight = self.spring(rod, vertex, time, up)
         self.store(rod.scratch, rod.head + self.spring_start * self.stride, first + (first_stiffness,))
         drift = minus(scaled(free_flight, 1.0 / rod.length_unit), rod.anchor)
-        going = done & (self.loose(rod) > 0.5)
+        going = done & (rod.loose > 0.5)
+        if ti.static(self.touches):
+            going = done & (rod.loose > 1.5)  # rods that may touch something start from where they are
         self.store(rod.scratch, rod.head + OF_DRIFT * self.stride, chosen(going, drift, self.drift(rod)))
         at = rod.origin
         for e in range(rod.edges):
@@ -116,7 +119,9 @@ class TimeSweep(LoadedElimination):
             self.store(rod.scratch, at + self.springs * self.stride, x + (k,))
             last = self.load4(rod.scratch, own + FRAME_1 * self.stride)
             before = self.load4(rod.scratch, own + FRAME_2 * self.stride)
-            q = normalised(product(last, relative_rotation(before, last)))
+            q = variable(last)
+            if ti.static(not self.touches):
+                q = normalised(product(last, relative_rotation(before, last)))
             self.store(rod.scratch, at + FRAME * self.stride, chosen(done, q, self.load4(rod.scratch, at)))
             if ti.static(self.damped):
                 if e > 0:

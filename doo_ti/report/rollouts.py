@@ -33,57 +33,68 @@ def chosen(positions: np.ndarray, recorded: np.ndarray | None, most: int) -> np.
 def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray, recorded: np.ndarray | None, rate: float,
                  up: np.ndarray, energies: dict[str, np.ndarray] | None = None) -> None:
     """A picture of (R, T, V, 3) rods: some of them at several instants; where they were ``recorded`` that as well, and the
-    error of all over time; where ``energies`` (R, T) by name are given, those of the first rod."""
+    error of all over time; where ``energies`` (R, T) by name are given, those of the first rod that is shown."""
     rows = chosen(positions, recorded, MOST_RODS)
     columns = min(3, len(rows))
     lines = -(-len(rows) // columns)
-    below = recorded is not None or energies is not None
-    figure = new_figure((max(5.0, 4.2 * columns), 3.4 * lines + (2.6 if below else 0.4)))
-    heights = [1.0] * lines + [0.75] * below
+    plots = (recorded is not None) + (energies is not None)
+    figure = new_figure((max(5.0, 4.2 * columns), 3.4 * lines + max(0.4, 2.6 * plots)))
+    heights = [1.0] * lines + [0.75] * plots
     grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
     shown = positions[rows]
     axes = _side_view(shown if recorded is None else recorded[rows], up)
     frames = np.linspace(0, positions.shape[1] - 1, min(STILLS, positions.shape[1])).round().astype(int)
     for k, row in enumerate(rows):
         plot = figure.add_subplot(grid[k // columns, k % columns])
-        for n, frame in enumerate(frames):
-            fade = 0.25 + 0.75 * (n + 1) / len(frames)
-            if recorded is not None:
-                plot.plot(*(recorded[row, frame] @ axes.T).T, color=RECORDED, lw=2.2, alpha=fade,
-                          label="recorded" if n == len(frames) - 1 else None)
-            plot.plot(*(positions[row, frame] @ axes.T).T, color=PREDICTED, lw=1.1, alpha=fade,
-                      label="simulated" if n == len(frames) - 1 else None)
-        plot.set_aspect("equal", adjustable="datalim")
+        _draw_stills(plot, positions[row, frames] @ axes.T, None if recorded is None else recorded[row, frames] @ axes.T)
         title = names[row]
         if recorded is not None:
             title = f"recording {title}: {np.abs(positions[row, 2:] - recorded[row, 2:]).mean():.1f} mm"
         plot.set_title(literal(title), fontsize=9)
-        plot.set_xlabel("mm", fontsize=8)
-        plot.tick_params(labelsize=8)
         if not k:
             plot.legend(fontsize=8, frameon=False)
+    time = np.arange(positions.shape[1]) / rate
     if recorded is not None:
-        plot = figure.add_subplot(grid[lines, :])
-        error = np.abs(positions - recorded).mean(axis=(2, 3))
-        time = np.arange(positions.shape[1]) / rate
-        plot.plot(time, error.T, color=PREDICTED, lw=0.5, alpha=0.35)
-        plot.plot(time, np.nanmedian(error, axis=0), color="black", lw=1.6, label="median")
-        plot.set_ylim(0, max(1.0, 1.1 * np.nanquantile(error, 0.99)))
-        plot.set_xlabel("time [s]")
-        plot.set_ylabel("mean |difference| [mm]")
-        plot.legend(fontsize=8, frameon=False)
-    elif energies is not None:
-        plot = figure.add_subplot(grid[lines, :])
-        time = np.arange(positions.shape[1]) / rate
-        for label, value in energies.items():
-            plot.plot(time, value[0], lw=1.4, label=label, color="black" if label == "sum" else None)
-        plot.set_xlabel("time [s]")
-        plot.set_ylabel(literal(f"energy of {names[0]} [mm²]"))
-        plot.legend(fontsize=8, frameon=False, ncols=4)
+        _draw_errors(figure.add_subplot(grid[lines, :]), time, np.abs(positions - recorded).mean(axis=(2, 3)))
+    if energies is not None:
+        first = {name: value[rows[0]] for name, value in energies.items()}
+        _draw_energies(figure.add_subplot(grid[-1, :]), time, first, names[rows[0]])
     last = (positions.shape[1] - 1) / rate
     figure.suptitle(literal(f"{name}: {len(frames)} of {positions.shape[1]} frames from 0 to {last:.3g} s, seen from the side"),
                     fontsize=10)
     figure.savefig(path, dpi=PICTURE_DPI, metadata={"Software": None})
+
+
+def _draw_stills(plot, positions: np.ndarray, recorded: np.ndarray | None) -> None:
+    """A rod at several instants, (N, V, 2) each, later ones darker."""
+    for n, rod in enumerate(positions):
+        fade, last = 0.25 + 0.75 * (n + 1) / len(positions), n == len(positions) - 1
+        if recorded is not None:
+            plot.plot(*recorded[n].T, color=RECORDED, lw=2.2, alpha=fade, label="recorded" if last else None)
+        plot.plot(*rod.T, color=PREDICTED, lw=1.1, alpha=fade, label="simulated" if last else None)
+    plot.set_aspect("equal", adjustable="datalim")
+    plot.set_xlabel("mm", fontsize=8)
+    plot.tick_params(labelsize=8)
+
+
+def _draw_errors(plot, time: np.ndarray, error: np.ndarray) -> None:
+    """Errors (R, T) of all rods, and their median."""
+    plot.plot(time, error.T, color=PREDICTED, lw=0.5, alpha=0.35)
+    plot.plot(time, np.nanmedian(error, axis=0), color="black", lw=1.6, label="median")
+    plot.set_ylim(0, max(1.0, 1.1 * np.nanquantile(error, 0.99)))
+    plot.set_xlabel("time [s]")
+    plot.set_ylabel("mean |difference| [mm]")
+    plot.legend(fontsize=8, frameon=False)
+
+
+def _draw_energies(plot, time: np.ndarray, energies: dict[str, np.ndarray], name: str) -> None:
+    """Energies (T,) of one rod by their names; what has flown, which only adds up, dashed."""
+    for label, value in energies.items():
+        plot.plot(time, value, lw=1.4, label=label, color="black" if label == "sum" else None,
+                  ls="--" if label in ("dissipated", "work", "unaccounted") else "-")
+    plot.set_xlabel("time [s]")
+    plot.set_ylabel(literal(f"energy of {name} [mm²]"), fontsize=9)
+    plot.legend(fontsize=8, frameon=False, ncols=4)
 
 
 def save_animation(path: Path, name: str, names: list[str], positions: np.ndarray, recorded: np.ndarray | None, rate: float,

@@ -1,14 +1,18 @@
 """``doo-ti predict``: output, files, refused input."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from doo_ti.cli import main
-from doo_ti.io.observations import Observations, save_observations
+from doo_ti.commands.results import plain
+from doo_ti.dynamics.theta import MotionTheta, load_theta, save_form
+from doo_ti.io.observations import Observations, load_observations, save_observations
 from doo_ti.relaxation.relax import relax
+from doo_ti.start import observation_clamps, start_configuration
 from doo_ti.types import Material
 from tests.references.rods import chain, clamps_at, stacked
 
@@ -124,3 +128,54 @@ def test_wrong_input_is_one_line(folder, capsys, monkeypatch, more, printed):
 def test_a_scene_says_it_all(folder, capsys, more, printed):
     assert main(["predict", str(SCENES / "pulled_straight.toml"), "--out", str(folder / "f.npz"), *more]) == 2
     assert printed in capsys.readouterr().err
+
+
+def theta_file(folder, shape_length: float = 100.0, **changes):
+    """A file as doo-ti identify writes it, of a rod of twenty edges."""
+    rest = 1e-3 * np.array([[1.5, -1.0], [0.8, 0.6]])
+    theta = MotionTheta(6e5, 1 / 6, 0.02, 0.5, 1e-4, 0.0, rest, np.full(20, shape_length / 20), np.array([0.0, 1.0, 0.0]))
+    (folder / "theta.json").write_text(json.dumps(plain(save_form(replace(theta, **changes)))))
+    return folder / "theta.json"
+
+
+def test_rods_with_inertia(folder, capsys):
+    command = ["predict", str(folder / "seen.npz"), "--motion", str(folder / "marks.npz"), "--theta", str(theta_file(folder)),
+               "--out", str(folder / "f.npz")]
+    assert main(command) == 0
+    assert "damping, drag and markers are ignored" in capsys.readouterr().err
+    still = written(folder / "f.npz")
+    assert main([*command, "--dynamic", "--rate", "2000", "--steps-between", "2"]) == 0
+    printed = capsys.readouterr()
+    assert "with inertia, 4000 states/s" in printed.out and "damping, drag and markers are used" in printed.err
+    found = written(folder / "f.npz")
+    np.testing.assert_allclose(found["time_s"], np.arange(9) / 4000.0)
+    assert found.keys() == still.keys() and (found["status"] == 0).all()
+    np.testing.assert_allclose(found["vertices_mm"][0], still["vertices_mm"][0], atol=1e-3)
+    assert np.abs(found["vertices_mm"][::2] - still["vertices_mm"]).max() > 0.1
+    assert main([*command, "--dynamic", "--rate", "2000", "--bend-damping", "0.2", "--tolerance", "0.1"]) == 0
+    assert np.abs(written(folder / "f.npz")["vertices_mm"] - found["vertices_mm"][::2]).max() > 0.01
+
+
+@pytest.mark.parametrize(("motion", "more", "field"), [
+    ("marks.npz", ["--dynamic"], "--rate"), ("marks.npz", ["--rate", "10"], "--rate"),
+    ("marks.npz", ["--drag", "1"], "--drag"), ("move.npz", ["--dynamic"], "time_s"),
+    ("turn.csv", ["--dynamic"], "end_rotation"), ("marks.npz", ["--dynamic", "--rate", "9", "--drag", "-1"], "--drag"),
+])
+def test_motions_with_inertia_that_are_refused(folder, motion, more, field, capsys):
+    assert main([*words(folder, "seen.npz", motion), *more]) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and field in message and not (folder / "f.npz").exists()
+
+
+def test_rest_curvature_of_a_theta(folder, capsys):
+    """relax uses it at the joints of the observed rods; a theta of another length is refused."""
+    command = ["relax", str(folder / "seen.npz"), "--theta", str(theta_file(folder)), "--out", str(folder / "r.npz")]
+    assert main(command) == 0
+    assert "rest curvature are used" in capsys.readouterr().err
+    seen = load_observations(folder / "seen.npz")
+    clamps = observation_clamps(seen)
+    theta = load_theta(folder / "theta.json")
+    expected = relax(start_configuration(seen, clamps), Material(6e5, 1e5, 1.0, theta.rest_curvature[None]), clamps)
+    np.testing.assert_allclose(written(folder / "r.npz")["vertices_mm"], expected.configuration.vertices, atol=1e-9)
+    assert main([*command[:3], str(theta_file(folder, 130.0)), *command[4:]]) == 2
+    assert "rest_length_mm" in capsys.readouterr().err

@@ -54,6 +54,22 @@ def test_the_bend_stiffness_that_made_the_motion_is_identified(theta):
     assert json.loads(theta.read_text())["bend_mm3"] == pytest.approx(1e6, rel=0.05)
 
 
+def test_still_frames_join_the_motion(recording, tmp_path, capsys):
+    shape = np.load(recording / "made.npz")["positions_mm"][0, :1]
+    np.savez(tmp_path / "still.npz", vertices_mm=np.repeat(shape, 3, axis=0), rest_length_mm=np.full(6, 50.0))
+    command = ["identify", str(recording / "recorded.npz"), "--modes", "0", "--fit", "bend_damping", "--bend", "5e5", "--out",
+               str(tmp_path / "theta.json"), "--still", str(tmp_path / "still.npz")]
+    assert main([*command, "--still-noise", "0.05"]) == 0
+    assert "3 still frames, 0 left out" in capsys.readouterr().out
+    written = json.loads((tmp_path / "theta.json").read_text())
+    assert written["bend_mm3"] == pytest.approx(1e6, rel=0.02) and written["stills"]["mean_error_mm"] < 0.2
+    np.savez(tmp_path / "still.npz", vertices_mm=2.0 * shape, rest_length_mm=np.full(6, 100.0))
+    for more in ([], ["--still-noise", "-1"]):
+        assert main([*command, *more]) == 2
+    assert main([*command[:-2], "--still-noise", "1"]) == 2
+    assert capsys.readouterr().err.count("\n") == 3
+
+
 def test_a_recording_is_predicted_from_its_grippers(recording, theta):
     out = recording / "predicted.npz"
     assert main(["simulate", str(recording / "recorded.npz"), "--theta", str(theta), "--out", str(out)]) == 0
@@ -73,7 +89,8 @@ def test_one_recording_without_an_axis_for_it(recording, theta):
     assert main(["simulate", str(recording / "one.npz"), "--theta", str(theta), "--out", str(out)]) == 0
     found = np.load(out)
     assert found["positions_mm"].shape == positions.shape
-    assert found["error_mm"].shape == found["status"].shape == positions.shape[:1]
+    assert found["error_mm"].shape == found["status"].shape == found["energy_sum"].shape == positions.shape[:1]
+    assert found["substeps"] == 1
 
 
 @pytest.mark.parametrize(("change", "field"), [
@@ -137,5 +154,19 @@ def test_pictures_and_animations(recording, theta, tmp_path):
                  str(tmp_path / "f.gif"), "--recording", str(tmp_path / "f.rrd")]) == 0
     assert all((tmp_path / name).stat().st_size > 1000 for name in ("f.png", "f.gif", "f.rrd"))
     energy = np.load(tmp_path / "f.npz")
-    parts = [energy[f"energy_{name}"] for name in ("kinetic", "gravity", "bending")]
+    parts = [energy[f"energy_{name}"] for name in ("kinetic", "gravity", "bending", "twist")]
     np.testing.assert_allclose(energy["energy_sum"], sum(parts))
+    assert (energy["energy_dissipated"][:, -1] > 0).all() and (energy["energy_work"][:, -1] != 0).all()
+
+
+def test_steps_are_chosen_by_a_tolerance(recording, theta, tmp_path, capsys):
+    command = ["simulate", str(recording / "recorded.npz"), "--theta", str(theta), "--out", str(tmp_path / "f.npz")]
+    shown = ["--picture", str(tmp_path / "f.png"), "--recording", str(tmp_path / "f.rrd")]
+    assert main([*command, "--precision", "mixed", "--tolerance", "0.5", *shown]) == 0
+    found = np.load(tmp_path / "f.npz")
+    assert found["substeps"].shape == found["step_error_mm"].shape == found["status"].shape[:1]
+    assert (found["substeps"] >= 2).all() and (found["step_error_mm"] <= 0.5).all()
+    assert np.isnan(found["energy_twist"][:, 0]).all() and np.isfinite(found["energy_twist"][:, 1:]).all()
+    assert "estimated error" in capsys.readouterr().out
+    for wrong in ("--tolerance 0", "--most-substeps 8", "--tolerance 1 --substeps 4 --most-substeps 4"):
+        assert main([*command, *wrong.split()]) == 2

@@ -1,0 +1,129 @@
+"""Signed distance of a point to an obstacle inside kernels, with its gradient n and second derivatives (docs/contact.md).
+
+All obstacles but boxes are bodies of revolution. In the half plane of a point, with e_r away from the axis and e_z along it,
+n = n_r e_r + n_z e_z, and with k the curvature of the profile's parallel curve through the point
+
+    ∇∇φ = k (e_r e_rᵀ + e_z e_zᵀ − n nᵀ) + (n_r/ρ) (I − e_r e_rᵀ − e_z e_zᵀ).
+"""
+
+import taichi as ti
+
+from doo_ti.contact.obstacles import AXES, BOX, CAPSULE, CYLINDER, PLANE, POINT, RING, SIZES
+from doo_ti.physics.algebra import absolute, largest_of
+from doo_ti.physics.tuples import dot, minus, plus, record, repeated, scaled, traced
+
+TINY = 1e-20
+"""Below all squares of distances, against division by zero on an axis."""
+
+
+@traced
+def outer(a) -> tuple:
+    """a aᵀ."""
+    return (a[0] * a[0], a[0] * a[1], a[0] * a[2], a[1] * a[1], a[1] * a[2], a[2] * a[2])
+
+
+@ti.data_oriented
+class Distance:
+    """φ, n and ∇∇φ for one kind of number, of obstacles among ``kinds``."""
+
+    def __init__(self, number, stride: int, kinds: frozenset[int]):
+        self.stride, self.tiny = stride, TINY
+        self.has_plane, self.has_box, self.has_capsule, self.has_ring, self.has_cylinder = (
+            kind in kinds for kind in (PLANE, BOX, CAPSULE, RING, CYLINDER))
+        self.has_revolved = bool(kinds - {PLANE, BOX})
+
+    @ti.func
+    def load3(self, scratch: ti.template(), at):
+        return (scratch[at], scratch[at + self.stride], scratch[at + 2 * self.stride])
+
+    @ti.func
+    def measure(self, scratch: ti.template(), at, kind, x):
+        """Of an obstacle of that kind whose columns begin at ``at``: a record of ``value`` φ, ``normal`` n and ``curvature``
+        ∇∇φ (6,) at ``x``."""
+        away = minus(x, self.load3(scratch, at + POINT * self.stride))
+        zero = 0.0 * away[0]
+        seen = record(value=zero, normal=repeated(zero, 3), curvature=repeated(zero, 6))
+        if ti.static(self.has_box):
+            if kind == ti.static(BOX):
+                self.box(scratch, at, away, seen)
+        if ti.static(self.has_plane):
+            if kind == ti.static(PLANE):
+                seen.normal = self.load3(scratch, at + (AXES + 6) * self.stride)
+                seen.value = dot(away, seen.normal)
+        if ti.static(self.has_revolved):
+            if kind != ti.static(BOX) and kind != ti.static(PLANE):
+                self.revolved(scratch, at, kind, away, seen)
+        return seen
+
+    @ti.func
+    def revolved(self, scratch: ti.template(), at, kind, away, seen):
+        """A capsule, a cylinder or a ring."""
+        axis = self.load3(scratch, at + (AXES + 6) * self.stride)
+        z = dot(away, axis)
+        zero, one = 0.0 * z, 0.0 * z + 1.0
+        flat = minus(away, scaled(axis, z))
+        radial = ti.sqrt(dot(flat, flat) + self.tiny)
+        outward = scaled(flat, 1.0 / radial)
+        a, b = scratch[at + SIZES * self.stride], scratch[at + (SIZES + 1) * self.stride]
+        profile = record(value=z, r=zero, z=one, bend=zero, around=zero)
+        if ti.static(self.has_capsule):
+            if kind == ti.static(CAPSULE):
+                beyond = z - ti.min(ti.max(z, 0.0 - b), b)
+                length = ti.sqrt(radial * radial + beyond * beyond)
+                profile.value, profile.r, profile.z = length - a, radial / length, beyond / length
+                profile.around = 1.0 / length
+                profile.bend = ti.select(absolute(z) >= b, 1.0 / length, zero)
+        if ti.static(self.has_ring):
+            if kind == ti.static(RING):
+                self.rim(profile, radial - a, z, radial)
+                profile.value = profile.value - b
+        if ti.static(self.has_cylinder):
+            if kind == ti.static(CYLINDER):
+                upward = ti.select(z < 0.0, 0.0 - one, one)
+                side, cap = radial - a, upward * z - b
+                self.rim(profile, side, cap, radial)
+                beyond = (side > 0.0) & (cap > 0.0)
+                lateral = side >= cap
+                r = ti.select(lateral, one, zero)
+                profile.value = ti.select(beyond, profile.value, ti.max(side, cap))
+                profile.r = ti.select(beyond, profile.r, r)
+                profile.z = upward * ti.select(beyond, profile.z, 1.0 - r)
+                profile.bend = ti.select(beyond, profile.bend, zero)
+                profile.around = profile.r / radial
+        seen.value = profile.value
+        seen.normal = plus(scaled(outward, profile.r), scaled(axis, profile.z))
+        meridian = plus(outer(outward), outer(axis))
+        bent = minus(scaled(meridian, profile.bend - profile.around), scaled(outer(seen.normal), profile.bend))
+        seen.curvature = (bent[0] + profile.around, bent[1], bent[2], bent[3] + profile.around, bent[4],
+                          bent[5] + profile.around)
+
+    @ti.func
+    def rim(self, profile, beside, above, radial):
+        """The distance to a circle about the axis, ``beside`` and ``above`` which the point lies."""
+        length = ti.sqrt(beside * beside + above * above + self.tiny)
+        profile.value, profile.r, profile.z = length, beside / length, above / length
+        profile.bend, profile.around = 1.0 / length, beside / (length * radial)
+
+    @ti.func
+    def box(self, scratch: ti.template(), at, away, seen):
+        """A box."""
+        zero, one = 0.0 * away[0], 0.0 * away[0] + 1.0
+        square, most = zero, zero - 1e30
+        for k in ti.static(range(3)):
+            z = dot(away, self.load3(scratch, at + (AXES + 3 * k) * self.stride))
+            beyond = absolute(z) - scratch[at + (SIZES + k) * self.stride]
+            most = largest_of(most, beyond)
+            square = square + ti.select(beyond > 0.0, beyond * beyond, zero)
+        outside = square > 0.0
+        length = ti.sqrt(square + self.tiny)
+        seen.value = ti.select(outside, length, most)
+        for k in ti.static(range(3)):
+            axis = self.load3(scratch, at + (AXES + 3 * k) * self.stride)
+            z = dot(away, axis)
+            beyond = absolute(z) - scratch[at + (SIZES + k) * self.stride]
+            share = ti.select(outside, ti.max(beyond, zero) / length, ti.select(beyond >= most, one, zero))
+            seen.normal = plus(seen.normal, scaled(axis, share * ti.select(z < 0.0, 0.0 - one, one)))
+            # The nearest point of the box moves along the faces that the point does not look past.
+            seen.curvature = plus(seen.curvature, scaled(outer(axis), ti.select(outside & (beyond > 0.0), 1.0 / length, zero)))
+        bent = ti.select(outside, 1.0 / length, zero)
+        seen.curvature = minus(seen.curvature, scaled(outer(seen.normal), bent))

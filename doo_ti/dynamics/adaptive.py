@@ -1,0 +1,106 @@
+"""Time steps as many as a rod's motion needs: doubled until two simulations of it agree (docs/dynamics.md).
+
+Every rod is judged by itself, over its whole motion, and moves alone as among others: its steps do not depend on the rods that
+are simulated beside it. Axes: R rods, F frames.
+"""
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+
+import numpy as np
+
+from doo_ti.dynamics.parameters import Stepping
+from doo_ti.dynamics.trajectory import Detail, Trajectory
+from doo_ti.relaxation.time_steps import Memory
+
+MOST_GAIN, LEAST_GAIN = {"bdf2": 2.0, "euler": 1.5}, 1.25
+"""Times by which the error is taken to become smaller with half the step, at most and before it can be measured, and at least.
+In a smooth motion it is 4 and 2; less where a gripper starts at once or a velocity contradicts it, and in coarse steps."""
+
+
+def adapted(run: Callable[..., Trajectory], count: int, stepping: Stepping, detailed: bool,
+            progress: Callable[[int], None] | None) -> Trajectory:
+    """The motion of R = ``count`` rods, each with the fewest substeps that reach the tolerance, or with the most.
+
+    run  (stepping, rows (n,), detailed, progress): the motion of some rods with fixed steps in one precision
+
+    With d the largest distance of a vertex in any frame between the motions with n/2 and n substeps, and that distance before
+    divided by d being the gain g, at most MOST_GAIN, the error of n substeps is estimated as d/(g − 1), of a geometric series.
+    """
+    steps, rows = stepping.substeps, np.arange(count)
+    coarse = _moved(run, stepping, steps, rows, progress)
+    found, error = coarse, np.full(count, np.nan if stepping.tolerance is None else np.inf)
+    before = np.full(count, np.nan)
+    while stepping.tolerance is not None and len(rows) and 2 * steps <= stepping.most_substeps:
+        steps *= 2
+        fine = _moved(run, stepping, steps, rows)
+        apart = _apart(coarse, fine)
+        estimate = apart / (_gain(before, apart, MOST_GAIN[stepping.scheme]) - 1.0)
+        # A motion that fails only with finer steps is kept as it was.
+        better = fine.converged | ~found.converged[rows]
+        _put(found, rows[better], fine, better)
+        error[rows[better]] = estimate[better]
+        left = ~(estimate <= stepping.tolerance)
+        rows, before, coarse = rows[left], apart[left], _some(fine, left)
+    found = replace(found, error=error)
+    return replace(found, detail=_detail(run, _fixed(stepping, steps), found)) if detailed else found
+
+
+def _fixed(stepping: Stepping, steps: int, precision: str = "f64") -> Stepping:
+    """So many steps, in the precision that ``stepping`` states, or where that is mixed in the one given."""
+    precision = precision if stepping.precision == "mixed" else stepping.precision
+    return replace(stepping, substeps=steps, precision=precision, tolerance=None)
+
+
+def _moved(run: Callable[..., Trajectory], stepping: Stepping, steps: int, rows: np.ndarray, progress=None) -> Trajectory:
+    """The rods ``rows`` with so many substeps. In mixed precision the first substeps and twice as many are f32, whose rounding
+    grows with finer steps, and what it stops is repeated in f64."""
+    coarse = "f32" if steps <= 2 * stepping.substeps else "f64"
+    found = run(_fixed(stepping, steps, coarse), rows, False, progress)
+    again = np.flatnonzero(~found.converged)
+    if stepping.precision == "mixed" and coarse == "f32" and len(again):
+        _put(found, again, run(_fixed(stepping, steps), rows[again]), slice(None))
+    return found
+
+
+def _apart(coarse: Trajectory, fine: Trajectory) -> np.ndarray:
+    """(n,) mm, infinite where one of the two failed."""
+    both = coarse.converged & fine.converged
+    square = ((coarse.positions - fine.positions) ** 2).sum(axis=-1).max(axis=(1, 2))
+    return np.where(both, np.sqrt(square), np.inf)
+
+
+def _gain(before: np.ndarray, apart: np.ndarray, most: float) -> np.ndarray:
+    """(n,) times by which the distance has become smaller; as assumed where it was not measured before."""
+    known = np.isfinite(before) & np.isfinite(apart)
+    ratio = np.where(known, before, most) / np.where(known, np.maximum(apart, 1e-300), 1.0)
+    return np.clip(ratio, LEAST_GAIN, most)
+
+
+def _some(trajectory: Trajectory, rows) -> Trajectory:
+    """The rods ``rows``, for comparison: their positions and status."""
+    return replace(trajectory, positions=trajectory.positions[rows], status=trajectory.status[rows])
+
+
+def _put(into: Trajectory, rows: np.ndarray, other: Trajectory, of: np.ndarray) -> None:
+    """Write the rods ``of`` of another trajectory into those ``rows``."""
+    for name in ("positions", "status", "iterations", "residual", "end_force", "substeps"):
+        getattr(into, name)[rows] = getattr(other, name)[of]
+    for name in ("contact_force", "friction_work"):
+        if getattr(other, name) is not None:
+            getattr(into, name)[rows] = getattr(other, name)[of]
+    for name in (entry.name for entry in fields(Memory)):
+        getattr(into.memory, name)[rows] = getattr(other.memory, name)[of]
+
+
+def _detail(run: Callable[..., Trajectory], fixed: Stepping, found: Trajectory) -> Detail:
+    """The detail of rods whose steps have been chosen: simulated once more, where precision is mixed in f64."""
+    parts, order = [], []
+    for steps in np.unique(found.substeps):
+        rows = np.flatnonzero(found.substeps == steps)
+        parts.append(run(replace(fixed, substeps=int(steps)), rows, True).detail)
+        order.append(rows)
+    back = np.argsort(np.concatenate(order))
+    energies = {name: np.concatenate([part.energies[name] for part in parts])[back] for name in parts[0].energies}
+    return Detail(*(np.concatenate([getattr(part, name) for part in parts])[back] for name in ("quaternions", "velocities")),
+                  energies)

@@ -1,0 +1,99 @@
+"""Prediction of fast motion: rods with inertia, damping and drag whose clamps move along a path (§III-D, docs/dynamics.md).
+
+Axes: T moments, G materials, N motions, R = G·N rods, material by material.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from doo_ti.dynamics.grippers import Grippers, edge_frames
+from doo_ti.dynamics.parameters import Dynamics, Stepping
+from doo_ti.dynamics.simulate import simulate
+from doo_ti.errors import InputError
+from doo_ti.io.motion_file import ClampPath
+from doo_ti.motion.path import LARGEST_TURN, motion_between
+from doo_ti.prediction.predict import Prediction, begun, rotation_about_rod
+from doo_ti.relaxation.newton import Newton
+from doo_ti.types import Clamps, Configuration, Material, Status, sticky
+
+MOST_TURN = np.radians(170.0)
+"""Of the far frame between two moments: its sense is taken from the shorter way."""
+EVEN = 1e-3
+"""Of an interval: by how much the intervals between moments may differ."""
+
+
+def predict_moving(
+    configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, dynamics: Dynamics, stepping: Stepping,
+    *, between: int = 1, up=(0.0, 0.0, 1.0), advance: Callable[[int], None] = lambda rods: None,
+) -> Prediction:
+    """As :func:`doo_ti.prediction.predict.predict`, with inertia: rods at rest at the path's first moment, then carried along
+    it at the speed that the rate gives it.
+
+    dynamics  of G rows or one
+    stepping  rate: moments of the path per second; the time steps are between the states that are returned
+    between   number of returned states per interval of the path; clamps move between its moments on cubics
+
+    In what is returned ``stable`` says that all steps have converged, since a rod in motion is at no minimum; ``energy`` is
+    without the kinetic energy, and ``jumps`` are counted only on the way to the first moment. Raises InputError where numbers
+    of rods and motions do not match, and for a far frame that turns by half a turn or more from one moment to the next.
+    """
+    _, rods, (first, held, jumps) = begun(configuration, material, clamps, path, LARGEST_TURN, up, Newton(), "f64")
+    rows = np.arange(len(rods)) % len(clamps.start_position)
+    grippers = _grippers(path, held).refined(between)
+    pairs = np.arange(len(rods)), rods
+    rate = Stepping(stepping.rate * between, stepping.substeps, stepping.scheme, stepping.precision, stepping.tolerance,
+                    stepping.most_substeps)
+    done = 0
+
+    def progress(frames: int) -> None:
+        nonlocal done
+        advance((frames - done) * len(rods))
+        done = frames
+
+    found = simulate(first.configuration, material, grippers.take(rows), dynamics, rate, up=up, pairs=pairs, detailed=True,
+                     progress=progress)
+    energies = found.detail.energies
+    stored = sum(energies[name] for name in ("bending", "twist", "gravity"))
+    status = sticky(first.status[:, None], found.status).T
+    turned = [np.zeros(len(rows))]
+    for k in range(grippers.instants - 1):
+        turned.append(turned[-1] + rotation_about_rod(motion_between(grippers.at(k), grippers.at(k + 1)))[rows])
+
+    def with_first(before, after):
+        return np.concatenate([before[None], np.moveaxis(after, 1, 0)])
+
+    return Prediction(
+        time=np.arange(grippers.instants) / rate.rate + path.time[0],
+        start=with_first(first.configuration.vertices[:, 0], found.positions[:, :, 0]),
+        quaternions=np.moveaxis(found.detail.quaternions, 1, 0), rest_length=configuration.rest_length,
+        energy=first.energy + (stored - stored[:, :1]).T, residual=with_first(first.residual, found.residual),
+        iterations=with_first(first.iterations, found.iterations), status=np.concatenate([first.status[None], status]),
+        stable=np.concatenate([first.stable[None], status == Status.CONVERGED]),
+        end_force=with_first(first.end_force, found.end_force),
+        jumps=np.concatenate([jumps[None], np.zeros((grippers.instants - 1, len(rows)), dtype=jumps.dtype)]),
+        end_rotation=np.stack(turned), material=rods, motion=rows)
+
+
+def rate_of(path: ClampPath) -> float:
+    """Moments per second. Raises InputError where they are not equally far apart."""
+    step = np.diff(path.time)
+    if np.ptp(step) > EVEN * step.mean():
+        raise InputError(path.source, "time_s", f"moments {step.min():.4g} to {step.max():.4g} s apart",
+                         "give equal intervals for rods with inertia")
+    return float(1.0 / step.mean())
+
+
+def _grippers(path: ClampPath, held: Clamps) -> Grippers:
+    """The grippers of N motions at the moments of ``path``, ``held`` at the first."""
+    turns = [path.rotation(k, len(held.start_position)) for k in range(path.moments - 1)]
+    if turns[0] is not None and np.abs(turns).max() > MOST_TURN:
+        raise InputError(path.source, "end_rotation", f"{np.degrees(np.abs(turns).max()):.0f} degrees between two moments",
+                         f"give moments in between: at most {np.degrees(MOST_TURN):.0f} degrees for rods with inertia")
+    clamps = [path.at(k, held) for k in range(path.moments)]
+    found = {name: np.stack([getattr(one, name) for one in clamps], axis=1) for name in (
+        "start_position", "end_position", "start_frame", "end_frame")}
+    if path.tangents_only:
+        for name in ("start_frame", "end_frame"):
+            found[name] = edge_frames(found[name][..., 0], getattr(held, name)[..., 1])
+    return Grippers(held.start, held.end, **found)

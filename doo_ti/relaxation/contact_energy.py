@@ -1,0 +1,451 @@
+"""Contact of a chain with obstacles: a barrier first, then an augmented Lagrangian of the gaps (docs/contact.md).
+
+The gap at a place x of the rod is g = φ(x) − r ≥ 0. With forces λ ≥ 0 that are known from the round before, Newton minimises
+
+    E + Σ max(0, λ − κ g)² / 2κ,
+
+and a round ends with λ ← max(0, λ − κ g). Rounds change nothing any more where every gap is closed or bears no force: there the
+force is exact for any κ, and no rod is inside an obstacle by more than the tolerance.
+
+A rod touches an obstacle at its vertices and, where an edge bridges it, at the point of the edge that is nearest to it. That
+point moves along the edge with the step: φ* = min_s φ(x + s p) has the derivatives n and s n by x and by p, and second
+derivatives lower than those at a fixed s by v vᵀ/φ_ss, v = (H p, n + s H p), φ_ss = pᵀH p, H = ∇∇φ.
+"""
+
+import taichi as ti
+
+from doo_ti.contact.distance import Distance, outer
+from doo_ti.contact.obstacles import DEPTH, OBSTACLE_COLUMNS
+from doo_ti.contact.obstacles import FRICTION as COEFFICIENT
+from doo_ti.physics.algebra import largest_of
+from doo_ti.physics.tuples import applied, chosen, dot, full, minus, negated, plus, record, repeated, scaled, traced
+from doo_ti.relaxation.contact_layout import (
+    ACTIVE,
+    BARRIER,
+    CLOSEST,
+    CONTACT_ITEMS,
+    CROSSING,
+    CURVATURE,
+    CURVATURES,
+    CURVATURES_S,
+    CURVATURES_SS,
+    DEEPEST,
+    ENERGY,
+    FORCE,
+    FORCE_BETWEEN,
+    FORCE_END,
+    FORCE_START,
+    FRICTION,
+    FRICTION_BETWEEN,
+    GRADIENT,
+    GRADIENT_S,
+    HEAD,
+    LOADED,
+    NORMAL,
+    NORMAL_BETWEEN,
+    OFFSET,
+    PHASE,
+    PINCHED,
+    PLACE,
+    PLACE_BETWEEN,
+    PREVIOUS,
+    RADIUS,
+    REACH,
+    ROOM,
+    ROOM_STANDING,
+    ROUGH,
+    SAG,
+    SAGGING,
+    SEARCHES,
+    STANDING,
+    STIFFNESS,
+    STRENGTH,
+    TOLERANCE,
+    VALUE,
+    VERTEX_ITEMS,
+    WEIGHT,
+)
+
+
+@traced
+def outer_product(a, b) -> tuple:
+    """a bᵀ."""
+    return tuple(x * y for x in a for y in b)
+
+
+@ti.data_oriented
+class ContactEnergy:
+    """Contacts of the rods in a pack with obstacles of some ``kinds``, in a motion with friction if they ``rub``. Of the record ``rod`` it reads ``contacts``, where its
+    items begin in scratch, ``kinds``, and ``obstacles``, how many there are."""
+
+    def __init__(self, number, stride: int, kinds: frozenset[int], rub: bool = False):
+        lanes = number.lanes()
+        self.put, self.get, self.largest = lanes.put, lanes.get, lanes.largest
+        self.stride, self.rub = stride, rub
+        self.distance = Distance(number, stride, kinds)
+        self.load3 = self.distance.load3
+        # What the places of vertices are wrong by, as a share of the rod's length.
+        self.rounding = 2e-7 if number.bits == 32 else 1e-16
+
+    # --- places in scratch ---
+
+    @ti.func
+    def item(self, rod, item: ti.template()):
+        """A number of the rod."""
+        return rod.scratch[rod.contacts + item * self.stride]
+
+    @ti.func
+    def set_item(self, rod, item: ti.template(), condition, value):
+        """Set it where the condition holds."""
+        at = rod.contacts + item * self.stride
+        rod.scratch[at] = ti.select(condition, value, rod.scratch[at])
+
+    @ti.func
+    def obstacle(self, rod, index):
+        return rod.contacts + (HEAD + index * OBSTACLE_COLUMNS) * self.stride
+
+    @ti.func
+    def vertex(self, rod, index):
+        first = HEAD + rod.obstacles * OBSTACLE_COLUMNS
+        return rod.contacts + (first + index * (VERTEX_ITEMS + rod.obstacles * CONTACT_ITEMS)) * self.stride
+
+    @ti.func
+    def contact(self, vertex, index):
+        return vertex + (VERTEX_ITEMS + index * CONTACT_ITEMS) * self.stride
+
+    @ti.func
+    def store(self, scratch: ti.template(), at, values):
+        for k in ti.static(range(len(values))):
+            scratch[at + k * self.stride] = values[k]
+
+    # --- what a rod is near to ---
+
+    @ti.func
+    def begin(self, rod):
+        """Begin the sums over all vertices."""
+        zero = 0.0 * rod.total
+        most = zero + 1e30
+        self.store(rod.scratch, rod.contacts + ENERGY * self.stride, (zero, zero, zero, most, zero, most))
+
+    @ti.func
+    def add(self, rod, item: ti.template(), values):
+        """Add to a sum."""
+        for k in ti.static(range(len(values))):
+            at = rod.contacts + (item + k) * self.stride
+            rod.scratch[at] = rod.scratch[at] + values[k]
+
+    @ti.func
+    def lower(self, scratch: ti.template(), at, value):
+        """Take a value into a minimum."""
+        scratch[at] = ti.min(scratch[at], value)
+
+    @ti.func
+    def look(self, rod, index, place):
+        """Measure how far vertex ``index``, at ``place``, is from all obstacles."""
+        at = self.vertex(rod, index)
+        away = minus(place, self.load3(rod.scratch, at + STANDING * self.stride))
+        self.store(rod.scratch, at + PLACE * self.stride, place)
+        crossing = rod.contacts + CROSSING * self.stride
+        rod.scratch[crossing] = largest_of(rod.scratch[crossing], dot(away, away) * self.nearness(rod, index, at, ROOM_STANDING))
+        for o in range(rod.obstacles):
+            contact = self.contact(at, o)
+            seen = self.distance.measure(rod.scratch, self.obstacle(rod, o), rod.kinds[o], place)
+            rod.scratch[contact + VALUE * self.stride] = seen.value
+            if self.is_close(rod, seen.value):
+                self.store(rod.scratch, contact + NORMAL * self.stride, seen.normal)
+                self.store(rod.scratch, contact + CURVATURE * self.stride, seen.curvature)
+                gap, held = seen.value - self.item(rod, RADIUS), self.held(rod, index) > 0.5
+                self.lower(rod.scratch, rod.contacts + DEEPEST * self.stride, seen.value)
+                self.lower(rod.scratch, rod.contacts + PINCHED * self.stride, ti.select(held, gap, 0.0 * gap))
+                self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(held, 0.0 * gap + 1e30, gap))
+
+    @ti.func
+    def is_close(self, rod, value):
+        """Whether a vertex of some lane is close to an obstacle, ``value`` being its φ."""
+        return self.largest(ti.select(value < self.item(rod, REACH), 0.0 * value + 1.0, 0.0 * value)) > 0.5
+
+    @ti.func
+    def nearness(self, rod, index, at, item: ti.template()):
+        """1/ρ² of the vertex, ρ the least room of the two edges that meet there."""
+        room = rod.scratch[at + item * self.stride]
+        if index < rod.edges:
+            room = ti.min(room, rod.scratch[self.vertex(rod, index + 1) + item * self.stride])
+        return 1.0 / (room * room + 1e-20)
+
+    @ti.func
+    def held(self, rod, index):
+        """One where clamps hold the vertex: at the ends, and where they hold an end edge too at the vertex after."""
+        held = 0.0 * rod.closed
+        if index < 2:
+            held = 1.0 - rod.loose
+            if index == 1:
+                held = held * (1.0 - rod.free[1])
+        if index > rod.edges - 2:
+            far = rod.closed + held
+            if index == rod.edges - 1:
+                far = rod.closed * (1.0 - rod.free[3])
+            held = ti.max(held, ti.min(far, 0.0 * far + 1.0))
+        return held
+
+    @ti.func
+    def blocked(self, rod):
+        """Whether the rod's centreline is inside an obstacle, or a clamp holds the rod where it is in one."""
+        return (self.item(rod, DEEPEST) < 0.0) | (self.item(rod, PINCHED) < 0.0 - self.item(rod, TOLERANCE))
+
+    # --- energy ---
+
+    @ti.func
+    def touched(self, rod, index, start, end):
+        """Sum up the derivatives of the energy of the contacts of vertex ``index``, at ``end``, and of the edge from ``start`` to
+        there; returns one where there are any. Looks at ``start``; somebody has looked at ``end`` before."""
+        zero = 0.0 * end[0]
+        self.look(rod, index - 1, start)
+        at, before = self.vertex(rod, index), self.vertex(rod, index - 1)
+        room = at + ROOM * self.stride
+        rod.scratch[room] = zero + 1e30
+        some, edge = 0, minus(end, start)
+        for o in range(rod.obstacles):
+            contact, previous = self.contact(at, o), self.contact(before, o)
+            value_end = rod.scratch[contact + VALUE * self.stride]
+            least = ti.min(rod.scratch[previous + VALUE * self.stride], value_end)
+            if self.is_close(rod, least):
+                if some == 0:
+                    self.clear(rod, zero)
+                    some = 1
+                if self.is_close(rod, value_end):
+                    self.add_vertex(rod, o, at, contact)
+                self.touched_between(rod, o, at, before, start, edge)
+            else:
+                rod.scratch[contact + WEIGHT * self.stride] = zero
+                rod.scratch[contact + SAGGING * self.stride] = zero
+                self.lower(rod.scratch, room, least - self.item(rod, RADIUS))
+        self.note_forces(rod, at, some)
+        return some
+
+    @ti.func
+    def touched_start(self, rod):
+        """The same of vertex 0."""
+        at, zero, some = self.vertex(rod, 0), 0.0 * rod.total, 0
+        rod.scratch[at + ROOM * self.stride] = zero + 1e30
+        for o in range(rod.obstacles):
+            contact = self.contact(at, o)
+            value = rod.scratch[contact + VALUE * self.stride]
+            if self.is_close(rod, value):
+                if some == 0:
+                    self.clear(rod, zero)
+                    some = 1
+                self.add_vertex(rod, o, at, contact)
+            self.lower(rod.scratch, at + ROOM * self.stride, value + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
+        self.note_forces(rod, at, some)
+        return some
+
+    @ti.func
+    def clear(self, rod, zero):
+        """Begin the sums over the contacts of an edge."""
+        for k in ti.static(range(HEAD - GRADIENT)):
+            rod.scratch[rod.contacts + (GRADIENT + k) * self.stride] = zero
+
+    @ti.func
+    def vector(self, rod, item: ti.template()):
+        """Three sums of an edge."""
+        return self.load3(rod.scratch, rod.contacts + item * self.stride)
+
+    @ti.func
+    def symmetric(self, rod, item: ti.template()):
+        """Six of them."""
+        return self.vector(rod, item) + self.vector(rod, item + 3)
+
+    @ti.func
+    def matrix(self, rod, item: ti.template()):
+        """Nine of them."""
+        return self.symmetric(rod, item) + self.vector(rod, item + 6)
+
+    @ti.func
+    def note_forces(self, rod, at, some):
+        """Keep the forces on the ends of an edge, of which ``some`` are not zero."""
+        zero = 0.0 * rod.total
+        self.store(rod.scratch, at + FORCE_END * self.stride, repeated(zero, 6))
+        if some == 1:
+            whole = self.load3(rod.scratch, rod.contacts + GRADIENT * self.stride)
+            late = self.load3(rod.scratch, rod.contacts + GRADIENT_S * self.stride)
+            self.store(rod.scratch, at + FORCE_END * self.stride, negated(late))
+            self.store(rod.scratch, at + FORCE_START * self.stride, minus(late, whole))
+
+    @ti.func
+    def touched_between(self, rod, o, at, before, start, edge):
+        """The same of the edge between its ends, of which one is close to obstacle ``o``. (A vertex that is not has no normal in
+        that lane or, where none of the lanes is close, an old one, which does no harm: its edge bridges nothing.)"""
+        zero, radius = 0.0 * start[0], self.item(rod, RADIUS)
+        contact, previous = self.contact(at, o), self.contact(before, o)
+        normal_start = self.load3(rod.scratch, previous + NORMAL * self.stride)
+        normal_end = self.load3(rod.scratch, contact + NORMAL * self.stride)
+        value_start, value_end = rod.scratch[previous + VALUE * self.stride], rod.scratch[contact + VALUE * self.stride]
+        slope_start, slope_end = dot(normal_start, edge), dot(normal_end, edge)
+        # φ along an edge lies above its tangents at both ends, which meet here.
+        meet = (value_end - value_start - slope_end) / ti.min(slope_start - slope_end, zero - 1e-20)
+        bridging = (slope_start < 0.0) & (slope_end > 0.0)
+        least = ti.min(value_start, value_end)
+        low = ti.select(bridging, value_start + slope_start * meet, least)
+        self.lower(rod.scratch, at + ROOM * self.stride, low + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
+        near = bridging & (low < 2.0 * radius)
+        active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
+        rod.scratch[contact + WEIGHT * self.stride] = zero
+        rod.scratch[contact + SAGGING * self.stride] = zero
+        if self.largest(ti.select(near | active, zero + 1.0, zero)) > 0.5:
+            seen = self.nearest(rod, o, start, edge, slope_start, slope_end)
+            lower = value_start < value_end
+            sagging = ti.select(near, least - seen.value, zero)
+            rod.scratch[contact + SAGGING * self.stride] = sagging
+            sag = ti.max(sagging / (SAG * radius), zero)
+            behind = self.item(rod, PHASE) > ti.static(0.5 * (BARRIER + ROUGH))
+            fading = ti.select(behind & near, 2.0 * sag / ((1.0 + sag * sag) * (1.0 + sag * sag) * SAG * radius), zero)
+            share = record(
+                weight=ti.select(behind, sag * sag / (1.0 + sag * sag), ti.select(active, zero + 1.0, zero)),
+                slope=fading, s=ti.select(lower, zero, zero + 1.0), normal=chosen(lower, normal_start, normal_end))
+            self.add_between(rod, contact, edge, seen, share)
+            if ti.static(self.rub):
+                self.rub_between(rod, o, at, before, contact)
+
+    @ti.func
+    def nearest(self, rod, o, start, edge, slope_start, slope_end):
+        """The point of an edge that is nearest to an obstacle, by Newton's method between bounds: a record of ``s``, of φ there
+        with its derivatives, and of φ_ss, or a very large number where an end is the nearest."""
+        zero = 0.0 * slope_start
+        low, high = zero, zero + 1.0
+        bridging = (slope_start < 0.0) & (slope_end > 0.0)
+        end = ti.select(slope_start < 0.0, zero + 1.0, zero)
+        # Exact where the obstacle's section along the edge is round: φ_s is then the sine of an angle whose tangent is linear.
+        square = dot(edge, edge)
+        before = 0.0 - slope_start / ti.sqrt(ti.max(square - slope_start * slope_start, 1e-12 * square))
+        beyond = slope_end / ti.sqrt(ti.max(square - slope_end * slope_end, 1e-12 * square))
+        s = ti.select(bridging, before / ti.max(before + beyond, zero + 1e-20), end)
+        found = record(s=zero, value=zero, normal=repeated(zero, 3), curvature=repeated(zero, 6), bend=zero)
+        for _ in range(SEARCHES):
+            seen = self.distance.measure(rod.scratch, self.obstacle(rod, o), rod.kinds[o], plus(start, scaled(edge, s)))
+            slope = dot(seen.normal, edge)
+            found.s, found.value = s, seen.value
+            found.normal, found.curvature = seen.normal, seen.curvature
+            found.bend = ti.max(dot(edge, applied(full(seen.curvature), edge)), zero + 1e-20)
+            low, high = ti.select(slope < 0.0, s, low), ti.select(slope < 0.0, high, s)
+            step = s - slope / found.bend
+            s = ti.select(bridging, ti.select((step >= low) & (step <= high), step, 0.5 * (low + high)), end)
+        found.bend = ti.select(bridging, found.bend, zero + 1e30)
+        return found
+
+    @ti.func
+    def push(self, rod, force, gap):
+        """(force, stiffness) of a contact whose λ is ``force``, and its energy."""
+        stiffness = self.item(rod, STIFFNESS)
+        push = ti.max(force - stiffness * gap, 0.0 * gap)
+        acting = ti.select(push > 0.0, stiffness, 0.0 * gap)
+        energy = 0.5 * push * push / stiffness
+        phase = self.item(rod, PHASE)
+        behind = phase > ti.static(0.5 * (BARRIER + ROUGH))
+        if self.largest(phase) > ti.static(0.5 * (BARRIER + ROUGH)):
+            wall = self.barrier(rod, gap)
+            push, acting = ti.select(behind, wall.push, push), ti.select(behind, wall.stiffness, acting)
+            energy = ti.select(behind, wall.energy, energy)
+        return record(push=push, stiffness=acting, energy=energy)
+
+    @ti.func
+    def barrier(self, rod, gap):
+        """A barrier μ (1 − x)³/x in x, the gap over the radius, where that is below one: its energy, force and stiffness. Rods
+        that have just been loaded feel none."""
+        zero = 0.0 * gap
+        radius = self.item(rod, RADIUS)
+        x = (gap + self.item(rod, OFFSET)) / radius
+        inside = (x < 1.0) & (self.item(rod, PHASE) < ti.static(0.5 * (LOADED + BARRIER)))
+        strength = ti.select(inside, self.item(rod, STRENGTH), zero)
+        inverse, rest = 1.0 / ti.max(x, zero + 1e-3), 1.0 - x
+        first = rest * rest * inverse
+        second = first * rest * inverse
+        stiffness = 6.0 * rest * inverse + 6.0 * first * inverse + 2.0 * second * inverse
+        return record(energy=ti.select(inside & (x <= 1e-3), zero + 1e30, strength * first * rest),
+                      push=strength * (3.0 * first + second) / radius, stiffness=strength * stiffness / (radius * radius))
+
+    @ti.func
+    def add_vertex(self, rod, o, at, contact):
+        """Add a contact of the vertex where the edge ends."""
+        normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
+        bent = (self.load3(rod.scratch, contact + CURVATURE * self.stride)
+                + self.load3(rod.scratch, contact + (CURVATURE + 3) * self.stride))
+        pushed = self.push(rod, rod.scratch[contact + FORCE * self.stride],
+                           rod.scratch[contact + VALUE * self.stride] - self.item(rod, RADIUS))
+        self.add(rod, ENERGY, (pushed.energy, pushed.push * rod.total))
+        pull = scaled(normal, 0.0 - pushed.push)
+        k = minus(scaled(outer(normal), pushed.stiffness), scaled(bent, pushed.push))
+        self.add(rod, GRADIENT, pull + pull)
+        self.add(rod, CURVATURES, k + full(k) + k)
+        if ti.static(self.rub):
+            rubbed = self.rubbed(rod, o, contact, FORCE, FRICTION, normal, self.moved(rod, at))
+            self.add(rod, ENERGY, (rubbed.energy, dot(rubbed.pull, rubbed.pull) / self.item(rod, STIFFNESS)))
+            self.add(rod, GRADIENT, rubbed.pull + rubbed.pull)
+            self.add(rod, CURVATURES, rubbed.stiffness + full(rubbed.stiffness) + rubbed.stiffness)
+
+    @ti.func
+    def rub_between(self, rod, o, at, before, contact):
+        """Add the friction at the nearest point of an edge in the lanes where rounds have it."""
+        counts = rod.scratch[contact + ACTIVE * self.stride] > 0.5
+        zero = 0.0 * rod.total
+        place = rod.scratch[contact + PLACE_BETWEEN * self.stride]
+        s = ti.select(counts, place, zero)
+        u = plus(scaled(self.moved(rod, before), 1.0 - s), scaled(self.moved(rod, at), s))
+        away = chosen(counts, self.load3(rod.scratch, contact + NORMAL_BETWEEN * self.stride), repeated(zero, 3))
+        rubbed = self.rubbed(rod, o, contact, FORCE_BETWEEN, FRICTION_BETWEEN, away, u)
+        share = ti.select(counts, zero + 1.0, zero)
+        pull, bent = scaled(rubbed.pull, share), scaled(rubbed.stiffness, share)
+        self.add(rod, ENERGY, (share * rubbed.energy, dot(pull, pull) / self.item(rod, STIFFNESS)))
+        self.add(rod, GRADIENT, pull + scaled(pull, s))
+        self.add(rod, CURVATURES, bent + scaled(full(bent), s) + scaled(bent, s * s))
+
+    @ti.func
+    def moved(self, rod, vertex):
+        """How far a vertex has moved since the instant before."""
+        return minus(self.load3(rod.scratch, vertex + PLACE * self.stride),
+                     self.load3(rod.scratch, vertex + PREVIOUS * self.stride))
+
+    @ti.func
+    def rubbed(self, rod, o, contact, force: ti.template(), friction: ti.template(), normal, u):
+        """Friction of a contact that has moved by ``u``: its energy, its derivative and its stiffness.
+
+        With the friction q of the round before and z = q + κ u along the surface it is z where |z| ≤ μ λ, and else of that size
+        along z: the derivative of |z|²/2κ, or of μ λ (|z| − μ λ/2)/κ.
+        """
+        stiffness = self.item(rod, STIFFNESS)
+        limit = rod.scratch[self.obstacle(rod, o) + COEFFICIENT * self.stride] * rod.scratch[contact + force * self.stride]
+        whole = plus(self.load3(rod.scratch, contact + friction * self.stride), scaled(u, stiffness))
+        z = minus(whole, scaled(normal, dot(normal, whole)))
+        size = ti.sqrt(dot(z, z) + 1e-30)
+        slips = size > limit
+        share = ti.select(slips, limit / size, 0.0 * limit + 1.0)
+        energy = ti.select(slips, limit * (size - 0.5 * limit), 0.5 * size * size) / stiffness
+        across = scaled(plus(outer(normal), scaled(outer(z), ti.select(slips, 1.0 / (size * size), 0.0 * size))), 0.0 - 1.0)
+        flat = (1.0 + across[0], across[1], across[2], 1.0 + across[3], across[4], 1.0 + across[5])
+        return record(energy=energy, pull=scaled(z, share), stiffness=scaled(flat, stiffness * share))
+
+    @ti.func
+    def add_between(self, rod, contact, edge, seen, share):
+        """Add the contact at the nearest point of the edge, the energy of which counts by a weight. ``share``: that weight, its
+        derivative by the sag of φ from the nearer end, s there and the normal."""
+        s, normal, zero = seen.s, seen.normal, 0.0 * seen.s
+        weight = share.weight
+        counts = weight > 0.0  # a lane where it does not may hold any number
+        self.store(rod.scratch, contact + PLACE_BETWEEN * self.stride, (s, seen.value) + normal + (weight,))
+        gap = seen.value - self.item(rod, RADIUS)
+        pushed = self.push(rod, rod.scratch[contact + FORCE_BETWEEN * self.stride], gap)
+        self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(counts, gap, zero + 1e30))
+        force, stiffness = ti.select(counts, weight * pushed.push, zero), ti.select(counts, weight * pushed.stiffness, zero)
+        own = ti.select(counts, pushed.energy, zero)
+        self.add(rod, ENERGY, (weight * own, force * rod.total))
+        turned = applied(full(seen.curvature), edge)
+        across = plus(normal, scaled(turned, s))
+        slide = force / seen.bend
+        fixed = minus(scaled(outer(normal), stiffness), scaled(seen.curvature, force))
+        fading = share.slope * own
+        pull = scaled(normal, 0.0 - force - fading)
+        lift = scaled(share.normal, fading)
+        self.add(rod, GRADIENT, plus(pull, lift))
+        self.add(rod, GRADIENT_S, plus(scaled(pull, s), scaled(lift, share.s)))
+        self.add(rod, CURVATURES, plus(fixed, scaled(outer(turned), slide)))
+        self.add(rod, CURVATURES_S, plus(scaled(full(fixed), s), scaled(outer_product(turned, across), slide)))
+        self.add(rod, CURVATURES_SS, plus(scaled(fixed, s * s), scaled(outer(across), slide)))

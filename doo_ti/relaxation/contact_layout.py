@@ -1,0 +1,66 @@
+"""Where the numbers of contacts lie in scratch, and the numbers that their rounds go by (docs/contact.md)."""
+
+from doo_ti.contact.obstacles import OBSTACLE_COLUMNS
+from doo_ti.physics.tuples import picked
+
+# Items of a rod: its radius, κ, the tolerance of its gaps, by how much the last round changed a gap, its phase, and what the
+# barrier adds to its gaps, its strength μ and how many strengths it has had, and how close to an obstacle a vertex is where more
+# than its φ counts; κ as it was at first; and the work that friction has done. The obstacles follow.
+RADIUS, STIFFNESS, TOLERANCE, CHANGE, PHASE, OFFSET, STRENGTH, STAGE, REACH, FIRST_STIFFNESS, WORK = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10
+# And sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts and
+# its magnitude; the square of the largest share of its way to the middle of an obstacle that a vertex has made in this step; the
+# least φ, the least gap where clamps hold a vertex and where none does; and of one edge the derivatives of its contacts' energy,
+# as :meth:`.LoadedElimination.load` returns them.
+ENERGY, MAGNITUDE, CROSSING, DEEPEST, PINCHED, CLOSEST = 11, 12, 13, 14, 15, 16
+GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, HEAD = 17, 20, 23, 29, 38, 44
+# Phases of a rod: it has just been loaded; a barrier keeps it away from obstacles, which finds out where it will touch them;
+# rounds to a rough tolerance of its moments; rounds to the final one.
+LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0
+# Items of a vertex: its place; the least room of the edge that ends there, which is how far it is from the middle of an
+# obstacle; both also from before the step; the forces on that edge's end and on its start; and of a motion the place at the
+# instant before. Its contacts follow.
+PLACE, STANDING, ROOM, ROOM_STANDING, FORCE_END, FORCE_START, PREVIOUS, VERTEX_ITEMS = 0, 3, 6, 7, 8, 11, 14, 17
+# Items of the contact of a vertex and the edge that ends there with an obstacle: λ of both, and the friction on both; of the
+# vertex φ, its normal and ∇∇φ; of the edge the nearest point s, φ* and its normal, and the weight of its contact; by how much it
+# is nearer there than at its ends; and one where rounds have that contact.
+FORCE, FORCE_BETWEEN, FRICTION, FRICTION_BETWEEN = 0, 1, 2, 5
+VALUE, NORMAL, CURVATURE, PLACE_BETWEEN, VALUE_BETWEEN, NORMAL_BETWEEN, WEIGHT, SAGGING, ACTIVE, CONTACT_ITEMS = (
+    8, 9, 12, 18, 19, 20, 23, 24, 25, 26)
+REMEMBERED, REMEMBERED_IN_MOTION = 2, 8
+"""Items of a contact that last from one relaxation to the next, and from one step to the next."""
+
+SEARCHES = 5
+"""Evaluations to find the point of an edge that is nearest to an obstacle."""
+SAG = 0.1
+"""Of a radius: where an edge is nearer to an obstacle than its ends by so much, its nearest point has half its weight."""
+BENDING_LOADS = 20.0
+"""The forces to expect are the weight of an edge and so many B/L²."""
+SOFT = 0.05
+"""Of a radius: at first κ gives way by that under such a force."""
+STIFFER, SLOW = 5.0, 0.3
+"""κ grows by so much where a round leaves more than that share of the change of the round before."""
+SECANT = 0.3
+"""After the barrier κ is that share of the barrier's largest force over its gap."""
+BARRIER_SHARE = 1 / 16
+"""The barrier at a quarter of a radius pushes at first like such a force."""
+WEAKER, STAGES = 1 / 30, 2
+"""The barrier becomes weaker by that, until it has had so many stages."""
+CLOSE = 4.0
+"""Radii: what is further from an obstacle than that, and half an edge, is not close."""
+LEAST_OFFSET = 0.05
+"""Of a radius: the smallest gap of a rod's start, as the barrier sees it."""
+APPROACH = 0.75
+"""A whole step may take 0.6 over that of a gap."""
+SLACK = 0.1
+"""Of a radius: by so much more it may in rounds."""
+ROUGHEST, ROUGHER = 1e5, 1e3
+"""By so much the tolerance of a rod's moments is larger under the barrier, and until the forces of contacts have settled."""
+
+INERT = 10.0
+"""In a motion κ is larger by so many times the inertia of a vertex."""
+
+
+@picked
+def contact_items(edges, obstacles):
+    """Numbers of a rod's contacts in scratch."""
+    return HEAD + obstacles * OBSTACLE_COLUMNS + (edges + 1) * (VERTEX_ITEMS + obstacles * CONTACT_ITEMS)

@@ -1,0 +1,92 @@
+"""The obstacles of many rods as tables, and which of the rods can reach any (docs/contact.md)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from doo_ti.contact.obstacles import FRICTION, OBSTACLE_COLUMNS, Obstacle
+from doo_ti.errors import InputError, real_array
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.contact_layout import REMEMBERED, REMEMBERED_IN_MOTION
+
+GAP_TOLERANCE = 2e-4
+"""Of a rod's radius: how far a gap may be off, or a force over the stiffness κ. In f32 at least 2e-6 of the length."""
+
+
+@dataclass(frozen=True)
+class ContactTable:
+    """What the kernels read of contacts, and what they leave.
+
+    obstacles  (1 or R, M, OBSTACLE_COLUMNS)
+    kinds      (M,) int32
+    radius     (1 or R,) of the rods, mm
+    near       (R,) bool: rods that can reach an obstacle
+    memory     (R, V, M, REMEMBERED) forces of the contacts of vertices and edges, in and out
+    forces     (R, V, 3) on the vertices, energy per mm, out
+    """
+
+    obstacles: np.ndarray
+    kinds: np.ndarray
+    radius: np.ndarray
+    near: np.ndarray
+    memory: np.ndarray
+    forces: np.ndarray
+
+    @property
+    def rubs(self) -> bool:
+        """Whether any obstacle has friction."""
+        return bool((self.obstacles[..., FRICTION] > 0).any())
+
+    @property
+    def distinct(self) -> frozenset[int]:
+        """The kinds there are."""
+        return frozenset(self.kinds.tolist())
+
+    def forget(self, rows: np.ndarray) -> None:
+        """Make the rods ``rows`` ones that have touched nothing yet."""
+        self.memory[rows] = 0.0
+
+
+def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int, clamp: np.ndarray, index: np.ndarray,
+                  in_motion: bool = False) -> ContactTable:
+    """The table of ``count`` rods of ``edges`` edges, whose rows of ``clamp`` are ``index``; rods ``in_motion`` remember
+    their friction.
+
+    Raises InputError where numbers of rows do not match or ``radius`` is missing or not positive.
+    """
+    obstacles = list(obstacles)
+    for obstacle in obstacles:
+        if not isinstance(obstacle, Obstacle):
+            raise InputError("contact", "obstacles", f"{type(obstacle).__name__}", "give Plane(...), Sphere(...) and the like")
+        if obstacle.count not in (1, count):
+            raise InputError("contact", "obstacles", f"{obstacle.count} rows of {type(obstacle).__name__} for {count} rods",
+                             "give one, or one for each rod")
+    if radius is None:
+        raise InputError("contact", "radius", "missing beside obstacles", "give the rod's radius in mm")
+    radius = real_array("contact", "radius", radius, "give mm, or one for each rod").astype(np.float64).reshape(-1)
+    if len(radius) not in (1, count) or not ((radius > 0) & (radius < np.inf)).all():
+        raise InputError("contact", "radius", f"{radius.min():g}" if len(radius) in (1, count) and len(radius) else
+                         f"{len(radius)} for {count} rods", "give a positive radius in mm, or one for each rod")
+    rows = count if any(obstacle.count > 1 for obstacle in obstacles) else 1
+    table = np.empty((rows, len(obstacles), OBSTACLE_COLUMNS))
+    for place, obstacle in enumerate(obstacles):
+        table[:, place] = obstacle.numbers()
+    memory = of.room(count, edges + 1, len(obstacles), REMEMBERED_IN_MOTION if in_motion else REMEMBERED)
+    memory[...] = 0.0
+    return ContactTable(
+        obstacles=table, kinds=np.array([obstacle.kind for obstacle in obstacles], dtype=np.int32), radius=radius,
+        near=_near(obstacles, radius, clamp[index]), memory=memory, forces=np.zeros((count, edges + 1, 3)))
+
+
+def _near(obstacles: Sequence[Obstacle], radius: np.ndarray, clamp: np.ndarray) -> np.ndarray:
+    """(R,) whether a rod can reach an obstacle: no part of it is further from where it is held than its length, or from the
+    middle of where both its ends are held than half of that."""
+    anchor, total = clamp[:, of.ANCHOR : of.ANCHOR + 3], clamp[:, of.TOTAL]
+    both = (clamp[:, of.CLOSED] > 0) | (clamp[:, of.TILT_INNER] == 0)
+    centre = np.where(both[:, None], anchor + 0.5 * clamp[:, of.TARGET : of.TARGET + 3], anchor)
+    reach = 1.001 * np.where(both, 0.5 * total, total) + radius
+    near = clamp[:, of.LOOSE] > 0
+    for obstacle in obstacles:
+        near = near | ~(obstacle.distance(centre[:, None])[0][:, 0] > reach)
+    return near

@@ -1,0 +1,90 @@
+"""Substeps as a rod needs them: the estimated error holds, and does not depend on the other rods."""
+
+import numpy as np
+import pytest
+
+from doo_ti.dynamics.parameters import Dynamics, Stepping
+from doo_ti.dynamics.simulate import simulate
+from doo_ti.errors import InputError
+from doo_ti.relaxation.external import Springs
+from doo_ti.types import Clamp, Material, Status
+from tests.dynamics.test_batches import DYNAMICS, RATE, moved, rows, swung
+from tests.dynamics.test_energies import CURVED, at_rest, shaken
+
+
+def largest(apart: np.ndarray) -> np.ndarray:
+    """(R,) mm of differences of positions (R, F, V, 3)."""
+    return np.linalg.norm(apart, axis=-1).max(axis=(1, 2))
+
+
+@pytest.mark.parametrize("scheme", ["bdf2", "euler"])
+def test_the_estimated_error_holds_against_much_finer_steps(rng, scheme):
+    rods = at_rest(rng, CURVED, Clamp.FRAME, Clamp.POSITION, 12)
+    grippers, dynamics = shaken(rods, Clamp.FRAME, Clamp.POSITION), Dynamics(drag=1.0, bend_damping=0.005)
+    finest = simulate(rods, CURVED, grippers, dynamics, Stepping(RATE, 256))
+    tolerance = 0.02 if scheme == "bdf2" else 0.2
+    found = simulate(rods, CURVED, grippers, dynamics, Stepping(RATE, scheme=scheme, tolerance=tolerance, most_substeps=256))
+    error = largest(found.positions - finest.positions)
+    print(f"substeps {np.unique(found.substeps, return_counts=True)}, true over estimated error {np.sort(error / found.error)}")
+    assert found.converged.all() and (found.error <= tolerance).all()
+    assert len(np.unique(found.substeps)) > 1
+    assert (error < 1.1 * found.error).all()
+
+
+def test_a_rod_is_refined_alone_as_among_others(rng):
+    rods, grippers = swung(rng, 12)
+    together = moved(rods, grippers, tolerance=0.1)
+    alone = moved(rods.take([7]), rows(grippers, [7]), tolerance=0.1)
+    for name in ("positions", "status", "iterations", "residual", "end_force", "substeps", "error"):
+        np.testing.assert_array_equal(getattr(alone, name)[0], getattr(together, name)[7])
+    for steps in np.unique(together.substeps):
+        chosen = together.substeps == steps
+        fixed = moved(rods, grippers, substeps=int(steps))
+        np.testing.assert_array_equal(together.positions[chosen], fixed.positions[chosen])
+        np.testing.assert_array_equal(together.memory.places[chosen], fixed.memory.places[chosen])
+
+
+def test_pairs_springs_and_detail_go_with_their_rods(rng):
+    rods, grippers = swung(rng, 3)
+    material, pairs = Material([3e4, 6e4], [2e4, 4e4]), (np.array([0, 2, 2, 1]), np.array([1, 0, 1, 0]))
+    springs = Springs(rods.vertices[pairs[0]], np.linspace(0.0, 0.3, 4)[:, None] * np.ones(9))
+    stepping = Stepping(RATE, tolerance=0.1)
+    found = simulate(rods, material, grippers, DYNAMICS, stepping, springs=springs, pairs=pairs, detailed=True)
+    assert len(np.unique(found.substeps)) > 1
+    for k, (r, g) in enumerate(zip(*pairs, strict=True)):
+        own = Springs(springs.points[[k]], springs.stiffness[[k]])
+        fixed = Stepping(RATE, int(found.substeps[k]))
+        alone = simulate(rods.take([r]), material.take([g]), rows(grippers, [r]), DYNAMICS, fixed, springs=own, detailed=True)
+        np.testing.assert_array_equal(found.positions[k], alone.positions[0])
+        np.testing.assert_array_equal(found.detail.velocities[k], alone.detail.velocities[0])
+        for name, value in alone.detail.energies.items():
+            np.testing.assert_array_equal(found.detail.energies[name][k], value[0])
+
+
+def test_rods_that_fail_or_never_agree_are_reported(rng):
+    rods, grippers = swung(rng, 4)
+    grippers.end_position[1, 3:] += 1000.0
+    found = moved(rods, grippers, tolerance=1e-9, most_substeps=4)
+    np.testing.assert_array_equal(found.converged, [True, False, True, True])
+    np.testing.assert_array_equal(found.substeps, 4)
+    assert np.isinf(found.error[1]) and (found.error[[0, 2, 3]] > 1e-9).all()
+
+
+@pytest.mark.thorough
+def test_mixed_precision_repeats_what_f32_stops(rng):
+    rods, grippers = swung(rng, 60)
+    exact, single, mixed = (moved(rods, grippers, precision=one) for one in ("f64", "f32", "mixed"))
+    stopped = ~single.converged
+    print(f"{stopped.sum()} of 60 stop in f32")
+    assert stopped.any() and (single.status[stopped, -1] == Status.STALLED).all() and mixed.converged.all()
+    np.testing.assert_array_equal(mixed.positions[stopped], exact.positions[stopped])
+    np.testing.assert_array_equal(mixed.positions[~stopped], single.positions[~stopped])
+    refined, expected = (moved(rods, grippers, precision=one, tolerance=0.5) for one in ("mixed", "f64"))
+    assert refined.converged.all()
+    np.testing.assert_allclose(refined.error, expected.error, rtol=0.1, atol=0.01)
+
+
+def test_what_cannot_be_is_refused(rng):
+    for wrong in ({"tolerance": 0.0}, {"tolerance": np.nan}, {"tolerance": 1.0, "most_substeps": 1}):
+        with pytest.raises(InputError):
+            Stepping(RATE, **wrong)
