@@ -1,0 +1,33 @@
+"""Rods amid obstacles of all kinds, drawn at random."""
+
+import numpy as np
+
+from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Plane, Ring, Sphere
+from doo_ti.relaxation.relax import relax
+from doo_ti.types import Clamp, Clamps, Configuration, Material
+
+LENGTH, EDGES, RADIUS = 100.0, 33, 0.5
+
+OBSTACLES = (
+    Cylinder((20, -50, -10), (20, 50, -14), 2.0), Capsule((60, -30, -15), (50, 50, -15), 3.0),
+    Plane((0, 0, -30), (0, 0.2, 1)), Sphere((40, 10, -20), 6.0), Box((70, 15, -20), (10, 20, 10)),
+    Ring((35, 15, -10), (1, 0.3, 0), 12, 2.0))
+
+
+def sagging(rng, count: int, edges: int = EDGES) -> tuple[Configuration, Material, Clamps]:
+    """Rods between two frames that look along x, as they sag sideways: gravity then pulls them down onto the obstacles."""
+    one = Configuration.straight(np.zeros(3), np.array([1.0, 0.0, 0.0]), LENGTH, edges)
+    frames = np.repeat(one.frames[:, 0], count, 0)
+    span, height = rng.uniform(30, 95, count), rng.uniform(-20, 20, count)
+    clamps = Clamps(Clamp.FRAME, Clamp.FRAME, np.zeros((count, 3)), np.stack([span, 0 * span, height], -1), frames, frames)
+    material = Material(10 ** rng.uniform(3.5, 6.5, count), 10 ** rng.uniform(4, 6, count))
+    rods = Configuration(np.zeros((count, 3)), np.repeat(one.quaternions, count, 0), one.rest_length)
+    return relax(rods, material, clamps, up=(0.0, -1.0, -0.3)).configuration, material, clamps
+
+
+def gaps(obstacles, vertices: np.ndarray, radius: float, along: int = 24) -> np.ndarray:
+    """(R,) the smallest gap of rods (R, V, 3), at so many places along every edge."""
+    s = np.linspace(0.0, 1.0, along + 1)[:, None]
+    places = vertices[:, :-1, None] * (1.0 - s) + vertices[:, 1:, None] * s
+    places = places.reshape(len(vertices), -1, 3)
+    return np.min([obstacle.distance(places)[0].min(axis=1) for obstacle in obstacles], axis=0) - radius

@@ -1,0 +1,74 @@
+"""Rods at rest amid obstacles: outside all of them, and in equilibrium by an independent computation."""
+
+import numpy as np
+import pytest
+
+from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Plane, Ring, Sphere
+from doo_ti.relaxation.relax import relax
+from doo_ti.types import Status
+from tests.contact.clutter import OBSTACLES, RADIUS, gaps, sagging
+from tests.oracle.chain_form import chain_derivatives, rod_of
+from tests.oracle.equilibrium import clamped_start, free_variables
+from tests.oracle.external import vertex_jacobian
+
+
+@pytest.fixture(scope="module")
+def rested():
+    """(solution, material, clamps) of rods amid obstacles of all kinds."""
+    start, material, clamps = sagging(np.random.default_rng(5), 128)
+    return relax(start, material, clamps, obstacles=OBSTACLES, radius=RADIUS), material, clamps
+
+
+def test_most_rods_converge_and_the_rest_are_flagged(rested):
+    solution, _, _ = rested
+    feasible = solution.status != Status.INFEASIBLE
+    assert feasible.mean() > 0.5
+    assert solution.converged[feasible].mean() >= 0.95
+    assert solution.stable[solution.converged].mean() > 0.97
+
+
+def test_no_rod_is_inside_an_obstacle(rested):
+    solution, _, _ = rested
+    gap = gaps(OBSTACLES, solution.configuration.vertices[solution.converged], RADIUS)
+    assert gap.min() > -1e-3 * RADIUS
+    assert np.median(gap) < 1e-3 * RADIUS, "hardly any rod touches"
+
+
+def test_forces_balance_and_push_where_rods_touch(rested):
+    """The moments of bending, twist, gravity and contact on the free edges, less those of the clamp, by dense derivatives."""
+    solution, material, clamps = rested
+    forces = solution.tables.contact.forces
+    rows = np.flatnonzero(solution.converged & (np.abs(forces) > 0).any(axis=(1, 2)))[:40]
+    assert len(rows) > 20
+    for row in rows:
+        rod = rod_of(solution.configuration, material, row)
+        state, ends = clamped_start(solution.configuration, clamps, row)
+        free = free_variables(rod, ends)
+        jacobian = vertex_jacobian(rod, state.quaternions)
+        gradient = np.append(np.zeros(3), chain_derivatives(rod, state.quaternions)[0])
+        gradient -= np.einsum("ia,iak->k", forces[row], jacobian)
+        far = jacobian[-1][:, free]
+        pull = np.linalg.lstsq(far.T, gradient[free], rcond=None)[0]
+        residual = np.abs(gradient[free] - far.T @ pull).max()
+        assert residual * 100.0 / max(material.bend[row].max(), 1e4) < 1e-7
+    x = solution.configuration.vertices[rows]
+    near = np.min([obstacle.distance(x)[0] for obstacle in OBSTACLES], axis=0) - RADIUS
+    pushed = np.linalg.norm(forces[rows], axis=-1) > 1e-6
+    # A force on an edge is shared by its two vertices, which an edge's length at most lies between.
+    assert near[pushed].max() < 3.1
+
+
+@pytest.mark.parametrize("obstacle", [
+    Plane((1, 2, 3), (1, -2, 2)), Sphere((1, 2, 3), 4.0), Capsule((1, 2, 3), (4, 4, 4), 2.0),
+    Cylinder((1, 2, 3), (4, 4, 4), 2.0), Ring((1, 2, 3), (1, 2, 0), 5.0, 1.0), Box((1, 2, 3), (2, 4, 6))],
+    ids=lambda obstacle: type(obstacle).__name__)
+def test_the_normal_is_the_gradient_of_the_distance(obstacle, rng):
+    points = rng.normal(scale=8.0, size=(1, 400, 3)) + [1, 2, 3]
+    _, normal = obstacle.distance(points)
+    h = 1e-6
+    found = np.stack([(obstacle.distance(points + h * axis)[0] - obstacle.distance(points - h * axis)[0]) / (2 * h)
+                      for axis in np.eye(3)], axis=-1)
+    off = np.abs(found - normal).max(axis=-1)
+    # Beside a medial axis a difference may straddle it.
+    assert np.quantile(off, 0.98) < 1e-7
+    assert np.allclose(np.linalg.norm(normal, axis=-1), 1.0)
