@@ -66,8 +66,8 @@ class Size:
 
 FULL = Size("full", 6, 3, {PAPER.name: (1, 60), PACKAGE.name: (5, 60)}, {PAPER.name: (3, 4), PACKAGE.name: (3, None)}, 1000,
             (2, 8, 200), 60)
-QUICK = Size("quick", 2, 1, {PAPER.name: (1, 6), PACKAGE.name: (1, 10)}, {PAPER.name: (1, 1), PACKAGE.name: (1, 4)}, 200,
-             (1, 6, 200), 4)
+QUICK = Size("quick", 2, 1, {PAPER.name: (1, 6), PACKAGE.name: (1, 6)}, {PAPER.name: (1, 1), PACKAGE.name: (1, 2)}, 100,
+             (1, 6, 50), 4)
 TINY = Size("tiny", 1, 1, {PAPER.name: (1, 1), PACKAGE.name: (1, 2)}, {PAPER.name: (1, 1), PACKAGE.name: (1, 1)}, 4,
             (1, 1, 4), 1)
 """For a test of the tool: too small for a verdict."""
