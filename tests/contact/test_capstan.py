@@ -1,6 +1,7 @@
 """A limp rope that is pulled over a cylinder with friction: the tensions at its ends are e^(μ φ) apart."""
 
 import numpy as np
+import pytest
 
 from doo_ti.contact.obstacles import Cylinder
 from doo_ti.dynamics.grippers import Grippers
