@@ -218,7 +218,7 @@ def report(what: str, case: Case, point, direction, options: PerceptionOptions =
     status = counted(status_counts(trial.status))
     errors = [f"{error[good].mean():.3f}, {error[good].max():.3f}" if good.any() else "none"
               for error in (trial.vertex_error, trial.curve_error)]
-    verdicts = " | ".join(f"{(good & these).sum()} of {these.sum()}" 
+    verdicts = " | ".join(f"{(good & these).sum()} of {these.sum()}"
                           for these in (found.verdict == kind for kind in PerceptionVerdict))
     print(f"| {what} | {len(good)} | {good.sum()} | {trial.overlooked.sum()} | {(~good & ~trial.overlooked).sum()} "
           f"| {errors[0]} | {errors[1]} | {missing.mean():.3f} | {verdicts} | {status} | {before + seconds:.1f} |", flush=True)

@@ -239,12 +239,13 @@ class Chain:
             reached, lost = self.summed(reached, lost, scaled(t, length))
             normal = plus(normal, scaled(normal_matrix(length, t), self.freedom(rod, e)[1]))
             at += self.edge_stride
-        if ti.static(self.moves_start):
-            moving = self.step_start(rod, scale, moving, reached)
-            reached = self.displaced(rod, reached)
-        miss = variable(scaled(minus(reached, rod.target), rod.closed))
+        goal = variable(rod.target)
         if ti.static(self.touches):
-            miss = minus(miss, scaled(before, ti.select(stepping, 1.0 - scale, zero)))
+            goal = plus(goal, scaled(before, ti.select(stepping, 1.0 - scale, zero)))
+        if ti.static(self.moves_start):
+            moving = self.step_start(rod, scale, moving, reached, goal)
+            reached = self.displaced(rod, reached)
+        miss = scaled(minus(reached, goal), rod.closed)
         normal = self._regular(normal)
         x, minors = solve_symmetric(normal, miss)
         # x·miss is the sum of the squared rotations: keep their root mean square below 0.15 rad in one projection.

@@ -276,8 +276,8 @@ class Contacts(ContactEnergy):
 
     @ti.func
     def load(self, tables, scratch: ti.template(), slot, rod, unit, scale):
-        """Rod ``rod``'s obstacles and contacts into lane ``slot``, lengths over ``unit``; ``scale``:
-        the largest stiffness, the weight per length, the lengths of an edge, of the longest and of the rod, in the chain's units."""
+        """Rod ``rod``'s obstacles and contacts into lane ``slot``, lengths over ``unit``; ``scale``: the largest stiffness, the
+        weight per length, the lengths of an edge, of the longest and of the rod, in the units of the chain."""
         base = tables.contacts
         row = tables.rods[rod, of.RESULT_ROW]
         own = ti.min(row, tables.obstacles.shape[0] - 1)
@@ -322,8 +322,8 @@ class Contacts(ContactEnergy):
 
     @ti.func
     def unload(self, tables, scratch: ti.template(), slot, row):
-        """The lane's contacts into row ``row`` of the memory, in the units of the chain; in the place of the edge before vertex 0,
-        which there is not, κ."""
+        """The lane's contacts into row ``row`` of the memory, in the units of the chain; in the place of the edge before vertex
+        0, which there is not, κ."""
         first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_COLUMNS) * self.stride
         for v in range(tables.rest_length.shape[1] + 1):
             at = first + v * (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
