@@ -144,7 +144,7 @@ class Contacts(ContactEnergy):
         zero = 0.0 * rod.total
         radius, stiffness, phase = self.item(rod, RADIUS), self.item(rod, STIFFNESS), self.item(rod, PHASE)
         behind = phase > ti.static(0.5 * (BARRIER + ROUGH))
-        change, secant = zero, zero
+        change, secant, rubbed = zero, zero, zero  # friction settles no sooner with a larger κ
         for v in range(rod.edges + 1):
             at = self.vertex(rod, v)
             for o in range(rod.obstacles):
@@ -161,7 +161,7 @@ class Contacts(ContactEnergy):
                     change = largest_of(change, absolute(new - old))
                     rod.scratch[contact + (FORCE + k) * self.stride] = ti.select(due, new, old)
                 if ti.static(self.rub):
-                    change = largest_of(change, self.settle_friction(rod, v, o, due))
+                    rubbed = largest_of(rubbed, self.settle_friction(rod, v, o, due))
         change = ti.select(due & ~behind, change / stiffness, zero)
         slow = due & ~behind & (change > SLOW * self.item(rod, CHANGE)) & (change > self.item(rod, TOLERANCE))
         self.set_item(rod, STIFFNESS, slow, STIFFER * stiffness)
@@ -173,7 +173,7 @@ class Contacts(ContactEnergy):
         self.set_item(rod, PHASE, last, zero + ROUGH)
         self.set_item(rod, STRENGTH, due & behind & ~last, WEAKER * self.item(rod, STRENGTH))
         self.set_item(rod, STAGE, due & behind, 1.0 + self.item(rod, STAGE))
-        return change
+        return largest_of(change, ti.select(due & ~behind, rubbed / stiffness, zero))
 
     @ti.func
     def settle_between(self, rod, index, o, due, gap, force):
