@@ -24,6 +24,8 @@ from doo_ti.frames import (
 from doo_ti.io.observations import Observations
 from doo_ti.io.scene import Synthesis
 from doo_ti.motion.path import LARGEST_TURN, carried_clamps, carry, motion_between
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Configuration, Material, Solution
 
 APPROACH_STEPS = 60
@@ -139,7 +141,11 @@ def _rods(synthesis: Synthesis, random: np.random.Generator) -> _Rods:
         held = (errors.held(step, _reach(synthesis)) for step in path) if errors.any else path
         solution, clamps = carry(shapes, material, held)
         places = [f"{place}, {np.degrees(after):g}°" for place in at]
-        shapes = seen = _sound(solution, synthesis, places)
+        shapes = _sound(solution, synthesis, places)
+        if synthesis.yield_curvature_per_mm:
+            material = yielded(material, shapes, synthesis.yield_curvature_per_mm)
+            shapes = _sound(relax(shapes, material, clamps, Newton.careful()), synthesis, places)
+        seen = shapes
         if errors.vary:
             # The path continues without it: otherwise one observation's scatter would decide the branch of the next.
             here = errors.held(ideal, _reach(synthesis), slice(row * len(at), (row + 1) * len(at)))
@@ -168,6 +174,22 @@ def _curvature_field(synthesis: Synthesis, random: np.random.Generator) -> np.nd
     noise = random.normal(size=(joints + 2 * side, 2))
     smooth = np.stack([np.convolve(noise[:, k], window, mode="valid") for k in range(2)], axis=1)
     return smooth / np.linalg.norm(window)
+
+
+def yielded(material: Material, shapes: Configuration, limit: float) -> Material:
+    """A row for each of R rods: its rest curvature after it was bent to ``shapes``, elastic up to ``limit`` 1/mm from rest.
+
+    material  one row for all, or R, with rest curvature
+    """
+    frames = shapes.frames
+    t = frames[..., 0]
+    binormal = 2 * np.cross(t[:, :-1], t[:, 1:]) / (1 + np.sum(t[:, :-1] * t[:, 1:], axis=-1, keepdims=True))
+    middle = 0.5 * (frames[:, :-1] + frames[:, 1:])
+    omega = np.stack([np.sum(binormal * middle[..., 2], axis=-1), -np.sum(binormal * middle[..., 1], axis=-1)], axis=-1)
+    curvature = omega / (0.5 * (shapes.rest_length[..., :-1] + shapes.rest_length[..., 1:]))[..., None]
+    elastic = curvature - material.rest_curvature
+    kept = np.minimum(1.0, limit / np.maximum(np.linalg.norm(elastic, axis=-1, keepdims=True), 1e-300))
+    return Material(material.bend[0, 0], float(material.twist[0, 0]), float(material.weight[0]), curvature - kept * elastic)
 
 
 def _clip_errors(synthesis: Synthesis) -> ClipErrors:

@@ -11,7 +11,7 @@ bend and twist come out in mm³ (footnote 6: only ratios of the parameters matte
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -210,13 +210,15 @@ class Solution:
     tables: object = field(default=None, repr=False)
     contact_force: np.ndarray | None = None
 
-    def __post_init__(self):
-        if self.contact_force is None and getattr(self.tables, "contact", None) is not None:
-            # A copy: relaxing these rods again changes the tables.
-            object.__setattr__(self, "contact_force", self.tables.contact.forces.copy())
+    def __post_init__(self) -> None:
+        table = getattr(self.tables, "contact", None)
+        if self.contact_force is None and table is not None:
+            # A copy: relaxing these rods again changes the tables. Zeros of rods out of reach are never written to.
+            forces = table.forces.copy() if table.forces.flags.writeable else table.forces
+            object.__setattr__(self, "contact_force", forces)
 
     @property
-    def contact(self):
+    def contact(self) -> Any:
         """Forces, gaps and touching vertices as :class:`doo_ti.contact.contacts.Contacts`; None without obstacles, and without
         ``tables``."""
         table = getattr(self.tables, "contact", None)

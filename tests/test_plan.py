@@ -104,22 +104,46 @@ def test_the_best_ten_are_more_informative_than_ten_at_random(laboratory):
     assert smaller > 0.95
 
 
+def moved(configurations, searched: Grid) -> np.ndarray:
+    """(D,) mm: the same as ``Plan.total``, by relaxations under a bend and a twist that are a little larger and smaller."""
+    clamps = observation_clamps(configurations)
+    start, cells = start_configuration(configurations, clamps), searched.cell_values()
+    step, rods = 1e-3, np.arange(configurations.count)
+    size = np.zeros((2, searched.size, len(rods)))
+    for parameter in range(2):
+        ends = []
+        for factor in (1 + step, 1 - step):
+            scale = np.where(np.arange(2) == parameter, factor, 1.0)
+            material = Material(cells["bend_1"] * scale[0], cells["twist"] * scale[1])
+            ends.append(relax(start, material, clamps, precision="mixed",
+                              configuration_index=np.tile(rods, searched.size),
+                              material_index=np.repeat(np.arange(searched.size), len(rods))))
+        both = np.all([end.converged & end.stable for end in ends], axis=0)
+        shift = (ends[0].configuration.vertices - ends[1].configuration.vertices) / (2 * step)
+        rms = np.sqrt((shift**2).sum(axis=-1).mean(axis=-1))
+        size[parameter] = np.where(both, rms, np.nan).reshape(searched.size, -1)
+    return np.sqrt((np.nanmedian(size, axis=1) ** 2).sum(axis=0))
+
+
 @pytest.mark.thorough
-def test_the_least_informative_of_the_lab(shared_data):
-    observations = load_observations(shared_data / "lab_a" / "nylon.npz")
-    found = plan(observations, Grid((parse_axis("--bend", "5e4:1e7:13"), parse_axis("--twist-ratio", "0.1:6:9"))), sigma=0.12)
-    assert (observations.end_distance[found.least], observations.end_rotation[found.least]) == (42, 120)
+def test_the_least_informative_of_the_lab(shipped_data):
+    observations = load_observations(shipped_data / "lab_a" / "nylon.npz")
+    searched = Grid((parse_axis("--bend", "5e4:1e7:13"), parse_axis("--twist-ratio", "0.1:6:9")))
+    found, expected = plan(observations, searched, sigma=0.12), moved(observations, searched)
+    assert found.least in np.argsort(expected)[:3]
+    assert np.corrcoef(found.total, expected)[0, 1] > 0.95
 
 
 @pytest.mark.thorough
 def test_clamps_on_one_line():
-    """Untwisted the rod is an arch, which is hardly informative; of the twisted rods 54 mm, 120° is least informative."""
+    """Untwisted the rod is an arch, which is hardly informative; of the twisted rods the least informative ones move least."""
     recipe = Synthesis(bend=BEND, twist=TWIST, start_direction=(1, 0, 0), end_direction=(1, 0, 0))
     configurations = planned(recipe)
-    found = plan(configurations, Grid((parse_axis("--bend", "5e4:1e7:13"), parse_axis("--twist-ratio", "0.1:6:9"))), sigma=0.12)
+    searched = Grid((parse_axis("--bend", "5e4:1e7:13"), parse_axis("--twist-ratio", "0.1:6:9")))
+    found, expected = plan(configurations, searched, sigma=0.12), moved(configurations, searched)
     twisted = np.flatnonzero(configurations.end_rotation > 0)
     least = twisted[np.argmin(found.total[twisted])]
-    assert (configurations.end_distance[least], configurations.end_rotation[least]) == (54, 120)
+    assert least in twisted[np.argsort(expected[twisted])[:3]]
     assert configurations.end_rotation[found.least] == 0
 
 

@@ -13,7 +13,9 @@ from doo_ti.metric import distance
 from doo_ti.relaxation.relax import relax
 from doo_ti.start import observation_clamps, start_configuration
 from doo_ti.synthesis import synthesise
+from doo_ti.types import Clamp, Clamps, Material
 from tests.io.rods import joint_twist
+from tests.references.rods import chain, clamps_at
 
 DISTANCES, ROTATIONS = (42.0, 66.0, 84.0), (0.0, 90.0, 180.0, 270.0)
 ROUND = Synthesis(bend=6e5, twist=8e5, seed=4, end_distances_mm=DISTANCES, end_rotations_deg=ROTATIONS)
@@ -190,3 +192,22 @@ def test_a_fit_at_the_truth_is_near_but_not_exact(recipe):
 def test_a_rod_that_cannot_reach_is_named():
     with pytest.raises(InterruptedRunError, match="98.9 mm"):
         synthesise(replace(ROUND, end_distances_mm=(98.9,)))
+
+
+def test_a_plastic_rod_keeps_the_excess_as_rest_curvature(rng):
+    """An even arc: released from its clamps it is bent by its curvature less the yield curvature."""
+    turn, edge, limit = 0.1, 2.0, 0.02
+    angle = turn * np.arange(12)
+    arc = chain(np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1), [0, 0, 1], edge)
+    straight = Material(6e5, 8e5, 0.0, np.zeros((1, 11, 2)))
+    bent = lab.yielded(straight, arc, limit)
+    free = relax(arc, bent, Clamps(Clamp.FRAME, Clamp.FREE, *(getattr(clamps_at(arc), name) for name in (
+        "start_position", "end_position", "start_frame", "end_frame"))))
+    t = free.configuration.frames[0, :, :, 0]
+    left = np.arccos(np.clip(np.sum(t[1:] * t[:-1], axis=1), -1, 1))
+    assert free.converged.all()
+    np.testing.assert_allclose(2 * np.tan(left / 2), 2 * np.tan(turn / 2) - limit * edge, rtol=1e-6)
+    np.testing.assert_array_equal(lab.yielded(straight, arc, 1.0).rest_curvature, 0)
+    elastic, plastic = synthesise(quiet(ROUND)), synthesise(replace(quiet(ROUND), yield_curvature_per_mm=0.02))
+    off = np.linalg.norm(elastic.vertices - plastic.vertices, axis=-1).mean(axis=1)
+    assert off[elastic.end_distance == 42.0].min() > 0.1 and np.isfinite(off).all()

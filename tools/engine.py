@@ -3,7 +3,8 @@
     python tools/engine.py [ROW ...] [--data DIR]
 
 Prints a Markdown table, ``| check | bar | measured | holds |``, and below it the details of each figure. Figures are medians;
-only converged rods count. Rows without data print that they are skipped. Exit code 1 where a bar is missed.
+only converged rods count. The data is that of the tests, or
+--data. Exit code 1 where a bar is missed, or a row has no data.
 """
 
 import argparse
@@ -283,7 +284,7 @@ def main(arguments: list[str]) -> int:
 
     parser = argparse.ArgumentParser(prog="engine.py", description=__doc__.splitlines()[0])
     parser.add_argument("rows", nargs="*", metavar="ROW", help=f"{', '.join(ROWS)}; all by default")
-    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data", metavar="DIR", help="folder with lab_a/")
+    parser.add_argument("--data", type=Path, default=ROOT / "tests" / "data", metavar="DIR", help="folder with lab_a/")
     options = parser.parse_args(arguments)
     unknown = [row for row in options.rows if row not in ROWS]
     if unknown:

@@ -1,12 +1,12 @@
 """Accuracy of rods recovered from images (§V-E, Fig. 6): the virtual lab's 180 sets, loops, and worse images and seeds.
 
-    python tools/perception_study.py [lab loops seed camera occlusion clutter ...] [--sets N]
+    python tools/perception_study.py [lab loops seed camera occlusion clutter ablation ...] [--sets N]
 """
 
 import argparse
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +15,10 @@ if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from doo_ti.commands.results import counted  # noqa: E402
-from doo_ti.io.scene import load_scene  # noqa: E402
+from doo_ti.io.scene import Synthesis, load_scene  # noqa: E402
 from doo_ti.learning.objective import status_counts  # noqa: E402
 from doo_ti.perception.lab_images import LabRods, lab_rods  # noqa: E402
-from doo_ti.perception.perceive import Perception, perceive  # noqa: E402
+from doo_ti.perception.perceive import Perception, PerceptionVerdict, perceive  # noqa: E402
 from doo_ti.perception.search import PerceptionOptions, Search  # noqa: E402
 from doo_ti.types import Material  # noqa: E402
 from doo_ti.vision.cameras.rig import Rig, load_rig  # noqa: E402
@@ -55,7 +55,7 @@ CLUTTERED = RenderOptions(clutter=6, specks=20)
 OPTIONS, UP = PerceptionOptions(), np.array([0.0, 0.0, 1.0])
 FOR_GAPS = PerceptionOptions(nu=0.0005, cap=20.0)
 HEAD = ("| row | sets | correct | search lost it | score prefers another | of the correct, vertex mm: mean, worst "
-        "| curve mm: mean, worst | thread unseen | status | s |")
+        "| curve mm: mean, worst | thread unseen | clear | likely | ambiguous | status | s |")
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,8 @@ class Case:
 
 
 def main() -> None:
-    rows = {"lab": lab, "loops": loops, "seed": seed, "camera": camera, "occlusion": occlusion, "clutter": clutter}
+    rows = {"lab": lab, "loops": loops, "seed": seed, "camera": camera, "occlusion": occlusion, "clutter": clutter,
+            "ablation": ablation}
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("rows", nargs="*", metavar="ROW", help=f"of {', '.join(rows)} (default: all)")
     parser.add_argument("--sets", type=int, default=60, metavar="N", help="of each thread (default 60)")
@@ -80,7 +81,8 @@ def main() -> None:
     unknown = [name for name in options.rows if name not in rows]
     if unknown:
         parser.error(f"no row {unknown[0]}: give some of {', '.join(rows)}")
-    print(f"seed {SEED}; correct: mean vertex error below 1 mm\n{HEAD}\n" + "|---" * (HEAD.count("|") - 1) + "|")
+    print(f"seed {SEED}; correct: mean vertex error below 1 mm; clear, likely, ambiguous: those correct of each verdict\n"
+          f"{HEAD}\n" + "|---" * (HEAD.count("|") - 1) + "|")
     for name in options.rows or rows:
         rows[name](options.sets)
 
@@ -146,14 +148,32 @@ def clutter(sets: int) -> None:
         report(f"6 lines, 20 specks: {name}", case, case.rods.point, case.rods.direction)
 
 
-def photographed(scene: str, sets: int | list[int] | None, look: RenderOptions = RenderOptions(),
-                 crossing: bool = False) -> tuple[Case, float]:
+ABLATIONS = {
+    "one piece per edge": replace(OPTIONS, pieces=1), "F solved in each step": replace(OPTIONS, growing_iterations=50),
+    "one ν, one cap": replace(OPTIONS, growing_nu=OPTIONS.nu, growing_cap=OPTIONS.cap),
+    "children not limited": replace(OPTIONS, children=OPTIONS.samples), "one finalist": replace(OPTIONS, finalists=1),
+}
+"""Each deviation from the paper undone by itself."""
+
+
+def ablation(sets: int) -> None:
+    for name in THREADS:
+        case, _ = photographed(name, sets)
+        report(f"defaults: {name}", case, case.rods.point, case.rods.direction)
+        for what, options in ABLATIONS.items():
+            report(f"{what}: {name}", case, case.rods.point, case.rods.direction, options)
+
+
+def photographed(scene: str | Synthesis, sets: int | list[int] | None, look: RenderOptions = RenderOptions(),
+                 crossing: bool = False, detection: DetectionOptions = DetectionOptions()) -> tuple[Case, float]:
     """Images of a scene's rods, detected; and the seconds from images to distance maps.
 
+    scene     name of a shipped one, or a recipe
     sets      how many rods, evenly chosen, or the rows of the rods
     crossing  instead all rods that cross themselves in every image
     """
-    rig, recipe = load_rig(SCENES / "rig.yaml"), load_scene(SCENES / f"{scene}.toml").observations
+    rig = load_rig(SCENES / "rig.yaml")
+    recipe = load_scene(SCENES / f"{scene}.toml").observations if isinstance(scene, str) else scene
     rods = lab_rods(recipe)
     if crossing:
         rods = rods.take(np.flatnonzero((crossings(rig.project(rods.curve)) > 0).all(axis=0)))
@@ -163,9 +183,9 @@ def photographed(scene: str, sets: int | list[int] | None, look: RenderOptions =
         rods = rods.take(np.linspace(0, len(rods.names) - 1, sets).round().astype(int))
     images = taken(Photographs(rods.names, rods.curve, rods.point, rods.direction, DIAMETER_MM, rig, look, SEED))
     began = time.perf_counter()
-    found = detected(images)
+    found = detected(images, detection)
     if crossing:
-        found = detected(images, DetectionOptions(width_px=usual_width(found)))
+        found = detected(images, replace(detection, width_px=usual_width(found)))
     curve = smooth_curve(rods.curve, 8)
     maps = distance_maps(found, MARGIN_PX)
     return Case(rods, recipe.material(), rig, found, maps, rig.project(curve), curve), time.perf_counter() - began
@@ -198,8 +218,10 @@ def report(what: str, case: Case, point, direction, options: PerceptionOptions =
     status = counted(status_counts(trial.status))
     errors = [f"{error[good].mean():.3f}, {error[good].max():.3f}" if good.any() else "none"
               for error in (trial.vertex_error, trial.curve_error)]
+    verdicts = " | ".join(f"{(good & these).sum()} of {these.sum()}"
+                          for these in (found.verdict == kind for kind in PerceptionVerdict))
     print(f"| {what} | {len(good)} | {good.sum()} | {trial.overlooked.sum()} | {(~good & ~trial.overlooked).sum()} "
-          f"| {errors[0]} | {errors[1]} | {missing.mean():.3f} | {status} | {before + seconds:.1f} |", flush=True)
+          f"| {errors[0]} | {errors[1]} | {missing.mean():.3f} | {verdicts} | {status} | {before + seconds:.1f} |", flush=True)
     for row in np.flatnonzero(~good)[:MOST_NAMED]:
         print(f"    {case.rods.names[row]}: {trial.vertex_error[row]:.2f} mm off, E_vis {trial.energy_vis[row]:.3f} beside "
               f"{trial.truth_energy[row]:.3f} of the truth, camera error {np.round(found.camera_error[row], 1).tolist()} px, "

@@ -1,6 +1,8 @@
 """Accuracy of predicted motions (§III-D): the lab's rotation steps, cables between two grippers, and the rate for a planner.
 
-    python tools/prediction_study.py --data ../shared/data
+    python tools/prediction_study.py [lab cables candidates] [--data DIR]
+
+The lab's data ships with the tests; that of the cables does not (docs/cables.md): ``cables`` runs where --data names it.
 """
 
 import argparse
@@ -34,12 +36,17 @@ CANDIDATES = 4096
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[2] / "shared" / "data")
-    data = parser.parse_args().data
-    lab_steps(data / "lab_a")
-    for name, bend in CABLES.items():
-        cable(data / "cables", name, bend)
-    candidates(data / "lab_a")
+    parser.add_argument("rows", nargs="*", help="default: lab candidates")
+    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[1] / "tests" / "data")
+    options = parser.parse_args()
+    rows = options.rows or ["lab", "candidates"]
+    if "lab" in rows:
+        lab_steps(options.data / "lab_a")
+    if "cables" in rows:
+        for name, bend in CABLES.items():
+            cable(options.data / "cables", name, bend)
+    if "candidates" in rows:
+        candidates(options.data / "lab_a")
 
 
 def lab_steps(folder: Path) -> None:

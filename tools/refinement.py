@@ -1,7 +1,8 @@
 """Results of refinement, compared with their required values (bars): ``python tools/refinement.py [ROW ...] [--data DIR]``.
 
-Prints a Markdown table, ``| check | bar | measured | holds |``. Rows without data print that they are skipped. Exit code 1
-where a bar is missed. The coverage of the intervals is measured by ``tools/calibration_study.py``.
+Prints a Markdown table, ``| check | bar | measured | holds |``. The data of the sutures ships with
+the tests; ``specimens`` and ``cable`` need --data and run where they are named. Exit code 1 where a bar is missed or a row has
+no data. The coverage of the intervals is measured by ``tools/calibration_study.py``.
 
     specimens  random rods of an independent mesh solver, ``doo-ti sweep`` and ``doo-ti refine RUN --json`` as commands
     lab        the paper's sutures, likewise
@@ -150,26 +151,28 @@ def speed(data: Path) -> list[Check]:
     return [Check("speed: 60 observations, doo-ti refine RUN, whole process", "≤ 20 s", f"{middle:.1f} s", middle <= 20)]
 
 
+SHIPPED = ("lab", "exact", "speed")
+"""Rows whose data ships with the tests."""
 ROWS = {"specimens": specimens, "lab": lab, "extra": extra, "exact": exact, "cable": cable, "speed": speed}
 
 
 def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("rows", nargs="*", metavar="ROW", help=f"of {', '.join(ROWS)} (default: all)")
-    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    parser.add_argument("--data", type=Path, default=ROOT / "tests" / "data")
     options = parser.parse_args(words)
     for row in options.rows:
         if row not in ROWS:
             parser.error(f"no row {row!r}; choose from {', '.join(ROWS)}")
     checks = []
-    for row in options.rows or ROWS:
+    for row in options.rows or SHIPPED:
         print(f"measuring {row}", file=sys.stderr)
         try:
             checks += ROWS[row](options.data)
         except (ValueError, OSError, subprocess.CalledProcessError) as error:
             checks.append(Check(row, "", f"skipped: {error}", None))
     print(table(checks))
-    return int(any(check.holds is False for check in checks))
+    return int(any(check.holds is False or check.measured.startswith("skipped") for check in checks))
 
 
 if __name__ == "__main__":

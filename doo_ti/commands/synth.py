@@ -10,6 +10,7 @@ from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import observed, save, save_arrays
 from doo_ti.errors import InputError
+from doo_ti.io.cable_recordings import read_recordings, save_recordings
 from doo_ti.io.curves import UNITS_IN_MM
 from doo_ti.io.formats import read_curves
 from doo_ti.io.scene import Scene, Synthesis, load_scene
@@ -20,7 +21,9 @@ DIAMETER_MM = 0.5
 
 def declare(add) -> None:
     parser = given.command(add, "convert", run_convert, "convert observations from one file format to another", json=False)
-    parser.add_argument("observations", metavar="IN", help=loading.FORMATS)
+    parser.add_argument("observations", metavar="IN",
+                        help=f"{loading.FORMATS}; or recorded motion of the public cable data, .pkl or a folder of them, "
+                        "to .npz (docs/cables.md)")
     parser.add_argument("out", metavar="OUT", help=".npz, .csv or .parquet")
     loading.add_loading(parser)
     parser.add_argument("--select", metavar="FROM:TO[:STEP]", help="only these observations, numbered from 0 (default: all)")
@@ -41,8 +44,15 @@ def declare(add) -> None:
 
 
 def run_convert(options: Namespace, words: list[str]) -> int:
-    """Observations from one format to another; keys that observations do not have are dropped."""
+    """Observations from one format to another; keys that observations do not have are dropped. Pickles of recorded motion to
+    one npz."""
     out = given.output_file(options.out, option="OUT")
+    source = Path(options.observations)
+    if source.suffix == ".pkl" or source.is_dir():
+        if out.suffix != ".npz":
+            raise InputError(given.SOURCE, "OUT", f"{out.name!r}", "name a .npz file for recorded motion")
+        save_recordings(out, *read_recordings(source))
+        return 0
     given.refuse_overwriting(out, options.observations, "OUT")
     if options.motion:
         return _convert_motion(options, out)

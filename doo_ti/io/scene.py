@@ -87,6 +87,9 @@ class Synthesis:
     clip_offset_mm         each clip is displaced sideways; standard deviation of the two components, drawn likewise
     clip_scatter_deg       a tilt of each clip in each observation by itself, added to the constant one
 
+    yield_curvature_per_mm 0: elastic; above: ideally plastic bending. Beyond this curvature from rest a joint bends without a
+                           larger moment, and keeps the excess as rest curvature in all later observations
+
     Raises InputError for values out of range.
     """
 
@@ -111,6 +114,7 @@ class Synthesis:
     clip_tilt_deg: _Tilt = 0.0
     clip_offset_mm: NotNegative = 0.0
     clip_scatter_deg: _Tilt = 0.0
+    yield_curvature_per_mm: NotNegative = 0.0
     source: str = "synthesis"
 
     def __post_init__(self) -> None:

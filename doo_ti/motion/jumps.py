@@ -89,7 +89,8 @@ class JumpCount:
 def _put(solution: Solution, rows: np.ndarray, other: Solution) -> None:
     """Write ``other`` into those ``rows`` of every array of a solution."""
     for name, value in solution.per_rod.items():
-        value[rows] = getattr(other, name)
+        if value.flags.writeable:  # zeros of rods out of reach of obstacles are not
+            value[rows] = getattr(other, name)
     solution.configuration.start[rows] = other.configuration.start
     solution.configuration.quaternions[rows] = other.configuration.quaternions
 

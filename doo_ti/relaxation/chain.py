@@ -215,9 +215,10 @@ class Chain:
     # --- sweeps ---
 
     @ti.func
-    def step(self, rod, scale, moving):
+    def step(self, rod, scale, moving, before):
         """Frames Q (1, scale ω/2), and x of the projection that puts them back on closure, both only where ``moving``; and AᵀA
-        over the edges that may tilt."""
+        over the edges that may tilt. Where rods may touch something, a step that is not taken whole leaves its share of what
+        they missed ``before``."""
         zero = 0.0 * scale
         stepping = (scale > 0.0) | (scale < 0.0)
         reached, lost = variable(repeated(zero, 3)), variable(repeated(zero, 3))
@@ -238,10 +239,13 @@ class Chain:
             reached, lost = self.summed(reached, lost, scaled(t, length))
             normal = plus(normal, scaled(normal_matrix(length, t), self.freedom(rod, e)[1]))
             at += self.edge_stride
+        goal = variable(rod.target)
+        if ti.static(self.touches):
+            goal = plus(goal, scaled(before, ti.select(stepping, 1.0 - scale, zero)))
         if ti.static(self.moves_start):
-            moving = self.step_start(rod, scale, moving, reached)
+            moving = self.step_start(rod, scale, moving, reached, goal)
             reached = self.displaced(rod, reached)
-        miss = scaled(minus(reached, rod.target), rod.closed)
+        miss = scaled(minus(reached, goal), rod.closed)
         normal = self._regular(normal)
         x, minors = solve_symmetric(normal, miss)
         # x·miss is the sum of the squared rotations: keep their root mean square below 0.15 rad in one projection.

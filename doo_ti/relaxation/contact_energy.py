@@ -14,22 +14,18 @@ derivatives lower than those at a fixed s by v vᵀ/φ_ss, v = (H p, n + s H p),
 
 import taichi as ti
 
-from doo_ti.contact.distance import Distance, outer
-from doo_ti.contact.obstacles import DEPTH, OBSTACLE_COLUMNS
+from doo_ti.contact.distance import outer
+from doo_ti.contact.obstacles import DEPTH
 from doo_ti.contact.obstacles import FRICTION as COEFFICIENT
-from doo_ti.physics.algebra import largest_of
 from doo_ti.physics.tuples import applied, chosen, dot, full, minus, negated, plus, record, repeated, scaled, traced
 from doo_ti.relaxation.contact_layout import (
     ACTIVE,
     BARRIER,
     CLOSEST,
-    CONTACT_ITEMS,
-    CROSSING,
     CURVATURE,
     CURVATURES,
     CURVATURES_S,
     CURVATURES_SS,
-    DEEPEST,
     ENERGY,
     FORCE,
     FORCE_BETWEEN,
@@ -45,26 +41,18 @@ from doo_ti.relaxation.contact_layout import (
     NORMAL_BETWEEN,
     OFFSET,
     PHASE,
-    PINCHED,
-    PLACE,
     PLACE_BETWEEN,
-    PREVIOUS,
     RADIUS,
-    REACH,
     ROOM,
-    ROOM_STANDING,
     ROUGH,
     SAG,
     SAGGING,
-    SEARCHES,
-    STANDING,
     STIFFNESS,
     STRENGTH,
-    TOLERANCE,
     VALUE,
-    VERTEX_ITEMS,
     WEIGHT,
 )
+from doo_ti.relaxation.contact_places import ContactPlaces
 
 
 @traced
@@ -74,130 +62,17 @@ def outer_product(a, b) -> tuple:
 
 
 @ti.data_oriented
-class ContactEnergy:
-    """Contacts of the rods in a pack with obstacles of some ``kinds``, in a motion with friction if they ``rub``. Of the record ``rod`` it reads ``contacts``, where its
-    items begin in scratch, ``kinds``, and ``obstacles``, how many there are."""
+class ContactEnergy(ContactPlaces):
+    """The energy of the contacts of the rods in a pack, in a motion with friction if they ``rub``."""
 
     def __init__(self, number, stride: int, kinds: frozenset[int], rub: bool = False):
-        lanes = number.lanes()
-        self.put, self.get, self.largest = lanes.put, lanes.get, lanes.largest
-        self.stride, self.rub = stride, rub
-        self.distance = Distance(number, stride, kinds)
-        self.load3 = self.distance.load3
-        # What the places of vertices are wrong by, as a share of the rod's length.
-        self.rounding = 2e-7 if number.bits == 32 else 1e-13
-
-    # --- places in scratch ---
-
-    @ti.func
-    def item(self, rod, item: ti.template()):
-        """A number of the rod."""
-        return rod.scratch[rod.contacts + item * self.stride]
-
-    @ti.func
-    def set_item(self, rod, item: ti.template(), condition, value):
-        """Set it where the condition holds."""
-        at = rod.contacts + item * self.stride
-        rod.scratch[at] = ti.select(condition, value, rod.scratch[at])
-
-    @ti.func
-    def obstacle(self, rod, index):
-        return rod.contacts + (HEAD + index * OBSTACLE_COLUMNS) * self.stride
-
-    @ti.func
-    def vertex(self, rod, index):
-        first = HEAD + rod.obstacles * OBSTACLE_COLUMNS
-        return rod.contacts + (first + index * (VERTEX_ITEMS + rod.obstacles * CONTACT_ITEMS)) * self.stride
-
-    @ti.func
-    def contact(self, vertex, index):
-        return vertex + (VERTEX_ITEMS + index * CONTACT_ITEMS) * self.stride
-
-    @ti.func
-    def store(self, scratch: ti.template(), at, values):
-        for k in ti.static(range(len(values))):
-            scratch[at + k * self.stride] = values[k]
-
-    # --- what a rod is near to ---
-
-    @ti.func
-    def begin(self, rod):
-        """Begin the sums over all vertices."""
-        zero = 0.0 * rod.total
-        most = zero + 1e30
-        self.store(rod.scratch, rod.contacts + ENERGY * self.stride, (zero, zero, zero, most, zero, most))
-
-    @ti.func
-    def add(self, rod, item: ti.template(), values):
-        """Add to a sum."""
-        for k in ti.static(range(len(values))):
-            at = rod.contacts + (item + k) * self.stride
-            rod.scratch[at] = rod.scratch[at] + values[k]
-
-    @ti.func
-    def lower(self, scratch: ti.template(), at, value):
-        """Take a value into a minimum."""
-        scratch[at] = ti.min(scratch[at], value)
-
-    @ti.func
-    def look(self, rod, index, place):
-        """Measure how far vertex ``index``, at ``place``, is from all obstacles."""
-        at = self.vertex(rod, index)
-        away = minus(place, self.load3(rod.scratch, at + STANDING * self.stride))
-        self.store(rod.scratch, at + PLACE * self.stride, place)
-        crossing = rod.contacts + CROSSING * self.stride
-        rod.scratch[crossing] = largest_of(rod.scratch[crossing], dot(away, away) * self.nearness(rod, index, at, ROOM_STANDING))
-        for o in range(rod.obstacles):
-            contact = self.contact(at, o)
-            seen = self.distance.measure(rod.scratch, self.obstacle(rod, o), rod.kinds[o], place)
-            rod.scratch[contact + VALUE * self.stride] = seen.value
-            if self.is_close(rod, seen.value):
-                self.store(rod.scratch, contact + NORMAL * self.stride, seen.normal)
-                self.store(rod.scratch, contact + CURVATURE * self.stride, seen.curvature)
-                gap, held = seen.value - self.item(rod, RADIUS), self.held(rod, index) > 0.5
-                self.lower(rod.scratch, rod.contacts + DEEPEST * self.stride, seen.value)
-                self.lower(rod.scratch, rod.contacts + PINCHED * self.stride, ti.select(held, gap, 0.0 * gap))
-                self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(held, 0.0 * gap + 1e30, gap))
-
-    @ti.func
-    def is_close(self, rod, value):
-        """Whether a vertex of some lane is close to an obstacle, ``value`` being its φ."""
-        return self.largest(ti.select(value < self.item(rod, REACH), 0.0 * value + 1.0, 0.0 * value)) > 0.5
-
-    @ti.func
-    def nearness(self, rod, index, at, item: ti.template()):
-        """1/ρ² of the vertex, ρ the least room of the two edges that meet there."""
-        room = rod.scratch[at + item * self.stride]
-        if index < rod.edges:
-            room = ti.min(room, rod.scratch[self.vertex(rod, index + 1) + item * self.stride])
-        return 1.0 / (room * room + 1e-20)
-
-    @ti.func
-    def held(self, rod, index):
-        """One where clamps hold the vertex: at the ends, and where they hold an end edge too at the vertex after."""
-        held = 0.0 * rod.closed
-        if index < 2:
-            held = 1.0 - rod.loose
-            if index == 1:
-                held = held * (1.0 - rod.free[1])
-        if index > rod.edges - 2:
-            far = rod.closed + held
-            if index == rod.edges - 1:
-                far = rod.closed * (1.0 - rod.free[3])
-            held = ti.max(held, ti.min(far, 0.0 * far + 1.0))
-        return held
-
-    @ti.func
-    def blocked(self, rod):
-        """Whether the rod's centreline is inside an obstacle, or a clamp holds the rod where it is in one."""
-        return (self.item(rod, DEEPEST) < 0.0) | (self.item(rod, PINCHED) < 0.0 - self.item(rod, TOLERANCE))
-
-    # --- energy ---
+        super().__init__(number, stride, kinds)
+        self.rub = rub
 
     @ti.func
     def touched(self, rod, index, start, end):
-        """Sum up the derivatives of the energy of the contacts of vertex ``index``, at ``end``, and of the edge from ``start`` to
-        there; returns one where there are any. Looks at ``start``; somebody has looked at ``end`` before."""
+        """Sum up the derivatives of the energy of the contacts of vertex ``index``, at ``end``, and of the edge from ``start``
+        to there; returns one where there are any. Looks at ``start``; somebody has looked at ``end`` before."""
         zero = 0.0 * end[0]
         self.look(rod, index - 1, start)
         at, before = self.vertex(rod, index), self.vertex(rod, index - 1)
@@ -273,8 +148,8 @@ class ContactEnergy:
 
     @ti.func
     def touched_between(self, rod, o, at, before, start, edge):
-        """The same of the edge between its ends, of which one is close to obstacle ``o``. (A vertex that is not has no normal in
-        that lane or, where none of the lanes is close, an old one, which does no harm: its edge bridges nothing.)"""
+        """The same of the edge between its ends, of which one is close to obstacle ``o``. (A vertex that is not has no normal
+        in that lane or, where none of the lanes is close, an old one, which does no harm: its edge bridges nothing.)"""
         zero, radius = 0.0 * start[0], self.item(rod, RADIUS)
         contact, previous = self.contact(at, o), self.contact(before, o)
         normal_start = self.load3(rod.scratch, previous + NORMAL * self.stride)
@@ -286,6 +161,7 @@ class ContactEnergy:
         bridging = (slope_start < 0.0) & (slope_end > 0.0)
         least = ti.min(value_start, value_end)
         low = ti.select(bridging, value_start + slope_start * meet, least)
+        low = ti.max(low, 0.5 * (value_start + value_end - rod.longest))  # φ changes no faster than the place
         self.lower(rod.scratch, at + ROOM * self.stride, low + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
         near = bridging & (low < 2.0 * radius)
         active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
@@ -305,32 +181,6 @@ class ContactEnergy:
             self.add_between(rod, contact, edge, seen, share)
             if ti.static(self.rub):
                 self.rub_between(rod, o, at, before, contact)
-
-    @ti.func
-    def nearest(self, rod, o, start, edge, slope_start, slope_end):
-        """The point of an edge that is nearest to an obstacle, by Newton's method between bounds: a record of ``s``, of φ there
-        with its derivatives, and of φ_ss, or a very large number where an end is the nearest."""
-        zero = 0.0 * slope_start
-        low, high = zero, zero + 1.0
-        bridging = (slope_start < 0.0) & (slope_end > 0.0)
-        end = ti.select(slope_start < 0.0, zero + 1.0, zero)
-        # Exact where the obstacle's section along the edge is round: φ_s is then the sine of an angle whose tangent is linear.
-        square = dot(edge, edge)
-        before = 0.0 - slope_start / ti.sqrt(ti.max(square - slope_start * slope_start, 1e-12 * square))
-        beyond = slope_end / ti.sqrt(ti.max(square - slope_end * slope_end, 1e-12 * square))
-        s = ti.select(bridging, before / ti.max(before + beyond, zero + 1e-20), end)
-        found = record(s=zero, value=zero, normal=repeated(zero, 3), curvature=repeated(zero, 6), bend=zero)
-        for _ in range(SEARCHES):
-            seen = self.distance.measure(rod.scratch, self.obstacle(rod, o), rod.kinds[o], plus(start, scaled(edge, s)))
-            slope = dot(seen.normal, edge)
-            found.s, found.value = s, seen.value
-            found.normal, found.curvature = seen.normal, seen.curvature
-            found.bend = ti.max(dot(edge, applied(full(seen.curvature), edge)), zero + 1e-20)
-            low, high = ti.select(slope < 0.0, s, low), ti.select(slope < 0.0, high, s)
-            step = s - slope / found.bend
-            s = ti.select(bridging, ti.select((step >= low) & (step <= high), step, 0.5 * (low + high)), end)
-        found.bend = ti.select(bridging, found.bend, zero + 1e30)
-        return found
 
     @ti.func
     def push(self, rod, force, gap):
@@ -397,12 +247,6 @@ class ContactEnergy:
         self.add(rod, ENERGY, (share * rubbed.energy, dot(pull, pull) / self.item(rod, STIFFNESS)))
         self.add(rod, GRADIENT, pull + scaled(pull, s))
         self.add(rod, CURVATURES, bent + scaled(full(bent), s) + scaled(bent, s * s))
-
-    @ti.func
-    def moved(self, rod, vertex):
-        """How far a vertex has moved since the instant before."""
-        return minus(self.load3(rod.scratch, vertex + PLACE * self.stride),
-                     self.load3(rod.scratch, vertex + PREVIOUS * self.stride))
 
     @ti.func
     def rubbed(self, rod, o, contact, force: ti.template(), friction: ti.template(), normal, u):

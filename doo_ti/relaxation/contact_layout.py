@@ -3,14 +3,15 @@
 from doo_ti.contact.obstacles import OBSTACLE_COLUMNS
 from doo_ti.physics.tuples import picked
 
-# Items of a rod: its radius, κ, the tolerance of its gaps, by how much the last round changed a gap, its phase, and what the
-# barrier adds to its gaps, its strength μ and how many strengths it has had, and how close to an obstacle a vertex is where more
-# than its φ counts; κ as it was at first; and the work that friction has done. The obstacles follow.
-RADIUS, STIFFNESS, TOLERANCE, CHANGE, PHASE, OFFSET, STRENGTH, STAGE, REACH, FIRST_STIFFNESS, WORK = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10
+# Items of a rod: its radius, κ, the tolerance of its gaps, by how much the last round changed a gap, and its phase; of the
+# barrier what it adds to gaps, its strength μ and how many strengths it has had; how close to an obstacle a vertex is where
+# more than its φ counts; κ as it was at first; and the work that friction has done. The obstacles follow.
+RADIUS, STIFFNESS, TOLERANCE, CHANGE, PHASE, OFFSET, STRENGTH, STAGE, REACH = 0, 1, 2, 3, 4, 5, 6, 7, 8
+FIRST_STIFFNESS, WORK = 9, 10
 # And sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts and
-# its magnitude; the square of the largest share of its way to the middle of an obstacle that a vertex has made in this step; the
-# least φ, the least gap where clamps hold a vertex and where none does; and of one edge the derivatives of its contacts' energy,
-# as :meth:`.LoadedElimination.load` returns them.
+# its magnitude; the square of the largest share of its way to the middle of an obstacle that a vertex has made in this step;
+# the least φ, the least gap where clamps hold a vertex and where none does; and of one edge the derivatives of its contacts'
+# energy, as :meth:`.LoadedElimination.load` returns them.
 ENERGY, MAGNITUDE, CROSSING, DEEPEST, PINCHED, CLOSEST = 11, 12, 13, 14, 15, 16
 GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, HEAD = 17, 20, 23, 29, 38, 44
 # Phases of a rod: it has just been loaded; a barrier keeps it away from obstacles, which finds out where it will touch them;
@@ -21,8 +22,8 @@ LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0
 # instant before. Its contacts follow.
 PLACE, STANDING, ROOM, ROOM_STANDING, FORCE_END, FORCE_START, PREVIOUS, VERTEX_ITEMS = 0, 3, 6, 7, 8, 11, 14, 17
 # Items of the contact of a vertex and the edge that ends there with an obstacle: λ of both, and the friction on both; of the
-# vertex φ, its normal and ∇∇φ; of the edge the nearest point s, φ* and its normal, and the weight of its contact; by how much it
-# is nearer there than at its ends; and one where rounds have that contact.
+# vertex φ, its normal and ∇∇φ; of the edge the nearest point s, φ* and its normal, and the weight of its contact; by how much
+# it is nearer there than at its ends; and one where rounds have that contact.
 FORCE, FORCE_BETWEEN, FRICTION, FRICTION_BETWEEN = 0, 1, 2, 5
 VALUE, NORMAL, CURVATURE, PLACE_BETWEEN, VALUE_BETWEEN, NORMAL_BETWEEN, WEIGHT, SAGGING, ACTIVE, CONTACT_ITEMS = (
     8, 9, 12, 18, 19, 20, 23, 24, 25, 26)
@@ -45,6 +46,8 @@ BARRIER_SHARE = 1 / 16
 """The barrier at a quarter of a radius pushes at first like such a force."""
 WEAKER, STAGES = 1 / 30, 2
 """The barrier becomes weaker by that, until it has had so many stages."""
+NEAR_ENOUGH = 0.03
+"""Of a radius: or until it leaves so small a gap."""
 CLOSE = 4.0
 """Radii: what is further from an obstacle than that, and half an edge, is not close."""
 LEAST_OFFSET = 0.05

@@ -29,6 +29,7 @@ from doo_ti.relaxation.contact_layout import (
     INERT,
     LEAST_OFFSET,
     LOADED,
+    NEAR_ENOUGH,
     NORMAL,
     NORMAL_BETWEEN,
     OFFSET,
@@ -143,7 +144,7 @@ class Contacts(ContactEnergy):
         zero = 0.0 * rod.total
         radius, stiffness, phase = self.item(rod, RADIUS), self.item(rod, STIFFNESS), self.item(rod, PHASE)
         behind = phase > ti.static(0.5 * (BARRIER + ROUGH))
-        change, secant = zero, zero
+        change, secant, rubbed = zero, zero, zero  # friction settles no sooner with a larger κ
         for v in range(rod.edges + 1):
             at = self.vertex(rod, v)
             for o in range(rod.obstacles):
@@ -160,18 +161,19 @@ class Contacts(ContactEnergy):
                     change = largest_of(change, absolute(new - old))
                     rod.scratch[contact + (FORCE + k) * self.stride] = ti.select(due, new, old)
                 if ti.static(self.rub):
-                    change = largest_of(change, self.settle_friction(rod, v, o, due))
+                    rubbed = largest_of(rubbed, self.settle_friction(rod, v, o, due))
         change = ti.select(due & ~behind, change / stiffness, zero)
         slow = due & ~behind & (change > SLOW * self.item(rod, CHANGE)) & (change > self.item(rod, TOLERANCE))
         self.set_item(rod, STIFFNESS, slow, STIFFER * stiffness)
         self.set_item(rod, CHANGE, due & ~behind, change)
-        last = due & behind & (self.item(rod, STAGE) > STAGES - 1.5)
+        nearest = self.item(rod, CLOSEST) + self.item(rod, OFFSET)
+        last = due & behind & ((self.item(rod, STAGE) > STAGES - 1.5) | (nearest < NEAR_ENOUGH * radius))
         for item in ti.static((STIFFNESS, FIRST_STIFFNESS)):
             self.set_item(rod, item, last & (secant > 0.0), ti.max(SECANT * secant, self.item(rod, FIRST_STIFFNESS)))
         self.set_item(rod, PHASE, last, zero + ROUGH)
         self.set_item(rod, STRENGTH, due & behind & ~last, WEAKER * self.item(rod, STRENGTH))
         self.set_item(rod, STAGE, due & behind, 1.0 + self.item(rod, STAGE))
-        return change
+        return largest_of(change, ti.select(due & ~behind, rubbed / stiffness, zero))
 
     @ti.func
     def settle_between(self, rod, index, o, due, gap, force):
@@ -274,8 +276,8 @@ class Contacts(ContactEnergy):
 
     @ti.func
     def load(self, tables, scratch: ti.template(), slot, rod, unit, scale):
-        """Rod ``rod``'s obstacles and contacts into lane ``slot``, lengths over ``unit``; ``scale``:
-        the largest stiffness, the weight per length, the lengths of an edge, of the longest and of the rod, in the chain's units."""
+        """Rod ``rod``'s obstacles and contacts into lane ``slot``, lengths over ``unit``; ``scale``: the largest stiffness, the
+        weight per length, the lengths of an edge, of the longest and of the rod, in the units of the chain."""
         base = tables.contacts
         row = tables.rods[rod, of.RESULT_ROW]
         own = ti.min(row, tables.obstacles.shape[0] - 1)
@@ -320,8 +322,8 @@ class Contacts(ContactEnergy):
 
     @ti.func
     def unload(self, tables, scratch: ti.template(), slot, row):
-        """The lane's contacts into row ``row`` of the memory, in the units of the chain; in the place of the edge before vertex 0,
-        which there is not, κ."""
+        """The lane's contacts into row ``row`` of the memory, in the units of the chain; in the place of the edge before vertex
+        0, which there is not, κ."""
         first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_COLUMNS) * self.stride
         for v in range(tables.rest_length.shape[1] + 1):
             at = first + v * (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride

@@ -80,12 +80,14 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     table = np.empty((rows, len(obstacles), OBSTACLE_COLUMNS))
     for place, obstacle in enumerate(obstacles):
         table[:, place] = obstacle.numbers()
-    memory = of.room(count, edges + 1, len(obstacles), REMEMBERED_IN_MOTION if in_motion else REMEMBERED)
-    memory[...] = 0.0
+    near = _near(obstacles, radius, clamp[index])
+    # Of rods that are not near neither is ever written to.
+    rows = count if near.any() else 0
+    memory = np.zeros((rows, edges + 1, len(obstacles), REMEMBERED_IN_MOTION if in_motion else REMEMBERED))
+    forces = np.broadcast_to(0.0, (count, edges + 1, 3)) if not rows else np.zeros((count, edges + 1, 3))
     return ContactTable(
         obstacles=table, kinds=np.array([obstacle.kind for obstacle in obstacles], dtype=np.int32), radius=radius,
-        near=_near(obstacles, radius, clamp[index]), memory=memory, forces=np.zeros((count, edges + 1, 3)),
-        surroundings=Surroundings(obstacles, radius))
+        near=near, memory=memory, forces=forces, surroundings=Surroundings(obstacles, radius))
 
 
 def _near(obstacles: Sequence[Obstacle], radius: np.ndarray, clamp: np.ndarray) -> np.ndarray:
@@ -96,6 +98,11 @@ def _near(obstacles: Sequence[Obstacle], radius: np.ndarray, clamp: np.ndarray) 
     centre = np.where(both[:, None], anchor + 0.5 * clamp[:, of.TARGET : of.TARGET + 3], anchor)
     reach = 1.001 * np.where(both, 0.5 * total, total) + radius
     near = clamp[:, of.LOOSE] > 0
+    if len(centre):
+        # First all rods at once, as one ball.
+        middle = 0.5 * (centre.min(axis=0) + centre.max(axis=0))
+        whole = np.sqrt(((centre - middle) ** 2).sum(axis=1).max()) + reach.max()
+        obstacles = [obstacle for obstacle in obstacles if not (obstacle.distance(middle[None, None])[0] > whole).all()]
     for obstacle in obstacles:
         near = near | ~(obstacle.distance(centre[:, None])[0][:, 0] > reach)
     return near

@@ -48,16 +48,19 @@ class LooseStart(Elimination):
         return 2.0 * rod.total * dot(rod.gravity, self.drift(rod))
 
     @ti.func
-    def step_start(self, rod, scale, moving, reached):
-        """Move vertex 0 by its share of the step, or to where the far end, ``reached`` from vertex 0, is held; returns where
-        rotations are still to close the chain."""
+    def step_start(self, rod, scale, moving, reached, goal):
+        """Move vertex 0 by its share of the step, or to where the far end, ``reached`` from vertex 0, is at its ``goal``;
+        returns where rotations are still to close the chain."""
         zero = 0.0 * scale
         standing = self.drift(rod)
         full = self.load3(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride)
         stepping = (scale > 0.0) | (scale < 0.0)
         drift = variable(chosen(stepping, plus(standing, scaled(full, scale)), standing))
         tied = rod.loose * rod.closed * moving
-        drift = chosen(tied > 0.5, minus(rod.target, reached), drift)
+        whole = variable(minus(goal, reached))
+        if ti.static(self.touches):
+            whole = plus(drift, scaled(minus(whole, drift), moving))
+        drift = chosen(tied > 0.0, whole, drift)
         self.store(rod.scratch, rod.head + OF_DRIFT_STANDING * self.stride, standing)
         self.store(rod.scratch, rod.head + OF_DRIFT * self.stride, drift)
         return ti.select(rod.loose > 0.5, zero, moving)

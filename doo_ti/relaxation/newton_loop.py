@@ -194,11 +194,9 @@ class NewtonLoop:
         # Take the step, and judge it afterwards. The factorisation at its end has the shift that follows a good step.
         moving = ti.max(lane.trying, ti.max(lane.fresh, lane.closing))
         if ti.static(self.touches):
-            # Where the rod may touch something, its start is looked at before it moves, and a step that is not taken whole closes
-            # no more than it is to.
-            whole = ti.select(lane.step_scale > 0.999, lane.trying, zero)
-            moving = ti.max(whole, lane.closing * lane.share)
-        x, normal = self.sweep.step(rod, lane.step_scale, moving)
+            # Where the rod may touch something, its start is looked at before it moves.
+            moving = ti.max(lane.trying, lane.closing * lane.share)
+        x, normal = self.sweep.step(rod, lane.step_scale, moving, lane.miss)
         decay = ti.select(lane.troubled > 0.5, self.constant(DECAY_TROUBLED), self.constant(DECAY))
         negligible = ti.select(lane.troubled > 0.5, self.constant(NEGLIGIBLE_TROUBLED), self.constant(NEGLIGIBLE)) * lane.scale
         smaller = ti.select(decay * lane.shift > negligible, decay * lane.shift, zero)

@@ -79,7 +79,7 @@ def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int
         policy: table1, time: table1, steps: ti.i32, every: ti.i32, threads: ti.i32,
         scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, frames_before: table1,
         places: table3, results: table2, positions: table3, outcome: table3,  # as :func:`time_kernel` has them
-        obstacles: table3, obstacle_kinds: index1, radius: table1, gap_tolerance: ti.f64, memory: table4,  # as Newton's has them
+        obstacles: table3, obstacle_kinds: index1, radius: table1, gap_tolerance: ti.f64, memory: table4,  # as in Newton's
         forces: table3,  # [row · frame, vertex, 3] out
     ):
         ti.loop_config(block_dim=block)

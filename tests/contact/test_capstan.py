@@ -1,6 +1,7 @@
 """A limp rope that is pulled over a cylinder with friction: the tensions at its ends are e^(μ φ) apart."""
 
 import numpy as np
+import pytest
 
 from doo_ti.contact.obstacles import Cylinder
 from doo_ti.dynamics.grippers import Grippers
@@ -56,8 +57,8 @@ def tensions(angle: float, friction: float, edges: int) -> tuple[float, float]:
     return np.linalg.norm(drawn), np.linalg.norm(held)
 
 
-if __name__ == "__main__":
-    for degrees in (90, 180, 360):
-        for friction in (0.1, 0.3, 0.5):
-            a, b = tensions(np.deg2rad(degrees), friction, max(40, degrees // 3))
-            print(degrees, friction, a, b, "ratio over e^(mu phi)", a / b / np.exp(friction * np.deg2rad(degrees)), flush=True)
+@pytest.mark.parametrize("degrees, friction", [(90, 0.1), (90, 0.5), (180, 0.3)])
+def test_the_tensions_are_apart_by_the_capstan_equation(degrees, friction):
+    drawn, held = tensions(np.deg2rad(degrees), friction, 60)
+    assert abs(held / HELD - 1.0) < 0.01
+    assert abs(drawn / held / np.exp(friction * np.deg2rad(degrees)) - 1.0) < 0.02

@@ -304,7 +304,7 @@ def _noise(rig, curve: np.ndarray, detected) -> tuple[float, float]:
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", ["vicryl", "silk"])
 def test_real_looking_images(laboratory, name):
-    """All of them, to a few hundredths of a millimetre."""
+    """All of them, to 0.040 mm, the largest of the mean errors that the paper reports (§V-E)."""
     folder = laboratory / "images_a"
     truth, rig = np.load(folder / "truth.npz"), load_rig(folder / "rig.yaml")
     theta = json.loads((laboratory / "lab_a" / "truth.json").read_text())[name]
@@ -317,7 +317,7 @@ def test_real_looking_images(laboratory, name):
     off = np.linalg.norm(found.vertices - vertices, axis=-1)
     curve = np.linalg.norm(found.vertices[:, :, None] - smooth_curve(vertices, 60)[:, None], axis=-1).min(axis=-1)
     print(f"{name}: vertex {off.mean():.3f} mm, worst set {off.mean(axis=1).max():.3f}, curve {curve.mean():.3f}")
-    assert (off.mean(axis=1) < 0.15).all() and off.mean() <= 0.08 and curve.mean() <= 0.03
+    assert (off.mean(axis=1) < 0.15).all() and off.mean() <= 0.040 and curve.mean() <= 0.03
     assert (found.verdict == PerceptionVerdict.CLEAR).all() and (found.status == Status.CONVERGED).all()
 
 

@@ -11,6 +11,7 @@ from doo_ti.vision.reprojection.distance_map import distance_maps
 from doo_ti.vision.reprojection.score import score
 from tests.vision.drawn_maps import curves, drawn_maps, three_cameras
 from tools.perception_study import mapped, photographed, recovered
+from tools.replication.images import PAPER_MM
 from tools.trials.perception import (
     Trial,
     crossings,
@@ -123,7 +124,7 @@ def test_the_lab(thread):
     print(f"{thread}: vertices off by {trial.vertex_error.mean():.3f}, worst set {trial.vertex_error.max():.3f} mm; from the "
           f"curve {trial.curve_error.mean():.3f}, worst {trial.curve_error.max():.3f} mm")
     assert trial.correct.all()
-    assert trial.vertex_error.mean() < 0.08 and trial.curve_error.mean() < 0.03 and trial.vertex_error.max() < 0.15
+    assert trial.vertex_error.mean() <= PAPER_MM[thread] and trial.curve_error.mean() < 0.03 and trial.vertex_error.max() < 0.15
 
 
 @pytest.mark.slow

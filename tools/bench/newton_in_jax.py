@@ -109,8 +109,8 @@ def rate(rods: Rods, bits: int, rounds: int = 3, derivatives: str = "explicit") 
     """
     with floats_of(bits):
         batches = batches_of(rods, bits)
-        seconds, program = timed(lambda: _compiled(batches[0], bits, derivatives))
-        runs = [timed(lambda: _run(program, batches, rods.count)) for _ in range(rounds)]
+        seconds, program = timed(lambda: compiled(batches[0], bits, derivatives))
+        runs = [timed(lambda: run(program, batches, rods.count)) for _ in range(rounds)]
     _, _, converged, iterations = runs[0][1]
     per_second = float(converged.sum() / median(run[0] for run in runs))
     return JaxRate(per_second, float(converged.mean()), float(iterations.mean()), seconds)
@@ -124,7 +124,7 @@ def relaxed(
     """
     with floats_of(bits):
         batches = batches_of(rods, bits)
-        frames, energy, converged, iterations = _run(_compiled(batches[0], bits, derivatives), batches, rods.count)
+        frames, energy, converged, iterations = run(compiled(batches[0], bits, derivatives), batches, rods.count)
     total = np.broadcast_to(rods.starts.rest_length.sum(axis=-1), rods.starts.count)
     height = rods.clamps.start_position @ UP * 2 * total
     energy = energy * rods.material.bend[rods.of_material, 0, 0, 0]
@@ -165,11 +165,11 @@ def _batch(rods: Rods, real: type) -> tuple[np.ndarray, "chain.Task"]:
     return frames, jax.tree.map(lambda array: array.astype(real), task)
 
 
-def _compiled(batch: tuple[np.ndarray, "chain.Task"], bits: int, derivatives: str):
+def compiled(batch: tuple[np.ndarray, "chain.Task"], bits: int, derivatives: str = "explicit"):
     return jax.jit(partial(_relaxation, bits, DERIVATIVES[derivatives])).lower(*batch).compile()
 
 
-def _run(program, batches: list, count: int) -> tuple[np.ndarray, ...]:
+def run(program, batches: list, count: int) -> tuple[np.ndarray, ...]:
     results = [program(*batch) for batch in batches]
     return tuple(np.concatenate([np.asarray(array) for array in column])[:count] for column in zip(*results, strict=True))
 

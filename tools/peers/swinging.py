@@ -1,14 +1,11 @@
 """MuJoCo beside `simulate`: the same rod, clamped at one end and released from the horizontal, at equal error of its tip.
 
-    pip install mujoco && python tools/bench/against_mujoco.py
-
 Each is compared with itself at its smallest step, so that what counts is how well a step of that length follows the motion,
 not how the two discretise the rod. MuJoCo's rod is a 1-D flex whose edges are held by equality constraints as stiff as its step
 allows. Times are processor seconds per simulated second and rod: of one rod in MuJoCo, of a batch here.
 """
 
 import resource
-import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -71,33 +68,25 @@ def seconds(run: Callable[[], np.ndarray], rounds: int = 3) -> float:
     return min(taken)
 
 
-def main() -> int:
-    try:
-        import mujoco
-    except ImportError:
-        print("mujoco is not installed: pip install mujoco")
-        return 1
-    print(f"MuJoCo {mujoco.__version__}; {EDGES} edges, one simulated second, root mean square error of the tip")
-    table = {}
+def table() -> list[str]:
+    """Error of the tip over processor time for several steps, and the ratio at equal error. Raises ImportError where MuJoCo is
+    absent."""
+    found, lines = {}, ["| simulator | step ms | tip, root mean square error mm | µs of processor a rod |", "|---" * 4 + "|"]
     for name, steps, tip, timed in (
-            ("MuJoCo, one rod", STEPS_THERE, there, lambda n: seconds(lambda: there(n))),
-            (f"here, {BATCH} rods f64", STEPS_HERE, here, lambda n: seconds(lambda: here(n, BATCH)) / BATCH),
-            (f"here, {BATCH} rods f32", STEPS_HERE, lambda n: here(n, 1, "f32"),
+            ("MuJoCo flex, one rod", STEPS_THERE, there, lambda n: seconds(lambda: there(n))),
+            (f"this package, f64, {BATCH} rods", STEPS_HERE, here, lambda n: seconds(lambda: here(n, BATCH)) / BATCH),
+            (f"this package, f32, {BATCH} rods", STEPS_HERE, lambda n: here(n, 1, "f32"),
              lambda n: seconds(lambda: here(n, BATCH, "f32")) / BATCH)):
         finest = tip(steps[-1]) if "f32" not in name else here(steps[-1])
         rows = [(1.0 / (FRAMES * n), np.sqrt(((tip(n) - finest) ** 2).sum(axis=1).mean()), timed(n)) for n in steps[:-1]]
-        table[name] = rows
-        for step, error, cost in rows:
-            print(f"  {name:<24}{1e3 * step:8.2f} ms  {error:8.3f} mm  {1e6 * cost:10.1f} µs of processor", flush=True)
-    reference = np.array(table["MuJoCo, one rod"])
-    for name, rows in list(table.items())[1:]:
+        found[name] = rows
+        lines += [f"| {name} | {1e3 * step:.2f} | {error:.3f} | {1e6 * cost:,.1f} |" for step, error, cost in rows]
+    (_, reference), *ours = found.items()
+    reference = np.array(sorted(reference, key=lambda row: row[1]))
+    lines.append("")
+    for name, rows in ours:
         for _, error, cost in rows:
-            if reference[:, 1].min() <= error <= reference[:, 1].max():
-                order = np.argsort(reference[:, 1])
-                equal = np.exp(np.interp(np.log(error), np.log(reference[order, 1]), np.log(reference[order, 2])))
-                print(f"  at {error:.2f} mm: {name} {equal / cost:.0f} times MuJoCo's rate")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+            if reference[0, 1] <= error <= reference[-1, 1]:
+                equal = np.exp(np.interp(np.log(error), np.log(reference[:, 1]), np.log(reference[:, 2])))
+                lines.append(f"- at {error:.2f} mm: {name}, {equal / cost:.0f} times MuJoCo's rate")
+    return lines

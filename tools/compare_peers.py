@@ -1,0 +1,126 @@
+"""Other simulators on the same rods, side by side in one run: pip install '.[peers]' && python tools/compare_peers.py [--quick]
+
+At rest: rods between two ends held by position and tangent (tools/peers/problem.py), each peer from the same start. In motion:
+a rod swings (tools/peers/swinging.py). Prints a table of each, and with ``--report FILE`` writes it. Peers that are not
+installed are listed as left out. Exit code 1 where MuJoCo is left out, and where at rest it is less than 3000 times slower, or
+closer to the reference.
+"""
+
+import argparse
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+if not __package__:
+    sys.path.insert(0, str(ROOT))
+
+from doo_ti.bench import clock  # noqa: E402
+from doo_ti.errors import InputError  # noqa: E402
+from doo_ti.io.files import write_text  # noqa: E402
+from doo_ti.relaxation.newton import Newton  # noqa: E402
+from tools.peers import flex, swinging, twins  # noqa: E402
+from tools.peers.problem import Problem, problem, strain  # noqa: E402
+
+LEAST_RATIO = 3000.0
+STEPS = (2e-3, 1e-3, 5e-4, 2e-4)
+"""s, of MuJoCo."""
+ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of the table at rest: µs of processor for each rod; the residual in the peer's own terms; the largest strain of an
+    edge; and mm from the references in f64, on the same mesh and on one 15 times finer."""
+
+    name: str
+    microseconds: float
+    residual: str
+    strain: float
+    same_mesh: float
+    continuum: float
+
+
+def here(task: Problem, precision: str) -> Row:
+    rods = twins.batch(task)
+    rods.relaxed(Newton(), precision)
+    taken = swinging.seconds(lambda: rods.relaxed(Newton(), precision), ROUNDS)
+    solution = rods.relaxed(Newton(), precision)
+    vertices = solution.configuration.vertices[: task.start.count]
+    return Row(f"this package, {precision}, {rods.count} rods", 1e6 * taken / rods.count,
+               f"{solution.residual.max():.0e}", strain(vertices), *task.apart(vertices))
+
+
+def jax_twin(task: Problem, bits: int) -> Row:
+    vertices, taken = twins.relaxed(task, bits)
+    return Row(f"the same Newton in JAX, f{bits}, {twins.COUNT} rods", 1e6 * taken / twins.COUNT, "", strain(vertices),
+               *task.apart(vertices))
+
+
+def mujoco(task: Problem, step: float) -> Row:
+    vertices, taken, speed = flex.settled(task, step)
+    return Row(f"MuJoCo flex, steps of {1e3 * step:g} ms, one rod", 1e6 * taken, f"{1e3 * speed:.0e} mm/s", strain(vertices),
+               *task.apart(vertices))
+
+
+def at_rest(quick: bool) -> tuple[list[Row], list[str]]:
+    """The rows, and the peers that are left out."""
+    task, rows, left_out = problem(), [], ["PyElastica (2·10⁵ explicit steps a simulated second), Newton: no adapter"]
+    rows += [here(task, precision) for precision in ("f32", "mixed", "f64")]
+    for name, make in (("JAX", [lambda bits=bits: jax_twin(task, bits) for bits in (32, 64)]),
+                       ("MuJoCo", [lambda step=step: mujoco(task, step) for step in (STEPS[:2] if quick else STEPS)])):
+        try:
+            for one in make:
+                rows.append(one())
+                print(rows[-1], file=sys.stderr, flush=True)
+        except (ImportError, InputError) as error:
+            left_out.append(f"{name}: {error}")
+    return rows, left_out
+
+
+def ratio(rows: list[Row]) -> float:
+    """How many times longer MuJoCo takes than this package in f32, at its fastest; 0 where any row of it is closer to the f64
+    reference on the same mesh, or it is left out."""
+    first, peers = rows[0], [row for row in rows if row.name.startswith("MuJoCo")]
+    sound = [row.microseconds / first.microseconds for row in peers if row.same_mesh >= first.same_mesh]
+    return min(sound) if sound and len(sound) == len(peers) else 0.0
+
+
+def table(rows: list[Row]) -> list[str]:
+    lines = ["| simulator | µs of processor a rod | residual | largest strain | from f64, same mesh, mm "
+             "| from the continuum, mm | times the first row |", "|---" * 7 + "|"]
+    for row in rows:
+        lines.append(f"| {row.name} | {row.microseconds:,.1f} | {row.residual} | {row.strain:.0e} | {row.same_mesh:.2g} "
+                     f"| {row.continuum:.2g} | {row.microseconds / rows[0].microseconds:,.0f} |")
+    return lines
+
+
+def main(words: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="two of MuJoCo's steps, without motion")
+    parser.add_argument("--report", type=Path, help="file for the tables, Markdown")
+    options = parser.parse_args(words)
+    machine = clock.machine()
+    rows, left_out = at_rest(options.quick)
+    found = ratio(rows)
+    lines = ["# Other simulators on the same rods", "", "Written by `python tools/compare_peers.py`, "
+             f"{machine['processor']}, {machine['cores']} cores. At rest:", "", *table(rows), "",
+             f"MuJoCo at its fastest takes {found:,.0f} times as long as this package in f32, all its rows being farther from "
+             "the f64 reference of the same mesh."
+             if found else "No ratio to MuJoCo: it is left out, or closer to the reference.",
+             "", "MuJoCo has no static solver: its rod moves, damped, until no vertex is faster than 0.01 mm/s. Here and in "
+             "JAX the time is that of a batch, over its rods.", "",
+             "The distance from the continuum is the error of the 3 mm mesh, the same for all but where a stretch of edges "
+             "happens to cancel some of it.", "",
+             *(f"Left out: {one}." for one in left_out)]
+    if not options.quick:
+        lines += ["", "In motion:", "", *swinging.table()]
+    text = "\n".join(lines) + "\n"
+    print(text)
+    if options.report:
+        write_text(options.report, text)
+    return int(found < LEAST_RATIO)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

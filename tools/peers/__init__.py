@@ -1,0 +1,1 @@
+"""Other simulators of rods beside this package, on the same rods."""
