@@ -16,6 +16,7 @@ from doo_ti import (
     ClampPath,
     Clamps,
     Configuration,
+    Contacts,
     Cylinder,
     Descent,
     Detection,
@@ -89,6 +90,7 @@ from doo_ti import (
     identify,
     identify_from_guesses,
     load_observations,
+    load_obstacles,
     load_path,
     load_rig,
     load_theta,
@@ -124,7 +126,8 @@ def relaxed(observations: Observations) -> Solution:
     about: list[Obstacle] = [
         Plane((0, 0, -20), (0, 0, 1), friction=0.3), Sphere((10, 0, -5), 2.0), Capsule((0, -9, -9), (0, 9, -9), 2.0),
         Cylinder((0, -9, -9), (0, 9, -9), 2.0), Box((0, 0, -40), (9, 9, 9)), Ring((0, 0, -9), (1, 0, 0), 9.0, 1.0)]
-    relax(start, material, clamps, obstacles=about, radius=0.5)
+    contact: Contacts = relax(start, material, clamps, obstacles=[*about, *load_obstacles("table.toml")], radius=0.5).contact
+    assert_type(contact.gap, np.ndarray)
     relax(start, Material.diagonal(1e5, 2e5, 1e5), clamps, Descent(), external=Springs(np.zeros((1, 9, 3)), np.zeros((1, 9))))
     best = choose_hypothesis(index, distance(solution.configuration, observations, index), solution.converged)
     assert_type(solution.configuration.curvature, np.ndarray)

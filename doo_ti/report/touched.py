@@ -10,7 +10,7 @@ from doo_ti.contact.meshes import mesh
 from doo_ti.contact.surroundings import Surroundings
 
 OBSTACLE, FORCE = "#d3d7de", "#1d4ed8"
-LONG, MOST_SHORTER = 0.1, 0.95
+LONG, MOST_SHORTER = 0.2, 0.95
 """Of the size of the scene: the length of an arrow; that share of all forces has shorter ones."""
 
 
