@@ -1,6 +1,5 @@
 """Where rods go when their clamps are moved (§III-D)."""
 
-import hashlib
 from argparse import Namespace
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,19 +8,18 @@ import numpy as np
 
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
+from doo_ti.commands.drawn_predictions import draw_prediction
 from doo_ti.commands.moving_rods import add_dynamic, curved, is_dynamic, losses, stepping
 from doo_ti.commands.results import RODS, contact_lines, contact_summary, counted, report, save_arrays, shortened
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
-from doo_ti.frames import matrix_from_quaternion
-from doo_ti.io.files import write_whole
 from doo_ti.io.motion_file import ClampPath, load_path
 from doo_ti.io.observations import Observations
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.learning.objective import status_counts
 from doo_ti.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.terminal import in_line, progress, warn
-from doo_ti.types import Clamp, Clamps, Configuration, Material
+from doo_ti.types import Clamps, Configuration, Material
 
 MOST_LISTED = 30
 LEAST_DEGREES, MOST_DEGREES = 1e-3, 30.0
@@ -111,7 +109,8 @@ def run(options: Namespace, words: list[str]) -> int:
     for path in filter(None, pictures.values()):
         path.parent.mkdir(parents=True, exist_ok=True)
     save_arrays(out, result, ("moment", "rod"))
-    _draw(task, prediction, result, pictures)
+    if any(pictures.values()):
+        draw_prediction(task, prediction, result, pictures, _lines(task, prediction, result))
     report(options, _summary(task, prediction, result, out),
            lambda: [*_lines(task, prediction, result), *task.loaded, f"  written to {in_line(out)}"])
     return 0 if prediction.followed[-1].any() else 1
@@ -277,39 +276,6 @@ def _arrays(task: _Task, prediction) -> dict[str, np.ndarray]:
         "total_twist_deg": np.degrees(prediction.total_twist), "end_rotation_deg": np.degrees(prediction.end_rotation),
         "observation": prediction.motion, "rest_length_mm": prediction.rest_length, **per_material,
     }
-
-
-def _draw(task: _Task, prediction, result: dict, pictures: dict) -> None:
-    if not any(pictures.values()):
-        return
-    from doo_ti.report import MovingRods, motions_picture
-
-    marks = None if task.marks is None else task.marks[prediction.motion]
-    rods = MovingRods(prediction.time, result["vertices_mm"], task.names, prediction.jumps, prediction.followed, task.up,
-                      _gripper_lines(task, prediction, result["vertices_mm"]), marks)
-    if pictures[".png"] is not None:
-        write_whole(pictures[".png"], lambda file: motions_picture(file, rods, title=task.name))
-    if pictures[".rrd"] is not None:
-        from doo_ti.record import record_motion
-
-        curves = {"Energy [mm²]": prediction.energy, "Total twist [°]": result["total_twist_deg"],
-                  "Force at the far clamp [mm]": np.linalg.norm(prediction.end_force, axis=-1)}
-        record_motion(pictures[".rrd"], run_id=hashlib.sha256(rods.vertices.tobytes()).hexdigest()[:32], name=task.name,
-                      rods=rods, curves=curves,
-                      text="\n\n".join(line.strip() for line in _lines(task, prediction, result)))
-
-
-def _gripper_lines(task: _Task, prediction, vertices: np.ndarray) -> np.ndarray:
-    """(T, R, 4, 2, 3) mm: at each end the edge that is held, and a bar across it along m1; NaN where an end is free."""
-    lines = np.full((*vertices.shape[:2], 4, 2, 3), np.nan)
-    half = 0.02 * prediction.rest_length.sum()
-    for first, edge, kind in ((0, 0, task.clamps.start), (2, -1, task.clamps.end)):
-        held = np.broadcast_to(np.asarray(kind) > Clamp.FREE, len(task.clamps.start_position))[prediction.motion]
-        place = vertices[:, :, edge]
-        across = half * matrix_from_quaternion(prediction.quaternions[:, :, edge])[..., 1]
-        lines[:, held, first] = vertices[:, held][:, :, (0, 1) if edge == 0 else (-2, -1)]
-        lines[:, held, first + 1] = np.stack([place - across, place + across], axis=2)[:, held]
-    return lines
 
 
 def _lines(task: _Task, prediction, result: dict) -> list[str]:

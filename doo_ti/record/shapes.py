@@ -7,6 +7,7 @@ import numpy as np
 import rerun
 import rerun.blueprint as blueprint
 
+from doo_ti.record.obstacles import log_forces, log_obstacles
 from doo_ti.record.stream import FAILED, OBSERVED, drawn_strips, entity_name, log_up, log_view, panels, recording, space_view
 from doo_ti.report import MovingRods, Ribbons, distinct_colors
 
@@ -30,6 +31,9 @@ def record_motion(path, *, run_id: str, name: str, rods: MovingRods, curves: dic
         stream.log("world/rods", rerun.LineStrips3D.from_fields(
             radii=rerun.Radius.ui_points(2.0), labels=rods.names, show_labels=count <= MOST_CURVES), static=True)
         _log_held(stream, rods, when)
+        if rods.touched is not None:
+            log_obstacles(stream, "world/obstacles", rods.touched, np.zeros((1, 3)))
+            log_forces(stream, "world/forces", when, rods.touched, np.zeros((count, 3)))
         own = distinct_colors(count)
         colors = np.where(rods.sound[..., None], own, np.uint8(FAILED)).astype(np.uint8)
         stream.send_columns("world/rods", when, rerun.LineStrips3D.columns(
@@ -67,7 +71,8 @@ def _motion_layout(rods: MovingRods, titles: list[str]) -> blueprint.Blueprint:
     low, high = np.nanmin(rods.vertices, axis=(0, 1, 2)), np.nanmax(rods.vertices, axis=(0, 1, 2))
     middle, size = 0.5 * (low + high), max(np.linalg.norm(high - low), 1.0)
     _, into, up = rods.basis
-    view = space_view("Rods, mm; grey: grippers, white: observed marks", "world",
+    blue = "" if rods.touched is None else f"; blue: {rods.touched.legend}"
+    view = space_view(f"Rods, mm; grey: grippers, white: observed marks{blue}", "world",
                       (middle - 0.8 * size * (into - 0.3 * up), middle, up))
     # The same colours everywhere: one legend, that of the first plot.
     plots = [blueprint.TimeSeriesView(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.report.canvas import literal, new_figure, save_figure
+from doo_ti.report.touched import Touched
 
 MOST_RODS, COLUMNS = 12, 4
 SHOWN = 9
@@ -28,6 +29,7 @@ class MovingRods:
     up        (3,) direction against gravity
     grippers  (T, R, lines, points, 3) mm: lines that show how the ends are held; None: not drawn
     marks     (R, V, 3) mm: what was observed of the rods at the start, NaN where missing; None where nothing was
+    touched   obstacles around the rods, and the forces of contact; None without obstacles
     """
 
     time: np.ndarray
@@ -38,6 +40,7 @@ class MovingRods:
     up: np.ndarray = (0.0, 0.0, 1.0)
     grippers: np.ndarray | None = None
     marks: np.ndarray | None = None
+    touched: Touched | None = None
 
     @property
     def basis(self) -> np.ndarray:
@@ -72,6 +75,8 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
                 continue
             axes.set(xlim=limits[row][0], ylim=limits[row][1])
             _draw_moments(axes, vertices[:, rod] @ view.T, time, moments, np.flatnonzero(jumps[:, rod]))
+            if rods.touched is not None:
+                rods.touched.draw(axes, rod, view, [len(time) - 1])
             axes.set_aspect("equal")
             axes.grid(alpha=0.2)
             if column == 0:
@@ -83,7 +88,8 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
     figure.colorbar(_time_scale(time), ax=list(panels.ravel()), pad=0.01, aspect=40).set_label("time [s]", fontsize=10)
     more = f" ({len(rods.names) - shown} more are not drawn)" if len(rods.names) > shown else ""
     red = "\nred: before a jump (dashed) and after it" if jumps.any() else ""
-    figure.suptitle(f"{literal(title)}{more}{red}", fontsize=12)
+    blue = "" if rods.touched is None else f"\nblue: {rods.touched.legend}, at the end"
+    figure.suptitle(f"{literal(title)}{more}{red}{blue}", fontsize=12)
     save_figure(figure, path_or_buffer)
 
 

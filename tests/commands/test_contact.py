@@ -30,10 +30,13 @@ start_position_mm = [-20, 0, 20]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Rods held 10 mm above a table, the last of them below it; the table, without friction and with it; a motion."""
+    """Rods held 10 and 60 mm above a table, one below it, and one that goes through it; the table, without friction and with
+    it; a motion."""
     folder = tmp_path_factory.mktemp("contact")
     x = np.linspace(0, 100, 11)
     rods = np.stack([np.stack([x, 0 * x, height + 0 * x], axis=1) for height in (10.0, 60.0, -10.0)])
+    steep = np.array([10.0, 10, 6, 1, -4, -9, -14, -19, -24, -29, -34])
+    rods = np.concatenate([rods, np.stack([np.cumsum(np.r_[0, 10, np.full(9, 8.7)]), 0 * x, steep], axis=1)[None]])
     save_observations(folder / "rods.npz", Observations(rods, rest_length=np.full(10, 10.0)))
     save_observations(folder / "low.npz", Observations(rods[:1], rest_length=np.full(10, 10.0)))
     (folder / "table.toml").write_text(PLANE)
@@ -51,28 +54,28 @@ def written(path):
 def test_relax_writes_forces_and_gaps_and_counts_infeasible_rods(folder, tmp_path, capsys):
     words = ["relax", str(folder / "rods.npz"), *MATERIAL, "--obstacles", str(folder / "table.toml"), "--radius", "2"]
     assert main([*words, "--out", str(tmp_path / "f.npz")]) == 0
-    assert "contact     1 of 3 rods touch an obstacle; smallest gap " in (printed := capsys.readouterr().out)
-    assert "mm; 1 infeasible" in printed and "2 converged, 1 infeasible" in printed
+    assert "contact     1 of 4 rods touch an obstacle; smallest gap " in (printed := capsys.readouterr().out)
+    assert "mm; 2 infeasible" in printed and "2 converged, 2 infeasible" in printed
     found = written(tmp_path / "f.npz")
-    assert found["contact_force"].shape == (3, 11, 3) and found["status"].tolist() == [0, 0, 4]
+    assert found["contact_force"].shape == (4, 11, 3) and found["status"].tolist() == [0, 0, 4, 4]
     assert found["contact_force"][0, :, 2].max() > 1 and not found["contact_force"][1:].any()
     assert abs(found["smallest_gap_mm"][0]) < 5e-4 and found["smallest_gap_mm"][1] > 10
     assert main([*words, "--out", str(tmp_path / "f.npz"), "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)["contact"]
-    assert summary["touching"] == 1 and summary["infeasible"] == 1 and abs(summary["smallest_gap_mm"]) < 5e-4
+    assert summary["touching"] == 1 and summary["infeasible"] == 2 and abs(summary["smallest_gap_mm"]) < 5e-4
 
 
 def test_a_radius_above_the_length_of_an_edge_is_allowed(folder, tmp_path):
     words = ["relax", str(folder / "rods.npz"), *MATERIAL, "--obstacles", str(folder / "table.toml"), "--radius", "15"]
     assert main([*words, "--out", str(tmp_path / "f.npz")]) == 0
-    assert written(tmp_path / "f.npz")["status"].tolist() == [4, 0, 4]  # clamps 10 mm above the table are too low
+    assert written(tmp_path / "f.npz")["status"].tolist() == [4, 0, 4, 4]  # clamps 10 mm above the table are too low
 
 
 @pytest.mark.parametrize("table", ["table.toml", "rough.toml"])
 def test_predict_carries_rods_over_a_table(folder, tmp_path, capsys, table):
     words = ["predict", str(folder / "low.npz"), "--motion", str(folder / "move.npz"), *MATERIAL, "--obstacles",
              str(folder / table), "--radius", "2", "--out", str(tmp_path / "f.npz")]
-    assert main(words) == 0
+    assert main([*words, "--picture", str(tmp_path / "f.png"), "--recording", str(tmp_path / "f.rrd")]) == 0
     printed = capsys.readouterr().out
     assert "contact     1 of 1 rods touch" in printed and ("with friction" in printed) == (table == "rough.toml")
     found = written(tmp_path / "f.npz")
