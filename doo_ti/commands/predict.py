@@ -151,7 +151,8 @@ def _with_friction(task: _Task, sub_step: float) -> _Task:
     motions = len(task.clamps.start_position)
     parts = [motion_between(task.path.at(k, task.clamps), task.path.at(k + 1, task.clamps), task.path.rotation(k, motions))
              for k in range(task.path.moments - 1)]
-    needed = max(part.needed_steps(task.start.rest_length, sub_step).max() for part in parts) / task.between
+    needed = max(np.maximum(part.needed_steps(task.start.rest_length, sub_step),
+                            task.surroundings.steps_for(part.start_shift)).max() for part in parts) / task.between
     stepping = Stepping(1.0, int(np.clip(np.ceil(needed), 1, MOST_STEPS)), "euler", quasi_static=True)
     return replace(task, dynamics=Dynamics(density=1.0), stepping=stepping)
 

@@ -9,6 +9,8 @@ from doo_ti.contact.obstacles import Obstacle
 
 PLACES = 8
 """Of an edge, both ends included, at which its gap is measured."""
+SHALLOW, MOST_STEPS = 0.5, 10_000
+"""Of a radius; and the most steps that are taken for it."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,14 @@ class Surroundings:
         """Those of the rods ``rows``."""
         radius = self.radius if np.size(self.radius) < 2 else np.asarray(self.radius)[rows]
         return Surroundings([obstacle.take(rows) for obstacle in self.obstacles], radius)
+
+    def steps_for(self, shift: np.ndarray | None) -> np.ndarray | int:
+        """(N,) steps in which clamps are to move by ``shift`` (N, 3) mm: a step begins with the rods as they were, moved with the
+        first clamp, and none of them may be inside an obstacle then by more than :data:`SHALLOW`."""
+        if not self or shift is None:
+            return 1
+        steps = np.ceil(np.linalg.norm(shift, axis=-1) / (SHALLOW * np.min(self.radius)))
+        return np.minimum(steps, MOST_STEPS).astype(np.int64)
 
     def smallest_gap(self, vertices: np.ndarray) -> np.ndarray:
         """(R,) mm between the surface of each rod (R, V, 3) and the nearest obstacle, the least along the rod, measured at

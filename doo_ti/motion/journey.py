@@ -49,6 +49,7 @@ class Journey:
     def sub_steps(self) -> np.ndarray:
         """(N,) of each motion: powers of two, so that few different numbers occur; motions of equal number run together."""
         need = np.maximum(self.motion.needed_steps(self.rest_length, self.sub_step), FEWEST_STEPS)
+        need = np.maximum(need, self.surroundings.steps_for(self.motion.start_shift))
         return 2 ** np.ceil(np.log2(need)).astype(np.int64)
 
     def end(self, begin: Configuration, watch: bool = True) -> tuple[Solution, np.ndarray]:

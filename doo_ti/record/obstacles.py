@@ -11,7 +11,7 @@ OBSTACLE, FORCE = (130, 138, 150, 255), (110, 160, 255)
 def log_obstacles(stream, entity: str, touched: Touched, offset: np.ndarray) -> None:
     """The obstacles around each rod, moved by the rod's ``offset`` (R, 3), below ``entity``."""
     for row, move in enumerate(offset):
-        for number, (vertices, triangles, normals) in enumerate(touched.meshes(row)):
+        for number, (_, vertices, triangles, normals) in enumerate(touched.meshes(row)):
             corners = vertices[triangles].reshape(-1, 3) + move
             stream.log(f"{entity}/{row}/{number}", rerun.Mesh3D(
                 vertex_positions=corners, vertex_normals=np.repeat(normals, 3, axis=0), albedo_factor=OBSTACLE), static=True)

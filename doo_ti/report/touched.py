@@ -7,9 +7,10 @@ from functools import cached_property
 import numpy as np
 
 from doo_ti.contact.meshes import mesh
+from doo_ti.contact.obstacles import PLANE
 from doo_ti.contact.surroundings import Surroundings
 
-OBSTACLE, FORCE = "#d3d7de", "#1d4ed8"
+PLANE_COLOR, OBSTACLE, FORCE = "#eceef2", "#c9ced8", "#1d4ed8"
 LONG, MOST_SHORTER = 0.2, 0.95
 """Of the size of the scene: the length of an arrow; that share of all forces has shorter ones."""
 
@@ -33,11 +34,13 @@ class Touched:
         low, high = np.nanmin(self.positions, axis=(0, 1, 2)), np.nanmax(self.positions, axis=(0, 1, 2))
         return 0.5 * (low + high), float(np.linalg.norm(high - low))
 
-    def meshes(self, row: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Vertices (N, 3), triangles (M, 3) and their outward normals (M, 3) of each obstacle around the rod ``row``."""
-        for obstacle in self.surroundings.take(np.array([row])).obstacles:
+    def meshes(self, row: int) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+        """Kind, vertices (N, 3), triangles (M, 3) and their outward normals (M, 3) of each obstacle around the rod ``row``,
+        planes first."""
+        obstacles = self.surroundings.take(np.array([row])).obstacles
+        for obstacle in sorted(obstacles, key=lambda one: one.kind != PLANE):
             vertices, triangles = mesh(obstacle, 0, *self._box)
-            yield vertices, triangles, obstacle.distance(vertices[triangles].mean(axis=1)[None])[1][0]
+            yield obstacle.kind, vertices, triangles, obstacle.distance(vertices[triangles].mean(axis=1)[None])[1][0]
 
     @cached_property
     def arrow_scale(self) -> float:
@@ -65,8 +68,9 @@ class Touched:
         from matplotlib.collections import PolyCollection
 
         limits = plot.axis()
-        for vertices, triangles, _ in self.meshes(row):
-            plot.add_collection(PolyCollection((vertices @ view.T)[triangles], facecolors=OBSTACLE, edgecolors=OBSTACLE,
+        for kind, vertices, triangles, _ in self.meshes(row):
+            color = PLANE_COLOR if kind == PLANE else OBSTACLE
+            plot.add_collection(PolyCollection((vertices @ view.T)[triangles], facecolors=color, edgecolors=color,
                                                linewidths=0.8, zorder=0), autolim=False)
         plot.axis(limits)
         for frame in frames:

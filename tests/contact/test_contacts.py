@@ -1,0 +1,70 @@
+"""What solutions and predictions say of contact."""
+
+import numpy as np
+import pytest
+
+from doo_ti import Clamp, Clamps, Configuration, Material, Newton, Plane, predict, relax
+from doo_ti.io.motion_file import ClampPath
+from doo_ti.types import Solution
+
+TABLE, RADIUS = Plane((0, 0, 0), (0, 0, 1)), 2.0
+
+
+def held(heights) -> tuple[Configuration, Clamps]:
+    """Rods of 200 mm, held horizontally at these heights by one end."""
+    rods = Configuration.concatenate([
+        Configuration.straight(np.array([0.0, 0.0, height]), np.array([1.0, 0.0, 0.0]), 200.0, 20) for height in heights])
+    frames = rods.frames
+    return rods, Clamps(Clamp.FRAME, Clamp.FREE, rods.start, rods.vertices[:, -1], frames[:, 0], frames[:, -1])
+
+
+@pytest.fixture(scope="module")
+def solution():
+    rods, clamps = held([20.0, 500.0, -20.0])
+    return relax(rods, Material(6e5, 6e5), clamps, obstacles=[TABLE], radius=RADIUS)
+
+
+def test_forces_gaps_and_touching_vertices(solution):
+    contact = solution.contact
+    assert solution.status.tolist() == [0, 0, 4]
+    assert contact.force.shape == (3, 21, 3) and (contact.force == solution.contact_force).all()
+    assert contact.touching[0].sum() > 3 and not contact.touching[1].any()
+    assert abs(contact.gap[0]) < 2.1e-4 * RADIUS and contact.gap[1] > 100
+    lying = contact.force[0, contact.touching[0], 2].sum()
+    assert 0 < lying < 2.0 * 200.0, "the table bears a part of the weight"
+
+
+def test_solutions_without_obstacles_have_no_contact(solution):
+    rods, clamps = held([20.0])
+    alone = relax(rods, Material(6e5, 6e5), clamps)
+    assert alone.contact is None and alone.contact_force is None and alone.take([0]).contact_force is None
+    assert solution.take([0]).contact is None, "its obstacles are not kept"
+
+
+def test_forces_follow_their_rods(solution):
+    both = Solution.concatenate([solution.take([1, 0]), solution.take([0])])
+    assert (both.contact_force == solution.contact_force[[1, 0, 0]]).all()
+
+
+def test_relaxing_again_leaves_the_first_solution_as_it_was(solution):
+    before = solution.contact_force.copy()
+    softer = relax(solution, Material(3e5, 3e5), None, Newton())
+    assert softer.converged[0] and (softer.contact_force[0] != before[0]).any()
+    assert (solution.contact_force == before).all()
+
+
+def test_out_of_reach_of_obstacles_rods_are_as_without():
+    rods, clamps = held([900.0, 950.0])
+    far, alone = (relax(rods, Material(6e5, 6e5), clamps, **more) for more in ({"obstacles": [TABLE], "radius": 1.0}, {}))
+    assert (far.configuration.quaternions == alone.configuration.quaternions).all() and not far.contact.touching.any()
+
+
+def test_each_rod_has_its_own_obstacles_along_a_path():
+    rods, clamps = held([20.0, 20.0])
+    tables = Plane([[0, 0, 0], [0, 0, -30]], [[0, 0, 1], [0, 0, 1]])
+    places = np.array([[0.0, 0, 20], [0, 0, 10]])[:, None]
+    path = ClampPath(np.array([0.0, 1.0]), places, None, None, None, None, source="lowered")
+    found = predict(rods, Material(6e5, 6e5), clamps, path, precision="f64", obstacles=[tables], radius=[2.0, 3.0])
+    assert found.followed.all() and found.contact_force.shape == (2, 2, 21, 3)
+    lowest = found.vertices[..., 2].min(axis=-1)
+    assert lowest == pytest.approx(np.array([[2.0, -27.0]] * 2), abs=1e-3)
