@@ -43,8 +43,8 @@ class Surroundings:
         return Surroundings([obstacle.take(rows) for obstacle in self.obstacles], radius)
 
     def steps_for(self, shift: np.ndarray | None) -> np.ndarray | int:
-        """(N,) steps in which clamps are to move by ``shift`` (N, 3) mm: a step begins with the rods as they were, moved with the
-        first clamp, and none of them may be inside an obstacle then by more than :data:`SHALLOW`."""
+        """(N,) steps in which clamps are to move by ``shift`` (N, 3) mm: a step begins with the rods as they were, moved with
+        the first clamp, and none of them may be inside an obstacle then by more than :data:`SHALLOW`."""
         if not self or shift is None:
             return 1
         steps = np.ceil(np.linalg.norm(shift, axis=-1) / (SHALLOW * np.min(self.radius)))

@@ -290,7 +290,8 @@ class _Motion:
 
         def launch(first: int, last: int, every: int):
             path = self.path(slice(first, last))
-            return make_steps(table, memory, path, numbers, shares, time, every, _newton(), bits, slopes)
+            newton = _newton(self.stepping.quasi_static)
+            return make_steps(table, memory, path, numbers, shares, time, every, newton, bits, slopes)
 
         account = None
         if self.stepping.detailed:
@@ -343,9 +344,10 @@ def _joined(parts: list[np.ndarray]) -> np.ndarray:
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
 
-def _newton() -> Newton:
-    """Of a time step: from where the rod would go by itself, undamped, and never off a saddle."""
-    return Newton(first_shift=0.0, max_escapes=0)
+def _newton(quasi_static: bool = False) -> Newton:
+    """Of a time step: from where the rod would go by itself, undamped, and never off a saddle, unless nothing but its energy
+    decides where it goes."""
+    return Newton(first_shift=0.0) if quasi_static else Newton(first_shift=0.0, max_escapes=0)
 
 
 def _memory(frames, x, v, a, table: Tables, h: float, status) -> Memory:

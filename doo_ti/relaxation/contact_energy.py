@@ -38,13 +38,15 @@ from doo_ti.relaxation.contact_layout import (
     HEAD,
     LOADED,
     NORMAL,
-    NORMAL_BETWEEN,
     OFFSET,
     PHASE,
     PLACE_BETWEEN,
     RADIUS,
     ROOM,
     ROUGH,
+    RUBBED_NORMAL,
+    RUBBED_NORMAL_BETWEEN,
+    RUBBED_PLACE,
     SAG,
     SAGGING,
     STIFFNESS,
@@ -227,7 +229,8 @@ class ContactEnergy(ContactPlaces):
         self.add(rod, GRADIENT, pull + pull)
         self.add(rod, CURVATURES, k + full(k) + k)
         if ti.static(self.rub):
-            rubbed = self.rubbed(rod, o, contact, FORCE, FRICTION, normal, self.moved(rod, at))
+            across = self.load3(rod.scratch, contact + RUBBED_NORMAL * self.stride)
+            rubbed = self.rubbed(rod, o, contact, FORCE, FRICTION, across, self.moved(rod, at))
             self.add(rod, ENERGY, (rubbed.energy, dot(rubbed.pull, rubbed.pull) / self.item(rod, STIFFNESS)))
             self.add(rod, GRADIENT, rubbed.pull + rubbed.pull)
             self.add(rod, CURVATURES, rubbed.stiffness + full(rubbed.stiffness) + rubbed.stiffness)
@@ -235,16 +238,13 @@ class ContactEnergy(ContactPlaces):
     @ti.func
     def rub_between(self, rod, o, at, before, contact):
         """Add the friction at the nearest point of an edge in the lanes where rounds have it."""
-        counts = rod.scratch[contact + ACTIVE * self.stride] > 0.5
-        zero = 0.0 * rod.total
-        place = rod.scratch[contact + PLACE_BETWEEN * self.stride]
-        s = ti.select(counts, place, zero)
+        counts, zero = rod.scratch[contact + ACTIVE * self.stride] > 0.5, 0.0 * rod.total
+        s = rod.scratch[contact + RUBBED_PLACE * self.stride]
         u = plus(scaled(self.moved(rod, before), 1.0 - s), scaled(self.moved(rod, at), s))
-        away = chosen(counts, self.load3(rod.scratch, contact + NORMAL_BETWEEN * self.stride), repeated(zero, 3))
+        away = self.load3(rod.scratch, contact + RUBBED_NORMAL_BETWEEN * self.stride)
         rubbed = self.rubbed(rod, o, contact, FORCE_BETWEEN, FRICTION_BETWEEN, away, u)
-        share = ti.select(counts, zero + 1.0, zero)
-        pull, bent = scaled(rubbed.pull, share), scaled(rubbed.stiffness, share)
-        self.add(rod, ENERGY, (share * rubbed.energy, dot(pull, pull) / self.item(rod, STIFFNESS)))
+        pull, bent = chosen(counts, rubbed.pull, repeated(zero, 3)), chosen(counts, rubbed.stiffness, repeated(zero, 6))
+        self.add(rod, ENERGY, (ti.select(counts, rubbed.energy, zero), dot(pull, pull) / self.item(rod, STIFFNESS)))
         self.add(rod, GRADIENT, pull + scaled(pull, s))
         self.add(rod, CURVATURES, bent + scaled(full(bent), s) + scaled(bent, s * s))
 

@@ -5,15 +5,16 @@ from doo_ti.physics.tuples import picked
 
 # Items of a rod: its radius, κ, the tolerance of its gaps, by how much the last round changed a gap, and its phase; of the
 # barrier what it adds to gaps, its strength μ and how many strengths it has had; how close to an obstacle a vertex is where
-# more than its φ counts; κ as it was at first; and the work that friction has done. The obstacles follow.
+# more than its φ counts; κ as it was at first; the work that friction has done; one where a step is tried for the second time;
+# and μ as it was at first. The obstacles follow.
 RADIUS, STIFFNESS, TOLERANCE, CHANGE, PHASE, OFFSET, STRENGTH, STAGE, REACH = 0, 1, 2, 3, 4, 5, 6, 7, 8
-FIRST_STIFFNESS, WORK = 9, 10
+FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH = 9, 10, 11, 12
 # And sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts and
 # its magnitude; the square of the largest share of its way to the middle of an obstacle that a vertex has made in this step;
 # the least φ, the least gap where clamps hold a vertex and where none does; and of one edge the derivatives of its contacts'
 # energy, as :meth:`.LoadedElimination.load` returns them.
-ENERGY, MAGNITUDE, CROSSING, DEEPEST, PINCHED, CLOSEST = 11, 12, 13, 14, 15, 16
-GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, HEAD = 17, 20, 23, 29, 38, 44
+ENERGY, MAGNITUDE, CROSSING, DEEPEST, PINCHED, CLOSEST = 13, 14, 15, 16, 17, 18
+GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, HEAD = 19, 22, 25, 31, 40, 46
 # Phases of a rod: it has just been loaded; a barrier keeps it away from obstacles, which finds out where it will touch them;
 # rounds to a rough tolerance of its moments; rounds to the final one.
 LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0
@@ -21,13 +22,15 @@ LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0
 # obstacle; both also from before the step; the forces on that edge's end and on its start; and of a motion the place at the
 # instant before. Its contacts follow.
 PLACE, STANDING, ROOM, ROOM_STANDING, FORCE_END, FORCE_START, PREVIOUS, VERTEX_ITEMS = 0, 3, 6, 7, 8, 11, 14, 17
-# Items of the contact of a vertex and the edge that ends there with an obstacle: λ of both, and the friction on both; of the
-# vertex φ, its normal and ∇∇φ; of the edge the nearest point s, φ* and its normal, and the weight of its contact; by how much
-# it is nearer there than at its ends; and one where rounds have that contact.
-FORCE, FORCE_BETWEEN, FRICTION, FRICTION_BETWEEN = 0, 1, 2, 5
-VALUE, NORMAL, CURVATURE, PLACE_BETWEEN, VALUE_BETWEEN, NORMAL_BETWEEN, WEIGHT, SAGGING, ACTIVE, CONTACT_ITEMS = (
-    8, 9, 12, 18, 19, 20, 23, 24, 25, 26)
-REMEMBERED, REMEMBERED_IN_MOTION = 2, 8
+# Items of the contact of a vertex and the edge that ends there with an obstacle: λ of both, and the friction on both; for
+# friction, where a round does not change them, the normal at the vertex, the place on the edge and the normal there; one where
+# rounds have the contact of the edge; of the vertex φ, its normal and ∇∇φ; of the edge the nearest point s, φ* and its normal,
+# the weight of its contact, and by how much it is nearer there than at its ends.
+FORCE, FORCE_BETWEEN, FRICTION, FRICTION_BETWEEN, RUBBED_NORMAL, RUBBED_PLACE, RUBBED_NORMAL_BETWEEN, ACTIVE = (
+    0, 1, 2, 5, 8, 11, 12, 15)
+VALUE, NORMAL, CURVATURE, PLACE_BETWEEN, VALUE_BETWEEN, NORMAL_BETWEEN, WEIGHT, SAGGING, CONTACT_ITEMS = (
+    16, 17, 20, 26, 27, 28, 31, 32, 33)
+REMEMBERED, REMEMBERED_IN_MOTION = 2, 16
 """Items of a contact that last from one relaxation to the next, and from one step to the next."""
 
 SEARCHES = 5

@@ -2,31 +2,21 @@
 
 import taichi as ti
 
-from doo_ti.contact.obstacles import DEPTH, OBSTACLE_COLUMNS, SIZES
 from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.tuples import chosen, dot, minus, plus, repeated, scaled
-from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_energy import ContactEnergy
 from doo_ti.relaxation.contact_layout import (
     ACTIVE,
     APPROACH,
     BARRIER,
-    BARRIER_SHARE,
-    BENDING_LOADS,
     CHANGE,
-    CLOSE,
     CLOSEST,
-    CONTACT_ITEMS,
     FINE,
     FIRST_STIFFNESS,
     FORCE,
     FORCE_BETWEEN,
-    FORCE_END,
-    FORCE_START,
     FRICTION,
     FRICTION_BETWEEN,
-    HEAD,
-    INERT,
     LEAST_OFFSET,
     LOADED,
     NEAR_ENOUGH,
@@ -36,18 +26,19 @@ from doo_ti.relaxation.contact_layout import (
     PHASE,
     PLACE,
     PLACE_BETWEEN,
-    PREVIOUS,
     RADIUS,
     ROOM,
     ROOM_STANDING,
     ROUGH,
     ROUGHER,
     ROUGHEST,
+    RUBBED_NORMAL,
+    RUBBED_NORMAL_BETWEEN,
+    RUBBED_PLACE,
     SAGGING,
     SECANT,
     SLACK,
     SLOW,
-    SOFT,
     STAGE,
     STAGES,
     STANDING,
@@ -57,16 +48,14 @@ from doo_ti.relaxation.contact_layout import (
     TOLERANCE,
     VALUE,
     VALUE_BETWEEN,
-    VERTEX_ITEMS,
     WEAKER,
     WEIGHT,
-    WORK,
 )
 
 
 @ti.data_oriented
-class Contacts(ContactEnergy):
-    """The contacts with their steps, their rounds and their way into scratch and out of it."""
+class ContactRounds(ContactEnergy):
+    """The contacts with their steps and their rounds."""
 
     # --- steps ---
 
@@ -203,17 +192,23 @@ class Contacts(ContactEnergy):
         contact = self.contact(at, o)
         change = zero
         if self.is_close(rod, rod.scratch[contact + VALUE * self.stride]):
-            normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
-            rubbed = self.rubbed(rod, o, contact, FORCE, FRICTION, normal, self.moved(rod, at))
+            across = self.load3(rod.scratch, contact + RUBBED_NORMAL * self.stride)
+            rubbed = self.rubbed(rod, o, contact, FORCE, FRICTION, across, self.moved(rod, at))
             change = self.keep_friction(rod, contact + FRICTION * self.stride, rubbed.pull, due)
+            now = self.load3(rod.scratch, contact + NORMAL * self.stride)
+            self.store(rod.scratch, contact + RUBBED_NORMAL * self.stride, chosen(due, now, across))
         active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
         if index > 0 and self.largest(ti.select(active, zero + 1.0, zero)) > 0.5:
-            s = rod.scratch[contact + PLACE_BETWEEN * self.stride]
+            s = rod.scratch[contact + RUBBED_PLACE * self.stride]
             u = plus(scaled(self.moved(rod, self.vertex(rod, index - 1)), 1.0 - s), scaled(self.moved(rod, at), s))
-            away = self.load3(rod.scratch, contact + NORMAL_BETWEEN * self.stride)
+            away = self.load3(rod.scratch, contact + RUBBED_NORMAL_BETWEEN * self.stride)
             between = self.rubbed(rod, o, contact, FORCE_BETWEEN, FRICTION_BETWEEN, away, u)
             pull = chosen(active, between.pull, repeated(zero, 3))
             change = largest_of(change, self.keep_friction(rod, contact + FRICTION_BETWEEN * self.stride, pull, due))
+            later = self.load3(rod.scratch, contact + NORMAL_BETWEEN * self.stride)
+            place = rod.scratch[contact + PLACE_BETWEEN * self.stride]
+            self.store(rod.scratch, contact + RUBBED_NORMAL_BETWEEN * self.stride, chosen(due & active, later, away))
+            rod.scratch[contact + RUBBED_PLACE * self.stride] = ti.select(due & active, place, s)
         return change
 
     @ti.func
@@ -223,112 +218,3 @@ class Contacts(ContactEnergy):
         change = minus(pull, old)
         self.store(rod.scratch, at, chosen(due, pull, old))
         return ti.sqrt(dot(change, change))
-
-    # --- from one instant to the next ---
-
-    @ti.func
-    def renew(self, rod, done):
-        """Begin another step from where the rods are, in the lanes that are ``done``."""
-        zero = 0.0 * rod.total
-        work = zero
-        for v in range(rod.edges + 1):
-            at = self.vertex(rod, v)
-            if ti.static(self.rub):
-                for o in range(rod.obstacles):
-                    contact = self.contact(at, o)
-                    work = work + dot(self.load3(rod.scratch, contact + FRICTION * self.stride), self.moved(rod, at))
-                    if v > 0:
-                        s = rod.scratch[contact + PLACE_BETWEEN * self.stride]
-                        active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
-                        u = plus(scaled(self.moved(rod, self.vertex(rod, v - 1)), 1.0 - s), scaled(self.moved(rod, at), s))
-                        between = dot(self.load3(rod.scratch, contact + FRICTION_BETWEEN * self.stride), u)
-                        work = work + ti.select(active, between, zero)
-        self.set_item(rod, WORK, done, self.item(rod, WORK) + work)
-        self.set_item(rod, PHASE, done, zero + ROUGH)
-        self.set_item(rod, CHANGE, done, zero + 1e30)
-        self.set_item(rod, STIFFNESS, done, self.item(rod, FIRST_STIFFNESS))
-
-    @ti.func
-    def remember(self, rod, index, place, done):
-        """Make ``place`` that of vertex ``index`` at the instant before, in the lanes that are ``done``."""
-        at = self.vertex(rod, index) + PREVIOUS * self.stride
-        self.store(rod.scratch, at, chosen(done, place, self.load3(rod.scratch, at)))
-
-    @ti.func
-    def load_motion(self, tables, scratch: ti.template(), slot, row, unit, inertia):
-        """Of a rod in motion, into lane ``slot``: its places at the last instant, and κ for that inertia of a vertex."""
-        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_COLUMNS) * self.stride
-        size = (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
-        for v in range(tables.rest_length.shape[1] + 1):
-            for k in ti.static(range(3)):
-                self.put(scratch, first + v * size + (PREVIOUS + k) * self.stride, slot, tables.places[row, v, k] / unit)
-        # The first step of a motion begins with the barrier, which also finds κ.
-        stiffness = ti.cast(self.get(scratch, tables.contacts + STIFFNESS * self.stride, slot), ti.f64) + INERT * inertia
-        phase = ti.cast(LOADED, ti.f64)
-        if tables.memory[row, 0, 0, FORCE_BETWEEN] > 0.0:
-            stiffness, phase = tables.memory[row, 0, 0, FORCE_BETWEEN], ROUGH
-        for item in ti.static((STIFFNESS, FIRST_STIFFNESS)):
-            self.put(scratch, tables.contacts + item * self.stride, slot, stiffness)
-        self.put(scratch, tables.contacts + PHASE * self.stride, slot, phase)
-        self.put(scratch, tables.contacts + WORK * self.stride, slot, 0.0)
-
-    # --- a rod into a lane and out of it ---
-
-    @ti.func
-    def load(self, tables, scratch: ti.template(), slot, rod, unit, scale):
-        """Rod ``rod``'s obstacles and contacts into lane ``slot``, lengths over ``unit``; ``scale``: the largest stiffness, the
-        weight per length, the lengths of an edge, of the longest and of the rod, in the units of the chain."""
-        base = tables.contacts
-        row = tables.rods[rod, of.RESULT_ROW]
-        own = ti.min(row, tables.obstacles.shape[0] - 1)
-        count, vertices = tables.kinds.shape[0], tables.rest_length.shape[1] + 1
-        radius = tables.radius[ti.min(row, tables.radius.shape[0] - 1)] / unit
-        force = BENDING_LOADS * scale.bend / (scale.total * scale.total) + scale.weight * scale.length
-        tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
-        head = (radius, force / (SOFT * radius), tolerance, 1e30, LOADED, 0.0, BARRIER_SHARE * force * radius, 0.0,
-                CLOSE * radius + 0.5 * scale.longest, 0.0)
-        for k in ti.static(range(len(head))):
-            self.put(scratch, base + k * self.stride, slot, head[k])
-        for o in range(count):
-            at = base + (HEAD + o * OBSTACLE_COLUMNS) * self.stride
-            for k in range(OBSTACLE_COLUMNS):
-                is_length = (k < 3) | ((k >= SIZES) & (k <= DEPTH))
-                factor = ti.select(is_length, 1.0 / unit, ti.cast(1.0, ti.f64))
-                self.put(scratch, at + k * self.stride, slot, tables.obstacles[own, o, k] * factor)
-        first = base + (HEAD + count * OBSTACLE_COLUMNS) * self.stride
-        for v in range(vertices):
-            at = first + v * (VERTEX_ITEMS + count * CONTACT_ITEMS) * self.stride
-            self.put(scratch, at + ROOM * self.stride, slot, 1e30)
-            for o in range(count):
-                contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
-                self.put(scratch, contact + WEIGHT * self.stride, slot, 0.0)
-                self.put(scratch, contact + ACTIVE * self.stride, slot, 0.0)
-                for k in range(tables.memory.shape[3]):
-                    self.put(scratch, contact + k * self.stride, slot, tables.memory[row, v, o, k])
-
-    @ti.func
-    def unload_forces(self, tables, scratch: ti.template(), slot, place, force_unit):
-        """The forces on the lane's vertices into row ``place``."""
-        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_COLUMNS) * self.stride
-        size = (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
-        vertices = tables.rest_length.shape[1] + 1
-        for v in range(vertices):
-            at = first + v * size
-            for k in ti.static(range(3)):
-                force = ti.cast(self.get(scratch, at + (FORCE_END + k) * self.stride, slot), ti.f64)
-                if v < vertices - 1:
-                    force += self.get(scratch, at + size + (FORCE_START + k) * self.stride, slot)
-                tables.forces[place, v, k] = force * force_unit
-
-    @ti.func
-    def unload(self, tables, scratch: ti.template(), slot, row):
-        """The lane's contacts into row ``row`` of the memory, in the units of the chain; in the place of the edge before vertex
-        0, which there is not, κ."""
-        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_COLUMNS) * self.stride
-        for v in range(tables.rest_length.shape[1] + 1):
-            at = first + v * (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
-            for o in range(tables.kinds.shape[0]):
-                contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
-                for k in range(tables.memory.shape[3]):
-                    tables.memory[row, v, o, k] = self.get(scratch, contact + k * self.stride, slot)
-        tables.memory[row, 0, 0, FORCE_BETWEEN] = self.get(scratch, tables.contacts + FIRST_STIFFNESS * self.stride, slot)

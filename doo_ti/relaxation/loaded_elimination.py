@@ -51,7 +51,7 @@ from doo_ti.relaxation.contact_layout import (
     GRADIENT_S,
     MAGNITUDE,
 )
-from doo_ti.relaxation.contact_rounds import Contacts
+from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.elimination import held_pivot
 from doo_ti.relaxation.loose_start import LooseStart
 

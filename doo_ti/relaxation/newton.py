@@ -14,7 +14,7 @@ from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import record
 from doo_ti.relaxation.contact_layout import contact_items
-from doo_ti.relaxation.contact_rounds import Contacts
+from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 from doo_ti.relaxation.newton_loop import UP, NewtonLoop

@@ -168,6 +168,12 @@ class TimeLoop(NewtonLoop):
                       extrapolation=zero + ti.cast(tables.time[EXTRAPOLATION], self.scalar))
         up = (ti.cast(tables.up[0], self.scalar), ti.cast(tables.up[1], self.scalar), ti.cast(tables.up[2], self.scalar))
         rod = self.sweep.rods(tables, scratch, head, lane.coarse)
+        once_more = done & (lane.active < 0.5)
+        if ti.static(self.touches):
+            failed = done & (lane.status > 0.5) & (lane.status < self.infeasible - 0.5)
+            once_more = self.sweep.contacts.retry(rod, failed)
+            done = done & ~once_more
+        repeats = ti.select(once_more, one, zero)
         self.differentiate(tables, rod, time, up, ti.select(done, one, zero))
         if ti.static(self.touches):
             self.sweep.contacts.renew(rod, done)
@@ -176,7 +182,9 @@ class TimeLoop(NewtonLoop):
         for slot in range(self.width):
             if self.lane(lane.finished, slot) > 0.5:
                 again = 0
-                if self.lane(lane.active, slot) > 0.5:
+                if self.lane(lane.active, slot) > 0.5 and self.lane(repeats, slot) > 0.5:
+                    again = 1
+                elif self.lane(lane.active, slot) > 0.5:
                     step = tables.queue[steps_made + slot]
                     again = self.conclude(tables, scratch, head, slot, lane, tables.queue[supply.places + slot], step)
                     tables.queue[steps_made + slot] = step + 1

@@ -16,7 +16,7 @@ from doo_ti.physics import pair
 from doo_ti.physics.quaternion import normalised, product, relative_rotation, tangent
 from doo_ti.physics.tuples import chosen, dot, minus, plus, scaled, variable
 from doo_ti.relaxation.chain import FRAME, LENGTH, LOADED_PARAMETERS, OF_DRIFT, REST
-from doo_ti.relaxation.contact_rounds import Contacts
+from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 
@@ -111,10 +111,11 @@ class TimeSweep(LoadedElimination):
         vertex = rod.head + (self.time_parameters + OF_VERTEX) * self.stride
         first, first_stiffness, free_flight = self.spring(rod, vertex, time, up)
         self.store(rod.scratch, rod.head + self.spring_start * self.stride, first + (first_stiffness,))
-        drift = minus(scaled(free_flight, 1.0 / rod.length_unit), rod.anchor)
+        drift = variable(minus(scaled(free_flight, 1.0 / rod.length_unit), rod.anchor))
         going = done & (rod.loose > 0.5)
         if ti.static(self.touches):
-            going = done & (rod.loose > 1.5)  # rods that may touch something start from where they are
+            # Rods that may touch something start from where they were.
+            drift = minus(scaled(self.load3(rod.scratch, vertex + PLACE_1 * self.stride), 1.0 / rod.length_unit), rod.anchor)
         self.store(rod.scratch, rod.head + OF_DRIFT * self.stride, chosen(going, drift, self.drift(rod)))
         at = rod.origin
         for e in range(rod.edges):

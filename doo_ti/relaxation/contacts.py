@@ -1,0 +1,182 @@
+"""Contacts from one instant to the next, into scratch and out of it (docs/contact.md)."""
+
+import taichi as ti
+
+from doo_ti.contact.obstacles import DEPTH, OBSTACLE_COLUMNS, SIZES
+from doo_ti.physics.tuples import chosen, dot, plus, scaled
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.contact_layout import (
+    ACTIVE,
+    BARRIER_SHARE,
+    BENDING_LOADS,
+    CHANGE,
+    CLOSE,
+    CONTACT_ITEMS,
+    FIRST_STIFFNESS,
+    FIRST_STRENGTH,
+    FORCE_BETWEEN,
+    FORCE_END,
+    FORCE_START,
+    FRICTION,
+    FRICTION_BETWEEN,
+    HEAD,
+    INERT,
+    LOADED,
+    OFFSET,
+    PHASE,
+    PREVIOUS,
+    REMEMBERED,
+    REMEMBERED_IN_MOTION,
+    RETRIED,
+    ROOM,
+    ROUGH,
+    RUBBED_PLACE,
+    SOFT,
+    STAGE,
+    STIFFNESS,
+    STRENGTH,
+    VERTEX_ITEMS,
+    WEIGHT,
+    WORK,
+)
+from doo_ti.relaxation.contact_rounds import ContactRounds
+
+
+@ti.data_oriented
+class Contacts(ContactRounds):
+    """The contacts from one instant to the next, and on their way into scratch and out of it."""
+
+    # --- from one instant to the next ---
+
+    @ti.func
+    def renew(self, rod, done):
+        """Begin another step from where the rods are, in the lanes that are ``done``."""
+        zero = 0.0 * rod.total
+        work = zero
+        for v in range(rod.edges + 1):
+            at = self.vertex(rod, v)
+            if ti.static(self.rub):
+                for o in range(rod.obstacles):
+                    contact = self.contact(at, o)
+                    work = work + dot(self.load3(rod.scratch, contact + FRICTION * self.stride), self.moved(rod, at))
+                    if v > 0:
+                        s = rod.scratch[contact + RUBBED_PLACE * self.stride]
+                        active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
+                        u = plus(scaled(self.moved(rod, self.vertex(rod, v - 1)), 1.0 - s), scaled(self.moved(rod, at), s))
+                        between = dot(self.load3(rod.scratch, contact + FRICTION_BETWEEN * self.stride), u)
+                        work = work + ti.select(active, between, zero)
+        self.set_item(rod, WORK, done, self.item(rod, WORK) + work)
+        self.set_item(rod, PHASE, done, zero + ROUGH)
+        self.set_item(rod, CHANGE, done, zero + 1e30)
+        self.set_item(rod, STIFFNESS, done, self.item(rod, FIRST_STIFFNESS))
+        self.set_item(rod, RETRIED, done, zero)
+
+    @ti.func
+    def retry(self, rod, failed):
+        """Prepare a step that has failed for another try, which knows no forces and begins with the barrier; returns the lanes
+        in which it has not had one."""
+        zero = 0.0 * rod.total
+        once = failed & (self.item(rod, RETRIED) < 0.5)
+        if self.largest(ti.select(once, zero + 1.0, zero)) > 0.5:
+            for v in range(rod.edges + 1):
+                at = self.vertex(rod, v)
+                for o in range(rod.obstacles):
+                    contact = self.contact(at, o)
+                    for k in ti.static(range(REMEMBERED_IN_MOTION)):
+                        item = contact + k * self.stride
+                        rod.scratch[item] = ti.select(once, zero, rod.scratch[item])
+            self.set_item(rod, PHASE, once, zero + LOADED)
+            self.set_item(rod, OFFSET, once, zero)
+            self.set_item(rod, STAGE, once, zero)
+            self.set_item(rod, STRENGTH, once, self.item(rod, FIRST_STRENGTH))
+            self.set_item(rod, CHANGE, once, zero + 1e30)
+            self.set_item(rod, STIFFNESS, once, self.item(rod, FIRST_STIFFNESS))
+            self.set_item(rod, RETRIED, once, zero + 1.0)
+        return once
+
+    @ti.func
+    def remember(self, rod, index, place, done):
+        """Make ``place`` that of vertex ``index`` at the instant before, in the lanes that are ``done``."""
+        at = self.vertex(rod, index) + PREVIOUS * self.stride
+        self.store(rod.scratch, at, chosen(done, place, self.load3(rod.scratch, at)))
+
+    @ti.func
+    def load_motion(self, tables, scratch: ti.template(), slot, row, unit, inertia):
+        """Of a rod in motion, into lane ``slot``: its places at the last instant, and κ for that inertia of a vertex."""
+        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_COLUMNS) * self.stride
+        size = (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
+        for v in range(tables.rest_length.shape[1] + 1):
+            for k in ti.static(range(3)):
+                self.put(scratch, first + v * size + (PREVIOUS + k) * self.stride, slot, tables.places[row, v, k] / unit)
+        # The first step of a motion begins with the barrier, which also finds κ.
+        stiffness = ti.cast(self.get(scratch, tables.contacts + STIFFNESS * self.stride, slot), ti.f64) + INERT * inertia
+        phase = ti.cast(LOADED, ti.f64)
+        if tables.memory[row, 0, 0, FORCE_BETWEEN] > 0.0:
+            stiffness, phase = tables.memory[row, 0, 0, FORCE_BETWEEN], ROUGH
+        for item in ti.static((STIFFNESS, FIRST_STIFFNESS)):
+            self.put(scratch, tables.contacts + item * self.stride, slot, stiffness)
+        self.put(scratch, tables.contacts + PHASE * self.stride, slot, phase)
+        self.put(scratch, tables.contacts + WORK * self.stride, slot, 0.0)
+
+    # --- a rod into a lane and out of it ---
+
+    @ti.func
+    def load(self, tables, scratch: ti.template(), slot, rod, unit, scale):
+        """Rod ``rod``'s obstacles and contacts into lane ``slot``, lengths over ``unit``; ``scale``: the largest stiffness, the
+        weight per length, the lengths of an edge, of the longest and of the rod, in the units of the chain."""
+        base = tables.contacts
+        row = tables.rods[rod, of.RESULT_ROW]
+        own = ti.min(row, tables.obstacles.shape[0] - 1)
+        count, vertices = tables.kinds.shape[0], tables.rest_length.shape[1] + 1
+        radius = tables.radius[ti.min(row, tables.radius.shape[0] - 1)] / unit
+        force = BENDING_LOADS * scale.bend / (scale.total * scale.total) + scale.weight * scale.length
+        tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
+        head = (radius, force / (SOFT * radius), tolerance, 1e30, LOADED, 0.0, BARRIER_SHARE * force * radius, 0.0,
+                CLOSE * radius + 0.5 * scale.longest, 0.0, 0.0, 0.0,
+                BARRIER_SHARE * force * radius)
+        for k in ti.static(range(len(head))):
+            self.put(scratch, base + k * self.stride, slot, head[k])
+        for o in range(count):
+            at = base + (HEAD + o * OBSTACLE_COLUMNS) * self.stride
+            for k in range(OBSTACLE_COLUMNS):
+                is_length = (k < 3) | ((k >= SIZES) & (k <= DEPTH))
+                factor = ti.select(is_length, 1.0 / unit, ti.cast(1.0, ti.f64))
+                self.put(scratch, at + k * self.stride, slot, tables.obstacles[own, o, k] * factor)
+        first = base + (HEAD + count * OBSTACLE_COLUMNS) * self.stride
+        for v in range(vertices):
+            at = first + v * (VERTEX_ITEMS + count * CONTACT_ITEMS) * self.stride
+            self.put(scratch, at + ROOM * self.stride, slot, 1e30)
+            for o in range(count):
+                contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
+                self.put(scratch, contact + WEIGHT * self.stride, slot, 0.0)
+                for k in ti.static(range(REMEMBERED, REMEMBERED_IN_MOTION)):
+                    self.put(scratch, contact + k * self.stride, slot, 0.0)
+                for k in range(tables.memory.shape[3]):
+                    self.put(scratch, contact + k * self.stride, slot, tables.memory[row, v, o, k])
+
+    @ti.func
+    def unload_forces(self, tables, scratch: ti.template(), slot, place, force_unit):
+        """The forces on the lane's vertices into row ``place``."""
+        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_COLUMNS) * self.stride
+        size = (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
+        vertices = tables.rest_length.shape[1] + 1
+        for v in range(vertices):
+            at = first + v * size
+            for k in ti.static(range(3)):
+                force = ti.cast(self.get(scratch, at + (FORCE_END + k) * self.stride, slot), ti.f64)
+                if v < vertices - 1:
+                    force += self.get(scratch, at + size + (FORCE_START + k) * self.stride, slot)
+                tables.forces[place, v, k] = force * force_unit
+
+    @ti.func
+    def unload(self, tables, scratch: ti.template(), slot, row):
+        """The lane's contacts into row ``row`` of the memory, in the units of the chain; in the place of the edge before vertex
+        0, which there is not, κ."""
+        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_COLUMNS) * self.stride
+        for v in range(tables.rest_length.shape[1] + 1):
+            at = first + v * (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
+            for o in range(tables.kinds.shape[0]):
+                contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
+                for k in range(tables.memory.shape[3]):
+                    tables.memory[row, v, o, k] = self.get(scratch, contact + k * self.stride, slot)
+        tables.memory[row, 0, 0, FORCE_BETWEEN] = self.get(scratch, tables.contacts + FIRST_STIFFNESS * self.stride, slot)

@@ -1,0 +1,129 @@
+"""Random motions of rods through clutter: how many converge, whether any enters an obstacle, whether any passes through a peg.
+
+    python tools/contact_motions.py [--motions 10000] [--seed 0] [--precision f64]
+
+Both ends of every rod are held by grippers that move and turn smoothly at random above a table with pegs, quasi-statically and with
+friction. Checked apart from the engine: gaps at 16 places along every edge, and for every edge and peg whether the surface that
+the edge sweeps from one frame to the next is pierced by the peg's axis.
+"""
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from doo_ti.contact.obstacles import Capsule, Plane  # noqa: E402
+from doo_ti.dynamics.grippers import Grippers  # noqa: E402
+from doo_ti.dynamics.parameters import Dynamics, Stepping  # noqa: E402
+from doo_ti.dynamics.simulate import simulate  # noqa: E402
+from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_product  # noqa: E402
+from doo_ti.material import Material  # noqa: E402
+from doo_ti.relaxation.relax import relax  # noqa: E402
+from doo_ti.types import Clamp, Clamps, Configuration, Status  # noqa: E402
+
+LENGTH, EDGES, RADIUS, FRAMES = 100.0, 33, 0.5, 40
+TABLE = Plane((0, 0, 0), (0, 0, 1), friction=0.2)
+PEGS = (((30, -18), 2.0), ((50, -25), 3.0), ((70, -18), 2.0))
+"""Places of upright pegs, mm, and their radii."""
+HEIGHT = 60.0
+AT_ONCE = 1000
+
+
+def obstacles() -> list:
+    """The table and the pegs."""
+    return [TABLE, *(Capsule((x, y, -5.0), (x, y, HEIGHT), radius, friction=0.2) for (x, y), radius in PEGS)]
+
+
+def drawn(rng, count: int):
+    """(rods at rest beside the pegs, materials, grippers that carry them towards and past the pegs)."""
+    one = Configuration.straight(np.array([0.0, 20.0, 15.0]), np.array([1.0, 0.0, 0.0]), LENGTH, EDGES)
+    frames = np.repeat(one.frames[:, 0], count, 0)
+    start = np.repeat(one.start, count, 0)
+    end = start + np.stack([rng.uniform(40, 70, count), rng.uniform(-5, 5, count), rng.uniform(-5, 5, count)], -1)
+    clamps = Clamps(Clamp.FRAME, Clamp.FRAME, start, end, frames, frames)
+    material = Material(10 ** rng.uniform(4.0, 6.0, count), 10 ** rng.uniform(4.5, 6.0, count))
+    rods = Configuration(start, np.repeat(one.quaternions, count, 0), one.rest_length)
+    rest = relax(rods, material, clamps, up=(0.0, -1.0, -0.2)).configuration
+    rest = relax(rest, material, clamps, obstacles=obstacles(), radius=RADIUS)
+    share = np.linspace(0.0, 1.0, FRAMES + 1)[:, None]
+    smooth = share**2 * (3.0 - 2.0 * share)
+    grippers = []
+    for place in (start, end):
+        move = np.stack([rng.uniform(-10, 10, count), rng.uniform(-40, -10, count), rng.uniform(-8, 15, count)], -1)
+        axis = rng.normal(size=(count, 3))
+        axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+        turn = quaternion_about(axis[:, None], rng.uniform(0, 0.8, (count, 1)) * smooth[None, :, 0])
+        first = np.broadcast_to(one.quaternions[:, :1], turn.shape)
+        grippers.append((place[:, None] + move[:, None] * smooth, matrix_from_quaternion(quaternion_product(turn, first))))
+    return rest, material, Grippers(Clamp.FRAME, Clamp.FRAME, grippers[0][0], grippers[1][0], grippers[0][1], grippers[1][1])
+
+
+def smallest_gap(x: np.ndarray) -> np.ndarray:
+    """(R,) of rods (R, V, 3), mm."""
+    s = np.linspace(0.0, 1.0, 17)[:, None]
+    places = (x[:, :-1, None] * (1.0 - s) + x[:, 1:, None] * s).reshape(len(x), -1, 3)
+    return np.min([obstacle.distance(places)[0].min(axis=1) for obstacle in obstacles()], axis=0) - RADIUS
+
+
+def pierced(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """(R,) whether a peg's axis pierces the two triangles that some edge sweeps between two frames (R, V, 3)."""
+    found = np.zeros(len(before), dtype=bool)
+    for (x, y), _ in PEGS:
+        foot, along = np.array([x, y, 0.0]), np.array([0.0, 0.0, HEIGHT])
+        for a, b, c in ((before[:, :-1], before[:, 1:], after[:, :-1]), (after[:, :-1], after[:, 1:], before[:, 1:])):
+            side1, side2 = b - a, c - a
+            normal = np.cross(along, side2)
+            volume = np.einsum("rea,rea->re", side1, normal)
+            safe = np.where(np.abs(volume) < 1e-12, np.inf, volume)
+            away = foot - a
+            u = np.einsum("rea,rea->re", away, normal) / safe
+            q = np.cross(away, side1)
+            v = np.einsum("a,rea->re", along, q) / safe
+            t = np.einsum("rea,rea->re", side2, q) / safe
+            found |= ((u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0) & (t <= 1)).any(axis=1)
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--motions", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--precision", choices=("f64", "f32", "mixed"), default="f64")
+    options = parser.parse_args()
+    rng = np.random.default_rng(options.seed)
+    total = dict(motions=0, converged=0, flagged=0, touching=0, inside=0, through=0, steps=0)
+    least, trips, began = np.inf, 0, time.process_time()
+    while total["motions"] < options.motions:
+        count = min(AT_ONCE, options.motions - total["motions"])
+        rest, material, grippers = drawn(rng, count)
+        good = rest.converged
+        rows = np.flatnonzero(good)
+        moved = simulate(rest.configuration.take(rows), material.take(rows), grippers.take(rows), Dynamics(),
+                         Stepping(rate=10.0, quasi_static=True, precision=options.precision), obstacles=obstacles(), radius=RADIUS)
+        x = np.concatenate([rest.configuration.take(rows).vertices[:, None], moved.positions], axis=1)
+        standing = moved.status == Status.CONVERGED
+        total["motions"] += count
+        total["converged"] += int(moved.converged.sum())
+        total["flagged"] += count - int(moved.converged.sum())
+        total["touching"] += int((np.abs(moved.contact_force) > 0).any(axis=(1, 2, 3)).sum())
+        total["steps"] += int(standing.sum())
+        trips += int(moved.iterations.sum())
+        for frame in range(1, FRAMES + 1):
+            now = standing[:, frame - 1]
+            gap = smallest_gap(x[now, frame])
+            least = min(least, gap.min(initial=np.inf))
+            total["inside"] += int((gap < -1e-3 * RADIUS).sum())
+            total["through"] += int(pierced(x[now, frame - 1], x[now, frame]).sum())
+        print(f"{total['motions']:6d} motions: {total}, smallest gap {least / RADIUS:.2e} radii, "
+              f"{trips / max(total['steps'], 1):.1f} iterations a step, {time.process_time() - began:.0f} s of processor time",
+              flush=True)
+    print(f"seed {options.seed}; converged {total['converged'] / total['motions']:.2%}")
+    return int(total["inside"] + total["through"] > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
