@@ -167,7 +167,7 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
     grippers = scene.grippers.take(pairs[0] * 0) if start.count > 1 else scene.grippers
     with progress() as bar:
         task = bar.add_task(scene.name, total=count * (grippers.instants - 1), unit="rods x frames")
-        # Energies take launches of single steps, in which contact converges in fewer rods.
+        # The account of energies does not know contact forces: the work of grippers would be wrong.
         stepping = replace(scene.stepping, detailed=not surroundings, **changes)
         found = simulate(start, scene.material, grippers, scene.dynamics, stepping, up=up, pairs=pairs,
                          progress=lambda done: bar.update(task, completed=count * done), **surroundings.arguments)
