@@ -77,10 +77,10 @@ def relax(
     once_more = isinstance(x0, Solution) and clamps is None
     if solver is None:
         solver = Newton(first_shift=0.0) if once_more else Newton()
-    _check_options(solver, precision, external, once_more)
+    _check_options(solver, precision, external, obstacles, once_more)
     with np.errstate(all="ignore"):  # a rod that is not finite has a status; NumPy need not warn
         if once_more:
-            _check_same_rods(x0, up, external, configuration_index, external_index)
+            _check_same_rods(x0, up, external, configuration_index, external_index, obstacles or None, radius)
             table = under(x0.tables, material, material_index)
         else:
             start = x0.configuration if isinstance(x0, Solution) else x0
@@ -93,7 +93,7 @@ def relax(
         return _solution(table, frames, results, bits)
 
 
-def _check_options(solver, precision: str, external, once_more: bool) -> None:
+def _check_options(solver, precision: str, external, obstacles, once_more: bool) -> None:
     """Raise InputError for an unknown solver or precision, or one that cannot be used with the other arguments."""
     if not isinstance(solver, Newton | Descent):
         raise InputError("relax", "solver", f"{solver!r}", "give Newton(), Newton.careful() or Descent()")
@@ -101,6 +101,8 @@ def _check_options(solver, precision: str, external, once_more: bool) -> None:
         raise InputError("relax", "solver", f"{solver!r} from a Solution", "give Newton() or Newton.careful()")
     if isinstance(solver, Descent) and external is not None:
         raise InputError("relax", "solver", "Descent cannot use an external energy", "give Newton() or Newton.careful()")
+    if isinstance(solver, Descent) and len(obstacles):
+        raise InputError("relax", "solver", "Descent knows no obstacles", "give Newton() or Newton.careful()")
     if precision not in (*PRECISIONS, F32_ONLY):
         raise InputError("relax", "precision", f"{precision!r}", f"give one of {', '.join((*PRECISIONS, F32_ONLY))}")
 
