@@ -2,9 +2,9 @@
 
     python tools/contact_motions.py [--motions 10000] [--seed 0] [--precision f64]
 
-Both ends of every rod are held by grippers that move and turn smoothly at random above a table with pegs, quasi-statically and with
-friction. Checked apart from the engine: gaps at 16 places along every edge, and for every edge and peg whether the surface that
-the edge sweeps from one frame to the next is pierced by the peg's axis.
+Both ends of every rod are held by grippers that move and turn smoothly at random above a table with pegs, without inertia and
+with friction. Checked apart from the engine: gaps at 16 places along every edge, and for every edge and peg whether the surface
+that the edge sweeps from one frame to the next is pierced by the peg's axis.
 """
 
 import argparse
@@ -102,8 +102,9 @@ def main() -> int:
         rest, material, grippers = drawn(rng, count)
         good = rest.converged
         rows = np.flatnonzero(good)
-        moved = simulate(rest.configuration.take(rows), material.take(rows), grippers.take(rows), Dynamics(),
-                         Stepping(rate=10.0, quasi_static=True, precision=options.precision), obstacles=obstacles(), radius=RADIUS)
+        stepping = Stepping(rate=10.0, quasi_static=True, precision=options.precision)
+        moved = simulate(rest.configuration.take(rows), material.take(rows), grippers.take(rows), Dynamics(), stepping,
+                         obstacles=obstacles(), radius=RADIUS)
         x = np.concatenate([rest.configuration.take(rows).vertices[:, None], moved.positions], axis=1)
         standing = moved.status == Status.CONVERGED
         total["motions"] += count

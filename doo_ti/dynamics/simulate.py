@@ -8,13 +8,13 @@ from numpy.typing import ArrayLike
 
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.dynamics.adaptive import adapted
+from doo_ti.dynamics.clamp_path import clamp_path
 from doo_ti.dynamics.energies import Account, Losses
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import GRAVITY, RATES, Direction, Dynamics, MovingStart, Stepping, vertex_lengths
 from doo_ti.dynamics.trajectory import Trajectory
 from doo_ti.errors import InputError
 from doo_ti.frames import (
-    quaternion_from_matrix,
     quaternion_product,
     smallest_rotation,
     tangent_from_quaternion,
@@ -28,10 +28,6 @@ from doo_ti.relaxation.time_loop import (
     END_FORCE,
     FRICTION_WORK,
     MOMENT,
-    PATH_ANCHOR,
-    PATH_COLUMNS,
-    PATH_ENDS,
-    PATH_TARGET,
     STATE,
     TRIPS,
 )
@@ -188,23 +184,6 @@ class _Motion:
         index = np.arange(table.count) if of_rod else table.material_index
         return numbers, self._shares(factor)[of_material], index
 
-    def path(self, steps: slice) -> np.ndarray:
-        """(S, steps, PATH_COLUMNS) where the clamps are at the end of these steps."""
-        g, after = self.grippers, slice(steps.start + 1, steps.stop + 1)
-        kinds = np.broadcast_to(np.asarray(g.start), (g.count,)), np.broadcast_to(np.asarray(g.end), (g.count,))
-        path = np.zeros((self.start.count, steps.stop - steps.start, PATH_COLUMNS))
-        # A free vertex 0 is measured from where it starts.
-        first = np.asarray(self.start.start, dtype=np.float64)[:, None]
-        path[..., PATH_ANCHOR : PATH_ANCHOR + 3] = np.where((kinds[0] == Clamp.FREE)[:, None, None], first,
-                                                            g.start_position[:, after])
-        path[..., PATH_TARGET : PATH_TARGET + 3] = np.where(
-            (kinds[1] != Clamp.FREE)[:, None, None], g.end_position[:, after] - path[..., PATH_ANCHOR : PATH_ANCHOR + 3], 0.0)
-        path[..., PATH_ENDS] = path[..., PATH_ENDS + 4] = 1.0
-        for column, kind, frames in ((PATH_ENDS, kinds[0], g.start_frame), (PATH_ENDS + 4, kinds[1], g.end_frame)):
-            if (kind >= Clamp.TANGENT).any():
-                path[..., column : column + 4] = _frames(frames[:, after], kind)
-        return path
-
     def slopes(self, table: Tables, factor: float, directions: Sequence[Direction], memory: np.ndarray) -> Slopes | None:
         """How what the kernel is given changes along ``directions``; ``memory`` is how what the rods remember does."""
         if not directions:
@@ -247,7 +226,7 @@ class _Motion:
             trial = _memory(frames, x, v, a, table, trial_step, status.copy())
             numbers, shares, rows = trial_motion.numbers(table, 1.0)
             table.external_index[:] = rows
-            path = self.path(slice(ahead - 1, ahead))
+            path = clamp_path(self.grippers, self.start, slice(ahead - 1, ahead))
             slopes = trial_motion.slopes(table, 1.0, directions, remembered)
             make_steps(table, trial, path, numbers, shares, np.array([trial_step, 1.0, 0.0]), 1, _newton(), 64, slopes)
             moved = trial.places[..., VELOCITY_1 : VELOCITY_1 + 3]
@@ -289,7 +268,7 @@ class _Motion:
         at_once = max(1, min(frames, NUMBERS_AT_ONCE // numbers_a_frame))
 
         def launch(first: int, last: int, every: int):
-            path = self.path(slice(first, last))
+            path = clamp_path(self.grippers, self.start, slice(first, last))
             newton = _newton(self.stepping.quasi_static)
             return make_steps(table, memory, path, numbers, shares, time, every, newton, bits, slopes)
 
@@ -358,17 +337,6 @@ def _memory(frames, x, v, a, table: Tables, h: float, status) -> Memory:
     turn = smallest_rotation(tangent_from_quaternion(frames), tangents)
     before = quaternion_product(turn, frames)
     return Memory(frames.copy(), np.ascontiguousarray(before), places, np.zeros((len(x), 3)), np.zeros((len(x), 3)), status)
-
-
-def _frames(frames: np.ndarray, kinds: np.ndarray) -> np.ndarray:
-    """(S, T, 4) quaternions of (S, T, 3, 3) frames; of tangent clamps of any frame with that tangent."""
-    tangent = np.broadcast_to((kinds == Clamp.TANGENT)[:, None], frames.shape[:2])
-    if not tangent.any():
-        return quaternion_from_matrix(frames)
-    t = frames[..., 0] / np.linalg.norm(frames[..., 0], axis=-1, keepdims=True)
-    any_frame = smallest_rotation(np.array([1.0, 0.0, 0.0]), t)
-    whole = np.where(tangent[..., None, None], np.eye(3), frames)
-    return np.where(tangent[..., None], any_frame, quaternion_from_matrix(whole))
 
 
 def _spread(clamps, count: int):

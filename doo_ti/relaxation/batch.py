@@ -17,7 +17,7 @@ from doo_ti.relaxation.contact_table import GAP_TOLERANCE
 from doo_ti.relaxation.external import Nothing
 from doo_ti.relaxation.loaded_elimination import FORCE_ITEMS
 from doo_ti.relaxation.loading import LANES, TRIPS
-from doo_ti.relaxation.newton_loop import CLOSING_DISTANCE
+from doo_ti.relaxation.newton_policy import CLOSING_DISTANCE
 from doo_ti.relaxation.tables import Tables, room, whole_start
 from doo_ti.relaxation.vertex_chain import ITEMS
 from doo_ti.types import Solution, Status
@@ -99,8 +99,10 @@ def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int
     # An external energy has no serial kernel, because it takes long to compile.
     serial = block == 1 and table.count <= number.width and external is None
     any_ends = contact is not None or external is not None and bool((table.clamp[:, [of.CLOSED, of.LOOSE]] > 0).any())
-    kinds = frozenset() if contact is None else contact.distinct
-    kernel = newton.newton_kernel(number, table.isotropic, stride, block, serial, kind, any_ends, kinds)
+    if contact is None:
+        kernel = newton.newton_kernel(number, table.isotropic, stride, block, serial, kind, any_ends)
+    else:
+        kernel = newton.contact_kernel(number, table.isotropic, stride, block, kind, contact.distinct)
     per_edge = chain.item_count(table.isotropic) + (0 if external is None else external.items + FORCE_ITEMS * any_ends)
     per_rod = chain.LOADED_PARAMETERS + external.start_items if any_ends else chain.PARAMETERS
     items = per_rod + per_edge * table.edges

@@ -3,7 +3,7 @@
 import taichi as ti
 
 from doo_ti.physics.algebra import absolute, largest_of
-from doo_ti.physics.tuples import chosen, dot, minus, plus, repeated, scaled
+from doo_ti.physics.tuples import choose, chosen, dot, minus, plus, repeated, scaled
 from doo_ti.relaxation.contact_energy import ContactEnergy
 from doo_ti.relaxation.contact_layout import (
     ACTIVE,
@@ -125,6 +125,24 @@ class ContactRounds(ContactEnergy):
         self.set_item(rod, OFFSET, loaded, ti.max(LEAST_OFFSET * radius - self.item(rod, CLOSEST), 0.0 * radius))
         self.set_item(rod, PHASE, loaded, 0.0 * radius + BARRIER)
         return loaded
+
+    @ti.func
+    def end_round(self, rod, lane, calm, rests, entered):
+        """End a round where a lane's rod ``rests`` under the forces of its contacts or, while these still change, is ``calm``
+        to a rougher tolerance; returns the lanes in which another round follows, those that have ``entered`` one included."""
+        zero = 0.0 * rod.total
+        phase = self.item(rod, PHASE)
+        due = (rests | (calm & (phase > ti.static(0.5 * (ROUGH + FINE))))) & (lane.active > 0.5)
+        again = due | entered
+        if self.largest(ti.select(due, zero + 1.0, zero)) > 0.5:
+            close = self.settle(rod, due) <= self.item(rod, TOLERANCE)
+            behind = phase > ti.static(0.5 * (ROUGH + BARRIER))
+            self.set_item(rod, PHASE, due & close & ~behind, zero + FINE)
+            again = entered | (due & ~(close & (phase < ti.static(0.5 * (ROUGH + FINE)))))
+        # The next trip evaluates the rod where it is, under the new forces.
+        choose(lane, again, trying=zero, closing=zero, escaping=zero, step_scale=zero, best=zero + 1e30, idle_trips=zero,
+               aimless=zero, returned=zero)
+        return again
 
     @ti.func
     def settle(self, rod, due):

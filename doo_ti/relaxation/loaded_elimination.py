@@ -46,10 +46,8 @@ from doo_ti.relaxation.contact_layout import (
     CURVATURES,
     CURVATURES_S,
     CURVATURES_SS,
-    ENERGY,
     GRADIENT,
     GRADIENT_S,
-    MAGNITUDE,
 )
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.elimination import held_pivot
@@ -78,7 +76,7 @@ class LoadedElimination(LooseStart):
 
     @ti.func
     def tip(self, rod):
-        """The far end, found from the anchor on."""
+        """The far end, found from the anchor on, where contacts begin."""
         x = variable(rod.anchor)
         if ti.static(self.moves_start):
             x = plus(x, self.drift(rod))
@@ -86,6 +84,9 @@ class LoadedElimination(LooseStart):
         for e in range(rod.edges):
             x = plus(x, scaled(tangent(self.load4(rod.scratch, at)), rod.scratch[at + LENGTH * self.stride]))
             at += self.edge_stride
+        if ti.static(self.touches):
+            self.contacts.begin(rod)
+            self.contacts.look(rod, rod.edges, x)
         return x
 
     @ti.func
@@ -107,9 +108,6 @@ class LoadedElimination(LooseStart):
             beyond.c = multiplier
         h, g = variable(repeated(zero, 6)), variable(repeated(zero, 3))  # H and gradient of the pair with the edge after
         end = self.tip(rod)
-        if ti.static(self.touches):
-            self.contacts.begin(rod)
-            self.contacts.look(rod, rod.edges, end)
         searching = self.largest(search[0] + search[1]) > 0.0
         some_taut = self.largest(1.0 - rod.free[4]) > 0.5
         at = rod.origin + (rod.edges - 1) * self.edge_stride
@@ -168,9 +166,6 @@ class LoadedElimination(LooseStart):
         positive = zero + 3.0  # what a minimum counts without closure
         if ti.static(self.moves_start):
             self.eliminate_start(rod, shift, beyond, border, found)
-            if ti.static(self.touches):
-                found.energy = found.energy + self.contacts.item(rod, ENERGY)
-                found.magnitude = found.magnitude + self.contacts.item(rod, MAGNITUDE)
             change, positive = self.bordered(rod, border.schur, plus(border.right, miss))
         return record(moment=ti.sqrt(found.squared), scale=found.scale, change=change, inertia=found.negative + positive,
                       slope=found.slope, energy=found.energy, magnitude=found.magnitude)

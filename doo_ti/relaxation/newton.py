@@ -17,7 +17,8 @@ from doo_ti.relaxation.contact_layout import contact_items
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
-from doo_ti.relaxation.newton_loop import UP, NewtonLoop
+from doo_ti.relaxation.newton_loop import NewtonLoop
+from doo_ti.relaxation.newton_policy import UP
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ TOLERANCES = {32: 9.9e-5, 64: 9.9e-8}
 
 @cache
 def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, serial: bool, external: type | None = None,
-                  any_ends: bool = False, obstacles: frozenset[int] = frozenset()):
+                  any_ends: bool = False):
     """The compiled-on-first-use kernel for one kind of number, of material and of external energy.
 
     stride: distance between the items of an edge in scratch, 1 on a CPU, the number of threads on a GPU.
@@ -70,16 +71,13 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
     serial: on a CPU, work on the caller's thread: to wake another takes as long as to relax a few rods.
     external: the class of the external energy, whose numbers and field the kernel then takes as two more arrays.
     any_ends: not all rods under the external energy have vertex 0 held and the far end free, which is faster.
-    obstacles: the kinds of obstacles that rods may touch; with any the kernel takes more arrays, and needs an external energy
-    and any_ends.
     """
     if external is None:
         loop = NewtonLoop(Elimination(number, isotropic, stride))
     else:
-        contacts = Contacts(number, stride, obstacles) if obstacles else None
-        sweep = LoadedElimination(number, isotropic, stride, external, any_ends, contacts)
+        sweep = LoadedElimination(number, isotropic, stride, external, any_ends)
         loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
-    table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
+    table1, table2, table3 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3))
     index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
     field = ti.types.ndarray(dtype=ti.f32, ndim=1)
 
@@ -120,11 +118,23 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
                             contacts=0, kinds=queue)
             loop.work(tables, scratch, threads, thread)
 
+    return newton if external is None else newton_under_load
+
+
+@cache
+def contact_kernel(number: Number, isotropic: bool, stride: int, block: int, external: type, obstacles: frozenset[int]):
+    """The same for rods that may touch obstacles of those kinds, under an external energy."""
+    sweep = LoadedElimination(number, isotropic, stride, external, True, Contacts(number, stride, obstacles))
+    loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
+    table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
+    index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
+    field = ti.types.ndarray(dtype=ti.f32, ndim=1)
+
     @ti.kernel
     def newton_in_contact(
         start: table1, rest_length: table2, clamp: table2, material: table2, rods: index2, policy: table1, threads: ti.i32,
         scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, results: table2,
-        outer: table3, space: field,  # as above
+        outer: table3, space: field,  # as :func:`newton_kernel` has them
         obstacles: table3,  # [1 or row, obstacle, OBSTACLE_COLUMNS]
         kinds: index1,  # [obstacle]
         radius: table1,  # [1 or row] mm
@@ -132,11 +142,11 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
         memory: table4,  # [row, vertex, obstacle, REMEMBERED] in and out
         forces: table3,  # [row, vertex, 3] out
     ):
-        ti.loop_config(block_dim=block, serialize=serial)
+        ti.loop_config(block_dim=block)
         for thread in range(threads):
             up = (policy[UP], policy[UP + 1], policy[UP + 2])
             edges = rest_length.shape[1]
-            contacts = threads * (loop.sweep.parameters + loop.sweep.items * edges) + thread
+            contacts = threads * (sweep.parameters + sweep.items * edges) + thread
             if ti.static(stride == 1):
                 contacts += thread * (contact_items(edges, kinds.shape[0]) - 1)
             tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
@@ -145,6 +155,4 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
                             memory=memory, forces=forces)
             loop.work(tables, scratch, threads, thread)
 
-    if obstacles:
-        return newton_in_contact
-    return newton if external is None else newton_under_load
+    return newton_in_contact

@@ -5,33 +5,12 @@ import taichi as ti
 
 from doo_ti.physics.tuples import choose, chosen, dot, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import chain
+from doo_ti.relaxation import newton_policy as fixed
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import BARRIER, CROSSING, FINE, PHASE, ROUGH
-from doo_ti.relaxation.contact_layout import TOLERANCE as CONTACT_TOLERANCE
+from doo_ti.relaxation.contact_layout import CROSSING
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.loading import LANES, NEXT, TRIPS, Loading
 from doo_ti.types import Status
-
-SHAPE_TOLERANCE_32 = 1e-4
-"""rad: in f32 the next Newton step has to be smaller too, or f64 takes over."""
-
-# The policy's fixed numbers (shifts are over the largest diagonal entry of H).
-SHIFT_WRONG_INERTIA = 0.01
-SHIFT_REJECTED, SHIFT_REJECTED_IN_CONTACT, GROWTH_IN_CONTACT = 1e-5, 1e-3, 10.0
-DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # each accepted step multiplies the shift by DECAY, below NEGLIGIBLE it is zero;
-DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # the same once a step was refused or the inertia was wrong
-CLOSING_DISTANCE = 0.1  # edge lengths: above it a step only projects
-ESCAPE_ROTATION = 0.1  # rad
-ESCAPE_ROUNDS = 3.0  # inverse iterations before the first step off a saddle
-COARSE_ROTATION = 0.2  # rad: while steps are larger, an external energy gives its coarse curvature, if it has one
-PATIENCE = 25  # trips without progress
-PATIENCE_32 = 16  # the same in f32, after which f64 takes over
-NOTABLE = 1e-8  # of the energy's magnitude, which locked-in twist may dominate
-PATIENCE_AT_SADDLE = 8  # trips without noteworthy progress where the inertia is wrong
-
-# Columns of what a launch is given besides its tables: the unit vector up, the options of Newton, and above how many edge
-# lengths from closure a step only closes.
-UP, TOLERANCE, ITERATION_LIMIT, FIRST_SHIFT, ROTATION_LIMIT, ESCAPES, CLOSING, POLICY_COLUMNS = 0, 3, 4, 5, 6, 7, 8, 9
 
 
 @ti.data_oriented
@@ -59,8 +38,8 @@ class NewtonLoop:
         self.width, self.scalar = number.width, number.scalar
         single = number.bits == 32
         self.rounding = 2e-6 if single else 1e-10
-        self.patience = PATIENCE_32 if single else PATIENCE
-        self.shape_tolerance = SHAPE_TOLERANCE_32 if single else 1e30
+        self.patience = fixed.PATIENCE_32 if single else fixed.PATIENCE
+        self.shape_tolerance = fixed.SHAPE_TOLERANCE_32 if single else 1e30
         self.closure_tolerance = 1e-7 if single else 1e-12
         # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a small part of
         # H's scale on the diagonal makes it positive. f32 cannot distinguish them from soft saddles and leaves them to f64.
@@ -68,6 +47,9 @@ class NewtonLoop:
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
         self.stalled, self.not_finite = int(Status.STALLED), int(Status.NOT_FINITE)
         self.infeasible = int(Status.INFEASIBLE)
+        self.growth, self.first_shift = 4.0, fixed.SHIFT_REJECTED  # of the shift, where a step is rejected
+        if self.touches:
+            self.growth, self.first_shift = fixed.GROWTH_IN_CONTACT, fixed.SHIFT_REJECTED_IN_CONTACT
 
     @ti.func
     def work(self, tables, scratch: ti.template(), threads, thread):
@@ -172,7 +154,7 @@ class NewtonLoop:
         zero, one = self.constant(0.0), self.constant(1.0)
         begun = lane.finished > 0.5
         lane.scale = ti.select(begun, scratch[head + chain.OF_SCALE * self.stride], lane.scale)
-        shift = ti.cast(tables.policy[FIRST_SHIFT], self.scalar) * lane.scale
+        shift = ti.cast(tables.policy[fixed.FIRST_SHIFT], self.scalar) * lane.scale
         choose(
             lane, begun, shift=shift, fresh=one, best=self.constant(1e30), step_scale=zero, trips=zero, idle_trips=zero,
             aimless=zero, rejects=zero, trying=zero, closing=zero, share=one, returned=zero, troubled=zero, escaping=zero,
@@ -197,8 +179,9 @@ class NewtonLoop:
             # Where the rod may touch something, its start is looked at before it moves.
             moving = ti.max(lane.trying, lane.closing * lane.share)
         x, normal = self.sweep.step(rod, lane.step_scale, moving, lane.miss)
-        decay = ti.select(lane.troubled > 0.5, self.constant(DECAY_TROUBLED), self.constant(DECAY))
-        negligible = ti.select(lane.troubled > 0.5, self.constant(NEGLIGIBLE_TROUBLED), self.constant(NEGLIGIBLE)) * lane.scale
+        decay = ti.select(lane.troubled > 0.5, self.constant(fixed.DECAY_TROUBLED), self.constant(fixed.DECAY))
+        least = ti.select(lane.troubled > 0.5, self.constant(fixed.NEGLIGIBLE_TROUBLED), self.constant(fixed.NEGLIGIBLE))
+        negligible = least * lane.scale
         smaller = ti.select(decay * lane.shift > negligible, decay * lane.shift, zero)
         next_shift = ti.select(lane.trying > 0.5, smaller, lane.shift)
         # To leave a saddle: inverse iteration, first from noise, then from its last result.
@@ -252,8 +235,8 @@ class NewtonLoop:
         stands = taken > 0.5
         return record(
             stands=stands, downhill=downhill, uphill=moved & (taken < 0.5),
-            gained=(after < before - noise_level) & downhill, notable=(after < before - NOTABLE * lane.magnitude) & downhill,
-            broken=(lane.fresh > 0.5) & ~stands)
+            gained=(after < before - noise_level) & downhill, broken=(lane.fresh > 0.5) & ~stands,
+            notable=(after < before - fixed.NOTABLE * lane.magnitude) & downhill)
 
     @ti.func
     def keep(self, lane, found, miss, multiplier, judged, next_shift):
@@ -268,8 +251,7 @@ class NewtonLoop:
         lane.change = found.change
         lane.shift = ti.select(judged.stands, next_shift, lane.shift)
         stiffer = judged.uphill & (lane.escaping < 0.5)
-        growth, floor = ti.static((GROWTH_IN_CONTACT, SHIFT_REJECTED_IN_CONTACT) if self.touches else (4.0, SHIFT_REJECTED))
-        lane.shift = ti.select(stiffer, ti.max(growth * lane.shift, floor * lane.scale), lane.shift)
+        lane.shift = ti.select(stiffer, ti.max(self.growth * lane.shift, self.first_shift * lane.scale), lane.shift)
         lane.rejects = ti.select(judged.downhill, zero, lane.rejects + ti.select(judged.uphill, one, zero))
         lane.escaping = ti.select(judged.downhill, zero, lane.escaping)
         lane.share = ti.select(judged.uphill, 0.5 * lane.share, ti.min(2.0 * lane.share, one))
@@ -278,7 +260,7 @@ class NewtonLoop:
     @ti.func
     def tolerance(self, tables, rod):
         """The largest residual of a rod that has converged."""
-        given = ti.cast(tables.policy[TOLERANCE], self.scalar)
+        given = ti.cast(tables.policy[fixed.TOLERANCE], self.scalar)
         if ti.static(self.touches):
             return self.sweep.contacts.tolerance(rod, self.constant(0.0) + given)
         else:
@@ -298,8 +280,8 @@ class NewtonLoop:
         settled = lane.longest <= self.shape_tolerance
         at_saddle = calm & bare & wrong
         # Beside a saddle a rod may make no progress though its residual is not yet small.
-        aimless = wrong & (lane.aimless > PATIENCE_AT_SADDLE) & (lane.escaping < 0.5) & (lane.closing < 0.5)
-        limit = ti.cast(tables.policy[ESCAPES], self.scalar)
+        aimless = wrong & (lane.aimless > fixed.PATIENCE_AT_SADDLE) & (lane.escaping < 0.5) & (lane.closing < 0.5)
+        limit = ti.cast(tables.policy[fixed.ESCAPES], self.scalar)
         leaving = (at_saddle & (lane.escapes < limit)) | (aimless & (limit > 0.0))
         return record(
             gap=gap, small=small, calm=calm, settled=settled, right=right, wrong=wrong,
@@ -313,22 +295,22 @@ class NewtonLoop:
         lane.escaping = ti.select(place.leaving, one, lane.escaping)
         lane.shift = ti.select(place.leaving, zero, lane.shift)
         lane.escapes = ti.select(place.leaving & place.at_saddle, lane.escapes + 1.0, lane.escapes)
-        lane.closing = ti.select(place.gap > ti.cast(tables.policy[CLOSING], self.scalar) * rod.longest, one, zero)
+        lane.closing = ti.select(place.gap > ti.cast(tables.policy[fixed.CLOSING], self.scalar) * rod.longest, one, zero)
         lane.rounds = ti.select((lane.escaping > 0.5) & place.right & ~place.leaving, lane.rounds + 1.0, lane.rounds)
         lane.rounds = ti.select(place.leaving, zero, lane.rounds)
-        unready = (lane.escaping > 0.5) & (lane.rounds <= ESCAPE_ROUNDS)
+        unready = (lane.escaping > 0.5) & (lane.rounds <= fixed.ESCAPE_ROUNDS)
         held = place.certify | place.leaving | place.wrong | unready | (lane.closing > 0.5) | judged.uphill
         lane.trying = ti.select(held, zero, one)
         lane.troubled = ti.select(judged.uphill | (place.wrong & (lane.closing < 0.5)), one, lane.troubled)
-        floor = ti.select(lane.escaping > 0.5, NEGLIGIBLE_TROUBLED * lane.scale, SHIFT_WRONG_INERTIA * lane.scale)
+        floor = ti.select(lane.escaping > 0.5, fixed.NEGLIGIBLE_TROUBLED * lane.scale, fixed.SHIFT_WRONG_INERTIA * lane.scale)
         lane.shift = ti.select(place.wrong & (lane.closing < 0.5), ti.max(4.0 * lane.shift, floor), lane.shift)
         lane.shift = ti.select(place.certify, zero, lane.shift)
         if ti.static(self.has_coarse):
-            far = (lane.longest > COARSE_ROTATION) & ~place.small & (lane.escaping < 0.5)
+            far = (lane.longest > fixed.COARSE_ROTATION) & ~place.small & (lane.escaping < 0.5)
             lane.coarse = ti.select(far, one, zero)
-        cap = ti.min(one, ti.cast(tables.policy[ROTATION_LIMIT], self.scalar) / (lane.longest + 1e-30))
+        cap = ti.min(one, ti.cast(tables.policy[fixed.ROTATION_LIMIT], self.scalar) / (lane.longest + 1e-30))
         lane.heading = ti.select(searching, ti.select(slope > 0.0, 0.0 - one, one), lane.heading)
-        leap = lane.heading * ESCAPE_ROTATION / ((1.0 + lane.rejects) * (1.0 + lane.rejects) * (lane.longest + 1e-30))
+        leap = lane.heading * fixed.ESCAPE_ROTATION / ((1.0 + lane.rejects) * (1.0 + lane.rejects) * (lane.longest + 1e-30))
         lane.step_scale = ti.select(lane.trying > 0.5, ti.select(lane.escaping > 0.5, leap, cap), zero)
 
     @ti.func
@@ -345,7 +327,7 @@ class NewtonLoop:
         fresh = lane.fresh > 0.5
         lane.fresh = zero
         ended = place.at_minimum | place.resting
-        late = lane.trips >= ti.cast(tables.policy[ITERATION_LIMIT], self.scalar)
+        late = lane.trips >= ti.cast(tables.policy[fixed.ITERATION_LIMIT], self.scalar)
         stuck = lane.idle_trips > self.patience
         lost = judged.broken | ~(lane.residual == lane.residual)
         lane.status = ti.select(stuck, self.constant(self.stalled), self.constant(self.limit))
@@ -354,7 +336,7 @@ class NewtonLoop:
         at_rest = place.small & place.settled & (late | stuck)
         if ti.static(self.touches):
             entered = self.sweep.contacts.enter(rod, fresh)
-            goes_on = self.settle(rod, lane, place.calm & ~entered, (ended | at_rest) & ~entered, entered)
+            goes_on = self.sweep.contacts.end_round(rod, lane, place.calm & ~entered, (ended | at_rest) & ~entered, entered)
             ended, at_rest, stuck = ended & ~goes_on, at_rest & ~goes_on, stuck & ~goes_on
             blocked = fresh & self.sweep.contacts.blocked(rod)
             lane.status = ti.select(blocked, self.constant(self.infeasible), lane.status)
@@ -362,24 +344,3 @@ class NewtonLoop:
         lane.status = ti.select(ended | at_rest, self.constant(self.converged), lane.status)
         lane.stable = ti.select(place.at_minimum, one, zero)
         lane.finished = ti.select((ended | late | stuck | lost) & (lane.active > 0.5), one, zero)
-
-    @ti.func
-    def settle(self, rod, lane, calm, rests, entered):
-        """End a round where a lane's rod ``rests`` under the forces of its contacts or, while these still change, is ``calm``
-        to a rougher tolerance; returns the lanes in which another round follows, those that have ``entered`` one included."""
-        zero, one = self.constant(0.0), self.constant(1.0)
-        phase = rod.scratch[rod.contacts + PHASE * self.stride]
-        due = (rests | (calm & (phase > ti.static(0.5 * (ROUGH + FINE))))) & (lane.active > 0.5)
-        again = due | entered
-        if self.largest(ti.select(due, one, zero)) > 0.5:
-            change = self.sweep.contacts.settle(rod, due)
-            close = change <= rod.scratch[rod.contacts + CONTACT_TOLERANCE * self.stride]
-            fine = phase < ti.static(0.5 * (ROUGH + FINE))
-            behind = phase > ti.static(0.5 * (ROUGH + BARRIER))
-            after = rod.scratch[rod.contacts + PHASE * self.stride]
-            rod.scratch[rod.contacts + PHASE * self.stride] = ti.select(due & close & ~behind, zero + FINE, after)
-            again = entered | (due & ~(close & fine))
-        # The next trip evaluates the rod where it is, under the new forces.
-        choose(lane, again, trying=zero, closing=zero, escaping=zero, step_scale=zero, best=self.constant(1e30),
-               idle_trips=zero, aimless=zero, returned=zero)
-        return again

@@ -8,7 +8,7 @@ from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import picked, record
 from doo_ti.relaxation.contact_layout import contact_items
 from doo_ti.relaxation.contacts import Contacts
-from doo_ti.relaxation.newton_loop import UP
+from doo_ti.relaxation.newton_policy import UP
 from doo_ti.relaxation.time_loop import TimeLoop
 from doo_ti.relaxation.time_slope_loop import TimeSlopeLoop
 from doo_ti.relaxation.time_slopes import OWN, SHARED, TimeSlopes

@@ -8,7 +8,8 @@ from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import WORK
 from doo_ti.relaxation.loading import LANES, Loading
-from doo_ti.relaxation.newton_loop import TOLERANCE, NewtonLoop
+from doo_ti.relaxation.newton_loop import NewtonLoop
+from doo_ti.relaxation.newton_policy import TOLERANCE
 from doo_ti.relaxation.time_sweep import (
     EXTRAPOLATION,
     FRAME_1,

@@ -13,7 +13,7 @@ from doo_ti.relaxation.batch import _buffers, layout_for
 from doo_ti.relaxation.contact_layout import contact_items
 from doo_ti.relaxation.contact_table import GAP_TOLERANCE
 from doo_ti.relaxation.loading import LANES
-from doo_ti.relaxation.newton_loop import CLOSING_DISTANCE
+from doo_ti.relaxation.newton_policy import CLOSING_DISTANCE
 from doo_ti.relaxation.tables import Tables, room
 from doo_ti.relaxation.time_kernel import slope_items, time_contact_kernel, time_kernel, time_slope_kernel
 from doo_ti.relaxation.time_loop import OUTCOMES, STATE

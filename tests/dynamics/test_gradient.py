@@ -22,7 +22,7 @@ SMALL = np.array([3e2, 2e2, 1e-4, 1e-4, 1e-5, 1e-5, 1e-4, 1e-7, 1e-3])
 @pytest.fixture(autouse=True)
 def tight(monkeypatch):
     """Steps converged as far as f64 goes: differences between motions are small."""
-    monkeypatch.setattr(simulation, "_newton", lambda: Newton(tolerance=1e-11, first_shift=0.0, max_escapes=0))
+    monkeypatch.setattr(simulation, "_newton", lambda *_: Newton(tolerance=1e-11, first_shift=0.0, max_escapes=0))
 
 
 def rod(numbers):

@@ -108,7 +108,7 @@ def test_steps_are_those_of_dense_linear_algebra(rng, monkeypatch, general, sche
                         springs=springs, up=UP)
 
     usual = moved()
-    monkeypatch.setattr(simulation, "_newton", lambda: Newton(tolerance=1e-10, first_shift=0.0, max_escapes=0))
+    monkeypatch.setattr(simulation, "_newton", lambda *_: Newton(tolerance=1e-10, first_shift=0.0, max_escapes=0))
     exact = moved()
     assert (usual.status == Status.CONVERGED).all() and (exact.status == Status.CONVERGED).all()
     apart = np.zeros((3, rods.count))

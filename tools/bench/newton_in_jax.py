@@ -35,7 +35,7 @@ from doo_ti.bench.workload import UP, Rods
 from doo_ti.errors import InputError
 from doo_ti.frames import quaternion_from_matrix
 from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.newton_loop import (
+from doo_ti.relaxation.newton_policy import (
     CLOSING_DISTANCE,
     DECAY,
     DECAY_TROUBLED,

@@ -1,0 +1,38 @@
+"""Where the clamps are during a motion, as the kernels read it (docs/dynamics.md)."""
+
+import numpy as np
+
+from doo_ti.dynamics.grippers import Grippers
+from doo_ti.frames import quaternion_from_matrix, smallest_rotation
+from doo_ti.relaxation.time_loop import PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_TARGET
+from doo_ti.types import Clamp, Configuration
+
+
+def clamp_path(grippers: Grippers, start: Configuration, steps: slice) -> np.ndarray:
+    """(S, steps, PATH_COLUMNS) where the clamps are at the end of these steps."""
+    after = slice(steps.start + 1, steps.stop + 1)
+    kinds = [np.broadcast_to(np.asarray(kind), (grippers.count,)) for kind in (grippers.start, grippers.end)]
+    path = np.zeros((start.count, steps.stop - steps.start, PATH_COLUMNS))
+    # A free vertex 0 is measured from where it starts.
+    first = np.asarray(start.start, dtype=np.float64)[:, None]
+    path[..., PATH_ANCHOR : PATH_ANCHOR + 3] = np.where((kinds[0] == Clamp.FREE)[:, None, None], first,
+                                                        grippers.start_position[:, after])
+    path[..., PATH_TARGET : PATH_TARGET + 3] = np.where(
+        (kinds[1] != Clamp.FREE)[:, None, None],
+        grippers.end_position[:, after] - path[..., PATH_ANCHOR : PATH_ANCHOR + 3], 0.0)
+    path[..., PATH_ENDS] = path[..., PATH_ENDS + 4] = 1.0
+    for column, kind, frames in ((PATH_ENDS, kinds[0], grippers.start_frame), (PATH_ENDS + 4, kinds[1], grippers.end_frame)):
+        if (kind >= Clamp.TANGENT).any():
+            path[..., column : column + 4] = _frames(frames[:, after], kind)
+    return path
+
+
+def _frames(frames: np.ndarray, kinds: np.ndarray) -> np.ndarray:
+    """(S, T, 4) quaternions of (S, T, 3, 3) frames; of tangent clamps of any frame with that tangent."""
+    tangent = np.broadcast_to((kinds == Clamp.TANGENT)[:, None], frames.shape[:2])
+    if not tangent.any():
+        return quaternion_from_matrix(frames)
+    t = frames[..., 0] / np.linalg.norm(frames[..., 0], axis=-1, keepdims=True)
+    any_frame = smallest_rotation(np.array([1.0, 0.0, 0.0]), t)
+    whole = np.where(tangent[..., None, None], np.eye(3), frames)
+    return np.where(tangent[..., None], any_frame, quaternion_from_matrix(whole))

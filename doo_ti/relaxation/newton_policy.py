@@ -1,0 +1,22 @@
+"""The numbers that the Newton loop goes by (docs/chain.md)."""
+
+SHAPE_TOLERANCE_32 = 1e-4
+"""rad: in f32 the next Newton step has to be smaller too, or f64 takes over."""
+
+# The policy's fixed numbers (shifts are over the largest diagonal entry of H).
+SHIFT_WRONG_INERTIA = 0.01
+SHIFT_REJECTED, SHIFT_REJECTED_IN_CONTACT, GROWTH_IN_CONTACT = 1e-5, 1e-3, 10.0
+DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # each accepted step multiplies the shift by DECAY, below NEGLIGIBLE it is zero;
+DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # the same once a step was refused or the inertia was wrong
+CLOSING_DISTANCE = 0.1  # edge lengths: above it a step only projects
+ESCAPE_ROTATION = 0.1  # rad
+ESCAPE_ROUNDS = 3.0  # inverse iterations before the first step off a saddle
+COARSE_ROTATION = 0.2  # rad: while steps are larger, an external energy gives its coarse curvature, if it has one
+PATIENCE = 25  # trips without progress
+PATIENCE_32 = 16  # the same in f32, after which f64 takes over
+NOTABLE = 1e-8  # of the energy's magnitude, which locked-in twist may dominate
+PATIENCE_AT_SADDLE = 8  # trips without noteworthy progress where the inertia is wrong
+
+# Columns of what a launch is given besides its tables: the unit vector up, the options of Newton, and above how many edge
+# lengths from closure a step only closes.
+UP, TOLERANCE, ITERATION_LIMIT, FIRST_SHIFT, ROTATION_LIMIT, ESCAPES, CLOSING, POLICY_COLUMNS = 0, 3, 4, 5, 6, 7, 8, 9
