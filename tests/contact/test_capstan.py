@@ -57,6 +57,7 @@ def tensions(angle: float, friction: float, edges: int) -> tuple[float, float]:
     return np.linalg.norm(drawn), np.linalg.norm(held)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees, friction", [(90, 0.1), (90, 0.5), (180, 0.3)])
 def test_the_tensions_are_apart_by_the_capstan_equation(degrees, friction):
     drawn, held = tensions(np.deg2rad(degrees), friction, 60)

@@ -31,6 +31,7 @@ def test_the_estimated_error_holds_against_much_finer_steps(rng, scheme):
     assert (error < 1.1 * found.error).all()
 
 
+@pytest.mark.thorough
 def test_a_rod_is_refined_alone_as_among_others(rng):
     rods, grippers = swung(rng, 12)
     together = moved(rods, grippers, tolerance=0.1)
@@ -70,7 +71,7 @@ def test_rods_that_fail_or_never_agree_are_reported(rng):
     assert np.isinf(found.error[1]) and (found.error[[0, 2, 3]] > 1e-9).all()
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_mixed_precision_repeats_what_f32_stops(rng):
     rods, grippers = swung(rng, 60)
     exact, single, mixed = (moved(rods, grippers, precision=one) for one in ("f64", "f32", "mixed"))

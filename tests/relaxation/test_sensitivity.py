@@ -153,7 +153,7 @@ def test_a_rod_is_the_same_in_any_company(rng):
     np.testing.assert_array_equal(sensitivity(solution).vertices[7], sensitivity(alone).vertices[0])
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_the_layout_of_a_gpu_gives_the_same_bits(rng, monkeypatch):
     """Threads interleaved in scratch, here run on the processor."""
     rods = wandering(rng, 5, 12)

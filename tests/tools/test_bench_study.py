@@ -37,7 +37,7 @@ def jax_elsewhere(monkeypatch):
     monkeypatch.setattr(study, "find_spec", lambda name: object())
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_everything_goes_into_one_table_and_one_folder(capsys, tmp_path, jax_elsewhere):
     out = tmp_path / "new" / "bench"
     assert study.main(["--rods", "64", "--rounds", "1", "--scaling", "--jax", "--out", str(out)]) == 0
@@ -73,7 +73,7 @@ def sutures():
     return workload.in_turn([workload.started(seen) for seen in workload.observed(*workload.SUTURES)])
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 @pytest.mark.parametrize("edges", [8, 33, 100])
 def test_refined_starts_keep_the_length_and_nearly_the_end(sutures, edges):
     starts, clamps = sutures

@@ -24,7 +24,7 @@ def well_formed(text: str) -> bool:
     return all(line.count("|") == 5 for line in text.splitlines())
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 @pytest.mark.parametrize("row", [row for row in ROWS if row != "speed"])
 def test_a_row_prints_on_few_rods(shipped_data, row):
     study = Engine(shipped_data, SMALL)
@@ -36,7 +36,7 @@ def test_a_row_prints_on_few_rods(shipped_data, row):
         assert all(check.holds for check in study.checks), study.checks
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_speed_has_every_bar_and_the_peak_on_both_sides(shipped_data):
     study = Engine(shipped_data, SMALL)
     measure_rows(study, ["speed"])

@@ -5,7 +5,7 @@ import pytest
 from tools import large_sweep
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_a_sweep_and_its_repetition_are_measured(tmp_path):
     first, again = (large_sweep.swept(tmp_path, 2, 0) for _ in range(2))
     assert (tmp_path / "run" / "summary.json").exists()
