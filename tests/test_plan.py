@@ -85,7 +85,7 @@ def test_measured_configurations_are_not_picked_and_picks_end(configurations):
     assert sorted(found.order.tolist()) == [1, 2, 3, 5, 6, 7, 8]
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_the_best_ten_are_more_informative_than_ten_at_random(laboratory):
     observations = load_observations(laboratory / "lab_a" / "nylon.npz")
     found = plan(observations, grid(), sigma=0.12)

@@ -29,7 +29,7 @@ def specimens():
     return Specimens(RODS)
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(cases(Specimens(RODS)))))
 def test_a_case_does_what_it_counts(specimens, reference, number):
     case = cases(specimens)[number]

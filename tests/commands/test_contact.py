@@ -85,6 +85,7 @@ def test_predict_carries_rods_over_a_table(folder, tmp_path, capsys, table):
     assert (np.abs(found["contact_force"][-1, ..., :2]).max() > 1e-3) == (table == "rough.toml")
 
 
+@pytest.mark.slow
 def test_simulate_reads_obstacles_of_a_scene(folder, tmp_path, capsys):
     words = ["simulate", str(folder / "scene.toml"), "--out", str(tmp_path / "f.npz")]
     assert main([*words, "--picture", str(tmp_path / "f.png"), "--recording", str(tmp_path / "f.rrd")]) == 0

@@ -73,7 +73,7 @@ def test_round_rods(lab, tmp_path, capsys):
     assert "| silk | **" in moving["/summary"]["cell"]["TextDocument:text"][3][0]
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_a_ribbon_under_both_objectives_and_its_regimes(lab, tmp_path, capsys):
     argv = ["figures", str(lab / "static"), str(lab / "dynamic"), "--out", str(tmp_path), "--observation", "2", "--json"]
     assert main(argv) == 0

@@ -159,6 +159,7 @@ def test_pictures_and_animations(recording, theta, tmp_path):
     assert (energy["energy_dissipated"][:, -1] > 0).all() and (energy["energy_work"][:, -1] != 0).all()
 
 
+@pytest.mark.slow
 def test_steps_are_chosen_by_a_tolerance(recording, theta, tmp_path, capsys):
     command = ["simulate", str(recording / "recorded.npz"), "--theta", str(theta), "--out", str(tmp_path / "f.npz")]
     shown = ["--picture", str(tmp_path / "f.png"), "--recording", str(tmp_path / "f.rrd")]

@@ -102,7 +102,7 @@ def test_pairs_are_rods_and_materials_of_their_own(rng):
         np.testing.assert_array_equal(together.positions[k], alone.positions[0])
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_precisions_agree(rng):
     rods, grippers = swung(rng, 20)
     exact, single = moved(rods, grippers), moved(rods, grippers, precision="f32")

@@ -79,7 +79,7 @@ def test_any_ends_may_be_held(rng, isotropic):
             np.testing.assert_allclose(-solution.end_force[row], here.force, atol=1e-8 * np.abs(here.force).max())
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_precisions_agree_with_any_ends(rng):
     start, clamps, material, springs = rods_under_springs(rng, 2, True, ends=ALL_ENDS)
     exact, single, mixed = (relax(start, material, clamps, Newton.careful(), up=UP, external=springs, precision=precision)

@@ -14,7 +14,7 @@ def relaxed(rng, count: int, bend: float):
     return relax(rods, Material(bend, bend), clamps_at(rods), precision="f32")
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_referenced_results_are_never_overwritten(rng):
     held = [relaxed(rng, 400, 1e5 * (k + 1)) for k in range(4)]
     copies = [solution.configuration.quaternions.copy() for solution in held]
@@ -34,7 +34,7 @@ def test_a_view_keeps_its_memory(rng):
     np.testing.assert_array_equal(view, copy)
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_memory_that_nobody_holds_is_used_again(rng):
     for _ in range(3):
         relaxed(rng, 500, 1e5)
@@ -44,7 +44,7 @@ def test_memory_that_nobody_holds_is_used_again(rng):
     assert len(tables.pool) == before
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_pooled_memory_is_bounded(rng, monkeypatch):
     monkeypatch.setattr(tables, "POOLED_BYTES", 500_000)
     kept = [relaxed(rng, 500, 1e5) for _ in range(8)]

@@ -79,7 +79,7 @@ def test_at_rest_no_turn_of_an_edge_lowers_the_oracle_s_energy(kind, scene, rng)
             assert min(slope) > 0 and abs(slope[0] - slope[1]) < 0.1 * max(slope)
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_any_ends_may_be_held(scene, rng):
     """All sixteen pairs of clamps: both ends held, vertex 0 free to move; at rest by dense linear algebra, forces too."""
     rig, rods, maps = scene
