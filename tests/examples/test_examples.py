@@ -66,8 +66,7 @@ def run_shell(script: Path, folder: Path) -> int:
 
 @pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize("script", [
-    pytest.param(path, marks=() if path.name in DEFAULT else pytest.mark.slow if path.name in COSTLY else pytest.mark.thorough,
-                 id=path.name) for path in SCRIPTS])
+    pytest.param(path, marks=() if path.name in DEFAULT else pytest.mark.thorough, id=path.name) for path in SCRIPTS])
 def test_example(script, folder, monkeypatch):
     monkeypatch.setattr(sys, "argv", [str(script)])
     if script.suffix == ".sh":
