@@ -53,13 +53,13 @@ class ContactTable:
 
     def forget(self, rows: np.ndarray) -> None:
         """Make the rods ``rows`` ones that have touched nothing yet."""
-        self.memory[rows] = 0.0
+        self.memory[rows[self.near[rows]]] = 0.0
 
 
 def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int, clamp: np.ndarray, index: np.ndarray,
                   in_motion: bool = False) -> ContactTable:
     """The table of ``count`` rods of ``edges`` edges, whose rows of ``clamp`` are ``index``; rods ``in_motion`` remember
-    their friction.
+    their friction, and all of them are near.
 
     Raises InputError where numbers of rows do not match or ``radius`` is missing or not positive.
     """
@@ -80,8 +80,9 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     table = np.empty((rows, len(obstacles), OBSTACLE_COLUMNS))
     for place, obstacle in enumerate(obstacles):
         table[:, place] = obstacle.numbers()
-    near = _near(obstacles, radius, clamp[index])
-    # Of rods that are not near neither is ever written to.
+    # Grippers may carry any rod to an obstacle.
+    near = np.ones(count, dtype=bool) if in_motion else _near(obstacles, radius, clamp[index])
+    # Where no rod is near, nothing is ever written to either.
     rows = count if near.any() else 0
     memory = np.zeros((rows, edges + 1, len(obstacles), REMEMBERED_IN_MOTION if in_motion else REMEMBERED))
     forces = np.broadcast_to(0.0, (count, edges + 1, 3)) if not rows else np.zeros((count, edges + 1, 3))
