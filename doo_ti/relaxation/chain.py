@@ -106,6 +106,14 @@ class Chain:
             scratch[at + k * self.stride] = values[k]
 
     @ti.func
+    def behind(self, threads, thread, edges, numbers):
+        """Where ``numbers`` more of a thread begin in scratch: behind the chains of all threads."""
+        first = threads * (self.parameters + self.items * edges) + thread
+        if ti.static(self.stride == 1):
+            first += thread * (numbers - 1)
+        return first
+
+    @ti.func
     def rods(self, tables, scratch: ti.template(), head, coarse):
         """The record of the rods whose parameters begin at ``head``, with the tables of an external energy if there is one."""
         return record(

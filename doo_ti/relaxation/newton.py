@@ -146,9 +146,7 @@ def contact_kernel(number: Number, isotropic: bool, stride: int, block: int, ext
         for thread in range(threads):
             up = (policy[UP], policy[UP + 1], policy[UP + 2])
             edges = rest_length.shape[1]
-            contacts = threads * (sweep.parameters + sweep.items * edges) + thread
-            if ti.static(stride == 1):
-                contacts += thread * (contact_items(edges, kinds.shape[0]) - 1)
+            contacts = sweep.behind(threads, thread, edges, contact_items(edges, kinds.shape[0]))
             tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
                             policy=policy, queue=queue, frames=frames, results=results, numbers=outer, field=space,
                             contacts=contacts, obstacles=obstacles, kinds=kinds, radius=radius, tolerance=gap_tolerance,

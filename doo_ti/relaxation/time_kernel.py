@@ -86,9 +86,7 @@ def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int
         for thread in range(threads):
             up = (policy[UP], policy[UP + 1], policy[UP + 2])
             edges = rest_length.shape[1]
-            contacts = threads * (sweep.parameters + sweep.items * edges) + thread
-            if ti.static(stride == 1):
-                contacts += thread * (contact_items(edges, obstacle_kinds.shape[0]) - 1)
+            contacts = sweep.behind(threads, thread, edges, contact_items(edges, obstacle_kinds.shape[0]))
             tables = record(
                 start=frames, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods, policy=policy,
                 queue=queue, frames=frames, results=results, numbers=numbers, field=material, path=path, shares=shares,
@@ -126,9 +124,7 @@ def time_slope_kernel(stride: int, block: int, width: int):
         for thread in range(threads):
             up = (policy[UP], policy[UP + 1], policy[UP + 2])
             edges = rest_length.shape[1]
-            blocks = threads * (sweep.parameters + sweep.items * edges) + thread
-            if ti.static(stride == 1):
-                blocks += thread * (slope_items(edges, material_slopes.shape[0]) - 1)
+            blocks = sweep.behind(threads, thread, edges, slope_items(edges, material_slopes.shape[0]))
             tables = record(
                 start=frames, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods, policy=policy,
                 queue=queue, frames=frames, results=results, numbers=numbers, field=material, path=path, shares=shares,
