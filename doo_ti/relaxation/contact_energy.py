@@ -43,7 +43,6 @@ from doo_ti.relaxation.contact_layout import (
     PLACE_BETWEEN,
     RADIUS,
     ROOM,
-    ROUGH,
     RUBBED_NORMAL,
     RUBBED_NORMAL_BETWEEN,
     RUBBED_PLACE,
@@ -74,7 +73,7 @@ class ContactEnergy(ContactPlaces):
     @ti.func
     def touched(self, rod, index, start, end):
         """Sum up the derivatives of the energy of the contacts of vertex ``index``, at ``end``, and of the edge from ``start``
-        to there; returns one where there are any. Looks at ``start``; somebody has looked at ``end`` before."""
+        to there; returns one where there are any. Measures from ``start``; that from ``end`` must have been done before."""
         zero = 0.0 * end[0]
         self.look(rod, index - 1, start)
         at, before = self.vertex(rod, index), self.vertex(rod, index - 1)
@@ -91,7 +90,7 @@ class ContactEnergy(ContactPlaces):
                     some = 1
                 if self.is_close(rod, value_end):
                     self.add_vertex(rod, o, at, contact)
-                self.touched_between(rod, o, at, before, start, edge)
+                self.touched_between(rod, o, index, start, edge)
             else:
                 rod.scratch[contact + WEIGHT * self.stride] = zero
                 rod.scratch[contact + SAGGING * self.stride] = zero
@@ -149,11 +148,14 @@ class ContactEnergy(ContactPlaces):
             self.store(rod.scratch, at + FORCE_START * self.stride, minus(late, whole))
 
     @ti.func
-    def touched_between(self, rod, o, at, before, start, edge):
-        """The same of the edge between its ends, of which one is close to obstacle ``o``. (A vertex that is not has no normal
-        in that lane or, where none of the lanes is close, an old one, which does no harm: its edge bridges nothing.)"""
+    def touched_between(self, rod, o, index, start, edge):
+        """The same of the edge between its ends, of which one is close to obstacle ``o``.
+
+        The normal of an end that is close in no lane may be an old one. It can only lower the bound on φ and shorten steps.
+        """
         zero, radius = 0.0 * start[0], self.item(rod, RADIUS)
-        contact, previous = self.contact(at, o), self.contact(before, o)
+        at = self.vertex(rod, index)
+        contact, previous = self.contact(at, o), self.contact(self.vertex(rod, index - 1), o)
         normal_start = self.load3(rod.scratch, previous + NORMAL * self.stride)
         normal_end = self.load3(rod.scratch, contact + NORMAL * self.stride)
         value_start, value_end = rod.scratch[previous + VALUE * self.stride], rod.scratch[contact + VALUE * self.stride]
@@ -169,20 +171,20 @@ class ContactEnergy(ContactPlaces):
         active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
         rod.scratch[contact + WEIGHT * self.stride] = zero
         rod.scratch[contact + SAGGING * self.stride] = zero
-        if self.largest(ti.select(near | active, zero + 1.0, zero)) > 0.5:
+        if self.some(near | active, zero):
             seen = self.nearest(rod, o, start, edge, slope_start, slope_end)
             lower = value_start < value_end
             sagging = ti.select(near, least - seen.value, zero)
             rod.scratch[contact + SAGGING * self.stride] = sagging
             sag = ti.max(sagging / (SAG * radius), zero)
-            behind = self.item(rod, PHASE) > ti.static(0.5 * (BARRIER + ROUGH))
+            behind = self.behind(rod)
             fading = ti.select(behind & near, 2.0 * sag / ((1.0 + sag * sag) * (1.0 + sag * sag) * SAG * radius), zero)
             share = record(
                 weight=ti.select(behind, sag * sag / (1.0 + sag * sag), ti.select(active, zero + 1.0, zero)),
                 slope=fading, s=ti.select(lower, zero, zero + 1.0), normal=chosen(lower, normal_start, normal_end))
             self.add_between(rod, contact, edge, seen, share)
             if ti.static(self.rub):
-                self.rub_between(rod, o, at, before, contact)
+                self.rub_between(rod, o, index, contact)
 
     @ti.func
     def push(self, rod, force, gap):
@@ -191,9 +193,8 @@ class ContactEnergy(ContactPlaces):
         push = ti.max(force - stiffness * gap, 0.0 * gap)
         acting = ti.select(push > 0.0, stiffness, 0.0 * gap)
         energy = 0.5 * push * push / stiffness
-        phase = self.item(rod, PHASE)
-        behind = phase > ti.static(0.5 * (BARRIER + ROUGH))
-        if self.largest(phase) > ti.static(0.5 * (BARRIER + ROUGH)):
+        behind = self.behind(rod)
+        if self.some(behind, 0.0 * gap):
             wall = self.barrier(rod, gap)
             push, acting = ti.select(behind, wall.push, push), ti.select(behind, wall.stiffness, acting)
             energy = ti.select(behind, wall.energy, energy)
@@ -201,8 +202,8 @@ class ContactEnergy(ContactPlaces):
 
     @ti.func
     def barrier(self, rod, gap):
-        """A barrier μ (1 − x)³/x in x, the gap over the radius, where that is below one: its energy, force and stiffness. Rods
-        that have just been loaded feel none."""
+        """A barrier μ (1 − x)³/x in x, the gap over the radius, where that is below one: its energy, force and stiffness. It
+        does not act on rods that have just been loaded."""
         zero = 0.0 * gap
         radius = self.item(rod, RADIUS)
         x = (gap + self.item(rod, OFFSET)) / radius
@@ -236,11 +237,10 @@ class ContactEnergy(ContactPlaces):
             self.add(rod, CURVATURES, rubbed.stiffness + full(rubbed.stiffness) + rubbed.stiffness)
 
     @ti.func
-    def rub_between(self, rod, o, at, before, contact):
+    def rub_between(self, rod, o, index, contact):
         """Add the friction at the nearest point of an edge in the lanes where rounds have it."""
         counts, zero = rod.scratch[contact + ACTIVE * self.stride] > 0.5, 0.0 * rod.total
-        s = rod.scratch[contact + RUBBED_PLACE * self.stride]
-        u = plus(scaled(self.moved(rod, before), 1.0 - s), scaled(self.moved(rod, at), s))
+        s, u = rod.scratch[contact + RUBBED_PLACE * self.stride], self.moved_between(rod, index, contact)
         away = self.load3(rod.scratch, contact + RUBBED_NORMAL_BETWEEN * self.stride)
         rubbed = self.rubbed(rod, o, contact, FORCE_BETWEEN, FRICTION_BETWEEN, away, u)
         pull, bent = chosen(counts, rubbed.pull, repeated(zero, 3)), chosen(counts, rubbed.stiffness, repeated(zero, 6))

@@ -7,6 +7,7 @@ from doo_ti.contact.obstacles import OBSTACLE_COLUMNS
 from doo_ti.physics.algebra import largest_of
 from doo_ti.physics.tuples import applied, dot, full, minus, plus, record, repeated, scaled
 from doo_ti.relaxation.contact_layout import (
+    BARRIER,
     CLOSEST,
     CONTACT_ITEMS,
     CROSSING,
@@ -15,12 +16,15 @@ from doo_ti.relaxation.contact_layout import (
     ENERGY,
     HEAD,
     NORMAL,
+    PHASE,
     PINCHED,
     PLACE,
     PREVIOUS,
     RADIUS,
     REACH,
     ROOM_STANDING,
+    ROUGH,
+    RUBBED_PLACE,
     SEARCHES,
     STANDING,
     TOLERANCE,
@@ -55,6 +59,16 @@ class ContactPlaces:
         """Set it where the condition holds."""
         at = rod.contacts + item * self.stride
         rod.scratch[at] = ti.select(condition, value, rod.scratch[at])
+
+    @ti.func
+    def behind(self, rod):
+        """Whether a barrier keeps the rod away from obstacles, or is about to."""
+        return self.item(rod, PHASE) > ti.static(0.5 * (BARRIER + ROUGH))
+
+    @ti.func
+    def some(self, condition, zero):
+        """Whether a condition holds in some lane."""
+        return self.largest(ti.select(condition, zero + 1.0, zero)) > 0.5
 
     @ti.func
     def obstacle(self, rod, index):
@@ -119,7 +133,7 @@ class ContactPlaces:
     @ti.func
     def is_close(self, rod, value):
         """Whether a vertex of some lane is close to an obstacle, ``value`` being its φ."""
-        return self.largest(ti.select(value < self.item(rod, REACH), 0.0 * value + 1.0, 0.0 * value)) > 0.5
+        return self.some(value < self.item(rod, REACH), 0.0 * value)
 
     @ti.func
     def nearness(self, rod, index, at, item: ti.template()):
@@ -180,3 +194,10 @@ class ContactPlaces:
         """How far a vertex has moved since the instant before."""
         return minus(self.load3(rod.scratch, vertex + PLACE * self.stride),
                      self.load3(rod.scratch, vertex + PREVIOUS * self.stride))
+
+    @ti.func
+    def moved_between(self, rod, index, contact):
+        """The same of the place on the edge to vertex ``index`` at which friction acts."""
+        s = rod.scratch[contact + RUBBED_PLACE * self.stride]
+        before, after = self.moved(rod, self.vertex(rod, index - 1)), self.moved(rod, self.vertex(rod, index))
+        return plus(scaled(before, 1.0 - s), scaled(after, s))

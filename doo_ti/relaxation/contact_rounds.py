@@ -84,7 +84,7 @@ class ContactRounds(ContactEnergy):
         middle of an obstacle, or of the gap there and on the edge that ends there, whose start makes the step ``before``."""
         zero = 0.0 * move[0]
         at = self.vertex(rod, index)
-        behind = self.item(rod, PHASE) > ti.static(0.5 * (BARRIER + ROUGH))
+        behind = self.behind(rod)
         radius = self.item(rod, RADIUS)
         slack = ti.select(behind, self.item(rod, OFFSET), SLACK * radius)
         floor = ti.select(behind, zero - 1e30, zero)
@@ -113,7 +113,7 @@ class ContactRounds(ContactEnergy):
         """The residual that a rod is to reach where ``given`` is that of one without contact: more while its rounds are rough,
         and at least what rounding of places makes of the forces."""
         phase = self.item(rod, PHASE)
-        factor = ti.select(phase > ti.static(0.5 * (BARRIER + ROUGH)), 0.0 * given + ROUGHEST, 0.0 * given + ROUGHER)
+        factor = ti.select(self.behind(rod), 0.0 * given + ROUGHEST, 0.0 * given + ROUGHER)
         noise = self.rounding * self.item(rod, STIFFNESS) * rod.longest * rod.total * rod.total
         return ti.select(phase > ti.static(0.5 * (ROUGH + FINE)), factor * given, given) + noise
 
@@ -134,9 +134,9 @@ class ContactRounds(ContactEnergy):
         phase = self.item(rod, PHASE)
         due = (rests | (calm & (phase > ti.static(0.5 * (ROUGH + FINE))))) & (lane.active > 0.5)
         again = due | entered
-        if self.largest(ti.select(due, zero + 1.0, zero)) > 0.5:
+        behind = self.behind(rod)
+        if self.some(due, zero):
             close = self.settle(rod, due) <= self.item(rod, TOLERANCE)
-            behind = phase > ti.static(0.5 * (ROUGH + BARRIER))
             self.set_item(rod, PHASE, due & close & ~behind, zero + FINE)
             again = entered | (due & ~(close & (phase < ti.static(0.5 * (ROUGH + FINE)))))
         # The next trip evaluates the rod where it is, under the new forces.
@@ -149,8 +149,7 @@ class ContactRounds(ContactEnergy):
         """End a round in the lanes that are ``due`` with new forces, or the barrier with those it exerts. Returns the largest
         change of a gap that they mean."""
         zero = 0.0 * rod.total
-        radius, stiffness, phase = self.item(rod, RADIUS), self.item(rod, STIFFNESS), self.item(rod, PHASE)
-        behind = phase > ti.static(0.5 * (BARRIER + ROUGH))
+        radius, stiffness, behind = self.item(rod, RADIUS), self.item(rod, STIFFNESS), self.behind(rod)
         change, secant, rubbed = zero, zero, zero  # friction settles no sooner with a larger κ
         for v in range(rod.edges + 1):
             at = self.vertex(rod, v)
@@ -191,7 +190,7 @@ class ContactRounds(ContactEnergy):
         active = rod.scratch[contact + ACTIVE * self.stride]
         sags = (rod.scratch[contact + SAGGING * self.stride] > 0.5 * self.item(rod, TOLERANCE)) & (index > 0)
         lost = due & (active > 0.5) & ~sags
-        if self.largest(ti.select(lost, zero + 1.0, zero)) > 0.5:
+        if self.some(lost, zero):
             later = rod.scratch[contact + PLACE_BETWEEN * self.stride] > 0.5
             given = ti.select(lost, force, zero)
             end = contact + FORCE * self.stride
@@ -216,9 +215,8 @@ class ContactRounds(ContactEnergy):
             now = self.load3(rod.scratch, contact + NORMAL * self.stride)
             self.store(rod.scratch, contact + RUBBED_NORMAL * self.stride, chosen(due, now, across))
         active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
-        if index > 0 and self.largest(ti.select(active, zero + 1.0, zero)) > 0.5:
-            s = rod.scratch[contact + RUBBED_PLACE * self.stride]
-            u = plus(scaled(self.moved(rod, self.vertex(rod, index - 1)), 1.0 - s), scaled(self.moved(rod, at), s))
+        if index > 0 and self.some(active, zero):
+            s, u = rod.scratch[contact + RUBBED_PLACE * self.stride], self.moved_between(rod, index, contact)
             away = self.load3(rod.scratch, contact + RUBBED_NORMAL_BETWEEN * self.stride)
             between = self.rubbed(rod, o, contact, FORCE_BETWEEN, FRICTION_BETWEEN, away, u)
             pull = chosen(active, between.pull, repeated(zero, 3))

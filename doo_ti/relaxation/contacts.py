@@ -3,7 +3,7 @@
 import taichi as ti
 
 from doo_ti.contact.obstacles import DEPTH, OBSTACLE_COLUMNS, SIZES
-from doo_ti.physics.tuples import chosen, dot, plus, scaled
+from doo_ti.physics.tuples import chosen, dot
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import (
     ACTIVE,
@@ -30,7 +30,6 @@ from doo_ti.relaxation.contact_layout import (
     RETRIED,
     ROOM,
     ROUGH,
-    RUBBED_PLACE,
     SOFT,
     STAGE,
     STIFFNESS,
@@ -52,24 +51,28 @@ class Contacts(ContactRounds):
     def renew(self, rod, done):
         """Begin another step from where the rods are, in the lanes that are ``done``."""
         zero = 0.0 * rod.total
-        work = zero
-        for v in range(rod.edges + 1):
-            at = self.vertex(rod, v)
-            if ti.static(self.rub):
-                for o in range(rod.obstacles):
-                    contact = self.contact(at, o)
-                    work = work + dot(self.load3(rod.scratch, contact + FRICTION * self.stride), self.moved(rod, at))
-                    if v > 0:
-                        s = rod.scratch[contact + RUBBED_PLACE * self.stride]
-                        active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
-                        u = plus(scaled(self.moved(rod, self.vertex(rod, v - 1)), 1.0 - s), scaled(self.moved(rod, at), s))
-                        between = dot(self.load3(rod.scratch, contact + FRICTION_BETWEEN * self.stride), u)
-                        work = work + ti.select(active, between, zero)
-        self.set_item(rod, WORK, done, self.item(rod, WORK) + work)
+        if ti.static(self.rub):
+            self.set_item(rod, WORK, done, self.item(rod, WORK) + self.friction_work(rod))
         self.set_item(rod, PHASE, done, zero + ROUGH)
         self.set_item(rod, CHANGE, done, zero + 1e30)
         self.set_item(rod, STIFFNESS, done, self.item(rod, FIRST_STIFFNESS))
         self.set_item(rod, RETRIED, done, zero)
+
+    @ti.func
+    def friction_work(self, rod):
+        """The work of friction since the instant before."""
+        zero = 0.0 * rod.total
+        work = zero
+        for v in range(rod.edges + 1):
+            at = self.vertex(rod, v)
+            for o in range(rod.obstacles):
+                contact = self.contact(at, o)
+                work = work + dot(self.load3(rod.scratch, contact + FRICTION * self.stride), self.moved(rod, at))
+                if v > 0:
+                    friction = self.load3(rod.scratch, contact + FRICTION_BETWEEN * self.stride)
+                    active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
+                    work = work + ti.select(active, dot(friction, self.moved_between(rod, v, contact)), zero)
+        return work
 
     @ti.func
     def retry(self, rod, failed):
@@ -77,7 +80,7 @@ class Contacts(ContactRounds):
         in which it has not had one."""
         zero = 0.0 * rod.total
         once = failed & (self.item(rod, RETRIED) < 0.5)
-        if self.largest(ti.select(once, zero + 1.0, zero)) > 0.5:
+        if self.some(once, zero):
             for v in range(rod.edges + 1):
                 at = self.vertex(rod, v)
                 for o in range(rod.obstacles):
@@ -130,10 +133,10 @@ class Contacts(ContactRounds):
         count, vertices = tables.kinds.shape[0], tables.rest_length.shape[1] + 1
         radius = tables.radius[ti.min(row, tables.radius.shape[0] - 1)] / unit
         force = BENDING_LOADS * scale.bend / (scale.total * scale.total) + scale.weight * scale.length
+        strength = BARRIER_SHARE * force * radius
         tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
-        head = (radius, force / (SOFT * radius), tolerance, 1e30, LOADED, 0.0, BARRIER_SHARE * force * radius, 0.0,
-                CLOSE * radius + 0.5 * scale.longest, 0.0, 0.0, 0.0,
-                BARRIER_SHARE * force * radius)
+        head = (radius, force / (SOFT * radius), tolerance, 1e30, LOADED, 0.0, strength, 0.0,
+                CLOSE * radius + 0.5 * scale.longest, 0.0, 0.0, 0.0, strength)
         for k in ti.static(range(len(head))):
             self.put(scratch, base + k * self.stride, slot, head[k])
         for o in range(count):

@@ -102,7 +102,7 @@ def _check_options(solver, precision: str, external, obstacles, once_more: bool)
     if isinstance(solver, Descent) and external is not None:
         raise InputError("relax", "solver", "Descent cannot use an external energy", "give Newton() or Newton.careful()")
     if isinstance(solver, Descent) and len(obstacles):
-        raise InputError("relax", "solver", "Descent knows no obstacles", "give Newton() or Newton.careful()")
+        raise InputError("relax", "solver", "Descent cannot use obstacles", "give Newton() or Newton.careful()")
     if precision not in (*PRECISIONS, F32_ONLY):
         raise InputError("relax", "precision", f"{precision!r}", f"give one of {', '.join((*PRECISIONS, F32_ONLY))}")
 
