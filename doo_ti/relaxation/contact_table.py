@@ -1,7 +1,7 @@
 """The obstacles of many rods as tables, and which of the rods can reach any (docs/contact.md)."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,8 @@ from doo_ti.contact.obstacles import FRICTION, OBSTACLE_COLUMNS, Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError, real_array
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import REMEMBERED, REMEMBERED_IN_MOTION
+from doo_ti.relaxation.contact_layout import REMEMBERED, REMEMBERED_IN_MOTION, contact_items
+from doo_ti.relaxation.pair_layout import self_contact_items
 
 GAP_TOLERANCE = 2e-4
 """Of a rod's radius: how far a gap may be off, or a force over the stiffness κ. In f32 at least 2e-6 of the length."""
@@ -27,6 +28,8 @@ class ContactTable:
     memory     (R, V, M, REMEMBERED) forces of the contacts of vertices and edges, in and out
     forces     (R, V, 3) on the vertices, energy per mm, out
     surroundings  as they were given
+    self_friction  (1 or R,) the rods' coefficients of friction on themselves
+    itself     whether the kernel is the one for rods that touch themselves
     """
 
     obstacles: np.ndarray
@@ -36,16 +39,38 @@ class ContactTable:
     memory: np.ndarray
     forces: np.ndarray
     surroundings: Surroundings
+    self_friction: np.ndarray
+    itself: bool = False
 
     @property
     def rubs(self) -> bool:
-        """Whether any obstacle has friction."""
-        return bool((self.obstacles[..., FRICTION] > 0).any())
+        """Whether there is any friction."""
+        return bool((self.obstacles[..., FRICTION] > 0).any()) or self.itself and bool((self.self_friction > 0).any())
+
+    @property
+    def items(self) -> Callable[[int, int], int]:
+        """How many numbers of a rod's contacts the kernel keeps, by edges and obstacles."""
+        return self_contact_items if self.itself else contact_items
 
     @property
     def distinct(self) -> frozenset[int]:
         """The kinds there are."""
         return frozenset(self.kinds.tolist())
+
+    def arguments(self, forces: np.ndarray) -> tuple:
+        """What a kernel is given of contacts, which writes ``forces``."""
+        return (self.obstacles, self.kinds, self.radius, GAP_TOLERANCE, self.memory, forces, self.self_friction)
+
+    def touching(self, rows: np.ndarray) -> "ContactTable":
+        """The table as the kernel of rods that touch themselves takes it, with room for the forces on the rods ``rows``, which
+        have touched nothing yet."""
+        if not len(self.memory):
+            memory = np.zeros((self.near.shape[0], *self.memory.shape[1:]))
+            forces = np.zeros(self.forces.shape)
+            object.__setattr__(self, "memory", memory)
+            object.__setattr__(self, "forces", forces)
+        self.memory[rows] = 0.0
+        return replace(self, itself=True)
 
     def contacts(self, vertices: np.ndarray, force: np.ndarray) -> Contacts:
         """The contacts of rods at ``vertices`` (R, V, 3) that bear ``force`` (R, V, 3)."""
@@ -76,6 +101,8 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     if len(radius) not in (1, count) or not ((radius > 0) & (radius < np.inf)).all():
         raise InputError("contact", "radius", f"{radius.min():g}" if len(radius) in (1, count) and len(radius) else
                          f"{len(radius)} for {count} rods", "give a positive radius in mm, or one for each rod")
+    surroundings = Surroundings(obstacles, radius)
+    obstacles = surroundings.bodies
     rows = count if any(obstacle.count > 1 for obstacle in obstacles) else 1
     table = np.empty((rows, len(obstacles), OBSTACLE_COLUMNS))
     for place, obstacle in enumerate(obstacles):
@@ -84,11 +111,12 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     near = np.ones(count, dtype=bool) if in_motion else _near(obstacles, radius, clamp[index])
     # Where no rod is near, nothing is ever written to either.
     rows = count if near.any() else 0
-    memory = np.zeros((rows, edges + 1, len(obstacles), REMEMBERED_IN_MOTION if in_motion else REMEMBERED))
+    memory = np.zeros((rows, edges + 1, max(1, len(obstacles)), REMEMBERED_IN_MOTION if in_motion else REMEMBERED))
     forces = np.broadcast_to(0.0, (count, edges + 1, 3)) if not rows else np.zeros((count, edges + 1, 3))
     return ContactTable(
         obstacles=table, kinds=np.array([obstacle.kind for obstacle in obstacles], dtype=np.int32), radius=radius,
-        near=near, memory=memory, forces=forces, surroundings=Surroundings(obstacles, radius))
+        near=near, memory=memory, forces=forces, surroundings=surroundings,
+        self_friction=np.zeros(1) if surroundings.itself is None else surroundings.itself.friction)
 
 
 def _near(obstacles: Sequence[Obstacle], radius: np.ndarray, clamp: np.ndarray) -> np.ndarray:

@@ -157,7 +157,7 @@ class Contacts(ContactRounds):
                     self.put(scratch, contact + k * self.stride, slot, 0.0)
                 for k in range(tables.memory.shape[3]):
                     self.put(scratch, contact + k * self.stride, slot, tables.memory[row, v, o, k])
-        self.load_pairs(tables, scratch, slot)
+        self.load_pairs(tables, scratch, slot, row)
 
     @ti.func
     def unload_forces(self, tables, scratch: ti.template(), slot, place, force_unit):
@@ -199,7 +199,7 @@ class Contacts(ContactRounds):
         """Forget the forces between edges in the lanes where ``once``."""
 
     @ti.func
-    def load_pairs(self, tables, scratch: ti.template(), slot):
+    def load_pairs(self, tables, scratch: ti.template(), slot, row):
         """Begin lane ``slot`` without forces between edges."""
 
     @ti.func
