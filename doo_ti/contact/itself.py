@@ -1,4 +1,4 @@
-"""The rod as its own obstacle, and how near its parts are to each other (docs/contact.md). Axes: R rods, V vertices, E edges."""
+"""The rod as its own obstacle, and how near its parts are to each other (docs/contact.md). Axes: R rods, V vertices."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar

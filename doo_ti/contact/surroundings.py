@@ -62,8 +62,8 @@ class Surroundings:
         return np.minimum(steps, MOST_STEPS).astype(np.int64)
 
     def smallest_gap(self, vertices: np.ndarray) -> np.ndarray:
-        """(R,) mm between the surface of each rod (R, V, 3) and the nearest obstacle, itself if it is one, the least along the rod, measured at
-        :data:`PLACES` of each edge; negative inside an obstacle, NaN for a rod without places."""
+        """(R,) mm between the surface of each rod (R, V, 3) and the nearest obstacle, itself if it is one, the least along the
+        rod, measured at :data:`PLACES` of each edge; negative inside an obstacle, NaN for a rod without places."""
         share = np.linspace(0.0, 1.0, PLACES)[:, None]
         points = vertices[:, :-1, None] + share * np.diff(vertices, axis=1)[:, :, None]
         points = points.reshape(len(vertices), -1, 3)

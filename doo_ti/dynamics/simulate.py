@@ -2,16 +2,19 @@
 
 from collections.abc import Callable, Sequence
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.contact.obstacles import Obstacle
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.adaptive import adapted
 from doo_ti.dynamics.clamp_path import clamp_path
 from doo_ti.dynamics.energies import Account, Losses
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import GRAVITY, RATES, Direction, Dynamics, MovingStart, Stepping, vertex_lengths
+from doo_ti.dynamics.self_contact import kept_apart
 from doo_ti.dynamics.trajectory import Trajectory
 from doo_ti.errors import InputError
 from doo_ti.frames import (
@@ -91,29 +94,33 @@ def simulate(
     given = begin.configuration, material, grippers, dynamics
     direction = unit_up(up, "simulate")
 
-    def run(stepping: Stepping, rods, own_springs, touchable, progress=None) -> Trajectory:
-        motion = _Motion(*given, stepping, own_springs, direction, rods, touchable)
+    surroundings = Surroundings(obstacles, radius)
+    index = paired_rows(begin.configuration.count, material.count, *((None, None) if pairs is None else pairs))
+    many = springs is not None and springs.count == len(index[0]) > 1
+
+    def moved(stepping: Stepping, rows: np.ndarray, progress=None, touching: bool = False) -> Trajectory:
+        own = Springs(springs.points[rows], springs.stiffness[rows]) if many else springs
+        touchable = surroundings.take(rows)
+        touchable = touchable if touching else Surroundings(touchable.bodies, touchable.radius)
+        motion = _Motion(*given, stepping, own, direction, tuple(part[rows] for part in index), touchable, touching)
         memory, remembered = motion.begin(begin, directions)
         return motion.run(memory, progress, directions, remembered)
 
+    def run(stepping: Stepping, rows: np.ndarray, progress=None) -> Trajectory:
+        if surroundings.itself is None:
+            return moved(stepping, rows, progress)
+        start = begin.configuration.vertices[index[0][rows]]
+        return kept_apart(moved, stepping, rows, start, surroundings.take(rows).radius, progress)
+
     if stepping.tolerance is None and stepping.precision != "mixed":
-        return run(stepping, pairs, springs, (obstacles, radius), progress)
-    index = paired_rows(begin.configuration.count, material.count, *((None, None) if pairs is None else pairs))
-    many = springs is not None and springs.count > 1
-
-    def some(stepping: Stepping, rows: np.ndarray, progress=None) -> Trajectory:
-        own = Springs(springs.points[rows], springs.stiffness[rows]) if many else springs
-        thick = radius if np.size(radius) < 2 else np.asarray(radius)[rows]
-        touchable = [obstacle.take(rows) for obstacle in obstacles], thick
-        return run(stepping, tuple(part[rows] for part in index), own, touchable, progress)
-
-    return adapted(some, len(index[0]), stepping, progress)
+        return run(stepping, np.arange(len(index[0])), progress)
+    return adapted(run, len(index[0]), stepping, progress)
 
 
 class _Motion:
     """A motion laid out for the kernels."""
 
-    def __init__(self, start, material, grippers, dynamics, stepping, springs, up, pairs, touchable):
+    def __init__(self, start, material, grippers, dynamics, stepping, springs, up, pairs, surroundings, touching):
         if grippers.count not in (1, start.count):
             raise InputError("simulate", "grippers", f"{grippers.count} rods, start has {start.count}", "give one, or as many")
         if dynamics.count not in (1, material.count):
@@ -122,16 +129,16 @@ class _Motion:
         self.start, self.material, self.dynamics, self.springs, self.up = start, material, dynamics, springs, up
         self.stepping, self.substeps, self.step = stepping, stepping.substeps, stepping.step
         self.grippers = grippers.refined(stepping.substeps)
-        self.pairs = (None, None) if pairs is None else pairs
-        self.obstacles, self.radius = touchable
+        self.pairs, self.surroundings, self.touching = pairs, surroundings, touching
         self.first = _spread(grippers.at(0), start.count)
 
     def table(self, factor: float) -> Tables:
         """The tables of the rods for time derivatives of that factor a."""
         vertices = self.start.edges + 1
         external = Springs(np.zeros((1, vertices, 3)), np.zeros((1, vertices)))
-        return tables(self.start, self._stiffened(factor), self.first, self.up, *self.pairs, external, None,
-                      self.obstacles, self.radius, in_motion=True)
+        table = tables(self.start, self._stiffened(factor), self.first, self.up, *self.pairs, external, None,
+                       **self.surroundings.arguments, in_motion=True)
+        return replace(table, contact=table.contact.touching(np.arange(table.count))) if self.touching else table
 
     def _stiffened(self, factor: float) -> Material:
         """The material with the stiffness and the rest curvature that damping adds."""

@@ -1,8 +1,8 @@
 """Which rods may have touched themselves on the way from one shape to another (docs/contact.md).
 
 On the straight way of every vertex from one shape to the other, the distance of two places changes along the rod by no more
-than the arc. From the distance of one pair of edges follows how many edges further along need not be looked at, so that of a rod
-far from itself only a few are.
+than the arc. From the distance of one pair of edges follows how many edges further along need not be looked at, so that of a
+rod far from itself only a few are.
 
 A rod may also have passed through itself and come back. Where both its ends are held its linking number tells: the twist of its
 frames after the straight way, each transported from its old tangent to the new one, differs from that of the result by whole

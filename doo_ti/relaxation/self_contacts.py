@@ -360,7 +360,8 @@ class SelfContacts(Contacts):
         """Begin lane ``slot`` without forces between edges."""
         edges = tables.rest_length.shape[1]
         own = tables.contacts + contact_items(edges, tables.kinds.shape[0]) * self.stride
-        self.put(scratch, own + COEFFICIENT * self.stride, slot, tables.self_friction[ti.min(row, tables.self_friction.shape[0] - 1)])
+        friction = tables.self_friction[ti.min(row, tables.self_friction.shape[0] - 1)]
+        self.put(scratch, own + COEFFICIENT * self.stride, slot, friction)
         first = own + (ROD_ITEMS + (edges + 1) * VERTEX_ITEMS) * self.stride
         for number in range(edges * (edges - 1) // 2):
             at = first + number * PAIR_ITEMS * self.stride
