@@ -34,7 +34,7 @@ def rod_along(points: ArrayLike, edges: int | ArrayLike) -> Configuration:
     """
     points = real_array("rod_along", "points", points, "give points (N, 3) in mm").astype(np.float64)
     if points.ndim != 2 or points.shape[-1:] != (3,) or len(points) < 2 or not np.isfinite(points).all():
-        raise InputError("rod_along", "points", f"shape {points.shape}, or not finite", "give points (N, 3) in mm, at least two")
+        raise InputError("rod_along", "points", f"shape {points.shape}, or not finite", "give at least two points (N, 3) in mm")
     if np.ndim(edges) == 0:
         require_whole("rod_along", "edges", edges, 2)
         edges = np.ones(edges)

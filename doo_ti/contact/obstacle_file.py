@@ -1,7 +1,7 @@
 """Obstacles in TOML files: for each a ``kind`` and the fields of its class (:mod:`doo_ti.contact.obstacles`), lengths in mm.
 
     [[obstacles]]
-    kind = "plane"                     # plane, sphere, capsule, cylinder, ring or box
+    kind = "plane"                     # plane, sphere, capsule, cylinder, ring, box or itself
     point = [0, 0, 0]
     normal = [0, 0, 1]
 
@@ -19,11 +19,12 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from doo_ti.contact.itself import Itself
 from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Obstacle, Plane, Ring, Sphere
 from doo_ti.errors import InputError
 from doo_ti.io.toml_file import Finite, NotNegative, Positive, Rotation, Table, Vector, checked, read_toml
 
-KINDS = {kind.__name__.lower(): kind for kind in (Plane, Sphere, Capsule, Cylinder, Ring, Box)}
+KINDS = {kind.__name__.lower(): kind for kind in (Plane, Sphere, Capsule, Cylinder, Ring, Box, Itself)}
 _TYPES = {(): Finite, (3,): Vector, (3, 3): Rotation}
 
 

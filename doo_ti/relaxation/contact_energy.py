@@ -36,6 +36,7 @@ from doo_ti.relaxation.contact_layout import (
     GRADIENT,
     GRADIENT_S,
     HEAD,
+    LEAST_X,
     LOADED,
     NORMAL,
     OFFSET,
@@ -209,11 +210,11 @@ class ContactEnergy(ContactPlaces):
         x = (gap + self.item(rod, OFFSET)) / radius
         inside = (x < 1.0) & (self.item(rod, PHASE) < ti.static(0.5 * (LOADED + BARRIER)))
         strength = ti.select(inside, self.item(rod, STRENGTH), zero)
-        inverse, rest = 1.0 / ti.max(x, zero + 1e-3), 1.0 - x
+        inverse, rest = 1.0 / ti.max(x, zero + LEAST_X), 1.0 - x
         first = rest * rest * inverse
         second = first * rest * inverse
         stiffness = 6.0 * rest * inverse + 6.0 * first * inverse + 2.0 * second * inverse
-        return record(energy=ti.select(inside & (x <= 1e-3), zero + 1e30, strength * first * rest),
+        return record(energy=ti.select(inside & (x <= LEAST_X), zero + 1e30, strength * first * rest),
                       push=strength * (3.0 * first + second) / radius, stiffness=strength * stiffness / (radius * radius))
 
     @ti.func

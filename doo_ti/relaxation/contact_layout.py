@@ -55,6 +55,8 @@ CLOSE = 4.0
 """Radii: what is further from an obstacle than that, and half an edge, is not close."""
 LEAST_OFFSET = 0.05
 """Of a radius: the smallest gap of a rod's start, as the barrier sees it."""
+LEAST_X = 1e-3
+"""Of a radius: what is left of a gap where the barrier's energy is infinite."""
 APPROACH = 0.75
 """A whole step may take 0.6 over that of a gap."""
 SLACK = 0.1

@@ -18,6 +18,7 @@ from doo_ti.relaxation.contact_layout import (
     FRICTION,
     FRICTION_BETWEEN,
     LEAST_OFFSET,
+    LEAST_X,
     LOADED,
     NEAR_ENOUGH,
     NORMAL,
@@ -120,10 +121,13 @@ class ContactRounds(ContactEnergy):
         return ti.select(phase > ti.static(0.5 * (ROUGH + FINE)), factor * given, given) + noise
 
     @ti.func
-    def enter(self, rod, fresh):
-        """Begin with the barrier where a rod has just been loaded, its gaps larger by so much that its start is within."""
-        loaded = fresh & (self.item(rod, PHASE) > ti.static(0.5 * (LOADED + BARRIER)))
+    def enter(self, rod, fresh, stands):
+        """Begin with the barrier where a rod has just been loaded, its gaps larger by so much that its start is within; again
+        where a step that only closes the chain, which no energy judges, has carried it through the barrier and ``stands``."""
         radius = self.item(rod, RADIUS)
+        loaded = fresh & (self.item(rod, PHASE) > ti.static(0.5 * (LOADED + BARRIER)))
+        through = self.item(rod, CLOSEST) + self.item(rod, OFFSET) <= LEAST_X * radius
+        loaded = loaded | (self.behind(rod) & through & stands)
         self.set_item(rod, OFFSET, loaded, ti.max(LEAST_OFFSET * radius - self.item(rod, CLOSEST), 0.0 * radius))
         self.set_item(rod, PHASE, loaded, 0.0 * radius + BARRIER)
         return loaded

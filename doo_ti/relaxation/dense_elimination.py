@@ -252,15 +252,15 @@ class DenseElimination:
             g = (g[0], g[1] + l1, g[2] + l2)
             h = (h[0], h[1] + lh[0], h[2] + lh[1], h[3] + lh[2], h[4], h[5] + lh[2])
             free = self.freedom(rod, e)
+            g = products(free, g)
+            # Shifts are measured by bending, not by what contacts far away make of it.
+            self.observe(found, g, (free[0] * h[0], h[1], h[2], free[1] * h[3], h[4], free[2] * h[5]))
             self.assemble_row(rod, e + 1, free, u)
             sums = full(self.load_diagonal(rod, e + 1))
             rows = closure_rows(length, m1, m2)
             a1, a2 = row(rows, 1), row(rows, 2)
             w1, w2 = applied(sums, a1), applied(sums, a2)
             h = (h[0], h[1], h[2], h[3] + dot(a1, w1), h[4] + dot(a1, w2), h[5] + dot(a2, w2))
-            g = products(free, g)
-            h = (free[0] * h[0], h[1], h[2], free[1] * h[3], h[4], free[2] * h[5])
-            self.observe(found, g, h)
             b, along = self.stirred(rod, at, e, negated(g), g, search)
             found.slope = found.slope + along
             self.store_diagonal(rod, e + 1, held_pivot(on_diagonal(h, shift), free))

@@ -335,7 +335,7 @@ class NewtonLoop:
         # At rest, though a neutral motion leaves the certificate undecided: converged, not certified.
         at_rest = place.small & place.settled & (late | stuck)
         if ti.static(self.touches):
-            entered = self.sweep.contacts.enter(rod, fresh)
+            entered = self.sweep.contacts.enter(rod, fresh, judged.stands)
             goes_on = self.sweep.contacts.end_round(rod, lane, place.calm & ~entered, (ended | at_rest) & ~entered, entered)
             ended, at_rest, stuck = ended & ~goes_on, at_rest & ~goes_on, stuck & ~goes_on
             blocked = fresh & self.sweep.contacts.blocked(rod)

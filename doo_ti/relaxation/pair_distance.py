@@ -81,23 +81,20 @@ def pair_slopes(weights, seen, p, q) -> tuple:
 
 
 @traced
-def pair_block(weights, slopes, seen, push, stiffness, k: int, m: int) -> tuple:
-    """Block (k, m) of the second derivative of an energy of D by the ends, −``push`` its first and ``stiffness`` its second
-    derivative by D: row by row.
+def pair_block(own, other, seen, push, stiffness) -> tuple:
+    """The second derivative by two ends, row by row, of an energy of D, of which −``push`` is the first and ``stiffness`` the
+    second derivative. Of both ends the ``weight``, and the mixed derivatives ``by_s`` and ``by_t`` of :func:`pair_slopes`.
 
     ∇∇D = (∇∇(D²)/2 − ∇D ∇Dᵀ)/D.
     """
-    own, late = 3 * k, 3 * m
     share = push / seen.value
-    both = weights[k] * weights[m]
+    both = own.weight * other.weight
     outer = both * (stiffness + share)
     block = []
     for a in range(3):
         for b in range(3):
-            moved = (
-                slopes[own + a] * (seen.ss * slopes[late + b] + seen.st * slopes[12 + late + b])
-                + slopes[12 + own + a] * (seen.st * slopes[late + b] + seen.tt * slopes[12 + late + b]))
+            moved = (own.by_s[a] * (seen.ss * other.by_s[b] + seen.st * other.by_t[b])
+                     + own.by_t[a] * (seen.st * other.by_s[b] + seen.tt * other.by_t[b]))
             entry = outer * seen.normal[a] * seen.normal[b] + share * moved
             block.append(entry - both * share if a == b else entry)
     return tuple(block)
-

@@ -8,7 +8,7 @@ import taichi as ti
 
 from doo_ti.contact.itself import LEAST_ARC
 from doo_ti.physics.algebra import largest_of
-from doo_ti.physics.tuples import chosen, dot, minus, plus, repeated, scaled, variable
+from doo_ti.physics.tuples import chosen, dot, full, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contact_layout import (
     APPROACH,
     CLOSEST,
@@ -46,7 +46,9 @@ from doo_ti.relaxation.pair_layout import (
     ROUNDED,
     RUBBED_NORMAL,
     RUBBED_PLACES,
+    SLOPES,
     VERTEX_ITEMS,
+    WEIGHTS,
     pair_items,
 )
 
@@ -162,16 +164,41 @@ class SelfContacts(Contacts):
         push, stiffness = ti.select(apart, pushed.push, zero), ti.select(apart, pushed.stiffness, zero)
         if self.some((push > 0.0) | (stiffness > 0.0), zero):
             weights = pair_weights(seen.s, seen.t)
-            slopes = pair_slopes(weights, seen, p, q)
-            ends = (i, i + 1, j, j + 1)
-            for k in ti.static(range(4)):
-                pull = self.own_vertex(rod, ends[k]) + PULL * self.stride
-                self.add_to(rod.scratch, pull, scaled(seen.normal, 0.0 - push * weights[k]))
-                self.add_diagonal(rod, ends[k], pair_block(weights, slopes, seen, push, stiffness, k, k))
-                for m in ti.static(range(k)):
-                    self.add_block(rod, ends[k], ends[m], pair_block(weights, slopes, seen, push, stiffness, k, m))
+            self.store(rod.scratch, self.end(rod, 0), weights + pair_slopes(weights, seen, p, q))
+            for k in range(4):
+                own = self.load_end(rod, k)
+                pull = self.own_vertex(rod, self.vertex_of(i, j, k)) + PULL * self.stride
+                self.add_to(rod.scratch, pull, scaled(seen.normal, 0.0 - push * own.weight))
+                for m in range(k + 1):
+                    block = pair_block(own, self.load_end(rod, m), seen, push, stiffness)
+                    self.add_ends(rod, i, j, k, m, block)
         if ti.static(self.rub):
             self.rub_pair(rod, i, j, at, apart)
+
+    @ti.func
+    def end(self, rod, k):
+        """Where the weight of end ``k`` of four is, of the two edges that are looked at."""
+        return self.own(rod) + (WEIGHTS + k) * self.stride
+
+    @ti.func
+    def load_end(self, rod, k):
+        """A record of the weight of an end, and of the mixed derivatives by it and by the places on both edges."""
+        slopes = self.own(rod) + (SLOPES + 3 * k) * self.stride
+        return record(weight=rod.scratch[self.end(rod, k)], by_s=self.load3(rod.scratch, slopes),
+                      by_t=self.load3(rod.scratch, slopes + 12 * self.stride))
+
+    @ti.func
+    def vertex_of(self, i, j, k):
+        """The vertex that is end ``k`` of the edges ``i`` and ``j``."""
+        return ti.select(k < 2, i + k, j + k - 2)
+
+    @ti.func
+    def add_ends(self, rod, i, j, k, m, values):
+        """Add nine numbers to the block of two of the four ends, m ≤ k."""
+        if k == m:
+            self.add_diagonal(rod, self.vertex_of(i, j, k), values)
+        else:
+            self.add_block(rod, self.vertex_of(i, j, k), self.vertex_of(i, j, m), values)
 
     @ti.func
     def held_edge(self, rod, edge):
@@ -227,18 +254,13 @@ class SelfContacts(Contacts):
             self.add(rod, ENERGY, (ti.select(acting, rubbed.energy, zero), square))
             weights = pair_weights(rod.scratch[at + RUBBED_PLACES * self.stride],
                                    rod.scratch[at + (RUBBED_PLACES + 1) * self.stride])
-            ends = (i, i + 1, j, j + 1)
-            for k in ti.static(range(4)):
-                self.add_to(rod.scratch, self.own_vertex(rod, ends[k]) + PULL * self.stride, scaled(pull, weights[k]))
-                self.add_diagonal(rod, ends[k], self.weighted(bent, weights[k] * weights[k]))
-                for m in ti.static(range(k)):
-                    self.add_block(rod, ends[k], ends[m], self.weighted(bent, weights[k] * weights[m]))
-
-    @ti.func
-    def weighted(self, symmetric, weight):
-        """A symmetric matrix times a number, row by row."""
-        s = scaled(symmetric, weight)
-        return (s[0], s[1], s[2], s[1], s[3], s[4], s[2], s[4], s[5])
+            self.store(rod.scratch, self.end(rod, 0), weights)
+            for k in range(4):
+                weight = rod.scratch[self.end(rod, k)]
+                vertex = self.own_vertex(rod, self.vertex_of(i, j, k))
+                self.add_to(rod.scratch, vertex + PULL * self.stride, scaled(pull, weight))
+                for m in range(k + 1):
+                    self.add_ends(rod, i, j, k, m, full(scaled(bent, weight * rod.scratch[self.end(rod, m)])))
 
     # --- steps ---
 
