@@ -149,10 +149,7 @@ class ContactEnergy(ContactPlaces):
 
     @ti.func
     def touched_between(self, rod, o, index, start, edge):
-        """The same of the edge between its ends, of which one is close to obstacle ``o``.
-
-        The normal of an end that is close in no lane may be an old one. It can only lower the bound on φ and shorten steps.
-        """
+        """The same of the edge between its ends, of which one is close to obstacle ``o`` in some lane."""
         zero, radius = 0.0 * start[0], self.item(rod, RADIUS)
         at = self.vertex(rod, index)
         contact, previous = self.contact(at, o), self.contact(self.vertex(rod, index - 1), o)
@@ -166,9 +163,11 @@ class ContactEnergy(ContactPlaces):
         least = ti.min(value_start, value_end)
         low = ti.select(bridging, value_start + slope_start * meet, least)
         low = ti.max(low, 0.5 * (value_start + value_end - rod.longest))  # φ changes no faster than the place
-        self.lower(rod.scratch, at + ROOM * self.stride, low + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
-        near = bridging & (low < 2.0 * radius)
-        active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
+        close = self.close_lanes(rod, least)
+        depth = rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride]
+        self.lower(rod.scratch, at + ROOM * self.stride, ti.select(close, low + depth, least - radius))
+        near = close & bridging & (low < 2.0 * radius)
+        active = close & (rod.scratch[contact + ACTIVE * self.stride] > 0.5)
         rod.scratch[contact + WEIGHT * self.stride] = zero
         rod.scratch[contact + SAGGING * self.stride] = zero
         if self.some(near | active, zero):
@@ -222,8 +221,10 @@ class ContactEnergy(ContactPlaces):
         normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
         bent = (self.load3(rod.scratch, contact + CURVATURE * self.stride)
                 + self.load3(rod.scratch, contact + (CURVATURE + 3) * self.stride))
-        pushed = self.push(rod, rod.scratch[contact + FORCE * self.stride],
-                           rod.scratch[contact + VALUE * self.stride] - self.item(rod, RADIUS))
+        value, zero = rod.scratch[contact + VALUE * self.stride], 0.0 * rod.total
+        close = self.close_lanes(rod, value)
+        pushed = self.push(rod, ti.select(close, rod.scratch[contact + FORCE * self.stride], zero),
+                           value - self.item(rod, RADIUS))
         self.add(rod, ENERGY, (pushed.energy, pushed.push * rod.total))
         pull = scaled(normal, 0.0 - pushed.push)
         k = minus(scaled(outer(normal), pushed.stiffness), scaled(bent, pushed.push))
@@ -232,14 +233,16 @@ class ContactEnergy(ContactPlaces):
         if ti.static(self.rub):
             across = self.load3(rod.scratch, contact + RUBBED_NORMAL * self.stride)
             rubbed = self.rubbed(rod, o, contact, FORCE, FRICTION, across, self.moved(rod, at))
-            self.add(rod, ENERGY, (rubbed.energy, dot(rubbed.pull, rubbed.pull) / self.item(rod, STIFFNESS)))
-            self.add(rod, GRADIENT, rubbed.pull + rubbed.pull)
-            self.add(rod, CURVATURES, rubbed.stiffness + full(rubbed.stiffness) + rubbed.stiffness)
+            drag, stiff = chosen(close, rubbed.pull, repeated(zero, 3)), chosen(close, rubbed.stiffness, repeated(zero, 6))
+            self.add(rod, ENERGY, (ti.select(close, rubbed.energy, zero), dot(drag, drag) / self.item(rod, STIFFNESS)))
+            self.add(rod, GRADIENT, drag + drag)
+            self.add(rod, CURVATURES, stiff + full(stiff) + stiff)
 
     @ti.func
     def rub_between(self, rod, o, index, contact):
         """Add the friction at the nearest point of an edge in the lanes where rounds have it."""
-        counts, zero = rod.scratch[contact + ACTIVE * self.stride] > 0.5, 0.0 * rod.total
+        counts, zero = rod.scratch[contact + WEIGHT * self.stride] > 0.0, 0.0 * rod.total
+        counts = counts & (rod.scratch[contact + ACTIVE * self.stride] > 0.5)
         s, u = rod.scratch[contact + RUBBED_PLACE * self.stride], self.moved_between(rod, index, contact)
         away = self.load3(rod.scratch, contact + RUBBED_NORMAL_BETWEEN * self.stride)
         rubbed = self.rubbed(rod, o, contact, FORCE_BETWEEN, FRICTION_BETWEEN, away, u)

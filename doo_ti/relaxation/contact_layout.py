@@ -6,15 +6,16 @@ from doo_ti.physics.tuples import picked
 # Items of a rod: its radius, κ, the tolerance of its gaps, by how much the last round changed a gap, and its phase; of the
 # barrier what it adds to gaps, its strength μ and how many strengths it has had; how close to an obstacle a vertex is where
 # more than its φ counts; κ as it was at first; the work that friction has done; one where a step is tried for the second time;
-# and μ as it was at first. The obstacles follow.
+# μ as it was at first; of a motion how much of the clamps' way to the next instant is behind the rod, how much of it is made at
+# once, and the multiplier of closure at the last instant. The obstacles follow.
 RADIUS, STIFFNESS, TOLERANCE, CHANGE, PHASE, OFFSET, STRENGTH, STAGE, REACH = 0, 1, 2, 3, 4, 5, 6, 7, 8
-FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH = 9, 10, 11, 12
+FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH, WAY_MADE, WAY, MULTIPLIER = 9, 10, 11, 12, 13, 14, 15
 # And sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts and
 # its magnitude; the square of the largest share of its way to the middle of an obstacle that a vertex has made in this step;
 # the least φ, the least gap where clamps hold a vertex and where none does; and of one edge the derivatives of its contacts'
 # energy, as :meth:`.LoadedElimination.load` returns them.
-ENERGY, MAGNITUDE, CROSSING, DEEPEST, PINCHED, CLOSEST = 13, 14, 15, 16, 17, 18
-GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, HEAD = 19, 22, 25, 31, 40, 46
+ENERGY, MAGNITUDE, CROSSING, DEEPEST, PINCHED, CLOSEST = 18, 19, 20, 21, 22, 23
+GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, HEAD = 24, 27, 30, 36, 45, 51
 # Phases of a rod: it has just been loaded; a barrier keeps it away from obstacles, which finds out where it will touch them;
 # rounds to a rough tolerance of its moments; rounds to the final one.
 LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0

@@ -95,7 +95,8 @@ class ContactRounds(ContactEnergy):
             if self.is_close(rod, value):
                 gap = ti.max(value - radius, floor) + slack
                 normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
-                most = ti.max(most, (0.0 - APPROACH) * dot(normal, move) / ti.max(gap, 1e-6 * radius))
+                share = (0.0 - APPROACH) * dot(normal, move) / ti.max(gap, 1e-6 * radius)
+                most = ti.select(self.close_lanes(rod, value), ti.max(most, share), most)
             weight = rod.scratch[contact + WEIGHT * self.stride]
             if self.largest(weight) > 0.0:
                 s = rod.scratch[contact + PLACE_BETWEEN * self.stride]
@@ -158,6 +159,11 @@ class ContactRounds(ContactEnergy):
                 for k in ti.static(range(2)):
                     old = rod.scratch[contact + (FORCE + k) * self.stride]
                     gap = rod.scratch[contact + (VALUE_BETWEEN if k else VALUE) * self.stride] - radius
+                    if ti.static(k == 1):
+                        # Of an edge that is far away the nearest point is not known any more.
+                        known = (rod.scratch[contact + WEIGHT * self.stride] > 0.0) | (
+                            rod.scratch[contact + SAGGING * self.stride] > 0.0)
+                        gap = ti.select(known, gap, zero + 1e6)
                     pushed = self.barrier(rod, gap).push
                     new = ti.select(behind, pushed, ti.max(old - stiffness * gap, zero))
                     if ti.static(k == 1):
@@ -208,12 +214,17 @@ class ContactRounds(ContactEnergy):
         at = self.vertex(rod, index)
         contact = self.contact(at, o)
         change = zero
-        if self.is_close(rod, rod.scratch[contact + VALUE * self.stride]):
+        value = rod.scratch[contact + VALUE * self.stride]
+        if self.is_close(rod, value):
+            close = self.close_lanes(rod, value)
             across = self.load3(rod.scratch, contact + RUBBED_NORMAL * self.stride)
             rubbed = self.rubbed(rod, o, contact, FORCE, FRICTION, across, self.moved(rod, at))
-            change = self.keep_friction(rod, contact + FRICTION * self.stride, rubbed.pull, due)
+            own = chosen(close, rubbed.pull, repeated(zero, 3))
+            change = self.keep_friction(rod, contact + FRICTION * self.stride, own, due)
             now = self.load3(rod.scratch, contact + NORMAL * self.stride)
-            self.store(rod.scratch, contact + RUBBED_NORMAL * self.stride, chosen(due, now, across))
+            self.store(rod.scratch, contact + RUBBED_NORMAL * self.stride, chosen(due & close, now, across))
+        else:
+            change = self.keep_friction(rod, contact + FRICTION * self.stride, repeated(zero, 3), due)
         active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
         if index > 0 and self.some(active, zero):
             s, u = rod.scratch[contact + RUBBED_PLACE * self.stride], self.moved_between(rod, index, contact)
@@ -225,6 +236,8 @@ class ContactRounds(ContactEnergy):
             place = rod.scratch[contact + PLACE_BETWEEN * self.stride]
             self.store(rod.scratch, contact + RUBBED_NORMAL_BETWEEN * self.stride, chosen(due & active, later, away))
             rod.scratch[contact + RUBBED_PLACE * self.stride] = ti.select(due & active, place, s)
+        else:
+            self.keep_friction(rod, contact + FRICTION_BETWEEN * self.stride, repeated(zero, 3), due)
         return change
 
     @ti.func

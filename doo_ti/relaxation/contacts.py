@@ -22,6 +22,7 @@ from doo_ti.relaxation.contact_layout import (
     HEAD,
     INERT,
     LOADED,
+    MULTIPLIER,
     OFFSET,
     PHASE,
     PREVIOUS,
@@ -35,6 +36,8 @@ from doo_ti.relaxation.contact_layout import (
     STIFFNESS,
     STRENGTH,
     VERTEX_ITEMS,
+    WAY,
+    WAY_MADE,
     WEIGHT,
     WORK,
 )
@@ -48,15 +51,25 @@ class Contacts(ContactRounds):
     # --- from one instant to the next ---
 
     @ti.func
-    def renew(self, rod, done):
-        """Begin another step from where the rods are, in the lanes that are ``done``."""
+    def renew(self, rod, done, multiplier):
+        """Begin another step from where the rods are, in the lanes that are ``done``; returns those in which the clamps have not
+        made all their way to the next instant."""
         zero = 0.0 * rod.total
+        one = zero + 1.0
+        made = self.item(rod, WAY_MADE) + self.item(rod, WAY)
+        midway = done & (made < 1.0 - 1e-3 * self.item(rod, WAY))
+        made = ti.select(midway, made, zero)
+        self.set_item(rod, WAY_MADE, done, made)
+        self.set_item(rod, WAY, done, ti.min(2.0 * self.item(rod, WAY), one - made))
+        for k in ti.static(range(3)):
+            self.set_item(rod, MULTIPLIER + k, done, multiplier[k])
         if ti.static(self.rub):
             self.set_item(rod, WORK, done, self.item(rod, WORK) + self.friction_work(rod))
         self.set_item(rod, PHASE, done, zero + ROUGH)
         self.set_item(rod, CHANGE, done, zero + 1e30)
         self.set_item(rod, STIFFNESS, done, self.item(rod, FIRST_STIFFNESS))
         self.set_item(rod, RETRIED, done, zero)
+        return midway
 
     @ti.func
     def friction_work(self, rod):
@@ -75,12 +88,16 @@ class Contacts(ContactRounds):
         return work
 
     @ti.func
-    def retry(self, rod, failed):
+    def retry(self, rod, failed, blocked, least):
         """Prepare a step that has failed for another try, which knows no forces and begins with the barrier; returns the lanes
-        in which it has not had one."""
+        in which there is one. A second try, and a first one that would begin inside an obstacle (``blocked``), makes half the
+        way, down to ``least`` of that to the next instant."""
         zero = 0.0 * rod.total
-        once = failed & (self.item(rod, RETRIED) < 0.5)
+        again = failed & (self.item(rod, RETRIED) < 0.5) & ~blocked
+        shorter = failed & ~again & (self.item(rod, WAY) > 1.5 * least)
+        once = again | shorter
         if self.some(once, zero):
+            self.set_item(rod, WAY, shorter, 0.5 * self.item(rod, WAY))
             for v in range(rod.edges + 1):
                 at = self.vertex(rod, v)
                 for o in range(rod.obstacles):
@@ -120,6 +137,10 @@ class Contacts(ContactRounds):
             self.put(scratch, tables.contacts + item * self.stride, slot, stiffness)
         self.put(scratch, tables.contacts + PHASE * self.stride, slot, phase)
         self.put(scratch, tables.contacts + WORK * self.stride, slot, 0.0)
+        self.put(scratch, tables.contacts + WAY_MADE * self.stride, slot, 0.0)
+        self.put(scratch, tables.contacts + WAY * self.stride, slot, 1.0)
+        for k in ti.static(range(3)):
+            self.put(scratch, tables.contacts + (MULTIPLIER + k) * self.stride, slot, tables.results[row, of.FORCE + k])
 
     # --- a rod into a lane and out of it ---
 

@@ -33,8 +33,9 @@ FRAME_1, FRAME_2, REST_LEFT, REST_RIGHT, REST_TWIST, EDGE_ITEMS = 20, 24, 28, 30
 OF_BEND_SHARE, OF_TWIST_SHARE, OF_INERTIA, OF_VERTEX = 0, 1, 2, 3
 PARAMETERS = OF_VERTEX + VERTEX_ITEMS
 
-# What a launch is given after the policy of Newton: the step h in s, and a and b above.
-STEP, RATE, EXTRAPOLATION, TIME_COLUMNS = 0, 1, 2, 3
+# What a launch is given after the policy of Newton: the step h in s, a and b above, and the least share of the clamps' way
+# from one instant to the next that a rod in contact makes at once where more fails.
+STEP, RATE, EXTRAPOLATION, LEAST_WAY, TIME_COLUMNS = 0, 1, 2, 3, 4
 
 
 @ti.data_oriented
