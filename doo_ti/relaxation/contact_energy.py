@@ -51,6 +51,7 @@ from doo_ti.relaxation.contact_layout import (
     STIFFNESS,
     STRENGTH,
     VALUE,
+    WALL,
     WEIGHT,
 )
 from doo_ti.relaxation.contact_places import ContactPlaces
@@ -95,6 +96,15 @@ class ContactEnergy(ContactPlaces):
                 rod.scratch[contact + WEIGHT * self.stride] = zero
                 rod.scratch[contact + SAGGING * self.stride] = zero
                 self.lower(rod.scratch, room, least - self.item(rod, RADIUS))
+            if ti.static(self.rub):
+                # Friction stays as long as its round, however far the rod moves: without it the energy would jump.
+                active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
+                if self.some((rod.scratch[contact + FORCE * self.stride] > 0.0) | active, zero):
+                    if some == 0:
+                        self.clear(rod, zero)
+                        some = 1
+                    self.rub_vertex(rod, o, at, contact)
+                    self.rub_between(rod, o, index, contact, active)
         self.note_forces(rod, at, some)
         return some
 
@@ -111,6 +121,12 @@ class ContactEnergy(ContactPlaces):
                     self.clear(rod, zero)
                     some = 1
                 self.add_vertex(rod, o, at, contact)
+            if ti.static(self.rub):
+                if self.some(rod.scratch[contact + FORCE * self.stride] > 0.0, zero):
+                    if some == 0:
+                        self.clear(rod, zero)
+                        some = 1
+                    self.rub_vertex(rod, o, at, contact)
             self.lower(rod.scratch, at + ROOM * self.stride, value + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
         self.note_forces(rod, at, some)
         return some
@@ -182,8 +198,6 @@ class ContactEnergy(ContactPlaces):
                 weight=ti.select(behind, sag * sag / (1.0 + sag * sag), ti.select(active, zero + 1.0, zero)),
                 slope=fading, s=ti.select(lower, zero, zero + 1.0), normal=chosen(lower, normal_start, normal_end))
             self.add_between(rod, contact, edge, seen, share)
-            if ti.static(self.rub):
-                self.rub_between(rod, o, index, contact)
 
     @ti.func
     def push(self, rod, force, gap):
@@ -212,7 +226,7 @@ class ContactEnergy(ContactPlaces):
         first = rest * rest * inverse
         second = first * rest * inverse
         stiffness = 6.0 * rest * inverse + 6.0 * first * inverse + 2.0 * second * inverse
-        return record(energy=ti.select(inside & (x <= 1e-3), zero + 1e30, strength * first * rest),
+        return record(energy=ti.select(inside & (x <= 1e-3), zero + 2.0 * WALL, strength * first * rest),
                       push=strength * (3.0 * first + second) / radius, stiffness=strength * stiffness / (radius * radius))
 
     @ti.func
@@ -230,19 +244,20 @@ class ContactEnergy(ContactPlaces):
         k = minus(scaled(outer(normal), pushed.stiffness), scaled(bent, pushed.push))
         self.add(rod, GRADIENT, pull + pull)
         self.add(rod, CURVATURES, k + full(k) + k)
-        if ti.static(self.rub):
-            across = self.load3(rod.scratch, contact + RUBBED_NORMAL * self.stride)
-            rubbed = self.rubbed(rod, o, contact, FORCE, FRICTION, across, self.moved(rod, at))
-            drag, stiff = chosen(close, rubbed.pull, repeated(zero, 3)), chosen(close, rubbed.stiffness, repeated(zero, 6))
-            self.add(rod, ENERGY, (ti.select(close, rubbed.energy, zero), dot(drag, drag) / self.item(rod, STIFFNESS)))
-            self.add(rod, GRADIENT, drag + drag)
-            self.add(rod, CURVATURES, stiff + full(stiff) + stiff)
 
     @ti.func
-    def rub_between(self, rod, o, index, contact):
-        """Add the friction at the nearest point of an edge in the lanes where rounds have it."""
-        counts, zero = rod.scratch[contact + WEIGHT * self.stride] > 0.0, 0.0 * rod.total
-        counts = counts & (rod.scratch[contact + ACTIVE * self.stride] > 0.5)
+    def rub_vertex(self, rod, o, at, contact):
+        """Add the friction of the vertex."""
+        across = self.load3(rod.scratch, contact + RUBBED_NORMAL * self.stride)
+        rubbed = self.rubbed(rod, o, contact, FORCE, FRICTION, across, self.moved(rod, at))
+        self.add(rod, ENERGY, (rubbed.energy, dot(rubbed.pull, rubbed.pull) / self.item(rod, STIFFNESS)))
+        self.add(rod, GRADIENT, rubbed.pull + rubbed.pull)
+        self.add(rod, CURVATURES, rubbed.stiffness + full(rubbed.stiffness) + rubbed.stiffness)
+
+    @ti.func
+    def rub_between(self, rod, o, index, contact, counts):
+        """Add the friction at the nearest point of an edge in the lanes where it ``counts``."""
+        zero = 0.0 * rod.total
         s, u = rod.scratch[contact + RUBBED_PLACE * self.stride], self.moved_between(rod, index, contact)
         away = self.load3(rod.scratch, contact + RUBBED_NORMAL_BETWEEN * self.stride)
         rubbed = self.rubbed(rod, o, contact, FORCE_BETWEEN, FRICTION_BETWEEN, away, u)

@@ -7,15 +7,16 @@ from doo_ti.physics.tuples import picked
 # barrier what it adds to gaps, its strength μ and how many strengths it has had; how close to an obstacle a vertex is where
 # more than its φ counts; κ as it was at first; the work that friction has done; one where a step is tried for the second time;
 # μ as it was at first; of a motion how much of the clamps' way to the next instant is behind the rod, how much of it is made at
-# once, and the multiplier of closure at the last instant. The obstacles follow.
+# once, the multiplier of closure at the last instant, and the largest force. The obstacles follow.
 RADIUS, STIFFNESS, TOLERANCE, CHANGE, PHASE, OFFSET, STRENGTH, STAGE, REACH = 0, 1, 2, 3, 4, 5, 6, 7, 8
-FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH, WAY_MADE, WAY, MULTIPLIER = 9, 10, 11, 12, 13, 14, 15
+FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH, WAY_MADE, WAY, MULTIPLIER, LARGEST = (
+    9, 10, 11, 12, 13, 14, 15, 18)
 # And sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts and
 # its magnitude; the square of the largest share of its way to the middle of an obstacle that a vertex has made in this step;
 # the least φ, the least gap where clamps hold a vertex and where none does; and of one edge the derivatives of its contacts'
 # energy, as :meth:`.LoadedElimination.load` returns them.
-ENERGY, MAGNITUDE, CROSSING, DEEPEST, PINCHED, CLOSEST = 18, 19, 20, 21, 22, 23
-GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, HEAD = 24, 27, 30, 36, 45, 51
+ENERGY, MAGNITUDE, CROSSING, DEEPEST, PINCHED, CLOSEST = 19, 20, 21, 22, 23, 24
+GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, HEAD = 25, 28, 31, 37, 46, 52
 # Phases of a rod: it has just been loaded; a barrier keeps it away from obstacles, which finds out where it will touch them;
 # rounds to a rough tolerance of its moments; rounds to the final one.
 LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0
@@ -42,12 +43,16 @@ BENDING_LOADS = 20.0
 """The forces to expect are the weight of an edge and so many B/L²."""
 SOFT = 0.05
 """Of a radius: at first κ gives way by that under such a force."""
+TIGHT = 0.3
+"""Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does."""
 STIFFER, SLOW = 5.0, 0.3
 """κ grows by so much where a round leaves more than that share of the change of the round before."""
 SECANT = 0.3
 """After the barrier κ is that share of the barrier's largest force over its gap."""
 BARRIER_SHARE = 1 / 16
 """The barrier at a quarter of a radius pushes at first like such a force."""
+WALL = 1e29
+"""More energy than a rod has: behind the barrier."""
 WEAKER, STAGES = 1 / 30, 2
 """The barrier becomes weaker by that, until it has had so many stages."""
 NEAR_ENOUGH = 0.03

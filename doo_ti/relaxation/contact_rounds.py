@@ -17,6 +17,7 @@ from doo_ti.relaxation.contact_layout import (
     FORCE_BETWEEN,
     FRICTION,
     FRICTION_BETWEEN,
+    LARGEST,
     LEAST_OFFSET,
     LOADED,
     NEAR_ENOUGH,
@@ -45,6 +46,7 @@ from doo_ti.relaxation.contact_layout import (
     STIFFER,
     STIFFNESS,
     STRENGTH,
+    TIGHT,
     TOLERANCE,
     VALUE,
     VALUE_BETWEEN,
@@ -119,13 +121,16 @@ class ContactRounds(ContactEnergy):
         return ti.select(phase > ti.static(0.5 * (ROUGH + FINE)), factor * given, given) + noise
 
     @ti.func
-    def enter(self, rod, fresh):
-        """Begin with the barrier where a rod has just been loaded, its gaps larger by so much that its start is within."""
-        loaded = fresh & (self.item(rod, PHASE) > ti.static(0.5 * (LOADED + BARRIER)))
+    def enter(self, rod, fresh, pushed):
+        """Begin with the barrier where a rod has just been loaded, or was ``pushed`` into it by a step that nothing judged, its
+        gaps larger by so much that it is within; returns the lanes where they are."""
         radius = self.item(rod, RADIUS)
-        self.set_item(rod, OFFSET, loaded, ti.max(LEAST_OFFSET * radius - self.item(rod, CLOSEST), 0.0 * radius))
+        needed = LEAST_OFFSET * radius - self.item(rod, CLOSEST)
+        loaded = fresh & (self.item(rod, PHASE) > ti.static(0.5 * (LOADED + BARRIER)))
+        further = pushed & self.behind(rod) & (needed > self.item(rod, OFFSET))
+        self.set_item(rod, OFFSET, loaded | further, ti.max(needed, 0.0 * radius))
         self.set_item(rod, PHASE, loaded, 0.0 * radius + BARRIER)
-        return loaded
+        return loaded | further
 
     @ti.func
     def end_round(self, rod, lane, calm, rests, entered):
@@ -151,7 +156,7 @@ class ContactRounds(ContactEnergy):
         change of a gap that they mean."""
         zero = 0.0 * rod.total
         radius, stiffness, behind = self.item(rod, RADIUS), self.item(rod, STIFFNESS), self.behind(rod)
-        change, secant, rubbed = zero, zero, zero  # friction settles no sooner with a larger κ
+        change, secant, largest, rubbed = zero, zero, zero, zero  # friction settles no sooner with a larger κ
         for v in range(rod.edges + 1):
             at = self.vertex(rod, v)
             for o in range(rod.obstacles):
@@ -170,13 +175,16 @@ class ContactRounds(ContactEnergy):
                         new, late = self.settle_between(rod, v, o, due, gap, new)
                         change = largest_of(change, ti.select(behind, zero, late))
                     secant = largest_of(secant, new / ti.max(gap + self.item(rod, OFFSET), 1e-3 * radius))
+                    largest = largest_of(largest, new)
                     change = largest_of(change, absolute(new - old))
                     rod.scratch[contact + (FORCE + k) * self.stride] = ti.select(due, new, old)
                 if ti.static(self.rub):
                     rubbed = largest_of(rubbed, self.settle_friction(rod, v, o, due))
         change = ti.select(due & ~behind, change / stiffness, zero)
         slow = due & ~behind & (change > SLOW * self.item(rod, CHANGE)) & (change > self.item(rod, TOLERANCE))
+        self.set_item(rod, LARGEST, due, largest)
         self.set_item(rod, STIFFNESS, slow, STIFFER * stiffness)
+        self.tighten(rod, due & ~behind)
         self.set_item(rod, CHANGE, due & ~behind, change)
         nearest = self.item(rod, CLOSEST) + self.item(rod, OFFSET)
         last = due & behind & ((self.item(rod, STAGE) > STAGES - 1.5) | (nearest < NEAR_ENOUGH * radius))
@@ -186,6 +194,12 @@ class ContactRounds(ContactEnergy):
         self.set_item(rod, STRENGTH, due & behind & ~last, WEAKER * self.item(rod, STRENGTH))
         self.set_item(rod, STAGE, due & behind, 1.0 + self.item(rod, STAGE))
         return largest_of(change, ti.select(due & ~behind, rubbed / stiffness, zero))
+
+    @ti.func
+    def tighten(self, rod, where):
+        """Make κ so large that it gives way by no more than a part of the radius under the largest force."""
+        least = self.item(rod, LARGEST) / (TIGHT * self.item(rod, RADIUS))
+        self.set_item(rod, STIFFNESS, where, ti.max(self.item(rod, STIFFNESS), least))
 
     @ti.func
     def settle_between(self, rod, index, o, due, gap, force):
@@ -214,13 +228,11 @@ class ContactRounds(ContactEnergy):
         at = self.vertex(rod, index)
         contact = self.contact(at, o)
         change = zero
-        value = rod.scratch[contact + VALUE * self.stride]
-        if self.is_close(rod, value):
-            close = self.close_lanes(rod, value)
+        close = self.close_lanes(rod, rod.scratch[contact + VALUE * self.stride])
+        if self.some(close | (rod.scratch[contact + FORCE * self.stride] > 0.0), zero):
             across = self.load3(rod.scratch, contact + RUBBED_NORMAL * self.stride)
             rubbed = self.rubbed(rod, o, contact, FORCE, FRICTION, across, self.moved(rod, at))
-            own = chosen(close, rubbed.pull, repeated(zero, 3))
-            change = self.keep_friction(rod, contact + FRICTION * self.stride, own, due)
+            change = self.keep_friction(rod, contact + FRICTION * self.stride, rubbed.pull, due)
             now = self.load3(rod.scratch, contact + NORMAL * self.stride)
             self.store(rod.scratch, contact + RUBBED_NORMAL * self.stride, chosen(due & close, now, across))
         else:

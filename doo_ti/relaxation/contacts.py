@@ -21,6 +21,7 @@ from doo_ti.relaxation.contact_layout import (
     FRICTION_BETWEEN,
     HEAD,
     INERT,
+    LARGEST,
     LOADED,
     MULTIPLIER,
     OFFSET,
@@ -68,6 +69,7 @@ class Contacts(ContactRounds):
         self.set_item(rod, PHASE, done, zero + ROUGH)
         self.set_item(rod, CHANGE, done, zero + 1e30)
         self.set_item(rod, STIFFNESS, done, self.item(rod, FIRST_STIFFNESS))
+        self.tighten(rod, done)
         self.set_item(rod, RETRIED, done, zero)
         return midway
 
@@ -137,6 +139,7 @@ class Contacts(ContactRounds):
             self.put(scratch, tables.contacts + item * self.stride, slot, stiffness)
         self.put(scratch, tables.contacts + PHASE * self.stride, slot, phase)
         self.put(scratch, tables.contacts + WORK * self.stride, slot, 0.0)
+        self.put(scratch, tables.contacts + LARGEST * self.stride, slot, 0.0)
         self.put(scratch, tables.contacts + WAY_MADE * self.stride, slot, 0.0)
         self.put(scratch, tables.contacts + WAY * self.stride, slot, 1.0)
         for k in ti.static(range(3)):
