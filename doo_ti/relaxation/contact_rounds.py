@@ -208,7 +208,9 @@ class ContactRounds(ContactEnergy):
         zero = 0.0 * gap
         contact = self.contact(self.vertex(rod, index), o)
         active = rod.scratch[contact + ACTIVE * self.stride]
-        sags = (rod.scratch[contact + SAGGING * self.stride] > 0.5 * self.item(rod, TOLERANCE)) & (index > 0)
+        # Fewer changes than one threshold for both: rounds could take it in and leave it out by turns.
+        least = ti.select(active > 0.5, zero, 0.5 * self.item(rod, TOLERANCE))
+        sags = (rod.scratch[contact + SAGGING * self.stride] > least) & (index > 0)
         lost = due & (active > 0.5) & ~sags
         if self.some(lost, zero):
             later = rod.scratch[contact + PLACE_BETWEEN * self.stride] > 0.5
