@@ -115,7 +115,7 @@ class MotionLoading(Loading):
         share = ti.cast(1.0, ti.f64)
         if ti.static(self.touches):
             made = ti.cast(self.get(scratch, tables.contacts + WAY_MADE * self.stride, slot), ti.f64)
-            share = ti.min(share, self.get(scratch, tables.contacts + WAY * self.stride, slot) / (1.0 - made))
+            share = ti.min(share, self.get(scratch, tables.contacts + WAY * self.stride, slot) / ti.max(1.0 - made, 1e-9))
         return share
 
     @ti.func
@@ -195,17 +195,17 @@ class TimeLoop(NewtonLoop):
                       extrapolation=zero + ti.cast(tables.time[EXTRAPOLATION], self.scalar))
         up = (ti.cast(tables.up[0], self.scalar), ti.cast(tables.up[1], self.scalar), ti.cast(tables.up[2], self.scalar))
         rod = self.sweep.rods(tables, scratch, head, lane.coarse)
-        once_more = done & (lane.active < 0.5)
+        once_more, least = done & (lane.active < 0.5), zero + ti.cast(tables.time[LEAST_WAY], self.scalar)
         if ti.static(self.touches):
             blocked = lane.status > self.infeasible - 0.5
             failed = done & (lane.status > 0.5) & ~(blocked & self.sweep.contacts.pinched(rod))
-            once_more = self.sweep.contacts.retry(rod, failed, blocked, ti.cast(tables.time[LEAST_WAY], self.scalar))
+            once_more = self.sweep.contacts.retry(rod, failed, blocked, least)
             known = self.sweep.load3(scratch, tables.contacts + MULTIPLIER * self.stride)
             lane.multiplier = chosen(once_more, known, lane.multiplier)
             done = done & ~once_more
         self.differentiate(tables, rod, time, up, ti.select(done, one, zero))
         if ti.static(self.touches):
-            once_more = once_more | self.sweep.contacts.renew(rod, done & (lane.status < 0.5), lane.multiplier)
+            once_more = once_more | self.sweep.contacts.renew(rod, done & (lane.status < 0.5), least, lane.multiplier)
         repeats = ti.select(once_more, one, zero)
         self.sweep.remember(rod, time, done)
         steps_made = supply.places + (tables.queue.shape[0] - LANES) // 2

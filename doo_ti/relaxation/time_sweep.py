@@ -16,6 +16,7 @@ from doo_ti.physics import pair
 from doo_ti.physics.quaternion import normalised, product, relative_rotation, tangent
 from doo_ti.physics.tuples import chosen, dot, minus, plus, scaled, variable
 from doo_ti.relaxation.chain import FRAME, LENGTH, LOADED_PARAMETERS, OF_DRIFT, REST
+from doo_ti.relaxation.contact_layout import VISCOSITY
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
@@ -142,8 +143,13 @@ class TimeSweep(LoadedElimination):
         drag = rod.scratch[at + DRAG * s] + rod.scratch[at + DRAG_BY_SPEED * s] * ti.sqrt(dot(fast, fast))
         inertia, stiffness = rod.scratch[at + INERTIA * s], rod.scratch[at + SPRING * s]
         k = inertia + drag + stiffness
-        pull = plus(plus(scaled(ahead, inertia), scaled(y, drag)),
-                    scaled(self.load3(rod.scratch, at + SPRING_POINT * s), stiffness))
+        pull = variable(plus(plus(scaled(ahead, inertia), scaled(y, drag)),
+                             scaled(self.load3(rod.scratch, at + SPRING_POINT * s), stiffness)))
+        if ti.static(self.touches):
+            # What eases a step draws every vertex to where it was.
+            viscosity = self.contacts.item(rod, VISCOSITY)
+            k = k + viscosity
+            pull = plus(pull, scaled(self.load3(rod.scratch, at + PLACE_1 * s), viscosity))
         load = rod.scratch[at + LOAD * s]
         point = scaled((pull[0] - load * up[0], pull[1] - load * up[1], pull[2] - load * up[2]), 1.0 / (k + 1e-30))
         return point, k, ahead
