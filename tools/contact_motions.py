@@ -3,8 +3,9 @@
     python tools/contact_motions.py [--motions 10000] [--seed 0] [--precision f64]
 
 Both ends of every rod are held by grippers that move and turn smoothly at random above a table with pegs, without inertia and
-with friction. Checked apart from the engine: gaps at 16 places along every edge, and for every edge and peg whether the surface
-that the edge sweeps from one frame to the next is pierced by the peg's axis.
+with friction. Motions whose grippers would carry an end into a peg or the table, or whose rod begins inside one, cannot be made:
+they are counted apart, and others are drawn. Checked apart from the engine: gaps at 16 places along every edge, and for every
+peg how often, by sense, its axis pierces the surface that the rod sweeps from one frame to the next.
 """
 
 import argparse
@@ -69,12 +70,22 @@ def smallest_gap(x: np.ndarray) -> np.ndarray:
     return np.min([obstacle.distance(places)[0].min(axis=1) for obstacle in obstacles()], axis=0) - RADIUS
 
 
+def held_gap(grippers: Grippers) -> np.ndarray:
+    """(R,) mm, the smallest of the edges that the grippers hold, in any frame."""
+    edge = LENGTH / EDGES
+    x = np.concatenate([end[:, :, None] + sense * along * frames[:, :, None, :, 0] for end, frames, sense in (
+        (grippers.start_position, grippers.start_frame, 1.0), (grippers.end_position, grippers.end_frame, -1.0))
+        for along in (np.linspace(0.0, edge, 9)[:, None],)], axis=2)
+    return np.min([obstacle.distance(x.reshape(len(x), -1, 3))[0].min(axis=1) for obstacle in obstacles()], axis=0) - RADIUS
+
+
 def pierced(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """(R,) whether a peg's axis pierces the two triangles that some edge sweeps between two frames (R, V, 3)."""
+    """(R,) whether a peg is on another side of the rod after two frames (R, V, 3) than before: its axis pierces the triangles
+    that the edges sweep more often in one sense than in the other. A rod that snaps may sweep over it and back."""
     found = np.zeros(len(before), dtype=bool)
     for (x, y), _ in PEGS:
-        foot, along = np.array([x, y, 0.0]), np.array([0.0, 0.0, HEIGHT])
-        for a, b, c in ((before[:, :-1], before[:, 1:], after[:, :-1]), (after[:, :-1], after[:, 1:], before[:, 1:])):
+        foot, along, count = np.array([x, y, 0.0]), np.array([0.0, 0.0, HEIGHT]), 0
+        for a, b, c in ((before[:, :-1], before[:, 1:], after[:, :-1]), (before[:, 1:], after[:, 1:], after[:, :-1])):
             side1, side2 = b - a, c - a
             normal = np.cross(along, side2)
             volume = np.einsum("rea,rea->re", side1, normal)
@@ -84,7 +95,9 @@ def pierced(before: np.ndarray, after: np.ndarray) -> np.ndarray:
             q = np.cross(away, side1)
             v = np.einsum("a,rea->re", along, q) / safe
             t = np.einsum("rea,rea->re", side2, q) / safe
-            found |= ((u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0) & (t <= 1)).any(axis=1)
+            hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0) & (t <= 1)
+            count = count + (np.sign(volume) * hit).sum(axis=1)
+        found |= count != 0
     return found
 
 
@@ -95,13 +108,14 @@ def main() -> int:
     parser.add_argument("--precision", choices=("f64", "f32", "mixed"), default="f64")
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
-    total = dict(motions=0, converged=0, flagged=0, touching=0, inside=0, through=0, steps=0)
+    total = dict(motions=0, converged=0, flagged=0, touching=0, inside=0, through=0, steps=0, impossible=0)
     least, trips, began = np.inf, 0, time.process_time()
     while total["motions"] < options.motions:
-        count = min(AT_ONCE, options.motions - total["motions"])
-        rest, material, grippers = drawn(rng, count)
-        good = rest.converged
-        rows = np.flatnonzero(good)
+        rest, material, grippers = drawn(rng, AT_ONCE)
+        possible = (rest.status != Status.INFEASIBLE) & (held_gap(grippers) > 0)
+        total["impossible"] += int((~possible).sum())
+        chosen = np.flatnonzero(possible)[: options.motions - total["motions"]]
+        count, rows = len(chosen), chosen[rest.converged[chosen]]
         stepping = Stepping(rate=10.0, quasi_static=True, precision=options.precision)
         moved = simulate(rest.configuration.take(rows), material.take(rows), grippers.take(rows), Dynamics(), stepping,
                          obstacles=obstacles(), radius=RADIUS)

@@ -49,6 +49,8 @@ from doo_ti.relaxation.time_sweep import (
 )
 from doo_ti.types import Clamp, Configuration, Material, Status, unit_up
 
+LEAST_WAY = 1 / 64
+"""Of the way to the next instant: the shortest quasi-static step, where longer ones fail."""
 NUMBERS_AT_ONCE = 32_000_000
 """Numbers of positions that a launch writes."""
 
@@ -235,7 +237,7 @@ class _Motion:
             table.external_index[:] = rows
             path = clamp_path(self.grippers, self.start, slice(ahead - 1, ahead))
             slopes = trial_motion.slopes(table, 1.0, directions, remembered)
-            make_steps(table, trial, path, numbers, shares, np.array([trial_step, 1.0, 0.0]), 1, _newton(), 64, slopes)
+            make_steps(table, trial, path, numbers, shares, np.array([trial_step, 1.0, 0.0, 1.0]), 1, _newton(), 64, slopes)
             moved = trial.places[..., VELOCITY_1 : VELOCITY_1 + 3]
             a = np.where((trial.status == Status.CONVERGED)[:, None, None], (moved - v) / trial_step, 0.0)
             v = v + age * a
@@ -269,7 +271,7 @@ class _Motion:
         table = self.table(factor)
         slopes = self.slopes(table, factor, directions, remembered)
         numbers, shares, table.external_index[:] = self.numbers(table, factor)
-        time = np.array([self.step, factor, (factor - 1.0) / factor])
+        time = np.array([self.step, factor, (factor - 1.0) / factor, LEAST_WAY if self.stepping.quasi_static else 1.0])
         frames = (self.grippers.instants - 1) // self.substeps
         numbers_a_frame = 3 * table.count * (table.edges + 1) * (1 if slopes is None else 1 + slopes.count)
         at_once = max(1, min(frames, NUMBERS_AT_ONCE // numbers_a_frame))

@@ -36,7 +36,6 @@ from doo_ti.relaxation.contact_layout import (
     GRADIENT,
     GRADIENT_S,
     HEAD,
-    LEAST_X,
     LOADED,
     NORMAL,
     OFFSET,
@@ -52,6 +51,7 @@ from doo_ti.relaxation.contact_layout import (
     STIFFNESS,
     STRENGTH,
     VALUE,
+    WALL,
     WEIGHT,
 )
 from doo_ti.relaxation.contact_places import ContactPlaces
@@ -96,6 +96,15 @@ class ContactEnergy(ContactPlaces):
                 rod.scratch[contact + WEIGHT * self.stride] = zero
                 rod.scratch[contact + SAGGING * self.stride] = zero
                 self.lower(rod.scratch, room, least - self.item(rod, RADIUS))
+            if ti.static(self.rub):
+                # Friction stays as long as its round, however far the rod moves: without it the energy would jump.
+                active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
+                if self.some((rod.scratch[contact + FORCE * self.stride] > 0.0) | active, zero):
+                    if some == 0:
+                        self.clear(rod, zero)
+                        some = 1
+                    self.rub_vertex(rod, o, at, contact)
+                    self.rub_between(rod, o, index, contact, active)
         self.note_forces(rod, at, some)
         return some
 
@@ -112,6 +121,12 @@ class ContactEnergy(ContactPlaces):
                     self.clear(rod, zero)
                     some = 1
                 self.add_vertex(rod, o, at, contact)
+            if ti.static(self.rub):
+                if self.some(rod.scratch[contact + FORCE * self.stride] > 0.0, zero):
+                    if some == 0:
+                        self.clear(rod, zero)
+                        some = 1
+                    self.rub_vertex(rod, o, at, contact)
             self.lower(rod.scratch, at + ROOM * self.stride, value + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
         self.note_forces(rod, at, some)
         return some
@@ -150,10 +165,7 @@ class ContactEnergy(ContactPlaces):
 
     @ti.func
     def touched_between(self, rod, o, index, start, edge):
-        """The same of the edge between its ends, of which one is close to obstacle ``o``.
-
-        The normal of an end that is close in no lane may be an old one. It can only lower the bound on φ and shorten steps.
-        """
+        """The same of the edge between its ends, of which one is close to obstacle ``o`` in some lane."""
         zero, radius = 0.0 * start[0], self.item(rod, RADIUS)
         at = self.vertex(rod, index)
         contact, previous = self.contact(at, o), self.contact(self.vertex(rod, index - 1), o)
@@ -167,9 +179,11 @@ class ContactEnergy(ContactPlaces):
         least = ti.min(value_start, value_end)
         low = ti.select(bridging, value_start + slope_start * meet, least)
         low = ti.max(low, 0.5 * (value_start + value_end - rod.longest))  # φ changes no faster than the place
-        self.lower(rod.scratch, at + ROOM * self.stride, low + rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride])
-        near = bridging & (low < 2.0 * radius)
-        active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
+        close = self.close_lanes(rod, least)
+        depth = rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride]
+        self.lower(rod.scratch, at + ROOM * self.stride, ti.select(close, low + depth, least - radius))
+        near = close & bridging & (low < 2.0 * radius)
+        active = close & (rod.scratch[contact + ACTIVE * self.stride] > 0.5)
         rod.scratch[contact + WEIGHT * self.stride] = zero
         rod.scratch[contact + SAGGING * self.stride] = zero
         if self.some(near | active, zero):
@@ -184,8 +198,6 @@ class ContactEnergy(ContactPlaces):
                 weight=ti.select(behind, sag * sag / (1.0 + sag * sag), ti.select(active, zero + 1.0, zero)),
                 slope=fading, s=ti.select(lower, zero, zero + 1.0), normal=chosen(lower, normal_start, normal_end))
             self.add_between(rod, contact, edge, seen, share)
-            if ti.static(self.rub):
-                self.rub_between(rod, o, index, contact)
 
     @ti.func
     def push(self, rod, force, gap):
@@ -210,11 +222,11 @@ class ContactEnergy(ContactPlaces):
         x = (gap + self.item(rod, OFFSET)) / radius
         inside = (x < 1.0) & (self.item(rod, PHASE) < ti.static(0.5 * (LOADED + BARRIER)))
         strength = ti.select(inside, self.item(rod, STRENGTH), zero)
-        inverse, rest = 1.0 / ti.max(x, zero + LEAST_X), 1.0 - x
+        inverse, rest = 1.0 / ti.max(x, zero + 1e-3), 1.0 - x
         first = rest * rest * inverse
         second = first * rest * inverse
         stiffness = 6.0 * rest * inverse + 6.0 * first * inverse + 2.0 * second * inverse
-        return record(energy=ti.select(inside & (x <= LEAST_X), zero + 1e30, strength * first * rest),
+        return record(energy=ti.select(inside & (x <= 1e-3), zero + 2.0 * WALL, strength * first * rest),
                       push=strength * (3.0 * first + second) / radius, stiffness=strength * stiffness / (radius * radius))
 
     @ti.func
@@ -223,25 +235,30 @@ class ContactEnergy(ContactPlaces):
         normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
         bent = (self.load3(rod.scratch, contact + CURVATURE * self.stride)
                 + self.load3(rod.scratch, contact + (CURVATURE + 3) * self.stride))
-        pushed = self.push(rod, rod.scratch[contact + FORCE * self.stride],
-                           rod.scratch[contact + VALUE * self.stride] - self.item(rod, RADIUS))
+        value, zero = rod.scratch[contact + VALUE * self.stride], 0.0 * rod.total
+        close = self.close_lanes(rod, value)
+        pushed = self.push(rod, ti.select(close, rod.scratch[contact + FORCE * self.stride], zero),
+                           value - self.item(rod, RADIUS))
         self.add(rod, ENERGY, (pushed.energy, pushed.push * rod.total))
         pull = scaled(normal, 0.0 - pushed.push)
         k = minus(scaled(outer(normal), pushed.stiffness), scaled(bent, pushed.push))
         self.add(rod, GRADIENT, pull + pull)
         self.add(rod, CURVATURES, k + full(k) + k)
-        if ti.static(self.rub):
-            across = self.load3(rod.scratch, contact + RUBBED_NORMAL * self.stride)
-            friction = self.load3(rod.scratch, contact + FRICTION * self.stride)
-            rubbed = self.rubbed(rod, self.limit(rod, o, contact, FORCE), friction, across, self.moved(rod, at))
-            self.add(rod, ENERGY, (rubbed.energy, dot(rubbed.pull, rubbed.pull) / self.item(rod, STIFFNESS)))
-            self.add(rod, GRADIENT, rubbed.pull + rubbed.pull)
-            self.add(rod, CURVATURES, rubbed.stiffness + full(rubbed.stiffness) + rubbed.stiffness)
 
     @ti.func
-    def rub_between(self, rod, o, index, contact):
-        """Add the friction at the nearest point of an edge in the lanes where rounds have it."""
-        counts, zero = rod.scratch[contact + ACTIVE * self.stride] > 0.5, 0.0 * rod.total
+    def rub_vertex(self, rod, o, at, contact):
+        """Add the friction of the vertex."""
+        across = self.load3(rod.scratch, contact + RUBBED_NORMAL * self.stride)
+        friction = self.load3(rod.scratch, contact + FRICTION * self.stride)
+        rubbed = self.rubbed(rod, self.limit(rod, o, contact, FORCE), friction, across, self.moved(rod, at))
+        self.add(rod, ENERGY, (rubbed.energy, dot(rubbed.pull, rubbed.pull) / self.item(rod, STIFFNESS)))
+        self.add(rod, GRADIENT, rubbed.pull + rubbed.pull)
+        self.add(rod, CURVATURES, rubbed.stiffness + full(rubbed.stiffness) + rubbed.stiffness)
+
+    @ti.func
+    def rub_between(self, rod, o, index, contact, counts):
+        """Add the friction at the nearest point of an edge in the lanes where it ``counts``."""
+        zero = 0.0 * rod.total
         s, u = rod.scratch[contact + RUBBED_PLACE * self.stride], self.moved_between(rod, index, contact)
         away = self.load3(rod.scratch, contact + RUBBED_NORMAL_BETWEEN * self.stride)
         friction = self.load3(rod.scratch, contact + FRICTION_BETWEEN * self.stride)

@@ -6,15 +6,18 @@ from doo_ti.physics.tuples import picked
 # Items of a rod: its radius, κ, the tolerance of its gaps, by how much the last round changed a gap, and its phase; of the
 # barrier what it adds to gaps, its strength μ and how many strengths it has had; how close to an obstacle a vertex is where
 # more than its φ counts; κ as it was at first; the work that friction has done; one where a step is tried for the second time;
-# and μ as it was at first. The obstacles follow.
+# μ as it was at first; of a motion how much of the clamps' way to the next instant is behind the rod, how much of it is made at
+# once, the multiplier of closure at the last instant, the largest force; and of steps that viscosity eases, that, what it begins
+# with, and how many there were. The obstacles follow.
 RADIUS, STIFFNESS, TOLERANCE, CHANGE, PHASE, OFFSET, STRENGTH, STAGE, REACH = 0, 1, 2, 3, 4, 5, 6, 7, 8
-FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH = 9, 10, 11, 12
+FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH, WAY_MADE, WAY, MULTIPLIER, LARGEST, VISCOSITY, FIRST_VISCOSITY, EASED = (
+    9, 10, 11, 12, 13, 14, 15, 18, 19, 20, 21)
 # And sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts and
 # its magnitude; the square of the largest share of its way to the middle of an obstacle that a vertex has made in this step;
 # the least φ, the least gap where clamps hold a vertex and where none does; and of one edge the derivatives of its contacts'
 # energy, as :meth:`.LoadedElimination.load` returns them.
-ENERGY, MAGNITUDE, CROSSING, DEEPEST, PINCHED, CLOSEST = 13, 14, 15, 16, 17, 18
-GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, HEAD = 19, 22, 25, 31, 40, 46
+ENERGY, MAGNITUDE, CROSSING, DEEPEST, PINCHED, CLOSEST = 22, 23, 24, 25, 26, 27
+GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, HEAD = 28, 31, 34, 40, 49, 55
 # Phases of a rod: it has just been loaded; a barrier keeps it away from obstacles, which finds out where it will touch them;
 # rounds to a rough tolerance of its moments; rounds to the final one.
 LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0
@@ -41,12 +44,16 @@ BENDING_LOADS = 20.0
 """The forces to expect are the weight of an edge and so many B/L²."""
 SOFT = 0.05
 """Of a radius: at first κ gives way by that under such a force."""
+TIGHT = 0.3
+"""Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does."""
 STIFFER, SLOW = 5.0, 0.3
 """κ grows by so much where a round leaves more than that share of the change of the round before."""
 SECANT = 0.3
 """After the barrier κ is that share of the barrier's largest force over its gap."""
 BARRIER_SHARE = 1 / 16
 """The barrier at a quarter of a radius pushes at first like such a force."""
+WALL = 1e29
+"""More energy than a rod has: behind the barrier."""
 WEAKER, STAGES = 1 / 30, 2
 """The barrier becomes weaker by that, until it has had so many stages."""
 NEAR_ENOUGH = 0.03
@@ -55,8 +62,6 @@ CLOSE = 4.0
 """Radii: what is further from an obstacle than that, and half an edge, is not close."""
 LEAST_OFFSET = 0.05
 """Of a radius: the smallest gap of a rod's start, as the barrier sees it."""
-LEAST_X = 1e-3
-"""Of a radius: what is left of a gap where the barrier's energy is infinite."""
 APPROACH = 0.75
 """A whole step may take 0.6 over that of a gap."""
 SLACK = 0.1
@@ -64,6 +69,9 @@ SLACK = 0.1
 ROUGHEST, ROUGHER = 1e5, 1e3
 """By so much the tolerance of a rod's moments is larger under the barrier, and until the forces of contacts have settled."""
 
+VISCOUS, THICKER, THINNER, LEAST_VISCOSITY, MOST_EASED = 30.0, 8.0, 1 / 4, 1 / 100, 48.0
+"""Viscosity that eases a step is at first so many times the expected forces over the rod's length at every vertex, larger by
+THICKER where a step with it fails, else smaller by THINNER, none below a share of the first; at most so many steps."""
 INERT = 10.0
 """In a motion κ is larger by so many times the inertia of a vertex."""
 

@@ -122,7 +122,8 @@ class ContactPlaces:
             contact = self.contact(at, o)
             seen = self.distance.measure(rod.scratch, self.obstacle(rod, o), rod.kinds[o], place)
             rod.scratch[contact + VALUE * self.stride] = seen.value
-            if self.is_close(rod, seen.value):
+            # Where a vertex is close, the normals at both ends of its edges count.
+            if self.is_close(rod, seen.value - rod.longest):
                 self.store(rod.scratch, contact + NORMAL * self.stride, seen.normal)
                 self.store(rod.scratch, contact + CURVATURE * self.stride, seen.curvature)
                 gap, held = seen.value - self.item(rod, RADIUS), self.held(rod, index) > 0.5
@@ -131,9 +132,14 @@ class ContactPlaces:
                 self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(held, 0.0 * gap + 1e30, gap))
 
     @ti.func
+    def close_lanes(self, rod, value):
+        """The lanes in which a vertex is close to an obstacle, ``value`` being its φ."""
+        return value < self.item(rod, REACH)
+
+    @ti.func
     def is_close(self, rod, value):
-        """Whether a vertex of some lane is close to an obstacle, ``value`` being its φ."""
-        return self.some(value < self.item(rod, REACH), 0.0 * value)
+        """Whether there are any. What is computed because of one of them must leave the others as they are."""
+        return self.some(self.close_lanes(rod, value), 0.0 * value)
 
     @ti.func
     def nearness(self, rod, index, at, item: ti.template()):
@@ -161,7 +167,12 @@ class ContactPlaces:
     @ti.func
     def blocked(self, rod):
         """Whether the rod's centreline is inside an obstacle, or a clamp holds the rod where it is in one."""
-        return (self.item(rod, DEEPEST) < 0.0) | (self.item(rod, PINCHED) < 0.0 - self.item(rod, TOLERANCE))
+        return (self.item(rod, DEEPEST) < 0.0) | self.pinched(rod)
+
+    @ti.func
+    def pinched(self, rod):
+        """Whether a clamp holds the rod where it is in an obstacle."""
+        return self.item(rod, PINCHED) < 0.0 - self.item(rod, TOLERANCE)
 
     @ti.func
     def nearest(self, rod, o, start, edge, slope_start, slope_end):

@@ -17,8 +17,8 @@ from doo_ti.relaxation.contact_layout import (
     FORCE_BETWEEN,
     FRICTION,
     FRICTION_BETWEEN,
+    LARGEST,
     LEAST_OFFSET,
-    LEAST_X,
     LOADED,
     NEAR_ENOUGH,
     NORMAL,
@@ -46,6 +46,7 @@ from doo_ti.relaxation.contact_layout import (
     STIFFER,
     STIFFNESS,
     STRENGTH,
+    TIGHT,
     TOLERANCE,
     VALUE,
     VALUE_BETWEEN,
@@ -98,7 +99,8 @@ class ContactRounds(ContactEnergy):
             if self.is_close(rod, value):
                 gap = ti.max(value - radius, floor) + slack
                 normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
-                most = ti.max(most, (0.0 - APPROACH) * dot(normal, move) / ti.max(gap, 1e-6 * radius))
+                share = (0.0 - APPROACH) * dot(normal, move) / ti.max(gap, 1e-6 * radius)
+                most = ti.select(self.close_lanes(rod, value), ti.max(most, share), most)
             weight = rod.scratch[contact + WEIGHT * self.stride]
             if self.largest(weight) > 0.0:
                 s = rod.scratch[contact + PLACE_BETWEEN * self.stride]
@@ -121,16 +123,16 @@ class ContactRounds(ContactEnergy):
         return ti.select(phase > ti.static(0.5 * (ROUGH + FINE)), factor * given, given) + noise
 
     @ti.func
-    def enter(self, rod, fresh, stands):
-        """Begin with the barrier where a rod has just been loaded, its gaps larger by so much that its start is within; again
-        where a step that only closes the chain, which no energy judges, has carried it through the barrier and ``stands``."""
+    def enter(self, rod, fresh, pushed):
+        """Begin with the barrier where a rod has just been loaded, or was ``pushed`` into it by a step that nothing judged, its
+        gaps larger by so much that it is within; returns the lanes where they are."""
         radius = self.item(rod, RADIUS)
+        needed = LEAST_OFFSET * radius - self.item(rod, CLOSEST)
         loaded = fresh & (self.item(rod, PHASE) > ti.static(0.5 * (LOADED + BARRIER)))
-        through = self.item(rod, CLOSEST) + self.item(rod, OFFSET) <= LEAST_X * radius
-        loaded = loaded | (self.behind(rod) & through & stands)
-        self.set_item(rod, OFFSET, loaded, ti.max(LEAST_OFFSET * radius - self.item(rod, CLOSEST), 0.0 * radius))
+        further = pushed & self.behind(rod) & (needed > self.item(rod, OFFSET))
+        self.set_item(rod, OFFSET, loaded | further, ti.max(needed, 0.0 * radius))
         self.set_item(rod, PHASE, loaded, 0.0 * radius + BARRIER)
-        return loaded
+        return loaded | further
 
     @ti.func
     def end_round(self, rod, lane, calm, rests, entered):
@@ -156,7 +158,8 @@ class ContactRounds(ContactEnergy):
         change of a gap that they mean."""
         zero = 0.0 * rod.total
         radius, stiffness, behind = self.item(rod, RADIUS), self.item(rod, STIFFNESS), self.behind(rod)
-        found = record(change=zero, secant=zero, rubbed=zero)  # friction settles no sooner with a larger κ
+        # Friction settles no sooner with a larger κ.
+        found = record(change=zero, secant=zero, largest=zero, rubbed=zero)
         for v in range(rod.edges + 1):
             at = self.vertex(rod, v)
             for o in range(rod.obstacles):
@@ -164,6 +167,11 @@ class ContactRounds(ContactEnergy):
                 for k in ti.static(range(2)):
                     old = rod.scratch[contact + (FORCE + k) * self.stride]
                     gap = rod.scratch[contact + (VALUE_BETWEEN if k else VALUE) * self.stride] - radius
+                    if ti.static(k == 1):
+                        # Of an edge that is far away the nearest point is not known any more.
+                        known = (rod.scratch[contact + WEIGHT * self.stride] > 0.0) | (
+                            rod.scratch[contact + SAGGING * self.stride] > 0.0)
+                        gap = ti.select(known, gap, zero + 1e6)
                     pushed = self.barrier(rod, gap).push
                     new = ti.select(behind, pushed, ti.max(old - stiffness * gap, zero))
                     if ti.static(k == 1):
@@ -176,7 +184,9 @@ class ContactRounds(ContactEnergy):
         self.settle_pairs(rod, due, found)
         change = ti.select(due & ~behind, found.change / stiffness, zero)
         slow = due & ~behind & (change > SLOW * self.item(rod, CHANGE)) & (change > self.item(rod, TOLERANCE))
+        self.set_item(rod, LARGEST, due, found.largest)
         self.set_item(rod, STIFFNESS, slow, STIFFER * stiffness)
+        self.tighten(rod, due & ~behind)
         self.set_item(rod, CHANGE, due & ~behind, change)
         nearest = self.item(rod, CLOSEST) + self.item(rod, OFFSET)
         last = due & behind & ((self.item(rod, STAGE) > STAGES - 1.5) | (nearest < NEAR_ENOUGH * radius))
@@ -193,6 +203,13 @@ class ContactRounds(ContactEnergy):
         """Take the change of a contact's force, and what the barrier says about κ, into ``found``."""
         found.secant = largest_of(found.secant, new / ti.max(gap + self.item(rod, OFFSET), 1e-3 * self.item(rod, RADIUS)))
         found.change = largest_of(found.change, absolute(new - old))
+        found.largest = largest_of(found.largest, new)
+
+    @ti.func
+    def tighten(self, rod, where):
+        """Make κ so large that it gives way by no more than a part of the radius under the largest force."""
+        least = self.item(rod, LARGEST) / (TIGHT * self.item(rod, RADIUS))
+        self.set_item(rod, STIFFNESS, where, ti.max(self.item(rod, STIFFNESS), least))
 
     @ti.func
     def settle_between(self, rod, index, o, due, gap, force):
@@ -201,7 +218,9 @@ class ContactRounds(ContactEnergy):
         zero = 0.0 * gap
         contact = self.contact(self.vertex(rod, index), o)
         active = rod.scratch[contact + ACTIVE * self.stride]
-        sags = (rod.scratch[contact + SAGGING * self.stride] > 0.5 * self.item(rod, TOLERANCE)) & (index > 0)
+        # Fewer changes than one threshold for both: rounds could take it in and leave it out by turns.
+        least = ti.select(active > 0.5, zero, 0.5 * self.item(rod, TOLERANCE))
+        sags = (rod.scratch[contact + SAGGING * self.stride] > least) & (index > 0)
         lost = due & (active > 0.5) & ~sags
         if self.some(lost, zero):
             later = rod.scratch[contact + PLACE_BETWEEN * self.stride] > 0.5
@@ -221,13 +240,16 @@ class ContactRounds(ContactEnergy):
         at = self.vertex(rod, index)
         contact = self.contact(at, o)
         change = zero
-        if self.is_close(rod, rod.scratch[contact + VALUE * self.stride]):
+        close = self.close_lanes(rod, rod.scratch[contact + VALUE * self.stride])
+        if self.some(close | (rod.scratch[contact + FORCE * self.stride] > 0.0), zero):
             across = self.load3(rod.scratch, contact + RUBBED_NORMAL * self.stride)
             friction = self.load3(rod.scratch, contact + FRICTION * self.stride)
             rubbed = self.rubbed(rod, self.limit(rod, o, contact, FORCE), friction, across, self.moved(rod, at))
             change = self.keep_friction(rod, contact + FRICTION * self.stride, rubbed.pull, due)
             now = self.load3(rod.scratch, contact + NORMAL * self.stride)
-            self.store(rod.scratch, contact + RUBBED_NORMAL * self.stride, chosen(due, now, across))
+            self.store(rod.scratch, contact + RUBBED_NORMAL * self.stride, chosen(due & close, now, across))
+        else:
+            change = self.keep_friction(rod, contact + FRICTION * self.stride, repeated(zero, 3), due)
         active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
         if index > 0 and self.some(active, zero):
             s, u = rod.scratch[contact + RUBBED_PLACE * self.stride], self.moved_between(rod, index, contact)
@@ -240,6 +262,8 @@ class ContactRounds(ContactEnergy):
             place = rod.scratch[contact + PLACE_BETWEEN * self.stride]
             self.store(rod.scratch, contact + RUBBED_NORMAL_BETWEEN * self.stride, chosen(due & active, later, away))
             rod.scratch[contact + RUBBED_PLACE * self.stride] = ti.select(due & active, place, s)
+        else:
+            self.keep_friction(rod, contact + FRICTION_BETWEEN * self.stride, repeated(zero, 3), due)
         return change
 
     @ti.func

@@ -12,8 +12,10 @@ from doo_ti.relaxation.contact_layout import (
     CHANGE,
     CLOSE,
     CONTACT_ITEMS,
+    EASED,
     FIRST_STIFFNESS,
     FIRST_STRENGTH,
+    FIRST_VISCOSITY,
     FORCE_BETWEEN,
     FORCE_END,
     FORCE_START,
@@ -21,7 +23,11 @@ from doo_ti.relaxation.contact_layout import (
     FRICTION_BETWEEN,
     HEAD,
     INERT,
+    LARGEST,
+    LEAST_VISCOSITY,
     LOADED,
+    MOST_EASED,
+    MULTIPLIER,
     OFFSET,
     PHASE,
     PREVIOUS,
@@ -34,7 +40,13 @@ from doo_ti.relaxation.contact_layout import (
     STAGE,
     STIFFNESS,
     STRENGTH,
+    THICKER,
+    THINNER,
     VERTEX_ITEMS,
+    VISCOSITY,
+    VISCOUS,
+    WAY,
+    WAY_MADE,
     WEIGHT,
     WORK,
 )
@@ -48,15 +60,34 @@ class Contacts(ContactRounds):
     # --- from one instant to the next ---
 
     @ti.func
-    def renew(self, rod, done):
-        """Begin another step from where the rods are, in the lanes that are ``done``."""
+    def renew(self, rod, done, least, multiplier):
+        """Begin another step from where the rods are, in the lanes that are ``done``; returns those in which the clamps have not
+        made all their way to the next instant, of which they make ``least`` at once or more."""
         zero = 0.0 * rod.total
+        one = zero + 1.0
+        made = self.item(rod, WAY_MADE) + self.item(rod, WAY)
+        midway = done & (made < 1.0 - 1e-3 * self.item(rod, WAY))
+        eased = done & (self.item(rod, VISCOSITY) > 0.0)
+        midway = midway | eased
+        made = ti.select(midway, made, zero)
+        self.set_item(rod, WAY_MADE, done, made)
+        # The clamps wait until the rod has come to rest without viscosity.
+        further = ti.max(2.0 * self.item(rod, WAY), least)
+        self.set_item(rod, WAY, done, ti.select(eased, zero, ti.min(further, one - made)))
+        thinner = THINNER * self.item(rod, VISCOSITY)
+        enough = thinner > LEAST_VISCOSITY * self.item(rod, FIRST_VISCOSITY)
+        self.set_item(rod, VISCOSITY, done, ti.select(enough, thinner, zero))
+        self.set_item(rod, EASED, done & ~midway, zero)
+        for k in ti.static(range(3)):
+            self.set_item(rod, MULTIPLIER + k, done, multiplier[k])
         if ti.static(self.rub):
             self.set_item(rod, WORK, done, self.item(rod, WORK) + self.friction_work(rod))
         self.set_item(rod, PHASE, done, zero + ROUGH)
         self.set_item(rod, CHANGE, done, zero + 1e30)
         self.set_item(rod, STIFFNESS, done, self.item(rod, FIRST_STIFFNESS))
+        self.tighten(rod, done)
         self.set_item(rod, RETRIED, done, zero)
+        return midway
 
     @ti.func
     def friction_work(self, rod):
@@ -75,12 +106,21 @@ class Contacts(ContactRounds):
         return work + self.pair_work(rod)
 
     @ti.func
-    def retry(self, rod, failed):
+    def retry(self, rod, failed, blocked, least):
         """Prepare a step that has failed for another try, which knows no forces and begins with the barrier; returns the lanes
-        in which it has not had one."""
+        in which there is one. A second try, and a first one that would begin inside an obstacle (``blocked``), makes half the
+        way, down to ``least`` of that to the next instant. Where that fails too there is no equilibrium near, and the rod
+        goes to another one against viscosity."""
         zero = 0.0 * rod.total
-        once = failed & (self.item(rod, RETRIED) < 0.5)
+        viscosity = self.item(rod, VISCOSITY)
+        again = failed & (self.item(rod, RETRIED) < 0.5) & ~blocked & (viscosity <= 0.0)
+        shorter = failed & ~again & (self.item(rod, WAY) > 1.5 * least) & (viscosity <= 0.0)
+        eased = failed & ~again & ~shorter & (least < 0.9) & (self.item(rod, EASED) < MOST_EASED)
+        once = again | shorter | eased
         if self.some(once, zero):
+            self.set_item(rod, WAY, shorter, 0.5 * self.item(rod, WAY))
+            self.set_item(rod, VISCOSITY, eased, ti.max(THICKER * viscosity, self.item(rod, FIRST_VISCOSITY)))
+            self.set_item(rod, EASED, eased, 1.0 + self.item(rod, EASED))
             for v in range(rod.edges + 1):
                 at = self.vertex(rod, v)
                 for o in range(rod.obstacles):
@@ -121,6 +161,12 @@ class Contacts(ContactRounds):
             self.put(scratch, tables.contacts + item * self.stride, slot, stiffness)
         self.put(scratch, tables.contacts + PHASE * self.stride, slot, phase)
         self.put(scratch, tables.contacts + WORK * self.stride, slot, 0.0)
+        for item in ti.static((LARGEST, VISCOSITY, EASED)):
+            self.put(scratch, tables.contacts + item * self.stride, slot, 0.0)
+        self.put(scratch, tables.contacts + WAY_MADE * self.stride, slot, 0.0)
+        self.put(scratch, tables.contacts + WAY * self.stride, slot, 1.0)
+        for k in ti.static(range(3)):
+            self.put(scratch, tables.contacts + (MULTIPLIER + k) * self.stride, slot, tables.results[row, of.FORCE + k])
 
     # --- a rod into a lane and out of it ---
 
@@ -135,11 +181,14 @@ class Contacts(ContactRounds):
         radius = tables.radius[ti.min(row, tables.radius.shape[0] - 1)] / unit
         force = BENDING_LOADS * scale.bend / (scale.total * scale.total) + scale.weight * scale.length
         strength = BARRIER_SHARE * force * radius
+        viscosity = VISCOUS * (BENDING_LOADS * scale.bend / (scale.total * scale.total) + scale.weight * scale.total) / (
+            scale.total * vertices * unit * unit)
         tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
         head = (radius, force / (SOFT * radius), tolerance, 1e30, LOADED, 0.0, strength, 0.0,
                 CLOSE * radius + 0.5 * scale.longest, 0.0, 0.0, 0.0, strength)
         for k in ti.static(range(len(head))):
             self.put(scratch, base + k * self.stride, slot, head[k])
+        self.put(scratch, base + FIRST_VISCOSITY * self.stride, slot, viscosity)
         for o in range(count):
             at = base + (HEAD + o * OBSTACLE_COLUMNS) * self.stride
             for k in range(OBSTACLE_COLUMNS):

@@ -7,7 +7,7 @@ from doo_ti.physics.tuples import choose, chosen, dot, plus, record, repeated, s
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import newton_policy as fixed
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import CROSSING
+from doo_ti.relaxation.contact_layout import CROSSING, WALL
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.loading import LANES, NEXT, TRIPS, Loading
 from doo_ti.types import Status
@@ -335,7 +335,7 @@ class NewtonLoop:
         # At rest, though a neutral motion leaves the certificate undecided: converged, not certified.
         at_rest = place.small & place.settled & (late | stuck)
         if ti.static(self.touches):
-            entered = self.sweep.contacts.enter(rod, fresh, judged.stands)
+            entered = self.sweep.contacts.enter(rod, fresh, judged.stands & (lane.energy > WALL))
             goes_on = self.sweep.contacts.end_round(rod, lane, place.calm & ~entered, (ended | at_rest) & ~entered, entered)
             ended, at_rest, stuck = ended & ~goes_on, at_rest & ~goes_on, stuck & ~goes_on
             blocked = fresh & self.sweep.contacts.blocked(rod)

@@ -2,11 +2,11 @@
 
 import taichi as ti
 
-from doo_ti.physics.quaternion import tangent, transported
-from doo_ti.physics.tuples import chosen, dot, plus, put_lane, record, scaled
+from doo_ti.physics.quaternion import normalised, tangent, transported
+from doo_ti.physics.tuples import chosen, dot, plus, put_lane, record, scaled, variable
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import WORK
+from doo_ti.relaxation.contact_layout import MULTIPLIER, WAY, WAY_MADE, WORK
 from doo_ti.relaxation.loading import LANES, Loading
 from doo_ti.relaxation.newton_loop import NewtonLoop
 from doo_ti.relaxation.newton_policy import TOLERANCE
@@ -15,9 +15,11 @@ from doo_ti.relaxation.time_sweep import (
     FRAME_1,
     FRAME_2,
     INERTIA,
+    LEAST_WAY,
     OF_BEND_SHARE,
     OF_INERTIA,
     OF_VERTEX,
+    PLACE_1,
     RATE,
     SPRING_POINT,
     STEP,
@@ -89,12 +91,32 @@ class MotionLoading(Loading):
         """Load the clamps of step ``step`` into lane ``slot``; of the end frames what they hold."""
         s = tables.rods[rod, of.CLAMP_ROW]
         unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
-        for k in ti.static(range(3)):
-            self.put(scratch, head + (chain.OF_ANCHOR + k) * self.stride, slot, tables.path[s, step, PATH_ANCHOR + k] / unit)
-            self.put(scratch, head + (chain.OF_TARGET + k) * self.stride, slot, tables.path[s, step, PATH_TARGET + k] / unit)
         origin, edges = head + self.parameters * self.stride, tables.rest_length.shape[1]
-        self.load_path_end(tables, s, step, 0, scratch, origin, slot)
-        self.load_path_end(tables, s, step, 1, scratch, origin + (edges - 1) * self.edge_stride, slot)
+        share = self.share_of_way(tables, scratch, slot)
+        first = head + (self.time_parameters + OF_VERTEX + PLACE_1) * self.stride
+        last = origin + (edges - 1) * self.edge_stride + (self.motion + PLACE_1) * self.stride
+        for k in ti.static(range(3)):
+            anchor, target = tables.path[s, step, PATH_ANCHOR + k], tables.path[s, step, PATH_TARGET + k]
+            if share < 1.0:
+                # From where the clamps were at the last instant; a free vertex 0 is measured from a fixed place.
+                start = ti.cast(self.get(scratch, first + k * self.stride, slot), ti.f64)
+                end = ti.cast(self.get(scratch, last + k * self.stride, slot), ti.f64)
+                end += share * (anchor + target - end)
+                anchor += (1.0 - share) * (start - anchor) * (1.0 - tables.clamp[s, of.LOOSE])
+                target = end - anchor
+            self.put(scratch, head + (chain.OF_ANCHOR + k) * self.stride, slot, anchor / unit)
+            self.put(scratch, head + (chain.OF_TARGET + k) * self.stride, slot, target / unit)
+        self.load_path_end(tables, s, step, share, 0, scratch, origin, slot)
+        self.load_path_end(tables, s, step, share, 1, scratch, origin + (edges - 1) * self.edge_stride, slot)
+
+    @ti.func
+    def share_of_way(self, tables, scratch: ti.template(), slot):
+        """Of the clamps' way that is left to the next instant, the share that the rod in lane ``slot`` makes at once."""
+        share = ti.cast(1.0, ti.f64)
+        if ti.static(self.touches):
+            made = ti.cast(self.get(scratch, tables.contacts + WAY_MADE * self.stride, slot), ti.f64)
+            share = ti.min(share, self.get(scratch, tables.contacts + WAY * self.stride, slot) / ti.max(1.0 - made, 1e-9))
+        return share
 
     @ti.func
     def lane_frame(self, scratch: ti.template(), at, slot):
@@ -104,20 +126,24 @@ class MotionLoading(Loading):
                 ti.cast(self.get(scratch, at + 2 * s, slot), ti.f64), ti.cast(self.get(scratch, at + 3 * s, slot), ti.f64))
 
     @ti.func
-    def load_path_end(self, tables, s, step, end: ti.template(), scratch: ti.template(), at, slot):
-        """The frame of an end edge, whose items begin at ``at``."""
+    def load_path_end(self, tables, s, step, share, end: ti.template(), scratch: ti.template(), at, slot):
+        """The frame of an end edge, whose items begin at ``at``, after that share of its way."""
         if tables.clamp[s, of.TILT_START + end] == 0.0:
             column = ti.static(PATH_ENDS + 4 * end)
-            held = (tables.path[s, step, column], tables.path[s, step, column + 1], tables.path[s, step, column + 2],
-                    tables.path[s, step, column + 3])
+            held = variable((tables.path[s, step, column], tables.path[s, step, column + 1],
+                             tables.path[s, step, column + 2], tables.path[s, step, column + 3]))
+            last = self.lane_frame(scratch, at + (self.motion + FRAME_1) * self.stride, slot)
             if tables.clamp[s, of.SPIN_START + end] > 0.0:
                 # A tangent alone: the frame goes with it, by parallel transport from where it was.
-                frame = self.lane_frame(scratch, at + (self.motion + FRAME_1) * self.stride, slot)
-                old, new = tangent(frame), tangent(held)
+                old, new = tangent(last), tangent(held)
                 if 1.0 + dot(old, new) > 1e-14:
-                    self.put_items(scratch, at, slot, transported(frame, old, new))
-            else:
-                self.put_items(scratch, at, slot, held)
+                    held = transported(last, old, new)
+                else:
+                    held = last
+            if share < 1.0:
+                alike = ti.select(dot(last, held) < 0.0, 0.0 - share, share)
+                held = normalised(plus(scaled(last, 1.0 - share), scaled(held, alike)))
+            self.put_items(scratch, at, slot, held)
 
     @ti.func
     def store_motion(self, tables, scratch: ti.template(), head, slot, row):
@@ -169,15 +195,18 @@ class TimeLoop(NewtonLoop):
                       extrapolation=zero + ti.cast(tables.time[EXTRAPOLATION], self.scalar))
         up = (ti.cast(tables.up[0], self.scalar), ti.cast(tables.up[1], self.scalar), ti.cast(tables.up[2], self.scalar))
         rod = self.sweep.rods(tables, scratch, head, lane.coarse)
-        once_more = done & (lane.active < 0.5)
+        once_more, least = done & (lane.active < 0.5), zero + ti.cast(tables.time[LEAST_WAY], self.scalar)
         if ti.static(self.touches):
-            failed = done & (lane.status > 0.5) & (lane.status < self.infeasible - 0.5)
-            once_more = self.sweep.contacts.retry(rod, failed)
+            blocked = lane.status > self.infeasible - 0.5
+            failed = done & (lane.status > 0.5) & ~(blocked & self.sweep.contacts.pinched(rod))
+            once_more = self.sweep.contacts.retry(rod, failed, blocked, least)
+            known = self.sweep.load3(scratch, tables.contacts + MULTIPLIER * self.stride)
+            lane.multiplier = chosen(once_more, known, lane.multiplier)
             done = done & ~once_more
-        repeats = ti.select(once_more, one, zero)
         self.differentiate(tables, rod, time, up, ti.select(done, one, zero))
         if ti.static(self.touches):
-            self.sweep.contacts.renew(rod, done)
+            once_more = once_more | self.sweep.contacts.renew(rod, done & (lane.status < 0.5), least, lane.multiplier)
+        repeats = ti.select(once_more, one, zero)
         self.sweep.remember(rod, time, done)
         steps_made = supply.places + (tables.queue.shape[0] - LANES) // 2
         for slot in range(self.width):
@@ -185,6 +214,9 @@ class TimeLoop(NewtonLoop):
                 again = 0
                 if self.lane(lane.active, slot) > 0.5 and self.lane(repeats, slot) > 0.5:
                     again = 1
+                    row = tables.rods[tables.queue[supply.places + slot], of.RESULT_ROW]
+                    frame = tables.queue[steps_made + slot] // tables.every
+                    tables.outcome[row, frame, TRIPS] += self.lane(lane.trips, slot)
                 elif self.lane(lane.active, slot) > 0.5:
                     step = tables.queue[steps_made + slot]
                     again = self.conclude(tables, scratch, head, slot, lane, tables.queue[supply.places + slot], step)
