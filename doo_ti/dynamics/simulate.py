@@ -22,6 +22,7 @@ from doo_ti.frames import (
     smallest_rotation,
     tangent_from_quaternion,
 )
+from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.checked_input import paired_rows
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.input_tables import tables, under
@@ -31,6 +32,7 @@ from doo_ti.relaxation.time_loop import (
     END_FORCE,
     FRICTION_WORK,
     MOMENT,
+    RELINKED,
     STATE,
     TRIPS,
 )
@@ -100,17 +102,16 @@ def simulate(
     index = paired_rows(begin.configuration.count, material.count, *((None, None) if pairs is None else pairs))
     many = springs is not None and springs.count == len(index[0]) > 1
 
-    def moved(stepping: Stepping, rows: np.ndarray, progress=None, touching: bool = False) -> Trajectory:
+    def moved(stepping: Stepping, rows: np.ndarray, progress=None, touching: bool = False) -> tuple[Trajectory, np.ndarray]:
         own = Springs(springs.points[rows], springs.stiffness[rows]) if many else springs
         touchable = surroundings.take(rows)
-        touchable = touchable if touching else Surroundings(touchable.bodies, touchable.radius)
         motion = _Motion(*given, stepping, own, direction, tuple(part[rows] for part in index), touchable, touching)
         memory, remembered = motion.begin(begin, directions)
-        return motion.run(memory, progress, directions, remembered)
+        return motion.run(memory, progress, directions, remembered), motion.relinked
 
     def run(stepping: Stepping, rows: np.ndarray, progress=None) -> Trajectory:
         if surroundings.itself is None:
-            return moved(stepping, rows, progress)
+            return moved(stepping, rows, progress)[0]
         start = begin.configuration.vertices[index[0][rows]]
         return kept_apart(moved, stepping, rows, start, surroundings.take(rows).radius, progress)
 
@@ -133,13 +134,16 @@ class _Motion:
         self.grippers = grippers.refined(stepping.substeps)
         self.pairs, self.surroundings, self.touching = pairs, surroundings, touching
         self.first = _spread(grippers.at(0), start.count)
+        self.watched = surroundings.itself is not None and not touching
+        self.relinked = np.zeros(0, dtype=bool)
 
     def table(self, factor: float) -> Tables:
         """The tables of the rods for time derivatives of that factor a."""
         vertices = self.start.edges + 1
         external = Springs(np.zeros((1, vertices, 3)), np.zeros((1, vertices)))
+        obstacles = self.surroundings.obstacles if self.touching else self.surroundings.bodies
         table = tables(self.start, self._stiffened(factor), self.first, self.up, *self.pairs, external, None,
-                       **self.surroundings.arguments, in_motion=True)
+                       obstacles, self.surroundings.radius, in_motion=True)
         return replace(table, contact=table.contact.touching(np.arange(table.count))) if self.touching else table
 
     def _stiffened(self, factor: float) -> Material:
@@ -237,7 +241,8 @@ class _Motion:
             table.external_index[:] = rows
             path = clamp_path(self.grippers, self.start, slice(ahead - 1, ahead))
             slopes = trial_motion.slopes(table, 1.0, directions, remembered)
-            make_steps(table, trial, path, numbers, shares, np.array([trial_step, 1.0, 0.0, 1.0]), 1, _newton(), 64, slopes)
+            time = np.array([trial_step, 1.0, 0.0, 1.0, 0.0])
+            make_steps(table, trial, path, numbers, shares, time, 1, _newton(), 64, slopes)
             moved = trial.places[..., VELOCITY_1 : VELOCITY_1 + 3]
             a = np.where((trial.status == Status.CONVERGED)[:, None, None], (moved - v) / trial_step, 0.0)
             v = v + age * a
@@ -271,7 +276,8 @@ class _Motion:
         table = self.table(factor)
         slopes = self.slopes(table, factor, directions, remembered)
         numbers, shares, table.external_index[:] = self.numbers(table, factor)
-        time = np.array([self.step, factor, (factor - 1.0) / factor, LEAST_WAY if self.stepping.quasi_static else 1.0])
+        least_way = LEAST_WAY if self.stepping.quasi_static else 1.0
+        time = np.array([self.step, factor, (factor - 1.0) / factor, least_way, self.watched])
         frames = (self.grippers.instants - 1) // self.substeps
         numbers_a_frame = 3 * table.count * (table.edges + 1) * (1 if slopes is None else 1 + slopes.count)
         at_once = max(1, min(frames, NUMBERS_AT_ONCE // numbers_a_frame))
@@ -298,6 +304,8 @@ class _Motion:
         positions, outcomes, changes, forces = zip(*parts, strict=True)
         outcome = _joined(outcomes)
         status = outcome[..., STATE].astype(np.int8)
+        spin_held = (table.clamp[:, [of.SPIN_START, of.SPIN_END]] == 0).all(axis=1)[table.configuration_index]
+        self.relinked = (outcome[..., RELINKED] > 0).any(axis=1) & spin_held
         return Trajectory(
             _joined(positions), status, outcome[..., TRIPS].astype(np.int32), outcome[..., MOMENT],
             outcome[..., END_FORCE:FRICTION_WORK], self.stepping.rate, memory,
