@@ -141,27 +141,32 @@ class SelfContacts(Contacts):
                 bound = 0.5 * ti.sqrt(dot(away, away)) - rod.longest
                 apart = arc > rod.scratch[self.own_vertex(rod, i + 1) + ARC * self.stride]
                 rod.scratch[at + DISTANCE * self.stride] = ti.select(apart, bound, zero + 1e30)
-                if self.some(apart & (bound < REACH * radius), zero):
-                    self.touch(rod, i, j, at, apart, minus(start, first), minus(last, first), minus(end, start))
+                near = apart & (bound < REACH * radius)
+                if self.some(near, zero):
+                    self.touch(rod, i, j, at, near, minus(start, first), minus(last, first), minus(end, start))
+                if ti.static(self.rub):
+                    # Friction stays as long as its round, however far the edges move apart.
+                    self.rub_pair(rod, i, j, at)
         for v in range(rod.edges + 1):
             at = self.own_vertex(rod, v)
             self.add_to(rod.scratch, at + LOAD * self.stride, self.load3(rod.scratch, at + PULL * self.stride))
 
     @ti.func
-    def touch(self, rod, i, j, at, apart, w, p, q):
-        """The same of two edges p and q, with w from the start of the first to that of the second."""
+    def touch(self, rod, i, j, at, near, w, p, q):
+        """The same of two edges p and q, with w from the start of the first to that of the second, in the lanes where they are
+        ``near`` to each other."""
         zero, radius = 0.0 * rod.total, self.item(rod, RADIUS)
         seen = pair_distance(w, p, q, ROUNDED * radius * radius)
         self.store(rod.scratch, at + PLACES * self.stride, (seen.s, seen.t) + seen.normal)
-        rod.scratch[at + DISTANCE * self.stride] = ti.select(apart, seen.value, zero + 1e30)
-        gap = ti.select(apart, seen.value - 2.0 * radius, zero + 1e30)
+        rod.scratch[at + DISTANCE * self.stride] = ti.select(near, seen.value, rod.scratch[at + DISTANCE * self.stride])
+        gap = ti.select(near, seen.value - 2.0 * radius, zero + 1e30)
         held = (self.held_edge(rod, i) > 0.5) & (self.held_edge(rod, j) > 0.5)
         self.lower(rod.scratch, rod.contacts + DEEPEST * self.stride, gap + (2.0 - LEAST_DISTANCE) * radius)
         self.lower(rod.scratch, rod.contacts + PINCHED * self.stride, ti.select(held, gap, zero))
         self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(held, zero + 1e30, gap))
         pushed = self.push(rod, rod.scratch[at + FORCE * self.stride], gap)
-        self.add(rod, ENERGY, (ti.select(apart, pushed.energy, zero), ti.select(apart, pushed.push, zero) * rod.total))
-        push, stiffness = ti.select(apart, pushed.push, zero), ti.select(apart, pushed.stiffness, zero)
+        push, stiffness = ti.select(near, pushed.push, zero), ti.select(near, pushed.stiffness, zero)
+        self.add(rod, ENERGY, (ti.select(near, pushed.energy, zero), push * rod.total))
         if self.some((push > 0.0) | (stiffness > 0.0), zero):
             weights = pair_weights(seen.s, seen.t)
             self.store(rod.scratch, self.end(rod, 0), weights + pair_slopes(weights, seen, p, q))
@@ -172,8 +177,6 @@ class SelfContacts(Contacts):
                 for m in range(k + 1):
                     block = pair_block(own, self.load_end(rod, m), seen, push, stiffness)
                     self.add_ends(rod, i, j, k, m, block)
-        if ti.static(self.rub):
-            self.rub_pair(rod, i, j, at, apart)
 
     @ti.func
     def end(self, rod, k):
@@ -242,10 +245,10 @@ class SelfContacts(Contacts):
         return self.rubbed(rod, limit, friction, normal, self.moved_pair(rod, i, j, at))
 
     @ti.func
-    def rub_pair(self, rod, i, j, at, apart):
+    def rub_pair(self, rod, i, j, at):
         """Add the friction of two edges."""
         zero = 0.0 * rod.total
-        acting = apart & (rod.scratch[at + FORCE * self.stride] > 0.0)
+        acting = rod.scratch[at + FORCE * self.stride] > 0.0
         if self.some(acting, zero):
             rubbed = self.rubbed_pair(rod, i, j, at)
             pull = chosen(acting, rubbed.pull, repeated(zero, 3))
@@ -341,6 +344,7 @@ class SelfContacts(Contacts):
     def settle_pair_friction(self, rod, i, j, at, due):
         """New friction of two edges under the new force: by how much it changes."""
         change = self.keep_friction(rod, at + FRICTION * self.stride, self.rubbed_pair(rod, i, j, at).pull, due)
+        due = due & (rod.scratch[at + DISTANCE * self.stride] < REACH * self.item(rod, RADIUS))
         normal = self.load3(rod.scratch, at + NORMAL * self.stride)
         # Friction acts across a unit vector; the gradient of the distance is a little shorter.
         unit = scaled(normal, 1.0 / ti.sqrt(dot(normal, normal) + 1e-30))
