@@ -150,7 +150,7 @@ def test_a_knot_stays_and_its_forces_balance(knotted):
     far = jacobian[-1][:, free]
     pull = np.linalg.lstsq(far.T, gradient[free], rcond=None)[0]
     assert np.abs(gradient[free] - far.T @ pull).max() * 160.0 / STIFFNESS < 1e-7
-    assert np.allclose(pull, -solution.end_force[0], rtol=1e-6, atol=1e-6 * np.abs(pull).max())
+    assert np.allclose(pull, solution.end_force[0], rtol=1e-6, atol=1e-6 * np.abs(pull).max())
 
 
 def test_the_force_of_a_wide_knot():
