@@ -184,17 +184,21 @@ def layout_for(rods: int, bits: int, alone: bool = False) -> tuple[Number, int, 
     return Number(1, bits), threads, threads, 64
 
 
-def _buffers(number: Number, threads: int, items: int):
-    """(scratch for every thread, kept from call to call, and the queue, all zero).
+def scratch_for(number: Number, size: int):
+    """Scratch of ``size`` values or more, kept from call to call.
 
-    Scratch at least doubles when it grows: Taichi never frees arrays of packs, and so all earlier ones together are smaller
-    than the last. The queue is a NumPy array, because filling a Taichi array takes a launch.
+    It at least doubles when it grows: Taichi never frees arrays of packs, and so all earlier ones together are smaller than the
+    last.
     """
     import taichi as ti
 
-    size = threads * items
     kept = _scratch.get(number)
     if kept is None or kept.shape[0] < size:
         kept = _scratch[number] = ti.ndarray(number.type, size if kept is None else max(size, 2 * kept.shape[0]))
+    return kept
+
+
+def _buffers(number: Number, threads: int, items: int):
+    """(scratch for every thread, and the queue, all zero: a NumPy array, because filling a Taichi array takes a launch)."""
     queue = _queues[number] = np.zeros(LANES + threads * number.width, dtype=np.int32)
-    return kept, queue
+    return scratch_for(number, threads * items), queue

@@ -16,115 +16,194 @@ import taichi as ti
 
 from doo_ti import runtime
 from doo_ti.contact.itself import LEAST_ARC
-from doo_ti.physics.quaternion import relative_rotation, tangent, transported
-from doo_ti.physics.tuples import dot, minus, plus, scaled, variable
+from doo_ti.physics.algebra import largest_of
+from doo_ti.physics.angle import passed_half_turn, turned_about_own_tangent
+from doo_ti.physics.number import Number
+from doo_ti.physics.quaternion import tangent
+from doo_ti.physics.tuples import dot, minus, plus, repeated, scaled, variable
+from doo_ti.relaxation.batch import layout_for, scratch_for
+
+# Items of an edge: its middle before and after, its frame before and after, and its length.
+BEFORE, AFTER, FRAME_BEFORE, FRAME_AFTER, LENGTH, ITEMS = 0, 3, 6, 10, 14, 15
+ROUNDING = 1e-5
+"""Of a rod's length, by which f32 may be off."""
 
 
-@cache
-def _kernels():
-    """The two kernels, of rods given by frames and by places."""
-    table1, table2, table3 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3))
-    index1 = ti.types.ndarray(dtype=ti.i32, ndim=1)
+@ti.data_oriented
+class SelfApproach:
+    """The search for one kind of number, on packs of rods whose edges' items are in scratch."""
+
+    def __init__(self, number: Number, stride: int):
+        self.lanes, self.stride, self.width, self.scalar = number.lanes(), stride, number.width, number.scalar
+        self.put, self.largest = self.lanes.put, self.lanes.largest
 
     @ti.func
-    def frame(frames: ti.template(), at):
-        return (frames[at], frames[at + 1], frames[at + 2], frames[at + 3])
+    def load3(self, scratch: ti.template(), at):
+        return (scratch[at], scratch[at + self.stride], scratch[at + 2 * self.stride])
 
     @ti.func
-    def middle(middles: ti.template(), rod, edge, way: ti.template()):
-        return (middles[rod, edge, 3 * way], middles[rod, edge, 3 * way + 1], middles[rod, edge, 3 * way + 2])
+    def load4(self, scratch: ti.template(), at):
+        return self.load3(scratch, at) + (scratch[at + 3 * self.stride],)
 
     @ti.func
-    def nearest(middles: ti.template(), rod, i, j):
+    def edge(self, head, e):
+        return head + e * ITEMS * self.stride
+
+    @ti.func
+    def load_frames(self, start: ti.template(), first, frames: ti.template(), rod, rest_length: ti.template(), row,
+                    scratch: ti.template(), head, slot):
+        """The frames and lengths of a rod into lane ``slot``."""
+        edges = rest_length.shape[1]
+        for e in range(edges):
+            at = self.edge(head, e)
+            for k in ti.static(range(4)):
+                self.put(scratch, at + (FRAME_BEFORE + k) * self.stride, slot, start[(first * edges + e) * 4 + k])
+                self.put(scratch, at + (FRAME_AFTER + k) * self.stride, slot, frames[(rod * edges + e) * 4 + k])
+            self.put(scratch, at + LENGTH * self.stride, slot, rest_length[row, e])
+
+    @ti.func
+    def load_places(self, before: ti.template(), after: ti.template(), rod, rest_length: ti.template(), row,
+                    scratch: ti.template(), head, slot):
+        """The middles and lengths of a rod, from its first vertex, into lane ``slot``."""
+        for e in range(rest_length.shape[1]):
+            at = self.edge(head, e)
+            for k in ti.static(range(3)):
+                old = 0.5 * (before[rod, e, k] + before[rod, e + 1, k]) - before[rod, 0, k]
+                new = 0.5 * (after[rod, e, k] + after[rod, e + 1, k]) - before[rod, 0, k]
+                self.put(scratch, at + (BEFORE + k) * self.stride, slot, old)
+                self.put(scratch, at + (AFTER + k) * self.stride, slot, new)
+            self.put(scratch, at + LENGTH * self.stride, slot, rest_length[row, e])
+
+    @ti.func
+    def place_middles(self, scratch: ti.template(), head, edges):
+        """The middles of all edges from their frames; returns by how many turns the link changes."""
+        zero = 0.0 * scratch[head + LENGTH * self.stride]
+        before, after = variable(repeated(zero, 3)), variable(repeated(zero, 3))
+        last, turns = variable(repeated(zero, 2)), zero
+        for e in range(edges):
+            at = self.edge(head, e)
+            old, new = self.load4(scratch, at + FRAME_BEFORE * self.stride), self.load4(scratch, at + FRAME_AFTER * self.stride)
+            half = 0.5 * scratch[at + LENGTH * self.stride]
+            old_half, new_half = scaled(tangent(old), half), scaled(tangent(new), half)
+            before, after = plus(before, old_half), plus(after, new_half)
+            for k in ti.static(range(3)):
+                scratch[at + (BEFORE + k) * self.stride] = before[k]
+                scratch[at + (AFTER + k) * self.stride] = after[k]
+            before, after = plus(before, old_half), plus(after, new_half)
+            turned = turned_about_own_tangent(old, new)
+            if e > 0:
+                turns = turns + passed_half_turn(last, turned)
+            last = turned
+        return turns
+
+    @ti.func
+    def nearest(self, scratch: ti.template(), head, i, j):
         """The least distance of the middles of two edges on the way."""
-        before = minus(middle(middles, rod, j, 0), middle(middles, rod, i, 0))
-        after = minus(middle(middles, rod, j, 1), middle(middles, rod, i, 1))
+        first, second = self.edge(head, i), self.edge(head, j)
+        before = minus(self.load3(scratch, second), self.load3(scratch, first))
+        after = minus(self.load3(scratch, second + AFTER * self.stride), self.load3(scratch, first + AFTER * self.stride))
         change = minus(after, before)
-        share = 0.0 - dot(before, change) / (dot(change, change) + 1e-300)
-        place = plus(before, scaled(change, ti.min(ti.max(share, 0.0), 1.0)))
+        share = (0.0 - dot(before, change)) / (dot(change, change) + 1e-30)
+        zero = 0.0 * share
+        place = plus(before, scaled(change, ti.min(ti.max(share, zero), zero + 1.0)))
         return ti.sqrt(dot(place, place))
 
     @ti.func
-    def approaches(middles: ti.template(), rod, edges, longest, radius):
-        """One where two parts of the rod may touch on the way."""
+    def search(self, scratch: ti.template(), head, edges, radius):
+        """By how much, at least, two parts of the rods stay apart on the way, or less than zero where they may touch."""
+        longest, total = 0.0 * radius, 0.0 * radius
+        for e in range(edges):
+            length = scratch[self.edge(head, e) + LENGTH * self.stride]
+            longest, total = largest_of(longest, length), total + length
+        # Two places of edges are no nearer than their middles less an edge's length.
+        near = longest + 2.0 * radius + ROUNDING * total
         # Edges i and i + apart are the first that may have enough of the rod between them.
-        apart = ti.max(2, ti.cast(ti.floor(LEAST_ARC * radius / longest), ti.i32) + 2)
-        found = 0
+        fewest = 0.0 - self.largest(0.0 - LEAST_ARC * radius / longest)
+        apart = ti.max(2, ti.cast(ti.floor(fewest), ti.i32) + 2)
+        least = 0.0 * radius + 1e30
         for i in range(edges):
             j = i + apart
-            while j < edges and found == 0:
-                room = nearest(middles, rod, i, j) - longest - 2.0 * radius
-                if not room > 0.0:
-                    found = 1
-                j += 1 + ti.cast(ti.min(ti.max(room, 0.0) / longest, 1e6), ti.i32)
-        return found
+            while j < edges:
+                room = self.nearest(scratch, head, i, j) - near
+                counts = ti.cast(j - i - 1, self.scalar) * longest > LEAST_ARC * radius
+                least = ti.min(least, ti.select(counts, room, least))
+                further = 0.0 - self.largest(0.0 - room / longest)
+                j += 1 + ti.cast(ti.min(ti.max(further, ti.cast(0.0, self.scalar)), ti.cast(1e6, self.scalar)), ti.i32)
+        return least
+
+
+@cache
+def _kernels(number: Number, stride: int, block: int):
+    """The kernels of rods that are given by frames, and by places."""
+    search = SelfApproach(number, stride)
+    lanes, width = number.lanes(), number.width
+    table1, table2, table3 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3))
+    index1 = ti.types.ndarray(dtype=ti.i32, ndim=1)
+    packs = ti.types.ndarray(dtype=number.type, ndim=1)
 
     @ti.func
-    def longest_edge(rest_length: ti.template(), row):
-        longest = rest_length[row, 0]
-        for e in range(rest_length.shape[1]):
-            longest = ti.max(longest, rest_length[row, e])
-        return longest
+    def head_of(threads, thread, edges):
+        head = thread
+        if ti.static(stride == 1):
+            head = thread * (edges * ITEMS + 1)
+        return head
 
     @ti.func
-    def twist(p, q):
-        """The angle between neighbouring frames about their tangents."""
-        r = relative_rotation(p, q)
-        return 2.0 * ti.atan2(ti.select(r[0] < 0.0, 0.0 - r[1], r[1]), ti.abs(r[0]))
-
-    @ti.func
-    def relinked(start: ti.template(), first, frames: ti.template(), rod, edges):
-        """One where the twist on the straight way is another one than in the result."""
-        difference = 0.0
-        kept, reached = variable((1.0, 0.0, 0.0, 0.0)), variable((1.0, 0.0, 0.0, 0.0))
-        for e in range(edges):
-            old, new = frame(start, (first + e) * 4), frame(frames, (rod * edges + e) * 4)
-            own = transported(old, tangent(old), tangent(new))
-            if e > 0:
-                difference += twist(reached, new) - twist(kept, own)
-            kept, reached = own, new
-        return ti.select(ti.abs(difference) < 3.0, 0, 1)
+    def note(flags: ti.template(), first, least, turns, held: ti.template(), watched: ti.template()):
+        """One for every rod of a pack that may touch itself or, with its ends held, has another link."""
+        for slot in range(width):
+            rod = first + slot
+            if rod < flags.shape[0]:
+                found = ti.select(lanes.lane(least, slot) > 0.0, 0, 1)
+                if ti.static(watched):
+                    if held[rod] == 1 and not ti.abs(lanes.lane(turns, slot)) < 0.5:
+                        found = 1
+                flags[rod] = found
 
     @ti.kernel
-    def by_frames(start: table1, start_row: index1, frames: table1, rest_length: table2, radius: table1, held: index1,
-                  middles: table3, flags: index1):
-        for rod in range(flags.shape[0]):
+    def by_frames(start: table1, rows: index1, frames: table1, rest_length: table2, radius: table1, held: index1, threads: ti.i32,
+                  scratch: packs, flags: index1):
+        ti.loop_config(block_dim=block)
+        for thread in range(threads):
             edges = rest_length.shape[1]
-            row = ti.min(start_row[rod], rest_length.shape[0] - 1)
-            before, after = variable((0.0, 0.0, 0.0)), variable((0.0, 0.0, 0.0))
-            for e in range(edges):
-                old = scaled(tangent(frame(start, (start_row[rod] * edges + e) * 4)), 0.5 * rest_length[row, e])
-                new = scaled(tangent(frame(frames, (rod * edges + e) * 4)), 0.5 * rest_length[row, e])
-                before, after = plus(before, old), plus(after, new)
-                for k in ti.static(range(3)):
-                    middles[rod, e, k] = before[k]
-                    middles[rod, e, 3 + k] = after[k]
-                before, after = plus(before, old), plus(after, new)
-            longest = longest_edge(rest_length, row)
-            found = approaches(middles, rod, edges, longest, radius[ti.min(rod, radius.shape[0] - 1)])
-            if held[rod] == 1 and found == 0:
-                found = relinked(start, start_row[rod] * edges, frames, rod, edges)
-            flags[rod] = found
+            head = head_of(threads, thread, edges)
+            thick = head + edges * ITEMS * ti.static(stride)
+            for pack in range((flags.shape[0] + width - 1) // width):
+                if pack % threads == thread:
+                    for slot in range(width):
+                        rod = ti.min(pack * width + slot, flags.shape[0] - 1)
+                        search.load_frames(start, rows[rod], frames, rod, rest_length, ti.min(rows[rod], rest_length.shape[0] - 1),
+                                           scratch, head, slot)
+                        lanes.put(scratch, thick, slot, radius[ti.min(rod, radius.shape[0] - 1)])
+                    turns = search.place_middles(scratch, head, edges)
+                    note(flags, pack * width, search.search(scratch, head, edges, scratch[thick]), turns, held, True)
 
     @ti.kernel
-    def by_places(before: table3, after: table3, length_row: index1, rest_length: table2, radius: table1, middles: table3,
-                  flags: index1):
-        for rod in range(flags.shape[0]):
+    def by_places(before: table3, after: table3, rows: index1, rest_length: table2, radius: table1, threads: ti.i32,
+                  scratch: packs, flags: index1):
+        ti.loop_config(block_dim=block)
+        for thread in range(threads):
             edges = rest_length.shape[1]
-            for e in range(edges):
-                for k in ti.static(range(3)):
-                    middles[rod, e, k] = 0.5 * (before[rod, e, k] + before[rod, e + 1, k])
-                    middles[rod, e, 3 + k] = 0.5 * (after[rod, e, k] + after[rod, e + 1, k])
-            longest = longest_edge(rest_length, ti.min(length_row[rod], rest_length.shape[0] - 1))
-            flags[rod] = approaches(middles, rod, edges, longest, radius[ti.min(rod, radius.shape[0] - 1)])
+            head = head_of(threads, thread, edges)
+            thick = head + edges * ITEMS * ti.static(stride)
+            for pack in range((flags.shape[0] + width - 1) // width):
+                if pack % threads == thread:
+                    for slot in range(width):
+                        rod = ti.min(pack * width + slot, flags.shape[0] - 1)
+                        search.load_places(before, after, rod, rest_length, ti.min(rows[rod], rest_length.shape[0] - 1),
+                                           scratch, head, slot)
+                        lanes.put(scratch, thick, slot, radius[ti.min(rod, radius.shape[0] - 1)])
+                    least = search.search(scratch, head, edges, scratch[thick])
+                    note(flags, pack * width, least, least, flags, False)
 
     return by_frames, by_places
 
 
 def _launch(kernel: int, count: int, edges: int, *arguments) -> np.ndarray:
-    runtime.start()
+    number, threads, stride, block = layout_for(count, 32)
+    scratch = scratch_for(number, threads * (edges * ITEMS + 1))
     flags = np.zeros(count, dtype=np.int32)
-    _kernels()[kernel](*arguments, np.empty((count, edges, 6)), flags)
+    _kernels(number, stride, block)[kernel](*arguments, threads, scratch, flags)
     return flags > 0
 
 

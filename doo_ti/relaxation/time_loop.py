@@ -257,7 +257,7 @@ class TimeLoop(NewtonLoop):
         tables.outcome[row, frame, MOMENT] = ti.max(tables.outcome[row, frame, MOMENT], moment)
         if tables.time[WATCHED] > 0.0:
             change = self.get(scratch, head + (self.sweep.time_parameters + OF_RELINKED) * self.stride, slot)
-            if not ti.abs(change) < 3.0:
+            if not ti.abs(change) < 0.5:
                 tables.outcome[row, frame, RELINKED] = 1.0
         again = 0
         if status == self.converged:

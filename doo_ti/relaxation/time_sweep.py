@@ -13,7 +13,8 @@ draws it towards y(ω): a rest curvature of its own for each step.
 import taichi as ti
 
 from doo_ti.physics import pair
-from doo_ti.physics.quaternion import normalised, product, relative_rotation, tangent, transported
+from doo_ti.physics.angle import passed_half_turn, turned_about_own_tangent
+from doo_ti.physics.quaternion import normalised, product, relative_rotation, tangent
 from doo_ti.physics.tuples import chosen, dot, minus, plus, repeated, scaled, variable
 from doo_ti.relaxation.chain import FRAME, LENGTH, LOADED_PARAMETERS, OF_DRIFT, REST
 from doo_ti.relaxation.contact_layout import VISCOSITY
@@ -92,25 +93,18 @@ class TimeSweep(LoadedElimination):
 
     @ti.func
     def watch(self, rod):
-        """Note by how much, rad, the rod's link has changed in the step that was made, whole turns: the twist of its frames
-        now less that of the frames before it, each transported to its new tangent, besides how its ends have turned."""
+        """Note by how many turns the rod's link has changed in the step that was made: so often the angles of the frames
+        against those before it, each transported to its new tangent, go around along the rod."""
         zero = 0.0 * rod.total
         change = zero
-        kept, reached = variable(repeated(zero, 4)), variable(repeated(zero, 4))
+        last = variable(repeated(zero, 2))
         at = rod.origin
         for e in range(rod.edges):
-            q = self.load4(rod.scratch, at + FRAME * self.stride)
             before = self.load4(rod.scratch, at + (self.motion + FRAME_1) * self.stride)
-            own = transported(before, tangent(before), tangent(q))
-            turned = self.twist_angle(relative_rotation(own, q))
-            if e == 0:
-                change = turned
-            else:
-                change = change + self.twist_angle(relative_rotation(reached, q))
-                change = change - self.twist_angle(relative_rotation(kept, own))
-            if e == rod.edges - 1:
-                change = change - turned
-            kept, reached = own, q
+            turned = turned_about_own_tangent(before, self.load4(rod.scratch, at + FRAME * self.stride))
+            if e > 0:
+                change = change + passed_half_turn(last, turned)
+            last = turned
             at += self.edge_stride
         rod.scratch[rod.head + (self.time_parameters + OF_RELINKED) * self.stride] = change
 
