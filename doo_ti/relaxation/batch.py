@@ -108,7 +108,8 @@ def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int
     items = per_rod + per_edge * table.edges
     if contact is not None:
         items += contact_items(table.edges, len(contact.kinds))
-        outer += (contact.obstacles, contact.kinds, contact.radius, GAP_TOLERANCE, contact.memory, contact.forces)
+        outer += (contact.obstacles, contact.kinds, contact.grids, contact.radius, GAP_TOLERANCE, contact.memory,
+                  contact.forces)
     scratch, queue = _buffers(number, threads, items)
     policy = np.array([
         *table.up, options.tolerance or newton.TOLERANCES[bits], options.max_iterations, options.first_shift,

@@ -249,13 +249,14 @@ class ContactEnergy(ContactPlaces):
         self.add(rod, CURVATURES, bent + scaled(full(bent), s) + scaled(bent, s * s))
 
     @ti.func
-    def rubbed(self, rod, o, contact, force: ti.template(), friction: ti.template(), normal, u):
+    def rubbed(self, rod, o, contact, force: ti.template(), friction: ti.template(), gradient, u):
         """Friction of a contact that has moved by ``u``: its energy, its derivative and its stiffness.
 
         With the friction q of the round before and z = q + κ u along the surface it is z where |z| ≤ μ λ, and else of that size
         along z: the derivative of |z|²/2κ, or of μ λ (|z| − μ λ/2)/κ.
         """
         stiffness = self.item(rod, STIFFNESS)
+        normal = self.distance.unit(gradient)
         limit = rod.scratch[self.obstacle(rod, o) + COEFFICIENT * self.stride] * rod.scratch[contact + force * self.stride]
         whole = plus(self.load3(rod.scratch, contact + friction * self.stride), scaled(u, stiffness))
         z = minus(whole, scaled(normal, dot(normal, whole)))

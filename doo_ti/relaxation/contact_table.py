@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.contact.contacts import Contacts
-from doo_ti.contact.obstacles import FRICTION, OBSTACLE_COLUMNS, Obstacle
+from doo_ti.contact.distance_grid import DistanceGrid, grid_table
+from doo_ti.contact.obstacles import FRICTION, GRID, OBSTACLE_COLUMNS, Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError, real_array
 from doo_ti.relaxation import tables as of
@@ -21,7 +22,7 @@ class ContactTable:
     """What the kernels read of contacts, and what they leave.
 
     obstacles  (1 or R, M, OBSTACLE_COLUMNS)
-    kinds      (M,) int32
+    kinds      (M,) int32, and grids, see :func:`.grid_table`
     radius     (1 or R,) of the rods, mm
     near       (R,) bool: rods that can reach an obstacle
     memory     (R, V, M, REMEMBERED) forces of the contacts of vertices and edges, in and out
@@ -31,6 +32,7 @@ class ContactTable:
 
     obstacles: np.ndarray
     kinds: np.ndarray
+    grids: np.ndarray
     radius: np.ndarray
     near: np.ndarray
     memory: np.ndarray
@@ -45,7 +47,7 @@ class ContactTable:
     @property
     def distinct(self) -> frozenset[int]:
         """The kinds there are."""
-        return frozenset(self.kinds.tolist())
+        return frozenset(np.minimum(self.kinds, GRID).tolist())
 
     def contacts(self, vertices: np.ndarray, force: np.ndarray) -> Contacts:
         """The contacts of rods at ``vertices`` (R, V, 3) that bear ``force`` (R, V, 3)."""
@@ -76,6 +78,10 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     if len(radius) not in (1, count) or not ((radius > 0) & (radius < np.inf)).all():
         raise InputError("contact", "radius", f"{radius.min():g}" if len(radius) in (1, count) and len(radius) else
                          f"{len(radius)} for {count} rods", "give a positive radius in mm, or one for each rod")
+    for obstacle in obstacles:
+        if isinstance(obstacle, DistanceGrid) and obstacle.border < 2 * radius.max():
+            raise InputError("contact", "obstacles", f"a grid ends {obstacle.border:g} mm from its obstacle, less than a rod's "
+                             f"diameter of {2 * radius.max():g} mm", "give a grid with a larger margin")
     rows = count if any(obstacle.count > 1 for obstacle in obstacles) else 1
     table = np.empty((rows, len(obstacles), OBSTACLE_COLUMNS))
     for place, obstacle in enumerate(obstacles):
@@ -86,9 +92,10 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     rows = count if near.any() else 0
     memory = np.zeros((rows, edges + 1, len(obstacles), REMEMBERED_IN_MOTION if in_motion else REMEMBERED))
     forces = np.broadcast_to(0.0, (count, edges + 1, 3)) if not rows else np.zeros((count, edges + 1, 3))
+    kinds, grids = grid_table(obstacles)
     return ContactTable(
-        obstacles=table, kinds=np.array([obstacle.kind for obstacle in obstacles], dtype=np.int32), radius=radius,
-        near=near, memory=memory, forces=forces, surroundings=Surroundings(obstacles, radius))
+        obstacles=table, kinds=kinds, grids=grids, radius=radius, near=near, memory=memory, forces=forces,
+        surroundings=Surroundings(obstacles, radius))
 
 
 def _near(obstacles: Sequence[Obstacle], radius: np.ndarray, clamp: np.ndarray) -> np.ndarray:

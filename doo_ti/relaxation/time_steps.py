@@ -123,7 +123,8 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
         if contact is not None:
             kernel, items, parameters = time_contact_kernel(
                 number, table.isotropic, stride, block, contact.distinct, contact.rubs)
-            more = contact.obstacles, contact.kinds, contact.radius, GAP_TOLERANCE, contact.memory, forces
+            more = (contact.obstacles, contact.kinds, contact.grids, contact.radius, GAP_TOLERANCE, contact.memory,
+                    forces)
             size = parameters + items * table.edges + contact_items(table.edges, len(contact.kinds))
         elif slopes is None:
             kernel, items, parameters = time_kernel(number, table.isotropic, stride, block)
