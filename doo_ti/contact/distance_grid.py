@@ -1,7 +1,7 @@
 """An obstacle of any shape, given by its signed distances on a regular grid (docs/contact.md).
 
-Between the values a cubic spline φ_g interpolates, which has continuous second derivatives. Outside the grid, with c the nearest
-point of its box, φ = √(φ_g(c)² + |x − c|²), which is never more than the distance to what is inside.
+Between the values a cubic spline φ_g interpolates, which has continuous second derivatives. Outside the grid, with c the
+nearest point of its box, φ = √(φ_g(c)² + |x − c|²), which is never more than the distance to what is inside.
 """
 
 from collections.abc import Sequence
@@ -74,7 +74,7 @@ class DistanceGrid(Obstacle):
         values.setflags(write=False)
         object.__setattr__(self, "values", values)
         if self.border <= 0:
-            raise InputError("DistanceGrid", "values", f"{self.border:g} mm at the border: the obstacle goes on outside the grid",
+            raise InputError("DistanceGrid", "values", f"{self.border:g} mm at the border: the obstacle goes on outside",
                              "give a grid that is larger than the obstacle, by more than a rod's diameter all around")
 
     @property

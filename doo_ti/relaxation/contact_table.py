@@ -12,6 +12,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError, real_array
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import REMEMBERED, REMEMBERED_IN_MOTION
+from doo_ti.types import Clamp, Clamps, Configuration
 
 GAP_TOLERANCE = 2e-4
 """Of a rod's radius: how far a gap may be off, or a force over the stiffness κ. In f32 at least 2e-6 of the length."""
@@ -96,6 +97,25 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     return ContactTable(
         obstacles=table, kinds=kinds, grids=grids, radius=radius, near=near, memory=memory, forces=forces,
         surroundings=Surroundings(obstacles, radius))
+
+
+def require_clear(source: str, surroundings: Surroundings, clamps: Clamps, start: Configuration, number: np.ndarray) -> None:
+    """Raise InputError, naming ``source`` and the ``number`` (R,) of a rod, unless all rods can begin at ``start``: the clamps
+    hold them outside the obstacles with their radius, and no vertex is inside one."""
+    x = start.vertices
+    ends = np.stack([clamps.start_position, clamps.end_position], axis=1)
+    inner = ends + np.diff(x, axis=1)[:, [0, -1]] * [[1.0], [-1.0]]
+    kinds = np.stack([np.broadcast_to(kind, len(x)) for kind in (clamps.start, clamps.end)], axis=1)
+    radius = np.reshape(surroundings.radius, (-1, 1)) * (1.0 - GAP_TOLERANCE)
+    for what, places, used, least in (
+            ("the clamp of", ends, kinds >= Clamp.POSITION, radius), ("the clamp of", inner, kinds >= Clamp.TANGENT, radius),
+            ("the centreline of", x[:, 1:-1], True, 0.0)):
+        for obstacle in surroundings.obstacles:
+            gap = np.where(used, obstacle.distance(places)[0] - least, np.inf)
+            worst = np.unravel_index(np.argmin(gap), gap.shape)
+            if gap[worst] < 0:
+                raise InputError(source, "obstacles", f"{what} rod {number[worst[0]]} is {-gap[worst]:.3g} mm inside a "
+                                 f"{type(obstacle).__name__}", "correct the obstacle's place, or give a smaller `radius`")
 
 
 def _near(obstacles: Sequence[Obstacle], radius: np.ndarray, clamp: np.ndarray) -> np.ndarray:
