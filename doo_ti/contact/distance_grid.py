@@ -51,7 +51,7 @@ class DistanceGrid(Obstacle):
 
     @classmethod
     def from_mesh(cls, mesh: str | Path | tuple[ArrayLike, ArrayLike], spacing: float, margin: float | None = None,
-                  **pose) -> "DistanceGrid":
+                  **pose: ArrayLike) -> "DistanceGrid":
         """The grid of a closed surface: a file that trimesh reads (STL, PLY, OBJ), in mm, or its vertices (N, 3) and triangles
         (M, 3).
 
