@@ -215,6 +215,8 @@ def surroundings(options: Namespace) -> Surroundings:
 
     if radius is None:
         raise InputError(SOURCE, "--radius", "missing beside --obstacles", "give the radius of the rods in mm")
+    if getattr(options, "solver", "newton") != "newton":
+        raise InputError(SOURCE, "--solver", f"{options.solver} given beside --obstacles", "leave it out")
     return Surroundings(load_obstacles(options.obstacles), radius)
 
 
