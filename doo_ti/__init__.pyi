@@ -1,4 +1,5 @@
 from doo_ti.contact.contacts import Contacts as Contacts
+from doo_ti.contact.distance_grid import DistanceGrid as DistanceGrid
 from doo_ti.contact.obstacle_file import load_obstacles as load_obstacles
 from doo_ti.contact.obstacles import Box as Box
 from doo_ti.contact.obstacles import Capsule as Capsule
@@ -7,6 +8,7 @@ from doo_ti.contact.obstacles import Obstacle as Obstacle
 from doo_ti.contact.obstacles import Plane as Plane
 from doo_ti.contact.obstacles import Ring as Ring
 from doo_ti.contact.obstacles import Sphere as Sphere
+from doo_ti.contact.surroundings import Surroundings as Surroundings
 from doo_ti.dynamics.grippers import Grippers as Grippers
 from doo_ti.dynamics.identify import Identified as Identified
 from doo_ti.dynamics.identify import IdentifyOptions as IdentifyOptions

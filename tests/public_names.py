@@ -22,6 +22,7 @@ from doo_ti import (
     Detection,
     DetectionOptions,
     Direction,
+    DistanceGrid,
     DistanceMaps,
     Dynamics,
     EndLoads,
@@ -66,6 +67,7 @@ from doo_ti import (
     Status,
     Stepping,
     Stills,
+    Surroundings,
     SweepOptions,
     SweepTrajectory,
     Theta,
@@ -127,6 +129,8 @@ def relaxed(observations: Observations) -> Solution:
         Plane((0, 0, -20), (0, 0, 1), friction=0.3), Sphere((10, 0, -5), 2.0), Capsule((0, -9, -9), (0, 9, -9), 2.0),
         Cylinder((0, -9, -9), (0, 9, -9), 2.0), Box((0, 0, -40), (9, 9, 9)), Ring((0, 0, -9), (1, 0, 0), 9.0, 1.0)]
     contact: Contacts = relax(start, material, clamps, obstacles=[*about, *load_obstacles("table.toml")], radius=0.5).contact
+    SweepOptions(surroundings=Surroundings(about, 0.5))
+    DistanceGrid.from_mesh("part.stl", spacing=1.0, margin=9.0, position=(0, 0, 9))
     assert_type(contact.gap, np.ndarray)
     relax(start, Material.diagonal(1e5, 2e5, 1e5), clamps, Descent(), external=Springs(np.zeros((1, 9, 3)), np.zeros((1, 9))))
     best = choose_hypothesis(index, distance(solution.configuration, observations, index), solution.converged)

@@ -42,6 +42,7 @@ def declare(add) -> None:
     search.add_argument("--detector", choices=("ridge", "canny"), default="ridge",
                         help="detector of the thread (default ridge; canny is the paper's)")
     given.add_thread(search)
+    given.add_obstacles(parser, "without friction; the first run compiles for minutes")
     shown = parser.add_argument_group("pictures and recording")
     shown.add_argument("--truth", metavar="OBS", help="true rods to compare with: observations, matched by name or in order")
     shown.add_argument("--no-picture", action="store_true", help="do not write F.png")
@@ -117,7 +118,8 @@ def _perceived(task: PerceptionTask, detected: list[list], bar):
         rows = slice(first, first + together)
         maps = distance_maps(detected[rows], MARGIN_PX)
         found.append(perceive(maps, sets.rig, sets.point[rows], sets.direction[rows], task.rest_length, task.material,
-                              up=task.up, options=task.search, on_step=advance(first, len(maps.window))))
+                              up=task.up, options=task.search, on_step=advance(first, len(maps.window)),
+                              surroundings=task.surroundings))
     return Perception.joined(found), growth
 
 

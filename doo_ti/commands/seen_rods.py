@@ -8,6 +8,7 @@ import numpy as np
 
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import is_dynamic, losses
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.csv_table import read_csv
@@ -35,6 +36,7 @@ class PerceptionTask:
     up: np.ndarray
     truth: np.ndarray | None
     recorded: int
+    surroundings: Surroundings
 
 
 def perception_task(options: Namespace) -> PerceptionTask:
@@ -44,6 +46,7 @@ def perception_task(options: Namespace) -> PerceptionTask:
     nu, width = given.positive("--nu", options.nu), given.positive("--width", options.width, "px")
     hypotheses = given.whole("--hypotheses", options.hypotheses, 1, MOST_HYPOTHESES)
     recorded = given.whole("--recorded-sets", options.recorded, 1)
+    surroundings = given.surroundings(options)
 
     from doo_ti.vision.cameras.rig import load_rig
     from doo_ti.vision.detection.detect import DetectionOptions
@@ -57,7 +60,7 @@ def perception_task(options: Namespace) -> PerceptionTask:
     search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
     detection = DetectionOptions(options.detector, options.polarity, width)
     return PerceptionTask(sets, rest_length, grid.materials(), search, detection,
-                          up, truth, 0 if options.no_recording else recorded or RECORDED)
+                          up, truth, 0 if options.no_recording else recorded or RECORDED, surroundings)
 
 
 @dataclass(frozen=True)
@@ -71,14 +74,15 @@ class TrackingTask:
     detection: object  # DetectionOptions
     up: np.ndarray
     far: list | None  # of Motion
-    inertia: object = None  # Inertia of rods that move fast, whose frames have times
+    inertia: object  # Inertia of rods that move fast, whose frames have times, or None
+    surroundings: Surroundings
 
 
 def tracking_task(options: Namespace) -> TrackingTask:
     """Raises InputError naming the option or file at fault."""
     grid, up = given.round_cell(options, "tracked"), given.world_up(options)
     rest_length = read_rest_length(options.rest_length)
-    width = given.positive("--width", options.width, "px")
+    width, surroundings = given.positive("--width", options.width, "px"), given.surroundings(options)
 
     from doo_ti.vision.cameras.rig import load_rig
     from doo_ti.vision.detection.detect import DetectionOptions
@@ -87,7 +91,7 @@ def tracking_task(options: Namespace) -> TrackingTask:
     far = None if options.motion is None else _far_motions(Path(options.motion), frames.count)
     inertia, time = _inertia(options, frames.count, time)
     detection = DetectionOptions(polarity=options.polarity, width_px=width)
-    return TrackingTask(frames, time, rest_length, grid.materials(), detection, up, far, inertia)
+    return TrackingTask(frames, time, rest_length, grid.materials(), detection, up, far, inertia, surroundings)
 
 
 def _inertia(options: Namespace, count: int, time: np.ndarray | None) -> tuple:

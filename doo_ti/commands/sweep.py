@@ -38,6 +38,7 @@ def declare(add) -> None:
     given.add_material(parser, "a number or LO:HI:N[:log|:lin]; overrides the scene's axis")
     given.add_relaxation(parser, None)
     loading.add_loading(parser)
+    given.add_obstacles(parser, "without friction, which acts in simulate and predict")
     parser.add_argument("--objective", choices=OBJECTIVES, help="static: Eq. 2 (default), dynamic: Eq. 3")
     parser.add_argument("--pairs", metavar="FILE.csv", help="pairs of observations for Eq. 3, columns "
                         "from,to[,weight][,rotation_deg] (default: those of the paper, from the labels)")
@@ -138,7 +139,8 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     chosen = SweepOptions(
         frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=given.solver(options.solver),
         precision=options.precision or scene.precision, objective=objective,
-        spins=scene.roll_hypotheses if spins is None else spins, seed=seed or 0, workers=workers, scheduler=options.scheduler)
+        spins=scene.roll_hypotheses if spins is None else spins, seed=seed or 0, surroundings=given.surroundings(options),
+        workers=workers, scheduler=options.scheduler)
     return _Search(scene, observations, grid, chosen, pairs, run)
 
 
@@ -158,7 +160,7 @@ def _lines(search: _Search, summary: dict, finished_before: bool, made_again: li
     if made_again:
         lines.append(f"  made again  {', '.join(made_again)}")
     lines.append(f"  {'finished before in' if finished_before else 'written to'} {in_line(search.run)}")
-    if search.options.objective == "static" and not search.options.spins:
+    if search.options.objective == "static" and not search.options.spins and not search.options.surroundings:
         more = "" if search.grid.is_isotropic else RIBBON_PARAMETERS
         lines.append(f"  intervals   doo-ti refine {in_line(shlex.quote(str(search.run)))}{more}")
     return lines

@@ -274,13 +274,14 @@ class ContactEnergy(ContactPlaces):
         return rod.scratch[self.obstacle(rod, o) + COEFFICIENT * self.stride] * rod.scratch[contact + force * self.stride]
 
     @ti.func
-    def rubbed(self, rod, limit, friction, normal, u):
+    def rubbed(self, rod, limit, friction, gradient, u):
         """Friction of a contact that has moved by ``u``: its energy, its derivative and its stiffness.
 
         With the friction q of the round before and z = q + κ u along the surface it is z where |z| ≤ μ λ, and else of that size
         along z: the derivative of |z|²/2κ, or of μ λ (|z| − μ λ/2)/κ.
         """
         stiffness = self.item(rod, STIFFNESS)
+        normal = self.distance.unit(gradient)
         whole = plus(friction, scaled(u, stiffness))
         z = minus(whole, scaled(normal, dot(normal, whole)))
         size = ti.sqrt(dot(z, z) + 1e-30)

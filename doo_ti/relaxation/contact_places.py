@@ -36,7 +36,7 @@ from doo_ti.relaxation.contact_layout import (
 @ti.data_oriented
 class ContactPlaces:
     """Where the rods in a pack are, seen from obstacles of some ``kinds``. Of the record ``rod`` it reads ``contacts``, where
-    its items begin in scratch, ``kinds``, and ``obstacles``, how many there are."""
+    its items begin in scratch, ``kinds``, ``grids``, and ``obstacles``, how many there are."""
 
     def __init__(self, number, stride: int, kinds: frozenset[int]):
         lanes = number.lanes()
@@ -120,7 +120,7 @@ class ContactPlaces:
         rod.scratch[crossing] = largest_of(rod.scratch[crossing], share)
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
-            seen = self.distance.measure(rod.scratch, self.obstacle(rod, o), rod.kinds[o], place)
+            seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o], place)
             rod.scratch[contact + VALUE * self.stride] = seen.value
             # Where a vertex is close, the normals at both ends of its edges count.
             if self.is_close(rod, seen.value - rod.longest):
@@ -189,7 +189,8 @@ class ContactPlaces:
         s = ti.select(bridging, before / ti.max(before + beyond, zero + 1e-20), end)
         found = record(s=zero, value=zero, normal=repeated(zero, 3), curvature=repeated(zero, 6), bend=zero)
         for _ in range(SEARCHES):
-            seen = self.distance.measure(rod.scratch, self.obstacle(rod, o), rod.kinds[o], plus(start, scaled(edge, s)))
+            place = plus(start, scaled(edge, s))
+            seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o], place)
             slope = dot(seen.normal, edge)
             found.s, found.value = s, seen.value
             found.normal, found.curvature = seen.normal, seen.curvature

@@ -107,7 +107,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
             up = (policy[UP], policy[UP + 1], policy[UP + 2])
             tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
                             policy=policy, queue=queue, frames=frames, results=results, numbers=material, field=material,
-                            contacts=0, kinds=queue)
+                            contacts=0, kinds=queue, grids=material)
             loop.work(tables, scratch, threads, thread)
 
     @ti.kernel
@@ -122,7 +122,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
             up = (policy[UP], policy[UP + 1], policy[UP + 2])
             tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
                             policy=policy, queue=queue, frames=frames, results=results, numbers=outer, field=space,
-                            contacts=0, kinds=queue)
+                            contacts=0, kinds=queue, grids=material)
             loop.work(tables, scratch, threads, thread)
 
     return newton if external is None else newton_under_load
@@ -148,7 +148,8 @@ def contact_kernel(number: Number, isotropic: bool, stride: int, block: int, ext
         scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, results: table2,
         outer: table3, space: field,  # as :func:`newton_kernel` has them
         obstacles: table3,  # [1 or row, obstacle, OBSTACLE_COLUMNS]
-        kinds: index1,  # [obstacle]
+        kinds: index1,  # [obstacle] and, of a grid, its number
+        grids: table1,  # of the grids, see :func:`doo_ti.contact.distance_grid.grid_table`
         radius: table1,  # [1 or row] mm
         gap_tolerance: ti.f64,  # over the radius
         memory: table4,  # [row, vertex, obstacle, REMEMBERED] in and out
@@ -162,8 +163,8 @@ def contact_kernel(number: Number, isotropic: bool, stride: int, block: int, ext
             contacts = sweep.behind(threads, thread, edges, size(edges, kinds.shape[0]))
             tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
                             policy=policy, queue=queue, frames=frames, results=results, numbers=outer, field=space,
-                            contacts=contacts, obstacles=obstacles, kinds=kinds, radius=radius, tolerance=gap_tolerance,
-                            memory=memory, forces=forces, self_friction=self_friction)
+                            contacts=contacts, obstacles=obstacles, kinds=kinds, grids=grids, radius=radius,
+                            tolerance=gap_tolerance, memory=memory, forces=forces, self_friction=self_friction)
             loop.work(tables, scratch, threads, thread)
 
     return newton_in_contact

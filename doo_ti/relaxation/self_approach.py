@@ -161,8 +161,8 @@ def _kernels(number: Number, stride: int, block: int):
                 flags[rod] = found
 
     @ti.kernel
-    def by_frames(start: table1, rows: index1, frames: table1, rest_length: table2, radius: table1, held: index1, threads: ti.i32,
-                  scratch: packs, flags: index1):
+    def by_frames(start: table1, rows: index1, frames: table1, rest_length: table2, radius: table1, held: index1,
+                  threads: ti.i32, scratch: packs, flags: index1):
         ti.loop_config(block_dim=block)
         for thread in range(threads):
             edges = rest_length.shape[1]
@@ -172,8 +172,8 @@ def _kernels(number: Number, stride: int, block: int):
                 if pack % threads == thread:
                     for slot in range(width):
                         rod = ti.min(pack * width + slot, flags.shape[0] - 1)
-                        search.load_frames(start, rows[rod], frames, rod, rest_length, ti.min(rows[rod], rest_length.shape[0] - 1),
-                                           scratch, head, slot)
+                        row = ti.min(rows[rod], rest_length.shape[0] - 1)
+                        search.load_frames(start, rows[rod], frames, rod, rest_length, row, scratch, head, slot)
                         lanes.put(scratch, thick, slot, radius[ti.min(rod, radius.shape[0] - 1)])
                     turns = search.place_middles(scratch, head, edges)
                     note(flags, pack * width, search.search(scratch, head, edges, scratch[thick]), turns, held, True)
@@ -190,8 +190,8 @@ def _kernels(number: Number, stride: int, block: int):
                 if pack % threads == thread:
                     for slot in range(width):
                         rod = ti.min(pack * width + slot, flags.shape[0] - 1)
-                        search.load_places(before, after, rod, rest_length, ti.min(rows[rod], rest_length.shape[0] - 1),
-                                           scratch, head, slot)
+                        row = ti.min(rows[rod], rest_length.shape[0] - 1)
+                        search.load_places(before, after, rod, rest_length, row, scratch, head, slot)
                         lanes.put(scratch, thick, slot, radius[ti.min(rod, radius.shape[0] - 1)])
                     least = search.search(scratch, head, edges, scratch[thick])
                     note(flags, pack * width, least, least, flags, False)

@@ -65,7 +65,7 @@ def time_kernel(number: Number, isotropic: bool, stride: int, block: int):
                 start=frames, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods, policy=policy,
                 queue=queue, frames=frames, results=results, numbers=numbers, field=material, path=path, shares=shares,
                 time=time, steps=steps, every=every, frames_before=frames_before, places=places, positions=positions,
-                outcome=outcome, contacts=0, kinds=queue)
+                outcome=outcome, contacts=0, kinds=queue, grids=policy)
             loop.work(tables, scratch, threads, thread)
 
     return make_steps, sweep.items, sweep.parameters
@@ -91,7 +91,8 @@ def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int
         policy: table1, time: table1, steps: ti.i32, every: ti.i32, threads: ti.i32,
         scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, frames_before: table1,
         places: table3, results: table2, positions: table3, outcome: table3,  # as :func:`time_kernel` has them
-        obstacles: table3, obstacle_kinds: index1, radius: table1, gap_tolerance: ti.f64, memory: table4,  # as in Newton's
+        obstacles: table3, obstacle_kinds: index1, grids: table1, radius: table1, gap_tolerance: ti.f64,
+        memory: table4,  # as in Newton's
         forces: table3,  # [row · frame, vertex, 3] out
         self_friction: table1,
     ):
@@ -104,7 +105,7 @@ def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int
                 start=frames, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods, policy=policy,
                 queue=queue, frames=frames, results=results, numbers=numbers, field=material, path=path, shares=shares,
                 time=time, steps=steps, every=every, frames_before=frames_before, places=places, positions=positions,
-                outcome=outcome, contacts=contacts, obstacles=obstacles, kinds=obstacle_kinds, radius=radius,
+                outcome=outcome, contacts=contacts, obstacles=obstacles, kinds=obstacle_kinds, grids=grids, radius=radius,
                 tolerance=gap_tolerance, memory=memory, forces=forces, self_friction=self_friction)
             loop.work(tables, scratch, threads, thread)
 
@@ -143,7 +144,7 @@ def time_slope_kernel(stride: int, block: int, width: int):
                 queue=queue, frames=frames, results=results, numbers=numbers, field=material, path=path, shares=shares,
                 time=time, steps=steps, every=every, frames_before=frames_before, places=places, positions=positions,
                 outcome=outcome, material_slopes=material_slopes, number_slopes=number_slopes, share_slopes=share_slopes,
-                slopes=slopes, position_slopes=position_slopes, blocks=blocks, contacts=0, kinds=queue)
+                slopes=slopes, position_slopes=position_slopes, blocks=blocks, contacts=0, kinds=queue, grids=policy)
             loop.work(tables, scratch, threads, thread)
 
     return make_steps, sweep.items, sweep.parameters
