@@ -19,6 +19,8 @@ from doo_ti.terminal import in_line
 
 LEAST_MM, MOST_MM = 10.0, 20_000.0
 """Lengths of rods that raise no doubt about the unit."""
+MOST_UNEVEN = 20.0
+"""Longest edge over the median one, above which the marks may be of several rods."""
 OF_FILES = ("unit", "columns")
 """Options that only files of observations have a use for."""
 FORMATS = ".npz, .csv, .parquet; or curves as .csv of OptiTrack or Vicon, .xml (MuJoCo), .usda, .txt"
@@ -61,10 +63,11 @@ def of_scene(options: Namespace, scene: Scene) -> Observations:
 
 
 def warn(observations: Observations) -> None:
-    """Print a warning where the rod's length is implausible. To be called once everything is checked, so that wrong input is
-    reported in one line."""
-    if (doubt := unit_doubt(observations)) is not None:
-        terminal.warn(f"{in_line(observations.source)}: {doubt}")
+    """Print a warning where the rod is implausible. To be called once everything is checked, so that wrong input is reported
+    in one line."""
+    for doubt in (unit_doubt(observations), order_doubt(observations)):
+        if doubt is not None:
+            terminal.warn(f"{in_line(observations.source)}: {doubt}")
 
 
 def rod_line(observations: Observations) -> str:
@@ -86,6 +89,16 @@ def unit_doubt(observations: Observations) -> str | None:
     likely = next((unit for unit in ("m", "cm") if LEAST_MM <= length * UNITS_IN_MM[unit] <= MOST_MM), None)
     remedy = "check the unit of the file" if likely is None else f"if the file is in {likely}, give --unit {likely}"
     return f"a rod {length:.4g} mm long; {remedy}"
+
+
+def order_doubt(observations: Observations) -> str | None:
+    """Why the marks may not be those of one rod in their order, or None."""
+    lengths = observations.rest_length
+    longest, usual = lengths.max(), np.median(lengths)
+    if longest <= MOST_UNEVEN * usual:
+        return None
+    return (f"mark {lengths.argmax() + 1} is {longest:.4g} mm from the mark before, the median is {usual:.4g} mm; if the file "
+            "holds several rods, name the column that numbers them: --columns observation=NAME")
 
 
 def _span(values: np.ndarray) -> str:

@@ -167,8 +167,9 @@ def run_lines(result: dict) -> list[str]:
     lines += [
         "              (cells within 5 % of the smallest error; this is not an uncertainty)",
         f"  status      {counted(rods)}; {stable} certified stable",
-        f"  competing   {result['cells_competing']} of {cells} cells; in the other {result['cells_not_competing']} some rod "
-        "has no certified minimum"]
+        f"  competing   {result['cells_competing']} of {cells} cells"]
+    if others := result["cells_not_competing"]:
+        lines[-1] += f"; in the other {others} some rod has no certified minimum"
     if result["terms_left_out"]:
         lines.append(f"              left out: {result['terms_left_out']} of {per_cell} {terms}, certified in no cell")
     if "jumps" in result:

@@ -99,8 +99,17 @@ def test_columns_of_other_names(tmp_path):
     np.testing.assert_array_equal(load_observations(tmp_path / "x.csv", columns=names).vertices, MARKS)
     (tmp_path / "y.csv").write_text(table(MARKS[:1], "x,y,z", number=False))  # rows in order, of one observation
     np.testing.assert_array_equal(load_observations(tmp_path / "y.csv").vertices, MARKS[:1])
+    (tmp_path / "z.csv").write_text(table(MARKS, "Observation,VERTEX,X,Y,Z"))
+    np.testing.assert_array_equal(load_observations(tmp_path / "z.csv").vertices, MARKS)
     swapped = load_observations(tmp_path / "y.csv", columns={"y": "z", "z": "y"})
     np.testing.assert_array_equal(swapped.vertices, MARKS[:1][..., [0, 2, 1]])
+
+
+def test_marks_numbered_from_one(tmp_path):
+    head, *rows = table(MARKS, "observation,vertex,x,y,z").splitlines()
+    cells = [row.split(",") for row in rows]
+    (tmp_path / "x.csv").write_text("\n".join([head, *(",".join([d, str(int(v) + 1), *rest]) for d, v, *rest in cells)]))
+    np.testing.assert_array_equal(load_observations(tmp_path / "x.csv").vertices, MARKS)
 
 
 @pytest.mark.parametrize("text", [motive(MARKS, "Millimeters"), nexus(MARKS)], ids=["motive", "nexus"])
