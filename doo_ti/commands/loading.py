@@ -29,11 +29,16 @@ FORMATS = ".npz, .csv, .parquet; or curves as .csv of OptiTrack or Vicon, .xml (
 def add_loading(parser: ArgumentParser) -> None:
     """How the file states the marks, and the direction of gravity."""
     group = parser.add_argument_group("your own files", "docs/observations.md")
-    group.add_argument("--unit", choices=tuple(UNITS_IN_MM), help="unit of all lengths in OBS (default: as the file states, "
+    add_files(group, "OBS")
+    given.add_up(group)
+
+
+def add_files(group, of: str) -> None:
+    """How the files ``of`` some option or argument state the marks."""
+    group.add_argument("--unit", choices=tuple(UNITS_IN_MM), help=f"unit of all lengths in {of} (default: as the file states, "
                        "else mm)")
     group.add_argument("--columns", metavar="x=NAME,…|A,B,C", help="columns of a table that hold x, y, z, observation, vertex; "
                        "of other files, names of markers or curves in their order along the rod")
-    given.add_up(group)
 
 
 def columns(options: Namespace) -> dict[str, str] | list[str] | None:

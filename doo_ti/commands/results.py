@@ -56,7 +56,7 @@ def save_arrays(out: Path, arrays: dict[str, np.ndarray], axes: tuple[str, ...] 
     else:
         write_whole(out, lambda file: left_out.extend(write_rod_table(file, arrays, axes)))
     if left_out:
-        print(f"doo-ti: {in_line(out)}: without {', '.join(left_out)}, which an .npz holds", file=sys.stderr)
+        print(f"doo-ti: note: {', '.join(left_out)} left out of {in_line(out)}; an .npz holds it", file=sys.stderr)
 
 
 def save_json(out: Path, content) -> None:
