@@ -5,6 +5,7 @@
 
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,12 +18,16 @@ from doo_ti.io.observations import Observations, load_observations
 from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.terminal import in_line
 
+if TYPE_CHECKING:  # the kernels of moving rods
+    from doo_ti.dynamics.recorded import RecordedMotion
+
 LEAST_MM, MOST_MM = 10.0, 20_000.0
 """Lengths of rods that raise no doubt about the unit."""
 MOST_UNEVEN = 20.0
 """Longest edge over the median one, above which the marks may be of several rods."""
 OF_FILES = ("unit", "columns")
 """Options that only files of observations have a use for."""
+RECORDINGS = ".npz (positions_mm, rate_hz), .csv of OptiTrack or Vicon, a table, .pkl of the public cable data"
 FORMATS = ".npz, .csv, .parquet; or curves as .csv of OptiTrack or Vicon, .xml (MuJoCo), .usda, .txt"
 
 
@@ -39,6 +44,30 @@ def add_files(group, of: str) -> None:
                        "else mm)")
     group.add_argument("--columns", metavar="x=NAME,…|A,B,C", help="columns of a table that hold x, y, z, observation, vertex; "
                        "of other files, names of markers or curves in their order along the rod")
+
+
+def add_recordings(parser: ArgumentParser, default_up: str) -> None:
+    """How files state recorded motion, and what is done where markers were not seen."""
+    group = parser.add_argument_group("your own files", "docs/observations.md")
+    add_files(group, "MOTION")
+    add_rate(group)
+    given.add_up(group, default_up)
+    group.add_argument("--fill-gaps", action="store_true",
+                       help="take markers that were not seen from lines between the frames around")
+
+
+def add_rate(parser) -> None:
+    """``--rate`` of a recording."""
+    parser.add_argument("--rate", metavar="HZ", help="frames per second of a recording (default: as the file states; tables do "
+                        "not)")
+
+
+def recordings(options: Namespace, sources: list[str]) -> list["RecordedMotion"]:
+    """The recorded motion of each of the files."""
+    from doo_ti.dynamics.recorded import RecordedMotion
+
+    rate, named = given.positive("--rate", options.rate, "frames per second"), columns(options)
+    return [RecordedMotion.load(path, options.fill_gaps, options.unit, named, rate) for path in sources]
 
 
 def columns(options: Namespace) -> dict[str, str] | list[str] | None:

@@ -61,7 +61,7 @@ def test_motion_capture_as_motion_and_as_observations(tmp_path, capfd):
     assert "0,1,0" in capfd.readouterr().out
     with np.load(tmp_path / "motion.npz") as found:
         np.testing.assert_allclose(found["positions_mm"], seen)
-        assert found["rate_hz"] == 120.0
+        assert found["rate_hz"] == 120.0 and found["up"].tolist() == [0, 1, 0]
     assert main(["convert", str(tmp_path / "take.csv"), str(tmp_path / "marks.csv"), "--select", "1:10:2", "--complete"]) == 0
     np.testing.assert_allclose(load_observations(tmp_path / "marks.csv").vertices, seen[[1, 5, 7, 9]])
 
