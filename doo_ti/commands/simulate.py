@@ -216,7 +216,8 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
 
 def _lines(found: _Simulated, summary: dict) -> list[str]:
     duration = (summary["frames"] - 1) / found.rate
-    lines = [f"{in_line(found.name)}: {summary['rods']} rods of {summary['vertices'] - 1} edges, {duration:.3g} s at "
+    rods = f"{summary['rods']} rod{'s' * (summary['rods'] > 1)}"
+    lines = [f"{in_line(found.name)}: {rods} of {summary['vertices'] - 1} edges, {duration:.3g} s at "
              f"{found.rate:g} frames/s",
              f"  status      {counted(summary['status'])} at the end"]
     if summary["failed"]:
