@@ -131,7 +131,7 @@ def main(words: list[str] | None = None) -> int:
              *(f"Left out: {one}." for one in left_out)]
     if not options.quick:
         lines += ["", "In motion:", "", *swinging.table()]
-    text = "\n".join(lines) + "\n"
+    text = "\n".join(lines).replace("\n\n\n", "\n\n") + "\n"
     print(text)
     if options.report:
         write_text(options.report, text)
