@@ -56,7 +56,7 @@ def save_arrays(out: Path, arrays: dict[str, np.ndarray], axes: tuple[str, ...] 
     else:
         write_whole(out, lambda file: left_out.extend(write_rod_table(file, arrays, axes)))
     if left_out:
-        print(f"doo-ti: {in_line(out)}: without {', '.join(left_out)}, which an .npz holds", file=sys.stderr)
+        print(f"doo-ti: note: {', '.join(left_out)} left out of {in_line(out)}; an .npz holds it", file=sys.stderr)
 
 
 def save_json(out: Path, content) -> None:
@@ -167,8 +167,9 @@ def run_lines(result: dict) -> list[str]:
     lines += [
         "              (cells within 5 % of the smallest error; this is not an uncertainty)",
         f"  status      {counted(rods)}; {stable} certified stable",
-        f"  competing   {result['cells_competing']} of {cells} cells; in the other {result['cells_not_competing']} some rod "
-        "has no certified minimum"]
+        f"  competing   {result['cells_competing']} of {cells} cells"]
+    if others := result["cells_not_competing"]:
+        lines[-1] += f"; in the other {others} some rod has no certified minimum"
     if result["terms_left_out"]:
         lines.append(f"              left out: {result['terms_left_out']} of {per_cell} {terms}, certified in no cell")
     if "jumps" in result:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import is_dynamic, losses
 from doo_ti.contact.surroundings import Surroundings
@@ -22,6 +23,9 @@ LEAST_MM, MOST_MM = 1e-3, 1e4
 """Of an edge."""
 RECORDED = 3
 """Sets in a recording."""
+GUESSED_BEND = 1e6
+"""mm³, of a rod in images whose stiffness is not given: E_vis takes the rod's energy relative to its stiffness, so that only
+its weight and twist against its bending depend on it."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +41,14 @@ class PerceptionTask:
     truth: np.ndarray | None
     recorded: int
     surroundings: Surroundings
+    guessed: bool  # the stiffness is not given
 
 
 def perception_task(options: Namespace) -> PerceptionTask:
     """Raises InputError naming the option or file at fault."""
+    guessed = options.theta is None and all(getattr(options, name) is None for name in given.MATERIAL)
+    if guessed:
+        options.bend = repr(GUESSED_BEND)
     grid, up = given.round_cell(options, "perceived"), given.world_up(options)
     rest_length = read_rest_length(options.rest_length)
     nu, width = given.positive("--nu", options.nu), given.positive("--width", options.width, "px")
@@ -52,7 +60,7 @@ def perception_task(options: Namespace) -> PerceptionTask:
     from doo_ti.vision.detection.detect import DetectionOptions
 
     sets = _sets(options, load_rig(options.rig))
-    truth = None if options.truth is None else _truth(options.truth, sets.names)
+    truth = _truth(options, sets.names)
 
     from doo_ti.perception.perceive import PerceptionOptions
 
@@ -60,7 +68,7 @@ def perception_task(options: Namespace) -> PerceptionTask:
     search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
     detection = DetectionOptions(options.detector, options.polarity, width)
     return PerceptionTask(sets, rest_length, grid.materials(), search, detection,
-                          up, truth, 0 if options.no_recording else recorded or RECORDED, surroundings)
+                          up, truth, 0 if options.no_recording else recorded or RECORDED, surroundings, guessed)
 
 
 @dataclass(frozen=True)
@@ -166,9 +174,15 @@ def _sets(options: Namespace, rig):
     return ImageSets((in_line(paths[0].stem),), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], given.SOURCE)
 
 
-def _truth(path: str, names: tuple[str, ...]) -> np.ndarray:
-    """(A, V, 3) mm: the rods of the file by the sets' names, or in order where it has no names."""
-    vertices = load_observations(path).vertices
+def _truth(options: Namespace, names: tuple[str, ...]) -> np.ndarray | None:
+    """(A, V, 3) mm: the rods of ``--truth`` by the sets' names, or in order where it has no names; None without one."""
+    path = options.truth
+    if path is None:
+        for option in loading.OF_FILES:
+            if getattr(options, option) is not None:
+                raise InputError(given.SOURCE, f"--{option}", "given without --truth", "give both")
+        return None
+    vertices = load_observations(path, None, options.unit, loading.columns(options)).vertices
     named = read_npz(Path(path), read_content(Path(path)), ("name", "names")) if Path(path).suffix == ".npz" else {}
     known = next(iter(named.values()), None)
     if known is None:

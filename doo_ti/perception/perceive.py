@@ -177,6 +177,8 @@ def check_seeds(surroundings: Surroundings, point: np.ndarray) -> Surroundings:
         return surroundings
     if np.size(surroundings.radius) != 1 or any(obstacle.count > 1 for obstacle in surroundings.obstacles):
         raise InputError("perceive", "obstacles", "other ones, or another radius, for each rod", "give the same to all rods")
+    if surroundings.itself is not None:
+        raise InputError("perceive", "obstacles", "the rod itself", "leave it out: a growing rod is no obstacle to itself")
     for obstacle in surroundings.obstacles:
         gap = obstacle.distance(point[None])[0][0] - surroundings.radius
         worst = int(np.argmin(gap))
