@@ -72,6 +72,8 @@ ROUGHEST, ROUGHER = 1e5, 1e3
 VISCOUS, THICKER, THINNER, LEAST_VISCOSITY, MOST_EASED = 30.0, 8.0, 1 / 4, 1 / 100, 48.0
 """Viscosity that eases a step is at first so many times the expected forces over the rod's length at every vertex, larger by
 THICKER where a step with it fails, else smaller by THINNER, none below a share of the first; at most so many steps."""
+LEAST_BLOCKED = 1 / 64
+"""Of the shortest way otherwise: that of a step which would begin inside an obstacle."""
 INERT = 10.0
 """In a motion κ is larger by so many times the inertia of a vertex."""
 

@@ -24,6 +24,7 @@ from doo_ti.relaxation.contact_layout import (
     HEAD,
     INERT,
     LARGEST,
+    LEAST_BLOCKED,
     LEAST_VISCOSITY,
     LOADED,
     MOST_EASED,
@@ -114,8 +115,10 @@ class Contacts(ContactRounds):
         zero = 0.0 * rod.total
         viscosity = self.item(rod, VISCOSITY)
         again = failed & (self.item(rod, RETRIED) < 0.5) & ~blocked & (viscosity <= 0.0)
-        shorter = failed & ~again & (self.item(rod, WAY) > 1.5 * least) & (viscosity <= 0.0)
-        eased = failed & ~again & ~shorter & (least < 0.9) & (self.item(rod, EASED) < MOST_EASED)
+        quasi_static = least < 0.9
+        shortest = ti.select(blocked, LEAST_BLOCKED * least, least)
+        shorter = failed & ~again & (self.item(rod, WAY) > 1.5 * shortest) & quasi_static & ((viscosity <= 0.0) | blocked)
+        eased = failed & ~again & ~blocked & ~shorter & quasi_static & (self.item(rod, EASED) < MOST_EASED)
         once = again | shorter | eased
         if self.some(once, zero):
             self.set_item(rod, WAY, shorter, 0.5 * self.item(rod, WAY))
