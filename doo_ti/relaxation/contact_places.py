@@ -5,7 +5,7 @@ import taichi as ti
 from doo_ti.contact.distance import Distance
 from doo_ti.contact.obstacles import OBSTACLE_COLUMNS
 from doo_ti.physics.algebra import largest_of
-from doo_ti.physics.tuples import applied, dot, full, minus, plus, record, repeated, scaled
+from doo_ti.physics.tuples import applied, dot, full, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contact_layout import (
     BARRIER,
     CLOSEST,
@@ -17,7 +17,6 @@ from doo_ti.relaxation.contact_layout import (
     HEAD,
     NORMAL,
     PHASE,
-    PINCHED,
     PLACE,
     PREVIOUS,
     RADIUS,
@@ -93,7 +92,7 @@ class ContactPlaces:
         """Begin the sums over all vertices."""
         zero = 0.0 * rod.total
         most = zero + 1e30
-        self.store(rod.scratch, rod.contacts + ENERGY * self.stride, (zero, zero, zero, most, zero, most))
+        self.store(rod.scratch, rod.contacts + ENERGY * self.stride, (zero, zero, zero, most, most))
 
     @ti.func
     def add(self, rod, item: ti.template(), values):
@@ -128,7 +127,6 @@ class ContactPlaces:
                 self.store(rod.scratch, contact + CURVATURE * self.stride, seen.curvature)
                 gap, held = seen.value - self.item(rod, RADIUS), self.held(rod, index) > 0.5
                 self.lower(rod.scratch, rod.contacts + DEEPEST * self.stride, seen.value)
-                self.lower(rod.scratch, rod.contacts + PINCHED * self.stride, ti.select(held, gap, 0.0 * gap))
                 self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(held, 0.0 * gap + 1e30, gap))
 
     @ti.func
@@ -165,14 +163,24 @@ class ContactPlaces:
         return held
 
     @ti.func
-    def blocked(self, rod):
-        """Whether the rod's centreline is inside an obstacle, or a clamp holds the rod where it is in one."""
-        return (self.item(rod, DEEPEST) < 0.0) | self.pinched(rod)
+    def inside(self, rod):
+        """Whether the rod's centreline is inside an obstacle."""
+        return self.item(rod, DEEPEST) < 0.0
 
     @ti.func
-    def pinched(self, rod):
-        """Whether a clamp holds the rod where it is in an obstacle."""
-        return self.item(rod, PINCHED) < 0.0 - self.item(rod, TOLERANCE)
+    def pinched(self, rod, miss):
+        """Whether a clamp holds the rod where it is in an obstacle; of a far end that still misses its place by ``miss``, there."""
+        least = 0.0 * rod.total
+        for end in range(4):
+            index = ti.select(end < 2, end, rod.edges - 3 + end)
+            place = variable(self.load3(rod.scratch, self.vertex(rod, index) + PLACE * self.stride))
+            if end > 1:
+                place = minus(place, miss)
+            held = self.held(rod, index) > 0.5
+            for o in range(rod.obstacles):
+                seen = self.distance.measure(rod.scratch, self.obstacle(rod, o), rod.kinds[o], place)
+                least = ti.select(held, ti.min(least, seen.value - self.item(rod, RADIUS)), least)
+        return least < 0.0 - self.item(rod, TOLERANCE)
 
     @ti.func
     def nearest(self, rod, o, start, edge, slope_start, slope_end):

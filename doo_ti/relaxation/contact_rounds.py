@@ -44,6 +44,7 @@ from doo_ti.relaxation.contact_layout import (
     STAGES,
     STANDING,
     STIFFER,
+    STIFFEST,
     STIFFNESS,
     STRENGTH,
     TIGHT,
@@ -182,6 +183,7 @@ class ContactRounds(ContactEnergy):
                     rubbed = largest_of(rubbed, self.settle_friction(rod, v, o, due))
         change = ti.select(due & ~behind, change / stiffness, zero)
         slow = due & ~behind & (change > SLOW * self.item(rod, CHANGE)) & (change > self.item(rod, TOLERANCE))
+        slow = slow & (stiffness < STIFFEST * self.item(rod, FIRST_STIFFNESS))
         self.set_item(rod, LARGEST, due, largest)
         self.set_item(rod, STIFFNESS, slow, STIFFER * stiffness)
         self.tighten(rod, due & ~behind)

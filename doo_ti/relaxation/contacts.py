@@ -28,6 +28,7 @@ from doo_ti.relaxation.contact_layout import (
     LEAST_VISCOSITY,
     LOADED,
     MOST_EASED,
+    MOST_VISCOSITY,
     MULTIPLIER,
     OFFSET,
     PHASE,
@@ -118,7 +119,8 @@ class Contacts(ContactRounds):
         quasi_static = least < 0.9
         shortest = ti.select(blocked, LEAST_BLOCKED * least, least)
         shorter = failed & ~again & (self.item(rod, WAY) > 1.5 * shortest) & quasi_static & ((viscosity <= 0.0) | blocked)
-        eased = failed & ~again & ~blocked & ~shorter & quasi_static & (self.item(rod, EASED) < MOST_EASED)
+        eased = failed & ~again & ~blocked & ~shorter & quasi_static & (self.item(rod, EASED) < MOST_EASED) & (
+            viscosity < MOST_VISCOSITY * self.item(rod, FIRST_VISCOSITY))
         once = again | shorter | eased
         if self.some(once, zero):
             self.set_item(rod, WAY, shorter, 0.5 * self.item(rod, WAY))

@@ -338,7 +338,9 @@ class NewtonLoop:
             entered = self.sweep.contacts.enter(rod, fresh, judged.stands & (lane.energy > WALL))
             goes_on = self.sweep.contacts.end_round(rod, lane, place.calm & ~entered, (ended | at_rest) & ~entered, entered)
             ended, at_rest, stuck = ended & ~goes_on, at_rest & ~goes_on, stuck & ~goes_on
-            blocked = fresh & self.sweep.contacts.blocked(rod)
+            blocked = fresh & self.sweep.contacts.inside(rod)
+            if self.largest(ti.select(fresh, one, zero)) > 0.5:
+                blocked = blocked | (fresh & self.sweep.contacts.pinched(rod, lane.miss))
             lane.status = ti.select(blocked, self.constant(self.infeasible), lane.status)
             ended, at_rest, lost = ended & ~blocked, at_rest & ~blocked, lost | blocked
         lane.status = ti.select(ended | at_rest, self.constant(self.converged), lane.status)
