@@ -36,8 +36,8 @@ VALUE, NORMAL, CURVATURE, PLACE_BETWEEN, VALUE_BETWEEN, NORMAL_BETWEEN, WEIGHT, 
 REMEMBERED, REMEMBERED_IN_MOTION = 2, 16
 """Items of a contact that last from one relaxation to the next, and from one step to the next."""
 
-SEARCHES = 5
-"""Evaluations to find the point of an edge that is nearest to an obstacle."""
+SEARCHES = 24
+"""Evaluations, at most, to find the point of an edge that is nearest to an obstacle."""
 SAG = 0.1
 """Of a radius: where an edge is nearer to an obstacle than its ends by so much, its nearest point has half its weight."""
 BENDING_LOADS = 20.0

@@ -4,8 +4,8 @@ import taichi as ti
 
 from doo_ti.contact.distance import Distance
 from doo_ti.contact.obstacles import OBSTACLE_COLUMNS
-from doo_ti.physics.algebra import largest_of
-from doo_ti.physics.tuples import applied, dot, full, minus, plus, record, repeated, scaled, variable
+from doo_ti.physics.algebra import absolute, largest_of
+from doo_ti.physics.tuples import applied, choose, chosen, dot, full, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contact_layout import (
     BARRIER,
     CLOSEST,
@@ -45,6 +45,8 @@ class ContactPlaces:
         self.load3 = self.distance.load3
         # What the places of vertices are wrong by, as a share of the rod's length.
         self.rounding = 2e-7 if number.bits == 32 else 1e-13
+        # And of the place on an edge, of its length: φ there is wrong by its square.
+        self.place_rounding = 3e-4 if number.bits == 32 else 1e-7
 
     # --- items in scratch ---
 
@@ -183,30 +185,44 @@ class ContactPlaces:
         return least < 0.0 - self.item(rod, TOLERANCE)
 
     @ti.func
-    def nearest(self, rod, o, start, edge, slope_start, slope_end):
-        """The point of an edge that is nearest to an obstacle, by Newton's method between bounds: a record of ``s``, of φ there
-        with its derivatives, and of φ_ss, or a very large number where an end is the nearest."""
-        zero = 0.0 * slope_start
+    def nearest(self, rod, o, start, edge, ends, wanted):
+        """The point of an edge that is nearest to an obstacle in the lanes where it is ``wanted``, by Newton's method between
+        bounds, from ``ends``, φ_s at both: a record of ``s``, of φ there with its derivatives, and of φ_ss, or a very large
+        number where an end is the nearest."""
+        zero = 0.0 * rod.total
         low, high = zero, zero + 1.0
-        bridging = (slope_start < 0.0) & (slope_end > 0.0)
-        end = ti.select(slope_start < 0.0, zero + 1.0, zero)
-        # Exact where the obstacle's section along the edge is round: φ_s is then the sine of an angle whose tangent is linear.
-        square = dot(edge, edge)
-        before = 0.0 - slope_start / ti.sqrt(ti.max(square - slope_start * slope_start, 1e-12 * square))
-        beyond = slope_end / ti.sqrt(ti.max(square - slope_end * slope_end, 1e-12 * square))
-        s = ti.select(bridging, before / ti.max(before + beyond, zero + 1e-20), end)
-        found = record(s=zero, value=zero, normal=repeated(zero, 3), curvature=repeated(zero, 6), bend=zero)
+        bridging = (ends[0] < 0.0) & (ends[1] > 0.0)
+        s = variable((self.first_guess(edge, ends, bridging),))
+        found = record(s=zero, value=zero, normal=repeated(zero, 3), curvature=repeated(zero, 6), bend=zero + 1.0)
+        going = ti.select(wanted, zero + 1.0, zero)
         for _ in range(SEARCHES):
-            seen = self.distance.measure(rod.scratch, self.obstacle(rod, o), rod.kinds[o], plus(start, scaled(edge, s)))
-            slope = dot(seen.normal, edge)
-            found.s, found.value = s, seen.value
-            found.normal, found.curvature = seen.normal, seen.curvature
-            found.bend = ti.max(dot(edge, applied(full(seen.curvature), edge)), zero + 1e-20)
-            low, high = ti.select(slope < 0.0, s, low), ti.select(slope < 0.0, high, s)
-            step = s - slope / found.bend
-            s = ti.select(bridging, ti.select((step >= low) & (step <= high), step, 0.5 * (low + high)), end)
+            if self.largest(going) > 0.5:
+                seen = self.distance.measure(rod.scratch, self.obstacle(rod, o), rod.kinds[o], plus(start, scaled(edge, s[0])))
+                here = going > 0.5
+                slope = dot(seen.normal, edge)
+                bend = ti.max(dot(edge, applied(full(seen.curvature), edge)), zero + 1e-20)
+                choose(found, here, s=s[0], value=seen.value, bend=bend)
+                found.normal = chosen(here, seen.normal, found.normal)
+                found.curvature = chosen(here, seen.curvature, found.curvature)
+                low, high = ti.select(slope < 0.0, s[0], low), ti.select(slope < 0.0, high, s[0])
+                step = s[0] - slope / bend
+                step = ti.select((step >= low) & (step <= high), step, 0.5 * (low + high))
+                # A lane that has found its point keeps it while others go on.
+                going = ti.select(here & bridging & (absolute(step - s[0]) > self.place_rounding), zero + 1.0, zero)
+                s = (step,)
         found.bend = ti.select(bridging, found.bend, zero + 1e30)
         return found
+
+    @ti.func
+    def first_guess(self, edge, ends, bridging):
+        """Where the nearest point of an edge is, exactly where the obstacle's section along the edge is round: φ_s is then the
+        sine of an angle whose tangent is linear."""
+        zero = 0.0 * ends[0]
+        square = dot(edge, edge)
+        before = 0.0 - ends[0] / ti.sqrt(ti.max(square - ends[0] * ends[0], 1e-12 * square))
+        beyond = ends[1] / ti.sqrt(ti.max(square - ends[1] * ends[1], 1e-12 * square))
+        end = ti.select(ends[0] < 0.0, zero + 1.0, zero)
+        return ti.select(bridging, before / ti.max(before + beyond, zero + 1e-20), end)
 
     @ti.func
     def moved(self, rod, vertex):
