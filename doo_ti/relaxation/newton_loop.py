@@ -296,6 +296,10 @@ class NewtonLoop:
         lane.shift = ti.select(place.leaving, zero, lane.shift)
         lane.escapes = ti.select(place.leaving & place.at_saddle, lane.escapes + 1.0, lane.escapes)
         lane.closing = ti.select(place.gap > ti.cast(tables.policy[fixed.CLOSING], self.scalar) * rod.longest, one, zero)
+        if ti.static(self.touches):
+            # A step that also closes may be refused because closing leads behind the barrier, which then has to give way.
+            open_still = place.gap > 1e3 * self.closure_tolerance * rod.total
+            lane.closing = ti.select(judged.uphill & open_still & self.sweep.contacts.behind(rod), one, lane.closing)
         lane.rounds = ti.select((lane.escaping > 0.5) & place.right & ~place.leaving, lane.rounds + 1.0, lane.rounds)
         lane.rounds = ti.select(place.leaving, zero, lane.rounds)
         unready = (lane.escaping > 0.5) & (lane.rounds <= fixed.ESCAPE_ROUNDS)
