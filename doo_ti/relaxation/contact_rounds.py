@@ -3,7 +3,7 @@
 import taichi as ti
 
 from doo_ti.physics.algebra import absolute, largest_of
-from doo_ti.physics.tuples import choose, chosen, dot, minus, plus, repeated, scaled
+from doo_ti.physics.tuples import choose, chosen, dot, minus, plus, record, repeated, scaled
 from doo_ti.relaxation.contact_energy import ContactEnergy
 from doo_ti.relaxation.contact_layout import (
     ACTIVE,
@@ -69,6 +69,7 @@ class ContactRounds(ContactEnergy):
             at = self.vertex(rod, v)
             self.store(rod.scratch, at + STANDING * self.stride, self.load3(rod.scratch, at + PLACE * self.stride))
             rod.scratch[at + ROOM_STANDING * self.stride] = rod.scratch[at + ROOM * self.stride]
+        self.stand_pairs(rod)
 
     @ti.func
     def restore(self, rod, lost):
@@ -80,6 +81,7 @@ class ContactRounds(ContactEnergy):
             self.store(rod.scratch, at + PLACE * self.stride, chosen(lost > 0.5, standing, place))
             kept, room = rod.scratch[at + ROOM_STANDING * self.stride], rod.scratch[at + ROOM * self.stride]
             rod.scratch[at + ROOM * self.stride] = ti.select(lost > 0.5, kept, room)
+        self.restore_pairs(rod, lost)
 
     @ti.func
     def approach(self, rod, index, before, move):
@@ -157,7 +159,8 @@ class ContactRounds(ContactEnergy):
         change of a gap that they mean."""
         zero = 0.0 * rod.total
         radius, stiffness, behind = self.item(rod, RADIUS), self.item(rod, STIFFNESS), self.behind(rod)
-        change, secant, largest, rubbed = zero, zero, zero, zero  # friction settles no sooner with a larger κ
+        # Friction settles no sooner with a larger κ.
+        found = record(change=zero, secant=zero, largest=zero, rubbed=zero)
         for v in range(rod.edges + 1):
             at = self.vertex(rod, v)
             for o in range(rod.obstacles):
@@ -174,28 +177,35 @@ class ContactRounds(ContactEnergy):
                     new = ti.select(behind, pushed, ti.max(old - stiffness * gap, zero))
                     if ti.static(k == 1):
                         new, late = self.settle_between(rod, v, o, due, gap, new)
-                        change = largest_of(change, ti.select(behind, zero, late))
-                    secant = largest_of(secant, new / ti.max(gap + self.item(rod, OFFSET), 1e-3 * radius))
-                    largest = largest_of(largest, new)
-                    change = largest_of(change, absolute(new - old))
+                        found.change = largest_of(found.change, ti.select(behind, zero, late))
+                    self.note_force(rod, found, gap, old, new)
                     rod.scratch[contact + (FORCE + k) * self.stride] = ti.select(due, new, old)
                 if ti.static(self.rub):
-                    rubbed = largest_of(rubbed, self.settle_friction(rod, v, o, due))
-        change = ti.select(due & ~behind, change / stiffness, zero)
+                    found.rubbed = largest_of(found.rubbed, self.settle_friction(rod, v, o, due))
+        self.settle_pairs(rod, due, found)
+        change = ti.select(due & ~behind, found.change / stiffness, zero)
         slow = due & ~behind & (change > SLOW * self.item(rod, CHANGE)) & (change > self.item(rod, TOLERANCE))
         slow = slow & (stiffness < STIFFEST * self.item(rod, FIRST_STIFFNESS))
-        self.set_item(rod, LARGEST, due, largest)
+        self.set_item(rod, LARGEST, due, found.largest)
         self.set_item(rod, STIFFNESS, slow, STIFFER * stiffness)
         self.tighten(rod, due & ~behind)
         self.set_item(rod, CHANGE, due & ~behind, change)
         nearest = self.item(rod, CLOSEST) + self.item(rod, OFFSET)
         last = due & behind & ((self.item(rod, STAGE) > STAGES - 1.5) | (nearest < NEAR_ENOUGH * radius))
+        stiffer = ti.max(SECANT * found.secant, self.item(rod, FIRST_STIFFNESS))
         for item in ti.static((STIFFNESS, FIRST_STIFFNESS)):
-            self.set_item(rod, item, last & (secant > 0.0), ti.max(SECANT * secant, self.item(rod, FIRST_STIFFNESS)))
+            self.set_item(rod, item, last & (found.secant > 0.0), stiffer)
         self.set_item(rod, PHASE, last, zero + ROUGH)
         self.set_item(rod, STRENGTH, due & behind & ~last, WEAKER * self.item(rod, STRENGTH))
         self.set_item(rod, STAGE, due & behind, 1.0 + self.item(rod, STAGE))
-        return largest_of(change, ti.select(due & ~behind, rubbed / stiffness, zero))
+        return largest_of(change, ti.select(due & ~behind, found.rubbed / stiffness, zero))
+
+    @ti.func
+    def note_force(self, rod, found, gap, old, new):
+        """Take the change of a contact's force, and what the barrier says about κ, into ``found``."""
+        found.secant = largest_of(found.secant, new / ti.max(gap + self.item(rod, OFFSET), 1e-3 * self.item(rod, RADIUS)))
+        found.change = largest_of(found.change, absolute(new - old))
+        found.largest = largest_of(found.largest, new)
 
     @ti.func
     def tighten(self, rod, where):
@@ -263,3 +273,17 @@ class ContactRounds(ContactEnergy):
         change = minus(pull, old)
         self.store(rod.scratch, at, chosen(due, pull, old))
         return ti.sqrt(dot(change, change))
+
+    # --- of a rod that may also touch itself, :class:`doo_ti.relaxation.self_contacts.SelfContacts` ---
+
+    @ti.func
+    def stand_pairs(self, rod):
+        """Keep the distances of edges from each other before a step."""
+
+    @ti.func
+    def restore_pairs(self, rod, lost):
+        """Restore them in the lanes that reject the step."""
+
+    @ti.func
+    def settle_pairs(self, rod, due, found):
+        """New forces between edges in the lanes that are ``due``: their largest change to ``found``."""

@@ -105,7 +105,7 @@ class Contacts(ContactRounds):
                     friction = self.load3(rod.scratch, contact + FRICTION_BETWEEN * self.stride)
                     active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
                     work = work + ti.select(active, dot(friction, self.moved_between(rod, v, contact)), zero)
-        return work
+        return work + self.pair_work(rod)
 
     @ti.func
     def retry(self, rod, failed, blocked, least):
@@ -133,6 +133,7 @@ class Contacts(ContactRounds):
                     for k in ti.static(range(REMEMBERED_IN_MOTION)):
                         item = contact + k * self.stride
                         rod.scratch[item] = ti.select(once, zero, rod.scratch[item])
+            self.forget_pairs(rod, once)
             self.set_item(rod, PHASE, once, zero + LOADED)
             self.set_item(rod, OFFSET, once, zero)
             self.set_item(rod, STAGE, once, zero)
@@ -210,6 +211,9 @@ class Contacts(ContactRounds):
                     self.put(scratch, contact + k * self.stride, slot, 0.0)
                 for k in range(tables.memory.shape[3]):
                     self.put(scratch, contact + k * self.stride, slot, tables.memory[row, v, o, k])
+                if v == 0:  # memory has κ there
+                    self.put(scratch, contact + FORCE_BETWEEN * self.stride, slot, 0.0)
+        self.load_pairs(tables, scratch, slot)
 
     @ti.func
     def unload_forces(self, tables, scratch: ti.template(), slot, place, force_unit):
@@ -223,6 +227,7 @@ class Contacts(ContactRounds):
                 force = ti.cast(self.get(scratch, at + (FORCE_END + k) * self.stride, slot), ti.f64)
                 if v < vertices - 1:
                     force += self.get(scratch, at + size + (FORCE_START + k) * self.stride, slot)
+                force += self.pair_force(tables, scratch, slot, v, k)
                 tables.forces[place, v, k] = force * force_unit
 
     @ti.func
@@ -237,3 +242,23 @@ class Contacts(ContactRounds):
                 for k in range(tables.memory.shape[3]):
                     tables.memory[row, v, o, k] = self.get(scratch, contact + k * self.stride, slot)
         tables.memory[row, 0, 0, FORCE_BETWEEN] = self.get(scratch, tables.contacts + FIRST_STIFFNESS * self.stride, slot)
+
+    # --- of a rod that may also touch itself, :class:`doo_ti.relaxation.self_contacts.SelfContacts` ---
+
+    @ti.func
+    def pair_work(self, rod):
+        """The work of the rod's friction on itself since the instant before."""
+        return 0.0 * rod.total
+
+    @ti.func
+    def forget_pairs(self, rod, once):
+        """Forget the forces between edges in the lanes where ``once``."""
+
+    @ti.func
+    def load_pairs(self, tables, scratch: ti.template(), slot):
+        """Begin lane ``slot`` without forces between edges."""
+
+    @ti.func
+    def pair_force(self, tables, scratch: ti.template(), slot, vertex, k: ti.template()):
+        """Component ``k`` of the rod's own force on a vertex of lane ``slot``."""
+        return ti.cast(0.0, ti.f64)
