@@ -51,7 +51,7 @@ from doo_ti.relaxation.time_sweep import (
 )
 from doo_ti.types import Clamp, Configuration, Material, Status, unit_up
 
-LEAST_WAY = 1 / 64
+LEAST_WAY = 1 / 8
 """Of the way to the next instant: the shortest quasi-static step, where longer ones fail."""
 NUMBERS_AT_ONCE = 32_000_000
 """Numbers of positions that a launch writes."""

@@ -187,7 +187,7 @@ class ContactEnergy(ContactPlaces):
         rod.scratch[contact + WEIGHT * self.stride] = zero
         rod.scratch[contact + SAGGING * self.stride] = zero
         if self.some(near | active, zero):
-            seen = self.nearest(rod, o, start, edge, slope_start, slope_end)
+            seen = self.nearest(rod, o, start, edge, (slope_start, slope_end), near | active)
             lower = value_start < value_end
             sagging = ti.select(near, least - seen.value, zero)
             rod.scratch[contact + SAGGING * self.stride] = sagging

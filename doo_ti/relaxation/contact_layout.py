@@ -14,10 +14,10 @@ FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH, WAY_MADE, WAY, MULTIPLIER, LARGE
     9, 10, 11, 12, 13, 14, 15, 18, 19, 20, 21)
 # And sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts and
 # its magnitude; the square of the largest share of its way to the middle of an obstacle that a vertex has made in this step;
-# the least φ, the least gap where clamps hold a vertex and where none does; and of one edge the derivatives of its contacts'
+# the least φ, and the least gap where no clamp holds the rod; and of one edge the derivatives of its contacts'
 # energy, as :meth:`.LoadedElimination.load` returns them.
-ENERGY, MAGNITUDE, CROSSING, DEEPEST, PINCHED, CLOSEST = 22, 23, 24, 25, 26, 27
-GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, HEAD = 28, 31, 34, 40, 49, 55
+ENERGY, MAGNITUDE, CROSSING, DEEPEST, CLOSEST = 22, 23, 24, 25, 26
+GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, HEAD = 27, 30, 33, 39, 48, 54
 # Phases of a rod: it has just been loaded; a barrier keeps it away from obstacles, which finds out where it will touch them;
 # rounds to a rough tolerance of its moments; rounds to the final one.
 LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0
@@ -36,8 +36,8 @@ VALUE, NORMAL, CURVATURE, PLACE_BETWEEN, VALUE_BETWEEN, NORMAL_BETWEEN, WEIGHT, 
 REMEMBERED, REMEMBERED_IN_MOTION = 2, 16
 """Items of a contact that last from one relaxation to the next, and from one step to the next."""
 
-SEARCHES = 5
-"""Evaluations to find the point of an edge that is nearest to an obstacle."""
+SEARCHES = 24
+"""Evaluations, at most, to find the point of an edge that is nearest to an obstacle."""
 SAG = 0.1
 """Of a radius: where an edge is nearer to an obstacle than its ends by so much, its nearest point has half its weight."""
 BENDING_LOADS = 20.0
@@ -46,8 +46,9 @@ SOFT = 0.05
 """Of a radius: at first κ gives way by that under such a force."""
 TIGHT = 0.3
 """Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does."""
-STIFFER, SLOW = 5.0, 0.3
-"""κ grows by so much where a round leaves more than that share of the change of the round before."""
+STIFFER, SLOW, STIFFEST = 5.0, 0.3, 1e6
+"""κ grows by so much where a round leaves more than that share of the change of the round before, up to so many times the
+first."""
 SECANT = 0.3
 """After the barrier κ is that share of the barrier's largest force over its gap."""
 BARRIER_SHARE = 1 / 16
@@ -69,9 +70,11 @@ SLACK = 0.1
 ROUGHEST, ROUGHER = 1e5, 1e3
 """By so much the tolerance of a rod's moments is larger under the barrier, and until the forces of contacts have settled."""
 
-VISCOUS, THICKER, THINNER, LEAST_VISCOSITY, MOST_EASED = 30.0, 8.0, 1 / 4, 1 / 100, 48.0
+VISCOUS, THICKER, THINNER, LEAST_VISCOSITY, MOST_VISCOSITY, MOST_EASED = 30.0, 8.0, 1 / 4, 1 / 100, 1e5, 48.0
 """Viscosity that eases a step is at first so many times the expected forces over the rod's length at every vertex, larger by
-THICKER where a step with it fails, else smaller by THINNER, none below a share of the first; at most so many steps."""
+THICKER where a step with it fails, else smaller by THINNER, none below a share of the first; at most so much, and so often."""
+LEAST_BLOCKED = 1 / 64
+"""Of the shortest way otherwise: that of a step which would begin inside an obstacle."""
 INERT = 10.0
 """In a motion κ is larger by so many times the inertia of a vertex."""
 

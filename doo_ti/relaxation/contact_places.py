@@ -4,8 +4,8 @@ import taichi as ti
 
 from doo_ti.contact.distance import Distance
 from doo_ti.contact.obstacles import OBSTACLE_COLUMNS
-from doo_ti.physics.algebra import largest_of
-from doo_ti.physics.tuples import applied, dot, full, minus, plus, record, repeated, scaled
+from doo_ti.physics.algebra import absolute, largest_of
+from doo_ti.physics.tuples import applied, choose, chosen, dot, full, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contact_layout import (
     BARRIER,
     CLOSEST,
@@ -17,7 +17,6 @@ from doo_ti.relaxation.contact_layout import (
     HEAD,
     NORMAL,
     PHASE,
-    PINCHED,
     PLACE,
     PREVIOUS,
     RADIUS,
@@ -46,6 +45,8 @@ class ContactPlaces:
         self.load3 = self.distance.load3
         # What the places of vertices are wrong by, as a share of the rod's length.
         self.rounding = 2e-7 if number.bits == 32 else 1e-13
+        # And of the place on an edge, of its length: φ there is wrong by its square.
+        self.place_rounding = 3e-4 if number.bits == 32 else 1e-7
 
     # --- items in scratch ---
 
@@ -93,7 +94,7 @@ class ContactPlaces:
         """Begin the sums over all vertices."""
         zero = 0.0 * rod.total
         most = zero + 1e30
-        self.store(rod.scratch, rod.contacts + ENERGY * self.stride, (zero, zero, zero, most, zero, most))
+        self.store(rod.scratch, rod.contacts + ENERGY * self.stride, (zero, zero, zero, most, most))
 
     @ti.func
     def add(self, rod, item: ti.template(), values):
@@ -128,7 +129,6 @@ class ContactPlaces:
                 self.store(rod.scratch, contact + CURVATURE * self.stride, seen.curvature)
                 gap, held = seen.value - self.item(rod, RADIUS), self.held(rod, index) > 0.5
                 self.lower(rod.scratch, rod.contacts + DEEPEST * self.stride, seen.value)
-                self.lower(rod.scratch, rod.contacts + PINCHED * self.stride, ti.select(held, gap, 0.0 * gap))
                 self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(held, 0.0 * gap + 1e30, gap))
 
     @ti.func
@@ -165,41 +165,65 @@ class ContactPlaces:
         return held
 
     @ti.func
-    def blocked(self, rod):
-        """Whether the rod's centreline is inside an obstacle, or a clamp holds the rod where it is in one."""
-        return (self.item(rod, DEEPEST) < 0.0) | self.pinched(rod)
+    def inside(self, rod):
+        """Whether the rod's centreline is inside an obstacle."""
+        return self.item(rod, DEEPEST) < 0.0
 
     @ti.func
-    def pinched(self, rod):
-        """Whether a clamp holds the rod where it is in an obstacle."""
-        return self.item(rod, PINCHED) < 0.0 - self.item(rod, TOLERANCE)
+    def pinched(self, rod, miss):
+        """Whether a clamp holds the rod where it is in an obstacle; of a far end that still misses its place by ``miss``, there."""
+        least = 0.0 * rod.total
+        for end in range(4):
+            index = ti.select(end < 2, end, rod.edges - 3 + end)
+            place = variable(self.load3(rod.scratch, self.vertex(rod, index) + PLACE * self.stride))
+            if end > 1:
+                place = minus(place, miss)
+            held = self.held(rod, index) > 0.5
+            for o in range(rod.obstacles):
+                seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o], place)
+                least = ti.select(held, ti.min(least, seen.value - self.item(rod, RADIUS)), least)
+        return (least < 0.0 - self.item(rod, TOLERANCE)) | self.pinched_pairs(rod)
 
     @ti.func
-    def nearest(self, rod, o, start, edge, slope_start, slope_end):
-        """The point of an edge that is nearest to an obstacle, by Newton's method between bounds: a record of ``s``, of φ there
-        with its derivatives, and of φ_ss, or a very large number where an end is the nearest."""
-        zero = 0.0 * slope_start
+    def nearest(self, rod, o, start, edge, ends, wanted):
+        """The point of an edge that is nearest to an obstacle in the lanes where it is ``wanted``, by Newton's method between
+        bounds, from ``ends``, φ_s at both: a record of ``s``, of φ there with its derivatives, and of φ_ss, or a very large
+        number where an end is the nearest."""
+        zero = 0.0 * rod.total
         low, high = zero, zero + 1.0
-        bridging = (slope_start < 0.0) & (slope_end > 0.0)
-        end = ti.select(slope_start < 0.0, zero + 1.0, zero)
-        # Exact where the obstacle's section along the edge is round: φ_s is then the sine of an angle whose tangent is linear.
-        square = dot(edge, edge)
-        before = 0.0 - slope_start / ti.sqrt(ti.max(square - slope_start * slope_start, 1e-12 * square))
-        beyond = slope_end / ti.sqrt(ti.max(square - slope_end * slope_end, 1e-12 * square))
-        s = ti.select(bridging, before / ti.max(before + beyond, zero + 1e-20), end)
-        found = record(s=zero, value=zero, normal=repeated(zero, 3), curvature=repeated(zero, 6), bend=zero)
+        bridging = (ends[0] < 0.0) & (ends[1] > 0.0)
+        s = variable((self.first_guess(edge, ends, bridging),))
+        found = record(s=zero, value=zero, normal=repeated(zero, 3), curvature=repeated(zero, 6), bend=zero + 1.0)
+        going = ti.select(wanted, zero + 1.0, zero)
         for _ in range(SEARCHES):
-            place = plus(start, scaled(edge, s))
-            seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o], place)
-            slope = dot(seen.normal, edge)
-            found.s, found.value = s, seen.value
-            found.normal, found.curvature = seen.normal, seen.curvature
-            found.bend = ti.max(dot(edge, applied(full(seen.curvature), edge)), zero + 1e-20)
-            low, high = ti.select(slope < 0.0, s, low), ti.select(slope < 0.0, high, s)
-            step = s - slope / found.bend
-            s = ti.select(bridging, ti.select((step >= low) & (step <= high), step, 0.5 * (low + high)), end)
+            if self.largest(going) > 0.5:
+                seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o],
+                                             plus(start, scaled(edge, s[0])))
+                here = going > 0.5
+                slope = dot(seen.normal, edge)
+                bend = ti.max(dot(edge, applied(full(seen.curvature), edge)), zero + 1e-20)
+                choose(found, here, s=s[0], value=seen.value, bend=bend)
+                found.normal = chosen(here, seen.normal, found.normal)
+                found.curvature = chosen(here, seen.curvature, found.curvature)
+                low, high = ti.select(slope < 0.0, s[0], low), ti.select(slope < 0.0, high, s[0])
+                step = s[0] - slope / bend
+                step = ti.select((step >= low) & (step <= high), step, 0.5 * (low + high))
+                # A lane that has found its point keeps it while others go on.
+                going = ti.select(here & bridging & (absolute(step - s[0]) > self.place_rounding), zero + 1.0, zero)
+                s = (step,)
         found.bend = ti.select(bridging, found.bend, zero + 1e30)
         return found
+
+    @ti.func
+    def first_guess(self, edge, ends, bridging):
+        """Where the nearest point of an edge is, exactly where the obstacle's section along the edge is round: φ_s is then the
+        sine of an angle whose tangent is linear."""
+        zero = 0.0 * ends[0]
+        square = dot(edge, edge)
+        before = 0.0 - ends[0] / ti.sqrt(ti.max(square - ends[0] * ends[0], 1e-12 * square))
+        beyond = ends[1] / ti.sqrt(ti.max(square - ends[1] * ends[1], 1e-12 * square))
+        end = ti.select(ends[0] < 0.0, zero + 1.0, zero)
+        return ti.select(bridging, before / ti.max(before + beyond, zero + 1e-20), end)
 
     @ti.func
     def moved(self, rod, vertex):
@@ -213,3 +237,9 @@ class ContactPlaces:
         s = rod.scratch[contact + RUBBED_PLACE * self.stride]
         before, after = self.moved(rod, self.vertex(rod, index - 1)), self.moved(rod, self.vertex(rod, index))
         return plus(scaled(before, 1.0 - s), scaled(after, s))
+
+    @ti.func
+    def pinched_pairs(self, rod):
+        """Whether clamps hold two edges of a rod that may touch itself (:class:`doo_ti.relaxation.self_contacts.SelfContacts`)
+        where they are in each other."""
+        return rod.total < 0.0

@@ -44,6 +44,7 @@ from doo_ti.relaxation.contact_layout import (
     STAGES,
     STANDING,
     STIFFER,
+    STIFFEST,
     STIFFNESS,
     STRENGTH,
     TIGHT,
@@ -184,6 +185,7 @@ class ContactRounds(ContactEnergy):
         self.settle_pairs(rod, due, found)
         change = ti.select(due & ~behind, found.change / stiffness, zero)
         slow = due & ~behind & (change > SLOW * self.item(rod, CHANGE)) & (change > self.item(rod, TOLERANCE))
+        slow = slow & (stiffness < STIFFEST * self.item(rod, FIRST_STIFFNESS))
         self.set_item(rod, LARGEST, due, found.largest)
         self.set_item(rod, STIFFNESS, slow, STIFFER * stiffness)
         self.tighten(rod, due & ~behind)

@@ -24,9 +24,11 @@ from doo_ti.relaxation.contact_layout import (
     HEAD,
     INERT,
     LARGEST,
+    LEAST_BLOCKED,
     LEAST_VISCOSITY,
     LOADED,
     MOST_EASED,
+    MOST_VISCOSITY,
     MULTIPLIER,
     OFFSET,
     PHASE,
@@ -114,8 +116,11 @@ class Contacts(ContactRounds):
         zero = 0.0 * rod.total
         viscosity = self.item(rod, VISCOSITY)
         again = failed & (self.item(rod, RETRIED) < 0.5) & ~blocked & (viscosity <= 0.0)
-        shorter = failed & ~again & (self.item(rod, WAY) > 1.5 * least) & (viscosity <= 0.0)
-        eased = failed & ~again & ~shorter & (least < 0.9) & (self.item(rod, EASED) < MOST_EASED)
+        quasi_static = least < 0.9
+        shortest = ti.select(blocked, LEAST_BLOCKED * least, least)
+        shorter = failed & ~again & (self.item(rod, WAY) > 1.5 * shortest) & quasi_static & ((viscosity <= 0.0) | blocked)
+        eased = failed & ~again & ~blocked & ~shorter & quasi_static & (self.item(rod, EASED) < MOST_EASED) & (
+            viscosity < MOST_VISCOSITY * self.item(rod, FIRST_VISCOSITY))
         once = again | shorter | eased
         if self.some(once, zero):
             self.set_item(rod, WAY, shorter, 0.5 * self.item(rod, WAY))
@@ -206,6 +211,8 @@ class Contacts(ContactRounds):
                     self.put(scratch, contact + k * self.stride, slot, 0.0)
                 for k in range(tables.memory.shape[3]):
                     self.put(scratch, contact + k * self.stride, slot, tables.memory[row, v, o, k])
+                if v == 0:  # memory has κ there
+                    self.put(scratch, contact + FORCE_BETWEEN * self.stride, slot, 0.0)
         self.load_pairs(tables, scratch, slot, row)
 
     @ti.func

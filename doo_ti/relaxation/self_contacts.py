@@ -16,12 +16,12 @@ from doo_ti.relaxation.contact_layout import (
     DEEPEST,
     ENERGY,
     OFFSET,
-    PINCHED,
     PLACE,
     RADIUS,
     SLACK,
     STANDING,
     STIFFNESS,
+    TOLERANCE,
     contact_items,
 )
 from doo_ti.relaxation.contacts import Contacts
@@ -38,6 +38,7 @@ from doo_ti.relaxation.pair_layout import (
     MOVE,
     NORMAL,
     PAIR_ITEMS,
+    PINCHED,
     PLACES,
     PULL,
     REACH,
@@ -129,6 +130,7 @@ class SelfContacts(Contacts):
         sums, its gradient to the vertices and its second derivative to the matrix."""
         zero, radius = 0.0 * rod.total, self.item(rod, RADIUS)
         self.measure_arc(rod)
+        rod.scratch[self.own(rod) + PINCHED * self.stride] = zero
         for j in range(2, rod.edges):
             start, end = self.place(rod, j), self.place(rod, j + 1)
             arc = rod.scratch[self.own_vertex(rod, j) + ARC * self.stride] - LEAST_ARC * radius
@@ -162,7 +164,7 @@ class SelfContacts(Contacts):
         gap = ti.select(near, seen.value - 2.0 * radius, zero + 1e30)
         held = (self.held_edge(rod, i) > 0.5) & (self.held_edge(rod, j) > 0.5)
         self.lower(rod.scratch, rod.contacts + DEEPEST * self.stride, gap + (2.0 - LEAST_DISTANCE) * radius)
-        self.lower(rod.scratch, rod.contacts + PINCHED * self.stride, ti.select(held, gap, zero))
+        self.lower(rod.scratch, self.own(rod) + PINCHED * self.stride, ti.select(held, gap, zero))
         self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(held, zero + 1e30, gap))
         pushed = self.push(rod, rod.scratch[at + FORCE * self.stride], gap)
         push, stiffness = ti.select(near, pushed.push, zero), ti.select(near, pushed.stiffness, zero)
@@ -202,6 +204,11 @@ class SelfContacts(Contacts):
             self.add_diagonal(rod, self.vertex_of(i, j, k), values)
         else:
             self.add_block(rod, self.vertex_of(i, j, k), self.vertex_of(i, j, m), values)
+
+    @ti.func
+    def pinched_pairs(self, rod):
+        """Whether clamps hold two edges where they are in each other."""
+        return rod.scratch[self.own(rod) + PINCHED * self.stride] < 0.0 - self.item(rod, TOLERANCE)
 
     @ti.func
     def held_edge(self, rod, edge):

@@ -201,7 +201,7 @@ class TimeLoop(NewtonLoop):
         once_more, least = done & (lane.active < 0.5), zero + ti.cast(tables.time[LEAST_WAY], self.scalar)
         if ti.static(self.touches):
             blocked = lane.status > self.infeasible - 0.5
-            failed = done & (lane.status > 0.5) & ~(blocked & self.sweep.contacts.pinched(rod))
+            failed = done & (lane.status > 0.5) & ~(blocked & self.sweep.contacts.pinched(rod, lane.miss))
             once_more = self.sweep.contacts.retry(rod, failed, blocked, least)
             known = self.sweep.load3(scratch, tables.contacts + MULTIPLIER * self.stride)
             lane.multiplier = chosen(once_more, known, lane.multiplier)
