@@ -17,7 +17,7 @@ LAYERS = [
     {"frames", "physical_units"},
     {"material"},
     {"types"},
-    {"grid", "rods"},
+    {"grid", "knots", "rods"},
     {"io"},
     {"kernel_cache"},
     {"physics", "runtime"},

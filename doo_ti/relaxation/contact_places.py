@@ -171,7 +171,8 @@ class ContactPlaces:
 
     @ti.func
     def pinched(self, rod, miss):
-        """Whether a clamp holds the rod where it is in an obstacle; of a far end that still misses its place by ``miss``, there."""
+        """Whether a clamp holds the rod where it is in an obstacle; of a far end that still misses its place by ``miss``,
+        there."""
         least = 0.0 * rod.total
         for end in range(4):
             index = ti.select(end < 2, end, rod.edges - 3 + end)

@@ -5,10 +5,9 @@ from doo_ti.physics.tuples import picked
 from doo_ti.relaxation.contact_layout import contact_items
 
 # Items of the rod: its coefficient of friction on itself; of the two edges that are looked at the weights of their four ends,
-# and the mixed derivatives of their distance by these and by the places on both edges; and the least gap of two edges that clamps
-# hold. Then of every vertex the gradient of all
-# energies of places, the part of it from the rod's contact with itself, the displacement that the next step means, and the
-# length of the rod before.
+# and the mixed derivatives of their distance by these and by the places on both edges; and the least gap of two edges that
+# clamps hold. Then of every vertex the gradient of all energies of places, the part of it from the rod's contact with itself,
+# the displacement that the next step means, and the length of the rod before.
 COEFFICIENT, WEIGHTS, SLOPES, PINCHED, ROD_ITEMS = 0, 1, 5, 29, 30
 LOAD, PULL, MOVE, ARC, VERTEX_ITEMS = 0, 3, 6, 9, 10
 # Items of a pair of edges i < j, number j (j − 1)/2 + i: the force; the friction, the normal of its plane and the places on
