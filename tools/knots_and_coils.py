@@ -34,7 +34,7 @@ from doo_ti.types import Clamp, Clamps  # noqa: E402
 from tests.contact.topology import determinant, link  # noqa: E402
 
 BEND, RADIUS = 1e5, 1.0
-KNOTS = ((0.05, 12.0), (0.07, 12.0), (0.1, 10.0), (0.15, 6.0), (0.2, 4.0))
+KNOTS = ((0.05, 12.0), (0.07, 12.0), (0.1, 10.0), (0.15, 6.0), (0.2, 3.0))
 """ε to begin with, and how much finer edges in the braid are."""
 
 

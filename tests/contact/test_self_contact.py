@@ -110,6 +110,7 @@ def test_derivatives_of_the_distance_of_edges(rng):
     assert np.allclose(hessian, hessian.swapaxes(1, 2), atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_rods_keep_their_distance_and_their_link(coiled):
     """Where the plain minimum would be reached by passing through itself, the rod coils up; its link is that of its start."""
     rods, clamps, solution = coiled
@@ -125,6 +126,7 @@ def test_rods_keep_their_distance_and_their_link(coiled):
     assert (plain.quaternions[0] == shapes.quaternions[0]).all(), "a rod far from itself is computed as without contact"
 
 
+@pytest.mark.thorough
 def test_a_rod_relaxes_alone_as_among_others(coiled):
     rods, clamps, solution = coiled
     for row in (2, 4):
@@ -133,6 +135,7 @@ def test_a_rod_relaxes_alone_as_among_others(coiled):
         assert (alone.configuration.quaternions[0] == solution.configuration.quaternions[row]).all()
 
 
+@pytest.mark.thorough
 def test_a_knot_stays_and_its_forces_balance(knotted):
     clamps, solution = knotted
     assert solution.converged.all() and solution.stable.all()
@@ -153,6 +156,7 @@ def test_a_knot_stays_and_its_forces_balance(knotted):
     assert np.allclose(pull, solution.end_force[0], rtol=1e-6, atol=1e-6 * np.abs(pull).max())
 
 
+@pytest.mark.thorough
 def test_the_force_of_a_wide_knot():
     """F h²/B = ε⁴/2 of Audoly, Clauvelin and Neukirch (2007), in the limit of small ε = √(h/R)."""
     wide = 100.0
@@ -165,6 +169,7 @@ def test_the_force_of_a_wide_knot():
     assert 1.0 < force / (0.5 * (RADIUS / loop) ** 2) < 1.3
 
 
+@pytest.mark.thorough
 def test_a_rod_whose_ends_are_too_near_is_infeasible():
     """Both ends are held where the rod has no room."""
     angle = np.linspace(0.0, 2.0 * np.pi, 200)
