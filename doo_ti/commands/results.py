@@ -36,7 +36,8 @@ def save(out: Path, observations: Observations) -> None:
     """Write observations, and print how many."""
     out.parent.mkdir(parents=True, exist_ok=True)
     save_observations(out, observations)
-    print(f"{observations.count} observations of {observations.edges + 1} vertices written to {in_line(out)}")
+    print(f"{observations.count} observation{'s' * (observations.count > 1)} of {observations.edges + 1} vertices written to "
+          f"{in_line(out)}")
 
 
 RODS = (".npz", ".csv")

@@ -17,7 +17,7 @@ from tools.replication.images import Seen, loops, perceived, recovery
 from tools.replication.landscape_figures import figure_1, figure_3, figure_4, figure_5
 from tools.replication.landscapes import landscape, learned
 from tools.replication.settings import PACKAGE, SETTINGS, Setting, Size
-from tools.replication.specimens import SUTURES, specimen
+from tools.replication.specimens import SUTURES, scene, specimen
 from tools.replication.twist import Errors, figure_7, percent, twist_errors
 
 SAME_MM, MOST = 0.02, 0.98
@@ -124,6 +124,9 @@ class Study:
              for number in range(self.size.ribbons)]))
 
     def figure_6(self) -> Found:
+        for name in SUTURES:
+            scene(f"loops_{name}")  # a run that leaves some out fails as well where one is missing
+
         def one(setting: Setting):
             threads, most = self.size.loops[setting.name]
             self.progress(f"{setting.name}: loops")
