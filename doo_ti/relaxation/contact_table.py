@@ -65,13 +65,7 @@ class ContactTable:
         return (self.obstacles, self.kinds, self.grids, self.radius, GAP_TOLERANCE, self.memory, forces, self.self_friction)
 
     def touching(self, rows: np.ndarray) -> "ContactTable":
-        """The table as the kernel of rods that touch themselves takes it, with room for the forces on the rods ``rows``, which
-        have touched nothing yet."""
-        if not len(self.memory):
-            memory = np.zeros((self.near.shape[0], *self.memory.shape[1:]))
-            forces = np.zeros(self.forces.shape)
-            object.__setattr__(self, "memory", memory)
-            object.__setattr__(self, "forces", forces)
+        """The table as the kernel of rods that touch themselves takes it, of which the rods ``rows`` have touched nothing yet."""
         self.memory[rows] = 0.0
         return replace(self, itself=True)
 
@@ -117,7 +111,7 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     # Grippers may carry any rod to an obstacle.
     near = np.ones(count, dtype=bool) if in_motion else _near(obstacles, radius, clamp[index])
     # Where no rod is near, nothing is ever written to either.
-    rows = count if near.any() else 0
+    rows = count if near.any() or surroundings.itself is not None else 0
     memory = np.zeros((rows, edges + 1, max(1, len(obstacles)), REMEMBERED_IN_MOTION if in_motion else REMEMBERED))
     forces = np.broadcast_to(0.0, (count, edges + 1, 3)) if not rows else np.zeros((count, edges + 1, 3))
     kinds, grids = grid_table(obstacles)
