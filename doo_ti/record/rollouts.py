@@ -46,9 +46,11 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
             if shown is None:
                 continue
             placed = shown + grid.offset[:, None, None]
+            # A rod that may touch something is as thick as it is.
+            thick = touched is not None and shown is rods
+            radius = float(np.min(touched.surroundings.radius)) if thick else rerun.Radius.ui_points(width)
             stream.log(f"world/{entity}", rerun.LineStrips3D.from_fields(
-                colors=color, radii=rerun.Radius.ui_points(width), labels=names[:MOST_RODS], show_labels=count <= 12),
-                static=True)
+                colors=color, radii=radius, labels=names[:MOST_RODS], show_labels=count <= 12), static=True)
             strips = drawn_strips(placed.swapaxes(0, 1).reshape(-1, *rods.shape[2:]))
             stream.send_columns(f"world/{entity}", when, rerun.LineStrips3D.columns(strips=strips).partition([count] * frames))
         if touched is not None:
