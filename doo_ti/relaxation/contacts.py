@@ -12,8 +12,8 @@ from doo_ti.relaxation.contact_layout import (
     CHANGE,
     CLOSE,
     CONTACT_ITEMS,
-    FIRST_STIFFNESS,
     EASED,
+    FIRST_STIFFNESS,
     FIRST_STRENGTH,
     FIRST_VISCOSITY,
     FORCE_BETWEEN,
@@ -63,8 +63,8 @@ class Contacts(ContactRounds):
 
     @ti.func
     def renew(self, rod, done, least, multiplier):
-        """Begin another step from where the rods are, in the lanes that are ``done``; returns those in which the clamps have not
-        made all their way to the next instant, of which they make ``least`` at once or more."""
+        """Begin another step from where the rods are, in the lanes that are ``done``; returns those in which the clamps have
+        not made all their way to the next instant, of which they make ``least`` at once or more."""
         zero = 0.0 * rod.total
         one = zero + 1.0
         made = self.item(rod, WAY_MADE) + self.item(rod, WAY)

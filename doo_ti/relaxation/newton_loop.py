@@ -298,8 +298,8 @@ class NewtonLoop:
         lane.closing = ti.select(place.gap > ti.cast(tables.policy[fixed.CLOSING], self.scalar) * rod.longest, one, zero)
         if ti.static(self.touches):
             # A step that also closes may be refused because closing leads behind the barrier, which then has to give way.
-            open_still = place.gap > 1e3 * self.closure_tolerance * rod.total
-            lane.closing = ti.select(judged.uphill & open_still & self.sweep.contacts.behind(rod), one, lane.closing)
+            refused = judged.uphill & (place.gap > 1e3 * self.closure_tolerance * rod.total)
+            lane.closing = ti.select(refused & self.sweep.contacts.behind(rod), one, lane.closing)
         lane.rounds = ti.select((lane.escaping > 0.5) & place.right & ~place.leaving, lane.rounds + 1.0, lane.rounds)
         lane.rounds = ti.select(place.leaving, zero, lane.rounds)
         unready = (lane.escaping > 0.5) & (lane.rounds <= fixed.ESCAPE_ROUNDS)
@@ -342,9 +342,7 @@ class NewtonLoop:
             entered = self.sweep.contacts.enter(rod, fresh, judged.stands & (lane.energy > WALL))
             goes_on = self.sweep.contacts.end_round(rod, lane, place.calm & ~entered, (ended | at_rest) & ~entered, entered)
             ended, at_rest, stuck = ended & ~goes_on, at_rest & ~goes_on, stuck & ~goes_on
-            blocked = fresh & self.sweep.contacts.inside(rod)
-            if self.largest(ti.select(fresh, one, zero)) > 0.5:
-                blocked = blocked | (fresh & self.sweep.contacts.pinched(rod, lane.miss))
+            blocked = self.sweep.contacts.blocked(rod, fresh, lane.miss)
             lane.status = ti.select(blocked, self.constant(self.infeasible), lane.status)
             ended, at_rest, lost = ended & ~blocked, at_rest & ~blocked, lost | blocked
         lane.status = ti.select(ended | at_rest, self.constant(self.converged), lane.status)
