@@ -340,7 +340,8 @@ class NewtonLoop:
         at_rest = place.small & place.settled & (late | stuck)
         if ti.static(self.touches):
             entered = self.sweep.contacts.enter(rod, fresh, judged.stands & (lane.energy > WALL))
-            goes_on = self.sweep.contacts.end_round(rod, lane, place.calm & ~entered, (ended | at_rest) & ~entered, entered)
+            calm = place.calm & ~entered & ~place.leaving
+            goes_on = self.sweep.contacts.end_round(rod, lane, calm, (ended | at_rest) & ~entered, entered)
             ended, at_rest, stuck = ended & ~goes_on, at_rest & ~goes_on, stuck & ~goes_on
             blocked = self.sweep.contacts.blocked(rod, fresh, lane.miss)
             lane.status = ti.select(blocked, self.constant(self.infeasible), lane.status)
