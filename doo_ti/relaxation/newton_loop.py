@@ -45,11 +45,9 @@ class NewtonLoop:
         # H's scale on the diagonal makes it positive. f32 cannot distinguish them from soft saddles and leaves them to f64.
         self.trace = 0.0 if single else 1e-12
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
-        self.stalled, self.not_finite = int(Status.STALLED), int(Status.NOT_FINITE)
-        self.infeasible = int(Status.INFEASIBLE)
-        self.growth, self.first_shift = 4.0, fixed.SHIFT_REJECTED  # of the shift, where a step is rejected
-        if self.touches:
-            self.growth, self.first_shift = fixed.GROWTH_IN_CONTACT, fixed.SHIFT_REJECTED_IN_CONTACT
+        self.stalled, self.not_finite, self.infeasible = map(int, (Status.STALLED, Status.NOT_FINITE, Status.INFEASIBLE))
+        self.growth, self.first_shift = (  # of the shift, where a step is rejected
+            (fixed.GROWTH_IN_CONTACT, fixed.SHIFT_REJECTED_IN_CONTACT) if self.touches else (4.0, fixed.SHIFT_REJECTED))
 
     @ti.func
     def work(self, tables, scratch: ti.template(), threads, thread):
