@@ -1,4 +1,6 @@
 from doo_ti.contact.contacts import Contacts as Contacts
+from doo_ti.contact.distance_grid import DistanceGrid as DistanceGrid
+from doo_ti.contact.itself import Itself as Itself
 from doo_ti.contact.obstacle_file import load_obstacles as load_obstacles
 from doo_ti.contact.obstacles import Box as Box
 from doo_ti.contact.obstacles import Capsule as Capsule
@@ -7,6 +9,7 @@ from doo_ti.contact.obstacles import Obstacle as Obstacle
 from doo_ti.contact.obstacles import Plane as Plane
 from doo_ti.contact.obstacles import Ring as Ring
 from doo_ti.contact.obstacles import Sphere as Sphere
+from doo_ti.contact.surroundings import Surroundings as Surroundings
 from doo_ti.dynamics.grippers import Grippers as Grippers
 from doo_ti.dynamics.identify import Identified as Identified
 from doo_ti.dynamics.identify import IdentifyOptions as IdentifyOptions
@@ -32,6 +35,8 @@ from doo_ti.io.motion_file import load_path as load_path
 from doo_ti.io.observations import Observations as Observations
 from doo_ti.io.observations import load_observations as load_observations
 from doo_ti.io.observations import save_observations as save_observations
+from doo_ti.knots import overhand_knot as overhand_knot
+from doo_ti.knots import rod_along as rod_along
 from doo_ti.learning.experiment import SweepOptions as SweepOptions
 from doo_ti.learning.landscape import Landscape as Landscape
 from doo_ti.learning.landscape import read_landscape as read_landscape

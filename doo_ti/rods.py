@@ -26,16 +26,18 @@ def straight_rod(length: float, edges: int, start: ArrayLike = (0.0, 0.0, 0.0), 
                  ) -> Configuration:
     """One straight rod without twist, ``length`` mm long, from ``start`` (3,) mm in ``direction`` (3,) of any length. Raises
     InputError for a length that is not positive, fewer than two edges or no direction."""
-    _check("straight_rod", length, edges)
+    length = _lengths("straight_rod", length, edges)
+    if len(length) > 1:
+        raise InputError("straight_rod", "length", f"{len(length)} lengths", "give one number of mm")
     return Configuration.straight(_points("straight_rod", "start", start)[0], _direction("straight_rod", direction),
-                                  float(length), edges)
+                                  float(length[0]), edges)
 
 
-def hanging(length: float, edges: int, start: ArrayLike, end: ArrayLike, *, clamp: Clamp = Clamp.POSITION,
+def hanging(length: ArrayLike, edges: int, start: ArrayLike, end: ArrayLike, *, clamp: Clamp = Clamp.POSITION,
             up: ArrayLike = (0.0, 0.0, 1.0)) -> tuple[Configuration, Clamps]:
-    """R ropes, each ``length`` mm long, that hang between two points, ready for ``relax``: the start Γ, an arc that sags, and
-    the clamps C.
+    """R ropes that hang between two points, ready for ``relax``: the start Γ, an arc that sags, and the clamps C.
 
+    length      mm; one number, or (R,)
     start, end  (R, 3) or (3,) mm; one row serves all
     clamp       how both ends are held: POSITION, as by knots; TANGENT or FRAME: also in the directions that the arc has there
     up          (3,) direction against gravity; give ``relax`` the same
@@ -43,8 +45,13 @@ def hanging(length: float, edges: int, start: ArrayLike, end: ArrayLike, *, clam
     Points further apart than the rope is long are no error: ``relax`` reports such a rope as infeasible. Raises InputError for
     lengths and points that are not finite numbers.
     """
-    _check("hanging", length, edges)
-    start, end = np.broadcast_arrays(_points("hanging", "start", start), _points("hanging", "end", end))
+    length = _lengths("hanging", length, edges)
+    points = [_points("hanging", name, value) for name, value in (("start", start), ("end", end))]
+    counts = {len(values) for values in (*points, length) if len(values) > 1}
+    if len(counts) > 1:
+        raise InputError("hanging", "length, start, end", f"{', '.join(map(str, sorted(counts)))} rows",
+                         "give one row, or as many as there are ropes")
+    start, end = (np.broadcast_to(values, (max(counts, default=1), 3)) for values in points)
     up = unit_up(up, "hanging")
     chord = end - start
     span = np.linalg.norm(chord, axis=-1)
@@ -56,7 +63,8 @@ def hanging(length: float, edges: int, start: ArrayLike, end: ArrayLike, *, clam
     angle = _arc_angle(np.minimum(span / length, 1.0), edges)[:, None] * (1 - (2 * np.arange(edges) + 1) / edges)
     tangents = np.cos(angle)[..., None] * along[:, None] + np.sin(angle)[..., None] * down[:, None]
     frames = bishop_frames(tangents, across(tangents[:, 0]))
-    rope = Configuration(start.copy(), quaternion_from_matrix(frames), np.full(edges, length / edges))
+    rest_length = np.repeat(length[:, None] / edges, edges, axis=1)
+    rope = Configuration(start.copy(), quaternion_from_matrix(frames), rest_length if len(length) > 1 else rest_length[0])
     held = end_clamps(rope, clamp, clamp)
     return rope, Clamps(held.start, held.end, held.start_position, end.copy(), held.start_frame, held.end_frame)
 
@@ -79,11 +87,15 @@ def _arc_angle(share: np.ndarray, edges: int) -> np.ndarray:
     return 0.5 * (low + high)
 
 
-def _check(function: str, length: float, edges: int) -> None:
-    value = real_array(function, "length", length, "give one number of mm")
-    if value.shape != () or not 0 < value <= LARGEST:
-        raise InputError(function, "length", f"{length!r}", "give a positive number of mm")
+def _lengths(function: str, length: ArrayLike, edges: int) -> np.ndarray:
+    """(1,) or (R,) f64: lengths, checked together with ``edges``."""
+    values = real_array(function, "length", length, "give numbers of mm").astype(np.float64)
+    wrong = ~((values > 0) & (values <= LARGEST))
+    if values.ndim > 1 or not values.size or wrong.any():
+        problem = f"{values[wrong].flat[0]:g}" if wrong.any() else f"shape {values.shape}"
+        raise InputError(function, "length", problem, "give a positive number of mm, or (R,) of them")
     require_whole(function, "edges", edges, 2)
+    return np.atleast_1d(values)
 
 
 def _points(function: str, name: str, value: ArrayLike) -> np.ndarray:

@@ -22,6 +22,7 @@ from doo_ti import (
     Detection,
     DetectionOptions,
     Direction,
+    DistanceGrid,
     DistanceMaps,
     Dynamics,
     EndLoads,
@@ -36,6 +37,7 @@ from doo_ti import (
     InputError,
     InterruptedRunError,
     Interval,
+    Itself,
     Landscape,
     LandscapePlane,
     Material,
@@ -66,6 +68,7 @@ from doo_ti import (
     Status,
     Stepping,
     Stills,
+    Surroundings,
     SweepOptions,
     SweepTrajectory,
     Theta,
@@ -95,6 +98,7 @@ from doo_ti import (
     load_rig,
     load_theta,
     observation_clamps,
+    overhand_knot,
     perceive,
     predict,
     predict_moving,
@@ -103,6 +107,7 @@ from doo_ti import (
     record_sweep,
     refine,
     relax,
+    rod_along,
     save_observations,
     score,
     sensitivity,
@@ -127,6 +132,9 @@ def relaxed(observations: Observations) -> Solution:
         Plane((0, 0, -20), (0, 0, 1), friction=0.3), Sphere((10, 0, -5), 2.0), Capsule((0, -9, -9), (0, 9, -9), 2.0),
         Cylinder((0, -9, -9), (0, 9, -9), 2.0), Box((0, 0, -40), (9, 9, 9)), Ring((0, 0, -9), (1, 0, 0), 9.0, 1.0)]
     contact: Contacts = relax(start, material, clamps, obstacles=[*about, *load_obstacles("table.toml")], radius=0.5).contact
+    relax(start, material, clamps, obstacles=[Itself(friction=0.1)], radius=0.5)
+    SweepOptions(surroundings=Surroundings(about, 0.5))
+    DistanceGrid.from_mesh("part.stl", spacing=1.0, margin=9.0, position=(0, 0, 9))
     assert_type(contact.gap, np.ndarray)
     relax(start, Material.diagonal(1e5, 2e5, 1e5), clamps, Descent(), external=Springs(np.zeros((1, 9, 3)), np.zeros((1, 9))))
     best = choose_hypothesis(index, distance(solution.configuration, observations, index), solution.converged)
@@ -194,6 +202,8 @@ def seen(path: Path, images: Sequence[np.ndarray], material: Material) -> np.nda
 def hung(material: Material) -> np.ndarray:
     ropes, held = hanging(1000.0, 40, [0, 0, 0], np.array([[300.0, 0, 0], [600, 0, 0]]), clamp=Clamp.TANGENT)
     rod: Configuration = straight_rod(300.0, 30, direction=(0, 0, 1))
+    knot: Configuration = overhand_knot(300.0, 80, radius=1.0, loop=20.0, finer=2.0)
+    assert_type(rod_along(knot.vertices[0], 60), Configuration)
     cantilever: Clamps = end_clamps(rod, Clamp.FRAME, Clamp.FREE)
     assert relax(rod, material, cantilever).converged.all()
     return relax(ropes, material, held).energy

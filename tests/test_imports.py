@@ -17,7 +17,7 @@ LAYERS = [
     {"frames", "physical_units"},
     {"material"},
     {"types"},
-    {"grid", "rods"},
+    {"grid", "knots", "rods"},
     {"io"},
     {"kernel_cache"},
     {"physics", "runtime"},
@@ -39,7 +39,7 @@ LAYERS = [
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 APART = {"learning", "twist", "perception"}
 ONLY = {"rerun": {"record"}, "matplotlib": {"report"}, "jax": set(), "cv2": {"vision"}, "yaml": {"io"},
-        "distributed": {"learning"}}
+        "distributed": {"learning"}, "trimesh": {"contact"}}
 
 
 def modules() -> dict[str, Path]:
@@ -143,7 +143,7 @@ def test_no_file_postpones_annotations():
 @pytest.mark.parametrize("module", ["doo_ti", "doo_ti.cli"])
 def test_importing_costs_nothing_heavy(module):
     """Heavy libraries are imported where they are used: taichi 1 s, rerun 0.5 s."""
-    heavy = ["taichi", "rerun", "cv2", "matplotlib", "pyarrow", "dask", "scipy", "jax", "distributed"]
+    heavy = ["taichi", "rerun", "cv2", "matplotlib", "pyarrow", "dask", "scipy", "jax", "distributed", "trimesh"]
     script = f"import sys, {module}; print([name for name in {heavy} if name in sys.modules])"
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
     assert result.returncode == 0, result.stderr

@@ -43,9 +43,23 @@ def test_arcs_meet_their_ends_and_sag(up):
     assert solution.status.tolist() == [Status.CONVERGED] * 5 + [Status.INFEASIBLE] and solution.stable[:5].all()
 
 
+def test_ropes_of_several_lengths_are_each_as_its_own():
+    lengths, ends = np.array([800.0, 1000.0, 1300.0]), np.array([[500, 0, 0], [0, 600, 100], [0, 0, 500]], dtype=float)
+    ropes, clamps = hanging(lengths, 20, (0, 0, 0), ends)
+    solution = relax(ropes, Material(bend=1e6, twist=1e6), clamps)
+    for row, length in enumerate(lengths):
+        rope, held = hanging(length, 20, (0, 0, 0), ends[row])
+        alone = relax(rope, Material(bend=1e6, twist=1e6), held).configuration
+        np.testing.assert_array_equal(solution.configuration.vertices[row], alone.vertices[0])
+        np.testing.assert_allclose(solution.configuration.rest_length[row].sum(), length)
+
+
 def test_wrong_arguments_are_named():
     for call, name in ((lambda: straight_rod(0, 10), "length"), (lambda: straight_rod(10, 1), "edges"),
                        (lambda: straight_rod(10, 5, direction=(0, 0, 0)), "direction"),
+                       (lambda: straight_rod([10, 20], 5), "length"),
+                       (lambda: hanging([10, -1], 5, (0, 0, 0), (1, 0, 0)), "-1"),
+                       (lambda: hanging([10, 20], 5, np.zeros((3, 3)), (1, 0, 0)), "2, 3 rows"),
                        (lambda: hanging(10, 5, (0, 0), (1, 0, 0)), "start"),
                        (lambda: hanging(10, 5, (0, 0, 0), (np.nan, 0, 0)), "end"),
                        (lambda: hanging(10, 5, (0, 0, 0), (1, 0, 0), up=(0, 0, 0)), "up")):

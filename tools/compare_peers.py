@@ -1,9 +1,9 @@
 """Other simulators on the same rods, side by side in one run: pip install '.[peers]' && python tools/compare_peers.py [--quick]
 
-At rest: rods between two ends held by position and tangent (tools/peers/problem.py), each peer from the same start. In motion:
-a rod swings (tools/peers/swinging.py). Prints a table of each, and with ``--report FILE`` writes it. Peers that are not
-installed are listed as left out. Exit code 1 where MuJoCo is left out, and where at rest it is less than 3000 times slower, or
-closer to the reference.
+At rest: rods between two ends held by position and tangent (tools/peers/problem.py), each peer from the same start: MuJoCo,
+PyElastica, Newton, and the same solver in JAX. In motion: a rod swings (tools/peers/swinging.py). Prints a table of each, and
+with ``--report FILE`` writes it. Peers that are not installed are listed as left out. Exit code 1 where MuJoCo is left out, and
+where at rest it is less than 3000 times slower, or closer to the reference.
 """
 
 import argparse
@@ -19,12 +19,16 @@ from doo_ti.bench import clock  # noqa: E402
 from doo_ti.errors import InputError  # noqa: E402
 from doo_ti.io.files import write_text  # noqa: E402
 from doo_ti.relaxation.newton import Newton  # noqa: E402
-from tools.peers import flex, swinging, twins  # noqa: E402
+from tools.peers import capsules, cosserat, flex, swinging, twins  # noqa: E402
 from tools.peers.problem import Problem, problem, strain  # noqa: E402
 
 LEAST_RATIO = 3000.0
 STEPS = (2e-3, 1e-3, 5e-4, 2e-4)
 """s, of MuJoCo."""
+RADII = (2e-3, 1e-3, 5e-4)
+"""m, of PyElastica's rods: they determine its steps."""
+NEWTON_STEPS = (2e-3, 1e-3)
+"""s, of Newton."""
 ROUNDS = 3
 
 
@@ -57,18 +61,25 @@ def jax_twin(task: Problem, bits: int) -> Row:
                *task.apart(vertices))
 
 
-def mujoco(task: Problem, step: float) -> Row:
-    vertices, taken, speed = flex.settled(task, step)
-    return Row(f"MuJoCo flex, steps of {1e3 * step:g} ms, one rod", 1e6 * taken, f"{1e3 * speed:.0e} mm/s", strain(vertices),
-               *task.apart(vertices))
+def moving(task: Problem, name: str, peer, size: float) -> Row:
+    """Of a peer whose rods move until they rest; ``size``: its step, or whatever else its precision depends on."""
+    vertices, taken, speed = peer.settled(task, size)
+    return Row(name, 1e6 * taken, f"{1e3 * speed:.0e} mm/s", strain(vertices), *task.apart(vertices))
 
 
 def at_rest(quick: bool) -> tuple[list[Row], list[str]]:
     """The rows, and the peers that are left out."""
-    task, rows, left_out = problem(), [], ["PyElastica (2·10⁵ explicit steps a simulated second), Newton: no adapter"]
-    rows += [here(task, precision) for precision in ("f32", "mixed", "f64")]
-    for name, make in (("JAX", [lambda bits=bits: jax_twin(task, bits) for bits in (32, 64)]),
-                       ("MuJoCo", [lambda step=step: mujoco(task, step) for step in (STEPS[:2] if quick else STEPS)])):
+    task, left_out, fewer = problem(), [], 2 if quick else None
+    rows = [here(task, precision) for precision in ("f32", "mixed", "f64")]
+    for name, make in (
+            ("JAX", [lambda bits=bits: jax_twin(task, bits) for bits in (32, 64)]),
+            ("MuJoCo", [lambda step=step: moving(task, f"MuJoCo flex, steps of {1e3 * step:g} ms, one rod", flex, step)
+                        for step in STEPS[:fewer]]),
+            ("PyElastica", [lambda radius=radius: moving(
+                task, f"PyElastica, radius {1e3 * radius:g} mm, one rod", cosserat, radius) for radius in RADII[:fewer]]),
+            ("Newton", [lambda step=step: moving(
+                task, f"Newton, VBD, steps of {1e3 * step:g} ms, {task.start.count} rods", capsules, step)
+                for step in NEWTON_STEPS[:fewer]])):
         try:
             for one in make:
                 rows.append(one())
@@ -103,19 +114,24 @@ def main(words: list[str] | None = None) -> int:
     machine = clock.machine()
     rows, left_out = at_rest(options.quick)
     found = ratio(rows)
-    lines = ["# Other simulators on the same rods", "", "Written by `python tools/compare_peers.py`, "
-             f"{machine['processor']}, {machine['cores']} cores. At rest:", "", *table(rows), "",
+    lines = ["# Other simulators on the same rods", "",
+             f"Written by `python tools/compare_peers.py{' --quick' * options.quick}`, {machine['processor']}, "
+             f"{machine['cores']} cores. At rest:", "", *table(rows), "",
              f"MuJoCo at its fastest takes {found:,.0f} times as long as this package in f32, all its rows being farther from "
              "the f64 reference of the same mesh."
              if found else "No ratio to MuJoCo: it is left out, or closer to the reference.",
-             "", "MuJoCo has no static solver: its rod moves, damped, until no vertex is faster than 0.01 mm/s. Here and in "
-             "JAX the time is that of a batch, over its rods.", "",
+             "", "MuJoCo, PyElastica and Newton have no static solver: their rods move, damped, until none is faster than 0.01 "
+             "mm/s, in Newton, which computes in f32, 0.03 mm/s. Here and in JAX the time is that of a batch, over its rods; "
+             "compiling is not counted. PyElastica's steps are explicit: a thicker rod of the same EI over weight allows "
+             "longer ones, but shears and stretches more. Newton's rods are ten times as long, of the same shape, because the "
+             "inertia of an edge of 3 mm is too small for f32; its steps are those of the longer rod "
+             "(tools/peers/capsules.py).", "",
              "The distance from the continuum is the error of the 3 mm mesh, the same for all but where a stretch of edges "
              "happens to cancel some of it.", "",
              *(f"Left out: {one}." for one in left_out)]
     if not options.quick:
         lines += ["", "In motion:", "", *swinging.table()]
-    text = "\n".join(lines) + "\n"
+    text = "\n".join(lines).replace("\n\n\n", "\n\n") + "\n"
     print(text)
     if options.report:
         write_text(options.report, text)

@@ -55,7 +55,7 @@ CLUTTERED = RenderOptions(clutter=6, specks=20)
 OPTIONS, UP = PerceptionOptions(), np.array([0.0, 0.0, 1.0])
 FOR_GAPS = PerceptionOptions(nu=0.0005, cap=20.0)
 HEAD = ("| row | sets | correct | search lost it | score prefers another | of the correct, vertex mm: mean, worst "
-        "| curve mm: mean, worst | thread unseen | clear | likely | ambiguous | status | s |")
+        "| curve mm: mean, worst | thread unseen | clear | likely | ambiguous | not found | status | s |")
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def main() -> None:
     unknown = [name for name in options.rows if name not in rows]
     if unknown:
         parser.error(f"no row {unknown[0]}: give some of {', '.join(rows)}")
-    print(f"seed {SEED}; correct: mean vertex error below 1 mm; clear, likely, ambiguous: those correct of each verdict\n"
+    print(f"seed {SEED}; correct: mean vertex error below 1 mm; clear, likely, ambiguous, not found: the correct ones of each\n"
           f"{HEAD}\n" + "|---" * (HEAD.count("|") - 1) + "|")
     for name in options.rows or rows:
         rows[name](options.sets)

@@ -33,12 +33,12 @@ def measured(names: list[str], size: Size) -> Iterator[Outcome]:
     """The items, one after the other; one that cannot run does not keep the others from running."""
     study = Study(size, lambda text: print(text, file=sys.stderr, flush=True))
     for name in names:
-        began, found, problem = time.monotonic(), None, ""
+        began, busy, found, problem = time.monotonic(), time.process_time(), None, ""
         try:
             found = ITEMS[name](study)
         except (InputError, InterruptedRunError, OSError) as error:
             problem = str(error)
-        outcome = Outcome(name, found, problem, time.monotonic() - began)
+        outcome = Outcome(name, found, problem, time.monotonic() - began, time.process_time() - busy)
         print(f"{name}: {outcome.seconds:.0f} s", file=sys.stderr, flush=True)
         yield outcome
 

@@ -5,9 +5,9 @@ data=$(dirname "$0")/data
 
 # Columns pose, mark, x, y, z: ten poses of a cable with 26 marks. Its outer 40 mm are in grippers.
 doo-ti sweep "$data/cable.csv" --unit m --up 0,1,0 --columns observation=pose,vertex=mark \
-    --bend 1e5:1e8:25 --out runs/cable
-# The cable weighs 50 g/m. This one is straight at rest; leave --rest-curvature out for a real one.
-doo-ti refine runs/cable --parameters bend --rest-curvature none --no-models --linear-density 50 --out refined.json
+    --EI 1e-5:1e-1:25 --linear-density 50 --out runs/cable  # the cable weighs 50 g/m
+# This cable is straight at rest; leave --rest-curvature out for a real one.
+doo-ti refine runs/cable --parameters bend --linear-density 50 --rest-curvature none --no-models --out refined.json
 
 # Final check: the interval of EI contains the true value, 1e-3 N m².
 python - <<'END'

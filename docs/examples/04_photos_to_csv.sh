@@ -5,7 +5,7 @@ images=$(dirname "$0")/../../tests/data/images_a
 
 # The thread leaves its clip at the seed point, in the seed direction; 33 edges of 3 mm.
 doo-ti perceive "$images"/vicryl_66mm_060deg_{left,front,right}.jpg --rig "$images/rig.yaml" \
-    --seed-point 0,0,0 --seed-direction 0.94,0,0.34 --rest-length 3:33 --bend 6e5 --twist 8e5 --out thread.csv
+    --seed-point 0,0,0 --seed-direction 0.94,0,0.34 --rest-length 3:33 --out thread.csv
 head -3 thread.csv
 
 # Final check: within 0.3 mm of the true thread.

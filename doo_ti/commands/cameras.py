@@ -178,7 +178,7 @@ def _unused_labels(marks: Marks, rig: Rig, points: Points, status: MarkStatus) -
 def _marks_lines(marks: Marks, summary: dict) -> list[str]:
     count, vertices = summary["observations"], summary["vertices"]
     rms = ", ".join(f"{name} {value:.2f}" for name, value in summary["rms_px"].items())
-    lines = [f"{count} observations of {vertices} vertices{', a ribbon' * marks.is_ribbon}",
+    lines = [f"{count} observation{'s' * (count > 1)} of {vertices} vertices{', a ribbon' * marks.is_ribbon}",
              f"  marks       {counted(summary['marks'])}; {summary['valid_vertices']} of {count * vertices} vertices valid",
              f"  residual    {rms} px (rms)",
              f"  labels      their scatter is {summary['label_sigma_px']:.2g} px, {summary['sigma_px']:.2g} px were assumed",

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import report, save_json, shortened
 from doo_ti.errors import InputError
@@ -17,9 +18,8 @@ FITTED = ("bend_damping", "drag", "quadratic_drag", "twist_ratio", "marker_share
 
 def declare(add) -> None:
     parser = given.command(add, "identify", run, "learn bend stiffness, damping, drag and rest curvature from recorded motion")
-    parser.add_argument("motions", nargs="+", metavar="MOTION.npz",
-                        help="recorded markers of one rod: positions_mm (R, T, V, 3) or (T, V, 3), rate_hz; the first and last "
-                        "edges are the grippers")
+    parser.add_argument("motions", nargs="+", metavar="MOTION",
+                        help=f"recorded markers of one rod: {loading.RECORDINGS}; the first and last edges are the grippers")
     parser.add_argument("--out", required=True, metavar="THETA.json", help="file to write")
     parser.add_argument("--still", nargs="+", default=[], metavar="OBS",
                         help="also observations of the same rod at rest: .npz, .csv or .parquet, marked from the same end")
@@ -36,9 +36,7 @@ def declare(add) -> None:
                         "those (default 0)")
     parser.add_argument("--robust", metavar="MM", default="5", help="differences beyond count linearly (default 5)")
     parser.add_argument("--substeps", metavar="N", default="1", help="time steps from one frame to the next (default 1)")
-    parser.add_argument("--fill-gaps", action="store_true",
-                        help="take markers that were not seen from lines between the frames around")
-    given.add_up(parser, "0,0,1")
+    loading.add_recordings(parser, "the file's, else 0,0,1")
     parser.add_argument("--picture", metavar="F.png", help="also draw predictions and errors over time (default: no)")
 
 
@@ -57,9 +55,8 @@ def run(options: Namespace, words: list[str]) -> int:
                              substeps=given.whole("--substeps", options.substeps, 1, 1000))
     folds = given.whole("--folds", options.folds, 0)
     bend = given.positive("--bend", options.bend, "mm³")
-    up = given.world_up(options)
-    parts = [RecordedMotion.load(path, options.fill_gaps) for path in options.motions]
-    motion = RecordedMotion.together(parts, options.motions)
+    motion = RecordedMotion.together(loading.recordings(options, options.motions), options.motions)
+    up = given.world_up(options) if options.up is not None or motion.up is None else motion.up
     stills = _stills(options, motion)
     if folds == 1 or folds > motion.count:
         raise InputError(given.SOURCE, "--folds", f"{folds} for {motion.count} recordings", "give 0, or from 2 to their number")

@@ -5,6 +5,7 @@
 
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,21 +18,56 @@ from doo_ti.io.observations import Observations, load_observations
 from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.terminal import in_line
 
+if TYPE_CHECKING:  # the kernels of moving rods
+    from doo_ti.dynamics.recorded import RecordedMotion
+
 LEAST_MM, MOST_MM = 10.0, 20_000.0
 """Lengths of rods that raise no doubt about the unit."""
+MOST_UNEVEN = 20.0
+"""Longest edge over the median one, above which the marks may be of several rods."""
 OF_FILES = ("unit", "columns")
 """Options that only files of observations have a use for."""
+RECORDINGS = ".npz (positions_mm, rate_hz), .csv of OptiTrack or Vicon, a table, .pkl of the public cable data"
 FORMATS = ".npz, .csv, .parquet; or curves as .csv of OptiTrack or Vicon, .xml (MuJoCo), .usda, .txt"
 
 
 def add_loading(parser: ArgumentParser) -> None:
     """How the file states the marks, and the direction of gravity."""
     group = parser.add_argument_group("your own files", "docs/observations.md")
-    group.add_argument("--unit", choices=tuple(UNITS_IN_MM), help="unit of all lengths in OBS (default: as the file states, "
+    add_files(group, "OBS")
+    given.add_up(group)
+
+
+def add_files(group, of: str) -> None:
+    """How the files ``of`` some option or argument state the marks."""
+    group.add_argument("--unit", choices=tuple(UNITS_IN_MM), help=f"unit of all lengths in {of} (default: as the file states, "
                        "else mm)")
     group.add_argument("--columns", metavar="x=NAME,…|A,B,C", help="columns of a table that hold x, y, z, observation, vertex; "
                        "of other files, names of markers or curves in their order along the rod")
-    given.add_up(group)
+
+
+def add_recordings(parser: ArgumentParser, default_up: str) -> None:
+    """How files state recorded motion, and what is done where markers were not seen."""
+    group = parser.add_argument_group("your own files", "docs/observations.md")
+    add_files(group, "MOTION")
+    add_rate(group)
+    given.add_up(group, default_up)
+    group.add_argument("--fill-gaps", action="store_true",
+                       help="take markers that were not seen from lines between the frames around")
+
+
+def add_rate(parser) -> None:
+    """``--rate`` of a recording."""
+    parser.add_argument("--rate", metavar="HZ", help="frames per second of a recording (default: as the file states; tables do "
+                        "not)")
+
+
+def recordings(options: Namespace, sources: list[str]) -> list["RecordedMotion"]:
+    """The recorded motion of each of the files."""
+    from doo_ti.dynamics.recorded import RecordedMotion
+
+    rate, named = given.positive("--rate", options.rate, "frames per second"), columns(options)
+    return [RecordedMotion.load(path, options.fill_gaps, options.unit, named, rate) for path in sources]
 
 
 def columns(options: Namespace) -> dict[str, str] | list[str] | None:
@@ -61,10 +97,11 @@ def of_scene(options: Namespace, scene: Scene) -> Observations:
 
 
 def warn(observations: Observations) -> None:
-    """Print a warning where the rod's length is implausible. To be called once everything is checked, so that wrong input is
-    reported in one line."""
-    if (doubt := unit_doubt(observations)) is not None:
-        terminal.warn(f"{in_line(observations.source)}: {doubt}")
+    """Print a warning where the rod is implausible. To be called once everything is checked, so that wrong input is reported
+    in one line."""
+    for doubt in (unit_doubt(observations), order_doubt(observations)):
+        if doubt is not None:
+            terminal.warn(f"{in_line(observations.source)}: {doubt}")
 
 
 def rod_line(observations: Observations) -> str:
@@ -86,6 +123,16 @@ def unit_doubt(observations: Observations) -> str | None:
     likely = next((unit for unit in ("m", "cm") if LEAST_MM <= length * UNITS_IN_MM[unit] <= MOST_MM), None)
     remedy = "check the unit of the file" if likely is None else f"if the file is in {likely}, give --unit {likely}"
     return f"a rod {length:.4g} mm long; {remedy}"
+
+
+def order_doubt(observations: Observations) -> str | None:
+    """Why the marks may not be those of one rod in their order, or None."""
+    lengths = observations.rest_length
+    longest, usual = lengths.max(), np.median(lengths)
+    if longest <= MOST_UNEVEN * usual:
+        return None
+    return (f"mark {lengths.argmax() + 1} is {longest:.4g} mm from the mark before, the median is {usual:.4g} mm; if the file "
+            "holds several rods, name the column that numbers them: --columns observation=NAME")
 
 
 def _span(values: np.ndarray) -> str:

@@ -93,7 +93,7 @@ def add_obstacles(parser: ArgumentParser, friction: str) -> None:
     """``friction`` says what the command makes of the friction of obstacles."""
     group = parser.add_argument_group("contact", f"obstacles that rods touch but do not enter (docs/contact.md); {friction}")
     group.add_argument("--obstacles", metavar="FILE.toml",
-                       help="[[obstacles]], each a plane, sphere, capsule, cylinder, ring or box; lengths in mm")
+                       help="[[obstacles]], each a plane, sphere, capsule, cylinder, ring, box, grid or the rod itself; in mm")
     group.add_argument("--radius", metavar="MM", help="radius of the rods, needed with --obstacles")
 
 
@@ -215,6 +215,8 @@ def surroundings(options: Namespace) -> Surroundings:
 
     if radius is None:
         raise InputError(SOURCE, "--radius", "missing beside --obstacles", "give the radius of the rods in mm")
+    if getattr(options, "solver", "newton") != "newton":
+        raise InputError(SOURCE, "--solver", f"{options.solver} given beside --obstacles", "leave it out")
     return Surroundings(load_obstacles(options.obstacles), radius)
 
 

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened
-from doo_ti.commands.seen_rods import RECORDED, PerceptionTask, perception_task
+from doo_ti.commands.seen_rods import GUESSED_BEND, RECORDED, PerceptionTask, perception_task
 from doo_ti.errors import InputError
 from doo_ti.io.files import write_whole
 from doo_ti.learning.objective import status_counts
@@ -34,7 +35,8 @@ def declare(add) -> None:
     parser.add_argument("--seed-direction", metavar="X,Y,Z", help="direction e⁰ of the rod at its start in a single set")
     parser.add_argument("--out", required=True, metavar="F.npz|F.csv",
                         help="file to write; F.png and F.rrd are written beside it")
-    given.add_material(parser, "one number each; perceived rods are round")
+    given.add_material(parser, "one number each; perceived rods are round; without any, "
+                       f"--bend {GUESSED_BEND:g}, which is near enough for most shapes")
     search = parser.add_argument_group("search")
     search.add_argument("--nu", metavar="NU", help="weight ν of the images against the rod's energy, in 1/(mm px²) "
                         "(default 0.005)")
@@ -42,8 +44,10 @@ def declare(add) -> None:
     search.add_argument("--detector", choices=("ridge", "canny"), default="ridge",
                         help="detector of the thread (default ridge; canny is the paper's)")
     given.add_thread(search)
+    given.add_obstacles(parser, "without friction; the first run compiles for minutes")
     shown = parser.add_argument_group("pictures and recording")
     shown.add_argument("--truth", metavar="OBS", help="true rods to compare with: observations, matched by name or in order")
+    loading.add_files(shown, "--truth")
     shown.add_argument("--no-picture", action="store_true", help="do not write F.png")
     shown.add_argument("--no-recording", action="store_true", help="do not write F.rrd")
     shown.add_argument("--recorded-sets", dest="recorded", metavar="N",
@@ -117,7 +121,8 @@ def _perceived(task: PerceptionTask, detected: list[list], bar):
         rows = slice(first, first + together)
         maps = distance_maps(detected[rows], MARGIN_PX)
         found.append(perceive(maps, sets.rig, sets.point[rows], sets.direction[rows], task.rest_length, task.material,
-                              up=task.up, options=task.search, on_step=advance(first, len(maps.window))))
+                              up=task.up, options=task.search, on_step=advance(first, len(maps.window)),
+                              surroundings=task.surroundings))
     return Perception.joined(found), growth
 
 
@@ -198,6 +203,7 @@ def _summary(task: PerceptionTask, detected: list[list], found, written: list[Pa
         "not_certified": (~found.sound).sum(),
         "found": _found(found).sum(),
         "verdicts": {_word(verdict): (found.verdict == verdict).sum() for verdict in PerceptionVerdict},
+        "guessed_bend_mm3": GUESSED_BEND if task.guessed else None,
         "written": [str(path) for path in written],
     }
 
@@ -225,8 +231,9 @@ def _word(verdict: int) -> str:
 def _lines(summary: dict) -> list[str]:
     sets = summary["sets"]
     width = max(len(entry["name"]) for entry in sets[:MOST_LISTED])
+    guess = summary["guessed_bend_mm3"]
     return [
-        f"{len(sets)} sets of {len(summary['cameras'])} images, rods of {summary['edges']} edges; thread "
+        f"{len(sets)} set{'s' * (len(sets) > 1)} of {len(summary['cameras'])} images, rods of {summary['edges']} edges; thread "
         f"{summary['detected_width_px']:.1f} px wide",
         *shortened([f"  {entry['name']:<{width}}  {_set_text(entry)}" for entry in sets], MOST_LISTED,
                    "  and {} more, which --json lists"),
@@ -234,6 +241,7 @@ def _lines(summary: dict) -> list[str]:
         f"  certified   {len(sets) - summary['not_certified']} of {len(sets)} rods converged to certified minima; "
         f"{summary['not_certified']} did not",
         f"  verdicts    {counted(summary['verdicts'])} (docs/perception.md)",
+        *([] if guess is None else [f"  stiffness   none given: bend {guess:g} mm³ (docs/perception.md)"]),
         *(f"  written to  {in_line(path)}" for path in summary["written"])]
 
 

@@ -288,7 +288,7 @@ def _lines(task: _Task, prediction, result: dict) -> list[str]:
     if task.dynamics is not None:
         how = (f"with friction, {task.stepping.substeps} steps between states" if task.stepping.quasi_static else
                f"with inertia, {task.stepping.rate * task.between:.4g} states/s")
-    lines = [f"{task.name}: {count} rods of {task.start.edges} edges at {moments} moments",
+    lines = [f"{task.name}: {count} rod{'s' * (count > 1)} of {task.start.edges} edges at {moments} moments",
              f"  status      {counted(status_counts(prediction.status))}; {how}",
              *contact_lines(_contact(task, prediction, result), count),
              f"  far clamp   at the end turned about the rod by {_range(result['end_rotation_deg'][-1])}, total twist "

@@ -173,6 +173,8 @@ def _of_run(options: Namespace, run: Path, starts: int):
     if experiment.options.objective != "static" or experiment.options.spins:
         raise InputError(run, "objective", "a sweep of Eq. 3, or with roll hypotheses",
                          "name a static sweep without --roll-hypotheses")
+    if experiment.options.surroundings:
+        raise InputError(run, "obstacles", "a sweep with obstacles, which refine cannot use", "take its intervals from learn")
     up = given.up(options)
     observations = experiment.observations if up is None else replace(experiment.observations, up=up)
     height = landscape.mean_distance

@@ -18,7 +18,6 @@ from doo_ti.commands.results import (
     theta_of,
     theta_text,
 )
-from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.io.observations import Observations
 from doo_ti.learning.objective import status_counts
@@ -45,8 +44,6 @@ def run(options: Namespace, words: list[str]) -> int:
     grid = given.single_cell(options, "give one number, or use sweep")
     frame_weight, out = given.frame_weight(options), given.output_file(options.out, RODS)
     surroundings = given.surroundings(options)
-    if surroundings and options.solver != "newton":
-        raise InputError(given.SOURCE, "--solver", f"{options.solver} given beside --obstacles", "leave it out")
     observations = loading.load(options, options.observations)
     clamps = observation_clamps(observations, *given.clamps(options))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)

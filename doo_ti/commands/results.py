@@ -36,7 +36,8 @@ def save(out: Path, observations: Observations) -> None:
     """Write observations, and print how many."""
     out.parent.mkdir(parents=True, exist_ok=True)
     save_observations(out, observations)
-    print(f"{observations.count} observations of {observations.edges + 1} vertices written to {in_line(out)}")
+    print(f"{observations.count} observation{'s' * (observations.count > 1)} of {observations.edges + 1} vertices written to "
+          f"{in_line(out)}")
 
 
 RODS = (".npz", ".csv")
@@ -56,7 +57,7 @@ def save_arrays(out: Path, arrays: dict[str, np.ndarray], axes: tuple[str, ...] 
     else:
         write_whole(out, lambda file: left_out.extend(write_rod_table(file, arrays, axes)))
     if left_out:
-        print(f"doo-ti: {in_line(out)}: without {', '.join(left_out)}, which an .npz holds", file=sys.stderr)
+        print(f"doo-ti: note: {', '.join(left_out)} left out of {in_line(out)}; an .npz holds it", file=sys.stderr)
 
 
 def save_json(out: Path, content) -> None:
@@ -167,8 +168,9 @@ def run_lines(result: dict) -> list[str]:
     lines += [
         "              (cells within 5 % of the smallest error; this is not an uncertainty)",
         f"  status      {counted(rods)}; {stable} certified stable",
-        f"  competing   {result['cells_competing']} of {cells} cells; in the other {result['cells_not_competing']} some rod "
-        "has no certified minimum"]
+        f"  competing   {result['cells_competing']} of {cells} cells"]
+    if others := result["cells_not_competing"]:
+        lines[-1] += f"; in the other {others} some rod has no certified minimum"
     if result["terms_left_out"]:
         lines.append(f"              left out: {result['terms_left_out']} of {per_cell} {terms}, certified in no cell")
     if "jumps" in result:

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.moving_rods import is_dynamic, losses
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.csv_table import read_csv
@@ -21,6 +23,9 @@ LEAST_MM, MOST_MM = 1e-3, 1e4
 """Of an edge."""
 RECORDED = 3
 """Sets in a recording."""
+GUESSED_BEND = 1e6
+"""mm³, of a rod in images whose stiffness is not given: E_vis takes the rod's energy relative to its stiffness, so that only
+its weight and twist against its bending depend on it."""
 
 
 @dataclass(frozen=True)
@@ -35,21 +40,27 @@ class PerceptionTask:
     up: np.ndarray
     truth: np.ndarray | None
     recorded: int
+    surroundings: Surroundings
+    guessed: bool  # the stiffness is not given
 
 
 def perception_task(options: Namespace) -> PerceptionTask:
     """Raises InputError naming the option or file at fault."""
+    guessed = options.theta is None and all(getattr(options, name) is None for name in given.MATERIAL)
+    if guessed:
+        options.bend = repr(GUESSED_BEND)
     grid, up = given.round_cell(options, "perceived"), given.world_up(options)
     rest_length = read_rest_length(options.rest_length)
     nu, width = given.positive("--nu", options.nu), given.positive("--width", options.width, "px")
     hypotheses = given.whole("--hypotheses", options.hypotheses, 1, MOST_HYPOTHESES)
     recorded = given.whole("--recorded-sets", options.recorded, 1)
+    surroundings = given.surroundings(options)
 
     from doo_ti.vision.cameras.rig import load_rig
     from doo_ti.vision.detection.detect import DetectionOptions
 
     sets = _sets(options, load_rig(options.rig))
-    truth = None if options.truth is None else _truth(options.truth, sets.names)
+    truth = _truth(options, sets.names)
 
     from doo_ti.perception.perceive import PerceptionOptions
 
@@ -57,7 +68,7 @@ def perception_task(options: Namespace) -> PerceptionTask:
     search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
     detection = DetectionOptions(options.detector, options.polarity, width)
     return PerceptionTask(sets, rest_length, grid.materials(), search, detection,
-                          up, truth, 0 if options.no_recording else recorded or RECORDED)
+                          up, truth, 0 if options.no_recording else recorded or RECORDED, surroundings, guessed)
 
 
 @dataclass(frozen=True)
@@ -71,14 +82,15 @@ class TrackingTask:
     detection: object  # DetectionOptions
     up: np.ndarray
     far: list | None  # of Motion
-    inertia: object = None  # Inertia of rods that move fast, whose frames have times
+    inertia: object  # Inertia of rods that move fast, whose frames have times, or None
+    surroundings: Surroundings
 
 
 def tracking_task(options: Namespace) -> TrackingTask:
     """Raises InputError naming the option or file at fault."""
     grid, up = given.round_cell(options, "tracked"), given.world_up(options)
     rest_length = read_rest_length(options.rest_length)
-    width = given.positive("--width", options.width, "px")
+    width, surroundings = given.positive("--width", options.width, "px"), given.surroundings(options)
 
     from doo_ti.vision.cameras.rig import load_rig
     from doo_ti.vision.detection.detect import DetectionOptions
@@ -87,7 +99,7 @@ def tracking_task(options: Namespace) -> TrackingTask:
     far = None if options.motion is None else _far_motions(Path(options.motion), frames.count)
     inertia, time = _inertia(options, frames.count, time)
     detection = DetectionOptions(polarity=options.polarity, width_px=width)
-    return TrackingTask(frames, time, rest_length, grid.materials(), detection, up, far, inertia)
+    return TrackingTask(frames, time, rest_length, grid.materials(), detection, up, far, inertia, surroundings)
 
 
 def _inertia(options: Namespace, count: int, time: np.ndarray | None) -> tuple:
@@ -162,9 +174,15 @@ def _sets(options: Namespace, rig):
     return ImageSets((in_line(paths[0].stem),), (paths,), rig, seed["--seed-point"], seed["--seed-direction"], given.SOURCE)
 
 
-def _truth(path: str, names: tuple[str, ...]) -> np.ndarray:
-    """(A, V, 3) mm: the rods of the file by the sets' names, or in order where it has no names."""
-    vertices = load_observations(path).vertices
+def _truth(options: Namespace, names: tuple[str, ...]) -> np.ndarray | None:
+    """(A, V, 3) mm: the rods of ``--truth`` by the sets' names, or in order where it has no names; None without one."""
+    path = options.truth
+    if path is None:
+        for option in loading.OF_FILES:
+            if getattr(options, option) is not None:
+                raise InputError(given.SOURCE, f"--{option}", "given without --truth", "give both")
+        return None
+    vertices = load_observations(path, None, options.unit, loading.columns(options)).vertices
     named = read_npz(Path(path), read_content(Path(path)), ("name", "names")) if Path(path).suffix == ".npz" else {}
     known = next(iter(named.values()), None)
     if known is None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import RODS, contact_lines, contact_summary, counted, report, save_arrays, shortened
 from doo_ti.contact.surroundings import Surroundings
@@ -43,9 +44,9 @@ class _Simulated:
 
 def declare(add) -> None:
     parser = given.command(add, "simulate", run, "simulate rods in motion: with inertia, damping and drag, grippers moving")
-    parser.add_argument("source", metavar="MOTION.npz|SCENE.toml",
-                        help="recorded markers, the first and last edges on the grippers (positions_mm, rate_hz); or a scene")
-    parser.add_argument("--theta", metavar="THETA.json", help="the rod, as doo-ti identify writes it; needed for MOTION.npz")
+    parser.add_argument("source", metavar="MOTION|SCENE.toml",
+                        help=f"recorded markers, the first and last edges on the grippers: {loading.RECORDINGS}; or a scene")
+    parser.add_argument("--theta", metavar="THETA.json", help="the rod, as doo-ti identify writes it; needed for MOTION")
     parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
     parser.add_argument("--substeps", metavar="N", help="time steps from one frame to the next (default: 1, or the scene's)")
     parser.add_argument("--tolerance", metavar="MM", help="estimate the error of the time steps, and double them for each rod "
@@ -57,9 +58,7 @@ def declare(add) -> None:
     parser.add_argument("--quasi-static", action="store_true", help="without inertia and drag: every step is an equilibrium "
                         "(default: as the scene says)")
     given.add_obstacles(parser, "with friction")
-    parser.add_argument("--fill-gaps", action="store_true",
-                        help="take markers that were not seen from lines between the frames around")
-    given.add_up(parser, "the one in THETA.json, else 0,0,1")
+    loading.add_recordings(parser, "the file's, else the one in THETA.json, else 0,0,1")
     parser.add_argument("--picture", metavar="F.png", help="also draw rods and errors over time (default: no)")
     parser.add_argument("--recording", metavar="F.rrd", help="also record the motion for the viewer (default: no)")
     parser.add_argument("--animation", metavar="F.gif|F.webp", help="also write a short animation (default: no)")
@@ -110,18 +109,18 @@ def _shown(kind: str, text: str) -> Path:
 def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _Simulated:
     from doo_ti.dynamics.identify import simulated_recordings
     from doo_ti.dynamics.parameters import Stepping
-    from doo_ti.dynamics.recorded import RecordedMotion
     from doo_ti.dynamics.theta import load_theta
 
     if options.theta is None:
         raise InputError(given.SOURCE, "--theta", "missing", "give the rod: a file that doo-ti identify has written")
     theta, surroundings = load_theta(options.theta), given.surroundings(options)
-    motion = RecordedMotion.load(options.source, options.fill_gaps)
+    motion, = loading.recordings(options, [options.source])
     given.refuse_overwriting(out, options.source)
     if motion.edges != len(theta.rest_length):
         raise InputError(options.theta, "rest_length_mm", f"{len(theta.rest_length)} edges, {in_line(options.source)} has "
                          f"{motion.edges}", "give the theta of this rod")
-    theta = replace(theta, up=up) if options.up is not None else theta
+    own_up = up if options.up is not None else motion.up
+    theta = theta if own_up is None else replace(theta, up=own_up)
     stepping = Stepping(motion.rate, **changes)
     with progress() as bar:
         task = bar.add_task("simulating", total=motion.count * (motion.positions.shape[1] - 2), unit="rods x frames")
@@ -148,7 +147,7 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
     from doo_ti.dynamics.simulate import simulate
     from doo_ti.relaxation.relax import relax
 
-    for name in ("theta", "fill_gaps"):
+    for name in ("theta", "fill_gaps", "rate", *loading.OF_FILES):
         if getattr(options, name):
             raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", "given, but a scene has its own rods", "leave it out")
     scene = load_dynamic_scene(options.source)
@@ -217,7 +216,8 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
 
 def _lines(found: _Simulated, summary: dict) -> list[str]:
     duration = (summary["frames"] - 1) / found.rate
-    lines = [f"{in_line(found.name)}: {summary['rods']} rods of {summary['vertices'] - 1} edges, {duration:.3g} s at "
+    rods = f"{summary['rods']} rod{'s' * (summary['rods'] > 1)}"
+    lines = [f"{in_line(found.name)}: {rods} of {summary['vertices'] - 1} edges, {duration:.3g} s at "
              f"{found.rate:g} frames/s",
              f"  status      {counted(summary['status'])} at the end"]
     if summary["failed"]:

@@ -17,6 +17,7 @@ from doo_ti.io.observations import Observations
 from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.learning.pairs import Pairs, load_pairs
 from doo_ti.learning.summary import SUMMARY
+from doo_ti.physical_units import relative_stiffness, stiffness
 from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.terminal import in_line
 from doo_ti.types import Clamp
@@ -38,6 +39,7 @@ def declare(add) -> None:
     given.add_material(parser, "a number or LO:HI:N[:log|:lin]; overrides the scene's axis")
     given.add_relaxation(parser, None)
     loading.add_loading(parser)
+    given.add_obstacles(parser, "without friction, which acts in simulate and predict")
     parser.add_argument("--objective", choices=OBJECTIVES, help="static: Eq. 2 (default), dynamic: Eq. 3")
     parser.add_argument("--pairs", metavar="FILE.csv", help="pairs of observations for Eq. 3, columns "
                         "from,to[,weight][,rotation_deg] (default: those of the paper, from the labels)")
@@ -60,6 +62,7 @@ class _Search:
     options: "SweepOptions"
     pairs: Pairs | None
     run: Path
+    density: float | None  # linear density in g/m
 
 
 def run(options: Namespace, words: list[str]) -> int:
@@ -138,15 +141,20 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     chosen = SweepOptions(
         frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=given.solver(options.solver),
         precision=options.precision or scene.precision, objective=objective,
-        spins=scene.roll_hypotheses if spins is None else spins, seed=seed or 0, workers=workers, scheduler=options.scheduler)
-    return _Search(scene, observations, grid, chosen, pairs, run)
+        spins=scene.roll_hypotheses if spins is None else spins, seed=seed or 0, surroundings=given.surroundings(options),
+        workers=workers, scheduler=options.scheduler)
+    density = given.positive("--linear-density", options.linear_density, "g/m")
+    return _Search(scene, observations, grid, chosen, pairs, run, density)
 
 
 def _lines(search: _Search, summary: dict, finished_before: bool, made_again: list[str]) -> list[str]:
     first, *rest = run_lines(summary)
     lines = [first, loading.rod_line(search.observations), *rest, *hypotheses_lines(summary)]
     clamps = observation_clamps(search.observations, search.options.clamp_start, search.options.clamp_end)
-    if search.grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not search.options.spins:
+    rolls = search.grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not search.options.spins
+    if search.density is not None:
+        lines.append(_physical_line(search, summary["best"], rolls))
+    if rolls:
         lines.append("  note        an end rolls freely, so nothing twists the rod: twist is not determined")
     varied = {axis.name for axis in search.grid.axes if len(axis) > 1}
     if "weight" in varied and len(varied) > 1 and not any(axis.name == "twist" and len(axis) == 1 for axis in search.grid.axes):
@@ -158,10 +166,19 @@ def _lines(search: _Search, summary: dict, finished_before: bool, made_again: li
     if made_again:
         lines.append(f"  made again  {', '.join(made_again)}")
     lines.append(f"  {'finished before in' if finished_before else 'written to'} {in_line(search.run)}")
-    if search.options.objective == "static" and not search.options.spins:
-        more = "" if search.grid.is_isotropic else RIBBON_PARAMETERS
+    if search.options.objective == "static" and not search.options.spins and not search.options.surroundings:
+        more = " --parameters bend" if rolls else "" if search.grid.is_isotropic else RIBBON_PARAMETERS
+        more += "" if search.density is None else f" --linear-density {search.density:g}"
         lines.append(f"  intervals   doo-ti refine {in_line(shlex.quote(str(search.run)))}{more}")
     return lines
+
+
+def _physical_line(search: _Search, best: dict, rolls: bool) -> str:
+    """The best cell in N m²; without GJ where an end ``rolls`` freely."""
+    names = {"EI": "bend_1"} if search.grid.is_isotropic else {"EI_1": "bend_1", "EI_2": "bend_2"}
+    values = {symbol: stiffness(relative_stiffness(best[name], best["weight"]), search.density)
+              for symbol, name in (names | ({} if rolls else {"GJ": "twist"})).items()}
+    return f"  stiffness   {', '.join(f'{symbol} {value:.4g} N m²' for symbol, value in values.items())} in the best cell"
 
 
 def _effort(summaries: list[dict], seconds: float) -> str:

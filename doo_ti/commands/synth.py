@@ -11,8 +11,8 @@ from doo_ti.commands import options as given
 from doo_ti.commands.results import observed, save, save_arrays
 from doo_ti.errors import InputError
 from doo_ti.io.cable_recordings import read_recordings, save_recordings
-from doo_ti.io.curves import UNITS_IN_MM
 from doo_ti.io.formats import read_curves
+from doo_ti.io.motion_recording import read_recording
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.terminal import in_line, progress
 
@@ -28,8 +28,9 @@ def declare(add) -> None:
     loading.add_loading(parser)
     parser.add_argument("--select", metavar="FROM:TO[:STEP]", help="only these observations, numbered from 0 (default: all)")
     parser.add_argument("--complete", action="store_true", help="leave out observations with a missing mark")
-    parser.add_argument("--motion", action="store_true", help="write a recording of motion capture as one motion, "
-                        "positions_mm and rate_hz, for identify and simulate")
+    parser.add_argument("--motion", action="store_true", help="write a recording as one motion, positions_mm and rate_hz, with "
+                        "the frames that --select names")
+    loading.add_rate(parser)
     parser = given.command(add, "synth", run, "simulate a scene's observations, or render images of its rods (the virtual lab)",
                            json=False)
     parser.add_argument("scene", metavar="SCENE.toml", help="a scene with [synthesis]")
@@ -56,6 +57,8 @@ def run_convert(options: Namespace, words: list[str]) -> int:
     given.refuse_overwriting(out, options.observations, "OUT")
     if options.motion:
         return _convert_motion(options, out)
+    if options.rate is not None:
+        raise InputError(given.SOURCE, "--rate", "given without --motion", "give both")
     observations = loading.load(options, options.observations)
     rows = np.arange(observations.count)[_selected(options.select)]
     rows = rows[observations.valid[rows].all(axis=1)] if options.complete else rows
@@ -74,15 +77,14 @@ def _convert_motion(options: Namespace, out: Path) -> int:
     """Curves at the frames of a recording to positions_mm (T, V, 3) and rate_hz."""
     if out.suffix != ".npz":
         raise InputError(given.SOURCE, "OUT", f"suffix {out.suffix!r}", "name a .npz file: a motion has a third axis")
-    curves = read_curves(Path(options.observations), loading.columns(options))
-    if curves is None or curves.rate is None:
-        raise InputError(options.observations, "--motion", "the file is not a recording of motion capture", "leave it out")
-    unit = curves.unit if options.unit is None else UNITS_IN_MM[options.unit]
-    positions = unit * curves.points[_selected(options.select)]
-    save_arrays(out, {"positions_mm": positions, "rate_hz": np.float64(curves.rate)})
+    source = Path(options.observations)
+    found = read_recording(source, options.unit, loading.columns(options), given.positive("--rate", options.rate, "per second"))
+    up = given.world_up(options) if options.up is not None or found.up is None else found.up
+    positions = found.positions[_selected(options.select)]
+    save_arrays(out, {"positions_mm": positions, "rate_hz": np.float64(found.rate), "up": up})
     gaps = int((~np.isfinite(positions)).any(axis=-1).sum())
-    print(f"{len(positions)} frames of {positions.shape[1]} markers at {curves.rate:g}/s, {gaps} positions missing, written to "
-          f"{in_line(out)}; up is {','.join(f'{value:g}' for value in curves.up)}: give it to identify and simulate as --up")
+    print(f"{len(positions)} frames of {positions.shape[1]} markers at {found.rate:g}/s, {gaps} positions missing, written to "
+          f"{in_line(out)}; up is {','.join(f'{value:g}' for value in up)}")
     return 0
 
 

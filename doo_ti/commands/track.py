@@ -30,6 +30,7 @@ def declare(add) -> None:
     given.add_material(parser, "one number each; tracked rods are round")
     parser.add_argument("--motion", metavar="PATH", help="poses of the far clamp, one moment for each frame: .npz or .csv")
     given.add_thread(parser)
+    given.add_obstacles(parser, "without friction, but of rods with inertia; the first run compiles for minutes")
     add_dynamic(parser, "frames per second (default: by their time_s)")
     parser.add_argument("--no-recording", action="store_true", help="do not write F.rrd")
 
@@ -64,7 +65,8 @@ def _tracked(task: TrackingTask) -> tuple[list, str | None]:
     from doo_ti.perception.tracking import Tracker
 
     frames, found = task.frames, []
-    tracker = Tracker(frames.rig, task.rest_length, task.material, up=task.up, inertia=task.inertia)
+    tracker = Tracker(frames.rig, task.rest_length, task.material, up=task.up, inertia=task.inertia,
+                      surroundings=task.surroundings)
     elapsed = [None] * frames.count if task.time is None else [None, *np.diff(task.time)]
     try:
         with progress() as bar:

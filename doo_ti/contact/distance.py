@@ -4,13 +4,32 @@ All obstacles but boxes are bodies of revolution. In the half plane of a point, 
 n = n_r e_r + n_z e_z, and with k the curvature of the profile's parallel curve through the point
 
     ∇∇φ = k (e_r e_rᵀ + e_z e_zᵀ − n nᵀ) + (n_r/ρ) (I − e_r e_rᵀ − e_z e_zᵀ).
+
+Of a grid n is the gradient of a spline, of about unit length.
 """
 
 import taichi as ti
+from taichi.lang.impl import expr_init
 
-from doo_ti.contact.obstacles import AXES, BOX, CAPSULE, CYLINDER, PLANE, POINT, RING, SIZES
+from doo_ti.contact.distance_grid import HEADER
+from doo_ti.contact.grid_lookup import GridLookup
+from doo_ti.contact.obstacles import AXES, BOX, CAPSULE, CYLINDER, GRID, PLANE, POINT, RING, SIZES
 from doo_ti.physics.algebra import absolute, largest_of
-from doo_ti.physics.tuples import dot, minus, plus, record, repeated, scaled, traced
+from doo_ti.physics.tuples import (
+    applied,
+    chosen,
+    dot,
+    full,
+    minus,
+    plus,
+    products,
+    record,
+    repeated,
+    row,
+    scaled,
+    traced,
+    transposed,
+)
 
 TINY = 1e-20
 """Below all squares of distances, against division by zero on an axis."""
@@ -22,24 +41,52 @@ def outer(a) -> tuple:
     return (a[0] * a[0], a[0] * a[1], a[0] * a[2], a[1] * a[1], a[1] * a[2], a[2] * a[2])
 
 
+@traced
+def clipped(a, most) -> tuple:
+    """The items of a, from zero to at most those of ``most``."""
+    return tuple(ti.min(ti.max(x, 0.0 * x), y) for x, y in zip(a, most, strict=True))
+
+
+@traced
+def diagonal(a) -> tuple:
+    """The symmetric matrix of that diagonal."""
+    return (a[0], 0.0 * a[0], 0.0 * a[0], a[1], 0.0 * a[1], a[2])
+
+
+@traced
+def turned(h, m) -> tuple:
+    """Mᵀ H M of a symmetric H."""
+    rows = expr_init(tuple(dot(row(full(h), k), m[j::3]) for k in range(3) for j in range(3)))
+    return tuple(dot(m[i::3], rows[j::3]) for i in range(3) for j in range(i, 3))
+
+
 @ti.data_oriented
 class Distance:
     """φ, n and ∇∇φ for one kind of number, of obstacles among ``kinds``."""
 
     def __init__(self, number, stride: int, kinds: frozenset[int]):
         self.stride, self.tiny = stride, TINY
-        self.has_plane, self.has_box, self.has_capsule, self.has_ring, self.has_cylinder = (
-            kind in kinds for kind in (PLANE, BOX, CAPSULE, RING, CYLINDER))
-        self.has_revolved = bool(kinds - {PLANE, BOX})
+        self.has_plane, self.has_box, self.has_capsule, self.has_ring, self.has_cylinder, self.has_grid = (
+            kind in kinds for kind in (PLANE, BOX, CAPSULE, RING, CYLINDER, GRID))
+        self.has_revolved = bool(kinds - {PLANE, BOX, GRID})
+        self.lookup = GridLookup(number)
 
     @ti.func
     def load3(self, scratch: ti.template(), at):
         return (scratch[at], scratch[at + self.stride], scratch[at + 2 * self.stride])
 
     @ti.func
-    def measure(self, scratch: ti.template(), at, kind, x):
+    def unit(self, normal):
+        """A normal over its length, which only of a grid is not one."""
+        if ti.static(self.has_grid):
+            return scaled(normal, 1.0 / ti.sqrt(dot(normal, normal) + self.tiny))
+        else:
+            return normal
+
+    @ti.func
+    def measure(self, scratch: ti.template(), grids: ti.template(), at, kind, x):
         """Of an obstacle of that kind whose columns begin at ``at``: a record of ``value`` φ, ``normal`` n and ``curvature``
-        ∇∇φ (6,) at ``x``."""
+        ∇∇φ (6,) at ``x``. ``grids`` holds the numbers of those that are grids."""
         away = minus(x, self.load3(scratch, at + POINT * self.stride))
         zero = 0.0 * away[0]
         seen = record(value=zero, normal=repeated(zero, 3), curvature=repeated(zero, 6))
@@ -50,8 +97,11 @@ class Distance:
             if kind == ti.static(PLANE):
                 seen.normal = self.load3(scratch, at + (AXES + 6) * self.stride)
                 seen.value = dot(away, seen.normal)
+        if ti.static(self.has_grid):
+            if kind >= ti.static(GRID):
+                self.grid(scratch, grids, at, kind - GRID, away, seen)
         if ti.static(self.has_revolved):
-            if kind != ti.static(BOX) and kind != ti.static(PLANE):
+            if kind != ti.static(BOX) and kind != ti.static(PLANE) and kind < ti.static(GRID):
                 self.revolved(scratch, at, kind, away, seen)
         return seen
 
@@ -127,3 +177,35 @@ class Distance:
             seen.curvature = plus(seen.curvature, scaled(outer(axis), ti.select(outside & (beyond > 0.0), 1.0 / length, zero)))
         bent = ti.select(outside, 1.0 / length, zero)
         seen.curvature = minus(seen.curvature, scaled(outer(seen.normal), bent))
+
+    @ti.func
+    def last(self, grids: ti.template(), index, k: ti.template()):
+        """Of a grid the largest place along an axis."""
+        return ti.cast(grids[HEADER * index + 1 + k] - 3.0, self.lookup.scalar)
+
+    @ti.func
+    def grid(self, scratch: ti.template(), grids: ti.template(), at, index, away, seen):
+        """A grid, by its spline at the nearest point of its box, which lies ``beyond`` that."""
+        spacing = scratch[at + SIZES * self.stride]
+        zero, one = 0.0 * spacing, 0.0 * spacing + 1.0
+        axes = (self.load3(scratch, at + AXES * self.stride) + self.load3(scratch, at + (AXES + 3) * self.stride)
+                + self.load3(scratch, at + (AXES + 6) * self.stride))
+        exact = scaled(applied(axes, away), 1.0 / spacing)
+        last = (zero + self.last(grids, index, 0), zero + self.last(grids, index, 1), zero + self.last(grids, index, 2))
+        place = clipped(exact, last)
+        beyond = scaled(minus(exact, place), spacing)
+        inside = (ti.select(beyond[0] == zero, one, zero), ti.select(beyond[1] == zero, one, zero),
+                  ti.select(beyond[2] == zero, one, zero))
+        found = self.lookup.look_up(grids, index, place)
+        value, square = spacing * found.value, dot(beyond, beyond)
+        outside = square > 0.0
+        whole = ti.sqrt(value * value + square + self.tiny)
+        flat = products(found.slope, inside)
+        slant = scaled(plus(scaled(flat, value), beyond), 1.0 / whole)
+        bend = scaled(found.bend, 1.0 / spacing)
+        # Of φ² half the second derivatives, along the box's faces and away from them.
+        half = plus(plus(outer(flat), scaled(products(bend, outer(inside)), value)), diagonal(minus(repeated(one, 3), inside)))
+        slanting = scaled(minus(half, outer(slant)), 1.0 / whole)
+        seen.value = ti.select(outside, whole, value)
+        seen.normal = applied(transposed(axes), chosen(outside, slant, found.slope))
+        seen.curvature = turned(chosen(outside, slanting, bend), axes)

@@ -1,7 +1,7 @@
 """Obstacles in TOML files: for each a ``kind`` and the fields of its class (:mod:`doo_ti.contact.obstacles`), lengths in mm.
 
     [[obstacles]]
-    kind = "plane"                     # plane, sphere, capsule, cylinder, ring or box
+    kind = "plane"                     # plane, sphere, capsule, cylinder, ring, box, grid or itself
     point = [0, 0, 0]
     normal = [0, 0, 1]
 
@@ -11,6 +11,11 @@
     end = [0, 50, 20]
     radius = 8.0
     friction = 0.3                     # (0)
+
+    [[obstacles]]
+    kind = "grid"
+    file = "part.npz"                  # values (X, Y, Z), spacing and origin (3,); or mesh = "part.stl" with spacing and margin
+    position = [0, 0, 40]              # (0, 0, 0); and rotation, unrotated
 """
 
 from dataclasses import MISSING, fields
@@ -19,11 +24,16 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from doo_ti.contact.distance_grid import DistanceGrid
+from doo_ti.contact.itself import Itself
 from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Obstacle, Plane, Ring, Sphere
 from doo_ti.errors import InputError
+from doo_ti.io.arrays import read_npz
+from doo_ti.io.files import read_content
 from doo_ti.io.toml_file import Finite, NotNegative, Positive, Rotation, Table, Vector, checked, read_toml
 
-KINDS = {kind.__name__.lower(): kind for kind in (Plane, Sphere, Capsule, Cylinder, Ring, Box)}
+KINDS = {kind.__name__.lower(): kind for kind in (Plane, Sphere, Capsule, Cylinder, Ring, Box, Itself)} | {"grid": DistanceGrid}
+GRID_KEYS = ("values", "spacing", "origin")
 _TYPES = {(): Finite, (3,): Vector, (3, 3): Rotation}
 
 
@@ -35,6 +45,19 @@ def _table(kind: type[Obstacle]) -> type[Table]:
         value = _TYPES[kind.shapes[field.name]] if kind.shapes[field.name] else number
         keys.append((field.name, value) if field.default is MISSING else (field.name, value, field.default))
     return msgspec.defstruct(kind.__name__, keys, bases=(Table,), forbid_unknown_fields=True)
+
+
+class _Grid(Table):
+    """How a grid is written: by its values or by a mesh, in files beside the TOML file."""
+
+    kind: str
+    file: str | None = None
+    mesh: str | None = None
+    spacing: Positive | None = None
+    margin: Positive | None = None
+    position: Vector = (0.0, 0.0, 0.0)
+    rotation: Rotation = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    friction: NotNegative = 0.0
 
 
 class _File(Table):
@@ -55,6 +78,9 @@ def obstacles_of(source, rows: list) -> list[Obstacle]:
         if not isinstance(row, dict) or "kind" not in row:
             raise InputError(source, f"{key}.kind", "missing", f"give one of {', '.join(KINDS)}")
         kind = KINDS[checked(source, f"{key}.kind", row["kind"], Literal[tuple(KINDS)])]
+        if kind is DistanceGrid:
+            found.append(_grid(source, key, checked(source, key, row, _Grid)))
+            continue
         values = msgspec.structs.asdict(checked(source, key, row, _table(kind)))
         del values["kind"]
         try:
@@ -62,3 +88,29 @@ def obstacles_of(source, rows: list) -> list[Obstacle]:
         except InputError as error:
             raise InputError(source, f"{key}.{error.field}", error.problem, error.remedy) from None
     return found
+
+
+def _grid(source, key: str, table: _Grid) -> DistanceGrid:
+    """The grid that a table of the file ``source`` states."""
+    if (table.file is None) == (table.mesh is None):
+        raise InputError(source, f"{key}.file", "missing" if table.file is None else "given beside mesh", "give file or mesh")
+    if table.mesh is not None and table.spacing is None:
+        raise InputError(source, f"{key}.spacing", "missing beside mesh", "add the distance of the grid's points in mm")
+    if table.file is not None and (table.spacing or table.margin):
+        raise InputError(source, f"{key}.{'spacing' if table.spacing else 'margin'}", "given beside file", "leave it out")
+    pose = {"position": table.position, "rotation": table.rotation, "friction": table.friction}
+    path = Path(source).parent / (table.file or table.mesh)
+    try:
+        if table.mesh is not None:
+            return DistanceGrid.from_mesh(path, table.spacing, table.margin, **pose)
+        given = read_npz(path, read_content(path), GRID_KEYS)
+        for name in GRID_KEYS:
+            if name not in given:
+                raise InputError(path, name, "missing", f"store {', '.join(GRID_KEYS)} with numpy.savez")
+        return DistanceGrid(**given, **pose)
+    except InputError as error:
+        if error.source != "DistanceGrid":
+            raise
+        in_file = table.file is not None and error.field in GRID_KEYS
+        place, field = (path, error.field) if in_file else (source, f"{key}.{error.field}")
+        raise InputError(place, field, error.problem, error.remedy) from None

@@ -256,9 +256,7 @@ class Box(Obstacle):
                      friction: ArrayLike = 0.0) -> None: ...
 
     def _check(self) -> None:
-        off = np.abs(np.swapaxes(self.rotation, -1, -2) @ self.rotation - np.eye(3)).max()
-        if off > 1e-6:
-            raise InputError("Box", "rotation", f"off a rotation by {off:.2g}", "give a 3×3 rotation matrix")
+        require_rotation("Box", self.rotation)
 
     def placed(self) -> Placed:
         return self.centre, self.rotation, 0.5 * self.size, 0.5 * self.size.min(axis=-1)
@@ -278,6 +276,13 @@ def _require_direction(name: str, field: str, value: np.ndarray, what: str = "of
     """Raise InputError unless every row has a length."""
     if not (np.linalg.norm(value, axis=-1) > 0).all():
         raise InputError(name, field, what, "give three numbers that are not all zero")
+
+
+def require_rotation(name: str, rotation: np.ndarray) -> None:
+    """Raise InputError unless every matrix is orthonormal."""
+    off = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max()
+    if off > 1e-6:
+        raise InputError(name, "rotation", f"off a rotation by {off:.2g}", "give a 3×3 rotation matrix")
 
 
 def _axes_about(direction: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from doo_ti.contact.itself import Itself, smallest_self_gap
 from doo_ti.contact.obstacles import Obstacle
 
 PLACES = 8
@@ -26,6 +27,16 @@ class Surroundings:
 
     def __bool__(self) -> bool:
         return len(self.obstacles) > 0
+
+    @property
+    def bodies(self) -> list[Obstacle]:
+        """All obstacles but the rod itself."""
+        return [obstacle for obstacle in self.obstacles if not isinstance(obstacle, Itself)]
+
+    @property
+    def itself(self) -> Itself | None:
+        """The rod as its own obstacle, if it is one."""
+        return next((obstacle for obstacle in self.obstacles if isinstance(obstacle, Itself)), None)
 
     @property
     def arguments(self) -> dict:
@@ -51,12 +62,14 @@ class Surroundings:
         return np.minimum(steps, MOST_STEPS).astype(np.int64)
 
     def smallest_gap(self, vertices: np.ndarray) -> np.ndarray:
-        """(R,) mm between the surface of each rod (R, V, 3) and the nearest obstacle, the least along the rod, measured at
-        :data:`PLACES` of each edge; negative inside an obstacle, NaN for a rod without places."""
+        """(R,) mm between the surface of each rod (R, V, 3) and the nearest obstacle, itself if it is one, the least along the
+        rod, measured at :data:`PLACES` of each edge; negative inside an obstacle, NaN for a rod without places."""
         share = np.linspace(0.0, 1.0, PLACES)[:, None]
         points = vertices[:, :-1, None] + share * np.diff(vertices, axis=1)[:, :, None]
         points = points.reshape(len(vertices), -1, 3)
         least = np.full(len(vertices), np.inf)
-        for obstacle in self.obstacles:
+        for obstacle in self.bodies:
             least = np.minimum(least, obstacle.distance(points)[0].min(axis=1))
-        return least - (0.0 if self.radius is None else np.asarray(self.radius, dtype=np.float64).reshape(-1))
+        radius = np.zeros(1) if self.radius is None else np.asarray(self.radius, dtype=np.float64).reshape(-1)
+        least = least - radius
+        return least if self.itself is None else np.minimum(least, smallest_self_gap(vertices, radius))

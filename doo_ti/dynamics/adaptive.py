@@ -38,7 +38,7 @@ def adapted(run: Callable[..., Trajectory], count: int, stepping: Stepping,
         estimate = apart / (_gain(before, apart, MOST_GAIN[stepping.scheme]) - 1.0)
         # A motion that fails only with finer steps is kept as it was.
         better = fine.converged | ~found.converged[rows]
-        _put(found, rows[better], fine, better)
+        put(found, rows[better], fine, better)
         error[rows[better]] = estimate[better]
         left = ~(estimate <= stepping.tolerance)
         rows, before, coarse = rows[left], apart[left], _some(fine, left)
@@ -59,7 +59,7 @@ def _moved(run: Callable[..., Trajectory], stepping: Stepping, steps: int, rows:
     found = run(_fixed(stepping, steps, coarse), rows, progress)
     again = np.flatnonzero(~found.converged)
     if stepping.precision == "mixed" and coarse == "f32" and len(again):
-        _put(found, again, run(_fixed(stepping, steps), rows[again]), slice(None))
+        put(found, again, run(_fixed(stepping, steps), rows[again]), slice(None))
     return found
 
 
@@ -82,7 +82,7 @@ def _some(trajectory: Trajectory, rows) -> Trajectory:
     return replace(trajectory, positions=trajectory.positions[rows], status=trajectory.status[rows])
 
 
-def _put(into: Trajectory, rows: np.ndarray, other: Trajectory, of: np.ndarray) -> None:
+def put(into: Trajectory, rows: np.ndarray, other: Trajectory, of: np.ndarray | slice) -> None:
     """Write the rods ``of`` of another trajectory into those ``rows``."""
     for name in ("positions", "status", "iterations", "residual", "end_force", "substeps"):
         getattr(into, name)[rows] = getattr(other, name)[of]

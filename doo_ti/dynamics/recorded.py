@@ -1,7 +1,7 @@
 """Recorded motion: markers along rods held by grippers: where a simulation starts, and what it is compared with."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 from doo_ti.dynamics.grippers import Grippers, edge_frames
 from doo_ti.errors import InputError
 from doo_ti.frames import bishop_frames, quaternion_from_matrix, tangent_from_quaternion
-from doo_ti.io.arrays import read_npz
-from doo_ti.io.files import read_content
+from doo_ti.io.motion_recording import read_recording
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.relax import relax
 from doo_ti.short_repr import short_repr
@@ -50,6 +49,7 @@ class RecordedMotion:
     confused   (R, T, 2) of the start gripper's and the end gripper's markers: FINE, SWAPPED, or LOST, where they contradict the
                frames around, from which the gripper is then taken
     alone      the one recording came without an axis for several
+    up         (3,) direction against gravity that the file states, or None
 
     Raises InputError for shapes that do not fit and numbers that are not finite.
     """
@@ -62,6 +62,7 @@ class RecordedMotion:
     elapsed: np.ndarray
     confused: np.ndarray
     alone: bool = False
+    up: np.ndarray | None = None
 
     @classmethod
     def of(cls, positions: ArrayLike, rate: float, names: Iterable[object] | None = None,
@@ -86,30 +87,20 @@ class RecordedMotion:
         return cls(positions, float(rate), names, elapsed_steps(positions), confused_frames(positions), alone)
 
     @classmethod
-    def load(cls, path: str | Path, fill_gaps: bool = False) -> "RecordedMotion":
-        """The recordings of an npz file: ``positions_mm`` (R, T, V, 3) or (T, V, 3), ``rate_hz``, and names in ``recording``.
+    def load(cls, path: str | Path, fill_gaps: bool = False, unit: str | None = None,
+             columns: Mapping[str, str] | Sequence[str] | None = None, rate: float | None = None) -> "RecordedMotion":
+        """The recordings of a file (:mod:`doo_ti.io.motion_recording`): npz, motion capture, the public cable data.
 
-        fill_gaps  positions that are not finite are taken from lines between the frames around
+        fill_gaps             positions that are not finite are taken from lines between the frames around
+        unit, columns, rate   as of :func:`doo_ti.io.motion_recording.read_recording`
 
         Raises InputError for files that cannot be read, and as the class does.
         """
-        path = Path(path)
-        found = read_npz(path, read_content(path), ("positions_mm", "rate_hz", "recording"))
-        for key in ("positions_mm", "rate_hz"):
-            if key not in found:
-                raise InputError(path, key, "missing", "give positions_mm (R, T, V, 3) or (T, V, 3) and rate_hz")
-            if found[key].dtype.kind not in "fiu":
-                raise InputError(path, key, f"dtype {found[key].dtype} is not numeric", "store real numbers")
-        positions, rate = found["positions_mm"].astype(np.float64), found["rate_hz"]
-        if rate.size != 1:
-            raise InputError(path, "rate_hz", f"shape {rate.shape}", "give one number: frames per second")
+        found = read_recording(path, unit, columns, rate)
+        positions = found.positions
         if fill_gaps and positions.ndim in (3, 4):
             positions = _filled(positions if positions.ndim == 4 else positions[None], path).reshape(positions.shape)
-        names = found.get("recording")
-        count = 1 if positions.ndim == 3 else len(positions) if positions.ndim else 0
-        if names is not None and names.shape != (count,):
-            raise InputError(path, "recording", f"shape {names.shape}", f"give ({count},) names")
-        return cls.of(positions, float(rate.reshape(())), None if names is None else names.tolist(), str(path))
+        return replace(cls.of(positions, found.rate, found.names, str(path)), up=found.up)
 
     @classmethod
     def together(cls, parts: list["RecordedMotion"], sources: list[str]) -> "RecordedMotion":
@@ -120,13 +111,15 @@ class RecordedMotion:
                 problem = (f"{part.positions.shape[2]} markers at {part.rate:g}/s, the first file has "
                            f"{first.positions.shape[2]} at {first.rate:g}/s")
                 raise InputError(source, "positions_mm", problem, "give recordings of one rod alike")
+            if (part.up is None) != (first.up is None) or part.up is not None and not np.allclose(part.up, first.up):
+                raise InputError(source, "up", "differs from that of the first file", "convert both files, with one --up")
         frames = min(part.positions.shape[1] for part in parts)
         cut = [part.until(frames) for part in parts]
         several = len(parts) > 1
         names = tuple(f"{Path(source).stem} {name}" if several else name
                       for part, source in zip(parts, sources, strict=True) for name in part.names)
         return cls(np.concatenate([part.positions for part in cut]), first.rate, names,
-                   np.concatenate([part.elapsed for part in cut]), np.concatenate([part.confused for part in cut]))
+                   np.concatenate([part.elapsed for part in cut]), np.concatenate([part.confused for part in cut]), up=first.up)
 
     @property
     def count(self) -> int:
@@ -142,12 +135,12 @@ class RecordedMotion:
         """The recordings named by ``rows``."""
         rows = np.atleast_1d(rows)
         return RecordedMotion(self.positions[rows], self.rate, tuple(np.array(self.names)[rows]), self.elapsed[rows],
-                              self.confused[rows])
+                              self.confused[rows], up=self.up)
 
     def until(self, frames: int) -> "RecordedMotion":
         """The first ``frames`` frames."""
-        return RecordedMotion(self.positions[:, :frames], self.rate, self.names, self.elapsed[:, :frames],
-                              self.confused[:, :frames])
+        return replace(self, positions=self.positions[:, :frames], elapsed=self.elapsed[:, :frames],
+                       confused=self.confused[:, :frames], alone=False)
 
     def edge_lengths(self) -> np.ndarray:
         """(E,) median lengths of the edges, mm."""
@@ -165,7 +158,7 @@ class RecordedMotion:
         return lines
 
 
-def _filled(positions: np.ndarray, path: Path) -> np.ndarray:
+def _filled(positions: np.ndarray, path: str | Path) -> np.ndarray:
     """Positions (R, T, V, 3) with gaps closed by lines in time. Raises InputError for a marker that was never seen."""
     result = positions.copy()
     for r, v in np.argwhere(~np.isfinite(positions).all(axis=(1, 3))):

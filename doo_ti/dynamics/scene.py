@@ -13,7 +13,9 @@
     direction = [0, 0, -1]             # in which it is straight at first (along x)
     position_mm = [0, 0, 0]            # of its first vertex (the origin)
     at_rest = true                     # relaxed before the motion begins (false: it begins straight)
-    radius_mm = 3.0                    # needed with obstacles
+    radius_mm = 3.0                    # needed with obstacles and with a knot
+    knot_loop_mm = 20.0                # an open overhand knot in its middle at first, with a loop of that radius (none)
+    knot_finer = 4.0                   # edges in the knot, where it touches itself, are so many times shorter (1)
 
     [materials.rope]                   # one or more, all in the same motion
     bend = 6e5                         # mm³
@@ -35,6 +37,8 @@
     start_direction = [0, 0, -1]
     end_position_mm = [0, 0, -1000]
     end_direction = [0, 0, -1]
+    start_turns = 0.0                  # about its direction, since the beginning (0)
+    end_turns = 2.5
 
     [circle]                           # on which the start runs besides, horizontal
     radius_mm = 50.0
@@ -59,9 +63,10 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.grippers import Grippers, edge_frames
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.errors import InputError
-from doo_ti.frames import across
+from doo_ti.frames import quaternion_product, smallest_rotation, turned_about_tangent
 from doo_ti.io.motion_scene import rod_radius
 from doo_ti.io.toml_file import Finite, NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction
+from doo_ti.knots import overhand_knot
 from doo_ti.terminal import in_line
 from doo_ti.types import Clamp, Configuration, Material
 
@@ -105,6 +110,8 @@ class _Rod(Table):
     position_mm: Vector = (0.0, 0.0, 0.0)
     at_rest: bool = False
     radius_mm: Positive | None = None
+    knot_loop_mm: Positive | None = None
+    knot_finer: Positive = 1.0
 
 
 class _Material(Table):
@@ -129,6 +136,8 @@ class _Moment(Table):
     start_direction: Vector | None = None
     end_position_mm: Vector | None = None
     end_direction: Vector | None = None
+    start_turns: Finite | None = None
+    end_turns: Finite | None = None
 
 
 class _Circle(Table):
@@ -145,7 +154,7 @@ def load_dynamic_scene(path: str | Path) -> DynamicScene:
     if not 1 <= frames <= MOST_FRAMES:
         raise InputError(path, "duration_s", f"{frames} frames at rate_hz", f"give 1 to {MOST_FRAMES:,}")
     direction = unit_direction(path, "rod.direction", rod.direction)
-    start = Configuration.straight(rod.position_mm, direction, rod.length_mm, rod.edges)
+    start = _start(path, rod, direction)
     time = np.arange(frames + 1) / file.rate_hz
     grippers = _grippers(path, file, clamps, start, direction, time)
     names = tuple(map(in_line, file.materials))
@@ -154,6 +163,21 @@ def load_dynamic_scene(path: str | Path) -> DynamicScene:
     return DynamicScene(in_line(path.stem if file.name is None else file.name), names, start, rod.at_rest, material, dynamics,
                         grippers, Stepping(file.rate_hz, file.substeps, file.scheme, quasi_static=file.quasi_static),
                         surroundings)
+
+
+def _start(path: Path, rod: _Rod, direction: np.ndarray) -> Configuration:
+    """The rod as it is at first."""
+    if rod.knot_loop_mm is None:
+        return Configuration.straight(rod.position_mm, direction, rod.length_mm, rod.edges)
+    if rod.radius_mm is None:
+        raise InputError(path, "rod.radius_mm", "missing beside a knot", "give the radius of the rod")
+    try:
+        knot = overhand_knot(rod.length_mm, rod.edges, radius=rod.radius_mm, loop=rod.knot_loop_mm, finer=rod.knot_finer)
+    except InputError as error:
+        raise InputError(path, f"rod.{error.field}_mm", error.problem, error.remedy) from None
+    turn = smallest_rotation(np.array([1.0, 0.0, 0.0]), direction)
+    return Configuration(np.array([rod.position_mm], dtype=np.float64), quaternion_product(turn, knot.quaternions),
+                         knot.rest_length)
 
 
 def _materials(path: Path, table: dict) -> tuple[Material, Dynamics]:
@@ -177,7 +201,7 @@ def _grippers(path: Path, file: _File, clamps: _Clamps, start: Configuration, di
 
     vertices = start.vertices[0]
     now = {"start_position_mm": vertices[0], "start_direction": direction, "end_position_mm": vertices[-1],
-           "end_direction": direction}
+           "end_direction": direction, "start_turns": 0.0, "end_turns": 0.0}
     moments = [checked(path, f"moments[{k}]", row, _Moment) for k, row in enumerate(file.moments)]
     at, rows = [0.0], {key: [value] for key, value in now.items()}
     for k, moment in enumerate(moments):
@@ -202,7 +226,9 @@ def _grippers(path: Path, file: _File, clamps: _Clamps, start: Configuration, di
         angle = 2 * np.pi * circle.turns_per_s * time
         paths["start_position_mm"] = paths["start_position_mm"] + circle.radius_mm * np.stack(
             [np.cos(angle) - 1, np.sin(angle), 0 * angle], axis=-1)
-    m1 = across(direction)[None]
+    frames = []
+    for end, edge in (("start", 0), ("end", -1)):
+        turned = edge_frames(paths[f"{end}_direction"][None], start.frames[:, edge, :, 1])
+        frames.append(turned_about_tangent(turned, 2 * np.pi * paths[f"{end}_turns"][None]))
     return Grippers(Clamp[clamps.start.upper()], Clamp[clamps.end.upper()], paths["start_position_mm"][None],
-                    paths["end_position_mm"][None], edge_frames(paths["start_direction"][None], m1),
-                    edge_frames(paths["end_direction"][None], m1))
+                    paths["end_position_mm"][None], *frames)

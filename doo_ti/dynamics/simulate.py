@@ -2,16 +2,19 @@
 
 from collections.abc import Callable, Sequence
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.contact.obstacles import Obstacle
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.adaptive import adapted
 from doo_ti.dynamics.clamp_path import clamp_path
 from doo_ti.dynamics.energies import Account, Losses
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import GRAVITY, RATES, Direction, Dynamics, MovingStart, Stepping, vertex_lengths
+from doo_ti.dynamics.self_contact import kept_apart
 from doo_ti.dynamics.trajectory import Trajectory
 from doo_ti.errors import InputError
 from doo_ti.frames import (
@@ -19,6 +22,7 @@ from doo_ti.frames import (
     smallest_rotation,
     tangent_from_quaternion,
 )
+from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.checked_input import paired_rows
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.input_tables import tables, under
@@ -28,6 +32,7 @@ from doo_ti.relaxation.time_loop import (
     END_FORCE,
     FRICTION_WORK,
     MOMENT,
+    RELINKED,
     STATE,
     TRIPS,
 )
@@ -93,29 +98,32 @@ def simulate(
     given = begin.configuration, material, grippers, dynamics
     direction = unit_up(up, "simulate")
 
-    def run(stepping: Stepping, rods, own_springs, touchable, progress=None) -> Trajectory:
-        motion = _Motion(*given, stepping, own_springs, direction, rods, touchable)
+    surroundings = Surroundings(obstacles, radius)
+    index = paired_rows(begin.configuration.count, material.count, *((None, None) if pairs is None else pairs))
+    many = springs is not None and springs.count == len(index[0]) > 1
+
+    def moved(stepping: Stepping, rows: np.ndarray, progress=None, touching: bool = False) -> tuple[Trajectory, np.ndarray]:
+        own = Springs(springs.points[rows], springs.stiffness[rows]) if many else springs
+        touchable = surroundings.take(rows)
+        motion = _Motion(*given, stepping, own, direction, tuple(part[rows] for part in index), touchable, touching)
         memory, remembered = motion.begin(begin, directions)
-        return motion.run(memory, progress, directions, remembered)
+        return motion.run(memory, progress, directions, remembered), motion.relinked
+
+    def run(stepping: Stepping, rows: np.ndarray, progress=None) -> Trajectory:
+        if surroundings.itself is None:
+            return moved(stepping, rows, progress)[0]
+        start = begin.configuration.vertices[index[0][rows]]
+        return kept_apart(moved, stepping, rows, start, surroundings.take(rows).radius, progress)
 
     if stepping.tolerance is None and stepping.precision != "mixed":
-        return run(stepping, pairs, springs, (obstacles, radius), progress)
-    index = paired_rows(begin.configuration.count, material.count, *((None, None) if pairs is None else pairs))
-    many = springs is not None and springs.count > 1
-
-    def some(stepping: Stepping, rows: np.ndarray, progress=None) -> Trajectory:
-        own = Springs(springs.points[rows], springs.stiffness[rows]) if many else springs
-        thick = radius if np.size(radius) < 2 else np.asarray(radius)[rows]
-        touchable = [obstacle.take(rows) for obstacle in obstacles], thick
-        return run(stepping, tuple(part[rows] for part in index), own, touchable, progress)
-
-    return adapted(some, len(index[0]), stepping, progress)
+        return run(stepping, np.arange(len(index[0])), progress)
+    return adapted(run, len(index[0]), stepping, progress)
 
 
 class _Motion:
     """A motion laid out for the kernels."""
 
-    def __init__(self, start, material, grippers, dynamics, stepping, springs, up, pairs, touchable):
+    def __init__(self, start, material, grippers, dynamics, stepping, springs, up, pairs, surroundings, touching):
         if grippers.count not in (1, start.count):
             raise InputError("simulate", "grippers", f"{grippers.count} rods, start has {start.count}", "give one, or as many")
         if dynamics.count not in (1, material.count):
@@ -124,16 +132,19 @@ class _Motion:
         self.start, self.material, self.dynamics, self.springs, self.up = start, material, dynamics, springs, up
         self.stepping, self.substeps, self.step = stepping, stepping.substeps, stepping.step
         self.grippers = grippers.refined(stepping.substeps)
-        self.pairs = (None, None) if pairs is None else pairs
-        self.obstacles, self.radius = touchable
+        self.pairs, self.surroundings, self.touching = pairs, surroundings, touching
         self.first = _spread(grippers.at(0), start.count)
+        self.watched = surroundings.itself is not None and not touching
+        self.relinked = np.zeros(0, dtype=bool)
 
     def table(self, factor: float) -> Tables:
         """The tables of the rods for time derivatives of that factor a."""
         vertices = self.start.edges + 1
         external = Springs(np.zeros((1, vertices, 3)), np.zeros((1, vertices)))
-        return tables(self.start, self._stiffened(factor), self.first, self.up, *self.pairs, external, None,
-                      self.obstacles, self.radius, in_motion=True)
+        obstacles = self.surroundings.obstacles if self.touching else self.surroundings.bodies
+        table = tables(self.start, self._stiffened(factor), self.first, self.up, *self.pairs, external, None,
+                       obstacles, self.surroundings.radius, in_motion=True)
+        return replace(table, contact=table.contact.touching(np.arange(table.count))) if self.touching else table
 
     def _stiffened(self, factor: float) -> Material:
         """The material with the stiffness and the rest curvature that damping adds."""
@@ -230,7 +241,8 @@ class _Motion:
             table.external_index[:] = rows
             path = clamp_path(self.grippers, self.start, slice(ahead - 1, ahead))
             slopes = trial_motion.slopes(table, 1.0, directions, remembered)
-            make_steps(table, trial, path, numbers, shares, np.array([trial_step, 1.0, 0.0, 1.0]), 1, _newton(), 64, slopes)
+            time = np.array([trial_step, 1.0, 0.0, 1.0, 0.0])
+            make_steps(table, trial, path, numbers, shares, time, 1, _newton(), 64, slopes)
             moved = trial.places[..., VELOCITY_1 : VELOCITY_1 + 3]
             a = np.where((trial.status == Status.CONVERGED)[:, None, None], (moved - v) / trial_step, 0.0)
             v = v + age * a
@@ -264,7 +276,8 @@ class _Motion:
         table = self.table(factor)
         slopes = self.slopes(table, factor, directions, remembered)
         numbers, shares, table.external_index[:] = self.numbers(table, factor)
-        time = np.array([self.step, factor, (factor - 1.0) / factor, LEAST_WAY if self.stepping.quasi_static else 1.0])
+        least_way = LEAST_WAY if self.stepping.quasi_static else 1.0
+        time = np.array([self.step, factor, (factor - 1.0) / factor, least_way, self.watched])
         frames = (self.grippers.instants - 1) // self.substeps
         numbers_a_frame = 3 * table.count * (table.edges + 1) * (1 if slopes is None else 1 + slopes.count)
         at_once = max(1, min(frames, NUMBERS_AT_ONCE // numbers_a_frame))
@@ -291,6 +304,8 @@ class _Motion:
         positions, outcomes, changes, forces = zip(*parts, strict=True)
         outcome = _joined(outcomes)
         status = outcome[..., STATE].astype(np.int8)
+        spin_held = (table.clamp[:, [of.SPIN_START, of.SPIN_END]] == 0).all(axis=1)[table.configuration_index]
+        self.relinked = (outcome[..., RELINKED] > 0).any(axis=1) & spin_held
         return Trajectory(
             _joined(positions), status, outcome[..., TRIPS].astype(np.int32), outcome[..., MOMENT],
             outcome[..., END_FORCE:FRICTION_WORK], self.stepping.rate, memory,

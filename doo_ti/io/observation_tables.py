@@ -2,7 +2,7 @@
 
 A table has one row per vertex:
 
-    observation, vertex        whole numbers, vertices 0 … E of each observation once, rows in any order
+    observation, vertex        whole numbers, vertices 0 … E, or 1 … V, of each observation once, rows in any order
     x_mm, y_mm, z_mm           the vertex; empty where it is missing
     valid, sigma_mm            of the vertex
     rest_length_mm, frame_*    of the edge from this vertex to the next, empty at vertex E
@@ -12,7 +12,7 @@ A table has one row per vertex:
 
 The nine columns of a frame end in t_x, m1_x, m2_x, t_y, …, m2_z. Only the position is required, and its columns may state
 another unit, x_m or x_cm, or none, x, which is mm; without ``vertex`` rows are in order along the rod, without ``observation``
-there is one. Other columns are ignored.
+there is one. Names are known in any case. Other columns are ignored.
 """
 
 from collections.abc import Callable
@@ -120,19 +120,21 @@ def _counted(labels: np.ndarray) -> np.ndarray:
 
 def _named(path: Path, names, renamed: dict[str, str]) -> dict[str, tuple[str, float]]:
     """Column of the format: (column of the file, factor to its unit), of those that a file with columns ``names`` has."""
-    found = {name: (name, 1.0) for name in _COLUMNS if name in names}
+    given = {name.lower(): name for name in names} | {name: name for name in names}
+    found = {name: (given[name], 1.0) for name in _COLUMNS if name in given}
     for unit, factor in (*((f"_{unit}", factor) for unit, factor in UNITS_IN_MM.items()), ("", 1.0)):
         own = [f"{axis}{unit}" for axis in AXES]
-        if _POSITION[0] not in found and own[0] in names:
-            found |= {name: (column, factor) for name, column in zip(_POSITION, own, strict=True) if column in names}
+        if _POSITION[0] not in found and own[0] in given:
+            found |= {name: (given[column], factor) for name, column in zip(_POSITION, own, strict=True) if column in given}
+    listed = f"the file has {', '.join(list(names)[:20])}"
     for name, column in renamed.items():
         if column not in names:
-            raise InputError(path, column, "the column is missing", f"the file has {', '.join(list(names)[:20])}")
+            raise InputError(path, column, "the column is missing", listed)
         found[f"{name}_mm" if name in AXES else name] = (column, 1.0)
     missing = next((name for name in _POSITION if name not in found), None)
     if missing is not None:
-        raise InputError(path, missing, "the column is missing",
-                         f"give the columns observation, vertex, {', '.join(_POSITION)}, or name yours with `columns`")
+        raise InputError(path, missing, "the column is missing", f"give the columns observation, vertex, "
+                         f"{', '.join(_POSITION)}, or name yours with `columns`; {listed}")
     return found
 
 
@@ -189,6 +191,7 @@ def _parquet_numbers(path: Path, name: str, column) -> np.ndarray:
 
 def _row_order(path, observation: np.ndarray, vertex: np.ndarray) -> tuple[np.ndarray, tuple[int, int]]:
     """The rows sorted by observation, then vertex, and (D, V)."""
+    vertex = vertex - (vertex.min() == 1)  # some programs count from one
     order = np.lexsort((vertex, observation))
     labels, count = np.unique(observation, return_counts=True)
     marks = int(vertex.max()) + 1
@@ -196,7 +199,8 @@ def _row_order(path, observation: np.ndarray, vertex: np.ndarray) -> tuple[np.nd
     wrong = np.flatnonzero(vertex[order] != expected)
     if len(wrong) or (count != marks).any():
         label = observation[order][wrong[0]] if len(wrong) else labels[np.argmax(count != marks)]
-        raise InputError(path, "vertex", f"observation {label} has other rows than vertices 0 to {marks - 1} once each",
+        raise InputError(path, "vertex", f"observation {label} has other rows than vertices 0 to {marks - 1}, or 1 to {marks}, "
+                         "once each",
                          "give one row per vertex, with empty coordinates and valid = 0 where the mark is missing")
     return order, (len(labels), marks)
 

@@ -2,7 +2,7 @@
 
 The stage states ``metersPerUnit`` (0.01 by default) and ``upAxis`` (Y by default). Points with time samples give a curve for
 each sample. Control points of cubic curves are taken as points of the rod, which they are only for interpolating bases.
-Transforms of the prims are not applied: a file with any is refused.
+Transforms of the prims and of those around them are applied (:mod:`doo_ti.io.usd_prims`).
 """
 
 import re
@@ -12,28 +12,27 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.io.curves import Curves, checked_points, chosen_names
+from doo_ti.io.usd_prims import Prim, placement, prims
 
 UP = {"Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
-CURVE = re.compile(r'\bdef\s+(?:BasisCurves|NurbsCurves)\s+"([^"]+)"')
+KINDS = ("BasisCurves", "NurbsCurves")
 LEAST_METRES, MOST_METRES = 1e-9, 1e6
 TRIPLE = re.compile(r"\(\s*([^\s,()]+)\s*,\s*([^\s,()]+)\s*,\s*([^\s,()]+)\s*\)")
 
 
 def read_usd(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
     """The curves of a .usda file, all or those of the prims ``names``. Raises InputError for files without curves, for
-    transforms and for curves of different sizes."""
+    transforms that change over time and for curves of different sizes."""
     text = content.decode(errors="replace")
     if not text.startswith("#usda"):
         raise InputError(path, "file", "is not USD in text form", "convert it with: usdcat IN.usd -o OUT.usda")
-    if "xformOp:" in text:
-        raise InputError(path, "xformOp", "the prims have transforms", "apply them to the points, and export again")
-    starts = list(CURVE.finditer(text))
-    ends = [*(match.start() for match in starts[1:]), len(text)]
-    found = {match[1]: text[match.end() : end] for match, end in zip(starts, ends, strict=False)}
+    curved = [prim for prim in prims(text) if prim.kind in KINDS]
+    names_of = [prim.name for prim in curved]
+    found = {prim.path if names_of.count(prim.name) > 1 else prim.name: prim for prim in curved}
     if not found:
         raise InputError(path, "BasisCurves", "the file has none", "export the rod as a curve")
     chosen = chosen_names(path, "BasisCurves", list(found), names)
-    curves = [curve for name in chosen for curve in _curves(path, name, found[name])]
+    curves = [curve for name in chosen for curve in _placed(path, found[name])]
     sizes = {len(curve) for curve in curves}
     if len(sizes) > 1:
         raise InputError(path, "points", f"curves of {min(sizes)} to {max(sizes)} points", "name curves that have equally many")
@@ -41,9 +40,15 @@ def read_usd(path: Path, content: bytes, names: list[str] | None = None) -> Curv
     return Curves(checked_points(path, np.stack(curves)), 1000.0 * _metres_per_unit(path, text), UP[up[1] if up else "Y"])
 
 
+def _placed(path: Path, prim: Prim) -> list[np.ndarray]:
+    """The curves (V, 3) of one prim in the world."""
+    matrix = placement(path, prim)
+    return [points @ matrix[:3, :3].T + matrix[:3, 3] for points in _curves(path, prim.name, prim.text)]
+
+
 def _metres_per_unit(path: Path, text: str) -> float:
     """The stage's unit of length; 0.01 where it states none."""
-    stated = re.search(r"\bmetersPerUnit\s*=\s*(\S+)", text)
+    stated = re.search(r"\bmetersPerUnit\s*=\s*([^\s()]+)", text)
     try:
         value = float(stated[1]) if stated else 0.01
     except ValueError:

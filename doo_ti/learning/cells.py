@@ -30,7 +30,7 @@ def relaxed(experiment: Experiment, materials: Material) -> Solution:
     starts, clamps = started(observations, experiment.clamps, experiment.hypotheses)
     of_material, hypothesis = np.divmod(np.arange(materials.count * starts.count), starts.count)
     return relax(starts, materials, clamps, options.solver, up=observations.up, precision=options.precision,
-                 configuration_index=hypothesis, material_index=of_material)
+                 configuration_index=hypothesis, material_index=of_material, **options.surroundings.arguments)
 
 
 def load_kernels(experiment: Experiment) -> None:
@@ -39,7 +39,7 @@ def load_kernels(experiment: Experiment) -> None:
     starts, clamps = started(observations, experiment.clamps, experiment.hypotheses)
     rows = np.resize(np.arange(starts.count), FEW_RODS)
     relax(starts.take(rows), experiment.grid.materials(slice(0, 1)), clamps.take(rows), options.solver, up=observations.up,
-          precision=options.precision)
+          precision=options.precision, **options.surroundings.arguments)
 
 
 def carried(experiment: Experiment, materials: Material) -> tuple[Solution, np.ndarray, np.ndarray]:
@@ -70,7 +70,7 @@ def journey(experiment: Experiment, materials: Material) -> Journey:
     rotation = None if pairs.rotation is None else pairs.rotation[term]
     motion = motion_between(clamps.take(hypothesis), experiment.clamps.take(pairs.to_index[term]), rotation)
     return Journey(motion, materials, options.sub_step, observations.rest_length, observations.up, options.solver,
-                   options.precision)
+                   options.precision, options.surroundings)
 
 
 def relax_cells(experiment: Experiment, first: int, last: int) -> tuple[dict[str, np.ndarray], Configuration]:

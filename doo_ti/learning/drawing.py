@@ -87,7 +87,8 @@ def _iterations(experiment: Experiment, material: Material) -> Iterator[tuple]:
     nothing = np.full(starts.count, np.nan)
     yield starts, nothing, nothing, None
     for count in range(1, MOST_MOMENTS + 1):
-        solution = relax(starts, material, clamps, Newton(max_iterations=count), up=experiment.observations.up)
+        solution = relax(starts, material, clamps, Newton(max_iterations=count), up=experiment.observations.up,
+                         **experiment.options.surroundings.arguments)
         yield solution.configuration, solution.energy, solution.residual, solution.status
         if (solution.iterations < count).all():
             return

@@ -9,11 +9,14 @@ from functools import cached_property
 
 import numpy as np
 
+from doo_ti.contact.obstacle_arrays import described
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.grid import Grid
 from doo_ti.io.observations import Observations
-from doo_ti.learning.hypotheses import Hypotheses, hypotheses_of
+from doo_ti.learning.hypotheses import Hypotheses, hypotheses_of, started
 from doo_ti.learning.pairs import Pairs, check_ways, pairs_from_labels
+from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import PRECISIONS
@@ -36,6 +39,7 @@ class SweepOptions:
     spins                  roll angles, evenly over a turn, to try for a clamp whose roll was not measured; 0: it turns freely
     sub_step               rad, the largest turn of a clamp in one sub-step of Eq. 3; its shift is limited in proportion
     seed                   kept for the provenance: a sweep itself uses no random numbers
+    surroundings           what the observed rods lie on or touch, the same for all, and their radius
     workers                processes that share the chunks; None: this one. The result does not depend on it
     scheduler              address of a Dask scheduler whose workers share the chunks instead
     """
@@ -49,6 +53,7 @@ class SweepOptions:
     spins: int = 0
     sub_step: float = np.radians(10.0).item()
     seed: int = 0
+    surroundings: Surroundings = Surroundings()
     workers: int | None = None
     scheduler: str | None = None
 
@@ -61,9 +66,17 @@ class SweepOptions:
             raise InputError("sweep", "sub_step", f"{self.sub_step!r}", f"give radians from {LEAST_SUB_STEP:g} to pi")
         require_whole("sweep", "spins", self.spins, 0)
         require_number("sweep", "seed", self.seed)
+        if self.surroundings:
+            self._check_surroundings()
         for name, allowed in (("precision", PRECISIONS), ("objective", ("static", "dynamic"))):
             if getattr(self, name) not in allowed:
                 raise InputError("sweep", name, f"{getattr(self, name)!r}", f"give one of {', '.join(allowed)}")
+
+    def _check_surroundings(self) -> None:
+        if isinstance(self.solver, Descent):
+            raise InputError("sweep", "solver", "Descent cannot use obstacles", "give Newton()")
+        if np.size(self.surroundings.radius) != 1 or any(obstacle.count > 1 for obstacle in self.surroundings.obstacles):
+            raise InputError("sweep", "obstacles", "other ones, or another radius, for each rod", "give the same to all rods")
 
     def as_dict(self) -> dict:
         """The options that cells depend on, as JSON holds them; :meth:`from_dict` reads them back."""
@@ -72,11 +85,12 @@ class SweepOptions:
         name = next(name for name, kind in SOLVERS.items() if isinstance(self.solver, kind))
         return {"frame_weight_mm": self.frame_weight, **kinds, "solver": {"name": name, **asdict(self.solver)},
                 "precision": self.precision, "objective": self.objective, "spins": self.spins,
-                "sub_step_rad": self.sub_step}
+                "sub_step_rad": self.sub_step, **({"obstacles": described(self.surroundings)} if self.surroundings else {})}
 
     @classmethod
     def from_dict(cls, content: dict) -> "SweepOptions":
-        """The options that :meth:`as_dict` wrote. Raises KeyError or TypeError where ``content`` holds none."""
+        """The options that :meth:`as_dict` wrote, without obstacles. Raises KeyError or TypeError where ``content`` holds
+        none."""
         content = dict(content)
         solver = dict(content.pop("solver"))
         kinds = {name: None if content[name] is None else Clamp[content[name].upper()] for name in ("clamp_start", "clamp_end")}
@@ -93,7 +107,7 @@ class Experiment:
     hypotheses  the rods of each observation; by default all that its labels allow
 
     Raises InputError for pairs under Eq. 2, for Eq. 3 without pairs or labels, for half turns of unknown direction, for
-    ``spins`` where no roll is unknown, and for two unknown rolls of a rod that is not round.
+    ``spins`` where no roll is unknown, for two unknown rolls of a rod that is not round, and for rods inside obstacles.
     """
 
     observations: Observations
@@ -121,6 +135,9 @@ class Experiment:
             if dynamic:
                 hypotheses = hypotheses.take(np.isin(hypotheses.observation, self.pairs.from_index))
             object.__setattr__(self, "hypotheses", hypotheses)
+        if self.options.surroundings:
+            starts, held = started(self.observations, clamps, self.hypotheses)
+            require_clear(self.observations.source, self.options.surroundings, held, starts, self.hypotheses.observation)
 
     @cached_property
     def clamps(self) -> Clamps:

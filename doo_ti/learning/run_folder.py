@@ -1,6 +1,7 @@
 """The folder of a run: which sweep it belongs to, and the experiment from which its cells can be computed again.
 
     RUN/observations.npz, RUN/pairs.csv   the observations, and the pairs of Eq. 3
+    RUN/obstacles.npz                     what the rods may touch, where there is anything
     RUN/hypotheses/*.parquet              a row for each hypothesis, where there are several, until they are resolved
     RUN/cells/*.parquet                   one row per cell and observation, or pair
     RUN/cells/identity.txt, plan.json     which sweep claimed the folder; its grid and options, for `view` until it is finished
@@ -22,6 +23,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from doo_ti import __version__
+from doo_ti.contact.obstacle_arrays import load_surroundings, save_surroundings
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.io.files import MOST_TEXT_BYTES, read_content, remove_leftovers, write_whole
@@ -40,7 +42,8 @@ from doo_ti.learning.summary import (
 )
 from doo_ti.types import Clamp
 
-OBSERVATIONS, PAIRS, IDENTITY, PLAN = "observations.npz", "pairs.csv", "identity.txt", "plan.json"
+OBSERVATIONS, PAIRS, OBSTACLES = "observations.npz", "pairs.csv", "obstacles.npz"
+IDENTITY, PLAN = "identity.txt", "plan.json"
 
 
 def identity_of(experiment: Experiment, *more) -> str:
@@ -77,6 +80,8 @@ def claim(run: Path, identity: str, experiment: Experiment) -> None:
     _save_once(run / OBSERVATIONS, save_observations, experiment.observations)
     if experiment.pairs is not None:
         _save_once(run / PAIRS, save_pairs, experiment.pairs)
+    if experiment.options.surroundings:
+        _save_once(run / OBSTACLES, save_surroundings, experiment.options.surroundings)
     plan = {"material": experiment.observations.name, "grid": experiment.grid.as_dict(), "hypotheses": None,
             "provenance": {**_inputs(experiment), "sweep_sha256": identity}}
     _save_once(path.with_name(PLAN), _save_text, json.dumps(plan, indent=2) + "\n")
@@ -122,7 +127,7 @@ def read_experiment(run: Path) -> Experiment:
     """The experiment of a finished sweep, from its folder alone, with each observation's resolved hypothesis, so that it gives
     the stored cells again. Raises InputError where the folder holds none."""
     summary = read_summary(run)
-    for name in changed_files(Path(run), summary, (OBSERVATIONS, PAIRS)):
+    for name in changed_files(Path(run), summary, (OBSERVATIONS, PAIRS, OBSTACLES)):
         raise InputError(Path(run) / name, "file", "gone, or not what the sweep wrote",
                          "run the sweep again, which writes it")
     return _experiment(Path(run), Path(run) / "summary.json", summary)
@@ -143,12 +148,18 @@ def _experiment(run: Path, path: Path, described: dict) -> Experiment:
     try:
         inputs, resolution = described["provenance"], described["hypotheses"]
         options = replace(SweepOptions.from_dict(inputs["options"]), seed=inputs["seed"])
+        touched = inputs["options"].get("obstacles")
         hypotheses = None if resolution is None else Hypotheses.from_dict(resolution["kept"])
         material, digest = described["material"], inputs["input_sha256"]
+        surroundings = None if touched is None else load_surroundings(run / OBSTACLES, touched)
     except InputError as error:
+        if error.source == str(run / OBSTACLES):
+            raise
         raise InputError(path, error.field, "not a value that a sweep can have", "run the sweep again") from None
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(path, "file", "does not describe a sweep", "run the sweep again") from None
+    if surroundings is not None:
+        options = replace(options, surroundings=surroundings)
     observations = replace(load_observations(run / OBSERVATIONS), name=material, sha256=digest)
     pairs = load_pairs(run / PAIRS, observations) if options.objective == "dynamic" else None
     return Experiment(observations, Grid.from_dict(described.get("grid"), str(path)), options, pairs, hypotheses)

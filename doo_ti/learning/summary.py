@@ -21,7 +21,7 @@ SOURCES = ("frames.py", "metric.py", "motion", "physics", "relaxation", "runtime
            "learning/cells.py", "learning/experiment.py", "learning/hypotheses.py", "learning/pairs.py")
 """Files and folders of the package that cells depend on."""
 SUMMARY, SEAL = "summary.json", "sha256"
-REMADE = ("landscape.png", "run.rrd", "observations.npz", "pairs.csv")
+REMADE = ("landscape.png", "run.rrd", "observations.npz", "pairs.csv", "obstacles.npz")
 """Files that a sweep can write again from its cells and its input."""
 
 

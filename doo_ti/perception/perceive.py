@@ -17,12 +17,13 @@ Axes: A image sets, C cameras, N hypotheses of all sets, E edges, V vertices, K 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.perception.growth import rank_distinct
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
@@ -123,6 +124,7 @@ def perceive(
     maps: DistanceMaps, rig: Rig, point: ArrayLike, direction: ArrayLike, rest_length: ArrayLike, material: Material, *,
     up: ArrayLike = (0.0, 0.0, 1.0),
     options: PerceptionOptions = PerceptionOptions(), on_step: Callable[[int, Hypotheses, Hypotheses], None] | None = None,
+    surroundings: Surroundings = Surroundings(),
 ) -> Perception:
     """Recover the rods in A sets of images (Alg. 1).
 
@@ -134,10 +136,12 @@ def perceive(
     material     one Θ for all rods
     up           (3,) direction against gravity; any length
     on_step      called with the number of edges, the hypotheses kept and those pruned, after each step
+    surroundings obstacles that all rods may touch but not enter, and their radius
 
-    Raises InputError for shapes that do not match, fewer than two edges, and more than one material.
+    Raises InputError for shapes that do not match, fewer than two edges, more than one material, and seeds inside an obstacle.
     """
     search = _checked(maps, rig, point, direction, rest_length, material, up, options)
+    search = replace(search, surroundings=check_seeds(surroundings, search.point))
     kept = search.initial_hypotheses()
     for edges in range(2, len(search.rest_length) + 1):
         grown = search.nearly_relaxed(search.grown(kept))
@@ -165,6 +169,23 @@ def _checked(maps, rig, point, direction, rest_length, material, up, options) ->
         raise InputError("perceive", "material", f"{material.count} rows", "give one material")
     direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
     return Search(maps, rig, point, direction, rest_length, material, up / np.linalg.norm(up), options)
+
+
+def check_seeds(surroundings: Surroundings, point: np.ndarray) -> Surroundings:
+    """``surroundings``, if rods can begin at ``point`` (A, 3) there. Raises InputError."""
+    if not surroundings:
+        return surroundings
+    if np.size(surroundings.radius) != 1 or any(obstacle.count > 1 for obstacle in surroundings.obstacles):
+        raise InputError("perceive", "obstacles", "other ones, or another radius, for each rod", "give the same to all rods")
+    if surroundings.itself is not None:
+        raise InputError("perceive", "obstacles", "the rod itself", "leave it out: a growing rod is no obstacle to itself")
+    for obstacle in surroundings.obstacles:
+        gap = obstacle.distance(point[None])[0][0] - surroundings.radius
+        worst = int(np.argmin(gap))
+        if gap[worst] < 0:
+            raise InputError("perceive", "point", f"a rod that begins there is {-gap[worst]:.3g} mm inside a "
+                             f"{type(obstacle).__name__}", "correct the seed or the obstacle, or give a smaller `radius`")
+    return surroundings
 
 
 def _result(search: Search, kept: Hypotheses) -> Perception:

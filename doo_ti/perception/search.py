@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError, require_whole
 from doo_ti.frames import (
     across,
@@ -33,6 +34,8 @@ from doo_ti.vision.reprojection.distance_map import DistanceMaps
 from doo_ti.vision.reprojection.image_energy import Reprojection
 from doo_ti.vision.reprojection.score import score
 
+FAILED = Status.NOT_FINITE, Status.INFEASIBLE
+"""Rods that have no shape; infeasible are those inside an obstacle."""
 LOST = 1e30
 """1/mm: E_vis of a rod that failed while growing. Its start is kept if its set has no better hypothesis."""
 
@@ -104,6 +107,7 @@ class Search:
     rest_length  (E,) mm
     material     one Θ for all
     up           (3,) unit vector against gravity
+    surroundings what the rods may touch, the same for all
     """
 
     maps: DistanceMaps
@@ -114,6 +118,7 @@ class Search:
     material: Material
     up: np.ndarray
     options: PerceptionOptions
+    surroundings: Surroundings = Surroundings()
     first: np.ndarray = field(init=False)
     scale: float = field(init=False)
 
@@ -154,8 +159,8 @@ class Search:
         solver = Newton(max_iterations=options.growing_iterations, tolerance=0.1)
         solution = relax(start, self.material, clamps, solver, up=self.up, precision="f32 only",
                          external=self.seen(options.points, options.growing_nu, options.growing_cap),
-                         external_index=grown.of_set)
-        lost = solution.status == Status.NOT_FINITE
+                         external_index=grown.of_set, **self.surroundings.arguments)
+        lost = np.isin(solution.status, FAILED)
         quaternions = np.where(lost[:, None, None], grown.quaternions, solution.configuration.quaternions)
         return Hypotheses(grown.of_set, quaternions, np.where(lost, LOST, solution.energy / self.scale))
 
@@ -165,8 +170,9 @@ class Search:
         fine = Hypotheses(hypotheses.of_set, np.repeat(hypotheses.quaternions, pieces, axis=1), hypotheses.energy_vis)
         start, clamps = self._held(fine, np.repeat(self.rest_length / pieces, pieces))
         solution = relax(start, self.material, clamps, Newton(), up=self.up, precision="mixed",
-                         external=self.seen(self.piece_points, self.options.nu, self.options.cap), external_index=fine.of_set)
-        energy = np.where(solution.status == Status.NOT_FINITE, np.inf, solution.energy / self.scale)
+                         external=self.seen(self.piece_points, self.options.nu, self.options.cap), external_index=fine.of_set,
+                         **self.surroundings.arguments)
+        energy = np.where(np.isin(solution.status, FAILED), np.inf, solution.energy / self.scale)
         return Hypotheses(fine.of_set, solution.configuration.quaternions, energy), solution
 
     def selected(self, grown: Hypotheses) -> np.ndarray:

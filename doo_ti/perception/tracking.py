@@ -16,13 +16,14 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, MovingStart, Stepping
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.errors import InputError
 from doo_ti.frames import quaternion_product, smallest_rotation, tangent_from_quaternion
 from doo_ti.motion.path import Motion
-from doo_ti.perception.perceive import perceive
+from doo_ti.perception.perceive import check_seeds, perceive
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
 from doo_ti.perception.shape_uncertainty import vertex_sigma
 from doo_ti.prediction.predict import predict_step
@@ -128,15 +129,16 @@ class Tracker:
     rig, rest_length, material, up, search   as in :func:`doo_ti.perception.perceive.perceive`, ``search`` its options
     options                                  when the rod counts as lost
     inertia                                  where given, the rod as it moves on by its velocity is one more initial shape
+    surroundings                             obstacles that the rod may touch but not enter, and its radius
     """
 
     def __init__(self, rig: Rig, rest_length: ArrayLike, material: Material, *, up: ArrayLike = (0.0, 0.0, 1.0),
                  search: PerceptionOptions = PerceptionOptions(), options: TrackingOptions = TrackingOptions(),
-                 inertia: Inertia | None = None) -> None:
+                 inertia: Inertia | None = None, surroundings: Surroundings = Surroundings()) -> None:
         self._rig, self._material, self._search, self._options = rig, material, search, options
         self._rest_length = np.asarray(rest_length, dtype=np.float64)
         self._up = np.asarray(up, dtype=np.float64) / np.linalg.norm(up)
-        self._inertia = inertia
+        self._inertia, self._surroundings = inertia, surroundings
         self._last: _Rod | None = None
         self._velocity: np.ndarray | None = None  # (V, 3) mm/s, from the frame before the last one to the last one
         self._usual = np.inf  # px, mean over the cameras: the least since the last run of Algorithm 1
@@ -160,7 +162,8 @@ class Tracker:
             return self._lost()
         point, direction = (np.asarray(value, dtype=np.float64).reshape(1, 3) for value in (point, direction))
         search = Search(distance_maps([[found for found in detected if found.count]]), self._rig.only(seeing), point,
-                        direction / np.linalg.norm(direction), self._rest_length, self._material, self._up, self._search)
+                        direction / np.linalg.norm(direction), self._rest_length, self._material, self._up, self._search,
+                        check_seeds(self._surroundings, point))
         rod, how = None if self._last is None else self._tracked(search, far, elapsed), How.TRACKED
         if rod is None or self._doubtful(rod):
             self._usual = np.inf
@@ -200,7 +203,8 @@ class Tracker:
     def _carried(self, last: Configuration, search: Search, far: Motion) -> np.ndarray:
         """(E, 4) the last rod after its start has moved to the seed and its far end with the clamp."""
         here, goal = self._clamps(last, search, far)
-        solution, _ = predict_step(last, self._material, here, goal, up=self._up, watch=False)
+        solution, _ = predict_step(last, self._material, here, goal, up=self._up, watch=False,
+                                   **self._surroundings.arguments)
         return solution.configuration.quaternions[0]
 
     @staticmethod
@@ -219,7 +223,7 @@ class Tracker:
             "start_position", "end_position", "start_frame", "end_frame")))
         start = MovingStart(last, self._velocity[None], 0.5 * elapsed)
         found = simulate(start, self._material, grippers, self._inertia.dynamics,
-                         Stepping(1.0 / elapsed, self._inertia.substeps), up=self._up)
+                         Stepping(1.0 / elapsed, self._inertia.substeps), up=self._up, **self._surroundings.arguments)
         return np.where(found.converged[0], found.memory.frames[0], np.nan)
 
     def _whole(self, rod: _Rod) -> Configuration:
@@ -230,7 +234,7 @@ class Tracker:
     def _seeded(self, search: Search) -> _Rod:
         """The rod that Algorithm 1 finds."""
         found = perceive(search.maps, search.rig, search.point, search.direction, self._rest_length, self._material,
-                         up=self._up, options=self._search)
+                         up=self._up, options=self._search, surroundings=self._surroundings)
         return _Rod(found.configuration, found.energy_vis[0], found.camera_error[0], found.status[0], found.stable[0])
 
     def _seen(self, rod: _Rod) -> bool:

@@ -5,6 +5,8 @@ from fractions import Fraction
 
 import taichi as ti
 
+from doo_ti.physics.algebra import absolute
+
 
 def _arctangent_coefficients(terms: int) -> tuple[float, ...]:
     """c_k of atan(t) = t Σ c_k t^{2k} on [−1, 1]: Chebyshev interpolation of atan(√s)/√s on s in [0, 1].
@@ -104,3 +106,22 @@ def half_turn_angle_function(number):
         return arctangent(ratio) + ti.select(steep, quarter, none)
 
     return half_turn_angle
+
+
+@ti.func
+def turned_about_own_tangent(p, q):
+    """(cos φ, sin φ) of the angle φ about its tangent by which the frame q is turned against the frame p transported to q's
+    tangent: that of the twist in p⁻¹ q, the rest of which is the transport."""
+    w = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
+    x = p[0] * q[1] - p[1] * q[0] - p[2] * q[3] + p[3] * q[2]
+    return w * w - x * x, 2.0 * w * x
+
+
+@ti.func
+def passed_half_turn(before, after):
+    """±1 where the shorter way between two angles, given as (cos, sin) of any length, passes half a turn, else 0."""
+    one = 0.0 * before[0] + 1.0
+    below = before[1] < 0.0
+    lowest = before[0] * absolute(after[1]) + after[0] * absolute(before[1])
+    passes = (before[1] * after[1] < 0.0) & (lowest < 0.0)
+    return ti.select(passes, ti.select(below, 0.0 - one, one), 0.0 * one)

@@ -150,7 +150,7 @@ def begun(configuration: Configuration, material: Material, clamps: Clamps, path
 def predict_step(
     configuration: Configuration, material: Material, clamps: Clamps, goal: Clamps, *,
     rotation: ArrayLike | None = None, sub_step: float = LARGEST_TURN, up: ArrayLike = (0.0, 0.0, 1.0), precision: str = "f32",
-    watch: bool = True,
+    watch: bool = True, obstacles: Sequence[Obstacle] = (), radius: ArrayLike | None = None,
 ) -> tuple[Solution, np.ndarray | None]:
     """One rod after each of K candidate motions of its clamps, for planners: the solution, K rods, and (K,) how often each has
     jumped to another branch.
@@ -161,15 +161,19 @@ def predict_step(
     rotation       (K,) rad by which the far frame turns about the rod, whole turns included; None: the shortest way
     watch          whether jumps are detected, and sub-steps that look like one are repeated in smaller ones. Without it a call
                    takes three quarters of the time and returns None in place of the jumps
+    obstacles, radius  as in :func:`doo_ti.relaxation.relax.relax`, for K rods; without friction
 
     The number of sub-steps of a rod depends on its own motion. A rod that does not converge in one of them keeps that status.
     """
+    if len(obstacles) and radius is None:
+        raise InputError("predict_step", "radius", "missing beside obstacles", "give the rod's radius in mm")
     count = len(goal.start_position)
     rows = np.zeros(count, dtype=np.int64)
     motion = motion_between(clamps.take(rows), goal, None if rotation is None else np.broadcast_to(rotation, count))
     still = {f"{end}_{part}": None for end in ("start", "end") for part in ("shift", "turn")
              if not getattr(motion, f"{end}_{part}").any()}
-    journey = Journey(replace(motion, **still), material, sub_step, configuration.rest_length, up, precision=precision)
+    journey = Journey(replace(motion, **still), material, sub_step, configuration.rest_length, up, precision=precision,
+                      surroundings=Surroundings(obstacles, radius))
     solution, jumps = journey.end(configuration.take(rows), watch)
     return solution, jumps if watch else None
 

@@ -193,4 +193,5 @@ def _track_layout(rig: Rig) -> blueprint.Blueprint:
               for camera in rig.cameras]
     words = log_view("How the rod was found", "frame")
     beside = blueprint.Vertical(space, blueprint.Horizontal(error, words), row_shares=[3, 1])
-    return blueprint.Blueprint(blueprint.Horizontal(beside, blueprint.Grid(*images)), *panels("frame"))
+    views = blueprint.Grid(*images, grid_columns=1 if len(images) <= 3 else 2)
+    return blueprint.Blueprint(blueprint.Horizontal(beside, views, column_shares=[2, 1]), *panels("frame"))

@@ -38,7 +38,7 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
         views.append(blueprint.TimeSeriesView(name="Mean |difference|, mm", origin="curves/error"))
     if energies is not None:
         views.append(blueprint.TimeSeriesView(name=f"Energies of {names[0]}, mm²", origin="curves/energy"))
-    layout = blueprint.Blueprint(blueprint.Vertical(*views, row_shares=[3, 1, 1][: len(views)]), *panels("time"))
+    layout = blueprint.Blueprint(blueprint.Vertical(*views, row_shares=[2, 1, 1][: len(views)]), *panels("time"))
     when = [rerun.TimeColumn("time", duration=np.arange(frames) / rate)]
     with recording(path, f"rollout {name}", name, layout) as stream:
         log_up(stream, "world", grid.basis[2])

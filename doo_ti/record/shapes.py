@@ -73,7 +73,7 @@ def _motion_layout(rods: MovingRods, titles: list[str]) -> blueprint.Blueprint:
     _, into, up = rods.basis
     blue = "" if rods.touched is None else f"; blue: {rods.touched.legend}"
     view = space_view(f"Rods, mm; grey: grippers, white: observed marks{blue}", "world",
-                      (middle - 0.8 * size * (into - 0.3 * up), middle, up))
+                      (middle - size * (into - 0.3 * up), middle, up))
     # The same colours everywhere: one legend, that of the first plot.
     plots = [blueprint.TimeSeriesView(
         name=title, origin=f"curves/{entity_name(title)}",

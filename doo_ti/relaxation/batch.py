@@ -12,8 +12,6 @@ from doo_ti.frames import matrix_from_quaternion, quaternion_from_matrix, vertic
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import chain, descent, newton
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import contact_items
-from doo_ti.relaxation.contact_table import GAP_TOLERANCE
 from doo_ti.relaxation.external import Nothing
 from doo_ti.relaxation.loaded_elimination import FORCE_ITEMS
 from doo_ti.relaxation.loading import LANES, TRIPS
@@ -67,6 +65,14 @@ def continue_newton(table: Tables, options: newton.Newton, bits: int, frames, re
     _launch_newton(table, table.start, table.continued(usable, rows), options, bits, frames, results)
 
 
+def relax_touching(table: Tables, options: newton.Newton, frames, results, rows) -> None:
+    """Relax the rods ``rows`` once more, from their starts and as rods that may touch themselves, in place."""
+    contact = table.contact.touching(rows)
+    results[rows, of.DRIFT:] = 0.0
+    rods = table.rods[np.isin(table.rods[:, of.RESULT_ROW], rows)]
+    _launch_newton(replace(table, contact=contact), table.start, rods, options, 64, frames, results)
+
+
 def _untouched(count: int) -> np.ndarray:
     """(R, RESULTS), UNTOUCHED everywhere."""
     results = np.empty((count, of.RESULTS))
@@ -84,14 +90,14 @@ def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int
     """One launch over ``rods``, whose starts are rows of ``start`` (-, E, 4) or of ``frames``."""
     contact = table.contact
     if contact is not None:
-        near = contact.near[rods[:, of.RESULT_ROW]]
+        near = contact.near[rods[:, of.RESULT_ROW]] | contact.itself
         if not near.all():
             # Rods out of reach of all obstacles are relaxed without them.
             _launch_newton(replace(table, contact=None), start, rods[~near], options, bits, frames, results, moving)
             rods = rods[near]
         if not len(rods):
             return
-    number, threads, stride, block = layout_for(len(rods), bits)
+    number, threads, stride, block = layout_for(len(rods), bits, contact is not None and contact.itself)
     external = table.external if contact is None or table.external is not None else Nothing()
     kind = None if external is None else type(external)
     outer = () if external is None else (external.numbers(), external.field())
@@ -102,13 +108,13 @@ def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int
     if contact is None:
         kernel = newton.newton_kernel(number, table.isotropic, stride, block, serial, kind, any_ends)
     else:
-        kernel = newton.contact_kernel(number, table.isotropic, stride, block, kind, contact.distinct)
+        kernel = newton.contact_kernel(number, table.isotropic, stride, block, kind, contact.distinct, contact.itself)
     per_edge = chain.item_count(table.isotropic) + (0 if external is None else external.items + FORCE_ITEMS * any_ends)
     per_rod = chain.LOADED_PARAMETERS + external.start_items if any_ends else chain.PARAMETERS
     items = per_rod + per_edge * table.edges
     if contact is not None:
-        items += contact_items(table.edges, len(contact.kinds))
-        outer += (contact.obstacles, contact.kinds, contact.radius, GAP_TOLERANCE, contact.memory, contact.forces)
+        items += contact.items(table.edges, len(contact.kinds))
+        outer += contact.arguments(contact.forces)
     scratch, queue = _buffers(number, threads, items)
     policy = np.array([
         *table.up, options.tolerance or newton.TOLERANCES[bits], options.max_iterations, options.first_shift,
@@ -168,26 +174,31 @@ def _chain_form(vertices: np.ndarray, first_directors: np.ndarray) -> np.ndarray
     return quaternion_from_matrix(np.stack([tangents, m1, np.cross(tangents, m1)], axis=-1))
 
 
-def layout_for(rods: int, bits: int) -> tuple[Number, int, int, int]:
-    """(kind of number, threads, item stride, block) that suit the architecture Taichi runs on."""
+def layout_for(rods: int, bits: int, alone: bool = False) -> tuple[Number, int, int, int]:
+    """(kind of number, threads, item stride, block) that suit the architecture Taichi runs on; ``alone``: rods that take long
+    enough for a few of them to be worth a thread each."""
     if runtime.start() == "cpu":
-        number = Number(16 if bits == 32 else 8, bits)
+        number = Number(1 if alone and rods <= 2 * runtime.thread_count() else 16 if bits == 32 else 8, bits)
         return number, max(1, min(runtime.thread_count(), -(-rods // number.width))), 1, 1
     threads = min(max(rods, 1), 1 << 16)
     return Number(1, bits), threads, threads, 64
 
 
-def _buffers(number: Number, threads: int, items: int):
-    """(scratch for every thread, kept from call to call, and the queue, all zero).
+def scratch_for(number: Number, size: int):
+    """Scratch of ``size`` values or more, kept from call to call.
 
-    Scratch at least doubles when it grows: Taichi never frees arrays of packs, and so all earlier ones together are smaller
-    than the last. The queue is a NumPy array, because filling a Taichi array takes a launch.
+    It at least doubles when it grows: Taichi never frees arrays of packs, and so all earlier ones together are smaller than the
+    last.
     """
     import taichi as ti
 
-    size = threads * items
     kept = _scratch.get(number)
     if kept is None or kept.shape[0] < size:
         kept = _scratch[number] = ti.ndarray(number.type, size if kept is None else max(size, 2 * kept.shape[0]))
+    return kept
+
+
+def _buffers(number: Number, threads: int, items: int):
+    """(scratch for every thread, and the queue, all zero: a NumPy array, because filling a Taichi array takes a launch)."""
     queue = _queues[number] = np.zeros(LANES + threads * number.width, dtype=np.int32)
-    return kept, queue
+    return scratch_for(number, threads * items), queue

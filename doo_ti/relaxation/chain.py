@@ -118,7 +118,8 @@ class Chain:
         """The record of the rods whose parameters begin at ``head``, with the tables of an external energy if there is one."""
         return record(
             scratch=scratch, head=head, origin=head + self.parameters * self.stride, edges=tables.rest_length.shape[1],
-            loose=self.loose(scratch, head), contacts=tables.contacts, kinds=tables.kinds, obstacles=tables.kinds.shape[0],
+            loose=self.loose(scratch, head), contacts=tables.contacts, kinds=tables.kinds, grids=tables.grids,
+            obstacles=tables.kinds.shape[0],
             target=self.load3(scratch, head + OF_TARGET * self.stride),
             length_unit=scratch[head + OF_LENGTH_UNIT * self.stride],
             closed=scratch[head + OF_CLOSED * self.stride],

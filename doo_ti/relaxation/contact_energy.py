@@ -249,7 +249,8 @@ class ContactEnergy(ContactPlaces):
     def rub_vertex(self, rod, o, at, contact):
         """Add the friction of the vertex."""
         across = self.load3(rod.scratch, contact + RUBBED_NORMAL * self.stride)
-        rubbed = self.rubbed(rod, o, contact, FORCE, FRICTION, across, self.moved(rod, at))
+        friction = self.load3(rod.scratch, contact + FRICTION * self.stride)
+        rubbed = self.rubbed(rod, self.limit(rod, o, contact, FORCE), friction, across, self.moved(rod, at))
         self.add(rod, ENERGY, (rubbed.energy, dot(rubbed.pull, rubbed.pull) / self.item(rod, STIFFNESS)))
         self.add(rod, GRADIENT, rubbed.pull + rubbed.pull)
         self.add(rod, CURVATURES, rubbed.stiffness + full(rubbed.stiffness) + rubbed.stiffness)
@@ -260,22 +261,28 @@ class ContactEnergy(ContactPlaces):
         zero = 0.0 * rod.total
         s, u = rod.scratch[contact + RUBBED_PLACE * self.stride], self.moved_between(rod, index, contact)
         away = self.load3(rod.scratch, contact + RUBBED_NORMAL_BETWEEN * self.stride)
-        rubbed = self.rubbed(rod, o, contact, FORCE_BETWEEN, FRICTION_BETWEEN, away, u)
+        friction = self.load3(rod.scratch, contact + FRICTION_BETWEEN * self.stride)
+        rubbed = self.rubbed(rod, self.limit(rod, o, contact, FORCE_BETWEEN), friction, away, u)
         pull, bent = chosen(counts, rubbed.pull, repeated(zero, 3)), chosen(counts, rubbed.stiffness, repeated(zero, 6))
         self.add(rod, ENERGY, (ti.select(counts, rubbed.energy, zero), dot(pull, pull) / self.item(rod, STIFFNESS)))
         self.add(rod, GRADIENT, pull + scaled(pull, s))
         self.add(rod, CURVATURES, bent + scaled(full(bent), s) + scaled(bent, s * s))
 
     @ti.func
-    def rubbed(self, rod, o, contact, force: ti.template(), friction: ti.template(), normal, u):
+    def limit(self, rod, o, contact, force: ti.template()):
+        """μ λ, the largest friction of a contact with obstacle ``o``."""
+        return rod.scratch[self.obstacle(rod, o) + COEFFICIENT * self.stride] * rod.scratch[contact + force * self.stride]
+
+    @ti.func
+    def rubbed(self, rod, limit, friction, gradient, u):
         """Friction of a contact that has moved by ``u``: its energy, its derivative and its stiffness.
 
         With the friction q of the round before and z = q + κ u along the surface it is z where |z| ≤ μ λ, and else of that size
         along z: the derivative of |z|²/2κ, or of μ λ (|z| − μ λ/2)/κ.
         """
         stiffness = self.item(rod, STIFFNESS)
-        limit = rod.scratch[self.obstacle(rod, o) + COEFFICIENT * self.stride] * rod.scratch[contact + force * self.stride]
-        whole = plus(self.load3(rod.scratch, contact + friction * self.stride), scaled(u, stiffness))
+        normal = self.distance.unit(gradient)
+        whole = plus(friction, scaled(u, stiffness))
         z = minus(whole, scaled(normal, dot(normal, whole)))
         size = ti.sqrt(dot(z, z) + 1e-30)
         slips = size > limit

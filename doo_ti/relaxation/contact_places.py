@@ -35,7 +35,7 @@ from doo_ti.relaxation.contact_layout import (
 @ti.data_oriented
 class ContactPlaces:
     """Where the rods in a pack are, seen from obstacles of some ``kinds``. Of the record ``rod`` it reads ``contacts``, where
-    its items begin in scratch, ``kinds``, and ``obstacles``, how many there are."""
+    its items begin in scratch, ``kinds``, ``grids``, and ``obstacles``, how many there are."""
 
     def __init__(self, number, stride: int, kinds: frozenset[int]):
         lanes = number.lanes()
@@ -121,7 +121,7 @@ class ContactPlaces:
         rod.scratch[crossing] = largest_of(rod.scratch[crossing], share)
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
-            seen = self.distance.measure(rod.scratch, self.obstacle(rod, o), rod.kinds[o], place)
+            seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o], place)
             rod.scratch[contact + VALUE * self.stride] = seen.value
             # Where a vertex is close, the normals at both ends of its edges count.
             if self.is_close(rod, seen.value - rod.longest):
@@ -185,9 +185,9 @@ class ContactPlaces:
                 place = minus(place, miss)
             held = self.held(rod, index) > 0.5
             for o in range(rod.obstacles):
-                seen = self.distance.measure(rod.scratch, self.obstacle(rod, o), rod.kinds[o], place)
+                seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o], place)
                 least = ti.select(held, ti.min(least, seen.value - self.item(rod, RADIUS)), least)
-        return least < 0.0 - self.item(rod, TOLERANCE)
+        return (least < 0.0 - self.item(rod, TOLERANCE)) | self.pinched_pairs(rod)
 
     @ti.func
     def nearest(self, rod, o, start, edge, ends, wanted):
@@ -202,7 +202,8 @@ class ContactPlaces:
         going = ti.select(wanted, zero + 1.0, zero)
         for _ in range(SEARCHES):
             if self.largest(going) > 0.5:
-                seen = self.distance.measure(rod.scratch, self.obstacle(rod, o), rod.kinds[o], plus(start, scaled(edge, s[0])))
+                seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o],
+                                             plus(start, scaled(edge, s[0])))
                 here = going > 0.5
                 slope = dot(seen.normal, edge)
                 bend = ti.max(dot(edge, applied(full(seen.curvature), edge)), zero + 1e-20)
@@ -241,3 +242,9 @@ class ContactPlaces:
         s = rod.scratch[contact + RUBBED_PLACE * self.stride]
         before, after = self.moved(rod, self.vertex(rod, index - 1)), self.moved(rod, self.vertex(rod, index))
         return plus(scaled(before, 1.0 - s), scaled(after, s))
+
+    @ti.func
+    def pinched_pairs(self, rod):
+        """Whether clamps hold two edges of a rod that may touch itself (:class:`doo_ti.relaxation.self_contacts.SelfContacts`)
+        where they are in each other."""
+        return rod.total < 0.0

@@ -245,7 +245,8 @@ class ContactRounds(ContactEnergy):
         close = self.close_lanes(rod, rod.scratch[contact + VALUE * self.stride])
         if self.some(close | (rod.scratch[contact + FORCE * self.stride] > 0.0), zero):
             across = self.load3(rod.scratch, contact + RUBBED_NORMAL * self.stride)
-            rubbed = self.rubbed(rod, o, contact, FORCE, FRICTION, across, self.moved(rod, at))
+            friction = self.load3(rod.scratch, contact + FRICTION * self.stride)
+            rubbed = self.rubbed(rod, self.limit(rod, o, contact, FORCE), friction, across, self.moved(rod, at))
             change = self.keep_friction(rod, contact + FRICTION * self.stride, rubbed.pull, due)
             now = self.load3(rod.scratch, contact + NORMAL * self.stride)
             self.store(rod.scratch, contact + RUBBED_NORMAL * self.stride, chosen(due & close, now, across))
@@ -255,7 +256,8 @@ class ContactRounds(ContactEnergy):
         if index > 0 and self.some(active, zero):
             s, u = rod.scratch[contact + RUBBED_PLACE * self.stride], self.moved_between(rod, index, contact)
             away = self.load3(rod.scratch, contact + RUBBED_NORMAL_BETWEEN * self.stride)
-            between = self.rubbed(rod, o, contact, FORCE_BETWEEN, FRICTION_BETWEEN, away, u)
+            friction = self.load3(rod.scratch, contact + FRICTION_BETWEEN * self.stride)
+            between = self.rubbed(rod, self.limit(rod, o, contact, FORCE_BETWEEN), friction, away, u)
             pull = chosen(active, between.pull, repeated(zero, 3))
             change = largest_of(change, self.keep_friction(rod, contact + FRICTION_BETWEEN * self.stride, pull, due))
             later = self.load3(rod.scratch, contact + NORMAL_BETWEEN * self.stride)

@@ -1,16 +1,19 @@
 """The obstacles of many rods as tables, and which of the rods can reach any (docs/contact.md)."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from doo_ti.contact.contacts import Contacts
-from doo_ti.contact.obstacles import FRICTION, OBSTACLE_COLUMNS, Obstacle
+from doo_ti.contact.distance_grid import DistanceGrid, grid_table
+from doo_ti.contact.obstacles import FRICTION, GRID, OBSTACLE_COLUMNS, Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError, real_array
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import REMEMBERED, REMEMBERED_IN_MOTION
+from doo_ti.relaxation.contact_layout import REMEMBERED, REMEMBERED_IN_MOTION, contact_items
+from doo_ti.relaxation.pair_layout import self_contact_items
+from doo_ti.types import Clamp, Clamps, Configuration
 
 GAP_TOLERANCE = 2e-4
 """Of a rod's radius: how far a gap may be off, or a force over the stiffness κ. In f32 at least 2e-6 of the length."""
@@ -21,31 +24,50 @@ class ContactTable:
     """What the kernels read of contacts, and what they leave.
 
     obstacles  (1 or R, M, OBSTACLE_COLUMNS)
-    kinds      (M,) int32
+    kinds      (M,) int32, and grids, see :func:`.grid_table`
     radius     (1 or R,) of the rods, mm
     near       (R,) bool: rods that can reach an obstacle
     memory     (R, V, M, REMEMBERED) forces of the contacts of vertices and edges, in and out
     forces     (R, V, 3) on the vertices, energy per mm, out
     surroundings  as they were given
+    self_friction  (1 or R,) the rods' coefficients of friction on themselves
+    itself     whether the kernel is the one for rods that touch themselves
     """
 
     obstacles: np.ndarray
     kinds: np.ndarray
+    grids: np.ndarray
     radius: np.ndarray
     near: np.ndarray
     memory: np.ndarray
     forces: np.ndarray
     surroundings: Surroundings
+    self_friction: np.ndarray
+    itself: bool = False
 
     @property
     def rubs(self) -> bool:
-        """Whether any obstacle has friction."""
-        return bool((self.obstacles[..., FRICTION] > 0).any())
+        """Whether there is any friction."""
+        return bool((self.obstacles[..., FRICTION] > 0).any()) or self.itself and bool((self.self_friction > 0).any())
+
+    @property
+    def items(self) -> Callable[[int, int], int]:
+        """How many numbers of a rod's contacts the kernel keeps, by edges and obstacles."""
+        return self_contact_items if self.itself else contact_items
 
     @property
     def distinct(self) -> frozenset[int]:
         """The kinds there are."""
-        return frozenset(self.kinds.tolist())
+        return frozenset(np.minimum(self.kinds, GRID).tolist())
+
+    def arguments(self, forces: np.ndarray) -> tuple:
+        """What a kernel is given of contacts, which writes ``forces``."""
+        return (self.obstacles, self.kinds, self.grids, self.radius, GAP_TOLERANCE, self.memory, forces, self.self_friction)
+
+    def touching(self, rows: np.ndarray) -> "ContactTable":
+        """The table as the kernel of rods that touch themselves takes it, of which the rods ``rows`` have touched nothing yet."""
+        self.memory[rows] = 0.0
+        return replace(self, itself=True)
 
     def contacts(self, vertices: np.ndarray, force: np.ndarray) -> Contacts:
         """The contacts of rods at ``vertices`` (R, V, 3) that bear ``force`` (R, V, 3)."""
@@ -76,6 +98,12 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     if len(radius) not in (1, count) or not ((radius > 0) & (radius < np.inf)).all():
         raise InputError("contact", "radius", f"{radius.min():g}" if len(radius) in (1, count) and len(radius) else
                          f"{len(radius)} for {count} rods", "give a positive radius in mm, or one for each rod")
+    surroundings = Surroundings(obstacles, radius)
+    obstacles = surroundings.bodies
+    for obstacle in obstacles:
+        if isinstance(obstacle, DistanceGrid) and obstacle.border < 2 * radius.max():
+            raise InputError("contact", "obstacles", f"a grid ends {obstacle.border:g} mm from its obstacle, less than a rod's "
+                             f"diameter of {2 * radius.max():g} mm", "give a grid with a larger margin")
     rows = count if any(obstacle.count > 1 for obstacle in obstacles) else 1
     table = np.empty((rows, len(obstacles), OBSTACLE_COLUMNS))
     for place, obstacle in enumerate(obstacles):
@@ -83,12 +111,33 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     # Grippers may carry any rod to an obstacle.
     near = np.ones(count, dtype=bool) if in_motion else _near(obstacles, radius, clamp[index])
     # Where no rod is near, nothing is ever written to either.
-    rows = count if near.any() else 0
-    memory = np.zeros((rows, edges + 1, len(obstacles), REMEMBERED_IN_MOTION if in_motion else REMEMBERED))
+    rows = count if near.any() or surroundings.itself is not None else 0
+    memory = np.zeros((rows, edges + 1, max(1, len(obstacles)), REMEMBERED_IN_MOTION if in_motion else REMEMBERED))
     forces = np.broadcast_to(0.0, (count, edges + 1, 3)) if not rows else np.zeros((count, edges + 1, 3))
+    kinds, grids = grid_table(obstacles)
     return ContactTable(
-        obstacles=table, kinds=np.array([obstacle.kind for obstacle in obstacles], dtype=np.int32), radius=radius,
-        near=near, memory=memory, forces=forces, surroundings=Surroundings(obstacles, radius))
+        obstacles=table, kinds=kinds, grids=grids, radius=radius, near=near, memory=memory, forces=forces,
+        surroundings=surroundings,
+        self_friction=np.zeros(1) if surroundings.itself is None else surroundings.itself.friction)
+
+
+def require_clear(source: str, surroundings: Surroundings, clamps: Clamps, start: Configuration, number: np.ndarray) -> None:
+    """Raise InputError, naming ``source`` and the ``number`` (R,) of a rod, unless all rods can begin at ``start``: the clamps
+    hold them outside the obstacles with their radius, and no vertex is inside one."""
+    x = start.vertices
+    ends = np.stack([clamps.start_position, clamps.end_position], axis=1)
+    inner = ends + np.diff(x, axis=1)[:, [0, -1]] * [[1.0], [-1.0]]
+    kinds = np.stack([np.broadcast_to(kind, len(x)) for kind in (clamps.start, clamps.end)], axis=1)
+    radius = np.reshape(surroundings.radius, (-1, 1)) * (1.0 - GAP_TOLERANCE)
+    for what, places, used, least in (
+            ("the clamp of", ends, kinds >= Clamp.POSITION, radius), ("the clamp of", inner, kinds >= Clamp.TANGENT, radius),
+            ("the centreline of", x[:, 1:-1], True, 0.0)):
+        for obstacle in surroundings.bodies:
+            gap = np.where(used, obstacle.distance(places)[0] - least, np.inf)
+            worst = np.unravel_index(np.argmin(gap), gap.shape)
+            if gap[worst] < 0:
+                raise InputError(source, "obstacles", f"{what} rod {number[worst[0]]} is {-gap[worst]:.3g} mm inside a "
+                                 f"{type(obstacle).__name__}", "correct the obstacle's place, or give a smaller `radius`")
 
 
 def _near(obstacles: Sequence[Obstacle], radius: np.ndarray, clamp: np.ndarray) -> np.ndarray:

@@ -213,7 +213,7 @@ class Contacts(ContactRounds):
                     self.put(scratch, contact + k * self.stride, slot, tables.memory[row, v, o, k])
                 if v == 0:  # memory has κ there
                     self.put(scratch, contact + FORCE_BETWEEN * self.stride, slot, 0.0)
-        self.load_pairs(tables, scratch, slot)
+        self.load_pairs(tables, scratch, slot, row)
 
     @ti.func
     def unload_forces(self, tables, scratch: ti.template(), slot, place, force_unit):
@@ -255,7 +255,7 @@ class Contacts(ContactRounds):
         """Forget the forces between edges in the lanes where ``once``."""
 
     @ti.func
-    def load_pairs(self, tables, scratch: ti.template(), slot):
+    def load_pairs(self, tables, scratch: ti.template(), slot, row):
         """Begin lane ``slot`` without forces between edges."""
 
     @ti.func

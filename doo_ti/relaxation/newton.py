@@ -15,10 +15,13 @@ from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import record
 from doo_ti.relaxation.contact_layout import contact_items
 from doo_ti.relaxation.contacts import Contacts
+from doo_ti.relaxation.dense_elimination import DenseElimination
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 from doo_ti.relaxation.newton_loop import NewtonLoop
 from doo_ti.relaxation.newton_policy import UP
+from doo_ti.relaxation.pair_layout import self_contact_items
+from doo_ti.relaxation.self_contacts import SelfContacts
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,10 @@ class Newton:
     def careful(cls, tolerance: float | None = None, max_iterations: int = 300) -> "Newton":
         """The options that stay closest to descent: use them where the basin matters (ribbons)."""
         return cls(tolerance, max_iterations, first_shift=0.0)
+
+
+class DenseLoadedElimination(DenseElimination, LoadedElimination):
+    """The Newton system of rods that may touch themselves."""
 
 
 TOLERANCES = {32: 9.9e-5, 64: 9.9e-8}
@@ -100,7 +107,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
             up = (policy[UP], policy[UP + 1], policy[UP + 2])
             tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
                             policy=policy, queue=queue, frames=frames, results=results, numbers=material, field=material,
-                            contacts=0, kinds=queue)
+                            contacts=0, kinds=queue, grids=material)
             loop.work(tables, scratch, threads, thread)
 
     @ti.kernel
@@ -115,16 +122,21 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
             up = (policy[UP], policy[UP + 1], policy[UP + 2])
             tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
                             policy=policy, queue=queue, frames=frames, results=results, numbers=outer, field=space,
-                            contacts=0, kinds=queue)
+                            contacts=0, kinds=queue, grids=material)
             loop.work(tables, scratch, threads, thread)
 
     return newton if external is None else newton_under_load
 
 
 @cache
-def contact_kernel(number: Number, isotropic: bool, stride: int, block: int, external: type, obstacles: frozenset[int]):
-    """The same for rods that may touch obstacles of those kinds, under an external energy."""
-    sweep = LoadedElimination(number, isotropic, stride, external, True, Contacts(number, stride, obstacles))
+def contact_kernel(number: Number, isotropic: bool, stride: int, block: int, external: type, obstacles: frozenset[int],
+                   itself: bool):
+    """The same for rods that may touch obstacles of those kinds, or ``itself``, under an external energy."""
+    if itself:
+        sweep = DenseLoadedElimination(number, isotropic, stride, external, True, SelfContacts(number, stride, obstacles))
+    else:
+        sweep = LoadedElimination(number, isotropic, stride, external, True, Contacts(number, stride, obstacles))
+    size = self_contact_items if itself else contact_items
     loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
     index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
@@ -136,21 +148,23 @@ def contact_kernel(number: Number, isotropic: bool, stride: int, block: int, ext
         scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, results: table2,
         outer: table3, space: field,  # as :func:`newton_kernel` has them
         obstacles: table3,  # [1 or row, obstacle, OBSTACLE_COLUMNS]
-        kinds: index1,  # [obstacle]
+        kinds: index1,  # [obstacle] and, of a grid, its number
+        grids: table1,  # of the grids, see :func:`doo_ti.contact.distance_grid.grid_table`
         radius: table1,  # [1 or row] mm
         gap_tolerance: ti.f64,  # over the radius
         memory: table4,  # [row, vertex, obstacle, REMEMBERED] in and out
         forces: table3,  # [row, vertex, 3] out
+        self_friction: table1,  # [1 or row] coefficient of the rod on itself
     ):
         ti.loop_config(block_dim=block)
         for thread in range(threads):
             up = (policy[UP], policy[UP + 1], policy[UP + 2])
             edges = rest_length.shape[1]
-            contacts = sweep.behind(threads, thread, edges, contact_items(edges, kinds.shape[0]))
+            contacts = sweep.behind(threads, thread, edges, size(edges, kinds.shape[0]))
             tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
                             policy=policy, queue=queue, frames=frames, results=results, numbers=outer, field=space,
-                            contacts=contacts, obstacles=obstacles, kinds=kinds, radius=radius, tolerance=gap_tolerance,
-                            memory=memory, forces=forces)
+                            contacts=contacts, obstacles=obstacles, kinds=kinds, grids=grids, radius=radius,
+                            tolerance=gap_tolerance, memory=memory, forces=forces, self_friction=self_friction)
             loop.work(tables, scratch, threads, thread)
 
     return newton_in_contact

@@ -21,6 +21,7 @@ from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.external import External
 from doo_ti.relaxation.input_tables import tables, under
 from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.self_approach import approach_in_relaxation
 from doo_ti.relaxation.tables import Tables
 from doo_ti.types import Clamps, Configuration, Material, Solution, Status, unit_up
 
@@ -90,6 +91,7 @@ def relax(
             frames, results, bits = _descent(table, solver, precision)
         else:
             frames, results, bits = _newton(table, solver, precision, x0 if once_more else None)
+            _touch_themselves(table, solver, frames, results, bits)
         return _solution(table, frames, results, bits)
 
 
@@ -143,6 +145,20 @@ def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | Non
         results[rows, of.ITERATIONS] += before
         bits[rows] = 64
     return frames, results, bits
+
+
+def _touch_themselves(table: Tables, solver: Newton, frames, results, bits) -> None:
+    """Where rods are their own obstacles, relax those once more, in place, that may have touched themselves on their way."""
+    contact = table.contact
+    if contact is None or contact.surroundings.itself is None:
+        return
+    index = table.configuration_index
+    held = (table.clamp[:, [of.SPIN_START, of.SPIN_END]] == 0).all(axis=1)
+    may = approach_in_relaxation(table.start, index, frames, table.rest_length, contact.radius, held[index])
+    rows = np.flatnonzero(may & (results[:, of.STATUS] != INFEASIBLE))
+    if len(rows):
+        batch.relax_touching(table, solver, frames, results, rows)
+        bits[rows] = 64
 
 
 def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.ndarray) -> Solution:

@@ -290,7 +290,7 @@ def sensitivity_kernel(stride: int, block: int):
                 start=start, rest_length=rest_length, clamp=clamp, material=material, up=(up0, up1, up2), rods=rods,
                 frames=frames, end_force=end_force, directions=directions, modes=modes, vertices=vertices,
                 rotations=rotations, loads=loads, moments=moments, sound=sound, results=end_force, numbers=material,
-                field=material, contacts=0, kinds=rods)
+                field=material, contacts=0, kinds=rods, grids=material)
             sweep.work(tables, scratch, columns, threads, thread)
 
     return solve

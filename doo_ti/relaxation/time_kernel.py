@@ -8,11 +8,18 @@ from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import picked, record
 from doo_ti.relaxation.contact_layout import contact_items
 from doo_ti.relaxation.contacts import Contacts
+from doo_ti.relaxation.dense_elimination import DenseElimination
 from doo_ti.relaxation.newton_policy import UP
+from doo_ti.relaxation.pair_layout import self_contact_items
+from doo_ti.relaxation.self_contacts import SelfContacts
 from doo_ti.relaxation.time_loop import TimeLoop
 from doo_ti.relaxation.time_slope_loop import TimeSlopeLoop
 from doo_ti.relaxation.time_slopes import OWN, SHARED, TimeSlopes
 from doo_ti.relaxation.time_sweep import TimeSweep
+
+
+class DenseTimeSweep(DenseElimination, TimeSweep):
+    """The time step of rods that may touch themselves."""
 
 
 @cache
@@ -58,17 +65,22 @@ def time_kernel(number: Number, isotropic: bool, stride: int, block: int):
                 start=frames, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods, policy=policy,
                 queue=queue, frames=frames, results=results, numbers=numbers, field=material, path=path, shares=shares,
                 time=time, steps=steps, every=every, frames_before=frames_before, places=places, positions=positions,
-                outcome=outcome, contacts=0, kinds=queue)
+                outcome=outcome, contacts=0, kinds=queue, grids=policy)
             loop.work(tables, scratch, threads, thread)
 
     return make_steps, sweep.items, sweep.parameters
 
 
 @cache
-def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int, kinds: frozenset[int], rub: bool):
-    """The same for rods that may touch obstacles of some ``kinds``, with friction if they ``rub``; the numbers that
-    :func:`.contact_items` says come on top in scratch."""
-    sweep = TimeSweep(number, isotropic, stride, Contacts(number, stride, kinds, rub))
+def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int, kinds: frozenset[int], rub: bool,
+                        itself: bool):
+    """The same for rods that may touch obstacles of some ``kinds``, or ``itself``, with friction if they ``rub``; the numbers
+    that :func:`.contact_items` or :func:`.self_contact_items` says come on top in scratch."""
+    if itself:
+        sweep = DenseTimeSweep(number, isotropic, stride, SelfContacts(number, stride, kinds, rub))
+    else:
+        sweep = TimeSweep(number, isotropic, stride, Contacts(number, stride, kinds, rub))
+    size = self_contact_items if itself else contact_items
     loop = TimeLoop(sweep)
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
     index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
@@ -79,20 +91,22 @@ def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int
         policy: table1, time: table1, steps: ti.i32, every: ti.i32, threads: ti.i32,
         scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, frames_before: table1,
         places: table3, results: table2, positions: table3, outcome: table3,  # as :func:`time_kernel` has them
-        obstacles: table3, obstacle_kinds: index1, radius: table1, gap_tolerance: ti.f64, memory: table4,  # as in Newton's
+        obstacles: table3, obstacle_kinds: index1, grids: table1, radius: table1, gap_tolerance: ti.f64,
+        memory: table4,  # as in Newton's
         forces: table3,  # [row · frame, vertex, 3] out
+        self_friction: table1,
     ):
         ti.loop_config(block_dim=block)
         for thread in range(threads):
             up = (policy[UP], policy[UP + 1], policy[UP + 2])
             edges = rest_length.shape[1]
-            contacts = sweep.behind(threads, thread, edges, contact_items(edges, obstacle_kinds.shape[0]))
+            contacts = sweep.behind(threads, thread, edges, size(edges, obstacle_kinds.shape[0]))
             tables = record(
                 start=frames, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods, policy=policy,
                 queue=queue, frames=frames, results=results, numbers=numbers, field=material, path=path, shares=shares,
                 time=time, steps=steps, every=every, frames_before=frames_before, places=places, positions=positions,
-                outcome=outcome, contacts=contacts, obstacles=obstacles, kinds=obstacle_kinds, radius=radius,
-                tolerance=gap_tolerance, memory=memory, forces=forces)
+                outcome=outcome, contacts=contacts, obstacles=obstacles, kinds=obstacle_kinds, grids=grids, radius=radius,
+                tolerance=gap_tolerance, memory=memory, forces=forces, self_friction=self_friction)
             loop.work(tables, scratch, threads, thread)
 
     return make_steps, sweep.items, sweep.parameters
@@ -130,7 +144,7 @@ def time_slope_kernel(stride: int, block: int, width: int):
                 queue=queue, frames=frames, results=results, numbers=numbers, field=material, path=path, shares=shares,
                 time=time, steps=steps, every=every, frames_before=frames_before, places=places, positions=positions,
                 outcome=outcome, material_slopes=material_slopes, number_slopes=number_slopes, share_slopes=share_slopes,
-                slopes=slopes, position_slopes=position_slopes, blocks=blocks, contacts=0, kinds=queue)
+                slopes=slopes, position_slopes=position_slopes, blocks=blocks, contacts=0, kinds=queue, grids=policy)
             loop.work(tables, scratch, threads, thread)
 
     return make_steps, sweep.items, sweep.parameters

@@ -18,20 +18,23 @@ from doo_ti.relaxation.time_sweep import (
     LEAST_WAY,
     OF_BEND_SHARE,
     OF_INERTIA,
+    OF_RELINKED,
     OF_VERTEX,
     PLACE_1,
     RATE,
     SPRING_POINT,
     STEP,
     VERTEX_ITEMS,
+    WATCHED,
     TimeSweep,
 )
 
 # Columns of the clamps at an instant: the point the chain hangs from, the far point from there, mm, the first and last frame.
 PATH_ANCHOR, PATH_TARGET, PATH_ENDS, PATH_COLUMNS = 0, 3, 6, 14
 # Columns of the outcome of a frame: the status, iterations of all its steps and the largest residual, and the force of the far
-# clamp at its end; and the work that friction has done since the launch began.
-STATE, TRIPS, MOMENT, END_FORCE, FRICTION_WORK, OUTCOMES = 0, 1, 2, 3, 6, 7
+# clamp at its end; the work that friction has done since the launch began; and where that is noted one if the rod's link has
+# changed in a step.
+STATE, TRIPS, MOMENT, END_FORCE, FRICTION_WORK, RELINKED, OUTCOMES = 0, 1, 2, 3, 6, 7, 8
 
 POSITION_ROUNDING = 1e-6
 """Of the rod's length, in f32: what a step may be wrong by in every position."""
@@ -207,6 +210,8 @@ class TimeLoop(NewtonLoop):
         if ti.static(self.touches):
             once_more = once_more | self.sweep.contacts.renew(rod, done & (lane.status < 0.5), least, lane.multiplier)
         repeats = ti.select(once_more, one, zero)
+        if tables.time[WATCHED] > 0.0:
+            self.sweep.watch(rod)
         self.sweep.remember(rod, time, done)
         steps_made = supply.places + (tables.queue.shape[0] - LANES) // 2
         for slot in range(self.width):
@@ -250,6 +255,10 @@ class TimeLoop(NewtonLoop):
         moment = ti.cast(self.lane(lane.residual, slot) * total, ti.f64)
         tables.outcome[row, frame, TRIPS] += self.lane(lane.trips, slot)
         tables.outcome[row, frame, MOMENT] = ti.max(tables.outcome[row, frame, MOMENT], moment)
+        if tables.time[WATCHED] > 0.0:
+            change = self.get(scratch, head + (self.sweep.time_parameters + OF_RELINKED) * self.stride, slot)
+            if not ti.abs(change) < 0.5:
+                tables.outcome[row, frame, RELINKED] = 1.0
         again = 0
         if status == self.converged:
             if (step + 1) % tables.every == 0:

@@ -10,8 +10,6 @@ from doo_ti.frames import quaternion_product
 from doo_ti.relaxation import newton
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import _buffers, layout_for
-from doo_ti.relaxation.contact_layout import contact_items
-from doo_ti.relaxation.contact_table import GAP_TOLERANCE
 from doo_ti.relaxation.loading import LANES
 from doo_ti.relaxation.newton_policy import CLOSING_DISTANCE
 from doo_ti.relaxation.tables import Tables, room
@@ -119,12 +117,12 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
         position_slopes = room(table.count * frames, slopes.count, table.edges + 1, 3)
         position_slopes[...] = np.nan
     if len(rods):
-        number, threads, stride, block = layout_for(len(rods), bits)
+        number, threads, stride, block = layout_for(len(rods), bits, contact is not None and contact.itself)
         if contact is not None:
             kernel, items, parameters = time_contact_kernel(
-                number, table.isotropic, stride, block, contact.distinct, contact.rubs)
-            more = contact.obstacles, contact.kinds, contact.radius, GAP_TOLERANCE, contact.memory, forces
-            size = parameters + items * table.edges + contact_items(table.edges, len(contact.kinds))
+                number, table.isotropic, stride, block, contact.distinct, contact.rubs, contact.itself)
+            more = contact.arguments(forces)
+            size = parameters + items * table.edges + contact.items(table.edges, len(contact.kinds))
         elif slopes is None:
             kernel, items, parameters = time_kernel(number, table.isotropic, stride, block)
             more, size = (), parameters + items * table.edges

@@ -13,8 +13,9 @@ draws it towards y(ω): a rest curvature of its own for each step.
 import taichi as ti
 
 from doo_ti.physics import pair
+from doo_ti.physics.angle import passed_half_turn, turned_about_own_tangent
 from doo_ti.physics.quaternion import normalised, product, relative_rotation, tangent
-from doo_ti.physics.tuples import chosen, dot, minus, plus, scaled, variable
+from doo_ti.physics.tuples import chosen, dot, minus, plus, repeated, scaled, variable
 from doo_ti.relaxation.chain import FRAME, LENGTH, LOADED_PARAMETERS, OF_DRIFT, REST
 from doo_ti.relaxation.contact_layout import VISCOSITY
 from doo_ti.relaxation.contacts import Contacts
@@ -29,14 +30,14 @@ PLACE_1, PLACE_2, VELOCITY_1, VELOCITY_2, INERTIA, DRAG, DRAG_BY_SPEED, LOAD, SP
 # Items of an edge, after those of the vertex where it ends: its frames at the last two instants, and of the joint where it
 # begins the rest curvature of its left and its right frame and its rest twist, for the step being made.
 FRAME_1, FRAME_2, REST_LEFT, REST_RIGHT, REST_TWIST, EDGE_ITEMS = 20, 24, 28, 30, 32, 33
-# Parameters of a rod: shares of the rest curvature and twist that damping makes, the sum of the inertia κ of all vertices, and
-# the items of vertex 0.
-OF_BEND_SHARE, OF_TWIST_SHARE, OF_INERTIA, OF_VERTEX = 0, 1, 2, 3
+# Parameters of a rod: shares of the rest curvature and twist that damping makes, the sum of the inertia κ of all vertices, by
+# how much its link has changed, and the items of vertex 0.
+OF_BEND_SHARE, OF_TWIST_SHARE, OF_INERTIA, OF_RELINKED, OF_VERTEX = 0, 1, 2, 3, 4
 PARAMETERS = OF_VERTEX + VERTEX_ITEMS
 
 # What a launch is given after the policy of Newton: the step h in s, a and b above, and the least share of the clamps' way
-# from one instant to the next that a rod in contact makes at once where more fails.
-STEP, RATE, EXTRAPOLATION, LEAST_WAY, TIME_COLUMNS = 0, 1, 2, 3, 4
+# from one instant to the next that a rod in contact makes at once where more fails; and one where changes of link are noted.
+STEP, RATE, EXTRAPOLATION, LEAST_WAY, WATCHED, TIME_COLUMNS = 0, 1, 2, 3, 4, 5
 
 
 @ti.data_oriented
@@ -89,6 +90,23 @@ class TimeSweep(LoadedElimination):
             self.store(rod.scratch, own + FRAME_2 * self.stride, chosen(done, last, before))
             self.store(rod.scratch, own + FRAME_1 * self.stride, chosen(done, q, last))
             at += self.edge_stride
+
+    @ti.func
+    def watch(self, rod):
+        """Note by how many turns the rod's link has changed in the step that was made: so often the angles of the frames
+        against those before it, each transported to its new tangent, go around along the rod."""
+        zero = 0.0 * rod.total
+        change = zero
+        last = variable(repeated(zero, 2))
+        at = rod.origin
+        for e in range(rod.edges):
+            before = self.load4(rod.scratch, at + (self.motion + FRAME_1) * self.stride)
+            turned = turned_about_own_tangent(before, self.load4(rod.scratch, at + FRAME * self.stride))
+            if e > 0:
+                change = change + passed_half_turn(last, turned)
+            last = turned
+            at += self.edge_stride
+        rod.scratch[rod.head + (self.time_parameters + OF_RELINKED) * self.stride] = change
 
     @ti.func
     def remember_vertex(self, rod, at, place, time, done):

@@ -37,7 +37,7 @@ class Touched:
     def meshes(self, row: int) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
         """Kind, vertices (N, 3), triangles (M, 3) and their outward normals (M, 3) of each obstacle around the rod ``row``,
         planes first."""
-        obstacles = self.surroundings.take(np.array([row])).obstacles
+        obstacles = self.surroundings.take(np.array([row])).bodies
         for obstacle in sorted(obstacles, key=lambda one: one.kind != PLANE):
             vertices, triangles = mesh(obstacle, 0, *self._box)
             yield obstacle.kind, vertices, triangles, obstacle.distance(vertices[triangles].mean(axis=1)[None])[1][0]

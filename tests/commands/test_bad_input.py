@@ -150,7 +150,7 @@ def test_sub_steps_that_never_end(capsys, tmp_path, degrees):
 
 
 def test_files_that_are_not_there(capsys, tmp_path):
-    for name, word in (("absent.npz", "no such file"), ("absent.dat", "suffix"), ("", "suffix")):
+    for name, word in (("absent.npz", "no such file"), ("absent.dat", "no such file"), ("", "is a folder")):
         refused(capsys, tmp_path, ["relax", str(tmp_path / name), *MATERIAL, "--out", str(tmp_path / "F.npz")], word)
     for command, out in (("sweep", "run"), ("synth", "x.npz")):
         argv = [command, str(tmp_path / "absent.toml"), "--out", str(tmp_path / out)]

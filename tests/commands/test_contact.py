@@ -1,4 +1,4 @@
-"""``--obstacles`` of ``doo-ti relax``, ``predict`` and ``simulate``: what is written, and what is refused."""
+"""``--obstacles`` of the commands: what is written, and what is refused."""
 
 import json
 
@@ -100,6 +100,22 @@ def test_simulate_reads_obstacles_of_a_scene(folder, tmp_path, capsys):
     words[1] = str(tmp_path / "bare.toml")
     assert main([*words, "--obstacles", str(folder / "rough.toml"), "--radius", "2", "--quasi-static"]) in (0, 1)
     assert "contact_force" in written(tmp_path / "f.npz")
+
+
+SEEN = ["--rig", "rig.yaml", "--rest-length", "3:9", "--bend", "6e5", "--out", "f.npz"]
+OTHERS = {"sweep": ["rods.npz", "--bend", "1e5:1e6:3", "--out", "run"], "perceive": ["a.png", *SEEN],
+          "track": ["--frames", "frames.csv", *SEEN]}
+
+
+@pytest.mark.parametrize("command", OTHERS)
+def test_sweep_perceive_and_track_check_obstacles_first(folder, tmp_path, capsys, monkeypatch, command):
+    monkeypatch.chdir(folder)
+    (tmp_path / "grid.toml").write_text('[[obstacles]]\nkind = "grid"\nfile = "none.npz"\n')
+    for more, message in ((["table.toml"], "--radius: missing beside --obstacles"),
+                          ([str(tmp_path / "grid.toml"), "--radius", "2"], "none.npz: file: no such file")):
+        assert main([command, *OTHERS[command], "--obstacles", *more]) == 2
+        error = capsys.readouterr().err
+        assert message in error and error.count("\n") == 1 and not (folder / "run").exists()
 
 
 REFUSED = {

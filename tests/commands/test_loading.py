@@ -46,6 +46,13 @@ def test_metres_taken_for_millimetres_are_warned_of(tmp_path, metres, capfd):
     assert "warning" in capfd.readouterr().err
 
 
+def test_several_rods_taken_for_one_are_warned_of(tmp_path, metres, capfd):
+    marks = MARKS + np.arange(len(MARKS))[:, None, None] * (0, 0, 9000.0)
+    (tmp_path / "x.csv").write_text(table(marks.reshape(1, -1, 3), "x,y,z", number=False))
+    assert main(["convert", str(tmp_path / "x.csv"), str(tmp_path / "out.npz")]) == 0
+    assert "--columns observation=NAME" in capfd.readouterr().err
+
+
 def test_motion_capture_as_motion_and_as_observations(tmp_path, capfd):
     seen = np.concatenate([MARKS] * 5)
     seen[3, 1] = np.nan
@@ -54,7 +61,7 @@ def test_motion_capture_as_motion_and_as_observations(tmp_path, capfd):
     assert "0,1,0" in capfd.readouterr().out
     with np.load(tmp_path / "motion.npz") as found:
         np.testing.assert_allclose(found["positions_mm"], seen)
-        assert found["rate_hz"] == 120.0
+        assert found["rate_hz"] == 120.0 and found["up"].tolist() == [0, 1, 0]
     assert main(["convert", str(tmp_path / "take.csv"), str(tmp_path / "marks.csv"), "--select", "1:10:2", "--complete"]) == 0
     np.testing.assert_allclose(load_observations(tmp_path / "marks.csv").vertices, seen[[1, 5, 7, 9]])
 

@@ -108,6 +108,23 @@ def test_one_set_is_the_same_alone(photographed, perceived, tmp_path, capsys):
     np.testing.assert_allclose(np.load(tmp_path / "one.npz")["vertices_mm"][0], perceived[1]["vertices_mm"][0], atol=1e-4)
 
 
+def test_stiffness_need_not_be_known(photographed, perceived, tmp_path, capsys):
+    folder, rods = photographed
+    np.savez(tmp_path / "truth.npz", vertices_mm=rods[:1] / 1000)
+    argv = [*of_images(folder, rods[0], "--out", str(tmp_path / "one.csv"), "--no-picture", "--no-recording"),
+            "--truth", str(tmp_path / "truth.npz"), "--unit", "m"]
+    for name in ("--bend", "--twist", "--weight"):
+        del argv[argv.index(name) : argv.index(name) + 2]
+    assert main(argv) == 0
+    printed = capsys.readouterr()
+    assert "none given: bend 1e+06 mm³" in printed.out and "1 set of 3 images" in printed.out
+    assert "runner_up_mm" in printed.err and "note" in printed.err
+    found = load_observations(tmp_path / "one.csv").vertices[0]
+    assert np.abs(found - perceived[1]["vertices_mm"][0]).max() < 0.01
+    error = np.linalg.norm(found - rods[0], axis=-1)
+    assert f"error {error.mean():.3f} mm" in printed.out
+
+
 def test_printed_text(photographed, tmp_path, capsys):
     folder, _ = photographed
     (tmp_path / "lengths.txt").write_text("3.0\n" * EDGES)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import main
+from tests.io.test_formats import motive, table
 
 SCENE = """
 rate_hz = 50
@@ -80,6 +81,43 @@ def test_a_recording_is_predicted_from_its_grippers(recording, theta):
     np.testing.assert_array_equal(found["positions_mm"][:, :2], recorded[:, :2])
     np.testing.assert_array_equal(found["positions_mm"][:, :, [0, 1, -2, -1]], recorded[:, :, [0, 1, -2, -1]])
     assert found["error_mm"].mean() < 0.5
+
+
+def test_captures_are_read_as_they_are(recording, theta, tmp_path, capsys):
+    """Motion capture in metres, and a table without a rate, as the npz made of the same marks."""
+    positions = np.load(recording / "recorded.npz")["positions_mm"][0]
+    np.savez(tmp_path / "one.npz", positions_mm=positions, rate_hz=50.0, up=(0, 0, 1))
+    (tmp_path / "take.csv").write_text(motive(positions / 1000, "Meters"))
+    (tmp_path / "marks.csv").write_text(table(positions / 10, "frame,mark,x,y,z"))
+    found = {}
+    for name, more in (("one.npz", []), ("take.csv", ["--rate", "50", "--up", "0,0,1"]),
+                       ("marks.csv", ["--rate", "50", "--unit", "cm", "--columns", "observation=frame,vertex=mark"])):
+        out = tmp_path / f"{name}.out.npz"
+        assert main(["simulate", str(tmp_path / name), "--theta", str(theta), "--out", str(out), *more]) == 0
+        found[name] = np.load(out)["positions_mm"]
+        np.testing.assert_allclose(found[name], found["one.npz"], atol=1e-6)
+    capsys.readouterr()
+    assert main(["simulate", str(tmp_path / "marks.csv"), "--theta", str(theta), "--out", str(tmp_path / "f.npz")]) == 2
+    assert main(["simulate", str(tmp_path / "marks.csv"), "--theta", str(theta), "--out", str(tmp_path / "f.npz"), "--columns",
+                 "observation=frame,vertex=mark"]) == 2
+    missing, rate = capsys.readouterr().err.splitlines()
+    assert "--rate" in rate and "marks.csv" in rate
+
+
+def test_gravity_of_a_capture_is_its_own(recording, tmp_path):
+    """Motive's y axis points up: marks whose axes are turned give the same rod."""
+    positions = np.load(recording / "recorded.npz")["positions_mm"][:1]
+    thetas = []
+    turned = np.stack([positions[..., 0], positions[..., 2], -positions[..., 1]], axis=-1)
+    np.savez(tmp_path / "z.npz", positions_mm=positions, rate_hz=50.0)
+    (tmp_path / "y.csv").write_text(motive(turned[0] / 1000, "Meters"))
+    for name, more in (("z.npz", []), ("y.csv", ["--rate", "50"])):
+        out = tmp_path / f"{name}.json"
+        assert main(["identify", str(tmp_path / name), "--modes", "0", "--fit", "bend_damping", "--bend", "5e5", "--out",
+                     str(out), *more]) == 0
+        thetas.append(json.loads(out.read_text()))
+    assert thetas[0]["bend_mm3"] == pytest.approx(thetas[1]["bend_mm3"], rel=1e-4)
+    np.testing.assert_allclose(thetas[1]["up"], [0, 1, 0])
 
 
 def test_one_recording_without_an_axis_for_it(recording, theta):

@@ -1,9 +1,9 @@
-"""A limp rope that is pulled over a cylinder with friction: the tensions at its ends are e^(μ φ) apart."""
+"""A limp rope that is pulled over a cylinder or through a ring with friction: the tensions at its ends are e^(μ φ) apart."""
 
 import numpy as np
 import pytest
 
-from doo_ti.contact.obstacles import Cylinder
+from doo_ti.contact.obstacles import Cylinder, Ring
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
@@ -33,9 +33,9 @@ def wound(angle: float, edges: int, pitch: float) -> np.ndarray:
     return np.stack([np.interp(np.linspace(0, arc[-1], edges + 1), arc, x[:, k]) for k in range(3)], -1)
 
 
-def tensions(angle: float, friction: float, edges: int) -> tuple[float, float]:
+def tensions(obstacle, angle: float, pitch: float, edges: int = 60) -> tuple[float, float]:
     """(of the end that is drawn, of the end that follows), at the end of the motion."""
-    x = wound(angle, edges, 0.4)
+    x = wound(angle, edges, pitch)
     step = np.diff(x, axis=0)
     tangents = step / np.linalg.norm(step, axis=1, keepdims=True)
     rod = Configuration(x[:1], quaternion_from_matrix(bishop_frames(tangents[None], across(tangents[None, 0]))),
@@ -49,8 +49,7 @@ def tensions(angle: float, friction: float, edges: int) -> tuple[float, float]:
     grippers = Grippers(Clamp.FREE, Clamp.POSITION, np.repeat(x[None, :1], STEPS + 1, 1), end[None], frame, frame)
     material = Material(2.0, 2.0, weight=1e-6)
     moved = simulate(rod, material, grippers, Dynamics(density=1e-2, drag=20.0), Stepping(rate=100.0, scheme="euler"),
-                     springs=Springs(points, stiffness), radius=ROPE,
-                     obstacles=[Cylinder((0, 0, -80), (0, 0, 80), DRUM, friction=friction)])
+                     springs=Springs(points, stiffness), radius=ROPE, obstacles=[obstacle])
     assert moved.converged.all(), moved.status[0]
     drawn = moved.end_force[0, -1]
     held = -(drawn + moved.contact_force[0, -1].sum(axis=0))
@@ -60,6 +59,17 @@ def tensions(angle: float, friction: float, edges: int) -> tuple[float, float]:
 @pytest.mark.slow
 @pytest.mark.parametrize("degrees, friction", [(90, 0.1), (90, 0.5), (180, 0.3)])
 def test_the_tensions_are_apart_by_the_capstan_equation(degrees, friction):
-    drawn, held = tensions(np.deg2rad(degrees), friction, 60)
+    angle = np.deg2rad(degrees)
+    drawn, held = tensions(Cylinder((0, 0, -80), (0, 0, 80), DRUM, friction=friction), angle, 0.4)
     assert abs(held / HELD - 1.0) < 0.01
-    assert abs(drawn / held / np.exp(friction * np.deg2rad(degrees)) - 1.0) < 0.02
+    assert abs(drawn / held / np.exp(friction * angle) - 1.0) < 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("degrees, friction", [(60, 0.3), (90, 0.3), (120, 0.2)])
+def test_pulled_through_a_ring_too(degrees, friction):
+    angle = np.deg2rad(degrees)
+    inward = np.array([np.cos(0.5 * angle), np.sin(0.5 * angle), 0.0])
+    ring = Ring(3 * DRUM * inward, np.cross([0, 0, 1], inward), 3 * DRUM, DRUM, friction=friction)
+    drawn, held = tensions(ring, angle, 0.0)
+    assert abs(drawn / held / np.exp(friction * angle) - 1.0) < 0.005

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, Configuration, Material, Newton, Plane, predict, relax
+from doo_ti import Clamp, Clamps, Configuration, InputError, Material, Newton, Plane, predict, predict_step, relax
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.types import Solution
 
@@ -78,3 +78,18 @@ def test_a_straight_rod_that_is_pushed_onto_a_table_from_above_bends_away():
     assert found.converged[0] and found.stable[0]
     assert found.configuration.vertices[0, -1, 2] == pytest.approx(RADIUS, abs=1e-3)
     assert np.abs(found.configuration.vertices[0, -1, :2]).max() > 1.0
+
+
+def test_candidate_motions_end_on_the_table(solution):
+    rods, clamps = held([20.0])
+    places = np.array([[0.0, 0, 20], [10, 0, 12], [0, 0, 60]])
+    goal = Clamps(Clamp.FRAME, Clamp.FREE, places, places, *(np.repeat(frame, 3, 0) for frame in (
+        clamps.start_frame, clamps.end_frame)))
+    lying = solution.configuration.take([0])
+    found, _ = predict_step(lying, Material(6e5, 6e5), clamps, goal, precision="f64", obstacles=[TABLE], radius=RADIUS)
+    assert found.converged.all() and found.contact.touching.any(axis=1).tolist() == [True, True, True]
+    alone = relax(rods, Material(6e5, 6e5), goal.take([1]), obstacles=[TABLE], radius=RADIUS)
+    assert np.abs(found.configuration.vertices[1] - alone.configuration.vertices[0]).max() < 1e-3
+    assert found.contact.gap.min() > -1e-3 * RADIUS
+    with pytest.raises(InputError, match="radius: missing beside obstacles"):
+        predict_step(lying, Material(6e5, 6e5), clamps, goal, obstacles=[TABLE])

@@ -221,7 +221,8 @@ def test_files_that_are_no_npz(tmp_path, rng):
         with pytest.raises(InputError) as caught:
             load_observations(path)
         assert str(path) in str(caught.value), case
-    for path, word in ((tmp_path / "absent.npz", "no such file"), (tmp_path, "suffix"), (tmp_path / "x.dat", "suffix")):
+    (tmp_path / "x.dat").write_bytes(b"1 2 3")
+    for path, word in ((tmp_path / "absent.npz", "no such file"), (tmp_path, "is a folder"), (tmp_path / "x.dat", "suffix")):
         with pytest.raises(InputError, match=word):
             load_observations(path)
 

@@ -64,6 +64,15 @@ def test_a_missing_scene_fails_the_run(tmp_path, monkeypatch, capsys):
     assert "did not run" in report.read_text(encoding="utf-8") and "nylon.toml" in capsys.readouterr().err
 
 
+def test_a_scene_that_a_small_run_leaves_out_is_missed(tmp_path, monkeypatch, capsys):
+    for scene in specimens.SCENES.glob("*.*"):
+        if scene.name != "loops_silk.toml":
+            (tmp_path / scene.name).write_bytes(scene.read_bytes())
+    monkeypatch.setattr(specimens, "SCENES", tmp_path)
+    assert reproduce.main(["Fig. 6", "--size", "tiny", "--report", str(tmp_path / "REPLICATION.md")]) == 1
+    assert "loops_silk.toml" in capsys.readouterr().err
+
+
 def test_criteria_are_those_of_the_items():
     assert set(CRITERIA) < set(ITEMS)
     assert [verdict(held) for held in ([True] * 4 + [False], [True, False], [False] * 5)] == [

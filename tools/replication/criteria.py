@@ -92,6 +92,6 @@ CRITERIA = {
         "least": Criterion("success at least the paper's: 53.3 % at D = 1, 80 % at D = 6", "paper", (R, R)),
         "near": Criterion("success at D = 1 within 10 points of the paper's 53.3 %", "paper", (N, N)),
         "range": Criterion("a range of angles explains some shapes: at D = 1 one estimate in ten or more is ambiguous", "paper",
-                           (N, N)),
+                           (R, R)),
     },
 }

@@ -33,6 +33,14 @@ class Laboratory:
     calibrated: bool = True
     look: RenderOptions = RenderOptions()
 
+    def __hash__(self) -> int:
+        return hash((self.name, self.outliers, self.calibrated))
+
+    @property
+    def labelled(self) -> "Laboratory":
+        """What of it the labels depend on: laboratories with other images have the same rods and labels."""
+        return replace(self, name="", look=RenderOptions())
+
 
 CURVED = {"rest_curvature_rms_per_mm": 1 / 250, "rest_curvature_range_mm": 15.0}
 PLASTIC = {"yield_curvature_per_mm": 0.03}

@@ -10,12 +10,13 @@ from tools.replication.study import Found
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of one item: ``found``, or the ``problem`` that kept it from running; and the seconds it took."""
+    """Of one item: ``found``, or the ``problem`` that kept it from running; the seconds it took, and those of processors."""
 
     name: str
     found: Found | None
     problem: str
     seconds: float
+    processor: float
 
     @property
     def failures(self) -> list[str]:
@@ -51,11 +52,12 @@ def report(run: Run, size: Size) -> str:
     """The text of the file."""
     outcomes, machine, command = run.outcomes, run.machine, run.command
     laboratory, reasons = _reasons()
-    seconds = sum(outcome.seconds for outcome in outcomes)
+    seconds, processor = (sum(getattr(outcome, name) for outcome in outcomes) for name in ("seconds", "processor"))
     lines = [
         "# Replication", "",
-        f"Written by `{command}` ({size.name}, {seconds / 60:.0f} minutes on {machine['processor']}, {machine['cores']} "
-        f"cores{'; ' * bool(run.note)}{run.note}). Do not edit: change the tool, and run it again.", "", laboratory, "",
+        f"Written by `{command}` ({size.name}, {seconds / 60:.0f} minutes, {processor / 60:.0f} of processor time, on "
+        f"{machine['processor']}, {machine['cores']} cores{'; ' * bool(run.note)}{run.note}). Do not edit: change the tool, "
+        "and run it again.", "", laboratory, "",
         "## Verdicts", "",
         "A criterion is tested on each specimen: *reproduced* where it holds for at least 80 %, *partly* from 20 % on, else "
         "*not*. Criteria are stated in `tools/replication/criteria.py`; *here*: the paper states none.", "",
@@ -75,8 +77,8 @@ def report(run: Run, size: Size) -> str:
         lines += ["", f"## {outcome.name}", ""]
         lines += [f"Did not run: {outcome.problem}"] if outcome.found is None else outcome.found.lines
         lines += ["", reasons.get(outcome.name, "")]
-    lines += ["", "## Time", "", "| item | s |", "|---|---|"]
-    lines += [f"| {outcome.name} | {outcome.seconds:.0f} |" for outcome in outcomes]
+    lines += ["", "## Time", "", "| item | s | of processor time |", "|---|---|---|"]
+    lines += [f"| {outcome.name} | {outcome.seconds:.0f} | {outcome.processor:.0f} |" for outcome in outcomes]
     return "\n".join(lines).replace("\n\n\n", "\n\n") + "\n"
 
 

@@ -1,0 +1,91 @@
+"""Recordings of rods in motion, as ``identify`` and ``simulate`` take them, from their files:
+
+    .npz               positions_mm (R, T, V, 3) or (T, V, 3), rate_hz; optionally recording (R,) names, up (3,)
+    .csv of motion capture (OptiTrack Motive, Vicon Nexus)
+    .csv, .parquet     a row for each mark of a frame, and other files of observations; they state no rate
+    .pkl, a folder     recordings of the public cable data
+
+Axes: R recordings, T frames, V markers.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.errors import InputError
+from doo_ti.io.arrays import read_npz
+from doo_ti.io.cable_recordings import RATE_HZ, read_recordings
+from doo_ti.io.curves import UNITS_IN_MM
+from doo_ti.io.files import read_content
+from doo_ti.io.formats import read_curves
+from doo_ti.io.observations import load_observations
+from doo_ti.types import unit_up
+
+
+@dataclass(frozen=True)
+class MotionRecording:
+    """What a file holds.
+
+    positions  (R, T, V, 3), or (T, V, 3) of a single recording, mm; NaN where a marker was not seen
+    rate       frames per second
+    names      (R,), or None
+    up         (3,) unit vector against gravity, or None where the file states none
+    """
+
+    positions: np.ndarray
+    rate: float
+    names: list | None = None
+    up: np.ndarray | None = None
+
+
+def read_recording(path: str | Path, unit: str | None = None, columns: Mapping[str, str] | Sequence[str] | None = None,
+                   rate: float | None = None) -> MotionRecording:
+    """The recordings in a file.
+
+    unit, columns  as of :func:`doo_ti.io.observations.load_observations`
+    rate           frames per second, instead of what the file states
+
+    Raises InputError for files that cannot be read, and where neither the file nor ``rate`` states the rate.
+    """
+    path = Path(path)
+    if path.suffix == ".npz" or path.suffix == ".pkl" or path.is_dir():
+        if columns is not None:
+            raise InputError(path, "columns", "the file has no columns", "leave `columns` out")
+        found = _of_arrays(path, rate) if path.suffix == ".npz" else _of_cable_data(path, rate)
+        factor = 1.0 if unit is None else UNITS_IN_MM[unit] / (1.0 if path.suffix == ".npz" else UNITS_IN_MM["m"])
+        return MotionRecording(factor * found.positions, found.rate, found.names, found.up)
+    curves = read_curves(path, columns)
+    if curves is not None and curves.rate is not None:
+        factor = curves.unit if unit is None else UNITS_IN_MM[unit]
+        return MotionRecording(factor * curves.points, rate or curves.rate, up=np.array(curves.up))
+    if rate is None:
+        raise InputError(path, "rate", "the file states no frames per second", "give `rate`")
+    observations = load_observations(path, None, unit, columns)
+    positions = np.where(observations.valid[..., None], observations.vertices, np.nan)
+    return MotionRecording(positions, rate, up=observations.up)
+
+
+def _of_arrays(path: Path, rate: float | None) -> MotionRecording:
+    found = read_npz(path, read_content(path), ("positions_mm", "rate_hz", "recording", "up"))
+    if rate is not None:
+        found["rate_hz"] = np.float64(rate)
+    for key in ("positions_mm", "rate_hz"):
+        if key not in found:
+            raise InputError(path, key, "missing", "give positions_mm (R, T, V, 3) or (T, V, 3) and rate_hz")
+        if found[key].dtype.kind not in "fiu":
+            raise InputError(path, key, f"dtype {found[key].dtype} is not numeric", "store real numbers")
+    positions, names = found["positions_mm"].astype(np.float64), found.get("recording")
+    if found["rate_hz"].size != 1:
+        raise InputError(path, "rate_hz", f"shape {found['rate_hz'].shape}", "give one number: frames per second")
+    count = 1 if positions.ndim == 3 else len(positions) if positions.ndim else 0
+    if names is not None and names.shape != (count,):
+        raise InputError(path, "recording", f"shape {names.shape}", f"give ({count},) names")
+    up = unit_up(found["up"], str(path)) if "up" in found else None
+    return MotionRecording(positions, float(found["rate_hz"].reshape(())), None if names is None else names.tolist(), up)
+
+
+def _of_cable_data(path: Path, rate: float | None) -> MotionRecording:
+    positions, names = read_recordings(path)
+    return MotionRecording(positions.astype(np.float64), rate or RATE_HZ, names.tolist())

@@ -1,0 +1,88 @@
+"""Rods along given curves, and knotted ones, as starts of relaxations and motions (docs/contact.md).
+
+    rod = overhand_knot(300.0, 150, radius=1.0, loop=12.0)
+    solution = relax(rod, material, end_clamps(rod, Clamp.TANGENT, Clamp.TANGENT), obstacles=[Itself()], radius=1.0)
+
+Lengths are in mm.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from doo_ti.errors import InputError, real_array, require_whole
+from doo_ti.frames import across, bishop_frames, quaternion_from_matrix
+from doo_ti.types import Configuration
+
+EQUALISATIONS = 60
+"""Rounds in which the vertices along a curve are moved until all edges have their lengths."""
+APART = 1.25
+"""Radii from the middle to the two strands that are laid around each other."""
+BRAID, WIDE_BRAID = 8.0, 2.0
+"""Radii, and √(radius · loop): half the length over which they are, the larger of the two."""
+SAMPLES = 400
+"""Points of each part of a knot's curve."""
+
+
+def rod_along(points: ArrayLike, edges: int | ArrayLike) -> Configuration:
+    """One rod along the curve through ``points`` (N, 3) mm, from the first to the last and without twist. Its vertices are on
+    the curve, so that it is a little shorter.
+
+    edges  how many, all of one length, or (E,) how long they are compared with each other
+
+    Raises InputError for fewer than two points, points that are not finite or all the same, fewer than two edges, and lengths
+    that are not positive.
+    """
+    points = real_array("rod_along", "points", points, "give points (N, 3) in mm").astype(np.float64)
+    if points.ndim != 2 or points.shape[-1:] != (3,) or len(points) < 2 or not np.isfinite(points).all():
+        raise InputError("rod_along", "points", f"shape {points.shape}, or not finite", "give at least two points (N, 3) in mm")
+    if np.ndim(edges) == 0:
+        require_whole("rod_along", "edges", edges, 2)
+        edges = np.ones(edges)
+    shares = real_array("rod_along", "edges", edges, "give a number, or the lengths of at least two").astype(np.float64)
+    if shares.ndim != 1 or len(shares) < 2 or not ((shares > 0) & (shares < np.inf)).all():
+        raise InputError("rod_along", "edges", f"shape {shares.shape}, or not positive", "give the lengths of at least two")
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=-1))])
+    if not arc[-1] > 0:
+        raise InputError("rod_along", "points", "all the same", "give points along a curve")
+    ends = np.concatenate([[0.0], np.cumsum(shares)]) / shares.sum()
+    place = ends * arc[-1]
+    for _ in range(EQUALISATIONS):
+        vertices = np.stack([np.interp(place, arc, column) for column in points.T], axis=-1)
+        chord = np.linalg.norm(np.diff(vertices, axis=0), axis=-1)
+        reached = np.concatenate([[0.0], np.cumsum(chord)])
+        place = np.interp(ends * reached[-1], reached, place)
+    tangents = np.diff(vertices, axis=0) / chord[:, None]
+    frames = bishop_frames(tangents[None], across(tangents[:1]))
+    return Configuration(vertices[:1].copy(), quaternion_from_matrix(frames), chord)
+
+
+def overhand_knot(length: float, edges: int, *, radius: float, loop: float, finer: float = 1.0) -> Configuration:
+    """One rod of that ``radius`` with an open overhand knot in its middle, both ends along x, its middle above the origin.
+
+    The loop, of radius ``loop``, ends in two strands that are laid around each other with three half turns, and go on as the
+    two ends of the rod. Where they are, edges are ``finer`` times shorter than elsewhere.
+
+    Raises InputError for lengths that are not positive, fewer than two edges, and a rod that is too short for its knot.
+    """
+    for name, value in (("length", length), ("radius", radius), ("loop", loop), ("finer", finer)):
+        if not 0 < value < np.inf:
+            raise InputError("overhand_knot", name, f"{value!r}", "give a positive number")
+    require_whole("overhand_knot", "edges", edges, 2)
+    half, offset = max(BRAID * radius, WIDE_BRAID * np.sqrt(radius * loop)), APART * radius
+    strand = np.linspace(-half, half, SAMPLES)
+    angle = 0.5 * np.pi + 1.5 * np.pi * (strand / half + 1.0)
+    braid = np.stack([strand, offset * np.sin(angle), offset * np.cos(angle)], axis=-1)
+    other = braid * [1.0, -1.0, -1.0]
+    turn = np.linspace(0.0, np.pi, SAMPLES)[1:-1]
+    right = np.stack([half + loop * np.sin(turn), -offset - loop + loop * np.cos(turn), 0.0 * turn], axis=-1)
+    knot = np.concatenate([braid, right, right[::-1] * [-1.0, 1.0, 1.0], other])
+    tail = 0.5 * (length - np.linalg.norm(np.diff(knot, axis=0), axis=-1).sum())
+    if not tail > 0:
+        raise InputError("overhand_knot", "length", f"{length:g} mm", f"give more than {length - 2 * tail:.4g} mm")
+    ends = np.array([[tail, 0.0, 0.0]])
+    points = np.concatenate([knot[:1] - ends, knot, knot[-1:] + ends])
+    step = np.linalg.norm(np.diff(points, axis=0), axis=-1)
+    number = np.arange(len(step))
+    braided = (number > 0) & (number < SAMPLES) | (number >= len(step) - SAMPLES) & (number < len(step) - 1)
+    arc, fineness = (np.concatenate([[0.0], np.cumsum(step * weight)]) for weight in (1.0, np.where(braided, finer, 1.0)))
+    return rod_along(points, np.diff(np.interp(np.linspace(0.0, fineness[-1], edges + 1), fineness, arc)))

@@ -1,0 +1,416 @@
+"""The Newton system of a rod that may touch itself: a dense matrix, factored as L D Lᵀ (§III-D, docs/contact.md).
+
+A contact of the rod with itself couples two edges that are far from each other along it. The second derivatives K(v, w) of all
+energies of places, by those of the vertices v and w, therefore fill a matrix of 3×3 blocks. Vertex v moves with the place of
+vertex 0 and with the rotation of every edge before it, δx_v = ξ + Σ_{e<v} A_eᵀ ω_e, so that
+
+    H(e, f) = A_e [Σ_{v>e} Σ_{w>f} K(v, w)] A_fᵀ
+
+besides the terms of bending and twisting and, on the diagonal, those of a force on a curved path. Block 0 belongs to ξ, block
+e + 1 to ω_e. The pivots and the Schur complement of closure certify a minimum, as those of a band do.
+"""
+
+import taichi as ti
+
+from doo_ti.physics.algebra import factor, largest_of
+from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian
+from doo_ti.physics.quaternion import first_director, second_director, tangent
+from doo_ti.physics.tuples import (
+    applied,
+    column_scaled,
+    dot,
+    full,
+    identity,
+    minus,
+    negated,
+    on_diagonal,
+    plus,
+    products,
+    record,
+    repeated,
+    row,
+    row_scaled,
+    scaled,
+    traced,
+    transposed,
+    variable,
+)
+from doo_ti.relaxation.chain import LENGTH, LOADED_PARAMETERS, OF_DRIFT_STEP, ROTATION
+from doo_ti.relaxation.contact_layout import CURVATURES, ENERGY, GRADIENT, MAGNITUDE
+from doo_ti.relaxation.elimination import held_pivot
+from doo_ti.relaxation.pair_layout import LOAD, MOVE, unknowns
+
+COLUMNS = 4
+"""Of the right-hand side: that of the step and the three of closure."""
+
+
+@traced
+def symmetric_sum(m) -> tuple:
+    """M + Mᵀ, six numbers."""
+    return (2.0 * m[0], m[1] + m[3], m[2] + m[6], 2.0 * m[4], m[5] + m[7], 2.0 * m[8])
+
+
+@traced
+def turned_block(left, m, right) -> tuple:
+    """A_e M A_fᵀ, where A is 0 in its first row: ``left`` and ``right`` are the other two of both, or three where it is I."""
+    rows = [tuple(sum_of(m[3 * k + c] * a[k] for k in range(3)) for c in range(3)) for a in left]
+    block = [[sum_of(r[c] * b[c] for c in range(3)) for b in right] for r in rows]
+    zero = 0.0 * m[0]
+    whole = [[zero] * 3 for _ in range(3)]
+    for r, line in enumerate(block):
+        for c, value in enumerate(line):
+            whole[r + 3 - len(left)][c + 3 - len(right)] = value
+    return tuple(value for line in whole for value in line)
+
+
+@traced
+def minus_product(m, a, b) -> tuple:
+    """M − a bᵀ, row by row."""
+    return tuple(m[3 * r + c] - a[r] * b[c] for r in range(3) for c in range(3))
+
+
+def sum_of(values):
+    """The sum of some numbers of a kernel."""
+    total = None
+    for value in values:
+        total = value if total is None else total + value
+    return total
+
+
+@ti.data_oriented
+class DenseElimination:
+    """The part of a :class:`.LoadedElimination` that solves the Newton system, for rods whose contacts are
+    :class:`.SelfContacts`: a class to derive from before the other."""
+
+    @ti.func
+    def eliminate(self, rod, shift, search, multiplier, miss):
+        """Assemble H + shift and factor it; as :meth:`.LoadedElimination.eliminate`."""
+        zero = 0.0 * rod.total
+        found = record(squared=zero, scale=zero, negative=zero, slope=zero, energy=zero, magnitude=zero)
+        self.clear(rod)
+        self.collect(rod, found)
+        self.contacts.touch_itself(rod)
+        found.energy = found.energy + self.contacts.item(rod, ENERGY)
+        found.magnitude = found.magnitude + self.contacts.item(rod, MAGNITUDE)
+        self.sum_columns(rod)
+        self.assemble(rod, shift, search, multiplier, found)
+        self.factor_rows(rod, found)
+        schur, right = self.solve_forward(rod)
+        change, positive = self.bordered(rod, schur, plus(right, miss))
+        return record(moment=ti.sqrt(found.squared), scale=found.scale, change=change, inertia=found.negative + positive,
+                      slope=found.slope, energy=found.energy, magnitude=found.magnitude)
+
+    # --- places in scratch, behind the matrix ---
+
+    @ti.func
+    def behind_matrix(self, rod):
+        size = unknowns(rod.edges)
+        return self.contacts.matrix_at(rod) + size * (size + 1) // 2 * self.stride
+
+    @ti.func
+    def eliminated(self, rod, column):
+        """Three numbers of the three rows that are being eliminated, in one column."""
+        return self.behind_matrix(rod) + 3 * column * self.stride
+
+    @ti.func
+    def pivot(self, rod, line):
+        """The inverse of a pivot."""
+        return self.behind_matrix(rod) + (3 * unknowns(rod.edges) + line) * self.stride
+
+    @ti.func
+    def side(self, rod, line):
+        """A row of the right-hand side."""
+        return self.behind_matrix(rod) + (4 * unknowns(rod.edges) + COLUMNS * line) * self.stride
+
+    @ti.func
+    def load_block(self, rod, line, column):
+        """Block of the lower triangle, off the diagonal, row by row."""
+        first, second, third = (self.contacts.block(rod, line, column, 0), self.contacts.block(rod, line, column, 1),
+                                self.contacts.block(rod, line, column, 2))
+        return self.load3(rod.scratch, first) + self.load3(rod.scratch, second) + self.load3(rod.scratch, third)
+
+    @ti.func
+    def load_diagonal(self, rod, line):
+        """Block on the diagonal, six numbers."""
+        first, second, third = (self.contacts.block(rod, line, line, 0), self.contacts.block(rod, line, line, 1),
+                                self.contacts.block(rod, line, line, 2))
+        last = self.load3(rod.scratch, third)
+        below = rod.scratch[second]
+        return (rod.scratch[first], below, last[0], rod.scratch[second + self.stride], last[1], last[2])
+
+    @ti.func
+    def store_block(self, rod, line, column, values):
+        for r in ti.static(range(3)):
+            at = self.contacts.block(rod, line, column, r)
+            self.store(rod.scratch, at, (values[3 * r], values[3 * r + 1], values[3 * r + 2]))
+
+    @ti.func
+    def store_diagonal(self, rod, line, values):
+        self.store(rod.scratch, self.contacts.block(rod, line, line, 0), (values[0],))
+        self.store(rod.scratch, self.contacts.block(rod, line, line, 1), (values[1], values[3]))
+        self.store(rod.scratch, self.contacts.block(rod, line, line, 2), (values[2], values[4], values[5]))
+
+    # --- the energies of places ---
+
+    @ti.func
+    def clear(self, rod):
+        """Begin the sums of the gradient and of K."""
+        zero = 0.0 * rod.total
+        size = unknowns(rod.edges)
+        first = self.contacts.matrix_at(rod)
+        for k in range(size * (size + 1) // 2):
+            rod.scratch[first + k * self.stride] = zero
+        for v in range(rod.edges + 1):
+            self.store(rod.scratch, self.contacts.own_vertex(rod, v) + LOAD * self.stride, repeated(zero, 3))
+
+    @ti.func
+    def collect(self, rod, found):
+        """Add the external energy and the contacts with obstacles, edge by edge, to the gradient and to K."""
+        end = self.tip(rod)
+        at = rod.origin + (rod.edges - 1) * self.edge_stride
+        for back in range(rod.edges):
+            e = rod.edges - 1 - back
+            t = tangent(self.load4(rod.scratch, at))
+            start = minus(end, scaled(t, rod.scratch[at + LENGTH * self.stride]))
+            load = self.load(rod, at, e, start, end, found)
+            # The energy is a function of the start and of the edge, the end less the start.
+            self.add_load(rod, e, minus(load.gradient, load.gradient_s))
+            self.add_load(rod, e + 1, load.gradient_s)
+            late, mixed = full(load.curvature_ss), load.curvature_s
+            self.contacts.add_diagonal(rod, e + 1, late)
+            self.contacts.add_block(rod, e + 1, e, minus(transposed(mixed), late))
+            early = minus(plus(load.curvature, load.curvature_ss), symmetric_sum(mixed))
+            self.contacts.add_diagonal(rod, e, full(early))
+            end = start
+            at -= self.edge_stride
+        if ti.static(self.pulls_start):
+            energy, gradient, curvature = self.functions.evaluate_start(
+                rod.scratch, rod.head + LOADED_PARAMETERS * self.stride,
+                scaled(plus(rod.anchor, self.drift(rod)), rod.length_unit))
+            found.energy = found.energy + rod.loose * energy
+            found.magnitude = found.magnitude + rod.loose * energy
+            self.add_load(rod, 0, scaled(gradient, rod.length_unit))
+            self.contacts.add_diagonal(rod, 0, full(scaled(curvature, rod.length_unit * rod.length_unit)))
+        if self.contacts.touched_start(rod) == 1:
+            self.add_load(rod, 0, self.contacts.vector(rod, GRADIENT))
+            self.contacts.add_diagonal(rod, 0, full(self.contacts.symmetric(rod, CURVATURES)))
+
+    @ti.func
+    def add_load(self, rod, index, values):
+        """Add to the gradient at a vertex."""
+        self.contacts.add_to(rod.scratch, self.contacts.own_vertex(rod, index) + LOAD * self.stride, values)
+
+    # --- H ---
+
+    @ti.func
+    def sum_columns(self, rod):
+        """From K the sums Σ_{v≥p} K(v, q) off the diagonal and Σ_{v≥p} Σ_{w≥p} K(v, w) on it, in its place."""
+        for q in range(rod.edges):
+            for back in range(rod.edges - 1 - q):
+                p = rod.edges - 1 - back
+                self.contacts.add_block(rod, p, q, self.load_block(rod, p + 1, q))
+        for back in range(rod.edges):
+            p = rod.edges - 1 - back
+            both = plus(self.load_diagonal(rod, p + 1), symmetric_sum(self.load_block(rod, p + 1, p)))
+            self.contacts.add_diagonal(rod, p, full(both))
+
+    @ti.func
+    def levers(self, rod, index):
+        """The rows of A of block ``index`` > 0, rotations that are held left out."""
+        at = rod.origin + (index - 1) * self.edge_stride
+        q = self.load4(rod.scratch, at)
+        rows = closure_rows(rod.scratch[at + LENGTH * self.stride], first_director(q), second_director(q))
+        tilt = self.freedom(rod, index - 1)[1]
+        return scaled(row(rows, 1), tilt), scaled(row(rows, 2), tilt)
+
+    @ti.func
+    def assemble(self, rod, shift, search, multiplier, found):
+        """H + shift in the place of the sums, and the right-hand sides."""
+        zero = 0.0 * rod.total
+        force = variable(multiplier)
+        beyond = zero
+        h, g = variable(repeated(zero, 6)), variable(repeated(zero, 3))  # of the pair with the edge after
+        at = rod.origin + (rod.edges - 1) * self.edge_stride
+        for back in range(rod.edges):
+            e = rod.edges - 1 - back
+            q = self.load4(rod.scratch, at)
+            t, m1, m2 = tangent(q), first_director(q), second_director(q)
+            length = rod.scratch[at + LENGTH * self.stride]
+            force = plus(force, self.load3(rod.scratch, self.contacts.own_vertex(rod, e + 1) + LOAD * self.stride))
+            pull = plus(scaled(rod.gravity, self.hanging_weight(rod, length, beyond)), force)
+            beyond = beyond + length
+            l1, l2 = linear_gradient(pull, length, m1, m2)
+            lh = linear_hessian(pull, length, t, m1, m2)
+            u = variable(repeated(zero, 9))
+            h_before, g_before = variable(repeated(zero, 6)), variable(repeated(zero, 3))
+            if e > 0:
+                previous = at - self.edge_stride
+                left, right, h_left, h_right, across = self.derivatives(
+                    self.bent(rod.scratch, previous), self.stiffness(rod.scratch, previous, at, rod.stiffness))
+                g, h = plus(g, right), plus(h, h_right)
+                h_before, g_before, u = h_left, left, across
+            g = (g[0], g[1] + l1, g[2] + l2)
+            h = (h[0], h[1] + lh[0], h[2] + lh[1], h[3] + lh[2], h[4], h[5] + lh[2])
+            free = self.freedom(rod, e)
+            g = products(free, g)
+            # Shifts are measured by bending, not by what contacts far away make of it.
+            self.observe(found, g, (free[0] * h[0], h[1], h[2], free[1] * h[3], h[4], free[2] * h[5]))
+            self.assemble_row(rod, e + 1, free, u)
+            sums = full(self.load_diagonal(rod, e + 1))
+            rows = closure_rows(length, m1, m2)
+            a1, a2 = row(rows, 1), row(rows, 2)
+            w1, w2 = applied(sums, a1), applied(sums, a2)
+            h = (h[0], h[1], h[2], h[3] + dot(a1, w1), h[4] + dot(a1, w2), h[5] + dot(a2, w2))
+            b, along = self.stirred(rod, at, e, negated(g), g, search)
+            found.slope = found.slope + along
+            self.store_diagonal(rod, e + 1, held_pivot(on_diagonal(h, shift), free))
+            self.store_side(rod, e + 1, products(free, b), scaled(rows, free[1] * rod.closed))
+            h, g = h_before, g_before
+            at -= self.edge_stride
+        self.assemble_start(rod, shift, force, found)
+
+    @ti.func
+    def assemble_row(self, rod, line, free, across):
+        """The blocks of row ``line`` before the diagonal, from the last: H(p, q) for all q < p; ``across`` couples the edge by
+        bending and twisting with the edge before."""
+        own = self.levers(rod, line)
+        sums = variable(full(self.load_diagonal(rod, line)))
+        for back in range(line):
+            q = line - 1 - back
+            sums = plus(sums, self.load_block(rod, line, q))
+            block = variable(repeated(0.0 * rod.total, 9))
+            if q > 0:
+                block = turned_block(own, sums, self.levers(rod, q))
+                if back == 0:
+                    bent = column_scaled(row_scaled(transposed(across), free), self.freedom(rod, q - 1))
+                    block = plus(block, bent)
+            else:
+                loose = rod.loose
+                start = identity(0.0 * loose)
+                block = scaled(turned_block(own, sums, (row(start, 0), row(start, 1), row(start, 2))), loose)
+            self.store_block(rod, line, q, block)
+
+    @ti.func
+    def assemble_start(self, rod, shift, force, found):
+        """Block 0: that of the place of vertex 0."""
+        loose = rod.loose
+        whole = plus(force, self.load3(rod.scratch, self.contacts.own_vertex(rod, 0) + LOAD * self.stride))
+        slope = scaled(plus(whole, scaled(rod.gravity, 2.0 * rod.total)), loose)
+        self.observe_moment(found, scaled(slope, rod.total))
+        d = self.load_diagonal(rod, 0)
+        shifted = on_diagonal(d, shift / (rod.total * rod.total))
+        self.store_diagonal(rod, 0, held_pivot(shifted, (loose, loose, loose)))
+        self.store_side(rod, 0, negated(slope), scaled(identity(0.0 * loose), loose * rod.closed))
+
+    @ti.func
+    def store_side(self, rod, line, right, border):
+        """Three rows of the right-hand side: that of the step and those of closure."""
+        for r in ti.static(range(3)):
+            values = (right[r], border[3 * r], border[3 * r + 1], border[3 * r + 2])
+            self.store(rod.scratch, self.side(rod, 3 * line + r), values)
+
+    # --- the factors ---
+
+    @ti.func
+    def factor_rows(self, rod, found):
+        """L D Lᵀ in the place of the matrix, three rows after three."""
+        for p in range(rod.edges + 1):
+            for q in range(p):
+                self.eliminate_block(rod, p, q)
+            rest = variable(self.load_diagonal(rod, p))
+            lines = (self.contacts.block(rod, p, 0, 0), self.contacts.block(rod, p, 0, 1), self.contacts.block(rod, p, 0, 2))
+            for k in range(3 * p):
+                own = self.load3(rod.scratch, self.eliminated(rod, k))
+                low = scaled(own, rod.scratch[self.pivot(rod, k)])
+                for r in ti.static(range(3)):
+                    rod.scratch[lines[r] + k * self.stride] = low[r]
+                rest = (rest[0] - own[0] * low[0], rest[1] - own[0] * low[1], rest[2] - own[0] * low[2],
+                        rest[3] - own[1] * low[1], rest[4] - own[1] * low[2], rest[5] - own[2] * low[2])
+            f = factor(rest)
+            found.negative = found.negative + f[6]
+            for r in ti.static(range(3)):
+                rod.scratch[self.pivot(rod, 3 * p + r)] = f[r]
+            self.store_diagonal(rod, p, (f[0], f[3], f[4], f[1], f[5], f[2]))
+
+    @ti.func
+    def eliminate_block(self, rod, p, q):
+        """L D of block (p, q)."""
+        rest = variable(self.load_block(rod, p, q))
+        lines = (self.contacts.block(rod, q, 0, 0), self.contacts.block(rod, q, 0, 1), self.contacts.block(rod, q, 0, 2))
+        for k in range(3 * q):
+            own = self.load3(rod.scratch, self.eliminated(rod, k))
+            low = (rod.scratch[lines[0] + k * self.stride], rod.scratch[lines[1] + k * self.stride],
+                   rod.scratch[lines[2] + k * self.stride])
+            rest = minus_product(rest, own, low)
+        f = self.load_diagonal(rod, q)  # (1/d1, l21, l31, 1/d2, l32, 1/d3)
+        for r in ti.static(range(3)):
+            first = rest[3 * r]
+            second = rest[3 * r + 1] - first * f[1]
+            third = rest[3 * r + 2] - first * f[2] - second * f[4]
+            at = self.eliminated(rod, 3 * q) + r * self.stride
+            rod.scratch[at] = first
+            rod.scratch[at + 3 * self.stride] = second
+            rod.scratch[at + 6 * self.stride] = third
+
+    @ti.func
+    def entry(self, rod, line, column):
+        """Where an entry of L is."""
+        return self.contacts.matrix_at(rod) + (line * (line + 1) // 2 + column) * self.stride
+
+    @ti.func
+    def solve_forward(self, rod):
+        """L⁻¹ of the right-hand sides, in their place; returns what closure needs: Aᵀ H⁻¹ A and Aᵀ H⁻¹ b."""
+        zero = 0.0 * rod.total
+        schur, right = variable(repeated(zero, 6)), variable(repeated(zero, 3))
+        for line in range(unknowns(rod.edges)):
+            y = variable(self.load4(rod.scratch, self.side(rod, line)))
+            at = self.entry(rod, line, 0)
+            for k in range(line):
+                y = minus(y, scaled(self.load4(rod.scratch, self.side(rod, k)), rod.scratch[at + k * self.stride]))
+            self.store(rod.scratch, self.side(rod, line), y)
+            inverse = rod.scratch[self.pivot(rod, line)]
+            a = (y[1], y[2], y[3])
+            d = scaled(a, inverse)
+            schur = plus(schur, (a[0] * d[0], a[0] * d[1], a[0] * d[2], a[1] * d[1], a[1] * d[2], a[2] * d[2]))
+            right = plus(right, scaled(d, y[0]))
+        return schur, right
+
+    @ti.func
+    def substitute(self, rod, found):
+        """ω = L⁻ᵀ D⁻¹ L⁻¹ (b − A δλ); returns the largest rotation, rad, or the largest share of the way to an obstacle or to
+        another part of the rod, if that is more."""
+        size = unknowns(rod.edges)
+        for line in range(size):
+            y = self.load4(rod.scratch, self.side(rod, line))
+            closed = y[0] - y[1] * found.change[0] - y[2] * found.change[1] - y[3] * found.change[2]
+            rod.scratch[self.side(rod, line)] = closed * rod.scratch[self.pivot(rod, line)]
+        for back in range(size):
+            line = size - 1 - back
+            solved = rod.scratch[self.side(rod, line)]
+            at = self.entry(rod, line, 0)
+            for k in range(line):
+                place = self.side(rod, k)
+                rod.scratch[place] = rod.scratch[place] - solved * rod.scratch[at + k * self.stride]
+        x = variable(self.solution(rod, 0))
+        self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, x)
+        self.store(rod.scratch, self.contacts.own_vertex(rod, 0) + MOVE * self.stride, x)
+        longest = dot(x, x) / (rod.total * rod.total)
+        at = rod.origin
+        for e in range(rod.edges):
+            w = self.solution(rod, e + 1)
+            self.store(rod.scratch, at + ROTATION * self.stride, w)
+            q = self.load4(rod.scratch, at)
+            length = rod.scratch[at + LENGTH * self.stride]
+            change = scaled(minus(scaled(first_director(q), w[2]), scaled(second_director(q), w[1])), length)
+            longest = largest_of(longest, self.contacts.approach(rod, e + 1, x, plus(x, change)))
+            x = plus(x, change)
+            self.store(rod.scratch, self.contacts.own_vertex(rod, e + 1) + MOVE * self.stride, x)
+            longest = self.longer(longest, w)
+            at += self.edge_stride
+        return ti.sqrt(largest_of(longest, self.contacts.approach_itself(rod)))
+
+    @ti.func
+    def solution(self, rod, block):
+        """Three of the unknowns."""
+        return (rod.scratch[self.side(rod, 3 * block)], rod.scratch[self.side(rod, 3 * block + 1)],
+                rod.scratch[self.side(rod, 3 * block + 2)])

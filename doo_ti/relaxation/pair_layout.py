@@ -1,0 +1,48 @@
+"""Where the numbers of a rod's contact with itself lie in scratch, behind those of its contacts with obstacles
+(docs/contact.md)."""
+
+from doo_ti.physics.tuples import picked
+from doo_ti.relaxation.contact_layout import contact_items
+
+# Items of the rod: its coefficient of friction on itself; of the two edges that are looked at the weights of their four ends,
+# and the mixed derivatives of their distance by these and by the places on both edges; and the least gap of two edges that
+# clamps hold. Then of every vertex the gradient of all energies of places, the part of it from the rod's contact with itself,
+# the displacement that the next step means, and the length of the rod before.
+COEFFICIENT, WEIGHTS, SLOPES, PINCHED, ROD_ITEMS = 0, 1, 5, 29, 30
+LOAD, PULL, MOVE, ARC, VERTEX_ITEMS = 0, 3, 6, 9, 10
+# Items of a pair of edges i < j, number j (j − 1)/2 + i: the force; the friction, the normal of its plane and the places on
+# both edges at which it acts; the distance of the edges, or a bound below it, now and before the step; the nearest places on
+# both and the gradient of the distance.
+FORCE, FRICTION, RUBBED_NORMAL, RUBBED_PLACES, DISTANCE, DISTANCE_STANDING, PLACES, NORMAL, PAIR_ITEMS = (
+    0, 1, 4, 7, 9, 10, 11, 13, 16)
+REMEMBERED = 9
+"""Items of a pair that last from one step to the next."""
+# Then the dense matrix of the Newton system, the rows of its lower triangle one after the other; three rows that are being
+# eliminated, place by place; the inverse pivots; and the right-hand side with the three columns of closure, row by row.
+
+ROUNDED = 2e-3
+"""Squared radii by which a place on an edge is drawn to the middle of the edge, so that the nearest places of parallel edges
+are unique: a distance of two radii becomes larger by at most 2.5e-4 of a radius."""
+REACH = 3.0
+"""Radii between centrelines: within them the barrier acts."""
+LEAST_DISTANCE = 1e-3
+"""Radii: a start whose centreline is nearer to itself does not say which side is which."""
+
+
+@picked
+def unknowns(edges):
+    """Numbers of a step: the place of vertex 0 and the rotations of all edges."""
+    return 3 * (edges + 1)
+
+
+@picked
+def pair_items(edges):
+    """Numbers of a rod's contact with itself in scratch, without the matrix."""
+    return ROD_ITEMS + (edges + 1) * VERTEX_ITEMS + edges * (edges - 1) // 2 * PAIR_ITEMS
+
+
+@picked
+def self_contact_items(edges, obstacles):
+    """Numbers of all contacts of a rod that may touch itself in scratch, with those of its dense Newton system."""
+    size = unknowns(edges)
+    return contact_items(edges, obstacles) + pair_items(edges) + size * (size + 1) // 2 + 3 * size + size + 4 * size

@@ -1,0 +1,194 @@
+"""Rods that touch themselves: they keep their distance, are in equilibrium, and never pass through themselves."""
+
+import numpy as np
+import pytest
+import taichi as ti
+
+from doo_ti import runtime
+from doo_ti.contact.itself import Itself, edge_distance, smallest_self_gap
+from doo_ti.errors import InputError
+from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_product
+from doo_ti.knots import overhand_knot, rod_along
+from doo_ti.material import Material
+from doo_ti.physics.tuples import record
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.pair_distance import pair_block, pair_distance, pair_slopes, pair_weights
+from doo_ti.relaxation.relax import relax
+from doo_ti.rods import end_clamps, straight_rod
+from doo_ti.types import Clamp, Clamps, Status
+from tests.contact.topology import determinant, link
+from tests.oracle.chain_form import chain_derivatives, rod_of
+from tests.oracle.equilibrium import clamped_start, free_variables
+from tests.oracle.external import vertex_jacobian
+
+RADIUS, STIFFNESS = 1.0, 1e5
+PATIENT = Newton(max_iterations=1000)
+EVEN = 2e-3
+
+
+def twisted(turns: np.ndarray):
+    """(rods of 100 mm, clamps) whose ends are turned against each other and then brought together by 30 mm."""
+    one, count = straight_rod(100.0, 30), len(turns)
+    angle = np.linspace(0.0, 2.0 * np.pi, one.edges) * turns[:, None]
+    frames = quaternion_product(quaternion_about(np.broadcast_to([1.0, 0.0, 0.0], (*angle.shape, 3)), angle), one.quaternions)
+    rods = type(one)(np.repeat(one.start, count, 0), frames, one.rest_length)
+    end = np.broadcast_to([70.0, 0.0, 0.0], (count, 3))
+    ends = matrix_from_quaternion(frames)
+    return rods, Clamps(Clamp.FRAME, Clamp.FRAME, rods.start, end, ends[:, 0], ends[:, -1])
+
+
+@pytest.fixture(scope="module")
+def coiled():
+    """(starts, clamps, solution) of rods with some turns."""
+    rods, clamps = twisted(np.array([0.3, 1.5, 3.1, 3.5, 4.1]))
+    return rods, clamps, relax(rods, Material(STIFFNESS, STIFFNESS), clamps, PATIENT, obstacles=[Itself()], radius=RADIUS)
+
+
+@pytest.fixture(scope="module")
+def knotted():
+    """(clamps, solution) of a rod with an overhand knot."""
+    rod = overhand_knot(160.0, 60, radius=RADIUS, loop=12.0)
+    clamps = end_clamps(rod, Clamp.TANGENT, Clamp.TANGENT)
+    return clamps, relax(rod, Material(STIFFNESS, STIFFNESS, 0.0), clamps, obstacles=[Itself()], radius=RADIUS)
+
+
+def test_distance_of_edges(rng):
+    """Against the least of the distances between many places on both."""
+    w, p, q = rng.normal(size=(3, 300, 3))
+    p[:20] = q[:20] * rng.uniform(-2.0, 2.0, (20, 1))
+    share = np.linspace(0.0, 1.0, 201)
+    s, t = share[:, None, None, None], share[None, :, None, None]
+    places = np.sqrt((((w + t * q) - s * p) ** 2).sum(axis=-1)).min(axis=(0, 1))
+    found = edge_distance(w, p, q)
+    assert (found <= places + 1e-12).all() and np.abs(found - places).max() < 0.02
+
+
+def test_derivatives_of_the_distance_of_edges(rng):
+    """The gradient of an energy of the distance, 1e-7, and its second derivatives, against differences; parallel edges too."""
+
+    @ti.kernel
+    def evaluate(ends: ti.types.ndarray(dtype=ti.f64, ndim=3), value: ti.types.ndarray(dtype=ti.f64, ndim=1),
+                 gradient: ti.types.ndarray(dtype=ti.f64, ndim=2), hessian: ti.types.ndarray(dtype=ti.f64, ndim=3)):
+        for n in range(ends.shape[0]):
+            w = (ends[n, 2, 0] - ends[n, 0, 0], ends[n, 2, 1] - ends[n, 0, 1], ends[n, 2, 2] - ends[n, 0, 2])
+            p = (ends[n, 1, 0] - ends[n, 0, 0], ends[n, 1, 1] - ends[n, 0, 1], ends[n, 1, 2] - ends[n, 0, 2])
+            q = (ends[n, 3, 0] - ends[n, 2, 0], ends[n, 3, 1] - ends[n, 2, 1], ends[n, 3, 2] - ends[n, 2, 2])
+            seen = pair_distance(w, p, q, ti.cast(EVEN, ti.f64))
+            value[n] = 0.5 * (2.0 - seen.value) ** 2
+            push, stiffness = 2.0 - seen.value, ti.cast(1.0, ti.f64)
+            weights = pair_weights(seen.s, seen.t)
+            slopes = pair_slopes(weights, seen, p, q)
+            for k in ti.static(range(4)):
+                for a in ti.static(range(3)):
+                    gradient[n, 3 * k + a] = 0.0 - push * weights[k] * seen.normal[a]
+                for m in ti.static(range(4)):
+                    own = record(weight=weights[k], by_s=slopes[3 * k : 3 * k + 3], by_t=slopes[12 + 3 * k : 15 + 3 * k])
+                    other = record(weight=weights[m], by_s=slopes[3 * m : 3 * m + 3], by_t=slopes[12 + 3 * m : 15 + 3 * m])
+                    block = pair_block(own, other, seen, push, stiffness)
+                    for a in ti.static(range(3)):
+                        for b in ti.static(range(3)):
+                            hessian[n, 3 * k + a, 3 * m + b] = block[3 * a + b]
+
+    def at(ends):
+        count = len(ends)
+        result = np.zeros(count), np.zeros((count, 12)), np.zeros((count, 12, 12))
+        evaluate(np.ascontiguousarray(ends), *result)
+        return result
+
+    runtime.start()
+    count, h = 60, 1e-6
+    ends = rng.normal(size=(count, 4, 3))
+    ends[:, 2:] += [0.0, 0.0, 1.5]
+    ends[:15, 3] = ends[:15, 2] + (ends[:15, 1] - ends[:15, 0]) * rng.uniform(0.5, 2.0, (15, 1))
+    _, gradient, hessian = at(ends)
+    moved = [[at(ends + sign * h * direction.reshape(4, 3)) for sign in (1.0, -1.0)] for direction in np.eye(12)]
+    slope = np.stack([(ahead[0] - behind[0]) / (2 * h) for ahead, behind in moved], axis=-1)
+    bend = np.stack([(ahead[1] - behind[1]) / (2 * h) for ahead, behind in moved], axis=-1)
+    assert np.abs(gradient - slope).max() < 1e-7
+    # The nearest places reach an end of an edge suddenly: there second derivatives jump.
+    assert np.quantile(np.abs(hessian - bend).max(axis=(1, 2)), 0.9) < 1e-5
+    assert np.allclose(hessian, hessian.swapaxes(1, 2), atol=1e-12)
+
+
+@pytest.mark.thorough
+def test_rods_keep_their_distance_and_their_link(coiled):
+    """Where the plain minimum would be reached by passing through itself, the rod coils up; its link is that of its start."""
+    rods, clamps, solution = coiled
+    assert solution.converged.all() and solution.stable.all()
+    assert (solution.contact.gap > -1e-3 * RADIUS).all() and (np.abs(solution.contact.gap[2:]) < 1e-3 * RADIUS).all()
+    before = [link(x, q) for x, q in zip(rods.vertices, rods.quaternions, strict=True)]
+    shapes = solution.configuration
+    after = [link(x, q) for x, q in zip(shapes.vertices, shapes.quaternions, strict=True)]
+    assert np.abs(np.array(after) - before).max() < 1e-3
+    plain = relax(rods, Material(STIFFNESS, STIFFNESS), clamps).configuration
+    through = [link(x, q) for x, q in zip(plain.vertices, plain.quaternions, strict=True)]
+    assert np.abs(np.array(through) - before).max() > 1.9, "without contact they pass through themselves"
+    assert (plain.quaternions[0] == shapes.quaternions[0]).all(), "a rod far from itself is computed as without contact"
+
+
+@pytest.mark.thorough
+def test_a_rod_relaxes_alone_as_among_others(coiled):
+    rods, clamps, solution = coiled
+    for row in (2, 4):
+        alone = relax(rods.take([row]), Material(STIFFNESS, STIFFNESS), clamps.take([row]), PATIENT,
+                      obstacles=[Itself()], radius=RADIUS)
+        assert (alone.configuration.quaternions[0] == solution.configuration.quaternions[row]).all()
+
+
+@pytest.mark.thorough
+def test_a_knot_stays_and_its_forces_balance(knotted):
+    clamps, solution = knotted
+    assert solution.converged.all() and solution.stable.all()
+    shape = solution.configuration
+    assert abs(solution.contact.gap[0]) < 1e-3 * RADIUS
+    assert determinant(shape.vertices[0]) == 3
+    force = solution.contact.force[0]
+    assert np.abs(force.sum(axis=0)).max() < 1e-9 * np.abs(force).max(), "it exerts no force on itself as a whole"
+    rod = rod_of(shape, Material(STIFFNESS, STIFFNESS, 0.0), 0)
+    state, ends = clamped_start(shape, clamps, 0)
+    free = free_variables(rod, ends)
+    jacobian = vertex_jacobian(rod, state.quaternions)
+    gradient = np.append(np.zeros(3), chain_derivatives(rod, state.quaternions)[0])
+    gradient -= np.einsum("ia,iak->k", force, jacobian)
+    far = jacobian[-1][:, free]
+    pull = np.linalg.lstsq(far.T, gradient[free], rcond=None)[0]
+    assert np.abs(gradient[free] - far.T @ pull).max() * 160.0 / STIFFNESS < 1e-7
+    assert np.allclose(pull, solution.end_force[0], rtol=1e-6, atol=1e-6 * np.abs(pull).max())
+
+
+@pytest.mark.thorough
+def test_the_force_of_a_wide_knot():
+    """F h²/B = ε⁴/2 of Audoly, Clauvelin and Neukirch (2007), in the limit of small ε = √(h/R)."""
+    wide = 100.0
+    rod = overhand_knot(2.0 * np.pi * wide * 1.1 + 7.0 * np.sqrt(2.0) * wide, 110, radius=RADIUS, loop=wide, finer=10.0)
+    solution = relax(rod, Material(STIFFNESS, STIFFNESS, 0.0), end_clamps(rod, Clamp.TANGENT, Clamp.TANGENT),
+                     obstacles=[Itself()], radius=RADIUS)
+    assert solution.converged[0] and determinant(solution.configuration.vertices[0]) == 3
+    force = np.linalg.norm(solution.end_force[0]) * RADIUS**2 / STIFFNESS
+    loop = 1.0 / solution.configuration.curvature[0, rod.edges // 2]
+    assert 1.0 < force / (0.5 * (RADIUS / loop) ** 2) < 1.3
+
+
+@pytest.mark.thorough
+def test_a_rod_whose_ends_are_too_near_is_infeasible():
+    """Both ends are held where the rod has no room."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 200)
+    ring = rod_along(np.stack([20.0 * np.cos(angle), 20.0 * np.sin(angle), 1.5 * angle / (2.0 * np.pi)], axis=-1), 40)
+    held = end_clamps(ring, Clamp.FRAME, Clamp.FRAME)
+    solution = relax(ring, Material(STIFFNESS, STIFFNESS, 0.0), held, obstacles=[Itself()], radius=RADIUS)
+    assert solution.status[0] == Status.INFEASIBLE
+
+
+def test_gaps_of_rods_without_places_and_of_short_ones():
+    gap = smallest_self_gap(np.full((1, 8, 3), np.nan), np.array([1.0]))
+    assert np.isnan(gap).all()
+    assert np.isinf(smallest_self_gap(straight_rod(10.0, 2).vertices, np.array([1.0]))).all()
+
+
+def test_wrong_knots_are_one_line():
+    with pytest.raises(InputError, match="length.*mm.*give more than"):
+        overhand_knot(20.0, 40, radius=1.0, loop=12.0)
+    with pytest.raises(InputError, match="edges"):
+        rod_along(np.eye(3), [1.0, -1.0, 2.0])
+    with pytest.raises(InputError, match="friction"):
+        Itself(friction=-0.1)

@@ -1,0 +1,72 @@
+"""How rods are knotted and linked, computed apart from the package: from nothing but their vertices and frames."""
+
+import numpy as np
+
+from doo_ti.frames import total_twist
+
+FAR = 50.0
+"""Rod lengths to the points by which a rod is closed."""
+
+
+def closed(vertices: np.ndarray) -> np.ndarray:
+    """(N, 3) the rod (V, 3), both ends of which point away from it along its end edges, closed far away from it."""
+    before, after = vertices[0] - vertices[1], vertices[-1] - vertices[-2]
+    reach = FAR * np.linalg.norm(np.diff(vertices, axis=0), axis=1).sum()
+    ends = [vertices[0] + reach * before / np.linalg.norm(before), vertices[-1] + reach * after / np.linalg.norm(after)]
+    aside = np.array([0.0, 0.31, -0.95]) * reach
+    return np.concatenate([ends[:1], vertices, ends[1:], ends[1:] + aside, ends[:1] + aside])
+
+
+def writhe(points: np.ndarray) -> float:
+    """Of a closed polygon (N, 3), in turns: the sum over pairs of edges of the solid angle in which they cross."""
+    start, end = points, np.roll(points, -1, axis=0)
+    i, j = np.triu_indices(len(points), 2)
+    keep = ~((i == 0) & (j == len(points) - 1))
+    a, b, c, d = start[i[keep]], end[i[keep]], start[j[keep]], end[j[keep]]
+    corners = [np.cross(c - a, d - a), np.cross(d - a, d - b), np.cross(d - b, c - b), np.cross(c - b, c - a)]
+    sizes = [np.linalg.norm(corner, axis=-1, keepdims=True) for corner in corners]
+    normals = [corner / np.maximum(size, 1e-300) for corner, size in zip(corners, sizes, strict=True)]
+    angle = sum(np.arcsin(np.clip((normals[k] * normals[(k + 1) % 4]).sum(axis=-1), -1.0, 1.0)) for k in range(4))
+    sense = np.sign(np.einsum("ij,ij->i", np.cross(d - c, b - a), c - a))
+    return float((sense * angle).sum() / (2.0 * np.pi))
+
+
+def link(vertices: np.ndarray, quaternions: np.ndarray) -> float:
+    """Turns by which the frames of a rod (V, 3), (E, 4) are linked with it: twist and writhe. With both ends held it changes
+    only where the rod passes through itself, by two."""
+    return float(total_twist(quaternions) / (2.0 * np.pi)) + writhe(closed(vertices))
+
+
+def determinant(vertices: np.ndarray, seed: int = 0) -> int:
+    """The determinant of the knot that a rod (V, 3) makes: 1 of an unknotted one, 3 of an overhand knot.
+
+    Of a diagram of the closed rod every crossing gives an equation between the arcs that meet there, twice the upper one less
+    both lower ones; the determinant is that of all equations but one, of all arcs but one.
+    """
+    points = closed(vertices)
+    turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    points = points @ turn
+    start, side = points, np.roll(points, -1, axis=0) - points
+    count = len(points)
+    crossings = []  # (place along the rod where it runs below, place where it runs above)
+    for i in range(count):
+        for j in range(i + 2, count - (i == 0)):
+            across = side[i, 0] * side[j, 1] - side[i, 1] * side[j, 0]
+            if across == 0.0:
+                continue
+            away = start[j] - start[i]
+            s = (away[0] * side[j, 1] - away[1] * side[j, 0]) / across
+            t = (away[0] * side[i, 1] - away[1] * side[i, 0]) / across
+            if 0 < s < 1 and 0 < t < 1:
+                first, second = start[i, 2] + s * side[i, 2], start[j, 2] + t * side[j, 2]
+                crossings.append((i + s, j + t) if first < second else (j + t, i + s))
+    if len(crossings) < 3:
+        return 1
+    below = np.sort([under for under, _ in crossings])
+    matrix = np.zeros((len(crossings), len(crossings)))
+    for row, (under, over) in enumerate(crossings):
+        ends = int(np.searchsorted(below, under))
+        matrix[row, np.searchsorted(below, over) % len(crossings)] += 2.0
+        matrix[row, ends] -= 1.0
+        matrix[row, (ends + 1) % len(crossings)] -= 1.0
+    return round(abs(np.linalg.det(matrix[1:, 1:])))

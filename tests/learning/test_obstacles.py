@@ -1,0 +1,125 @@
+"""Sweeps over rods that lie on a table: with the table they find the true stiffness, without it they do not."""
+
+import json
+
+import numpy as np
+import pytest
+
+from doo_ti.cli import main
+from doo_ti.contact.distance_grid import DistanceGrid
+from doo_ti.contact.obstacles import Plane, Ring, Sphere
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.errors import InputError
+from doo_ti.grid import Axis, Grid
+from doo_ti.io.observations import Observations, save_observations
+from doo_ti.learning.experiment import Experiment, SweepOptions
+from doo_ti.learning.pairs import Pairs
+from doo_ti.learning.run_folder import claim, identity_of, read_experiment, read_plan
+from doo_ti.learning.sweeps import sweep
+from doo_ti.relaxation.descent import Descent
+from doo_ti.relaxation.relax import relax
+from doo_ti.rods import hanging
+from doo_ti.types import Clamp, Material
+
+TRUE, RADIUS, HEIGHT = 2e5, 2.0, 25.0
+TABLE = Surroundings([Plane((0, 0, 0), (0, 0, 1))], RADIUS)
+GRID = Grid((Axis("bend", [5e4, 1e5, 2e5, 4e5]), Axis("twist", [TRUE])))
+ON_TABLE = SweepOptions(precision="f64", surroundings=TABLE)
+
+
+@pytest.fixture(scope="module")
+def lying() -> Observations:
+    """Rods of 240 mm between level clamps above the table, which lie down on it sideways."""
+    span = np.array([170.0, 190.0, 205.0, 225.0])
+    start, end = np.zeros((4, 3)), np.zeros((4, 3))
+    start[:, 2] = end[:, 2] = HEIGHT
+    end[:, 0] = span
+    rods, clamps = hanging(240.0, 24, start, end, clamp=Clamp.FRAME)
+    clamps.start_frame[:], clamps.end_frame[:] = np.eye(3), np.eye(3)
+    bowed = relax(rods, Material(TRUE, TRUE), clamps, up=(0, -1, -0.3)).configuration
+    found = relax(bowed, Material(TRUE, TRUE), clamps, **TABLE.arguments)
+    assert found.converged.all() and found.contact.touching.any(axis=1).all()
+    frames = found.configuration.frames
+    return Observations(found.configuration.vertices, rest_length=rods.rest_length, start_frame=frames[:, 0],
+                        end_frame=frames[:, -1], name="rope", end_distance=span, end_rotation=np.zeros(4))
+
+
+@pytest.mark.slow
+def test_with_the_table_a_sweep_finds_the_true_stiffness_and_without_it_not(tmp_path, lying):
+    with_table = sweep(tmp_path / "with", lying, GRID, options=ON_TABLE)
+    without = sweep(tmp_path / "without", lying, GRID, options=SweepOptions(precision="f64"))
+    assert with_table["best"]["bend_1"] == TRUE and with_table["best"]["mean_distance_mm"] < 1e-3
+    assert without["best"]["mean_distance_mm"] > 5.0 and without["best"]["bend_1"] != TRUE
+    assert with_table["provenance"]["options"]["obstacles"]["kinds"] == ["plane"]
+    # The folder alone gives the same experiment, and resuming it with another table is refused.
+    kept = read_experiment(tmp_path / "with").options.surroundings
+    assert (kept.obstacles[0].normal == TABLE.obstacles[0].normal).all() and kept.radius == RADIUS
+    lower = Surroundings([Plane((0, 0, -1), (0, 0, 1))], RADIUS)
+    with pytest.raises(InputError, match="holds another sweep"):
+        sweep(tmp_path / "with", lying, GRID, options=SweepOptions(precision="f64", surroundings=lower))
+    (tmp_path / "with" / "obstacles.npz").write_bytes(b"")
+    with pytest.raises(InputError, match="obstacles.npz: file: gone, or not what the sweep wrote"):
+        read_experiment(tmp_path / "with")
+
+
+@pytest.mark.slow
+def test_eq_3_over_a_table(tmp_path, lying):
+    one = Grid((Axis("bend", [1e5, TRUE, 4e5]), Axis("twist", [TRUE])))
+    found = sweep(tmp_path / "run", lying, one, pairs=Pairs([0, 1, 3], [1, 2, 2], [1.0, 1.0, 1.0]),
+                  options=SweepOptions(precision="f64", objective="dynamic", surroundings=TABLE))
+    assert found["best"]["bend_1"] == TRUE and found["best"]["mean_distance_mm"] < 0.1
+
+
+def test_the_identity_of_a_sweep_depends_on_its_obstacles(lying):
+    def identity(*obstacles, radius=RADIUS):
+        surroundings = Surroundings(obstacles, radius) if obstacles else Surroundings()
+        return identity_of(Experiment(lying, GRID, SweepOptions(surroundings=surroundings)))
+    table, low = Plane((0, 0, 0), (0, 0, 1)), Plane((0, 0, -1), (0, 0, 1))
+    found = [identity(), identity(table), identity(low), identity(table, low), identity(table, radius=1.5)]
+    assert len(set(found)) == 5 and identity(Plane((0, 0, 0), (0, 0, 1))) == found[1]
+
+
+def test_obstacles_of_all_kinds_are_read_back_from_the_folder_of_a_run(tmp_path, lying):
+    values = np.full((4, 4, 4), 9.0)
+    values[1:3, 1:3, 1:3] = -1.0
+    around = Surroundings([Plane((0, 0, 0), (0, 0, 1), 0.3), Sphere((0, 0, -90), 5), Ring((0, 90, 0), (0, 0, 1), 9, 1),
+                           DistanceGrid(values, 5.0, (0, 0, -200))], RADIUS)
+    experiment = Experiment(lying, GRID, SweepOptions(surroundings=around))
+    claim(tmp_path / "run", identity_of(experiment), experiment)
+    again, identity = read_plan(tmp_path / "run")
+    assert identity == identity_of(experiment)
+    assert again.options.as_dict()["obstacles"] == experiment.options.as_dict()["obstacles"]
+    assert [type(one) for one in again.options.surroundings.obstacles] == [type(one) for one in around.obstacles]
+    for damage in ("obstacles.npz", "cells/plan.json"):
+        path = tmp_path / "run" / damage
+        path.write_bytes(path.read_bytes().replace(b"plane", b"space") if damage.endswith("json") else b"PK")
+        with pytest.raises(InputError) as error:
+            read_plan(tmp_path / "run")
+        assert "\n" not in str(error.value)
+
+
+def test_rods_inside_obstacles_and_what_a_sweep_cannot_use_are_refused(lying):
+    def experiment(*obstacles, radius=RADIUS, **options):
+        return Experiment(lying, GRID, SweepOptions(surroundings=Surroundings(obstacles, radius), **options))
+    with pytest.raises(InputError, match=r"obstacles: the clamp of rod \d is 7 mm inside a Plane"):
+        experiment(Plane((0, 0, 30), (0, 0, 1)))
+    with pytest.raises(InputError, match=r"obstacles: the centreline of rod . is [\d.]+ mm inside a Plane"):
+        experiment(Plane((0, 0, 10), (0, 0, 1)))
+    with pytest.raises(InputError, match="solver: Descent cannot use obstacles"):
+        experiment(Plane((0, 0, 0), (0, 0, 1)), solver=Descent())
+    with pytest.raises(InputError, match="obstacles: other ones, or another radius, for each rod"):
+        experiment(Plane((0, 0, 0), (0, 0, 1)), radius=np.array([1.0, 2.0, 1.0, 1.0]))
+
+
+@pytest.mark.slow
+def test_the_command_takes_obstacles_and_refine_says_that_it_cannot(tmp_path, capsys, lying):
+    save_observations(tmp_path / "rope.npz", lying)
+    (tmp_path / "table.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n')
+    words = ["sweep", str(tmp_path / "rope.npz"), "--out", str(tmp_path / "run"), "--bend", "1e5:4e5:3:log", "--twist", "2e5",
+             "--precision", "f64", "--obstacles", str(tmp_path / "table.toml")]
+    assert main(words) == 2
+    assert "--radius: missing beside --obstacles" in capsys.readouterr().err and not (tmp_path / "run").exists()
+    assert main([*words, "--radius", "2", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["best"]["bend_1"] == pytest.approx(TRUE)
+    assert main(["refine", str(tmp_path / "run"), "--out", str(tmp_path / "refined.json")]) == 2
+    assert "obstacles: a sweep with obstacles, which refine cannot use" in capsys.readouterr().err

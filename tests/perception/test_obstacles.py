@@ -1,0 +1,66 @@
+"""A limp rod that hangs onto a table, in images: perceived and tracked with the table it does not sink into it."""
+
+import numpy as np
+import pytest
+
+from doo_ti.contact.obstacles import Plane
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.errors import InputError
+from doo_ti.perception.perceive import PerceptionOptions, perceive
+from doo_ti.perception.tracking import How, Tracker
+from doo_ti.relaxation.relax import relax
+from doo_ti.types import Clamp, Clamps, Configuration, Material, Status
+from doo_ti.vision.detection.detect import detect
+from doo_ti.vision.rendering.render import render_set
+from doo_ti.vision.rendering.tubes import smooth_curve
+from tests.vision.drawn_maps import drawn_maps, three_cameras
+
+EDGES, LENGTH, RADIUS = 20, 3.0, 0.5
+MATERIAL, REST_LENGTH = Material(2e3, 2e3), np.full(EDGES, LENGTH)
+TABLE = Surroundings([Plane((0, 0, -10), (0, 0, 1))], RADIUS)
+OPTIONS = PerceptionOptions(hypotheses=15)
+
+
+def lying(up: float, aside: float) -> np.ndarray:
+    """(V, 3) a rod that begins above the table, in the direction (1, aside, up)."""
+    direction = np.array([1.0, aside, up]) / np.linalg.norm([1.0, aside, up])
+    one = Configuration.straight(np.array([-25.0, -5.0, -4.0]), direction, EDGES * LENGTH, EDGES)
+    clamps = Clamps(Clamp.TANGENT, Clamp.FREE, one.start, one.start, one.frames[:, 0], one.frames[:, -1])
+    found = relax(one, MATERIAL, clamps, **TABLE.arguments)
+    assert found.converged.all() and found.contact.touching.sum() > 5
+    return found.configuration.vertices[0]
+
+
+@pytest.mark.slow
+def test_a_perceived_rod_lies_on_the_table_and_not_in_it():
+    rods, rig = np.stack([lying(0.7, 0.1), lying(0.2, 0.3)]), three_cameras()
+    maps = drawn_maps(rig, smooth_curve(rods, 4))
+    on_table, free = (perceive(maps, rig, rods[:, 0], rods[:, 1] - rods[:, 0], REST_LENGTH, MATERIAL, options=OPTIONS, **more)
+                      for more in ({"surroundings": TABLE}, {}))
+    assert (on_table.status == Status.CONVERGED).all() and on_table.stable.all()
+    assert (TABLE.smallest_gap(on_table.vertices) > -1e-3 * RADIUS).all()
+    assert (TABLE.smallest_gap(free.vertices) < -0.01 * RADIUS).all(), "without the table the rod's weight pulls it down"
+    off, more = (np.linalg.norm(found.vertices - rods, axis=-1).mean(axis=1) for found in (on_table, free))
+    assert (off < more).all() and (off < 0.02).all()
+
+
+@pytest.mark.slow
+def test_a_tracked_rod_stays_on_the_table():
+    rods, rig = [lying(0.3, aside) for aside in (0.1, 0.2, 0.3)], three_cameras()
+    tracker = Tracker(rig, REST_LENGTH, MATERIAL, search=OPTIONS, surroundings=TABLE)
+    for row, rod in enumerate(rods):
+        images = render_set(rig, smooth_curve(rod, 8), 2 * RADIUS, seed=(5, row))
+        found = tracker.see([detect(image) for image in images], rod[0], rod[1] - rod[0])
+        assert found.how == (How.TRACKED if row else How.SEEDED) and found.stable
+        assert TABLE.smallest_gap(found.vertices[None])[0] > -1e-3 * RADIUS
+        assert np.linalg.norm(found.vertices - rod, axis=1).mean() < 0.1
+
+
+def test_seeds_inside_obstacles_are_refused():
+    rod = lying(0.2, 0.3)[None]
+    maps, seed = drawn_maps(three_cameras(), rod), rod[:, 0] - [0, 0, 5.7]
+    with pytest.raises(InputError, match="point: a rod that begins there is 0.2 mm inside a Plane"):
+        perceive(maps, three_cameras(), seed, rod[:, 1] - rod[:, 0], REST_LENGTH, MATERIAL, surroundings=TABLE)
+    each = Surroundings([Plane([[0, 0, -10], [0, 0, -9]], [[0, 0, 1], [0, 0, 1]])], RADIUS)
+    with pytest.raises(InputError, match="obstacles: other ones, or another radius, for each rod"):
+        perceive(maps, three_cameras(), rod[:, 0], rod[:, 1] - rod[:, 0], REST_LENGTH, MATERIAL, surroundings=each)

@@ -1,0 +1,118 @@
+"""Rods that touch themselves against theory: overhand knots and a plectoneme.
+
+    python tools/knots_and_coils.py [--edges 200]
+
+Overhand knots without friction (Audoly, Clauvelin and Neukirch 2007), in the limit of small ε = √(h/R): the tension is
+F h²/B = ε⁴/2, and the sum of all contact forces P h²/B = 0.492 ε³, by which friction multiplies. h is the rod's radius and R
+that of the loop, of a circle fitted to its lower two thirds. Between the knots and the limit are terms of relative size ε.
+
+A plectoneme (Clauvelin, Audoly and Neukirch 2009): a rod is turned at one end; where it has coiled up, with the angle α of its
+strands to the axis of the coil, F h²/B = sin³α (cos α tan 2α − ½ sin α). Its link, by twist and writhe, is the turns it was
+given.
+"""
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from doo_ti.contact.itself import Itself, smallest_self_gap  # noqa: E402
+from doo_ti.dynamics.grippers import Grippers  # noqa: E402
+from doo_ti.dynamics.parameters import Dynamics, Stepping  # noqa: E402
+from doo_ti.dynamics.simulate import simulate  # noqa: E402
+from doo_ti.frames import turned_about_tangent  # noqa: E402
+from doo_ti.knots import overhand_knot  # noqa: E402
+from doo_ti.material import Material  # noqa: E402
+from doo_ti.relaxation.newton import Newton  # noqa: E402
+from doo_ti.relaxation.relax import relax  # noqa: E402
+from doo_ti.rods import end_clamps, straight_rod  # noqa: E402
+from doo_ti.types import Clamp, Clamps  # noqa: E402
+from tests.contact.topology import determinant, link  # noqa: E402
+
+BEND, RADIUS = 1e5, 1.0
+KNOTS = ((0.05, 12.0), (0.07, 12.0), (0.1, 10.0), (0.15, 6.0), (0.2, 3.0))
+"""ε to begin with, and how much finer edges in the braid are."""
+
+
+def fitted_radius(vertices: np.ndarray, guess: float) -> float:
+    """That of the circle through the lower two thirds of the loop, in the middle of a rod (V, 3)."""
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(vertices, axis=0), axis=-1))])
+    for _ in range(4):
+        loop = vertices[np.abs(arc - 0.5 * arc[-1]) < 0.35 * 2.0 * np.pi * guess]
+        flat = (loop - loop.mean(axis=0)) @ np.linalg.svd(loop - loop.mean(axis=0))[2][:2].T
+        circle = np.linalg.lstsq(np.column_stack([2.0 * flat, np.ones(len(flat))]), (flat**2).sum(axis=1), rcond=None)[0]
+        guess = float(np.sqrt(circle[2] + circle[:2] @ circle[:2]))
+    return guess
+
+
+def knots(edges: int) -> None:
+    """Print the table of knots."""
+    print("|  ε | F h²/B over ε⁴/2 | P h²/B over 0.492 ε³ | smallest gap over the diameter | s |\n|---|---|---|---|---|")
+    for begin, finer in KNOTS:
+        loop = RADIUS / begin**2
+        rod = overhand_knot(2.0 * np.pi * 1.1 * loop + 7.0 * np.sqrt(2.0) * loop, edges, radius=RADIUS, loop=loop, finer=finer)
+        clamps, began = end_clamps(rod, Clamp.TANGENT, Clamp.TANGENT), time.process_time()
+        found = relax(rod, Material(BEND, BEND, 0.0), clamps, Newton(max_iterations=2000), obstacles=[Itself()], radius=RADIUS)
+        taken = time.process_time() - began
+        vertices = found.configuration.vertices[0]
+        if not found.converged[0] or determinant(vertices) != 3:
+            raise SystemExit(f"the knot of ε {begin} has not converged, or come undone")
+        epsilon = np.sqrt(RADIUS / fitted_radius(vertices, loop))
+        force = np.linalg.norm(found.end_force[0]) * RADIUS**2 / BEND
+        pressed = 0.5 * np.linalg.norm(found.contact.force[0], axis=-1).sum() * RADIUS**2 / BEND
+        gap = 1.0 + found.contact.gap[0] / (2.0 * RADIUS)
+        ratios = f"{force / (0.5 * epsilon**4):.3f} | {pressed / (0.492 * epsilon**3):.3f}"
+        print(f"| {epsilon:.3f} | {ratios} | {gap:.5f} | {taken:.0f} |", flush=True)
+
+
+def plectoneme(edges: int) -> None:
+    """Print the table of a plectoneme that grows."""
+    length, radius, turns, frames = 1.5 * edges, 1.5, 10.0 * edges / 200, 60
+    rod = straight_rod(length, edges)
+    material, frame = Material(BEND, 0.7 * BEND, 0.0), rod.frames[:, 0]
+    near = np.array([[0.97 * length, 0.0, 0.0]])
+    first = Clamps(Clamp.FRAME, Clamp.FRAME, 0.0 * near, near, frame, frame)
+    rest = relax(rod, material, first, obstacles=[Itself()], radius=radius)
+    share = np.linspace(0.0, 1.0, frames + 1)
+    end = near[:, None] + np.minimum(4.0 * share, 1.0)[:, None] * [-0.47 * length, 0.0, 0.0]
+    held = np.repeat(frame[:, None], frames + 1, axis=1)
+    turned = turned_about_tangent(held, 2.0 * np.pi * turns * share[None])
+    grippers = Grippers(Clamp.FRAME, Clamp.FRAME, 0.0 * end, end, held, turned)
+    moved = simulate(rest.configuration, material, grippers, Dynamics(density=1.0), Stepping(10.0, quasi_static=True),
+                     obstacles=[Itself()], radius=radius)
+    print("\n| turns | α | F h²/B over theory | smallest gap over the diameter |\n|---|---|---|---|")
+    for at in range(29, frames, 6):
+        vertices = moved.positions[0, at]
+        middle, tangent = 0.5 * (vertices[1:] + vertices[:-1]), np.diff(vertices, axis=0) / (length / edges)
+        apart = np.linalg.norm(middle[:, None] - middle, axis=-1)
+        apart[np.abs(np.subtract.outer(np.arange(edges), np.arange(edges))) <= 8] = np.inf
+        beside = np.flatnonzero(apart.min(axis=1) < 2.3 * radius)
+        if len(beside) < 8:
+            continue
+        cosine = np.abs((tangent[beside] * tangent[apart[beside].argmin(axis=1)]).sum(axis=-1))
+        angle = float(np.median(0.5 * np.arccos(np.minimum(cosine, 1.0))))
+        theory = np.sin(angle) ** 3 * (np.cos(angle) * np.tan(2.0 * angle) - 0.5 * np.sin(angle))
+        force = np.abs(moved.end_force[0, at, 0]) * radius**2 / BEND
+        gap = 1.0 + smallest_self_gap(vertices[None], np.array([radius]))[0] / (2.0 * radius)
+        print(f"| {turns * share[at + 1]:.1f} | {np.degrees(angle):.1f}° | {force / theory:.3f} | {gap:.5f} |")
+    own = link(moved.positions[0, -1], moved.memory.frames[0])
+    print(f"\nlink after {turns:g} turns: {own:.6f}; {int(moved.iterations.sum())} iterations in {frames} steps")
+    if not moved.converged[0] or abs(own - turns) > 1e-3:
+        raise SystemExit("the plectoneme has not converged, or passed through itself")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--edges", type=int, default=200)
+    options = parser.parse_args()
+    knots(options.edges)
+    plectoneme(options.edges)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
