@@ -65,7 +65,7 @@ class ContactTable:
         return (self.obstacles, self.kinds, self.grids, self.radius, GAP_TOLERANCE, self.memory, forces, self.self_friction)
 
     def touching(self, rows: np.ndarray) -> "ContactTable":
-        """The table as the kernel of rods that touch themselves takes it, of which the rods ``rows`` have touched nothing yet."""
+        """The table as the kernel of rods that touch themselves takes it; the rods ``rows`` in it have touched nothing yet."""
         self.memory[rows] = 0.0
         return replace(self, itself=True)
 
