@@ -4,8 +4,8 @@
 
 Both ends of every rod are held by grippers that move and turn smoothly at random above a table with pegs, without inertia and
 with friction. Motions whose grippers would carry an end into a peg or the table, or whose rod begins inside one, cannot be
-made: they are counted apart, and others are drawn. Checked apart from the engine: gaps at 16 places along every edge, and for every
-peg how often, by sense, its axis pierces the surface that the rod sweeps from one frame to the next.
+made: they are counted apart, and others are drawn. Checked apart from the engine: gaps at 16 places along every edge, and for
+every peg how often, by sense, its axis pierces the surface that the rod sweeps from one frame to the next.
 """
 
 import argparse

@@ -6,9 +6,9 @@ from doo_ti.physics.tuples import picked
 # Items of a rod: its radius, κ, the tolerance of its gaps, by how much the last round changed a gap, and its phase; of the
 # barrier what it adds to gaps, its strength μ and how many strengths it has had; how close to an obstacle a vertex is where
 # more than its φ counts; κ as it was at first; the work that friction has done; one where a step is tried for the second time;
-# μ as it was at first; of a motion how much of the clamps' way to the next instant is behind the rod, how much of it is made
-# at once, the multiplier of closure at the last instant, the largest force; and of steps that viscosity eases, that, what it
-# begins with, and how many there were. The obstacles follow.
+# μ as it was at first; of a motion how much of the clamps' way to the next instant is behind the rod, how much of it is made at
+# once, the multiplier of closure at the last instant, and the largest force; and of steps that viscosity eases, the viscosity
+# now and at first, and how many there were. The obstacles follow.
 RADIUS, STIFFNESS, TOLERANCE, CHANGE, PHASE, OFFSET, STRENGTH, STAGE, REACH = 0, 1, 2, 3, 4, 5, 6, 7, 8
 FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH, WAY_MADE, WAY, MULTIPLIER, LARGEST, VISCOSITY, FIRST_VISCOSITY, EASED = (
     9, 10, 11, 12, 13, 14, 15, 18, 19, 20, 21)

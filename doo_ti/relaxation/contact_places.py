@@ -165,14 +165,18 @@ class ContactPlaces:
         return held
 
     @ti.func
-    def inside(self, rod):
-        """Whether the rod's centreline is inside an obstacle."""
-        return self.item(rod, DEEPEST) < 0.0
+    def blocked(self, rod, fresh, miss):
+        """The ``fresh`` lanes in which the rod's centreline is inside an obstacle, or a clamp (:meth:`pinched`)."""
+        zero = 0.0 * rod.total
+        inside = variable((fresh & (self.item(rod, DEEPEST) < 0.0),))
+        if self.some(fresh, zero):
+            inside = (inside[0] | (fresh & self.pinched(rod, miss)),)
+        return inside[0]
 
     @ti.func
     def pinched(self, rod, miss):
-        """Whether a clamp holds the rod where it is in an obstacle; of a far end that still misses its place by ``miss``,
-        there."""
+        """Whether a clamp holds the rod where it is in an obstacle; a far end is taken where it is held, not where it still
+        misses that place by ``miss``."""
         least = 0.0 * rod.total
         for end in range(4):
             index = ti.select(end < 2, end, rod.edges - 3 + end)

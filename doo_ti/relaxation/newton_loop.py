@@ -45,11 +45,9 @@ class NewtonLoop:
         # H's scale on the diagonal makes it positive. f32 cannot distinguish them from soft saddles and leaves them to f64.
         self.trace = 0.0 if single else 1e-12
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
-        self.stalled, self.not_finite = int(Status.STALLED), int(Status.NOT_FINITE)
-        self.infeasible = int(Status.INFEASIBLE)
-        self.growth, self.first_shift = 4.0, fixed.SHIFT_REJECTED  # of the shift, where a step is rejected
-        if self.touches:
-            self.growth, self.first_shift = fixed.GROWTH_IN_CONTACT, fixed.SHIFT_REJECTED_IN_CONTACT
+        self.stalled, self.not_finite, self.infeasible = map(int, (Status.STALLED, Status.NOT_FINITE, Status.INFEASIBLE))
+        self.growth, self.first_shift = (  # of the shift, where a step is rejected
+            (fixed.GROWTH_IN_CONTACT, fixed.SHIFT_REJECTED_IN_CONTACT) if self.touches else (4.0, fixed.SHIFT_REJECTED))
 
     @ti.func
     def work(self, tables, scratch: ti.template(), threads, thread):
@@ -298,8 +296,8 @@ class NewtonLoop:
         lane.closing = ti.select(place.gap > ti.cast(tables.policy[fixed.CLOSING], self.scalar) * rod.longest, one, zero)
         if ti.static(self.touches):
             # A step that also closes may be refused because closing leads behind the barrier, which then has to give way.
-            open_still = place.gap > 1e3 * self.closure_tolerance * rod.total
-            lane.closing = ti.select(judged.uphill & open_still & self.sweep.contacts.behind(rod), one, lane.closing)
+            refused = judged.uphill & (place.gap > 1e3 * self.closure_tolerance * rod.total)
+            lane.closing = ti.select(refused & self.sweep.contacts.behind(rod), one, lane.closing)
         lane.rounds = ti.select((lane.escaping > 0.5) & place.right & ~place.leaving, lane.rounds + 1.0, lane.rounds)
         lane.rounds = ti.select(place.leaving, zero, lane.rounds)
         unready = (lane.escaping > 0.5) & (lane.rounds <= fixed.ESCAPE_ROUNDS)
@@ -340,11 +338,10 @@ class NewtonLoop:
         at_rest = place.small & place.settled & (late | stuck)
         if ti.static(self.touches):
             entered = self.sweep.contacts.enter(rod, fresh, judged.stands & (lane.energy > WALL))
-            goes_on = self.sweep.contacts.end_round(rod, lane, place.calm & ~entered, (ended | at_rest) & ~entered, entered)
+            calm = place.calm & ~entered & ~place.leaving
+            goes_on = self.sweep.contacts.end_round(rod, lane, calm, (ended | at_rest) & ~entered, entered)
             ended, at_rest, stuck = ended & ~goes_on, at_rest & ~goes_on, stuck & ~goes_on
-            blocked = fresh & self.sweep.contacts.inside(rod)
-            if self.largest(ti.select(fresh, one, zero)) > 0.5:
-                blocked = blocked | (fresh & self.sweep.contacts.pinched(rod, lane.miss))
+            blocked = self.sweep.contacts.blocked(rod, fresh, lane.miss)
             lane.status = ti.select(blocked, self.constant(self.infeasible), lane.status)
             ended, at_rest, lost = ended & ~blocked, at_rest & ~blocked, lost | blocked
         lane.status = ti.select(ended | at_rest, self.constant(self.converged), lane.status)

@@ -70,6 +70,16 @@ def test_each_rod_has_its_own_obstacles_along_a_path():
     assert lowest == pytest.approx(np.array([[2.0, -27.0]] * 2), abs=1e-3)
 
 
+def test_a_straight_rod_that_is_pushed_onto_a_table_from_above_bends_away():
+    rod = Configuration.straight(np.array([0.0, 0.0, 100.0]), np.array([0.0, 0.0, -1.0]), 99.0, 20)
+    place = np.array([[0.0, 0.0, 99.0 + RADIUS - 0.3]])
+    clamps = Clamps(Clamp.FRAME, Clamp.FREE, place, rod.vertices[:, -1], rod.frames[:, 0], rod.frames[:, -1])
+    found = relax(rod, Material(1e5, 1e5), clamps, obstacles=[TABLE], radius=RADIUS)
+    assert found.converged[0] and found.stable[0]
+    assert found.configuration.vertices[0, -1, 2] == pytest.approx(RADIUS, abs=1e-3)
+    assert np.abs(found.configuration.vertices[0, -1, :2]).max() > 1.0
+
+
 def test_candidate_motions_end_on_the_table(solution):
     rods, clamps = held([20.0])
     places = np.array([[0.0, 0, 20], [10, 0, 12], [0, 0, 60]])
