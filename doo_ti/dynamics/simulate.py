@@ -15,7 +15,7 @@ from doo_ti.dynamics.energies import Account, Losses
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import GRAVITY, RATES, Direction, Dynamics, MovingStart, Stepping, vertex_lengths
 from doo_ti.dynamics.self_contact import kept_apart
-from doo_ti.dynamics.trajectory import Trajectory
+from doo_ti.dynamics.trajectory import Trajectory, joined, summed
 from doo_ti.errors import InputError
 from doo_ti.frames import (
     quaternion_product,
@@ -302,16 +302,16 @@ class _Motion:
             if progress is not None:
                 progress(last)
         positions, outcomes, changes, forces = zip(*parts, strict=True)
-        outcome = _joined(outcomes)
+        outcome = joined(outcomes)
         status = outcome[..., STATE].astype(np.int8)
         spin_held = (table.clamp[:, [of.SPIN_START, of.SPIN_END]] == 0).all(axis=1)[table.configuration_index]
         self.relinked = (outcome[..., RELINKED] > 0).any(axis=1) & spin_held
         return Trajectory(
-            _joined(positions), status, outcome[..., TRIPS].astype(np.int32), outcome[..., MOMENT],
+            joined(positions), status, outcome[..., TRIPS].astype(np.int32), outcome[..., MOMENT],
             outcome[..., END_FORCE:FRICTION_WORK], self.stepping.rate, memory,
             np.full(table.count, self.substeps), np.full(table.count, np.nan),
-            None if slopes is None else _joined(changes), None if account is None else account.detail(status),
-            None if forces[0] is None else _joined(forces), _summed([part[..., FRICTION_WORK] for part in outcomes]))
+            None if slopes is None else joined(changes), None if account is None else account.detail(status),
+            None if forces[0] is None else joined(forces), summed([part[..., FRICTION_WORK] for part in outcomes]))
 
 
 def _step_by_step(launch, first: int, last: int, memory: Memory, account: Account):
@@ -324,20 +324,6 @@ def _step_by_step(launch, first: int, last: int, memory: Memory, account: Accoun
         work = work + outcome[..., FRICTION_WORK]
     outcome[..., TRIPS], outcome[..., MOMENT], outcome[..., FRICTION_WORK] = trips, moment, work
     return positions, outcome, changes, forces
-
-
-def _summed(parts: list[np.ndarray]) -> np.ndarray:
-    """(R, F) sums since the start, of several launches that each began at zero."""
-    before = 0.0
-    for part in parts:
-        part += before
-        before = part[:, -1:]
-    return _joined(parts)
-
-
-def _joined(parts: list[np.ndarray]) -> np.ndarray:
-    """The frames of several launches; a copy only where there are several."""
-    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
 
 def _newton(quasi_static: bool = False) -> Newton:
