@@ -108,7 +108,7 @@ def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int
     if contact is None:
         kernel = newton.newton_kernel(number, table.isotropic, stride, block, serial, kind, any_ends)
     else:
-        kernel = newton.contact_kernel(number, table.isotropic, stride, block, kind, contact.distinct, contact.itself)
+        kernel = newton.contact_kernel(number, table.isotropic, stride, block, kind, contact.known, contact.itself)
     per_edge = chain.item_count(table.isotropic) + (0 if external is None else external.items + FORCE_ITEMS * any_ends)
     per_rod = chain.LOADED_PARAMETERS + external.start_items if any_ends else chain.PARAMETERS
     items = per_rod + per_edge * table.edges

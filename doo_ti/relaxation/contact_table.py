@@ -56,9 +56,10 @@ class ContactTable:
         return self_contact_items if self.itself else contact_items
 
     @property
-    def distinct(self) -> frozenset[int]:
-        """The kinds there are."""
-        return frozenset(np.minimum(self.kinds, GRID).tolist())
+    def known(self) -> frozenset[int]:
+        """The kinds that a kernel is to know: all, so that a scene with other obstacles needs no other kernel, but grids only
+        where there are any, since kernels with them take longer to compile."""
+        return frozenset(range(GRID)) | frozenset(np.minimum(self.kinds, GRID).tolist())
 
     def arguments(self, forces: np.ndarray) -> tuple:
         """What a kernel is given of contacts, which writes ``forces``."""

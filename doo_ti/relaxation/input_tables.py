@@ -13,6 +13,7 @@ from doo_ti.frames import (
     quaternion_product,
     smallest_rotation,
     tangent_from_quaternion,
+    vertices_from_quaternions,
 )
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_kinds, external_rows, paired_rows, rest_lengths
@@ -49,11 +50,12 @@ def tables(
     clamp, found = clamp_table(configuration, lengths, kinds, clamps)
     if external is not None or obstacles:
         _loosen(clamp, kinds, configuration, clamps)
-    start = _projectable(np.ascontiguousarray(configuration.quaternions, dtype=np.float64), lengths, clamp, found, up)
+    contact = contact_table(obstacles, radius, rods, edges, clamp, index_c, in_motion) if obstacles else None
+    start = _projectable(np.ascontiguousarray(configuration.quaternions, dtype=np.float64), lengths, clamp, found, up,
+                         () if contact is None else contact.surroundings.bodies)
     feasible = found != INFEASIBLE
     sound = feasible[index_c]
     all_rods = rod_rows(index_c, index_m, np.arange(rods), index_c, index_e)
-    contact = contact_table(obstacles, radius, rods, edges, clamp, index_c, in_motion) if obstacles else None
     return Tables(
         start=start, rest_length=lengths, clamp=clamp, material=_material_table(material, isotropic, edges),
         isotropic=isotropic, rods=all_rods if sound.all() else all_rods[sound], feasible=feasible, configuration_index=index_c,
@@ -125,15 +127,33 @@ def _material_table(material: Material, isotropic: bool, edges: int) -> np.ndarr
     return table
 
 
-def _projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, found: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Starts that can be projected: those ``found`` (S,) STRAIGHT are bowed, those found TAUT made straight. Where starts are
-    changed ``clamp`` is, too, in place."""
+def _projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, found: np.ndarray, up: np.ndarray,
+                 obstacles: Sequence[Obstacle]) -> np.ndarray:
+    """Starts that can be projected: those ``found`` (S,) STRAIGHT are bowed, the other way where that is into an obstacle,
+    those found TAUT made straight. Where starts are changed ``clamp`` is, too, in place."""
     slack, taut = np.flatnonzero(found == STRAIGHT), np.flatnonzero(found == TAUT)
     if len(slack):
-        start = _bowed(start, lengths, clamp, slack, up)
+        bowed = _bowed(start, lengths, clamp, slack, up)
+        if len(obstacles):
+            sunk = slack[_inside(bowed, lengths, clamp, slack, obstacles)]
+            other = _bowed(start, lengths, clamp, sunk, -up) if len(sunk) else bowed
+            better = sunk[~_inside(other, lengths, clamp, sunk, obstacles)]
+            bowed[better] = other[better]
+        start = bowed
     if len(taut):
         start = _stretched(start, lengths, clamp, taut)
     return start
+
+
+def _inside(start, lengths, clamp, rows, obstacles: Sequence[Obstacle]) -> np.ndarray:
+    """(N,) whether a vertex of the starts ``rows`` is inside an obstacle that all rods share."""
+    anchor = clamp[rows, of.ANCHOR : of.ANCHOR + 3]
+    vertices = vertices_from_quaternions(anchor, whole_start(start[rows], clamp[rows]), _rows(lengths, rows))
+    inside = np.zeros(len(rows), dtype=bool)
+    for obstacle in obstacles:
+        if obstacle.count == 1:
+            inside |= (obstacle.distance(vertices)[0] < 0).any(axis=1)
+    return inside
 
 
 def _free_part(lengths: np.ndarray, clamp: np.ndarray):
@@ -155,7 +175,7 @@ def _bowed(start, lengths, clamp, rows, up) -> np.ndarray:
     """Starts of which the slack rods ``rows`` can be projected: free edges in one straight line have no first-order way to
     bring the far end closer.
 
-    Where they are they are bowed to the needed chord, downwards, or towards m1 where the line is upright.
+    Where they are they are bowed to the needed chord, against ``up``, or towards m1 where the line is upright.
     """
     edges, own = start.shape[1], _rows(lengths, rows)
     ends, _, span, reach = _free_part(own, clamp[rows])

@@ -120,7 +120,7 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
         number, threads, stride, block = layout_for(len(rods), bits, contact is not None and contact.itself)
         if contact is not None:
             kernel, items, parameters = time_contact_kernel(
-                number, table.isotropic, stride, block, contact.distinct, contact.rubs, contact.itself)
+                number, table.isotropic, stride, block, contact.known, contact.rubs, contact.itself)
             more = contact.arguments(forces)
             size = parameters + items * table.edges + contact.items(table.edges, len(contact.kinds))
         elif slopes is None:

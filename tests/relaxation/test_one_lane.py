@@ -37,7 +37,7 @@ def test_one_lane_per_thread_is_bit_for_bit_a_pack(rng, monkeypatch, case, isotr
     material = Material(4e5, 3e5) if isotropic else Material([[4e5, 5e4], [5e4, 9e5]], 3e5, rest_curvature=(0.002, -0.001))
     packed = relax(start, material, clamps, solver, precision=precision)
     assert packed.converged.all()
-    monkeypatch.setattr(batch, "layout_for", lambda count, bits: (Number(1, bits), THREADS, THREADS, 1))
+    monkeypatch.setattr(batch, "layout_for", lambda count, bits, alone=False: (Number(1, bits), THREADS, THREADS, 1))
     single = relax(start, material, clamps, solver, precision=precision)
     np.testing.assert_array_equal(single.configuration.quaternions, packed.configuration.quaternions)
     for name in ("energy", "residual", "iterations", "status", "stable"):
