@@ -71,7 +71,7 @@ def test_a_radius_above_the_length_of_an_edge_is_allowed(folder, tmp_path):
     assert written(tmp_path / "f.npz")["status"].tolist() == [4, 0, 4, 4]  # clamps 10 mm above the table are too low
 
 
-@pytest.mark.parametrize("table", ["table.toml", "rough.toml"])
+@pytest.mark.parametrize("table", ["table.toml", pytest.param("rough.toml", marks=pytest.mark.slow)])
 def test_predict_carries_rods_over_a_table(folder, tmp_path, capsys, table):
     words = ["predict", str(folder / "low.npz"), "--motion", str(folder / "move.npz"), *MATERIAL, "--obstacles",
              str(folder / table), "--radius", "2", "--out", str(tmp_path / "f.npz")]

@@ -33,7 +33,7 @@ start_position_mm = [-2.0, 0, 0]
 """
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_a_knot_is_pulled_tight(tmp_path, capsys):
     (tmp_path / "knot.toml").write_text(SCENE)
     words = ["simulate", str(tmp_path / "knot.toml"), "--out", str(tmp_path / "k.npz"), "--picture", str(tmp_path / "k.png"),

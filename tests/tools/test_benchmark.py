@@ -32,7 +32,7 @@ def rescaled(path, target, factor):
     return str(target)
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_a_baseline_names_the_machine_and_every_case(small):
     written, committed = json.loads(small.read_text()), json.loads(BASELINE.read_text())
     assert set(written["machine"]) == {"processor", "cores", "threads"} == set(committed["machine"])
@@ -40,7 +40,7 @@ def test_a_baseline_names_the_machine_and_every_case(small):
     assert set(committed["cases"]) <= set(written["cases"])
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_check_fails_only_behind_the_baseline(small, tmp_path, capsys):
     options = ["metric", "--rods", "32", "--rounds", "1", "--check", "--baseline"]
     assert main([*options, rescaled(small, tmp_path / "slow.json", 1e-6)]) == 0
@@ -48,7 +48,7 @@ def test_check_fails_only_behind_the_baseline(small, tmp_path, capsys):
     assert "metric" in capsys.readouterr().err
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_another_size_than_the_baseline_s_is_refused(small, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["--rods", "16", "--baseline", str(small)])

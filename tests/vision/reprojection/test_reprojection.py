@@ -142,7 +142,7 @@ def hypotheses(rng, rods, count):
     return rods[sets] + np.cumsum(0.2 * rng.normal(size=(count, *rods.shape[1:])), axis=1), sets
 
 
-@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("kind", [pytest.param(np.float32, marks=pytest.mark.slow), np.float64])
 def test_scores_are_the_oracle_s(kind, scene, rng):
     rig, rods, maps = scene
     vertices, sets = hypotheses(rng, rods, 19)
