@@ -18,8 +18,8 @@ def pytest_report_header() -> str:
     return f"seed: {SEED}"
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]):
     """Of a test with ``sampled(n)`` the cases after the first n belong to the full run. Tests of one file, and of files that
     belong TOGETHER, run in one process."""
     seen = Counter()
@@ -33,6 +33,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             seen[name] += 1
             if seen[name] > sampled.args[0]:
                 item.add_marker(pytest.mark.thorough)
+    # The processes are assigned by a plugin's hook, which comes after this.
+    return (yield)
 
 
 @pytest.fixture
