@@ -10,31 +10,23 @@ import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 
 SEED = 2011
-TOGETHER = {"contact": ("contact", "knots", "obstacles"), "perception": ("perceive", "perception")}
-"""Tests of one process, where there are several, by words in their paths: they use kernels that take long to compile."""
 
 
 def pytest_report_header() -> str:
     return f"seed: {SEED}"
 
 
-@pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]):
-    """Of a test with ``sampled(n)`` the cases after the first n belong to the full run. Tests of one file, and of files that
-    belong TOGETHER, run in one process."""
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Of a test with ``sampled(n)`` the cases after the first n belong to the full run."""
     seen = Counter()
     for item in items:
-        path = item.nodeid.partition("::")[0]
-        own = (group for group, words in TOGETHER.items() if any(word in path for word in words))
-        item.add_marker(pytest.mark.xdist_group(next(own, path)))
         sampled = item.get_closest_marker("sampled")
         if sampled and item.get_closest_marker("thorough") is None:
             name = item.nodeid.partition("[")[0]
             seen[name] += 1
             if seen[name] > sampled.args[0]:
                 item.add_marker(pytest.mark.thorough)
-    # The processes are assigned by a plugin's hook, which comes after this.
-    return (yield)
 
 
 @pytest.fixture
