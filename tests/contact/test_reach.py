@@ -1,6 +1,7 @@
 """Obstacles that a rod cannot reach, or not yet."""
 
 import numpy as np
+import pytest
 
 from doo_ti.contact.obstacles import Plane
 from doo_ti.dynamics.grippers import Grippers
@@ -39,6 +40,7 @@ def test_a_rod_out_of_reach_that_f32_cannot_finish_is_finished():
     assert np.array_equal(found.status, bare.status) and np.array_equal(found.iterations, bare.iterations)
 
 
+@pytest.mark.slow
 def test_grippers_carry_a_rod_to_an_obstacle_that_it_could_not_reach():
     rod, clamps = held()
     place = np.repeat(clamps.start_position[:, None], FRAMES, 1)

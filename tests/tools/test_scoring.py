@@ -22,14 +22,14 @@ def small(short_rounds, tmp_path_factory):
     return path
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_all_converge_and_the_committed_baseline_has_the_same_cases(small):
     written, committed = json.loads(small.read_text()), json.loads(BASELINE.read_text())
     assert list(written["cases"]) == list(committed["cases"])
     assert all(case["converged"] == 1 for case in (*written["cases"].values(), *committed["cases"].values()))
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_check_fails_only_behind_the_baseline(small, tmp_path, capsys):
     for name, factor in (("slow", 1e-6), ("fast", 1e6)):
         content = json.loads(small.read_text())
@@ -42,7 +42,7 @@ def test_check_fails_only_behind_the_baseline(small, tmp_path, capsys):
     assert "single edges" in capsys.readouterr().err
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_another_size_than_the_baseline_s_is_refused(small, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["--hypotheses", "16", "--baseline", str(small)])
