@@ -50,7 +50,7 @@ class Marks:
         return f"{vertex}{'LR'[side]}" if self.is_ribbon else str(vertex)
 
 
-def read_marks(path: str | os.PathLike, rig) -> Marks:
+def read_marks(path: str | os.PathLike[str], rig) -> Marks:
     """The marks of a CSV file, seen by the cameras of ``rig``, a :class:`doo_ti.vision.cameras.rig.Rig`.
 
     Raises InputError, naming column, value and line, for any other file, missing columns, cameras that the rig lacks,
@@ -87,7 +87,7 @@ def read_marks(path: str | os.PathLike, rig) -> Marks:
     return Marks(tuple(names), pixels, str(path))
 
 
-def read_labels(path: str | os.PathLike, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+def read_labels(path: str | os.PathLike[str], names: tuple[str, ...]) -> dict[str, np.ndarray]:
     """Field of Observations: (D,) values in the file's units, for the observations ``names``; rows of others are ignored.
 
     Raises InputError for any other file, for an observation without a row or with two, and for cells that are no number.

@@ -113,7 +113,7 @@ class _Moment(Table):
     end_rotation_deg: Finite | None = None
 
 
-def load_motion_scene(path: str | os.PathLike) -> MotionScene:
+def load_motion_scene(path: str | os.PathLike[str]) -> MotionScene:
     """The scene of a TOML file. Raises InputError for unreadable files, unknown keys, wrong types and values."""
     path = Path(path)
     file = checked(path, "", read_toml(path)[0], _File)

@@ -276,7 +276,7 @@ def _check_turns(observations: Observations) -> None:
                          f"give degrees; {observations.edges} edges hold at most {most:g}")
 
 
-def save_observations(path: str | os.PathLike, observations: Observations) -> None:
+def save_observations(path: str | os.PathLike[str], observations: Observations) -> None:
     """Write ``observations`` to an ``.npz``, ``.csv`` or ``.parquet`` file, whole or not at all.
 
     Raises InputError for another suffix.

@@ -204,7 +204,7 @@ class _ObservationsTable(Table):
     file: Annotated[str, Meta(min_length=1)]
 
 
-def load_scene(path: str | os.PathLike) -> Scene:
+def load_scene(path: str | os.PathLike[str]) -> Scene:
     """The scene of a TOML file. Raises InputError for unreadable files, unknown keys, wrong types and values."""
     path = Path(path)
     table, content = read_toml(path)

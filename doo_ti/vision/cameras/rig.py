@@ -63,7 +63,7 @@ def check_camera_names(source: str, names: list[str]) -> None:
                              "that name" if name else "a camera without a name", "name it otherwise, such as cam0")
 
 
-def load_rig(path: str | os.PathLike) -> Rig:
+def load_rig(path: str | os.PathLike[str]) -> Rig:
     """The rig of an OpenCV FileStorage YAML file: a sequence ``cameras`` of maps name, width, height, K, dist, R, t.
 
     Raises InputError for a file that cannot be read, for missing entries, and for values that :class:`Camera` refuses.
@@ -100,7 +100,7 @@ def _camera(path: Path, entries, index: int) -> Camera:
     return Camera(name=name, **size, **values, source=str(path))
 
 
-def save_rig(path: str | os.PathLike, rig: Rig) -> None:
+def save_rig(path: str | os.PathLike[str], rig: Rig) -> None:
     """Write ``rig`` as OpenCV FileStorage YAML; :func:`load_rig` reads it back."""
     import cv2
 

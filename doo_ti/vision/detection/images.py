@@ -29,7 +29,7 @@ _changing, _silent = Lock(), []
 """One copy of the original standard error for each image that is being decoded."""
 
 
-def read_image(path: str | os.PathLike, camera: Camera | None = None) -> np.ndarray:
+def read_image(path: str | os.PathLike[str], camera: Camera | None = None) -> np.ndarray:
     """(H, W) uint8 grey levels of any image file that OpenCV reads, turned as its orientation tag says.
 
     camera  that took the image
@@ -130,7 +130,7 @@ class ImageSets:
         return len(self.names)
 
 
-def load_sets(path: str | os.PathLike, rig: Rig) -> ImageSets:
+def load_sets(path: str | os.PathLike[str], rig: Rig) -> ImageSets:
     """The sets of a CSV file. Raises InputError naming line and column for whatever is missing or not a number."""
     path = Path(path)
     table = read_csv(path, ("name", *SEED), form=f"name, one per camera, {', '.join(SEED)}", short_lines=True)
