@@ -22,7 +22,6 @@ from doo_ti.frames import (
     smallest_rotation,
     tangent_from_quaternion,
 )
-from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.checked_input import paired_rows
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.input_tables import tables, under
@@ -304,8 +303,7 @@ class _Motion:
         positions, outcomes, changes, forces = zip(*parts, strict=True)
         outcome = joined(outcomes)
         status = outcome[..., STATE].astype(np.int8)
-        spin_held = (table.clamp[:, [of.SPIN_START, of.SPIN_END]] == 0).all(axis=1)[table.configuration_index]
-        self.relinked = (outcome[..., RELINKED] > 0).any(axis=1) & spin_held
+        self.relinked = (outcome[..., RELINKED] > 0).any(axis=1) & table.spins_held[table.configuration_index]
         return Trajectory(
             joined(positions), status, outcome[..., TRIPS].astype(np.int32), outcome[..., MOMENT],
             outcome[..., END_FORCE:FRICTION_WORK], self.stepping.rate, memory,

@@ -153,8 +153,7 @@ def _touch_themselves(table: Tables, solver: Newton, frames, results, bits) -> N
     if contact is None or contact.surroundings.itself is None:
         return
     index = table.configuration_index
-    held = (table.clamp[:, [of.SPIN_START, of.SPIN_END]] == 0).all(axis=1)
-    may = approach_in_relaxation(table.start, index, frames, table.rest_length, contact.radius, held[index])
+    may = approach_in_relaxation(table.start, index, frames, table.rest_length, contact.radius, table.spins_held[index])
     rows = np.flatnonzero(may & (results[:, of.STATUS] != INFEASIBLE))
     if len(rows):
         batch.relax_touching(table, solver, frames, results, rows)

@@ -20,7 +20,7 @@ from doo_ti.physics.algebra import largest_of
 from doo_ti.physics.angle import passed_half_turn, turned_about_own_tangent
 from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import tangent
-from doo_ti.physics.tuples import dot, minus, plus, repeated, scaled, variable
+from doo_ti.physics.tuples import dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.batch import layout_for, scratch_for
 
 # Items of an edge: its middle before and after, its frame before and after, and its length.
@@ -34,8 +34,9 @@ class SelfApproach:
     """The search for one kind of number, on packs of rods whose edges' items are in scratch."""
 
     def __init__(self, number: Number, stride: int):
-        self.lanes, self.stride, self.width, self.scalar = number.lanes(), stride, number.width, number.scalar
-        self.put, self.largest = self.lanes.put, self.lanes.largest
+        lanes = number.lanes()
+        self.stride, self.width, self.scalar = stride, number.width, number.scalar
+        self.put, self.lane, self.largest = lanes.put, lanes.lane, lanes.largest
 
     @ti.func
     def load3(self, scratch: ti.template(), at):
@@ -50,29 +51,63 @@ class SelfApproach:
         return head + e * ITEMS * self.stride
 
     @ti.func
-    def load_frames(self, start: ti.template(), first, frames: ti.template(), rod, rest_length: ti.template(), row,
-                    scratch: ti.template(), head, slot):
+    def work(self, tables, scratch: ti.template(), threads, thread, by_frames: ti.template()):
+        """A thread's share of the rods, pack after pack."""
+        edges, rods = tables.rest_length.shape[1], tables.flags.shape[0]
+        head = thread
+        if ti.static(self.stride == 1):
+            head = thread * (edges * ITEMS + 1)
+        thick = self.edge(head, edges)
+        for pack in range((rods + self.width - 1) // self.width):
+            if pack % threads == thread:
+                for slot in range(self.width):
+                    rod = ti.min(pack * self.width + slot, rods - 1)
+                    if ti.static(by_frames):
+                        self.load_frames(tables, rod, scratch, head, slot)
+                    else:
+                        self.load_places(tables, rod, scratch, head, slot)
+                    self.put(scratch, thick, slot, tables.radius[ti.min(rod, tables.radius.shape[0] - 1)])
+                turns = 0.0 * scratch[thick]
+                if ti.static(by_frames):
+                    turns = self.place_middles(scratch, head, edges)
+                least = self.search(scratch, head, edges, scratch[thick])
+                for slot in range(self.width):
+                    rod = pack * self.width + slot
+                    if rod < rods:
+                        found = ti.select(self.lane(least, slot) > 0.0, 0, 1)
+                        if ti.static(by_frames):
+                            if tables.held[rod] == 1 and not ti.abs(self.lane(turns, slot)) < 0.5:
+                                found = 1
+                        tables.flags[rod] = found
+
+    @ti.func
+    def load_frames(self, tables, rod, scratch: ti.template(), head, slot):
         """The frames and lengths of a rod into lane ``slot``."""
-        edges = rest_length.shape[1]
+        edges, first = tables.rest_length.shape[1], tables.rows[rod]
         for e in range(edges):
             at = self.edge(head, e)
             for k in ti.static(range(4)):
-                self.put(scratch, at + (FRAME_BEFORE + k) * self.stride, slot, start[(first * edges + e) * 4 + k])
-                self.put(scratch, at + (FRAME_AFTER + k) * self.stride, slot, frames[(rod * edges + e) * 4 + k])
-            self.put(scratch, at + LENGTH * self.stride, slot, rest_length[row, e])
+                self.put(scratch, at + (FRAME_BEFORE + k) * self.stride, slot, tables.before[(first * edges + e) * 4 + k])
+                self.put(scratch, at + (FRAME_AFTER + k) * self.stride, slot, tables.after[(rod * edges + e) * 4 + k])
+            self.load_length(tables, rod, e, scratch, at, slot)
 
     @ti.func
-    def load_places(self, before: ti.template(), after: ti.template(), rod, rest_length: ti.template(), row,
-                    scratch: ti.template(), head, slot):
+    def load_places(self, tables, rod, scratch: ti.template(), head, slot):
         """The middles and lengths of a rod, from its first vertex, into lane ``slot``."""
-        for e in range(rest_length.shape[1]):
+        for e in range(tables.rest_length.shape[1]):
             at = self.edge(head, e)
             for k in ti.static(range(3)):
-                old = 0.5 * (before[rod, e, k] + before[rod, e + 1, k]) - before[rod, 0, k]
-                new = 0.5 * (after[rod, e, k] + after[rod, e + 1, k]) - before[rod, 0, k]
+                old = 0.5 * (tables.before[rod, e, k] + tables.before[rod, e + 1, k]) - tables.before[rod, 0, k]
+                new = 0.5 * (tables.after[rod, e, k] + tables.after[rod, e + 1, k]) - tables.before[rod, 0, k]
                 self.put(scratch, at + (BEFORE + k) * self.stride, slot, old)
                 self.put(scratch, at + (AFTER + k) * self.stride, slot, new)
-            self.put(scratch, at + LENGTH * self.stride, slot, rest_length[row, e])
+            self.load_length(tables, rod, e, scratch, at, slot)
+
+    @ti.func
+    def load_length(self, tables, rod, e, scratch: ti.template(), at, slot):
+        """The length of an edge, whose items begin at ``at``, into lane ``slot``."""
+        row = ti.min(tables.rows[rod], tables.rest_length.shape[0] - 1)
+        self.put(scratch, at + LENGTH * self.stride, slot, tables.rest_length[row, e])
 
     @ti.func
     def place_middles(self, scratch: ti.template(), head, edges):
@@ -110,7 +145,7 @@ class SelfApproach:
 
     @ti.func
     def search(self, scratch: ti.template(), head, edges, radius):
-        """By how much, at least, two parts of the rods stay apart on the way, or less than zero where they may touch."""
+        """By how much two parts of the rods stay apart on the way at least; negative where they may touch."""
         longest, total = 0.0 * radius, 0.0 * radius
         for e in range(edges):
             length = scratch[self.edge(head, e) + LENGTH * self.stride]
@@ -136,65 +171,26 @@ class SelfApproach:
 def _kernels(number: Number, stride: int, block: int):
     """The kernels of rods that are given by frames, and by places."""
     search = SelfApproach(number, stride)
-    lanes, width = number.lanes(), number.width
     table1, table2, table3 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3))
     index1 = ti.types.ndarray(dtype=ti.i32, ndim=1)
     packs = ti.types.ndarray(dtype=number.type, ndim=1)
-
-    @ti.func
-    def head_of(threads, thread, edges):
-        head = thread
-        if ti.static(stride == 1):
-            head = thread * (edges * ITEMS + 1)
-        return head
-
-    @ti.func
-    def note(flags: ti.template(), first, least, turns, held: ti.template(), watched: ti.template()):
-        """One for every rod of a pack that may touch itself or, with its ends held, has another link."""
-        for slot in range(width):
-            rod = first + slot
-            if rod < flags.shape[0]:
-                found = ti.select(lanes.lane(least, slot) > 0.0, 0, 1)
-                if ti.static(watched):
-                    if held[rod] == 1 and not ti.abs(lanes.lane(turns, slot)) < 0.5:
-                        found = 1
-                flags[rod] = found
 
     @ti.kernel
     def by_frames(start: table1, rows: index1, frames: table1, rest_length: table2, radius: table1, held: index1,
                   threads: ti.i32, scratch: packs, flags: index1):
         ti.loop_config(block_dim=block)
         for thread in range(threads):
-            edges = rest_length.shape[1]
-            head = head_of(threads, thread, edges)
-            thick = head + edges * ITEMS * ti.static(stride)
-            for pack in range((flags.shape[0] + width - 1) // width):
-                if pack % threads == thread:
-                    for slot in range(width):
-                        rod = ti.min(pack * width + slot, flags.shape[0] - 1)
-                        row = ti.min(rows[rod], rest_length.shape[0] - 1)
-                        search.load_frames(start, rows[rod], frames, rod, rest_length, row, scratch, head, slot)
-                        lanes.put(scratch, thick, slot, radius[ti.min(rod, radius.shape[0] - 1)])
-                    turns = search.place_middles(scratch, head, edges)
-                    note(flags, pack * width, search.search(scratch, head, edges, scratch[thick]), turns, held, True)
+            tables = record(before=start, after=frames, rows=rows, rest_length=rest_length, radius=radius, held=held,
+                            flags=flags)
+            search.work(tables, scratch, threads, thread, True)
 
     @ti.kernel
     def by_places(before: table3, after: table3, rows: index1, rest_length: table2, radius: table1, threads: ti.i32,
                   scratch: packs, flags: index1):
         ti.loop_config(block_dim=block)
         for thread in range(threads):
-            edges = rest_length.shape[1]
-            head = head_of(threads, thread, edges)
-            thick = head + edges * ITEMS * ti.static(stride)
-            for pack in range((flags.shape[0] + width - 1) // width):
-                if pack % threads == thread:
-                    for slot in range(width):
-                        rod = ti.min(pack * width + slot, flags.shape[0] - 1)
-                        row = ti.min(rows[rod], rest_length.shape[0] - 1)
-                        search.load_places(before, after, rod, rest_length, row, scratch, head, slot)
-                        lanes.put(scratch, thick, slot, radius[ti.min(rod, radius.shape[0] - 1)])
-                    least = search.search(scratch, head, edges, scratch[thick])
-                    note(flags, pack * width, least, least, flags, False)
+            tables = record(before=before, after=after, rows=rows, rest_length=rest_length, radius=radius, flags=flags)
+            search.work(tables, scratch, threads, thread, False)
 
     return by_frames, by_places
 

@@ -96,6 +96,11 @@ class Tables:
     weight_per_length: np.ndarray | None = None
 
     @property
+    def spins_held(self) -> np.ndarray:
+        """(S,) whether clamps hold the frames at both ends, so that neither can turn about its tangent."""
+        return (self.clamp[:, [SPIN_START, SPIN_END]] == 0).all(axis=1)
+
+    @property
     def loaded(self) -> bool:
         """Whether an external energy or a contact may move vertex 0."""
         return self.external is not None or self.contact is not None
