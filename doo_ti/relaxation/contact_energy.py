@@ -43,6 +43,7 @@ from doo_ti.relaxation.contact_layout import (
     PLACE_BETWEEN,
     RADIUS,
     ROOM,
+    ROUGH,
     RUBBED_NORMAL,
     RUBBED_NORMAL_BETWEEN,
     RUBBED_PLACE,
@@ -69,7 +70,7 @@ class ContactEnergy(ContactPlaces):
 
     def __init__(self, number, stride: int, kinds: frozenset[int], rub: bool = False):
         super().__init__(number, stride, kinds)
-        self.rub = rub
+        self.rub, self.first_phase = rub, ROUGH
 
     @ti.func
     def touched(self, rod, index, start, end):
@@ -193,6 +194,10 @@ class ContactEnergy(ContactPlaces):
             rod.scratch[contact + SAGGING * self.stride] = sagging
             sag = ti.max(sagging / (SAG * radius), zero)
             behind = self.behind(rod)
+            # Where rounds find an edge inside an obstacle between its ends, its nearest point counts from then on.
+            active = active | ((sagging > zero) & (seen.value < radius) & ~behind)
+            known = rod.scratch[contact + ACTIVE * self.stride]
+            rod.scratch[contact + ACTIVE * self.stride] = ti.select(active, zero + 1.0, known)
             fading = ti.select(behind & near, 2.0 * sag / ((1.0 + sag * sag) * (1.0 + sag * sag) * SAG * radius), zero)
             share = record(
                 weight=ti.select(behind, sag * sag / (1.0 + sag * sag), ti.select(active, zero + 1.0, zero)),

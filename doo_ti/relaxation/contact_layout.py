@@ -18,8 +18,8 @@ FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH, WAY_MADE, WAY, MULTIPLIER, LARGE
 # energy, as :meth:`.LoadedElimination.load` returns them.
 ENERGY, MAGNITUDE, CROSSING, DEEPEST, CLOSEST = 22, 23, 24, 25, 26
 GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, HEAD = 27, 30, 33, 39, 48, 54
-# Phases of a rod: it has just been loaded; a barrier keeps it away from obstacles, which finds out where it will touch them;
-# rounds to a rough tolerance of its moments; rounds to the final one.
+# Phases of a rod: it has just been loaded and begins with a barrier; this keeps it away from obstacles and finds out where it
+# will touch them; rounds to a rough tolerance of its moments; rounds to the final one.
 LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0
 # Items of a vertex: its place; the least room of the edge that ends there, which is how far it is from the middle of an
 # obstacle; both also from before the step; the forces on that edge's end and on its start; and of a motion the place at the
@@ -42,7 +42,7 @@ SAG = 0.1
 """Of a radius: where an edge is nearer to an obstacle than its ends by so much, its nearest point has half its weight."""
 BENDING_LOADS = 20.0
 """The forces to expect are the weight of an edge and so many B/L²."""
-SOFT = 0.05
+SOFT = 0.1
 """Of a radius: at first κ gives way by that under such a force."""
 TIGHT = 0.3
 """Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does."""
@@ -67,8 +67,8 @@ APPROACH = 0.75
 """A whole step may take 0.6 over that of a gap."""
 SLACK = 0.1
 """Of a radius: by so much more it may in rounds."""
-ROUGHEST, ROUGHER = 1e5, 1e3
-"""By so much the tolerance of a rod's moments is larger under the barrier, and until the forces of contacts have settled."""
+ROUGHEST, ROUGHER = 1e-2, 3e-3
+"""The residual to reach under the barrier, and until the forces of contacts have settled."""
 
 VISCOUS, THICKER, THINNER, LEAST_VISCOSITY, MOST_VISCOSITY, MOST_EASED = 30.0, 8.0, 1 / 4, 1 / 100, 1e5, 48.0
 """Viscosity that eases a step is at first so many times the expected forces over the rod's length at every vertex, larger by

@@ -118,10 +118,10 @@ class ContactRounds(ContactEnergy):
     def tolerance(self, rod, given):
         """The residual that a rod is to reach where ``given`` is that of one without contact: more while its rounds are rough,
         and at least what rounding of places makes of the forces."""
-        phase = self.item(rod, PHASE)
-        factor = ti.select(self.behind(rod), 0.0 * given + ROUGHEST, 0.0 * given + ROUGHER)
         noise = self.rounding * self.item(rod, STIFFNESS) * rod.longest * rod.total * rod.total
-        return ti.select(phase > ti.static(0.5 * (ROUGH + FINE)), factor * given, given) + noise
+        rough = ti.select(self.behind(rod), 0.0 * given + ROUGHEST, 0.0 * given + ROUGHER)
+        settles = self.item(rod, PHASE) > ti.static(0.5 * (ROUGH + FINE))
+        return ti.select(settles, ti.max(given, rough), given) + noise
 
     @ti.func
     def enter(self, rod, fresh, pushed):

@@ -159,7 +159,7 @@ class Contacts(ContactRounds):
                 self.put(scratch, first + v * size + (PREVIOUS + k) * self.stride, slot, tables.places[row, v, k] / unit)
         # The first step of a motion begins with the barrier, which also finds κ.
         stiffness = ti.cast(self.get(scratch, tables.contacts + STIFFNESS * self.stride, slot), ti.f64) + INERT * inertia
-        phase = ti.cast(LOADED, ti.f64)
+        phase = ti.cast(self.first_phase, ti.f64)
         if tables.memory[row, 0, 0, FORCE_BETWEEN] > 0.0:
             stiffness, phase = tables.memory[row, 0, 0, FORCE_BETWEEN], ROUGH
         for item in ti.static((STIFFNESS, FIRST_STIFFNESS)):
@@ -189,8 +189,8 @@ class Contacts(ContactRounds):
         viscosity = VISCOUS * (BENDING_LOADS * scale.bend / (scale.total * scale.total) + scale.weight * scale.total) / (
             scale.total * vertices * unit * unit)
         tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
-        head = (radius, force / (SOFT * radius), tolerance, 1e30, LOADED, 0.0, strength, 0.0,
-                CLOSE * radius + 0.5 * scale.longest, 0.0, 0.0, 0.0, strength)
+        head = (radius, force / (SOFT * radius), tolerance, 1e30, self.first_phase, 0.0, strength, 0.0,
+                CLOSE * radius + 0.5 * scale.longest, force / (SOFT * radius), 0.0, 0.0, strength)
         for k in ti.static(range(len(head))):
             self.put(scratch, base + k * self.stride, slot, head[k])
         self.put(scratch, base + FIRST_VISCOSITY * self.stride, slot, viscosity)

@@ -8,6 +8,10 @@ SHIFT_WRONG_INERTIA = 0.01
 SHIFT_REJECTED, SHIFT_REJECTED_IN_CONTACT, GROWTH_IN_CONTACT = 1e-5, 1e-3, 10.0
 DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # each accepted step multiplies the shift by DECAY, below NEGLIGIBLE it is zero;
 DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # the same once a step was refused or the inertia was wrong
+# Of rods that may touch something: a step of which a smaller share was taken does not make the shift smaller; the part of it
+# that is tried after it was refused; and the square of what a step towards closure leaves of the miss at most.
+SHORTENED, PART, NEARER = 0.8, 0.3, 0.98
+STILL, BY_ROUNDING = 1e-10, 1e3  # rad: a smaller step is rounding, and by how much the residual then may exceed its tolerance
 CLOSING_DISTANCE = 0.1  # edge lengths: above it a step only projects
 ESCAPE_ROTATION = 0.1  # rad
 ESCAPE_ROUNDS = 3.0  # inverse iterations before the first step off a saddle

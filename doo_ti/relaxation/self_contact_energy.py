@@ -14,6 +14,7 @@ from doo_ti.relaxation.contact_layout import (
     CROSSING,
     DEEPEST,
     ENERGY,
+    LOADED,
     PLACE,
     RADIUS,
     STANDING,
@@ -51,6 +52,11 @@ from doo_ti.relaxation.pair_layout import (
 @ti.data_oriented
 class SelfContactEnergy(Contacts):
     """The contacts with obstacles and the energy of those of the rod with itself."""
+
+    def __init__(self, number, stride: int, kinds: frozenset[int], rub: bool = False):
+        super().__init__(number, stride, kinds, rub)
+        # Without the barrier parts of the rod could pass through each other, thin as they are.
+        self.first_phase = LOADED
 
     # --- items in scratch ---
 

@@ -49,7 +49,9 @@ def knotted():
     """(clamps, solution) of a rod with an overhand knot."""
     rod = overhand_knot(160.0, 60, radius=RADIUS, loop=12.0)
     clamps = end_clamps(rod, Clamp.TANGENT, Clamp.TANGENT)
-    return clamps, relax(rod, Material(STIFFNESS, STIFFNESS, 0.0), clamps, obstacles=[Itself()], radius=RADIUS)
+    # The moment about the held spin of a round rod is the sum of what is left at all other edges.
+    exact = Newton(tolerance=1e-9)
+    return clamps, relax(rod, Material(STIFFNESS, STIFFNESS, 0.0), clamps, exact, obstacles=[Itself()], radius=RADIUS)
 
 
 def test_distance_of_edges(rng):

@@ -1,0 +1,248 @@
+"""A trip of the Newton loop: a step of every lane's rod, its judgement and the plan of the next (§III-D, docs/chain.md)."""
+
+import taichi as ti
+
+from doo_ti.physics.tuples import chosen, dot, plus, record, scaled, variable
+from doo_ti.relaxation import newton_policy as fixed
+from doo_ti.relaxation.contact_layout import CROSSING, WALL
+from doo_ti.relaxation.elimination import Elimination
+from doo_ti.types import Status
+
+
+@ti.data_oriented
+class NewtonTrip:
+    """A trip through the loop of :class:`.NewtonLoop`.
+
+    Its functions share three records: ``tables``, the arrays that host and kernel share; ``rod``, the parameters of the rods
+    in the lanes (:class:`.Chain`); and ``lane``, the state of each lane's rod and its next step:
+
+    energy, magnitude, miss, multiplier  of the accepted frames; ``residual`` their largest moment
+    change, longest                      δλ and the largest rotation of the step, rad
+    shift, scale                         added to the diagonal of H, and H's largest diagonal entry
+    step_scale                           share of the step that is taken
+    trying, closing, escaping            flags: the step is judged by its energy; it only closes; it leaves a saddle
+    rounds, heading, escapes             of leaving a saddle: inverse iterations made, the way taken, saddles left so far
+    share                                of a step that only closes: less where it would carry the rod through an obstacle
+    best, idle_trips, aimless            the smallest residual so far, trips without progress and without notable progress
+    """
+
+    def __init__(self, sweep: Elimination, has_coarse: bool):
+        number = sweep.number
+        self.sweep, self.has_coarse, self.touches = sweep, has_coarse, sweep.touches
+        self.largest, self.lane, self.with_lane, self.constant, _, self.get = number.lanes()
+        self.scalar = number.scalar
+        single = number.bits == 32
+        self.rounding = 2e-6 if single else 1e-10
+        self.patience = fixed.PATIENCE_32 if single else fixed.PATIENCE
+        self.shape_tolerance = fixed.SHAPE_TOLERANCE_32 if single else 1e30
+        self.closure_tolerance = 1e-7 if single else 1e-12
+        self.still = 0.0 if single else fixed.STILL
+        # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a small part of
+        # H's scale on the diagonal makes it positive. f32 cannot distinguish them from soft saddles and leaves them to f64.
+        self.trace = 0.0 if single else 1e-12
+        self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
+        self.stalled, self.not_finite, self.infeasible = map(int, (Status.STALLED, Status.NOT_FINITE, Status.INFEASIBLE))
+        self.growth, self.first_shift = (  # of the shift, where a step is rejected
+            (fixed.GROWTH_IN_CONTACT, fixed.SHIFT_REJECTED_IN_CONTACT) if self.touches else (4.0, fixed.SHIFT_REJECTED))
+
+    @ti.func
+    def trip(self, tables, scratch: ti.template(), head, lane):
+        """One step of every lane's rod, and its judgement."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        if ti.static(self.has_coarse):
+            lane.coarse = ti.max(lane.coarse, lane.fresh)
+        rod = self.sweep.rods(tables, scratch, head, lane.coarse)
+        # Take the step, and judge it afterwards. The factorisation at its end has the shift that follows a good step.
+        moving = ti.max(lane.trying, ti.max(lane.fresh, lane.closing))
+        if ti.static(self.touches):
+            # Where the rod may touch something, its start is looked at before it moves.
+            moving = ti.max(lane.trying, lane.closing * lane.share)
+        x, normal = self.sweep.step(rod, lane.step_scale, moving, lane.miss)
+        decay = ti.select(lane.troubled > 0.5, self.constant(fixed.DECAY_TROUBLED), self.constant(fixed.DECAY))
+        if ti.static(self.touches):
+            # A smaller shift makes a step larger, which is of no use where it could not be taken whole.
+            decay = ti.select(lane.step_scale < fixed.SHORTENED, self.constant(1.0), decay)
+        least = ti.select(lane.troubled > 0.5, self.constant(fixed.NEGLIGIBLE_TROUBLED), self.constant(fixed.NEGLIGIBLE))
+        negligible = least * lane.scale
+        smaller = ti.select(decay * lane.shift > negligible, decay * lane.shift, zero)
+        next_shift = ti.select(lane.trying > 0.5, smaller, lane.shift)
+        # To leave a saddle: inverse iteration, first from noise, then from its last result.
+        searching = (lane.escaping > 0.5) & (lane.trying < 0.5)
+        noise = ti.select(searching & (lane.rounds < 0.5), 1e-3 * lane.scale, zero)
+        echo = ti.select(searching & (lane.rounds > 0.5), lane.scale / (lane.longest + 1e-30), zero)
+        energy, magnitude, miss, fitted = self.sweep.close(rod, x, normal)
+        multiplier = self.multiplier(lane, fitted)
+        diagonal = ti.select(next_shift > 0.0, next_shift, self.trace * lane.scale)
+        found = self.sweep.eliminate(rod, diagonal, (noise, echo), multiplier, miss)
+        found.energy += energy
+        found.magnitude += magnitude
+        judged = self.judge_step(rod, lane, found, miss)
+        if self.largest(ti.select(judged.uphill, one, zero)) > 0.5:
+            self.sweep.restore(rod, ti.select(judged.uphill, one, zero))
+        lane.longest = self.sweep.substitute(rod, found)
+        self.keep(lane, found, miss, multiplier, judged, next_shift)
+        place = self.judge_place(tables, rod, lane, found.inertia, judged)
+        self.plan(tables, rod, lane, judged, place, searching, found.slope)
+        self.end(tables, rod, lane, judged, place)
+
+    @ti.func
+    def multiplier(self, lane, fitted):
+        """λ at the new frames: the least-squares one of closure or, under an external energy, which that leaves out, the one of
+        the Newton step."""
+        value = variable(fitted)
+        if ti.static(self.sweep.moves_start):
+            share = ti.select(lane.escaping < 0.5, lane.step_scale, self.constant(0.0))
+            # Where no step is taken the change may be NaN.
+            stepped = chosen(share > 0.0, plus(lane.multiplier, scaled(lane.change, share)), lane.multiplier)
+            value = chosen(lane.fresh > 0.5, fitted, stepped)
+        return value
+
+    @ti.func
+    def judge_step(self, rod, lane, found, miss):
+        """Judge the step by the Lagrangian: a record of flags."""
+        multiplier = plus(lane.multiplier, lane.change)
+        before = lane.energy + dot(multiplier, lane.miss)
+        after = found.energy + dot(multiplier, miss)
+        noise_level = self.rounding * lane.magnitude
+        finite = found.energy == found.energy
+        downhill = (lane.trying > 0.5) & (after <= before + noise_level)
+        moved = lane.trying > 0.5
+        if ti.static(self.touches):
+            # No step, not even one that only closes, may carry a vertex past the middle of an obstacle.
+            moved = moved | ((lane.closing > 0.5) & (lane.fresh < 0.5))
+            passable = self.sweep.contacts.item(rod, CROSSING) < 1.0
+            # Far from closure the Lagrangian says little.
+            missed, misses = dot(lane.miss, lane.miss), dot(miss, miss)
+            reaching = (missed > (fixed.CLOSING_DISTANCE * rod.longest) ** 2) & (misses < fixed.NEARER * missed)
+            downhill = (downhill | ((lane.trying > 0.5) & reaching)) & passable
+            finite = finite & (passable | ~moved)
+        taken = ti.select(((lane.trying < 0.5) & finite) | downhill, self.constant(1.0), self.constant(0.0))
+        stands = taken > 0.5
+        return record(
+            stands=stands, downhill=downhill, uphill=moved & (taken < 0.5),
+            gained=(after < before - noise_level) & downhill, broken=(lane.fresh > 0.5) & ~stands,
+            notable=(after < before - fixed.NOTABLE * lane.magnitude) & downhill)
+
+    @ti.func
+    def keep(self, lane, found, miss, multiplier, judged, next_shift):
+        """Update the lane after its step: from the new frames where it is accepted, with a larger shift where it led uphill."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        lane.energy = ti.select(judged.stands, found.energy, lane.energy)
+        lane.magnitude = ti.select(judged.stands, found.magnitude, lane.magnitude)
+        lane.miss = chosen(judged.stands, miss, lane.miss)
+        lane.multiplier = chosen(judged.stands, multiplier, lane.multiplier)
+        lane.scale = ti.select(judged.stands, found.scale, lane.scale)
+        lane.residual = ti.select(judged.stands, found.moment, lane.residual)
+        lane.change = found.change
+        lane.shift = ti.select(judged.stands, next_shift, lane.shift)
+        stiffer = judged.uphill & (lane.escaping < 0.5)
+        if ti.static(self.touches):
+            # First a part of the same step: where contacts begin and end, the energy is not quadratic.
+            stiffer = stiffer & (lane.rejects > 0.5)
+        lane.shift = ti.select(stiffer, ti.max(self.growth * lane.shift, self.first_shift * lane.scale), lane.shift)
+        lane.rejects = ti.select(judged.downhill, zero, lane.rejects + ti.select(judged.uphill, one, zero))
+        lane.escaping = ti.select(judged.downhill, zero, lane.escaping)
+        lane.share = ti.select(judged.uphill, 0.5 * lane.share, ti.min(2.0 * lane.share, one))
+        lane.trips = lane.trips + lane.active
+
+    @ti.func
+    def tolerance(self, tables, rod):
+        """The largest residual of a rod that has converged."""
+        given = ti.cast(tables.policy[fixed.TOLERANCE], self.scalar)
+        if ti.static(self.touches):
+            return self.sweep.contacts.tolerance(rod, self.constant(0.0) + given)
+        else:
+            return given
+
+    @ti.func
+    def judge_place(self, tables, rod, lane, inertia, judged):
+        """Judge where the rod is: a record of flags. The elimination, at the new frames, says nothing about restored ones."""
+        gap = ti.sqrt(dot(lane.miss, lane.miss))
+        tolerance = self.tolerance(tables, rod)
+        at_rest = lane.residual * rod.total <= tolerance
+        if ti.static(self.touches):
+            # Large forces on a limp rod: rounding limits the residual, and the next step bounds the error of the shape.
+            still = (lane.longest <= self.still) & (lane.shift <= 0.0)
+            at_rest = at_rest | (still & (lane.residual * rod.total <= fixed.BY_ROUNDING * tolerance))
+        small = at_rest & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
+        wrong = ((inertia < 2.5) | (inertia > 3.5)) & judged.stands
+        right = (inertia > 2.5) & (inertia < 3.5) & judged.stands
+        calm = small & (lane.escaping < 0.5) & judged.stands
+        bare = (lane.shift <= 0.0) & (lane.coarse < 0.5)
+        # Where rounding limits the residual, the size of the next step bounds the error of the shape.
+        settled = lane.longest <= self.shape_tolerance
+        at_saddle = calm & bare & wrong
+        # Beside a saddle a rod may make no progress though its residual is not yet small.
+        aimless = wrong & (lane.aimless > fixed.PATIENCE_AT_SADDLE) & (lane.escaping < 0.5) & (lane.closing < 0.5)
+        limit = ti.cast(tables.policy[fixed.ESCAPES], self.scalar)
+        leaving = (at_saddle & (lane.escapes < limit)) | (aimless & (limit > 0.0))
+        return record(
+            gap=gap, small=small, calm=calm, settled=settled, right=right, wrong=wrong,
+            at_minimum=calm & bare & right & settled, at_saddle=at_saddle, leaving=leaving,
+            resting=at_saddle & (lane.escapes >= limit), certify=calm & ((lane.shift > 0.0) | (lane.coarse > 0.5)))
+
+    @ti.func
+    def plan(self, tables, rod, lane, judged, place, searching, slope):
+        """The next step: whether to take one, how much of it, and under which shift."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        lane.escaping = ti.select(place.leaving, one, lane.escaping)
+        lane.shift = ti.select(place.leaving, zero, lane.shift)
+        lane.escapes = ti.select(place.leaving & place.at_saddle, lane.escapes + 1.0, lane.escapes)
+        lane.closing = ti.select(place.gap > ti.cast(tables.policy[fixed.CLOSING], self.scalar) * rod.longest, one, zero)
+        if ti.static(self.touches):
+            # A step that only closes does not know obstacles: it would carry the rod into them.
+            lane.closing = ti.select(self.sweep.contacts.behind(rod), lane.closing, zero)
+            # A step that also closes may be refused because closing leads behind the barrier, which then has to give way.
+            refused = judged.uphill & (place.gap > 1e3 * self.closure_tolerance * rod.total)
+            lane.closing = ti.select(refused & self.sweep.contacts.behind(rod), one, lane.closing)
+        lane.rounds = ti.select((lane.escaping > 0.5) & place.right & ~place.leaving, lane.rounds + 1.0, lane.rounds)
+        lane.rounds = ti.select(place.leaving, zero, lane.rounds)
+        unready = (lane.escaping > 0.5) & (lane.rounds <= fixed.ESCAPE_ROUNDS)
+        held = place.certify | place.leaving | place.wrong | unready | (lane.closing > 0.5) | judged.uphill
+        lane.trying = ti.select(held, zero, one)
+        lane.troubled = ti.select(judged.uphill | (place.wrong & (lane.closing < 0.5)), one, lane.troubled)
+        floor = ti.select(lane.escaping > 0.5, fixed.NEGLIGIBLE_TROUBLED * lane.scale, fixed.SHIFT_WRONG_INERTIA * lane.scale)
+        lane.shift = ti.select(place.wrong & (lane.closing < 0.5), ti.max(4.0 * lane.shift, floor), lane.shift)
+        lane.shift = ti.select(place.certify, zero, lane.shift)
+        if ti.static(self.has_coarse):
+            far = (lane.longest > fixed.COARSE_ROTATION) & ~place.small & (lane.escaping < 0.5)
+            lane.coarse = ti.select(far, one, zero)
+        cap = ti.min(one, ti.cast(tables.policy[fixed.ROTATION_LIMIT], self.scalar) / (lane.longest + 1e-30))
+        if ti.static(self.touches):
+            cap = ti.select((lane.rejects > 0.5) & (lane.rejects < 1.5), fixed.PART * cap, cap)
+        lane.heading = ti.select(searching, ti.select(slope > 0.0, 0.0 - one, one), lane.heading)
+        leap = lane.heading * fixed.ESCAPE_ROTATION / ((1.0 + lane.rejects) * (1.0 + lane.rejects) * (lane.longest + 1e-30))
+        lane.step_scale = ti.select(lane.trying > 0.5, ti.select(lane.escaping > 0.5, leap, cap), zero)
+
+    @ti.func
+    def end(self, tables, rod, lane, judged, place):
+        """Which lanes are finished, and with which status."""
+        zero, one = self.constant(0.0), self.constant(1.0)
+        better = place.leaving | (lane.closing > 0.5) | ((lane.residual < 0.7 * lane.best) & judged.stands)
+        # A trip that only repeats the elimination after a rejected step does not count.
+        waited = ti.select(lane.returned > 0.5, zero, one)
+        lane.aimless = ti.select(better | judged.notable, zero, lane.aimless + waited)
+        lane.idle_trips = ti.select(judged.gained | better, zero, lane.idle_trips + waited)
+        lane.best = ti.select(better & judged.stands, ti.min(lane.best, lane.residual), lane.best)
+        lane.returned = ti.select(judged.uphill, one, zero)
+        fresh = lane.fresh > 0.5
+        lane.fresh = zero
+        ended = place.at_minimum | place.resting
+        late = lane.trips >= ti.cast(tables.policy[fixed.ITERATION_LIMIT], self.scalar)
+        stuck = lane.idle_trips > self.patience
+        lost = judged.broken | ~(lane.residual == lane.residual)
+        lane.status = ti.select(stuck, self.constant(self.stalled), self.constant(self.limit))
+        lane.status = ti.select(lost, self.constant(self.not_finite), lane.status)
+        # At rest, though a neutral motion leaves the certificate undecided: converged, not certified.
+        at_rest = place.small & place.settled & (late | stuck)
+        if ti.static(self.touches):
+            entered = self.sweep.contacts.enter(rod, fresh, judged.stands & (lane.energy > WALL))
+            calm = place.calm & ~entered & ~place.leaving
+            goes_on = self.sweep.contacts.end_round(rod, lane, calm, (ended | at_rest) & ~entered, entered)
+            ended, at_rest, stuck = ended & ~goes_on, at_rest & ~goes_on, stuck & ~goes_on
+            blocked = self.sweep.contacts.blocked(rod, fresh, lane.miss)
+            lane.status = ti.select(blocked, self.constant(self.infeasible), lane.status)
+            ended, at_rest, lost = ended & ~blocked, at_rest & ~blocked, lost | blocked
+        lane.status = ti.select(ended | at_rest, self.constant(self.converged), lane.status)
+        lane.stable = ti.select(place.at_minimum, one, zero)
+        lane.finished = ti.select((ended | late | stuck | lost) & (lane.active > 0.5), one, zero)

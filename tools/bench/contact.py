@@ -1,0 +1,98 @@
+"""Benchmark of contact: ``python tools/bench/contact.py [CASE ...] [--rods N] [--rounds N] [--check | --write]``.
+
+Heavy rods of 33 edges, both ends held, on a table with two pegs in their way, NumPy in to NumPy out. *laid down*: from straight
+starts that do not meet their clamps; *moved on*: from rest on the table, with other weights and far ends moved by up to a tenth
+of the span; *out of reach*: as these, with the table and the pegs far away. Ratios are to a NumPy workload timed in the same
+round; ``--check`` and ``--write`` are those of the benchmark of relaxations.
+"""
+
+import sys
+from functools import cached_property, partial
+from pathlib import Path
+
+import numpy as np
+
+if not __package__:
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from doo_ti import Capsule, Clamp, Clamps, Configuration, Material, Plane, relax  # noqa: E402
+from doo_ti.bench.cases import Case, Outcome  # noqa: E402
+from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_product  # noqa: E402
+from doo_ti.types import Status  # noqa: E402
+from tools.bench.against_baseline import Benchmark, run  # noqa: E402
+
+BASELINE = Path(__file__).with_name("contact.json")
+SEED = 2011
+LENGTH, EDGES, RADIUS = 99.0, 33, 1.0  # mm
+PEGS = ((33.0, 8.0), (66.0, -8.0))
+PEG_RADIUS, PEG_HEIGHT = 4.0, 60.0
+
+
+def obstacles(below: float = 0.0) -> list:
+    """A table so far below and its pegs."""
+    pegs = [Capsule((x, y, -5.0 - below), (x, y, PEG_HEIGHT - below), PEG_RADIUS) for x, y in PEGS]
+    return [Plane((0, 0, -below), (0, 0, 1)), *pegs]
+
+
+class Specimens:
+    """Rods that are held just above the table, with the pegs on either side."""
+
+    def __init__(self, count: int):
+        self.count = count
+
+    @cached_property
+    def laid_down(self) -> tuple[Configuration, Material, Clamps]:
+        """Straight starts beside the pegs."""
+        random, count = np.random.default_rng(SEED), 2 * self.count
+        one = Configuration.straight(np.zeros(3), np.array([1.0, 0.0, 0.0]), LENGTH, EDGES)
+        up = np.broadcast_to([0.0, 0.0, 1.0], (count, 3))
+        start = np.stack([np.zeros(count), random.uniform(-5, 5, count), np.full(count, 1.02 * RADIUS)], -1)
+        span = random.uniform(0.75, 0.97, count) * LENGTH
+        end = start + np.stack([span, random.uniform(-10, 10, count), np.zeros(count)], -1)
+        frames = [matrix_from_quaternion(quaternion_product(quaternion_about(up, random.uniform(-0.6, 0.6, count)),
+                                                            one.quaternions[:, 0])) for _ in range(2)]
+        stiffness = 10 ** random.uniform(4.5, 5.5, count)
+        material = Material(stiffness, stiffness, random.uniform(0, 100, count) * stiffness / LENGTH**3)
+        rods = Configuration(start, np.repeat(one.quaternions, count, 0), one.rest_length)
+        clamps = Clamps(Clamp.FRAME, Clamp.FRAME, start, end, *frames)
+        found = relax(rods, material, clamps, obstacles=obstacles(), radius=RADIUS)
+        kept = np.flatnonzero(found.status != Status.INFEASIBLE)[: self.count]
+        return rods.take(kept), material.take(kept), clamps.take(kept)
+
+    @cached_property
+    def moved_on(self) -> tuple[Configuration, Material, Clamps]:
+        """Rods at rest, whose weights and far ends then change."""
+        rods, material, clamps = self.laid_down
+        random = np.random.default_rng(SEED + 1)
+        rest = relax(rods, material, clamps, obstacles=obstacles(), radius=RADIUS)
+        kept = np.resize(np.flatnonzero(rest.converged), self.count)
+        material, clamps = material.take(kept), clamps.take(kept)
+        other = Material(material.bend, material.twist, material.weight * random.uniform(0.8, 1.25, self.count))
+        end = clamps.end_position - [1.0, 0.0, 0.0] * random.uniform(0, 0.1, (self.count, 1)) * LENGTH
+        held = Clamps(Clamp.FRAME, Clamp.FRAME, clamps.start_position, end, clamps.start_frame, clamps.end_frame)
+        return rest.configuration.take(kept), other, held
+
+    def relaxed(self, which: str, precision: str, below: float = 0.0) -> Outcome:
+        """Relax the rods of that name once."""
+        rods, material, clamps = getattr(self, which)
+        found = relax(rods, material, clamps, precision=precision, obstacles=obstacles(below), radius=RADIUS)
+        done = found.converged
+        return Outcome(float(done.sum()), float(done.mean()), float(found.stable.mean()),
+                       float(np.max(found.residual[done], initial=0.0)), found.iterations)
+
+
+def cases(rods: Specimens) -> list[Case]:
+    """The timed cases."""
+    table = [Case(f"{which.replace('_', ' ')}, {precision}", "rods/s", partial(rods.relaxed, which, precision))
+             for which in ("laid_down", "moved_on") for precision in ("f32", "f64")]
+    return [*table, Case("out of reach, f32", "rods/s", partial(rods.relaxed, "moved_on", "f32", 1e4))]
+
+
+def main(arguments: list[str]) -> int:
+    benchmark = Benchmark("contact.py", __doc__.splitlines()[0], BASELINE, "rods", 4096, 8,
+                          lambda count: cases(Specimens(count)))
+    return run(benchmark, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
