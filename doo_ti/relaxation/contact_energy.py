@@ -86,11 +86,11 @@ class ContactEnergy(ContactPlaces):
             contact, previous = self.contact(at, o), self.contact(before, o)
             value_end = rod.scratch[contact + VALUE * self.stride]
             least = ti.min(rod.scratch[previous + VALUE * self.stride], value_end)
-            if self.is_close(rod, least):
+            if self.is_close(rod, contact) or self.is_close(rod, previous):
                 if some == 0:
                     self.clear(rod, zero)
                     some = 1
-                if self.is_close(rod, value_end):
+                if self.is_close(rod, contact):
                     self.add_vertex(rod, o, at, contact)
                 self.touched_between(rod, o, index, start, edge)
             else:
@@ -117,7 +117,7 @@ class ContactEnergy(ContactPlaces):
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
             value = rod.scratch[contact + VALUE * self.stride]
-            if self.is_close(rod, value):
+            if self.is_close(rod, contact):
                 if some == 0:
                     self.clear(rod, zero)
                     some = 1

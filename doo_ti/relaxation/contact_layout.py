@@ -28,11 +28,12 @@ PLACE, STANDING, ROOM, ROOM_STANDING, FORCE_END, FORCE_START, PREVIOUS, VERTEX_I
 # Items of the contact of a vertex and the edge that ends there with an obstacle: λ of both, and the friction on both; for
 # friction, where a round does not change them, the normal at the vertex, the place on the edge and the normal there; one where
 # rounds have the contact of the edge; of the vertex φ, its normal and ∇∇φ; of the edge the nearest point s, φ* and its normal,
-# the weight of its contact, and by how much it is nearer there than at its ends.
+# the weight of its contact, and by how much it is nearer there than at its ends; and, one number for all rods of the pack, how
+# far the nearest is from being close.
 FORCE, FORCE_BETWEEN, FRICTION, FRICTION_BETWEEN, RUBBED_NORMAL, RUBBED_PLACE, RUBBED_NORMAL_BETWEEN, ACTIVE = (
     0, 1, 2, 5, 8, 11, 12, 15)
-VALUE, NORMAL, CURVATURE, PLACE_BETWEEN, VALUE_BETWEEN, NORMAL_BETWEEN, WEIGHT, SAGGING, CONTACT_ITEMS = (
-    16, 17, 20, 26, 27, 28, 31, 32, 33)
+VALUE, NORMAL, CURVATURE, PLACE_BETWEEN, VALUE_BETWEEN, NORMAL_BETWEEN, WEIGHT, SAGGING, NEAREST, CONTACT_ITEMS = (
+    16, 17, 20, 26, 27, 28, 31, 32, 33, 34)
 REMEMBERED, REMEMBERED_IN_MOTION = 2, 16
 """Items of a contact that last from one relaxation to the next, and from one step to the next."""
 

@@ -15,6 +15,7 @@ from doo_ti.relaxation.contact_layout import (
     DEEPEST,
     ENERGY,
     HEAD,
+    NEAREST,
     NORMAL,
     PHASE,
     PLACE,
@@ -119,12 +120,15 @@ class ContactPlaces:
         crossing = rod.contacts + CROSSING * self.stride
         share = dot(away, away) * self.nearness(rod, index, at, ROOM_STANDING)
         rod.scratch[crossing] = largest_of(rod.scratch[crossing], share)
+        longest = self.largest(rod.longest)
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
             seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o], place)
             rod.scratch[contact + VALUE * self.stride] = seen.value
             # Where a vertex is close, the normals at both ends of its edges count.
-            if self.is_close(rod, seen.value - rod.longest):
+            nearest = 0.0 - self.largest(self.item(rod, REACH) - seen.value)
+            self.put(rod.scratch, contact + NEAREST * self.stride, 0, nearest)
+            if nearest < longest:
                 self.store(rod.scratch, contact + NORMAL * self.stride, seen.normal)
                 self.store(rod.scratch, contact + CURVATURE * self.stride, seen.curvature)
                 gap, held = seen.value - self.item(rod, RADIUS), self.held(rod, index) > 0.5
@@ -137,9 +141,9 @@ class ContactPlaces:
         return value < self.item(rod, REACH)
 
     @ti.func
-    def is_close(self, rod, value):
+    def is_close(self, rod, contact):
         """Whether there are any. What is computed because of one of them must leave the others as they are."""
-        return self.some(self.close_lanes(rod, value), 0.0 * value)
+        return self.get(rod.scratch, contact + NEAREST * self.stride, 0) < 0.0
 
     @ti.func
     def nearness(self, rod, index, at, item: ti.template()):

@@ -97,13 +97,13 @@ class ContactRounds(ContactEnergy):
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
             value = rod.scratch[contact + VALUE * self.stride]
-            if self.is_close(rod, value):
+            if self.is_close(rod, contact):
                 gap = ti.max(value - radius, floor) + slack
                 normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
                 share = (0.0 - APPROACH) * dot(normal, move) / ti.max(gap, 1e-6 * radius)
                 most = ti.select(self.close_lanes(rod, value), ti.max(most, share), most)
-            weight = rod.scratch[contact + WEIGHT * self.stride]
-            if self.largest(weight) > 0.0:
+            if index > 0 and (self.is_close(rod, contact) or self.is_close(rod, self.contact(self.vertex(rod, index - 1), o))):
+                weight = rod.scratch[contact + WEIGHT * self.stride]
                 s = rod.scratch[contact + PLACE_BETWEEN * self.stride]
                 between = plus(before, scaled(minus(move, before), s))
                 gap = ti.max(rod.scratch[contact + VALUE_BETWEEN * self.stride] - radius, floor) + slack

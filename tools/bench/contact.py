@@ -65,12 +65,16 @@ class Specimens:
         rods, material, clamps = self.laid_down
         random = np.random.default_rng(SEED + 1)
         rest = relax(rods, material, clamps, obstacles=obstacles(), radius=RADIUS)
-        kept = np.resize(np.flatnonzero(rest.converged), self.count)
-        material, clamps = material.take(kept), clamps.take(kept)
-        other = Material(material.bend, material.twist, material.weight * random.uniform(0.8, 1.25, self.count))
-        end = clamps.end_position - [1.0, 0.0, 0.0] * random.uniform(0, 0.1, (self.count, 1)) * LENGTH
+        material, clamps = material.take(rest.converged), clamps.take(rest.converged)
+        count = len(clamps.start_position)
+        other = Material(material.bend, material.twist, material.weight * random.uniform(0.8, 1.25, count))
+        end = clamps.end_position - [1.0, 0.0, 0.0] * random.uniform(0, 0.1, (count, 1)) * LENGTH
         held = Clamps(Clamp.FRAME, Clamp.FRAME, clamps.start_position, end, clamps.start_frame, clamps.end_frame)
-        return rest.configuration.take(kept), other, held
+        start = rest.configuration.take(rest.converged)
+        # Not those whose far end is moved into a peg.
+        found = relax(start, other, held, obstacles=obstacles(), radius=RADIUS)
+        kept = np.resize(np.flatnonzero(found.status != Status.INFEASIBLE), self.count)
+        return start.take(kept), other.take(kept), held.take(kept)
 
     def relaxed(self, which: str, precision: str, below: float = 0.0) -> Outcome:
         """Relax the rods of that name once."""
