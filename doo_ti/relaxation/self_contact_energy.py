@@ -135,7 +135,7 @@ class SelfContactEnergy(Contacts):
                 away = minus(plus(start, end), plus(first, last))
                 # No two places are nearer than the middles less half of both edges.
                 bound = 0.5 * ti.sqrt(dot(away, away)) - rod.longest
-                apart = arc > rod.scratch[self.own_vertex(rod, i + 1) + ARC * self.stride]
+                apart = self.apart(rod, i, at, arc)
                 rod.scratch[at + DISTANCE * self.stride] = ti.select(apart, bound, zero + 1e30)
                 near = apart & (bound < REACH * radius)
                 if self.some(near, zero):
@@ -146,6 +146,12 @@ class SelfContactEnergy(Contacts):
         for v in range(rod.edges + 1):
             at = self.own_vertex(rod, v)
             self.add_to(rod.scratch, at + LOAD * self.stride, self.load3(rod.scratch, at + PULL * self.stride))
+
+    @ti.func
+    def apart(self, rod, i, at, arc):
+        """Whether edge ``i`` may touch an edge that begins ``arc`` along the rod less what must lie between them; their items
+        begin ``at``."""
+        return arc > rod.scratch[self.own_vertex(rod, i + 1) + ARC * self.stride]
 
     @ti.func
     def touch(self, rod, i, j, at, near, w, p, q):

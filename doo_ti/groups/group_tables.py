@@ -1,0 +1,202 @@
+"""A group as one chain of edges and gaps: the tables that its kernel reads (docs/groups.md)."""
+
+import numpy as np
+
+from doo_ti.contact.itself import LEAST_ARC, Itself
+from doo_ti.errors import InputError
+from doo_ti.groups.group import Group
+from doo_ti.groups.group_newton import GroupTables
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_kinds, rest_lengths
+from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, clamp_table
+from doo_ti.relaxation.contact_table import contact_table
+from doo_ti.relaxation.input_tables import material_table, projectable
+from doo_ti.types import Clamp, Clamps, Configuration, Material
+
+
+class Member:
+    """A rod of N groups as rows of tables: ``start`` (N, E, 4) with the frames that clamps hold, ``begin`` (N, 3),
+    ``lengths`` (1 or N, E), ``clamp`` (N, CLAMP_COLUMNS), ``feasible`` (N,), ``held`` (N, 2) whether the ends are,
+    ``material`` (1 or N, STIFFNESS + E · STIFFNESS_COLUMNS) and the far clamp's place ``end`` (N, 3)."""
+
+    def __init__(self, start: Configuration, material: Material, clamps: Clamps, up: np.ndarray, bodies):
+        check_shapes(start, clamps)
+        check_material(material, start.edges, False)
+        count = start.count
+        self.lengths = rest_lengths(start)
+        kinds = clamp_kinds(clamps, count)
+        self.held = kinds >= Clamp.POSITION
+        self.clamp, found = clamp_table(start, self.lengths, kinds, clamps)
+        self.feasible = found != INFEASIBLE
+        frames = np.ascontiguousarray(start.quaternions, dtype=np.float64)
+        straight = np.where(found == STRAIGHT, found, 0)
+        self.start = of.whole_start(projectable(frames, self.lengths, self.clamp, straight, up, bodies), self.clamp)
+        self.begin = np.where(self.held[:, :1], clamps.start_position, start.start).astype(np.float64)
+        self.end = np.where(self.held[:, 1:], clamps.end_position, 0.0).astype(np.float64)
+        self.material = _edge_by_edge(material_table(material, False, start.edges), start.edges)
+
+    @property
+    def free(self) -> np.ndarray:
+        """(N, E, 2) one where an edge may spin, and tilt."""
+        free = np.ones((*self.start.shape[:2], 2))
+        clamp = self.clamp
+        free[:, 0], free[:, -1] = clamp[:, [of.SPIN_START, of.TILT_START]], clamp[:, [of.SPIN_END, of.TILT_END]]
+        # A round rod with both spins free turns about itself at no cost: hold its first spin.
+        free[:, 0, 0] *= 1.0 - self.material[:, of.ROUND] * clamp[:, of.SPIN_END]
+        return free
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(1 or N, V) energy per mm by which the weight pulls at each vertex."""
+        both = np.pad(self.lengths, ((0, 0), (0, 1))) + np.pad(self.lengths, ((0, 0), (1, 0)))
+        return self.material[:, of.WEIGHT, None] * both
+
+    @property
+    def still(self) -> np.ndarray:
+        """(N, V) one where clamps hold a vertex."""
+        still = np.zeros((len(self.start), self.start.shape[1] + 1))
+        for end, inner, kind, tilt in ((0, 1, 0, of.TILT_START), (-1, -2, 1, of.TILT_END)):
+            still[:, end] = self.held[:, kind]
+            still[:, inner] = np.maximum(still[:, inner], self.held[:, kind] * (1.0 - self.clamp[:, tilt]))
+        return still
+
+
+def _edge_by_edge(table: np.ndarray, edges: int) -> np.ndarray:
+    """A table of materials with the stiffness of every edge."""
+    along = table[:, of.STIFFNESS:].reshape(len(table), -1, of.STIFFNESS_COLUMNS)
+    along = np.broadcast_to(along, (len(table), edges, of.STIFFNESS_COLUMNS))
+    return np.concatenate([table[:, : of.STIFFNESS], along.reshape(len(table), -1)], axis=1)
+
+
+def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool) -> GroupTables:
+    """The tables of a group; with ``contact`` its rods touch each other and themselves, where ``radius`` is given.
+
+    Raises InputError as ``relax`` does, and for rods with weight that nothing holds.
+    """
+    bodies = [obstacle for obstacle in obstacles if not isinstance(obstacle, Itself)]
+    members = [Member(*parts, up, bodies)
+               for parts in zip(group.rods, group.each_material, group.clamps, strict=True)]
+    _check_held(group, members)
+    lengths = _joined([member.lengths for member in members], 0.0)
+    begins = np.zeros(lengths.shape[1], dtype=np.int32)
+    begins[group.first_vertices[1:-1] - 1] = np.arange(1, len(members))
+    loose = [1.0 - member.held[:, :1] for member in members]
+    free = np.concatenate([np.concatenate([np.broadcast_to(own[:, :, None], (group.count, 1, 2)), member.free], axis=1)
+                           for member, own in zip(members, loose, strict=True)], axis=1)[:, 1:]
+    material, burden = _materials(group, members)
+    clamp = _clamps(members, material, loose[0][:, 0])
+    thickness = 1.0 if radius is None and not bodies else radius
+    table = contact_table([*bodies, Itself()], thickness, group.count, lengths.shape[1], clamp, np.arange(group.count))
+    touch = contact and radius is not None
+    ties, targets = _ties(group, members)
+    return GroupTables(
+        start=np.ascontiguousarray(_joined([member.start for member in members], 1.0)), rest_length=lengths, clamp=clamp,
+        material=material, up=up, contact=table.touching(np.arange(group.count)), barrier=touch or bool(bodies), begins=begins,
+        ties=ties, targets=targets, free=np.ascontiguousarray(free), burden=burden,
+        apart=edges_apart(group, lengths, begins, table.radius, touch),
+        feasible=np.all([member.feasible for member in members], axis=0))
+
+
+def _check_held(group: Group, members: list[Member]) -> None:
+    """Raise InputError where rods with weight, and all that are tied to them, are held nowhere."""
+    rod_of = np.repeat(np.arange(len(members)), np.diff(group.first_vertices))
+    part = _connected(len(members), rod_of[group.tied])
+    held = np.array([member.held.any(axis=1) for member in members])  # (G, N)
+    for rod, member in enumerate(members):
+        if (member.weights > 0).any() and not held[part == part[rod]].any(axis=0).all():
+            raise InputError("relax_group", "clamps", f"rod {rod} has weight, and neither its ends nor rods tied to it are held",
+                             "hold an end, or set weight 0")
+
+
+def _connected(count: int, pairs: np.ndarray) -> np.ndarray:
+    """(count,) the least number that each is connected with by ``pairs`` (K, 2)."""
+    part = np.arange(count)
+    for first, second in pairs:
+        least, other = sorted((part[first], part[second]))
+        part[part == other] = least
+    return part
+
+
+def _joined(parts: list[np.ndarray], between: float) -> np.ndarray:
+    """Rows of edges (1 or N, E, ...) one after the other, ``between`` in gaps."""
+    rows = max(len(part) for part in parts)
+    found = []
+    for part in parts:
+        found += [np.full((rows, 1, *part.shape[2:]), between), np.broadcast_to(part, (rows, *part.shape[1:]))]
+    return np.ascontiguousarray(np.concatenate(found[1:], axis=1))
+
+
+def _clamps(members: list[Member], material: np.ndarray, loose: np.ndarray) -> np.ndarray:
+    """(N, CLAMP_COLUMNS) with what the kernel reads of a chain as a whole: sizes as of the largest rod, and where the first
+    begins. How ends are held is in other tables."""
+    every = np.array([member.clamp for member in members])
+    clamp = np.zeros_like(every[0])
+    clamp[:, of.SPIN_START : of.TILT_INNER + 1] = 1.0
+    for column in (of.TOTAL, of.LONGEST):
+        clamp[:, column] = every[..., column].max(axis=0)
+    clamp[:, of.SHORTEST_PAIR] = every[..., of.SHORTEST_PAIR].min(axis=0)
+    moments = np.max([member.material[:, of.WEIGHT] * member.clamp[:, of.HANGING] for member in members], axis=0)
+    weight = np.broadcast_to(material[:, of.WEIGHT], moments.shape)
+    clamp[:, of.HANGING] = np.divide(moments, weight, out=np.zeros_like(moments), where=weight > 0)
+    clamp[:, of.ANCHOR : of.ANCHOR + 3], clamp[:, of.LOOSE] = members[0].begin, loose
+    return clamp
+
+
+def _materials(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
+    """The table of materials, (1 or N, -), and the burden (N, V, 2) of vertices."""
+    rows = max(len(member.material) for member in members)
+    every = np.array([np.broadcast_to(member.material[:, : of.STIFFNESS], (rows, of.STIFFNESS)) for member in members])
+    head = every.max(axis=0)
+    edges = [member.material[:, of.STIFFNESS:].reshape(len(member.material), -1, of.STIFFNESS_COLUMNS) for member in members]
+    head[:, of.ROUND] = 0.0
+    pull = np.concatenate([np.broadcast_to(member.weights, (group.count, member.weights.shape[1])) for member in members], axis=1)
+    for tie, (vertex, _) in zip(group.ties, group.tied, strict=True):
+        pull[:, vertex] += tie.weight
+    # The material's weight is any that is of this size; of the vertices a length is given that it multiplies.
+    total = sum(member.lengths.sum(axis=1).min() for member in members)
+    head[:, of.WEIGHT] = np.maximum(head[:, of.WEIGHT], sum(tie.weight for tie in group.ties) / total)
+    weight = np.broadcast_to(head[:, of.WEIGHT, None], pull.shape)
+    lengths = np.divide(pull, weight, out=np.zeros_like(pull), where=weight > 0)
+    still = np.concatenate([member.still for member in members], axis=1)
+    stiffness = _joined([np.broadcast_to(part, (rows, *part.shape[1:])) for part in edges], 0.0)
+    return np.concatenate([head, stiffness.reshape(rows, -1)], axis=1), np.ascontiguousarray(np.stack([lengths, still], axis=-1))
+
+
+def _ties(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
+    """The ties of the kernel, first the group's own, then of every rod one that holds its far end: the vertices (-, 2), the
+    later first, and the places with one where there is this tie (N, -, 4)."""
+    own = np.sort(group.tied, axis=1)[:, ::-1]
+    ends = np.stack([group.first_vertices[1:] - 1, np.full(len(members), -1)], axis=1)
+    targets = np.zeros((group.count, len(own) + len(ends), 4))
+    targets[:, : len(own), 3] = 1.0
+    for number, member in enumerate(members, start=len(own)):
+        targets[:, number, :3], targets[:, number, 3] = member.end, member.held[:, 1]
+    return np.concatenate([own, ends]).astype(np.int32), targets
+
+
+def edges_apart(group: Group, lengths: np.ndarray, begins: np.ndarray, radius: np.ndarray, touch: bool) -> np.ndarray:
+    """(1 or N, pairs) int32: one where two edges may touch. Edges of one rod may with :data:`LEAST_ARC` radii of it between
+    them, those of two unless both are within as much of points that are tied to each other."""
+    edges = lengths.shape[1]
+    late, early = np.tril_indices(edges, -1)
+    rows = max(len(lengths), len(radius)) if touch else 1
+    if not touch:
+        return np.zeros((rows, len(late)), dtype=np.int32)
+    least = np.broadcast_to(LEAST_ARC * radius[:, None], (rows, 1))
+    arc = np.broadcast_to(np.pad(np.cumsum(lengths, axis=1), ((0, 0), (1, 0))), (rows, edges + 1))
+    rod_of = np.repeat(np.arange(len(group.rods)), np.diff(group.first_vertices))  # of vertices
+    of_edge = np.where(begins > 0, -1, rod_of[:-1])
+    apart = np.where(of_edge[late] == of_edge[early], arc[:, late] - arc[:, early + 1] > least, True)
+    apart &= (of_edge[late] >= 0) & (of_edge[early] >= 0)
+    place = _connected(edges + 1, group.tied)
+    for first in np.unique(place[group.tied]):
+        tied = np.flatnonzero(place == first)
+        near = np.zeros((len(tied), rows, edges), dtype=bool)
+        for number, vertex in enumerate(tied):
+            away = np.maximum(arc[:, :-1] - arc[:, [vertex]], arc[:, [vertex]] - arc[:, 1:])
+            near[number] = (away <= least) & (of_edge == rod_of[vertex])
+        for a in range(len(tied)):
+            for b in range(len(tied)):
+                if a != b:
+                    apart &= ~(near[a][:, late] & near[b][:, early])
+    return np.ascontiguousarray(apart, dtype=np.int32)

@@ -1,0 +1,34 @@
+"""Where the numbers of a group lie in scratch, behind those of a rod that may touch itself (docs/groups.md).
+
+The rods of a group are one chain, one after the other. Between two of them one edge more, a gap, takes the place in the chain
+that an edge has: it has no length, and instead of a rotation its unknowns are the place where the next rod begins.
+"""
+
+from doo_ti.physics.tuples import picked
+
+# Items of a group: κ of its ties, the largest miss of a tie after the last round, and the unit of length.
+TIE_STIFFNESS, TIE_MISS, UNIT, GROUP_HEAD = 0, 1, 2, 3
+# Of an edge, whether it may spin and tilt; of a gap both say whether the rod behind it may move its first vertex.
+SPIN, TILT, GROUP_EDGE_ITEMS = 0, 1, 2
+# Of a vertex its weight, a length that gravity multiplies, and one where a clamp holds it.
+WEIGHT, HELD, GROUP_VERTEX_ITEMS = 0, 1, 2
+# Of a rod where it begins, also before the step, the step of that place, and where the rod ends.
+BEGIN, BEGIN_STANDING, BEGIN_STEP, TIP, GROUP_ROD_ITEMS = 0, 3, 6, 9, 12
+# Of a tie the place that it holds a vertex at, its force, and one where there is this tie.
+TARGET, TIE_FORCE, ACTIVE, TIE_ITEMS = 0, 3, 6, 7
+APART = 4
+"""Item of a pair of edges, one that friction has elsewhere: one where they may touch."""
+
+FIRST_TIE_STIFFNESS, MOST_TIE_STIFFNESS = 1e4, 1e7
+"""κ of ties at first and at most, over B/L³."""
+SLOW_TIES, STIFFER_TIES = 0.05, 10.0
+"""Where a round leaves more than that share of the miss before, κ grows by so much."""
+TIE_TOLERANCE = 1e-10
+"""Of the longest rod: how far tied points may be apart."""
+
+
+@picked
+def group_items(edges, rods, ties):
+    """Numbers of a group in scratch."""
+    return (GROUP_HEAD + edges * GROUP_EDGE_ITEMS + (edges + 1) * GROUP_VERTEX_ITEMS + rods * GROUP_ROD_ITEMS
+            + ties * TIE_ITEMS)

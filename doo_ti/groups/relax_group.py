@@ -1,0 +1,177 @@
+"""F for groups: rods that touch each other or are tied together, relaxed to one minimum of their joint energy
+(docs/groups.md). Axes: N groups, G rods in each, K ties, V vertices of a rod.
+
+    group = Group([first, second], material, [first_clamps, second_clamps], [Tie((0, 20), (1, 0))])
+    solution = relax_group(group, radius=2.0)
+    solution.rods[0].vertices       # (N, V, 3) mm
+    solution.tie_force              # (N, K, 3)
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from doo_ti import runtime
+from doo_ti.contact.itself import PAIRS_AT_ONCE, edge_distance
+from doo_ti.contact.obstacles import Obstacle
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.errors import InputError
+from doo_ti.groups.group import Group
+from doo_ti.groups.group_newton import GroupTables, run_groups
+from doo_ti.groups.group_tables import group_tables
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.newton import Newton
+from doo_ti.types import Configuration, Status, unit_up
+
+
+@dataclass(frozen=True)
+class GroupSolution:
+    """The result of :func:`relax_group`: one entry per group. Forces are energy (mm²) per mm, as those of ``Solution``.
+
+    group          the input, with the relaxed rods for its starts
+    energy         (N,) of all rods, and of what ties carry, gravity measured from z = 0
+    residual       (N,) the largest moment left on a free edge times the length of the longest rod, over the largest eigenvalue
+                   of B (no unit)
+    closure        (N,) the most by which a tie or the far end of a rod misses its place, over that length
+    iterations     (N,) of the solver
+    status         (N,) Status
+    stable         (N,) True where all pivots of the Newton matrix, ties and contacts included, certify a minimum
+    tie_force      (N, K, 3) of each tie on its ``first`` vertex; on the other the opposite
+    start_force    (N, G, 3) of the clamps on the rods' starts; zero where these are free
+    end_force      (N, G, 3) the same of the far ends
+    contact_force  G arrays (N, V, 3): of obstacles and of other edges on the vertices
+    gap            (N,) mm, the smallest between surfaces that may touch; infinite where there are none
+    """
+
+    group: Group
+    energy: np.ndarray
+    residual: np.ndarray
+    closure: np.ndarray
+    iterations: np.ndarray
+    status: np.ndarray
+    stable: np.ndarray
+    tie_force: np.ndarray
+    start_force: np.ndarray
+    end_force: np.ndarray
+    contact_force: tuple[np.ndarray, ...]
+    gap: np.ndarray
+
+    @property
+    def rods(self) -> Sequence[Configuration]:
+        """G relaxed rods, with N rows each."""
+        return self.group.rods
+
+    @property
+    def converged(self) -> np.ndarray:
+        """(N,) bool."""
+        return self.status == Status.CONVERGED
+
+    def __repr__(self) -> str:
+        return (f"GroupSolution({self.group!r}: {int(self.converged.sum())} converged; {int(self.stable.sum())} certified "
+                f"stable)")
+
+
+@runtime.exclusive
+def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | None = None,
+                obstacles: Sequence[Obstacle] = (), radius: ArrayLike | None = None, contact: bool = True) -> GroupSolution:
+    """Relax the rods of N groups, in f64, each group to a minimum of the energy of all its rods.
+
+    solver     ``Newton()`` unless given
+    up         (3,) direction against gravity, (0, 0, 1) unless given
+    obstacles  what the rods may touch but not enter, each with one row or N; none has friction here
+    radius     of all rods, mm, one or (N,). With it the rods touch each other and themselves, and never pass through each
+               other; without it they only do what their ties mean
+    contact    False: they do not touch each other nor themselves, only obstacles
+
+    Beside a tie rods do not touch each other: where both are within π radii of it along themselves. Ties whose points are
+    apart at the start are closed. Where they cannot be, the group does not converge. Starts whose centrelines cross obstacles
+    or each other, and clamps further apart than a rod is long, are INFEASIBLE, and NaN everywhere else.
+
+    Raises InputError for inputs that do not match.
+    """
+    if not isinstance(group, Group):
+        raise InputError("relax_group", "group", f"a {type(group).__name__}", "give a Group")
+    if not isinstance(solver, Newton | None):
+        raise InputError("relax_group", "solver", f"{solver!r}", "give Newton() or Newton.careful()")
+    with np.errstate(all="ignore"):  # a group that is not finite has a status; NumPy need not warn
+        table = group_tables(group, unit_up((0.0, 0.0, 1.0) if up is None else up, "relax_group"), list(obstacles), radius,
+                             contact)
+        places = np.ascontiguousarray(_begins(group))
+        tie_forces = np.zeros((group.count, len(table.ties), 3))
+        frames, results = run_groups(table, Newton() if solver is None else solver, places, tie_forces)
+        return _solution(group, table, frames, results, places, tie_forces)
+
+
+def _begins(group: Group) -> np.ndarray:
+    """(N, G, 3) where the rods begin: where clamps hold them, or their starts are."""
+    begins = []
+    for rod, clamps in zip(group.rods, group.clamps, strict=True):
+        held = np.broadcast_to(np.asarray(clamps.start) > 0, (group.count,))
+        begins.append(np.where(held[:, None], clamps.start_position, rod.start))
+    return np.stack(begins, axis=1).astype(np.float64)
+
+
+def _solution(group: Group, table: GroupTables, frames, results, places, tie_forces) -> GroupSolution:
+    clamp, up = table.clamp, table.up
+    status = results[:, of.STATUS].astype(np.int8)
+    lost = (status == Status.INFEASIBLE) | (status == Status.NOT_FINITE)
+    places[:, 0] = clamp[:, of.ANCHOR : of.ANCHOR + 3] + results[:, of.DRIFT:]
+    places[lost], tie_forces[lost], frames[lost] = np.nan, np.nan, np.nan
+    first = group.first_vertices
+    rods = []
+    for number, rod in enumerate(group.rods):
+        own = np.ascontiguousarray(frames[:, first[number] : first[number] + rod.edges])
+        rods.append(Configuration(places[:, number].copy(), own, np.array(rod.rest_length, dtype=np.float64)))
+    vertices = np.concatenate([rod.vertices for rod in rods], axis=1)
+    contact_force = np.where(lost[:, None, None], np.nan, table.contact.forces)
+    weight = table.material[:, of.WEIGHT, None] * table.burden[..., 0]
+    height = (clamp[:, of.ANCHOR : of.ANCHOR + 3] * up).sum(axis=1)
+    ties, far = table.ties, len(group.ties)
+    pull = contact_force - weight[..., None] * up
+    miss = np.zeros((group.count, len(ties)))
+    for number, (vertex, other) in enumerate(ties):
+        force = tie_forces[:, number] * table.targets[:, number, 3:]
+        pull[:, vertex] -= force
+        held_at = table.targets[:, number, :3]
+        if other >= 0:
+            pull[:, other] += force
+            held_at = vertices[:, other]
+        miss[:, number] = np.linalg.norm(vertices[:, vertex] - held_at, axis=1) * table.targets[:, number, 3]
+    held = np.stack([np.broadcast_to(np.asarray(clamps.start) > 0, (group.count,)) for clamps in group.clamps], axis=1)
+    start_force = -np.stack([own.sum(axis=1) for own in group.by_rod(pull)], axis=1) * held[..., None]
+    # A tie of the kernel acts on its later vertex.
+    sign = np.where(group.tied[:, 0] > group.tied[:, 1], -1.0, 1.0)
+    return GroupSolution(
+        group=replace(group, rods=tuple(rods)), energy=results[:, of.ENERGY] + weight.sum(axis=1) * height,
+        residual=results[:, of.RESIDUAL], closure=np.where(lost, np.nan, miss.max(axis=1) / clamp[:, of.TOTAL]),
+        iterations=results[:, of.ITERATIONS].astype(np.int32), status=status, stable=results[:, of.STABLE] == 1,
+        tie_force=tie_forces[:, :far] * sign[:, None], start_force=start_force, end_force=-tie_forces[:, far:],
+        contact_force=group.by_rod(contact_force),
+        gap=np.where(lost, np.nan, _smallest_gap(table, vertices, rods)))
+
+
+def _smallest_gap(table: GroupTables, vertices: np.ndarray, rods: list[Configuration]) -> np.ndarray:
+    """(N,) mm between the surfaces of edges that may touch, and between rods and obstacles."""
+    count, contact = len(vertices), table.contact
+    gap = np.full(count, np.inf)
+    for rod in rods:
+        if contact.surroundings.bodies:
+            around = Surroundings(contact.surroundings.bodies, contact.radius)
+            gap = np.minimum(gap, around.smallest_gap(rod.vertices))
+    late, early = np.tril_indices(table.start.shape[1], -1)
+    used = table.apart.any(axis=0)
+    late, early = late[used], early[used]
+    if not len(late):
+        return gap
+    radius = np.broadcast_to(contact.radius, (count,))
+    apart = np.broadcast_to(table.apart[:, used], (count, len(late)))
+    rows = max(1, PAIRS_AT_ONCE // len(late))
+    for first in range(0, count, rows):
+        x, here = vertices[first : first + rows], slice(first, first + rows)
+        edges = np.diff(x, axis=1)
+        distance = edge_distance(x[:, late] - x[:, early], edges[:, early], edges[:, late])
+        least = np.where(apart[here] > 0, distance, np.inf).min(axis=1) - 2.0 * radius[here]
+        gap[here] = np.minimum(gap[here], least)
+    return gap
