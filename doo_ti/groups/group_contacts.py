@@ -9,6 +9,7 @@ of the miss d is minimised; a round ends with λ ← λ + κ d. λ is exact wher
 
 import taichi as ti
 
+from doo_ti.contact.obstacles import OBSTACLE_COLUMNS
 from doo_ti.groups.layout import (
     ACTIVE,
     APART,
@@ -38,17 +39,17 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import (
     CONTACT_ITEMS,
     ENERGY,
+    FINE,
     HEAD,
     PHASE,
     PLACE,
     RADIUS,
-    ROUGH,
+    ROUGHEST,
     SAGGING,
     STIFFNESS,
     TOLERANCE,
     VERTEX_ITEMS,
 )
-from doo_ti.contact.obstacles import OBSTACLE_COLUMNS
 from doo_ti.relaxation.loading import stiffness_scale
 from doo_ti.relaxation.pair_layout import LOAD, PAIR_ITEMS, self_contact_items
 from doo_ti.relaxation.self_contacts import SelfContacts
@@ -181,9 +182,11 @@ class GroupContacts(SelfContacts):
 
     @ti.func
     def tolerance(self, rod, given):
-        """And at least what rounding of places makes of the forces of ties."""
-        stiffness = rod.scratch[self.group(rod) + TIE_STIFFNESS * self.stride]
-        return SelfContacts.tolerance(self, rod, given) + self.rounding * stiffness * rod.longest * rod.total * rod.total
+        """As of one rod, but without the rougher rounds: with these, ties would change their forces before the rods have
+        followed the last change. It is at least what rounding of places makes of the forces."""
+        stiffness = self.item(rod, STIFFNESS) + rod.scratch[self.group(rod) + TIE_STIFFNESS * self.stride]
+        noise = self.rounding * stiffness * rod.longest * rod.total * rod.total
+        return ti.select(self.behind(rod), ROUGHEST * given, given) + noise
 
     @ti.func
     def settle(self, rod, due):
@@ -220,7 +223,7 @@ class GroupContacts(SelfContacts):
         edges, rods, ties = tables.rest_length.shape[1], tables.places.shape[1], tables.ties.shape[0]
         base = tables.contacts
         if tables.barrier == 0:
-            self.put(scratch, base + PHASE * self.stride, slot, ROUGH)
+            self.put(scratch, base + PHASE * self.stride, slot, FINE)
         self.load_apart(tables, scratch, slot, row)
         head = base + self_contact_items(edges, tables.kinds.shape[0]) * self.stride
         total = scale.total

@@ -8,7 +8,7 @@ import taichi as ti
 
 from doo_ti.groups.group_contacts import GroupContacts
 from doo_ti.groups.group_elimination import GroupElimination
-from doo_ti.groups.layout import group_items
+from doo_ti.groups.layout import TRACE, group_items
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import record
 from doo_ti.relaxation import chain
@@ -34,6 +34,7 @@ class GroupTables:
     contact      obstacles and radius
     barrier      whether anything may touch
     begins       (E,) int32: of a gap the number of the rod behind it, else zero
+    begins_at    (N, G, 3) mm, where the rods begin at the start
     ties         (K, 2) int32: the vertex that a tie holds, and the one before it that it is held at, or -1 for a place
     targets      (N, K, 4) the place, mm, and one where there is this tie
     free         (N, E, 2) one where an edge may spin, and tilt; of a gap twice whether the rod behind it may leave its begin
@@ -50,6 +51,7 @@ class GroupTables:
     contact: ContactTable
     barrier: bool
     begins: np.ndarray
+    begins_at: np.ndarray
     ties: np.ndarray
     targets: np.ndarray
     free: np.ndarray
@@ -63,6 +65,7 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
     """The kernel, compiled on first use, for one kind of number and obstacles of those kinds."""
     sweep = GroupElimination(number, stride, GroupContacts(number, stride, obstacles))
     loop = NewtonLoop(sweep, sweep.functions)
+    loop.trace = TRACE
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
     index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
 

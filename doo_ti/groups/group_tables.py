@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from doo_ti.contact.itself import LEAST_ARC, Itself
+from doo_ti.contact.itself import Itself
 from doo_ti.errors import InputError
+from doo_ti.frames import vertices_from_quaternions
+from doo_ti.groups.apart import connected, edges_apart, smallest_gap
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
 from doo_ti.relaxation import tables as of
@@ -11,13 +13,18 @@ from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, clamp_table
 from doo_ti.relaxation.contact_table import contact_table
 from doo_ti.relaxation.input_tables import material_table, projectable
+from doo_ti.relaxation.pair_layout import LEAST_DISTANCE
 from doo_ti.types import Clamp, Clamps, Configuration, Material
+
+AT_ITS_CLAMP = 1e-8
+"""Of a rod's length: a start no further from its clamp is there."""
 
 
 class Member:
     """A rod of N groups as rows of tables: ``start`` (N, E, 4) with the frames that clamps hold, ``begin`` (N, 3),
-    ``lengths`` (1 or N, E), ``clamp`` (N, CLAMP_COLUMNS), ``feasible`` (N,), ``held`` (N, 2) whether the ends are,
-    ``material`` (1 or N, STIFFNESS + E · STIFFNESS_COLUMNS) and the far clamp's place ``end`` (N, 3)."""
+    ``lengths`` (1 or N, E), ``clamp`` (N, CLAMP_COLUMNS), ``feasible`` (N,), ``material`` (1 or N, STIFFNESS +
+    E · STIFFNESS_COLUMNS); of both ends ``held`` (N, 2) whether they are, ``places`` (N, 2, 3) where, and ``drawn`` (N, 2)
+    whether a tie draws them there: far ends, and starts that are somewhere else; ``loose`` (N,) one where vertex 0 may move."""
 
     def __init__(self, start: Configuration, material: Material, clamps: Clamps, up: np.ndarray, bodies):
         check_shapes(start, clamps)
@@ -31,8 +38,13 @@ class Member:
         frames = np.ascontiguousarray(start.quaternions, dtype=np.float64)
         straight = np.where(found == STRAIGHT, found, 0)
         self.start = of.whole_start(projectable(frames, self.lengths, self.clamp, straight, up, bodies), self.clamp)
-        self.begin = np.where(self.held[:, :1], clamps.start_position, start.start).astype(np.float64)
-        self.end = np.where(self.held[:, 1:], clamps.end_position, 0.0).astype(np.float64)
+        self.begin = np.array(start.start, dtype=np.float64)
+        self.places = np.where(self.held[..., None], np.stack([clamps.start_position, clamps.end_position], axis=1), 0.0)
+        away = np.linalg.norm(self.places[:, 0] - self.begin, axis=1) > AT_ITS_CLAMP * self.clamp[:, of.TOTAL]
+        self.drawn = np.stack([self.held[:, 0] & away, self.held[:, 1]], axis=1)
+        fixed = self.held[:, 0] & ~away
+        self.begin[fixed] = self.places[fixed, 0]
+        self.loose = 1.0 - fixed
         self.material = _edge_by_edge(material_table(material, False, start.edges), start.edges)
 
     @property
@@ -80,41 +92,35 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool)
     lengths = _joined([member.lengths for member in members], 0.0)
     begins = np.zeros(lengths.shape[1], dtype=np.int32)
     begins[group.first_vertices[1:-1] - 1] = np.arange(1, len(members))
-    loose = [1.0 - member.held[:, :1] for member in members]
-    free = np.concatenate([np.concatenate([np.broadcast_to(own[:, :, None], (group.count, 1, 2)), member.free], axis=1)
-                           for member, own in zip(members, loose, strict=True)], axis=1)[:, 1:]
+    free = np.concatenate([part for member in members for part in (
+        np.repeat(member.loose[:, None, None], 2, axis=2), member.free)], axis=1)[:, 1:]
     material, burden = _materials(group, members)
-    clamp = _clamps(members, material, loose[0][:, 0])
+    clamp = _clamps(members, material)
     thickness = 1.0 if radius is None and not bodies else radius
     table = contact_table([*bodies, Itself()], thickness, group.count, lengths.shape[1], clamp, np.arange(group.count))
     touch = contact and radius is not None
     ties, targets = _ties(group, members)
+    apart = edges_apart(group, lengths, begins, table.radius, touch)
+    begins_at = np.stack([member.begin for member in members], axis=1)
+    starts = [vertices_from_quaternions(member.begin, member.start, member.lengths) for member in members]
+    # Where centrelines cross, the start does not say which rod is on which side.
+    crossing = smallest_gap(np.concatenate(starts, axis=1), apart, table.radius) < (LEAST_DISTANCE - 2.0) * table.radius
     return GroupTables(
         start=np.ascontiguousarray(_joined([member.start for member in members], 1.0)), rest_length=lengths, clamp=clamp,
         material=material, up=up, contact=table.touching(np.arange(group.count)), barrier=touch or bool(bodies), begins=begins,
-        ties=ties, targets=targets, free=np.ascontiguousarray(free), burden=burden,
-        apart=edges_apart(group, lengths, begins, table.radius, touch),
-        feasible=np.all([member.feasible for member in members], axis=0))
+        begins_at=begins_at, ties=ties, targets=targets, free=np.ascontiguousarray(free), burden=burden, apart=apart,
+        feasible=np.all([member.feasible for member in members], axis=0) & ~crossing)
 
 
 def _check_held(group: Group, members: list[Member]) -> None:
     """Raise InputError where rods with weight, and all that are tied to them, are held nowhere."""
     rod_of = np.repeat(np.arange(len(members)), np.diff(group.first_vertices))
-    part = _connected(len(members), rod_of[group.tied])
+    part = connected(len(members), rod_of[group.tied])
     held = np.array([member.held.any(axis=1) for member in members])  # (G, N)
     for rod, member in enumerate(members):
         if (member.weights > 0).any() and not held[part == part[rod]].any(axis=0).all():
-            raise InputError("relax_group", "clamps", f"rod {rod} has weight, and neither its ends nor rods tied to it are held",
+            raise InputError("relax_group", "clamps", f"rod {rod} has weight and nothing holds it, nor rods tied to it",
                              "hold an end, or set weight 0")
-
-
-def _connected(count: int, pairs: np.ndarray) -> np.ndarray:
-    """(count,) the least number that each is connected with by ``pairs`` (K, 2)."""
-    part = np.arange(count)
-    for first, second in pairs:
-        least, other = sorted((part[first], part[second]))
-        part[part == other] = least
-    return part
 
 
 def _joined(parts: list[np.ndarray], between: float) -> np.ndarray:
@@ -126,7 +132,7 @@ def _joined(parts: list[np.ndarray], between: float) -> np.ndarray:
     return np.ascontiguousarray(np.concatenate(found[1:], axis=1))
 
 
-def _clamps(members: list[Member], material: np.ndarray, loose: np.ndarray) -> np.ndarray:
+def _clamps(members: list[Member], material: np.ndarray) -> np.ndarray:
     """(N, CLAMP_COLUMNS) with what the kernel reads of a chain as a whole: sizes as of the largest rod, and where the first
     begins. How ends are held is in other tables."""
     every = np.array([member.clamp for member in members])
@@ -138,7 +144,7 @@ def _clamps(members: list[Member], material: np.ndarray, loose: np.ndarray) -> n
     moments = np.max([member.material[:, of.WEIGHT] * member.clamp[:, of.HANGING] for member in members], axis=0)
     weight = np.broadcast_to(material[:, of.WEIGHT], moments.shape)
     clamp[:, of.HANGING] = np.divide(moments, weight, out=np.zeros_like(moments), where=weight > 0)
-    clamp[:, of.ANCHOR : of.ANCHOR + 3], clamp[:, of.LOOSE] = members[0].begin, loose
+    clamp[:, of.ANCHOR : of.ANCHOR + 3], clamp[:, of.LOOSE] = members[0].begin, members[0].loose
     return clamp
 
 
@@ -149,7 +155,7 @@ def _materials(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndar
     head = every.max(axis=0)
     edges = [member.material[:, of.STIFFNESS:].reshape(len(member.material), -1, of.STIFFNESS_COLUMNS) for member in members]
     head[:, of.ROUND] = 0.0
-    pull = np.concatenate([np.broadcast_to(member.weights, (group.count, member.weights.shape[1])) for member in members], axis=1)
+    pull = np.concatenate([np.repeat(member.weights, group.count // len(member.weights), axis=0) for member in members], axis=1)
     for tie, (vertex, _) in zip(group.ties, group.tied, strict=True):
         pull[:, vertex] += tie.weight
     # The material's weight is any that is of this size; of the vertices a length is given that it multiplies.
@@ -159,44 +165,18 @@ def _materials(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndar
     lengths = np.divide(pull, weight, out=np.zeros_like(pull), where=weight > 0)
     still = np.concatenate([member.still for member in members], axis=1)
     stiffness = _joined([np.broadcast_to(part, (rows, *part.shape[1:])) for part in edges], 0.0)
-    return np.concatenate([head, stiffness.reshape(rows, -1)], axis=1), np.ascontiguousarray(np.stack([lengths, still], axis=-1))
+    burden = np.ascontiguousarray(np.stack([lengths, still], axis=-1))
+    return np.concatenate([head, stiffness.reshape(rows, -1)], axis=1), burden
 
 
 def _ties(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
-    """The ties of the kernel, first the group's own, then of every rod one that holds its far end: the vertices (-, 2), the
-    later first, and the places with one where there is this tie (N, -, 4)."""
+    """The ties of the kernel, first the group's own, then those that draw the rods' far ends and then their starts to the
+    clamps: the vertices (-, 2), the later first, and the places with one where there is this tie (N, -, 4)."""
     own = np.sort(group.tied, axis=1)[:, ::-1]
-    ends = np.stack([group.first_vertices[1:] - 1, np.full(len(members), -1)], axis=1)
+    first = group.first_vertices
+    ends = np.concatenate([first[1:] - 1, first[:-1]])
     targets = np.zeros((group.count, len(own) + len(ends), 4))
     targets[:, : len(own), 3] = 1.0
-    for number, member in enumerate(members, start=len(own)):
-        targets[:, number, :3], targets[:, number, 3] = member.end, member.held[:, 1]
-    return np.concatenate([own, ends]).astype(np.int32), targets
-
-
-def edges_apart(group: Group, lengths: np.ndarray, begins: np.ndarray, radius: np.ndarray, touch: bool) -> np.ndarray:
-    """(1 or N, pairs) int32: one where two edges may touch. Edges of one rod may with :data:`LEAST_ARC` radii of it between
-    them, those of two unless both are within as much of points that are tied to each other."""
-    edges = lengths.shape[1]
-    late, early = np.tril_indices(edges, -1)
-    rows = max(len(lengths), len(radius)) if touch else 1
-    if not touch:
-        return np.zeros((rows, len(late)), dtype=np.int32)
-    least = np.broadcast_to(LEAST_ARC * radius[:, None], (rows, 1))
-    arc = np.broadcast_to(np.pad(np.cumsum(lengths, axis=1), ((0, 0), (1, 0))), (rows, edges + 1))
-    rod_of = np.repeat(np.arange(len(group.rods)), np.diff(group.first_vertices))  # of vertices
-    of_edge = np.where(begins > 0, -1, rod_of[:-1])
-    apart = np.where(of_edge[late] == of_edge[early], arc[:, late] - arc[:, early + 1] > least, True)
-    apart &= (of_edge[late] >= 0) & (of_edge[early] >= 0)
-    place = _connected(edges + 1, group.tied)
-    for first in np.unique(place[group.tied]):
-        tied = np.flatnonzero(place == first)
-        near = np.zeros((len(tied), rows, edges), dtype=bool)
-        for number, vertex in enumerate(tied):
-            away = np.maximum(arc[:, :-1] - arc[:, [vertex]], arc[:, [vertex]] - arc[:, 1:])
-            near[number] = (away <= least) & (of_edge == rod_of[vertex])
-        for a in range(len(tied)):
-            for b in range(len(tied)):
-                if a != b:
-                    apart &= ~(near[a][:, late] & near[b][:, early])
-    return np.ascontiguousarray(apart, dtype=np.int32)
+    for number, (end, member) in enumerate(((1 - late, member) for late in (0, 1) for member in members), start=len(own)):
+        targets[:, number, :3], targets[:, number, 3] = member.places[:, end], member.drawn[:, end]
+    return np.concatenate([own, np.stack([ends, np.full_like(ends, -1)], axis=1)]).astype(np.int32), targets

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti import runtime
-from doo_ti.contact.itself import PAIRS_AT_ONCE, edge_distance
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
+from doo_ti.groups.apart import smallest_gap
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables, run_groups
 from doo_ti.groups.group_tables import group_tables
@@ -98,19 +98,10 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
     with np.errstate(all="ignore"):  # a group that is not finite has a status; NumPy need not warn
         table = group_tables(group, unit_up((0.0, 0.0, 1.0) if up is None else up, "relax_group"), list(obstacles), radius,
                              contact)
-        places = np.ascontiguousarray(_begins(group))
+        places = table.begins_at.copy()
         tie_forces = np.zeros((group.count, len(table.ties), 3))
         frames, results = run_groups(table, Newton() if solver is None else solver, places, tie_forces)
         return _solution(group, table, frames, results, places, tie_forces)
-
-
-def _begins(group: Group) -> np.ndarray:
-    """(N, G, 3) where the rods begin: where clamps hold them, or their starts are."""
-    begins = []
-    for rod, clamps in zip(group.rods, group.clamps, strict=True):
-        held = np.broadcast_to(np.asarray(clamps.start) > 0, (group.count,))
-        begins.append(np.where(held[:, None], clamps.start_position, rod.start))
-    return np.stack(begins, axis=1).astype(np.float64)
 
 
 def _solution(group: Group, table: GroupTables, frames, results, places, tie_forces) -> GroupSolution:
@@ -129,11 +120,12 @@ def _solution(group: Group, table: GroupTables, frames, results, places, tie_for
     weight = table.material[:, of.WEIGHT, None] * table.burden[..., 0]
     height = (clamp[:, of.ANCHOR : of.ANCHOR + 3] * up).sum(axis=1)
     ties, far = table.ties, len(group.ties)
+    starts = far + len(rods)
     pull = contact_force - weight[..., None] * up
     miss = np.zeros((group.count, len(ties)))
     for number, (vertex, other) in enumerate(ties):
         force = tie_forces[:, number] * table.targets[:, number, 3:]
-        pull[:, vertex] -= force
+        pull[:, vertex] -= force if number < starts else 0.0
         held_at = table.targets[:, number, :3]
         if other >= 0:
             pull[:, other] += force
@@ -141,37 +133,16 @@ def _solution(group: Group, table: GroupTables, frames, results, places, tie_for
         miss[:, number] = np.linalg.norm(vertices[:, vertex] - held_at, axis=1) * table.targets[:, number, 3]
     held = np.stack([np.broadcast_to(np.asarray(clamps.start) > 0, (group.count,)) for clamps in group.clamps], axis=1)
     start_force = -np.stack([own.sum(axis=1) for own in group.by_rod(pull)], axis=1) * held[..., None]
+    gap = smallest_gap(vertices, table.apart, table.contact.radius)
+    if table.contact.surroundings.bodies:
+        around = Surroundings(table.contact.surroundings.bodies, table.contact.radius)
+        gap = np.minimum(gap, np.min([around.smallest_gap(rod.vertices) for rod in rods], axis=0))
     # A tie of the kernel acts on its later vertex.
     sign = np.where(group.tied[:, 0] > group.tied[:, 1], -1.0, 1.0)
     return GroupSolution(
         group=replace(group, rods=tuple(rods)), energy=results[:, of.ENERGY] + weight.sum(axis=1) * height,
         residual=results[:, of.RESIDUAL], closure=np.where(lost, np.nan, miss.max(axis=1) / clamp[:, of.TOTAL]),
         iterations=results[:, of.ITERATIONS].astype(np.int32), status=status, stable=results[:, of.STABLE] == 1,
-        tie_force=tie_forces[:, :far] * sign[:, None], start_force=start_force, end_force=-tie_forces[:, far:],
+        tie_force=tie_forces[:, :far] * sign[:, None], start_force=start_force, end_force=-tie_forces[:, far:starts],
         contact_force=group.by_rod(contact_force),
-        gap=np.where(lost, np.nan, _smallest_gap(table, vertices, rods)))
-
-
-def _smallest_gap(table: GroupTables, vertices: np.ndarray, rods: list[Configuration]) -> np.ndarray:
-    """(N,) mm between the surfaces of edges that may touch, and between rods and obstacles."""
-    count, contact = len(vertices), table.contact
-    gap = np.full(count, np.inf)
-    for rod in rods:
-        if contact.surroundings.bodies:
-            around = Surroundings(contact.surroundings.bodies, contact.radius)
-            gap = np.minimum(gap, around.smallest_gap(rod.vertices))
-    late, early = np.tril_indices(table.start.shape[1], -1)
-    used = table.apart.any(axis=0)
-    late, early = late[used], early[used]
-    if not len(late):
-        return gap
-    radius = np.broadcast_to(contact.radius, (count,))
-    apart = np.broadcast_to(table.apart[:, used], (count, len(late)))
-    rows = max(1, PAIRS_AT_ONCE // len(late))
-    for first in range(0, count, rows):
-        x, here = vertices[first : first + rows], slice(first, first + rows)
-        edges = np.diff(x, axis=1)
-        distance = edge_distance(x[:, late] - x[:, early], edges[:, early], edges[:, late])
-        least = np.where(apart[here] > 0, distance, np.inf).min(axis=1) - 2.0 * radius[here]
-        gap[here] = np.minimum(gap[here], least)
-    return gap
+        gap=np.where(lost, np.nan, gap))
