@@ -26,11 +26,11 @@ def two_hanging():
     return [first, second], [held, also]
 
 
-def a_y(count: int = 1):
-    """Three ropes that hang from three points, tied at their other ends, ``count`` such groups."""
+def a_y(count: int = 1, length: float = 60.0):
+    """Three ropes that hang from three points, tied at their other ends; ``count`` such groups."""
     corners = np.array([[0.0, 0.0, 0.0], [80.0, 0.0, 10.0], [40.0, 70.0, 0.0]])
     middle = corners.mean(axis=0) - [0.0, 0.0, 25.0]
-    rods = [straight_rod(60.0, 20, corner, middle - corner) for corner in corners]
+    rods = [straight_rod(length, 20, corner, middle - corner) for corner in corners]
     spread = np.random.default_rng(1).normal(size=(count, 3, 3)) * np.arange(count)[:, None, None] / count
     rods = [replace(rod, start=rod.start + 3.0 * spread[:, number], quaternions=np.repeat(rod.quaternions, count, 0))
             for number, rod in enumerate(rods)]
@@ -110,7 +110,7 @@ def test_points_apart_are_drawn_together_as_far_as_they_can_be():
 
 @pytest.mark.thorough
 def test_a_group_relaxes_alone_as_among_others():
-    group = a_y(20)
+    group = a_y(20, 50.0)
     together = relax_group(group, radius=0.5)
     assert together.converged.all() and together.stable.all()
     for row in (0, 7, 19):
