@@ -19,7 +19,7 @@ TARGET, TIE_FORCE, ACTIVE, TIE_ITEMS = 0, 3, 6, 7
 APART = 4
 """Item of a pair of edges, one that friction has elsewhere: one where they may touch."""
 
-FIRST_TIE_STIFFNESS, MOST_TIE_STIFFNESS = 1e4, 1e6
+FIRST_TIE_STIFFNESS, MOST_TIE_STIFFNESS = 1e4, 1e7
 """κ of ties at first and at most, over B/L³."""
 SLOW_TIES, STIFFER_TIES = 0.05, 10.0
 """Where a round leaves more than that share of the miss before, κ grows by so much."""

@@ -142,7 +142,8 @@ def _solution(group: Group, table: GroupTables, frames, results, places, tie_for
     return GroupSolution(
         group=replace(group, rods=tuple(rods)), energy=results[:, of.ENERGY] + weight.sum(axis=1) * height,
         residual=results[:, of.RESIDUAL], closure=np.where(lost, np.nan, miss.max(axis=1) / clamp[:, of.TOTAL]),
-        iterations=results[:, of.ITERATIONS].astype(np.int32), status=status, stable=results[:, of.STABLE] == 1,
+        iterations=results[:, of.ITERATIONS].astype(np.int32), status=status,
+        stable=(results[:, of.STABLE] == 1) & (status == Status.CONVERGED),
         tie_force=tie_forces[:, :far] * sign[:, None], start_force=start_force, end_force=-tie_forces[:, far:starts],
         contact_force=group.by_rod(contact_force),
         gap=np.where(lost, np.nan, gap))
