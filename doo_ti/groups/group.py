@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti.errors import InputError, require_number, require_whole
-from doo_ti.types import Clamps, Configuration, Material
+from doo_ti.types import Clamps, Configuration, Material, Rows
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Group:
         """``values`` (N, vertices of the group, ...) of each rod."""
         return tuple(np.split(values, self.first_vertices[1:-1], axis=1))
 
-    def take(self, index) -> "Group":
+    def take(self, index: Rows) -> "Group":
         """The groups named by ``index``, in that order."""
         materials = [material if material.count == 1 else material.take(index) for material in self.each_material]
         return replace(self, rods=[rod.take(index) for rod in self.rods], materials=materials,
