@@ -91,6 +91,7 @@ from doo_ti import (
     end_loads,
     end_offsets,
     estimate_twist,
+    follow_group,
     gripper_jacobian,
     hanging,
     identify,
@@ -139,6 +140,8 @@ def relaxed(observations: Observations) -> Solution:
     relax(start, material, clamps, obstacles=[Itself(friction=0.1)], radius=0.5)
     tied = Group([start, start], material, [clamps, clamps], [Tie((0, -1), (1, 3), weight=2.0)])
     together: GroupSolution = relax_group(tied, Newton(), up=(0, 0, 1), obstacles=about, radius=0.5, contact=False)
+    followed = [moment.energy for moment in follow_group(tied, [[clamps, clamps]] * 3, radius=0.5)]
+    assert_type(followed, list[np.ndarray])
     assert_type(together.tie_force, np.ndarray)
     SweepOptions(surroundings=Surroundings(about, 0.5))
     DistanceGrid.from_mesh("part.stl", spacing=1.0, margin=9.0, position=(0, 0, 9))

@@ -29,9 +29,9 @@ solution = relax_group(harness, obstacles=[Plane((0, 0, 0), (0, 0, 1))], radius=
 pulls = solution.tie_force[0].reshape(2, 2, 3).sum(axis=1)
 print(solution, f"\nforces of the branches on the trunk {np.linalg.norm(pulls, axis=-1).round()} mm²/mm")
 
-for rod, force, name, width in zip(solution.rods, solution.contact_force, ("trunk", "branch", "branch"), (4, 2, 2), strict=True):
+for number, (rod, force) in enumerate(zip(solution.rods, solution.contact_force, strict=True)):
     x, lies = rod.vertices[0], force[0, :, 2] > 0
-    plt.plot(x[:, 0], x[:, 1], linewidth=width, label=name)
+    plt.plot(x[:, 0], x[:, 1], linewidth=2 if number else 4, label="branch" if number else "trunk")
     plt.plot(x[lies, 0], x[lies, 1], "k.", markersize=3)
 plt.gca().set(aspect="equal", xlabel="x, mm", ylabel="y, mm", title="A harness from above; dots: on the board")
 plt.legend()

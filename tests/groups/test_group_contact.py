@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.contact.obstacles import Plane
+from doo_ti.groups.follow import follow_group
 from doo_ti.groups.group import Group, Tie
 from doo_ti.groups.relax_group import relax_group
 from doo_ti.knots import rod_along
@@ -62,24 +63,36 @@ def linked(rods, row: int = 0) -> float:
     return linking(*(rod.vertices[row] for rod in rods))
 
 
+def drawn_apart(clamps, shift: float):
+    """The clamps of both loops, moved away from each other."""
+    return [replace(held, start_position=held.start_position + [sense * shift, 0.0, 0.0],
+                    end_position=held.end_position + [sense * shift, 0.0, 0.0])
+            for held, sense in zip(clamps, (-1.0, 1.0), strict=True)]
+
+
+@pytest.mark.thorough
 def test_hooked_loops_stay_hooked():
-    """They are drawn apart by more than they reach: the far ends follow their clamps, and the loops hang in each other."""
+    """They are drawn apart until they hang in each other, in small steps and in one, and further than they reach."""
     rods, clamps = hooked()
-    assert abs(abs(linked(rods)) - 1.0) < 1e-9
-    solution = None
-    for _ in range(4):
-        clamps = [replace(held, start_position=held.start_position + [shift, 0.0, 0.0],
-                          end_position=held.end_position + [shift, 0.0, 0.0])
-                  for held, shift in zip(clamps, (-1.75, 1.75), strict=True)]
-        solution = relax_group(Group(rods, WEIGHTLESS, clamps), Newton(max_iterations=1000), radius=RADIUS)
+    before = linked(rods)
+    assert abs(abs(before) - 1.0) < 1e-9
+    moments = list(follow_group(Group(rods, WEIGHTLESS, clamps), [drawn_apart(clamps, shift) for shift in (2.0, 4.0, 6.0, 7.0)],
+                                Newton(max_iterations=1000), radius=RADIUS))
+    patient = Newton(max_iterations=2000)
+    at_once = relax_group(Group(rods, WEIGHTLESS, drawn_apart(clamps, 7.0)), patient, radius=RADIUS)
+    for solution in (*moments, at_once):
         assert solution.converged[0] and solution.stable[0]
-        rods = solution.rods
-        assert abs(linked(rods) - linked(hooked()[0])) < 1e-9
-    assert abs(solution.gap[0]) < 1e-3 * RADIUS
-    pulls = (solution.start_force + solution.end_force)[0]
-    assert pulls[1, 0] > 10.0 and np.allclose(pulls[0], -pulls[1], atol=1e-6 * pulls[1, 0])
+        assert abs(linked(solution.rods) - before) < 1e-9
+    for solution in (moments[-1], at_once):
+        assert abs(solution.gap[0]) < 1e-3 * RADIUS
+        pulls = (solution.start_force + solution.end_force)[0]
+        assert pulls[1, 0] > 10.0 and np.allclose(pulls[0], -pulls[1], atol=1e-6 * pulls[1, 0])
+    assert abs(moments[-1].energy[0] - at_once.energy[0]) < 1e-2 * at_once.energy[0]
+    torn = relax_group(Group(rods, WEIGHTLESS, drawn_apart(clamps, 15.0)), patient, radius=RADIUS)
+    assert not torn.converged[0] and abs(linked(torn.rods) - before) < 1e-9
 
 
+@pytest.mark.thorough
 def test_tied_rods_lie_on_a_plane():
     """A Y whose ends are held above a table: the weight that the clamps do not hold is the table's."""
     corners = np.array([[0.0, 0.0, 12.0], [80.0, 0.0, 12.0], [40.0, 70.0, 12.0]])

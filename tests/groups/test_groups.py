@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
+from doo_ti.groups.follow import follow_group
 from doo_ti.groups.group import Group, Tie
 from doo_ti.groups.relax_group import relax_group
 from doo_ti.material import Material
@@ -38,6 +39,7 @@ def a_y(count: int = 1, length: float = 60.0):
     return Group(rods, MATERIAL, clamps, [Tie((0, -1), (1, -1), weight=5.0), Tie((2, 20), (0, 20))])
 
 
+@pytest.mark.thorough
 def test_rods_that_do_nothing_to_each_other_relax_as_alone():
     starts, clamps = two_hanging()
     together = relax_group(Group(starts, [MATERIAL, Material(2e5, 1e5, 0.5)], clamps), EXACT)
@@ -51,6 +53,7 @@ def test_rods_that_do_nothing_to_each_other_relax_as_alone():
     assert abs(energy - together.energy[0]) < 1e-9 * abs(energy)
 
 
+@pytest.mark.thorough
 def test_a_rod_cut_in_two_and_tied():
     """The tie is a hinge: against the reference, to a millionth of the length."""
     whole, held = hanging(100.0, 36, (0, 0, 0), (70, 0, 0), clamp=Clamp.FRAME)
@@ -89,13 +92,42 @@ def test_three_rods_tied_in_one_point():
     assert (solution.end_force == 0.0).all()
 
 
+@pytest.mark.thorough
 def test_a_relaxed_group_is_at_rest():
     solution = relax_group(a_y())
-    again = relax_group(solution.group)
+    again = relax_group(solution.group, before=solution)
+    assert again.iterations[0] < solution.iterations[0]
     for before, after in zip(solution.rods, again.rods, strict=True):
         assert np.abs(before.vertices - after.vertices).max() < 1e-6
 
 
+@pytest.mark.thorough
+def test_a_moment_without_a_place_is_passed_over():
+    """The group goes on from the moment before."""
+    starts, clamps = two_hanging()
+    group = Group(starts, MATERIAL, clamps, [Tie((0, 10), (1, 8))])
+    far = [clamps[0], replace(clamps[1], end_position=clamps[1].end_position + [200.0, 0.0, 0.0])]
+    first, lost, last = follow_group(group, [clamps, far, clamps])
+    assert lost.status[0] == Status.INFEASIBLE and first.converged[0] and last.converged[0]
+    assert np.abs(first.rods[1].vertices - last.rods[1].vertices).max() < 1e-6
+
+
+@pytest.mark.thorough
+def test_two_ties_beside_each_other_hold_the_direction():
+    """A branch that shares an edge with a cantilever is bent by its weight as if it were part of it."""
+    whole = straight_rod(100.0, 20)
+    halves = [straight_rod(50.0, 10), straight_rod(55.0, 11, start=(45.0, 0.0, 0.0))]
+    clamps = [end_clamps(halves[0], Clamp.FRAME, Clamp.FREE), end_clamps(halves[1], Clamp.FREE, Clamp.FREE)]
+    tied = relax_group(Group(halves, Material(1e6, 1e6), clamps, [Tie((0, 9), (1, 0)), Tie((0, 10), (1, 1))]))
+    assert tied.converged[0] and tied.stable[0]
+    first, second = (rod.vertices[0] for rod in tied.rods)
+    assert np.abs(first[-2:] - second[:2]).max() < 1e-7
+    # The shared edge weighs twice.
+    shape = relax(whole, Material(1e6, 1e6), end_clamps(whole, Clamp.FRAME, Clamp.FREE)).configuration.vertices[0]
+    assert np.abs(second[-1] - shape[-1]).max() < 0.05 * np.abs(shape[-1] - whole.vertices[0, -1]).max()
+
+
+@pytest.mark.thorough
 def test_points_apart_are_drawn_together_as_far_as_they_can_be():
     starts, clamps = two_hanging()
     drawn = relax_group(Group(starts, MATERIAL, clamps, [Tie((0, 10), (1, 8))]))
@@ -120,6 +152,7 @@ def test_a_group_relaxes_alone_as_among_others():
             assert (one.quaternions[0] == every.quaternions[row]).all() and (one.start[0] == every.start[row]).all()
 
 
+@pytest.mark.thorough
 def test_what_cannot_be_held_is_infeasible():
     starts, clamps = two_hanging()
     far = replace(clamps[1], end_position=clamps[1].end_position + [200.0, 0.0, 0.0])
