@@ -20,13 +20,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from doo_ti.groups.group import Group, Tie  # noqa: E402
 from doo_ti.groups.relax_group import relax_group  # noqa: E402
 from doo_ti.material import Material  # noqa: E402
-from doo_ti.relaxation.newton import Newton  # noqa: E402
 from doo_ti.rods import hanging  # noqa: E402
 from doo_ti.types import Clamp, Status  # noqa: E402
 
 EDGES, RADIUS = 20, 1.0
 TIES = [Tie((0, 10), (1, 6)), Tie((1, 14), (2, 8))]
-PATIENT = Newton(max_iterations=1000)
 
 
 def drawn(rng, count: int, clamp: Clamp, tied: bool) -> Group:
@@ -50,9 +48,9 @@ def drawn(rng, count: int, clamp: Clamp, tied: bool) -> Group:
 def one(group: Group) -> str:
     """How long a single group takes, and in how many iterations."""
     single = group.take([0])
-    relax_group(single, PATIENT, radius=RADIUS)
+    relax_group(single, radius=RADIUS)
     began = time.perf_counter()
-    solution = relax_group(single, PATIENT, radius=RADIUS)
+    solution = relax_group(single, radius=RADIUS)
     spent = 1e3 * (time.perf_counter() - began)
     return f"alone {spent:.0f} ms in {solution.iterations[0]} iterations"
 
@@ -67,9 +65,9 @@ def main(arguments: list[str] | None = None) -> int:
     for name, tied, radius in (("tied", True, None), ("in contact", False, RADIUS), ("tied and in contact", True, RADIUS)):
         for clamp in (Clamp.POSITION, Clamp.FRAME):
             group = drawn(rng, options.groups, clamp, tied)
-            relax_group(group.take(np.arange(min(16, group.count))), PATIENT, radius=radius)  # compiles, or loads, the kernel
+            relax_group(group.take(np.arange(min(16, group.count))), radius=radius)  # compiles, or loads, the kernel
             began = time.perf_counter()
-            solution = relax_group(group, PATIENT, radius=radius)
+            solution = relax_group(group, radius=radius)
             spent = 1e3 * (time.perf_counter() - began) / options.groups
             sound = solution.status != Status.INFEASIBLE
             good = solution.converged

@@ -26,6 +26,9 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.types import Configuration, Status, unit_up
 
 
+PATIENT = Newton(max_iterations=1000)
+
+
 @dataclass(frozen=True)
 class GroupSolution:
     """The result of :func:`relax_group`: one entry per group. Forces are energy (mm²) per mm, as those of ``Solution``.
@@ -79,7 +82,7 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
                 before: GroupSolution | None = None) -> GroupSolution:
     """Relax the rods of N groups, in f64, each group to a minimum of the energy of all its rods.
 
-    solver     ``Newton()`` unless given
+    solver     Newton(max_iterations=1000) unless given: points far apart are drawn together in many steps
     up         (3,) direction against gravity, (0, 0, 1) unless given
     obstacles  what the rods may touch but not enter, each with one row or N; none has friction here
     radius     of all rods, mm, one or (N,). With it the rods touch each other and themselves, and never pass through each
@@ -102,7 +105,7 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
                              contact)
         places = table.begins_at.copy()
         tie_forces = np.zeros((group.count, len(table.ties), 3)) if before is None else _forces(group, before)
-        frames, results = run_groups(table, Newton() if solver is None else solver, places, tie_forces)
+        frames, results = run_groups(table, PATIENT if solver is None else solver, places, tie_forces)
         return _solution(group, table, frames, results, places, tie_forces)
 
 
