@@ -25,7 +25,6 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton import Newton
 from doo_ti.types import Configuration, Status, unit_up
 
-
 PATIENT = Newton(max_iterations=1000)
 
 
