@@ -12,10 +12,12 @@ from doo_ti.types import Clamps, Configuration, Material, Rows
 
 @dataclass(frozen=True)
 class Tie:
-    """Two vertices that stay at one place; the rods turn freely there.
+    """Two vertices that stay at one place.
 
     first, second  (rod, vertex), from 0; a vertex below 0 counts from the rod's end
     weight         of what sits at the tie, a connector, in the unit of all forces: energy (mm²) per mm
+    weld           whether the edges that begin there, at a rod's last vertex the one that ends there, also keep the rotation
+                   that they have to each other at the start; otherwise the rods turn freely there
 
     Raises InputError for anything else.
     """
@@ -23,6 +25,7 @@ class Tie:
     first: tuple[int, int]
     second: tuple[int, int]
     weight: float = 0.0
+    weld: bool = False
 
     def __post_init__(self) -> None:
         for name in ("first", "second"):
@@ -83,6 +86,9 @@ class Group:
         if self.tied[number, 0] == self.tied[number, 1]:
             raise InputError("Group", "ties", f"tie {number} ties vertex {tie.first[1]} of rod {tie.first[0]} to itself",
                              "give two vertices")
+        if tie.weld and len(set(self.welded[number])) == 1:
+            raise InputError("Group", "ties", f"tie {number} welds edge {tie.first[1]} of rod {tie.first[0]} to itself",
+                             "give vertices of two edges")
 
     def __repr__(self) -> str:
         edges = ", ".join(str(rod.edges) for rod in self.rods)
@@ -109,6 +115,13 @@ class Group:
         first = self.first_vertices
         return np.array([[first[rod] + vertex % (self.rods[rod].edges + 1) for rod, vertex in (tie.first, tie.second)]
                          for tie in self.ties], dtype=np.int64).reshape(-1, 2)
+
+    @property
+    def welded(self) -> dict[int, tuple[int, int]]:
+        """The numbers of both edges in the chain of the group, the later first, of each tie that is a weld, by its number."""
+        last = self.first_vertices[1:] - 1
+        edges = np.sort(self.tied - np.isin(self.tied, last), axis=1)[:, ::-1]
+        return {number: (int(edges[number, 0]), int(edges[number, 1])) for number, tie in enumerate(self.ties) if tie.weld}
 
     def by_rod(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
         """``values`` (N, vertices of the group, ...) of each rod."""

@@ -22,14 +22,18 @@ from doo_ti.groups.layout import (
     GROUP_VERTEX_ITEMS,
     HELD,
     MOST_TIE_STIFFNESS,
+    REST,
     SLOW_TIES,
+    SPIN,
     STIFFER_TIES,
     TARGET,
     TIE_FORCE,
     TIE_ITEMS,
     TIE_MISS,
+    TIE_MOMENT,
     TIE_STIFFNESS,
     TIE_TOLERANCE,
+    TURNED,
     UNIT,
     WEIGHT,
 )
@@ -38,6 +42,7 @@ from doo_ti.physics.tuples import chosen, dot, identity, minus, negated, plus, s
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import (
     CONTACT_ITEMS,
+    CROSSING,
     ENERGY,
     FINE,
     HEAD,
@@ -51,14 +56,15 @@ from doo_ti.relaxation.contact_layout import (
     VERTEX_ITEMS,
 )
 from doo_ti.relaxation.loading import stiffness_scale
-from doo_ti.relaxation.pair_layout import LOAD, PAIR_ITEMS, self_contact_items
+from doo_ti.relaxation.pair_layout import DISTANCE_STANDING, LOAD, PAIR_ITEMS, self_contact_items
 from doo_ti.relaxation.self_contacts import SelfContacts
 
 
 @ti.data_oriented
 class GroupContacts(SelfContacts):
     """Of the record ``rod`` these functions also read ``begins``, of every edge zero or, of a gap, the number of the rod behind
-    it; ``ties``, the two vertices of each, the second -1 for a place; and ``rods``, how many there are."""
+    it; ``ties``, the two vertices of each, the second -1 for a place, and the two edges of a weld or -1; and ``rods``, how many
+    there are."""
 
     # --- items in scratch ---
 
@@ -90,6 +96,14 @@ class GroupContacts(SelfContacts):
     def apart(self, rod, i, at, arc):
         """Whether two edges may touch is known from the start."""
         return rod.scratch[at + APART * self.stride] > 0.5
+
+    @ti.func
+    def note_depth(self, rod, at, near, value):
+        """Ties may draw edges together with any force: a step that brings two nearer to each other than a radius is refused."""
+        zero = 0.0 * value
+        nearer = near & (value < self.item(rod, RADIUS)) & (value < rod.scratch[at + DISTANCE_STANDING * self.stride])
+        crossing = rod.contacts + CROSSING * self.stride
+        rod.scratch[crossing] = largest_of(rod.scratch[crossing], ti.select(nearer, zero + 1.0, zero))
 
     @ti.func
     def held(self, rod, index):
@@ -204,6 +218,12 @@ class GroupContacts(SelfContacts):
             new = plus(old, scaled(miss, stiffness * active))
             self.store(rod.scratch, at + TIE_FORCE * self.stride, chosen(due, new, old))
             most = largest_of(most, active * dot(miss, miss))
+            if rod.ties[k, 2] >= 0:
+                turned = self.load3(rod.scratch, at + TURNED * self.stride)
+                held = self.load3(rod.scratch, at + TIE_MOMENT * self.stride)
+                stiffer = plus(held, scaled(turned, stiffness * active * rod.total * rod.total))
+                self.store(rod.scratch, at + TIE_MOMENT * self.stride, chosen(due, stiffer, held))
+                most = largest_of(most, active * dot(turned, turned) * rod.total * rod.total)
         most = ti.sqrt(most)
         before = rod.scratch[head + TIE_MISS * self.stride]
         allowed = TIE_TOLERANCE * rod.total
@@ -232,8 +252,8 @@ class GroupContacts(SelfContacts):
         self.put(scratch, head + UNIT * self.stride, slot, unit)
         at = head + GROUP_HEAD * self.stride
         for e in range(edges):
-            for k in ti.static(range(GROUP_EDGE_ITEMS)):
-                self.put(scratch, at + (e * GROUP_EDGE_ITEMS + k) * self.stride, slot, tables.free[row, e, k])
+            for k in ti.static(range(2)):
+                self.put(scratch, at + (e * GROUP_EDGE_ITEMS + SPIN + k) * self.stride, slot, tables.free[row, e, k])
         at += edges * GROUP_EDGE_ITEMS * self.stride
         for v in range(edges + 1):
             vertex = at + v * GROUP_VERTEX_ITEMS * self.stride
@@ -252,6 +272,10 @@ class GroupContacts(SelfContacts):
             for k in ti.static(range(3)):
                 self.put(scratch, tie + (TARGET + k) * self.stride, slot, tables.targets[row, t, k] / unit)
                 self.put(scratch, tie + (TIE_FORCE + k) * self.stride, slot, tables.tie_forces[row, t, k] / force_unit)
+                self.put(scratch, tie + (TIE_MOMENT + k) * self.stride, slot,
+                         tables.tie_forces[row, t, 3 + k] / (force_unit * unit))
+            for k in ti.static(range(4)):
+                self.put(scratch, tie + (REST + k) * self.stride, slot, tables.targets[row, t, 4 + k])
             self.put(scratch, tie + ACTIVE * self.stride, slot, tables.targets[row, t, 3])
 
     @ti.func
@@ -285,3 +309,5 @@ class GroupContacts(SelfContacts):
             for k in ti.static(range(3)):
                 item = first + (t * TIE_ITEMS + TIE_FORCE + k) * self.stride
                 tables.tie_forces[place, t, k] = ti.cast(self.get(scratch, item, slot), ti.f64) * force_unit
+                turn = item + (TIE_MOMENT - TIE_FORCE) * self.stride
+                tables.tie_forces[place, t, 3 + k] = ti.cast(self.get(scratch, turn, slot), ti.f64) * force_unit * unit

@@ -8,7 +8,8 @@ vertices behind an edge end with its rod.
 import taichi as ti
 
 from doo_ti.groups.group_contacts import GroupContacts
-from doo_ti.groups.layout import BEGIN, BEGIN_STEP, SPIN, TILT, TIP
+from doo_ti.groups.layout import BEGIN, BEGIN_STEP, MOMENT, SPIN, TILT, TIP
+from doo_ti.groups.welds import Welds
 from doo_ti.physics.algebra import largest_of
 from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian
 from doo_ti.physics.quaternion import first_director, second_director, tangent, turned_in_body
@@ -41,7 +42,7 @@ from doo_ti.relaxation.pair_layout import LOAD, MOVE
 
 
 @ti.data_oriented
-class GroupElimination(DenseElimination, LoadedElimination):
+class GroupElimination(Welds, DenseElimination, LoadedElimination):
     """The chain of a group. No rod is closed: ties hold their far ends."""
 
     def __init__(self, number, stride: int, contacts: GroupContacts):
@@ -127,6 +128,7 @@ class GroupElimination(DenseElimination, LoadedElimination):
         self.touch_begin(rod, 0)
         self.contacts.hang(rod)
         self.contacts.bind(rod)
+        self.weld(rod)
 
     @ti.func
     def find_tips(self, rod):
@@ -205,6 +207,7 @@ class GroupElimination(DenseElimination, LoadedElimination):
             at -= self.edge_stride
         force = plus(force, self.load3(rod.scratch, self.contacts.own_vertex(rod, 0) + LOAD * self.stride))
         self.assemble_begin(rod, 0, repeated(rod.loose, 3), shift, force, found)
+        self.add_welds(rod)
 
     @ti.func
     def assemble_edge(self, rod, e, at, bent_slope, bent, across, given, found):
@@ -217,7 +220,8 @@ class GroupElimination(DenseElimination, LoadedElimination):
         l1, l2 = linear_gradient(force, length, m1, m2)
         lh = linear_hessian(force, length, t, m1, m2)
         free = self.freedom(rod, e)
-        g = products(free, (bent_slope[0], bent_slope[1] + l1, bent_slope[2] + l2))
+        welded = self.load3(rod.scratch, self.contacts.edge(rod, e) + MOMENT * self.stride)
+        g = products(free, plus((bent_slope[0], bent_slope[1] + l1, bent_slope[2] + l2), welded))
         h = (bent[0], bent[1] + lh[0], bent[2] + lh[1], bent[3] + lh[2], bent[4], bent[5] + lh[2])
         # Shifts are measured by bending, not by what contacts far away make of it.
         self.observe(found, g, (free[0] * h[0], h[1], h[2], free[1] * h[3], h[4], free[2] * h[5]))

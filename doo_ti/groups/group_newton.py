@@ -35,8 +35,9 @@ class GroupTables:
     barrier      whether anything may touch
     begins       (E,) int32: of a gap the number of the rod behind it, else zero
     begins_at    (N, G, 3) mm, where the rods begin at the start
-    ties         (K, 2) int32: the vertex that a tie holds, and the one before it that it is held at, or -1 for a place
-    targets      (N, K, 4) the place, mm, and one where there is this tie
+    ties         (K, 4) int32: the vertex that a tie holds, and the one before it that it is held at, or -1 for a place; and of
+                 a weld the edges at both, the later first, else -1
+    targets      (N, K, 8) the place, mm; one where there is this tie; and the rest rotation of a weld, a quaternion
     free         (N, E, 2) one where an edge may spin, and tilt; of a gap twice whether the rod behind it may leave its begin
     burden       (N, V, 2) weight of a vertex as the length that the material's weight multiplies, mm, and one where it is held
     apart        (1 or N, pairs) int32: one where two edges may touch, pair j (j − 1)/2 + i of i < j
@@ -78,7 +79,7 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
         forces: table3, self_friction: table1,  # all of these as :func:`.contact_kernel` has them
         barrier: ti.i32, begins: index1, ties: index2, targets: table3, free: table3, burden: table3, apart: index2,
         places: table3,  # [group, rod, 3] mm: where the rods begin, the first left out, in and out
-        tie_forces: table3,  # [group, tie, 3] energy per mm, in and out
+        tie_forces: table3,  # [group, tie, 6] force, energy per mm, and moment in the axes of the later edge, in and out
     ):
         ti.loop_config(block_dim=block)
         for thread in range(threads):
@@ -99,7 +100,7 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
 
 def run_groups(table: GroupTables, options: Newton, places: np.ndarray, tie_forces: np.ndarray):
     """Relax all feasible groups: (N, E, 4) frames and (N, LOADED_RESULTS), NaN and UNTOUCHED in infeasible rows. ``places``
-    (N, rods, 3), where the rods begin, and ``tie_forces`` (N, K, 3) change in place."""
+    (N, rods, 3), where the rods begin, and ``tie_forces`` (N, K, 6) change in place."""
     count, edges = table.start.shape[:2]
     frames = np.full((count, edges, 4), np.nan)
     results = np.zeros((count, of.LOADED_RESULTS))

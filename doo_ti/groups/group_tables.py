@@ -4,7 +4,7 @@ import numpy as np
 
 from doo_ti.contact.itself import Itself
 from doo_ti.errors import InputError
-from doo_ti.frames import vertices_from_quaternions
+from doo_ti.frames import quaternion_product, vertices_from_quaternions
 from doo_ti.groups.apart import connected, edges_apart, smallest_gap
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
@@ -53,8 +53,6 @@ class Member:
         free = np.ones((*self.start.shape[:2], 2))
         clamp = self.clamp
         free[:, 0], free[:, -1] = clamp[:, [of.SPIN_START, of.TILT_START]], clamp[:, [of.SPIN_END, of.TILT_END]]
-        # A round rod with both spins free turns about itself at no cost: hold its first spin.
-        free[:, 0, 0] *= 1.0 - self.material[:, of.ROUND] * clamp[:, of.SPIN_END]
         return free
 
     @property
@@ -94,22 +92,34 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool)
     begins[group.first_vertices[1:-1] - 1] = np.arange(1, len(members))
     free = np.concatenate([part for member in members for part in (
         np.repeat(member.loose[:, None, None], 2, axis=2), member.free)], axis=1)[:, 1:]
+    _hold_spins(group, members, free)
     material, burden = _materials(group, members)
     clamp = _clamps(members, material)
     thickness = 1.0 if radius is None and not bodies else radius
     table = contact_table([*bodies, Itself()], thickness, group.count, lengths.shape[1], clamp, np.arange(group.count))
     touch = contact and radius is not None
-    ties, targets = _ties(group, members)
+    frames = np.ascontiguousarray(_joined([member.start for member in members], 1.0))
+    ties, targets = _ties(group, members, frames)
     apart = edges_apart(group, lengths, begins, table.radius, touch)
     begins_at = np.stack([member.begin for member in members], axis=1)
     starts = [vertices_from_quaternions(member.begin, member.start, member.lengths) for member in members]
     # Where centrelines cross, the start does not say which rod is on which side.
     crossing = smallest_gap(np.concatenate(starts, axis=1), apart, table.radius) < (LEAST_DISTANCE - 2.0) * table.radius
     return GroupTables(
-        start=np.ascontiguousarray(_joined([member.start for member in members], 1.0)), rest_length=lengths, clamp=clamp,
+        start=frames, rest_length=lengths, clamp=clamp,
         material=material, up=up, contact=table.touching(np.arange(group.count)), barrier=touch or bool(bodies), begins=begins,
         begins_at=begins_at, ties=ties, targets=targets, free=np.ascontiguousarray(free), burden=burden, apart=apart,
         feasible=np.all([member.feasible for member in members], axis=0) & ~crossing)
+
+
+def _hold_spins(group: Group, members: list[Member], free: np.ndarray) -> None:
+    """Hold the first spin of round rods that turn about themselves at no cost, in place: of those whose spins are free at both
+    ends, and that are not welded to another one."""
+    rod_of = np.repeat(np.arange(len(members)), np.diff(group.first_vertices))
+    welded = {rod_of[edge] for edges in group.welded.values() for edge in edges}
+    for number, (member, first) in enumerate(zip(members, group.first_vertices[:-1], strict=True)):
+        if number not in welded:
+            free[:, first, 0] *= 1.0 - member.material[:, of.ROUND] * member.clamp[:, of.SPIN_END]
 
 
 def _check_held(group: Group, members: list[Member]) -> None:
@@ -169,14 +179,19 @@ def _materials(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndar
     return np.concatenate([head, stiffness.reshape(rows, -1)], axis=1), burden
 
 
-def _ties(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
+def _ties(group: Group, members: list[Member], frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The ties of the kernel, first the group's own, then those that draw the rods' far ends and then their starts to the
-    clamps: the vertices (-, 2), the later first, and the places with one where there is this tie (N, -, 4)."""
+    clamps, see :class:`.GroupTables`."""
     own = np.sort(group.tied, axis=1)[:, ::-1]
     first = group.first_vertices
     ends = np.concatenate([first[1:] - 1, first[:-1]])
-    targets = np.zeros((group.count, len(own) + len(ends), 4))
+    ties = np.full((len(own) + len(ends), 4), -1, dtype=np.int32)
+    ties[: len(own), :2], ties[len(own):, 0] = own, ends
+    targets = np.zeros((group.count, len(ties), 8))
     targets[:, : len(own), 3] = 1.0
+    for number, (late, early) in group.welded.items():
+        ties[number, 2:] = late, early
+        targets[:, number, 4:] = quaternion_product(frames[:, late] * [1.0, -1.0, -1.0, -1.0], frames[:, early])
     for number, (end, member) in enumerate(((1 - late, member) for late in (0, 1) for member in members), start=len(own)):
         targets[:, number, :3], targets[:, number, 3] = member.places[:, end], member.drawn[:, end]
-    return np.concatenate([own, np.stack([ends, np.full_like(ends, -1)], axis=1)]).astype(np.int32), targets
+    return ties, targets

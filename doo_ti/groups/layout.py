@@ -8,14 +8,16 @@ from doo_ti.physics.tuples import picked
 
 # Items of a group: κ of its ties, the largest miss of a tie after the last round, and the unit of length.
 TIE_STIFFNESS, TIE_MISS, UNIT, GROUP_HEAD = 0, 1, 2, 3
-# Of an edge, whether it may spin and tilt; of a gap both say whether the rod behind it may move its first vertex.
-SPIN, TILT, GROUP_EDGE_ITEMS = 0, 1, 2
+# Of an edge, whether it may spin and tilt, and the gradient of its welds; of a gap the first two say whether the rod behind it
+# may move its first vertex.
+SPIN, TILT, MOMENT, GROUP_EDGE_ITEMS = 0, 1, 2, 5
 # Of a vertex its weight, a length that gravity multiplies, and one where a clamp holds it.
 WEIGHT, HELD, GROUP_VERTEX_ITEMS = 0, 1, 2
 # Of a rod where it begins, also before the step, the step of that place, and where the rod ends.
 BEGIN, BEGIN_STANDING, BEGIN_STEP, TIP, GROUP_ROD_ITEMS = 0, 3, 6, 9, 12
-# Of a tie the place that it holds a vertex at, its force, and one where there is this tie.
-TARGET, TIE_FORCE, ACTIVE, TIE_ITEMS = 0, 3, 6, 7
+# Of a tie the place that it holds a vertex at, its force, and one where there is this tie; of a weld the rest rotation, its
+# moment, by how much it misses, and its second derivatives by the later edge, by the earlier one, and by both.
+TARGET, TIE_FORCE, ACTIVE, REST, TIE_MOMENT, TURNED, OF_LATE, OF_EARLY, MIXED, TIE_ITEMS = 0, 3, 6, 7, 11, 14, 17, 23, 29, 38
 APART = 4
 """Item of a pair of edges, one that friction has elsewhere: one where they may touch."""
 

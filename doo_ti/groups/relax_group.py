@@ -17,6 +17,7 @@ from doo_ti import runtime
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
+from doo_ti.frames import matrix_from_quaternion
 from doo_ti.groups.apart import smallest_gap
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables, run_groups
@@ -36,11 +37,13 @@ class GroupSolution:
     energy         (N,) of all rods, and of what ties carry, gravity measured from z = 0
     residual       (N,) the largest moment left on a free edge times the length of the longest rod, over the largest eigenvalue
                    of B (no unit)
-    closure        (N,) the most by which a tie or the far end of a rod misses its place, over that length
+    closure        (N,) the most by which a tie or the end of a rod misses its place, over that length, or a weld its rotation,
+                   rad
     iterations     (N,) of the solver
     status         (N,) Status
     stable         (N,) True where all pivots of the Newton matrix, ties and contacts included, certify a minimum
     tie_force      (N, K, 3) of each tie on its ``first`` vertex; on the other the opposite
+    tie_moment     (N, K, 3) the same of welds' moments on the edge at ``first``, energy (mm²)
     start_force    (N, G, 3) of the clamps on the rods' starts; zero where these are free
     end_force      (N, G, 3) the same of the far ends
     contact_force  G arrays (N, V, 3): of obstacles and of other edges on the vertices
@@ -55,6 +58,7 @@ class GroupSolution:
     status: np.ndarray
     stable: np.ndarray
     tie_force: np.ndarray
+    tie_moment: np.ndarray
     start_force: np.ndarray
     end_force: np.ndarray
     contact_force: tuple[np.ndarray, ...]
@@ -103,7 +107,7 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
         table = group_tables(group, unit_up((0.0, 0.0, 1.0) if up is None else up, "relax_group"), list(obstacles), radius,
                              contact)
         places = table.begins_at.copy()
-        tie_forces = np.zeros((group.count, len(table.ties), 3)) if before is None else _forces(group, before)
+        tie_forces = np.zeros((group.count, len(table.ties), 6)) if before is None else _forces(group, before)
         frames, results = run_groups(table, PATIENT if solver is None else solver, places, tie_forces)
         return _solution(group, table, frames, results, places, tie_forces)
 
@@ -113,8 +117,18 @@ def _forces(group: Group, before: GroupSolution) -> np.ndarray:
     if not isinstance(before, GroupSolution) or before.tie_force.shape[:2] != (group.count, len(group.ties)) or (
             before.end_force.shape[1] != len(group.rods)):
         raise InputError("relax_group", "before", f"{before!r}", f"give a solution of {group!r}")
-    forces = np.concatenate([before.tie_force * _sign(group), -before.end_force, -before.start_force], axis=1)
-    return np.ascontiguousarray(np.nan_to_num(forces))
+    forces = np.zeros((group.count, len(group.ties) + 2 * len(group.rods), 6))
+    forces[..., :3] = np.concatenate([before.tie_force * _sign(group), -before.end_force, -before.start_force], axis=1)
+    for number, frames in _welded_frames(before.group).items():
+        forces[:, number, 3:] = -_sign(group)[number] * np.einsum("nji,nj->ni", frames[0], before.tie_moment[:, number])
+    return np.nan_to_num(forces)
+
+
+def _welded_frames(group: Group) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """The frames (N, 3, 3) of both edges of each weld, the later first."""
+    frames = [part for rod in group.rods for part in (rod.frames, np.zeros((group.count, 1, 3, 3)))]  # and of gaps any
+    chain = np.concatenate(frames, axis=1)
+    return {number: (chain[:, late], chain[:, early]) for number, (late, early) in group.welded.items()}
 
 
 def _sign(group: Group) -> np.ndarray:
@@ -141,14 +155,20 @@ def _solution(group: Group, table: GroupTables, frames, results, places, tie_for
     starts = far + len(rods)
     pull = contact_force - weight[..., None] * up
     miss = np.zeros((group.count, len(ties)))
-    for number, (vertex, other) in enumerate(ties):
-        force = tie_forces[:, number] * table.targets[:, number, 3:]
+    for number, (vertex, other) in enumerate(ties[:, :2]):
+        force = tie_forces[:, number, :3] * table.targets[:, number, 3:4]
         pull[:, vertex] -= force if number < starts else 0.0
         held_at = table.targets[:, number, :3]
         if other >= 0:
             pull[:, other] += force
             held_at = vertices[:, other]
         miss[:, number] = np.linalg.norm(vertices[:, vertex] - held_at, axis=1) * table.targets[:, number, 3]
+    relaxed, moment = replace(group, rods=tuple(rods)), np.zeros((group.count, far, 3))
+    for number, (late, early) in _welded_frames(relaxed).items():
+        moment[:, number] = -_sign(group)[number] * np.einsum("nij,nj->ni", late, tie_forces[:, number, 3:])
+        rest = matrix_from_quaternion(table.targets[:, number, 4:])
+        apart = np.einsum("nji,njk->nik", late, early) - rest
+        miss[:, number] = np.maximum(miss[:, number], np.linalg.norm(apart, axis=(1, 2)) / np.sqrt(2.0) * clamp[:, of.TOTAL])
     held = np.stack([np.broadcast_to(np.asarray(clamps.start) > 0, (group.count,)) for clamps in group.clamps], axis=1)
     start_force = -np.stack([own.sum(axis=1) for own in group.by_rod(pull)], axis=1) * held[..., None]
     gap = smallest_gap(vertices, table.apart, table.contact.radius)
@@ -156,10 +176,10 @@ def _solution(group: Group, table: GroupTables, frames, results, places, tie_for
         around = Surroundings(table.contact.surroundings.bodies, table.contact.radius)
         gap = np.minimum(gap, np.min([around.smallest_gap(rod.vertices) for rod in rods], axis=0))
     return GroupSolution(
-        group=replace(group, rods=tuple(rods)), energy=results[:, of.ENERGY] + weight.sum(axis=1) * height,
+        group=relaxed, energy=results[:, of.ENERGY] + weight.sum(axis=1) * height,
         residual=results[:, of.RESIDUAL], closure=np.where(lost, np.nan, miss.max(axis=1) / clamp[:, of.TOTAL]),
         iterations=results[:, of.ITERATIONS].astype(np.int32), status=status,
         stable=(results[:, of.STABLE] == 1) & (status == Status.CONVERGED),
-        tie_force=tie_forces[:, :far] * _sign(group), start_force=start_force, end_force=-tie_forces[:, far:starts],
-        contact_force=group.by_rod(contact_force),
+        tie_force=tie_forces[:, :far, :3] * _sign(group), tie_moment=moment, start_force=start_force,
+        end_force=-tie_forces[:, far:starts, :3], contact_force=group.by_rod(contact_force),
         gap=np.where(lost, np.nan, gap))

@@ -161,6 +161,7 @@ class SelfContactEnergy(Contacts):
         seen = pair_distance(w, p, q, ROUNDED * radius * radius)
         self.store(rod.scratch, at + PLACES * self.stride, (seen.s, seen.t) + seen.normal)
         rod.scratch[at + DISTANCE * self.stride] = ti.select(near, seen.value, rod.scratch[at + DISTANCE * self.stride])
+        self.note_depth(rod, at, near, seen.value)
         gap = ti.select(near, seen.value - 2.0 * radius, zero + 1e30)
         held = (self.held_edge(rod, i) > 0.5) & (self.held_edge(rod, j) > 0.5)
         self.lower(rod.scratch, rod.contacts + DEEPEST * self.stride, gap + (2.0 - LEAST_DISTANCE) * radius)
@@ -226,6 +227,10 @@ class SelfContactEnergy(Contacts):
         before = rod.scratch[at + DISTANCE_STANDING * self.stride]
         crossing = rod.contacts + CROSSING * self.stride
         rod.scratch[crossing] = largest_of(rod.scratch[crossing], most / (before * before + 1e-20))
+
+    @ti.func
+    def note_depth(self, rod, at, near, value):
+        """Take the distance of two edges after a step, in the lanes where they are ``near``, into what a step may do."""
 
     @ti.func
     def shift(self, rod, index):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.errors import InputError
+from doo_ti.frames import rotation_matrix
 from doo_ti.groups.follow import follow_group
 from doo_ti.groups.group import Group, Tie
 from doo_ti.groups.relax_group import relax_group
@@ -112,19 +113,46 @@ def test_a_moment_without_a_place_is_passed_over():
     assert np.abs(first.rods[1].vertices - last.rods[1].vertices).max() < 1e-6
 
 
-@pytest.mark.thorough
-def test_two_ties_beside_each_other_hold_the_direction():
-    """A branch that shares an edge with a cantilever is bent by its weight as if it were part of it."""
-    whole = straight_rod(100.0, 20)
-    halves = [straight_rod(50.0, 10), straight_rod(55.0, 11, start=(45.0, 0.0, 0.0))]
-    clamps = [end_clamps(halves[0], Clamp.FRAME, Clamp.FREE), end_clamps(halves[1], Clamp.FREE, Clamp.FREE)]
-    tied = relax_group(Group(halves, Material(1e6, 1e6), clamps, [Tie((0, 9), (1, 0)), Tie((0, 10), (1, 1))]))
-    assert tied.converged[0] and tied.stable[0]
-    first, second = (rod.vertices[0] for rod in tied.rods)
-    assert np.abs(first[-2:] - second[:2]).max() < 1e-7
-    # The shared edge weighs twice.
-    shape = relax(whole, Material(1e6, 1e6), end_clamps(whole, Clamp.FRAME, Clamp.FREE)).configuration.vertices[0]
-    assert np.abs(second[-1] - shape[-1]).max() < 0.05 * np.abs(shape[-1] - whole.vertices[0, -1]).max()
+def test_welded_rods_are_one():
+    """Two halves that are welded in one line are a rod with one edge twice as long there, as stiff at its ends as the others:
+    its bend stiffness twice, and the twist stiffness at its ends one and a half times."""
+    halves = [straight_rod(50.0, 10), straight_rod(50.0, 10, start=(50.0, 0.0, 0.0))]
+    place, turn = np.array([[60.0, 30.0, 10.0]]), rotation_matrix(np.array([0.9, 0.4, 0.8]))[None]
+    held = Clamps(Clamp.FRAME, Clamp.FRAME, np.zeros((1, 3)), place, np.eye(3)[None], turn)
+    first, last = replace(held, end=Clamp.FREE), replace(held, start=Clamp.FREE)
+    tied = relax_group(Group(halves, MATERIAL, [first, last], [Tie((0, -1), (1, 0), weld=True)]), EXACT)
+    assert tied.converged[0] and tied.stable[0] and tied.closure[0] < 1e-9
+    bend, twist = np.tile(1e5 * np.eye(2), (1, 19, 1, 1)), np.full((1, 18), 8e4)
+    bend[:, 9], twist[:, 8:10] = 2e5 * np.eye(2), 1.2e5
+    lengths = np.full(19, 5.0)
+    lengths[9] = 10.0
+    whole = Configuration(np.zeros((1, 3)), np.tile(halves[0].quaternions[:, :1], (1, 19, 1)), lengths)
+    alone = relax(whole, Material(bend, twist), held, EXACT)
+    assert alone.converged[0]
+    x = alone.configuration.vertices[0]
+    assert np.abs(np.concatenate([tied.rods[0].vertices[0, :10], tied.rods[1].vertices[0, 1:]]) - x).max() < 1e-6 * 100.0
+    assert abs(tied.energy[0] - alone.energy[0]) < 1e-7 * abs(alone.energy[0])
+    assert np.allclose(tied.end_force[0, 1], alone.end_force[0], rtol=1e-5, atol=1e-3)
+    again = relax_group(tied.group, EXACT, before=tied)
+    assert again.iterations[0] < tied.iterations[0]
+    assert np.allclose(again.tie_moment, tied.tie_moment, rtol=1e-4) and np.abs(tied.tie_moment).max() > 1.0
+
+
+def test_a_branch_leans_on_its_trunk():
+    """A weightless branch, welded to a cantilever at a right angle, bears what its end bears: force and moment go through."""
+    trunk, branch = straight_rod(60.0, 12), straight_rod(40.0, 8, start=(60.0, 0.0, 0.0), direction=(0.0, 1.0, 0.0))
+    mid = straight_rod(10.0, 2, start=branch.vertices[0, -1])
+    group = Group([trunk, branch, mid], Material(1e6, 1e6, 0.0), [
+        end_clamps(trunk, Clamp.FRAME, Clamp.FREE), *(end_clamps(rod, Clamp.FREE, Clamp.FREE) for rod in (branch, mid))],
+        [Tie((0, -1), (1, 0), weld=True), Tie((1, -1), (2, 0), weight=20.0, weld=True)])
+    solution = relax_group(group)
+    assert solution.converged[0] and solution.stable[0]
+    assert np.allclose(solution.tie_force[0, 0], [0.0, 0.0, -20.0], atol=1e-4)
+    way = solution.rods[1].vertices[0, -1] - solution.rods[0].vertices[0, -1]
+    assert np.allclose(solution.tie_moment[0, 0], np.cross(way, [0.0, 0.0, -20.0]), atol=1e-2)
+    assert np.allclose(solution.tie_moment[0, 1], 0.0, atol=1e-2)
+    edges = [rod.frames[0, index, :, 0] for rod, index in ((solution.rods[0], -1), (solution.rods[1], 0))]
+    assert abs(edges[0] @ edges[1]) < 1e-8
 
 
 @pytest.mark.thorough
