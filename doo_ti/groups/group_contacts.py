@@ -15,6 +15,7 @@ from doo_ti.groups.layout import (
     APART,
     BEGIN,
     BEGIN_STANDING,
+    DEEPEST_STEP,
     FIRST_TIE_STIFFNESS,
     GROUP_EDGE_ITEMS,
     GROUP_HEAD,
@@ -99,9 +100,10 @@ class GroupContacts(SelfContacts):
 
     @ti.func
     def note_depth(self, rod, at, near, value):
-        """Ties may draw edges together with any force: a step that brings two nearer to each other than a radius is refused."""
+        """Ties may draw edges together with any force. A step that brings two nearer than :data:`DEEPEST_STEP` is refused: the
+        distance is a little too large there, so that they could pass through each other."""
         zero = 0.0 * value
-        nearer = near & (value < self.item(rod, RADIUS)) & (value < rod.scratch[at + DISTANCE_STANDING * self.stride])
+        nearer = near & (value < DEEPEST_STEP * self.item(rod, RADIUS)) & (value < rod.scratch[at + DISTANCE_STANDING * self.stride])
         crossing = rod.contacts + CROSSING * self.stride
         rod.scratch[crossing] = largest_of(rod.scratch[crossing], ti.select(nearer, zero + 1.0, zero))
 

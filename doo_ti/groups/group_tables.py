@@ -8,12 +8,12 @@ from doo_ti.frames import quaternion_product, vertices_from_quaternions
 from doo_ti.groups.apart import connected, edges_apart, smallest_gap
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
+from doo_ti.groups.layout import DEEPEST_STEP
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_kinds, rest_lengths
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, clamp_table
 from doo_ti.relaxation.contact_table import contact_table
 from doo_ti.relaxation.input_tables import material_table, projectable
-from doo_ti.relaxation.pair_layout import LEAST_DISTANCE
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 
 AT_ITS_CLAMP = 1e-8
@@ -103,8 +103,8 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool)
     apart = edges_apart(group, lengths, begins, table.radius, touch)
     begins_at = np.stack([member.begin for member in members], axis=1)
     starts = [vertices_from_quaternions(member.begin, member.start, member.lengths) for member in members]
-    # Where centrelines cross, the start does not say which rod is on which side.
-    crossing = smallest_gap(np.concatenate(starts, axis=1), apart, table.radius) < (LEAST_DISTANCE - 2.0) * table.radius
+    # Where centrelines nearly cross, the start does not say which rod is on which side.
+    crossing = smallest_gap(np.concatenate(starts, axis=1), apart, table.radius) < (DEEPEST_STEP - 2.0) * table.radius
     return GroupTables(
         start=frames, rest_length=lengths, clamp=clamp,
         material=material, up=up, contact=table.touching(np.arange(group.count)), barrier=touch or bool(bodies), begins=begins,

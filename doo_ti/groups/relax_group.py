@@ -94,8 +94,9 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
     before     the solution of nearly the same groups, whose forces of ties and clamps are those to begin with: fewer iterations
 
     Beside a tie rods do not touch each other: where both are within π radii of it along themselves. Ties whose points are
-    apart at the start are closed. Where they cannot be, the group does not converge. Starts whose centrelines cross obstacles
-    or each other, and clamps further apart than a rod is long, are INFEASIBLE, and NaN everywhere else.
+    apart at the start are closed. Where they cannot be, the group does not converge. Starts whose centrelines are inside
+    obstacles or within a tenth of a radius of each other, and clamps further apart than a rod is long, are INFEASIBLE, and NaN
+    everywhere else.
 
     Raises InputError for inputs that do not match.
     """
