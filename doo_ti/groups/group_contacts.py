@@ -103,7 +103,8 @@ class GroupContacts(SelfContacts):
         """Ties may draw edges together with any force. A step that brings two nearer than :data:`DEEPEST_STEP` is refused: the
         distance is a little too large there, so that they could pass through each other."""
         zero = 0.0 * value
-        nearer = near & (value < DEEPEST_STEP * self.item(rod, RADIUS)) & (value < rod.scratch[at + DISTANCE_STANDING * self.stride])
+        before = rod.scratch[at + DISTANCE_STANDING * self.stride]
+        nearer = near & (value < DEEPEST_STEP * self.item(rod, RADIUS)) & (value < before)
         crossing = rod.contacts + CROSSING * self.stride
         rod.scratch[crossing] = largest_of(rod.scratch[crossing], ti.select(nearer, zero + 1.0, zero))
 

@@ -98,15 +98,14 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool)
     thickness = 1.0 if radius is None and not bodies else radius
     table = contact_table([*bodies, Itself()], thickness, group.count, lengths.shape[1], clamp, np.arange(group.count))
     touch = contact and radius is not None
-    frames = np.ascontiguousarray(_joined([member.start for member in members], 1.0))
-    ties, targets = _ties(group, members, frames)
+    ties, targets = _ties(group, members)
     apart = edges_apart(group, lengths, begins, table.radius, touch)
     begins_at = np.stack([member.begin for member in members], axis=1)
     starts = [vertices_from_quaternions(member.begin, member.start, member.lengths) for member in members]
     # Where centrelines nearly cross, the start does not say which rod is on which side.
     crossing = smallest_gap(np.concatenate(starts, axis=1), apart, table.radius) < (DEEPEST_STEP - 2.0) * table.radius
     return GroupTables(
-        start=frames, rest_length=lengths, clamp=clamp,
+        start=_joined([member.start for member in members], 1.0), rest_length=lengths, clamp=clamp,
         material=material, up=up, contact=table.touching(np.arange(group.count)), barrier=touch or bool(bodies), begins=begins,
         begins_at=begins_at, ties=ties, targets=targets, free=np.ascontiguousarray(free), burden=burden, apart=apart,
         feasible=np.all([member.feasible for member in members], axis=0) & ~crossing)
@@ -179,7 +178,7 @@ def _materials(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndar
     return np.concatenate([head, stiffness.reshape(rows, -1)], axis=1), burden
 
 
-def _ties(group: Group, members: list[Member], frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _ties(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
     """The ties of the kernel, first the group's own, then those that draw the rods' far ends and then their starts to the
     clamps, see :class:`.GroupTables`."""
     own = np.sort(group.tied, axis=1)[:, ::-1]
@@ -189,6 +188,8 @@ def _ties(group: Group, members: list[Member], frames: np.ndarray) -> tuple[np.n
     ties[: len(own), :2], ties[len(own):, 0] = own, ends
     targets = np.zeros((group.count, len(ties), 8))
     targets[:, : len(own), 3] = 1.0
+    # Not as the members have them: of straight rods these are bowed.
+    frames = _joined([rod.quaternions / np.linalg.norm(rod.quaternions, axis=-1, keepdims=True) for rod in group.rods], 1.0)
     for number, (late, early) in group.welded.items():
         ties[number, 2:] = late, early
         targets[:, number, 4:] = quaternion_product(frames[:, late] * [1.0, -1.0, -1.0, -1.0], frames[:, early])
