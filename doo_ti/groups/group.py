@@ -57,14 +57,17 @@ class Group:
     ties: Sequence[Tie] = ()
 
     def __post_init__(self) -> None:
-        if isinstance(self.rods, Configuration) or not len(self.rods):
-            raise InputError("Group", "rods", "no sequence of configurations", "give a list with one for each rod of a group")
-        count, rows = len(self.rods), self.rods[0].count
-        if not isinstance(self.materials, Material) and len(self.materials) != count:
-            raise InputError("Group", "materials", f"{len(self.materials)} for {count} rods", "give one, or one for each rod")
-        if isinstance(self.clamps, Clamps) or len(self.clamps) != count:
-            number = 1 if isinstance(self.clamps, Clamps) else len(self.clamps)
-            raise InputError("Group", "clamps", f"{number} for {count} rods", "give a list with one for each rod of a group")
+        for name, kind in (("rods", Configuration), ("clamps", Clamps), ("ties", Tie), ("materials", Material)):
+            values = getattr(self, name)
+            if name == "materials" and isinstance(values, Material):
+                continue
+            if not isinstance(values, Sequence) or not all(isinstance(value, kind) for value in values):
+                raise InputError("Group", name, f"a {type(values).__name__}", f"give a list, each a {kind.__name__}")
+            if not len(self.rods):
+                raise InputError("Group", "rods", "none", "give one or more")
+            if name != "ties" and len(values) != len(self.rods):
+                raise InputError("Group", name, f"{len(values)} for {len(self.rods)} rods", "give one for each rod of a group")
+        rows = self.rods[0].count
         for rod, (start, material) in enumerate(zip(self.rods, self.each_material, strict=True)):
             if start.count != rows:
                 raise InputError("Group", "rods", f"{start.count} rows of rod {rod}, {rows} of rod 0",

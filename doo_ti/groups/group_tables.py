@@ -84,8 +84,13 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool)
     Raises InputError as ``relax`` does, and for rods with weight that nothing holds.
     """
     bodies = [obstacle for obstacle in obstacles if not isinstance(obstacle, Itself)]
-    members = [Member(*parts, up, bodies)
-               for parts in zip(group.rods, group.each_material, group.clamps, strict=True)]
+    members = []
+    for number, parts in enumerate(zip(group.rods, group.each_material, group.clamps, strict=True)):
+        try:
+            members.append(Member(*parts, up, bodies))
+        except InputError as wrong:
+            field = f"{wrong.source}.{wrong.field}"
+            raise InputError(f"relax_group: rod {number}", field, wrong.problem, wrong.remedy) from None
     _check_held(group, members)
     lengths = _joined([member.lengths for member in members], 0.0)
     begins = np.zeros(lengths.shape[1], dtype=np.int32)

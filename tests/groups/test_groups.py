@@ -202,10 +202,20 @@ def test_wrong_groups_are_one_line():
         Group(starts, MATERIAL, clamps, [Tie((0, -1), (0, 20))])
     with pytest.raises(InputError, match="rods: 2 rows of rod 1, 1 of rod 0; give one row"):
         Group([starts[0], starts[1].take([0, 0])], MATERIAL, clamps)
-    with pytest.raises(InputError, match="clamps: 1 for 2 rods; give"):
+    with pytest.raises(InputError, match="clamps: 1 for 2 rods; give one"):
         Group(starts, MATERIAL, clamps[:1])
-    with pytest.raises(InputError, match="materials: 3 for 2 rods; give one"):
+    with pytest.raises(InputError, match="materials: 3 for 2 rods; give one for each"):
         Group(starts, [MATERIAL] * 3, clamps)
+    with pytest.raises(InputError, match="rods: a Configuration; give a list"):
+        Group(starts[0], MATERIAL, clamps)
+    with pytest.raises(InputError, match="ties: a list; give a list, each a Tie"):
+        Group(starts, MATERIAL, clamps, [((0, 1), (1, 0))])
+    with pytest.raises(InputError, match="welds edge 19 of rod 0 to itself"):
+        Group(starts, MATERIAL, clamps, [Tie((0, 19), (0, 20), weld=True)])
+    with pytest.raises(InputError, match="rod 1: material.twist: 3 entries"):
+        relax_group(Group(starts, [MATERIAL, Material(1e5, [[1e5, 1e5, 1e5]])], clamps))
+    with pytest.raises(InputError, match="before: .no solution"):
+        relax_group(Group(starts, MATERIAL, clamps), before="no solution")
     with pytest.raises(InputError, match="Tie: weight: -1"):
         Tie((0, 0), (1, 0), weight=-1.0)
     with pytest.raises(InputError, match="Tie: first: 3; give .rod, vertex."):
