@@ -3,9 +3,9 @@
     python tools/group_study.py [--groups 400] [--seed 0]
 
 The rods hang between random points, in a box of 80 mm, and are longer by 5 to 50 % than their ties need. Before they are
-relaxed, points to be tied are where the rods hang alone, some 20 mm apart. With contact a tie may lie behind another rod that
-is held on both sides: such a group can have no solution, and counts as one that has not converged. Gaps are measured apart
-from the engine.
+relaxed, points to be tied are where the rods hang alone, some 70 mm apart. With contact a tie may lie behind another rod that
+is held on both sides: such a group can have no solution, and counts as one that has not converged. Gaps are measured in
+NumPy, apart from the engine.
 """
 
 import argparse
