@@ -1,4 +1,4 @@
-"""Which edges of a group may touch, and how near they are (docs/groups.md). Axes: N groups, E edges, gaps included."""
+"""Which edges of a group may touch, and how near they are (docs/groups.md). Axes: N groups, E edges, breaks included."""
 
 import numpy as np
 

@@ -63,9 +63,12 @@ from doo_ti.relaxation.self_contacts import SelfContacts
 
 @ti.data_oriented
 class GroupContacts(SelfContacts):
-    """Of the record ``rod`` these functions also read ``begins``, of every edge zero or, of a gap, the number of the rod behind
-    it; ``ties``, the two vertices of each, the second -1 for a place, and the two edges of a weld or -1; and ``rods``, how many
-    there are."""
+    """The contacts and ties of a group.
+
+    Of the record ``rod`` its functions also read ``begins``, of every edge zero or, of a break, the number of the rod behind it;
+    ``ties``, the two vertices of each, the second -1 for a place, and the two edges of a weld or -1; and ``rods``, how many
+    there are.
+    """
 
     # --- items in scratch ---
 

@@ -25,20 +25,20 @@ from doo_ti.relaxation.pair_layout import self_contact_items
 
 @dataclass(frozen=True)
 class GroupTables:
-    """What the kernel reads of N groups as chains of E edges, gaps included, and V = E + 1 vertices, all C-contiguous.
+    """What the kernel reads of N groups as chains of E edges, breaks included, and V = E + 1 vertices, all C-contiguous.
 
-    start        (N, E, 4) frames; of a gap any
-    rest_length  (1 or N, E) mm, zero of a gap
+    start        (N, E, 4) frames; of a break any
+    rest_length  (1 or N, E) mm, zero of a break
     clamp        (N, CLAMP_COLUMNS), material (1 or N, STIFFNESS + E · STIFFNESS_COLUMNS), see :mod:`.relaxation.tables`
     up           (3,)
     contact      obstacles and radius
     barrier      whether anything may touch
-    begins       (E,) int32: of a gap the number of the rod behind it, else zero
+    begins       (E,) int32: of a break the number of the rod behind it, else zero
     begins_at    (N, G, 3) mm, where the rods begin at the start
     ties         (K, 4) int32: the vertex that a tie holds, and the one before it that it is held at, or -1 for a place; and of
                  a weld the edges at both, the later first, else -1
     targets      (N, K, 8) the place, mm; one where there is this tie; and the rest rotation of a weld, a quaternion
-    free         (N, E, 2) one where an edge may spin, and tilt; of a gap twice whether the rod behind it may leave its begin
+    free         (N, E, 2) one where an edge may spin, and tilt; of a break twice whether the rod behind it may leave its begin
     burden       (N, V, 2) weight of a vertex as the length that the material's weight multiplies, mm, and one where it is held
     apart        (1 or N, pairs) int32: one where two edges may touch, pair j (j − 1)/2 + i of i < j
     feasible     (N,) bool

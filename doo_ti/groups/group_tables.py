@@ -1,4 +1,4 @@
-"""A group as one chain of edges and gaps: the tables that its kernel reads (docs/groups.md)."""
+"""A group as one chain of edges and breaks: the tables that its kernel reads (docs/groups.md)."""
 
 import numpy as np
 
@@ -138,7 +138,7 @@ def _check_held(group: Group, members: list[Member]) -> None:
 
 
 def _joined(parts: list[np.ndarray], between: float) -> np.ndarray:
-    """Rows of edges (1 or N, E, ...) one after the other, ``between`` in gaps."""
+    """Rows of edges (1 or N, E, ...) one after the other, ``between`` in breaks."""
     rows = max(len(part) for part in parts)
     found = []
     for part in parts:

@@ -1,6 +1,6 @@
 """Where the numbers of a group lie in scratch, behind those of a rod that may touch itself (docs/groups.md).
 
-The rods of a group are one chain, one after the other. Between two of them one edge more, a gap, takes the place in the chain
+The rods of a group are one chain, one after the other. Between two of them one edge more, a break, takes the place in the chain
 that an edge has: it has no length, and instead of a rotation its unknowns are the place where the next rod begins.
 """
 
@@ -8,8 +8,8 @@ from doo_ti.physics.tuples import picked
 
 # Items of a group: κ of its ties, the largest miss of a tie after the last round, and the unit of length.
 TIE_STIFFNESS, TIE_MISS, UNIT, GROUP_HEAD = 0, 1, 2, 3
-# Of an edge, whether it may spin and tilt, and the gradient of its welds; of a gap the first two say whether the rod behind it
-# may move its first vertex.
+# Of an edge, whether it may spin and tilt, and the gradient of its welds; of a break the first two say whether the rod behind
+# it may move its first vertex.
 SPIN, TILT, MOMENT, GROUP_EDGE_ITEMS = 0, 1, 2, 5
 # Of a vertex its weight, a length that gravity multiplies, and one where a clamp holds it.
 WEIGHT, HELD, GROUP_VERTEX_ITEMS = 0, 1, 2

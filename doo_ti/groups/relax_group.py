@@ -127,7 +127,7 @@ def _forces(group: Group, before: GroupSolution) -> np.ndarray:
 
 def _welded_frames(group: Group) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     """The frames (N, 3, 3) of both edges of each weld, the later first."""
-    frames = [part for rod in group.rods for part in (rod.frames, np.zeros((group.count, 1, 3, 3)))]  # and of gaps any
+    frames = [part for rod in group.rods for part in (rod.frames, np.zeros((group.count, 1, 3, 3)))]  # and of breaks any
     chain = np.concatenate(frames, axis=1)
     return {number: (chain[:, late], chain[:, early]) for number, (late, early) in group.welded.items()}
 
