@@ -65,7 +65,7 @@ from doo_ti.relaxation.self_contacts import SelfContacts
 class GroupContacts(SelfContacts):
     """The contacts and ties of a group.
 
-    Of the record ``rod`` its functions also read ``begins``, of every edge zero or, of a break, the number of the rod behind it;
+    Of the record ``rod`` its functions read ``begins``, of every edge zero or, of a break, the number of the rod after it;
     ``ties``, the two vertices of each, the second -1 for a place, and the two edges of a weld or -1; and ``rods``, how many
     there are.
     """

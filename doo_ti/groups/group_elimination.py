@@ -1,7 +1,7 @@
 """The Newton system of a group: that of a rod that may touch itself, for a chain with breaks between its rods (docs/groups.md).
 
-In the chain a break stands where an edge would. The vertex behind it moves by the unknown ξ of the break, every other vertex
-with the begin of its own rod and the rotations of the edges between, so that the sums of second derivatives over all
+In the chain a break stands where an edge would. The vertex behind it moves by the unknown ξ of the break, all others
+with the begin of their own rod and the rotations of the edges between, so that the sums of second derivatives over all
 vertices behind an edge end with its rod.
 """
 
