@@ -30,6 +30,11 @@ from doo_ti.errors import InterruptedRunError as InterruptedRunError
 from doo_ti.grid import Axis as Axis
 from doo_ti.grid import Grid as Grid
 from doo_ti.grid import Interval as Interval
+from doo_ti.groups.follow import follow_group as follow_group
+from doo_ti.groups.group import Group as Group
+from doo_ti.groups.group import Tie as Tie
+from doo_ti.groups.relax_group import GroupSolution as GroupSolution
+from doo_ti.groups.relax_group import relax_group as relax_group
 from doo_ti.io.motion_file import ClampPath as ClampPath
 from doo_ti.io.motion_file import load_path as load_path
 from doo_ti.io.observations import Observations as Observations

@@ -29,6 +29,8 @@ from doo_ti import (
     External,
     Grid,
     Grippers,
+    Group,
+    GroupSolution,
     How,
     Hypotheses,
     Identified,
@@ -72,6 +74,7 @@ from doo_ti import (
     SweepOptions,
     SweepTrajectory,
     Theta,
+    Tie,
     TrackedFrame,
     Tracker,
     TrackingOptions,
@@ -88,6 +91,7 @@ from doo_ti import (
     end_loads,
     end_offsets,
     estimate_twist,
+    follow_group,
     gripper_jacobian,
     hanging,
     identify,
@@ -107,6 +111,7 @@ from doo_ti import (
     record_sweep,
     refine,
     relax,
+    relax_group,
     rod_along,
     save_observations,
     score,
@@ -133,6 +138,11 @@ def relaxed(observations: Observations) -> Solution:
         Cylinder((0, -9, -9), (0, 9, -9), 2.0), Box((0, 0, -40), (9, 9, 9)), Ring((0, 0, -9), (1, 0, 0), 9.0, 1.0)]
     contact: Contacts = relax(start, material, clamps, obstacles=[*about, *load_obstacles("table.toml")], radius=0.5).contact
     relax(start, material, clamps, obstacles=[Itself(friction=0.1)], radius=0.5)
+    tied = Group([start, start], material, [clamps, clamps], [Tie((0, -1), (1, 3), weight=2.0, weld=True)])
+    together: GroupSolution = relax_group(tied, Newton(), up=(0, 0, 1), obstacles=about, radius=0.5, contact=False)
+    followed = [moment.energy for moment in follow_group(tied, [[clamps, clamps]] * 3, radius=0.5)]
+    assert_type(followed, list[np.ndarray])
+    assert_type(together.tie_force, np.ndarray)
     SweepOptions(surroundings=Surroundings(about, 0.5))
     DistanceGrid.from_mesh("part.stl", spacing=1.0, margin=9.0, position=(0, 0, 9))
     assert_type(contact.gap, np.ndarray)

@@ -23,6 +23,7 @@ LAYERS = [
     {"physics", "runtime"},
     {"metric", "start", "contact"},
     {"relaxation"},
+    {"groups"},
     {"vision", "motion", "dynamics"},
     {"synthesis", "twist", "report"},
     {"prediction"},

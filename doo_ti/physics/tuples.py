@@ -116,6 +116,12 @@ def record(**fields) -> Record:
 
 
 @picked
+def extended(fields: Record, **more) -> Record:
+    """``fields`` with more of them, arrays or numbers that do not change."""
+    return Record({**fields.__dict__, **more})
+
+
+@picked
 def choose(fields: Record, condition, **values) -> None:
     """Assign ``values`` to the fields of those names where the condition holds."""
     for name, value in values.items():

@@ -115,13 +115,18 @@ def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int
     if contact is not None:
         items += contact.items(table.edges, len(contact.kinds))
         outer += contact.arguments(contact.forces)
-    scratch, queue = _buffers(number, threads, items)
-    policy = np.array([
-        *table.up, options.tolerance or newton.TOLERANCES[bits], options.max_iterations, options.first_shift,
-        options.max_rotation, options.max_escapes, CLOSING_DISTANCE if moving else -1.0])
+    scratch, queue = buffers(number, threads, items)
+    policy = policy_row(table.up, options, bits, moving)
     kernel(
         start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy, threads, scratch, queue,
         frames.reshape(-1), results, *outer)
+
+
+def policy_row(up: np.ndarray, options: newton.Newton, bits: int, moving: bool = True) -> np.ndarray:
+    """(POLICY_COLUMNS,) what a launch is given besides its tables."""
+    return np.array([
+        *up, options.tolerance or newton.TOLERANCES[bits], options.max_iterations, options.first_shift,
+        options.max_rotation, options.max_escapes, CLOSING_DISTANCE if moving else -1.0])
 
 
 def run_descent(table: Tables, options: descent.Descent, bits: int):
@@ -136,7 +141,7 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     vertices, directors = _vertex_form(table)
     number, threads, stride, block = layout_for(len(table.rods), bits)
     items = ITEMS * (table.edges + 1)
-    scratch, queue = _buffers(number, threads, items)
+    scratch, queue = buffers(number, threads, items)
     positions = np.full((table.count, table.edges + 1, 3), np.nan)
     axes = np.full((table.count, table.edges, 3), np.nan)
     results = _untouched(table.count)
@@ -198,7 +203,7 @@ def scratch_for(number: Number, size: int):
     return kept
 
 
-def _buffers(number: Number, threads: int, items: int):
+def buffers(number: Number, threads: int, items: int):
     """(scratch for every thread, and the queue, all zero: a NumPy array, because filling a Taichi array takes a launch)."""
     queue = _queues[number] = np.zeros(LANES + threads * number.width, dtype=np.int32)
     return scratch_for(number, threads * items), queue

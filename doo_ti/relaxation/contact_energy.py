@@ -110,9 +110,9 @@ class ContactEnergy(ContactPlaces):
         return some
 
     @ti.func
-    def touched_start(self, rod):
-        """The same of vertex 0."""
-        at, zero, some = self.vertex(rod, 0), 0.0 * rod.total, 0
+    def touched_start(self, rod, index):
+        """The same of vertex ``index`` alone, where a rod begins."""
+        at, zero, some = self.vertex(rod, index), 0.0 * rod.total, 0
         rod.scratch[at + ROOM * self.stride] = zero + 1e30
         for o in range(rod.obstacles):
             contact = self.contact(at, o)

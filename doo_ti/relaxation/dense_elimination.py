@@ -114,15 +114,7 @@ class DenseElimination(DenseFactors):
             e = rod.edges - 1 - back
             t = tangent(self.load4(rod.scratch, at))
             start = minus(end, scaled(t, rod.scratch[at + LENGTH * self.stride]))
-            load = self.load(rod, at, e, start, end, found)
-            # The energy is a function of the start and of the edge, the end less the start.
-            self.add_load(rod, e, minus(load.gradient, load.gradient_s))
-            self.add_load(rod, e + 1, load.gradient_s)
-            late, mixed = full(load.curvature_ss), load.curvature_s
-            self.contacts.add_diagonal(rod, e + 1, late)
-            self.contacts.add_block(rod, e + 1, e, minus(transposed(mixed), late))
-            early = minus(plus(load.curvature, load.curvature_ss), symmetric_sum(mixed))
-            self.contacts.add_diagonal(rod, e, full(early))
+            self.add_edge(rod, e, self.load(rod, at, e, start, end, found))
             end = start
             at -= self.edge_stride
         if ti.static(self.pulls_start):
@@ -133,9 +125,25 @@ class DenseElimination(DenseFactors):
             found.magnitude = found.magnitude + rod.loose * energy
             self.add_load(rod, 0, scaled(gradient, rod.length_unit))
             self.contacts.add_diagonal(rod, 0, full(scaled(curvature, rod.length_unit * rod.length_unit)))
-        if self.contacts.touched_start(rod) == 1:
-            self.add_load(rod, 0, self.contacts.vector(rod, GRADIENT))
-            self.contacts.add_diagonal(rod, 0, full(self.contacts.symmetric(rod, CURVATURES)))
+        self.touch_begin(rod, 0)
+
+    @ti.func
+    def add_edge(self, rod, e, load):
+        """Add the derivatives of an edge's energy: a function of the start and of the edge, the end less the start."""
+        self.add_load(rod, e, minus(load.gradient, load.gradient_s))
+        self.add_load(rod, e + 1, load.gradient_s)
+        late, mixed = full(load.curvature_ss), load.curvature_s
+        self.contacts.add_diagonal(rod, e + 1, late)
+        self.contacts.add_block(rod, e + 1, e, minus(transposed(mixed), late))
+        early = minus(plus(load.curvature, load.curvature_ss), symmetric_sum(mixed))
+        self.contacts.add_diagonal(rod, e, full(early))
+
+    @ti.func
+    def touch_begin(self, rod, index):
+        """Add the contacts of vertex ``index``, where a rod begins, with obstacles."""
+        if self.contacts.touched_start(rod, index) == 1:
+            self.add_load(rod, index, self.contacts.vector(rod, GRADIENT))
+            self.contacts.add_diagonal(rod, index, full(self.contacts.symmetric(rod, CURVATURES)))
 
     @ti.func
     def add_load(self, rod, index, values):

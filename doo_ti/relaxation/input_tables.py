@@ -51,13 +51,13 @@ def tables(
     if external is not None or obstacles:
         _loosen(clamp, kinds, configuration, clamps)
     contact = contact_table(obstacles, radius, rods, edges, clamp, index_c, in_motion) if obstacles else None
-    start = _projectable(np.ascontiguousarray(configuration.quaternions, dtype=np.float64), lengths, clamp, found, up,
+    start = projectable(np.ascontiguousarray(configuration.quaternions, dtype=np.float64), lengths, clamp, found, up,
                          () if contact is None else contact.surroundings.bodies)
     feasible = found != INFEASIBLE
     sound = feasible[index_c]
     all_rods = rod_rows(index_c, index_m, np.arange(rods), index_c, index_e)
     return Tables(
-        start=start, rest_length=lengths, clamp=clamp, material=_material_table(material, isotropic, edges),
+        start=start, rest_length=lengths, clamp=clamp, material=material_table(material, isotropic, edges),
         isotropic=isotropic, rods=all_rods if sound.all() else all_rods[sound], feasible=feasible, configuration_index=index_c,
         material_index=index_m, external_index=index_e, external=external, up=up, floating=floating,
         contact=contact, weight_per_length=material.weight_per_length)
@@ -91,14 +91,14 @@ def under(table: Tables, material: Material, index=None) -> Tables:
         raise InputError("relax", "material_index", f"shape {rows.shape}", f"give ({table.count},) row numbers")
     _, rows = paired_rows(len(table.start), material.count, table.configuration_index, rows)
     isotropic = material.is_isotropic
-    stiffness = _material_table(material, isotropic, table.edges)
+    stiffness = material_table(material, isotropic, table.edges)
     rods = table.rods.copy()
     rods[:, of.MATERIAL_ROW] = rows[rods[:, of.RESULT_ROW]]
     return replace(table, material=stiffness, isotropic=isotropic, material_index=rows, rods=rods,
                    weight_per_length=material.weight_per_length)
 
 
-def _material_table(material: Material, isotropic: bool, edges: int) -> np.ndarray:
+def material_table(material: Material, isotropic: bool, edges: int) -> np.ndarray:
     """(G, STIFFNESS + 1 or E · STIFFNESS_COLUMNS): see the columns' names. Raises InputError where that is too large."""
     bend, twist, rest = material.bend, material.twist, material.rest_curvature
     uniform = bend.shape[1] == twist.shape[1] == 1 and (rest is None or rest.shape[1] == 1)
@@ -127,7 +127,7 @@ def _material_table(material: Material, isotropic: bool, edges: int) -> np.ndarr
     return table
 
 
-def _projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, found: np.ndarray, up: np.ndarray,
+def projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, found: np.ndarray, up: np.ndarray,
                  obstacles: Sequence[Obstacle]) -> np.ndarray:
     """Starts that can be projected: those ``found`` (S,) STRAIGHT are bowed, the other way where that is into an obstacle,
     those found TAUT made straight. Where starts are changed ``clamp`` is, too, in place."""

@@ -88,7 +88,7 @@ class LooseStart(Elimination):
             force, c = plus(force, slope), plus(c, slope)
             beyond.cc = plus(beyond.cc, scaled(curvature, rod.length_unit * rod.length_unit))
         if ti.static(self.touches):
-            if self.contacts.touched_start(rod) == 1:
+            if self.contacts.touched_start(rod, 0) == 1:
                 slope = self.contacts.vector(rod, GRADIENT)
                 force, c = plus(force, slope), plus(c, slope)
                 beyond.cc = plus(beyond.cc, self.contacts.symmetric(rod, CURVATURES))

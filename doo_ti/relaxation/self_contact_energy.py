@@ -141,7 +141,7 @@ class SelfContactEnergy(Contacts):
                 away = minus(plus(start, end), plus(first, last))
                 # No two places are nearer than the middles less half of both edges.
                 bound = 0.5 * ti.sqrt(dot(away, away)) - rod.longest
-                apart = arc > rod.scratch[self.own_vertex(rod, i + 1) + ARC * self.stride]
+                apart = self.apart(rod, i, at, arc)
                 rod.scratch[at + DISTANCE * self.stride] = ti.select(apart, bound, zero + 1e30)
                 near = apart & (bound < REACH * radius)
                 if self.some(near, zero):
@@ -154,6 +154,12 @@ class SelfContactEnergy(Contacts):
             self.add_to(rod.scratch, at + LOAD * self.stride, self.load3(rod.scratch, at + PULL * self.stride))
 
     @ti.func
+    def apart(self, rod, i, at, arc):
+        """Whether edge ``i`` may touch an edge that begins ``arc`` along the rod less what must lie between them; their items
+        begin ``at``."""
+        return arc > rod.scratch[self.own_vertex(rod, i + 1) + ARC * self.stride]
+
+    @ti.func
     def touch(self, rod, i, j, at, near, w, p, q):
         """The same of two edges p and q, with w from the start of the first to that of the second, in the lanes where they are
         ``near`` to each other."""
@@ -161,6 +167,7 @@ class SelfContactEnergy(Contacts):
         seen = pair_distance(w, p, q, ROUNDED * radius * radius)
         self.store(rod.scratch, at + PLACES * self.stride, (seen.s, seen.t) + seen.normal)
         rod.scratch[at + DISTANCE * self.stride] = ti.select(near, seen.value, rod.scratch[at + DISTANCE * self.stride])
+        self.note_depth(rod, at, near, seen.value)
         gap = ti.select(near, seen.value - 2.0 * radius, zero + 1e30)
         held = (self.held_edge(rod, i) > 0.5) & (self.held_edge(rod, j) > 0.5)
         self.lower(rod.scratch, rod.contacts + DEEPEST * self.stride, gap + (2.0 - LEAST_DISTANCE) * radius)
@@ -226,6 +233,10 @@ class SelfContactEnergy(Contacts):
         before = rod.scratch[at + DISTANCE_STANDING * self.stride]
         crossing = rod.contacts + CROSSING * self.stride
         rod.scratch[crossing] = largest_of(rod.scratch[crossing], most / (before * before + 1e-20))
+
+    @ti.func
+    def note_depth(self, rod, at, near, value):
+        """Take the distance of two edges after a step, in the lanes where they are ``near``, into what a step may do."""
 
     @ti.func
     def shift(self, rod, index):

@@ -148,13 +148,20 @@ class SelfContacts(SelfContactEnergy):
                 rod.scratch[item] = ti.select(once, 0.0 * rod.scratch[item], rod.scratch[item])
 
     @ti.func
+    def first_pair(self, tables):
+        """Where the items of the first pair of edges begin."""
+        edges = tables.rest_length.shape[1]
+        own = tables.contacts + contact_items(edges, tables.kinds.shape[0]) * self.stride
+        return own + (ROD_ITEMS + (edges + 1) * VERTEX_ITEMS) * self.stride
+
+    @ti.func
     def load_pairs(self, tables, scratch: ti.template(), slot, row):
         """Begin lane ``slot`` without forces between edges."""
         edges = tables.rest_length.shape[1]
         own = tables.contacts + contact_items(edges, tables.kinds.shape[0]) * self.stride
         friction = tables.self_friction[ti.min(row, tables.self_friction.shape[0] - 1)]
         self.put(scratch, own + COEFFICIENT * self.stride, slot, friction)
-        first = own + (ROD_ITEMS + (edges + 1) * VERTEX_ITEMS) * self.stride
+        first = self.first_pair(tables)
         for number in range(edges * (edges - 1) // 2):
             at = first + number * PAIR_ITEMS * self.stride
             for k in ti.static(range(REMEMBERED)):

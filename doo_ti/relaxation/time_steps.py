@@ -9,7 +9,7 @@ from doo_ti import runtime
 from doo_ti.frames import quaternion_product
 from doo_ti.relaxation import newton
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.batch import _buffers, layout_for
+from doo_ti.relaxation.batch import buffers, layout_for
 from doo_ti.relaxation.loading import LANES
 from doo_ti.relaxation.newton_policy import CLOSING_DISTANCE
 from doo_ti.relaxation.tables import Tables, room
@@ -130,7 +130,7 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
             kernel, items, parameters = time_slope_kernel(stride, block, number.width)
             more = slopes.material, slopes.numbers, slopes.shares, slopes.memory, position_slopes
             size = parameters + items * table.edges + slope_items(table.edges, slopes.count)
-        scratch, _ = _buffers(number, threads, size)
+        scratch, _ = buffers(number, threads, size)
         queue = np.zeros(LANES + 2 * threads * number.width, dtype=np.int32)
         results = np.zeros((table.count, of.LOADED_RESULTS))
         results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:] = memory.multiplier, memory.drift

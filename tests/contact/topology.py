@@ -17,18 +17,27 @@ def closed(vertices: np.ndarray) -> np.ndarray:
     return np.concatenate([ends[:1], vertices, ends[1:], ends[1:] + aside, ends[:1] + aside])
 
 
+def solid_angles(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """(...) the solid angle in which the edges a b and c d (..., 3) are seen to cross, with the sense of the crossing."""
+    corners = [np.cross(c - a, d - a), np.cross(d - a, d - b), np.cross(d - b, c - b), np.cross(c - b, c - a)]
+    sizes = [np.linalg.norm(corner, axis=-1, keepdims=True) for corner in corners]
+    normals = [corner / np.maximum(size, 1e-300) for corner, size in zip(corners, sizes, strict=True)]
+    angle = sum(np.arcsin(np.clip((normals[k] * normals[(k + 1) % 4]).sum(axis=-1), -1.0, 1.0)) for k in range(4))
+    return np.sign(np.einsum("...j,...j->...", np.cross(d - c, b - a), c - a)) * angle
+
+
 def writhe(points: np.ndarray) -> float:
     """Of a closed polygon (N, 3), in turns: the sum over pairs of edges of the solid angle in which they cross."""
     start, end = points, np.roll(points, -1, axis=0)
     i, j = np.triu_indices(len(points), 2)
     keep = ~((i == 0) & (j == len(points) - 1))
-    a, b, c, d = start[i[keep]], end[i[keep]], start[j[keep]], end[j[keep]]
-    corners = [np.cross(c - a, d - a), np.cross(d - a, d - b), np.cross(d - b, c - b), np.cross(c - b, c - a)]
-    sizes = [np.linalg.norm(corner, axis=-1, keepdims=True) for corner in corners]
-    normals = [corner / np.maximum(size, 1e-300) for corner, size in zip(corners, sizes, strict=True)]
-    angle = sum(np.arcsin(np.clip((normals[k] * normals[(k + 1) % 4]).sum(axis=-1), -1.0, 1.0)) for k in range(4))
-    sense = np.sign(np.einsum("ij,ij->i", np.cross(d - c, b - a), c - a))
-    return float((sense * angle).sum() / (2.0 * np.pi))
+    return float(solid_angles(start[i[keep]], end[i[keep]], start[j[keep]], end[j[keep]]).sum() / (2.0 * np.pi))
+
+
+def linking(first: np.ndarray, second: np.ndarray) -> float:
+    """How often two closed polygons (N, 3) and (M, 3) wind round each other, by Gauss's integral."""
+    ends = (first[:, None], np.roll(first, -1, axis=0)[:, None], second[None], np.roll(second, -1, axis=0)[None])
+    return float(solid_angles(*(np.broadcast_to(part, (len(first), len(second), 3)) for part in ends)).sum() / (4.0 * np.pi))
 
 
 def link(vertices: np.ndarray, quaternions: np.ndarray) -> float:

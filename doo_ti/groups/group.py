@@ -1,0 +1,137 @@
+"""A group: rods that are relaxed together, each with its own material and clamps, and with points tied together
+(docs/groups.md). Axes: N groups of the same make-up, G rods in each, K ties."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from doo_ti.errors import InputError, require_number, require_whole
+from doo_ti.types import Clamps, Configuration, Material, Rows
+
+
+@dataclass(frozen=True)
+class Tie:
+    """Two vertices that stay at one place.
+
+    first, second  (rod, vertex), from 0; a vertex below 0 counts from the rod's end
+    weight         of what sits at the tie, a connector, in the unit of all forces: energy (mm²) per mm
+    weld           whether the edges that begin there, at a rod's last vertex the one that ends there, also keep the rotation
+                   that they have to each other at the start; otherwise the rods turn freely there
+
+    Raises InputError for anything else.
+    """
+
+    first: tuple[int, int]
+    second: tuple[int, int]
+    weight: float = 0.0
+    weld: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("first", "second"):
+            end = getattr(self, name)
+            if not isinstance(end, Sequence | np.ndarray) or isinstance(end, str) or len(end) != 2:
+                raise InputError("Tie", name, f"{end!r}", "give (rod, vertex)")
+            for value in end:
+                require_whole("Tie", name, value, -(2**31))
+        require_number("Tie", "weight", self.weight)
+        if not 0 <= self.weight < np.inf:
+            raise InputError("Tie", "weight", f"{self.weight}", "give a finite number from zero up")
+
+
+@dataclass(frozen=True)
+class Group:
+    """N groups of G rods, what :func:`.relax_group` takes.
+
+    rods       G starts, each with the N groups' rods of that place: N rows. They need not have equally many edges
+    materials  G of them, with one row or N; or one for all rods
+    clamps     G of them, with N rows
+    ties       K of them; the groups have the same
+
+    Raises InputError where numbers of rods or rows do not match, or a tie names a vertex that does not exist.
+    """
+
+    rods: Sequence[Configuration]
+    materials: Sequence[Material] | Material
+    clamps: Sequence[Clamps]
+    ties: Sequence[Tie] = ()
+
+    def __post_init__(self) -> None:
+        for name, kind in (("rods", Configuration), ("clamps", Clamps), ("ties", Tie), ("materials", Material)):
+            values = getattr(self, name)
+            if name == "materials" and isinstance(values, Material):
+                continue
+            if not isinstance(values, Sequence) or not all(isinstance(value, kind) for value in values):
+                raise InputError("Group", name, f"a {type(values).__name__}", f"give a list, each a {kind.__name__}")
+            if not len(self.rods):
+                raise InputError("Group", "rods", "none", "give one or more")
+            if name != "ties" and len(values) != len(self.rods):
+                raise InputError("Group", name, f"{len(values)} for {len(self.rods)} rods", "give one for each rod of a group")
+        rows = self.rods[0].count
+        for rod, (start, material) in enumerate(zip(self.rods, self.each_material, strict=True)):
+            if start.count != rows:
+                raise InputError("Group", "rods", f"{start.count} rows of rod {rod}, {rows} of rod 0",
+                                 "give one row for each group")
+            if material.count not in (1, rows):
+                raise InputError("Group", "materials", f"{material.count} rows of rod {rod} for {rows} groups",
+                                 "give one, or one for each group")
+        for number, tie in enumerate(self.ties):
+            self._check_tie(number, tie)
+
+    def _check_tie(self, number: int, tie: Tie) -> None:
+        for rod, vertex in (tie.first, tie.second):
+            if not 0 <= rod < len(self.rods):
+                raise InputError("Group", "ties", f"tie {number} is at rod {rod}", f"give rods from 0 to {len(self.rods) - 1}")
+            most = self.rods[rod].edges
+            if not -most - 1 <= vertex <= most:
+                raise InputError("Group", "ties", f"tie {number} is at vertex {vertex} of rod {rod}",
+                                 f"give vertices from 0 to {most}")
+        if self.tied[number, 0] == self.tied[number, 1]:
+            raise InputError("Group", "ties", f"tie {number} ties vertex {tie.first[1]} of rod {tie.first[0]} to itself",
+                             "give two vertices")
+        if tie.weld and len(set(self.welded[number])) == 1:
+            raise InputError("Group", "ties", f"tie {number} welds edge {tie.first[1]} of rod {tie.first[0]} to itself",
+                             "give vertices of two edges")
+
+    def __repr__(self) -> str:
+        edges = ", ".join(str(rod.edges) for rod in self.rods)
+        return f"Group({self.count} groups of {len(self.rods)} rods of {edges} edges, {len(self.ties)} ties)"
+
+    @property
+    def count(self) -> int:
+        """N."""
+        return self.rods[0].count
+
+    @property
+    def each_material(self) -> list[Material]:
+        """G of them."""
+        return [self.materials] * len(self.rods) if isinstance(self.materials, Material) else list(self.materials)
+
+    @property
+    def first_vertices(self) -> np.ndarray:
+        """(G + 1,) the number of each rod's vertex 0 in the group, and of all vertices."""
+        return np.cumsum([0] + [rod.edges + 1 for rod in self.rods])
+
+    @property
+    def tied(self) -> np.ndarray:
+        """(K, 2) the numbers of both vertices of each tie in the group."""
+        first = self.first_vertices
+        return np.array([[first[rod] + vertex % (self.rods[rod].edges + 1) for rod, vertex in (tie.first, tie.second)]
+                         for tie in self.ties], dtype=np.int64).reshape(-1, 2)
+
+    @property
+    def welded(self) -> dict[int, tuple[int, int]]:
+        """The numbers of both edges in the chain of the group, the later first, of each tie that is a weld, by its number."""
+        last = self.first_vertices[1:] - 1
+        edges = np.sort(self.tied - np.isin(self.tied, last), axis=1)[:, ::-1]
+        return {number: (int(edges[number, 0]), int(edges[number, 1])) for number, tie in enumerate(self.ties) if tie.weld}
+
+    def by_rod(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
+        """``values`` (N, vertices of the group, ...) of each rod."""
+        return tuple(np.split(values, self.first_vertices[1:-1], axis=1))
+
+    def take(self, index: Rows) -> "Group":
+        """The groups named by ``index``, in that order."""
+        materials = [material if material.count == 1 else material.take(index) for material in self.each_material]
+        return replace(self, rods=[rod.take(index) for rod in self.rods], materials=materials,
+                       clamps=[clamp.take(index) for clamp in self.clamps])

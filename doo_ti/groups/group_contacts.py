@@ -1,0 +1,319 @@
+"""The contacts of a group: of its rods with obstacles, with each other and with themselves, and its ties (docs/groups.md).
+
+A tie holds a vertex at another one or, as a clamp does, at a place. With its force λ from the round before, the energy
+
+    λ · d + κ |d|²/2
+
+of the miss d is minimised; a round ends with λ ← λ + κ d. λ is exact where no tie misses, for any κ.
+"""
+
+import taichi as ti
+
+from doo_ti.contact.obstacles import OBSTACLE_COLUMNS
+from doo_ti.groups.layout import (
+    ACTIVE,
+    APART,
+    BEGIN,
+    BEGIN_STANDING,
+    DEEPEST_STEP,
+    FIRST_TIE_STIFFNESS,
+    GROUP_EDGE_ITEMS,
+    GROUP_HEAD,
+    GROUP_ROD_ITEMS,
+    GROUP_VERTEX_ITEMS,
+    HELD,
+    MOST_TIE_STIFFNESS,
+    REST,
+    SLOW_TIES,
+    SPIN,
+    STIFFER_TIES,
+    TARGET,
+    TIE_FORCE,
+    TIE_ITEMS,
+    TIE_MISS,
+    TIE_MOMENT,
+    TIE_STIFFNESS,
+    TIE_TOLERANCE,
+    TURNED,
+    UNIT,
+    WEIGHT,
+)
+from doo_ti.physics.algebra import absolute, largest_of
+from doo_ti.physics.tuples import chosen, dot, identity, minus, negated, plus, scaled, variable
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.contact_layout import (
+    CONTACT_ITEMS,
+    CROSSING,
+    ENERGY,
+    FINE,
+    HEAD,
+    PHASE,
+    PLACE,
+    RADIUS,
+    ROUGHEST,
+    SAGGING,
+    STIFFNESS,
+    TOLERANCE,
+    VERTEX_ITEMS,
+)
+from doo_ti.relaxation.loading import stiffness_scale
+from doo_ti.relaxation.pair_layout import DISTANCE_STANDING, LOAD, PAIR_ITEMS, self_contact_items
+from doo_ti.relaxation.self_contacts import SelfContacts
+
+
+@ti.data_oriented
+class GroupContacts(SelfContacts):
+    """The contacts and ties of a group.
+
+    Of the record ``rod`` its functions read ``begins``, of every edge zero or, of a break, the number of the rod after it;
+    ``ties``, the two vertices of each, the second -1 for a place, and the two edges of a weld or -1; and ``rods``, how many
+    there are.
+    """
+
+    # --- items in scratch ---
+
+    @ti.func
+    def group(self, rod):
+        """Where the items of the group begin."""
+        return rod.contacts + self_contact_items(rod.edges, rod.obstacles) * self.stride
+
+    @ti.func
+    def edge(self, rod, index):
+        return self.group(rod) + (GROUP_HEAD + index * GROUP_EDGE_ITEMS) * self.stride
+
+    @ti.func
+    def group_vertex(self, rod, index):
+        return self.edge(rod, rod.edges) + index * GROUP_VERTEX_ITEMS * self.stride
+
+    @ti.func
+    def member(self, rod, index):
+        """Of the rod ``index``."""
+        return self.group_vertex(rod, rod.edges + 1) + index * GROUP_ROD_ITEMS * self.stride
+
+    @ti.func
+    def tie(self, rod, index):
+        return self.member(rod, rod.rods) + index * TIE_ITEMS * self.stride
+
+    # --- what a rod that touches itself has otherwise ---
+
+    @ti.func
+    def apart(self, rod, i, at, arc):
+        """Whether two edges may touch is known from the start."""
+        return rod.scratch[at + APART * self.stride] > 0.5
+
+    @ti.func
+    def note_depth(self, rod, at, near, value):
+        """Ties may draw edges together with any force. A step that brings two nearer than :data:`DEEPEST_STEP` is refused: the
+        distance is a little too large there, so that they could pass through each other."""
+        zero = 0.0 * value
+        before = rod.scratch[at + DISTANCE_STANDING * self.stride]
+        nearer = near & (value < DEEPEST_STEP * self.item(rod, RADIUS)) & (value < before)
+        crossing = rod.contacts + CROSSING * self.stride
+        rod.scratch[crossing] = largest_of(rod.scratch[crossing], ti.select(nearer, zero + 1.0, zero))
+
+    @ti.func
+    def held(self, rod, index):
+        return rod.scratch[self.group_vertex(rod, index) + HELD * self.stride]
+
+    @ti.func
+    def pinched(self, rod, miss):
+        """Whether clamps hold a vertex inside an obstacle or two edges in each other; of the ends, which ties hold, their
+        places count."""
+        least = 0.0 * rod.total
+        for index in range(rod.edges + 1):
+            place = self.load3(rod.scratch, self.vertex(rod, index) + PLACE * self.stride)
+            least = self.sunk(rod, place, self.held(rod, index), least)
+        for k in range(rod.ties.shape[0]):
+            at = self.tie(rod, k)
+            if rod.ties[k, 1] < 0:
+                place = self.load3(rod.scratch, at + TARGET * self.stride)
+                least = self.sunk(rod, place, rod.scratch[at + ACTIVE * self.stride], least)
+        return (least < 0.0 - self.item(rod, TOLERANCE)) | self.pinched_pairs(rod)
+
+    @ti.func
+    def sunk(self, rod, place, held, least):
+        """``least``, or the least gap of a ``place`` that is ``held``."""
+        found = variable((least,))
+        for o in range(rod.obstacles):
+            seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o], place)
+            found = (ti.select(held > 0.5, ti.min(found[0], seen.value - self.item(rod, RADIUS)), found[0]),)
+        return found[0]
+
+    @ti.func
+    def stand_pairs(self, rod):
+        SelfContacts.stand_pairs(self, rod)
+        for g in range(rod.rods):
+            at = self.member(rod, g)
+            self.store(rod.scratch, at + BEGIN_STANDING * self.stride, self.load3(rod.scratch, at + BEGIN * self.stride))
+
+    @ti.func
+    def restore_pairs(self, rod, lost):
+        SelfContacts.restore_pairs(self, rod, lost)
+        for g in range(rod.rods):
+            at = self.member(rod, g)
+            standing = self.load3(rod.scratch, at + BEGIN_STANDING * self.stride)
+            place = self.load3(rod.scratch, at + BEGIN * self.stride)
+            self.store(rod.scratch, at + BEGIN * self.stride, chosen(lost > 0.5, standing, place))
+
+    # --- weight and ties ---
+
+    @ti.func
+    def add_load(self, rod, index, values):
+        """Add to the gradient at a vertex."""
+        self.add_to(rod.scratch, self.own_vertex(rod, index) + LOAD * self.stride, values)
+
+    @ti.func
+    def hang(self, rod):
+        """Add the weight of all vertices to the energy and to the gradient."""
+        for v in range(rod.edges + 1):
+            weight = scaled(rod.gravity, rod.scratch[self.group_vertex(rod, v) + WEIGHT * self.stride])
+            energy = dot(weight, minus(self.place(rod, v), rod.anchor))
+            self.add(rod, ENERGY, (energy, absolute(energy)))
+            self.add_load(rod, v, weight)
+
+    @ti.func
+    def missed(self, rod, k):
+        """How far a tie misses."""
+        place, second = variable(self.load3(rod.scratch, self.tie(rod, k) + TARGET * self.stride)), rod.ties[k, 1]
+        if second >= 0:
+            place = self.place(rod, second)
+        return minus(self.place(rod, rod.ties[k, 0]), place)
+
+    @ti.func
+    def bind(self, rod):
+        """Add the ties to the energy, the gradient and the second derivatives."""
+        stiffness = rod.scratch[self.group(rod) + TIE_STIFFNESS * self.stride]
+        for k in range(rod.ties.shape[0]):
+            at, first, second = self.tie(rod, k), rod.ties[k, 0], rod.ties[k, 1]
+            active = rod.scratch[at + ACTIVE * self.stride]
+            miss, force = self.missed(rod, k), self.load3(rod.scratch, at + TIE_FORCE * self.stride)
+            work, stretch = active * dot(force, miss), 0.5 * active * stiffness * dot(miss, miss)
+            self.add(rod, ENERGY, (work + stretch, absolute(work) + stretch))
+            pull = scaled(plus(force, scaled(miss, stiffness)), active)
+            block = scaled(identity(0.0 * stiffness), active * stiffness)
+            self.add_load(rod, first, pull)
+            self.add_diagonal(rod, first, block)
+            if second >= 0:
+                self.add_load(rod, second, negated(pull))
+                self.add_diagonal(rod, second, block)
+                self.add_block(rod, first, second, negated(block))
+
+    # --- rounds ---
+
+    @ti.func
+    def tolerance(self, rod, given):
+        """As of one rod, but without the rougher rounds: with these, ties would change their forces before the rods have
+        followed the last change. It is at least what rounding of places makes of the forces."""
+        stiffness = self.item(rod, STIFFNESS) + rod.scratch[self.group(rod) + TIE_STIFFNESS * self.stride]
+        noise = self.rounding * stiffness * rod.longest * rod.total * rod.total
+        return ti.select(self.behind(rod), ROUGHEST * given, given) + noise
+
+    @ti.func
+    def settle(self, rod, due):
+        """End a round with new forces of contacts and ties. Returns the largest change of a gap that they mean, or what a tie
+        misses times the ratio of their tolerances."""
+        change = SelfContacts.settle(self, rod, due)
+        zero = 0.0 * rod.total
+        head = self.group(rod)
+        stiffness = rod.scratch[head + TIE_STIFFNESS * self.stride]
+        most = zero
+        for k in range(rod.ties.shape[0]):
+            at = self.tie(rod, k)
+            active, miss = rod.scratch[at + ACTIVE * self.stride], self.missed(rod, k)
+            old = self.load3(rod.scratch, at + TIE_FORCE * self.stride)
+            new = plus(old, scaled(miss, stiffness * active))
+            self.store(rod.scratch, at + TIE_FORCE * self.stride, chosen(due, new, old))
+            most = largest_of(most, active * dot(miss, miss))
+            if rod.ties[k, 2] >= 0:
+                turned = self.load3(rod.scratch, at + TURNED * self.stride)
+                held = self.load3(rod.scratch, at + TIE_MOMENT * self.stride)
+                stiffer = plus(held, scaled(turned, stiffness * active * rod.total * rod.total))
+                self.store(rod.scratch, at + TIE_MOMENT * self.stride, chosen(due, stiffer, held))
+                most = largest_of(most, active * dot(turned, turned) * rod.total * rod.total)
+        most = ti.sqrt(most)
+        before = rod.scratch[head + TIE_MISS * self.stride]
+        allowed = TIE_TOLERANCE * rod.total
+        limit = MOST_TIE_STIFFNESS / (rod.total * rod.total * rod.total)
+        slow = due & (most > SLOW_TIES * before) & (most > allowed)
+        rod.scratch[head + TIE_STIFFNESS * self.stride] = ti.select(slow, ti.min(STIFFER_TIES * stiffness, limit), stiffness)
+        rod.scratch[head + TIE_MISS * self.stride] = ti.select(due, most, before)
+        return largest_of(change, ti.select(due, most / allowed * self.item(rod, TOLERANCE), zero))
+
+    # --- into scratch and out of it ---
+
+    @ti.func
+    def load(self, tables, scratch: ti.template(), slot, rod, unit, scale):
+        """As the obstacles and contacts of one rod, and the group's own numbers."""
+        SelfContacts.load(self, tables, scratch, slot, rod, unit, scale)
+        row = tables.rods[rod, of.RESULT_ROW]
+        edges, rods, ties = tables.rest_length.shape[1], tables.places.shape[1], tables.ties.shape[0]
+        base = tables.contacts
+        if tables.barrier == 0:
+            self.put(scratch, base + PHASE * self.stride, slot, FINE)
+        self.load_apart(tables, scratch, slot, row)
+        head = base + self_contact_items(edges, tables.kinds.shape[0]) * self.stride
+        total = scale.total
+        self.put(scratch, head + TIE_STIFFNESS * self.stride, slot, FIRST_TIE_STIFFNESS * scale.bend / (total * total * total))
+        self.put(scratch, head + TIE_MISS * self.stride, slot, 1e30)
+        self.put(scratch, head + UNIT * self.stride, slot, unit)
+        at = head + GROUP_HEAD * self.stride
+        for e in range(edges):
+            for k in ti.static(range(2)):
+                self.put(scratch, at + (e * GROUP_EDGE_ITEMS + SPIN + k) * self.stride, slot, tables.free[row, e, k])
+        at += edges * GROUP_EDGE_ITEMS * self.stride
+        for v in range(edges + 1):
+            vertex = at + v * GROUP_VERTEX_ITEMS * self.stride
+            self.put(scratch, vertex + WEIGHT * self.stride, slot, tables.burden[row, v, 0] / unit)
+            self.put(scratch, vertex + HELD * self.stride, slot, tables.burden[row, v, 1])
+        at += (edges + 1) * GROUP_VERTEX_ITEMS * self.stride
+        for g in range(rods):
+            for k in ti.static(range(3)):
+                item = at + (g * GROUP_ROD_ITEMS + BEGIN + k) * self.stride
+                self.put(scratch, item, slot, tables.places[row, g, k] / unit)
+        at += rods * GROUP_ROD_ITEMS * self.stride
+        force_unit = stiffness_scale(tables.material, tables.clamp, tables.rods[rod, of.MATERIAL_ROW],
+                                     tables.rods[rod, of.CLAMP_ROW]) / (unit * unit)
+        for t in range(ties):
+            tie = at + t * TIE_ITEMS * self.stride
+            for k in ti.static(range(3)):
+                self.put(scratch, tie + (TARGET + k) * self.stride, slot, tables.targets[row, t, k] / unit)
+                self.put(scratch, tie + (TIE_FORCE + k) * self.stride, slot, tables.tie_forces[row, t, k] / force_unit)
+                self.put(scratch, tie + (TIE_MOMENT + k) * self.stride, slot,
+                         tables.tie_forces[row, t, 3 + k] / (force_unit * unit))
+            for k in ti.static(range(4)):
+                self.put(scratch, tie + (REST + k) * self.stride, slot, tables.targets[row, t, 4 + k])
+            self.put(scratch, tie + ACTIVE * self.stride, slot, tables.targets[row, t, 3])
+
+    @ti.func
+    def load_apart(self, tables, scratch: ti.template(), slot, row):
+        """Which edges may touch; and no edge ends where a rod begins, so that none sags there."""
+        edges, count = tables.rest_length.shape[1], tables.kinds.shape[0]
+        first = tables.contacts + (HEAD + count * OBSTACLE_COLUMNS) * self.stride
+        for v in range(edges + 1):
+            for o in range(count):
+                contact = first + (v * (VERTEX_ITEMS + count * CONTACT_ITEMS) + VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
+                self.put(scratch, contact + SAGGING * self.stride, slot, 0.0)
+        own = ti.min(row, tables.apart.shape[0] - 1)
+        for number in range(tables.apart.shape[1]):
+            self.put(scratch, self.first_pair(tables) + (number * PAIR_ITEMS + APART) * self.stride, slot,
+                     ti.cast(tables.apart[own, number], ti.f64))
+
+    @ti.func
+    def unload_forces(self, tables, scratch: ti.template(), slot, place, force_unit):
+        """The forces on vertices and those of ties, and where the rods begin, into row ``place``."""
+        SelfContacts.unload_forces(self, tables, scratch, slot, place, force_unit)
+        edges, rods = tables.rest_length.shape[1], tables.places.shape[1]
+        head = tables.contacts + self_contact_items(edges, tables.kinds.shape[0]) * self.stride
+        unit = ti.cast(self.get(scratch, head + UNIT * self.stride, slot), ti.f64)
+        first = head + (GROUP_HEAD + edges * GROUP_EDGE_ITEMS + (edges + 1) * GROUP_VERTEX_ITEMS) * self.stride
+        for g in range(rods):
+            for k in ti.static(range(3)):
+                item = first + (g * GROUP_ROD_ITEMS + BEGIN + k) * self.stride
+                tables.places[place, g, k] = ti.cast(self.get(scratch, item, slot), ti.f64) * unit
+        first += rods * GROUP_ROD_ITEMS * self.stride
+        for t in range(tables.ties.shape[0]):
+            for k in ti.static(range(3)):
+                item = first + (t * TIE_ITEMS + TIE_FORCE + k) * self.stride
+                tables.tie_forces[place, t, k] = ti.cast(self.get(scratch, item, slot), ti.f64) * force_unit
+                turn = item + (TIE_MOMENT - TIE_FORCE) * self.stride
+                tables.tie_forces[place, t, 3 + k] = ti.cast(self.get(scratch, turn, slot), ti.f64) * force_unit * unit

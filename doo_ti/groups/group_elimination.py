@@ -1,0 +1,289 @@
+"""The Newton system of a group: that of a rod that may touch itself, for a chain with breaks between its rods (docs/groups.md).
+
+In the chain a break stands where an edge would. The vertex behind it moves by the unknown ξ of the break, all others
+with the begin of their own rod and the rotations of the edges between, so that the sums of second derivatives over all
+vertices behind an edge end with its rod.
+"""
+
+import taichi as ti
+
+from doo_ti.groups.group_contacts import GroupContacts
+from doo_ti.groups.layout import BEGIN, BEGIN_STEP, MOMENT, SPIN, TILT, TIP
+from doo_ti.groups.welds import Welds
+from doo_ti.physics.algebra import largest_of
+from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian
+from doo_ti.physics.quaternion import first_director, second_director, tangent, turned_in_body
+from doo_ti.physics.tuples import (
+    applied,
+    chosen,
+    column_scaled,
+    dot,
+    extended,
+    full,
+    identity,
+    minus,
+    negated,
+    on_diagonal,
+    plus,
+    products,
+    repeated,
+    row,
+    row_scaled,
+    scaled,
+    transposed,
+    variable,
+)
+from doo_ti.relaxation.chain import LENGTH, OF_DRIFT_STEP, ROTATION, STANDING, Chain
+from doo_ti.relaxation.dense_elimination import DenseElimination, symmetric_sum, turned_block
+from doo_ti.relaxation.elimination import held_pivot
+from doo_ti.relaxation.external import Nothing
+from doo_ti.relaxation.loaded_elimination import LoadedElimination
+from doo_ti.relaxation.pair_layout import LOAD, MOVE
+
+
+@ti.data_oriented
+class GroupElimination(Welds, DenseElimination, LoadedElimination):
+    """The chain of a group. No rod is closed: ties hold their far ends."""
+
+    def __init__(self, number, stride: int, contacts: GroupContacts):
+        super().__init__(number, False, stride, Nothing, True, contacts)
+
+    @ti.func
+    def rods(self, tables, scratch: ti.template(), head, coarse):
+        """As of one rod, with what :class:`.GroupContacts` reads."""
+        rod = Chain.rods(self, tables, scratch, head, coarse)
+        return extended(rod, begins=tables.begins, ties=tables.ties, rods=tables.places.shape[1])
+
+    @ti.func
+    def freedom(self, rod, edge):
+        at = self.contacts.edge(rod, edge)
+        tilt = rod.scratch[at + TILT * self.stride]
+        return (rod.scratch[at + SPIN * self.stride], tilt, tilt)
+
+    # --- the step ---
+
+    @ti.func
+    def step(self, rod, scale, moving, before):
+        """Frames Q (1, scale ω/2) and the rods' begins; nothing has to be closed."""
+        zero = 0.0 * scale
+        none = repeated(zero, 3)
+        stepping = (scale > 0.0) | (scale < 0.0)
+        self.contacts.stand(rod)
+        at = rod.origin
+        for _ in range(rod.edges):
+            # In a lane that does not step the rotation is undefined and may be NaN.
+            rotation = self.load3(rod.scratch, at + ROTATION * self.stride)
+            w = chosen(stepping, scaled(rotation, scale), none)
+            standing = self.load4(rod.scratch, at)
+            self.store(rod.scratch, at + STANDING * self.stride, standing)
+            self.store(rod.scratch, at, turned_in_body(standing, w))
+            at += self.edge_stride
+        for g in range(1, rod.rods):
+            member = self.contacts.member(rod, g)
+            way = scaled(self.load3(rod.scratch, member + BEGIN_STEP * self.stride), scale)
+            place = self.load3(rod.scratch, member + BEGIN * self.stride)
+            self.store(rod.scratch, member + BEGIN * self.stride, plus(place, chosen(stepping, way, none)))
+        self.step_start(rod, scale, moving, variable(none), variable(none))
+        return none, repeated(zero, 6)
+
+    @ti.func
+    def close(self, rod, x, normal):
+        """The energy of bending and twisting, and that once more for its magnitude; no closure is left."""
+        zero = 0.0 * rod.total
+        energy = zero
+        before = variable(repeated(zero, 4))  # the frame of the edge before
+        at = rod.origin
+        for e in range(rod.edges):
+            q = self.load4(rod.scratch, at)
+            if e > 0:
+                if rod.begins[e] + rod.begins[e - 1] == 0:
+                    bent, s = self._bend(rod, at, before, q)
+                    energy = energy + self.energy_of(bent, s)
+            before = q
+            at += self.edge_stride
+        return energy, energy, repeated(zero, 3), repeated(zero, 3)
+
+    # --- the energies of places ---
+
+    @ti.func
+    def collect(self, rod, found):
+        self.contacts.begin(rod)
+        self.find_tips(rod)
+        end = variable(self.tip_of(rod, rod.rods - 1))
+        self.contacts.look(rod, rod.edges, end)
+        at = rod.origin + (rod.edges - 1) * self.edge_stride
+        for back in range(rod.edges):
+            e = rod.edges - 1 - back
+            following = rod.begins[e]
+            if following == 0:
+                t = tangent(self.load4(rod.scratch, at))
+                start = minus(end, scaled(t, rod.scratch[at + LENGTH * self.stride]))
+                self.add_edge(rod, e, self.load(rod, at, e, start, end, found))
+                end = start
+            else:
+                self.touch_begin(rod, e + 1)
+                end = self.tip_of(rod, following - 1)
+                self.contacts.look(rod, e, end)
+            at -= self.edge_stride
+        self.touch_begin(rod, 0)
+        self.contacts.hang(rod)
+        self.contacts.bind(rod)
+        self.weld(rod)
+
+    @ti.func
+    def find_tips(self, rod):
+        """Where all rods end."""
+        x = variable(plus(rod.anchor, self.drift(rod)))
+        at = rod.origin
+        for e in range(rod.edges):
+            following = rod.begins[e]
+            if following > 0:
+                self.store(rod.scratch, self.contacts.member(rod, following - 1) + TIP * self.stride, x)
+                x = self.load3(rod.scratch, self.contacts.member(rod, following) + BEGIN * self.stride)
+            else:
+                x = plus(x, scaled(tangent(self.load4(rod.scratch, at)), rod.scratch[at + LENGTH * self.stride]))
+            at += self.edge_stride
+        self.store(rod.scratch, self.contacts.member(rod, rod.rods - 1) + TIP * self.stride, x)
+
+    @ti.func
+    def tip_of(self, rod, index):
+        return self.load3(rod.scratch, self.contacts.member(rod, index) + TIP * self.stride)
+
+    # --- H ---
+
+    @ti.func
+    def sum_columns(self, rod):
+        """As for one rod; the sums begin anew with every rod."""
+        for q in range(rod.edges):
+            for back in range(rod.edges - 1 - q):
+                p = rod.edges - 1 - back
+                if rod.begins[p] == 0:
+                    self.contacts.add_block(rod, p, q, self.load_block(rod, p + 1, q))
+        for back in range(rod.edges):
+            p = rod.edges - 1 - back
+            if rod.begins[p] == 0:
+                both = plus(self.load_diagonal(rod, p + 1), symmetric_sum(self.load_block(rod, p + 1, p)))
+                self.contacts.add_diagonal(rod, p, full(both))
+
+    @ti.func
+    def levers(self, rod, index):
+        """The three rows of A of block ``index``, of a rod's begin those of the identity, with zeros for what is held."""
+        zero = 0.0 * rod.total
+        a, free = variable(identity(zero)), variable(repeated(rod.loose, 3))
+        if index > 0:
+            free = self.freedom(rod, index - 1)
+            if rod.begins[index - 1] == 0:
+                at = rod.origin + (index - 1) * self.edge_stride
+                q = self.load4(rod.scratch, at)
+                a = closure_rows(rod.scratch[at + LENGTH * self.stride], first_director(q), second_director(q))
+        return scaled(row(a, 0), free[1]), scaled(row(a, 1), free[1]), scaled(row(a, 2), free[2])
+
+    @ti.func
+    def assemble(self, rod, shift, search, multiplier, found):
+        """H + shift in the place of the sums, and the right-hand sides."""
+        zero = 0.0 * rod.total
+        force = variable(repeated(zero, 3))
+        h, g = variable(repeated(zero, 6)), variable(repeated(zero, 3))  # of the pair with the edge after
+        at = rod.origin + (rod.edges - 1) * self.edge_stride
+        for back in range(rod.edges):
+            e = rod.edges - 1 - back
+            force = plus(force, self.load3(rod.scratch, self.contacts.own_vertex(rod, e + 1) + LOAD * self.stride))
+            u = variable(repeated(zero, 9))
+            h_before, g_before = variable(repeated(zero, 6)), variable(repeated(zero, 3))
+            if rod.begins[e] > 0:
+                self.assemble_row(rod, e + 1, self.freedom(rod, e), u)
+                self.assemble_begin(rod, e + 1, self.freedom(rod, e), shift, force, found)
+                force = repeated(zero, 3)
+            else:
+                if e > 0:
+                    if rod.begins[e - 1] == 0:
+                        previous = at - self.edge_stride
+                        left, right, h_left, h_right, across = self.derivatives(
+                            self.bent(rod.scratch, previous), self.stiffness(rod.scratch, previous, at, rod.stiffness))
+                        g, h = plus(g, right), plus(h, h_right)
+                        h_before, g_before, u = h_left, left, across
+                self.assemble_edge(rod, e, at, g, h, u, (shift, search, force), found)
+            h, g = h_before, g_before
+            at -= self.edge_stride
+        force = plus(force, self.load3(rod.scratch, self.contacts.own_vertex(rod, 0) + LOAD * self.stride))
+        self.assemble_begin(rod, 0, repeated(rod.loose, 3), shift, force, found)
+        self.add_welds(rod)
+
+    @ti.func
+    def assemble_edge(self, rod, e, at, bent_slope, bent, across, given, found):
+        """The row of an edge whose bending and twisting has the gradient ``bent_slope`` and second derivative ``bent``;
+        ``given``: the shift, the search and the force that the edge bears."""
+        shift, search, force = given
+        q = self.load4(rod.scratch, at)
+        t, m1, m2 = tangent(q), first_director(q), second_director(q)
+        length = rod.scratch[at + LENGTH * self.stride]
+        l1, l2 = linear_gradient(force, length, m1, m2)
+        lh = linear_hessian(force, length, t, m1, m2)
+        free = self.freedom(rod, e)
+        welded = self.load3(rod.scratch, self.contacts.edge(rod, e) + MOMENT * self.stride)
+        g = products(free, plus((bent_slope[0], bent_slope[1] + l1, bent_slope[2] + l2), welded))
+        h = (bent[0], bent[1] + lh[0], bent[2] + lh[1], bent[3] + lh[2], bent[4], bent[5] + lh[2])
+        # Shifts are measured by bending, not by what contacts far away make of it.
+        self.observe(found, g, (free[0] * h[0], h[1], h[2], free[1] * h[3], h[4], free[2] * h[5]))
+        self.assemble_row(rod, e + 1, free, across)
+        sums = full(self.load_diagonal(rod, e + 1))
+        rows = closure_rows(length, m1, m2)
+        a1, a2 = row(rows, 1), row(rows, 2)
+        w1, w2 = applied(sums, a1), applied(sums, a2)
+        whole = (h[0], h[1], h[2], h[3] + dot(a1, w1), h[4] + dot(a1, w2), h[5] + dot(a2, w2))
+        b, along = self.stirred(rod, at, e, negated(g), g, search)
+        found.slope = found.slope + along
+        self.store_diagonal(rod, e + 1, held_pivot(on_diagonal(whole, shift), free))
+        self.store_side(rod, e + 1, products(free, b), repeated(0.0 * length, 9))
+
+    @ti.func
+    def assemble_row(self, rod, line, free, across):
+        own = self.levers(rod, line)
+        sums = variable(full(self.load_diagonal(rod, line)))
+        for back in range(line):
+            q = line - 1 - back
+            if rod.begins[q] > 0:
+                sums = repeated(0.0 * rod.total, 9)
+            sums = plus(sums, self.load_block(rod, line, q))
+            block = variable(turned_block(own, sums, self.levers(rod, q)))
+            if back == 0 and q > 0:
+                block = plus(block, column_scaled(row_scaled(transposed(across), free), self.freedom(rod, q - 1)))
+            self.store_block(rod, line, q, block)
+
+    @ti.func
+    def assemble_begin(self, rod, line, free, shift, force, found):
+        """The diagonal block and the right-hand side of where a rod begins, all of which bears ``force``."""
+        slope = products(free, force)
+        self.observe_moment(found, scaled(slope, rod.total))
+        shifted = on_diagonal(self.load_diagonal(rod, line), shift / (rod.total * rod.total))
+        self.store_diagonal(rod, line, held_pivot(shifted, free))
+        self.store_side(rod, line, negated(slope), repeated(0.0 * rod.total, 9))
+
+    @ti.func
+    def substitute(self, rod, found):
+        self.solve_backward(rod, found.change)
+        x = variable(self.solution(rod, 0))
+        self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, x)
+        self.store(rod.scratch, self.contacts.own_vertex(rod, 0) + MOVE * self.stride, x)
+        longest = dot(x, x) / (rod.total * rod.total)
+        at = rod.origin
+        for e in range(rod.edges):
+            w = self.solution(rod, e + 1)
+            following = rod.begins[e]
+            if following > 0:
+                self.store(rod.scratch, self.contacts.member(rod, following) + BEGIN_STEP * self.stride, w)
+                self.store(rod.scratch, at + ROTATION * self.stride, repeated(0.0 * longest, 3))
+                x = w
+                longest = largest_of(longest, dot(x, x) / (rod.total * rod.total))
+                longest = largest_of(longest, self.contacts.approach(rod, e + 1, x, x))
+            else:
+                self.store(rod.scratch, at + ROTATION * self.stride, w)
+                q = self.load4(rod.scratch, at)
+                length = rod.scratch[at + LENGTH * self.stride]
+                change = scaled(minus(scaled(first_director(q), w[2]), scaled(second_director(q), w[1])), length)
+                longest = largest_of(longest, self.contacts.approach(rod, e + 1, x, plus(x, change)))
+                x = plus(x, change)
+                longest = self.longer(longest, w)
+            self.store(rod.scratch, self.contacts.own_vertex(rod, e + 1) + MOVE * self.stride, x)
+            at += self.edge_stride
+        return ti.sqrt(largest_of(longest, self.contacts.approach_itself(rod)))

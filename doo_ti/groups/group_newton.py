@@ -1,0 +1,123 @@
+"""Newton's method on all groups at once: its kernel and its launch (docs/groups.md)."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import taichi as ti
+
+from doo_ti.groups.group_contacts import GroupContacts
+from doo_ti.groups.group_elimination import GroupElimination
+from doo_ti.groups.layout import TRACE, group_items
+from doo_ti.physics.number import Number
+from doo_ti.physics.tuples import record
+from doo_ti.relaxation import chain
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.batch import UNTOUCHED, buffers, layout_for, policy_row
+from doo_ti.relaxation.contact_table import ContactTable
+from doo_ti.relaxation.external import Nothing
+from doo_ti.relaxation.loaded_elimination import FORCE_ITEMS
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.newton_loop import NewtonLoop
+from doo_ti.relaxation.newton_policy import UP
+from doo_ti.relaxation.pair_layout import self_contact_items
+
+
+@dataclass(frozen=True)
+class GroupTables:
+    """What the kernel reads of N groups as chains of E edges, breaks included, and V = E + 1 vertices, all C-contiguous.
+
+    start        (N, E, 4) frames; of a break any
+    rest_length  (1 or N, E) mm, zero of a break
+    clamp        (N, CLAMP_COLUMNS), material (1 or N, STIFFNESS + E · STIFFNESS_COLUMNS), see :mod:`.relaxation.tables`
+    up           (3,)
+    contact      obstacles and radius
+    barrier      whether anything may touch
+    begins       (E,) int32: of a break the number of the rod behind it, else zero
+    begins_at    (N, G, 3) mm, where the rods begin at the start
+    ties         (K, 4) int32: the vertex that a tie holds, and the one before it that it is held at, or -1 for a place; and of
+                 a weld the edges at both, the later first, else -1
+    targets      (N, K, 8) the place, mm; one where there is this tie; and the rest rotation of a weld, a quaternion
+    free         (N, E, 2) one where an edge may spin, and tilt; of a break twice whether the rod behind it may leave its begin
+    burden       (N, V, 2) weight of a vertex as the length that the material's weight multiplies, mm, and one where it is held
+    apart        (1 or N, pairs) int32: one where two edges may touch, pair j (j − 1)/2 + i of i < j
+    feasible     (N,) bool
+    """
+
+    start: np.ndarray
+    rest_length: np.ndarray
+    clamp: np.ndarray
+    material: np.ndarray
+    up: np.ndarray
+    contact: ContactTable
+    barrier: bool
+    begins: np.ndarray
+    begins_at: np.ndarray
+    ties: np.ndarray
+    targets: np.ndarray
+    free: np.ndarray
+    burden: np.ndarray
+    apart: np.ndarray
+    feasible: np.ndarray
+
+
+@cache
+def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[int]):
+    """The kernel, compiled on first use, for one kind of number and obstacles of those kinds."""
+    sweep = GroupElimination(number, stride, GroupContacts(number, stride, obstacles))
+    loop = NewtonLoop(sweep, sweep.functions)
+    loop.trace = TRACE
+    table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
+    index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
+
+    @ti.kernel
+    def newton_of_groups(
+        start: table1, rest_length: table2, clamp: table2, material: table2, rods: index2, policy: table1, threads: ti.i32,
+        scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, results: table2,
+        outer: table3, space: ti.types.ndarray(dtype=ti.f32, ndim=1),
+        obstacles: table3, kinds: index1, grids: table1, radius: table1, gap_tolerance: ti.f64, memory: table4,
+        forces: table3, self_friction: table1,  # all of these as :func:`.contact_kernel` has them
+        barrier: ti.i32, begins: index1, ties: index2, targets: table3, free: table3, burden: table3, apart: index2,
+        places: table3,  # [group, rod, 3] mm: where the rods begin, the first left out, in and out
+        tie_forces: table3,  # [group, tie, 6] force, energy per mm, and moment in the axes of the later edge, in and out
+    ):
+        ti.loop_config(block_dim=block)
+        for thread in range(threads):
+            up = (policy[UP], policy[UP + 1], policy[UP + 2])
+            edges = rest_length.shape[1]
+            size = self_contact_items(edges, kinds.shape[0]) + group_items(edges, places.shape[1], ties.shape[0])
+            contacts = sweep.behind(threads, thread, edges, size)
+            tables = record(start=start, rest_length=rest_length, clamp=clamp, material=material, up=up, rods=rods,
+                            policy=policy, queue=queue, frames=frames, results=results, numbers=outer, field=space,
+                            contacts=contacts, obstacles=obstacles, kinds=kinds, grids=grids, radius=radius,
+                            tolerance=gap_tolerance, memory=memory, forces=forces, self_friction=self_friction,
+                            barrier=barrier, begins=begins, ties=ties, targets=targets, free=free, burden=burden,
+                            apart=apart, places=places, tie_forces=tie_forces)
+            loop.work(tables, scratch, threads, thread)
+
+    return newton_of_groups
+
+
+def run_groups(table: GroupTables, options: Newton, places: np.ndarray, tie_forces: np.ndarray):
+    """Relax all feasible groups: (N, E, 4) frames and (N, LOADED_RESULTS), NaN and UNTOUCHED in infeasible rows. ``places``
+    (N, rods, 3), where the rods begin, and ``tie_forces`` (N, K, 6) change in place."""
+    count, edges = table.start.shape[:2]
+    frames = np.full((count, edges, 4), np.nan)
+    results = np.zeros((count, of.LOADED_RESULTS))
+    results[~table.feasible, : of.RESULTS] = UNTOUCHED
+    rows = np.flatnonzero(table.feasible)
+    if not len(rows):
+        return frames, results
+    rods = of.rod_rows(rows, rows % len(table.material), rows, rows, np.zeros_like(rows))
+    contact, nothing = table.contact, Nothing()
+    number, threads, stride, block = layout_for(len(rows), 64, True)
+    kernel = group_kernel(number, stride, block, contact.known)
+    items = chain.LOADED_PARAMETERS + (chain.item_count(False) + FORCE_ITEMS) * edges
+    items += self_contact_items(edges, len(contact.kinds)) + group_items(edges, places.shape[1], len(table.ties))
+    scratch, queue = buffers(number, threads, items)
+    kernel(
+        table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy_row(table.up, options, 64),
+        threads, scratch, queue, frames.reshape(-1), results, nothing.numbers(), nothing.field(),
+        *contact.arguments(contact.forces), int(table.barrier), table.begins, table.ties, table.targets, table.free,
+        table.burden, table.apart, places, tie_forces)
+    return frames, results

@@ -1,0 +1,203 @@
+"""A group as one chain of edges and breaks: the tables that its kernel reads (docs/groups.md)."""
+
+import numpy as np
+
+from doo_ti.contact.itself import Itself
+from doo_ti.errors import InputError
+from doo_ti.frames import quaternion_product, vertices_from_quaternions
+from doo_ti.groups.apart import connected, edges_apart, smallest_gap
+from doo_ti.groups.group import Group
+from doo_ti.groups.group_newton import GroupTables
+from doo_ti.groups.layout import DEEPEST_STEP
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_kinds, rest_lengths
+from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, clamp_table
+from doo_ti.relaxation.contact_table import contact_table
+from doo_ti.relaxation.input_tables import material_table, projectable
+from doo_ti.types import Clamp, Clamps, Configuration, Material
+
+AT_ITS_CLAMP = 1e-8
+"""Of a rod's length: a start no further from its clamp is there."""
+
+
+class Member:
+    """A rod of N groups as rows of tables: ``start`` (N, E, 4) with the frames that clamps hold, ``begin`` (N, 3),
+    ``lengths`` (1 or N, E), ``clamp`` (N, CLAMP_COLUMNS), ``feasible`` (N,), ``material`` (1 or N, STIFFNESS +
+    E · STIFFNESS_COLUMNS); of both ends ``held`` (N, 2) whether they are, ``places`` (N, 2, 3) where, and ``drawn`` (N, 2)
+    whether a tie draws them there: far ends, and starts that are somewhere else; ``loose`` (N,) one where vertex 0 may move."""
+
+    def __init__(self, start: Configuration, material: Material, clamps: Clamps, up: np.ndarray, bodies):
+        check_shapes(start, clamps)
+        check_material(material, start.edges, False)
+        count = start.count
+        self.lengths = rest_lengths(start)
+        kinds = clamp_kinds(clamps, count)
+        self.held = kinds >= Clamp.POSITION
+        self.clamp, found = clamp_table(start, self.lengths, kinds, clamps)
+        self.feasible = found != INFEASIBLE
+        frames = np.ascontiguousarray(start.quaternions, dtype=np.float64)
+        straight = np.where(found == STRAIGHT, found, 0)
+        self.start = of.whole_start(projectable(frames, self.lengths, self.clamp, straight, up, bodies), self.clamp)
+        self.begin = np.array(start.start, dtype=np.float64)
+        self.places = np.where(self.held[..., None], np.stack([clamps.start_position, clamps.end_position], axis=1), 0.0)
+        away = np.linalg.norm(self.places[:, 0] - self.begin, axis=1) > AT_ITS_CLAMP * self.clamp[:, of.TOTAL]
+        self.drawn = np.stack([self.held[:, 0] & away, self.held[:, 1]], axis=1)
+        fixed = self.held[:, 0] & ~away
+        self.begin[fixed] = self.places[fixed, 0]
+        self.loose = 1.0 - fixed
+        self.material = _edge_by_edge(material_table(material, False, start.edges), start.edges)
+
+    @property
+    def free(self) -> np.ndarray:
+        """(N, E, 2) one where an edge may spin, and tilt."""
+        free = np.ones((*self.start.shape[:2], 2))
+        clamp = self.clamp
+        free[:, 0], free[:, -1] = clamp[:, [of.SPIN_START, of.TILT_START]], clamp[:, [of.SPIN_END, of.TILT_END]]
+        return free
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(1 or N, V) energy per mm by which the weight pulls at each vertex."""
+        both = np.pad(self.lengths, ((0, 0), (0, 1))) + np.pad(self.lengths, ((0, 0), (1, 0)))
+        return self.material[:, of.WEIGHT, None] * both
+
+    @property
+    def still(self) -> np.ndarray:
+        """(N, V) one where clamps hold a vertex."""
+        still = np.zeros((len(self.start), self.start.shape[1] + 1))
+        for end, inner, kind, tilt in ((0, 1, 0, of.TILT_START), (-1, -2, 1, of.TILT_END)):
+            still[:, end] = self.held[:, kind]
+            still[:, inner] = np.maximum(still[:, inner], self.held[:, kind] * (1.0 - self.clamp[:, tilt]))
+        return still
+
+
+def _edge_by_edge(table: np.ndarray, edges: int) -> np.ndarray:
+    """A table of materials with the stiffness of every edge."""
+    along = table[:, of.STIFFNESS:].reshape(len(table), -1, of.STIFFNESS_COLUMNS)
+    along = np.broadcast_to(along, (len(table), edges, of.STIFFNESS_COLUMNS))
+    return np.concatenate([table[:, : of.STIFFNESS], along.reshape(len(table), -1)], axis=1)
+
+
+def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool) -> GroupTables:
+    """The tables of a group; with ``contact`` its rods touch each other and themselves, where ``radius`` is given.
+
+    Raises InputError as ``relax`` does, and for rods with weight that nothing holds.
+    """
+    bodies = [obstacle for obstacle in obstacles if not isinstance(obstacle, Itself)]
+    members = []
+    for number, parts in enumerate(zip(group.rods, group.each_material, group.clamps, strict=True)):
+        try:
+            members.append(Member(*parts, up, bodies))
+        except InputError as wrong:
+            field = f"{wrong.source}.{wrong.field}"
+            raise InputError(f"relax_group: rod {number}", field, wrong.problem, wrong.remedy) from None
+    _check_held(group, members)
+    lengths = _joined([member.lengths for member in members], 0.0)
+    begins = np.zeros(lengths.shape[1], dtype=np.int32)
+    begins[group.first_vertices[1:-1] - 1] = np.arange(1, len(members))
+    free = np.concatenate([part for member in members for part in (
+        np.repeat(member.loose[:, None, None], 2, axis=2), member.free)], axis=1)[:, 1:]
+    _hold_spins(group, members, free)
+    material, burden = _materials(group, members)
+    clamp = _clamps(members, material)
+    thickness = 1.0 if radius is None and not bodies else radius
+    table = contact_table([*bodies, Itself()], thickness, group.count, lengths.shape[1], clamp, np.arange(group.count))
+    touch = contact and radius is not None
+    ties, targets = _ties(group, members)
+    apart = edges_apart(group, lengths, begins, table.radius, touch)
+    begins_at = np.stack([member.begin for member in members], axis=1)
+    starts = [vertices_from_quaternions(member.begin, member.start, member.lengths) for member in members]
+    # Where centrelines nearly cross, the start does not say which rod is on which side.
+    crossing = smallest_gap(np.concatenate(starts, axis=1), apart, table.radius) < (DEEPEST_STEP - 2.0) * table.radius
+    return GroupTables(
+        start=_joined([member.start for member in members], 1.0), rest_length=lengths, clamp=clamp,
+        material=material, up=up, contact=table.touching(np.arange(group.count)), barrier=touch or bool(bodies), begins=begins,
+        begins_at=begins_at, ties=ties, targets=targets, free=np.ascontiguousarray(free), burden=burden, apart=apart,
+        feasible=np.all([member.feasible for member in members], axis=0) & ~crossing)
+
+
+def _hold_spins(group: Group, members: list[Member], free: np.ndarray) -> None:
+    """Hold the first spin of round rods that turn about themselves at no cost, in place: of those whose spins are free at both
+    ends, and that are not welded to another one."""
+    rod_of = np.repeat(np.arange(len(members)), np.diff(group.first_vertices))
+    welded = {rod_of[edge] for edges in group.welded.values() for edge in edges}
+    for number, (member, first) in enumerate(zip(members, group.first_vertices[:-1], strict=True)):
+        if number not in welded:
+            free[:, first, 0] *= 1.0 - member.material[:, of.ROUND] * member.clamp[:, of.SPIN_END]
+
+
+def _check_held(group: Group, members: list[Member]) -> None:
+    """Raise InputError where rods with weight, and all that are tied to them, are held nowhere."""
+    rod_of = np.repeat(np.arange(len(members)), np.diff(group.first_vertices))
+    part = connected(len(members), rod_of[group.tied])
+    held = np.array([member.held.any(axis=1) for member in members])  # (G, N)
+    for rod, member in enumerate(members):
+        if (member.weights > 0).any() and not held[part == part[rod]].any(axis=0).all():
+            raise InputError("relax_group", "clamps", f"rod {rod} has weight and nothing holds it, nor rods tied to it",
+                             "hold an end, or set weight 0")
+
+
+def _joined(parts: list[np.ndarray], between: float) -> np.ndarray:
+    """Rows of edges (1 or N, E, ...) one after the other, ``between`` in breaks."""
+    rows = max(len(part) for part in parts)
+    found = []
+    for part in parts:
+        found += [np.full((rows, 1, *part.shape[2:]), between), np.broadcast_to(part, (rows, *part.shape[1:]))]
+    return np.ascontiguousarray(np.concatenate(found[1:], axis=1))
+
+
+def _clamps(members: list[Member], material: np.ndarray) -> np.ndarray:
+    """(N, CLAMP_COLUMNS) with what the kernel reads of a chain as a whole: sizes as of the largest rod, and where the first
+    begins. How ends are held is in other tables."""
+    every = np.array([member.clamp for member in members])
+    clamp = np.zeros_like(every[0])
+    clamp[:, of.SPIN_START : of.TILT_INNER + 1] = 1.0
+    for column in (of.TOTAL, of.LONGEST):
+        clamp[:, column] = every[..., column].max(axis=0)
+    clamp[:, of.SHORTEST_PAIR] = every[..., of.SHORTEST_PAIR].min(axis=0)
+    moments = np.max([member.material[:, of.WEIGHT] * member.clamp[:, of.HANGING] for member in members], axis=0)
+    weight = np.broadcast_to(material[:, of.WEIGHT], moments.shape)
+    clamp[:, of.HANGING] = np.divide(moments, weight, out=np.zeros_like(moments), where=weight > 0)
+    clamp[:, of.ANCHOR : of.ANCHOR + 3], clamp[:, of.LOOSE] = members[0].begin, members[0].loose
+    return clamp
+
+
+def _materials(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
+    """The table of materials, (1 or N, -), and the burden (N, V, 2) of vertices."""
+    rows = max(len(member.material) for member in members)
+    every = np.array([np.broadcast_to(member.material[:, : of.STIFFNESS], (rows, of.STIFFNESS)) for member in members])
+    head = every.max(axis=0)
+    edges = [member.material[:, of.STIFFNESS:].reshape(len(member.material), -1, of.STIFFNESS_COLUMNS) for member in members]
+    head[:, of.ROUND] = 0.0
+    pull = np.concatenate([np.repeat(member.weights, group.count // len(member.weights), axis=0) for member in members], axis=1)
+    for tie, (vertex, _) in zip(group.ties, group.tied, strict=True):
+        pull[:, vertex] += tie.weight
+    # The material's weight is any that is of this size; of the vertices a length is given that it multiplies.
+    total = sum(member.lengths.sum(axis=1).min() for member in members)
+    head[:, of.WEIGHT] = np.maximum(head[:, of.WEIGHT], sum(tie.weight for tie in group.ties) / total)
+    weight = np.broadcast_to(head[:, of.WEIGHT, None], pull.shape)
+    lengths = np.divide(pull, weight, out=np.zeros_like(pull), where=weight > 0)
+    still = np.concatenate([member.still for member in members], axis=1)
+    stiffness = _joined([np.broadcast_to(part, (rows, *part.shape[1:])) for part in edges], 0.0)
+    burden = np.ascontiguousarray(np.stack([lengths, still], axis=-1))
+    return np.concatenate([head, stiffness.reshape(rows, -1)], axis=1), burden
+
+
+def _ties(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
+    """The ties of the kernel, first the group's own, then those that draw the rods' far ends and then their starts to the
+    clamps, see :class:`.GroupTables`."""
+    own = np.sort(group.tied, axis=1)[:, ::-1]
+    first = group.first_vertices
+    ends = np.concatenate([first[1:] - 1, first[:-1]])
+    ties = np.full((len(own) + len(ends), 4), -1, dtype=np.int32)
+    ties[: len(own), :2], ties[len(own):, 0] = own, ends
+    targets = np.zeros((group.count, len(ties), 8))
+    targets[:, : len(own), 3] = 1.0
+    # Not as the members have them: of straight rods these are bowed.
+    frames = _joined([rod.quaternions / np.linalg.norm(rod.quaternions, axis=-1, keepdims=True) for rod in group.rods], 1.0)
+    for number, (late, early) in group.welded.items():
+        ties[number, 2:] = late, early
+        targets[:, number, 4:] = quaternion_product(frames[:, late] * [1.0, -1.0, -1.0, -1.0], frames[:, early])
+    for number, (end, member) in enumerate(((1 - late, member) for late in (0, 1) for member in members), start=len(own)):
+        targets[:, number, :3], targets[:, number, 3] = member.places[:, end], member.drawn[:, end]
+    return ties, targets

@@ -1,0 +1,186 @@
+"""F for groups: rods that touch each other or are tied together, relaxed to one minimum of their joint energy
+(docs/groups.md). Axes: N groups, G rods in each, K ties, V vertices of a rod.
+
+    group = Group([first, second], material, [first_clamps, second_clamps], [Tie((0, 20), (1, 0))])
+    solution = relax_group(group, radius=2.0)
+    solution.rods[0].vertices       # (N, V, 3) mm
+    solution.tie_force              # (N, K, 3)
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from doo_ti import runtime
+from doo_ti.contact.obstacles import Obstacle
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.errors import InputError
+from doo_ti.frames import matrix_from_quaternion
+from doo_ti.groups.apart import smallest_gap
+from doo_ti.groups.group import Group
+from doo_ti.groups.group_newton import GroupTables, run_groups
+from doo_ti.groups.group_tables import group_tables
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.newton import Newton
+from doo_ti.types import Configuration, Status, unit_up
+
+PATIENT = Newton(max_iterations=1000)
+
+
+@dataclass(frozen=True)
+class GroupSolution:
+    """The result of :func:`relax_group`: one entry per group. Forces are energy (mm²) per mm, as those of ``Solution``.
+
+    group          the input, with the relaxed rods for its starts
+    energy         (N,) of all rods, and of what ties carry, gravity measured from z = 0
+    residual       (N,) the largest moment left on a free edge times the length of the longest rod, over the largest eigenvalue
+                   of B (no unit)
+    closure        (N,) the most by which a tie or the end of a rod misses its place, over that length, or a weld its rotation,
+                   rad
+    iterations     (N,) of the solver
+    status         (N,) Status
+    stable         (N,) True where all pivots of the Newton matrix, ties and contacts included, certify a minimum
+    tie_force      (N, K, 3) of each tie on its ``first`` vertex; on the other the opposite
+    tie_moment     (N, K, 3) the same of welds' moments on the edge at ``first``, energy (mm²)
+    start_force    (N, G, 3) of the clamps on the rods' starts; zero where these are free
+    end_force      (N, G, 3) the same of the far ends
+    contact_force  G arrays (N, V, 3): of obstacles and of other edges on the vertices
+    gap            (N,) mm, the smallest between surfaces that may touch; infinite where there are none
+    """
+
+    group: Group
+    energy: np.ndarray
+    residual: np.ndarray
+    closure: np.ndarray
+    iterations: np.ndarray
+    status: np.ndarray
+    stable: np.ndarray
+    tie_force: np.ndarray
+    tie_moment: np.ndarray
+    start_force: np.ndarray
+    end_force: np.ndarray
+    contact_force: tuple[np.ndarray, ...]
+    gap: np.ndarray
+
+    @property
+    def rods(self) -> Sequence[Configuration]:
+        """G relaxed rods, with N rows each."""
+        return self.group.rods
+
+    @property
+    def converged(self) -> np.ndarray:
+        """(N,) bool."""
+        return self.status == Status.CONVERGED
+
+    def __repr__(self) -> str:
+        return (f"GroupSolution({self.group!r}: {int(self.converged.sum())} converged; {int(self.stable.sum())} certified "
+                f"stable)")
+
+
+@runtime.exclusive
+def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | None = None,
+                obstacles: Sequence[Obstacle] = (), radius: ArrayLike | None = None, contact: bool = True,
+                before: GroupSolution | None = None) -> GroupSolution:
+    """Relax the rods of N groups, in f64, each group to a minimum of the energy of all its rods.
+
+    solver     Newton(max_iterations=1000) unless given: points far apart are drawn together in many steps
+    up         (3,) direction against gravity, (0, 0, 1) unless given
+    obstacles  what the rods may touch but not enter, each with one row or N; none has friction here
+    radius     of all rods, mm, one or (N,). With it the rods touch each other and themselves, and never pass through each
+               other; without it they only do what their ties mean
+    contact    False: they do not touch each other nor themselves, only obstacles
+    before     the solution of nearly the same groups, whose forces of ties and clamps are those to begin with: fewer iterations
+
+    Beside a tie rods do not touch each other: where both are within π radii of it along themselves. Ties whose points are
+    apart at the start are closed. Where they cannot be, the group does not converge. Starts whose centrelines are inside
+    obstacles or within a tenth of a radius of each other, and clamps further apart than a rod is long, are INFEASIBLE, and NaN
+    everywhere else.
+
+    Raises InputError for inputs that do not match.
+    """
+    if not isinstance(group, Group):
+        raise InputError("relax_group", "group", f"a {type(group).__name__}", "give a Group")
+    if not isinstance(solver, Newton | None):
+        raise InputError("relax_group", "solver", f"{solver!r}", "give Newton() or Newton.careful()")
+    with np.errstate(all="ignore"):  # a group that is not finite has a status; NumPy need not warn
+        table = group_tables(group, unit_up((0.0, 0.0, 1.0) if up is None else up, "relax_group"), list(obstacles), radius,
+                             contact)
+        places = table.begins_at.copy()
+        tie_forces = np.zeros((group.count, len(table.ties), 6)) if before is None else _forces(group, before)
+        frames, results = run_groups(table, PATIENT if solver is None else solver, places, tie_forces)
+        return _solution(group, table, frames, results, places, tie_forces)
+
+
+def _forces(group: Group, before: GroupSolution) -> np.ndarray:
+    """(N, -, 3) forces of the kernel's ties in a solution. Raises InputError where that is of other groups."""
+    if not isinstance(before, GroupSolution) or before.tie_force.shape[:2] != (group.count, len(group.ties)) or (
+            before.end_force.shape[1] != len(group.rods)):
+        raise InputError("relax_group", "before", f"{before!r}", f"give a solution of {group!r}")
+    forces = np.zeros((group.count, len(group.ties) + 2 * len(group.rods), 6))
+    forces[..., :3] = np.concatenate([before.tie_force * _sign(group), -before.end_force, -before.start_force], axis=1)
+    for number, frames in _welded_frames(before.group).items():
+        forces[:, number, 3:] = -_sign(group)[number] * np.einsum("nji,nj->ni", frames[0], before.tie_moment[:, number])
+    return np.nan_to_num(forces)
+
+
+def _welded_frames(group: Group) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """The frames (N, 3, 3) of both edges of each weld, the later first."""
+    frames = [part for rod in group.rods for part in (rod.frames, np.zeros((group.count, 1, 3, 3)))]  # and of breaks any
+    chain = np.concatenate(frames, axis=1)
+    return {number: (chain[:, late], chain[:, early]) for number, (late, early) in group.welded.items()}
+
+
+def _sign(group: Group) -> np.ndarray:
+    """(K, 1) of the force on the first vertex of a tie: the kernel's acts on the later of both."""
+    return np.where(group.tied[:, :1] > group.tied[:, 1:], -1.0, 1.0)
+
+
+def _solution(group: Group, table: GroupTables, frames, results, places, tie_forces) -> GroupSolution:
+    clamp, up = table.clamp, table.up
+    status = results[:, of.STATUS].astype(np.int8)
+    lost = (status == Status.INFEASIBLE) | (status == Status.NOT_FINITE)
+    places[:, 0] = clamp[:, of.ANCHOR : of.ANCHOR + 3] + results[:, of.DRIFT:]
+    places[lost], tie_forces[lost], frames[lost] = np.nan, np.nan, np.nan
+    first = group.first_vertices
+    rods = []
+    for number, rod in enumerate(group.rods):
+        own = np.ascontiguousarray(frames[:, first[number] : first[number] + rod.edges])
+        rods.append(Configuration(places[:, number].copy(), own, np.array(rod.rest_length, dtype=np.float64)))
+    vertices = np.concatenate([rod.vertices for rod in rods], axis=1)
+    contact_force = np.where(lost[:, None, None], np.nan, table.contact.forces)
+    weight = table.material[:, of.WEIGHT, None] * table.burden[..., 0]
+    height = (clamp[:, of.ANCHOR : of.ANCHOR + 3] * up).sum(axis=1)
+    ties, far = table.ties, len(group.ties)
+    starts = far + len(rods)
+    pull = contact_force - weight[..., None] * up
+    miss = np.zeros((group.count, len(ties)))
+    for number, (vertex, other) in enumerate(ties[:, :2]):
+        force = tie_forces[:, number, :3] * table.targets[:, number, 3:4]
+        pull[:, vertex] -= force if number < starts else 0.0
+        held_at = table.targets[:, number, :3]
+        if other >= 0:
+            pull[:, other] += force
+            held_at = vertices[:, other]
+        miss[:, number] = np.linalg.norm(vertices[:, vertex] - held_at, axis=1) * table.targets[:, number, 3]
+    relaxed, moment = replace(group, rods=tuple(rods)), np.zeros((group.count, far, 3))
+    for number, (late, early) in _welded_frames(relaxed).items():
+        moment[:, number] = -_sign(group)[number] * np.einsum("nij,nj->ni", late, tie_forces[:, number, 3:])
+        rest = matrix_from_quaternion(table.targets[:, number, 4:])
+        apart = np.einsum("nji,njk->nik", late, early) - rest
+        miss[:, number] = np.maximum(miss[:, number], np.linalg.norm(apart, axis=(1, 2)) / np.sqrt(2.0) * clamp[:, of.TOTAL])
+    held = np.stack([np.broadcast_to(np.asarray(clamps.start) > 0, (group.count,)) for clamps in group.clamps], axis=1)
+    start_force = -np.stack([own.sum(axis=1) for own in group.by_rod(pull)], axis=1) * held[..., None]
+    gap = smallest_gap(vertices, table.apart, table.contact.radius)
+    if table.contact.surroundings.bodies:
+        around = Surroundings(table.contact.surroundings.bodies, table.contact.radius)
+        gap = np.minimum(gap, np.min([around.smallest_gap(rod.vertices) for rod in rods], axis=0))
+    return GroupSolution(
+        group=relaxed, energy=results[:, of.ENERGY] + weight.sum(axis=1) * height,
+        residual=results[:, of.RESIDUAL], closure=np.where(lost, np.nan, miss.max(axis=1) / clamp[:, of.TOTAL]),
+        iterations=results[:, of.ITERATIONS].astype(np.int32), status=status,
+        stable=(results[:, of.STABLE] == 1) & (status == Status.CONVERGED),
+        tie_force=tie_forces[:, :far, :3] * _sign(group), tie_moment=moment, start_force=start_force,
+        end_force=-tie_forces[:, far:starts, :3], contact_force=group.by_rod(contact_force),
+        gap=np.where(lost, np.nan, gap))

@@ -1,0 +1,53 @@
+"""A group of rods in motion as a recording (docs/groups.md). Axes: T moments, V vertices of a rod."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import rerun
+import rerun.blueprint as blueprint
+
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.groups.relax_group import GroupSolution
+from doo_ti.record.obstacles import log_forces, log_obstacles
+from doo_ti.record.stream import FAILED, drawn_strips, front_view, log_up, panels, recording
+from doo_ti.report import distinct_colors
+from doo_ti.report.grid_view import Observed, grid_view
+from doo_ti.report.touched import Touched
+
+TIE = (255, 255, 255)
+
+
+def record_group(path: Path, moments: Sequence[GroupSolution], *, name: str, surroundings: Surroundings | None = None,
+                 row: int = 0, rate: float = 1.0, up: Sequence[float] = (0.0, 0.0, 1.0)) -> None:
+    """Record the group ``row`` at T moments, ``rate`` of them a second, on the timeline ``time``.
+
+    ``world/rods`` has a strip for each rod, as thick as it is where ``surroundings`` say so, in red at moments that have not
+    converged; ``world/ties`` the tied points; ``world/obstacles`` and ``world/forces`` what rods touch, and what that exerts.
+    """
+    around = Surroundings() if surroundings is None else surroundings
+    rods = [[rod.vertices[row] for rod in moment.rods] for moment in moments]
+    whole = np.array([np.concatenate(x) for x in rods])  # (T, vertices of the group, 3)
+    force = np.array([np.concatenate([part[row] for part in moment.contact_force]) for moment in moments])
+    touched = Touched(around, whole[None], force[None])
+    grid = grid_view(Observed(whole.reshape(1, -1, 3), up=up))
+    layout = blueprint.Blueprint(front_view(grid, "world", f"Rods, mm: blue {touched.legend}", 1.8), *panels("time"))
+    frames, count = len(moments), len(rods[0])
+    when = [rerun.TimeColumn("time", duration=np.arange(frames) / rate)]
+    own = distinct_colors(count)
+    colors = np.concatenate([own if moment.converged[row] else np.tile(np.array(FAILED, dtype=own.dtype), (count, 1))
+                             for moment in moments])
+    with recording(path, f"group {name}", name, layout) as stream:
+        log_up(stream, "world", grid.basis[2])
+        thick = rerun.Radius.ui_points(1.2) if around.radius is None else float(np.min(around.radius))
+        stream.log("world/rods", rerun.LineStrips3D.from_fields(radii=thick), static=True)
+        strips = [strip for moment in rods for x in moment for strip in drawn_strips(x[None])]
+        stream.send_columns("world/rods", when, rerun.LineStrips3D.columns(strips=strips, colors=colors).partition(
+            [count] * frames))
+        tied = moments[0].group.tied[:, 0]
+        if len(tied):
+            stream.log("world/ties", rerun.Points3D.from_fields(colors=TIE, radii=rerun.Radius.ui_points(2.0)), static=True)
+            stream.send_columns("world/ties", when, rerun.Points3D.columns(
+                positions=whole[:, tied].reshape(-1, 3)).partition([len(tied)] * frames))
+        log_obstacles(stream, "world/obstacles", touched, np.zeros((1, 3)))
+        log_forces(stream, "world/forces", when, touched, np.zeros((1, 3)))

@@ -1,0 +1,106 @@
+"""Rods of a group that press against each other, that are hooked into each other, and that lie on obstacles."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doo_ti.contact.obstacles import Plane
+from doo_ti.groups.follow import follow_group
+from doo_ti.groups.group import Group, Tie
+from doo_ti.groups.relax_group import relax_group
+from doo_ti.knots import rod_along
+from doo_ti.material import Material
+from doo_ti.rods import end_clamps, straight_rod
+from doo_ti.types import Clamp
+from tests.contact.topology import linking
+
+RADIUS, STIFFNESS = 1.0, 1e5
+WEIGHTLESS = Material(STIFFNESS, STIFFNESS, 0.0)
+
+
+def pressed(depth: float):
+    """Two cantilevers that cross, the upper one held so low that together they have to give way by ``depth``."""
+    lower = straight_rod(100.0, 20, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    upper = straight_rod(80.0, 16, (72.5, -62.5, 2.0 * RADIUS - depth), (0.0, 1.0, 0.0))
+    return [lower, upper], [end_clamps(rod, Clamp.FRAME, Clamp.FREE) for rod in (lower, upper)]
+
+
+def compliance(length: float, reach: float) -> float:
+    """Deflection over a force across a cantilever of edges of that ``length``, at ``reach`` from its clamp: every vertex before
+    is a hinge of stiffness B over the length."""
+    hinges = np.arange(1, int(reach / length) + 1) * length
+    return float(((reach - hinges) ** 2).sum() * length / STIFFNESS)
+
+
+def test_crossed_rods_press_against_each_other():
+    depth = 0.3
+    rods, clamps = pressed(depth)
+    solution = relax_group(Group(rods, WEIGHTLESS, clamps), radius=RADIUS)
+    assert solution.converged[0] and solution.stable[0]
+    assert abs(solution.gap[0]) < 1e-3 * RADIUS
+    force = np.array([part[0].sum(axis=0) for part in solution.contact_force])
+    assert np.abs(force.sum(axis=0)).max() < 1e-9 * np.abs(force).max()
+    expected = depth / (compliance(5.0, 72.5) + compliance(5.0, 62.5))
+    assert force[1, 2] == pytest.approx(expected, rel=3e-3)
+    assert np.allclose(solution.start_force[0], -force, atol=1e-9)
+    through = relax_group(Group(rods, WEIGHTLESS, clamps), radius=RADIUS, contact=False)
+    assert through.gap[0] == np.inf and np.abs(through.rods[0].vertices - rods[0].vertices).max() < 1e-9
+
+
+def hooked():
+    """Two loops, each held at both ends, one through the other."""
+    angle = np.linspace(0.0, np.pi, 200)
+    across, along = 15.0 * np.cos(angle), 25.0 * np.sin(angle)
+    flat = rod_along(np.stack([along - 19.0, across, 0.0 * angle], axis=-1), 33)
+    upright = rod_along(np.stack([19.0 - along, 0.0 * angle, across], axis=-1), 33)
+    return [flat, upright], [end_clamps(rod, Clamp.FRAME, Clamp.FRAME) for rod in (flat, upright)]
+
+
+def linked(rods, row: int = 0) -> float:
+    """The linking number of two hooked loops, each closed by the line between its ends."""
+    return linking(*(rod.vertices[row] for rod in rods))
+
+
+def drawn_apart(clamps, shift: float):
+    """The clamps of both loops, moved away from each other."""
+    return [replace(held, start_position=held.start_position + [sense * shift, 0.0, 0.0],
+                    end_position=held.end_position + [sense * shift, 0.0, 0.0])
+            for held, sense in zip(clamps, (-1.0, 1.0), strict=True)]
+
+
+@pytest.mark.thorough
+def test_hooked_loops_stay_hooked():
+    """They are drawn apart until they hang in each other, in small steps and in one, and further than they reach."""
+    rods, clamps = hooked()
+    before = linked(rods)
+    assert abs(abs(before) - 1.0) < 1e-9
+    moments = list(follow_group(Group(rods, WEIGHTLESS, clamps), [drawn_apart(clamps, shift) for shift in (2.0, 4.0, 6.0, 7.0)],
+                                radius=RADIUS))
+    at_once = relax_group(Group(rods, WEIGHTLESS, drawn_apart(clamps, 7.0)), radius=RADIUS)
+    for solution in (*moments, at_once):
+        assert solution.converged[0] and solution.stable[0]
+        assert abs(linked(solution.rods) - before) < 1e-9
+    for solution in (moments[-1], at_once):
+        assert abs(solution.gap[0]) < 1e-3 * RADIUS
+        pulls = (solution.start_force + solution.end_force)[0]
+        assert pulls[1, 0] > 10.0 and np.allclose(pulls[0], -pulls[1], atol=1e-6 * pulls[1, 0])
+    assert abs(moments[-1].energy[0] - at_once.energy[0]) < 1e-2 * at_once.energy[0]
+    torn = relax_group(Group(rods, WEIGHTLESS, drawn_apart(clamps, 15.0)), radius=RADIUS)
+    assert not torn.converged[0] and abs(linked(torn.rods) - before) < 1e-9
+
+
+@pytest.mark.thorough
+def test_tied_rods_lie_on_a_plane():
+    """A Y whose ends are held above a table: the weight that the clamps do not hold is the table's."""
+    corners = np.array([[0.0, 0.0, 12.0], [80.0, 0.0, 12.0], [40.0, 70.0, 12.0]])
+    middle = corners.mean(axis=0) - [0.0, 0.0, 6.0]
+    rods = [straight_rod(float(np.linalg.norm(middle - corner)) + 6.0, 20, corner, middle - corner) for corner in corners]
+    group = Group(rods, Material(1e4, 1e4), [end_clamps(rod, Clamp.POSITION, Clamp.FREE) for rod in rods],
+                  [Tie((0, 20), (1, 20)), Tie((0, 20), (2, 20))])
+    solution = relax_group(group, obstacles=[Plane((0, 0, 0), (0, 0, 1))], radius=RADIUS, contact=False)
+    assert solution.converged[0] and solution.stable[0]
+    assert abs(solution.gap[0]) < 1e-3 * RADIUS
+    table = sum(part[0].sum(axis=0) for part in solution.contact_force)
+    weight = 2.0 * sum(rod.rest_length.sum() for rod in rods)
+    assert table[2] > 1.0 and table[2] + solution.start_force[0, :, 2].sum() == pytest.approx(weight, rel=1e-6)

@@ -1,0 +1,229 @@
+"""Rods that are relaxed together: ties, held ends, and the forces in both, against a dense reference and single rods."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doo_ti.errors import InputError
+from doo_ti.frames import rotation_matrix
+from doo_ti.groups.follow import follow_group
+from doo_ti.groups.group import Group, Tie
+from doo_ti.groups.relax_group import relax_group
+from doo_ti.material import Material
+from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.relax import relax
+from doo_ti.rods import end_clamps, hanging, straight_rod
+from doo_ti.types import Clamp, Clamps, Configuration, Status
+from tests.groups.reference import reference
+
+MATERIAL = Material(1e5, 8e4)
+EXACT = Newton(tolerance=1e-10)
+
+
+def two_hanging():
+    """(starts, clamps) of two ropes beside each other."""
+    first, held = hanging(100.0, 20, (0, 0, 0), (70, 0, 0))
+    second, also = hanging(80.0, 16, (5, 30, 0), (60, 40, 10), clamp=Clamp.FRAME)
+    return [first, second], [held, also]
+
+
+def a_y(count: int = 1, length: float = 60.0):
+    """Three ropes that hang from three points, tied at their other ends; ``count`` such groups."""
+    corners = np.array([[0.0, 0.0, 0.0], [80.0, 0.0, 10.0], [40.0, 70.0, 0.0]])
+    middle = corners.mean(axis=0) - [0.0, 0.0, 25.0]
+    rods = [straight_rod(length, 20, corner, middle - corner) for corner in corners]
+    spread = np.random.default_rng(1).normal(size=(count, 3, 3)) * np.arange(count)[:, None, None] / count
+    rods = [replace(rod, start=rod.start + 3.0 * spread[:, number], quaternions=np.repeat(rod.quaternions, count, 0))
+            for number, rod in enumerate(rods)]
+    clamps = [end_clamps(rod, Clamp.POSITION, Clamp.FREE) for rod in rods]
+    return Group(rods, MATERIAL, clamps, [Tie((0, -1), (1, -1), weight=5.0), Tie((2, 20), (0, 20))])
+
+
+@pytest.mark.thorough
+def test_rods_that_do_nothing_to_each_other_relax_as_alone():
+    starts, clamps = two_hanging()
+    together = relax_group(Group(starts, [MATERIAL, Material(2e5, 1e5, 0.5)], clamps), EXACT)
+    assert together.converged.all() and together.stable.all()
+    energy = 0.0
+    for number, (start, held, material) in enumerate(zip(starts, clamps, (MATERIAL, Material(2e5, 1e5, 0.5)), strict=True)):
+        alone = relax(start, material, held, EXACT)
+        assert np.abs(alone.configuration.vertices - together.rods[number].vertices).max() < 1e-9 * 100.0
+        assert np.allclose(alone.end_force[0], together.end_force[0, number], rtol=1e-7, atol=1e-5)
+        energy += alone.energy[0]
+    assert abs(energy - together.energy[0]) < 1e-9 * abs(energy)
+
+
+@pytest.mark.thorough
+def test_a_rod_cut_in_two_and_tied():
+    """The tie is a hinge: against the reference, to a millionth of the length."""
+    whole, held = hanging(100.0, 36, (0, 0, 0), (70, 0, 0), clamp=Clamp.FRAME)
+    x = whole.vertices
+    parts = [Configuration(x[:, 0], whole.quaternions[:, :20], whole.rest_length[:20]),
+             Configuration(x[:, 20], whole.quaternions[:, 20:], whole.rest_length[20:])]
+    free = end_clamps(parts[0], Clamp.FRAME, Clamp.FREE)
+    far = Clamps(Clamp.FREE, Clamp.FRAME, x[:, 20], held.end_position, held.end_frame, held.end_frame)
+    solution = relax_group(Group(parts, MATERIAL, [free, far], [Tie((0, -1), (1, 0))]))
+    assert solution.converged[0] and solution.stable[0] and solution.closure[0] < 1e-10
+    exact = reference(solution.group)
+    assert exact.least > 0.0 and exact.residual < 1e-6
+    for rod, vertices in zip(solution.rods, exact.vertices, strict=True):
+        assert np.abs(rod.vertices[0] - vertices).max() < 1e-6 * 100.0
+    assert np.allclose(solution.tie_force[0], exact.tie_force, rtol=1e-5, atol=1e-3)
+    assert np.allclose(solution.end_force[0, 1], exact.end_force[1], rtol=1e-5, atol=1e-3)
+    whole_weight = 2.0 * 100.0
+    assert np.allclose(solution.start_force[0, 0] + solution.end_force[0, 1], [0.0, 0.0, whole_weight], atol=1e-3)
+
+
+def test_three_rods_tied_in_one_point():
+    group = a_y()
+    solution = relax_group(group)
+    assert solution.converged[0] and solution.stable[0]
+    tips = np.array([rod.vertices[0, -1] for rod in solution.rods])
+    assert np.abs(tips - tips[0]).max() < 1e-8
+    exact = reference(solution.group)
+    for rod, vertices in zip(solution.rods, exact.vertices, strict=True):
+        assert np.abs(rod.vertices[0] - vertices).max() < 1e-6 * 60.0
+    assert np.allclose(solution.tie_force[0], exact.tie_force, rtol=1e-5, atol=1e-3)
+    # What the clamps hold: all rods, and the connector.
+    assert np.allclose(solution.start_force[0].sum(axis=0), [0.0, 0.0, 3 * 2.0 * 60.0 + 5.0], atol=1e-3)
+    # Each rod is held by its clamp and its tie.
+    assert np.allclose(solution.start_force[0, 1] - solution.tie_force[0, 0], [0.0, 0.0, 120.0], atol=1e-3)
+    assert np.allclose(solution.start_force[0, 2] + solution.tie_force[0, 1], [0.0, 0.0, 120.0], atol=1e-3)
+    assert (solution.end_force == 0.0).all()
+
+
+@pytest.mark.thorough
+def test_a_relaxed_group_is_at_rest():
+    solution = relax_group(a_y())
+    again = relax_group(solution.group, before=solution)
+    assert again.iterations[0] < solution.iterations[0]
+    for before, after in zip(solution.rods, again.rods, strict=True):
+        assert np.abs(before.vertices - after.vertices).max() < 1e-6
+
+
+@pytest.mark.thorough
+def test_a_moment_without_a_place_is_passed_over():
+    """The group goes on from the moment before."""
+    starts, clamps = two_hanging()
+    group = Group(starts, MATERIAL, clamps, [Tie((0, 10), (1, 8))])
+    far = [clamps[0], replace(clamps[1], end_position=clamps[1].end_position + [200.0, 0.0, 0.0])]
+    first, lost, last = follow_group(group, [clamps, far, clamps])
+    assert lost.status[0] == Status.INFEASIBLE and first.converged[0] and last.converged[0]
+    assert np.abs(first.rods[1].vertices - last.rods[1].vertices).max() < 1e-6
+
+
+def test_welded_rods_are_one():
+    """Two halves that are welded in one line are a rod with one edge twice as long there, as stiff at its ends as the others:
+    its bend stiffness twice, and the twist stiffness at its ends one and a half times."""
+    halves = [straight_rod(50.0, 10), straight_rod(50.0, 10, start=(50.0, 0.0, 0.0))]
+    place, turn = np.array([[60.0, 30.0, 10.0]]), rotation_matrix(np.array([0.9, 0.4, 0.8]))[None]
+    held = Clamps(Clamp.FRAME, Clamp.FRAME, np.zeros((1, 3)), place, np.eye(3)[None], turn)
+    first, last = replace(held, end=Clamp.FREE), replace(held, start=Clamp.FREE)
+    tied = relax_group(Group(halves, MATERIAL, [first, last], [Tie((0, -1), (1, 0), weld=True)]), EXACT)
+    assert tied.converged[0] and tied.stable[0] and tied.closure[0] < 1e-9
+    bend, twist = np.tile(1e5 * np.eye(2), (1, 19, 1, 1)), np.full((1, 18), 8e4)
+    bend[:, 9], twist[:, 8:10] = 2e5 * np.eye(2), 1.2e5
+    lengths = np.full(19, 5.0)
+    lengths[9] = 10.0
+    whole = Configuration(np.zeros((1, 3)), np.tile(halves[0].quaternions[:, :1], (1, 19, 1)), lengths)
+    alone = relax(whole, Material(bend, twist), held, EXACT)
+    assert alone.converged[0]
+    x = alone.configuration.vertices[0]
+    assert np.abs(np.concatenate([tied.rods[0].vertices[0, :10], tied.rods[1].vertices[0, 1:]]) - x).max() < 1e-6 * 100.0
+    assert abs(tied.energy[0] - alone.energy[0]) < 1e-7 * abs(alone.energy[0])
+    assert np.allclose(tied.end_force[0, 1], alone.end_force[0], rtol=1e-5, atol=1e-3)
+    again = relax_group(tied.group, EXACT, before=tied)
+    assert again.iterations[0] < tied.iterations[0]
+    assert np.allclose(again.tie_moment, tied.tie_moment, rtol=1e-4) and np.abs(tied.tie_moment).max() > 1.0
+
+
+def test_a_branch_leans_on_its_trunk():
+    """A weightless branch, welded to a cantilever at a right angle, bears what its end bears: force and moment go through."""
+    trunk, branch = straight_rod(60.0, 12), straight_rod(40.0, 8, start=(60.0, 0.0, 0.0), direction=(0.0, 1.0, 0.0))
+    mid = straight_rod(10.0, 2, start=branch.vertices[0, -1])
+    group = Group([trunk, branch, mid], Material(1e6, 1e6, 0.0), [
+        end_clamps(trunk, Clamp.FRAME, Clamp.FREE), *(end_clamps(rod, Clamp.FREE, Clamp.FREE) for rod in (branch, mid))],
+        [Tie((0, -1), (1, 0), weld=True), Tie((1, -1), (2, 0), weight=20.0, weld=True)])
+    solution = relax_group(group)
+    assert solution.converged[0] and solution.stable[0]
+    assert np.allclose(solution.tie_force[0, 0], [0.0, 0.0, -20.0], atol=1e-4)
+    way = solution.rods[1].vertices[0, -1] - solution.rods[0].vertices[0, -1]
+    assert np.allclose(solution.tie_moment[0, 0], np.cross(way, [0.0, 0.0, -20.0]), atol=1e-2)
+    assert np.allclose(solution.tie_moment[0, 1], 0.0, atol=1e-2)
+    edges = [rod.frames[0, index, :, 0] for rod, index in ((solution.rods[0], -1), (solution.rods[1], 0))]
+    assert abs(edges[0] @ edges[1]) < 1e-8
+
+
+@pytest.mark.thorough
+def test_points_apart_are_drawn_together_as_far_as_they_can_be():
+    starts, clamps = two_hanging()
+    drawn = relax_group(Group(starts, MATERIAL, clamps, [Tie((0, 10), (1, 8))]))
+    assert drawn.converged[0] and drawn.stable[0]
+    assert np.linalg.norm(drawn.rods[0].vertices[0, 10] - drawn.rods[1].vertices[0, 8]) < 1e-7
+    away = replace(starts[1], start=starts[1].start + [0.0, 500.0, 0.0])
+    held = replace(clamps[1], start_position=clamps[1].start_position + [0.0, 500.0, 0.0],
+                   end_position=clamps[1].end_position + [0.0, 500.0, 0.0])
+    apart = relax_group(Group([starts[0], away], MATERIAL, [clamps[0], held], [Tie((0, 10), (1, 8))]))
+    assert not apart.converged[0] and apart.closure[0] > 0.1
+
+
+@pytest.mark.thorough
+def test_a_group_relaxes_alone_as_among_others():
+    group = a_y(20, 50.0)
+    together = relax_group(group, radius=0.5)
+    assert together.converged.all() and together.stable.all()
+    for row in (0, 7, 19):
+        alone = relax_group(group.take([row]), radius=0.5)
+        assert alone.energy[0] == together.energy[row]
+        for one, every in zip(alone.rods, together.rods, strict=True):
+            assert (one.quaternions[0] == every.quaternions[row]).all() and (one.start[0] == every.start[row]).all()
+
+
+@pytest.mark.thorough
+def test_what_cannot_be_held_is_infeasible():
+    starts, clamps = two_hanging()
+    far = replace(clamps[1], end_position=clamps[1].end_position + [200.0, 0.0, 0.0])
+    solution = relax_group(Group(starts, MATERIAL, [clamps[0], far]))
+    assert solution.status[0] == Status.INFEASIBLE and np.isnan(solution.energy[0])
+    assert np.isnan(solution.rods[0].vertices).all() and np.isnan(solution.gap[0])
+    crossing = [straight_rod(100.0, 20, (-50, 0, 0)), straight_rod(80.0, 16, (0, -40, 0), (0, 1, 0))]
+    ends = [end_clamps(rod, Clamp.FRAME, Clamp.FREE) for rod in crossing]
+    assert relax_group(Group(crossing, MATERIAL, ends), radius=1.0).status[0] == Status.INFEASIBLE
+
+
+def test_wrong_groups_are_one_line():
+    starts, clamps = two_hanging()
+    with pytest.raises(InputError, match="ties: tie 0 is at vertex 21 of rod 0; give vertices from 0 to 20"):
+        Group(starts, MATERIAL, clamps, [Tie((0, 21), (1, 0))])
+    with pytest.raises(InputError, match="ties: tie 0 is at rod 2; give rods from 0 to 1"):
+        Group(starts, MATERIAL, clamps, [Tie((2, 0), (1, 0))])
+    with pytest.raises(InputError, match="ties vertex -1 of rod 0 to itself; give two"):
+        Group(starts, MATERIAL, clamps, [Tie((0, -1), (0, 20))])
+    with pytest.raises(InputError, match="rods: 2 rows of rod 1, 1 of rod 0; give one row"):
+        Group([starts[0], starts[1].take([0, 0])], MATERIAL, clamps)
+    with pytest.raises(InputError, match="clamps: 1 for 2 rods; give one"):
+        Group(starts, MATERIAL, clamps[:1])
+    with pytest.raises(InputError, match="materials: 3 for 2 rods; give one for each"):
+        Group(starts, [MATERIAL] * 3, clamps)
+    with pytest.raises(InputError, match="rods: a Configuration; give a list"):
+        Group(starts[0], MATERIAL, clamps)
+    with pytest.raises(InputError, match="ties: a list; give a list, each a Tie"):
+        Group(starts, MATERIAL, clamps, [((0, 1), (1, 0))])
+    with pytest.raises(InputError, match="welds edge 19 of rod 0 to itself"):
+        Group(starts, MATERIAL, clamps, [Tie((0, 19), (0, 20), weld=True)])
+    with pytest.raises(InputError, match="rod 1: material.twist: 3 entries"):
+        relax_group(Group(starts, [MATERIAL, Material(1e5, [[1e5, 1e5, 1e5]])], clamps))
+    with pytest.raises(InputError, match="before: .no solution"):
+        relax_group(Group(starts, MATERIAL, clamps), before="no solution")
+    with pytest.raises(InputError, match="Tie: weight: -1"):
+        Tie((0, 0), (1, 0), weight=-1.0)
+    with pytest.raises(InputError, match="Tie: first: 3; give .rod, vertex."):
+        Tie(3, (1, 0))
+    loose = [clamps[0], end_clamps(starts[1], Clamp.FREE, Clamp.FREE)]
+    with pytest.raises(InputError, match="rod 1 has weight and nothing holds it"):
+        relax_group(Group(starts, MATERIAL, loose))
+    with pytest.raises(InputError, match="group: a Configuration; give a Group"):
+        relax_group(starts[0])
+    with pytest.raises(InputError, match="radius"):
+        relax_group(Group(starts, MATERIAL, clamps), radius=-1.0)
