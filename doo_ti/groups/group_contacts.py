@@ -15,7 +15,6 @@ from doo_ti.groups.layout import (
     APART,
     BEGIN,
     BEGIN_STANDING,
-    DEEPEST_STEP,
     FIRST_TIE_STIFFNESS,
     GROUP_EDGE_ITEMS,
     GROUP_HEAD,
@@ -43,7 +42,6 @@ from doo_ti.physics.tuples import chosen, dot, identity, minus, negated, plus, s
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import (
     CONTACT_ITEMS,
-    CROSSING,
     ENERGY,
     FINE,
     HEAD,
@@ -57,7 +55,7 @@ from doo_ti.relaxation.contact_layout import (
     VERTEX_ITEMS,
 )
 from doo_ti.relaxation.loading import stiffness_scale
-from doo_ti.relaxation.pair_layout import DISTANCE_STANDING, LOAD, PAIR_ITEMS, self_contact_items
+from doo_ti.relaxation.pair_layout import LOAD, PAIR_ITEMS, self_contact_items
 from doo_ti.relaxation.self_contacts import SelfContacts
 
 
@@ -100,16 +98,6 @@ class GroupContacts(SelfContacts):
     def apart(self, rod, i, at, arc):
         """Whether two edges may touch is known from the start."""
         return rod.scratch[at + APART * self.stride] > 0.5
-
-    @ti.func
-    def note_depth(self, rod, at, near, value):
-        """Ties may draw edges together with any force. A step that brings two nearer than :data:`DEEPEST_STEP` is refused: the
-        distance is a little too large there, so that they could pass through each other."""
-        zero = 0.0 * value
-        before = rod.scratch[at + DISTANCE_STANDING * self.stride]
-        nearer = near & (value < DEEPEST_STEP * self.item(rod, RADIUS)) & (value < before)
-        crossing = rod.contacts + CROSSING * self.stride
-        rod.scratch[crossing] = largest_of(rod.scratch[crossing], ti.select(nearer, zero + 1.0, zero))
 
     @ti.func
     def held(self, rod, index):
@@ -206,7 +194,7 @@ class GroupContacts(SelfContacts):
         followed the last change. It is at least what rounding of places makes of the forces."""
         stiffness = self.item(rod, STIFFNESS) + rod.scratch[self.group(rod) + TIE_STIFFNESS * self.stride]
         noise = self.rounding * stiffness * rod.longest * rod.total * rod.total
-        return ti.select(self.behind(rod), ROUGHEST * given, given) + noise
+        return ti.select(self.behind(rod), ti.max(given, 0.0 * given + ROUGHEST), given) + noise
 
     @ti.func
     def settle(self, rod, due):

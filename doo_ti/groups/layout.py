@@ -27,8 +27,6 @@ SLOW_TIES, STIFFER_TIES = 0.05, 10.0
 """Where a round leaves more than that share of the miss before, κ grows by so much."""
 TRACE = 1e-9
 """Of H's largest diagonal entry, added to all: more than what κ leaves of the zero that a neutral motion has."""
-DEEPEST_STEP = 0.1
-"""Radii between centrelines: no step brings two edges nearer."""
 TIE_TOLERANCE = 1e-10
 """Of the longest rod: how far tied points may be apart."""
 

@@ -25,6 +25,8 @@ ROUNDED = 2e-3
 are unique: a distance of two radii becomes larger by at most 2.5e-4 of a radius."""
 REACH = 3.0
 """Radii between centrelines: within them the barrier acts."""
+DEEPEST_STEP = 0.1
+"""Radii between centrelines: no step brings two edges nearer."""
 LEAST_DISTANCE = 1e-3
 """Radii: a start whose centreline is nearer to itself does not say which side is which."""
 

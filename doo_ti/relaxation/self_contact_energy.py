@@ -27,6 +27,7 @@ from doo_ti.relaxation.pair_distance import pair_block, pair_distance, pair_slop
 from doo_ti.relaxation.pair_layout import (
     ARC,
     COEFFICIENT,
+    DEEPEST_STEP,
     DISTANCE,
     DISTANCE_STANDING,
     FORCE,
@@ -236,7 +237,13 @@ class SelfContactEnergy(Contacts):
 
     @ti.func
     def note_depth(self, rod, at, near, value):
-        """Take the distance of two edges after a step, in the lanes where they are ``near``, into what a step may do."""
+        """Note that the step is refused where it brings two edges nearer than :data:`DEEPEST_STEP`, in the lanes where they are
+        ``near``: the distance is a little too large there, so that they could pass through each other."""
+        zero = 0.0 * value
+        before = rod.scratch[at + DISTANCE_STANDING * self.stride]
+        nearer = near & (value < DEEPEST_STEP * self.item(rod, RADIUS)) & (value < before)
+        crossing = rod.contacts + CROSSING * self.stride
+        rod.scratch[crossing] = largest_of(rod.scratch[crossing], ti.select(nearer, zero + 1.0, zero))
 
     @ti.func
     def shift(self, rod, index):

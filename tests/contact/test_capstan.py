@@ -57,7 +57,8 @@ def tensions(obstacle, angle: float, pitch: float, edges: int = 60) -> tuple[flo
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("degrees, friction", [(90, 0.1), (90, 0.5), (180, 0.3), (360, 0.1), (360, 0.5), (720, 0.3), (720, 0.5)])
+@pytest.mark.parametrize("degrees, friction", [(90, 0.1), (90, 0.5), (180, 0.3), (360, 0.1), (360, 0.5), (720, 0.3),
+                                               (720, 0.5)])
 def test_the_tensions_are_apart_by_the_capstan_equation(degrees, friction):
     angle = np.deg2rad(degrees)
     cylinder, edges = Cylinder((0, 0, -80), (0, 0, 80), DRUM, friction=friction), 60 if degrees < 360 else degrees // 3
