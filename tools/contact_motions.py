@@ -1,11 +1,15 @@
 """Random motions of rods through clutter: how many converge, whether any enters an obstacle, whether any passes through a peg.
 
-    python tools/contact_motions.py [--motions 10000] [--seed 0] [--precision f64]
+    python tools/contact_motions.py [--motions 10000] [--seed 0] [--precision f64] [--itself]
 
 Both ends of every rod are held by grippers that move and turn smoothly at random above a table with pegs, without inertia and
 with friction. Motions whose grippers would carry an end into a peg or the table, or whose rod begins inside one, cannot be
 made: they are counted apart, and others are drawn. Checked apart from the engine: gaps at 16 places along every edge, and for
 every peg how often, by sense, its axis pierces the surface that the rod sweeps from one frame to the next.
+
+``--itself``: rods are their own obstacles, and the grippers bring their ends together and turn them by up to one and a half
+turns, so that many coil up. Checked besides: the gap of all pairs of edges, and the writhe of the rod's own edges, which jumps
+by two from one frame to the next where a rod passes through itself.
 """
 
 import argparse
@@ -17,6 +21,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from doo_ti.contact.itself import Itself, smallest_self_gap  # noqa: E402
 from doo_ti.contact.obstacles import Capsule, Plane  # noqa: E402
 from doo_ti.dynamics.grippers import Grippers  # noqa: E402
 from doo_ti.dynamics.parameters import Dynamics, Stepping  # noqa: E402
@@ -25,6 +30,7 @@ from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_p
 from doo_ti.material import Material  # noqa: E402
 from doo_ti.relaxation.relax import relax  # noqa: E402
 from doo_ti.types import Clamp, Clamps, Configuration, Status  # noqa: E402
+from tests.contact.topology import solid_angles  # noqa: E402
 
 LENGTH, EDGES, RADIUS, FRAMES = 100.0, 33, 0.5, 40
 TABLE = Plane((0, 0, 0), (0, 0, 1), friction=0.2)
@@ -39,8 +45,9 @@ def obstacles() -> list:
     return [TABLE, *(Capsule((x, y, -5.0), (x, y, HEIGHT), radius, friction=0.2) for (x, y), radius in PEGS)]
 
 
-def drawn(rng, count: int):
-    """(rods at rest beside the pegs, materials, grippers that carry them towards and past the pegs)."""
+def drawn(rng, count: int, coiling: bool):
+    """(rods at rest beside the pegs, materials, grippers that carry them towards and past the pegs), with their ends brought
+    together and turned if they are ``coiling``."""
     one = Configuration.straight(np.array([0.0, 20.0, 15.0]), np.array([1.0, 0.0, 0.0]), LENGTH, EDGES)
     frames = np.repeat(one.frames[:, 0], count, 0)
     start = np.repeat(one.start, count, 0)
@@ -58,6 +65,11 @@ def drawn(rng, count: int):
         axis = rng.normal(size=(count, 3))
         axis /= np.linalg.norm(axis, axis=1, keepdims=True)
         turn = quaternion_about(axis[:, None], rng.uniform(0, 0.8, (count, 1)) * smooth[None, :, 0])
+        if coiling:
+            along = np.broadcast_to([1.0, 0.0, 0.0], (count, 1, 3))
+            turns = quaternion_about(along, rng.uniform(-3 * np.pi, 3 * np.pi, (count, 1)) * smooth[None, :, 0])
+            turn = quaternion_product(turn, turns)
+            move[:, 0] = rng.uniform(-5, 5, count) + 0.35 * (0.5 * (start + end) - place)[:, 0]
         first = np.broadcast_to(one.quaternions[:, :1], turn.shape)
         grippers.append((place[:, None] + move[:, None] * smooth, matrix_from_quaternion(quaternion_product(turn, first))))
     return rest, material, Grippers(Clamp.FRAME, Clamp.FRAME, grippers[0][0], grippers[1][0], grippers[0][1], grippers[1][1])
@@ -101,24 +113,32 @@ def pierced(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     return found
 
 
+def writhe(x: np.ndarray) -> np.ndarray:
+    """(R,) of the edges of rods (R, V, 3), whose ends are not joined."""
+    i, j = np.triu_indices(x.shape[1] - 1, 2)
+    return solid_angles(x[:, i], x[:, i + 1], x[:, j], x[:, j + 1]).sum(axis=1) / (2.0 * np.pi)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--motions", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--precision", choices=("f64", "f32", "mixed"), default="f64")
+    parser.add_argument("--itself", action="store_true", help="rods are their own obstacles and coil up")
     options = parser.parse_args()
+    bodies = [*obstacles(), Itself(friction=0.2)] if options.itself else obstacles()
     rng = np.random.default_rng(options.seed)
-    total = dict(motions=0, converged=0, flagged=0, touching=0, inside=0, through=0, steps=0, impossible=0)
+    total = dict(motions=0, converged=0, flagged=0, touching=0, coiled=0, inside=0, through=0, steps=0, impossible=0)
     least, trips, began = np.inf, 0, time.process_time()
     while total["motions"] < options.motions:
-        rest, material, grippers = drawn(rng, AT_ONCE)
+        rest, material, grippers = drawn(rng, AT_ONCE, options.itself)
         possible = (rest.status != Status.INFEASIBLE) & (held_gap(grippers) > 0)
         total["impossible"] += int((~possible).sum())
         chosen = np.flatnonzero(possible)[: options.motions - total["motions"]]
         count, rows = len(chosen), chosen[rest.converged[chosen]]
         stepping = Stepping(rate=10.0, quasi_static=True, precision=options.precision)
         moved = simulate(rest.configuration.take(rows), material.take(rows), grippers.take(rows), Dynamics(), stepping,
-                         obstacles=obstacles(), radius=RADIUS)
+                         obstacles=bodies, radius=RADIUS)
         x = np.concatenate([rest.configuration.take(rows).vertices[:, None], moved.positions], axis=1)
         standing = moved.status == Status.CONVERGED
         total["motions"] += count
@@ -127,12 +147,19 @@ def main() -> int:
         total["touching"] += int((np.abs(moved.contact_force) > 0).any(axis=(1, 2, 3)).sum())
         total["steps"] += int(standing.sum())
         trips += int(moved.iterations.sum())
+        coiled = np.zeros(len(rows), dtype=bool)
         for frame in range(1, FRAMES + 1):
             now = standing[:, frame - 1]
             gap = smallest_gap(x[now, frame])
+            if options.itself:
+                own = smallest_self_gap(x[now, frame], np.full(now.sum(), RADIUS))
+                coiled[now] |= own < 1e-2 * RADIUS
+                gap = np.minimum(gap, own)
+                total["through"] += int((np.abs(writhe(x[now, frame]) - writhe(x[now, frame - 1])) > 1.5).sum())
             least = min(least, gap.min(initial=np.inf))
             total["inside"] += int((gap < -1e-3 * RADIUS).sum())
             total["through"] += int(pierced(x[now, frame - 1], x[now, frame]).sum())
+        total["coiled"] += int(coiled.sum())
         print(f"{total['motions']:6d} motions: {total}, smallest gap {least / RADIUS:.2e} radii, "
               f"{trips / max(total['steps'], 1):.1f} iterations a step, {time.process_time() - began:.0f} s of processor time",
               flush=True)
