@@ -1,0 +1,64 @@
+"""A Newton step of rods in contact against dense f64 linear algebra with the same contacts."""
+
+import numpy as np
+import pytest
+
+from doo_ti import Clamp, Configuration, Material, Newton, Plane, relax
+from doo_ti.relaxation.contact_layout import BENDING_LOADS, SOFT
+from tests.oracle.chain_form import rod_of
+from tests.oracle.equilibrium import clamped_start, free_variables, moved
+from tests.oracle.external import Springs, newton_step
+from tests.references.rods import clamps_at, jiggled
+from tests.relaxation.rods import with_kinds
+
+STARTS = (Clamp.POSITION, Clamp.TANGENT, Clamp.FRAME)
+NORMAL = np.array([0.1, -0.2, 1.0]) / np.sqrt(1.05)
+UP = np.array([0.0, 0.0, 1.0])
+EDGES, LENGTH, RADIUS, STIFFNESS, WEIGHT = 9, 90.0, 4.0, 1e5, 3.0
+EACH = 12
+
+
+@pytest.fixture(scope="module")
+def stepped():
+    """(starts, clamps, materials, solutions after one step without shift) of heavy rods that are a little inside a plane."""
+    rng = np.random.default_rng(3)
+    count = EACH * len(STARTS)
+    one = Configuration.straight(np.array([0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), LENGTH, EDGES)
+    height = (RADIUS + 2.0 + 6.0 * rng.uniform(size=(count, 1))) * NORMAL
+    rods = Configuration(height, np.repeat(one.quaternions, count, 0), one.rest_length)
+    clamps = with_kinds(clamps_at(rods), [(start, Clamp.FREE) for start in STARTS for _ in range(EACH)])
+    material = Material(STIFFNESS, STIFFNESS, WEIGHT)
+    contact = dict(obstacles=[Plane((0, 0, 0), NORMAL)], radius=RADIUS)
+    rest = relax(rods, material, clamps, up=UP, **contact)
+    assert rest.converged.all() and (rest.contact.touching.sum(axis=1) >= 1).all()
+    start = jiggled(rest.configuration, rng, 2e-3)
+    once = Newton(first_shift=0.0, max_iterations=2, max_rotation=1.0, tolerance=1e-28, max_escapes=0)
+    return start, clamps, material, relax(start, material, clamps, once, up=UP, **contact)
+
+
+def test_a_step_is_that_of_dense_linear_algebra(stepped):
+    """A vertex inside the plane is under a spring along its normal, the stiffness of contacts at first: to 1e-9."""
+    start, clamps, material, after = stepped
+    stiffness = (BENDING_LOADS * STIFFNESS / LENGTH**2 + 2.0 * WEIGHT * LENGTH / EDGES) / (SOFT * RADIUS)
+    inside = steps = 0
+    for row in range(start.count):
+        rod = rod_of(start, material, row, up=UP)
+        state, ends = clamped_start(start, clamps, row)
+        free = free_variables(rod, ends)
+        if STARTS[row // EACH] != Clamp.FRAME:
+            free = free[free != 3]  # the spin of a round rod is held
+        gap = start.vertices[row] @ NORMAL - RADIUS
+        pressed = gap < 0
+        matrices = stiffness * pressed[:, None, None] * np.outer(NORMAL, NORMAL)
+        springs = Springs.at_vertices(matrices, start.vertices[row] - gap[:, None] * NORMAL)
+        step = newton_step(rod, springs, state, ends, free=free)
+        if not step.descends:
+            continue
+        expected = moved(state, free, np.concatenate([step.translation, step.rotation.ravel()])[free])
+        frames = after.configuration.quaternions[row]
+        same_sign = np.sign(np.sum(frames * expected.quaternions, axis=1))[:, None]
+        assert np.abs(frames - same_sign * expected.quaternions).max() < 1e-9
+        inside += int(pressed.sum())
+        steps += 1
+    print(f"{steps} steps, {inside} vertices in contact")
+    assert steps >= 10 and inside >= 40
