@@ -9,7 +9,8 @@ every peg how often, by sense, its axis pierces the surface that the rod sweeps 
 
 ``--itself``: rods are their own obstacles, and the grippers bring their ends together and turn them by up to one and a half
 turns, so that many coil up. Checked besides: the gap of all pairs of edges, and the writhe of the rod's own edges, which jumps
-by two from one frame to the next where a rod passes through itself.
+by two from one frame to the next where a rod passes through itself. It changes by nearly as much where a loop slips over an end
+of the rod, past the gripper, which has no body: these are counted apart, by where along the rod edges would have crossed.
 """
 
 import argparse
@@ -38,6 +39,8 @@ PEGS = (((30, -18), 2.0), ((50, -25), 3.0), ((70, -18), 2.0))
 """Places of upright pegs, mm, and their radii."""
 HEIGHT = 60.0
 AT_ONCE = 1000
+SLIP = 6
+"""Edges from an end: how far a loop may slide along the rod within a frame."""
 
 
 def obstacles() -> list:
@@ -113,10 +116,27 @@ def pierced(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     return found
 
 
-def writhe(x: np.ndarray) -> np.ndarray:
-    """(R,) of the edges of rods (R, V, 3), whose ends are not joined."""
+def crossings(x: np.ndarray) -> np.ndarray:
+    """(R, P) of rods (R, V, 3), whose ends are not joined, the part in the writhe of all pairs of edges."""
     i, j = np.triu_indices(x.shape[1] - 1, 2)
-    return solid_angles(x[:, i], x[:, i + 1], x[:, j], x[:, j + 1]).sum(axis=1) / (2.0 * np.pi)
+    return solid_angles(x[:, i], x[:, i + 1], x[:, j], x[:, j + 1]) / (2.0 * np.pi)
+
+
+def passed(before: np.ndarray, after: np.ndarray) -> tuple[int, int]:
+    """Of rods (R, V, 3) at two frames, how many have passed through themselves, and how many have slipped over one of their
+    ends: on the straight way edges within :data:`SLIP` of it cross."""
+    change = np.abs((crossings(after) - crossings(before)).sum(axis=1))
+    through = slipped = 0
+    edges = before.shape[1] - 1
+    i, j = np.triu_indices(edges, 2)
+    from_end = np.minimum(i, edges - 1 - j)
+    for rod in np.flatnonzero(change > 1.5):
+        share = np.linspace(0.0, 1.0, 401)[:, None, None]
+        way = crossings(before[rod] * (1.0 - share) + after[rod] * share)
+        crossed = (np.abs(np.diff(way, axis=0)) > 0.5).any(axis=0)
+        over_end = (from_end[crossed] < SLIP).all()
+        through, slipped = through + int(not over_end), slipped + int(over_end)
+    return through, slipped
 
 
 def main() -> int:
@@ -128,7 +148,7 @@ def main() -> int:
     options = parser.parse_args()
     bodies = [*obstacles(), Itself(friction=0.2)] if options.itself else obstacles()
     rng = np.random.default_rng(options.seed)
-    total = dict(motions=0, converged=0, flagged=0, touching=0, coiled=0, inside=0, through=0, steps=0, impossible=0)
+    total = dict(motions=0, converged=0, flagged=0, touching=0, coiled=0, slipped=0, inside=0, through=0, steps=0, impossible=0)
     least, trips, began = np.inf, 0, time.process_time()
     while total["motions"] < options.motions:
         rest, material, grippers = drawn(rng, AT_ONCE, options.itself)
@@ -155,7 +175,9 @@ def main() -> int:
                 own = smallest_self_gap(x[now, frame], np.full(now.sum(), RADIUS))
                 coiled[now] |= own < 1e-2 * RADIUS
                 gap = np.minimum(gap, own)
-                total["through"] += int((np.abs(writhe(x[now, frame]) - writhe(x[now, frame - 1])) > 1.5).sum())
+                through, slipped = passed(x[now, frame - 1], x[now, frame])
+                total["through"] += through
+                total["slipped"] += slipped
             least = min(least, gap.min(initial=np.inf))
             total["inside"] += int((gap < -1e-3 * RADIUS).sum())
             total["through"] += int(pierced(x[now, frame - 1], x[now, frame]).sum())
