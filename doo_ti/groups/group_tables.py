@@ -8,12 +8,12 @@ from doo_ti.frames import quaternion_product, vertices_from_quaternions
 from doo_ti.groups.apart import connected, edges_apart, smallest_gap
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
-from doo_ti.relaxation.pair_layout import DEEPEST_STEP
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_kinds, rest_lengths
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, clamp_table
 from doo_ti.relaxation.contact_table import contact_table
 from doo_ti.relaxation.input_tables import material_table, projectable
+from doo_ti.relaxation.pair_layout import DEEPEST_STEP
 from doo_ti.types import Clamp, Clamps, Configuration, Material
 
 AT_ITS_CLAMP = 1e-8
