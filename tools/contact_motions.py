@@ -39,7 +39,7 @@ PEGS = (((30, -18), 2.0), ((50, -25), 3.0), ((70, -18), 2.0))
 """Places of upright pegs, mm, and their radii."""
 HEIGHT = 60.0
 AT_ONCE = 1000
-SLIP = 6
+SLIP = 9
 """Edges from an end: how far a loop may slide along the rod within a frame."""
 
 

@@ -82,6 +82,9 @@ class NewtonLoop(NewtonTrip):
         if status == self.not_finite or status == self.infeasible:
             for k in ti.static(range(of.RESULTS)):
                 tables.results[row, k] = ti.math.nan
+            if ti.static(self.touches):
+                for v, k in ti.ndrange(tables.forces.shape[1], 3):
+                    tables.forces[row, v, k] = 0.0
         else:
             unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
             length_unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
