@@ -76,9 +76,10 @@ def handedness(frames: np.ndarray) -> np.ndarray:
 def quaternion_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Hamilton product of (..., 4) quaternions."""
     a, b = np.asarray(left), np.asarray(right)
-    scalar = a[..., :1] * b[..., :1] - np.sum(a[..., 1:] * b[..., 1:], axis=-1, keepdims=True)
-    vector = a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + np.cross(a[..., 1:], b[..., 1:])
-    return np.concatenate([scalar, vector], axis=-1)
+    a0, a1, a2, a3 = (a[..., k] for k in range(4))
+    b0, b1, b2, b3 = (b[..., k] for k in range(4))
+    return np.stack([a0 * b0 - (a1 * b1 + a2 * b2 + a3 * b3), a0 * b1 + b0 * a1 + (a2 * b3 - a3 * b2),
+                     a0 * b2 + b0 * a2 + (a3 * b1 - a1 * b3), a0 * b3 + b0 * a3 + (a1 * b2 - a2 * b1)], axis=-1)
 
 
 def quaternion_about(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:

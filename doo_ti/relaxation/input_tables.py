@@ -182,12 +182,11 @@ def _bowed(start, lengths, clamp, rows, up) -> np.ndarray:
     tilting = np.ones((len(rows), edges))
     tilting[:, outer_edges(edges)] = ends
     whole = whole_start(start[rows], clamp[rows])
-    matrix = matrix_from_quaternion(whole)
-    chord = np.linalg.norm(((own * tilting)[..., None] * matrix[..., 0]).sum(axis=1), axis=-1)
+    chord = np.linalg.norm(((own * tilting)[..., None] * tangent_from_quaternion(whole)).sum(axis=1), axis=-1)
     straight = chord > reach * (1 - TAUT_SLACK)
-    rows, tilting, whole, matrix = rows[straight], tilting[straight], whole[straight], matrix[straight]
+    rows, tilting, whole = rows[straight], tilting[straight], whole[straight]
     share = (span / reach)[straight]
-    middle = matrix[:, edges // 2]
+    middle = matrix_from_quaternion(whole[:, edges // 2])
     axis = np.cross(-up, middle[..., 0])
     upright = np.linalg.norm(axis, axis=-1, keepdims=True) < 1e-3
     axis = np.where(upright, middle[..., 2], axis)
