@@ -1,4 +1,4 @@
-"""Contact of a chain with obstacles: a barrier first, then an augmented Lagrangian of the gaps (docs/contact.md).
+"""Contact of a chain with obstacles: an augmented Lagrangian of the gaps, and a barrier (docs/contact.md).
 
 The gap at a place x of the rod is g = φ(x) − r ≥ 0. With forces λ ≥ 0 that are known from the round before, Newton minimises
 

@@ -157,7 +157,7 @@ class Contacts(ContactRounds):
         for v in range(tables.rest_length.shape[1] + 1):
             for k in ti.static(range(3)):
                 self.put(scratch, first + v * size + (PREVIOUS + k) * self.stride, slot, tables.places[row, v, k] / unit)
-        # The first step of a motion begins with the barrier, which also finds κ.
+        # The first step of a motion knows no forces, all others κ of the step before.
         stiffness = ti.cast(self.get(scratch, tables.contacts + STIFFNESS * self.stride, slot), ti.f64) + INERT * inertia
         phase = ti.cast(self.first_phase, ti.f64)
         if tables.memory[row, 0, 0, FORCE_BETWEEN] > 0.0:
