@@ -5,7 +5,7 @@ import pytest
 from tools import group_study
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_a_few_groups(capsys):
     assert group_study.main(["--groups", "4"]) == 0
     lines = capsys.readouterr().out.splitlines()
