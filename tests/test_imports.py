@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+import tomllib
 from functools import cache
 from pathlib import Path
 
@@ -162,3 +163,10 @@ def test_public_names_are_what_they_say():
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
     assert result.returncode == 0, result.stderr
     assert result.stdout.strip().splitlines()[-1] == "[]"
+
+
+def test_every_room_is_installed():
+    """The packages that pyproject.toml names are the folders with modules."""
+    named = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["packages"]
+    rooms = {".".join(file.parent.relative_to(ROOT).parts) for file in PACKAGE.rglob("*.py")}
+    assert set(named) == rooms
