@@ -55,7 +55,7 @@ from doo_ti.relaxation.contact_layout import (
     VERTEX_ITEMS,
 )
 from doo_ti.relaxation.loading import stiffness_scale
-from doo_ti.relaxation.pair_layout import LOAD, PAIR_ITEMS, self_contact_items
+from doo_ti.relaxation.pair_layout import PAIR_ITEMS, self_contact_items
 from doo_ti.relaxation.self_contacts import SelfContacts
 
 
@@ -144,11 +144,6 @@ class GroupContacts(SelfContacts):
             self.store(rod.scratch, at + BEGIN * self.stride, chosen(lost > 0.5, standing, place))
 
     # --- weight and ties ---
-
-    @ti.func
-    def add_load(self, rod, index, values):
-        """Add to the gradient at a vertex."""
-        self.add_to(rod.scratch, self.own_vertex(rod, index) + LOAD * self.stride, values)
 
     @ti.func
     def hang(self, rod):

@@ -14,7 +14,6 @@ from doo_ti.physics.algebra import largest_of
 from doo_ti.physics.closure import closure_rows, linear_gradient, linear_hessian
 from doo_ti.physics.quaternion import first_director, second_director, tangent, turned_in_body
 from doo_ti.physics.tuples import (
-    applied,
     chosen,
     column_scaled,
     dot,
@@ -202,7 +201,8 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
                             self.bent(rod.scratch, previous), self.stiffness(rod.scratch, previous, at, rod.stiffness))
                         g, h = plus(g, right), plus(h, h_right)
                         h_before, g_before, u = h_left, left, across
-                self.assemble_edge(rod, e, at, g, h, u, (shift, search, force), found)
+                slope, whole, rows = self.pulled(rod, e, at, g, h, force)
+                self.assemble_edge(rod, e, at, slope, whole, u, rows, (shift, search), found)
             h, g = h_before, g_before
             at -= self.edge_stride
         force = plus(force, self.load3(rod.scratch, self.contacts.own_vertex(rod, 0) + LOAD * self.stride))
@@ -210,31 +210,18 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
         self.add_welds(rod)
 
     @ti.func
-    def assemble_edge(self, rod, e, at, bent_slope, bent, across, given, found):
-        """The row of an edge whose bending and twisting has the gradient ``bent_slope`` and second derivative ``bent``;
-        ``given``: the shift, the search and the force that the edge bears."""
-        shift, search, force = given
+    def pulled(self, rod, e, at, slope, bent, force):
+        """Of an edge whose bending and twisting has the gradient ``slope`` and second derivative ``bent``: these with what the
+        force on it and its welds add, and the rows of A."""
         q = self.load4(rod.scratch, at)
         t, m1, m2 = tangent(q), first_director(q), second_director(q)
         length = rod.scratch[at + LENGTH * self.stride]
         l1, l2 = linear_gradient(force, length, m1, m2)
         lh = linear_hessian(force, length, t, m1, m2)
-        free = self.freedom(rod, e)
         welded = self.load3(rod.scratch, self.contacts.edge(rod, e) + MOMENT * self.stride)
-        g = products(free, plus((bent_slope[0], bent_slope[1] + l1, bent_slope[2] + l2), welded))
+        g = plus((slope[0], slope[1] + l1, slope[2] + l2), welded)
         h = (bent[0], bent[1] + lh[0], bent[2] + lh[1], bent[3] + lh[2], bent[4], bent[5] + lh[2])
-        # Shifts are measured by bending, not by what contacts far away make of it.
-        self.observe(found, g, (free[0] * h[0], h[1], h[2], free[1] * h[3], h[4], free[2] * h[5]))
-        self.assemble_row(rod, e + 1, free, across)
-        sums = full(self.load_diagonal(rod, e + 1))
-        rows = closure_rows(length, m1, m2)
-        a1, a2 = row(rows, 1), row(rows, 2)
-        w1, w2 = applied(sums, a1), applied(sums, a2)
-        whole = (h[0], h[1], h[2], h[3] + dot(a1, w1), h[4] + dot(a1, w2), h[5] + dot(a2, w2))
-        b, along = self.stirred(rod, at, e, negated(g), g, search)
-        found.slope = found.slope + along
-        self.store_diagonal(rod, e + 1, held_pivot(on_diagonal(whole, shift), free))
-        self.store_side(rod, e + 1, products(free, b), repeated(0.0 * length, 9))
+        return g, h, closure_rows(length, m1, m2)
 
     @ti.func
     def assemble_row(self, rod, line, free, across):

@@ -123,15 +123,15 @@ class DenseElimination(DenseFactors):
                 scaled(plus(rod.anchor, self.drift(rod)), rod.length_unit))
             found.energy = found.energy + rod.loose * energy
             found.magnitude = found.magnitude + rod.loose * energy
-            self.add_load(rod, 0, scaled(gradient, rod.length_unit))
+            self.contacts.add_load(rod, 0, scaled(gradient, rod.length_unit))
             self.contacts.add_diagonal(rod, 0, full(scaled(curvature, rod.length_unit * rod.length_unit)))
         self.touch_begin(rod, 0)
 
     @ti.func
     def add_edge(self, rod, e, load):
         """Add the derivatives of an edge's energy: a function of the start and of the edge, the end less the start."""
-        self.add_load(rod, e, minus(load.gradient, load.gradient_s))
-        self.add_load(rod, e + 1, load.gradient_s)
+        self.contacts.add_load(rod, e, minus(load.gradient, load.gradient_s))
+        self.contacts.add_load(rod, e + 1, load.gradient_s)
         late, mixed = full(load.curvature_ss), load.curvature_s
         self.contacts.add_diagonal(rod, e + 1, late)
         self.contacts.add_block(rod, e + 1, e, minus(transposed(mixed), late))
@@ -142,13 +142,8 @@ class DenseElimination(DenseFactors):
     def touch_begin(self, rod, index):
         """Add the contacts of vertex ``index``, where a rod begins, with obstacles."""
         if self.contacts.touched_start(rod, index) == 1:
-            self.add_load(rod, index, self.contacts.vector(rod, GRADIENT))
+            self.contacts.add_load(rod, index, self.contacts.vector(rod, GRADIENT))
             self.contacts.add_diagonal(rod, index, full(self.contacts.symmetric(rod, CURVATURES)))
-
-    @ti.func
-    def add_load(self, rod, index, values):
-        """Add to the gradient at a vertex."""
-        self.contacts.add_to(rod.scratch, self.contacts.own_vertex(rod, index) + LOAD * self.stride, values)
 
     # --- H ---
 
@@ -201,23 +196,29 @@ class DenseElimination(DenseFactors):
                 h_before, g_before, u = h_left, left, across
             g = (g[0], g[1] + l1, g[2] + l2)
             h = (h[0], h[1] + lh[0], h[2] + lh[1], h[3] + lh[2], h[4], h[5] + lh[2])
-            free = self.freedom(rod, e)
-            g = products(free, g)
-            # Shifts are measured by bending, not by what contacts far away make of it.
-            self.observe(found, g, (free[0] * h[0], h[1], h[2], free[1] * h[3], h[4], free[2] * h[5]))
-            self.assemble_row(rod, e + 1, free, u)
-            sums = full(self.load_diagonal(rod, e + 1))
-            rows = closure_rows(length, m1, m2)
-            a1, a2 = row(rows, 1), row(rows, 2)
-            w1, w2 = applied(sums, a1), applied(sums, a2)
-            h = (h[0], h[1], h[2], h[3] + dot(a1, w1), h[4] + dot(a1, w2), h[5] + dot(a2, w2))
-            b, along = self.stirred(rod, at, e, negated(g), g, search)
-            found.slope = found.slope + along
-            self.store_diagonal(rod, e + 1, held_pivot(on_diagonal(h, shift), free))
-            self.store_side(rod, e + 1, products(free, b), scaled(rows, free[1] * rod.closed))
+            self.assemble_edge(rod, e, at, g, h, u, closure_rows(length, m1, m2), (shift, search), found)
             h, g = h_before, g_before
             at -= self.edge_stride
         self.assemble_start(rod, shift, force, found)
+
+    @ti.func
+    def assemble_edge(self, rod, e, at, slope, bent, across, rows, given, found):
+        """The row of an edge. ``slope``, ``bent``: the gradient and second derivative by its rotation, without the sums of K;
+        ``across``: what couples it with the edge before; ``rows``: those of A; ``given``: the shift and the search."""
+        shift, search = given
+        free = self.freedom(rod, e)
+        g, h = products(free, slope), bent
+        # Shifts are measured by bending, not by what contacts far away make of it.
+        self.observe(found, g, (free[0] * h[0], h[1], h[2], free[1] * h[3], h[4], free[2] * h[5]))
+        self.assemble_row(rod, e + 1, free, across)
+        sums = full(self.load_diagonal(rod, e + 1))
+        a1, a2 = row(rows, 1), row(rows, 2)
+        w1, w2 = applied(sums, a1), applied(sums, a2)
+        whole = (h[0], h[1], h[2], h[3] + dot(a1, w1), h[4] + dot(a1, w2), h[5] + dot(a2, w2))
+        b, along = self.stirred(rod, at, e, negated(g), g, search)
+        found.slope = found.slope + along
+        self.store_diagonal(rod, e + 1, held_pivot(on_diagonal(whole, shift), free))
+        self.store_side(rod, e + 1, products(free, b), scaled(rows, free[1] * rod.closed))
 
     @ti.func
     def assemble_row(self, rod, line, free, across):

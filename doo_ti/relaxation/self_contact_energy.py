@@ -93,6 +93,11 @@ class SelfContactEnergy(Contacts):
             scratch[at + k * self.stride] = scratch[at + k * self.stride] + values[k]
 
     @ti.func
+    def add_load(self, rod, index, values):
+        """Add to the gradient at a vertex."""
+        self.add_to(rod.scratch, self.own_vertex(rod, index) + LOAD * self.stride, values)
+
+    @ti.func
     def add_block(self, rod, row, column, values):
         """Add nine numbers to the block of two vertices."""
         for r in ti.static(range(3)):
