@@ -81,13 +81,13 @@ class Specimens:
         """Rods of so many edges at rest on their images, the last of them turned by 0.15 rad, as Alg. 1 starts them."""
         start = self._bent(np.random.default_rng(SEED + edges), edges, 0.01)
         held = _held(start)
-        rest = relax(start, MATERIAL, held, FINE, external=self._external, external_index=self.sets).configuration
+        rest = relax(start, MATERIAL, held, FINE, external=self.external, external_index=self.sets).configuration
         tangents = rest.frames[..., 0]
         tangents[:, -1] += 0.15 * np.random.default_rng(SEED).normal(size=(self.count, 3))
         return _framed(rest.start, tangents), held
 
     @cached_property
-    def _external(self) -> Reprojection:
+    def external(self) -> Reprojection:
         return Reprojection(self.images, self.rig, NU)
 
     def _bent(self, random, edges: int, turn: float) -> Configuration:
@@ -99,7 +99,7 @@ class Specimens:
         return Outcome(float(self.count), float(np.isfinite(found.total).mean()))
 
     def relaxed(self, start: Configuration, clamps: Clamps, solver: Newton, precision: str) -> Outcome:
-        found = relax(start, MATERIAL, clamps, solver, precision=precision, external=self._external, external_index=self.sets)
+        found = relax(start, MATERIAL, clamps, solver, precision=precision, external=self.external, external_index=self.sets)
         done = found.converged
         return Outcome(float(done.sum()), float(done.mean()), float(found.stable.mean()),
                        float(np.max(found.residual[done], initial=0.0)), found.iterations)
