@@ -179,18 +179,28 @@ class ContactPlaces:
 
     @ti.func
     def pinched(self, rod, miss):
-        """Whether a clamp holds the rod where it is in an obstacle; a far end is taken where it is held, not where it still
-        misses that place by ``miss``."""
-        least = 0.0 * rod.total
-        for end in range(4):
-            index = ti.select(end < 2, end, rod.edges - 3 + end)
-            place = variable(self.load3(rod.scratch, self.vertex(rod, index) + PLACE * self.stride))
-            if end > 1:
-                place = minus(place, miss)
-            held = self.held(rod, index) > 0.5
+        """Whether a clamp holds a vertex of an end edge in an obstacle, or the edge between them; a far end is taken where it is
+        held, not where it still misses that place by ``miss``."""
+        zero = 0.0 * rod.total
+        least = zero
+        for end in range(2):
+            index = ti.select(end == 0, 0, rod.edges - 1)
+            start = variable(self.load3(rod.scratch, self.vertex(rod, index) + PLACE * self.stride))
+            stop = variable(self.load3(rod.scratch, self.vertex(rod, index + 1) + PLACE * self.stride))
+            if end == 1:
+                start, stop = minus(start, miss), minus(stop, miss)
+            held_start, held_stop = self.held(rod, index) > 0.5, self.held(rod, index + 1) > 0.5
+            edge = minus(stop, start)
             for o in range(rod.obstacles):
-                seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o], place)
-                least = ti.select(held, ti.min(least, seen.value - self.item(rod, RADIUS)), least)
+                obstacle, kind = self.obstacle(rod, o), rod.kinds[o]
+                first = self.distance.measure(rod.scratch, rod.grids, obstacle, kind, start)
+                last = self.distance.measure(rod.scratch, rod.grids, obstacle, kind, stop)
+                value = ti.min(ti.select(held_start, first.value, zero + 1e30), ti.select(held_stop, last.value, zero + 1e30))
+                ends = (dot(first.normal, edge), dot(last.normal, edge))
+                bridging = held_start & held_stop & (ends[0] < 0.0) & (ends[1] > 0.0)
+                if self.some(bridging, zero):
+                    value = ti.min(value, ti.select(bridging, self.nearest(rod, o, start, edge, ends, bridging).value, value))
+                least = ti.min(least, value - self.item(rod, RADIUS))
         return (least < 0.0 - self.item(rod, TOLERANCE)) | self.pinched_pairs(rod)
 
     @ti.func
