@@ -9,6 +9,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands set it, be
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 
+from doo_ti.physics.number import Number  # noqa: E402
+
 SEED = 2011
 
 
@@ -18,7 +20,12 @@ def pytest_report_header() -> str:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Of a test with ``sampled(n)`` the cases after the first n belong to the full run."""
+    """Of a test with ``sampled(n)`` the cases after the first n belong to the full run. Cases of packs are for a CPU."""
+    if os.environ.get("DOO_TI_ARCHITECTURE", "cpu") != "cpu":
+        for item in items:
+            case = getattr(item, "callspec", None)
+            if case is not None and any(isinstance(value, Number) and value.width > 1 for value in case.params.values()):
+                item.add_marker(pytest.mark.skip(reason="a GPU has one rod per thread, no packs"))
     seen = Counter()
     for item in items:
         sampled = item.get_closest_marker("sampled")

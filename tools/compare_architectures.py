@@ -91,8 +91,11 @@ def differentiated(count: int) -> Prepared:
 def scored(count: int) -> Prepared:
     rods = scoring.Specimens(count)
     hypotheses, images = rods.hypotheses.astype(np.float32), rods.images
-    return lambda: Found(score(hypotheses, images, rods.sets, rods.rig, scoring.NU, scoring.MATERIAL).total[:, None],
-                         np.ones(count, dtype=bool))
+
+    def run() -> Found:
+        total = score(hypotheses, images, rods.sets, rods.rig, scoring.NU, scoring.MATERIAL).total
+        return Found(total[:, None] / np.median(total), np.ones(count, dtype=bool))
+    return run
 
 
 def on_images(precision: str) -> Callable[[int], Prepared]:
