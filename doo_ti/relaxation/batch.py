@@ -65,12 +65,15 @@ def continue_newton(table: Tables, options: newton.Newton, bits: int, frames, re
     _launch_newton(table, table.start, table.continued(usable, rows), options, bits, frames, results)
 
 
-def relax_touching(table: Tables, options: newton.Newton, frames, results, rows) -> None:
-    """Relax the rods ``rows`` once more, from their starts and as rods that may touch themselves, in place."""
+def relax_touching(table: Tables, options: newton.Newton, frames, results, rows) -> Tables:
+    """Relax the rods ``rows`` once more, from their starts and as rods that may touch themselves, in place. Returns the tables
+    with their forces."""
     contact = table.contact.touching(rows)
     results[rows, of.DRIFT:] = 0.0
     rods = table.rods[np.isin(table.rods[:, of.RESULT_ROW], rows)]
-    _launch_newton(replace(table, contact=contact), table.start, rods, options, 64, frames, results)
+    table = replace(table, contact=contact)
+    _launch_newton(table, table.start, rods, options, 64, frames, results)
+    return replace(table, contact=replace(contact, itself=False))
 
 
 def _untouched(count: int) -> np.ndarray:

@@ -27,8 +27,8 @@ class ContactTable:
     kinds      (M,) int32, and grids, see :func:`.grid_table`
     radius     (1 or R,) of the rods, mm
     near       (R,) bool: rods that can reach an obstacle
-    memory     (R, V, M, REMEMBERED) forces of the contacts of vertices and edges, in and out
-    forces     (R, V, 3) on the vertices, energy per mm, out
+    memory     (R, V, M, REMEMBERED) forces of the contacts of vertices and edges, in and out; no rows while no rod is near
+    forces     (R, V, 3) on the vertices, energy per mm, out; read-only zeros while no rod is near
     surroundings  as they were given
     self_friction  (1 or R,) the rods' coefficients of friction on themselves
     itself     whether the kernel is the one for rods that touch themselves
@@ -67,6 +67,9 @@ class ContactTable:
 
     def touching(self, rows: np.ndarray) -> "ContactTable":
         """The table as the kernel of rods that touch themselves takes it; the rods ``rows`` have touched nothing yet."""
+        if not len(self.memory):
+            return replace(self, itself=True, memory=np.zeros((len(self.near), *self.memory.shape[1:])),
+                           forces=np.zeros(self.forces.shape))
         self.memory[rows] = 0.0
         return replace(self, itself=True)
 
@@ -110,9 +113,9 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     for place, obstacle in enumerate(obstacles):
         table[:, place] = obstacle.numbers()
     # Grippers may carry any rod to an obstacle.
-    near = np.ones(count, dtype=bool) if in_motion else _near(obstacles, radius, clamp[index])
-    # Where no rod is near, nothing is ever written to either.
-    rows = count if near.any() or surroundings.itself is not None else 0
+    near = np.ones(count, dtype=bool) if in_motion else _near(obstacles, radius, clamp, index)
+    # Where no rod is near, nothing is written to either before rods touch themselves.
+    rows = count if near.any() else 0
     memory = np.zeros((rows, edges + 1, max(1, len(obstacles)), REMEMBERED_IN_MOTION if in_motion else REMEMBERED))
     forces = np.broadcast_to(0.0, (count, edges + 1, 3)) if not rows else np.zeros((count, edges + 1, 3))
     kinds, grids = grid_table(obstacles)
@@ -141,9 +144,12 @@ def require_clear(source: str, surroundings: Surroundings, clamps: Clamps, start
                                  f"{type(obstacle).__name__}", "correct the obstacle's place, or give a smaller `radius`")
 
 
-def _near(obstacles: Sequence[Obstacle], radius: np.ndarray, clamp: np.ndarray) -> np.ndarray:
+def _near(obstacles: Sequence[Obstacle], radius: np.ndarray, clamps: np.ndarray, index: np.ndarray) -> np.ndarray:
     """(R,) whether a rod can reach an obstacle: no part of it is further from where it is held than its length, or from the
     middle of where both its ends are held than half of that."""
+    if not obstacles:
+        return np.zeros(len(index), dtype=bool)
+    clamp = clamps[index]
     anchor, total = clamp[:, of.ANCHOR : of.ANCHOR + 3], clamp[:, of.TOTAL]
     both = (clamp[:, of.CLOSED] > 0) | (clamp[:, of.TILT_INNER] == 0)
     centre = np.where(both[:, None], anchor + 0.5 * clamp[:, of.TARGET : of.TARGET + 3], anchor)

@@ -91,7 +91,7 @@ def relax(
             frames, results, bits = _descent(table, solver, precision)
         else:
             frames, results, bits = _newton(table, solver, precision, x0 if once_more else None)
-            _touch_themselves(table, solver, frames, results, bits)
+            table = _touch_themselves(table, solver, frames, results, bits)
         return _solution(table, frames, results, bits)
 
 
@@ -147,17 +147,19 @@ def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | Non
     return frames, results, bits
 
 
-def _touch_themselves(table: Tables, solver: Newton, frames, results, bits) -> None:
-    """Where rods are their own obstacles, relax those once more, in place, that may have touched themselves on their way."""
+def _touch_themselves(table: Tables, solver: Newton, frames, results, bits) -> Tables:
+    """Where rods are their own obstacles, relax those once more, in place, that may have touched themselves on their way.
+    Returns the tables with their forces."""
     contact = table.contact
     if contact is None or contact.surroundings.itself is None:
-        return
+        return table
     index = table.configuration_index
     may = approach_in_relaxation(table.start, index, frames, table.rest_length, contact.radius, table.spins_held[index])
     rows = np.flatnonzero(may & (results[:, of.STATUS] != INFEASIBLE))
     if len(rows):
-        batch.relax_touching(table, solver, frames, results, rows)
+        table = batch.relax_touching(table, solver, frames, results, rows)
         bits[rows] = 64
+    return table
 
 
 def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.ndarray) -> Solution:
