@@ -133,25 +133,28 @@ def projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, found
     those found TAUT made straight. Where starts are changed ``clamp`` is, too, in place."""
     slack, taut = np.flatnonzero(found == STRAIGHT), np.flatnonzero(found == TAUT)
     if len(slack):
-        bowed = _bowed(start, lengths, clamp, slack, up)
-        if len(obstacles):
-            sunk = slack[_inside(bowed, lengths, clamp, slack, obstacles)]
-            other = _bowed(start, lengths, clamp, sunk, -up) if len(sunk) else bowed
-            better = sunk[~_inside(other, lengths, clamp, sunk, obstacles)]
-            bowed[better] = other[better]
-        start = bowed
+        rows, whole, axis, slope = _arches(start, lengths, clamp, slack, up)
+        bowed = _turned(whole, axis, slope)
+        sunk = np.flatnonzero(_inside(bowed, lengths, clamp, rows, obstacles))
+        if len(sunk):
+            other = _turned(whole[sunk], axis[sunk], -slope[sunk])
+            clear = ~_inside(other, lengths, clamp, rows[sunk], obstacles)
+            bowed[sunk[clear]] = other[clear]
+        start = _changed(start, clamp, rows, bowed)
     if len(taut):
         start = _stretched(start, lengths, clamp, taut)
     return start
 
 
-def _inside(start, lengths, clamp, rows, obstacles: Sequence[Obstacle]) -> np.ndarray:
-    """(N,) whether a vertex of the starts ``rows`` is inside an obstacle that all rods share."""
-    anchor = clamp[rows, of.ANCHOR : of.ANCHOR + 3]
-    vertices = vertices_from_quaternions(anchor, whole_start(start[rows], clamp[rows]), _rows(lengths, rows))
+def _inside(frames, lengths, clamp, rows, obstacles: Sequence[Obstacle]) -> np.ndarray:
+    """(N,) whether a vertex of the starts ``rows``, if they had these frames (N, E, 4), is inside an obstacle that all rods
+    share."""
     inside = np.zeros(len(rows), dtype=bool)
-    for obstacle in obstacles:
-        if obstacle.count == 1:
+    shared = [obstacle for obstacle in obstacles if obstacle.count == 1]
+    if shared:
+        anchor = clamp[rows, of.ANCHOR : of.ANCHOR + 3]
+        vertices = vertices_from_quaternions(anchor, frames, _rows(lengths, rows))
+        for obstacle in shared:
             inside |= (obstacle.distance(vertices)[0] < 0).any(axis=1)
     return inside
 
@@ -171,11 +174,12 @@ def _rows(lengths: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return lengths[np.zeros_like(rows) if len(lengths) == 1 else rows]
 
 
-def _bowed(start, lengths, clamp, rows, up) -> np.ndarray:
-    """Starts of which the slack rods ``rows`` can be projected: free edges in one straight line have no first-order way to
-    bring the far end closer.
+def _arches(start, lengths, clamp, rows, up) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """How to bow those of the slack rods ``rows`` that cannot be projected as they are: free edges in one straight line have no
+    first-order way to bring the far end closer.
 
-    Where they are they are bowed to the needed chord, against ``up``, or towards m1 where the line is upright.
+    Returns their rows (N,), their frames (N, E, 4), the axis (N, 3) to turn these about, and by how much (N, E), rad: to the
+    needed chord, against ``up``, or towards m1 where the line is upright.
     """
     edges, own = start.shape[1], _rows(lengths, rows)
     ends, _, span, reach = _free_part(own, clamp[rows])
@@ -194,8 +198,13 @@ def _bowed(start, lengths, clamp, rows, up) -> np.ndarray:
     # A sine arch of slope a cos(π s/L) has the chord L (1 − a²/4).
     place = (np.cumsum(tilting, axis=1) - 0.5) / tilting.sum(axis=1, keepdims=True)
     slope = np.minimum(2 * np.sqrt(1 - share), 1.0)[:, None] * np.cos(np.pi * place) * tilting
-    turn = quaternion_about(-axis[:, None] * np.ones((1, edges, 1)), slope)
-    return _changed(start, clamp, rows, quaternion_product(turn, whole))
+    return rows, whole, -axis, slope
+
+
+def _turned(frames: np.ndarray, axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Frames (N, E, 4) turned about an axis (N, 3) by angles (N, E), rad."""
+    turn = quaternion_about(np.broadcast_to(axis[:, None], (*angle.shape, 3)), angle)
+    return quaternion_product(turn, frames)
 
 
 def _stretched(start, lengths, clamp, rows) -> np.ndarray:
