@@ -166,8 +166,7 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
     grippers = scene.grippers.take(pairs[0] * 0) if start.count > 1 else scene.grippers
     with progress() as bar:
         task = bar.add_task(scene.name, total=count * (grippers.instants - 1), unit="rods x frames")
-        # The account of energies does not know contact forces: the work of grippers would be wrong.
-        stepping = replace(scene.stepping, detailed=not surroundings, **changes)
+        stepping = replace(scene.stepping, detailed=True, **changes)
         found = simulate(start, scene.material, grippers, scene.dynamics, stepping, up=up, pairs=pairs,
                          progress=lambda done: bar.update(task, completed=count * done), **surroundings.arguments)
     first = start.vertices[pairs[0]]
@@ -253,7 +252,8 @@ def _draw(found: _Simulated, shown: dict[str, Path]) -> None:
         from doo_ti.report.rollouts import save_animation
 
         with busy("drawing the animation"):
-            save_animation(shown["animation"], found.name, found.names, found.positions, found.recorded, found.rate, found.up)
+            save_animation(shown["animation"], found.name, found.names, found.positions, found.recorded, found.rate, found.up,
+                           touched)
     if "recording" in shown:
         from doo_ti.record.rollouts import record_rollout
 

@@ -91,6 +91,11 @@ def put(into: Trajectory, rows: np.ndarray, other: Trajectory, of: np.ndarray | 
             getattr(into, name)[rows] = getattr(other, name)[of]
     for name in (entry.name for entry in fields(Memory)):
         getattr(into.memory, name)[rows] = getattr(other.memory, name)[of]
+    if into.detail is not None and other.detail is not None:
+        for name in ("quaternions", "velocities"):
+            getattr(into.detail, name)[rows] = getattr(other.detail, name)[of]
+        for name, energy in into.detail.energies.items():
+            energy[rows] = other.detail.energies[name][of]
 
 
 def _detail(run: Callable[..., Trajectory], fixed: Stepping, found: Trajectory) -> Detail:

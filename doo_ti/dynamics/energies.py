@@ -15,8 +15,9 @@ from doo_ti.types import Status
 
 STORED = ("kinetic", "gravity", "bending", "twist", "springs")
 """Parts of the energy that a rod has at an instant."""
-FLOWS = ("drag", "bend_damping", "twist_damping", "work")
-"""What has been dissipated since the start, by what, and the grippers' work on the rod since then."""
+FLOWS = ("drag", "bend_damping", "twist_damping", "contact", "work")
+"""What has been dissipated since the start, by what, and the grippers' work on the rod since then. Contact takes what friction does,
+and what impacts do."""
 SMALL_TURN = 1e-5
 """rad, for differences of the strains."""
 TURNS = quaternion_of_turn(SMALL_TURN * np.repeat(np.eye(3), 2, axis=0) * np.tile([1.0, -1.0], 3)[:, None])
@@ -101,14 +102,15 @@ class Account:
     scheme  of the steps, h = ``step`` in s
     held    (R, 2) bool: whether a gripper holds the start, and the end
     memory  of the rods at the start
+    touches whether there are obstacles
     """
 
-    def __init__(self, losses: Losses, scheme: str, step: float, held: np.ndarray, memory: Memory):
-        self.losses, self.step, self.held = losses, step, held
+    def __init__(self, losses: Losses, scheme: str, step: float, held: np.ndarray, memory: Memory, touches: bool):
+        self.losses, self.step, self.held, self.touches = losses, step, held, touches
         rate = RATES[scheme]
         self.scheme = rate / step, (rate - 1.0) / rate
         self._flows = {name: np.zeros(len(held)) for name in FLOWS}
-        self._forces, self._instants = None, []
+        self._forces, self._contact, self._instants = None, 0.0, []
         self._strains = _strains(memory.frames_before), _strains(memory.frames)
         self._keep(memory)
         self._store(memory)
@@ -123,31 +125,35 @@ class Account:
         stored = self.losses.stored(memory, self._strains[1])
         self._instants.append((memory.frames.copy(), memory.places[..., 6:9].copy(), stored | self._flows))
 
-    def see(self, memory: Memory, end_force: np.ndarray, is_frame: bool) -> None:
-        """The step that led to ``memory``, with the force (R, 3) of the far clamp at its end, where the start is held too."""
+    def see(self, memory: Memory, end_force: np.ndarray, contact: np.ndarray | float, is_frame: bool) -> None:
+        """The step that led to ``memory``, with the force (R, 3) of the far clamp at its end, where the start is held too, and
+        those of ``contact`` (R, V, 3) on the vertices."""
         older, last = self._strains
         now = _strains(memory.frames)
         rate, extrapolation = self.scheme
-        forces = self._gripper_forces(memory, end_force, now, rate * (now - last - extrapolation * (last - older)))
+        rates = rate * (now - last - extrapolation * (last - older))
+        forces = self._gripper_forces(memory, end_force, contact, now, rates)
         before = forces if self._forces is None else self._forces
         frames, places = self._before
         ends = [0, -1]
         moves = memory.places[:, ends, :3] - places[:, ends]
         turns = rotation_vector(quaternion_product(memory.frames[:, ends], frames[:, ends] * [1.0, -1.0, -1.0, -1.0]))
         work = sum((0.5 * (a + b) * way).sum(axis=(1, 2)) for a, b, way in zip(before, forces, (moves, turns), strict=True))
-        new = self.losses.dissipated(memory, now - last, self.step) | {"work": work}
+        mean = 0.5 * (self._contact + contact)
+        taken = -(mean * (memory.places[..., :3] - places)).sum(axis=(1, 2))
+        new = self.losses.dissipated(memory, now - last, self.step) | {"work": work, "contact": taken}
         self._flows = {name: self._flows[name] + new[name] for name in FLOWS}
-        self._forces, self._strains = forces, (last, now)
+        self._forces, self._contact, self._strains = forces, contact, (last, now)
         self._keep(memory)
         if is_frame:
             self._store(memory)
 
-    def _gripper_forces(self, memory: Memory, end_force: np.ndarray, strains: np.ndarray,
+    def _gripper_forces(self, memory: Memory, end_force: np.ndarray, contact: np.ndarray | float, strains: np.ndarray,
                         rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """((R, 2, 3) forces, (R, 2, 3) moments) of the grippers on the first and the last vertex and edge; ``rates`` are those
         of the ``strains``.
 
-        Of the forces f on the vertices, inertia and drag included, the chain carries N_e = −Σ_{i>e} f_i − F_end through edge e;
+        Of the forces f on the vertices, inertia, drag and contact included, the chain carries N_e = −Σ_{i>e} f_i − F_end through edge e;
         an edge is in balance under the joints' moments T, the gripper's and l t × (−N).
         """
         own, (rate, extrapolation) = self.losses, self.scheme
@@ -155,7 +161,7 @@ class Account:
         acceleration = rate * (velocity - last - extrapolation * (last - self._velocity))
         speed = np.linalg.norm(velocity, axis=-1)
         force = (-own.mass[..., None] * acceleration - (own.drag + own.drag_by_speed * speed)[..., None] * velocity
-                 - own.weight[..., None] * own.up - own.spring_stiffness[..., None] * (place - own.spring_point))
+                 - own.weight[..., None] * own.up - own.spring_stiffness[..., None] * (place - own.spring_point) + contact)
         total = force.sum(axis=1)
         end = np.where(self.held.all(axis=1)[:, None], end_force, np.where(self.held[:, 1:], -total, 0.0))
         start = np.where(self.held[:, :1], -total - end, 0.0)
@@ -170,7 +176,7 @@ class Account:
     def detail(self, status: np.ndarray) -> Detail:
         """Frames, velocities and energies at the start and at all frames seen, of rods with that ``status`` (R, F).
 
-        Energies are those of STORED and FLOWS, ``sum`` of the former, ``dissipated`` by drag and damping together, and
+        Energies are those of STORED and FLOWS, ``sum`` of the former, ``dissipated`` by drag, damping and contact together, and
         ``unaccounted``: the sum at the start and the work, less the sum and what was dissipated. That is lost by the scheme, or
         an error of this account; both are of the scheme's order in h. Gravity counts from the start.
         """
@@ -180,8 +186,10 @@ class Account:
         parts["gravity"] = parts["gravity"] - parts["gravity"][:, :1]
         if not self.losses.spring_stiffness.any():
             del parts["springs"]
+        if not self.touches:
+            del parts["contact"]
         total = sum(parts[name] for name in STORED if name in parts)
-        dissipated = sum(parts[name] for name in FLOWS if name != "work")
+        dissipated = sum(parts[name] for name in FLOWS if name != "work" and name in parts)
         energies = parts | {"sum": total, "dissipated": dissipated,
                             "unaccounted": total[:, :1] + parts["work"] - total - dissipated}
         lost = failed[..., None, None]

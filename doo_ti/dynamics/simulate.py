@@ -289,7 +289,8 @@ class _Motion:
         account = None
         if self.stepping.detailed:
             losses = self.losses(table, numbers[table.external_index], factor)
-            account = Account(losses, self.stepping.scheme, self.step, self.held()[table.configuration_index], memory)
+            account = Account(losses, self.stepping.scheme, self.step, self.held()[table.configuration_index], memory,
+                              bool(self.surroundings))
             at_once = 1
         parts = []
         for first in range(0, frames, at_once):
@@ -317,7 +318,7 @@ def _step_by_step(launch, first: int, last: int, memory: Memory, account: Accoun
     trips = moment = work = 0
     for step in range(first, last):
         positions, outcome, changes, forces = launch(step, step + 1, 1)
-        account.see(memory, outcome[:, 0, END_FORCE:FRICTION_WORK], step + 1 == last)
+        account.see(memory, outcome[:, 0, END_FORCE:FRICTION_WORK], 0.0 if forces is None else forces[:, 0], step + 1 == last)
         trips, moment = trips + outcome[..., TRIPS], np.maximum(moment, outcome[..., MOMENT])
         work = work + outcome[..., FRICTION_WORK]
     outcome[..., TRIPS], outcome[..., MOMENT], outcome[..., FRICTION_WORK] = trips, moment, work

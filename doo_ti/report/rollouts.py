@@ -103,8 +103,9 @@ def _draw_energies(plot, time: np.ndarray, energies: dict[str, np.ndarray], name
 
 
 def save_animation(path: Path, name: str, names: list[str], positions: np.ndarray, recorded: np.ndarray | None, rate: float,
-                   up: np.ndarray) -> None:
-    """A GIF or WebP of some of the (R, T, V, 3) rods moving side by side, in real time where that is not too long."""
+                   up: np.ndarray, touched: Touched | None = None) -> None:
+    """A GIF or WebP of some of the (R, T, V, 3) rods moving side by side, in real time where that is not too long; with the
+    obstacles and the contact forces of the moment where rods have ``touched`` any."""
     from PIL import Image
 
     rows = chosen(positions, recorded, ANIMATED)
@@ -117,8 +118,10 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
     centre, size = 0.5 * (low + high), np.maximum(0.54 * (high - low), 0.2 * max(high - low))
     columns = min(4, len(rows))
     lines = -(-len(rows) // columns)
-    figure = new_figure((2.6 * columns, min(2.6 * size[1] / size[0] + 0.3, 4.0) * lines + 0.3), 80)
-    curves, marks = [], []
+    width = 2.6 if columns > 1 else 3.6
+    head = 0.3 if touched is None else 0.5
+    figure = new_figure((width * columns, min(width * size[1] / size[0] + 0.3, 4.0) * lines + head), 80)
+    plots, curves, marks, forces = [], [], [], []
     for k in range(len(rows)):
         plot = figure.add_subplot(lines, columns, k + 1)
         plot.set_xlim(centre[0] - size[0], centre[0] + size[0])
@@ -127,12 +130,20 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
         plot.set_aspect("equal")
         plot.set_xticks([])
         plot.set_yticks([])
+        if touched is not None:
+            touched.draw_obstacles(plot, rows[k], axes)
         if seen is not None:
             marks.append(plot.plot([], [], color=RECORDED, lw=4)[0])
+        plots.append(plot)
         curves.append(plot.plot([], [], color=PREDICTED, lw=1.8)[0])
-    figure.suptitle(literal(name), fontsize=10)
+    figure.suptitle(literal(name) + ("" if touched is None else f"\nblue: {touched.legend}"), fontsize=10)
+    fit_titles(figure)
     images = []
     for frame in frames:
+        for arrows in forces:
+            arrows.remove()
+        forces = [] if touched is None else [
+            arrows for plot, row in zip(plots, rows, strict=True) for arrows in touched.draw_forces(plot, row, axes, frame)]
         for k, curve in enumerate(curves):
             curve.set_data(*flat[k, frame].T)
             if seen is not None:

@@ -65,6 +65,12 @@ class Touched:
 
     def draw(self, plot, row: int, view: np.ndarray, frames: list[int]) -> None:
         """The obstacles around a rod, and the forces on it at some frames, in a plot with the axes ``view`` (2, 3)."""
+        self.draw_obstacles(plot, row, view)
+        for frame in frames:
+            self.draw_forces(plot, row, view, frame)
+
+    def draw_obstacles(self, plot, row: int, view: np.ndarray) -> None:
+        """The obstacles around a rod; the plot's limits stay as they are."""
         from matplotlib.collections import PolyCollection
 
         limits = plot.axis()
@@ -73,8 +79,11 @@ class Touched:
             plot.add_collection(PolyCollection((vertices @ view.T)[triangles], facecolors=color, edgecolors=color,
                                                linewidths=0.8, zorder=0), autolim=False)
         plot.axis(limits)
-        for frame in frames:
-            places, vectors = self.arrows(row, frame)
-            if len(places):
-                plot.quiver(*(places @ view.T).T, *(vectors @ view.T).T, angles="xy", scale_units="xy", scale=1.0, color=FORCE,
-                            width=0.003, zorder=3)
+
+    def draw_forces(self, plot, row: int, view: np.ndarray, frame: int) -> list:
+        """The forces on a rod at a frame: what was drawn."""
+        places, vectors = self.arrows(row, frame)
+        if not len(places):
+            return []
+        return [plot.quiver(*(places @ view.T).T, *(vectors @ view.T).T, angles="xy", scale_units="xy", scale=1.0, color=FORCE,
+                            width=0.003, zorder=3)]

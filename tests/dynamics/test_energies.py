@@ -1,11 +1,15 @@
 """The account of energies: against F's energy, and balanced to the order of the scheme under every clamp and every loss."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
+from doo_ti.dynamics.scene import load_dynamic_scene
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.frames import vertices_from_quaternions
 from doo_ti.relaxation.external import Springs
@@ -15,6 +19,7 @@ from tests.dynamics.motions import resting
 from tests.references.rods import clamps_at
 from tests.relaxation.rods import wandering
 
+SCENES = Path(__file__).parents[2] / "scenes" / "motion"
 RATE, INSTANTS = 100.0, 31
 CURVED = Material(np.diag([2e5, 3e5])[None], 1e5, 1.0, np.array([[0.003, -0.002]]))
 LOSSES = Dynamics(drag=2.0, quadratic_drag=1e-3, bend_damping=0.01, twist_damping=0.02, point_mass=3.0)
@@ -101,3 +106,21 @@ def test_a_detailed_motion_is_the_same_motion(rng):
     frames = found.detail.quaternions[:2, 1:].reshape(-1, rods.edges, 4)
     vertices = vertices_from_quaternions(found.positions[:2, :, 0].reshape(-1, 3), frames, rods.rest_length[0])
     np.testing.assert_allclose(vertices, found.positions[:2].reshape(-1, rods.edges + 1, 3), atol=1e-9)
+
+
+@pytest.mark.parametrize("scene, frames, share", [
+    ("rope_over_peg", 40, 5e-3), pytest.param("overhand_knot", 8, 0.05, marks=pytest.mark.thorough)])
+def test_energies_balance_where_rods_slide_over_obstacles_and_themselves(scene, frames, share):
+    """The work of friction, which the kernels sum up, is what stored energy and the grippers' work leave for contact."""
+    told = load_dynamic_scene(SCENES / f"{scene}.toml")
+    names = ("start_position", "end_position", "start_frame", "end_frame")
+    grippers = replace(told.grippers, **{name: getattr(told.grippers, name)[:, : frames + 1] for name in names})
+    touched = told.surroundings.arguments
+    rest = relax(told.start, told.material, grippers.at(0), **touched).configuration
+    found = simulate(rest, told.material, grippers, told.dynamics, replace(told.stepping, detailed=True), **touched)
+    assert found.converged.all()
+    energies = {name: value[0, -1] for name, value in found.detail.energies.items()}
+    print({name: f"{value:.1f}" for name, value in energies.items()}, found.friction_work[0, -1])
+    assert energies["work"] > 0 and energies["contact"] > 0.3 * energies["work"]
+    assert abs(energies["unaccounted"]) < share * energies["work"]
+    assert abs(energies["contact"] - found.friction_work[0, -1]) < 0.05 * energies["contact"]
