@@ -10,6 +10,7 @@ from doo_ti.contact.obstacles import Plane as Plane
 from doo_ti.contact.obstacles import Ring as Ring
 from doo_ti.contact.obstacles import Sphere as Sphere
 from doo_ti.contact.surroundings import Surroundings as Surroundings
+from doo_ti.contact.touch import Touch as Touch
 from doo_ti.dynamics.grippers import Grippers as Grippers
 from doo_ti.dynamics.identify import Identified as Identified
 from doo_ti.dynamics.identify import IdentifyOptions as IdentifyOptions

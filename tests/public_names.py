@@ -76,6 +76,7 @@ from doo_ti import (
     Theta,
     Tie,
     TrackedFrame,
+    Touch,
     Tracker,
     TrackingOptions,
     Trajectory,
@@ -187,6 +188,7 @@ def moved(path: Path, configuration: Configuration, clamps: Clamps, material: Ma
     grippers: Grippers = Grippers.resting(clamps, 50)
     begin = MovingStart(configuration, np.zeros((1, 9, 3)))
     trajectory: Trajectory = simulate(begin, material, grippers, Dynamics(drag=0.1, bend_damping=[0.02]), Stepping(100.0))
+    assert trajectory.touch is None or (trajectory.touch == Touch.NONE).all()
     motion = RecordedMotion.of(trajectory.positions, 100.0, names=["one"])
     theta: MotionTheta = load_theta(path)
     guessed = identify_from_guesses(motion, IdentifyOptions(), up=[0, 0, 1])

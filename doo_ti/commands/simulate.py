@@ -10,6 +10,7 @@ from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import RODS, contact_lines, contact_summary, counted, report, save_arrays, shortened
 from doo_ti.contact.surroundings import Surroundings
+from doo_ti.contact.touch import Touch
 from doo_ti.errors import InputError
 from doo_ti.terminal import busy, in_line, progress
 from doo_ti.types import Clamp, Status
@@ -130,16 +131,16 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
     return _Simulated(Path(options.source).stem, list(motion.names), positions, status, motion.rate, theta.up,
                       motion.positions, tuple(motion.glitches()), motion.alone, energies, found.substeps,
                       None if stepping.tolerance is None else found.error, stepping.tolerance, surroundings,
-                      _contact(surroundings, positions, found.contact_force, found.friction_work))
+                      _contact(surroundings, positions, found.contact_force, found.friction_work, found.touch))
 
 
-def _contact(surroundings: Surroundings, positions: np.ndarray, force, work) -> dict[str, np.ndarray]:
+def _contact(surroundings: Surroundings, positions: np.ndarray, force, work, touch) -> dict[str, np.ndarray]:
     """What is written of contact, with obstacles: at every frame forces (R, T, V, 3), smallest gaps and work of friction
-    (R, T)."""
+    (R, T), and what sticks and slips (R, T, V)."""
     if not surroundings:
         return {}
     gap = np.stack([surroundings.smallest_gap(positions[:, frame]) for frame in range(positions.shape[1])], axis=1)
-    return {"contact_force": force, "smallest_gap_mm": gap, "friction_work": work}
+    return {"contact_force": force, "smallest_gap_mm": gap, "friction_work": work, "touch": touch}
 
 
 def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
@@ -176,7 +177,7 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
     if surroundings:
         work = np.pad(found.friction_work, ((0, 0), (1, 0)))
         force = np.concatenate([first_force[:, None], found.contact_force], axis=1)
-        contact = _contact(surroundings, positions, force, work)
+        contact = _contact(surroundings, positions, force, work, np.pad(found.touch, ((0, 0), (1, 0), (0, 0))))
     return _Simulated(scene.name, list(scene.names), positions, status, stepping.rate, up,
                       energies={} if found.detail is None else found.detail.energies, substeps=found.substeps,
                       step_error=None if stepping.tolerance is None else found.error, tolerance=stepping.tolerance,
@@ -224,7 +225,9 @@ def _lines(found: _Simulated, summary: dict) -> list[str]:
     lines += contact_lines(summary, len(found.names))
     if found.contact:
         work = found.contact["friction_work"][:, -1]
-        lines.append(f"  friction    takes {np.nanmin(work):.3g} to {np.nanmax(work):.3g} mm² in all")
+        touch = found.contact["touch"][:, -1]
+        lines.append(f"  friction    takes {np.nanmin(work):.3g} to {np.nanmax(work):.3g} mm² in all; at the end "
+                     f"{(touch == Touch.STICKS).sum()} vertices stick, {(touch == Touch.SLIPS).sum()} slip")
     if found.step_error is not None:
         steps = ", ".join(f"{n} for {rods}" for n, rods in summary["substeps"].items())
         lines.append(f"  time steps  {steps} rods a frame; estimated error: median {np.median(found.step_error):.3g}, largest "

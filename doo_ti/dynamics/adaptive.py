@@ -86,7 +86,7 @@ def put(into: Trajectory, rows: np.ndarray, other: Trajectory, of: np.ndarray | 
     """Write the rods ``of`` of another trajectory into those ``rows``."""
     for name in ("positions", "status", "iterations", "residual", "end_force", "substeps"):
         getattr(into, name)[rows] = getattr(other, name)[of]
-    for name in ("contact_force", "friction_work"):
+    for name in ("contact_force", "friction_work", "touch"):
         if getattr(other, name) is not None:
             getattr(into, name)[rows] = getattr(other, name)[of]
     for name in (entry.name for entry in fields(Memory)):

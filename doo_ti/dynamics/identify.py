@@ -67,20 +67,19 @@ def predicted(motion: RecordedMotion, thetas: list[MotionTheta], options: Identi
 def simulated_recordings(motion: RecordedMotion, theta: MotionTheta, stepping: Stepping, end: Clamp = IdentifyOptions.end,
                          progress=None, surroundings: Surroundings = Surroundings()):
     """(positions (R, T, V, 3), status (R, T), energies (R, T) by name, the simulation itself) of the recordings under one Θ, as
-    :func:`predicted`. Energies, none with obstacles, are NaN in frame 0: the simulation begins at frame 1. ``stepping`` has the
-    rate of the recordings.
-    Contact forces (R, T, V, 3) and work of friction (R, T) in the simulation are those at the recordings' frames, and zero in
-    frames 0 and 1."""
+    :func:`predicted`. Energies are NaN in frame 0: the simulation begins at frame 1. ``stepping`` has the rate of the recordings.
+    Contact forces (R, T, V, 3), :class:`.Touch` (R, T, V) and work of friction (R, T) in the simulation are those at the
+    recordings' frames, and zero in frames 0 and 1."""
     begun = rollout(motion, theta.rest_length, theta.reference, end=end)
     material, dynamics = simulated([theta])
     found = simulate(MovingStart(begun.start, begun.velocity, 0.5 / begun.rate), material, begun.grippers, dynamics,
-                     replace(stepping, detailed=not surroundings), up=theta.up, progress=progress, **surroundings.arguments)
+                     replace(stepping, detailed=True), up=theta.up, progress=progress, **surroundings.arguments)
     positions, status = (value[:, 0] for value in _shown(motion, 1, begun.steps[:, 1:] - 1, found))
     rods = np.arange(motion.count)[:, None]
     energies = {name: np.concatenate([np.full((motion.count, 1), np.nan), value[rods, begun.steps]], axis=1)
                 for name, value in ({} if found.detail is None else found.detail.energies).items()}
     if surroundings:
-        for name in ("contact_force", "friction_work"):
+        for name in ("contact_force", "friction_work", "touch"):
             value = getattr(found, name)[rods, begun.steps[:, 1:] - 1]
             found = replace(found, **{name: np.concatenate([np.zeros_like(value[:, :1])] * 2 + [value], axis=1)})
     return positions, status, energies, found

@@ -30,7 +30,8 @@ def kept_apart(moved: Callable[..., Trajectory], stepping: Stepping, rows: np.nd
     for frame in range(found.positions.shape[1]):
         near |= approach_in_motion(places[:, frame], places[:, frame + 1], own, lengths, radius)
     if found.contact_force is None:
-        found = replace(found, contact_force=np.zeros_like(found.positions))
+        found = replace(found, contact_force=np.zeros_like(found.positions),
+                        touch=np.zeros(found.positions.shape[:3], dtype=np.int8))
     again = np.flatnonzero(near)
     if len(again):
         put(found, again, moved(replace(stepping, precision="f64"), rows[again], None, True)[0], slice(None))

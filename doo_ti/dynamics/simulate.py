@@ -301,7 +301,7 @@ class _Motion:
                 parts.append(_step_by_step(launch, first * self.substeps, last * self.substeps, memory, account))
             if progress is not None:
                 progress(last)
-        positions, outcomes, changes, forces = zip(*parts, strict=True)
+        positions, outcomes, changes, forces, touches = zip(*parts, strict=True)
         outcome = joined(outcomes)
         status = outcome[..., STATE].astype(np.int8)
         self.relinked = (outcome[..., RELINKED] > 0).any(axis=1) & table.spins_held[table.configuration_index]
@@ -310,19 +310,20 @@ class _Motion:
             outcome[..., END_FORCE:FRICTION_WORK], self.stepping.rate, memory,
             np.full(table.count, self.substeps), np.full(table.count, np.nan),
             None if slopes is None else joined(changes), None if account is None else account.detail(status),
-            None if forces[0] is None else joined(forces), summed([part[..., FRICTION_WORK] for part in outcomes]))
+            None if forces[0] is None else joined(forces), summed([part[..., FRICTION_WORK] for part in outcomes]),
+            None if touches[0] is None else joined(touches))
 
 
 def _step_by_step(launch, first: int, last: int, memory: Memory, account: Account):
     """What one launch of the steps from ``first`` to ``last`` returns, of launches of one step, which ``account`` sees."""
     trips = moment = work = 0
     for step in range(first, last):
-        positions, outcome, changes, forces = launch(step, step + 1, 1)
+        positions, outcome, changes, forces, touches = launch(step, step + 1, 1)
         account.see(memory, outcome[:, 0, END_FORCE:FRICTION_WORK], 0.0 if forces is None else forces[:, 0], step + 1 == last)
         trips, moment = trips + outcome[..., TRIPS], np.maximum(moment, outcome[..., MOMENT])
         work = work + outcome[..., FRICTION_WORK]
     outcome[..., TRIPS], outcome[..., MOMENT], outcome[..., FRICTION_WORK] = trips, moment, work
-    return positions, outcome, changes, forces
+    return positions, outcome, changes, forces, touches
 
 
 def _newton(quasi_static: bool = False) -> Newton:

@@ -41,6 +41,7 @@ class Trajectory:
     detail      frames, velocities and energies, if asked for, or None
     contact_force  (R, F, V, 3) of obstacles on vertices, friction included, mm (energy per mm), or None without obstacles
     friction_work  (R, F) energy that friction has taken since the start, mm²
+    touch       (R, F, V) :class:`.Touch` of each vertex and the edge that ends there, or None without obstacles
     """
 
     __repr__ = short_repr
@@ -58,6 +59,7 @@ class Trajectory:
     detail: Detail | None = None
     contact_force: np.ndarray | None = None
     friction_work: np.ndarray | None = None
+    touch: np.ndarray | None = None
 
     @property
     def converged(self) -> np.ndarray:

@@ -76,6 +76,8 @@ VISCOUS, THICKER, THINNER, LEAST_VISCOSITY, MOST_VISCOSITY, MOST_EASED = 30.0, 8
 THICKER where a step with it fails, else smaller by THINNER, none below a share of the first; at most so much, and so often."""
 LEAST_BLOCKED = 1 / 64
 """Of the shortest way otherwise: that of a step which would begin inside an obstacle."""
+HELD = 0.999
+"""A contact sticks while its friction is below that share of the largest."""
 INERT = 10.0
 """In a motion κ is larger by so many times the inertia of a vertex."""
 

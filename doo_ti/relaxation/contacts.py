@@ -3,6 +3,8 @@
 import taichi as ti
 
 from doo_ti.contact.obstacles import DEPTH, OBSTACLE_COLUMNS, SIZES
+from doo_ti.contact.obstacles import FRICTION as COEFFICIENT
+from doo_ti.contact.touch import Touch
 from doo_ti.physics.tuples import chosen, dot
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import (
@@ -16,12 +18,14 @@ from doo_ti.relaxation.contact_layout import (
     FIRST_STIFFNESS,
     FIRST_STRENGTH,
     FIRST_VISCOSITY,
+    FORCE,
     FORCE_BETWEEN,
     FORCE_END,
     FORCE_START,
     FRICTION,
     FRICTION_BETWEEN,
     HEAD,
+    HELD,
     INERT,
     LARGEST,
     LEAST_BLOCKED,
@@ -53,6 +57,8 @@ from doo_ti.relaxation.contact_layout import (
     WORK,
 )
 from doo_ti.relaxation.contact_rounds import ContactRounds
+
+NONE, STICKS, SLIPS = map(int, Touch)
 
 
 @ti.data_oriented
@@ -231,6 +237,34 @@ class Contacts(ContactRounds):
                 tables.forces[place, v, k] = force * force_unit
 
     @ti.func
+    def unload_touch(self, tables, scratch: ti.template(), slot, place):
+        """Into row ``place``, of every vertex of the lane and the edge that ends there, the :class:`.Touch`."""
+        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_COLUMNS) * self.stride
+        for v in range(tables.rest_length.shape[1] + 1):
+            at = first + v * (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
+            touch = self.pair_touch(tables, scratch, slot, v)
+            for o in range(tables.kinds.shape[0]):
+                contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
+                obstacle = tables.contacts + (HEAD + o * OBSTACLE_COLUMNS) * self.stride
+                coefficient = self.get(scratch, obstacle + COEFFICIENT * self.stride, slot)
+                for force, friction in ti.static(((FORCE, FRICTION), (FORCE_BETWEEN, FRICTION_BETWEEN))):
+                    found = self.stuck(scratch, slot, contact + force * self.stride, contact + friction * self.stride, coefficient)
+                    touch = ti.max(touch, found)
+            tables.touches[place, v] = touch
+
+    @ti.func
+    def stuck(self, scratch: ti.template(), slot, force, friction, coefficient):
+        """The :class:`.Touch` of a contact, whose force and friction are at those items."""
+        found = ti.cast(NONE, ti.i32)
+        limit = coefficient * self.get(scratch, force, slot)
+        if self.get(scratch, force, slot) > 0.0:
+            square = 0.0 * limit
+            for k in ti.static(range(3)):
+                square += self.get(scratch, friction + k * self.stride, slot) ** 2
+            found = ti.select(square < (HELD * limit) ** 2, STICKS, SLIPS)
+        return found
+
+    @ti.func
     def unload(self, tables, scratch: ti.template(), slot, row):
         """The lane's contacts into row ``row`` of the memory, in the units of the chain; in the place of the edge before vertex
         0, which there is not, κ."""
@@ -257,6 +291,11 @@ class Contacts(ContactRounds):
     @ti.func
     def load_pairs(self, tables, scratch: ti.template(), slot, row):
         """Begin lane ``slot`` without forces between edges."""
+
+    @ti.func
+    def pair_touch(self, tables, scratch: ti.template(), slot, vertex):
+        """The :class:`.Touch` of the edge that ends at a vertex of lane ``slot`` with other edges."""
+        return ti.cast(NONE, ti.i32)
 
     @ti.func
     def pair_force(self, tables, scratch: ti.template(), slot, vertex, k: ti.template()):

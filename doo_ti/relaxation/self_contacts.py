@@ -5,6 +5,7 @@ import taichi as ti
 from doo_ti.physics.algebra import largest_of
 from doo_ti.physics.tuples import chosen, dot, minus, plus, scaled
 from doo_ti.relaxation.contact_layout import APPROACH, OFFSET, RADIUS, SLACK, STIFFNESS, contact_items
+from doo_ti.relaxation.contacts import NONE
 from doo_ti.relaxation.pair_distance import pair_weights
 from doo_ti.relaxation.pair_layout import (
     COEFFICIENT,
@@ -168,6 +169,22 @@ class SelfContacts(SelfContactEnergy):
                 self.put(scratch, at + k * self.stride, slot, 0.0)
             self.put(scratch, at + DISTANCE * self.stride, slot, 1e30)
             self.put(scratch, at + DISTANCE_STANDING * self.stride, slot, 1e30)
+
+    @ti.func
+    def pair_touch(self, tables, scratch: ti.template(), slot, vertex):
+        """The :class:`.Touch` of the edge that ends at a vertex of lane ``slot`` with other edges."""
+        edges = tables.rest_length.shape[1]
+        own = tables.contacts + contact_items(edges, tables.kinds.shape[0]) * self.stride
+        coefficient = self.get(scratch, own + COEFFICIENT * self.stride, slot)
+        first, edge = self.first_pair(tables), vertex - 1
+        touch = ti.cast(NONE, ti.i32)
+        for other in range(edges):
+            if edge >= 0 and ti.abs(other - edge) > 1:
+                i, j = ti.min(edge, other), ti.max(edge, other)
+                at = first + (j * (j - 1) // 2 + i) * PAIR_ITEMS * self.stride
+                found = self.stuck(scratch, slot, at + FORCE * self.stride, at + FRICTION * self.stride, coefficient)
+                touch = ti.max(touch, found)
+        return touch
 
     @ti.func
     def pair_force(self, tables, scratch: ti.template(), slot, vertex, k: ti.template()):

@@ -95,6 +95,7 @@ def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int
         memory: table4,  # as in Newton's
         forces: table3,  # [row · frame, vertex, 3] out
         self_friction: table1,
+        touches: index2,  # [row · frame, vertex] out
     ):
         ti.loop_config(block_dim=block)
         for thread in range(threads):
@@ -106,7 +107,7 @@ def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int
                 queue=queue, frames=frames, results=results, numbers=numbers, field=material, path=path, shares=shares,
                 time=time, steps=steps, every=every, frames_before=frames_before, places=places, positions=positions,
                 outcome=outcome, contacts=contacts, obstacles=obstacles, kinds=obstacle_kinds, grids=grids, radius=radius,
-                tolerance=gap_tolerance, memory=memory, forces=forces, self_friction=self_friction)
+                tolerance=gap_tolerance, memory=memory, forces=forces, self_friction=self_friction, touches=touches)
             loop.work(tables, scratch, threads, thread)
 
     return make_steps, sweep.items, sweep.parameters

@@ -272,6 +272,7 @@ class TimeLoop(NewtonLoop):
                 self.write_slopes(tables, scratch, slot, row * frames + frame)
                 if ti.static(self.touches):
                     self.sweep.contacts.unload_forces(tables, scratch, slot, row * frames + frame, unit)
+                    self.sweep.contacts.unload_touch(tables, scratch, slot, row * frames + frame)
                     work = ti.cast(self.get(scratch, tables.contacts + WORK * self.stride, slot), ti.f64)
                     tables.outcome[row, frame, FRICTION_WORK] = work * ti.cast(
                         self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)

@@ -95,7 +95,8 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
     slopes   what to differentiate by, in f64
 
     Returns positions (R, frames, V, 3) mm, NaN from where a rod failed, outcomes (R, frames, OUTCOMES), and the derivatives of
-    positions (R, frames, P, V, 3) or None, and the forces of contacts on vertices (R, frames, V, 3), energy per mm, or None.
+    positions (R, frames, P, V, 3) or None, the forces of contacts on vertices (R, frames, V, 3), energy per mm, or None, and their
+    :class:`.Touch` (R, frames, V) or None.
     """
     rods = table.rods[memory.status[table.rods[:, of.RESULT_ROW]] == Status.CONVERGED]
     rods = np.ascontiguousarray(rods)
@@ -107,10 +108,11 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
     positions[...] = np.nan
     outcome = np.zeros((table.count, frames, OUTCOMES))
     contact = table.contact
-    forces = None
+    forces = touches = None
     if contact is not None:
         forces = room(table.count * frames, table.edges + 1, 3)
         forces[...] = 0.0
+        touches = np.zeros((table.count * frames, table.edges + 1), dtype=np.int32)
     outcome[:, :, STATE] = memory.status[:, None]
     position_slopes = None
     if slopes is not None:
@@ -121,7 +123,7 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
         if contact is not None:
             kernel, items, parameters = time_contact_kernel(
                 number, table.isotropic, stride, block, contact.known, contact.rubs, contact.itself)
-            more = contact.arguments(forces)
+            more = *contact.arguments(forces), touches
             size = parameters + items * table.edges + contact.items(table.edges, len(contact.kinds))
         elif slopes is None:
             kernel, items, parameters = time_kernel(number, table.isotropic, stride, block)
@@ -146,4 +148,5 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
         position_slopes = position_slopes.reshape(table.count, frames, slopes.count, table.edges + 1, 3)
     if contact is not None:
         forces = forces.reshape(table.count, frames, table.edges + 1, 3)
-    return positions.reshape(table.count, frames, table.edges + 1, 3), outcome, position_slopes, forces
+        touches = touches.reshape(table.count, frames, table.edges + 1).astype(np.int8)
+    return positions.reshape(table.count, frames, table.edges + 1, 3), outcome, position_slopes, forces, touches

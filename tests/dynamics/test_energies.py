@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from doo_ti.contact.touch import Touch
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.scene import load_dynamic_scene
@@ -121,6 +122,7 @@ def test_energies_balance_where_rods_slide_over_obstacles_and_themselves(scene, 
     assert found.converged.all()
     energies = {name: value[0, -1] for name, value in found.detail.energies.items()}
     print({name: f"{value:.1f}" for name, value in energies.items()}, found.friction_work[0, -1])
+    assert (found.touch[:, -1] == Touch.SLIPS).any()
     assert energies["work"] > 0 and energies["contact"] > 0.3 * energies["work"]
     assert abs(energies["unaccounted"]) < share * energies["work"]
     assert abs(energies["contact"] - found.friction_work[0, -1]) < 0.05 * energies["contact"]
