@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, Configuration, InputError, Material, Newton, Plane, predict, predict_step, relax
+from doo_ti import Capsule, Clamp, Clamps, Configuration, InputError, Material, Newton, Plane, predict, predict_step, relax
 from doo_ti.io.motion_file import ClampPath
-from doo_ti.types import Solution
+from doo_ti.types import Solution, Status
 
 TABLE, RADIUS = Plane((0, 0, 0), (0, 0, 1)), 2.0
 
@@ -93,3 +93,15 @@ def test_candidate_motions_end_on_the_table(solution):
     assert found.contact.gap.min() > -1e-3 * RADIUS
     with pytest.raises(InputError, match="radius: missing beside obstacles"):
         predict_step(lying, Material(6e5, 6e5), clamps, goal, obstacles=[TABLE])
+
+
+@pytest.mark.parametrize("clamp, status", [(Clamp.FRAME, Status.INFEASIBLE), (Clamp.POSITION, Status.CONVERGED)])
+def test_a_clamp_that_holds_the_middle_of_an_edge_in_a_peg_is_infeasible(clamp, status):
+    """Both its vertices are outside. A clamp of the point alone lets the edge turn away."""
+    rod = Configuration.straight(np.zeros(3), np.array([1.0, 0.0, 0.0]), 60.0, 20)
+    far = rod.vertices[:, -1:][:, 0] - [6.0, 0.0, 0.0]
+    clamps = Clamps(clamp, Clamp.POSITION, rod.start, far, rod.frames[:, 0], rod.frames[:, -1])
+    peg = Capsule((1.5, -4.95, -50.0), (1.5, -4.95, 50.0), 4.0)
+    assert peg.distance(rod.vertices[:, :2])[0].min() > 1.0
+    found = relax(rod, Material(1e5, 1e5), clamps, up=(0.0, 1.0, 0.0), obstacles=[peg], radius=1.0)
+    assert found.status[0] == status
