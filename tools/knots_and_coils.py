@@ -1,10 +1,11 @@
 """Rods that touch themselves against theory: overhand knots and a plectoneme.
 
-    python tools/knots_and_coils.py [--edges 200]
+    python tools/knots_and_coils.py [knots | friction | plectoneme ...] [--edges 200]
 
 Overhand knots without friction (Audoly, Clauvelin and Neukirch 2007), in the limit of small ε = √(h/R): the tension is
 F h²/B = ε⁴/2, and the sum of all contact forces P h²/B = 0.492 ε³, by which friction multiplies. h is the rod's radius and R
-that of the loop, of a circle fitted to its lower two thirds. Between the knots and the limit are terms of relative size ε.
+that of the loop, of a circle fitted to its lower two thirds. Between the knots and the limit are terms of relative size ε. With
+friction a knot is pulled tighter by quasi-static steps, and its strands rub: F h²/B = ε⁴/2 + μ 0.492 ε³. This takes half an hour.
 
 A plectoneme (Clauvelin, Audoly and Neukirch 2009): a rod is turned at one end; where it has coiled up, with the angle α of its
 strands to the axis of the coil, F h²/B = sin³α (cos α tan 2α − ½ sin α). Its link, by twist and writhe, is the turns it was
@@ -30,12 +31,14 @@ from doo_ti.material import Material  # noqa: E402
 from doo_ti.relaxation.newton import Newton  # noqa: E402
 from doo_ti.relaxation.relax import relax  # noqa: E402
 from doo_ti.rods import end_clamps, straight_rod  # noqa: E402
-from doo_ti.types import Clamp, Clamps  # noqa: E402
+from doo_ti.types import Clamp, Clamps, Solution  # noqa: E402
 from tests.contact.topology import determinant, link  # noqa: E402
 
 BEND, RADIUS = 1e5, 1.0
 KNOTS = ((0.05, 12.0), (0.07, 12.0), (0.1, 10.0), (0.15, 6.0), (0.2, 3.0))
 """ε to begin with, and how much finer edges in the braid are."""
+PULLED, RUB, STEPS, TIGHTER = ((0.047, 14.0), (0.09, 10.0)), 0.1, 12, 0.1
+"""The same of knots that are pulled, the coefficient of friction, in how many steps, and by which share of their loop."""
 
 
 def fitted_radius(vertices: np.ndarray, guess: float) -> float:
@@ -49,24 +52,55 @@ def fitted_radius(vertices: np.ndarray, guess: float) -> float:
     return guess
 
 
+def tied(begin: float, finer: float, edges: int) -> tuple[Solution, Clamps, float]:
+    """A knot without friction, at rest, its clamps and the radius of its loop, mm."""
+    loop = RADIUS / begin**2
+    rod = overhand_knot(2.0 * np.pi * 1.1 * loop + 7.0 * np.sqrt(2.0) * loop, edges, radius=RADIUS, loop=loop, finer=finer)
+    clamps = end_clamps(rod, Clamp.TANGENT, Clamp.TANGENT)
+    found = relax(rod, Material(BEND, BEND, 0.0), clamps, Newton(max_iterations=2000), obstacles=[Itself()], radius=RADIUS)
+    if not found.converged[0] or determinant(found.configuration.vertices[0]) != 3:
+        raise SystemExit(f"the knot of ε {begin} has not converged, or come undone")
+    return found, clamps, fitted_radius(found.configuration.vertices[0], loop)
+
+
 def knots(edges: int) -> None:
     """Print the table of knots."""
     print("|  ε | F h²/B over ε⁴/2 | P h²/B over 0.492 ε³ | smallest gap over the diameter | s |\n|---|---|---|---|---|")
     for begin, finer in KNOTS:
-        loop = RADIUS / begin**2
-        rod = overhand_knot(2.0 * np.pi * 1.1 * loop + 7.0 * np.sqrt(2.0) * loop, edges, radius=RADIUS, loop=loop, finer=finer)
-        clamps, began = end_clamps(rod, Clamp.TANGENT, Clamp.TANGENT), time.process_time()
-        found = relax(rod, Material(BEND, BEND, 0.0), clamps, Newton(max_iterations=2000), obstacles=[Itself()], radius=RADIUS)
+        began = time.process_time()
+        found, _, loop = tied(begin, finer, edges)
         taken = time.process_time() - began
-        vertices = found.configuration.vertices[0]
-        if not found.converged[0] or determinant(vertices) != 3:
-            raise SystemExit(f"the knot of ε {begin} has not converged, or come undone")
-        epsilon = np.sqrt(RADIUS / fitted_radius(vertices, loop))
+        epsilon = np.sqrt(RADIUS / loop)
         force = np.linalg.norm(found.end_force[0]) * RADIUS**2 / BEND
         pressed = 0.5 * np.linalg.norm(found.contact.force[0], axis=-1).sum() * RADIUS**2 / BEND
         gap = 1.0 + found.contact.gap[0] / (2.0 * RADIUS)
         ratios = f"{force / (0.5 * epsilon**4):.3f} | {pressed / (0.492 * epsilon**3):.3f}"
         print(f"| {epsilon:.3f} | {ratios} | {gap:.5f} | {taken:.0f} |", flush=True)
+
+
+def friction(edges: int) -> None:
+    """Print the table of knots that are pulled tighter while their strands rub."""
+    print(f"\n|  ε | F h²/B over ε⁴/2 + {RUB:g} · 0.492 ε³: mean, least, largest | smallest gap over the diameter | s |\n"
+          "|---|---|---|---|")
+    for begin, finer in PULLED:
+        began = time.process_time()
+        knot, clamps, loop = tied(begin, finer, edges)
+        share = np.linspace(0.0, 1.0, STEPS + 1)
+        way = 0.5 * TIGHTER * 2.0 * np.pi * loop * share[None, :, None] * clamps.start_frame[:, None, :, 0]
+        ends = clamps.start_position[:, None] - way, clamps.end_position[:, None] + way
+        held = [np.repeat(frame[:, None], STEPS + 1, axis=1) for frame in (clamps.start_frame, clamps.end_frame)]
+        grippers = Grippers(Clamp.TANGENT, Clamp.TANGENT, *ends, *held)
+        moved = simulate(knot.configuration, Material(BEND, BEND, 0.0), grippers, Dynamics(density=1.0),
+                         Stepping(10.0, quasi_static=True), obstacles=[Itself(friction=RUB)], radius=RADIUS)
+        if not moved.converged[0]:
+            raise SystemExit(f"the knot of ε {begin} has not converged with friction")
+        places = moved.positions[0]
+        epsilon = np.sqrt(RADIUS / np.array([fitted_radius(vertices, loop) for vertices in places]))
+        force = np.linalg.norm(moved.end_force[0], axis=-1) * RADIUS**2 / BEND
+        ratio = force / (0.5 * epsilon**4 + RUB * 0.492 * epsilon**3)
+        gap = 1.0 + smallest_self_gap(places, np.full(len(places), RADIUS)).min() / (2.0 * RADIUS)
+        print(f"| {epsilon[0]:.3f} to {epsilon[-1]:.3f} | {ratio.mean():.2f}, {ratio.min():.2f}, {ratio.max():.2f} | {gap:.5f} | "
+              f"{time.process_time() - began:.0f} |", flush=True)
 
 
 def plectoneme(edges: int) -> None:
@@ -105,12 +139,20 @@ def plectoneme(edges: int) -> None:
         raise SystemExit("the plectoneme has not converged, or passed through itself")
 
 
+TABLES = {"knots": knots, "friction": friction, "plectoneme": plectoneme}
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("tables", nargs="*", metavar="TABLE", help=f"of {', '.join(TABLES)}; by default the two that take "
+                        "minutes, knots and plectoneme")
     parser.add_argument("--edges", type=int, default=200)
     options = parser.parse_args()
-    knots(options.edges)
-    plectoneme(options.edges)
+    unknown = [name for name in options.tables if name not in TABLES]
+    if unknown:
+        parser.error(f"{unknown[0]!r} is unknown: give {', '.join(TABLES)}")
+    for name in options.tables or ("knots", "plectoneme"):
+        TABLES[name](options.edges)
     return 0
 
 
