@@ -3,8 +3,8 @@
     python tools/compare_architectures.py [CASE ...] [--rods N] [--rounds N] [--limit SECONDS] [--report FILE]
 
 Every case runs in a process of its own on either architecture, NumPy in to NumPy out: once with the compilation of its kernels,
-then a few times. The table names the seconds of the first call, the rate of the fastest call after it, and how far the shapes of
-rods that converged on both lie apart: the median and the largest, as a share of the length. Rods under contact may have several
+then a few times. The table names the seconds of the first call, the rate of the fastest call after it, and how far the shapes
+of rods that converged on both lie apart: the median and the largest, as a share of the length. Rods under contact may have several
 minima, and rounding may decide between them; they are counted apart. Exit code 1 where a case fails on the GPU.
 """
 
@@ -212,8 +212,8 @@ def main(words: list[str] | None = None) -> int:
         one(options.cases[0], options.rods, options.rounds, options.one)
         return 0
     chosen = [name for name in CASES if not options.cases or name.startswith(tuple(options.cases))]
-    lines = [f"{machine()['processor']}, {machine()['cores']} cores. Seconds of the first call, rods per second after it, % that "
-             f"converge; of those that converge on both, how many are in another minimum, and the median and the largest "
+    lines = [f"{machine()['processor']}, {machine()['cores']} cores. Seconds of the first call, rods per second after it, % "
+             f"that converge; of those that converge on both, how many are in another minimum, and the median and the largest "
              f"difference of the others, in lengths.", "",
              "| case | rods | first, CPU | first, GPU | CPU | GPU | CPU % | GPU % | other minimum | median | largest |",
              "|---" * 11 + "|"]

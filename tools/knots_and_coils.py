@@ -5,7 +5,8 @@
 Overhand knots without friction (Audoly, Clauvelin and Neukirch 2007), in the limit of small ε = √(h/R): the tension is
 F h²/B = ε⁴/2, and the sum of all contact forces P h²/B = 0.492 ε³, by which friction multiplies. h is the rod's radius and R
 that of the loop, of a circle fitted to its lower two thirds. Between the knots and the limit are terms of relative size ε. With
-friction a knot is pulled tighter by quasi-static steps, and its strands rub: F h²/B = ε⁴/2 + μ 0.492 ε³. This takes half an hour.
+friction a knot is pulled tighter by quasi-static steps, and its strands rub: F h²/B = ε⁴/2 + μ 0.492 ε³. That takes half an
+hour.
 
 A plectoneme (Clauvelin, Audoly and Neukirch 2009): a rod is turned at one end; where it has coiled up, with the angle α of its
 strands to the axis of the coil, F h²/B = sin³α (cos α tan 2α − ½ sin α). Its link, by twist and writhe, is the turns it was
@@ -99,7 +100,8 @@ def friction(edges: int) -> None:
         force = np.linalg.norm(moved.end_force[0], axis=-1) * RADIUS**2 / BEND
         ratio = force / (0.5 * epsilon**4 + RUB * 0.492 * epsilon**3)
         gap = 1.0 + smallest_self_gap(places, np.full(len(places), RADIUS)).min() / (2.0 * RADIUS)
-        print(f"| {epsilon[0]:.3f} to {epsilon[-1]:.3f} | {ratio.mean():.2f}, {ratio.min():.2f}, {ratio.max():.2f} | {gap:.5f} | "
+        ratios = f"{ratio.mean():.2f}, {ratio.min():.2f}, {ratio.max():.2f}"
+        print(f"| {epsilon[0]:.3f} to {epsilon[-1]:.3f} | {ratios} | {gap:.5f} | "
               f"{time.process_time() - began:.0f} |", flush=True)
 
 

@@ -16,8 +16,8 @@ from doo_ti.types import Status
 STORED = ("kinetic", "gravity", "bending", "twist", "springs")
 """Parts of the energy that a rod has at an instant."""
 FLOWS = ("drag", "bend_damping", "twist_damping", "contact", "work")
-"""What has been dissipated since the start, by what, and the grippers' work on the rod since then. Contact takes what friction does,
-and what impacts do."""
+"""What has been dissipated since the start, by what, and the grippers' work on the rod since then. Contact takes what friction
+and impacts do."""
 SMALL_TURN = 1e-5
 """rad, for differences of the strains."""
 TURNS = quaternion_of_turn(SMALL_TURN * np.repeat(np.eye(3), 2, axis=0) * np.tile([1.0, -1.0], 3)[:, None])
@@ -153,8 +153,8 @@ class Account:
         """((R, 2, 3) forces, (R, 2, 3) moments) of the grippers on the first and the last vertex and edge; ``rates`` are those
         of the ``strains``.
 
-        Of the forces f on the vertices, inertia, drag and contact included, the chain carries N_e = −Σ_{i>e} f_i − F_end through edge e;
-        an edge is in balance under the joints' moments T, the gripper's and l t × (−N).
+        Of the forces f on the vertices, with inertia, drag and contact, the chain carries N_e = −Σ_{i>e} f_i − F_end through edge
+        e; an edge is in balance under the joints' moments T, the gripper's and l t × (−N).
         """
         own, (rate, extrapolation) = self.losses, self.scheme
         place, velocity, last = (memory.places[..., k : k + 3] for k in (0, 6, 9))

@@ -179,8 +179,8 @@ class ContactPlaces:
 
     @ti.func
     def pinched(self, rod, miss):
-        """Whether a clamp holds a vertex of an end edge in an obstacle, or the edge between them; a far end is taken where it is
-        held, not where it still misses that place by ``miss``."""
+        """Whether a clamp holds a vertex of an end edge in an obstacle, or the edge between them; a far end is taken where it
+        is held, not where it still misses that place by ``miss``."""
         zero = 0.0 * rod.total
         least = zero
         for end in range(2):

@@ -247,9 +247,9 @@ class Contacts(ContactRounds):
                 contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
                 obstacle = tables.contacts + (HEAD + o * OBSTACLE_COLUMNS) * self.stride
                 coefficient = self.get(scratch, obstacle + COEFFICIENT * self.stride, slot)
-                for force, friction in ti.static(((FORCE, FRICTION), (FORCE_BETWEEN, FRICTION_BETWEEN))):
-                    found = self.stuck(scratch, slot, contact + force * self.stride, contact + friction * self.stride, coefficient)
-                    touch = ti.max(touch, found)
+                for items in ti.static(((FORCE, FRICTION), (FORCE_BETWEEN, FRICTION_BETWEEN))):
+                    force, friction = contact + items[0] * self.stride, contact + items[1] * self.stride
+                    touch = ti.max(touch, self.stuck(scratch, slot, force, friction, coefficient))
             tables.touches[place, v] = touch
 
     @ti.func

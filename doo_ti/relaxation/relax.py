@@ -153,6 +153,8 @@ def _touch_themselves(table: Tables, solver: Newton, frames, results, bits) -> T
     contact = table.contact
     if contact is None or contact.surroundings.itself is None:
         return table
+    if contact.forces.flags.writeable:  # of an earlier call with these tables
+        contact.forces[~contact.near] = 0.0
     index = table.configuration_index
     may = approach_in_relaxation(table.start, index, frames, table.rest_length, contact.radius, table.spins_held[index])
     rows = np.flatnonzero(may & (results[:, of.STATUS] != INFEASIBLE))

@@ -95,8 +95,8 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
     slopes   what to differentiate by, in f64
 
     Returns positions (R, frames, V, 3) mm, NaN from where a rod failed, outcomes (R, frames, OUTCOMES), and the derivatives of
-    positions (R, frames, P, V, 3) or None, the forces of contacts on vertices (R, frames, V, 3), energy per mm, or None, and their
-    :class:`.Touch` (R, frames, V) or None.
+    positions (R, frames, P, V, 3) or None, the forces of contacts on vertices (R, frames, V, 3), energy per mm, or None, and
+    their :class:`.Touch` (R, frames, V) or None.
     """
     rods = table.rods[memory.status[table.rods[:, of.RESULT_ROW]] == Status.CONVERGED]
     rods = np.ascontiguousarray(rods)

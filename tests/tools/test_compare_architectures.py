@@ -14,6 +14,7 @@ def test_a_case_runs_and_says_how_long(tmp_path):
 def test_other_minima_are_counted_apart():
     values, seconds = np.zeros((4, 3)), np.array([2.0, 0.5])
     cpu = {"values": values, "converged": np.array([True, True, True, False]), "seconds": seconds}
-    cuda = {"values": values + np.array([[1e-6], [10 * SAME], [0.0], [1.0]]), "converged": np.ones(4, bool), "seconds": seconds / 5}
+    moved = values + np.array([[1e-6], [10 * SAME], [0.0], [1.0]])
+    cuda = {"values": moved, "converged": np.ones(4, dtype=bool), "seconds": seconds / 5}
     cells = compared(cpu, cuda).split(" | ")
     assert cells == ["4", "2.0", "0.4", "8", "40", "75.00", "100.00", "1", "5e-07", "1e-06"]
