@@ -40,6 +40,9 @@ def test_what_moves_slips_and_what_stays_sticks():
     assert found.friction_work[0, -1] > 0
 
 
-def test_without_friction_everything_slips():
-    found, _ = pushed(0.0)
-    assert set(np.unique(found.touch)) == {Touch.NONE, Touch.SLIPS} or (found.touch == Touch.SLIPS).all()
+def test_with_hardly_any_friction_all_that_moves_slips():
+    """The whole bow moves, but for its far end."""
+    found, places = pushed(1e-5)
+    moved, touch = np.linalg.norm(np.diff(places, axis=1), axis=-1)[0], found.touch[0]
+    print(f"stick {(touch == Touch.STICKS).sum(axis=1)}, slip {(touch == Touch.SLIPS).sum(axis=1)}; moved {moved[-1]}")
+    assert (moved[:, :-1] > 0.05).all() and (touch[:, :-1] != Touch.STICKS).all()
