@@ -1,14 +1,19 @@
-"""The tool that compares architectures: its cases run, and its table counts other minima apart."""
+"""The tool that compares architectures: what a case leaves, and a table that counts other minima apart."""
 
 import numpy as np
 
-from tools.compare_architectures import SAME, compared, one
+from tools import compare_architectures
+from tools.compare_architectures import SAME, Found, compared, one
 
 
-def test_a_case_runs_and_says_how_long(tmp_path):
-    one("score, f32", 64, 1, tmp_path / "score.npz")
-    found = np.load(tmp_path / "score.npz")
-    assert found["values"].shape == (64, 1) and found["converged"].all() and (found["seconds"] > 0).all()
+def test_a_case_leaves_what_it_found_and_how_long_it_took(tmp_path, monkeypatch):
+    def prepared(count: int):
+        return lambda: Found(np.arange(3.0 * count).reshape(count, 3), np.ones(count, dtype=bool))
+
+    monkeypatch.setitem(compare_architectures.CASES, "numbers", prepared)
+    one("numbers", 4, 2, tmp_path / "found.npz")
+    found = np.load(tmp_path / "found.npz")
+    assert (found["values"] == np.arange(12.0).reshape(4, 3)).all() and found["converged"].all() and (found["seconds"] > 0).all()
 
 
 def test_other_minima_are_counted_apart():
