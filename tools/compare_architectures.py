@@ -3,9 +3,9 @@
     python tools/compare_architectures.py [CASE ...] [--rods N] [--rounds N] [--limit SECONDS] [--report FILE]
 
 Every case runs in a process of its own on either architecture, NumPy in to NumPy out: once with the compilation of its kernels,
-then a few times. The table names the seconds of the first call, the rate of the fastest call after it, and how far the shapes
-of rods that converged on both lie apart: the median and the largest, as a share of the length. Rods under contact may have several
-minima, and rounding may decide between them; they are counted apart. Exit code 1 where a case fails on the GPU.
+then a few times. The table names the seconds of the first call, the rate of the fastest call after it, and how far apart
+the shapes of rods that converged on both lie: the median and the largest, as a share of the length. Rods under contact may
+have several minima, and rounding may decide between them; they are counted apart. Exit code 1 where a case fails on the GPU.
 """
 
 import argparse
@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,12 +26,11 @@ if not __package__:
 from doo_ti import Itself, relax  # noqa: E402
 from doo_ti.bench import cases as plain  # noqa: E402
 from doo_ti.bench.clock import machine, timed  # noqa: E402
-from doo_ti.dynamics.grippers import Grippers  # noqa: E402
 from doo_ti.dynamics.parameters import Dynamics, Stepping  # noqa: E402
 from doo_ti.dynamics.simulate import simulate  # noqa: E402
 from doo_ti.groups.relax_group import relax_group  # noqa: E402
+from doo_ti.io.files import write_text  # noqa: E402
 from doo_ti.relaxation.descent import Descent  # noqa: E402
-from doo_ti.relaxation.newton import Newton  # noqa: E402
 from doo_ti.relaxation.sensitivity import sensitivity  # noqa: E402
 from doo_ti.types import Clamp, Configuration, Solution  # noqa: E402
 from doo_ti.vision.reprojection.score import score  # noqa: E402
@@ -98,14 +97,11 @@ def scored(count: int) -> Prepared:
     return run
 
 
-def on_images(precision: str) -> Callable[[int], Prepared]:
-    def prepare(count: int) -> Prepared:
-        rods = scoring.Specimens(max(1, count // 16))
-        start, clamps = rods.grown(scoring.EDGES)
-        solver = Newton(tolerance=1e-2) if precision == "f32" else Newton()
-        return lambda: shapes(relax(start, scoring.MATERIAL, clamps, solver, precision=precision, external=rods.external,
-                                    external_index=rods.sets))
-    return prepare
+def on_images(count: int) -> Prepared:
+    rods = scoring.Specimens(max(1, count // 16))
+    start, clamps = rods.grown(scoring.EDGES)
+    return lambda: shapes(relax(start, scoring.MATERIAL, clamps, scoring.SEARCH, precision="f32", external=rods.external,
+                                external_index=rods.sets))
 
 
 def on_a_table(which: str, precision: str) -> Callable[[int], Prepared]:
@@ -116,17 +112,11 @@ def on_a_table(which: str, precision: str) -> Callable[[int], Prepared]:
     return prepare
 
 
-def begun(grippers: Grippers) -> Grippers:
-    """Their first frames."""
-    names = ("start_position", "end_position", "start_frame", "end_frame")
-    return replace(grippers, **{name: getattr(grippers, name)[:, : FRAMES + 1] for name in names})
-
-
 def moved(quasi_static: bool, among: str) -> Callable[[int], Prepared]:
     def prepare(count: int) -> Prepared:
         rest, material, grippers = contact_motions.drawn(np.random.default_rng(0), max(1, count // 128), among == "itself")
         rows = np.flatnonzero(rest.converged)
-        start, material, held = rest.configuration.take(rows), material.take(rows), begun(grippers.take(rows))
+        start, material, held = rest.configuration.take(rows), material.take(rows), grippers.take(rows).until(FRAMES)
         bodies = {"nothing": [], "pegs": contact_motions.obstacles(), "itself": [Itself(friction=0.2)]}[among]
         stepping = Stepping(rate=10.0, quasi_static=quasi_static)
 
@@ -157,7 +147,7 @@ CASES: dict[str, Callable[[int], Prepared]] = {
     "relax, descent, f32": descended,
     "sensitivity, f64": differentiated,
     "score, f32": scored,
-    "relax on images, f32": on_images("f32"),
+    "relax on images, f32": on_images,
     "table and pegs, laid down, f32": on_a_table("laid_down", "f32"),
     "table and pegs, moved on, f32": on_a_table("moved_on", "f32"),
     "table and pegs, moved on, f64": on_a_table("moved_on", "f64"),
@@ -222,13 +212,14 @@ def main(words: list[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as folder:
         for name in chosen:
             files = [Path(folder) / f"{architecture}.npz" for architecture in ARCHITECTURES]
-            why = [in_a_process(name, *place) for place in zip(ARCHITECTURES, [options] * 2, files, strict=True)]
+            why = [in_a_process(name, architecture, options, file)
+                   for architecture, file in zip(ARCHITECTURES, files, strict=True)]
             failed |= bool(why[1])
-            cells = f"{why} |" + " |" * 8 if any(why) else compared(*(dict(np.load(file)) for file in files))
+            cells = "; ".join(filter(None, why)) + " |" * 9 if any(why) else compared(*(dict(np.load(file)) for file in files))
             lines.append(f"| {name} | {cells} |")
             print(lines[-1], flush=True)
     if options.report is not None:
-        options.report.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_text(options.report, "\n".join(lines) + "\n")
     return int(failed)
 
 

@@ -4,11 +4,11 @@ from enum import IntEnum
 
 
 class Touch(IntEnum):
-    """Of a vertex and the edge that ends there, at an instant of a motion."""
+    """What a vertex, with the edge that ends there, does at an instant of a motion: touch nothing, stick or slip."""
 
     NONE = 0
     """They touch nothing."""
     STICKS = 1
     """Friction holds every place where they touch."""
     SLIPS = 2
-    """Some place has as much friction as its coefficient allows, or there is no friction."""
+    """In some place friction is as large as its coefficient allows, or there is none."""

@@ -84,6 +84,10 @@ class Grippers:
         """The clamps at one instant."""
         return Clamps(self.start, self.end, *(np.ascontiguousarray(getattr(self, name)[:, instant]) for name in _PATHS))
 
+    def until(self, instant: int) -> "Grippers":
+        """The motion up to ``instant``, which is the last."""
+        return Grippers(self.start, self.end, *(getattr(self, name)[:, : instant + 1] for name in _PATHS))
+
     def refined(self, parts: int) -> "Grippers":
         """With ``parts`` equal steps between neighbouring instants: positions and frames on cubics through their neighbours."""
         if parts == 1:

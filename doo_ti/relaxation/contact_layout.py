@@ -77,7 +77,7 @@ THICKER where a step with it fails, else smaller by THINNER, none below a share 
 LEAST_BLOCKED = 1 / 64
 """Of the shortest way otherwise: that of a step which would begin inside an obstacle."""
 HELD = 0.999
-"""A contact sticks while its friction is below that share of the largest."""
+"""A contact sticks while its friction is below that share of the coefficient times its force."""
 INERT = 10.0
 """In a motion κ is larger by so many times the inertia of a vertex."""
 

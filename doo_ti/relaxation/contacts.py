@@ -238,7 +238,7 @@ class Contacts(ContactRounds):
 
     @ti.func
     def unload_touch(self, tables, scratch: ti.template(), slot, place):
-        """Into row ``place``, of every vertex of the lane and the edge that ends there, the :class:`.Touch`."""
+        """The :class:`.Touch` of each vertex of the lane, with the edge that ends there, into row ``place``."""
         first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_COLUMNS) * self.stride
         for v in range(tables.rest_length.shape[1] + 1):
             at = first + v * (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
@@ -249,12 +249,12 @@ class Contacts(ContactRounds):
                 coefficient = self.get(scratch, obstacle + COEFFICIENT * self.stride, slot)
                 for items in ti.static(((FORCE, FRICTION), (FORCE_BETWEEN, FRICTION_BETWEEN))):
                     force, friction = contact + items[0] * self.stride, contact + items[1] * self.stride
-                    touch = ti.max(touch, self.stuck(scratch, slot, force, friction, coefficient))
+                    touch = ti.max(touch, self.touch_of(scratch, slot, force, friction, coefficient))
             tables.touches[place, v] = touch
 
     @ti.func
-    def stuck(self, scratch: ti.template(), slot, force, friction, coefficient):
-        """The :class:`.Touch` of a contact, whose force and friction are at those items."""
+    def touch_of(self, scratch: ti.template(), slot, force, friction, coefficient):
+        """The :class:`.Touch` of a contact whose force and friction begin at those places in scratch."""
         found = ti.cast(NONE, ti.i32)
         limit = coefficient * self.get(scratch, force, slot)
         if self.get(scratch, force, slot) > 0.0:

@@ -182,7 +182,7 @@ class SelfContacts(SelfContactEnergy):
             if edge >= 0 and ti.abs(other - edge) > 1:
                 i, j = ti.min(edge, other), ti.max(edge, other)
                 at = first + (j * (j - 1) // 2 + i) * PAIR_ITEMS * self.stride
-                found = self.stuck(scratch, slot, at + FORCE * self.stride, at + FRICTION * self.stride, coefficient)
+                found = self.touch_of(scratch, slot, at + FORCE * self.stride, at + FRICTION * self.stride, coefficient)
                 touch = ti.max(touch, found)
         return touch
 

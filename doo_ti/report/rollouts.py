@@ -121,7 +121,7 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
     width = 2.6 if columns > 1 else 3.6
     head = 0.3 if touched is None else 0.5
     figure = new_figure((width * columns, min(width * size[1] / size[0] + 0.3, 4.0) * lines + head), 80)
-    plots, curves, marks, forces = [], [], [], []
+    curves, marks, forces = [], [], []
     for k in range(len(rows)):
         plot = figure.add_subplot(lines, columns, k + 1)
         plot.set_xlim(centre[0] - size[0], centre[0] + size[0])
@@ -134,7 +134,6 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
             touched.draw_obstacles(plot, rows[k], axes)
         if seen is not None:
             marks.append(plot.plot([], [], color=RECORDED, lw=4)[0])
-        plots.append(plot)
         curves.append(plot.plot([], [], color=PREDICTED, lw=1.8)[0])
     figure.suptitle(literal(name) + ("" if touched is None else f"\nblue: {touched.legend}"), fontsize=10)
     fit_titles(figure)
@@ -143,7 +142,8 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
         for arrows in forces:
             arrows.remove()
         forces = [] if touched is None else [
-            arrows for plot, row in zip(plots, rows, strict=True) for arrows in touched.draw_forces(plot, row, axes, frame)]
+            arrows for plot, row in zip(figure.axes, rows, strict=True)
+            for arrows in touched.draw_forces(plot, row, axes, frame)]
         for k, curve in enumerate(curves):
             curve.set_data(*flat[k, frame].T)
             if seen is not None:

@@ -114,8 +114,7 @@ def test_a_detailed_motion_is_the_same_motion(rng):
 def test_energies_balance_where_rods_slide_over_obstacles_and_themselves(scene, frames, share):
     """The work of friction, which the kernels sum up, is what stored energy and the grippers' work leave for contact."""
     told = load_dynamic_scene(SCENES / f"{scene}.toml")
-    names = ("start_position", "end_position", "start_frame", "end_frame")
-    grippers = replace(told.grippers, **{name: getattr(told.grippers, name)[:, : frames + 1] for name in names})
+    grippers = told.grippers.until(frames)
     touched, undamped = told.surroundings.arguments, replace(told.dynamics, bend_damping=0.0, twist_damping=0.0)
     rest = relax(told.start, told.material, grippers.at(0), **touched).configuration
     found = simulate(rest, told.material, grippers, undamped, replace(told.stepping, detailed=True), **touched)
