@@ -42,6 +42,7 @@ class Lanes(NamedTuple):
     constant: Callable
     put: Callable
     get: Callable
+    gather: Callable
 
 
 def _scalar_lanes(scalar):
@@ -69,7 +70,11 @@ def _scalar_lanes(scalar):
     def get(array: ti.template(), at, index):
         return array[at]
 
-    return Lanes(largest, lane, with_lane, constant, put, get)
+    @ti.func
+    def gather(array: ti.template(), places):
+        return ti.cast(array[places[0]], scalar)
+
+    return Lanes(largest, lane, with_lane, constant, put, get, gather)
 
 
 def _pack_lanes(pack, scalar):
@@ -105,4 +110,9 @@ def _pack_lanes(pack, scalar):
         """One lane of an array's entry."""
         return array[at][index]
 
-    return Lanes(largest, lane, with_lane, constant, put, get)
+    @ti.func
+    def gather(array: ti.template(), places):
+        """The value whose lanes are an array's numbers at ``places``, one for each lane."""
+        return pack([ti.cast(array[places[slot]], scalar) for slot in ti.static(range(pack.n))])
+
+    return Lanes(largest, lane, with_lane, constant, put, get, gather)

@@ -92,14 +92,17 @@ def pack_trips(bits: int) -> tuple[int, int]:
 def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int, frames, results, moving: bool = True) -> None:
     """One launch over ``rods``, whose starts are rows of ``start`` (-, E, 4) or of ``frames``."""
     contact = table.contact
-    if contact is not None:
-        near = contact.near[rods[:, of.RESULT_ROW]] | contact.itself
-        if not near.all():
-            # Rods out of reach of all obstacles are relaxed without them.
-            _launch_newton(replace(table, contact=None), start, rods[~near], options, bits, frames, results, moving)
-            rods = rods[near]
-        if not len(rods):
-            return
+    if contact is not None and not contact.itself:
+        # Rods out of reach of all obstacles are relaxed without them.
+        if not contact.near.any():
+            contact, table = None, replace(table, contact=None)
+        elif not contact.near.all():
+            near = contact.near[rods[:, of.RESULT_ROW]]
+            if not near.all():
+                _launch_newton(replace(table, contact=None), start, rods[~near], options, bits, frames, results, moving)
+                rods = rods[near]
+    if not len(rods):
+        return
     number, threads, stride, block = layout_for(len(rods), bits, contact is not None and contact.itself)
     external = table.external if contact is None or table.external is not None else Nothing()
     kind = None if external is None else type(external)

@@ -48,7 +48,7 @@ def tables(
     check_material(material, edges, floating and external is None)
     isotropic = material.is_isotropic
     clamp, found = clamp_table(configuration, lengths, kinds, clamps)
-    if external is not None or obstacles:
+    if (external is not None or obstacles) and (kinds[:, 0] == FREE).any():
         _loosen(clamp, kinds, configuration, clamps)
     contact = contact_table(obstacles, radius, rods, edges, clamp, index_c, in_motion) if obstacles else None
     start = projectable(np.ascontiguousarray(configuration.quaternions, dtype=np.float64), lengths, clamp, found, up,

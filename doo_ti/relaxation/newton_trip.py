@@ -29,7 +29,7 @@ class NewtonTrip:
     def __init__(self, sweep: Elimination, has_coarse: bool):
         number = sweep.number
         self.sweep, self.has_coarse, self.touches = sweep, has_coarse, sweep.touches
-        self.largest, self.lane, self.with_lane, self.constant, _, self.get = number.lanes()
+        self.largest, self.lane, self.with_lane, self.constant, _, self.get, _ = number.lanes()
         self.scalar = number.scalar
         single = number.bits == 32
         self.rounding = 2e-6 if single else 1e-10

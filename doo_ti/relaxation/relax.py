@@ -156,8 +156,10 @@ def _touch_themselves(table: Tables, solver: Newton, frames, results, bits) -> T
     if contact.forces.flags.writeable:  # of an earlier call with these tables
         contact.forces[~contact.near] = 0.0
     index = table.configuration_index
-    may = approach_in_relaxation(table.start, index, frames, table.rest_length, contact.radius, table.spins_held[index])
-    rows = np.flatnonzero(may & (results[:, of.STATUS] != INFEASIBLE))
+    rows, turned = approach_in_relaxation(table.start, index, frames, table.rest_length, contact.radius)
+    if len(turned):
+        rows = np.sort(np.append(rows, turned[table.spins_held[index[turned]]]))
+    rows = rows[results[rows, of.STATUS] != INFEASIBLE]
     if len(rows):
         table = batch.relax_touching(table, solver, frames, results, rows)
         bits[rows] = 64
@@ -176,7 +178,8 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
         if table.external is not None:
             held = table.clamp[index, of.LOOSE] == 0
             energy += np.where(held, table.external.energy_at_start(start, table.external_index), 0.0)
-        start = start + results[:, of.DRIFT:]
+        if (table.clamp[:, of.LOOSE] > 0).any():
+            start += results[:, of.DRIFT:]
     rest_length = table.rest_length[0].copy() if len(table.rest_length) == 1 else table.rest_length[index]
     configuration = Configuration(start, frames, rest_length)
     status, stable = results[:, of.STATUS].astype(np.int8), results[:, of.STABLE] == 1

@@ -1,12 +1,17 @@
 """Which rods may have touched themselves on the way from one shape to another (docs/contact.md).
 
-On the straight way of every vertex from one shape to the other, the distance of two places changes along the rod by no more
-than the arc. From the distance of one pair of edges follows how many edges further along need not be looked at, so that of a
-rod far from itself only a few are.
+On the straight way of every vertex from one shape to the other all distances along the rod stay at most as long as the arc
+between them. A rod is divided into blocks of edges, on which two bounds show that most rods stay far from themselves:
 
-A rod may also have passed through itself and come back. Where both its ends are held its linking number tells: the twist of its
-frames after the straight way, each transported from its old tangent to the new one, differs from that of the result by whole
-turns.
+- the tangents of neighbouring blocks, before and after, are all within a cone about their mean: two places are then as far
+  apart as the cosine of its angle times the arc between them;
+- places of other blocks are as far apart as the middles of the two blocks less half their lengths.
+
+The way of rods for which they do not is followed edge by edge (:mod:`doo_ti.relaxation.closest_approach`).
+
+A rod may also have passed through itself and come back. Where both its ends are held its linking number shows it: the twist of
+its frames after the straight way, each transported from its old tangent to the new one, differs from that of the result by
+whole turns.
 """
 
 from functools import cache
@@ -20,204 +25,265 @@ from doo_ti.physics.algebra import largest_of
 from doo_ti.physics.angle import passed_half_turn, turned_about_own_tangent
 from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import tangent
-from doo_ti.physics.tuples import dot, minus, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import dot, itemwise, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.batch import layout_for, scratch_for
+from doo_ti.relaxation.closest_approach import AFTER, ARC, BEFORE, ENOUGH, VERTEX_ITEMS, ClosestApproach
 
-# Items of an edge: its middle before and after, its frame before and after, and its length.
-BEFORE, AFTER, FRAME_BEFORE, FRAME_AFTER, LENGTH, ITEMS = 0, 3, 6, 10, 14, 15
+APART, TOUCHING, TURNED = 0, 1, 2
+"""Flags: a rod stays apart from itself, may touch itself, or does not but its link changes."""
+BLOCKS = 8
 ROUNDING = 1e-5
 """Of a rod's length, by which f32 may be off."""
+BENT = 0.25
+"""Of the largest way of a vertex from frame to frame, by which places may be off the straight way."""
 
 
 @ti.data_oriented
 class SelfApproach:
-    """The search for one kind of number, on packs of rods whose edges' items are in scratch."""
+    """The bounds for one kind of number, on packs of rods whose vertices are in scratch."""
 
-    def __init__(self, number: Number, stride: int):
+    def __init__(self, number: Number, stride: int, by_frames: bool):
         lanes = number.lanes()
-        self.stride, self.width, self.scalar = stride, number.width, number.scalar
-        self.put, self.lane, self.largest = lanes.put, lanes.lane, lanes.largest
+        self.stride, self.width, self.by_frames = stride, number.width, by_frames
+        self.lane, self.constant, self.gather = lanes.lane, lanes.constant, lanes.gather
+        self.ways = ClosestApproach(number, stride)
 
     @ti.func
     def load3(self, scratch: ti.template(), at):
         return (scratch[at], scratch[at + self.stride], scratch[at + 2 * self.stride])
 
     @ti.func
-    def load4(self, scratch: ti.template(), at):
-        return self.load3(scratch, at) + (scratch[at + 3 * self.stride],)
-
-    @ti.func
-    def edge(self, head, e):
-        return head + e * ITEMS * self.stride
-
-    @ti.func
-    def work(self, tables, scratch: ti.template(), threads, thread, by_frames: ti.template()):
+    def work(self, tables, scratch: ti.template(), threads, thread):
         """A thread's share of the rods, pack after pack."""
-        edges, rods = tables.rest_length.shape[1], tables.flags.shape[0]
+        edges, rods = tables.edges, tables.flags.shape[0]
         head = thread
         if ti.static(self.stride == 1):
-            head = thread * (edges * ITEMS + 1)
-        thick = self.edge(head, edges)
+            head = thread * (edges + 1) * VERTEX_ITEMS
         for pack in range((rods + self.width - 1) // self.width):
             if pack % threads == thread:
-                for slot in range(self.width):
-                    rod = ti.min(pack * self.width + slot, rods - 1)
-                    if ti.static(by_frames):
-                        self.load_frames(tables, rod, scratch, head, slot)
-                    else:
-                        self.load_places(tables, rod, scratch, head, slot)
-                    self.put(scratch, thick, slot, tables.radius[ti.min(rod, tables.radius.shape[0] - 1)])
-                turns = 0.0 * scratch[thick]
-                if ti.static(by_frames):
-                    turns = self.place_middles(scratch, head, edges)
-                least = self.search(scratch, head, edges, scratch[thick])
+                # The last pack has its last rod several times.
+                own = variable([ti.min(pack * self.width + slot, rods - 1) for slot in ti.static(range(self.width))])
+                turns = self.constant(0.0)
+                if ti.static(self.by_frames):
+                    turns = self.load_frames(tables, own, scratch, head)
+                else:
+                    self.load_places(tables, own, scratch, head)
+                room = self.room(tables, own, scratch, head)
                 for slot in range(self.width):
                     rod = pack * self.width + slot
                     if rod < rods:
-                        found = ti.select(self.lane(least, slot) > 0.0, 0, 1)
-                        if ti.static(by_frames):
-                            if tables.held[rod] == 1 and not ti.abs(self.lane(turns, slot)) < 0.5:
-                                found = 1
-                        tables.flags[rod] = found
+                        flag = ti.select(ti.abs(self.lane(turns, slot)) < 0.5, APART, TURNED)
+                        if not self.lane(room, slot) > 0.0:
+                            if self.touches(tables, scratch, head, slot, rod):
+                                flag = TOUCHING
+                        tables.flags[rod] = flag
 
     @ti.func
-    def load_frames(self, tables, rod, scratch: ti.template(), head, slot):
-        """The frames and lengths of a rod into lane ``slot``."""
-        edges, first = tables.rest_length.shape[1], tables.rows[rod]
-        for e in range(edges):
-            at = self.edge(head, e)
-            for k in ti.static(range(4)):
-                self.put(scratch, at + (FRAME_BEFORE + k) * self.stride, slot, tables.before[(first * edges + e) * 4 + k])
-                self.put(scratch, at + (FRAME_AFTER + k) * self.stride, slot, tables.after[(rod * edges + e) * 4 + k])
-            self.load_length(tables, rod, e, scratch, at, slot)
+    def touches(self, tables, scratch: ti.template(), head, slot, row):
+        """Whether the rod in a lane touches itself on its way, edge by edge."""
+        radius = tables.radius[ti.min(row, tables.radius.shape[0] - 1)]
+        near = tables.near[ti.min(row, tables.near.shape[0] - 1)]
+        rod = record(scratch=scratch, head=head, slot=slot, edges=tables.edges, near=near, enough=ENOUGH * radius,
+                     least_arc=LEAST_ARC * radius)
+        return self.ways.touches(rod)
+
+    # --- from tables into scratch ---
 
     @ti.func
-    def load_places(self, tables, rod, scratch: ti.template(), head, slot):
-        """The middles and lengths of a rod, from its first vertex, into lane ``slot``."""
-        for e in range(tables.rest_length.shape[1]):
-            at = self.edge(head, e)
-            for k in ti.static(range(3)):
-                old = 0.5 * (tables.before[rod, e, k] + tables.before[rod, e + 1, k]) - tables.before[rod, 0, k]
-                new = 0.5 * (tables.after[rod, e, k] + tables.after[rod, e + 1, k]) - tables.before[rod, 0, k]
-                self.put(scratch, at + (BEFORE + k) * self.stride, slot, old)
-                self.put(scratch, at + (AFTER + k) * self.stride, slot, new)
-            self.load_length(tables, rod, e, scratch, at, slot)
+    def numbers(self, table: ti.template(), rows, size, at, count: ti.template()):
+        """``count`` numbers from ``at`` on of the rows of all lanes, in a table with rows of that ``size``."""
+        return itemwise(*[
+            self.gather(table, [rows[slot] * size + at + k for slot in ti.static(range(self.width))])
+            for k in ti.static(range(count))])
 
     @ti.func
-    def load_length(self, tables, rod, e, scratch: ti.template(), at, slot):
-        """The length of an edge, whose items begin at ``at``, into lane ``slot``."""
-        row = ti.min(tables.rows[rod], tables.rest_length.shape[0] - 1)
-        self.put(scratch, at + LENGTH * self.stride, slot, tables.rest_length[row, e])
+    def rows_within(self, rows, table: ti.template(), size):
+        """The rows of all lanes in a table of one row or one for each."""
+        return variable([ti.min(rows[slot], table.shape[0] // size - 1) for slot in ti.static(range(self.width))])
 
     @ti.func
-    def place_middles(self, scratch: ti.template(), head, edges):
-        """The middles of all edges from their frames; returns by how many turns the link changes."""
-        zero = 0.0 * scratch[head + LENGTH * self.stride]
-        before, after = variable(repeated(zero, 3)), variable(repeated(zero, 3))
-        last, turns = variable(repeated(zero, 2)), zero
-        for e in range(edges):
-            at = self.edge(head, e)
-            old, new = self.load4(scratch, at + FRAME_BEFORE * self.stride), self.load4(scratch, at + FRAME_AFTER * self.stride)
-            half = 0.5 * scratch[at + LENGTH * self.stride]
-            old_half, new_half = scaled(tangent(old), half), scaled(tangent(new), half)
-            before, after = plus(before, old_half), plus(after, new_half)
-            for k in ti.static(range(3)):
-                scratch[at + (BEFORE + k) * self.stride] = before[k]
-                scratch[at + (AFTER + k) * self.stride] = after[k]
-            before, after = plus(before, old_half), plus(after, new_half)
-            turned = turned_about_own_tangent(old, new)
+    def starts(self, tables, own):
+        """The rows of all lanes among starts and lengths."""
+        return variable([tables.rows[own[slot]] for slot in ti.static(range(self.width))])
+
+    @ti.func
+    def length(self, tables, starts, e):
+        """That of an edge."""
+        length = self.constant(tables.lengths[e])
+        if tables.lengths.shape[0] > tables.edges:
+            length = self.numbers(tables.lengths, starts, tables.edges, e, 1)[0]
+        return length
+
+    @ti.func
+    def store_vertex(self, scratch: ti.template(), at, old, new, arc):
+        """The items of a vertex."""
+        for k in ti.static(range(3)):
+            scratch[at + (BEFORE + k) * self.stride] = old[k]
+            scratch[at + (AFTER + k) * self.stride] = new[k]
+        scratch[at + ARC * self.stride] = arc
+
+    @ti.func
+    def load_frames(self, tables, own, scratch: ti.template(), head):
+        """The vertices of rods that are given by frames; returns by how many turns the link changes."""
+        starts = self.starts(tables, own)
+        zero = self.constant(0.0)
+        rod = record(old=repeated(zero, 3), new=repeated(zero, 3), arc=zero, turns=zero, last=repeated(zero, 2))
+        self.store_vertex(scratch, head, rod.old, rod.new, rod.arc)
+        for e in range(tables.edges):
+            before = self.numbers(tables.before, starts, tables.edges * 4, e * 4, 4)
+            after = self.numbers(tables.after, own, tables.edges * 4, e * 4, 4)
+            length = self.length(tables, starts, e)
+            rod.old, rod.new = plus(rod.old, scaled(tangent(before), length)), plus(rod.new, scaled(tangent(after), length))
+            rod.arc = rod.arc + length
+            self.store_vertex(scratch, self.vertex(head, e + 1), rod.old, rod.new, rod.arc)
+            turned = turned_about_own_tangent(before, after)
             if e > 0:
-                turns = turns + passed_half_turn(last, turned)
-            last = turned
-        return turns
+                rod.turns = rod.turns + passed_half_turn(rod.last, turned)
+            rod.last = turned
+        return rod.turns
 
     @ti.func
-    def nearest(self, scratch: ti.template(), head, i, j):
-        """The least distance of the middles of two edges on the way."""
-        first, second = self.edge(head, i), self.edge(head, j)
-        before = minus(self.load3(scratch, second), self.load3(scratch, first))
-        after = minus(self.load3(scratch, second + AFTER * self.stride), self.load3(scratch, first + AFTER * self.stride))
+    def load_places(self, tables, own, scratch: ti.template(), head):
+        """The vertices of rods that are given by them, from their first before."""
+        starts = self.starts(tables, own)
+        size, arc = (tables.edges + 1) * 3, self.constant(0.0)
+        first = self.numbers(tables.before, own, size, 0, 3)
+        for v in range(tables.edges + 1):
+            old, new = self.numbers(tables.before, own, size, v * 3, 3), self.numbers(tables.after, own, size, v * 3, 3)
+            if v > 0:
+                arc = arc + self.length(tables, starts, v - 1)
+            self.store_vertex(scratch, self.vertex(head, v), minus(old, first), minus(new, first), arc)
+
+    # --- bounds ---
+
+    @ti.func
+    def vertex(self, head, v):
+        return head + v * VERTEX_ITEMS * self.stride
+
+    @ti.func
+    def change(self, scratch: ti.template(), head, first, last, item: ti.template()):
+        """From one vertex to another, before or after."""
+        here, there = self.vertex(head, first) + item * self.stride, self.vertex(head, last) + item * self.stride
+        return minus(self.load3(scratch, there), self.load3(scratch, here))
+
+    @ti.func
+    def arc(self, scratch: ti.template(), head, first, last):
+        """The length of rod between two vertices."""
+        return scratch[self.vertex(head, last) + ARC * self.stride] - scratch[self.vertex(head, first) + ARC * self.stride]
+
+    @ti.func
+    def room(self, tables, own, scratch: ti.template(), head):
+        """By how much two parts of the rods stay further apart on the way than they may, at least; negative where they may
+        come nearer."""
+        edges = tables.edges
+        size = (edges + BLOCKS - 1) // BLOCKS
+        count = (edges + size - 1) // size
+        near = self.numbers(tables.near, self.rows_within(own, tables.near, 1), 1, 0, 1)[0]
+        least_arc = self.numbers(tables.least_arc, self.rows_within(own, tables.least_arc, 1), 1, 0, 1)[0]
+        near = near + ROUNDING * self.arc(scratch, head, 0, edges)
+        room = self.constant(1e30)
+        for block in range(ti.max(count - 1, 1)):
+            cosine = self.cosine(scratch, head, block * size, ti.min((block + 2) * size, edges))
+            room = ti.min(room, cosine * least_arc - near)
+        for i in range(count):
+            for j in range(i + 2, count):
+                room = ti.min(room, self.room_of_blocks(scratch, head, i * size, j * size, size, edges) - near)
+        # Not finite places pass through a minimum unseen.
+        reach = self.load3(scratch, self.vertex(head, edges) + BEFORE * self.stride)
+        end = self.load3(scratch, self.vertex(head, edges) + AFTER * self.stride)
+        return ti.select(dot(reach, reach) + dot(end, end) < 1e30, room, 0.0 * near - 1.0)
+
+    @ti.func
+    def cosine(self, scratch: ti.template(), head, first, last):
+        """That of the largest angle, before or after, of an edge between two vertices to the mean direction of all of them."""
+        mean = plus(self.change(scratch, head, first, last, BEFORE), self.change(scratch, head, first, last, AFTER))
+        least, longest = self.constant(1e30), self.constant(0.0)
+        for e in range(first, last):
+            least = ti.min(least, dot(mean, self.change(scratch, head, e, e + 1, BEFORE)))
+            least = ti.min(least, dot(mean, self.change(scratch, head, e, e + 1, AFTER)))
+            longest = largest_of(longest, self.arc(scratch, head, e, e + 1))
+        return least / (longest * ti.sqrt(dot(mean, mean) + 1e-30))
+
+    @ti.func
+    def room_of_blocks(self, scratch: ti.template(), head, i, j, size, edges):
+        """The least distance on the way between the ``size`` edges from i on and those from j on."""
+        end = ti.min(j + size, edges)
+        before = plus(self.change(scratch, head, i, j, BEFORE), self.change(scratch, head, i + size, end, BEFORE))
+        after = plus(self.change(scratch, head, i, j, AFTER), self.change(scratch, head, i + size, end, AFTER))
         change = minus(after, before)
         share = (0.0 - dot(before, change)) / (dot(change, change) + 1e-30)
         zero = 0.0 * share
         place = plus(before, scaled(change, ti.min(ti.max(share, zero), zero + 1.0)))
-        return ti.sqrt(dot(place, place))
-
-    @ti.func
-    def search(self, scratch: ti.template(), head, edges, radius):
-        """By how much two parts of the rods stay apart on the way at least; negative where they may touch."""
-        longest, total = 0.0 * radius, 0.0 * radius
-        for e in range(edges):
-            length = scratch[self.edge(head, e) + LENGTH * self.stride]
-            longest, total = largest_of(longest, length), total + length
-        # Two places of edges are no nearer than their middles less an edge's length.
-        near = longest + 2.0 * radius + ROUNDING * total
-        # Edges i and i + apart are the first that may have enough of the rod between them.
-        fewest = 0.0 - self.largest(0.0 - LEAST_ARC * radius / longest)
-        apart = ti.max(2, ti.cast(ti.floor(fewest), ti.i32) + 2)
-        least = 0.0 * radius + 1e30
-        for i in range(edges):
-            j = i + apart
-            while j < edges:
-                room = self.nearest(scratch, head, i, j) - near
-                counts = ti.cast(j - i - 1, self.scalar) * longest > LEAST_ARC * radius
-                least = ti.min(least, ti.select(counts, room, least))
-                further = 0.0 - self.largest(0.0 - room / longest)
-                j += 1 + ti.cast(ti.min(ti.max(further, ti.cast(0.0, self.scalar)), ti.cast(1e6, self.scalar)), ti.i32)
-        return least
+        return 0.5 * (ti.sqrt(dot(place, place)) - self.arc(scratch, head, i, i + size) - self.arc(scratch, head, j, end))
 
 
 @cache
-def _kernels(number: Number, stride: int, block: int):
-    """The kernels of rods that are given by frames, and by places."""
-    search = SelfApproach(number, stride)
-    table1, table2, table3 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3))
-    index1 = ti.types.ndarray(dtype=ti.i32, ndim=1)
-    packs = ti.types.ndarray(dtype=number.type, ndim=1)
+def _kernel(number: Number, stride: int, block: int, by_frames: bool):
+    """The kernel of rods that are given by frames, or by places."""
+    bounds = SelfApproach(number, stride, by_frames)
+    numbers, indices = (ti.types.ndarray(dtype=kind, ndim=1) for kind in (ti.f64, ti.i32))
 
     @ti.kernel
-    def by_frames(start: table1, rows: index1, frames: table1, rest_length: table2, radius: table1, held: index1,
-                  threads: ti.i32, scratch: packs, flags: index1):
+    def approach(
+        before: numbers,  # [start · edge · 4] frames, or [rod · vertex · 3] mm
+        after: numbers,  # [rod · edge · 4] or [rod · vertex · 3]
+        rows: indices,  # [rod] start and, where not all have the same, lengths
+        lengths: numbers,  # [1 or row · edge] mm
+        radius: numbers,  # [1 or rod] mm
+        near: numbers,  # [1 or rod] mm, the distance at which two places touch
+        least_arc: numbers,  # [1 or rod] mm of rod that is between any two edges that count
+        edges: ti.i32,
+        threads: ti.i32,
+        scratch: ti.types.ndarray(dtype=number.type, ndim=1),
+        flags: indices,  # [rod] out, APART, TOUCHING or TURNED
+    ):
         ti.loop_config(block_dim=block)
         for thread in range(threads):
-            tables = record(before=start, after=frames, rows=rows, rest_length=rest_length, radius=radius, held=held,
-                            flags=flags)
-            search.work(tables, scratch, threads, thread, True)
+            tables = record(before=before, after=after, rows=rows, lengths=lengths, radius=radius, near=near, least_arc=least_arc,
+                            edges=edges, flags=flags)
+            bounds.work(tables, scratch, threads, thread)
 
-    @ti.kernel
-    def by_places(before: table3, after: table3, rows: index1, rest_length: table2, radius: table1, threads: ti.i32,
-                  scratch: packs, flags: index1):
-        ti.loop_config(block_dim=block)
-        for thread in range(threads):
-            tables = record(before=before, after=after, rows=rows, rest_length=rest_length, radius=radius, flags=flags)
-            search.work(tables, scratch, threads, thread, False)
-
-    return by_frames, by_places
+    return approach
 
 
-def _launch(kernel: int, count: int, edges: int, *arguments) -> np.ndarray:
+def _approach(by_frames: bool, before, after, rows, rest_length, radius, more) -> np.ndarray:
+    """(R,) APART, TOUCHING or TURNED, of rods that touch where they come nearer to themselves than two radii and ``more``."""
+    count, edges = len(rows), rest_length.shape[1]
     number, threads, stride, block = layout_for(count, 32)
-    scratch = scratch_for(number, threads * (edges * ITEMS + 1))
+    scratch = scratch_for(number, threads * (edges + 1) * VERTEX_ITEMS)
+    # That of whole edges, of which the fewest with enough length between two others.
+    fewest = np.floor(LEAST_ARC * radius / rest_length.max()) + 1.0
+    least_arc = np.maximum(LEAST_ARC * radius, fewest * rest_length.min())
     flags = np.zeros(count, dtype=np.int32)
-    _kernels(number, stride, block)[kernel](*arguments, threads, scratch, flags)
-    return flags > 0
+    _kernel(number, stride, block, by_frames)(
+        before.reshape(-1), after.reshape(-1), rows, rest_length.reshape(-1), radius, 2.0 * radius + more, least_arc, edges,
+        threads, scratch, flags)
+    return flags
 
 
 @runtime.exclusive
 def approach_in_relaxation(start: np.ndarray, start_row: np.ndarray, frames: np.ndarray, rest_length: np.ndarray,
-                           radius: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """(R,) whether a rod may touch itself between its start, row ``start_row`` (R,) of ``start`` (S, E, 4), and its ``frames``
-    (R, E, 4); also where these are not finite. ``held`` (R,): no end may turn."""
+                           radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which rods, by row, may touch themselves between their start, row ``start_row`` (R,) of ``start`` (S, E, 4), and their
+    ``frames`` (R, E, 4), also those whose frames are not finite; and which others have turned by whole turns, which only rods
+    with an end that may turn do without passing through themselves."""
     rows = np.ascontiguousarray(start_row, dtype=np.int32)
-    return _launch(0, len(frames), rest_length.shape[1], start.reshape(-1), rows, frames.reshape(-1), rest_length, radius,
-                   np.ascontiguousarray(held, dtype=np.int32))
+    flags = _approach(True, start, frames, rows, rest_length, radius, 0.0)
+    found = np.flatnonzero(flags)
+    touching = flags[found] == TOUCHING
+    return found[touching], found[~touching]
 
 
 @runtime.exclusive
 def approach_in_motion(before: np.ndarray, after: np.ndarray, length_row: np.ndarray, rest_length: np.ndarray,
                        radius: np.ndarray) -> np.ndarray:
-    """(R,) the same between two instants of a motion, places (R, V, 3); not where these are not finite."""
+    """(R,) whether rods may touch themselves between two instants of a motion, places (R, V, 3); not where these are not finite.
+
+    The way between is not straight there: rods are found too that come nearer to themselves by a quarter of the largest way of
+    a vertex.
+    """
     rows = np.ascontiguousarray(length_row, dtype=np.int32)
-    found = _launch(1, len(before), rest_length.shape[1], np.ascontiguousarray(before), np.ascontiguousarray(after), rows,
-                    rest_length, radius)
-    return found & np.isfinite(after[:, 0, 0]) & np.isfinite(before[:, 0, 0])
+    before, after = np.ascontiguousarray(before), np.ascontiguousarray(after)
+    more = BENT * np.sqrt(((after - before) ** 2).sum(axis=-1).max(axis=1))
+    flags = _approach(False, before, after, rows, rest_length, radius, more)
+    return (flags == TOUCHING) & np.isfinite(after[:, 0, 0]) & np.isfinite(before[:, 0, 0])

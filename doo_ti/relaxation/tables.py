@@ -98,7 +98,7 @@ class Tables:
     @property
     def spins_held(self) -> np.ndarray:
         """(S,) whether clamps hold the frames at both ends, so that neither can turn about its tangent."""
-        return (self.clamp[:, [SPIN_START, SPIN_END]] == 0).all(axis=1)
+        return (self.clamp[:, SPIN_START] == 0) & (self.clamp[:, SPIN_END] == 0)
 
     @property
     def loaded(self) -> bool:

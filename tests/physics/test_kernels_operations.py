@@ -15,7 +15,7 @@ from tests.physics.columns import ROWS, every_number, table
 
 def lanes_kernel(number: Number, inputs: int, function):
     """A kernel that applies ``function`` (a Taichi function) to ``inputs`` columns of its rows, a lane per row."""
-    largest, lane, with_lane, constant, put, get = number.lanes()
+    largest, lane, with_lane, constant, put, get, gather = number.lanes()
     width = number.width
 
     @ti.kernel
@@ -266,15 +266,17 @@ def test_nan_is_detected(number):
 @every_number
 def test_lanes_are_read_written_and_compared_one_by_one(rng, number):
     runtime.start()
-    largest, lane, with_lane, constant, put, get = number.lanes()
+    largest, lane, with_lane, constant, put, get, gather = number.lanes()
     width = number.width
 
     @ti.kernel
-    def shuffle(source: table, scratch: ti.types.ndarray(dtype=number.type, ndim=1), result: table):
+    def shuffle(source: table, flat: ti.types.ndarray(dtype=ti.f64, ndim=1),
+                scratch: ti.types.ndarray(dtype=number.type, ndim=1), result: table):
         for group in range(source.shape[0] // width):
             for slot in range(width):
                 put(scratch, group, slot, source[group * width + slot, 0])
             value = scratch[group]
+            backwards = gather(flat, [group * width + (width - 1 - slot) for slot in ti.static(range(width))])
             flags = constant(0.0)
             for slot in range(width):
                 # The lane's own number comes out doubled, whatever its neighbours hold.
@@ -284,13 +286,15 @@ def test_lanes_are_read_written_and_compared_one_by_one(rng, number):
             for slot in range(width):
                 result[group * width + slot, 0] = lane(value, slot)
                 result[group * width + slot, 1] = largest(flags)
+                result[group * width + slot, 2] = lane(backwards, slot)
 
     values = sampled(rng, number, 1)
-    result, scratch = np.zeros((ROWS, 2)), ti.ndarray(number.type, ROWS // width)
-    shuffle(values, scratch, result)
+    result, scratch = np.zeros((ROWS, 3)), ti.ndarray(number.type, ROWS // width)
+    shuffle(values, values[:, 0].copy(), scratch, result)
     np.testing.assert_array_equal(result[:, 0], 2 * values[:, 0])
     positive = (values[:, 0] > 0).reshape(-1, width).any(axis=1)
     np.testing.assert_array_equal(result[:, 1], np.repeat(positive, width))
+    np.testing.assert_array_equal(result[:, 2], values[:, 0].reshape(-1, width)[:, ::-1].ravel())
 
 
 LITERALS = (0.1, 1 / 3, 1e-30, 0.7, 2.0 / 7.0, 1e-13, -0.3)
@@ -300,7 +304,7 @@ LITERALS = (0.1, 1 / 3, 1e-30, 0.7, 2.0 / 7.0, 1e-13, -0.3)
 def test_literals_are_exact_to_one_unit_in_the_last_place(number):
     """The default precision of Taichi is f32: a literal in f64 must not pass through it."""
     runtime.start()
-    largest, lane, with_lane, constant, put, get = number.lanes()
+    largest, lane, with_lane, constant, put, get, gather = number.lanes()
     width, scalar = number.width, number.scalar
 
     @ti.kernel

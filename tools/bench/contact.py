@@ -2,7 +2,8 @@
 
 Heavy rods of 33 edges, both ends held, on a table with two pegs in their way, NumPy in to NumPy out. *laid down*: from straight
 starts that do not meet their clamps; *moved on*: from rest on the table, with other weights and far ends moved by up to a tenth
-of the span; *out of reach*: as these, with the table and the pegs far away. Ratios are to a NumPy workload timed in the same
+of the span; *out of reach*: as these, with the table and the pegs far away; *alone* and *its own obstacle*: as these, without
+them, and where no rod may pass through itself. Ratios are to a NumPy workload timed in the same
 round; ``--check`` and ``--write`` are those of the benchmark of relaxations.
 """
 
@@ -15,7 +16,7 @@ import numpy as np
 if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti import Capsule, Clamp, Clamps, Configuration, Material, Plane, relax  # noqa: E402
+from doo_ti import Capsule, Clamp, Clamps, Configuration, Itself, Material, Plane, relax  # noqa: E402
 from doo_ti.bench.cases import Case, Outcome  # noqa: E402
 from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_product  # noqa: E402
 from doo_ti.types import Status  # noqa: E402
@@ -76,10 +77,10 @@ class Specimens:
         kept = np.resize(np.flatnonzero(found.status != Status.INFEASIBLE), self.count)
         return start.take(kept), other.take(kept), held.take(kept)
 
-    def relaxed(self, which: str, precision: str, below: float = 0.0) -> Outcome:
-        """Relax the rods of that name once."""
+    def relaxed(self, which: str, precision: str, among: list) -> Outcome:
+        """Relax the rods of that name once ``among`` obstacles."""
         rods, material, clamps = getattr(self, which)
-        found = relax(rods, material, clamps, precision=precision, obstacles=obstacles(below), radius=RADIUS)
+        found = relax(rods, material, clamps, precision=precision, obstacles=among, radius=RADIUS)
         done = found.converged
         return Outcome(float(done.sum()), float(done.mean()), float(found.stable.mean()),
                        float(np.max(found.residual[done], initial=0.0)), found.iterations)
@@ -87,9 +88,12 @@ class Specimens:
 
 def cases(rods: Specimens) -> list[Case]:
     """The timed cases."""
-    table = [Case(f"{which.replace('_', ' ')}, {precision}", "rods/s", partial(rods.relaxed, which, precision))
-             for which in ("laid_down", "moved_on") for precision in ("f32", "f64")]
-    return [*table, Case("out of reach, f32", "rods/s", partial(rods.relaxed, "moved_on", "f32", 1e4))]
+    return [Case(f"{name}, {precision}", "rods/s", partial(rods.relaxed, which, precision, among))
+            for name, which, among in (
+                ("laid down", "laid_down", obstacles()), ("moved on", "moved_on", obstacles()),
+                ("out of reach", "moved_on", obstacles(1e4)), ("alone", "moved_on", []),
+                ("its own obstacle", "moved_on", [Itself()]))
+            for precision in ("f32", "f64")]
 
 
 def main(arguments: list[str]) -> int:
