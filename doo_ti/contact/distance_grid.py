@@ -95,6 +95,7 @@ class DistanceGrid(Obstacle):
         taken.__dict__["coefficients"] = self.coefficients
         return taken
 
+    @cached_property
     def placed(self) -> Placed:
         corner = self.position + np.einsum("rij,rj->ri", *(np.broadcast_to(part, (self.count, *part.shape[1:]))
                                                            for part in (self.rotation, self.origin)))

@@ -17,7 +17,7 @@ def mesh(obstacle: Obstacle, row: int, centre: np.ndarray, size: float) -> tuple
     row           of the rod, where each has its own obstacle
     centre, size  (3,) and mm, of the scene, near which a plane is shown
     """
-    point, axes, sizes, _ = (part[min(row, len(part) - 1)] for part in obstacle.placed())
+    point, axes, sizes, _ = (part[min(row, len(part) - 1)] for part in obstacle.placed)
     if obstacle.kind == PLANE:
         middle = (centre - point) @ axes * [1.0, 1.0, 0.0]
         local = middle + WIDER * size * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])

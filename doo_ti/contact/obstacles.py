@@ -6,6 +6,7 @@ All lengths are in mm. Every field may have one row for all rods or, with a lead
 """
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -75,13 +76,14 @@ class Obstacle:
         names = self.shapes
         return replace(self, **{name: value[rows] for name in names if len(value := getattr(self, name)) > 1})
 
+    @cached_property
     def placed(self) -> Placed:
         """(rows, 3) point, (rows, 3, 3) axes as columns, (rows, 3) sizes and (rows,) largest depth inside, mm."""
         raise NotImplementedError
 
     def numbers(self) -> np.ndarray:
         """(rows, OBSTACLE_COLUMNS) of the kernels."""
-        point, axes, sizes, depth = self.placed()
+        point, axes, sizes, depth = self.placed
         table = np.zeros((self.count, OBSTACLE_COLUMNS))
         table[:, POINT:AXES] = point
         table[:, AXES:SIZES] = np.swapaxes(axes, -1, -2).reshape(-1, 9)
@@ -91,7 +93,7 @@ class Obstacle:
 
     def distance(self, points: np.ndarray) -> Distances:
         """φ (R, N) mm and its gradient, the outward normal (R, N, 3), at ``points`` (R, N, 3)."""
-        point, axes, sizes, _ = self.placed()
+        point, axes, sizes, _ = self.placed
         local = np.einsum("rni,rij->rnj", points - point[:, None], np.broadcast_to(axes, (len(axes), 3, 3)))
         value, normal = self.local_distance(local, sizes[:, None])
         return value, np.einsum("rnj,rij->rni", normal, np.broadcast_to(axes, (len(axes), 3, 3)))
@@ -118,6 +120,7 @@ class Plane(Obstacle):
     def _check(self) -> None:
         _require_direction("Plane", "normal", self.normal)
 
+    @cached_property
     def placed(self) -> Placed:
         return self.point, _axes_about(self.normal), np.zeros((1, 3)), np.full(1, UNBOUNDED)
 
@@ -140,6 +143,7 @@ class Sphere(Obstacle):
     if TYPE_CHECKING:
         def __init__(self, centre: ArrayLike, radius: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
 
+    @cached_property
     def placed(self) -> Placed:
         return self.centre, np.eye(3)[None], np.stack([self.radius, 0 * self.radius, 0 * self.radius], -1), self.radius
 
@@ -162,6 +166,7 @@ class _Rod(Obstacle):
     def _check(self) -> None:
         _require_direction(type(self).__name__, "end", self.end - self.start, "at the start")
 
+    @cached_property
     def placed(self) -> Placed:
         axis = self.end - self.start
         half = 0.5 * np.linalg.norm(axis, axis=-1)
@@ -228,6 +233,7 @@ class Ring(Obstacle):
         if (self.thickness >= self.radius).any():
             raise InputError("Ring", "thickness", f"{self.thickness.max():g} mm closes the hole", "give less than the radius")
 
+    @cached_property
     def placed(self) -> Placed:
         radius, thickness = np.broadcast_arrays(self.radius, self.thickness)
         return self.centre, _axes_about(self.axis), np.stack([radius, thickness, 0 * radius], -1), thickness
@@ -258,6 +264,7 @@ class Box(Obstacle):
     def _check(self) -> None:
         require_rotation("Box", self.rotation)
 
+    @cached_property
     def placed(self) -> Placed:
         return self.centre, self.rotation, 0.5 * self.size, 0.5 * self.size.min(axis=-1)
 

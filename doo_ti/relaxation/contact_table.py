@@ -149,17 +149,19 @@ def _near(obstacles: Sequence[Obstacle], radius: np.ndarray, clamps: np.ndarray,
     middle of where both its ends are held than half of that."""
     if not obstacles:
         return np.zeros(len(index), dtype=bool)
-    clamp = clamps[index]
-    anchor, total = clamp[:, of.ANCHOR : of.ANCHOR + 3], clamp[:, of.TOTAL]
-    both = (clamp[:, of.CLOSED] > 0) | (clamp[:, of.TILT_INNER] == 0)
-    centre = np.where(both[:, None], anchor + 0.5 * clamp[:, of.TARGET : of.TARGET + 3], anchor)
-    reach = 1.001 * np.where(both, 0.5 * total, total) + radius
-    near = clamp[:, of.LOOSE] > 0
+    anchor, total = clamps[:, of.ANCHOR : of.ANCHOR + 3], clamps[:, of.TOTAL]
+    both = (clamps[:, of.CLOSED] > 0) | (clamps[:, of.TILT_INNER] == 0)
+    centre = anchor + np.where(both[:, None], 0.5 * clamps[:, of.TARGET : of.TARGET + 3], 0.0)
+    reach = 1.001 * np.where(both, 0.5 * total, total)
+    near = (clamps[:, of.LOOSE] > 0)[index]
     if len(centre):
         # First all rods at once, as one ball.
-        middle = 0.5 * (centre.min(axis=0) + centre.max(axis=0))
-        whole = np.sqrt(((centre - middle) ** 2).sum(axis=1).max()) + reach.max()
+        middle = np.array([0.5 * (column.min() + column.max()) for column in centre.T])
+        apart = centre - middle
+        whole = np.sqrt(np.einsum("sk,sk->s", apart, apart).max()) + reach.max() + radius.max()
         obstacles = [obstacle for obstacle in obstacles if not (obstacle.distance(middle[None, None])[0] > whole).all()]
+    if obstacles:
+        centre, reach = centre[index], reach[index] + radius
     for obstacle in obstacles:
         near = near | ~(obstacle.distance(centre[:, None])[0][:, 0] > reach)
     return near
