@@ -12,7 +12,6 @@ import taichi as ti
 from doo_ti.contact.obstacles import OBSTACLE_COLUMNS
 from doo_ti.groups.layout import (
     ACTIVE,
-    APART,
     BEGIN,
     BEGIN_STANDING,
     FIRST_TIE_STIFFNESS,
@@ -47,15 +46,17 @@ from doo_ti.relaxation.contact_layout import (
     HEAD,
     PHASE,
     PLACE,
+    PREVIOUS,
     RADIUS,
     ROUGHEST,
     SAGGING,
     STIFFNESS,
     TOLERANCE,
     VERTEX_ITEMS,
+    WORK,
 )
 from doo_ti.relaxation.loading import stiffness_scale
-from doo_ti.relaxation.pair_layout import PAIR_ITEMS, self_contact_items
+from doo_ti.relaxation.pair_layout import APART, PAIR_ITEMS, self_contact_items
 from doo_ti.relaxation.self_contacts import SelfContacts
 
 
@@ -220,6 +221,8 @@ class GroupContacts(SelfContacts):
         slow = due & (most > SLOW_TIES * before) & (most > allowed)
         rod.scratch[head + TIE_STIFFNESS * self.stride] = ti.select(slow, ti.min(STIFFER_TIES * stiffness, limit), stiffness)
         rod.scratch[head + TIE_MISS * self.stride] = ti.select(due, most, before)
+        if ti.static(self.rub):
+            self.set_item(rod, WORK, due, self.friction_work(rod))
         return largest_of(change, ti.select(due, most / allowed * self.item(rod, TOLERANCE), zero))
 
     # --- into scratch and out of it ---
@@ -234,6 +237,8 @@ class GroupContacts(SelfContacts):
         if tables.barrier == 0:
             self.put(scratch, base + PHASE * self.stride, slot, FINE)
         self.load_apart(tables, scratch, slot, row)
+        if ti.static(self.rub):
+            self.load_previous(tables, scratch, slot, row, unit)
         head = base + self_contact_items(edges, tables.kinds.shape[0]) * self.stride
         total = scale.total
         self.put(scratch, head + TIE_STIFFNESS * self.stride, slot, FIRST_TIE_STIFFNESS * scale.bend / (total * total * total))
@@ -282,12 +287,25 @@ class GroupContacts(SelfContacts):
                      ti.cast(tables.apart[own, number], ti.f64))
 
     @ti.func
+    def load_previous(self, tables, scratch: ti.template(), slot, row, unit):
+        """Where the vertices were at the moment before."""
+        count = tables.kinds.shape[0]
+        first = tables.contacts + (HEAD + count * OBSTACLE_COLUMNS) * self.stride
+        for v in range(tables.rest_length.shape[1] + 1):
+            at = first + v * (VERTEX_ITEMS + count * CONTACT_ITEMS) * self.stride
+            for k in ti.static(range(3)):
+                self.put(scratch, at + (PREVIOUS + k) * self.stride, slot, tables.previous[row, v, k] / unit)
+
+    @ti.func
     def unload_forces(self, tables, scratch: ti.template(), slot, place, force_unit):
-        """The forces on vertices and those of ties, and where the rods begin, into row ``place``."""
+        """The forces on vertices and those of ties, what sticks and slips, the work of friction, and where the rods begin, into
+        row ``place``."""
         SelfContacts.unload_forces(self, tables, scratch, slot, place, force_unit)
+        self.unload_touch(tables, scratch, slot, place)
         edges, rods = tables.rest_length.shape[1], tables.places.shape[1]
         head = tables.contacts + self_contact_items(edges, tables.kinds.shape[0]) * self.stride
         unit = ti.cast(self.get(scratch, head + UNIT * self.stride, slot), ti.f64)
+        tables.works[place] = self.get(scratch, tables.contacts + WORK * self.stride, slot) * force_unit * unit
         first = head + (GROUP_HEAD + edges * GROUP_EDGE_ITEMS + (edges + 1) * GROUP_VERTEX_ITEMS) * self.stride
         for g in range(rods):
             for k in ti.static(range(3)):

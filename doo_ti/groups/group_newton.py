@@ -62,9 +62,9 @@ class GroupTables:
 
 
 @cache
-def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[int]):
-    """The kernel, compiled on first use, for one kind of number and obstacles of those kinds."""
-    sweep = GroupElimination(number, stride, GroupContacts(number, stride, obstacles))
+def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[int], rub: bool):
+    """The kernel, compiled on first use, for one kind of number and obstacles of those kinds, with friction if they ``rub``."""
+    sweep = GroupElimination(number, stride, GroupContacts(number, stride, obstacles, rub))
     loop = NewtonLoop(sweep, sweep.functions)
     loop.trace = TRACE
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
@@ -80,6 +80,9 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
         barrier: ti.i32, begins: index1, ties: index2, targets: table3, free: table3, burden: table3, apart: index2,
         places: table3,  # [group, rod, 3] mm: where the rods begin, the first left out, in and out
         tie_forces: table3,  # [group, tie, 6] force, energy per mm, and moment in the axes of the later edge, in and out
+        previous: table3,  # [group, vertex, 3] mm, at the moment before; without friction not read
+        touches: index2,  # [group, vertex] out
+        works: table1,  # [group] of friction, out
     ):
         ti.loop_config(block_dim=block)
         for thread in range(threads):
@@ -92,15 +95,26 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
                             contacts=contacts, obstacles=obstacles, kinds=kinds, grids=grids, radius=radius,
                             tolerance=gap_tolerance, memory=memory, forces=forces, self_friction=self_friction,
                             barrier=barrier, begins=begins, ties=ties, targets=targets, free=free, burden=burden,
-                            apart=apart, places=places, tie_forces=tie_forces)
+                            apart=apart, places=places, tie_forces=tie_forces, previous=previous, touches=touches, works=works)
             loop.work(tables, scratch, threads, thread)
 
     return newton_of_groups
 
 
-def run_groups(table: GroupTables, options: Newton, places: np.ndarray, tie_forces: np.ndarray):
-    """Relax all feasible groups: (N, E, 4) frames and (N, LOADED_RESULTS), NaN and UNTOUCHED in infeasible rows. ``places``
-    (N, rods, 3), where the rods begin, and ``tie_forces`` (N, K, 6) change in place."""
+@dataclass(frozen=True)
+class GroupState:
+    """What a launch changes in place, N rows each: ``places`` (N, G, 3) mm, where the rods begin; ``tie_forces`` (N, K, 6);
+    and where it writes the :class:`.Touch` of vertices (N, V) and the work of friction (N,), energy in mm²."""
+
+    places: np.ndarray
+    tie_forces: np.ndarray
+    touch: np.ndarray
+    friction_work: np.ndarray
+
+
+def run_groups(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray | None):
+    """Relax all feasible groups: (N, E, 4) frames and (N, LOADED_RESULTS), NaN and UNTOUCHED in infeasible rows; with friction
+    where ``previous`` (N, V, 3) mm says where the vertices were at the moment before."""
     count, edges = table.start.shape[:2]
     frames = np.full((count, edges, 4), np.nan)
     results = np.zeros((count, of.LOADED_RESULTS))
@@ -111,13 +125,14 @@ def run_groups(table: GroupTables, options: Newton, places: np.ndarray, tie_forc
     rods = of.rod_rows(rows, rows % len(table.material), rows, rows, np.zeros_like(rows))
     contact, nothing = table.contact, Nothing()
     number, threads, stride, block = layout_for(len(rows), 64, True)
-    kernel = group_kernel(number, stride, block, contact.known)
+    kernel = group_kernel(number, stride, block, contact.known, previous is not None)
     items = chain.LOADED_PARAMETERS + (chain.item_count(False) + FORCE_ITEMS) * edges
-    items += self_contact_items(edges, len(contact.kinds)) + group_items(edges, places.shape[1], len(table.ties))
+    items += self_contact_items(edges, len(contact.kinds)) + group_items(edges, state.places.shape[1], len(table.ties))
     scratch, queue = buffers(number, threads, items)
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy_row(table.up, options, 64),
         threads, scratch, queue, frames.reshape(-1), results, nothing.numbers(), nothing.field(),
         *contact.arguments(contact.forces), int(table.barrier), table.begins, table.ties, table.targets, table.free,
-        table.burden, table.apart, places, tie_forces)
+        table.burden, table.apart, state.places, state.tie_forces, np.zeros((1, 1, 3)) if previous is None else previous,
+        state.touch, state.friction_work)
     return frames, results

@@ -84,6 +84,7 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool)
     Raises InputError as ``relax`` does, and for rods with weight that nothing holds.
     """
     bodies = [obstacle for obstacle in obstacles if not isinstance(obstacle, Itself)]
+    itself = next((obstacle for obstacle in obstacles if isinstance(obstacle, Itself)), Itself())
     members = []
     for number, parts in enumerate(zip(group.rods, group.each_material, group.clamps, strict=True)):
         try:
@@ -101,7 +102,7 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool)
     material, burden = _materials(group, members)
     clamp = _clamps(members, material)
     thickness = 1.0 if radius is None and not bodies else radius
-    table = contact_table([*bodies, Itself()], thickness, group.count, lengths.shape[1], clamp, np.arange(group.count))
+    table = contact_table([*bodies, itself], thickness, group.count, lengths.shape[1], clamp, np.arange(group.count))
     touch = contact and radius is not None
     ties, targets = _ties(group, members)
     apart = edges_apart(group, lengths, begins, table.radius, touch)

@@ -18,9 +18,6 @@ BEGIN, BEGIN_STANDING, BEGIN_STEP, TIP, GROUP_ROD_ITEMS = 0, 3, 6, 9, 12
 # Of a tie the place that it holds a vertex at, its force, and one where there is this tie; of a weld the rest rotation, its
 # moment, by how much it misses, and its second derivatives by the later edge, by the earlier one, and by both.
 TARGET, TIE_FORCE, ACTIVE, REST, TIE_MOMENT, TURNED, OF_LATE, OF_EARLY, MIXED, TIE_ITEMS = 0, 3, 6, 7, 11, 14, 17, 23, 29, 38
-APART = 4
-"""Item of a pair of edges, one that friction has elsewhere: one where they may touch."""
-
 FIRST_TIE_STIFFNESS, MOST_TIE_STIFFNESS = 1e4, 1e7
 """κ of ties at first and at most, over B/L³."""
 SLOW_TIES, STIFFER_TIES = 0.05, 10.0

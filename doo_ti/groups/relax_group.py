@@ -20,7 +20,7 @@ from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion
 from doo_ti.groups.apart import smallest_gap
 from doo_ti.groups.group import Group
-from doo_ti.groups.group_newton import GroupTables, run_groups
+from doo_ti.groups.group_newton import GroupState, GroupTables, run_groups
 from doo_ti.groups.group_tables import group_tables
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton import Newton
@@ -47,6 +47,8 @@ class GroupSolution:
     start_force    (N, G, 3) of the clamps on the rods' starts; zero where these are free
     end_force      (N, G, 3) the same of the far ends
     contact_force  G arrays (N, V, 3): of obstacles and of other edges on the vertices
+    touch          G arrays (N, V): the :class:`.Touch` of each vertex and the edge that ends there
+    friction_work  (N,) energy that friction has taken since ``before``, mm²
     gap            (N,) mm, the smallest between surfaces that may touch; infinite where there are none
     """
 
@@ -62,6 +64,8 @@ class GroupSolution:
     start_force: np.ndarray
     end_force: np.ndarray
     contact_force: tuple[np.ndarray, ...]
+    touch: tuple[np.ndarray, ...]
+    friction_work: np.ndarray
     gap: np.ndarray
 
     @property
@@ -87,11 +91,13 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
 
     solver     Newton(max_iterations=1000) unless given: points far apart are drawn together in many steps
     up         (3,) direction against gravity, (0, 0, 1) unless given
-    obstacles  what the rods may touch but not enter, each with one row or N; none has friction here
+    obstacles  what the rods may touch but not enter, each with one row or N. ``Itself(friction=…)`` among them is the friction
+               of the rods on each other and on themselves
     radius     of all rods, mm, one or (N,). With it the rods touch each other and themselves, and never pass through each
                other; without it they only do what their ties mean
     contact    False: they do not touch each other nor themselves, only obstacles
-    before     the solution of nearly the same groups, whose forces of ties and clamps are those to begin with: fewer iterations
+    before     the solution of these groups at the moment before. Friction acts on the way from there, and only then. Its forces
+               of ties and clamps are those to begin with, which also takes fewer iterations
 
     Beside a tie rods do not touch each other: where both are within π radii of it along themselves. Ties whose points are
     apart at the start are closed. Where they cannot be, the group does not converge. Starts whose centrelines are inside
@@ -107,10 +113,18 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
     with np.errstate(all="ignore"):  # a group that is not finite has a status; NumPy need not warn
         table = group_tables(group, unit_up((0.0, 0.0, 1.0) if up is None else up, "relax_group"), list(obstacles), radius,
                              contact)
-        places = table.begins_at.copy()
         tie_forces = np.zeros((group.count, len(table.ties), 6)) if before is None else _forces(group, before)
-        frames, results = run_groups(table, PATIENT if solver is None else solver, places, tie_forces)
-        return _solution(group, table, frames, results, places, tie_forces)
+        touch = np.zeros((group.count, table.start.shape[1] + 1), dtype=np.int32)
+        state = GroupState(table.begins_at.copy(), tie_forces, touch, np.zeros(group.count))
+        previous = _previous(group, before) if before is not None and table.contact.surroundings.rub else None
+        frames, results = run_groups(table, PATIENT if solver is None else solver, state, previous)
+        return _solution(group, table, frames, results, state)
+
+
+def _previous(group: Group, before: GroupSolution) -> np.ndarray:
+    """(N, V, 3) mm where the vertices were at the moment before or, where there was no place for them, where they start."""
+    then, now = (np.concatenate([rod.vertices for rod in rods], axis=1) for rods in (before.rods, group.rods))
+    return np.ascontiguousarray(np.where(np.isfinite(then), then, now))
 
 
 def _forces(group: Group, before: GroupSolution) -> np.ndarray:
@@ -137,8 +151,8 @@ def _sign(group: Group) -> np.ndarray:
     return np.where(group.tied[:, :1] > group.tied[:, 1:], -1.0, 1.0)
 
 
-def _solution(group: Group, table: GroupTables, frames, results, places, tie_forces) -> GroupSolution:
-    clamp, up = table.clamp, table.up
+def _solution(group: Group, table: GroupTables, frames, results, state: GroupState) -> GroupSolution:
+    clamp, up, places, tie_forces = table.clamp, table.up, state.places, state.tie_forces
     status = results[:, of.STATUS].astype(np.int8)
     lost = (status == Status.INFEASIBLE) | (status == Status.NOT_FINITE)
     places[:, 0] = clamp[:, of.ANCHOR : of.ANCHOR + 3] + results[:, of.DRIFT:]
@@ -183,4 +197,5 @@ def _solution(group: Group, table: GroupTables, frames, results, places, tie_for
         stable=(results[:, of.STABLE] == 1) & (status == Status.CONVERGED),
         tie_force=tie_forces[:, :far, :3] * _sign(group), tie_moment=moment, start_force=start_force,
         end_force=-tie_forces[:, far:starts, :3], contact_force=group.by_rod(contact_force),
-        gap=np.where(lost, np.nan, gap))
+        touch=group.by_rod(np.where(lost[:, None], 0, state.touch).astype(np.int8)),
+        friction_work=np.where(lost, np.nan, state.friction_work), gap=np.where(lost, np.nan, gap))

@@ -12,9 +12,9 @@ COEFFICIENT, WEIGHTS, SLOPES, PINCHED, ROD_ITEMS = 0, 1, 5, 29, 30
 LOAD, PULL, MOVE, ARC, VERTEX_ITEMS = 0, 3, 6, 9, 10
 # Items of a pair of edges i < j, number j (j − 1)/2 + i: the force; the friction, the normal of its plane and the places on
 # both edges at which it acts; the distance of the edges, or a bound below it, now and before the step; the nearest places on
-# both and the gradient of the distance.
-FORCE, FRICTION, RUBBED_NORMAL, RUBBED_PLACES, DISTANCE, DISTANCE_STANDING, PLACES, NORMAL, PAIR_ITEMS = (
-    0, 1, 4, 7, 9, 10, 11, 13, 16)
+# both and the gradient of the distance; and, in a group, one where they may touch.
+FORCE, FRICTION, RUBBED_NORMAL, RUBBED_PLACES, DISTANCE, DISTANCE_STANDING, PLACES, NORMAL, APART, PAIR_ITEMS = (
+    0, 1, 4, 7, 9, 10, 11, 13, 16, 17)
 REMEMBERED = 9
 """Items of a pair that last from one step to the next."""
 # Then the dense matrix of the Newton system, the rows of its lower triangle one after the other; three rows that are being

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doo_ti.contact.itself import Itself
 from doo_ti.contact.obstacles import Plane
+from doo_ti.contact.touch import Touch
 from doo_ti.groups.follow import follow_group
 from doo_ti.groups.group import Group, Tie
 from doo_ti.groups.relax_group import relax_group
@@ -104,3 +106,63 @@ def test_tied_rods_lie_on_a_plane():
     table = sum(part[0].sum(axis=0) for part in solution.contact_force)
     weight = 2.0 * sum(rod.rest_length.sum() for rod in rods)
     assert table[2] > 1.0 and table[2] + solution.start_force[0, :, 2].sum() == pytest.approx(weight, rel=1e-6)
+
+
+def rubbing(coefficient: float, shifts, angles=(90.0,)) -> list:
+    """The solutions, one after the other, of rods that lie across two cantilevers at those angles to them and are pulled along
+    by ``shifts`` mm."""
+    count, angle = len(angles), np.radians(angles)
+    rails = [straight_rod(25.0, 10, (x, -12.0, 0.0), (0.0, 1.0, 0.0)) for x in (20.0, 80.0)]
+    along = np.stack([np.sin(angle), np.cos(angle), 0.0 * angle], axis=-1)
+    top = [straight_rod(100.0, 25, (0.0, 0.2, 2.0 * RADIUS), way) for way in along]
+    top = type(top[0])(np.concatenate([rod.start for rod in top]), np.concatenate([rod.quaternions for rod in top]),
+                       top[0].rest_length)
+    rods = [*(rail.take(np.zeros(count, dtype=int)) for rail in rails), top]
+    clamps = [end_clamps(rod, Clamp.FRAME, Clamp.FREE) for rod in rods]
+    stiff = Material(1e6, 1e6, 0.0)
+    group = Group(rods, [stiff, stiff, Material(1e6, 1e6, 1.0)], clamps)
+    moments = [[*clamps[:2], replace(clamps[2], start_position=clamps[2].start_position - shift * along)] for shift in shifts]
+    return list(follow_group(group, moments, obstacles=[Itself(friction=coefficient)], radius=RADIUS))
+
+
+def shares(solution, rail: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of what a rail bears: its size along the normal of both rods, that of the rest, and the rest's part along the top rod."""
+    top, under = solution.rods[2].vertices, solution.rods[rail].vertices
+    force = -solution.contact_force[rail].sum(axis=1)
+    tangents = []
+    for rod, other in ((top, under), (under, top)):
+        middle, others = 0.5 * (rod[:, 1:] + rod[:, :-1]), 0.5 * (other[:, 1:] + other[:, :-1])
+        nearest = np.linalg.norm(middle[:, :, None] - others[:, None], axis=-1).min(axis=2).argmin(axis=1)
+        tangents.append(np.diff(rod, axis=1)[np.arange(len(rod)), nearest])
+    normal = np.cross(*tangents)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    normal *= np.sign(normal[:, 2:])
+    pressed = (force * normal).sum(axis=-1)
+    rest = force - pressed[:, None] * normal
+    along = tangents[0] / np.linalg.norm(tangents[0], axis=-1, keepdims=True)
+    return pressed, np.linalg.norm(rest, axis=-1), (rest * along).sum(axis=-1)
+
+
+def test_rods_that_are_drawn_over_others_stick_and_then_slip():
+    """Against Coulomb's law: the friction is held by what the rails bend until it is the coefficient times the force."""
+    coefficient, shifts = 0.3, (0.0, 0.003, 0.006, 2.0, 2.5)
+    moments = rubbing(coefficient, shifts, (90.0, 86.0))
+    assert all(found.converged.all() for found in moments)
+    ratios = np.array([[rest / pressed for pressed, rest, _ in (shares(found, rail) for rail in (0, 1))] for found in moments])
+    print(f"friction over force, by moment, rail and group: {ratios.round(4).tolist()}")
+    assert ratios[0].max() < 5e-3  # there is none at first
+    assert (np.diff(ratios[:3], axis=0) > 0.01).all() and ratios[:3].max() < 0.99 * coefficient
+    np.testing.assert_allclose(ratios[3:], coefficient, rtol=2e-3)
+    for found in moments[3:]:
+        assert all((shares(found, rail)[2] > 0.0).all() for rail in (0, 1))  # the rails are drawn along with the top rod's pull
+    touch = [np.unique(found.touch[2]).tolist() for found in moments]
+    assert touch[1] == touch[2] == [Touch.NONE, Touch.STICKS] and touch[3] == touch[4] == [Touch.NONE, Touch.SLIPS]
+    pressed = sum(shares(moments[4], rail)[0] for rail in (0, 1))
+    np.testing.assert_allclose(moments[4].friction_work, coefficient * pressed * 0.5, rtol=5e-3)
+    assert all(np.abs(found.friction_work).max() < 1e-3 for found in moments[:3])
+
+
+def test_a_group_rubs_alone_as_among_others():
+    both, one = rubbing(0.2, (0.0, 1.5), (90.0, 86.0)), rubbing(0.2, (0.0, 1.5), (86.0,))
+    np.testing.assert_array_equal(both[1].rods[2].vertices[1], one[1].rods[2].vertices[0])
+    assert both[1].friction_work[1] == one[1].friction_work[0]
