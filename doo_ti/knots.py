@@ -21,6 +21,11 @@ BRAID, WIDE_BRAID = 8.0, 2.0
 """Radii, and √(radius · loop): half the length over which they are, the larger of the two."""
 SAMPLES = 400
 """Points of each part of a knot's curve."""
+LONGEST_EDGE, SHORT_EDGE = 0.5, 0.35
+"""Of half the braid, which has three half turns: with longer edges a rod would not be knotted as its curve is; and the edges in
+it unless it is given how fine they are."""
+LOOP_EDGE = 0.5
+"""Of the loop: the most for the edges elsewhere."""
 
 
 def rod_along(points: ArrayLike, edges: int | ArrayLike) -> Configuration:
@@ -56,15 +61,17 @@ def rod_along(points: ArrayLike, edges: int | ArrayLike) -> Configuration:
     return Configuration(vertices[:1].copy(), quaternion_from_matrix(frames), chord)
 
 
-def overhand_knot(length: float, edges: int, *, radius: float, loop: float, finer: float = 1.0) -> Configuration:
+def overhand_knot(length: float, edges: int, *, radius: float, loop: float, finer: float | None = None) -> Configuration:
     """One rod of that ``radius`` with an open overhand knot in its middle, both ends along x, its middle above the origin.
 
     The loop, of radius ``loop``, ends in two strands that are laid around each other with three half turns, and go on as the
-    two ends of the rod. Where they are, edges are ``finer`` times shorter than elsewhere.
+    two ends of the rod. Where they are, edges are ``finer`` times shorter than elsewhere; unless given, as much as they
+    have to be.
 
-    Raises InputError for lengths that are not positive, fewer than two edges, and a rod that is too short for its knot.
+    Raises InputError for lengths that are not positive, edges that are too few for the strands, and a rod that is too short for
+    its knot.
     """
-    for name, value in (("length", length), ("radius", radius), ("loop", loop), ("finer", finer)):
+    for name, value in (("length", length), ("radius", radius), ("loop", loop), ("finer", 1.0 if finer is None else finer)):
         if not 0 < value < np.inf:
             raise InputError("overhand_knot", name, f"{value!r}", "give a positive number")
     require_whole("overhand_knot", "edges", edges, 2)
@@ -84,5 +91,13 @@ def overhand_knot(length: float, edges: int, *, radius: float, loop: float, fine
     step = np.linalg.norm(np.diff(points, axis=0), axis=-1)
     number = np.arange(len(step))
     braided = (number > 0) & (number < SAMPLES) | (number >= len(step) - SAMPLES) & (number < len(step) - 1)
+    if finer is None:
+        outside, within = step[~braided].sum(), step[braided].sum()
+        needed = outside / max(SHORT_EDGE * half * edges - within, 1e-9 * half)
+        finer = max(1.0, min(needed, LOOP_EDGE * loop / (LONGEST_EDGE * half)))
     arc, fineness = (np.concatenate([[0.0], np.cumsum(step * weight)]) for weight in (1.0, np.where(braided, finer, 1.0)))
+    fewest = int(np.ceil(fineness[-1] / min(LONGEST_EDGE * half * finer, LOOP_EDGE * loop)))
+    if edges < fewest:
+        raise InputError("overhand_knot", "edges", f"{edges} edges are too long for such a knot",
+                         f"give at least {fewest}, or another `finer`")
     return rod_along(points, np.diff(np.interp(np.linspace(0.0, fineness[-1], edges + 1), fineness, arc)))

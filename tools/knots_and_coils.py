@@ -5,8 +5,10 @@
 Overhand knots without friction (Audoly, Clauvelin and Neukirch 2007), in the limit of small ε = √(h/R): the tension is
 F h²/B = ε⁴/2, and the sum of all contact forces P h²/B = 0.492 ε³, by which friction multiplies. h is the rod's radius and R
 that of the loop, of a circle fitted to its lower two thirds. Between the knots and the limit are terms of relative size ε. With
-friction a knot is pulled tighter by quasi-static steps, and its strands rub: F h²/B = ε⁴/2 + μ 0.492 ε³. That takes half an
-hour.
+friction F h²/B = ε⁴/2 + μ 0.492 ε³ where the knot is pulled tighter: by quasi-static steps, until all of its strands slip.
+
+Strands touch along some 15 ε R, much of it single places far apart. A knot is first relaxed with edges that are fine in the braid,
+and then once more with edges that are fine wherever it touches.
 
 A plectoneme (Clauvelin, Audoly and Neukirch 2009): a rod is turned at one end; where it has coiled up, with the angle α of its
 strands to the axis of the coil, F h²/B = sin³α (cos α tan 2α − ½ sin α). Its link, by twist and writhe, is the turns it was
@@ -19,6 +21,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -27,19 +30,22 @@ from doo_ti.dynamics.grippers import Grippers  # noqa: E402
 from doo_ti.dynamics.parameters import Dynamics, Stepping  # noqa: E402
 from doo_ti.dynamics.simulate import simulate  # noqa: E402
 from doo_ti.frames import turned_about_tangent  # noqa: E402
-from doo_ti.knots import overhand_knot  # noqa: E402
+from doo_ti.knots import overhand_knot, rod_along  # noqa: E402
 from doo_ti.material import Material  # noqa: E402
 from doo_ti.relaxation.newton import Newton  # noqa: E402
 from doo_ti.relaxation.relax import relax  # noqa: E402
 from doo_ti.rods import end_clamps, straight_rod  # noqa: E402
-from doo_ti.types import Clamp, Clamps, Solution  # noqa: E402
+from doo_ti.types import Clamp, Clamps, Configuration, Solution  # noqa: E402
 from tests.contact.topology import determinant, link  # noqa: E402
 
 BEND, RADIUS = 1e5, 1.0
-KNOTS = ((0.05, 12.0), (0.07, 12.0), (0.1, 10.0), (0.15, 6.0), (0.2, 3.0))
-"""ε to begin with, and how much finer edges in the braid are."""
-PULLED, RUB, STEPS, TIGHTER = ((0.047, 14.0), (0.09, 10.0)), 0.1, 12, 0.1
-"""The same of knots that are pulled, the coefficient of friction, in how many steps, and by which share of their loop."""
+KNOTS = (0.0125, 0.02, 0.05, 0.07, 0.1, 0.15, 0.2)
+"""ε to begin with."""
+FINEST, TOUCHING, GROWTH, COARSEST = 0.16, 7.6, 0.12, 0.08
+"""Edges of the second mesh: over ε R where strands touch, so far from the middle of the braid; by how much of the distance from
+there they are longer; and at most, over R."""
+PULLED, RUB, STEPS, DRAWN = (0.0125, 0.02, 0.05), 0.1, 4, 0.5
+"""The same of knots that are pulled, the coefficient of friction, in how many steps, and by how much rod, over ε R."""
 
 
 def fitted_radius(vertices: np.ndarray, guess: float) -> float:
@@ -53,41 +59,70 @@ def fitted_radius(vertices: np.ndarray, guess: float) -> float:
     return guess
 
 
-def tied(begin: float, finer: float, edges: int) -> tuple[Solution, Clamps, float]:
-    """A knot without friction, at rest, its clamps and the radius of its loop, mm."""
+def tied(begin: float, edges: int) -> tuple[Solution, Clamps, float]:
+    """A knot without friction, at rest, its clamps and the radius of its loop, mm; ``edges`` of its first mesh."""
     loop = RADIUS / begin**2
-    rod = overhand_knot(2.0 * np.pi * 1.1 * loop + 7.0 * np.sqrt(2.0) * loop, edges, radius=RADIUS, loop=loop, finer=finer)
-    clamps = end_clamps(rod, Clamp.TANGENT, Clamp.TANGENT)
-    found = relax(rod, Material(BEND, BEND, 0.0), clamps, Newton(max_iterations=2000), obstacles=[Itself()], radius=RADIUS)
+    length = 2.0 * np.pi * 1.1 * loop + 7.0 * np.sqrt(2.0) * loop
+    # The first mesh only shows where the knot touches itself: it need not have come to rest.
+    first, _ = relaxed(overhand_knot(length, edges, radius=RADIUS, loop=loop))
+    found, clamps = relaxed(rod_along(*finely_divided(first, loop)))
     if not found.converged[0] or determinant(found.configuration.vertices[0]) != 3:
         raise SystemExit(f"the knot of ε {begin} has not converged, or come undone")
     return found, clamps, fitted_radius(found.configuration.vertices[0], loop)
 
 
+def relaxed(rod: Configuration) -> tuple[Solution, Clamps]:
+    """A rod whose ends may turn about their tangents, relaxed."""
+    clamps = end_clamps(rod, Clamp.TANGENT, Clamp.TANGENT)
+    patient = Newton(max_iterations=3000)
+    return relax(rod, Material(BEND, BEND, 0.0), clamps, patient, obstacles=[Itself()], radius=RADIUS), clamps
+
+
+def finely_divided(knot: Solution, loop: float) -> tuple[np.ndarray, np.ndarray]:
+    """A smooth curve along a knot, and edges for it that are fine where it touches itself."""
+    vertices = knot.configuration.vertices[0]
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(vertices, axis=0), axis=-1))])
+    touching = arc[np.linalg.norm(knot.contact.force[0], axis=-1) > 0.0]
+    halves = touching[touching < 0.5 * arc[-1]], touching[touching > 0.5 * arc[-1]]
+    braid = np.array([0.5 * (half.min() + half.max()) for half in halves])
+    place = np.linspace(0.0, arc[-1], 200_001)
+    unit = np.sqrt(RADIUS * loop)  # ε R
+    beyond = np.maximum(np.abs(place[:, None] - braid).min(axis=1) - TOUCHING * unit, 0.0)
+    size = np.minimum(FINEST * unit + GROWTH * beyond, COARSEST * loop)
+    number = np.concatenate([[0.0], np.cumsum(place[1] * 2.0 / (size[1:] + size[:-1]))])
+    ends = np.interp(np.linspace(0.0, number[-1], int(np.ceil(number[-1])) + 1), number, place)
+    return CubicSpline(arc, vertices)(place[::10]), np.diff(ends)
+
+
 def knots(edges: int) -> None:
     """Print the table of knots."""
-    print("|  ε | F h²/B over ε⁴/2 | P h²/B over 0.492 ε³ | smallest gap over the diameter | s |\n|---|---|---|---|---|")
-    for begin, finer in KNOTS:
+    print("|  ε | edges | F h²/B over ε⁴/2 | P h²/B over 0.492 ε³ | smallest gap over the diameter | s |\n|---|---|---|---|---|---|")
+    for begin in KNOTS:
         began = time.process_time()
-        found, _, loop = tied(begin, finer, edges)
-        taken = time.process_time() - began
+        found, _, loop = tied(begin, edges)
         epsilon = np.sqrt(RADIUS / loop)
-        force = np.linalg.norm(found.end_force[0]) * RADIUS**2 / BEND
-        pressed = 0.5 * np.linalg.norm(found.contact.force[0], axis=-1).sum() * RADIUS**2 / BEND
+        force, pressed = force_and_pressure(found.end_force, found.contact.force)
         gap = 1.0 + found.contact.gap[0] / (2.0 * RADIUS)
-        ratios = f"{force / (0.5 * epsilon**4):.3f} | {pressed / (0.492 * epsilon**3):.3f}"
-        print(f"| {epsilon:.3f} | {ratios} | {gap:.5f} | {taken:.0f} |", flush=True)
+        ratios = f"{force[0] / (0.5 * epsilon**4):.3f} | {pressed[0] / (0.492 * epsilon**3):.3f}"
+        taken = time.process_time() - began
+        print(f"| {epsilon:.4f} | {found.configuration.edges} | {ratios} | {gap:.5f} | {taken:.0f} |", flush=True)
+
+
+def force_and_pressure(end_force: np.ndarray, contact_force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """F h²/B of tensions (N, 3), and P h²/B of contact forces (N, V, 3), of which each acts on two strands."""
+    pressed = 0.5 * np.linalg.norm(contact_force, axis=-1).sum(axis=-1)
+    return np.linalg.norm(end_force, axis=-1) * RADIUS**2 / BEND, pressed * RADIUS**2 / BEND
 
 
 def friction(edges: int) -> None:
     """Print the table of knots that are pulled tighter while their strands rub."""
-    print(f"\n|  ε | F h²/B over ε⁴/2 + {RUB:g} · 0.492 ε³: mean, least, largest | smallest gap over the diameter | s |\n"
-          "|---|---|---|---|")
-    for begin, finer in PULLED:
+    print(f"\n|  ε | edges | F h²/B over ε⁴/2 + {RUB:g} · 0.492 ε³, by step | P h²/B over 0.492 ε³, last | "
+          "smallest gap over the diameter | s |\n|---|---|---|---|---|---|")
+    for begin in PULLED:
         began = time.process_time()
-        knot, clamps, loop = tied(begin, finer, edges)
+        knot, clamps, loop = tied(begin, edges)
         share = np.linspace(0.0, 1.0, STEPS + 1)
-        way = 0.5 * TIGHTER * 2.0 * np.pi * loop * share[None, :, None] * clamps.start_frame[:, None, :, 0]
+        way = 0.5 * DRAWN * np.sqrt(RADIUS * loop) * share[None, :, None] * clamps.start_frame[:, None, :, 0]
         ends = clamps.start_position[:, None] - way, clamps.end_position[:, None] + way
         held = [np.repeat(frame[:, None], STEPS + 1, axis=1) for frame in (clamps.start_frame, clamps.end_frame)]
         grippers = Grippers(Clamp.TANGENT, Clamp.TANGENT, *ends, *held)
@@ -97,12 +132,11 @@ def friction(edges: int) -> None:
             raise SystemExit(f"the knot of ε {begin} has not converged with friction")
         places = moved.positions[0]
         epsilon = np.sqrt(RADIUS / np.array([fitted_radius(vertices, loop) for vertices in places]))
-        force = np.linalg.norm(moved.end_force[0], axis=-1) * RADIUS**2 / BEND
-        ratio = force / (0.5 * epsilon**4 + RUB * 0.492 * epsilon**3)
+        force, pressed = force_and_pressure(moved.end_force[0], moved.contact_force[0])
+        ratios = ", ".join(f"{ratio:.3f}" for ratio in force / (0.5 * epsilon**4 + RUB * 0.492 * epsilon**3))
         gap = 1.0 + smallest_self_gap(places, np.full(len(places), RADIUS)).min() / (2.0 * RADIUS)
-        ratios = f"{ratio.mean():.2f}, {ratio.min():.2f}, {ratio.max():.2f}"
-        print(f"| {epsilon[0]:.3f} to {epsilon[-1]:.3f} | {ratios} | {gap:.5f} | "
-              f"{time.process_time() - began:.0f} |", flush=True)
+        print(f"| {epsilon[-1]:.4f} | {knot.configuration.edges} | {ratios} | {pressed[-1] / (0.492 * epsilon[-1]**3):.3f} | "
+              f"{gap:.5f} | {time.process_time() - began:.0f} |", flush=True)
 
 
 def plectoneme(edges: int) -> None:

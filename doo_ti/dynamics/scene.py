@@ -15,7 +15,7 @@
     at_rest = true                     # relaxed before the motion begins (false: it begins straight)
     radius_mm = 3.0                    # needed with obstacles and with a knot
     knot_loop_mm = 20.0                # an open overhand knot in its middle at first, with a loop of that radius (none)
-    knot_finer = 4.0                   # edges in the knot, where it touches itself, are so many times shorter (1)
+    knot_finer = 4.0                   # edges in the knot, where it touches itself, are so many times shorter (as needed)
 
     [materials.rope]                   # one or more, all in the same motion
     bend = 6e5                         # mm³
@@ -111,7 +111,7 @@ class _Rod(Table):
     at_rest: bool = False
     radius_mm: Positive | None = None
     knot_loop_mm: Positive | None = None
-    knot_finer: Positive = 1.0
+    knot_finer: Positive | None = None
 
 
 class _Material(Table):
@@ -174,7 +174,8 @@ def _start(path: Path, rod: _Rod, direction: np.ndarray) -> Configuration:
     try:
         knot = overhand_knot(rod.length_mm, rod.edges, radius=rod.radius_mm, loop=rod.knot_loop_mm, finer=rod.knot_finer)
     except InputError as error:
-        raise InputError(path, f"rod.{error.field}_mm", error.problem, error.remedy) from None
+        key = f"{error.field}_mm" if error.field in ("length", "radius") else error.field
+        raise InputError(path, f"rod.{key}", error.problem, error.remedy.replace("`finer`", "knot_finer")) from None
     turn = smallest_rotation(np.array([1.0, 0.0, 0.0]), direction)
     return Configuration(np.array([rod.position_mm], dtype=np.float64), quaternion_product(turn, knot.quaternions),
                          knot.rest_length)

@@ -190,6 +190,18 @@ def test_gaps_of_rods_without_places_and_of_short_ones():
 def test_wrong_knots_are_one_line():
     with pytest.raises(InputError, match="length.*mm.*give more than"):
         overhand_knot(20.0, 40, radius=1.0, loop=12.0)
+    with pytest.raises(InputError, match="edges.*too long.*give at least 1[0-9][0-9], or another `finer`"):
+        overhand_knot(6000.0, 100, radius=1.0, loop=400.0, finer=3.0)
+    with pytest.raises(InputError, match="edges.*too long.*give at least"):
+        overhand_knot(6000.0, 12, radius=1.0, loop=400.0)
+
+
+@pytest.mark.parametrize("loop, tail, edges", [
+    (400.0, 7.0, 100), (400.0, 3.0, 100), (100.0, 7.0, 100), (400.0, 7.0, 200), (12.0, 7.0, 40)])
+def test_a_knot_is_one_however_few_its_edges(loop, tail, edges):
+    rod = overhand_knot(2.2 * np.pi * loop + tail * np.sqrt(2.0) * loop, edges, radius=RADIUS, loop=loop)
+    assert determinant(rod.vertices[0]) == 3
+    assert smallest_self_gap(rod.vertices, np.array([RADIUS]))[0] > -1.5 * RADIUS
     with pytest.raises(InputError, match="edges"):
         rod_along(np.eye(3), [1.0, -1.0, 2.0])
     with pytest.raises(InputError, match="friction"):
