@@ -66,8 +66,11 @@ def dragged(rng, count: int, coefficient: float) -> str:
     """How many of ``count`` groups converge at how many moments of a motion with that friction."""
     group = drawn(rng, count, Clamp.POSITION, False)
     ways = MOVED * rng.normal(size=(len(group.clamps), count, 3))
-    moments = [[replace(clamps, start_position=clamps.start_position + share * way, end_position=clamps.end_position + share * way)
-                for clamps, way in zip(group.clamps, ways, strict=True)] for share in np.linspace(0.0, 1.0, MOMENTS + 1)]
+    moments = []
+    for share in np.linspace(0.0, 1.0, MOMENTS + 1):
+        moments.append([replace(clamps, start_position=clamps.start_position + share * way,
+                                end_position=clamps.end_position + share * way)
+                        for clamps, way in zip(group.clamps, ways, strict=True)])
     began = time.perf_counter()
     found = list(follow_group(group, moments, obstacles=[Itself(friction=coefficient)], radius=RADIUS))
     spent = 1e3 * (time.perf_counter() - began) / (count * len(found))
@@ -77,7 +80,8 @@ def dragged(rng, count: int, coefficient: float) -> str:
     slipping, sticking = ((touch == kind).any(axis=2)[good].mean() for kind in (Touch.SLIPS, Touch.STICKS))
     gap = min(np.min(solution.gap[solution.converged], initial=np.inf) for solution in found)
     return (f"of {sound.sum()} groups {100 * good.mean():.1f} % of moments converge; a rod sticks in "
-            f"{100 * sticking:.0f} %, slips in {100 * slipping:.0f} %; {spent:.1f} ms each; smallest gap {gap / RADIUS:.1e} radii")
+            f"{100 * sticking:.0f} %, slips in {100 * slipping:.0f} %; {spent:.1f} ms each; "
+            f"smallest gap {gap / RADIUS:.1e} radii")
 
 
 def main(arguments: list[str] | None = None) -> int:

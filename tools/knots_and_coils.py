@@ -7,8 +7,8 @@ F h²/B = ε⁴/2, and the sum of all contact forces P h²/B = 0.492 ε³, by wh
 that of the loop, of a circle fitted to its lower two thirds. Between the knots and the limit are terms of relative size ε. With
 friction F h²/B = ε⁴/2 + μ 0.492 ε³ where the knot is pulled tighter: by quasi-static steps, until all of its strands slip.
 
-Strands touch along some 15 ε R, much of it single places far apart. A knot is first relaxed with edges that are fine in the braid,
-and then once more with edges that are fine wherever it touches.
+Strands touch along some 15 ε R, much of it single places far apart. A knot is first relaxed with edges that are fine in the
+braid, and then once more with edges that are fine wherever it touches.
 
 A plectoneme (Clauvelin, Audoly and Neukirch 2009): a rod is turned at one end; where it has coiled up, with the angle α of its
 strands to the axis of the coil, F h²/B = sin³α (cos α tan 2α − ½ sin α). Its link, by twist and writhe, is the turns it was
@@ -96,7 +96,8 @@ def finely_divided(knot: Solution, loop: float) -> tuple[np.ndarray, np.ndarray]
 
 def knots(edges: int) -> None:
     """Print the table of knots."""
-    print("|  ε | edges | F h²/B over ε⁴/2 | P h²/B over 0.492 ε³ | smallest gap over the diameter | s |\n|---|---|---|---|---|---|")
+    print("|  ε | edges | F h²/B over ε⁴/2 | P h²/B over 0.492 ε³ | smallest gap over the diameter | s |\n"
+          "|---|---|---|---|---|---|")
     for begin in KNOTS:
         began = time.process_time()
         found, _, loop = tied(begin, edges)

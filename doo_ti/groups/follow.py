@@ -21,10 +21,10 @@ def follow_group(group: Group, clamps: Sequence[Sequence[Clamps]], solver: Newto
     clamps  of every moment those of G rods, with N rows each
     the others as :func:`.relax_group` has them
 
-    Friction acts from the first moment on, at which there is none. The rods of a group are drawn from one moment to the next and
-    pass through nothing on the way, but frames of clamps turn at once: give moments between which they turn by less than the
-    rods bend. A group that has no place at a moment, being INFEASIBLE or not finite there, goes on from the last one at which it
-    had.
+    Friction acts from the first moment on, at which there is none. The rods of a group are drawn from one moment to the next
+    and pass through nothing on the way, but frames of clamps turn at once: give moments between which they turn by less than
+    the rods bend. A group that has no place at a moment, being INFEASIBLE or not finite there, goes on from the last one at
+    which it had.
     """
     before = None
     for held in clamps:

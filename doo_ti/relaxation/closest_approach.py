@@ -20,8 +20,8 @@ ENOUGH = 1e-3
 class ClosestApproach:
     """The ways of rods of one kind of number, whose vertices' items are in scratch.
 
-    A ``rod`` is a record of its ``scratch``, its ``head`` and lane ``slot`` there, its ``edges``, the distance ``near`` at which
-    two of them touch, ``enough``, and the length ``least_arc`` of rod that is between any two that count, all in mm.
+    A ``rod`` is a record of its ``scratch``, its ``head`` and lane ``slot`` there, its ``edges``, the distance ``near`` at
+    which two of them touch, to within ``enough``, and the length ``least_arc`` of rod that is between any two that count, mm.
     """
 
     def __init__(self, number: Number, stride: int):
@@ -54,7 +54,8 @@ class ClosestApproach:
     @ti.func
     def moved(self, rod, first, last):
         """The displacement of a vertex against another."""
-        return minus(minus(self.after(rod, last), self.before(rod, last)), minus(self.after(rod, first), self.before(rod, first)))
+        whole = minus(self.after(rod, last), self.before(rod, last))
+        return minus(whole, minus(self.after(rod, first), self.before(rod, first)))
 
     @ti.func
     def touches(self, rod):
@@ -112,8 +113,8 @@ class ClosestApproach:
 
     @ti.func
     def missing_arc(self, rod, first, last, share):
-        """How much too little of the rod is between two vertices at that ``share`` of the way, and by how much this may change on
-        all of it."""
+        """How much too little of the rod is between two vertices at that ``share`` of the way, and by how much this may change
+        on all of it."""
         missing, most = rod.least_arc, ti.cast(0.0, ti.f64)
         for e in range(first, last):
             edge, change = self.apart(rod, e, e + 1, share), self.moved(rod, e, e + 1)

@@ -239,8 +239,8 @@ def _kernel(number: Number, stride: int, block: int, by_frames: bool):
     ):
         ti.loop_config(block_dim=block)
         for thread in range(threads):
-            tables = record(before=before, after=after, rows=rows, lengths=lengths, radius=radius, near=near, least_arc=least_arc,
-                            edges=edges, flags=flags)
+            tables = record(before=before, after=after, rows=rows, lengths=lengths, radius=radius, near=near,
+                            least_arc=least_arc, edges=edges, flags=flags)
             bounds.work(tables, scratch, threads, thread)
 
     return approach
@@ -277,10 +277,11 @@ def approach_in_relaxation(start: np.ndarray, start_row: np.ndarray, frames: np.
 @runtime.exclusive
 def approach_in_motion(before: np.ndarray, after: np.ndarray, length_row: np.ndarray, rest_length: np.ndarray,
                        radius: np.ndarray) -> np.ndarray:
-    """(R,) whether rods may touch themselves between two instants of a motion, places (R, V, 3); not where these are not finite.
+    """(R,) whether rods may touch themselves between two instants of a motion, places (R, V, 3); not where these are not
+    finite.
 
-    The way between is not straight there: rods are found too that come nearer to themselves by a quarter of the largest way of
-    a vertex.
+    The way between is not straight there: rods are found too that come as near to touching as a quarter of the largest way of a
+    vertex.
     """
     rows = np.ascontiguousarray(length_row, dtype=np.int32)
     before, after = np.ascontiguousarray(before), np.ascontiguousarray(after)
