@@ -97,9 +97,9 @@ class SelfApproach:
             for k in ti.static(range(count))])
 
     @ti.func
-    def rows_within(self, rows, table: ti.template(), size):
-        """The rows of all lanes in a table of one row or one for each."""
-        return variable([ti.min(rows[slot], table.shape[0] // size - 1) for slot in ti.static(range(self.width))])
+    def of_rod(self, table: ti.template(), own):
+        """The numbers of all lanes in a table of one or one for each rod."""
+        return self.gather(table, [ti.min(own[slot], table.shape[0] - 1) for slot in ti.static(range(self.width))])
 
     @ti.func
     def starts(self, tables, own):
@@ -178,9 +178,10 @@ class SelfApproach:
         edges = tables.edges
         size = (edges + BLOCKS - 1) // BLOCKS
         count = (edges + size - 1) // size
-        near = self.numbers(tables.near, self.rows_within(own, tables.near, 1), 1, 0, 1)[0]
-        least_arc = self.numbers(tables.least_arc, self.rows_within(own, tables.least_arc, 1), 1, 0, 1)[0]
-        near = near + ROUNDING * self.arc(scratch, head, 0, edges)
+        near, radius = self.of_rod(tables.near, own), self.of_rod(tables.radius, own)
+        least_arc = self.of_rod(tables.least_arc, own)
+        # Whoever stays apart by these bounds does so edge by edge too: the result does not depend on the rods beside it.
+        near = near + ENOUGH * radius + ROUNDING * self.arc(scratch, head, 0, edges)
         room = self.constant(1e30)
         for block in range(ti.max(count - 1, 1)):
             cosine = self.cosine(scratch, head, block * size, ti.min((block + 2) * size, edges))

@@ -47,11 +47,13 @@ def test_rods_that_touch_on_their_way_are_found_and_no_others(rng, edges, radius
 
 
 def test_a_rod_is_found_alone_as_among_others(rng):
-    start, frames, lengths, radius = bent(rng, 33), bent(rng, 33), np.full((COUNT, 33), 3.0), np.full(COUNT, 1.0)
+    start, frames = bent(rng, 33), bent(rng, 33)
+    lengths, radius = 3.0 * rng.uniform(0.7, 1.3, (COUNT, 33)), rng.uniform(0.5, 2.0, COUNT)
     rows = np.arange(COUNT)
     touching, turned = approach_in_relaxation(start, rows, frames, lengths, radius)
-    for row in (0, 17, COUNT - 1):
-        alone, whole = approach_in_relaxation(start[row : row + 1], rows[:1], frames[row : row + 1], lengths[:1], radius[:1])
+    for row in rows:
+        own = slice(row, row + 1)
+        alone, whole = approach_in_relaxation(start[own], rows[:1], frames[own], lengths[own], radius[own])
         assert (len(alone), len(whole)) == ((touching == row).sum(), (turned == row).sum())
 
 
