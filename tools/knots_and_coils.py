@@ -44,7 +44,7 @@ KNOTS = (0.0125, 0.02, 0.05, 0.07, 0.1, 0.15, 0.2)
 FINEST, TOUCHING, GROWTH, COARSEST = 0.16, 7.6, 0.12, 0.08
 """Edges of the second mesh: over ε R where strands touch, so far from the middle of the braid; by how much of the distance from
 there they are longer; and at most, over R."""
-PULLED, RUB, STEPS, DRAWN = (0.0125, 0.02, 0.05), 0.1, 4, 0.5
+PULLED, RUB, STEPS, DRAWN = (0.0125, 0.02), 0.1, 4, 0.5
 """The same of knots that are pulled, the coefficient of friction, in how many steps, and by how much rod, over ε R."""
 
 
