@@ -20,7 +20,8 @@ def test_rods_ties_and_forces_are_shown(tmp_path, rng):
     group = Group(rods, Material(1e5, 1e5), [end_clamps(rod) for rod in rods], [Tie((0, 3), (1, 0))])
     none, forces = np.zeros((1, 2, 3)), tuple(rng.normal(size=rod.vertices.shape) for rod in rods)
     good = GroupSolution(group, *np.zeros((3, 1)), np.ones(1, int), np.zeros(1, int), np.ones(1, bool), np.zeros((1, 1, 3)),
-                         np.zeros((1, 1, 3)), none, none, forces, np.zeros(1))
+                         np.zeros((1, 1, 3)), none, none, forces, tuple(np.zeros((1, len(each[0]))) for each in forces),
+                         np.zeros(1), np.zeros(1))
     moments = [good, replace(good, status=np.array([Status.STALLED]))]
     record_group(tmp_path / "g.rrd", moments, name="made up", rate=2.0,
                  surroundings=Surroundings([Plane((0, 0, -5), (0, 0, 1))], 1.5))
