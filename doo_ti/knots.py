@@ -22,10 +22,10 @@ BRAID, WIDE_BRAID = 8.0, 2.0
 SAMPLES = 400
 """Points of each part of a knot's curve."""
 LONGEST_EDGE, SHORT_EDGE = 0.5, 0.35
-"""Of half the braid, which has three half turns: with longer edges a rod would not be knotted as its curve is; and the edges in
-it unless it is given how fine they are."""
+"""Of half the length of the strands, which make three half turns: the longest edges there with which a rod has the knot of its
+curve; and the edges there where ``finer`` is not given."""
 LOOP_EDGE = 0.5
-"""Of the loop: the most for the edges elsewhere."""
+"""Of the loop's radius: the longest edges elsewhere."""
 
 
 def rod_along(points: ArrayLike, edges: int | ArrayLike) -> Configuration:

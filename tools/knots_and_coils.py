@@ -42,15 +42,21 @@ BEND, RADIUS = 1e5, 1.0
 KNOTS = (0.0125, 0.02, 0.05, 0.07, 0.1, 0.15, 0.2)
 """ε to begin with."""
 FINEST, TOUCHING, GROWTH, COARSEST = 0.16, 7.6, 0.12, 0.08
-"""Edges of the second mesh: over ε R where strands touch, so far from the middle of the braid; by how much of the distance from
-there they are longer; and at most, over R."""
+"""Edges of the second mesh have the length FINEST ε R up to TOUCHING ε R from the middle of the braid. Further away they grow
+by GROWTH times the distance from there, to COARSEST R."""
 PULLED, RUB, STEPS, DRAWN = (0.0125, 0.02), 0.1, 4, 0.5
-"""The same of knots that are pulled, the coefficient of friction, in how many steps, and by how much rod, over ε R."""
+"""ε of the knots that are pulled tighter, the coefficient of friction, the number of steps, and the rod that both ends together
+are pulled by, over ε R."""
+
+
+def arc_length(vertices: np.ndarray) -> np.ndarray:
+    """(V,) mm along a rod (V, 3)."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(vertices, axis=0), axis=-1))])
 
 
 def fitted_radius(vertices: np.ndarray, guess: float) -> float:
     """That of the circle through the lower two thirds of the loop, in the middle of a rod (V, 3)."""
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(vertices, axis=0), axis=-1))])
+    arc = arc_length(vertices)
     for _ in range(4):
         loop = vertices[np.abs(arc - 0.5 * arc[-1]) < 0.35 * 2.0 * np.pi * guess]
         flat = (loop - loop.mean(axis=0)) @ np.linalg.svd(loop - loop.mean(axis=0))[2][:2].T
@@ -81,7 +87,7 @@ def relaxed(rod: Configuration) -> tuple[Solution, Clamps]:
 def finely_divided(knot: Solution, loop: float) -> tuple[np.ndarray, np.ndarray]:
     """A smooth curve along a knot, and edges for it that are fine where it touches itself."""
     vertices = knot.configuration.vertices[0]
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(vertices, axis=0), axis=-1))])
+    arc = arc_length(vertices)
     touching = arc[np.linalg.norm(knot.contact.force[0], axis=-1) > 0.0]
     halves = touching[touching < 0.5 * arc[-1]], touching[touching > 0.5 * arc[-1]]
     braid = np.array([0.5 * (half.min() + half.max()) for half in halves])

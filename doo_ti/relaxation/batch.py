@@ -92,15 +92,14 @@ def pack_trips(bits: int) -> tuple[int, int]:
 def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int, frames, results, moving: bool = True) -> None:
     """One launch over ``rods``, whose starts are rows of ``start`` (-, E, 4) or of ``frames``."""
     contact = table.contact
-    if contact is not None and not contact.itself:
-        # Rods out of reach of all obstacles are relaxed without them.
-        if not contact.near.any():
-            contact, table = None, replace(table, contact=None)
-        elif not contact.near.all():
-            near = contact.near[rods[:, of.RESULT_ROW]]
-            if not near.all():
-                _launch_newton(replace(table, contact=None), start, rods[~near], options, bits, frames, results, moving)
-                rods = rods[near]
+    # Rods out of reach of all obstacles are relaxed without them.
+    some_far = contact is not None and not contact.itself and not contact.near.all()
+    if some_far and not contact.near.any():
+        contact, table = None, replace(table, contact=None)
+    elif some_far:
+        near = contact.near[rods[:, of.RESULT_ROW]]
+        _launch_newton(replace(table, contact=None), start, rods[~near], options, bits, frames, results, moving)
+        rods = rods[near]
     if not len(rods):
         return
     number, threads, stride, block = layout_for(len(rods), bits, contact is not None and contact.itself)

@@ -8,12 +8,21 @@ import taichi as ti
 
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import dot, minus, plus, scaled
-from doo_ti.relaxation.pair_distance import nearest_places
+from doo_ti.relaxation.pair_distance import nearest_places, within
 
 # Items of a vertex: its place before and after, and the length of rod up to it.
 BEFORE, AFTER, ARC, VERTEX_ITEMS = 0, 3, 6, 7
 ENOUGH = 1e-3
 """Radii, nearer than which two edges touch."""
+
+
+@ti.func
+def least_distance(before, change):
+    """The least distance of two places on their straight ways: ``before`` from one to the other at first, and the ``change`` of
+    that."""
+    share = within((0.0 - dot(before, change)) / (dot(change, change) + 1e-30))
+    nearest = plus(before, scaled(change, share))
+    return ti.sqrt(dot(nearest, nearest))
 
 
 @ti.data_oriented
@@ -71,7 +80,7 @@ class ClosestApproach:
                 if self.arc(rod, i + 1, j) > rod.least_arc:
                     room = self.room_of_middles(rod, i, j)
                     if room > 0.0:
-                        # Places further along are at most as much nearer as they are further along.
+                        # A place further along the rod is nearer by no more than it is further along.
                         ahead += ti.cast(ti.min(room / longest, 1e6), ti.i32)
                     else:
                         touching = self.edges_touch(rod, i, j)
@@ -84,9 +93,7 @@ class ClosestApproach:
         """By how much the middles of two edges stay too far apart on the way for the edges to touch."""
         before = scaled(plus(self.apart(rod, i, j, 0.0), self.apart(rod, i + 1, j + 1, 0.0)), 0.5)
         change = scaled(plus(self.moved(rod, i, j), self.moved(rod, i + 1, j + 1)), 0.5)
-        share = ti.min(ti.max((0.0 - dot(before, change)) / (dot(change, change) + 1e-30), 0.0), 1.0)
-        nearest = plus(before, scaled(change, share))
-        return ti.sqrt(dot(nearest, nearest)) - 0.5 * (self.arc(rod, i, i + 1) + self.arc(rod, j, j + 1)) - rod.near
+        return least_distance(before, change) - 0.5 * (self.arc(rod, i, i + 1) + self.arc(rod, j, j + 1)) - rod.near
 
     @ti.func
     def edges_touch(self, rod, i, j):

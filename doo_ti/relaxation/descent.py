@@ -70,7 +70,9 @@ class DescentLoop:
 
     def __init__(self, number: Number, stride: int):
         self.sweep, self.stride, self.row = VertexEnergy(number, stride), stride, ITEMS * stride
-        self.largest, self.lane, self.with_lane, self.constant, _, self.get, _ = number.lanes()
+        lanes = number.lanes()
+        self.largest, self.lane, self.with_lane, self.constant, self.get = (
+            lanes.largest, lanes.lane, lanes.with_lane, lanes.constant, lanes.get)
         self.width, self.scalar = number.width, number.scalar
         self.rounding = 2e-6 if number.bits == 32 else 1e-13
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)

@@ -29,7 +29,9 @@ class NewtonTrip:
     def __init__(self, sweep: Elimination, has_coarse: bool):
         number = sweep.number
         self.sweep, self.has_coarse, self.touches = sweep, has_coarse, sweep.touches
-        self.largest, self.lane, self.with_lane, self.constant, _, self.get, _ = number.lanes()
+        lanes = number.lanes()
+        self.largest, self.lane, self.with_lane, self.constant, self.get = (
+            lanes.largest, lanes.lane, lanes.with_lane, lanes.constant, lanes.get)
         self.scalar = number.scalar
         single = number.bits == 32
         self.rounding = 2e-6 if single else 1e-10

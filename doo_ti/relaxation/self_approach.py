@@ -27,7 +27,7 @@ from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import tangent
 from doo_ti.physics.tuples import dot, itemwise, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.batch import layout_for, scratch_for
-from doo_ti.relaxation.closest_approach import AFTER, ARC, BEFORE, ENOUGH, VERTEX_ITEMS, ClosestApproach
+from doo_ti.relaxation.closest_approach import AFTER, ARC, BEFORE, ENOUGH, VERTEX_ITEMS, ClosestApproach, least_distance
 
 APART, TOUCHING, TURNED = 0, 1, 2
 """Flags: a rod stays apart from itself, may touch itself, or does not but its link changes."""
@@ -144,7 +144,7 @@ class SelfApproach:
 
     @ti.func
     def load_places(self, tables, own, scratch: ti.template(), head):
-        """The vertices of rods that are given by them, from their first before."""
+        """The vertices of rods that are given by places, from where the first one is before."""
         starts = self.starts(tables, own)
         size, arc = (tables.edges + 1) * 3, self.constant(0.0)
         first = self.numbers(tables.before, own, size, 0, 3)
@@ -180,7 +180,8 @@ class SelfApproach:
         count = (edges + size - 1) // size
         near, radius = self.of_rod(tables.near, own), self.of_rod(tables.radius, own)
         least_arc = self.of_rod(tables.least_arc, own)
-        # Whoever stays apart by these bounds does so edge by edge too: the result does not depend on the rods beside it.
+        # Stricter than the search edge by edge: a rod's result is the same whether or not that follows, which depends on the
+        # lengths of all rods of the call.
         near = near + ENOUGH * radius + ROUNDING * self.arc(scratch, head, 0, edges)
         room = self.constant(1e30)
         for block in range(ti.max(count - 1, 1)):
@@ -189,7 +190,7 @@ class SelfApproach:
         for i in range(count):
             for j in range(i + 2, count):
                 room = ti.min(room, self.room_of_blocks(scratch, head, i * size, j * size, size, edges) - near)
-        # Not finite places pass through a minimum unseen.
+        # A minimum ignores NaN: whether places are finite is checked at the end of the rod.
         reach = self.load3(scratch, self.vertex(head, edges) + BEFORE * self.stride)
         end = self.load3(scratch, self.vertex(head, edges) + AFTER * self.stride)
         return ti.select(dot(reach, reach) + dot(end, end) < 1e30, room, 0.0 * near - 1.0)
@@ -211,11 +212,8 @@ class SelfApproach:
         end = ti.min(j + size, edges)
         before = plus(self.change(scratch, head, i, j, BEFORE), self.change(scratch, head, i + size, end, BEFORE))
         after = plus(self.change(scratch, head, i, j, AFTER), self.change(scratch, head, i + size, end, AFTER))
-        change = minus(after, before)
-        share = (0.0 - dot(before, change)) / (dot(change, change) + 1e-30)
-        zero = 0.0 * share
-        place = plus(before, scaled(change, ti.min(ti.max(share, zero), zero + 1.0)))
-        return 0.5 * (ti.sqrt(dot(place, place)) - self.arc(scratch, head, i, i + size) - self.arc(scratch, head, j, end))
+        apart = least_distance(before, minus(after, before))  # twice that of the middles
+        return 0.5 * (apart - self.arc(scratch, head, i, i + size) - self.arc(scratch, head, j, end))
 
 
 @cache
@@ -252,7 +250,7 @@ def _approach(by_frames: bool, before, after, rows, rest_length, radius, more) -
     count, edges = len(rows), rest_length.shape[1]
     number, threads, stride, block = layout_for(count, 32)
     scratch = scratch_for(number, threads * (edges + 1) * VERTEX_ITEMS)
-    # That of whole edges, of which the fewest with enough length between two others.
+    # Between two edges that count lie whole edges: the fewest that are longer than LEAST_ARC.
     fewest = np.floor(LEAST_ARC * radius / rest_length.max()) + 1.0
     least_arc = np.maximum(LEAST_ARC * radius, fewest * rest_length.min())
     flags = np.zeros(count, dtype=np.int32)

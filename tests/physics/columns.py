@@ -15,7 +15,7 @@ table = ti.types.ndarray(dtype=ti.f64, ndim=2)
 
 def columns_kernel(number: Number, inputs: int, outputs: int, function):
     """A kernel that applies ``function``, from a tuple of ``inputs`` numbers to a tuple of ``outputs``, to its rows."""
-    largest, lane, with_lane, constant, put, get, gather = number.lanes()
+    put, lane = number.lanes().put, number.lanes().lane
     width = number.width
     pack = ti.types.ndarray(dtype=number.type, ndim=1)
 
