@@ -26,6 +26,7 @@ from doo_ti.relaxation.contact_layout import (
     ROUGH,
     RUBBED_PLACE,
     SEARCHES,
+    SETTLED,
     STANDING,
     TOLERANCE,
     VALUE,
@@ -96,6 +97,7 @@ class ContactPlaces:
         zero = 0.0 * rod.total
         most = zero + 1e30
         self.store(rod.scratch, rod.contacts + ENERGY * self.stride, (zero, zero, zero, most, most))
+        rod.scratch[rod.contacts + SETTLED * self.stride] = zero
 
     @ti.func
     def add(self, rod, item: ti.template(), values):
@@ -214,22 +216,23 @@ class ContactPlaces:
         s = variable((self.first_guess(edge, ends, bridging),))
         found = record(s=zero, value=zero, normal=repeated(zero, 3), curvature=repeated(zero, 6), bend=zero + 1.0)
         going = ti.select(wanted, zero + 1.0, zero)
-        for _ in range(SEARCHES):
-            if self.largest(going) > 0.5:
-                seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o],
-                                             plus(start, scaled(edge, s[0])))
-                here = going > 0.5
-                slope = dot(seen.normal, edge)
-                bend = ti.max(dot(edge, applied(full(seen.curvature), edge)), zero + 1e-20)
-                choose(found, here, s=s[0], value=seen.value, bend=bend)
-                found.normal = chosen(here, seen.normal, found.normal)
-                found.curvature = chosen(here, seen.curvature, found.curvature)
-                low, high = ti.select(slope < 0.0, s[0], low), ti.select(slope < 0.0, high, s[0])
-                step = s[0] - slope / bend
-                step = ti.select((step >= low) & (step <= high), step, 0.5 * (low + high))
-                # A lane that has found its point keeps it while others go on.
-                going = ti.select(here & bridging & (absolute(step - s[0]) > self.place_rounding), zero + 1.0, zero)
-                s = (step,)
+        searches = 0
+        while searches < SEARCHES and self.largest(going) > 0.5:
+            searches += 1
+            seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o],
+                                         plus(start, scaled(edge, s[0])))
+            here = going > 0.5
+            slope = dot(seen.normal, edge)
+            bend = ti.max(dot(edge, applied(full(seen.curvature), edge)), zero + 1e-20)
+            choose(found, here, s=s[0], value=seen.value, bend=bend)
+            found.normal = chosen(here, seen.normal, found.normal)
+            found.curvature = chosen(here, seen.curvature, found.curvature)
+            low, high = ti.select(slope < 0.0, s[0], low), ti.select(slope < 0.0, high, s[0])
+            step = s[0] - slope / bend
+            step = ti.select((step >= low) & (step <= high), step, 0.5 * (low + high))
+            # A lane that has found its point keeps it while others go on.
+            going = ti.select(here & bridging & (absolute(step - s[0]) > self.place_rounding), zero + 1.0, zero)
+            s = (step,)
         found.bend = ti.select(bridging, found.bend, zero + 1e30)
         return found
 
