@@ -153,8 +153,8 @@ class Account:
         """((R, 2, 3) forces, (R, 2, 3) moments) of the grippers on the first and the last vertex and edge; ``rates`` are those
         of the ``strains``.
 
-        Of the forces f on the vertices, with inertia, drag and contact, the chain carries N_e = −Σ_{i>e} f_i − F_end through edge
-        e; an edge is in balance under the joints' moments T, the gripper's and l t × (−N).
+        Of the forces f on the vertices, with inertia, drag and contact, the chain carries N_e = −Σ_{i>e} f_i − F_end through
+        edge e; an edge is in balance under the joints' moments T, the gripper's and l t × (−N).
         """
         own, (rate, extrapolation) = self.losses, self.scheme
         place, velocity, last = (memory.places[..., k : k + 3] for k in (0, 6, 9))

@@ -68,8 +68,8 @@ def simulated_recordings(motion: RecordedMotion, theta: MotionTheta, stepping: S
                          progress=None, surroundings: Surroundings = Surroundings()):
     """(positions (R, T, V, 3), status (R, T), energies (R, T) by name, the simulation itself) of the recordings under one Θ, as
     :func:`predicted`. Energies are NaN in frame 0: the simulation begins at frame 1. ``stepping`` has the rate of the
-    recordings. Contact forces (R, T, V, 3), :class:`.Touch` (R, T, V) and work of friction (R, T) in the simulation are those at
-    the recordings' frames, and zero in frames 0 and 1."""
+    recordings. Contact forces (R, T, V, 3), :class:`.Touch` (R, T, V) and work of friction (R, T) in the simulation are those
+    at the recordings' frames, and zero in frames 0 and 1."""
     begun = rollout(motion, theta.rest_length, theta.reference, end=end)
     material, dynamics = simulated([theta])
     found = simulate(MovingStart(begun.start, begun.velocity, 0.5 / begun.rate), material, begun.grippers, dynamics,

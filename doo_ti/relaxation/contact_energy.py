@@ -17,7 +17,8 @@ import taichi as ti
 from doo_ti.contact.distance import outer
 from doo_ti.contact.obstacles import DEPTH
 from doo_ti.contact.obstacles import FRICTION as COEFFICIENT
-from doo_ti.physics.tuples import applied, chosen, dot, full, minus, negated, plus, record, repeated, scaled, traced
+from doo_ti.physics.algebra import absolute, largest_of
+from doo_ti.physics.tuples import applied, chosen, dot, full, minus, negated, plus, record, repeated, scaled, traced, variable
 from doo_ti.relaxation.contact_layout import (
     ACTIVE,
     BARRIER,
@@ -27,6 +28,8 @@ from doo_ti.relaxation.contact_layout import (
     CURVATURES_S,
     CURVATURES_SS,
     ENERGY,
+    EXCESS,
+    EXCESS_S,
     FORCE,
     FORCE_BETWEEN,
     FORCE_END,
@@ -35,7 +38,6 @@ from doo_ti.relaxation.contact_layout import (
     FRICTION_BETWEEN,
     GRADIENT,
     GRADIENT_S,
-    HEAD,
     LOADED,
     NORMAL,
     OFFSET,
@@ -49,6 +51,8 @@ from doo_ti.relaxation.contact_layout import (
     RUBBED_PLACE,
     SAG,
     SAGGING,
+    SETTLED,
+    SETTLING,
     STIFFNESS,
     STRENGTH,
     VALUE,
@@ -70,7 +74,7 @@ class ContactEnergy(ContactPlaces):
 
     def __init__(self, number, stride: int, kinds: frozenset[int], rub: bool = False):
         super().__init__(number, stride, kinds)
-        self.rub, self.first_phase = rub, ROUGH
+        self.rub, self.first_phase, self.settles_early = rub, ROUGH, not rub
 
     @ti.func
     def touched(self, rod, index, start, end):
@@ -135,13 +139,24 @@ class ContactEnergy(ContactPlaces):
     @ti.func
     def clear(self, rod, zero):
         """Begin the sums over the contacts of an edge."""
-        for k in ti.static(range(HEAD - GRADIENT)):
+        for k in ti.static(range(EXCESS - GRADIENT)):
             rod.scratch[rod.contacts + (GRADIENT + k) * self.stride] = zero
+        if ti.static(self.settles_early):
+            self.store(rod.scratch, rod.contacts + EXCESS * self.stride, repeated(zero, 6))
 
     @ti.func
     def vector(self, rod, item: ti.template()):
         """Three sums of an edge."""
         return self.load3(rod.scratch, rod.contacts + item * self.stride)
+
+    @ti.func
+    def known(self, rod, item: ti.template(), excess: ti.template()):
+        """Three sums of an edge, of the forces that are known."""
+        whole = self.vector(rod, item)
+        if ti.static(self.settles_early):
+            return minus(whole, self.vector(rod, excess))
+        else:
+            return whole
 
     @ti.func
     def symmetric(self, rod, item: ti.template()):
@@ -159,8 +174,7 @@ class ContactEnergy(ContactPlaces):
         zero = 0.0 * rod.total
         self.store(rod.scratch, at + FORCE_END * self.stride, repeated(zero, 6))
         if some == 1:
-            whole = self.load3(rod.scratch, rod.contacts + GRADIENT * self.stride)
-            late = self.load3(rod.scratch, rod.contacts + GRADIENT_S * self.stride)
+            whole, late = self.known(rod, GRADIENT, EXCESS), self.known(rod, GRADIENT_S, EXCESS_S)
             self.store(rod.scratch, at + FORCE_END * self.stride, negated(late))
             self.store(rod.scratch, at + FORCE_START * self.stride, minus(late, whole))
 
@@ -242,13 +256,36 @@ class ContactEnergy(ContactPlaces):
                 + self.load3(rod.scratch, contact + (CURVATURE + 3) * self.stride))
         value, zero = rod.scratch[contact + VALUE * self.stride], 0.0 * rod.total
         close = self.close_lanes(rod, value)
+        if ti.static(self.settles_early):
+            self.settle_now(rod, contact + FORCE * self.stride, value - self.item(rod, RADIUS), close)
         pushed = self.push(rod, ti.select(close, rod.scratch[contact + FORCE * self.stride], zero),
                            value - self.item(rod, RADIUS))
         self.add(rod, ENERGY, (pushed.energy, pushed.push * rod.total))
         pull = scaled(normal, 0.0 - pushed.push)
-        k = minus(scaled(outer(normal), pushed.stiffness), scaled(bent, pushed.push))
+        known = variable((pushed.push,))
+        if ti.static(self.settles_early):
+            known = (self.known_force(rod, rod.scratch[contact + FORCE * self.stride], pushed.push),)
+            self.add(rod, EXCESS, scaled(normal, known[0] - pushed.push))
+        k = minus(scaled(outer(normal), pushed.stiffness), scaled(bent, known[0]))
         self.add(rod, GRADIENT, pull + pull)
         self.add(rod, CURVATURES, k + full(k) + k)
+
+    @ti.func
+    def settle_now(self, rod, at, gap, counts):
+        """Settle the force of a contact, at ``at`` in scratch, where it ``counts`` and the step settles forces: that which the
+        contact exerted with the κ before."""
+        stiffness, old = self.item(rod, SETTLING), rod.scratch[at]
+        settles = counts & (stiffness > 0.0)
+        new = ti.select(settles, ti.max(old - stiffness * gap, 0.0 * gap), old)
+        rod.scratch[at] = new
+        settled = rod.contacts + SETTLED * self.stride
+        rod.scratch[settled] = largest_of(rod.scratch[settled], ti.select(settles, absolute(new - old) / stiffness, 0.0 * gap))
+
+    @ti.func
+    def known_force(self, rod, force, push):
+        """What of a contact that pushes the residual and second derivatives of φ count: its settled ``force`` where the step
+        settles forces. The rest only closes its gap, and on the way there bends nothing."""
+        return ti.select((self.item(rod, SETTLING) > 0.0) & (push > 0.0), force, push)
 
     @ti.func
     def rub_vertex(self, rod, o, at, contact):
@@ -306,15 +343,22 @@ class ContactEnergy(ContactPlaces):
         counts = weight > 0.0  # a lane where it does not may hold any number
         self.store(rod.scratch, contact + PLACE_BETWEEN * self.stride, (s, seen.value) + normal + (weight,))
         gap = seen.value - self.item(rod, RADIUS)
+        if ti.static(self.settles_early):
+            self.settle_now(rod, contact + FORCE_BETWEEN * self.stride, gap, counts)
         pushed = self.push(rod, rod.scratch[contact + FORCE_BETWEEN * self.stride], gap)
         self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(counts, gap, zero + 1e30))
         force, stiffness = ti.select(counts, weight * pushed.push, zero), ti.select(counts, weight * pushed.stiffness, zero)
+        known = variable((force,))
+        if ti.static(self.settles_early):
+            known = (self.known_force(rod, rod.scratch[contact + FORCE_BETWEEN * self.stride], force),)
+            excess = scaled(normal, known[0] - force)
+            self.add(rod, EXCESS, excess + scaled(excess, s))
         own = ti.select(counts, pushed.energy, zero)
         self.add(rod, ENERGY, (weight * own, force * rod.total))
         turned = applied(full(seen.curvature), edge)
         across = plus(normal, scaled(turned, s))
-        slide = force / seen.bend
-        fixed = minus(scaled(outer(normal), stiffness), scaled(seen.curvature, force))
+        slide = known[0] / seen.bend
+        fixed = minus(scaled(outer(normal), stiffness), scaled(seen.curvature, known[0]))
         fading = share.slope * own
         pull = scaled(normal, 0.0 - force - fading)
         lift = scaled(share.normal, fading)

@@ -3,7 +3,7 @@
 import taichi as ti
 
 from doo_ti.physics.algebra import absolute, largest_of
-from doo_ti.physics.tuples import choose, chosen, dot, minus, plus, record, repeated, scaled
+from doo_ti.physics.tuples import choose, chosen, dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contact_energy import ContactEnergy
 from doo_ti.relaxation.contact_layout import (
     ACTIVE,
@@ -11,6 +11,8 @@ from doo_ti.relaxation.contact_layout import (
     BARRIER,
     CHANGE,
     CLOSEST,
+    EARLY,
+    EARLY_STIFFER,
     FINE,
     FIRST_STIFFNESS,
     FORCE,
@@ -20,6 +22,7 @@ from doo_ti.relaxation.contact_layout import (
     LARGEST,
     LEAST_OFFSET,
     LOADED,
+    MOST_EARLY,
     NEAR_ENOUGH,
     NORMAL,
     NORMAL_BETWEEN,
@@ -38,6 +41,8 @@ from doo_ti.relaxation.contact_layout import (
     RUBBED_PLACE,
     SAGGING,
     SECANT,
+    SETTLED,
+    SETTLING,
     SLACK,
     SLOW,
     STAGE,
@@ -152,6 +157,29 @@ class ContactRounds(ContactEnergy):
         choose(lane, again, trying=zero, closing=zero, escaping=zero, step_scale=zero, best=zero + 1e30, idle_trips=zero,
                aimless=zero, returned=zero)
         return again
+
+    @ti.func
+    def settle_early(self, rod, lane, ready):
+        """Let the next step settle forces, where it is ``ready`` and rounds are rough: forces change as soon as the step has
+        moved the rod, and no trip is spent on bringing it to rest under the old ones, nor on evaluating it under the new ones.
+        Returns those lanes, and those in which the forces that the last step settled have stopped changing, where the final
+        rounds begin and need another trip."""
+        zero = 0.0 * rod.total
+        early = variable((zero > 1.0,))
+        if ti.static(self.settles_early):
+            stiffness, change = self.item(rod, STIFFNESS), self.item(rod, SETTLED)
+            settled = self.item(rod, SETTLING) > 0.0
+            self.set_item(rod, CHANGE, settled, change)
+            last = settled & (change <= self.item(rod, TOLERANCE))
+            self.set_item(rod, PHASE, last, zero + FINE)
+            choose(lane, settled, best=zero + 1e30, idle_trips=zero, aimless=zero)
+            rough = ~self.behind(rod) & (self.item(rod, PHASE) > ti.static(0.5 * (ROUGH + FINE)))
+            settles = ready & rough & (self.item(rod, EARLY) < MOST_EARLY)
+            self.set_item(rod, SETTLING, zero < 1.0, ti.select(settles, stiffness, zero))
+            self.set_item(rod, EARLY, settles, self.item(rod, EARLY) + 1.0)
+            self.set_item(rod, STIFFNESS, settles, ti.max(stiffness, EARLY_STIFFER * self.item(rod, FIRST_STIFFNESS)))
+            early = (settles | last,)
+        return early[0]
 
     @ti.func
     def settle(self, rod, due):

@@ -14,6 +14,7 @@ from doo_ti.relaxation.contact_layout import (
     CHANGE,
     CLOSE,
     CONTACT_ITEMS,
+    EARLY,
     EASED,
     FIRST_STIFFNESS,
     FIRST_STRENGTH,
@@ -42,6 +43,7 @@ from doo_ti.relaxation.contact_layout import (
     RETRIED,
     ROOM,
     ROUGH,
+    SETTLING,
     SOFT,
     STAGE,
     STIFFNESS,
@@ -94,7 +96,8 @@ class Contacts(ContactRounds):
         self.set_item(rod, CHANGE, done, zero + 1e30)
         self.set_item(rod, STIFFNESS, done, self.item(rod, FIRST_STIFFNESS))
         self.tighten(rod, done)
-        self.set_item(rod, RETRIED, done, zero)
+        for item in ti.static((RETRIED, SETTLING, EARLY)):
+            self.set_item(rod, item, done, zero)
         return midway
 
     @ti.func
@@ -141,8 +144,8 @@ class Contacts(ContactRounds):
                         rod.scratch[item] = ti.select(once, zero, rod.scratch[item])
             self.forget_pairs(rod, once)
             self.set_item(rod, PHASE, once, zero + LOADED)
-            self.set_item(rod, OFFSET, once, zero)
-            self.set_item(rod, STAGE, once, zero)
+            for item in ti.static((OFFSET, STAGE, SETTLING, EARLY)):
+                self.set_item(rod, item, once, zero)
             self.set_item(rod, STRENGTH, once, self.item(rod, FIRST_STRENGTH))
             self.set_item(rod, CHANGE, once, zero + 1e30)
             self.set_item(rod, STIFFNESS, once, self.item(rod, FIRST_STIFFNESS))
@@ -200,6 +203,8 @@ class Contacts(ContactRounds):
         for k in ti.static(range(len(head))):
             self.put(scratch, base + k * self.stride, slot, head[k])
         self.put(scratch, base + FIRST_VISCOSITY * self.stride, slot, viscosity)
+        for item in ti.static((SETTLING, EARLY)):
+            self.put(scratch, base + item * self.stride, slot, 0.0)
         for o in range(count):
             at = base + (HEAD + o * OBSTACLE_COLUMNS) * self.stride
             for k in range(OBSTACLE_COLUMNS):

@@ -46,6 +46,8 @@ from doo_ti.relaxation.contact_layout import (
     CURVATURES,
     CURVATURES_S,
     CURVATURES_SS,
+    EXCESS,
+    EXCESS_S,
     GRADIENT,
     GRADIENT_S,
 )
@@ -93,8 +95,8 @@ class LoadedElimination(LooseStart):
     def eliminate(self, rod, shift, search, multiplier, miss):
         """Assemble H + shift and eliminate it from the far end to the start; as :meth:`.Elimination.eliminate`.
 
-        The force p, the sum of all gradients further out, enters the geometric part of H and the residual; the force c, which
-        elimination changes, enters the right-hand side.
+        The force p, the sum of all known gradients further out, enters the geometric part of H and the residual; the force c,
+        which elimination changes, enters the right-hand side.
         """
         zero = 0.0 * rod.total
         found = record(squared=zero, scale=zero, negative=zero, slope=zero, energy=zero, magnitude=zero)
@@ -121,8 +123,8 @@ class LoadedElimination(LooseStart):
             end = start
             hang = self.hanging_weight(rod, length, beyond.length)
             beyond.length = beyond.length + length
-            own = plus(scaled(rod.gravity, hang), load.gradient_s)
-            force = plus(own, beyond.force)
+            weight = scaled(rod.gravity, hang)
+            own, force = plus(weight, load.gradient_s), plus(plus(weight, load.known_s), beyond.force)
             l1, l2 = linear_gradient(force, length, m1, m2)
             r1, r2 = linear_gradient(plus(own, beyond.c), length, m1, m2)
             lh = linear_hessian(force, length, t, m1, m2)
@@ -173,7 +175,8 @@ class LoadedElimination(LooseStart):
     @ti.func
     def load(self, rod, at, edge, start, end, found):
         """The external energy of an edge (:class:`doo_ti.relaxation.external.ExternalFunctions`) and that of its contacts: the
-        value goes to ``found``, and the record of the derivatives is returned."""
+        value goes to ``found``, and the record of the derivatives is returned; ``known`` and ``known_s`` are the gradients
+        without what only closes gaps (:meth:`.ContactEnergy.known_force`)."""
         unit = rod.length_unit  # the energy is a function of places in mm
         value, gradient, gradient_s, curvature, curvature_s, curvature_ss = self.functions.evaluate(
             rod.scratch, at, rod.numbers, rod.field, scaled(start, unit), scaled(end, unit), rod.coarse)
@@ -182,9 +185,12 @@ class LoadedElimination(LooseStart):
         square = unit * unit
         load = record(
             gradient=scaled(gradient, unit), gradient_s=scaled(gradient_s, unit), curvature=scaled(curvature, square),
-            curvature_s=scaled(curvature_s, square), curvature_ss=scaled(curvature_ss, square))
+            curvature_s=scaled(curvature_s, square), curvature_ss=scaled(curvature_ss, square), known=scaled(gradient, unit),
+            known_s=scaled(gradient_s, unit))
         if ti.static(self.touches):
             if self.contacts.touched(rod, edge + 1, start, end) == 1:
+                load.known = plus(load.known, self.contacts.known(rod, GRADIENT, EXCESS))
+                load.known_s = plus(load.known_s, self.contacts.known(rod, GRADIENT_S, EXCESS_S))
                 load.gradient = plus(load.gradient, self.contacts.vector(rod, GRADIENT))
                 load.gradient_s = plus(load.gradient_s, self.contacts.vector(rod, GRADIENT_S))
                 load.curvature = plus(load.curvature, self.contacts.symmetric(rod, CURVATURES))
@@ -233,7 +239,7 @@ class LoadedElimination(LooseStart):
         """The quadratic form that the edge before is given: C, c, p, Z, F and f with the edge's rotation minimised over."""
         beyond.cc = minus(plus(beyond.cc, load.curvature), symmetric_gram(f, wz))
         beyond.c = plus(plus(beyond.c, load.gradient), against(f, wz, wr))
-        beyond.force = plus(beyond.force, load.gradient)
+        beyond.force = plus(beyond.force, load.known)
         beyond.z = negated(gram(f, wz, wu))
         beyond.ff = negated(symmetric_gram(f, wu))
         beyond.f = against(f, wu, wr)

@@ -4,7 +4,7 @@ import taichi as ti
 
 from doo_ti.physics.tuples import chosen, dot, plus, record, scaled, variable
 from doo_ti.relaxation import newton_policy as fixed
-from doo_ti.relaxation.contact_layout import CROSSING, WALL
+from doo_ti.relaxation.contact_layout import CROSSING, EARLY_ROTATION, SETTLING, WALL
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.types import Status
 
@@ -116,7 +116,9 @@ class NewtonTrip:
             # Far from closure the Lagrangian says little.
             missed, misses = dot(lane.miss, lane.miss), dot(miss, miss)
             reaching = (missed > (fixed.CLOSING_DISTANCE * rod.longest) ** 2) & (misses < fixed.NEARER * missed)
-            downhill = (downhill | ((lane.trying > 0.5) & reaching)) & passable
+            # Nor does it across a change of forces.
+            settling = (lane.trying > 0.5) & (self.sweep.contacts.item(rod, SETTLING) > 0.0) & finite
+            downhill = (downhill | settling | ((lane.trying > 0.5) & reaching)) & passable
             finite = finite & (passable | ~moved)
         taken = ti.select(((lane.trying < 0.5) & finite) | downhill, self.constant(1.0), self.constant(0.0))
         stands = taken > 0.5
@@ -239,7 +241,10 @@ class NewtonTrip:
         at_rest = place.small & place.settled & (late | stuck)
         if ti.static(self.touches):
             entered = self.sweep.contacts.enter(rod, fresh, judged.stands & (lane.energy > WALL))
-            calm = place.calm & ~entered & ~place.leaving
+            ready = (lane.trying > 0.5) & (lane.escaping < 0.5) & (lane.longest < EARLY_ROTATION) & ~entered & ~lost
+            early = self.sweep.contacts.settle_early(rod, lane, ready)
+            calm = place.calm & ~entered & ~place.leaving & ~early
+            ended, at_rest, stuck = ended & ~early, at_rest & ~early, stuck & ~early
             goes_on = self.sweep.contacts.end_round(rod, lane, calm, (ended | at_rest) & ~entered, entered)
             ended, at_rest, stuck = ended & ~goes_on, at_rest & ~goes_on, stuck & ~goes_on
             blocked = self.sweep.contacts.blocked(rod, fresh, lane.miss)

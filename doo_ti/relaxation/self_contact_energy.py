@@ -57,7 +57,7 @@ class SelfContactEnergy(Contacts):
     def __init__(self, number, stride: int, kinds: frozenset[int], rub: bool = False):
         super().__init__(number, stride, kinds, rub)
         # Without the barrier parts of the rod could pass through each other, thin as they are.
-        self.first_phase = LOADED
+        self.first_phase, self.settles_early = LOADED, False
 
     # --- items in scratch ---
 
