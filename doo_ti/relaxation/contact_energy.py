@@ -18,7 +18,7 @@ from doo_ti.contact.distance import outer
 from doo_ti.contact.obstacles import DEPTH
 from doo_ti.contact.obstacles import FRICTION as COEFFICIENT
 from doo_ti.physics.algebra import absolute, largest_of
-from doo_ti.physics.tuples import applied, chosen, dot, full, minus, negated, plus, record, repeated, scaled, traced, variable
+from doo_ti.physics.tuples import applied, chosen, dot, full, minus, negated, plus, record, repeated, scaled, traced
 from doo_ti.relaxation.contact_layout import (
     ACTIVE,
     BARRIER,
@@ -256,36 +256,39 @@ class ContactEnergy(ContactPlaces):
                 + self.load3(rod.scratch, contact + (CURVATURE + 3) * self.stride))
         value, zero = rod.scratch[contact + VALUE * self.stride], 0.0 * rod.total
         close = self.close_lanes(rod, value)
-        if ti.static(self.settles_early):
-            self.settle_now(rod, contact + FORCE * self.stride, value - self.item(rod, RADIUS), close)
+        self.settle_now(rod, contact + FORCE * self.stride, value - self.item(rod, RADIUS), close)
         pushed = self.push(rod, ti.select(close, rod.scratch[contact + FORCE * self.stride], zero),
                            value - self.item(rod, RADIUS))
         self.add(rod, ENERGY, (pushed.energy, pushed.push * rod.total))
         pull = scaled(normal, 0.0 - pushed.push)
-        known = variable((pushed.push,))
+        known = self.known_force(rod, contact + FORCE * self.stride, pushed.push)
         if ti.static(self.settles_early):
-            known = (self.known_force(rod, rod.scratch[contact + FORCE * self.stride], pushed.push),)
-            self.add(rod, EXCESS, scaled(normal, known[0] - pushed.push))
-        k = minus(scaled(outer(normal), pushed.stiffness), scaled(bent, known[0]))
+            self.add(rod, EXCESS, scaled(normal, known - pushed.push))
+        k = minus(scaled(outer(normal), pushed.stiffness), scaled(bent, known))
         self.add(rod, GRADIENT, pull + pull)
         self.add(rod, CURVATURES, k + full(k) + k)
 
     @ti.func
     def settle_now(self, rod, at, gap, counts):
-        """Settle the force of a contact, at ``at`` in scratch, where it ``counts`` and the step settles forces: that which the
-        contact exerted with the κ before."""
-        stiffness, old = self.item(rod, SETTLING), rod.scratch[at]
-        settles = counts & (stiffness > 0.0)
-        new = ti.select(settles, ti.max(old - stiffness * gap, 0.0 * gap), old)
-        rod.scratch[at] = new
-        settled = rod.contacts + SETTLED * self.stride
-        rod.scratch[settled] = largest_of(rod.scratch[settled], ti.select(settles, absolute(new - old) / stiffness, 0.0 * gap))
+        """Where the contact ``counts`` and the step settles forces, set its force λ, at ``at`` in scratch, to max(0, λ − κ g)
+        with the κ before the step."""
+        if ti.static(self.settles_early):
+            stiffness, old = self.item(rod, SETTLING), rod.scratch[at]
+            settles = counts & (stiffness > 0.0)
+            new = ti.select(settles, ti.max(old - stiffness * gap, 0.0 * gap), old)
+            rod.scratch[at] = new
+            settled, change = rod.contacts + SETTLED * self.stride, absolute(new - old) / stiffness
+            rod.scratch[settled] = largest_of(rod.scratch[settled], ti.select(settles, change, 0.0 * gap))
 
     @ti.func
-    def known_force(self, rod, force, push):
-        """What of a contact that pushes the residual and second derivatives of φ count: its settled ``force`` where the step
-        settles forces. The rest only closes its gap, and on the way there bends nothing."""
-        return ti.select((self.item(rod, SETTLING) > 0.0) & (push > 0.0), force, push)
+    def known_force(self, rod, at, push):
+        """The force of a contact in the residual and in the second derivatives of φ: in a step that settles forces the settled
+        λ, at ``at`` in scratch, where the contact pushes at all; otherwise its whole ``push``. The difference, −κ g, only
+        closes the gap."""
+        if ti.static(self.settles_early):
+            return ti.select((self.item(rod, SETTLING) > 0.0) & (push > 0.0), rod.scratch[at], push)
+        else:
+            return push
 
     @ti.func
     def rub_vertex(self, rod, o, at, contact):
@@ -343,22 +346,20 @@ class ContactEnergy(ContactPlaces):
         counts = weight > 0.0  # a lane where it does not may hold any number
         self.store(rod.scratch, contact + PLACE_BETWEEN * self.stride, (s, seen.value) + normal + (weight,))
         gap = seen.value - self.item(rod, RADIUS)
-        if ti.static(self.settles_early):
-            self.settle_now(rod, contact + FORCE_BETWEEN * self.stride, gap, counts)
+        self.settle_now(rod, contact + FORCE_BETWEEN * self.stride, gap, counts)
         pushed = self.push(rod, rod.scratch[contact + FORCE_BETWEEN * self.stride], gap)
         self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(counts, gap, zero + 1e30))
         force, stiffness = ti.select(counts, weight * pushed.push, zero), ti.select(counts, weight * pushed.stiffness, zero)
-        known = variable((force,))
+        known = self.known_force(rod, contact + FORCE_BETWEEN * self.stride, force)
         if ti.static(self.settles_early):
-            known = (self.known_force(rod, rod.scratch[contact + FORCE_BETWEEN * self.stride], force),)
-            excess = scaled(normal, known[0] - force)
+            excess = scaled(normal, known - force)
             self.add(rod, EXCESS, excess + scaled(excess, s))
         own = ti.select(counts, pushed.energy, zero)
         self.add(rod, ENERGY, (weight * own, force * rod.total))
         turned = applied(full(seen.curvature), edge)
         across = plus(normal, scaled(turned, s))
-        slide = known[0] / seen.bend
-        fixed = minus(scaled(outer(normal), stiffness), scaled(seen.curvature, known[0]))
+        slide = known / seen.bend
+        fixed = minus(scaled(outer(normal), stiffness), scaled(seen.curvature, known))
         fading = share.slope * own
         pull = scaled(normal, 0.0 - force - fading)
         lift = scaled(share.normal, fading)

@@ -14,10 +14,11 @@ FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH, WAY_MADE, WAY, MULTIPLIER, LARGE
     9, 10, 11, 12, 13, 14, 15, 18, 19, 20, 21)
 # And sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts and
 # its magnitude; the square of the largest share of its way to the middle of an obstacle that a vertex has made in this step;
-# the least φ, and the least gap where no clamp holds the rod. Of forces that a step settles: the κ they are settled with, zero
-# where they are not, by how much that changed a gap, and how many steps have done so. And of one edge the derivatives of its
-# contacts' energy, as :meth:`.LoadedElimination.load` returns them, and how much of the first two is not of known forces.
-ENERGY, MAGNITUDE, CROSSING, DEEPEST, CLOSEST, SETTLING, SETTLED, EARLY = 22, 23, 24, 25, 26, 27, 28, 29
+# the least φ, the least gap where no clamp holds the rod, and by how much the step changed a gap by settling forces. Then
+# the κ with which the step settles forces, zero where it does not, and how many steps have done so. And of one edge the
+# derivatives of its contacts' energy, as :meth:`.LoadedElimination.load` returns them, and how much of the first two is not of
+# known forces.
+ENERGY, MAGNITUDE, CROSSING, DEEPEST, CLOSEST, SETTLED, SETTLING, EARLY = 22, 23, 24, 25, 26, 27, 28, 29
 GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, EXCESS, EXCESS_S, HEAD = 30, 33, 36, 42, 51, 57, 60, 63
 # Phases of a rod: it has just been loaded and begins with a barrier; this keeps it away from obstacles and finds out where it
 # will touch them; rounds to a rough tolerance of its moments; rounds to the final one.
@@ -49,7 +50,8 @@ SOFT = 0.1
 TIGHT = 0.3
 """Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does."""
 EARLY_ROTATION, EARLY_STIFFER, MOST_EARLY = 3e-2, 7.0, 12.0
-"""A step that turns no edge by so much, rad, settles forces; κ is then at least so many times the first; so often at most."""
+"""A step in which every edge turns by less than that, rad, settles forces; κ is from then on at least so many times the first;
+and at most so many steps of a rod do so."""
 STIFFER, SLOW, STIFFEST = 5.0, 0.3, 1e6
 """κ grows by so much where a round leaves more than that share of the change of the round before, up to so many times the
 first."""

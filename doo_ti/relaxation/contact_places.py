@@ -26,7 +26,6 @@ from doo_ti.relaxation.contact_layout import (
     ROUGH,
     RUBBED_PLACE,
     SEARCHES,
-    SETTLED,
     STANDING,
     TOLERANCE,
     VALUE,
@@ -96,8 +95,7 @@ class ContactPlaces:
         """Begin the sums over all vertices."""
         zero = 0.0 * rod.total
         most = zero + 1e30
-        self.store(rod.scratch, rod.contacts + ENERGY * self.stride, (zero, zero, zero, most, most))
-        rod.scratch[rod.contacts + SETTLED * self.stride] = zero
+        self.store(rod.scratch, rod.contacts + ENERGY * self.stride, (zero, zero, zero, most, most, zero))
 
     @ti.func
     def add(self, rod, item: ti.template(), values):

@@ -160,10 +160,10 @@ class ContactRounds(ContactEnergy):
 
     @ti.func
     def settle_early(self, rod, lane, ready):
-        """Let the next step settle forces, where it is ``ready`` and rounds are rough: forces change as soon as the step has
-        moved the rod, and no trip is spent on bringing it to rest under the old ones, nor on evaluating it under the new ones.
-        Returns those lanes, and those in which the forces that the last step settled have stopped changing, where the final
-        rounds begin and need another trip."""
+        """Let the next step settle forces in the lanes that are ``ready`` and whose rounds are rough: forces then change as
+        soon as the step has moved the rod, so that no trip only evaluates the rod under new forces. Where the forces that this
+        step settled changed by no more than the tolerance, the final rounds begin. Returns the lanes of both kinds, in which
+        the rod needs another trip."""
         zero = 0.0 * rod.total
         early = variable((zero > 1.0,))
         if ti.static(self.settles_early):
@@ -175,7 +175,7 @@ class ContactRounds(ContactEnergy):
             choose(lane, settled, best=zero + 1e30, idle_trips=zero, aimless=zero)
             rough = ~self.behind(rod) & (self.item(rod, PHASE) > ti.static(0.5 * (ROUGH + FINE)))
             settles = ready & rough & (self.item(rod, EARLY) < MOST_EARLY)
-            self.set_item(rod, SETTLING, zero < 1.0, ti.select(settles, stiffness, zero))
+            rod.scratch[rod.contacts + SETTLING * self.stride] = ti.select(settles, stiffness, zero)
             self.set_item(rod, EARLY, settles, self.item(rod, EARLY) + 1.0)
             self.set_item(rod, STIFFNESS, settles, ti.max(stiffness, EARLY_STIFFER * self.item(rod, FIRST_STIFFNESS)))
             early = (settles | last,)

@@ -300,24 +300,19 @@ def test_lanes_are_read_written_and_compared_one_by_one(rng, number):
 @every_number
 def test_the_largest_lane_is_that_of_the_lanes_which_are_numbers(rng, number):
     runtime.start()
-    largest, lane, with_lane, constant, put, get, gather = number.lanes()
-    width = number.width
+    lanes, width = number.lanes(), number.width
 
-    @ti.kernel
-    def find(source: table, scratch: ti.types.ndarray(dtype=number.type, ndim=1), result: table):
-        for group in range(source.shape[0] // width):
-            for slot in range(width):
-                put(scratch, group, slot, source[group * width + slot, 0])
-            result[group, 0] = largest(scratch[group])
+    @ti.func
+    def spread(a):
+        return lanes.constant(lanes.largest(a))
 
     values = sampled(rng, number, 1)
     # In every pack one lane stays a number, each in turn.
     nan = rng.random(ROWS) < 0.5
     nan[np.arange(ROWS // width) * width + np.arange(ROWS // width) % width] = False
     values[nan] = np.nan
-    result, scratch = np.zeros((ROWS // width, 1)), ti.ndarray(number.type, ROWS // width)
-    find(values, scratch, result)
-    np.testing.assert_array_equal(result[:, 0], np.nanmax(values.reshape(-1, width), axis=1))
+    largest = np.nanmax(values.reshape(-1, width), axis=1)
+    np.testing.assert_array_equal(applied(number, spread, values), np.repeat(largest, width))
 
 
 LITERALS = (0.1, 1 / 3, 1e-30, 0.7, 2.0 / 7.0, 1e-13, -0.3)
