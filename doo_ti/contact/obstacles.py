@@ -94,9 +94,8 @@ class Obstacle:
     def distance(self, points: np.ndarray) -> Distances:
         """φ (R, N) mm and its gradient, the outward normal (R, N, 3), at ``points`` (R, N, 3)."""
         point, axes, sizes, _ = self.placed
-        local = np.einsum("rni,rij->rnj", points - point[:, None], np.broadcast_to(axes, (len(axes), 3, 3)))
-        value, normal = self.local_distance(local, sizes[:, None])
-        return value, np.einsum("rnj,rij->rni", normal, np.broadcast_to(axes, (len(axes), 3, 3)))
+        value, normal = self.local_distance((points - point[:, None]) @ axes, sizes[:, None])
+        return value, normal @ np.swapaxes(axes, -1, -2)
 
     @staticmethod
     def local_distance(local: np.ndarray, sizes: np.ndarray) -> Distances:

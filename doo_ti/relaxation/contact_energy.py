@@ -18,7 +18,7 @@ from doo_ti.contact.distance import outer
 from doo_ti.contact.obstacles import DEPTH
 from doo_ti.contact.obstacles import FRICTION as COEFFICIENT
 from doo_ti.physics.algebra import absolute, largest_of
-from doo_ti.physics.tuples import applied, chosen, dot, full, minus, negated, plus, record, repeated, scaled, traced
+from doo_ti.physics.tuples import applied, chosen, dot, full, minus, negated, plus, record, repeated, scaled, traced, variable
 from doo_ti.relaxation.contact_layout import (
     ACTIVE,
     BARRIER,
@@ -27,6 +27,9 @@ from doo_ti.relaxation.contact_layout import (
     CURVATURES,
     CURVATURES_S,
     CURVATURES_SS,
+    END_CURVATURES,
+    END_EXCESS,
+    END_GRADIENT,
     ENERGY,
     EXCESS,
     EXCESS_S,
@@ -38,13 +41,17 @@ from doo_ti.relaxation.contact_layout import (
     FRICTION_BETWEEN,
     GRADIENT,
     GRADIENT_S,
+    HEAD,
+    LEAST,
     LOADED,
     NORMAL,
     OFFSET,
     PHASE,
     PLACE_BETWEEN,
+    PUSHED,
     RADIUS,
     ROOM,
+    ROOM_STANDING,
     ROUGH,
     RUBBED_NORMAL,
     RUBBED_NORMAL_BETWEEN,
@@ -79,44 +86,62 @@ class ContactEnergy(ContactPlaces):
     @ti.func
     def touched(self, rod, index, start, end):
         """Sum up the derivatives of the energy of the contacts of vertex ``index``, at ``end``, and of the edge from ``start``
-        to there; returns one where there are any. Measures from ``start``; that from ``end`` must have been done before."""
-        zero = 0.0 * end[0]
+        to there. Returns two where the edge has some between its ends, one where only the vertex has some, else zero. Measures
+        from ``start``; that from ``end`` must have been done before."""
         self.look(rod, index - 1, start)
         at, before = self.vertex(rod, index), self.vertex(rod, index - 1)
-        room = at + ROOM * self.stride
-        rod.scratch[room] = zero + 1e30
-        some, edge = 0, minus(end, start)
+        rod.scratch[at + ROOM_STANDING * self.stride] = rod.scratch[at + ROOM * self.stride]
+        least = ti.min(rod.scratch[at + LEAST * self.stride], rod.scratch[before + LEAST * self.stride])
+        rod.scratch[at + ROOM * self.stride] = least - self.item(rod, RADIUS)
+        some = 0
+        if ti.static(self.rub):
+            some = self.touched_by_all(rod, index, start, end)
+        else:
+            if self.is_any_close(rod, at) or self.is_any_close(rod, before):
+                some = self.touched_by_all(rod, index, start, end)
+        self.note_forces(rod, at, some)
+        return some
+
+    @ti.func
+    def touched_by_all(self, rod, index, start, end):
+        """The same for every obstacle."""
+        zero, some = 0.0 * end[0], 0
+        at, before, edge = self.vertex(rod, index), self.vertex(rod, index - 1), minus(end, start)
+        room = zero + 1e30
         for o in range(rod.obstacles):
             contact, previous = self.contact(at, o), self.contact(before, o)
-            value_end = rod.scratch[contact + VALUE * self.stride]
-            least = ti.min(rod.scratch[previous + VALUE * self.stride], value_end)
             if self.is_close(rod, contact) or self.is_close(rod, previous):
                 if some == 0:
                     self.clear(rod, zero)
                     some = 1
                 if self.is_close(rod, contact):
                     self.add_vertex(rod, o, at, contact)
-                self.touched_between(rod, o, index, start, edge)
+                between, low = self.touched_between(rod, o, index, start, edge, some)
+                room = ti.min(room, low)
+                if between:
+                    some = 2
             else:
-                rod.scratch[contact + WEIGHT * self.stride] = zero
-                rod.scratch[contact + SAGGING * self.stride] = zero
-                self.lower(rod.scratch, room, least - self.item(rod, RADIUS))
+                value = ti.min(rod.scratch[previous + VALUE * self.stride], rod.scratch[contact + VALUE * self.stride])
+                room = ti.min(room, value - self.item(rod, RADIUS))
             if ti.static(self.rub):
                 # Friction stays as long as its round, however far the rod moves: without it the energy would jump.
                 active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
                 if self.some((rod.scratch[contact + FORCE * self.stride] > 0.0) | active, zero):
                     if some == 0:
                         self.clear(rod, zero)
-                        some = 1
+                    if some < 2:
+                        self.clear_between(rod, zero)
+                    some = 2
                     self.rub_vertex(rod, o, at, contact)
                     self.rub_between(rod, o, index, contact, active)
-        self.note_forces(rod, at, some)
+        rod.scratch[at + ROOM * self.stride] = room
         return some
 
     @ti.func
     def touched_start(self, rod, index):
         """The same of vertex ``index`` alone, where a rod begins."""
         at, zero, some = self.vertex(rod, index), 0.0 * rod.total, 0
+        rod.scratch[at + ROOM_STANDING * self.stride] = rod.scratch[at + ROOM * self.stride]
         rod.scratch[at + ROOM * self.stride] = zero + 1e30
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
@@ -138,7 +163,13 @@ class ContactEnergy(ContactPlaces):
 
     @ti.func
     def clear(self, rod, zero):
-        """Begin the sums over the contacts of an edge."""
+        """Begin the sums over the contacts of a vertex."""
+        for k in ti.static(range(HEAD - END_GRADIENT)):
+            rod.scratch[rod.contacts + (END_GRADIENT + k) * self.stride] = zero
+
+    @ti.func
+    def clear_between(self, rod, zero):
+        """Begin the sums over the contacts of an edge between its ends."""
         for k in ti.static(range(EXCESS - GRADIENT)):
             rod.scratch[rod.contacts + (GRADIENT + k) * self.stride] = zero
         if ti.static(self.settles_early):
@@ -170,20 +201,49 @@ class ContactEnergy(ContactPlaces):
 
     @ti.func
     def note_forces(self, rod, at, some):
-        """Keep the forces on the ends of an edge, of which ``some`` are not zero."""
+        """Keep the forces on the ends of an edge, as :meth:`touched` found ``some``."""
         zero = 0.0 * rod.total
-        self.store(rod.scratch, at + FORCE_END * self.stride, repeated(zero, 6))
-        if some == 1:
-            whole, late = self.known(rod, GRADIENT, EXCESS), self.known(rod, GRADIENT_S, EXCESS_S)
+        if some > 0 or self.get(rod.scratch, at + PUSHED * self.stride, 0) > 0.5:
+            late, early = variable(repeated(zero, 3)), variable(repeated(zero, 3))
+            if some > 0:
+                late = self.known(rod, END_GRADIENT, END_EXCESS)
+            if some > 1:
+                between = self.known(rod, GRADIENT_S, EXCESS_S)
+                late, early = plus(late, between), minus(between, self.known(rod, GRADIENT, EXCESS))
             self.store(rod.scratch, at + FORCE_END * self.stride, negated(late))
-            self.store(rod.scratch, at + FORCE_START * self.stride, minus(late, whole))
+            self.store(rod.scratch, at + FORCE_START * self.stride, early)
+            self.put(rod.scratch, at + PUSHED * self.stride, 0, ti.select(some > 0, 1.0, 0.0))
 
     @ti.func
-    def touched_between(self, rod, o, index, start, edge):
-        """The same of the edge between its ends, of which one is close to obstacle ``o`` in some lane."""
+    def take_vertex(self, rod, load):
+        """Add the sums over the contacts of a vertex to the derivatives of an edge's energy."""
+        whole, known = self.vector(rod, END_GRADIENT), self.known(rod, END_GRADIENT, END_EXCESS)
+        bent = self.symmetric(rod, END_CURVATURES)
+        load.known = plus(load.known, known)
+        load.known_s = plus(load.known_s, known)
+        load.gradient = plus(load.gradient, whole)
+        load.gradient_s = plus(load.gradient_s, whole)
+        load.curvature = plus(load.curvature, bent)
+        load.curvature_ss = plus(load.curvature_ss, bent)
+        load.curvature_s = plus(load.curvature_s, full(bent))
+
+    @ti.func
+    def take_between(self, rod, load):
+        """Add those of the edge between its ends."""
+        load.known = plus(load.known, self.known(rod, GRADIENT, EXCESS))
+        load.known_s = plus(load.known_s, self.known(rod, GRADIENT_S, EXCESS_S))
+        load.gradient = plus(load.gradient, self.vector(rod, GRADIENT))
+        load.gradient_s = plus(load.gradient_s, self.vector(rod, GRADIENT_S))
+        load.curvature = plus(load.curvature, self.symmetric(rod, CURVATURES))
+        load.curvature_s = plus(load.curvature_s, self.matrix(rod, CURVATURES_S))
+        load.curvature_ss = plus(load.curvature_ss, self.symmetric(rod, CURVATURES_SS))
+
+    @ti.func
+    def touched_between(self, rod, o, index, start, edge, some):
+        """The same of the edge between its ends, of which one is close to obstacle ``o`` in some lane: whether it has contacts
+        there, and its room. ``some``: what was found so far."""
         zero, radius = 0.0 * start[0], self.item(rod, RADIUS)
-        at = self.vertex(rod, index)
-        contact, previous = self.contact(at, o), self.contact(self.vertex(rod, index - 1), o)
+        contact, previous = self.contact(self.vertex(rod, index), o), self.contact(self.vertex(rod, index - 1), o)
         normal_start = self.load3(rod.scratch, previous + NORMAL * self.stride)
         normal_end = self.load3(rod.scratch, contact + NORMAL * self.stride)
         value_start, value_end = rod.scratch[previous + VALUE * self.stride], rod.scratch[contact + VALUE * self.stride]
@@ -196,12 +256,14 @@ class ContactEnergy(ContactPlaces):
         low = ti.max(low, 0.5 * (value_start + value_end - rod.longest))  # φ changes no faster than the place
         close = self.close_lanes(rod, least)
         depth = rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride]
-        self.lower(rod.scratch, at + ROOM * self.stride, ti.select(close, low + depth, least - radius))
         near = close & bridging & (low < 2.0 * radius)
         active = close & (rod.scratch[contact + ACTIVE * self.stride] > 0.5)
         rod.scratch[contact + WEIGHT * self.stride] = zero
         rod.scratch[contact + SAGGING * self.stride] = zero
-        if self.some(near | active, zero):
+        between = self.some(near | active, zero)
+        if between:
+            if some < 2:
+                self.clear_between(rod, zero)
             seen = self.nearest(rod, o, start, edge, (slope_start, slope_end), near | active)
             lower = value_start < value_end
             sagging = ti.select(near, least - seen.value, zero)
@@ -217,6 +279,7 @@ class ContactEnergy(ContactPlaces):
                 weight=ti.select(behind, sag * sag / (1.0 + sag * sag), ti.select(active, zero + 1.0, zero)),
                 slope=fading, s=ti.select(lower, zero, zero + 1.0), normal=chosen(lower, normal_start, normal_end))
             self.add_between(rod, contact, edge, seen, share)
+        return between, ti.select(close, low + depth, least - radius)
 
     @ti.func
     def push(self, rod, force, gap):
@@ -263,10 +326,9 @@ class ContactEnergy(ContactPlaces):
         pull = scaled(normal, 0.0 - pushed.push)
         known = self.known_force(rod, contact + FORCE * self.stride, pushed.push)
         if ti.static(self.settles_early):
-            self.add(rod, EXCESS, scaled(normal, known - pushed.push))
-        k = minus(scaled(outer(normal), pushed.stiffness), scaled(bent, known))
-        self.add(rod, GRADIENT, pull + pull)
-        self.add(rod, CURVATURES, k + full(k) + k)
+            self.add(rod, END_EXCESS, scaled(normal, known - pushed.push))
+        self.add(rod, END_GRADIENT, pull)
+        self.add(rod, END_CURVATURES, minus(scaled(outer(normal), pushed.stiffness), scaled(bent, known)))
 
     @ti.func
     def settle_now(self, rod, at, gap, counts):
@@ -297,8 +359,8 @@ class ContactEnergy(ContactPlaces):
         friction = self.load3(rod.scratch, contact + FRICTION * self.stride)
         rubbed = self.rubbed(rod, self.limit(rod, o, contact, FORCE), friction, across, self.moved(rod, at))
         self.add(rod, ENERGY, (rubbed.energy, dot(rubbed.pull, rubbed.pull) / self.item(rod, STIFFNESS)))
-        self.add(rod, GRADIENT, rubbed.pull + rubbed.pull)
-        self.add(rod, CURVATURES, rubbed.stiffness + full(rubbed.stiffness) + rubbed.stiffness)
+        self.add(rod, END_GRADIENT, rubbed.pull)
+        self.add(rod, END_CURVATURES, rubbed.stiffness)
 
     @ti.func
     def rub_between(self, rod, o, index, contact, counts):

@@ -19,14 +19,17 @@ FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH, WAY_MADE, WAY, MULTIPLIER, LARGE
 # derivatives of its contacts' energy, as :meth:`.LoadedElimination.load` returns them, and how much of the first two is not of
 # known forces.
 ENERGY, MAGNITUDE, CROSSING, DEEPEST, CLOSEST, SETTLED, SETTLING, EARLY = 22, 23, 24, 25, 26, 27, 28, 29
-GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, EXCESS, EXCESS_S, HEAD = 30, 33, 36, 42, 51, 57, 60, 63
+GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, EXCESS, EXCESS_S = 30, 33, 36, 42, 51, 57, 60
+END_GRADIENT, END_CURVATURES, END_EXCESS, HEAD = 63, 66, 72, 75
 # Phases of a rod: it has just been loaded and begins with a barrier; this keeps it away from obstacles and finds out where it
 # will touch them; rounds to a rough tolerance of its moments; rounds to the final one.
 LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0
 # Items of a vertex: its place; the least room of the edge that ends there, which is how far it is from the middle of an
-# obstacle; both also from before the step; the forces on that edge's end and on its start; and of a motion the place at the
-# instant before. Its contacts follow.
-PLACE, STANDING, ROOM, ROOM_STANDING, FORCE_END, FORCE_START, PREVIOUS, VERTEX_ITEMS = 0, 3, 6, 7, 8, 11, 14, 17
+# obstacle; both also from before the step; the forces on that edge's end and on its start; of a motion the place at the
+# instant before; the least φ of all obstacles; and, one number each for all rods of the pack, how far the nearest obstacle is
+# from being close, and whether there are forces. Its contacts follow.
+PLACE, STANDING, ROOM, ROOM_STANDING, FORCE_END, FORCE_START, PREVIOUS, LEAST, NEAREST_OF_ALL, PUSHED, VERTEX_ITEMS = (
+    0, 3, 6, 7, 8, 11, 14, 17, 18, 19, 20)
 # Items of the contact of a vertex and the edge that ends there with an obstacle: λ of both, and the friction on both; for
 # friction, where a round does not change them, the normal at the vertex, the place on the edge and the normal there; one where
 # rounds have the contact of the edge; of the vertex φ, its normal and ∇∇φ; of the edge the nearest point s, φ* and its normal,

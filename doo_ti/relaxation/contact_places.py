@@ -15,14 +15,16 @@ from doo_ti.relaxation.contact_layout import (
     DEEPEST,
     ENERGY,
     HEAD,
+    LEAST,
     NEAREST,
+    NEAREST_OF_ALL,
     NORMAL,
     PHASE,
     PLACE,
     PREVIOUS,
     RADIUS,
     REACH,
-    ROOM_STANDING,
+    ROOM,
     ROUGH,
     RUBBED_PLACE,
     SEARCHES,
@@ -115,12 +117,14 @@ class ContactPlaces:
     def look(self, rod, index, place):
         """Measure how far vertex ``index``, at ``place``, is from all obstacles."""
         at = self.vertex(rod, index)
-        away = minus(place, self.load3(rod.scratch, at + STANDING * self.stride))
+        standing = self.load3(rod.scratch, at + PLACE * self.stride)
+        self.store(rod.scratch, at + STANDING * self.stride, standing)
         self.store(rod.scratch, at + PLACE * self.stride, place)
+        away = minus(place, standing)
         crossing = rod.contacts + CROSSING * self.stride
-        share = dot(away, away) * self.nearness(rod, index, at, ROOM_STANDING)
-        rod.scratch[crossing] = largest_of(rod.scratch[crossing], share)
+        rod.scratch[crossing] = largest_of(rod.scratch[crossing], dot(away, away) * self.nearness(rod, index, at))
         longest = self.largest(rod.longest)
+        least, nearest_of_all = 0.0 * rod.total + 1e30, 0.0 * longest + 1e30
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
             seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o], place)
@@ -128,12 +132,15 @@ class ContactPlaces:
             # Where a vertex is close, the normals at both ends of its edges count.
             nearest = 0.0 - self.largest(self.item(rod, REACH) - seen.value)
             self.put(rod.scratch, contact + NEAREST * self.stride, 0, nearest)
+            least, nearest_of_all = ti.min(least, seen.value), ti.min(nearest_of_all, nearest)
             if nearest < longest:
                 self.store(rod.scratch, contact + NORMAL * self.stride, seen.normal)
                 self.store(rod.scratch, contact + CURVATURE * self.stride, seen.curvature)
                 gap, held = seen.value - self.item(rod, RADIUS), self.held(rod, index) > 0.5
                 self.lower(rod.scratch, rod.contacts + DEEPEST * self.stride, seen.value)
                 self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(held, 0.0 * gap + 1e30, gap))
+        rod.scratch[at + LEAST * self.stride] = least
+        self.put(rod.scratch, at + NEAREST_OF_ALL * self.stride, 0, nearest_of_all)
 
     @ti.func
     def close_lanes(self, rod, value):
@@ -146,11 +153,16 @@ class ContactPlaces:
         return self.get(rod.scratch, contact + NEAREST * self.stride, 0) < 0.0
 
     @ti.func
-    def nearness(self, rod, index, at, item: ti.template()):
+    def is_any_close(self, rod, at):
+        """Whether the vertex at ``at`` in scratch is close to any obstacle in some lane."""
+        return self.get(rod.scratch, at + NEAREST_OF_ALL * self.stride, 0) < 0.0
+
+    @ti.func
+    def nearness(self, rod, index, at):
         """1/ρ² of the vertex, ρ the least room of the two edges that meet there."""
-        room = rod.scratch[at + item * self.stride]
+        room = rod.scratch[at + ROOM * self.stride]
         if index < rod.edges:
-            room = ti.min(room, rod.scratch[self.vertex(rod, index + 1) + item * self.stride])
+            room = ti.min(room, rod.scratch[self.vertex(rod, index + 1) + ROOM * self.stride])
         return 1.0 / (room * room + 1e-20)
 
     @ti.func

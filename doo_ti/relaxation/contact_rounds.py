@@ -69,11 +69,7 @@ class ContactRounds(ContactEnergy):
 
     @ti.func
     def stand(self, rod):
-        """Keep the places before a step."""
-        for v in range(rod.edges + 1):
-            at = self.vertex(rod, v)
-            self.store(rod.scratch, at + STANDING * self.stride, self.load3(rod.scratch, at + PLACE * self.stride))
-            rod.scratch[at + ROOM_STANDING * self.stride] = rod.scratch[at + ROOM * self.stride]
+        """Keep what is known of the rod before a step; :meth:`look` and :meth:`touched` keep places and rooms."""
         self.stand_pairs(rod)
 
     @ti.func
@@ -99,23 +95,30 @@ class ContactRounds(ContactEnergy):
         slack = ti.select(behind, self.item(rod, OFFSET), SLACK * radius)
         floor = ti.select(behind, zero - 1e30, zero)
         most = zero
-        for o in range(rod.obstacles):
-            contact = self.contact(at, o)
-            value = rod.scratch[contact + VALUE * self.stride]
-            if self.is_close(rod, contact):
-                gap = ti.max(value - radius, floor) + slack
-                normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
-                share = (0.0 - APPROACH) * dot(normal, move) / ti.max(gap, 1e-6 * radius)
-                most = ti.select(self.close_lanes(rod, value), ti.max(most, share), most)
-            if index > 0 and (self.is_close(rod, contact) or self.is_close(rod, self.contact(self.vertex(rod, index - 1), o))):
-                weight = rod.scratch[contact + WEIGHT * self.stride]
-                s = rod.scratch[contact + PLACE_BETWEEN * self.stride]
-                between = plus(before, scaled(minus(move, before), s))
-                gap = ti.max(rod.scratch[contact + VALUE_BETWEEN * self.stride] - radius, floor) + slack
-                away = self.load3(rod.scratch, contact + NORMAL_BETWEEN * self.stride)
-                share = (0.0 - APPROACH) * dot(away, between) / ti.max(gap, 1e-6 * radius)
-                most = ti.select(weight > 0.0, ti.max(most, share), most)
-        return ti.max(dot(move, move) * self.nearness(rod, index, at, ROOM), most * most)
+        if self.is_any_close(rod, at) or (index > 0 and self.is_any_close(rod, self.vertex(rod, index - 1))):
+            for o in range(rod.obstacles):
+                contact = self.contact(at, o)
+                value = rod.scratch[contact + VALUE * self.stride]
+                if self.is_close(rod, contact):
+                    gap = ti.max(value - radius, floor) + slack
+                    normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
+                    share = (0.0 - APPROACH) * dot(normal, move) / ti.max(gap, 1e-6 * radius)
+                    most = ti.select(self.close_lanes(rod, value), ti.max(most, share), most)
+                if self.is_edge_close(rod, index, o):
+                    weight = rod.scratch[contact + WEIGHT * self.stride]
+                    s = rod.scratch[contact + PLACE_BETWEEN * self.stride]
+                    between = plus(before, scaled(minus(move, before), s))
+                    gap = ti.max(rod.scratch[contact + VALUE_BETWEEN * self.stride] - radius, floor) + slack
+                    away = self.load3(rod.scratch, contact + NORMAL_BETWEEN * self.stride)
+                    share = (0.0 - APPROACH) * dot(away, between) / ti.max(gap, 1e-6 * radius)
+                    most = ti.select(weight > 0.0, ti.max(most, share), most)
+        return ti.max(dot(move, move) * self.nearness(rod, index, at), most * most)
+
+    @ti.func
+    def is_edge_close(self, rod, index, o):
+        """Whether an end of the edge to vertex ``index`` is close to obstacle ``o`` in some lane."""
+        close = index > 0 and self.is_close(rod, self.contact(self.vertex(rod, index), o))
+        return close or (index > 0 and self.is_close(rod, self.contact(self.vertex(rod, index - 1), o)))
 
     # --- rounds ---
 
@@ -198,9 +201,13 @@ class ContactRounds(ContactEnergy):
                     gap = rod.scratch[contact + (VALUE_BETWEEN if k else VALUE) * self.stride] - radius
                     if ti.static(k == 1):
                         # Of an edge that is far away the nearest point is not known any more.
-                        known = (rod.scratch[contact + WEIGHT * self.stride] > 0.0) | (
-                            rod.scratch[contact + SAGGING * self.stride] > 0.0)
-                        gap = ti.select(known, gap, zero + 1e6)
+                        known = variable((zero > 1.0,))
+                        if self.is_edge_close(rod, v, o):
+                            known = ((rod.scratch[contact + WEIGHT * self.stride] > 0.0) | (
+                                rod.scratch[contact + SAGGING * self.stride] > 0.0),)
+                        else:
+                            rod.scratch[contact + SAGGING * self.stride] = zero
+                        gap = ti.select(known[0], gap, zero + 1e6)
                     pushed = self.barrier(rod, gap).push
                     new = ti.select(behind, pushed, ti.max(old - stiffness * gap, zero))
                     if ti.static(k == 1):

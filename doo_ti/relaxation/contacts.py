@@ -38,6 +38,7 @@ from doo_ti.relaxation.contact_layout import (
     OFFSET,
     PHASE,
     PREVIOUS,
+    PUSHED,
     REMEMBERED,
     REMEMBERED_IN_MOTION,
     RETRIED,
@@ -215,10 +216,11 @@ class Contacts(ContactRounds):
         for v in range(vertices):
             at = first + v * (VERTEX_ITEMS + count * CONTACT_ITEMS) * self.stride
             self.put(scratch, at + ROOM * self.stride, slot, 1e30)
+            self.put(scratch, at + PUSHED * self.stride, 0, 1.0)
             for o in range(count):
                 contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
                 self.put(scratch, contact + WEIGHT * self.stride, slot, 0.0)
-                for k in ti.static(range(REMEMBERED, REMEMBERED_IN_MOTION)):
+                for k in ti.static(range(REMEMBERED, REMEMBERED_IN_MOTION) if self.rub else (ACTIVE,)):
                     self.put(scratch, contact + k * self.stride, slot, 0.0)
                 for k in range(tables.memory.shape[3]):
                     self.put(scratch, contact + k * self.stride, slot, tables.memory[row, v, o, k])

@@ -36,7 +36,7 @@ from doo_ti.physics.tuples import (
     variable,
 )
 from doo_ti.relaxation.chain import LENGTH, LOADED_PARAMETERS, OF_DRIFT_STEP, ROTATION
-from doo_ti.relaxation.contact_layout import CURVATURES, ENERGY, GRADIENT, MAGNITUDE
+from doo_ti.relaxation.contact_layout import END_CURVATURES, END_GRADIENT, ENERGY, MAGNITUDE
 from doo_ti.relaxation.dense_factors import DenseFactors
 from doo_ti.relaxation.elimination import held_pivot
 from doo_ti.relaxation.pair_layout import LOAD, MOVE, unknowns
@@ -142,8 +142,8 @@ class DenseElimination(DenseFactors):
     def touch_begin(self, rod, index):
         """Add the contacts of vertex ``index``, where a rod begins, with obstacles."""
         if self.contacts.touched_start(rod, index) == 1:
-            self.contacts.add_load(rod, index, self.contacts.vector(rod, GRADIENT))
-            self.contacts.add_diagonal(rod, index, full(self.contacts.symmetric(rod, CURVATURES)))
+            self.contacts.add_load(rod, index, self.contacts.vector(rod, END_GRADIENT))
+            self.contacts.add_diagonal(rod, index, full(self.contacts.symmetric(rod, END_CURVATURES)))
 
     # --- H ---
 

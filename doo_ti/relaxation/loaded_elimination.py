@@ -42,15 +42,6 @@ from doo_ti.physics.tuples import (
     variable,
 )
 from doo_ti.relaxation.chain import LENGTH, LOADED_PARAMETERS, PARAMETERS, ROTATION, item_count
-from doo_ti.relaxation.contact_layout import (
-    CURVATURES,
-    CURVATURES_S,
-    CURVATURES_SS,
-    EXCESS,
-    EXCESS_S,
-    GRADIENT,
-    GRADIENT_S,
-)
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.elimination import held_pivot
 from doo_ti.relaxation.loose_start import LooseStart
@@ -188,14 +179,11 @@ class LoadedElimination(LooseStart):
             curvature_s=scaled(curvature_s, square), curvature_ss=scaled(curvature_ss, square), known=scaled(gradient, unit),
             known_s=scaled(gradient_s, unit))
         if ti.static(self.touches):
-            if self.contacts.touched(rod, edge + 1, start, end) == 1:
-                load.known = plus(load.known, self.contacts.known(rod, GRADIENT, EXCESS))
-                load.known_s = plus(load.known_s, self.contacts.known(rod, GRADIENT_S, EXCESS_S))
-                load.gradient = plus(load.gradient, self.contacts.vector(rod, GRADIENT))
-                load.gradient_s = plus(load.gradient_s, self.contacts.vector(rod, GRADIENT_S))
-                load.curvature = plus(load.curvature, self.contacts.symmetric(rod, CURVATURES))
-                load.curvature_s = plus(load.curvature_s, self.contacts.matrix(rod, CURVATURES_S))
-                load.curvature_ss = plus(load.curvature_ss, self.contacts.symmetric(rod, CURVATURES_SS))
+            some = self.contacts.touched(rod, edge + 1, start, end)
+            if some > 0:
+                self.contacts.take_vertex(rod, load)
+            if some > 1:
+                self.contacts.take_between(rod, load)
         return load
 
     @ti.func

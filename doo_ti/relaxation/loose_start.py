@@ -24,7 +24,7 @@ from doo_ti.physics.tuples import (
     variable,
 )
 from doo_ti.relaxation.chain import LOADED_PARAMETERS, OF_DRIFT, OF_DRIFT_FACTORS, OF_DRIFT_STANDING, OF_DRIFT_STEP
-from doo_ti.relaxation.contact_layout import CURVATURES, ENERGY, EXCESS, GRADIENT, MAGNITUDE
+from doo_ti.relaxation.contact_layout import END_CURVATURES, END_EXCESS, END_GRADIENT, ENERGY, MAGNITUDE
 from doo_ti.relaxation.elimination import Elimination, held_pivot
 
 
@@ -89,9 +89,9 @@ class LooseStart(Elimination):
             beyond.cc = plus(beyond.cc, scaled(curvature, rod.length_unit * rod.length_unit))
         if ti.static(self.touches):
             if self.contacts.touched_start(rod, 0) == 1:
-                slope = self.contacts.vector(rod, GRADIENT)
-                force, c = plus(force, self.contacts.known(rod, GRADIENT, EXCESS)), plus(c, slope)
-                beyond.cc = plus(beyond.cc, self.contacts.symmetric(rod, CURVATURES))
+                slope = self.contacts.vector(rod, END_GRADIENT)
+                force, c = plus(force, self.contacts.known(rod, END_GRADIENT, END_EXCESS)), plus(c, slope)
+                beyond.cc = plus(beyond.cc, self.contacts.symmetric(rod, END_CURVATURES))
             found.energy = found.energy + self.contacts.item(rod, ENERGY)
             found.magnitude = found.magnitude + self.contacts.item(rod, MAGNITUDE)
         moment = scaled(force, loose * rod.total)

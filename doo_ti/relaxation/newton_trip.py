@@ -4,7 +4,7 @@ import taichi as ti
 
 from doo_ti.physics.tuples import chosen, dot, plus, record, scaled, variable
 from doo_ti.relaxation import newton_policy as fixed
-from doo_ti.relaxation.contact_layout import CROSSING, EARLY_ROTATION, SETTLING, WALL
+from doo_ti.relaxation.contact_layout import CROSSING, EARLY_ROTATION, SETTLED, SETTLING, TOLERANCE, WALL
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.types import Status
 
@@ -169,6 +169,10 @@ class NewtonTrip:
             still = (lane.longest <= self.still) & (lane.shift <= 0.0)
             at_rest = at_rest | (still & (lane.residual * rod.total <= fixed.BY_ROUNDING * tolerance))
         small = at_rest & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
+        if ti.static(self.touches):
+            contacts = self.sweep.contacts
+            unsettled = contacts.item(rod, SETTLED) > contacts.item(rod, TOLERANCE)
+            small = small & ~((contacts.item(rod, SETTLING) > 0.0) & unsettled)
         wrong = ((inertia < 2.5) | (inertia > 3.5)) & judged.stands
         right = (inertia > 2.5) & (inertia < 3.5) & judged.stands
         calm = small & (lane.escaping < 0.5) & judged.stands
