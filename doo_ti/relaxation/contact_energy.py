@@ -104,7 +104,7 @@ class ContactEnergy(ContactPlaces):
 
     @ti.func
     def touched_by_all(self, rod, index, start, end):
-        """The same for every obstacle."""
+        """The same, obstacle by obstacle."""
         zero, some = 0.0 * end[0], 0
         at, before, edge = self.vertex(rod, index), self.vertex(rod, index - 1), minus(end, start)
         room = zero + 1e30

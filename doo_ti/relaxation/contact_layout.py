@@ -16,8 +16,8 @@ FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH, WAY_MADE, WAY, MULTIPLIER, LARGE
 # its magnitude; the square of the largest share of its way to the middle of an obstacle that a vertex has made in this step;
 # the least φ, the least gap where no clamp holds the rod, and by how much the step changed a gap by settling forces. Then
 # the κ with which the step settles forces, zero where it does not, and how many steps have done so. And of one edge the
-# derivatives of its contacts' energy, as :meth:`.LoadedElimination.load` returns them, and how much of the first two is not of
-# known forces.
+# derivatives of the energy of its contacts between its ends, as :meth:`.LoadedElimination.load` returns them, and how much of
+# the first two is not of known forces; and those by the place of the vertex where it ends of the energy of the contacts there.
 ENERGY, MAGNITUDE, CROSSING, DEEPEST, CLOSEST, SETTLED, SETTLING, EARLY = 22, 23, 24, 25, 26, 27, 28, 29
 GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, EXCESS, EXCESS_S = 30, 33, 36, 42, 51, 57, 60
 END_GRADIENT, END_CURVATURES, END_EXCESS, HEAD = 63, 66, 72, 75

@@ -170,6 +170,7 @@ class NewtonTrip:
             at_rest = at_rest | (still & (lane.residual * rod.total <= fixed.BY_ROUNDING * tolerance))
         small = at_rest & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
         if ti.static(self.touches):
+            # The residual of a step that settles forces does not say how far gaps are open.
             contacts = self.sweep.contacts
             unsettled = contacts.item(rod, SETTLED) > contacts.item(rod, TOLERANCE)
             small = small & ~((contacts.item(rod, SETTLING) > 0.0) & unsettled)
