@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+from doo_ti import runtime
+
 WHERE = """
 import json
 import os
@@ -159,3 +161,24 @@ if child == 0:
 def test_a_fork_says_that_it_cannot_use_its_parents_kernels(script, said):
     done = subprocess.run([sys.executable, "-W", "ignore", "-c", script], capture_output=True, text=True)
     assert done.stdout.split() == said, done.stderr
+
+
+def test_a_kernel_that_is_compiled_briefly_changes_no_setting():
+    import taichi as ti
+
+    runtime.start()
+    settings = ti.lang.impl.current_cfg()
+    seen = []
+
+    @runtime.compiled_briefly
+    def kernel(number: int) -> None:
+        seen.append((number, settings.advanced_optimization))
+        if number == 2:
+            raise ValueError
+
+    before = settings.advanced_optimization
+    kernel(1)
+    with pytest.raises(ValueError):
+        kernel(number=2)
+    on_cpu = runtime.start() == "cpu"
+    assert seen == [(1, not on_cpu), (2, not on_cpu)] and settings.advanced_optimization == before

@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import taichi as ti
 
+from doo_ti import runtime
 from doo_ti.groups.group_contacts import GroupContacts
 from doo_ti.groups.group_elimination import GroupElimination
 from doo_ti.groups.layout import TRACE, group_items
@@ -98,7 +99,7 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
                             apart=apart, places=places, tie_forces=tie_forces, previous=previous, touches=touches, works=works)
             loop.work(tables, scratch, threads, thread)
 
-    return newton_of_groups
+    return runtime.compiled_briefly(newton_of_groups)
 
 
 @dataclass(frozen=True)

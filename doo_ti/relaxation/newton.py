@@ -10,6 +10,7 @@ from functools import cache
 
 import taichi as ti
 
+from doo_ti import runtime
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import record
@@ -167,4 +168,4 @@ def contact_kernel(number: Number, isotropic: bool, stride: int, block: int, ext
                             tolerance=gap_tolerance, memory=memory, forces=forces, self_friction=self_friction)
             loop.work(tables, scratch, threads, thread)
 
-    return newton_in_contact
+    return runtime.compiled_briefly(newton_in_contact)

@@ -4,6 +4,7 @@ from functools import cache
 
 import taichi as ti
 
+from doo_ti import runtime
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import picked, record
 from doo_ti.relaxation.contact_layout import contact_items
@@ -110,7 +111,7 @@ def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int
                 tolerance=gap_tolerance, memory=memory, forces=forces, self_friction=self_friction, touches=touches)
             loop.work(tables, scratch, threads, thread)
 
-    return make_steps, sweep.items, sweep.parameters
+    return runtime.compiled_briefly(make_steps), sweep.items, sweep.parameters
 
 
 @cache
