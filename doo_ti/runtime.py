@@ -96,7 +96,8 @@ def compiled_briefly(kernel: Callable[_Arguments, None]) -> Callable[_Arguments,
     """``kernel``, a long one, compiled on a CPU without Taichi's own optimization, so that LLVM alone optimizes it.
 
     The time of Taichi's passes grows with the square of a kernel's length. With them those of contact take 100 to 400 s to
-    compile instead of 10 to 30, compute the same bits, and are 3 to 12 % faster.
+    compile instead of 10 to 30, compute the same bits, and are 3 to 12 % faster. The environment variable
+    DOO_TI_COMPILE=briefly, which the tests set, has all kernels compiled so.
     """
     @wraps(kernel)
     def call(*arguments: _Arguments.args, **options: _Arguments.kwargs) -> None:
@@ -140,6 +141,7 @@ def _started(architecture: str, threads: int | None, pinned: bool) -> str:
             real_matrix_scalarize=False,
             make_cpu_multithreading_loop=False,
             cpu_block_dim_adaptive=False,
+            advanced_optimization=architecture != "cpu" or os.environ.get("DOO_TI_COMPILE") != "briefly",
             offline_cache=folder is not None,
             enable_fallback=False,
             log_level=ti.ERROR,
