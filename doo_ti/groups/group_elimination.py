@@ -67,7 +67,7 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
         zero = 0.0 * scale
         none = repeated(zero, 3)
         stepping = (scale > 0.0) | (scale < 0.0)
-        self.contacts.stand(rod)
+        self.contacts.stand_pairs(rod)
         at = rod.origin
         for _ in range(rod.edges):
             # In a lane that does not step the rotation is undefined and may be NaN.

@@ -233,7 +233,7 @@ class Chain:
         reached, lost = variable(repeated(zero, 3)), variable(repeated(zero, 3))
         normal = variable(repeated(zero, 6))
         if ti.static(self.touches):
-            self.contacts.stand(rod)
+            self.contacts.stand_pairs(rod)
         at = rod.origin
         for e in range(rod.edges):
             # In a lane that does not step the rotation is undefined and may be NaN.

@@ -110,7 +110,7 @@ class ContactEnergy(ContactPlaces):
         room = zero + 1e30
         for o in range(rod.obstacles):
             contact, previous = self.contact(at, o), self.contact(before, o)
-            if self.is_close(rod, contact) or self.is_close(rod, previous):
+            if self.is_edge_close(rod, index, o):
                 if some == 0:
                     self.clear(rod, zero)
                     some = 1

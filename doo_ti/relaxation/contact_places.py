@@ -153,6 +153,12 @@ class ContactPlaces:
         return self.get(rod.scratch, contact + NEAREST * self.stride, 0) < 0.0
 
     @ti.func
+    def is_edge_close(self, rod, index, o):
+        """Whether an end of the edge to vertex ``index`` is close to obstacle ``o`` in some lane; no edge ends at vertex 0."""
+        at, before = self.vertex(rod, index), self.vertex(rod, index - 1)
+        return index > 0 and (self.is_close(rod, self.contact(at, o)) or self.is_close(rod, self.contact(before, o)))
+
+    @ti.func
     def is_any_close(self, rod, at):
         """Whether the vertex at ``at`` in scratch is close to any obstacle in some lane."""
         return self.get(rod.scratch, at + NEAREST_OF_ALL * self.stride, 0) < 0.0

@@ -68,11 +68,6 @@ class ContactRounds(ContactEnergy):
     # --- steps ---
 
     @ti.func
-    def stand(self, rod):
-        """Keep what is known of the rod before a step; :meth:`look` and :meth:`touched` keep places and rooms."""
-        self.stand_pairs(rod)
-
-    @ti.func
     def restore(self, rod, lost):
         """Restore them in the lanes that reject the step."""
         for v in range(rod.edges + 1):
@@ -113,12 +108,6 @@ class ContactRounds(ContactEnergy):
                     share = (0.0 - APPROACH) * dot(away, between) / ti.max(gap, 1e-6 * radius)
                     most = ti.select(weight > 0.0, ti.max(most, share), most)
         return ti.max(dot(move, move) * self.nearness(rod, index, at), most * most)
-
-    @ti.func
-    def is_edge_close(self, rod, index, o):
-        """Whether an end of the edge to vertex ``index`` is close to obstacle ``o`` in some lane."""
-        close = index > 0 and self.is_close(rod, self.contact(self.vertex(rod, index), o))
-        return close or (index > 0 and self.is_close(rod, self.contact(self.vertex(rod, index - 1), o)))
 
     # --- rounds ---
 
