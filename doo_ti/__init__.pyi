@@ -1,6 +1,7 @@
 from doo_ti.contact.contacts import Contacts as Contacts
 from doo_ti.contact.distance_grid import DistanceGrid as DistanceGrid
 from doo_ti.contact.itself import Itself as Itself
+from doo_ti.contact.moving import Moving as Moving
 from doo_ti.contact.obstacle_file import load_obstacles as load_obstacles
 from doo_ti.contact.obstacles import Box as Box
 from doo_ti.contact.obstacles import Capsule as Capsule

@@ -45,6 +45,7 @@ from doo_ti import (
     Material,
     Motion,
     MotionTheta,
+    Moving,
     MovingStart,
     Newton,
     Observations,

@@ -139,7 +139,7 @@ def _contact(surroundings: Surroundings, positions: np.ndarray, force, work, tou
     (R, T), and what sticks and slips (R, T, V)."""
     if not surroundings:
         return {}
-    gap = np.stack([surroundings.smallest_gap(positions[:, frame]) for frame in range(positions.shape[1])], axis=1)
+    gap = np.stack([surroundings.at(frame).smallest_gap(positions[:, frame]) for frame in range(positions.shape[1])], axis=1)
     return {"contact_force": force, "smallest_gap_mm": gap, "friction_work": work, "touch": touch}
 
 
@@ -161,7 +161,7 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
             raise InputError(options.source, "rod.at_rest", "both ends are free", "let it begin straight, or clamp an end")
         with busy(f"relaxing {count} rods (kernels are compiled once on a machine)"):
             solution = relax(start, scene.material, scene.grippers.at(0), up=up, configuration_index=pairs[0],
-                             material_index=pairs[1], **surroundings.arguments)
+                             material_index=pairs[1], **surroundings.at(0).arguments)
         first_force = first_force if solution.contact_force is None else solution.contact_force
         start, pairs = solution.configuration, (np.arange(count), np.arange(count))
     grippers = scene.grippers.take(pairs[0] * 0) if start.count > 1 else scene.grippers

@@ -42,6 +42,8 @@ class DistanceGrid(Obstacle):
     shapes: ClassVar[dict[str, tuple[int, ...]]] = {
         "spacing": (), "origin": (3,), "position": (3,), "rotation": (3, 3), "friction": ()}
     positive: ClassVar[tuple[str, ...]] = ("spacing",)
+    points: ClassVar[tuple[str, ...]] = ("position",)
+    turning: ClassVar[tuple[str, ...]] = ("rotation",)
     __repr__, __eq__, __hash__ = short_repr, object.__eq__, object.__hash__
 
     if TYPE_CHECKING:
@@ -90,10 +92,10 @@ class DistanceGrid(Obstacle):
             found = np.moveaxis(_spline(np.moveaxis(found, axis, 0)), 0, axis)
         return np.ascontiguousarray(found)
 
-    def take(self, rows: ArrayLike) -> "DistanceGrid":
-        taken = super().take(rows)
-        taken.__dict__["coefficients"] = self.coefficients
-        return taken
+    def _with(self, values: dict[str, np.ndarray]) -> "DistanceGrid":
+        other = super()._with(values)
+        other.__dict__["coefficients"] = self.coefficients
+        return other
 
     @cached_property
     def placed(self) -> Placed:

@@ -16,6 +16,21 @@
     kind = "grid"
     file = "part.npz"                  # values (X, Y, Z), spacing and origin (3,); or mesh = "part.stl" with spacing and margin
     position = [0, 0, 40]              # (0, 0, 0); and rotation, unrotated
+
+In scenes of ``doo-ti simulate`` they may move, smoothly between moments; what is left out stays as it was.
+
+    [[obstacles]]
+    kind = "capsule"
+    start = [0, -40, 5]
+    end = [0, -40, 60]
+    radius = 5.0
+    pivot = [0, -40, 0]                # about which it turns (its own point), and
+    turn_axis = [0, 0, 1]              # (its own axis; of a box or a grid the third)
+
+    [[obstacles.moments]]
+    time_s = 2.0
+    shift = [0, 80, 0]                 # from where it is stated (0, 0, 0)
+    turns = 0.25                       # about that axis (0)
 """
 
 from dataclasses import MISSING, fields
@@ -23,14 +38,18 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
+import numpy as np
 
 from doo_ti.contact.distance_grid import DistanceGrid
 from doo_ti.contact.itself import Itself
+from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Box, Capsule, Cylinder, Obstacle, Plane, Ring, Sphere
 from doo_ti.errors import InputError
+from doo_ti.frames import rotation_matrix
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.files import read_content
-from doo_ti.io.toml_file import Finite, NotNegative, Positive, Rotation, Table, Vector, checked, read_toml
+from doo_ti.io.keyframes import between_moments
+from doo_ti.io.toml_file import Finite, NotNegative, Positive, Rotation, Table, Vector, checked, read_toml, unit_direction
 
 KINDS = {kind.__name__.lower(): kind for kind in (Plane, Sphere, Capsule, Cylinder, Ring, Box, Itself)} | {"grid": DistanceGrid}
 GRID_KEYS = ("values", "spacing", "origin")
@@ -60,6 +79,22 @@ class _Grid(Table):
     friction: NotNegative = 0.0
 
 
+class _Motion(Table):
+    """How an obstacle moves."""
+
+    moments: Annotated[list, msgspec.Meta(min_length=1)]
+    pivot: Vector | None = None
+    turn_axis: Vector | None = None
+
+
+class _Moment(Table):
+    """Where it is at a moment."""
+
+    time_s: NotNegative
+    shift: Vector | None = None
+    turns: Finite | None = None
+
+
 class _File(Table):
     obstacles: Annotated[list, msgspec.Meta(min_length=1)]
 
@@ -70,24 +105,44 @@ def load_obstacles(path: str | Path) -> list[Obstacle]:
     return obstacles_of(path, checked(path, "", read_toml(path)[0], _File).obstacles)
 
 
-def obstacles_of(source, rows: list) -> list[Obstacle]:
-    """The obstacles of ``[[obstacles]]`` in the file ``source``. Raises InputError as :func:`load_obstacles` does."""
-    found = []
-    for number, row in enumerate(rows):
-        key = f"obstacles[{number}]"
-        if not isinstance(row, dict) or "kind" not in row:
-            raise InputError(source, f"{key}.kind", "missing", f"give one of {', '.join(KINDS)}")
-        kind = KINDS[checked(source, f"{key}.kind", row["kind"], Literal[tuple(KINDS)])]
-        if kind is DistanceGrid:
-            found.append(_grid(source, key, checked(source, key, row, _Grid)))
-            continue
+def obstacles_of(source, rows: list, time: np.ndarray | None = None) -> list[Obstacle | Moving]:
+    """The obstacles of ``[[obstacles]]`` in the file ``source``; those that move at the instants ``time`` (T,) s of a motion,
+    if there are any. Raises InputError as :func:`load_obstacles` does."""
+    return [_obstacle(source, f"obstacles[{number}]", row, time) for number, row in enumerate(rows)]
+
+
+def _obstacle(source, key: str, row, time: np.ndarray | None) -> Obstacle | Moving:
+    """One of them."""
+    if not isinstance(row, dict) or "kind" not in row:
+        raise InputError(source, f"{key}.kind", "missing", f"give one of {', '.join(KINDS)}")
+    kind = KINDS[checked(source, f"{key}.kind", row["kind"], Literal[tuple(KINDS)])]
+    motion = {name: row[name] for name in _Motion.__struct_fields__ if name in row}
+    row = {name: value for name, value in row.items() if name not in motion}
+    if motion and (time is None or kind is Itself):
+        what = "the rod itself" if kind is Itself else "an obstacle that stands still here"
+        raise InputError(source, f"{key}.{next(iter(motion))}", f"given for {what}",
+                         "leave it out: bodies in scenes of doo-ti simulate may move")
+    if kind is DistanceGrid:
+        found = _grid(source, key, checked(source, key, row, _Grid))
+    else:
         values = msgspec.structs.asdict(checked(source, key, row, _table(kind)))
         del values["kind"]
         try:
-            found.append(kind(**values))
+            found = kind(**values)
         except InputError as error:
             raise InputError(source, f"{key}.{error.field}", error.problem, error.remedy) from None
-    return found
+    return _moving(source, key, found, checked(source, key, motion, _Motion), time) if motion else found
+
+
+def _moving(source, key: str, obstacle: Obstacle, motion: _Motion, time: np.ndarray) -> Moving:
+    """The obstacle with its motion."""
+    axis = obstacle.placed[1][0, :, 2] if motion.turn_axis is None else unit_direction(
+        source, f"{key}.turn_axis", motion.turn_axis)
+    path = between_moments(source, f"{key}.moments", motion.moments, _Moment, {"shift": np.zeros(3), "turns": 0.0}, time)
+    if np.abs(np.diff(path["turns"])).max() >= 0.5:
+        raise InputError(source, f"{key}.moments", f"{np.abs(np.diff(path['turns'])).max():.2g} turns between two frames",
+                         "give less than half a turn, or a larger rate_hz")
+    return Moving(obstacle, path["shift"], rotation_matrix(2.0 * np.pi * path["turns"][:, None] * axis), motion.pivot)
 
 
 def _grid(source, key: str, table: _Grid) -> DistanceGrid:

@@ -33,11 +33,15 @@ class Obstacle:
     """The part that all obstacles share.
 
     friction  Coulomb's coefficient between rod and obstacle, which acts in motions (:func:`doo_ti.dynamics.simulate.simulate`)
+
+    Of the fields, ``points`` are places and ``turning`` are directions or axes, which say where the obstacle is.
     """
 
     kind: ClassVar[int]
     shapes: ClassVar[dict[str, tuple[int, ...]]]
     positive: ClassVar[tuple[str, ...]] = ()
+    points: ClassVar[tuple[str, ...]] = ()
+    turning: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         name, count = type(self).__name__, 1
@@ -74,7 +78,19 @@ class Obstacle:
     def take(self, rows: ArrayLike) -> "Obstacle":
         """Those of the rods ``rows``; one that all share as it is."""
         names = self.shapes
-        return replace(self, **{name: value[rows] for name in names if len(value := getattr(self, name)) > 1})
+        return self._with({name: value[rows] for name in names if len(value := getattr(self, name)) > 1})
+
+    def moved(self, rotation: np.ndarray, shift: np.ndarray) -> "Obstacle":
+        """The obstacle with every place x of it at ``rotation`` (rows, 3, 3) x + ``shift`` (rows, 3) mm."""
+        points = {name: (rotation @ getattr(self, name)[..., None])[..., 0] + shift for name in self.points}
+        columns = {name: value if value.ndim > 2 else value[..., None]
+                   for name in self.turning for value in (getattr(self, name),)}
+        turned = {name: (rotation @ value).reshape(-1, *self.shapes[name]) for name, value in columns.items()}
+        return self._with(points | turned)
+
+    def _with(self, values: dict[str, np.ndarray]) -> "Obstacle":
+        """The same with other values of some fields."""
+        return replace(self, **values)
 
     @cached_property
     def placed(self) -> Placed:
@@ -112,6 +128,8 @@ class Plane(Obstacle):
     friction: np.ndarray = 0.0
     kind: ClassVar[int] = PLANE
     shapes: ClassVar[dict[str, tuple[int, ...]]] = {"point": (3,), "normal": (3,), "friction": ()}
+    points: ClassVar[tuple[str, ...]] = ("point",)
+    turning: ClassVar[tuple[str, ...]] = ("normal",)
 
     if TYPE_CHECKING:
         def __init__(self, point: ArrayLike, normal: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
@@ -138,6 +156,7 @@ class Sphere(Obstacle):
     kind: ClassVar[int] = CAPSULE
     shapes: ClassVar[dict[str, tuple[int, ...]]] = {"centre": (3,), "radius": (), "friction": ()}
     positive: ClassVar[tuple[str, ...]] = ("radius",)
+    points: ClassVar[tuple[str, ...]] = ("centre",)
 
     if TYPE_CHECKING:
         def __init__(self, centre: ArrayLike, radius: ArrayLike, friction: ArrayLike = 0.0) -> None: ...
@@ -161,6 +180,7 @@ class _Rod(Obstacle):
     friction: np.ndarray = 0.0
     shapes: ClassVar[dict[str, tuple[int, ...]]] = {"start": (3,), "end": (3,), "radius": (), "friction": ()}
     positive: ClassVar[tuple[str, ...]] = ("radius",)
+    points: ClassVar[tuple[str, ...]] = ("start", "end")
 
     def _check(self) -> None:
         _require_direction(type(self).__name__, "end", self.end - self.start, "at the start")
@@ -222,6 +242,8 @@ class Ring(Obstacle):
     kind: ClassVar[int] = RING
     shapes: ClassVar[dict[str, tuple[int, ...]]] = {"centre": (3,), "axis": (3,), "radius": (), "thickness": (), "friction": ()}
     positive: ClassVar[tuple[str, ...]] = ("radius", "thickness")
+    points: ClassVar[tuple[str, ...]] = ("centre",)
+    turning: ClassVar[tuple[str, ...]] = ("axis",)
 
     if TYPE_CHECKING:
         def __init__(self, centre: ArrayLike, axis: ArrayLike, radius: ArrayLike, thickness: ArrayLike,
@@ -255,6 +277,8 @@ class Box(Obstacle):
     kind: ClassVar[int] = BOX
     shapes: ClassVar[dict[str, tuple[int, ...]]] = {"centre": (3,), "size": (3,), "rotation": (3, 3), "friction": ()}
     positive: ClassVar[tuple[str, ...]] = ("size",)
+    points: ClassVar[tuple[str, ...]] = ("centre",)
+    turning: ClassVar[tuple[str, ...]] = ("rotation",)
 
     if TYPE_CHECKING:
         def __init__(self, centre: ArrayLike, size: ArrayLike, rotation: ArrayLike = np.eye(3),

@@ -1,11 +1,12 @@
 """The obstacles around rods, with the rods' radius, and the gaps between them (docs/contact.md). Axes: R rods, V vertices."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from doo_ti.contact.itself import Itself, smallest_self_gap
+from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Obstacle
 
 PLACES = 8
@@ -18,18 +19,18 @@ SHALLOW, MOST_STEPS = 0.5, 10_000
 class Surroundings:
     """What rods may touch.
 
-    obstacles  each with one row, or R
+    obstacles  each with one row, or R; in motions some may be :class:`.Moving`
     radius     of the rods, mm, one or (R,); None without obstacles
     """
 
-    obstacles: Sequence[Obstacle] = ()
+    obstacles: Sequence[Obstacle | Moving] = ()
     radius: np.ndarray | float | None = None
 
     def __bool__(self) -> bool:
         return len(self.obstacles) > 0
 
     @property
-    def bodies(self) -> list[Obstacle]:
+    def bodies(self) -> list[Obstacle | Moving]:
         """All obstacles but the rod itself."""
         return [obstacle for obstacle in self.obstacles if not isinstance(obstacle, Itself)]
 
@@ -47,6 +48,16 @@ class Surroundings:
     def rub(self) -> bool:
         """Whether an obstacle has friction."""
         return any((obstacle.friction > 0).any() for obstacle in self.obstacles)
+
+    @property
+    def moves(self) -> bool:
+        """Whether an obstacle moves."""
+        return any(isinstance(obstacle, Moving) for obstacle in self.obstacles)
+
+    def at(self, instant: int) -> "Surroundings":
+        """The obstacles where they are at an instant of a motion."""
+        return replace(self, obstacles=[obstacle.at(instant) if isinstance(obstacle, Moving) else obstacle
+                                        for obstacle in self.obstacles])
 
     def take(self, rows: np.ndarray) -> "Surroundings":
         """Those of the rods ``rows``."""

@@ -17,7 +17,7 @@ STORED = ("kinetic", "gravity", "bending", "twist", "springs")
 """Parts of the energy that a rod has at an instant."""
 FLOWS = ("drag", "bend_damping", "twist_damping", "contact", "work")
 """What has been dissipated since the start, by what, and the grippers' work on the rod since then. Contact takes what friction
-and impacts do."""
+and impacts do, less the work of obstacles that move."""
 SMALL_TURN = 1e-5
 """rad, for differences of the strains."""
 TURNS = quaternion_of_turn(SMALL_TURN * np.repeat(np.eye(3), 2, axis=0) * np.tile([1.0, -1.0], 3)[:, None])

@@ -93,8 +93,8 @@ class Grippers:
         if parts == 1:
             return self
         share = np.arange(parts) / parts
-        return Grippers(self.start, self.end, _cubic(self.start_position, share), _cubic(self.end_position, share),
-                        _turning(self.start_frame, share), _turning(self.end_frame, share))
+        return Grippers(self.start, self.end, cubic(self.start_position, share), cubic(self.end_position, share),
+                        turning(self.start_frame, share), turning(self.end_frame, share))
 
 
 _PATHS = ("start_position", "end_position", "start_frame", "end_frame")
@@ -115,7 +115,7 @@ def edge_frames(edges: np.ndarray, first: np.ndarray | None = None) -> np.ndarra
     return bishop_frames(t, across(t[:, 0]) if first is None else first)
 
 
-def _cubic(points: np.ndarray, share: np.ndarray) -> np.ndarray:
+def cubic(points: np.ndarray, share: np.ndarray) -> np.ndarray:
     """(S, (T − 1) parts + 1, n) Catmull–Rom cubics through (S, T, n) points."""
     outer = np.concatenate([2 * points[:, :1] - points[:, 1:2], points, 2 * points[:, -1:] - points[:, -2:-1]], axis=1)
     before, here, there, after = (outer[:, k : k + points.shape[1] - 1, None] for k in range(4))
@@ -125,11 +125,11 @@ def _cubic(points: np.ndarray, share: np.ndarray) -> np.ndarray:
     return np.concatenate([curve.reshape(len(points), -1, points.shape[2]), points[:, -1:]], axis=1)
 
 
-def _turning(frames: np.ndarray, share: np.ndarray) -> np.ndarray:
+def turning(frames: np.ndarray, share: np.ndarray) -> np.ndarray:
     """(S, (T − 1) parts + 1, 3, 3) frames between (S, T, 3, 3): cubics through their quaternions, the shorter way from each to
     the next, normalised. A speed of turning that jumps would be a blow to the rod at every instant, however small the steps."""
     q = quaternion_from_matrix(frames)
     signs = np.cumprod(np.where((q[:, 1:] * q[:, :-1]).sum(axis=-1) < 0, -1.0, 1.0), axis=1)
     q[:, 1:] *= signs[..., None]
-    between = _cubic(q, share)
+    between = cubic(q, share)
     return matrix_from_quaternion(between / np.linalg.norm(between, axis=-1, keepdims=True))

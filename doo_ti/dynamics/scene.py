@@ -44,7 +44,7 @@
     radius_mm = 50.0
     turns_per_s = 1.5
 
-    [[obstacles]]                      # none or more, see doo_ti/contact/obstacle_file.py
+    [[obstacles]]                      # none or more, which may move, see doo_ti/contact/obstacle_file.py
     kind = "plane"
     point = [0, 0, -900]
     normal = [0, 0, 1]
@@ -64,6 +64,7 @@ from doo_ti.dynamics.grippers import Grippers, edge_frames
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.errors import InputError
 from doo_ti.frames import quaternion_product, smallest_rotation, turned_about_tangent
+from doo_ti.io.keyframes import between_moments
 from doo_ti.io.motion_scene import rod_radius
 from doo_ti.io.toml_file import Finite, NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.knots import overhand_knot
@@ -159,7 +160,7 @@ def load_dynamic_scene(path: str | Path) -> DynamicScene:
     grippers = _grippers(path, file, clamps, start, direction, time)
     names = tuple(map(in_line, file.materials))
     material, dynamics = _materials(path, file.materials)
-    surroundings = Surroundings(obstacles_of(path, file.obstacles), rod_radius(path, file.obstacles, rod.radius_mm))
+    surroundings = Surroundings(obstacles_of(path, file.obstacles, time), rod_radius(path, file.obstacles, rod.radius_mm))
     return DynamicScene(in_line(path.stem if file.name is None else file.name), names, start, rod.at_rest, material, dynamics,
                         grippers, Stepping(file.rate_hz, file.substeps, file.scheme, quasi_static=file.quasi_static),
                         surroundings)
@@ -198,30 +199,10 @@ def _materials(path: Path, table: dict) -> tuple[Material, Dynamics]:
 
 def _grippers(path: Path, file: _File, clamps: _Clamps, start: Configuration, direction: np.ndarray,
               time: np.ndarray) -> Grippers:
-    from scipy.interpolate import PchipInterpolator
-
     vertices = start.vertices[0]
-    now = {"start_position_mm": vertices[0], "start_direction": direction, "end_position_mm": vertices[-1],
-           "end_direction": direction, "start_turns": 0.0, "end_turns": 0.0}
-    moments = [checked(path, f"moments[{k}]", row, _Moment) for k, row in enumerate(file.moments)]
-    at, rows = [0.0], {key: [value] for key, value in now.items()}
-    for k, moment in enumerate(moments):
-        if moment.time_s < at[-1] or k and moment.time_s == at[-1]:
-            raise InputError(path, f"moments[{k}].time_s", f"{moment.time_s:g} does not rise", "give moments in their order")
-        for key in now:
-            value = getattr(moment, key)
-            if value is not None:
-                now[key] = unit_direction(path, f"moments[{k}].{key}", value) if key.endswith("direction") else np.array(value)
-        if moment.time_s == at[-1]:
-            at.pop()
-            for key in now:
-                rows[key].pop()
-        at.append(moment.time_s)
-        for key in now:
-            rows[key].append(now[key])
-    if len(at) == 1:
-        at, rows = [0.0, 1.0], {key: values * 2 for key, values in rows.items()}
-    paths = {key: PchipInterpolator(at, np.array(values))(np.minimum(time, at[-1])) for key, values in rows.items()}
+    first = {"start_position_mm": vertices[0], "start_direction": direction, "end_position_mm": vertices[-1],
+             "end_direction": direction, "start_turns": 0.0, "end_turns": 0.0}
+    paths = between_moments(path, "moments", file.moments, _Moment, first, time)
     if file.circle is not None:
         circle = checked(path, "circle", file.circle, _Circle)
         angle = 2 * np.pi * circle.turns_per_s * time

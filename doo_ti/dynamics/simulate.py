@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.adaptive import adapted
 from doo_ti.dynamics.clamp_path import clamp_path
 from doo_ti.dynamics.energies import Account, Losses
 from doo_ti.dynamics.grippers import Grippers
+from doo_ti.dynamics.obstacle_path import obstacle_path
 from doo_ti.dynamics.parameters import GRAVITY, RATES, Direction, Dynamics, MovingStart, Stepping, vertex_lengths
 from doo_ti.dynamics.self_contact import kept_apart
 from doo_ti.dynamics.trajectory import Trajectory, joined, summed
@@ -67,7 +69,7 @@ def simulate(
     up: ArrayLike = (0.0, 0.0, 1.0),
     pairs: tuple[np.ndarray, np.ndarray] | None = None,
     directions: Sequence[Direction] = (),
-    obstacles: Sequence[Obstacle] = (),
+    obstacles: Sequence[Obstacle | Moving] = (),
     radius: ArrayLike | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
@@ -82,7 +84,7 @@ def simulate(
                 every row of the other
     directions  P parameters to differentiate the positions by, in f64
     obstacles   what the rods may touch but not enter, with friction where it states a coefficient; with f64 or f32 and without
-                directions
+                directions. A :class:`.Moving` has the instants of the grippers
     radius      of the rods, mm, one or (R,), with obstacles
     progress    called with the number of frames that are done
 
@@ -133,6 +135,8 @@ class _Motion:
         self.grippers = grippers.refined(stepping.substeps)
         self.pairs, self.surroundings, self.touching = pairs, surroundings, touching
         self.first = _spread(grippers.at(0), start.count)
+        self.still = surroundings.at(0)
+        self.poses = obstacle_path(surroundings, stepping, grippers.instants, start) if surroundings.moves else None
         self.watched = surroundings.itself is not None and not touching
         self.relinked = np.zeros(0, dtype=bool)
 
@@ -140,7 +144,7 @@ class _Motion:
         """The tables of the rods for time derivatives of that factor a."""
         vertices = self.start.edges + 1
         external = Springs(np.zeros((1, vertices, 3)), np.zeros((1, vertices)))
-        obstacles = self.surroundings.obstacles if self.touching else self.surroundings.bodies
+        obstacles = self.still.obstacles if self.touching else self.still.bodies
         table = tables(self.start, self._stiffened(factor), self.first, self.up, *self.pairs, external, None,
                        obstacles, self.surroundings.radius, in_motion=True)
         return replace(table, contact=table.contact.touching(np.arange(table.count))) if self.touching else table
@@ -241,7 +245,8 @@ class _Motion:
             path = clamp_path(self.grippers, self.start, slice(ahead - 1, ahead))
             slopes = trial_motion.slopes(table, 1.0, directions, remembered)
             time = np.array([trial_step, 1.0, 0.0, 1.0, 0.0])
-            make_steps(table, trial, path, numbers, shares, time, 1, _newton(), 64, slopes)
+            poses = None if self.poses is None else np.ascontiguousarray(self.poses[:, [0, ahead]])
+            make_steps(table, trial, path, numbers, shares, time, 1, _newton(), 64, slopes, poses)
             moved = trial.places[..., VELOCITY_1 : VELOCITY_1 + 3]
             a = np.where((trial.status == Status.CONVERGED)[:, None, None], (moved - v) / trial_step, 0.0)
             v = v + age * a
@@ -284,7 +289,8 @@ class _Motion:
         def launch(first: int, last: int, every: int):
             path = clamp_path(self.grippers, self.start, slice(first, last))
             newton = _newton(self.stepping.quasi_static)
-            return make_steps(table, memory, path, numbers, shares, time, every, newton, bits, slopes)
+            poses = None if self.poses is None else np.ascontiguousarray(self.poses[:, first : last + 1])
+            return make_steps(table, memory, path, numbers, shares, time, every, newton, bits, slopes, poses)
 
         account = None
         if self.stepping.detailed:

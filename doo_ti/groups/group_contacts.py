@@ -9,7 +9,6 @@ of the miss d is minimised; a round ends with λ ← λ + κ d. λ is exact wher
 
 import taichi as ti
 
-from doo_ti.contact.obstacles import OBSTACLE_COLUMNS
 from doo_ti.groups.layout import (
     ACTIVE,
     BEGIN,
@@ -44,6 +43,7 @@ from doo_ti.relaxation.contact_layout import (
     ENERGY,
     FINE,
     HEAD,
+    OBSTACLE_ITEMS,
     PHASE,
     PLACE,
     PREVIOUS,
@@ -276,7 +276,7 @@ class GroupContacts(SelfContacts):
     def load_apart(self, tables, scratch: ti.template(), slot, row):
         """Which edges may touch; and no edge ends where a rod begins, so that none sags there."""
         edges, count = tables.rest_length.shape[1], tables.kinds.shape[0]
-        first = tables.contacts + (HEAD + count * OBSTACLE_COLUMNS) * self.stride
+        first = tables.contacts + (HEAD + count * OBSTACLE_ITEMS) * self.stride
         for v in range(edges + 1):
             for o in range(count):
                 contact = first + (v * (VERTEX_ITEMS + count * CONTACT_ITEMS) + VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
@@ -290,7 +290,7 @@ class GroupContacts(SelfContacts):
     def load_previous(self, tables, scratch: ti.template(), slot, row, unit):
         """Where the vertices were at the moment before."""
         count = tables.kinds.shape[0]
-        first = tables.contacts + (HEAD + count * OBSTACLE_COLUMNS) * self.stride
+        first = tables.contacts + (HEAD + count * OBSTACLE_ITEMS) * self.stride
         for v in range(tables.rest_length.shape[1] + 1):
             at = first + v * (VERTEX_ITEMS + count * CONTACT_ITEMS) * self.stride
             for k in ti.static(range(3)):

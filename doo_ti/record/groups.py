@@ -49,5 +49,5 @@ def record_group(path: Path, moments: Sequence[GroupSolution], *, name: str, sur
             stream.log("world/ties", rerun.Points3D.from_fields(colors=TIE, radii=rerun.Radius.ui_points(2.0)), static=True)
             stream.send_columns("world/ties", when, rerun.Points3D.columns(
                 positions=whole[:, tied].reshape(-1, 3)).partition([len(tied)] * frames))
-        log_obstacles(stream, "world/obstacles", touched, np.zeros((1, 3)))
+        log_obstacles(stream, "world/obstacles", when, touched, np.zeros((1, 3)))
         log_forces(stream, "world/forces", when, touched, np.zeros((1, 3)))

@@ -3,17 +3,24 @@
 import numpy as np
 import rerun
 
+from doo_ti.contact.moving import Moving, since_first
 from doo_ti.report.touched import Touched
 
 OBSTACLE, FORCE = (130, 138, 150, 255), (110, 160, 255)
 
 
-def log_obstacles(stream, entity: str, touched: Touched, offset: np.ndarray) -> None:
-    """The obstacles around each rod, moved by the rod's ``offset`` (R, 3), below ``entity``."""
+def log_obstacles(stream, entity: str, when: list, touched: Touched, offset: np.ndarray) -> None:
+    """The obstacles around each rod, moved by the rod's ``offset`` (R, 3), below ``entity``; those that move at the T times
+    ``when``."""
     for row, move in enumerate(offset):
-        for number, (_, vertices, triangles, normals) in enumerate(touched.meshes(row)):
-            corners = vertices[triangles].reshape(-1, 3) + move
-            stream.log(f"{entity}/{row}/{number}", rerun.Mesh3D(
+        for number, (given, _, vertices, triangles, normals) in enumerate(touched.meshes(row, 0)):
+            own, corners = f"{entity}/{row}/{number}", vertices[triangles].reshape(-1, 3)
+            if isinstance(given, Moving):
+                rotation, shift = since_first(*given.path)
+                stream.send_columns(own, when, rerun.Transform3D.columns(mat3x3=rotation[0], translation=shift[0] + move))
+            else:
+                corners = corners + move
+            stream.log(own, rerun.Mesh3D(
                 vertex_positions=corners, vertex_normals=np.repeat(normals, 3, axis=0), albedo_factor=OBSTACLE), static=True)
 
 

@@ -54,7 +54,7 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
             strips = drawn_strips(placed.swapaxes(0, 1).reshape(-1, *rods.shape[2:]))
             stream.send_columns(f"world/{entity}", when, rerun.LineStrips3D.columns(strips=strips).partition([count] * frames))
         if touched is not None:
-            log_obstacles(stream, "world/obstacles", touched, grid.offset)
+            log_obstacles(stream, "world/obstacles", when, touched, grid.offset)
             log_forces(stream, "world/forces", when, touched, grid.offset)
         if seen is not None:
             error = np.abs(rods - seen).mean(axis=(2, 3)).T

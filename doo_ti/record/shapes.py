@@ -32,7 +32,7 @@ def record_motion(path, *, run_id: str, name: str, rods: MovingRods, curves: dic
             radii=rerun.Radius.ui_points(2.0), labels=rods.names, show_labels=count <= MOST_CURVES), static=True)
         _log_held(stream, rods, when)
         if rods.touched is not None:
-            log_obstacles(stream, "world/obstacles", rods.touched, np.zeros((1, 3)))
+            log_obstacles(stream, "world/obstacles", when, rods.touched, np.zeros((1, 3)))
             log_forces(stream, "world/forces", when, rods.touched, np.zeros((count, 3)))
         own = distinct_colors(count)
         colors = np.where(rods.sound[..., None], own, np.uint8(FAILED)).astype(np.uint8)

@@ -79,8 +79,8 @@ def outer_product(a, b) -> tuple:
 class ContactEnergy(ContactPlaces):
     """The energy of the contacts of the rods in a pack, in a motion with friction if they ``rub``."""
 
-    def __init__(self, number, stride: int, kinds: frozenset[int], rub: bool = False):
-        super().__init__(number, stride, kinds)
+    def __init__(self, number, stride: int, kinds: frozenset[int], rub: bool = False, moves: bool = False):
+        super().__init__(number, stride, kinds, moves)
         self.rub, self.first_phase, self.settles_early = rub, ROUGH, not rub
 
     @ti.func
@@ -357,7 +357,7 @@ class ContactEnergy(ContactPlaces):
         """Add the friction of the vertex."""
         across = self.load3(rod.scratch, contact + RUBBED_NORMAL * self.stride)
         friction = self.load3(rod.scratch, contact + FRICTION * self.stride)
-        rubbed = self.rubbed(rod, self.limit(rod, o, contact, FORCE), friction, across, self.moved(rod, at))
+        rubbed = self.rubbed(rod, self.limit(rod, o, contact, FORCE), friction, across, self.slid(rod, at, o))
         self.add(rod, ENERGY, (rubbed.energy, dot(rubbed.pull, rubbed.pull) / self.item(rod, STIFFNESS)))
         self.add(rod, END_GRADIENT, rubbed.pull)
         self.add(rod, END_CURVATURES, rubbed.stiffness)
@@ -366,7 +366,7 @@ class ContactEnergy(ContactPlaces):
     def rub_between(self, rod, o, index, contact, counts):
         """Add the friction at the nearest point of an edge in the lanes where it ``counts``."""
         zero = 0.0 * rod.total
-        s, u = rod.scratch[contact + RUBBED_PLACE * self.stride], self.moved_between(rod, index, contact)
+        s, u = rod.scratch[contact + RUBBED_PLACE * self.stride], self.slid_between(rod, index, contact, o)
         away = self.load3(rod.scratch, contact + RUBBED_NORMAL_BETWEEN * self.stride)
         friction = self.load3(rod.scratch, contact + FRICTION_BETWEEN * self.stride)
         rubbed = self.rubbed(rod, self.limit(rod, o, contact, FORCE_BETWEEN), friction, away, u)

@@ -39,6 +39,10 @@ FORCE, FORCE_BETWEEN, FRICTION, FRICTION_BETWEEN, RUBBED_NORMAL, RUBBED_PLACE, R
     0, 1, 2, 5, 8, 11, 12, 15)
 VALUE, NORMAL, CURVATURE, PLACE_BETWEEN, VALUE_BETWEEN, NORMAL_BETWEEN, WEIGHT, SAGGING, NEAREST, CONTACT_ITEMS = (
     16, 17, 20, 26, 27, 28, 31, 32, 33, 34)
+# Items of an obstacle: its columns; and of one that moves its turn and its shift from where it was at first, now and at the
+# last instant, and by which turn, column after column, and shift a place of it has moved since then.
+TURN, SHIFT, TURN_BEFORE, SHIFT_BEFORE, CARRY, CARRIED, OBSTACLE_ITEMS = (
+    OBSTACLE_COLUMNS + k for k in (0, 4, 7, 11, 14, 23, 26))
 REMEMBERED, REMEMBERED_IN_MOTION = 2, 16
 """Items of a contact that last from one relaxation to the next, and from one step to the next."""
 
@@ -93,4 +97,4 @@ INERT = 10.0
 @picked
 def contact_items(edges, obstacles):
     """Numbers of a rod's contacts in scratch."""
-    return HEAD + obstacles * OBSTACLE_COLUMNS + (edges + 1) * (VERTEX_ITEMS + obstacles * CONTACT_ITEMS)
+    return HEAD + obstacles * OBSTACLE_ITEMS + (edges + 1) * (VERTEX_ITEMS + obstacles * CONTACT_ITEMS)

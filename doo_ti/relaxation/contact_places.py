@@ -3,11 +3,12 @@
 import taichi as ti
 
 from doo_ti.contact.distance import Distance
-from doo_ti.contact.obstacles import OBSTACLE_COLUMNS
 from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.tuples import applied, choose, chosen, dot, full, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contact_layout import (
     BARRIER,
+    CARRIED,
+    CARRY,
     CLOSEST,
     CONTACT_ITEMS,
     CROSSING,
@@ -19,6 +20,7 @@ from doo_ti.relaxation.contact_layout import (
     NEAREST,
     NEAREST_OF_ALL,
     NORMAL,
+    OBSTACLE_ITEMS,
     PHASE,
     PLACE,
     PREVIOUS,
@@ -38,12 +40,13 @@ from doo_ti.relaxation.contact_layout import (
 @ti.data_oriented
 class ContactPlaces:
     """Where the rods in a pack are, seen from obstacles of some ``kinds``. Of the record ``rod`` it reads ``contacts``, where
-    its items begin in scratch, ``kinds``, ``grids``, and ``obstacles``, how many there are."""
+    its items begin in scratch, ``kinds``, ``grids``, and ``obstacles``, how many there are. Obstacles may move where it
+    ``moves`` them."""
 
-    def __init__(self, number, stride: int, kinds: frozenset[int]):
+    def __init__(self, number, stride: int, kinds: frozenset[int], moves: bool = False):
         lanes = number.lanes()
         self.put, self.get, self.largest = lanes.put, lanes.get, lanes.largest
-        self.stride = stride
+        self.stride, self.moves = stride, moves
         self.distance = Distance(number, stride, kinds)
         self.load3 = self.distance.load3
         # What the places of vertices are wrong by, as a share of the rod's length.
@@ -76,11 +79,11 @@ class ContactPlaces:
 
     @ti.func
     def obstacle(self, rod, index):
-        return rod.contacts + (HEAD + index * OBSTACLE_COLUMNS) * self.stride
+        return rod.contacts + (HEAD + index * OBSTACLE_ITEMS) * self.stride
 
     @ti.func
     def vertex(self, rod, index):
-        first = HEAD + rod.obstacles * OBSTACLE_COLUMNS
+        first = HEAD + rod.obstacles * OBSTACLE_ITEMS
         return rod.contacts + (first + index * (VERTEX_ITEMS + rod.obstacles * CONTACT_ITEMS)) * self.stride
 
     @ti.func
@@ -270,10 +273,23 @@ class ContactPlaces:
                      self.load3(rod.scratch, vertex + PREVIOUS * self.stride))
 
     @ti.func
-    def moved_between(self, rod, index, contact):
+    def slid(self, rod, vertex, o):
+        """How far a vertex has moved since then against obstacle ``o``, which may have carried the place where it was."""
+        away = variable(self.moved(rod, vertex))
+        if ti.static(self.moves):
+            at, before = self.obstacle(rod, o), self.load3(rod.scratch, vertex + PREVIOUS * self.stride)
+            carried = variable(self.load3(rod.scratch, at + CARRIED * self.stride))
+            for k in ti.static(range(3)):
+                column = self.load3(rod.scratch, at + (CARRY + 3 * k) * self.stride)
+                carried = plus(carried, scaled(column, before[k]))
+            away = plus(away, minus(before, carried))
+        return away
+
+    @ti.func
+    def slid_between(self, rod, index, contact, o):
         """The same of the place on the edge to vertex ``index`` at which friction acts."""
         s = rod.scratch[contact + RUBBED_PLACE * self.stride]
-        before, after = self.moved(rod, self.vertex(rod, index - 1)), self.moved(rod, self.vertex(rod, index))
+        before, after = self.slid(rod, self.vertex(rod, index - 1), o), self.slid(rod, self.vertex(rod, index), o)
         return plus(scaled(before, 1.0 - s), scaled(after, s))
 
     @ti.func

@@ -270,7 +270,7 @@ class ContactRounds(ContactEnergy):
         if self.some(close | (rod.scratch[contact + FORCE * self.stride] > 0.0), zero):
             across = self.load3(rod.scratch, contact + RUBBED_NORMAL * self.stride)
             friction = self.load3(rod.scratch, contact + FRICTION * self.stride)
-            rubbed = self.rubbed(rod, self.limit(rod, o, contact, FORCE), friction, across, self.moved(rod, at))
+            rubbed = self.rubbed(rod, self.limit(rod, o, contact, FORCE), friction, across, self.slid(rod, at, o))
             change = self.keep_friction(rod, contact + FRICTION * self.stride, rubbed.pull, due)
             now = self.load3(rod.scratch, contact + NORMAL * self.stride)
             self.store(rod.scratch, contact + RUBBED_NORMAL * self.stride, chosen(due & close, now, across))
@@ -278,7 +278,7 @@ class ContactRounds(ContactEnergy):
             change = self.keep_friction(rod, contact + FRICTION * self.stride, repeated(zero, 3), due)
         active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
         if index > 0 and self.some(active, zero):
-            s, u = rod.scratch[contact + RUBBED_PLACE * self.stride], self.moved_between(rod, index, contact)
+            s, u = rod.scratch[contact + RUBBED_PLACE * self.stride], self.slid_between(rod, index, contact, o)
             away = self.load3(rod.scratch, contact + RUBBED_NORMAL_BETWEEN * self.stride)
             friction = self.load3(rod.scratch, contact + FRICTION_BETWEEN * self.stride)
             between = self.rubbed(rod, self.limit(rod, o, contact, FORCE_BETWEEN), friction, away, u)

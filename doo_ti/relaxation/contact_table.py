@@ -7,6 +7,7 @@ import numpy as np
 
 from doo_ti.contact.contacts import Contacts
 from doo_ti.contact.distance_grid import DistanceGrid, grid_table
+from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import FRICTION, GRID, OBSTACLE_COLUMNS, Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError, real_array
@@ -91,6 +92,9 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     """
     obstacles = list(obstacles)
     for obstacle in obstacles:
+        if isinstance(obstacle, Moving):
+            raise InputError("contact", "obstacles", f"a Moving {type(obstacle.obstacle).__name__}",
+                             "give it to simulate, or Moving.at(0) here")
         if not isinstance(obstacle, Obstacle):
             raise InputError("contact", "obstacles", f"{type(obstacle).__name__}", "give Plane(...), Sphere(...) and the like")
         if obstacle.count not in (1, count):

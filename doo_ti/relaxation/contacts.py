@@ -35,6 +35,7 @@ from doo_ti.relaxation.contact_layout import (
     MOST_EASED,
     MOST_VISCOSITY,
     MULTIPLIER,
+    OBSTACLE_ITEMS,
     OFFSET,
     PHASE,
     PREVIOUS,
@@ -59,13 +60,13 @@ from doo_ti.relaxation.contact_layout import (
     WEIGHT,
     WORK,
 )
-from doo_ti.relaxation.contact_rounds import ContactRounds
+from doo_ti.relaxation.obstacle_motion import ObstacleMotion
 
 NONE, STICKS, SLIPS = map(int, Touch)
 
 
 @ti.data_oriented
-class Contacts(ContactRounds):
+class Contacts(ObstacleMotion):
     """The contacts from one instant to the next, and on their way into scratch and out of it."""
 
     # --- from one instant to the next ---
@@ -93,6 +94,7 @@ class Contacts(ContactRounds):
             self.set_item(rod, MULTIPLIER + k, done, multiplier[k])
         if ti.static(self.rub):
             self.set_item(rod, WORK, done, self.item(rod, WORK) + self.friction_work(rod))
+        self.keep_poses(rod, done)
         self.set_item(rod, PHASE, done, zero + ROUGH)
         self.set_item(rod, CHANGE, done, zero + 1e30)
         self.set_item(rod, STIFFNESS, done, self.item(rod, FIRST_STIFFNESS))
@@ -110,11 +112,11 @@ class Contacts(ContactRounds):
             at = self.vertex(rod, v)
             for o in range(rod.obstacles):
                 contact = self.contact(at, o)
-                work = work + dot(self.load3(rod.scratch, contact + FRICTION * self.stride), self.moved(rod, at))
+                work = work + dot(self.load3(rod.scratch, contact + FRICTION * self.stride), self.slid(rod, at, o))
                 if v > 0:
                     friction = self.load3(rod.scratch, contact + FRICTION_BETWEEN * self.stride)
                     active = rod.scratch[contact + ACTIVE * self.stride] > 0.5
-                    work = work + ti.select(active, dot(friction, self.moved_between(rod, v, contact)), zero)
+                    work = work + ti.select(active, dot(friction, self.slid_between(rod, v, contact, o)), zero)
         return work + self.pair_work(rod)
 
     @ti.func
@@ -161,8 +163,10 @@ class Contacts(ContactRounds):
 
     @ti.func
     def load_motion(self, tables, scratch: ti.template(), slot, row, unit, inertia):
-        """Of a rod in motion, into lane ``slot``: its places at the last instant, and κ for that inertia of a vertex."""
-        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_COLUMNS) * self.stride
+        """Of a rod in motion, into lane ``slot``: its places at the last instant and those of what moves around it, and κ for
+        that inertia of a vertex."""
+        self.first_poses(tables, scratch, slot, row, unit)
+        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_ITEMS) * self.stride
         size = (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
         for v in range(tables.rest_length.shape[1] + 1):
             for k in ti.static(range(3)):
@@ -207,12 +211,12 @@ class Contacts(ContactRounds):
         for item in ti.static((SETTLING, EARLY)):
             self.put(scratch, base + item * self.stride, slot, 0.0)
         for o in range(count):
-            at = base + (HEAD + o * OBSTACLE_COLUMNS) * self.stride
+            at = base + (HEAD + o * OBSTACLE_ITEMS) * self.stride
             for k in range(OBSTACLE_COLUMNS):
                 is_length = (k < 3) | ((k >= SIZES) & (k <= DEPTH))
                 factor = ti.select(is_length, 1.0 / unit, ti.cast(1.0, ti.f64))
                 self.put(scratch, at + k * self.stride, slot, tables.obstacles[own, o, k] * factor)
-        first = base + (HEAD + count * OBSTACLE_COLUMNS) * self.stride
+        first = base + (HEAD + count * OBSTACLE_ITEMS) * self.stride
         for v in range(vertices):
             at = first + v * (VERTEX_ITEMS + count * CONTACT_ITEMS) * self.stride
             self.put(scratch, at + ROOM * self.stride, slot, 1e30)
@@ -231,7 +235,7 @@ class Contacts(ContactRounds):
     @ti.func
     def unload_forces(self, tables, scratch: ti.template(), slot, place, force_unit):
         """The forces on the lane's vertices into row ``place``."""
-        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_COLUMNS) * self.stride
+        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_ITEMS) * self.stride
         size = (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
         vertices = tables.rest_length.shape[1] + 1
         for v in range(vertices):
@@ -246,13 +250,13 @@ class Contacts(ContactRounds):
     @ti.func
     def unload_touch(self, tables, scratch: ti.template(), slot, place):
         """The :class:`.Touch` of each vertex of the lane, with the edge that ends there, into row ``place``."""
-        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_COLUMNS) * self.stride
+        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_ITEMS) * self.stride
         for v in range(tables.rest_length.shape[1] + 1):
             at = first + v * (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
             touch = self.pair_touch(tables, scratch, slot, v)
             for o in range(tables.kinds.shape[0]):
                 contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
-                obstacle = tables.contacts + (HEAD + o * OBSTACLE_COLUMNS) * self.stride
+                obstacle = tables.contacts + (HEAD + o * OBSTACLE_ITEMS) * self.stride
                 coefficient = self.get(scratch, obstacle + COEFFICIENT * self.stride, slot)
                 for items in ti.static(((FORCE, FRICTION), (FORCE_BETWEEN, FRICTION_BETWEEN))):
                     force, friction = contact + items[0] * self.stride, contact + items[1] * self.stride
@@ -275,7 +279,7 @@ class Contacts(ContactRounds):
     def unload(self, tables, scratch: ti.template(), slot, row):
         """The lane's contacts into row ``row`` of the memory, in the units of the chain; in the place of the edge before vertex
         0, which there is not, κ."""
-        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_COLUMNS) * self.stride
+        first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_ITEMS) * self.stride
         for v in range(tables.rest_length.shape[1] + 1):
             at = first + v * (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
             for o in range(tables.kinds.shape[0]):

@@ -54,8 +54,8 @@ from doo_ti.relaxation.pair_layout import (
 class SelfContactEnergy(Contacts):
     """The contacts with obstacles and the energy of those of the rod with itself."""
 
-    def __init__(self, number, stride: int, kinds: frozenset[int], rub: bool = False):
-        super().__init__(number, stride, kinds, rub)
+    def __init__(self, number, stride: int, kinds: frozenset[int], rub: bool = False, moves: bool = False):
+        super().__init__(number, stride, kinds, rub, moves)
         # Without the barrier parts of the rod could pass through each other, thin as they are.
         self.first_phase, self.settles_early = LOADED, False
 

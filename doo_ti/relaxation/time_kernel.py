@@ -74,13 +74,13 @@ def time_kernel(number: Number, isotropic: bool, stride: int, block: int):
 
 @cache
 def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int, kinds: frozenset[int], rub: bool,
-                        itself: bool):
-    """The same for rods that may touch obstacles of some ``kinds``, or ``itself``, with friction if they ``rub``; the numbers
-    that :func:`.contact_items` or :func:`.self_contact_items` says come on top in scratch."""
+                        itself: bool, moves: bool):
+    """The same for rods that may touch obstacles of some ``kinds``, or ``itself``, with friction if they ``rub``; obstacles
+    move if ``moves``; the numbers that :func:`.contact_items` or :func:`.self_contact_items` says come on top in scratch."""
     if itself:
-        sweep = DenseTimeSweep(number, isotropic, stride, SelfContacts(number, stride, kinds, rub))
+        sweep = DenseTimeSweep(number, isotropic, stride, SelfContacts(number, stride, kinds, rub, moves))
     else:
-        sweep = TimeSweep(number, isotropic, stride, Contacts(number, stride, kinds, rub))
+        sweep = TimeSweep(number, isotropic, stride, Contacts(number, stride, kinds, rub, moves))
     size = self_contact_items if itself else contact_items
     loop = TimeLoop(sweep)
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
@@ -97,6 +97,7 @@ def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int
         forces: table3,  # [row · frame, vertex, 3] out
         self_friction: table1,
         touches: index2,  # [row · frame, vertex] out
+        poses: table4,  # [1 or row, 1 + step, obstacle, POSE_COLUMNS] of obstacles that move, else anything
     ):
         ti.loop_config(block_dim=block)
         for thread in range(threads):
@@ -108,7 +109,8 @@ def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int
                 queue=queue, frames=frames, results=results, numbers=numbers, field=material, path=path, shares=shares,
                 time=time, steps=steps, every=every, frames_before=frames_before, places=places, positions=positions,
                 outcome=outcome, contacts=contacts, obstacles=obstacles, kinds=obstacle_kinds, grids=grids, radius=radius,
-                tolerance=gap_tolerance, memory=memory, forces=forces, self_friction=self_friction, touches=touches)
+                tolerance=gap_tolerance, memory=memory, forces=forces, self_friction=self_friction, touches=touches,
+                poses=poses)
             loop.work(tables, scratch, threads, thread)
 
     return runtime.compiled_briefly(make_steps), sweep.items, sweep.parameters

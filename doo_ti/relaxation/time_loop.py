@@ -91,7 +91,8 @@ class MotionLoading(Loading):
 
     @ti.func
     def load_path(self, tables, scratch: ti.template(), head, slot, rod, step):
-        """Load the clamps of step ``step`` into lane ``slot``; of the end frames what they hold."""
+        """Load the clamps of step ``step``, and the obstacles that move, into lane ``slot``; of the end frames what they hold.
+        """
         s = tables.rods[rod, of.CLAMP_ROW]
         unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
         origin, edges = head + self.parameters * self.stride, tables.rest_length.shape[1]
@@ -111,6 +112,8 @@ class MotionLoading(Loading):
             self.put(scratch, head + (chain.OF_TARGET + k) * self.stride, slot, target / unit)
         self.load_path_end(tables, s, step, share, 0, scratch, origin, slot)
         self.load_path_end(tables, s, step, share, 1, scratch, origin + (edges - 1) * self.edge_stride, slot)
+        if ti.static(self.touches):
+            self.contacts.next_poses(tables, scratch, slot, tables.rods[rod, of.RESULT_ROW], step, share, unit)
 
     @ti.func
     def share_of_way(self, tables, scratch: ti.template(), slot):

@@ -86,13 +86,15 @@ def curvatures(frames: np.ndarray) -> np.ndarray:
 
 @runtime.exclusive
 def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndarray, shares: np.ndarray, time: np.ndarray,
-               every: int, options: newton.Newton, bits: int, slopes: Slopes | None = None):
+               every: int, options: newton.Newton, bits: int, slopes: Slopes | None = None, poses: np.ndarray | None = None):
     """Carry the rods of ``table`` through the steps of ``path`` (S, steps, PATH_COLUMNS), from ``memory``, which is updated.
 
     numbers  (N, V, VERTEX_ITEMS − INERTIA), shares (N, 2): rows as the rods' ``external_index`` says
     time     (TIME_COLUMNS,), see :mod:`doo_ti.relaxation.time_sweep`
     every    steps between the frames that are returned
     slopes   what to differentiate by, in f64
+    poses    (1 or R, 1 + steps, M, POSE_COLUMNS) of the obstacles, see :mod:`doo_ti.relaxation.obstacle_motion`; None where
+             none moves
 
     Returns positions (R, frames, V, 3) mm, NaN from where a rod failed, outcomes (R, frames, OUTCOMES), and the derivatives of
     positions (R, frames, P, V, 3) or None, the forces of contacts on vertices (R, frames, V, 3), energy per mm, or None, and
@@ -122,8 +124,8 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
         number, threads, stride, block = layout_for(len(rods), bits, contact is not None and contact.itself)
         if contact is not None:
             kernel, items, parameters = time_contact_kernel(
-                number, table.isotropic, stride, block, contact.known, contact.rubs, contact.itself)
-            more = *contact.arguments(forces), touches
+                number, table.isotropic, stride, block, contact.known, contact.rubs, contact.itself, poses is not None)
+            more = *contact.arguments(forces), touches, np.zeros((1, 1, 1, 1)) if poses is None else poses
             size = parameters + items * table.edges + contact.items(table.edges, len(contact.kinds))
         elif slopes is None:
             kernel, items, parameters = time_kernel(number, table.isotropic, stride, block)

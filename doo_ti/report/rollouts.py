@@ -50,6 +50,8 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
         plot = figure.add_subplot(grid[k // columns, k % columns])
         _draw_stills(plot, positions[row, frames] @ axes.T, None if recorded is None else recorded[row, frames] @ axes.T)
         if touched is not None:
+            for frame in frames[:-1]:
+                touched.draw_moving(plot, row, axes, frame, faint=True)
             touched.draw(plot, row, axes, frames[-1:])
         title = names[row]
         if recorded is not None:
@@ -121,7 +123,7 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
     width = 2.6 if columns > 1 else 3.6
     head = 0.3 if touched is None else 0.5
     figure = new_figure((width * columns, min(width * size[1] / size[0] + 0.3, 4.0) * lines + head), 80)
-    curves, marks, forces = [], [], []
+    curves, marks, momentary = [], [], []
     for k in range(len(rows)):
         plot = figure.add_subplot(lines, columns, k + 1)
         plot.set_xlim(centre[0] - size[0], centre[0] + size[0])
@@ -131,7 +133,7 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
         plot.set_xticks([])
         plot.set_yticks([])
         if touched is not None:
-            touched.draw_obstacles(plot, rows[k], axes)
+            touched.draw_still(plot, rows[k], axes)
         if seen is not None:
             marks.append(plot.plot([], [], color=RECORDED, lw=4)[0])
         curves.append(plot.plot([], [], color=PREDICTED, lw=1.8)[0])
@@ -139,11 +141,11 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
     fit_titles(figure)
     images = []
     for frame in frames:
-        for arrows in forces:
-            arrows.remove()
-        forces = [] if touched is None else [
-            arrows for plot, row in zip(figure.axes, rows, strict=True)
-            for arrows in touched.draw_forces(plot, row, axes, frame)]
+        for drawn in momentary:
+            drawn.remove()
+        momentary = [] if touched is None else [
+            drawn for plot, row in zip(figure.axes, rows, strict=True)
+            for drawn in (*touched.draw_moving(plot, row, axes, frame), *touched.draw_forces(plot, row, axes, frame))]
         for k, curve in enumerate(curves):
             curve.set_data(*flat[k, frame].T)
             if seen is not None:

@@ -7,10 +7,13 @@ from functools import cached_property
 import numpy as np
 
 from doo_ti.contact.meshes import mesh
-from doo_ti.contact.obstacles import PLANE
+from doo_ti.contact.moving import Moving
+from doo_ti.contact.obstacles import PLANE, Obstacle
 from doo_ti.contact.surroundings import Surroundings
 
 PLANE_COLOR, OBSTACLE, FORCE = "#eceef2", "#c9ced8", "#1d4ed8"
+FAINT = 0.25
+"""Of an obstacle that has moved on."""
 LONG, MOST_SHORTER = 0.2, 0.95
 """Of the size of the scene: the length of an arrow; that share of all forces has shorter ones."""
 
@@ -34,13 +37,15 @@ class Touched:
         low, high = np.nanmin(self.positions, axis=(0, 1, 2)), np.nanmax(self.positions, axis=(0, 1, 2))
         return 0.5 * (low + high), float(np.linalg.norm(high - low))
 
-    def meshes(self, row: int) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-        """Kind, vertices (N, 3), triangles (M, 3) and their outward normals (M, 3) of each obstacle around the rod ``row``,
-        planes first."""
-        obstacles = self.surroundings.take(np.array([row])).bodies
-        for obstacle in sorted(obstacles, key=lambda one: one.kind != PLANE):
+    def meshes(self, row: int, frame: int) -> Iterator[tuple[Obstacle | Moving, int, np.ndarray, np.ndarray, np.ndarray]]:
+        """Of each obstacle around the rod ``row``, planes first, what was given, the kind and, where it is at a frame, vertices
+        (N, 3), triangles (M, 3) and their outward normals (M, 3)."""
+        own = self.surroundings.take(np.array([row]))
+        found = zip(own.bodies, own.at(frame).bodies, strict=True)
+        for given, obstacle in sorted(found, key=lambda pair: pair[1].kind != PLANE):
             vertices, triangles = mesh(obstacle, 0, *self._box)
-            yield obstacle.kind, vertices, triangles, obstacle.distance(vertices[triangles].mean(axis=1)[None])[1][0]
+            normals = obstacle.distance(vertices[triangles].mean(axis=1)[None])[1][0]
+            yield given, obstacle.kind, vertices, triangles, normals
 
     @cached_property
     def arrow_scale(self) -> float:
@@ -65,20 +70,34 @@ class Touched:
 
     def draw(self, plot, row: int, view: np.ndarray, frames: list[int]) -> None:
         """The obstacles around a rod, and the forces on it at some frames, in a plot with the axes ``view`` (2, 3)."""
-        self.draw_obstacles(plot, row, view)
+        self.draw_still(plot, row, view)
         for frame in frames:
+            self.draw_moving(plot, row, view, frame)
             self.draw_forces(plot, row, view, frame)
 
-    def draw_obstacles(self, plot, row: int, view: np.ndarray) -> None:
-        """The obstacles around a rod; the plot's limits stay as they are."""
+    def draw_still(self, plot, row: int, view: np.ndarray) -> None:
+        """The obstacles around a rod that do not move; the plot's limits stay as they are."""
+        self._draw_obstacles(plot, row, view, 0, False)
+
+    def draw_moving(self, plot, row: int, view: np.ndarray, frame: int, faint: bool = False) -> list:
+        """Those that move, where they are at a frame: what was drawn."""
+        return self._draw_obstacles(plot, row, view, frame, True, FAINT if faint else 1.0)
+
+    def _draw_obstacles(self, plot, row: int, view: np.ndarray, frame: int, moving: bool, alpha: float = 1.0) -> list:
         from matplotlib.collections import PolyCollection
 
-        limits = plot.axis()
-        for kind, vertices, triangles, _ in self.meshes(row):
-            color = PLANE_COLOR if kind == PLANE else OBSTACLE
-            plot.add_collection(PolyCollection((vertices @ view.T)[triangles], facecolors=color, edgecolors=color,
-                                               linewidths=0.8, zorder=0), autolim=False)
+        limits, drawn = plot.axis(), []
+        if moving and not self.surroundings.moves:
+            return drawn
+        for given, kind, vertices, triangles, _ in self.meshes(row, frame):
+            if isinstance(given, Moving) == moving:
+                color = PLANE_COLOR if kind == PLANE else OBSTACLE
+                # The edges of triangles would add up where these are faint.
+                drawn.append(plot.add_collection(PolyCollection(
+                    (vertices @ view.T)[triangles], facecolors=color, edgecolors=color if alpha == 1.0 else "none",
+                    linewidths=0.8, alpha=alpha, zorder=0), autolim=False))
         plot.axis(limits)
+        return drawn
 
     def draw_forces(self, plot, row: int, view: np.ndarray, frame: int) -> list:
         """The forces on a rod at a frame: what was drawn."""

@@ -1,0 +1,88 @@
+"""Where obstacles that move are during a motion, as the kernels read it (docs/contact.md).
+
+Axes: R rods, T instants, M obstacles.
+"""
+
+import numpy as np
+
+from doo_ti.contact.moving import Moving, about, since_first
+from doo_ti.contact.obstacles import BOX, GRID, PLANE, Obstacle
+from doo_ti.contact.surroundings import SHALLOW, Surroundings
+from doo_ti.dynamics.grippers import cubic, turning
+from doo_ti.dynamics.parameters import Stepping
+from doo_ti.errors import InputError
+from doo_ti.frames import quaternion_from_matrix
+from doo_ti.relaxation.obstacle_motion import POSE_COLUMNS, POSE_SHIFT
+from doo_ti.types import Configuration
+
+PARTS = 8
+"""Into which a quasi-static step may be divided."""
+
+
+def obstacle_path(surroundings: Surroundings, stepping: Stepping, instants: int, start: Configuration) -> np.ndarray:
+    """(1 or R, T, M, POSE_COLUMNS) how the obstacles turn and shift from where they are at the first of the T instants of all
+    steps, on cubics between those of the motion.
+
+    Raises InputError where an obstacle has not ``instants`` instants, or moves in one step by more than the rods allow.
+    """
+    bodies = surroundings.bodies
+    rows = max([1] + [body.count for body in bodies if isinstance(body, Moving)])
+    poses = np.zeros((rows, (instants - 1) * stepping.substeps + 1, len(bodies), POSE_COLUMNS))
+    poses[..., 0] = 1.0
+    for number, body in enumerate(bodies):
+        if isinstance(body, Moving):
+            if body.instants != instants:
+                name = type(body.obstacle).__name__
+                raise InputError("simulate", "obstacles", f"a {name} moves at {body.instants} instants, the grippers at "
+                                 f"{instants}", "give the same instants")
+            rotation, shift = _refined(body, stepping.substeps)
+            _check_speed(body.obstacle, rotation, shift, surroundings, stepping, start)
+            turned, moved = since_first(rotation, shift)
+            poses[:, :, number, :POSE_SHIFT], poses[:, :, number, POSE_SHIFT:] = quaternion_from_matrix(turned), moved
+    return poses
+
+
+def _refined(body: Moving, parts: int) -> tuple[np.ndarray, np.ndarray]:
+    """(1 or R, T, 3, 3) rotation and (1 or R, T, 3) shift of places at ``parts`` instants for each."""
+    if parts == 1:
+        return body.path
+    share = np.arange(parts) / parts
+    rotation = turning(body.rotation, share)
+    return rotation, about(body.pivot[:, None], rotation, cubic(body.shift, share))
+
+
+def _check_speed(obstacle: Obstacle, rotation: np.ndarray, shift: np.ndarray, surroundings: Surroundings, stepping: Stepping,
+                 start: Configuration) -> None:
+    """Raise InputError where the surface of an obstacle moves so far in one step that a rod which it touched would be deep
+    inside."""
+    if obstacle.kind == PLANE:
+        # What counts is how far the plane moves where the rods are.
+        normal = (rotation @ obstacle.normal[:, None, :, None])[..., 0]
+        normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+        point = (rotation @ obstacle.point[:, None, :, None])[..., 0] + shift
+        height = normal @ start.vertices.reshape(-1, 3).T - (normal * point).sum(axis=-1)[..., None]
+        moved = np.abs(np.diff(height, axis=1))
+    else:
+        places = (rotation[:, :, None] @ _outline(obstacle)[:, None, :, :, None])[..., 0] + shift[:, :, None]
+        moved = np.linalg.norm(np.diff(places, axis=1), axis=-1)
+    most = SHALLOW * float(np.min(surroundings.radius)) * (PARTS if stepping.quasi_static else 1)
+    if moved.max() > most:
+        raise InputError("simulate", "obstacles", f"a {type(obstacle).__name__} moves by {moved.max():.3g} mm in a time step; "
+                         f"rods of radius {np.min(surroundings.radius):g} mm allow {most:.3g} mm",
+                         f"give {int(np.ceil(stepping.substeps * moved.max() / most))} `substeps`")
+
+
+def _outline(obstacle: Obstacle) -> np.ndarray:
+    """(rows, P, 3) mm: no place of an obstacle's surface moves farther, out of the surface, than one of these places."""
+    point, axes, sizes, _ = obstacle.placed
+    if obstacle.kind == GRID:
+        local = (np.array(obstacle.values.shape) - 1.0) * sizes[:, :1, None] * _CORNERS
+    elif obstacle.kind == BOX:
+        local = sizes[:, None] * (2.0 * _CORNERS - 1.0)
+    else:  # bodies of revolution: what turns about their own axis stays where it is
+        reach = np.where(sizes[:, 1:2] > 0, np.maximum(sizes[:, 1:2], sizes[:, :1]), 0.0)[..., None]
+        local = reach * np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+    return point[:, None] + local @ np.swapaxes(axes, -1, -2)
+
+
+_CORNERS = np.array([(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])

@@ -1,0 +1,164 @@
+"""Obstacles that move: only how rod and obstacle move against each other counts, and a belt drags a rod by its friction."""
+
+import numpy as np
+import pytest
+
+from doo_ti.contact.moving import Moving
+from doo_ti.contact.obstacles import Capsule, Cylinder, Plane
+from doo_ti.contact.touch import Touch
+from doo_ti.dynamics.grippers import Grippers
+from doo_ti.dynamics.parameters import Dynamics, Stepping
+from doo_ti.dynamics.scene import load_dynamic_scene
+from doo_ti.dynamics.simulate import simulate
+from doo_ti.errors import InputError
+from doo_ti.frames import rotation_matrix
+from doo_ti.material import Material
+from doo_ti.relaxation.contact_table import GAP_TOLERANCE
+from doo_ti.relaxation.relax import relax
+from doo_ti.rods import hanging, straight_rod
+from doo_ti.types import Clamp
+
+RADIUS, INSTANTS = 2.0, 21
+TIME = np.linspace(0.0, 1.0, INSTANTS)
+QUASI_STATIC, DYNAMICS = Stepping(20.0, 3, "euler", quasi_static=True), Dynamics(density=1.0)
+PEG = Cylinder((0, -50, -45), (0, 50, -45), 10.0, friction=0.3)
+STILL = np.broadcast_to(np.eye(3), (1, INSTANTS, 3, 3))
+
+
+def a_rope(weight: float, clamp: Clamp = Clamp.POSITION):
+    """A relaxed rod between two clamps above the peg, its material and its clamps."""
+    rod, clamps = hanging(120.0, 24, (-40.0, 0.0, 20.0), (40.0, 0.0, 20.0), clamp=clamp)
+    material = Material(2e4, 2e4, weight)
+    return relax(rod, material, clamps).configuration, material, clamps
+
+
+def held(clamps, rotation: np.ndarray, shift: np.ndarray) -> Grippers:
+    """Grippers at R x + s of where the clamps are, (T, 3, 3) and (T, 3)."""
+    ends = (rotation @ np.reshape(place, 3) + shift for place in (clamps.start_position, clamps.end_position))
+    frames = (rotation @ np.reshape(frame, (3, 3)) for frame in (clamps.start_frame, clamps.end_frame))
+    return Grippers(clamps.start, clamps.end, *(path[None] for path in (*ends, *frames)))
+
+
+def test_a_peg_that_moves_is_a_rope_that_moves_the_other_way():
+    rope, material, clamps = a_rope(1.0)
+    way = np.stack([12 * np.sin(2 * TIME) * TIME, 4 * TIME**2, 35 * TIME], axis=-1)
+    same = np.broadcast_to(np.eye(3), (INSTANTS, 3, 3))
+    drawn = simulate(rope, material, held(clamps, same, -way), DYNAMICS, QUASI_STATIC, obstacles=[PEG], radius=RADIUS)
+    pushed = simulate(rope, material, held(clamps, same, 0 * way), DYNAMICS, QUASI_STATIC, obstacles=[Moving(PEG, way)],
+                      radius=RADIUS)
+    assert drawn.converged.all() and pushed.converged.all()
+    assert np.ptp(drawn.touch) == Touch.SLIPS
+    np.testing.assert_allclose(drawn.positions + way[1:, None], pushed.positions, atol=1e-9)
+    np.testing.assert_allclose(pushed.contact_force, drawn.contact_force, atol=1e-6 * np.abs(drawn.contact_force).max())
+    np.testing.assert_allclose(pushed.friction_work, drawn.friction_work, rtol=1e-6)
+
+
+def test_a_peg_that_turns_is_a_rope_that_turns_the_other_way():
+    """Without weight, a frame that turns is as good as one that rests; the first place of the peg is any."""
+    rope, material, clamps = a_rope(0.0, Clamp.FRAME)
+    at_once = Stepping(20.0, 1, "euler", quasi_static=True)  # substeps are on cubics, which turned ones are not
+    turn = np.stack([0.1 * TIME, 0.3 * TIME, -0.1 * TIME**2], axis=-1)
+    rotation, way = rotation_matrix(turn), np.stack([0 * TIME, 3 * TIME, 28 * TIME], axis=-1)
+    back = np.swapaxes(rotation, 1, 2)
+    drawn = simulate(rope, material, held(clamps, back, -(back @ way[..., None])[..., 0]), DYNAMICS, at_once,
+                     obstacles=[PEG], radius=RADIUS)
+    pushed = simulate(rope, material, held(clamps, STILL[0], 0 * way), DYNAMICS, at_once,
+                      obstacles=[Moving(PEG, way, rotation, pivot=(0, 0, 0))], radius=RADIUS)
+    assert drawn.converged.all() and pushed.converged.all() and (drawn.touch > 0).any()
+    seen = (rotation[1:, None] @ drawn.positions[0][..., None])[..., 0] + way[1:, None]
+    np.testing.assert_allclose(seen, pushed.positions[0], atol=5 * GAP_TOLERANCE * RADIUS)
+    np.testing.assert_allclose(pushed.friction_work, drawn.friction_work, rtol=1e-3)
+
+
+def test_a_belt_drags_a_rod_along():
+    """A free rod on a belt that starts at once is drawn along by μ g until it is as fast."""
+    rod = straight_rod(60.0, 6, (0.0, 0.0, RADIUS), (1.0, 0.0, 0.0))
+    instants, rate, speed, friction, gravity = 31, 100.0, 400.0, 0.2, 9806.65
+    time = np.arange(instants) / rate
+    way = np.stack([0 * time, speed * time, 0 * time], axis=-1)
+    resting = np.broadcast_to(np.eye(3), (1, instants, 3, 3))
+    grippers = Grippers(Clamp.FREE, Clamp.FREE, np.zeros((1, instants, 3)), np.zeros((1, instants, 3)), resting, resting)
+    found = simulate(rod, Material(1e5, 1e5), grippers, DYNAMICS, Stepping(rate, 4, "euler"),
+                     obstacles=[Moving(Plane((0, 0, 0), (0, 0, 1), friction), way)], radius=RADIUS)
+    assert found.converged.all()
+    along = found.positions[0, :, :, 1].mean(axis=1)
+    until = speed / (friction * gravity)
+    exact = np.where(time[1:] < until, 0.5 * friction * gravity * time[1:]**2, speed * (time[1:] - 0.5 * until))
+    np.testing.assert_allclose(along, exact, atol=0.02 * exact[-1])
+    assert (found.touch[0, 1:10] == Touch.SLIPS).all() and (found.touch[0, -1] == Touch.STICKS).all()
+
+
+def test_obstacles_of_their_own():
+    """Rods with a moving obstacle each move as alone."""
+    rope, material, clamps = a_rope(1.0)
+    way = np.stack([np.stack([a * TIME, 0 * TIME, 35 * TIME], axis=-1) for a in (0.0, 8.0, -5.0)])
+    rows = np.zeros(3, dtype=np.int64)
+    grippers = held(clamps, STILL[0], 0 * way[0])
+    together = simulate(rope.take(rows), material, grippers.take(rows), DYNAMICS, QUASI_STATIC, obstacles=[Moving(PEG, way)],
+                        radius=RADIUS)
+    alone = simulate(rope, material, grippers, DYNAMICS, QUASI_STATIC, obstacles=[Moving(PEG, way[1])], radius=RADIUS)
+    np.testing.assert_array_equal(together.positions[1], alone.positions[0])
+    assert together.converged.all() and np.abs(together.positions[0] - together.positions[1]).max() > 1.0
+
+
+def test_wrong_motions_are_one_line():
+    rope, material, clamps = a_rope(1.0)
+    fast = np.zeros((INSTANTS, 3))
+    fast[:, 2] = 300.0 * TIME
+    grippers = held(clamps, STILL[0], np.zeros((INSTANTS, 3)))
+
+    def moved(obstacle, stepping=Stepping(20.0, 3, "euler")):
+        return simulate(rope, material, grippers, DYNAMICS, stepping, obstacles=[obstacle], radius=RADIUS)
+
+    with pytest.raises(InputError, match=r"a Cylinder moves by 5 mm in a time step.*give 1\d `substeps`"):
+        moved(Moving(PEG, fast))
+    with pytest.raises(InputError, match="moves at 5 instants, the grippers at 21"):
+        moved(Moving(PEG, np.zeros((5, 3))))
+    with pytest.raises(InputError, match="obstacles: a Moving"):
+        relax(rope, material, clamps, obstacles=[Moving(PEG, fast)], radius=RADIUS)
+    for problem, arguments in (("shape", (PEG, np.zeros(3))), ("not finite", (PEG, np.full((4, 3), np.nan))),
+                               ("instants", (PEG, np.zeros((4, 3)), np.broadcast_to(np.eye(3), (5, 3, 3)))),
+                               ("off a rotation", (PEG, np.zeros((4, 3)), np.ones((4, 3, 3)))),
+                               ("Moving: obstacle", ("a peg", np.zeros((4, 3))))):
+        with pytest.raises(InputError, match=problem):
+            Moving(*arguments)
+
+
+SCENE = """
+rate_hz = 20
+duration_s = 1.0
+[rod]
+length_mm = 100.0
+edges = 10
+radius_mm = 1.0
+[materials.rope]
+bend = 1e4
+[[obstacles]]
+kind = "capsule"
+start = [50, 0, -20]
+end = [50, 0, -40]
+radius = 5.0
+turn_axis = [0, 2, 0]
+pivot = [50, 0, 0]
+[[obstacles.moments]]
+time_s = 0.5
+shift = [0, 10, 0]
+turns = 0.25
+"""
+
+
+def test_scenes_state_motions(tmp_path):
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE, encoding="utf-8")
+    moving, = load_dynamic_scene(path).surroundings.obstacles
+    assert isinstance(moving.obstacle, Capsule) and moving.instants == 21
+    last = moving.at(-1)
+    np.testing.assert_allclose([last.start[0], last.end[0]], [(30, 10, 0), (10, 10, 0)], atol=1e-12)
+    np.testing.assert_allclose(moving.at(0).start, [(50, 0, -20)])
+    for old, new, message in (
+            ("turns = 0.25", "turns = 20.0", "obstacles\\[0\\].moments: .* turns between two frames"),
+            ("shift =", "shifted =", "obstacles\\[0\\].moments\\[0\\].shifted"),
+            ('kind = "capsule"\nstart = [50, 0, -20]\nend = [50, 0, -40]\nradius = 5.0', 'kind = "itself"', "the rod itself")):
+        path.write_text(SCENE.replace(old, new), encoding="utf-8")
+        with pytest.raises(InputError, match=message):
+            load_dynamic_scene(path)
