@@ -140,6 +140,7 @@ def relaxed(observations: Observations) -> Solution:
         Cylinder((0, -9, -9), (0, 9, -9), 2.0), Box((0, 0, -40), (9, 9, 9)), Ring((0, 0, -9), (1, 0, 0), 9.0, 1.0)]
     contact: Contacts = relax(start, material, clamps, obstacles=[*about, *load_obstacles("table.toml")], radius=0.5).contact
     relax(start, material, clamps, obstacles=[Itself(friction=0.1)], radius=0.5)
+    relax(start, material, clamps, obstacles=[Moving(about[1], [[0, 0, 0], [0, 0, 9]], pivot=(0, 0, 0)).at(1)], radius=0.5)
     tied = Group([start, start], material, [clamps, clamps], [Tie((0, -1), (1, 3), weight=2.0, weld=True)])
     together: GroupSolution = relax_group(tied, Newton(), up=(0, 0, 1), obstacles=about, radius=0.5, contact=False)
     followed = [moment.energy for moment in follow_group(tied, [[clamps, clamps]] * 3, radius=0.5)]
