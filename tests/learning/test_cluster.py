@@ -88,7 +88,7 @@ def test_a_scheduler_that_is_killed_is_one_line(tmp_path):
 
     with dask("scheduler", "--host", "127.0.0.1", "--port", "0", stderr=subprocess.PIPE, text=True) as scheduler:
         address = next(found[1] for line in scheduler.stderr if (found := re.search(r"Scheduler at:\s+(tcp://\S+)", line)))
-        worker = dask("worker", address, "--nthreads", "1", "--death-timeout", "2", stderr=subprocess.DEVNULL)
+        worker = dask("worker", address, "--nthreads", "1", "--death-timeout", "15", stderr=subprocess.DEVNULL)
         words = ["sweep", "o.npz", "--bend", "1e5:1e6:300", "--twist-ratio", "0.5:2:300", "--out", "run", "--dask", address]
         command = subprocess.Popen([sys.executable, "-m", "doo_ti", *words], cwd=tmp_path, stdout=subprocess.PIPE,
                                    stderr=subprocess.PIPE, text=True, env=environment)
