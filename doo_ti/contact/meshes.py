@@ -7,6 +7,8 @@ from doo_ti.contact.obstacles import BOX, CAPSULE, CYLINDER, PLANE, Obstacle
 
 AROUND, ALONG = 48, 24
 """Vertices around an axis, and along a round profile."""
+CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+"""Of a box, over half its size."""
 WIDER = 0.6
 """Of the size of the scene: half the side of the square that stands for a plane."""
 
@@ -23,7 +25,7 @@ def mesh(obstacle: Obstacle, row: int, centre: np.ndarray, size: float) -> tuple
         local = middle + WIDER * size * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
         triangles = np.array([(0, 1, 2), (0, 2, 3)])
     elif obstacle.kind == BOX:
-        local = sizes * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        local = sizes * CORNERS
         quads = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
         triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     elif isinstance(obstacle, DistanceGrid):

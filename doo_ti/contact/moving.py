@@ -1,6 +1,7 @@
 """Obstacles that move: pushers, tilting tables, turning drums (docs/contact.md). Axes: R rods, T instants."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -79,11 +80,10 @@ class Moving:
 
     def at(self, instant: int) -> Obstacle:
         """The obstacle where it is at one instant."""
-        rotation = self.rotation[:, instant]
-        return self.obstacle.moved(rotation, about(self.pivot, rotation, self.shift[:, instant]))
+        rotation, shift = self.path
+        return self.obstacle.moved(rotation[:, instant], shift[:, instant])
 
-
-    @property
+    @cached_property
     def path(self) -> tuple[np.ndarray, np.ndarray]:
         """(1 or R, T, 3, 3) rotation R and (1 or R, T, 3) shift s: a place x of the obstacle is at R x + s."""
         return self.rotation, about(self.pivot[:, None], self.rotation, self.shift)

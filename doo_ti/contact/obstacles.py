@@ -83,10 +83,9 @@ class Obstacle:
     def moved(self, rotation: np.ndarray, shift: np.ndarray) -> "Obstacle":
         """The obstacle with every place x of it at ``rotation`` (rows, 3, 3) x + ``shift`` (rows, 3) mm."""
         points = {name: (rotation @ getattr(self, name)[..., None])[..., 0] + shift for name in self.points}
-        columns = {name: value if value.ndim > 2 else value[..., None]
-                   for name in self.turning for value in (getattr(self, name),)}
-        turned = {name: (rotation @ value).reshape(-1, *self.shapes[name]) for name, value in columns.items()}
-        return self._with(points | turned)
+        columns = {name: getattr(self, name).reshape(-1, 3, np.prod(self.shapes[name]) // 3) for name in self.turning}
+        return self._with(points | {
+            name: (rotation @ value).reshape(-1, *self.shapes[name]) for name, value in columns.items()})
 
     def _with(self, values: dict[str, np.ndarray]) -> "Obstacle":
         """The same with other values of some fields."""

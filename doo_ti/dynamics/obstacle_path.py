@@ -5,6 +5,7 @@ Axes: R rods, T instants, M obstacles.
 
 import numpy as np
 
+from doo_ti.contact.meshes import CORNERS
 from doo_ti.contact.moving import Moving, about, since_first
 from doo_ti.contact.obstacles import BOX, GRID, PLANE, Obstacle
 from doo_ti.contact.surroundings import SHALLOW, Surroundings
@@ -14,9 +15,6 @@ from doo_ti.errors import InputError
 from doo_ti.frames import quaternion_from_matrix
 from doo_ti.relaxation.obstacle_motion import POSE_COLUMNS, POSE_SHIFT
 from doo_ti.types import Configuration
-
-PARTS = 8
-"""Into which a quasi-static step may be divided."""
 
 
 def obstacle_path(surroundings: Surroundings, stepping: Stepping, instants: int, start: Configuration) -> np.ndarray:
@@ -57,15 +55,15 @@ def _check_speed(obstacle: Obstacle, rotation: np.ndarray, shift: np.ndarray, su
     inside."""
     if obstacle.kind == PLANE:
         # What counts is how far the plane moves where the rods are.
-        normal = (rotation @ obstacle.normal[:, None, :, None])[..., 0]
-        normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
-        point = (rotation @ obstacle.point[:, None, :, None])[..., 0] + shift
+        own, axes, _, _ = obstacle.placed
+        normal = (rotation @ axes[:, None, :, 2, None])[..., 0]
+        point = (rotation @ own[:, None, :, None])[..., 0] + shift
         height = normal @ start.vertices.reshape(-1, 3).T - (normal * point).sum(axis=-1)[..., None]
         moved = np.abs(np.diff(height, axis=1))
     else:
         places = (rotation[:, :, None] @ _outline(obstacle)[:, None, :, :, None])[..., 0] + shift[:, :, None]
         moved = np.linalg.norm(np.diff(places, axis=1), axis=-1)
-    most = SHALLOW * float(np.min(surroundings.radius)) * (PARTS if stepping.quasi_static else 1)
+    most = SHALLOW * float(np.min(surroundings.radius)) / stepping.least_way
     if moved.max() > most:
         raise InputError("simulate", "obstacles", f"a {type(obstacle).__name__} moves by {moved.max():.3g} mm in a time step; "
                          f"rods of radius {np.min(surroundings.radius):g} mm allow {most:.3g} mm",
@@ -76,13 +74,10 @@ def _outline(obstacle: Obstacle) -> np.ndarray:
     """(rows, P, 3) mm: no place of an obstacle's surface moves farther, out of the surface, than one of these places."""
     point, axes, sizes, _ = obstacle.placed
     if obstacle.kind == GRID:
-        local = (np.array(obstacle.values.shape) - 1.0) * sizes[:, :1, None] * _CORNERS
+        local = (np.array(obstacle.values.shape) - 1.0) * sizes[:, :1, None] * (0.5 * CORNERS + 0.5)
     elif obstacle.kind == BOX:
-        local = sizes[:, None] * (2.0 * _CORNERS - 1.0)
+        local = sizes[:, None] * CORNERS
     else:  # bodies of revolution: what turns about their own axis stays where it is
         reach = np.where(sizes[:, 1:2] > 0, np.maximum(sizes[:, 1:2], sizes[:, :1]), 0.0)[..., None]
         local = reach * np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
     return point[:, None] + local @ np.swapaxes(axes, -1, -2)
-
-
-_CORNERS = np.array([(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])

@@ -18,6 +18,8 @@ RATES = {"euler": 1.0, "bdf2": 1.5}
 """Schemes, with a of their time derivative D u = (a/h) (u − y)."""
 MOST_RATE = 1e7
 """Instants per second."""
+LEAST_WAY = 1 / 8
+"""Of the way to the next instant: the shortest quasi-static step, where longer ones fail."""
 
 
 def vertex_lengths(rest_length: np.ndarray) -> np.ndarray:
@@ -76,6 +78,11 @@ class Stepping:
     def step(self) -> float:
         """h, s."""
         return 1.0 / (self.rate * self.substeps)
+
+    @property
+    def least_way(self) -> float:
+        """The share of a step's way that is made at once, at least."""
+        return LEAST_WAY if self.quasi_static else 1.0
 
 
 @dataclass(frozen=True)

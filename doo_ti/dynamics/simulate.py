@@ -52,8 +52,6 @@ from doo_ti.relaxation.time_sweep import (
 )
 from doo_ti.types import Clamp, Configuration, Material, Status, unit_up
 
-LEAST_WAY = 1 / 8
-"""Of the way to the next instant: the shortest quasi-static step, where longer ones fail."""
 NUMBERS_AT_ONCE = 32_000_000
 """Numbers of positions that a launch writes."""
 
@@ -135,7 +133,6 @@ class _Motion:
         self.grippers = grippers.refined(stepping.substeps)
         self.pairs, self.surroundings, self.touching = pairs, surroundings, touching
         self.first = _spread(grippers.at(0), start.count)
-        self.still = surroundings.at(0)
         self.poses = obstacle_path(surroundings, stepping, grippers.instants, start) if surroundings.moves else None
         self.watched = surroundings.itself is not None and not touching
         self.relinked = np.zeros(0, dtype=bool)
@@ -144,7 +141,8 @@ class _Motion:
         """The tables of the rods for time derivatives of that factor a."""
         vertices = self.start.edges + 1
         external = Springs(np.zeros((1, vertices, 3)), np.zeros((1, vertices)))
-        obstacles = self.still.obstacles if self.touching else self.still.bodies
+        still = self.surroundings.at(0)
+        obstacles = still.obstacles if self.touching else still.bodies
         table = tables(self.start, self._stiffened(factor), self.first, self.up, *self.pairs, external, None,
                        obstacles, self.surroundings.radius, in_motion=True)
         return replace(table, contact=table.contact.touching(np.arange(table.count))) if self.touching else table
@@ -280,8 +278,7 @@ class _Motion:
         table = self.table(factor)
         slopes = self.slopes(table, factor, directions, remembered)
         numbers, shares, table.external_index[:] = self.numbers(table, factor)
-        least_way = LEAST_WAY if self.stepping.quasi_static else 1.0
-        time = np.array([self.step, factor, (factor - 1.0) / factor, least_way, self.watched])
+        time = np.array([self.step, factor, (factor - 1.0) / factor, self.stepping.least_way, self.watched])
         frames = (self.grippers.instants - 1) // self.substeps
         numbers_a_frame = 3 * table.count * (table.edges + 1) * (1 if slopes is None else 1 + slopes.count)
         at_once = max(1, min(frames, NUMBERS_AT_ONCE // numbers_a_frame))

@@ -2,7 +2,7 @@
 
 import taichi as ti
 
-from doo_ti.physics.tuples import cross, dot, scaled
+from doo_ti.physics.tuples import cross, dot, plus, scaled
 
 
 @ti.func
@@ -48,6 +48,19 @@ def product(p, q):
 def normalised(q):
     scale = 1.0 / ti.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return scaled(q, scale)
+
+
+@ti.func
+def partway(p, q, share):
+    """The rotation at that ``share`` of the shorter way from p to q, on the chord between them."""
+    alike = ti.select(dot(p, q) < 0.0, 0.0 - share, share)
+    return normalised(plus(scaled(p, 1.0 - share), scaled(q, alike)))
+
+
+@ti.func
+def rotated(q, x):
+    """R(q) x."""
+    return plus(plus(scaled(tangent(q), x[0]), scaled(first_director(q), x[1])), scaled(second_director(q), x[2]))
 
 
 @ti.func

@@ -40,8 +40,8 @@ from doo_ti.relaxation.contact_layout import (
 @ti.data_oriented
 class ContactPlaces:
     """Where the rods in a pack are, seen from obstacles of some ``kinds``. Of the record ``rod`` it reads ``contacts``, where
-    its items begin in scratch, ``kinds``, ``grids``, and ``obstacles``, how many there are. Obstacles may move where it
-    ``moves`` them."""
+    its items begin in scratch, ``kinds``, ``grids``, and ``obstacles``, how many there are. ``moves``: obstacles may move
+    during a motion."""
 
     def __init__(self, number, stride: int, kinds: frozenset[int], moves: bool = False):
         lanes = number.lanes()

@@ -52,6 +52,8 @@ from doo_ti.relaxation.contact_layout import (
     STRENGTH,
     THICKER,
     THINNER,
+    TURN,
+    TURN_BEFORE,
     VERTEX_ITEMS,
     VISCOSITY,
     VISCOUS,
@@ -60,13 +62,13 @@ from doo_ti.relaxation.contact_layout import (
     WEIGHT,
     WORK,
 )
-from doo_ti.relaxation.obstacle_motion import ObstacleMotion
+from doo_ti.relaxation.contact_rounds import ContactRounds
 
 NONE, STICKS, SLIPS = map(int, Touch)
 
 
 @ti.data_oriented
-class Contacts(ObstacleMotion):
+class Contacts(ContactRounds):
     """The contacts from one instant to the next, and on their way into scratch and out of it."""
 
     # --- from one instant to the next ---
@@ -94,7 +96,8 @@ class Contacts(ObstacleMotion):
             self.set_item(rod, MULTIPLIER + k, done, multiplier[k])
         if ti.static(self.rub):
             self.set_item(rod, WORK, done, self.item(rod, WORK) + self.friction_work(rod))
-        self.keep_poses(rod, done)
+        if ti.static(self.moves):
+            self.remember_poses(rod, done)
         self.set_item(rod, PHASE, done, zero + ROUGH)
         self.set_item(rod, CHANGE, done, zero + 1e30)
         self.set_item(rod, STIFFNESS, done, self.item(rod, FIRST_STIFFNESS))
@@ -162,10 +165,17 @@ class Contacts(ObstacleMotion):
         self.store(rod.scratch, at, chosen(done, place, self.load3(rod.scratch, at)))
 
     @ti.func
+    def remember_poses(self, rod, done):
+        """Make the pose of every obstacle that of the instant before, in the lanes that are ``done``."""
+        for o in range(rod.obstacles):
+            at = self.obstacle(rod, o)
+            for k in ti.static(range(TURN_BEFORE - TURN)):
+                before = at + (TURN_BEFORE + k) * self.stride
+                rod.scratch[before] = ti.select(done, rod.scratch[at + (TURN + k) * self.stride], rod.scratch[before])
+
+    @ti.func
     def load_motion(self, tables, scratch: ti.template(), slot, row, unit, inertia):
-        """Of a rod in motion, into lane ``slot``: its places at the last instant and those of what moves around it, and κ for
-        that inertia of a vertex."""
-        self.first_poses(tables, scratch, slot, row, unit)
+        """Of a rod in motion, into lane ``slot``: its places at the last instant, and κ for that inertia of a vertex."""
         first = tables.contacts + (HEAD + tables.kinds.shape[0] * OBSTACLE_ITEMS) * self.stride
         size = (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
         for v in range(tables.rest_length.shape[1] + 1):

@@ -67,6 +67,18 @@ class Loading:
             self.put(scratch, at + k * self.stride, slot, values[k])
 
     @ti.func
+    def lane_place(self, scratch: ti.template(), at, slot):
+        """A place, or any three numbers, of lane ``slot``."""
+        s = ti.static(self.stride)
+        return (ti.cast(self.get(scratch, at, slot), ti.f64), ti.cast(self.get(scratch, at + s, slot), ti.f64),
+                ti.cast(self.get(scratch, at + 2 * s, slot), ti.f64))
+
+    @ti.func
+    def lane_frame(self, scratch: ti.template(), at, slot):
+        """A frame of lane ``slot``."""
+        return self.lane_place(scratch, at, slot) + (ti.cast(self.get(scratch, at + 3 * self.stride, slot), ti.f64),)
+
+    @ti.func
     def load(self, tables, scratch: ti.template(), head, slot, rod, lengths_known):
         """Row ``rod`` of the rods into lane ``slot``. Lengths that all rods share are loaded once per lane.
 

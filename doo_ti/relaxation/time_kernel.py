@@ -75,8 +75,9 @@ def time_kernel(number: Number, isotropic: bool, stride: int, block: int):
 @cache
 def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int, kinds: frozenset[int], rub: bool,
                         itself: bool, moves: bool):
-    """The same for rods that may touch obstacles of some ``kinds``, or ``itself``, with friction if they ``rub``; obstacles
-    move if ``moves``; the numbers that :func:`.contact_items` or :func:`.self_contact_items` says come on top in scratch."""
+    """The same for rods that may touch obstacles of some ``kinds``, or ``itself``, with friction if they ``rub``, and for
+    obstacles that move if ``moves``. The numbers that :func:`.contact_items` or :func:`.self_contact_items` says come on top in
+    scratch."""
     if itself:
         sweep = DenseTimeSweep(number, isotropic, stride, SelfContacts(number, stride, kinds, rub, moves))
     else:

@@ -2,14 +2,15 @@
 
 import taichi as ti
 
-from doo_ti.physics.quaternion import normalised, tangent, transported
+from doo_ti.physics.quaternion import partway, tangent, transported
 from doo_ti.physics.tuples import chosen, dot, plus, put_lane, record, scaled, variable
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import MULTIPLIER, WAY, WAY_MADE, WORK
-from doo_ti.relaxation.loading import LANES, Loading
+from doo_ti.relaxation.loading import LANES
 from doo_ti.relaxation.newton_loop import NewtonLoop
 from doo_ti.relaxation.newton_policy import TOLERANCE
+from doo_ti.relaxation.obstacle_motion import ObstacleLoading
 from doo_ti.relaxation.time_sweep import (
     EXTRAPOLATION,
     FRAME_1,
@@ -41,7 +42,7 @@ POSITION_ROUNDING = 1e-6
 
 
 @ti.data_oriented
-class MotionLoading(Loading):
+class MotionLoading(ObstacleLoading):
     """Loading and storing of a rod's state at its last two instants, in addition to what :class:`.Loading` does for any rod.
 
     ``tables`` holds, besides, places (rod, V, INERTIA): positions and velocities at the last two instants; frames and
@@ -71,6 +72,8 @@ class MotionLoading(Loading):
             length_unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
             share = inertia * length_unit * length_unit / (tables.rest_length.shape[1] + 1)
             self.contacts.load_motion(tables, scratch, slot, row, length_unit, share)
+            if ti.static(self.moves):
+                self.first_poses(tables, scratch, slot, row, length_unit)
         at = head + (self.parameters + self.motion) * self.stride
         edges = tables.rest_length.shape[1]
         for e in range(edges):
@@ -112,8 +115,8 @@ class MotionLoading(Loading):
             self.put(scratch, head + (chain.OF_TARGET + k) * self.stride, slot, target / unit)
         self.load_path_end(tables, s, step, share, 0, scratch, origin, slot)
         self.load_path_end(tables, s, step, share, 1, scratch, origin + (edges - 1) * self.edge_stride, slot)
-        if ti.static(self.touches):
-            self.contacts.next_poses(tables, scratch, slot, tables.rods[rod, of.RESULT_ROW], step, share, unit)
+        if ti.static(self.moves):
+            self.next_poses(tables, scratch, slot, tables.rods[rod, of.RESULT_ROW], step, share, unit)
 
     @ti.func
     def share_of_way(self, tables, scratch: ti.template(), slot):
@@ -123,13 +126,6 @@ class MotionLoading(Loading):
             made = ti.cast(self.get(scratch, tables.contacts + WAY_MADE * self.stride, slot), ti.f64)
             share = ti.min(share, self.get(scratch, tables.contacts + WAY * self.stride, slot) / ti.max(1.0 - made, 1e-9))
         return share
-
-    @ti.func
-    def lane_frame(self, scratch: ti.template(), at, slot):
-        """A frame of lane ``slot``."""
-        s = ti.static(self.stride)
-        return (ti.cast(self.get(scratch, at, slot), ti.f64), ti.cast(self.get(scratch, at + s, slot), ti.f64),
-                ti.cast(self.get(scratch, at + 2 * s, slot), ti.f64), ti.cast(self.get(scratch, at + 3 * s, slot), ti.f64))
 
     @ti.func
     def load_path_end(self, tables, s, step, share, end: ti.template(), scratch: ti.template(), at, slot):
@@ -147,8 +143,7 @@ class MotionLoading(Loading):
                 else:
                     held = last
             if share < 1.0:
-                alike = ti.select(dot(last, held) < 0.0, 0.0 - share, share)
-                held = normalised(plus(scaled(last, 1.0 - share), scaled(held, alike)))
+                held = partway(last, held, share)
             self.put_items(scratch, at, slot, held)
 
     @ti.func

@@ -37,11 +37,12 @@ class Touched:
         low, high = np.nanmin(self.positions, axis=(0, 1, 2)), np.nanmax(self.positions, axis=(0, 1, 2))
         return 0.5 * (low + high), float(np.linalg.norm(high - low))
 
-    def meshes(self, row: int, frame: int) -> Iterator[tuple[Obstacle | Moving, int, np.ndarray, np.ndarray, np.ndarray]]:
-        """Of each obstacle around the rod ``row``, planes first, what was given, the kind and, where it is at a frame, vertices
-        (N, 3), triangles (M, 3) and their outward normals (M, 3)."""
+    def meshes(self, row: int, frame: int, kinds: tuple[type, ...] = (Obstacle, Moving)
+               ) -> Iterator[tuple[Obstacle | Moving, int, np.ndarray, np.ndarray, np.ndarray]]:
+        """Of each obstacle around the rod ``row`` that was given as one of ``kinds``, planes first: what was given, its kind
+        and, at a frame, vertices (N, 3), triangles (M, 3) and their outward normals (M, 3)."""
         own = self.surroundings.take(np.array([row]))
-        found = zip(own.bodies, own.at(frame).bodies, strict=True)
+        found = [pair for pair in zip(own.bodies, own.at(frame).bodies, strict=True) if isinstance(pair[0], kinds)]
         for given, obstacle in sorted(found, key=lambda pair: pair[1].kind != PLANE):
             vertices, triangles = mesh(obstacle, 0, *self._box)
             normals = obstacle.distance(vertices[triangles].mean(axis=1)[None])[1][0]
@@ -77,25 +78,22 @@ class Touched:
 
     def draw_still(self, plot, row: int, view: np.ndarray) -> None:
         """The obstacles around a rod that do not move; the plot's limits stay as they are."""
-        self._draw_obstacles(plot, row, view, 0, False)
+        self._draw_obstacles(plot, row, view, 0, Obstacle)
 
     def draw_moving(self, plot, row: int, view: np.ndarray, frame: int, faint: bool = False) -> list:
         """Those that move, where they are at a frame: what was drawn."""
-        return self._draw_obstacles(plot, row, view, frame, True, FAINT if faint else 1.0)
+        return self._draw_obstacles(plot, row, view, frame, Moving, FAINT if faint else 1.0)
 
-    def _draw_obstacles(self, plot, row: int, view: np.ndarray, frame: int, moving: bool, alpha: float = 1.0) -> list:
+    def _draw_obstacles(self, plot, row: int, view: np.ndarray, frame: int, given: type, alpha: float = 1.0) -> list:
         from matplotlib.collections import PolyCollection
 
         limits, drawn = plot.axis(), []
-        if moving and not self.surroundings.moves:
-            return drawn
-        for given, kind, vertices, triangles, _ in self.meshes(row, frame):
-            if isinstance(given, Moving) == moving:
-                color = PLANE_COLOR if kind == PLANE else OBSTACLE
-                # The edges of triangles would add up where these are faint.
-                drawn.append(plot.add_collection(PolyCollection(
-                    (vertices @ view.T)[triangles], facecolors=color, edgecolors=color if alpha == 1.0 else "none",
-                    linewidths=0.8, alpha=alpha, zorder=0), autolim=False))
+        for _, kind, vertices, triangles, _ in self.meshes(row, frame, (given,)):
+            color = PLANE_COLOR if kind == PLANE else OBSTACLE
+            # The edges of triangles would add up where these are faint.
+            drawn.append(plot.add_collection(PolyCollection(
+                (vertices @ view.T)[triangles], facecolors=color, edgecolors=color if alpha == 1.0 else "none",
+                linewidths=0.8, alpha=alpha, zorder=0), autolim=False))
         plot.axis(limits)
         return drawn
 

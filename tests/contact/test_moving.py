@@ -54,7 +54,7 @@ def test_a_peg_that_moves_is_a_rope_that_moves_the_other_way():
 
 
 def test_a_peg_that_turns_is_a_rope_that_turns_the_other_way():
-    """Without weight, a frame that turns is as good as one that rests; the first place of the peg is any."""
+    """A rope without weight is the same seen from a frame that turns."""
     rope, material, clamps = a_rope(0.0, Clamp.FRAME)
     at_once = Stepping(20.0, 1, "euler", quasi_static=True)  # substeps are on cubics, which turned ones are not
     turn = np.stack([0.1 * TIME, 0.3 * TIME, -0.1 * TIME**2], axis=-1)
