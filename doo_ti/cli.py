@@ -17,6 +17,7 @@ from doo_ti import __version__
 from doo_ti.commands import (
     bench,
     cameras,
+    group,
     identify,
     learn,
     perceive,
@@ -149,7 +150,7 @@ def _parser() -> _Parser:
                      description="Fit discrete elastic rods to observed shapes (Javdani et al., ICRA 2011).")
     parser.add_argument("--version", action="version", version=f"doo-ti {__version__}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
-    for commands in (relax, sweep, learn, refine, predict, simulate, identify, twist, plan, view, synth, bench, cameras,
+    for commands in (relax, sweep, learn, refine, predict, simulate, group, identify, twist, plan, view, synth, bench, cameras,
                      perceive, track):
         commands.declare(add)
     return parser

@@ -5,7 +5,7 @@ from textwrap import indent
 
 GROUPS = {
     "Fit a rod to observed shapes": ("sweep", "refine", "learn", "plan", "figures"),
-    "Predict shapes": ("relax", "predict", "twist"),
+    "Predict shapes": ("relax", "group", "predict", "twist"),
     "Images": ("calibrate", "triangulate", "perceive", "track"),
     "Motion": ("simulate", "identify"),
     "Utilities": ("synth", "convert", "view", "bench"),
@@ -24,6 +24,8 @@ EXAMPLES = {
                 ("figures runs/vicryl --by end-distance --out figures", "a landscape for each end distance")),
     "relax": ("observations", ("relax suture.npz --bend 6e5 --twist 8e5 --out relaxed.npz", "each observation as relaxed"),
               ("relax rope.csv --EI 1e-4 --linear-density 50 --out relaxed.npz", "in physical units")),
+    "group": ("groups", ("group scenes/groups/wire_harness.toml --out harness.npz --picture harness.png", "a harness"), (
+        "group scenes/groups/reef_knot.toml --out knot.npz --recording knot.rrd", "two ropes that are knotted")),
     "predict": ("twist", ("predict suture.npz --motion path.csv --bend 6e5 --twist 8e5 --out moved.npz", "poses in the world"),
                 ("predict scenes/motion/loop_pop_out.toml --out loop.npz --picture loop.png", "a scene of motion")),
     "twist": ("twist", ("twist suture.npz --bend 6e5 --twist 8e5 --out phi.npz --picture phi.png", "a twist angle each"),
@@ -58,6 +60,7 @@ EXAMPLES = {
 OTHER_WORDS = {
     "fit": "sweep", "search": "sweep", "estimate": "refine", "train": "learn", "forward": "relax", "solve": "relax",
     "render": "synth", "generate": "synth", "detect": "perceive", "rollout": "simulate", "import": "convert",
+    "harness": "group", "net": "group",
     "export": "convert", "open": "view", "show": "view", "plot": "figures", "benchmark": "bench",
 }
 """Words that other programs use."""

@@ -60,11 +60,11 @@ from msgspec import Meta
 
 from doo_ti.contact.obstacle_file import obstacles_of
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.dynamics.grippers import Grippers, edge_frames
+from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.errors import InputError
-from doo_ti.frames import quaternion_product, smallest_rotation, turned_about_tangent
-from doo_ti.io.keyframes import between_moments
+from doo_ti.frames import quaternion_product, smallest_rotation
+from doo_ti.io.clamp_moments import ClampName, end_paths
 from doo_ti.io.motion_scene import rod_radius
 from doo_ti.io.toml_file import Finite, NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.knots import overhand_knot
@@ -127,18 +127,8 @@ class _Material(Table):
 
 
 class _Clamps(Table):
-    start: Literal["free", "position", "tangent", "frame"] = "frame"
-    end: Literal["free", "position", "tangent", "frame"] = "free"
-
-
-class _Moment(Table):
-    time_s: NotNegative
-    start_position_mm: Vector | None = None
-    start_direction: Vector | None = None
-    end_position_mm: Vector | None = None
-    end_direction: Vector | None = None
-    start_turns: Finite | None = None
-    end_turns: Finite | None = None
+    start: ClampName = "frame"
+    end: ClampName = "free"
 
 
 class _Circle(Table):
@@ -154,10 +144,9 @@ def load_dynamic_scene(path: str | Path) -> DynamicScene:
     frames = round(file.duration_s * file.rate_hz)
     if not 1 <= frames <= MOST_FRAMES:
         raise InputError(path, "duration_s", f"{frames} frames at rate_hz", f"give 1 to {MOST_FRAMES:,}")
-    direction = unit_direction(path, "rod.direction", rod.direction)
-    start = _start(path, rod, direction)
+    start = _start(path, rod, unit_direction(path, "rod.direction", rod.direction))
     time = np.arange(frames + 1) / file.rate_hz
-    grippers = _grippers(path, file, clamps, start, direction, time)
+    grippers = _grippers(path, file, clamps, start, time)
     names = tuple(map(in_line, file.materials))
     material, dynamics = _materials(path, file.materials)
     surroundings = Surroundings(obstacles_of(path, file.obstacles, time), rod_radius(path, file.obstacles, rod.radius_mm))
@@ -197,20 +186,12 @@ def _materials(path: Path, table: dict) -> tuple[Material, Dynamics]:
                               column("quadratic_drag_per_mm"))
 
 
-def _grippers(path: Path, file: _File, clamps: _Clamps, start: Configuration, direction: np.ndarray,
-              time: np.ndarray) -> Grippers:
-    vertices = start.vertices[0]
-    first = {"start_position_mm": vertices[0], "start_direction": direction, "end_position_mm": vertices[-1],
-             "end_direction": direction, "start_turns": 0.0, "end_turns": 0.0}
-    paths = between_moments(path, "moments", file.moments, _Moment, first, time)
+def _grippers(path: Path, file: _File, clamps: _Clamps, start: Configuration, time: np.ndarray) -> Grippers:
+    held = end_paths(path, "moments", file.moments, start, time)
+    begin = held.start_position
     if file.circle is not None:
         circle = checked(path, "circle", file.circle, _Circle)
         angle = 2 * np.pi * circle.turns_per_s * time
-        paths["start_position_mm"] = paths["start_position_mm"] + circle.radius_mm * np.stack(
-            [np.cos(angle) - 1, np.sin(angle), 0 * angle], axis=-1)
-    frames = []
-    for end, edge in (("start", 0), ("end", -1)):
-        turned = edge_frames(paths[f"{end}_direction"][None], start.frames[:, edge, :, 1])
-        frames.append(turned_about_tangent(turned, 2 * np.pi * paths[f"{end}_turns"][None]))
-    return Grippers(Clamp[clamps.start.upper()], Clamp[clamps.end.upper()], paths["start_position_mm"][None],
-                    paths["end_position_mm"][None], *frames)
+        begin = begin + circle.radius_mm * np.stack([np.cos(angle) - 1, np.sin(angle), 0 * angle], axis=-1)
+    return Grippers(Clamp[clamps.start.upper()], Clamp[clamps.end.upper()], begin[None], held.end_position[None],
+                    held.start_frame[None], held.end_frame[None])

@@ -1,6 +1,7 @@
 """Newton's method on all groups at once: its kernel and its launch (docs/groups.md)."""
 
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -22,6 +23,7 @@ from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.newton_loop import NewtonLoop
 from doo_ti.relaxation.newton_policy import UP
 from doo_ti.relaxation.pair_layout import self_contact_items
+from doo_ti.types import Status
 
 
 @dataclass(frozen=True)
@@ -115,14 +117,35 @@ class GroupState:
 
 def run_groups(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray | None):
     """Relax all feasible groups: (N, E, 4) frames and (N, LOADED_RESULTS), NaN and UNTOUCHED in infeasible rows; with friction
-    where ``previous`` (N, V, 3) mm says where the vertices were at the moment before."""
+    where ``previous`` (N, V, 3) mm says where the vertices were at the moment before.
+
+    Groups that stall, which tight knots with friction do, are relaxed once more from their start with the other first shift,
+    which takes another way; their iterations are those of both.
+    """
     count, edges = table.start.shape[:2]
     frames = np.full((count, edges, 4), np.nan)
     results = np.zeros((count, of.LOADED_RESULTS))
     results[~table.feasible, : of.RESULTS] = UNTOUCHED
-    rows = np.flatnonzero(table.feasible)
+    begun = deepcopy(state)
+    _launch(table, options, state, previous, np.flatnonzero(table.feasible), frames, results)
+    stalled = np.flatnonzero(results[:, of.STATUS] == Status.STALLED)
+    if len(stalled):
+        for name in ("places", "tie_forces", "touch", "friction_work"):
+            getattr(state, name)[stalled] = getattr(begun, name)[stalled]
+        table.contact.memory[stalled] = 0.0
+        spent = results[stalled, of.ITERATIONS]
+        other = replace(options, first_shift=0.0 if options.first_shift else Newton().first_shift)
+        _launch(table, other, state, previous, stalled, frames, results)
+        results[stalled, of.ITERATIONS] += spent
+    return frames, results
+
+
+def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray | None, rows: np.ndarray,
+            frames: np.ndarray, results: np.ndarray) -> None:
+    """Relax the groups ``rows`` into ``frames`` and ``results``."""
     if not len(rows):
-        return frames, results
+        return
+    edges = table.start.shape[1]
     rods = of.rod_rows(rows, rows % len(table.material), rows, rows, np.zeros_like(rows))
     contact, nothing = table.contact, Nothing()
     number, threads, stride, block = layout_for(len(rows), 64, True)
@@ -136,4 +159,3 @@ def run_groups(table: GroupTables, options: Newton, state: GroupState, previous:
         *contact.arguments(contact.forces), int(table.barrier), table.begins, table.ties, table.targets, table.free,
         table.burden, table.apart, state.places, state.tie_forces, np.zeros((1, 1, 3)) if previous is None else previous,
         state.touch, state.friction_work)
-    return frames, results

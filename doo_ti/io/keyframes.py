@@ -38,5 +38,5 @@ def between_moments(source, name: str, rows: list, table: type[Table], first: Ma
         for key in now:
             values[key].append(now[key])
     if len(at) == 1:
-        return {key: np.broadcast_to(value, (len(time), *np.shape(value))) for key, value in first.items()}
+        return {key: np.broadcast_to(value[0], (len(time), *np.shape(value[0]))) for key, value in values.items()}
     return {key: PchipInterpolator(at, np.array(value))(np.minimum(time, at[-1])) for key, value in values.items()}

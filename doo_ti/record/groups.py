@@ -10,7 +10,7 @@ import rerun.blueprint as blueprint
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.groups.relax_group import GroupSolution
 from doo_ti.record.obstacles import log_forces, log_obstacles
-from doo_ti.record.stream import FAILED, drawn_strips, front_view, log_up, panels, recording
+from doo_ti.record.stream import FAILED, drawn_strips, entity_name, front_view, log_up, panels, recording
 from doo_ti.report import distinct_colors
 from doo_ti.report.grid_view import Observed, grid_view
 from doo_ti.report.touched import Touched
@@ -18,12 +18,14 @@ from doo_ti.report.touched import Touched
 TIE = (255, 255, 255)
 
 
-def record_group(path: Path, moments: Sequence[GroupSolution], *, name: str, surroundings: Surroundings | None = None,
-                 row: int = 0, rate: float = 1.0, up: Sequence[float] = (0.0, 0.0, 1.0)) -> None:
+def record_group(path: Path, moments: Sequence[GroupSolution], *, name: str, names: Sequence[str] | None = None,
+                 surroundings: Surroundings | None = None, row: int = 0, rate: float = 1.0,
+                 up: Sequence[float] = (0.0, 0.0, 1.0)) -> None:
     """Record the group ``row`` at T moments, ``rate`` of them a second, on the timeline ``time``.
 
-    ``world/rods`` has a strip for each rod, as thick as it is where ``surroundings`` say so, in red at moments that have not
-    converged; ``world/ties`` the tied points; ``world/obstacles`` and ``world/forces`` what rods touch, and what that exerts.
+    ``world/rods`` has an entity for each rod, by its number and its name where there are ``names``: as thick as it is where
+    ``surroundings`` say so, in red at moments that have not converged; ``world/ties`` the tied points; ``world/obstacles`` and
+    ``world/forces`` what rods touch, and what that exerts.
     """
     around = Surroundings() if surroundings is None else surroundings
     rods = [[rod.vertices[row] for rod in moment.rods] for moment in moments]
@@ -34,20 +36,26 @@ def record_group(path: Path, moments: Sequence[GroupSolution], *, name: str, sur
     layout = blueprint.Blueprint(front_view(grid, "world", f"Rods, mm: blue {touched.legend}", 1.8), *panels("time"))
     frames, count = len(moments), len(rods[0])
     when = [rerun.TimeColumn("time", duration=np.arange(frames) / rate)]
-    own = distinct_colors(count)
-    colors = np.concatenate([own if moment.converged[row] else np.tile(np.array(FAILED, dtype=own.dtype), (count, 1))
-                             for moment in moments])
+    sound = np.array([moment.converged[row] for moment in moments])
+    called = [str(rod) if names is None else f"{rod}_{entity_name(names[rod])}" for rod in range(count)]
     with recording(path, f"group {name}", name, layout) as stream:
         log_up(stream, "world", grid.basis[2])
-        thick = rerun.Radius.ui_points(1.2) if around.radius is None else float(np.min(around.radius))
-        stream.log("world/rods", rerun.LineStrips3D.from_fields(radii=thick), static=True)
-        strips = [strip for moment in rods for x in moment for strip in drawn_strips(x[None])]
-        stream.send_columns("world/rods", when, rerun.LineStrips3D.columns(strips=strips, colors=colors).partition(
-            [count] * frames))
+        thickness = None if around.radius is None else float(np.min(around.radius))
+        for rod, (own, color) in enumerate(zip(called, distinct_colors(count), strict=True)):
+            place = f"world/rods/{own}"
+            stream.log(place, rerun.LineStrips3D.from_fields(radii=_radii(thickness, 1.0, 1.2)), static=True)
+            strips = [strip for moment in rods for strip in drawn_strips(moment[rod][None])]
+            stream.send_columns(place, when, rerun.LineStrips3D.columns(
+                strips=strips, colors=np.where(sound[:, None], color, np.array(FAILED, dtype=color.dtype))))
         tied = moments[0].group.tied[:, 0]
         if len(tied):
-            stream.log("world/ties", rerun.Points3D.from_fields(colors=TIE, radii=rerun.Radius.ui_points(2.0)), static=True)
+            stream.log("world/ties", rerun.Points3D.from_fields(colors=TIE, radii=_radii(thickness, 1.3, 2.0)), static=True)
             stream.send_columns("world/ties", when, rerun.Points3D.columns(
                 positions=whole[:, tied].reshape(-1, 3)).partition([len(tied)] * frames))
         log_obstacles(stream, "world/obstacles", when, touched, np.zeros((1, 3)))
         log_forces(stream, "world/forces", when, touched, np.zeros((1, 3)))
+
+
+def _radii(thickness: float | None, share: float, points: float):
+    """So many times the rods' radius, or so many points of the screen where they have none."""
+    return rerun.Radius.ui_points(points) if thickness is None else share * thickness

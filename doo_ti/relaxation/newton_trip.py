@@ -39,6 +39,7 @@ class NewtonTrip:
         self.shape_tolerance = fixed.SHAPE_TOLERANCE_32 if single else 1e30
         self.closure_tolerance = 1e-7 if single else 1e-12
         self.still = 0.0 if single else fixed.STILL
+        self.vague = 1e30 if single else fixed.VAGUE
         # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a small part of
         # H's scale on the diagonal makes it positive. f32 cannot distinguish them from soft saddles and leaves them to f64.
         self.trace = 0.0 if single else 1e-12
@@ -78,7 +79,7 @@ class NewtonTrip:
         found = self.sweep.eliminate(rod, diagonal, (noise, echo), multiplier, miss)
         found.energy += energy
         found.magnitude += magnitude
-        judged = self.judge_step(rod, lane, found, miss)
+        judged = self.judge_step(tables, rod, lane, found, miss)
         if self.largest(ti.select(judged.uphill, one, zero)) > 0.5:
             self.sweep.restore(rod, ti.select(judged.uphill, one, zero))
         lane.longest = self.sweep.substitute(rod, found)
@@ -100,7 +101,7 @@ class NewtonTrip:
         return value
 
     @ti.func
-    def judge_step(self, rod, lane, found, miss):
+    def judge_step(self, tables, rod, lane, found, miss):
         """Judge the step by the Lagrangian: a record of flags."""
         multiplier = plus(lane.multiplier, lane.change)
         before = lane.energy + dot(multiplier, lane.miss)
@@ -118,7 +119,11 @@ class NewtonTrip:
             reaching = (missed > (fixed.CLOSING_DISTANCE * rod.longest) ** 2) & (misses < fixed.NEARER * missed)
             # Nor does it across a change of forces.
             settling = (lane.trying > 0.5) & (self.sweep.contacts.item(rod, SETTLING) > 0.0) & finite
-            downhill = (downhill | settling | ((lane.trying > 0.5) & reaching)) & passable
+            # Nor may a step lead uphill by noise while the residual rises: from either side of where a contact begins, whole
+            # steps could lead to the other without end.
+            vague = (after >= before) & (found.moment > lane.residual) & (lane.escaping < 0.5)
+            vague = vague & (found.moment * rod.total > self.vague * self.tolerance(tables, rod))
+            downhill = ((downhill & ~vague) | settling | ((lane.trying > 0.5) & reaching)) & passable
             finite = finite & (passable | ~moved)
         taken = ti.select(((lane.trying < 0.5) & finite) | downhill, self.constant(1.0), self.constant(0.0))
         stands = taken > 0.5

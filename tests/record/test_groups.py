@@ -23,14 +23,15 @@ def test_rods_ties_and_forces_are_shown(tmp_path, rng):
                          np.zeros((1, 1, 3)), none, none, forces, tuple(np.zeros((1, len(each[0]))) for each in forces),
                          np.zeros(1), np.zeros(1))
     moments = [good, replace(good, status=np.array([Status.STALLED]))]
-    record_group(tmp_path / "g.rrd", moments, name="made up", rate=2.0,
+    record_group(tmp_path / "g.rrd", moments, name="made up", names=["trunk", "a branch"], rate=2.0,
                  surroundings=Surroundings([Plane((0, 0, -5), (0, 0, 1))], 1.5))
     static, moving = read(tmp_path / "g.rrd")
-    assert "/world/obstacles/0/0" in static and set(moving) == {"/world/rods", "/world/ties", "/world/forces"}
-    drawn = moving["/world/rods"]["time"]
-    assert [len(strip) for strip in drawn["LineStrips3D:strips"][1]] == [7, 5]
-    np.testing.assert_allclose(drawn["LineStrips3D:strips"][0][1], rods[1].vertices[0], rtol=1e-6)
-    colors = np.array(drawn["LineStrips3D:colors"]) >> 8
-    assert len(set(colors[0].tolist())) == 2 and set(colors[1].tolist()) == {int.from_bytes(bytes(FAILED))}
+    places = ["/world/rods/0_trunk", "/world/rods/1_a_branch"]
+    assert "/world/obstacles/0/0" in static and set(moving) == {*places, "/world/ties", "/world/forces"}
+    drawn = [moving[place]["time"] for place in places]
+    assert [len(rod["LineStrips3D:strips"][1][0]) for rod in drawn] == [7, 5]
+    np.testing.assert_allclose(drawn[1]["LineStrips3D:strips"][0][0], rods[1].vertices[0], rtol=1e-6)
+    colors = np.array([rod["LineStrips3D:colors"] for rod in drawn])[:, :, 0] >> 8
+    assert len(set(colors[:, 0].tolist())) == 2 and set(colors[:, 1].tolist()) == {int.from_bytes(bytes(FAILED))}
     np.testing.assert_allclose(moving["/world/ties"]["time"]["Points3D:positions"][0], [[30.0, 0.0, 0.0]], atol=1e-5)
     assert len(moving["/world/forces"]["time"]["Arrows3D:vectors"][0]) == 12

@@ -1,0 +1,139 @@
+"""``doo-ti group``: rods that touch each other or are tied together, at rest or along a motion without inertia."""
+
+from argparse import Namespace
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from doo_ti.commands import options as given
+from doo_ti.commands.results import counted, report, save_arrays
+from doo_ti.contact.touch import Touch
+from doo_ti.errors import InputError
+from doo_ti.terminal import in_line, progress
+from doo_ti.types import Status
+
+if TYPE_CHECKING:
+    from doo_ti.groups.relax_group import GroupSolution
+    from doo_ti.groups.scene import GroupScene
+
+OF_RODS = ("group", "contact_force", "touch")
+"""Fields of a solution that are lists, one for each rod."""
+MOST_LISTED = 6
+"""Names or forces in a line."""
+
+
+def declare(add) -> None:
+    parser = given.command(add, "group", run, "relax rods that touch each other or are tied together, grippers moving or not")
+    parser.add_argument("scene", metavar="SCENE.toml", help="rods, ties, obstacles and clamps (docs/groups.md)")
+    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+    given.add_up(parser, "0,0,1")
+    parser.add_argument("--picture", metavar="F.png", help="also draw the rods, and forces over time (default: no)")
+    parser.add_argument("--recording", metavar="F.rrd", help="also record the rods for the viewer (default: no)")
+
+
+def run(options: Namespace, words: list[str]) -> int:
+    """Relax the group at every moment; writes places, forces and status."""
+    from doo_ti.groups.follow import follow_group
+    from doo_ti.groups.scene import load_group_scene
+
+    out = given.output_file(options.out, ".npz")
+    picture, recording = (None if text is None else given.output_file(text, suffix, option) for text, suffix, option in (
+        (options.picture, ".png", "--picture"), (options.recording, ".rrd", "--recording")))
+    up = given.world_up(options)
+    scene = load_group_scene(options.scene)
+    moments = []
+    with progress() as bar:
+        task = bar.add_task(f"{scene.name} (kernels are compiled once on a machine)", total=len(scene.time), unit="moments")
+        try:
+            for solution in follow_group(scene.group, scene.clamps, up=up, **scene.surroundings.arguments):
+                moments.append(solution)
+                bar.advance(task)
+        except InputError as error:
+            raise InputError(options.scene, error.field, error.problem, error.remedy) from None
+    save_arrays(out, _arrays(scene, moments))
+    about = {"name": scene.name, "names": scene.names, "surroundings": scene.surroundings, "rate": scene.rate, "up": up}
+    _draw(moments, picture, recording, about)
+    summary = _summary(scene, moments, out)
+    report(options, summary, lambda: _lines(scene, moments, summary))
+    return 0 if moments[-1].converged[0] else 1
+
+
+def _arrays(scene: "GroupScene", moments: "list[GroupSolution]") -> dict[str, np.ndarray]:
+    """What is written, with the vertices and edges of all rods one after the other."""
+    def along(values) -> np.ndarray:
+        """(T, all vertices or edges, ...) from those of each rod at each moment."""
+        return np.array([np.concatenate([part[0] for part in of_rods]) for of_rods in values])
+
+    rods = scene.group.rods
+    number = np.arange(len(rods))
+    arrays = {
+        "time_s": scene.time, "rod_names": np.array(scene.names),
+        "rod": np.repeat(number, [rod.edges + 1 for rod in rods]), "edge_rod": np.repeat(number, [rod.edges for rod in rods]),
+        "positions_mm": along([rod.vertices for rod in moment.rods] for moment in moments),
+        "frames": along([rod.frames for rod in moment.rods] for moment in moments),
+        "rest_length_mm": np.concatenate([rod.rest_length for rod in rods]),
+        "contact_force": along(moment.contact_force for moment in moments),
+        "touch": along(moment.touch for moment in moments)}
+    names = {"gap": "smallest_gap_mm"}
+    return arrays | {names.get(field.name, field.name): np.array([getattr(moment, field.name)[0] for moment in moments])
+                     for field in fields(moments[0]) if field.name not in OF_RODS}
+
+
+def _draw(moments: "list[GroupSolution]", picture: Path | None, recording: Path | None, about: dict) -> None:
+    for path in filter(None, (picture, recording)):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    if picture is not None:
+        from doo_ti.report.groups import save_group
+
+        save_group(picture, moments, **about)
+    if recording is not None:
+        from doo_ti.record.groups import record_group
+
+        record_group(recording, moments, **about)
+
+
+def _summary(scene: "GroupScene", moments: "list[GroupSolution]", out: Path) -> dict:
+    status = np.array([moment.status[0] for moment in moments])
+    last = moments[-1]
+    gaps = np.array([moment.gap[0] for moment in moments])
+    forces = {f"{name}, {end}": np.linalg.norm(getattr(last, f"{end}_force")[0, rod])
+              for rod, name in enumerate(scene.names) for end in ("start", "end")}
+    touch = np.concatenate([part[0] for part in last.touch])
+    return {
+        "name": scene.name, "rods": len(scene.names), "edges": int(sum(rod.edges for rod in scene.group.rods)),
+        "ties": len(scene.group.ties), "moments": len(moments),
+        "status": {Status(value).name.lower(): int((status == value).sum()) for value in np.unique(status)},
+        "failed_s": [float(time) for time, value in zip(scene.time, status, strict=True) if value != Status.CONVERGED],
+        "stable": int(sum(moment.stable[0] for moment in moments)), "energy": last.energy[0],
+        "closure": np.nanmax([moment.closure[0] for moment in moments], initial=0.0),
+        "smallest_gap_mm": np.nanmin(gaps, initial=np.inf),
+        "held_force": {name: value for name, value in forces.items() if value},
+        "tie_force": np.linalg.norm(last.tie_force[0], axis=-1),
+        "friction_work": np.nansum([moment.friction_work[0] for moment in moments]),
+        "sticks": int((touch == Touch.STICKS).sum()), "slips": int((touch == Touch.SLIPS).sum()), "out": str(out)}
+
+
+def _lines(scene: "GroupScene", moments: "list[GroupSolution]", summary: dict) -> list[str]:
+    count, rods = summary["moments"], summary["rods"]
+    lines = [f"{in_line(scene.name)}: {rods} rod{'s' * (rods > 1)} of {summary['edges']} edges in all, {summary['ties']} tie"
+             f"{'s' * (summary['ties'] != 1)}" + f", {count} moments in {scene.time[-1]:.3g} s" * (count > 1),
+             f"  status      {counted(summary['status'])}; {summary['stable']} certified stable"]
+    if summary["failed_s"]:
+        failed = ", ".join(f"{time:g}" for time in summary["failed_s"][:MOST_LISTED])
+        lines.append(f"  failed at   {failed} s{' and later' * (len(summary['failed_s']) > MOST_LISTED)}")
+    lines.append(f"  energy      {summary['energy']:.6g} mm²" + " at the end" * (count > 1) + "; ties and ends miss their "
+                 f"places by at most {summary['closure']:.1e} of the longest rod")
+    if np.isfinite(summary["smallest_gap_mm"]):
+        lines.append(f"  contact     smallest gap {summary['smallest_gap_mm']:.2g} mm")
+    if scene.surroundings.rub:
+        lines.append(f"  friction    takes {summary['friction_work']:.3g} mm²; at the end {summary['sticks']} vertices stick, "
+                     f"{summary['slips']} slip")
+    largest = sorted(summary["held_force"].items(), key=lambda pair: -pair[1])[:MOST_LISTED]
+    if largest:
+        lines.append("  clamps      " + "; ".join(f"{in_line(name)} {force:.4g}" for name, force in largest) + " mm²/mm")
+    if summary["ties"]:
+        lines.append("  ties        " + "; ".join(f"{force:.4g}" for force in summary["tie_force"][:MOST_LISTED])
+                     + "; …" * (summary["ties"] > MOST_LISTED) + " mm²/mm")
+    return [*lines, f"  written to {in_line(summary['out'])}"]

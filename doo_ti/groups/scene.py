@@ -1,0 +1,236 @@
+"""Scenes of groups, in one TOML file (docs/groups.md).
+
+    name = "wire harness"
+    radius_mm = 2.0                    # of all rods, which touch each other and themselves; needed with obstacles (they do not)
+    rate_hz = 10                       # moments per second of a motion without inertia,
+    duration_s = 2.0                   # and how long it lasts (both left out: one relaxation)
+
+    [materials.wire]                   # one or more
+    bend = 2e5                         # mm³, or a matrix [[A1, A12], [A12, A2]]
+    twist = 1.5e5                      # mm³ (the same as a bend that is a number)
+    weight = 1.0                       # (1)
+
+    [rods.trunk]                       # one or more, in the order in which they are numbered
+    material = "wire"                  # (the only one)
+    edges = 36
+    length_mm = 360.0                  # straight at first
+    position_mm = [0, 0, 8]            # of its first vertex (the origin)
+    direction = [1, 0, 0]              # (along x)
+    start = "frame"                    # free, position, tangent or frame (free)
+    end = "tangent"                    # (free)
+
+    [[rods.trunk.moments]]             # of its clamps: doo_ti/io/clamp_moments.py. Ends that are elsewhere are drawn there
+    time_s = 0.0
+    end_position_mm = [350, 0, 8]
+
+    [rods.branch]
+    edges = 14
+    points_mm = [[120, 0, 8], [150, 40, 8], [180, 90, 8]]    # instead of length, position and direction: a curve through these
+    closed = false                     # true: from the last of them back to the first (false)
+
+    [[ties]]                           # none or more: points that stay at one place
+    first = ["trunk", 12]              # rod and vertex, from 0; below 0 from its end
+    second = ["branch", 0]
+    weight = 50.0                      # energy per mm, of what sits there (0)
+    weld = true                        # the two edges keep their rotation to each other, too (false)
+
+    [[obstacles]]                      # none or more, see doo_ti/contact/obstacle_file.py; kind "itself" has the rods' friction
+    kind = "plane"
+    point = [0, 0, 0]
+    normal = [0, 0, 1]
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from msgspec import UNSET, Meta, UnsetType
+
+from doo_ti.contact.obstacle_file import obstacles_of
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.errors import InputError
+from doo_ti.groups.group import Group, Tie
+from doo_ti.io.clamp_moments import ClampName, end_paths
+from doo_ti.io.toml_file import NotNegative, NumberOrMatrix, Positive, Table, Vector, checked, read_toml, unit_direction
+from doo_ti.knots import rod_along
+from doo_ti.terminal import in_line
+from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, Material
+
+MOST_MOMENTS, MOST_EDGES, MOST_POINTS = 100_000, 1000, 10_000
+SAMPLES = 40
+"""Of a curve, for each edge of the rod along it."""
+
+
+@dataclass(frozen=True)
+class GroupScene:
+    """A scene, checked.
+
+    names         G of the rods
+    group         one group, with the clamps of the first moment
+    clamps        those of all T moments, each of G rods
+    time          (T,) s; one moment where there is no motion
+    rate          moments per second
+    surroundings  the obstacles, and the radius of the rods where they touch each other
+    """
+
+    name: str
+    names: tuple[str, ...]
+    group: Group
+    clamps: list[list[Clamps]]
+    time: np.ndarray
+    rate: float
+    surroundings: Surroundings
+
+
+class _File(Table):
+    materials: Annotated[dict, Meta(min_length=1)]
+    rods: Annotated[dict, Meta(min_length=1)]
+    name: str | None = None
+    radius_mm: Positive | None = None
+    rate_hz: Positive | None = None
+    duration_s: Positive | None = None
+    ties: list = []
+    obstacles: list = []
+
+
+class _Material(Table):
+    bend: NumberOrMatrix
+    twist: Positive | None = None
+    weight: NotNegative = 1.0
+
+
+class _Rod(Table):
+    edges: Annotated[int, Meta(ge=4, le=MOST_EDGES)]
+    material: str | None = None
+    length_mm: Annotated[float, Meta(ge=1e-6, le=LARGEST)] | None = None
+    position_mm: Vector | UnsetType = UNSET
+    direction: Vector | UnsetType = UNSET
+    points_mm: Annotated[list[Vector], Meta(min_length=2, max_length=MOST_POINTS)] | None = None
+    closed: bool = False
+    start: ClampName = "free"
+    end: ClampName = "free"
+    moments: list = []
+
+
+class _Tie(Table):
+    first: tuple[str, int]
+    second: tuple[str, int]
+    weight: NotNegative = 0.0
+    weld: bool = False
+
+
+def load_group_scene(path: str | Path) -> GroupScene:
+    """The scene of a TOML file. Raises InputError for unreadable files, unknown keys and names, wrong types and values."""
+    path = Path(path)
+    file = checked(path, "", read_toml(path)[0], _File)
+    time = _times(path, file)
+    found = {name: _material(path, f"materials.{name}", table) for name, table in file.materials.items()}
+    rods, materials, clamps = [], [], []
+    for name, table in file.rods.items():
+        key = f"rods.{name}"
+        rod = checked(path, key, table, _Rod)
+        start = _start(path, key, rod)
+        if rod.material is None and len(found) > 1:
+            raise InputError(path, f"{key}.material", "missing beside several materials", f"give one of {', '.join(found)}")
+        material = next(iter(found)) if rod.material is None else rod.material
+        rods.append(start)
+        materials.append(found[_known(path, f"{key}.material", material, found)])
+        clamps.append(_clamps(path, key, rod, start, time))
+    moments = [[own(instant) for own in clamps] for instant in range(len(time))]
+    ties = [_tie(path, f"ties[{number}]", row, list(file.rods), rods) for number, row in enumerate(file.ties)]
+    try:
+        group = Group(rods, materials, moments[0], ties)
+    except InputError as error:
+        raise InputError(path, error.field, error.problem, error.remedy) from None
+    if file.obstacles and file.radius_mm is None:
+        raise InputError(path, "radius_mm", "missing beside obstacles", "give the radius of the rods")
+    return GroupScene(in_line(path.stem if file.name is None else file.name), tuple(map(in_line, file.rods)), group, moments,
+                      time, file.rate_hz or 1.0, Surroundings(obstacles_of(path, file.obstacles), file.radius_mm))
+
+
+def _known(path: Path, key: str, name: str, names) -> str:
+    """``name``, one of ``names``. Raises InputError where it is not."""
+    if name not in names:
+        raise InputError(path, key, f"{name!r} is not in the scene", f"give one of {', '.join(names)}")
+    return name
+
+
+def _times(path: Path, file: _File) -> np.ndarray:
+    """(T,) s."""
+    if (file.rate_hz is None) != (file.duration_s is None):
+        missing, other = ("rate_hz", "duration_s") if file.rate_hz is None else ("duration_s", "rate_hz")
+        raise InputError(path, missing, f"missing beside {other}", "give both, or neither")
+    if file.rate_hz is None:
+        return np.zeros(1)
+    steps = round(file.duration_s * file.rate_hz)
+    if not 1 <= steps <= MOST_MOMENTS:
+        raise InputError(path, "duration_s", f"{steps} moments at rate_hz", f"give 1 to {MOST_MOMENTS:,}")
+    return np.arange(steps + 1) / file.rate_hz
+
+
+def _material(path: Path, key: str, table) -> Material:
+    found = checked(path, key, table, _Material)
+    if found.twist is None and not isinstance(found.bend, float):
+        raise InputError(path, f"{key}.twist", "missing beside a matrix", "give the twist stiffness in mm³")
+    bend = found.bend if isinstance(found.bend, float) else np.array([found.bend])
+    try:
+        return Material(bend, found.bend if found.twist is None else found.twist, found.weight)
+    except InputError as error:
+        raise InputError(path, f"{key}.{error.field}", error.problem, error.remedy) from None
+
+
+def _start(path: Path, key: str, rod: _Rod) -> Configuration:
+    """A rod as it is at first."""
+    if rod.points_mm is None:
+        if rod.length_mm is None:
+            raise InputError(path, f"{key}.length_mm", "missing", "give the length of a straight rod, or points_mm of a curve")
+        if rod.closed:
+            raise InputError(path, f"{key}.closed", "given without points_mm", "leave it out")
+        position, direction = (default if value is UNSET else value for value, default in (
+            (rod.position_mm, (0.0, 0.0, 0.0)), (rod.direction, (1.0, 0.0, 0.0))))
+        return Configuration.straight(position, unit_direction(path, f"{key}.direction", direction), rod.length_mm, rod.edges)
+    for name, value in (("length_mm", rod.length_mm or UNSET), ("position_mm", rod.position_mm), ("direction", rod.direction)):
+        if value is not UNSET:
+            raise InputError(path, f"{key}.{name}", "given beside points_mm", "give the one or the other")
+    return rod_along(_curve(path, f"{key}.points_mm", rod), rod.edges)
+
+
+def _curve(path: Path, key: str, rod: _Rod) -> np.ndarray:
+    """Points along the smooth curve through those of ``rod``."""
+    from scipy.interpolate import CubicSpline
+
+    points = np.array([*rod.points_mm, *rod.points_mm[: rod.closed]])
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=-1)
+    if not (steps > 0).all():
+        number = int(np.argmin(steps))
+        raise InputError(path, key, f"{number} and {(number + 1) % len(rod.points_mm)} are at one place", "give different points")
+    # Places along the curve by the roots of the distances: neither loops nor flat parts between uneven points.
+    along = np.concatenate([[0.0], np.cumsum(np.sqrt(steps))])
+    if len(points) == 2:
+        return points
+    curve = CubicSpline(along, points, bc_type="periodic" if rod.closed else "natural")
+    return curve(np.linspace(0.0, along[-1], SAMPLES * rod.edges + 1))
+
+
+def _clamps(path: Path, key: str, rod: _Rod, start: Configuration, time: np.ndarray) -> Callable[[int], Clamps]:
+    """From the number of a moment to the clamps then."""
+    held = end_paths(path, f"{key}.moments", rod.moments, start, time)
+    kinds = Clamp[rod.start.upper()], Clamp[rod.end.upper()]
+    return lambda instant: Clamps(*kinds, *(values[instant][None] for values in (
+        held.start_position, held.end_position, held.start_frame, held.end_frame)))
+
+
+def _tie(path: Path, key: str, row, names: list[str], rods: list[Configuration]) -> Tie:
+    tie = checked(path, key, row, _Tie)
+    ends = []
+    for end in ("first", "second"):
+        name, vertex = getattr(tie, end)
+        rod = names.index(_known(path, f"{key}.{end}", name, names))
+        most = rods[rod].edges
+        if not -most - 1 <= vertex <= most:
+            raise InputError(path, f"{key}.{end}", f"{name!r} has no vertex {vertex}",
+                             f"give one from 0 to {most}, or below 0 from its end")
+        ends.append((rod, vertex))
+    return Tie(*ends, weight=tie.weight, weld=tie.weld)

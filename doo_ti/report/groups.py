@@ -1,0 +1,121 @@
+"""Pictures of groups: the rods as thick as they are, from the side and from above, and over a motion the forces that hold them.
+Axes: T moments, V vertices of a rod."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.groups.relax_group import GroupSolution
+from doo_ti.report.canvas import literal, new_figure, save_figure
+from doo_ti.report.grid_view import upright_basis
+from doo_ti.report.touched import Touched
+
+EARLIER = 4
+"""Moments before the last that are drawn, faintly."""
+WIDTH, HIGHEST, CURVES = 6.4, 6.0, 2.4
+"""Inches: of the picture, the most of a view, and of the curves."""
+ABOVE_ARROWS = 4
+"""Of what is drawn, so that arrows do not hide how rods cross."""
+MOST_NAMED = 12
+"""Entries of a legend."""
+
+
+def save_group(path: Path, moments: Sequence[GroupSolution], *, name: str, names: Sequence[str],
+               surroundings: Surroundings | None = None, row: int = 0, rate: float = 1.0,
+               up: Sequence[float] = (0.0, 0.0, 1.0)) -> None:
+    """Write a picture of the group ``row`` at T moments, ``rate`` of them a second: the last with its ties, obstacles and contact
+    forces, some earlier ones faintly; of a motion also the forces of the clamps. ``names`` are the rods'."""
+    around = Surroundings() if surroundings is None else surroundings
+    rods = [[rod.vertices[row] for rod in moment.rods] for moment in moments]
+    whole = np.array([np.concatenate(own) for own in rods])  # (T, vertices of the group, 3)
+    force = np.array([np.concatenate([part[row] for part in moment.contact_force]) for moment in moments])
+    touched = Touched(around, whole[None], force[None])
+    basis = upright_basis(whole.reshape(1, -1, 3), up)
+    # Rows right, into the picture and up.
+    views = {"from the side": basis, "from above": np.stack([basis[0], -basis[2], basis[1]])}
+    limits = [_limits(whole @ view[[0, 2]].T) for view in views.values()]
+    heights = [min(HIGHEST, WIDTH * np.ptp(limit[1]) / np.ptp(limit[0])) for limit in limits]
+    heights += [CURVES] * (len(moments) > 1)
+    figure = new_figure((WIDTH + 1.0, sum(heights) + 0.5 * len(heights) + 0.8))
+    plots = figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
+    colors = _colors(len(names))
+    earlier = np.unique(np.linspace(0, len(moments) - 1, EARLIER + 1).round().astype(int))[:-1]
+    for plot, (label, view), limit in zip(plots, views.items(), limits, strict=False):
+        plot.set(xlim=limit[0], ylim=limit[1], ylabel=f"{label} [mm]")
+        for moment in earlier:
+            for rod, color in zip(rods[moment], colors, strict=True):
+                plot.plot(*(rod @ view[[0, 2]].T).T, color=color, lw=0.8, alpha=0.3)
+        _draw_rods(plot, rods[-1], colors, view, 0.0 if around.radius is None else float(np.min(around.radius)))
+        touched.draw(plot, 0, view[[0, 2]], [len(moments) - 1])
+        tied = whole[-1][moments[-1].group.tied[:, 0]] @ view[[0, 2]].T
+        plot.plot(*tied.T, "o", color="white", markeredgecolor="black", markersize=4, zorder=ABOVE_ARROWS + 1)
+        plot.set_aspect("equal")
+        plot.grid(alpha=0.2)
+    for rod, color in zip(names[:MOST_NAMED], colors, strict=False):
+        plots[0].plot([], [], color=color, lw=3, label=literal(rod))
+    plots[0].legend(fontsize=8, frameon=False, loc="best")
+    if len(moments) > 1:
+        _draw_forces(plots[-1], moments, row, rate, names)
+    status = "" if moments[-1].converged[row] else ", not converged"
+    ties = "; circles: ties" if moments[-1].group.ties else ""
+    when = "" if len(moments) == 1 else f" after {(len(moments) - 1) / rate:.3g} s, earlier moments faint"
+    figure.suptitle(f"{literal(name)}{when}{status}\nblue: {touched.legend}{ties}", fontsize=10)
+    save_figure(figure, path)
+
+
+def _limits(flat: np.ndarray) -> np.ndarray:
+    """(2, 2) limits to the right and up, mm, around (..., 2) points, the shorter at least a fifth of the longer."""
+    low, high = (edge(flat.reshape(-1, 2), axis=0) for edge in (np.nanmin, np.nanmax))
+    half = np.maximum(0.55 * (high - low), 0.1 * max(high - low))
+    middle = 0.5 * (low + high)
+    return np.stack([middle - half, middle + half], axis=-1)
+
+
+def _colors(count: int) -> np.ndarray:
+    """(count, 4) on a white ground."""
+    from matplotlib import colormaps
+
+    return colormaps["tab10"](np.arange(count) % 10)
+
+
+def _draw_rods(plot, rods: list[np.ndarray], colors: np.ndarray, view: np.ndarray, radius: float) -> None:
+    """The edges of rods as bands of their thickness, those in front over those behind."""
+    from matplotlib.collections import PolyCollection
+
+    bands, depth, shades = [], [], []
+    for rod, color in zip(rods, colors, strict=True):
+        local = rod @ view.T
+        flat = local[:, [0, 2]]
+        along = np.diff(flat, axis=0)
+        along /= np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
+        side = radius * np.stack([-along[:, 1], along[:, 0]], axis=-1)
+        bands.append(np.stack([flat[:-1] + side, flat[1:] + side, flat[1:] - side, flat[:-1] - side], axis=1))
+        depth.append(local[:-1, 1] + local[1:, 1])
+        shades.append(np.repeat(color[None], len(along), axis=0))
+    order = np.argsort(-np.concatenate(depth), kind="stable")
+    shade = np.concatenate(shades)[order]
+    plot.add_collection(PolyCollection(np.concatenate(bands)[order], facecolors=shade, edgecolors=shade, linewidths=1.0,
+                                       zorder=ABOVE_ARROWS), autolim=False)
+
+
+def _draw_forces(plot, moments: Sequence[GroupSolution], row: int, rate: float, names: Sequence[str]) -> None:
+    """The forces of clamps on the ends of rods over time, the largest named."""
+    time = np.arange(len(moments)) / rate
+    sound = np.array([moment.converged[row] for moment in moments])
+    curves = []
+    for rod, name in enumerate(names):
+        for end in ("start", "end"):
+            force = np.array([np.linalg.norm(getattr(moment, f"{end}_force")[row, rod]) for moment in moments])
+            if np.nanmax(np.nan_to_num(force)) > 0:
+                curves.append((np.where(sound, force, np.nan), f"{name}, {end}"))
+    curves.sort(key=lambda curve: -np.nanmax(np.nan_to_num(curve[0])))
+    for number, (force, label) in enumerate(curves):
+        plot.plot(time, force, ".-", lw=1.2, markersize=3, label=literal(label) if number < MOST_NAMED else None)
+    if not sound.all():
+        plot.plot(time[~sound], np.zeros((~sound).sum()), "x", color="red", label="not converged")
+    plot.set(xlabel="time [s]", ylabel="clamps' forces [mm²/mm]")
+    plot.grid(alpha=0.2)
+    if curves:
+        plot.legend(fontsize=7, frameon=False, ncols=2)

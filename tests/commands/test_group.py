@@ -1,0 +1,95 @@
+"""``doo-ti group``: from a scene to files, and what it refuses."""
+
+import json
+
+import numpy as np
+import pytest
+
+from doo_ti.cli import main
+from doo_ti.types import Status
+
+SCENE = """
+name = "two rods"
+radius_mm = 1.0
+rate_hz = 10
+duration_s = 0.2
+[materials.rope]
+bend = 1e5
+weight = 0.5
+[rods.trunk]
+edges = 8
+length_mm = 80.0
+start = "frame"
+[[rods.trunk.moments]]
+time_s = 0.2
+start_position_mm = [0, 0, 10]
+[rods.branch]
+edges = 4
+length_mm = 40.0
+position_mm = [50, 5, 0]
+direction = [0, 1, 0]
+[[ties]]
+first = ["trunk", -1]
+second = ["branch", 0]
+weight = 2.0
+"""
+
+
+@pytest.fixture
+def scene(tmp_path):
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE)
+    return path
+
+
+def test_places_forces_and_pictures_are_written(scene, tmp_path, capsys):
+    words = ["group", str(scene), "--out", str(tmp_path / "f.npz"), "--picture", str(tmp_path / "f.png"), "--recording",
+             str(tmp_path / "f.rrd")]
+    assert main([*words, "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert (summary["rods"], summary["edges"], summary["ties"], summary["moments"]) == (2, 12, 1, 3)
+    assert summary["status"] == {"converged": 3} and summary["stable"] == 3
+    found = np.load(tmp_path / "f.npz")
+    assert found["positions_mm"].shape == found["contact_force"].shape == (3, 14, 3)
+    assert found["rod"].tolist() == [0] * 9 + [1] * 5 and found["edge_rod"].tolist() == [0] * 8 + [1] * 4
+    assert found["rod_names"].tolist() == ["trunk", "branch"] and not found["status"].any()
+    np.testing.assert_allclose(found["positions_mm"][:, 8], found["positions_mm"][:, 9], atol=1e-8)
+    np.testing.assert_allclose(found["positions_mm"][:, 0], [[0, 0, 0], [0, 0, 5], [0, 0, 10]], atol=1e-8)
+    # The clamp bears the weight: 2 w per mm of rods with the weight w = 0.5, and the tie's.
+    np.testing.assert_allclose(found["start_force"][:, 0], [[0, 0, 2 * 0.5 * 120 + 2.0]] * 3, rtol=1e-6, atol=1e-6)
+    for name in ("f.png", "f.rrd"):
+        assert (tmp_path / name).stat().st_size > 10_000
+    assert main(words[:4]) == 0
+    text = capsys.readouterr().out
+    assert "two rods: 2 rods of 12 edges in all, 1 tie, 3 moments in 0.2 s" in text and "trunk, start 122 mm²/mm" in text
+
+
+def test_what_does_not_converge_is_said_and_written(scene, tmp_path, capsys):
+    """A rod that is too short for both of its clamps."""
+    scene.write_text(SCENE.replace('start = "frame"', 'start = "frame"\nend = "position"').replace(
+        "start_position_mm = [0, 0, 10]", "start_position_mm = [-10, 0, 0]"))
+    assert main(["group", str(scene), "--out", str(tmp_path / "f.npz"), "--json"]) == 1
+    summary = json.loads(capsys.readouterr().out)
+    found = np.load(tmp_path / "f.npz")
+    assert found["status"][-1] == Status.INFEASIBLE and np.isnan(found["positions_mm"][-1]).all()
+    assert summary["status"]["infeasible"] >= 1 and 0.2 in summary["failed_s"]
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    (["--out", "f.csv"], "--out: suffix '.csv' of f.csv; name a file that ends in .npz"),
+    (["--out", "f.npz", "--picture", "f.gif"], "--picture: suffix '.gif'"),
+    (["--out", "f.npz", "--up", "0,0,0"], "up: "),
+    ([], "--out: missing"),
+])
+def test_wrong_input_is_one_line(scene, tmp_path, capsys, monkeypatch, words, said):
+    monkeypatch.chdir(tmp_path)
+    assert main(["group", str(scene), *words]) == 2
+    text = capsys.readouterr().err
+    assert said in text and text.count("\n") == 1 and [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
+
+
+def test_a_rod_that_nothing_holds_is_one_line(scene, tmp_path, capsys):
+    scene.write_text(SCENE.replace('start = "frame"', ""))
+    assert main(["group", str(scene), "--out", str(tmp_path / "f.npz")]) == 2
+    text = capsys.readouterr().err
+    assert "scene.toml: clamps: rod 0 has weight and nothing holds it" in text and text.count("\n") == 1
