@@ -13,6 +13,10 @@ import pytest  # noqa: E402
 from doo_ti.physics.number import Number  # noqa: E402
 
 SEED = 2011
+LONG_KERNELS = ("tests/contact/", "tests/groups/", "tests/commands/test_contact.py", "tests/commands/test_group.py",
+                "tests/commands/test_knots.py", "tests/dynamics/test_energies.py",
+                "tests/examples/test_examples.py::test_example[12_", "tests/examples/test_examples.py::test_example[13_")
+"""Tests that use the kernels of contact, which take up to a minute to compile."""
 
 
 def pytest_report_header() -> str:
@@ -29,6 +33,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip(reason="a GPU has one rod per thread, no packs"))
     seen = Counter()
     for item in items:
+        # With --dist loadgroup one process runs a file's tests, and one all that share the long kernels, which it compiles once.
+        long = item.nodeid.startswith(LONG_KERNELS)
+        item.add_marker(pytest.mark.xdist_group("long" if long else item.nodeid.partition("::")[0]))
         sampled = item.get_closest_marker("sampled")
         if sampled and item.get_closest_marker("thorough") is None:
             name = item.nodeid.partition("[")[0]

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from doo_ti.errors import InputError, require_number, require_whole
+from doo_ti.errors import InputError, real_array, require_number, require_whole
 from doo_ti.types import Clamps, Configuration, Material, Rows
 
 
@@ -125,6 +126,28 @@ class Group:
         last = self.first_vertices[1:] - 1
         edges = np.sort(self.tied - np.isin(self.tied, last), axis=1)[:, ::-1]
         return {number: (int(edges[number, 0]), int(edges[number, 1])) for number, tie in enumerate(self.ties) if tie.weld}
+
+    def radii(self, radius: ArrayLike) -> np.ndarray:
+        """(1 or N, G) mm of the rods, where ``radius`` is as :func:`.relax_group` has it. Raises InputError for other shapes,
+        and numbers that are not positive."""
+        values = real_array("relax_group", "radius", radius, "give mm").astype(np.float64)
+        values = values.reshape(-1, 1) if values.ndim < 2 else values
+        rods = len(self.rods)
+        if values.ndim > 2 or len(values) not in (1, self.count) or values.shape[1] not in (1, rods):
+            raise InputError("relax_group", "radius", f"shape {np.shape(radius)} for {self.count} groups of {rods} rods",
+                             "give one number of mm, (N,), or (1 or N, G) with one for each rod of a group")
+        if not ((values > 0) & (values < np.inf)).all():
+            raise InputError("relax_group", "radius", f"{values.min():g}", "give positive numbers of mm")
+        return np.broadcast_to(values, (len(values), rods))
+
+    def radii_in(self, row: int, radius: ArrayLike) -> np.ndarray:
+        """(G,) :meth:`radii` in the group ``row``."""
+        values = self.radii(radius)
+        return values[row if len(values) > 1 else 0]
+
+    def at_vertices(self, values: np.ndarray) -> np.ndarray:
+        """(R, vertices of the group) of ``values`` (R, G) of the rods."""
+        return np.repeat(values, np.diff(self.first_vertices), axis=1)
 
     def by_rod(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
         """``values`` (N, vertices of the group, ...) of each rod."""

@@ -25,6 +25,7 @@ from doo_ti.groups.layout import (
     SPIN,
     STIFFER_TIES,
     TARGET,
+    THICKER,
     TIE_FORCE,
     TIE_ITEMS,
     TIE_MISS,
@@ -105,27 +106,32 @@ class GroupContacts(SelfContacts):
         return rod.scratch[self.group_vertex(rod, index) + HELD * self.stride]
 
     @ti.func
+    def clearance(self, rod, index, distance):
+        return distance - rod.scratch[self.group_vertex(rod, index) + THICKER * self.stride]
+
+    @ti.func
     def pinched(self, rod, miss):
         """Whether clamps hold a vertex inside an obstacle or two edges in each other; of the ends, which ties hold, their
         places count."""
         least = 0.0 * rod.total
         for index in range(rod.edges + 1):
             place = self.load3(rod.scratch, self.vertex(rod, index) + PLACE * self.stride)
-            least = self.sunk(rod, place, self.held(rod, index), least)
+            least = self.sunk(rod, index, place, self.held(rod, index), least)
         for k in range(rod.ties.shape[0]):
             at = self.tie(rod, k)
             if rod.ties[k, 1] < 0:
                 place = self.load3(rod.scratch, at + TARGET * self.stride)
-                least = self.sunk(rod, place, rod.scratch[at + ACTIVE * self.stride], least)
+                least = self.sunk(rod, rod.ties[k, 0], place, rod.scratch[at + ACTIVE * self.stride], least)
         return (least < 0.0 - self.item(rod, TOLERANCE)) | self.pinched_pairs(rod)
 
     @ti.func
-    def sunk(self, rod, place, held, least):
-        """``least``, or the least gap of a ``place`` that is ``held``."""
+    def sunk(self, rod, index, place, held, least):
+        """``least``, or the least gap of vertex ``index`` at a ``place`` where it is ``held``."""
         found = variable((least,))
         for o in range(rod.obstacles):
             seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o], place)
-            found = (ti.select(held > 0.5, ti.min(found[0], seen.value - self.item(rod, RADIUS)), found[0]),)
+            gap = self.clearance(rod, index, seen.value) - self.item(rod, RADIUS)
+            found = (ti.select(held > 0.5, ti.min(found[0], gap), found[0]),)
         return found[0]
 
     @ti.func
@@ -253,6 +259,7 @@ class GroupContacts(SelfContacts):
             vertex = at + v * GROUP_VERTEX_ITEMS * self.stride
             self.put(scratch, vertex + WEIGHT * self.stride, slot, tables.burden[row, v, 0] / unit)
             self.put(scratch, vertex + HELD * self.stride, slot, tables.burden[row, v, 1])
+            self.put(scratch, vertex + THICKER * self.stride, slot, tables.burden[row, v, 2] / unit)
         at += (edges + 1) * GROUP_VERTEX_ITEMS * self.stride
         for g in range(rods):
             for k in ti.static(range(3)):

@@ -34,7 +34,7 @@ class GroupTables:
     rest_length  (1 or N, E) mm, zero of a break
     clamp        (N, CLAMP_COLUMNS), material (1 or N, STIFFNESS + E · STIFFNESS_COLUMNS), see :mod:`.relaxation.tables`
     up           (3,)
-    contact      obstacles and radius
+    contact      obstacles, and the radius of the thinnest rod
     barrier      whether anything may touch
     begins       (E,) int32: of a break the number of the rod behind it, else zero
     begins_at    (N, G, 3) mm, where the rods begin at the start
@@ -42,8 +42,10 @@ class GroupTables:
                  a weld the edges at both, the later first, else -1
     targets      (N, K, 8) the place, mm; one where there is this tie; and the rest rotation of a weld, a quaternion
     free         (N, E, 2) one where an edge may spin, and tilt; of a break twice whether the rod behind it may leave its begin
-    burden       (N, V, 2) weight of a vertex as the length that the material's weight multiplies, mm, and one where it is held
+    burden       (N, V, 3) weight of a vertex as the length that the material's weight multiplies, mm; one where it is held; and
+                 by how much its rod is thicker than the thinnest, mm of radius
     apart        (1 or N, pairs) int32: one where two edges may touch, pair j (j − 1)/2 + i of i < j
+    radii        (1 or N, G) mm
     feasible     (N,) bool
     """
 
@@ -61,6 +63,7 @@ class GroupTables:
     free: np.ndarray
     burden: np.ndarray
     apart: np.ndarray
+    radii: np.ndarray
     feasible: np.ndarray
 
 

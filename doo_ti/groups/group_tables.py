@@ -11,7 +11,7 @@ from doo_ti.groups.group_newton import GroupTables
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_kinds, rest_lengths
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, clamp_table
-from doo_ti.relaxation.contact_table import contact_table
+from doo_ti.relaxation.contact_table import contact_table, require_margin
 from doo_ti.relaxation.input_tables import material_table, projectable
 from doo_ti.relaxation.pair_layout import DEEPEST_STEP
 from doo_ti.types import Clamp, Clamps, Configuration, Material
@@ -79,7 +79,8 @@ def _edge_by_edge(table: np.ndarray, edges: int) -> np.ndarray:
 
 
 def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool) -> GroupTables:
-    """The tables of a group; with ``contact`` its rods touch each other and themselves, where ``radius`` is given.
+    """The tables of a group; with ``contact`` its rods touch each other and themselves, where ``radius`` is given. The radius
+    of its contacts is that of the thinnest rod.
 
     Raises InputError as ``relax`` does, and for rods with weight that nothing holds.
     """
@@ -101,20 +102,26 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool)
     _hold_spins(group, members, free)
     material, burden = _materials(group, members)
     clamp = _clamps(members, material)
-    thickness = 1.0 if radius is None and not bodies else radius
-    table = contact_table([*bodies, itself], thickness, group.count, lengths.shape[1], clamp, np.arange(group.count))
+    if radius is None and bodies:
+        raise InputError("relax_group", "radius", "missing beside obstacles", "give the rods' radius in mm")
+    radii = group.radii(1.0 if radius is None else radius)
+    require_margin(bodies, radii.max())
+    table = contact_table([*bodies, itself], radii.min(axis=1), group.count, lengths.shape[1], clamp, np.arange(group.count))
+    thicker = group.at_vertices(radii - table.radius[:, None])
+    burden = np.concatenate([burden, np.broadcast_to(thicker, burden.shape[:2])[..., None]], axis=-1)
     touch = contact and radius is not None
     ties, targets = _ties(group, members)
-    apart = edges_apart(group, lengths, begins, table.radius, touch)
+    apart = edges_apart(group, lengths, begins, radii, touch)
     begins_at = np.stack([member.begin for member in members], axis=1)
     starts = [vertices_from_quaternions(member.begin, member.start, member.lengths) for member in members]
     # Where centrelines nearly cross, the start does not say which rod is on which side.
-    crossing = smallest_gap(np.concatenate(starts, axis=1), apart, table.radius) < (DEEPEST_STEP - 2.0) * table.radius
+    start = np.concatenate(starts, axis=1)
+    crossing = smallest_gap(start, apart, np.zeros((1, start.shape[1]))) < DEEPEST_STEP * table.radius
     return GroupTables(
         start=_joined([member.start for member in members], 1.0), rest_length=lengths, clamp=clamp,
         material=material, up=up, contact=table.touching(np.arange(group.count)), barrier=touch or bool(bodies), begins=begins,
         begins_at=begins_at, ties=ties, targets=targets, free=np.ascontiguousarray(free), burden=burden, apart=apart,
-        feasible=np.all([member.feasible for member in members], axis=0) & ~crossing)
+        radii=radii, feasible=np.all([member.feasible for member in members], axis=0) & ~crossing)
 
 
 def _hold_spins(group: Group, members: list[Member], free: np.ndarray) -> None:
@@ -164,7 +171,7 @@ def _clamps(members: list[Member], material: np.ndarray) -> np.ndarray:
 
 
 def _materials(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
-    """The table of materials, (1 or N, -), and the burden (N, V, 2) of vertices."""
+    """The table of materials, (1 or N, -), and the first two columns of the burden (N, V, 2) of vertices."""
     rows = max(len(member.material) for member in members)
     every = np.array([np.broadcast_to(member.material[:, : of.STIFFNESS], (rows, of.STIFFNESS)) for member in members])
     head = every.max(axis=0)

@@ -93,16 +93,16 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
     up         (3,) direction against gravity, (0, 0, 1) unless given
     obstacles  what the rods may touch but not enter, each with one row or N. ``Itself(friction=…)`` among them is the friction
                of the rods on each other and on themselves
-    radius     of all rods, mm, one or (N,). With it the rods touch each other and themselves, and never pass through each
-               other; without it they only do what their ties mean
+    radius     of the rods, mm: one, (N,), or (1 or N, G) where those of a group differ. With it the rods touch each other and
+               themselves, and never pass through each other; without it they only do what their ties mean
     contact    False: they do not touch each other nor themselves, only obstacles
     before     the solution of these groups at the moment before. Friction acts on the way from there, and only then. Its forces
                of ties and clamps are those to begin with, which also takes fewer iterations
 
-    Beside a tie rods do not touch each other: where both are within π radii of it along themselves. Ties whose points are
+    Beside a tie rods do not touch each other: where both are within π mean radii of it along them. Ties whose points are
     apart at the start are closed. Where they cannot be, the group does not converge. Starts whose centrelines are inside
-    obstacles or within a tenth of a radius of each other, and clamps further apart than a rod is long, are INFEASIBLE, and NaN
-    everywhere else.
+    obstacles or within a tenth of the smallest radius of each other, and clamps further apart than a rod is long, are
+    INFEASIBLE, and NaN everywhere else.
 
     Raises InputError for inputs that do not match.
     """
@@ -186,10 +186,10 @@ def _solution(group: Group, table: GroupTables, frames, results, state: GroupSta
         miss[:, number] = np.maximum(miss[:, number], np.linalg.norm(apart, axis=(1, 2)) / np.sqrt(2.0) * clamp[:, of.TOTAL])
     held = np.stack([np.broadcast_to(np.asarray(clamps.start) > 0, (group.count,)) for clamps in group.clamps], axis=1)
     start_force = -np.stack([own.sum(axis=1) for own in group.by_rod(pull)], axis=1) * held[..., None]
-    gap = smallest_gap(vertices, table.apart, table.contact.radius)
+    gap = smallest_gap(vertices, table.apart, group.at_vertices(table.radii))
     if table.contact.surroundings.bodies:
-        around = Surroundings(table.contact.surroundings.bodies, table.contact.radius)
-        gap = np.minimum(gap, np.min([around.smallest_gap(rod.vertices) for rod in rods], axis=0))
+        for rod, radius in zip(rods, table.radii.T, strict=True):
+            gap = np.minimum(gap, Surroundings(table.contact.surroundings.bodies, radius).smallest_gap(rod.vertices))
     return GroupSolution(
         group=relaxed, energy=results[:, of.ENERGY] + weight.sum(axis=1) * height,
         residual=results[:, of.RESIDUAL], closure=np.where(lost, np.nan, miss.max(axis=1) / clamp[:, of.TOTAL]),

@@ -1,7 +1,7 @@
 """Scenes of groups, in one TOML file (docs/groups.md).
 
     name = "wire harness"
-    radius_mm = 2.0                    # of all rods, which touch each other and themselves; needed with obstacles (they do not)
+    radius_mm = 2.0                    # of the rods, which touch each other and themselves; needed with obstacles (they do not)
     rate_hz = 10                       # moments per second of a motion without inertia,
     duration_s = 2.0                   # and how long it lasts (both left out: one relaxation)
 
@@ -12,6 +12,7 @@
 
     [rods.trunk]                       # one or more, in the order in which they are numbered
     material = "wire"                  # (the only one)
+    radius_mm = 3.0                    # (that of all)
     edges = 36
     length_mm = 360.0                  # straight at first
     position_mm = [0, 0, 8]            # of its first vertex (the origin)
@@ -72,7 +73,7 @@ class GroupScene:
     clamps        those of all T moments, each of G rods
     time          (T,) s; one moment where there is no motion
     rate          moments per second
-    surroundings  the obstacles, and the radius of the rods where they touch each other
+    surroundings  the obstacles, and the radius of the rods, one or (1, G), where they touch each other
     """
 
     name: str
@@ -104,6 +105,7 @@ class _Material(Table):
 class _Rod(Table):
     edges: Annotated[int, Meta(ge=4, le=MOST_EDGES)]
     material: str | None = None
+    radius_mm: Positive | None = None
     length_mm: Annotated[float, Meta(ge=1e-6, le=LARGEST)] | None = None
     position_mm: Vector | UnsetType = UNSET
     direction: Vector | UnsetType = UNSET
@@ -127,7 +129,7 @@ def load_group_scene(path: str | Path) -> GroupScene:
     file = checked(path, "", read_toml(path)[0], _File)
     time = _times(path, file)
     found = {name: _material(path, f"materials.{name}", table) for name, table in file.materials.items()}
-    rods, materials, clamps = [], [], []
+    rods, materials, clamps, radii = [], [], [], []
     for name, table in file.rods.items():
         key = f"rods.{name}"
         rod = checked(path, key, table, _Rod)
@@ -136,6 +138,7 @@ def load_group_scene(path: str | Path) -> GroupScene:
             raise InputError(path, f"{key}.material", "missing beside several materials", f"give one of {', '.join(found)}")
         material = next(iter(found)) if rod.material is None else rod.material
         rods.append(start)
+        radii.append(file.radius_mm if rod.radius_mm is None else rod.radius_mm)
         materials.append(found[_known(path, f"{key}.material", material, found)])
         clamps.append(_clamps(path, key, rod, start, time))
     moments = [[own(instant) for own in clamps] for instant in range(len(time))]
@@ -144,10 +147,12 @@ def load_group_scene(path: str | Path) -> GroupScene:
         group = Group(rods, materials, moments[0], ties)
     except InputError as error:
         raise InputError(path, error.field, error.problem, error.remedy) from None
-    if file.obstacles and file.radius_mm is None:
-        raise InputError(path, "radius_mm", "missing beside obstacles", "give the radius of the rods")
+    if None in radii and (file.obstacles or any(radii)):
+        raise InputError(path, "radius_mm", f"missing beside {'obstacles' if file.obstacles else 'that of one rod'}",
+                         "give the radius of the rods")
+    radius = radii[0] if len(set(radii)) == 1 else np.array([radii])
     return GroupScene(in_line(path.stem if file.name is None else file.name), tuple(map(in_line, file.rods)), group, moments,
-                      time, file.rate_hz or 1.0, Surroundings(obstacles_of(path, file.obstacles), file.radius_mm))
+                      time, file.rate_hz or 1.0, Surroundings(obstacles_of(path, file.obstacles), radius))
 
 
 def _known(path: Path, key: str, name: str, names) -> str:
@@ -205,7 +210,7 @@ def _curve(path: Path, key: str, rod: _Rod) -> np.ndarray:
     steps = np.linalg.norm(np.diff(points, axis=0), axis=-1)
     if not (steps > 0).all():
         number = int(np.argmin(steps))
-        raise InputError(path, key, f"{number} and {(number + 1) % len(rod.points_mm)} are at one place", "give different points")
+        raise InputError(path, key, f"{number} and {(number + 1) % len(rod.points_mm)} are at one place", "give others")
     # Places along the curve by the roots of the distances: neither loops nor flat parts between uneven points.
     along = np.concatenate([[0.0], np.cumsum(np.sqrt(steps))])
     if len(points) == 2:

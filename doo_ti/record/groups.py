@@ -40,22 +40,22 @@ def record_group(path: Path, moments: Sequence[GroupSolution], *, name: str, nam
     called = [str(rod) if names is None else f"{rod}_{entity_name(names[rod])}" for rod in range(count)]
     with recording(path, f"group {name}", name, layout) as stream:
         log_up(stream, "world", grid.basis[2])
-        thickness = None if around.radius is None else float(np.min(around.radius))
+        radii = [None] * count if around.radius is None else moments[0].group.radii_in(row, around.radius).tolist()
         for rod, (own, color) in enumerate(zip(called, distinct_colors(count), strict=True)):
             place = f"world/rods/{own}"
-            stream.log(place, rerun.LineStrips3D.from_fields(radii=_radii(thickness, 1.0, 1.2)), static=True)
+            stream.log(place, rerun.LineStrips3D.from_fields(radii=_thick(radii[rod], 1.0, 1.2)), static=True)
             strips = [strip for moment in rods for strip in drawn_strips(moment[rod][None])]
             stream.send_columns(place, when, rerun.LineStrips3D.columns(
                 strips=strips, colors=np.where(sound[:, None], color, np.array(FAILED, dtype=color.dtype))))
         tied = moments[0].group.tied[:, 0]
         if len(tied):
-            stream.log("world/ties", rerun.Points3D.from_fields(colors=TIE, radii=_radii(thickness, 1.3, 2.0)), static=True)
+            stream.log("world/ties", rerun.Points3D.from_fields(colors=TIE, radii=_thick(max(radii), 1.3, 2.0)), static=True)
             stream.send_columns("world/ties", when, rerun.Points3D.columns(
                 positions=whole[:, tied].reshape(-1, 3)).partition([len(tied)] * frames))
         log_obstacles(stream, "world/obstacles", when, touched, np.zeros((1, 3)))
         log_forces(stream, "world/forces", when, touched, np.zeros((1, 3)))
 
 
-def _radii(thickness: float | None, share: float, points: float):
-    """So many times the rods' radius, or so many points of the screen where they have none."""
-    return rerun.Radius.ui_points(points) if thickness is None else share * thickness
+def _thick(radius: float | None, share: float, points: float):
+    """So many times the radius, or so many points of the screen where there is none."""
+    return rerun.Radius.ui_points(points) if radius is None else share * radius

@@ -264,7 +264,7 @@ class ContactEnergy(ContactPlaces):
         if between:
             if some < 2:
                 self.clear_between(rod, zero)
-            seen = self.nearest(rod, o, start, edge, (slope_start, slope_end), near | active)
+            seen = self.nearest(rod, o, index, start, edge, (slope_start, slope_end), near | active)
             lower = value_start < value_end
             sagging = ti.select(near, least - seen.value, zero)
             rod.scratch[contact + SAGGING * self.stride] = sagging

@@ -131,19 +131,26 @@ class ContactPlaces:
         for o in range(rod.obstacles):
             contact = self.contact(at, o)
             seen = self.distance.measure(rod.scratch, rod.grids, self.obstacle(rod, o), rod.kinds[o], place)
-            rod.scratch[contact + VALUE * self.stride] = seen.value
+            value = self.clearance(rod, index, seen.value)
+            rod.scratch[contact + VALUE * self.stride] = value
             # Where a vertex is close, the normals at both ends of its edges count.
-            nearest = 0.0 - self.largest(self.item(rod, REACH) - seen.value)
+            nearest = 0.0 - self.largest(self.item(rod, REACH) - value)
             self.put(rod.scratch, contact + NEAREST * self.stride, 0, nearest)
-            least, nearest_of_all = ti.min(least, seen.value), ti.min(nearest_of_all, nearest)
+            least, nearest_of_all = ti.min(least, value), ti.min(nearest_of_all, nearest)
             if nearest < longest:
                 self.store(rod.scratch, contact + NORMAL * self.stride, seen.normal)
                 self.store(rod.scratch, contact + CURVATURE * self.stride, seen.curvature)
-                gap, held = seen.value - self.item(rod, RADIUS), self.held(rod, index) > 0.5
+                gap, held = value - self.item(rod, RADIUS), self.held(rod, index) > 0.5
                 self.lower(rod.scratch, rod.contacts + DEEPEST * self.stride, seen.value)
                 self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(held, 0.0 * gap + 1e30, gap))
         rod.scratch[at + LEAST * self.stride] = least
         self.put(rod.scratch, at + NEAREST_OF_ALL * self.stride, 0, nearest_of_all)
+
+    @ti.func
+    def clearance(self, rod, index, distance):
+        """The ``distance`` of vertex ``index`` or of the edge that ends there, less by how much thicker than its radius the rod
+        is there: of one rod nowhere."""
+        return distance
 
     @ti.func
     def close_lanes(self, rod, value):
@@ -220,15 +227,16 @@ class ContactPlaces:
                 ends = (dot(first.normal, edge), dot(last.normal, edge))
                 bridging = held_start & held_stop & (ends[0] < 0.0) & (ends[1] > 0.0)
                 if self.some(bridging, zero):
-                    value = ti.min(value, ti.select(bridging, self.nearest(rod, o, start, edge, ends, bridging).value, value))
+                    between = self.nearest(rod, o, index + 1, start, edge, ends, bridging)
+                    value = ti.min(value, ti.select(bridging, between.value, value))
                 least = ti.min(least, value - self.item(rod, RADIUS))
         return (least < 0.0 - self.item(rod, TOLERANCE)) | self.pinched_pairs(rod)
 
     @ti.func
-    def nearest(self, rod, o, start, edge, ends, wanted):
-        """The point of an edge that is nearest to an obstacle in the lanes where it is ``wanted``, by Newton's method between
-        bounds, from ``ends``, φ_s at both: a record of ``s``, of φ there with its derivatives, and of φ_ss, or a very large
-        number where an end is the nearest."""
+    def nearest(self, rod, o, index, start, edge, ends, wanted):
+        """The point of the edge to vertex ``index`` that is nearest to an obstacle in the lanes where it is ``wanted``, by
+        Newton's method between bounds, from ``ends``, φ_s at both: a record of ``s``, of φ there with its derivatives, and of
+        φ_ss, or a very large number where an end is the nearest."""
         zero = 0.0 * rod.total
         low, high = zero, zero + 1.0
         bridging = (ends[0] < 0.0) & (ends[1] > 0.0)
@@ -243,7 +251,7 @@ class ContactPlaces:
             here = going > 0.5
             slope = dot(seen.normal, edge)
             bend = ti.max(dot(edge, applied(full(seen.curvature), edge)), zero + 1e-20)
-            choose(found, here, s=s[0], value=seen.value, bend=bend)
+            choose(found, here, s=s[0], value=self.clearance(rod, index, seen.value), bend=bend)
             found.normal = chosen(here, seen.normal, found.normal)
             found.curvature = chosen(here, seen.curvature, found.curvature)
             low, high = ti.select(slope < 0.0, s[0], low), ti.select(slope < 0.0, high, s[0])

@@ -108,10 +108,7 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
                          f"{len(radius)} for {count} rods", "give a positive radius in mm, or one for each rod")
     surroundings = Surroundings(obstacles, radius)
     obstacles = surroundings.bodies
-    for obstacle in obstacles:
-        if isinstance(obstacle, DistanceGrid) and obstacle.border < 2 * radius.max():
-            raise InputError("contact", "obstacles", f"a grid ends {obstacle.border:g} mm from its obstacle, less than a rod's "
-                             f"diameter of {2 * radius.max():g} mm", "give a grid with a larger margin")
+    require_margin(obstacles, radius.max())
     rows = count if any(obstacle.count > 1 for obstacle in obstacles) else 1
     table = np.empty((rows, len(obstacles), OBSTACLE_COLUMNS))
     for place, obstacle in enumerate(obstacles):
@@ -127,6 +124,14 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
         obstacles=table, kinds=kinds, grids=grids, radius=radius, near=near, memory=memory, forces=forces,
         surroundings=surroundings,
         self_friction=np.zeros(1) if surroundings.itself is None else surroundings.itself.friction)
+
+
+def require_margin(obstacles: Sequence[Obstacle], radius: float) -> None:
+    """Raise InputError where a grid ends nearer to its obstacle than the diameter of a rod of that ``radius``."""
+    for obstacle in obstacles:
+        if isinstance(obstacle, DistanceGrid) and obstacle.border < 2 * radius:
+            raise InputError("contact", "obstacles", f"a grid ends {obstacle.border:g} mm from its obstacle, less than a rod's "
+                             f"diameter of {2 * radius:g} mm", "give a grid with a larger margin")
 
 
 def require_clear(source: str, surroundings: Surroundings, clamps: Clamps, start: Configuration, number: np.ndarray) -> None:

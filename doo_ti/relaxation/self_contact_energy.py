@@ -149,7 +149,7 @@ class SelfContactEnergy(Contacts):
                 bound = 0.5 * ti.sqrt(dot(away, away)) - rod.longest
                 apart = self.apart(rod, i, at, arc)
                 rod.scratch[at + DISTANCE * self.stride] = ti.select(apart, bound, zero + 1e30)
-                near = apart & (bound < REACH * radius)
+                near = apart & (self.pair_clearance(rod, i, j, bound) < REACH * radius)
                 if self.some(near, zero):
                     self.touch(rod, i, j, at, near, minus(start, first), minus(last, first), minus(end, start))
                 if ti.static(self.rub):
@@ -166,6 +166,11 @@ class SelfContactEnergy(Contacts):
         return arc > rod.scratch[self.own_vertex(rod, i + 1) + ARC * self.stride]
 
     @ti.func
+    def pair_clearance(self, rod, i, j, distance):
+        """The ``distance`` of two edges, less by how much thicker than the radius both are."""
+        return self.clearance(rod, j + 1, self.clearance(rod, i + 1, distance))
+
+    @ti.func
     def touch(self, rod, i, j, at, near, w, p, q):
         """The same of two edges p and q, with w from the start of the first to that of the second, in the lanes where they are
         ``near`` to each other."""
@@ -174,9 +179,10 @@ class SelfContactEnergy(Contacts):
         self.store(rod.scratch, at + PLACES * self.stride, (seen.s, seen.t) + seen.normal)
         rod.scratch[at + DISTANCE * self.stride] = ti.select(near, seen.value, rod.scratch[at + DISTANCE * self.stride])
         self.note_depth(rod, at, near, seen.value)
-        gap = ti.select(near, seen.value - 2.0 * radius, zero + 1e30)
+        gap = ti.select(near, self.pair_clearance(rod, i, j, seen.value) - 2.0 * radius, zero + 1e30)
+        depth = ti.select(near, seen.value - LEAST_DISTANCE * radius, zero + 1e30)
         held = (self.held_edge(rod, i) > 0.5) & (self.held_edge(rod, j) > 0.5)
-        self.lower(rod.scratch, rod.contacts + DEEPEST * self.stride, gap + (2.0 - LEAST_DISTANCE) * radius)
+        self.lower(rod.scratch, rod.contacts + DEEPEST * self.stride, depth)
         self.lower(rod.scratch, self.own(rod) + PINCHED * self.stride, ti.select(held, gap, zero))
         self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(held, zero + 1e30, gap))
         pushed = self.push(rod, rod.scratch[at + FORCE * self.stride], gap)

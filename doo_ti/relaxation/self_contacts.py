@@ -69,7 +69,8 @@ class SelfContacts(SelfContactEnergy):
                     for b in ti.static(range(2)):
                         change = minus(self.move(rod, j + b), self.move(rod, i + a))
                         largest = largest_of(largest, dot(change, change))
-                near = distance < REACH * radius
+                clearance = self.pair_clearance(rod, i, j, distance)
+                near = clearance < REACH * radius
                 most = largest_of(most, largest / (distance * distance + 1e-20))
                 if self.some(near, zero):
                     weights = pair_weights(rod.scratch[at + PLACES * self.stride], rod.scratch[at + (PLACES + 1) * self.stride])
@@ -77,7 +78,7 @@ class SelfContacts(SelfContactEnergy):
                         plus(scaled(self.move(rod, i), weights[0]), scaled(self.move(rod, i + 1), weights[1])),
                         plus(scaled(self.move(rod, j), weights[2]), scaled(self.move(rod, j + 1), weights[3])))
                     normal = self.load3(rod.scratch, at + NORMAL * self.stride)
-                    gap = ti.max(distance - 2.0 * radius, floor) + slack
+                    gap = ti.max(clearance - 2.0 * radius, floor) + slack
                     share = (0.0 - APPROACH) * dot(normal, change) / ti.max(gap, 1e-6 * radius)
                     most = ti.select(near & (share > 0.0), largest_of(most, share * share), most)
         return most
@@ -97,7 +98,7 @@ class SelfContacts(SelfContactEnergy):
         for j in range(2, rod.edges):
             for i in range(j - 1):
                 at = self.pair(rod, i, j)
-                gap = rod.scratch[at + DISTANCE * self.stride] - 2.0 * radius
+                gap = self.pair_clearance(rod, i, j, rod.scratch[at + DISTANCE * self.stride]) - 2.0 * radius
                 old = rod.scratch[at + FORCE * self.stride]
                 if self.some((gap < radius) | (old > 0.0), zero):
                     gap = ti.min(gap, 4.0 * radius)
@@ -111,7 +112,8 @@ class SelfContacts(SelfContactEnergy):
     def settle_pair_friction(self, rod, i, j, at, due):
         """New friction of two edges under the new force: by how much it changes."""
         change = self.keep_friction(rod, at + FRICTION * self.stride, self.rubbed_pair(rod, i, j, at).pull, due)
-        due = due & (rod.scratch[at + DISTANCE * self.stride] < REACH * self.item(rod, RADIUS))
+        clearance = self.pair_clearance(rod, i, j, rod.scratch[at + DISTANCE * self.stride])
+        due = due & (clearance < REACH * self.item(rod, RADIUS))
         normal = self.load3(rod.scratch, at + NORMAL * self.stride)
         # Friction acts across a unit vector; the gradient of the distance is a little shorter.
         unit = scaled(normal, 1.0 / ti.sqrt(dot(normal, normal) + 1e-30))

@@ -25,13 +25,14 @@ MOST_NAMED = 12
 def save_group(path: Path, moments: Sequence[GroupSolution], *, name: str, names: Sequence[str],
                surroundings: Surroundings | None = None, row: int = 0, rate: float = 1.0,
                up: Sequence[float] = (0.0, 0.0, 1.0)) -> None:
-    """Write a picture of the group ``row`` at T moments, ``rate`` of them a second: the last with its ties, obstacles and contact
-    forces, some earlier ones faintly; of a motion also the forces of the clamps. ``names`` are the rods'."""
+    """Write a picture of the group ``row`` at T moments, ``rate`` of them a second: the last with its ties, obstacles and
+    contact forces, some earlier ones faintly; of a motion also the forces of the clamps. ``names`` are the rods'."""
     around = Surroundings() if surroundings is None else surroundings
     rods = [[rod.vertices[row] for rod in moment.rods] for moment in moments]
     whole = np.array([np.concatenate(own) for own in rods])  # (T, vertices of the group, 3)
     force = np.array([np.concatenate([part[row] for part in moment.contact_force]) for moment in moments])
     touched = Touched(around, whole[None], force[None])
+    radii = np.zeros(len(names)) if around.radius is None else moments[-1].group.radii_in(row, around.radius)
     basis = upright_basis(whole.reshape(1, -1, 3), up)
     # Rows right, into the picture and up.
     views = {"from the side": basis, "from above": np.stack([basis[0], -basis[2], basis[1]])}
@@ -47,7 +48,7 @@ def save_group(path: Path, moments: Sequence[GroupSolution], *, name: str, names
         for moment in earlier:
             for rod, color in zip(rods[moment], colors, strict=True):
                 plot.plot(*(rod @ view[[0, 2]].T).T, color=color, lw=0.8, alpha=0.3)
-        _draw_rods(plot, rods[-1], colors, view, 0.0 if around.radius is None else float(np.min(around.radius)))
+        _draw_rods(plot, rods[-1], colors, view, radii)
         touched.draw(plot, 0, view[[0, 2]], [len(moments) - 1])
         tied = whole[-1][moments[-1].group.tied[:, 0]] @ view[[0, 2]].T
         plot.plot(*tied.T, "o", color="white", markeredgecolor="black", markersize=4, zorder=ABOVE_ARROWS + 1)
@@ -80,12 +81,12 @@ def _colors(count: int) -> np.ndarray:
     return colormaps["tab10"](np.arange(count) % 10)
 
 
-def _draw_rods(plot, rods: list[np.ndarray], colors: np.ndarray, view: np.ndarray, radius: float) -> None:
+def _draw_rods(plot, rods: list[np.ndarray], colors: np.ndarray, view: np.ndarray, radii: np.ndarray) -> None:
     """The edges of rods as bands of their thickness, those in front over those behind."""
     from matplotlib.collections import PolyCollection
 
     bands, depth, shades = [], [], []
-    for rod, color in zip(rods, colors, strict=True):
+    for rod, color, radius in zip(rods, colors, radii, strict=True):
         local = rod @ view.T
         flat = local[:, [0, 2]]
         along = np.diff(flat, axis=0)

@@ -14,17 +14,17 @@ from doo_ti.groups.relax_group import relax_group
 from doo_ti.knots import rod_along
 from doo_ti.material import Material
 from doo_ti.rods import end_clamps, straight_rod
-from doo_ti.types import Clamp
+from doo_ti.types import Clamp, Configuration
 from tests.contact.topology import linking
 
 RADIUS, STIFFNESS = 1.0, 1e5
 WEIGHTLESS = Material(STIFFNESS, STIFFNESS, 0.0)
 
 
-def pressed(depth: float):
+def pressed(depth: float, radii: tuple[float, float]):
     """Two cantilevers that cross, the upper one held so low that together they have to give way by ``depth``."""
     lower = straight_rod(100.0, 20, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
-    upper = straight_rod(80.0, 16, (72.5, -62.5, 2.0 * RADIUS - depth), (0.0, 1.0, 0.0))
+    upper = straight_rod(80.0, 16, (72.5, -62.5, sum(radii) - depth), (0.0, 1.0, 0.0))
     return [lower, upper], [end_clamps(rod, Clamp.FRAME, Clamp.FREE) for rod in (lower, upper)]
 
 
@@ -35,10 +35,11 @@ def compliance(length: float, reach: float) -> float:
     return float(((reach - hinges) ** 2).sum() * length / STIFFNESS)
 
 
-def test_crossed_rods_press_against_each_other():
+@pytest.mark.parametrize("radii", [(RADIUS, RADIUS), (2.5 * RADIUS, RADIUS), (RADIUS, 4.0 * RADIUS)])
+def test_crossed_rods_press_against_each_other(radii):
     depth = 0.3
-    rods, clamps = pressed(depth)
-    solution = relax_group(Group(rods, WEIGHTLESS, clamps), radius=RADIUS)
+    rods, clamps = pressed(depth, radii)
+    solution = relax_group(Group(rods, WEIGHTLESS, clamps), radius=[radii])
     assert solution.converged[0] and solution.stable[0]
     assert abs(solution.gap[0]) < 1e-3 * RADIUS
     force = np.array([part[0].sum(axis=0) for part in solution.contact_force])
@@ -46,8 +47,25 @@ def test_crossed_rods_press_against_each_other():
     expected = depth / (compliance(5.0, 72.5) + compliance(5.0, 62.5))
     assert force[1, 2] == pytest.approx(expected, rel=3e-3)
     assert np.allclose(solution.start_force[0], -force, atol=1e-9)
-    through = relax_group(Group(rods, WEIGHTLESS, clamps), radius=RADIUS, contact=False)
+    through = relax_group(Group(rods, WEIGHTLESS, clamps), radius=[radii], contact=False)
     assert through.gap[0] == np.inf and np.abs(through.rods[0].vertices - rods[0].vertices).max() < 1e-9
+
+
+def test_rods_lie_as_high_as_they_are_thick():
+    """Heavy rods that begin with their ends in the board, from which these are moved out."""
+    radii = np.array([[1.0, 4.0, 2.0], [1.5, 1.0, 0.5]])
+    board, material = Plane((0, 0, 0), (0, 0, 1)), Material(STIFFNESS, STIFFNESS)
+    rods = [Configuration(np.stack([0.0 * own, 20.0 * number + 0.0 * own, own + 1.0], axis=-1),
+                          np.repeat(straight_rod(120.0, 24, direction=(1.0, 0.0, -0.01)).quaternions, 2, axis=0),
+                          np.full(24, 5.0)) for number, own in enumerate(radii.T)]
+    clamps = [end_clamps(rod, Clamp.FRAME, Clamp.FREE) for rod in rods]
+    solution = relax_group(Group(rods, material, clamps), radius=radii, obstacles=[board])
+    assert solution.converged.all() and solution.stable.all() and np.abs(solution.gap).max() < 1e-3
+    for rod, own in zip(solution.rods, radii.T, strict=True):
+        np.testing.assert_allclose(rod.vertices[:, -8:-1, 2], np.repeat(own[:, None], 7, axis=1), atol=1e-3)
+    alone = relax_group(Group(rods[1:2], material, clamps[1:2]), radius=radii[:, 1], obstacles=[board])
+    np.testing.assert_allclose(solution.rods[1].vertices, alone.rods[0].vertices, atol=1e-3)
+    assert solution.group.take([0]).radii(radii[:1]).tolist() == [[1.0, 4.0, 2.0]]
 
 
 def hooked():

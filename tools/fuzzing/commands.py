@@ -77,6 +77,8 @@ def _recipes() -> tuple[Recipe, ...]:
         (f"predict rods.npz --motion marks_path.npz {MADE_OF} --sub-step 30 --out out/F.npz", 2),
         ("predict loop.toml --sub-step 30 --out out/F.npz", 3),
         ("predict loop.toml --sub-step 30 --out out/F.npz --picture out/F.png --recording out/F.rrd", 0.5),
+        ("group tied.toml --out out/F.npz", 2),
+        ("group tied.toml --out out/F.npz --picture out/F.png --recording out/F.rrd --json", 0.5),
         ("simulate swing.toml --out out/F.npz", 3),
         ("simulate swing.toml --out out/F.npz --picture out/F.png --recording out/F.rrd --animation out/F.gif", 0.5),
         ("simulate recorded.npz --theta theta.json --out out/F.npz --json", 4),

@@ -5,6 +5,7 @@ loop.toml                                  a scene of motion
 rods.npz .csv .parquet, ribbons.npz, labs.npz   observations: with frames, on ribbons, of marks alone
 groups.npz pairs.csv offsets.npz .csv      what goes with them
 path.npz path.csv marks_path.npz           motions
+tied.toml                                  a scene of a group
 swing.toml recorded.npz theta.json         rods in motion: a scene, a recording of two rods, what identify makes of it
 run dynamic_run ribbon_run                 folders of finished sweeps
 rig.yaml images/ frames.csv lengths.txt .npz   cameras, sets of images with SETS.csv and truth, a video, a rod
@@ -52,6 +53,31 @@ end_rotation_deg = 20.0
 time_s = 2.0
 end_position_mm = [20.0, 1.0, 0]
 end_direction = [1, 0.2, 0]
+"""
+TIED = """radius_mm = 1.0
+rate_hz = 10
+duration_s = 0.1
+[materials.rope]
+bend = 1e5
+[rods.trunk]
+edges = 6
+length_mm = 60.0
+radius_mm = 1.5
+start = "frame"
+[[rods.trunk.moments]]
+time_s = 0.1
+start_position_mm = [0, 0, 5]
+[rods.branch]
+edges = 4
+points_mm = [[40, 0, 0], [40, 20, 5], [40, 40, 0]]
+[[ties]]
+first = ["trunk", 4]
+second = ["branch", 0]
+weld = true
+[[obstacles]]
+kind = "plane"
+point = [0, 0, -30]
+normal = [0, 0, 1]
 """
 SWING = """rate_hz = 50
 duration_s = 0.1
@@ -165,6 +191,8 @@ def _rig():
 
 
 def _moving() -> None:
+    Path("tied.toml").write_text(TIED)
+    _command("group", "tied.toml", "--out", "tied.npz")  # also for its kernel, which takes long to compile
     Path("swing.toml").write_text(SWING)
     _command("simulate", "swing.toml", "--out", "swung.npz")
     positions = np.load("swung.npz")["positions_mm"]
