@@ -33,7 +33,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip(reason="a GPU has one rod per thread, no packs"))
     seen = Counter()
     for item in items:
-        # With --dist loadgroup one process runs a file's tests, and one all that share the long kernels, which it compiles once.
+        # With --dist loadgroup one process runs a file's tests, and one all that share the long kernels.
         long = item.nodeid.startswith(LONG_KERNELS)
         item.add_marker(pytest.mark.xdist_group("long" if long else item.nodeid.partition("::")[0]))
         sampled = item.get_closest_marker("sampled")

@@ -1,5 +1,6 @@
 """``doo-ti group``: rods that touch each other or are tied together, at rest or along a motion without inertia."""
 
+import sys
 from argparse import Namespace
 from dataclasses import fields
 from pathlib import Path
@@ -82,7 +83,12 @@ def _arrays(scene: "GroupScene", moments: "list[GroupSolution]") -> dict[str, np
 
 
 def _draw(moments: "list[GroupSolution]", picture: Path | None, recording: Path | None, about: dict) -> None:
-    for path in filter(None, (picture, recording)):
+    wanted = [path for path in (picture, recording) if path is not None]
+    if wanted and all(np.isnan(moment.energy[0]) for moment in moments):
+        print(f"doo-ti: note: {' and '.join(map(in_line, wanted))} not written: the rods have no place at any moment",
+              file=sys.stderr)
+        return
+    for path in wanted:
         path.parent.mkdir(parents=True, exist_ok=True)
     if picture is not None:
         from doo_ti.report.groups import save_group
@@ -97,7 +103,7 @@ def _draw(moments: "list[GroupSolution]", picture: Path | None, recording: Path 
 def _summary(scene: "GroupScene", moments: "list[GroupSolution]", out: Path) -> dict:
     status = np.array([moment.status[0] for moment in moments])
     last = moments[-1]
-    gaps = np.array([moment.gap[0] for moment in moments])
+    gap, closure = (np.array([getattr(moment, name)[0] for moment in moments]) for name in ("gap", "closure"))
     forces = {f"{name}, {end}": np.linalg.norm(getattr(last, f"{end}_force")[0, rod])
               for rod, name in enumerate(scene.names) for end in ("start", "end")}
     touch = np.concatenate([part[0] for part in last.touch])
@@ -107,8 +113,8 @@ def _summary(scene: "GroupScene", moments: "list[GroupSolution]", out: Path) -> 
         "status": {Status(value).name.lower(): int((status == value).sum()) for value in np.unique(status)},
         "failed_s": [float(time) for time, value in zip(scene.time, status, strict=True) if value != Status.CONVERGED],
         "stable": int(sum(moment.stable[0] for moment in moments)), "energy": last.energy[0],
-        "closure": np.nanmax([moment.closure[0] for moment in moments], initial=0.0),
-        "smallest_gap_mm": np.nanmin(gaps, initial=np.inf),
+        "closure": np.max(closure[np.isfinite(closure)], initial=0.0),
+        "smallest_gap_mm": np.min(gap[np.isfinite(gap)], initial=np.inf),
         "held_force": {name: value for name, value in forces.items() if value},
         "tie_force": np.linalg.norm(last.tie_force[0], axis=-1),
         "friction_work": np.nansum([moment.friction_work[0] for moment in moments]),
@@ -123,8 +129,9 @@ def _lines(scene: "GroupScene", moments: "list[GroupSolution]", summary: dict) -
     if summary["failed_s"]:
         failed = ", ".join(f"{time:g}" for time in summary["failed_s"][:MOST_LISTED])
         lines.append(f"  failed at   {failed} s{' and later' * (len(summary['failed_s']) > MOST_LISTED)}")
-    lines.append(f"  energy      {summary['energy']:.6g} mm²" + " at the end" * (count > 1) + "; ties and ends miss their "
-                 f"places by at most {summary['closure']:.1e} of the longest rod")
+    if np.isfinite(summary["energy"]):
+        lines.append(f"  energy      {summary['energy']:.6g} mm²" + " at the end" * (count > 1) + "; ties and ends miss their "
+                     f"places by at most {summary['closure']:.1e} of the longest rod")
     if np.isfinite(summary["smallest_gap_mm"]):
         lines.append(f"  contact     smallest gap {summary['smallest_gap_mm']:.2g} mm")
     if scene.surroundings.rub:

@@ -13,7 +13,7 @@ from doo_ti.record.obstacles import log_forces, log_obstacles
 from doo_ti.record.stream import FAILED, drawn_strips, entity_name, front_view, log_up, panels, recording
 from doo_ti.report import distinct_colors
 from doo_ti.report.grid_view import Observed, grid_view
-from doo_ti.report.touched import Touched
+from doo_ti.report.groups import GroupMotion
 
 TIE = (255, 255, 255)
 
@@ -27,33 +27,28 @@ def record_group(path: Path, moments: Sequence[GroupSolution], *, name: str, nam
     ``surroundings`` say so, in red at moments that have not converged; ``world/ties`` the tied points; ``world/obstacles`` and
     ``world/forces`` what rods touch, and what that exerts.
     """
-    around = Surroundings() if surroundings is None else surroundings
-    rods = [[rod.vertices[row] for rod in moment.rods] for moment in moments]
-    whole = np.array([np.concatenate(x) for x in rods])  # (T, vertices of the group, 3)
-    force = np.array([np.concatenate([part[row] for part in moment.contact_force]) for moment in moments])
-    touched = Touched(around, whole[None], force[None])
-    grid = grid_view(Observed(whole.reshape(1, -1, 3), up=up))
-    layout = blueprint.Blueprint(front_view(grid, "world", f"Rods, mm: blue {touched.legend}", 1.8), *panels("time"))
-    frames, count = len(moments), len(rods[0])
+    seen = GroupMotion.of(moments, row, surroundings)
+    grid = grid_view(Observed(seen.vertices.reshape(1, -1, 3), up=up))
+    layout = blueprint.Blueprint(front_view(grid, "world", f"Rods, mm: blue {seen.touched.legend}", 1.8), *panels("time"))
+    frames, count = len(seen.rods), len(seen.rods[0])
     when = [rerun.TimeColumn("time", duration=np.arange(frames) / rate)]
-    sound = np.array([moment.converged[row] for moment in moments])
     called = [str(rod) if names is None else f"{rod}_{entity_name(names[rod])}" for rod in range(count)]
     with recording(path, f"group {name}", name, layout) as stream:
         log_up(stream, "world", grid.basis[2])
-        radii = [None] * count if around.radius is None else moments[0].group.radii_in(row, around.radius).tolist()
+        radii = [None] * count if seen.radii is None else seen.radii.tolist()
         for rod, (own, color) in enumerate(zip(called, distinct_colors(count), strict=True)):
             place = f"world/rods/{own}"
             stream.log(place, rerun.LineStrips3D.from_fields(radii=_thick(radii[rod], 1.0, 1.2)), static=True)
-            strips = [strip for moment in rods for strip in drawn_strips(moment[rod][None])]
+            strips = [strip for moment in seen.rods for strip in drawn_strips(moment[rod][None])]
             stream.send_columns(place, when, rerun.LineStrips3D.columns(
-                strips=strips, colors=np.where(sound[:, None], color, np.array(FAILED, dtype=color.dtype))))
-        tied = moments[0].group.tied[:, 0]
-        if len(tied):
-            stream.log("world/ties", rerun.Points3D.from_fields(colors=TIE, radii=_thick(max(radii), 1.3, 2.0)), static=True)
+                strips=strips, colors=np.where(seen.sound[:, None], color, np.array(FAILED, dtype=color.dtype))))
+        if len(seen.tied):
+            thickest = None if seen.radii is None else max(radii)
+            stream.log("world/ties", rerun.Points3D.from_fields(colors=TIE, radii=_thick(thickest, 1.3, 2.0)), static=True)
             stream.send_columns("world/ties", when, rerun.Points3D.columns(
-                positions=whole[:, tied].reshape(-1, 3)).partition([len(tied)] * frames))
-        log_obstacles(stream, "world/obstacles", when, touched, np.zeros((1, 3)))
-        log_forces(stream, "world/forces", when, touched, np.zeros((1, 3)))
+                positions=seen.vertices[:, seen.tied].reshape(-1, 3)).partition([len(seen.tied)] * frames))
+        log_obstacles(stream, "world/obstacles", when, seen.touched, np.zeros((1, 3)))
+        log_forces(stream, "world/forces", when, seen.touched, np.zeros((1, 3)))
 
 
 def _thick(radius: float | None, share: float, points: float):

@@ -2,6 +2,7 @@
 Axes: T moments, V vertices of a rod."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,21 +23,50 @@ MOST_NAMED = 12
 """Entries of a legend."""
 
 
+@dataclass(frozen=True)
+class GroupMotion:
+    """One group at T moments, as pictures and recordings show it.
+
+    rods     T lists of its G rods, (V, 3) mm each, NaN where they have no place
+    tied     numbers of the tied vertices among all of the group
+    sound    (T,) bool: converged
+    radii    (G,) mm, or None where the rods have no thickness
+    touched  the obstacles, and the contact forces on all vertices of the group
+    """
+
+    rods: list[list[np.ndarray]]
+    tied: np.ndarray
+    sound: np.ndarray
+    radii: np.ndarray | None
+    touched: Touched
+
+    @classmethod
+    def of(cls, moments: Sequence[GroupSolution], row: int, surroundings: Surroundings | None) -> "GroupMotion":
+        """The group ``row`` of solutions."""
+        around, group = Surroundings() if surroundings is None else surroundings, moments[0].group
+        rods = [[rod.vertices[row] for rod in moment.rods] for moment in moments]
+        force = np.array([np.concatenate([part[row] for part in moment.contact_force]) for moment in moments])
+        radii = None if around.radius is None else group.radii_in(row, around.radius)
+        touched = Touched(around, np.array([np.concatenate(own) for own in rods])[None], force[None])
+        return cls(rods, group.tied[:, 0], np.array([moment.converged[row] for moment in moments]), radii, touched)
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """(T, vertices of the group, 3) mm."""
+        return self.touched.positions[0]
+
+
 def save_group(path: Path, moments: Sequence[GroupSolution], *, name: str, names: Sequence[str],
                surroundings: Surroundings | None = None, row: int = 0, rate: float = 1.0,
                up: Sequence[float] = (0.0, 0.0, 1.0)) -> None:
     """Write a picture of the group ``row`` at T moments, ``rate`` of them a second: the last with its ties, obstacles and
     contact forces, some earlier ones faintly; of a motion also the forces of the clamps. ``names`` are the rods'."""
-    around = Surroundings() if surroundings is None else surroundings
-    rods = [[rod.vertices[row] for rod in moment.rods] for moment in moments]
-    whole = np.array([np.concatenate(own) for own in rods])  # (T, vertices of the group, 3)
-    force = np.array([np.concatenate([part[row] for part in moment.contact_force]) for moment in moments])
-    touched = Touched(around, whole[None], force[None])
-    radii = np.zeros(len(names)) if around.radius is None else moments[-1].group.radii_in(row, around.radius)
-    basis = upright_basis(whole.reshape(1, -1, 3), up)
+    seen = GroupMotion.of(moments, row, surroundings)
+    radii = np.zeros(len(names)) if seen.radii is None else seen.radii
+    basis = upright_basis(seen.vertices.reshape(1, -1, 3), up)
     # Rows right, into the picture and up.
     views = {"from the side": basis, "from above": np.stack([basis[0], -basis[2], basis[1]])}
-    limits = [_limits(whole @ view[[0, 2]].T) for view in views.values()]
+    limits = [_limits(seen.vertices @ view[[0, 2]].T) for view in views.values()]
     heights = [min(HIGHEST, WIDTH * np.ptp(limit[1]) / np.ptp(limit[0])) for limit in limits]
     heights += [CURVES] * (len(moments) > 1)
     figure = new_figure((WIDTH + 1.0, sum(heights) + 0.5 * len(heights) + 0.8))
@@ -46,11 +76,11 @@ def save_group(path: Path, moments: Sequence[GroupSolution], *, name: str, names
     for plot, (label, view), limit in zip(plots, views.items(), limits, strict=False):
         plot.set(xlim=limit[0], ylim=limit[1], ylabel=f"{label} [mm]")
         for moment in earlier:
-            for rod, color in zip(rods[moment], colors, strict=True):
+            for rod, color in zip(seen.rods[moment], colors, strict=True):
                 plot.plot(*(rod @ view[[0, 2]].T).T, color=color, lw=0.8, alpha=0.3)
-        _draw_rods(plot, rods[-1], colors, view, radii)
-        touched.draw(plot, 0, view[[0, 2]], [len(moments) - 1])
-        tied = whole[-1][moments[-1].group.tied[:, 0]] @ view[[0, 2]].T
+        _draw_rods(plot, seen.rods[-1], colors, view, radii)
+        seen.touched.draw(plot, 0, view[[0, 2]], [len(moments) - 1])
+        tied = seen.vertices[-1, seen.tied] @ view[[0, 2]].T
         plot.plot(*tied.T, "o", color="white", markeredgecolor="black", markersize=4, zorder=ABOVE_ARROWS + 1)
         plot.set_aspect("equal")
         plot.grid(alpha=0.2)
@@ -58,11 +88,11 @@ def save_group(path: Path, moments: Sequence[GroupSolution], *, name: str, names
         plots[0].plot([], [], color=color, lw=3, label=literal(rod))
     plots[0].legend(fontsize=8, frameon=False, loc="best")
     if len(moments) > 1:
-        _draw_forces(plots[-1], moments, row, rate, names)
-    status = "" if moments[-1].converged[row] else ", not converged"
-    ties = "; circles: ties" if moments[-1].group.ties else ""
+        _draw_forces(plots[-1], moments, row, seen.sound, rate, names)
+    status = "" if seen.sound[-1] else ", not converged"
+    ties = "; circles: ties" if len(seen.tied) else ""
     when = "" if len(moments) == 1 else f" after {(len(moments) - 1) / rate:.3g} s, earlier moments faint"
-    figure.suptitle(f"{literal(name)}{when}{status}\nblue: {touched.legend}{ties}", fontsize=10)
+    figure.suptitle(f"{literal(name)}{when}{status}\nblue: {seen.touched.legend}{ties}", fontsize=10)
     save_figure(figure, path)
 
 
@@ -101,10 +131,10 @@ def _draw_rods(plot, rods: list[np.ndarray], colors: np.ndarray, view: np.ndarra
                                        zorder=ABOVE_ARROWS), autolim=False)
 
 
-def _draw_forces(plot, moments: Sequence[GroupSolution], row: int, rate: float, names: Sequence[str]) -> None:
+def _draw_forces(plot, moments: Sequence[GroupSolution], row: int, sound: np.ndarray, rate: float,
+                 names: Sequence[str]) -> None:
     """The forces of clamps on the ends of rods over time, the largest named."""
     time = np.arange(len(moments)) / rate
-    sound = np.array([moment.converged[row] for moment in moments])
     curves = []
     for rod, name in enumerate(names):
         for end in ("start", "end"):

@@ -75,6 +75,17 @@ def test_what_does_not_converge_is_said_and_written(scene, tmp_path, capsys):
     assert summary["status"]["infeasible"] >= 1 and 0.2 in summary["failed_s"]
 
 
+def test_rods_without_a_place_are_not_drawn(scene, tmp_path, capsys):
+    scene.write_text(SCENE.replace('start = "frame"', 'start = "frame"\nend = "position"').replace(
+        "time_s = 0.2", "time_s = 0.0").replace("start_position_mm = [0, 0, 10]", "start_position_mm = [-10, 0, 0]"))
+    words = ["group", str(scene), "--out", str(tmp_path / "f.npz"), "--picture", str(tmp_path / "f.png"), "--recording",
+             str(tmp_path / "f.rrd")]
+    assert main(words) == 1
+    said = capsys.readouterr()
+    assert "note: " in said.err and "3 infeasible" in said.out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["f.npz", "scene.toml"]
+
+
 @pytest.mark.parametrize(("words", "said"), [
     (["--out", "f.csv"], "--out: suffix '.csv' of f.csv; name a file that ends in .npz"),
     (["--out", "f.npz", "--picture", "f.gif"], "--picture: suffix '.gif'"),

@@ -23,6 +23,8 @@ def test_rods_ties_and_forces_are_shown(tmp_path, rng):
                          np.zeros((1, 1, 3)), none, none, forces, tuple(np.zeros((1, len(each[0]))) for each in forces),
                          np.zeros(1), np.zeros(1))
     moments = [good, replace(good, status=np.array([Status.STALLED]))]
+    record_group(tmp_path / "bare.rrd", moments, name="without thickness")
+    assert set(read(tmp_path / "bare.rrd")[1]) >= {"/world/rods/0", "/world/rods/1", "/world/ties"}
     record_group(tmp_path / "g.rrd", moments, name="made up", names=["trunk", "a branch"], rate=2.0,
                  surroundings=Surroundings([Plane((0, 0, -5), (0, 0, 1))], 1.5))
     static, moving = read(tmp_path / "g.rrd")
