@@ -33,15 +33,25 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip(reason="a GPU has one rod per thread, no packs"))
     seen = Counter()
     for item in items:
-        # With --dist loadgroup one process runs a file's tests, and one all that share the long kernels.
-        long = item.nodeid.startswith(LONG_KERNELS)
-        item.add_marker(pytest.mark.xdist_group("long" if long else item.nodeid.partition("::")[0]))
         sampled = item.get_closest_marker("sampled")
         if sampled and item.get_closest_marker("thorough") is None:
             name = item.nodeid.partition("[")[0]
             seen[name] += 1
             if seen[name] > sampled.args[0]:
                 item.add_marker(pytest.mark.thorough)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log):
+    """Among several processes: one runs all tests of a file, and one those that share the long kernels, which it compiles
+    once."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduling(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return "long kernels" if nodeid.startswith(LONG_KERNELS) else nodeid.partition("::")[0]
+
+    return Scheduling(config, log)
 
 
 @pytest.fixture
