@@ -227,3 +227,5 @@ def test_wrong_groups_are_one_line():
         relax_group(starts[0])
     with pytest.raises(InputError, match="radius"):
         relax_group(Group(starts, MATERIAL, clamps), radius=-1.0)
+    with pytest.raises(InputError, match="radius: shape .* give one number of mm"):
+        relax_group(Group(starts, MATERIAL, clamps), radius=np.ones((1, len(starts) + 1)))
