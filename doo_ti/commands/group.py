@@ -11,7 +11,7 @@ import numpy as np
 from doo_ti.commands import options as given
 from doo_ti.commands.results import counted, report, save_arrays
 from doo_ti.contact.touch import Touch
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, InterruptedRunError
 from doo_ti.terminal import in_line, progress
 from doo_ti.types import Status
 
@@ -53,6 +53,12 @@ def run(options: Namespace, words: list[str]) -> int:
                 bar.advance(task)
         except InputError as error:
             raise InputError(options.scene, error.field, error.problem, error.remedy) from None
+        except KeyboardInterrupt:
+            if not moments:
+                raise
+            save_arrays(out, _arrays(scene, moments))
+            raise InterruptedRunError(f"interrupted: {len(moments)} of {len(scene.time)} moments are in {in_line(out)}; the "
+                                      "same command starts from the beginning") from None
     save_arrays(out, _arrays(scene, moments))
     about = {"name": scene.name, "names": scene.names, "surroundings": scene.surroundings, "rate": scene.rate, "up": up}
     _draw(moments, picture, recording, about)
@@ -70,7 +76,7 @@ def _arrays(scene: "GroupScene", moments: "list[GroupSolution]") -> dict[str, np
     rods = scene.group.rods
     number = np.arange(len(rods))
     arrays = {
-        "time_s": scene.time, "rod_names": np.array(scene.names),
+        "time_s": scene.time[: len(moments)], "rod_names": np.array(scene.names),
         "rod": np.repeat(number, [rod.edges + 1 for rod in rods]), "edge_rod": np.repeat(number, [rod.edges for rod in rods]),
         "positions_mm": along([rod.vertices for rod in moment.rods] for moment in moments),
         "frames": along([rod.frames for rod in moment.rods] for moment in moments),

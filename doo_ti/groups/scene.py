@@ -60,6 +60,8 @@ from doo_ti.terminal import in_line
 from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, Material
 
 MOST_MOMENTS, MOST_EDGES, MOST_POINTS = 100_000, 1000, 10_000
+MOST_OF_ALL = 2000
+"""Edges of all rods: the memory of their Newton system grows with the square, to half a gigabyte."""
 SAMPLES = 40
 """Of a curve, for each edge of the rod along it."""
 
@@ -141,6 +143,8 @@ def load_group_scene(path: str | Path) -> GroupScene:
         radii.append(file.radius_mm if rod.radius_mm is None else rod.radius_mm)
         materials.append(found[_known(path, f"{key}.material", material, found)])
         clamps.append(_clamps(path, key, rod, start, time))
+    if (count := sum(rod.edges for rod in rods)) > MOST_OF_ALL:
+        raise InputError(path, "rods", f"{count} edges in all", f"give at most {MOST_OF_ALL:,}")
     moments = [[own(instant) for own in clamps] for instant in range(len(time))]
     ties = [_tie(path, f"ties[{number}]", row, list(file.rods), rods) for number, row in enumerate(file.ties)]
     try:

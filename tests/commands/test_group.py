@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import main
+from doo_ti.groups.follow import follow_group
 from doo_ti.types import Status
 
 SCENE = """
@@ -84,6 +85,18 @@ def test_rods_without_a_place_are_not_drawn(scene, tmp_path, capsys):
     said = capsys.readouterr()
     assert "note: " in said.err and "3 infeasible" in said.out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["f.npz", "scene.toml"]
+
+
+def test_what_is_done_before_an_interruption_stays(scene, tmp_path, capsys, monkeypatch):
+    def interrupted(*arguments, **options):
+        yield next(follow_group(*arguments, **options))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("doo_ti.groups.follow.follow_group", interrupted)
+    assert main(["group", str(scene), "--out", str(tmp_path / "f.npz")]) == 1
+    assert "interrupted: 1 of 3 moments are in" in capsys.readouterr().err
+    found = np.load(tmp_path / "f.npz")
+    assert found["time_s"].shape == found["status"].shape == (1,) and found["positions_mm"].shape == (1, 14, 3)
 
 
 @pytest.mark.parametrize(("words", "said"), [

@@ -18,7 +18,7 @@ radius_mm = 1.0
 rate_hz = 10
 duration_s = 0.2
 [materials.stiff]
-bend = 2e5
+bend = 200000
 [materials.ribbon]
 bend = [[2e5, 0], [0, 1e5]]
 twist = 1e5
@@ -113,6 +113,8 @@ def test_a_closed_curve_goes_smoothly_through_its_points(tmp_path):
     ('start = "frame"', 'start = "glued"', "rods.trunk.start: 'glued' is not allowed; give one of free, position"),
     ("[0, 2, 0]", "[0, 0, 0]", "rods.trunk.direction: no direction"),
     ("edges = 24", "edges = 3", "rods.ring.edges: 3 is not allowed"),
+    ("[rods.ring]", "[rods.a]\nmaterial = 'stiff'\nedges = 1000\nlength_mm = 9.0\n[rods.b]\nmaterial = 'stiff'\nedges = 1000\n"
+     "length_mm = 9.0\n[rods.ring]", "rods: 2034 edges in all; give at most 2,000"),
     ("normal = [0, 0, 1]", "normal = [0, 0, 1]\n[[obstacles.moments]]\ntime_s = 1.0", "obstacles[0].moments: given for an"),
 ])
 def test_what_is_wrong_is_named(tmp_path, old, new, said):
