@@ -5,6 +5,8 @@ Quaternions are (..., 4) with the scalar first; the columns of a rotation matrix
 
 import numpy as np
 
+from doo_ti.errors import InputError
+
 FRAME_TOLERANCE = 1e-3
 """Largest allowed :func:`orthonormality_error` of an input frame."""
 
@@ -135,6 +137,21 @@ def bishop_frames(tangents: np.ndarray, first: np.ndarray) -> np.ndarray:
         u = u / np.linalg.norm(u, axis=-1, keepdims=True)
         frames[..., j, :, 0], frames[..., j, :, 1], frames[..., j, :, 2] = t, u, np.cross(t, u)
     return frames
+
+
+def edge_frames(edges: np.ndarray, first: np.ndarray | None = None) -> np.ndarray:
+    """(S, T, 3, 3) frames of an edge at T instants (S, T, 3), parallel-transported from each to the next, as a Bishop frame is
+    along a rod: the edge does not turn about itself.
+
+    first  (S, 3) m1 of the first instant, made orthogonal; by default a coordinate axis across the edge.
+
+    Raises InputError for an edge without length.
+    """
+    length = np.linalg.norm(edges, axis=-1, keepdims=True)
+    if not (length > 0).all():
+        raise InputError("edge_frames", "edges", "an edge without length", "give two distinct points of each gripper")
+    t = edges / length
+    return bishop_frames(t, across(t[:, 0]) if first is None else first)
 
 
 def angle_about(tangent: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:

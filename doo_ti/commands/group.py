@@ -12,6 +12,7 @@ from doo_ti.commands import options as given
 from doo_ti.commands.results import counted, report, save_arrays
 from doo_ti.contact.touch import Touch
 from doo_ti.errors import InputError, InterruptedRunError
+from doo_ti.learning.objective import status_counts
 from doo_ti.terminal import in_line, progress
 from doo_ti.types import Status
 
@@ -116,7 +117,7 @@ def _summary(scene: "GroupScene", moments: "list[GroupSolution]", out: Path) -> 
     return {
         "name": scene.name, "rods": len(scene.names), "edges": int(sum(rod.edges for rod in scene.group.rods)),
         "ties": len(scene.group.ties), "moments": len(moments),
-        "status": {Status(value).name.lower(): int((status == value).sum()) for value in np.unique(status)},
+        "status": status_counts(status),
         "failed_s": [float(time) for time, value in zip(scene.time, status, strict=True) if value != Status.CONVERGED],
         "stable": int(sum(moment.stable[0] for moment in moments)), "energy": last.energy[0],
         "closure": np.max(closure[np.isfinite(closure)], initial=0.0),

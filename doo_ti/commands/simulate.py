@@ -12,6 +12,7 @@ from doo_ti.commands.results import RODS, contact_lines, contact_summary, counte
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
 from doo_ti.errors import InputError
+from doo_ti.learning.objective import status_counts
 from doo_ti.terminal import busy, in_line, progress
 from doo_ti.types import Clamp, Status
 
@@ -189,9 +190,8 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
               "recording": np.array(found.names), "substeps": found.substeps}
     arrays |= {ENERGY.format(name): value for name, value in found.energies.items()} | found.contact
     last = found.status[:, -1]
-    counts = {Status(value).name.lower(): int((last == value).sum()) for value in np.unique(last)}
     summary = {"rods": len(found.names), "frames": found.positions.shape[1], "vertices": found.positions.shape[2],
-               "status": counts, "failed": [name for name, value in zip(found.names, last, strict=True) if value],
+               "status": status_counts(last), "failed": [name for name, value in zip(found.names, last, strict=True) if value],
                "out": str(out)}
     if found.contact:
         summary |= contact_summary(found.surroundings, found.contact["contact_force"], found.contact["smallest_gap_mm"],

@@ -139,8 +139,9 @@ def _moving(source, key: str, obstacle: Obstacle, motion: _Motion, time: np.ndar
     axis = obstacle.placed[1][0, :, 2] if motion.turn_axis is None else unit_direction(
         source, f"{key}.turn_axis", motion.turn_axis)
     path = between_moments(source, f"{key}.moments", motion.moments, _Moment, {"shift": np.zeros(3), "turns": 0.0}, time)
-    if np.abs(np.diff(path["turns"])).max() >= 0.5:
-        raise InputError(source, f"{key}.moments", f"{np.abs(np.diff(path['turns'])).max():.2g} turns between two frames",
+    largest = np.abs(np.diff(path["turns"])).max()
+    if largest >= 0.5:
+        raise InputError(source, f"{key}.moments", f"{largest:.2g} turns between two frames",
                          "give less than half a turn, or a larger rate_hz")
     return Moving(obstacle, path["shift"], rotation_matrix(2.0 * np.pi * path["turns"][:, None] * axis), motion.pivot)
 

@@ -7,8 +7,6 @@ import numpy as np
 from doo_ti.errors import InputError, real_array
 from doo_ti.frames import (
     FRAME_TOLERANCE,
-    across,
-    bishop_frames,
     matrix_from_quaternion,
     orthonormality_error,
     quaternion_from_matrix,
@@ -98,21 +96,6 @@ class Grippers:
 
 
 _PATHS = ("start_position", "end_position", "start_frame", "end_frame")
-
-
-def edge_frames(edges: np.ndarray, first: np.ndarray | None = None) -> np.ndarray:
-    """(S, T, 3, 3) frames of an edge at T instants (S, T, 3), parallel-transported from each to the next, as a Bishop frame is
-    along a rod: the edge does not turn about itself.
-
-    first  (S, 3) m1 of the first instant, made orthogonal; by default a coordinate axis across the edge.
-
-    Raises InputError for an edge without length.
-    """
-    length = np.linalg.norm(edges, axis=-1, keepdims=True)
-    if not (length > 0).all():
-        raise InputError("edge_frames", "edges", "an edge without length", "give two distinct points of each gripper")
-    t = edges / length
-    return bishop_frames(t, across(t[:, 0]) if first is None else first)
 
 
 def cubic(points: np.ndarray, share: np.ndarray) -> np.ndarray:

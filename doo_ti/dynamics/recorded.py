@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.dynamics.grippers import Grippers, edge_frames
+from doo_ti.dynamics.grippers import Grippers
 from doo_ti.errors import InputError
-from doo_ti.frames import bishop_frames, quaternion_from_matrix, tangent_from_quaternion
+from doo_ti.frames import bishop_frames, edge_frames, quaternion_from_matrix, tangent_from_quaternion
 from doo_ti.io.motion_recording import read_recording
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.relax import relax

@@ -65,6 +65,7 @@ from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.errors import InputError
 from doo_ti.frames import quaternion_product, smallest_rotation
 from doo_ti.io.clamp_moments import ClampName, end_paths
+from doo_ti.io.keyframes import instants
 from doo_ti.io.motion_scene import rod_radius
 from doo_ti.io.toml_file import Finite, NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.knots import overhand_knot
@@ -141,11 +142,8 @@ def load_dynamic_scene(path: str | Path) -> DynamicScene:
     path = Path(path)
     file = checked(path, "", read_toml(path)[0], _File)
     rod, clamps = checked(path, "rod", file.rod, _Rod), checked(path, "clamps", file.clamps, _Clamps)
-    frames = round(file.duration_s * file.rate_hz)
-    if not 1 <= frames <= MOST_FRAMES:
-        raise InputError(path, "duration_s", f"{frames} frames at rate_hz", f"give 1 to {MOST_FRAMES:,}")
+    time = instants(path, file.rate_hz, file.duration_s, MOST_FRAMES, "frames")
     start = _start(path, rod, unit_direction(path, "rod.direction", rod.direction))
-    time = np.arange(frames + 1) / file.rate_hz
     grippers = _grippers(path, file, clamps, start, time)
     names = tuple(map(in_line, file.materials))
     material, dynamics = _materials(path, file.materials)

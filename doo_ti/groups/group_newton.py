@@ -1,7 +1,7 @@
 """Newton's method on all groups at once: its kernel and its launch (docs/groups.md)."""
 
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 
 import numpy as np
@@ -122,8 +122,8 @@ def run_groups(table: GroupTables, options: Newton, state: GroupState, previous:
     """Relax all feasible groups: (N, E, 4) frames and (N, LOADED_RESULTS), NaN and UNTOUCHED in infeasible rows; with friction
     where ``previous`` (N, V, 3) mm says where the vertices were at the moment before.
 
-    Groups that stall, which tight knots with friction do, are relaxed once more from their start with the other first shift,
-    which takes another way; their iterations are those of both.
+    Groups whose solver stalls, as it can in tight knots with friction, are relaxed once more from their start with the other
+    first shift, which leads through other shapes. Their iterations are those of both attempts.
     """
     count, edges = table.start.shape[:2]
     frames = np.full((count, edges, 4), np.nan)
@@ -133,8 +133,8 @@ def run_groups(table: GroupTables, options: Newton, state: GroupState, previous:
     _launch(table, options, state, previous, np.flatnonzero(table.feasible), frames, results)
     stalled = np.flatnonzero(results[:, of.STATUS] == Status.STALLED)
     if len(stalled):
-        for name in ("places", "tie_forces", "touch", "friction_work"):
-            getattr(state, name)[stalled] = getattr(begun, name)[stalled]
+        for part in fields(state):
+            getattr(state, part.name)[stalled] = getattr(begun, part.name)[stalled]
         table.contact.memory[stalled] = 0.0
         spent = results[stalled, of.ITERATIONS]
         other = replace(options, first_shift=0.0 if options.first_shift else Newton().first_shift)

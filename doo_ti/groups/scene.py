@@ -1,7 +1,7 @@
 """Scenes of groups, in one TOML file (docs/groups.md).
 
     name = "wire harness"
-    radius_mm = 2.0                    # of the rods, which touch each other and themselves; needed with obstacles (they do not)
+    radius_mm = 2.0                    # of the rods, needed with obstacles (without it rods do not touch each other)
     rate_hz = 10                       # moments per second of a motion without inertia,
     duration_s = 2.0                   # and how long it lasts (both left out: one relaxation)
 
@@ -41,7 +41,6 @@
     normal = [0, 0, 1]
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -54,6 +53,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.groups.group import Group, Tie
 from doo_ti.io.clamp_moments import ClampName, end_paths
+from doo_ti.io.keyframes import instants
 from doo_ti.io.toml_file import NotNegative, NumberOrMatrix, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.knots import rod_along
 from doo_ti.terminal import in_line
@@ -145,7 +145,7 @@ def load_group_scene(path: str | Path) -> GroupScene:
         clamps.append(_clamps(path, key, rod, start, time))
     if (count := sum(rod.edges for rod in rods)) > MOST_OF_ALL:
         raise InputError(path, "rods", f"{count} edges in all", f"give at most {MOST_OF_ALL:,}")
-    moments = [[own(instant) for own in clamps] for instant in range(len(time))]
+    moments = [list(held) for held in zip(*clamps, strict=True)]
     ties = [_tie(path, f"ties[{number}]", row, list(file.rods), rods) for number, row in enumerate(file.ties)]
     try:
         group = Group(rods, materials, moments[0], ties)
@@ -173,10 +173,7 @@ def _times(path: Path, file: _File) -> np.ndarray:
         raise InputError(path, missing, f"missing beside {other}", "give both, or neither")
     if file.rate_hz is None:
         return np.zeros(1)
-    steps = round(file.duration_s * file.rate_hz)
-    if not 1 <= steps <= MOST_MOMENTS:
-        raise InputError(path, "duration_s", f"{steps} moments at rate_hz", f"give 1 to {MOST_MOMENTS:,}")
-    return np.arange(steps + 1) / file.rate_hz
+    return instants(path, file.rate_hz, file.duration_s, MOST_MOMENTS, "moments")
 
 
 def _material(path: Path, key: str, table) -> Material:
@@ -215,7 +212,7 @@ def _curve(path: Path, key: str, rod: _Rod) -> np.ndarray:
     if not (steps > 0).all():
         number = int(np.argmin(steps))
         raise InputError(path, key, f"{number} and {(number + 1) % len(rod.points_mm)} are at one place", "give others")
-    # Places along the curve by the roots of the distances: neither loops nor flat parts between uneven points.
+    # Centripetal parameters: with them a spline makes no loops where points are unevenly spaced.
     along = np.concatenate([[0.0], np.cumsum(np.sqrt(steps))])
     if len(points) == 2:
         return points
@@ -223,12 +220,12 @@ def _curve(path: Path, key: str, rod: _Rod) -> np.ndarray:
     return curve(np.linspace(0.0, along[-1], SAMPLES * rod.edges + 1))
 
 
-def _clamps(path: Path, key: str, rod: _Rod, start: Configuration, time: np.ndarray) -> Callable[[int], Clamps]:
-    """From the number of a moment to the clamps then."""
+def _clamps(path: Path, key: str, rod: _Rod, start: Configuration, time: np.ndarray) -> list[Clamps]:
+    """Those of a rod at each of T moments."""
     held = end_paths(path, f"{key}.moments", rod.moments, start, time)
     kinds = Clamp[rod.start.upper()], Clamp[rod.end.upper()]
-    return lambda instant: Clamps(*kinds, *(values[instant][None] for values in (
-        held.start_position, held.end_position, held.start_frame, held.end_frame)))
+    places = (held.start_position, held.end_position, held.start_frame, held.end_frame)
+    return [Clamps(*kinds, *(values[moment][None] for values in places)) for moment in range(len(time))]
 
 
 def _tie(path: Path, key: str, row, names: list[str], rods: list[Configuration]) -> Tie:

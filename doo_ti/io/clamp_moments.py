@@ -19,7 +19,7 @@ from typing import Literal
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.frames import bishop_frames, turned_about_tangent
+from doo_ti.frames import edge_frames, turned_about_tangent
 from doo_ti.io.keyframes import between_moments
 from doo_ti.io.toml_file import Finite, NotNegative, Table, Vector
 from doo_ti.types import Configuration
@@ -55,8 +55,8 @@ def end_paths(source, key: str, rows: list, start: Configuration, time: np.ndarr
     rows   the moments, the value of ``key`` in the file ``source``
     start  the rod: where its ends are as long as no moment says otherwise
 
-    An end does not turn about its direction while that changes (a Bishop frame over time), other than by its ``turns``. Raises
-    InputError as :func:`.between_moments` does, and where the way between two directions leads through none.
+    While its direction changes, an end turns about it only by its ``turns`` (:func:`.edge_frames`). Raises InputError as
+    :func:`.between_moments` does, and where a direction reverses from one moment to the next.
     """
     vertices, frames = start.vertices[0], start.frames[0]
     first = {"start_position_mm": vertices[0], "start_direction": frames[0, :, 0], "end_position_mm": vertices[-1],
@@ -64,10 +64,10 @@ def end_paths(source, key: str, rows: list, start: Configuration, time: np.ndarr
     paths = between_moments(source, key, rows, Moment, first, time)
     held = {}
     for end, edge in (("start", 0), ("end", -1)):
-        direction = paths[f"{end}_direction"]
-        size = np.linalg.norm(direction, axis=-1, keepdims=True)
-        if not (size > 0).all():
-            raise InputError(source, key, f"{end}_direction turns around in one step", "give a direction between")
-        held[end] = turned_about_tangent(bishop_frames(direction / size, frames[edge, :, 1]),
-                                         2 * np.pi * paths[f"{end}_turns"])
+        try:
+            along, = edge_frames(paths[f"{end}_direction"][None], frames[None, edge, :, 1])
+        except InputError:
+            raise InputError(source, key, f"{end}_direction reverses from one moment to the next",
+                             "give a moment with a direction in between") from None
+        held[end] = turned_about_tangent(along, 2 * np.pi * paths[f"{end}_turns"])
     return EndPaths(paths["start_position_mm"], paths["end_position_mm"], held["start"], held["end"])

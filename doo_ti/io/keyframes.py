@@ -1,4 +1,4 @@
-"""Quantities that a TOML file states at some moments, smooth between them."""
+"""The instants of a motion that a TOML file states, and quantities that it states at some moments, smooth between them."""
 
 from collections.abc import Mapping
 
@@ -6,6 +6,15 @@ import numpy as np
 
 from doo_ti.errors import InputError
 from doo_ti.io.toml_file import Table, checked, unit_direction
+
+
+def instants(source, rate: float, duration: float, most: int, called: str) -> np.ndarray:
+    """(1 + steps,) s: ``rate`` instants a second from zero to ``duration``, the values of ``rate_hz`` and ``duration_s`` in the
+    file ``source``. Raises InputError, which calls them ``called``, for fewer than one step or more than ``most``."""
+    steps = round(duration * rate)
+    if not 1 <= steps <= most:
+        raise InputError(source, "duration_s", f"{steps} {called} at rate_hz", f"give 1 to {most:,}")
+    return np.arange(steps + 1) / rate
 
 
 def between_moments(source, name: str, rows: list, table: type[Table], first: Mapping[str, object],

@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike
 
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.dynamics.grippers import Grippers, edge_frames
+from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.errors import InputError
+from doo_ti.frames import edge_frames
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.motion.path import LARGEST_TURN, motion_between
 from doo_ti.prediction.predict import Prediction, begun, rotation_about_rod

@@ -148,8 +148,8 @@ class ContactPlaces:
 
     @ti.func
     def clearance(self, rod, index, distance):
-        """The ``distance`` of vertex ``index`` or of the edge that ends there, less by how much thicker than its radius the rod
-        is there: of one rod nowhere."""
+        """The ``distance`` of vertex ``index``, or of the edge that ends there, less what is added to RADIUS there: nothing for
+        one rod. Rods of a group may be thicker than the thinnest, whose radius RADIUS is."""
         return distance
 
     @ti.func

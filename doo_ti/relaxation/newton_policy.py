@@ -12,7 +12,7 @@ DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # the same once a step was re
 # that is tried after it was refused; and the square of what a step towards closure leaves of the miss at most.
 SHORTENED, PART, NEARER = 0.8, 0.3, 0.98
 STILL, BY_ROUNDING = 1e-10, 1e3  # rad: a smaller step is rounding, and by how much the residual then may exceed its tolerance
-VAGUE = 1e3  # residuals over the tolerance, from which on a step that raises the energy by less than noise may not raise them
+VAGUE = 1e3  # tolerances: above them a step that raises the energy, even by less than rounding, may not raise the residual
 CLOSING_DISTANCE = 0.1  # edge lengths: above it a step only projects
 ESCAPE_ROTATION = 0.1  # rad
 ESCAPE_ROUNDS = 3.0  # inverse iterations before the first step off a saddle

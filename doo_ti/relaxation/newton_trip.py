@@ -119,8 +119,8 @@ class NewtonTrip:
             reaching = (missed > (fixed.CLOSING_DISTANCE * rod.longest) ** 2) & (misses < fixed.NEARER * missed)
             # Nor does it across a change of forces.
             settling = (lane.trying > 0.5) & (self.sweep.contacts.item(rod, SETTLING) > 0.0) & finite
-            # Nor may a step lead uphill by noise while the residual rises: from either side of where a contact begins, whole
-            # steps could lead to the other without end.
+            # A step that raises the residual, and the energy by no more than rounding, is refused: where a contact begins,
+            # whole steps could otherwise alternate between its two sides without end.
             vague = (after >= before) & (found.moment > lane.residual) & (lane.escaping < 0.5)
             vague = vague & (found.moment * rod.total > self.vague * self.tolerance(tables, rod))
             downhill = ((downhill & ~vague) | settling | ((lane.trying > 0.5) & reaching)) & passable

@@ -167,7 +167,7 @@ class SelfContactEnergy(Contacts):
 
     @ti.func
     def pair_clearance(self, rod, i, j, distance):
-        """The ``distance`` of two edges, less by how much thicker than the radius both are."""
+        """The ``distance`` of two edges, less what is added to RADIUS on both (:meth:`clearance`)."""
         return self.clearance(rod, j + 1, self.clearance(rod, i + 1, distance))
 
     @ti.func

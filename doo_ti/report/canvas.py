@@ -35,6 +35,14 @@ def literal(text: str) -> str:
     return text.replace("$", r"\$")
 
 
+def limits_around(points: np.ndarray, half: float, least: float) -> np.ndarray:
+    """(2, 2) limits to the right and up around (..., 2) points: from their middle to either side ``half`` of their extent, and
+    at least the share ``least`` of the larger extent."""
+    low, high = (edge(points.reshape(-1, 2), axis=0) for edge in (np.nanmin, np.nanmax))
+    middle, reach = 0.5 * (low + high), np.maximum(half * (high - low), least * max(high - low))
+    return np.stack([middle - reach, middle + reach], axis=-1)
+
+
 def save_figure(figure, path_or_buffer) -> None:
     """Write a figure as a PNG, its titles as large as fit."""
     fit_titles(figure)

@@ -9,7 +9,7 @@ import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.groups.relax_group import GroupSolution
-from doo_ti.report.canvas import literal, new_figure, save_figure
+from doo_ti.report.canvas import limits_around, literal, new_figure, save_figure
 from doo_ti.report.grid_view import upright_basis
 from doo_ti.report.touched import Touched
 
@@ -66,7 +66,7 @@ def save_group(path: Path, moments: Sequence[GroupSolution], *, name: str, names
     basis = upright_basis(seen.vertices.reshape(1, -1, 3), up)
     # Rows right, into the picture and up.
     views = {"from the side": basis, "from above": np.stack([basis[0], -basis[2], basis[1]])}
-    limits = [_limits(seen.vertices @ view[[0, 2]].T) for view in views.values()]
+    limits = [limits_around(seen.vertices @ view[[0, 2]].T, 0.55, 0.1) for view in views.values()]
     heights = [min(HIGHEST, WIDTH * np.ptp(limit[1]) / np.ptp(limit[0])) for limit in limits]
     heights += [CURVES] * (len(moments) > 1)
     figure = new_figure((WIDTH + 1.0, sum(heights) + 0.5 * len(heights) + 0.8))
@@ -94,14 +94,6 @@ def save_group(path: Path, moments: Sequence[GroupSolution], *, name: str, names
     when = "" if len(moments) == 1 else f" after {(len(moments) - 1) / rate:.3g} s, earlier moments faint"
     figure.suptitle(f"{literal(name)}{when}{status}\nblue: {seen.touched.legend}{ties}", fontsize=10)
     save_figure(figure, path)
-
-
-def _limits(flat: np.ndarray) -> np.ndarray:
-    """(2, 2) limits to the right and up, mm, around (..., 2) points, the shorter at least a fifth of the longer."""
-    low, high = (edge(flat.reshape(-1, 2), axis=0) for edge in (np.nanmin, np.nanmax))
-    half = np.maximum(0.55 * (high - low), 0.1 * max(high - low))
-    middle = 0.5 * (low + high)
-    return np.stack([middle - half, middle + half], axis=-1)
 
 
 def _colors(count: int) -> np.ndarray:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.report.canvas import PICTURE_DPI, fit_titles, literal, new_figure
+from doo_ti.report.canvas import PICTURE_DPI, fit_titles, limits_around, literal, new_figure
 from doo_ti.report.grid_view import upright_basis
 from doo_ti.report.touched import Touched
 
@@ -116,8 +116,8 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
     frames = range(0, positions.shape[1], every)
     flat = positions[rows] @ axes.T
     seen = None if recorded is None else recorded[rows] @ axes.T
-    low, high = np.nanmin(flat, axis=(0, 1, 2)), np.nanmax(flat, axis=(0, 1, 2))
-    centre, size = 0.5 * (low + high), np.maximum(0.54 * (high - low), 0.2 * max(high - low))
+    limits = limits_around(flat, 0.54, 0.2)
+    size = np.ptp(limits, axis=-1)
     columns = min(4, len(rows))
     lines = -(-len(rows) // columns)
     width = 2.6 if columns > 1 else 3.6
@@ -126,8 +126,7 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
     curves, marks, momentary = [], [], []
     for k in range(len(rows)):
         plot = figure.add_subplot(lines, columns, k + 1)
-        plot.set_xlim(centre[0] - size[0], centre[0] + size[0])
-        plot.set_ylim(centre[1] - size[1], centre[1] + size[1])
+        plot.set(xlim=limits[0], ylim=limits[1])
         plot.set_title(literal(names[rows[k]]), fontsize=9)
         plot.set_aspect("equal")
         plot.set_xticks([])

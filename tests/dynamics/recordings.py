@@ -3,10 +3,11 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from doo_ti.dynamics.grippers import Grippers, edge_frames
+from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Stepping
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.dynamics.theta import MotionTheta, simulated
+from doo_ti.frames import edge_frames
 from doo_ti.types import Clamp
 from tests.references.rods import chain, stacked
 
