@@ -76,7 +76,8 @@ def end_loads(solution: Solution) -> EndLoads:
     clamp = table.clamp[table.configuration_index]
     weight = 2.0 * table.material[table.material_index, of.WEIGHT, None] * clamp[:, of.TOTAL, None] * table.up
     end = np.where(clamp[:, of.RELEASED, None] > 0, weight, solution.end_force)
-    loads = np.stack([weight - end, moments[:, 0], end, moments[:, 1]], axis=1)
+    carried = 0.0 if table.contact is None else table.contact.forces.sum(axis=1)
+    loads = np.stack([weight - carried - end, moments[:, 0], end, moments[:, 1]], axis=1)
     loads[~solution.converged | (clamp[:, of.TILT_INNER] == 0)] = np.nan
     return EndLoads.of(loads, table, 0, table.count)
 
@@ -87,6 +88,6 @@ def own_tables(solution: Solution, function: str) -> Tables:
     table = solution.tables
     if table is None:
         raise InputError(function, "solution", "joins several calls", "relax where its rods ended")
-    if table.loaded:
-        raise InputError(function, "solution", "rods under an external energy or at obstacles", "relax them without")
+    if table.external is not None:
+        raise InputError(function, "solution", "rods under an external energy", "relax them without")
     return table

@@ -51,7 +51,7 @@ class EndMoments(ParameterGradient):
         left, right = self.gradient_of(bent, s)
         own = self.own_part(end, left, right)
         edge = self.edge(rod, at, remaining)
-        l1, l2 = linear_gradient(plus(scaled(rod.gravity, edge.hang), multiplier), edge.length, edge.m1, edge.m2)
+        l1, l2 = linear_gradient(self.pull_on(rod, edge, multiplier), edge.length, edge.m1, edge.m2)
         return plus(own, (0.0 * l1, l1, l2))
 
     @ti.func
@@ -62,8 +62,8 @@ class EndMoments(ParameterGradient):
 
     @ti.func
     def moment_change(self, rod, end: ti.template(), column, change):
-        """The derivative of an end's moment, in the world, by a column whose rotations lie in the place of the step and whose
-        change of λ is ``change``.
+        """The derivative of an end's moment, in the world, by a column whose rotations lie in the place of the step and by which
+        λ, with the forces of obstacles beyond the edge, changes by ``change``.
 
         In the edge's axes g + Aλ changes by H w + ½ g × w with the edge's own rotation w, and those axes turn by w.
         """
@@ -79,7 +79,7 @@ class EndMoments(ParameterGradient):
             found = plus(found, self.own_part(end, explicit_left, explicit_right))
         edge = self.edge(rod, at, remaining)
         w = self.own_part(end, w0, w1)
-        h = linear_hessian(plus(scaled(rod.gravity, edge.hang), column.multiplier), edge.length, edge.t, edge.m1, edge.m2)
+        h = linear_hessian(self.pull_on(rod, edge, column.multiplier), edge.length, edge.t, edge.m1, edge.m2)
         l1, l2 = self.linear_change(rod, edge, column)
         c1, c2 = linear_gradient(change, edge.length, edge.m1, edge.m2)
         bent_by_pull = (h[0] * w[1] + h[1] * w[2], h[0] * w[0] + h[2] * w[1], h[1] * w[0] + h[2] * w[2])

@@ -111,6 +111,7 @@ class LoadedElimination(LooseStart):
             length = rod.scratch[at + LENGTH * self.stride]
             start = minus(end, scaled(t, length))
             load = self.load(rod, at, e, start, end, found)
+            self.keep_load(rod, at, load)
             end = start
             hang = self.hanging_weight(rod, length, beyond.length)
             beyond.length = beyond.length + length
@@ -185,6 +186,11 @@ class LoadedElimination(LooseStart):
             if some > 1:
                 self.contacts.take_between(rod, load)
         return load
+
+    @ti.func
+    def keep_load(self, rod, at, load):
+        """Keep the derivatives of an edge's load for later: only derivatives by parameters need them
+        (:class:`doo_ti.relaxation.contact_sensitivity.ContactSensitivity`)."""
 
     @ti.func
     def condensed(self, h, shift, beyond, a1, a2):

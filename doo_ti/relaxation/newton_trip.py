@@ -223,6 +223,11 @@ class NewtonTrip:
             lane.coarse = ti.select(far, one, zero)
         cap = ti.min(one, ti.cast(tables.policy[fixed.ROTATION_LIMIT], self.scalar) / (lane.longest + 1e-30))
         if ti.static(self.touches):
+            # A rod that nothing holds yet, such as one above a table, would take a step without end: its H needs a shift.
+            boundless = (cap < fixed.LEAST_SHARE) & (lane.trying > 0.5) & (lane.escaping < 0.5)
+            larger = ti.max(self.growth * lane.shift, self.first_shift * lane.scale)
+            lane.shift = ti.select(boundless, larger, lane.shift)
+            lane.trying = ti.select(boundless, zero, lane.trying)
             cap = ti.select((lane.rejects > 0.5) & (lane.rejects < 1.5), fixed.PART * cap, cap)
         lane.heading = ti.select(searching, ti.select(slope > 0.0, 0.0 - one, one), lane.heading)
         leap = lane.heading * fixed.ESCAPE_ROTATION / ((1.0 + lane.rejects) * (1.0 + lane.rejects) * (lane.longest + 1e-30))

@@ -9,12 +9,10 @@ import taichi as ti
 
 from doo_ti.physics import pair
 from doo_ti.physics.closure import linear_gradient, linear_hessian
-from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import applied, dot, minus, plus, record, repeated, scaled, transposed, variable
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.elimination import Elimination
 
 # A column changes B by BEND = (11, 22, 12), β by TWIST, ω̄ along the rod by row MODE of the table of modes (NO_MODE: not at
 # all), gravity by PULL, which is multiplied by μ where TIMES_WEIGHT is one, all lengths by the factor 1 + STRETCH, the far
@@ -24,13 +22,14 @@ BEND, TWIST, MODE, PULL, TIMES_WEIGHT, STRETCH = 0, 3, 4, 5, 8, 9
 SHIFT, TURN_START, TURN_END, MOVE, DIRECTION_COLUMNS = 10, 13, 16, 19, 22
 NO_MODE = -1
 
-KEPT = chain.GENERAL_ITEMS
-"""Curvature and twist at the vertex where an edge ends, kept: eliminating writes over the place where chain has them."""
-KEPT_ITEMS = 8
+# Items of an edge after those of chain: curvature and twist at the vertex where it ends, kept because eliminating writes over the
+# place where chain has them; and the sum of the forces of obstacles on all vertices after its first, with the sign of a gradient.
+KEPT, BEYOND, FIRST_FREE_ITEM = chain.GENERAL_ITEMS, chain.GENERAL_ITEMS + 8, chain.GENERAL_ITEMS + 11
+KEPT_ITEMS = FIRST_FREE_ITEM - KEPT
 
 
 @ti.data_oriented
-class ParameterGradient(Elimination):
+class ParameterGradient(chain.Chain):
     """The chain with its derivatives by parameters, one rod at a time, in f64.
 
     Its functions take a record ``column`` (:meth:`column`) of what changes along one direction:
@@ -46,9 +45,6 @@ class ParameterGradient(Elimination):
     turn_start, turn_end     rotations of the first edge and the last, in their own axes
     multiplier               λ of the equilibrium
     """
-
-    def __init__(self, stride: int):
-        super().__init__(Number(1, 64), False, stride, KEPT_ITEMS)
 
     @ti.func
     def bend_pairs(self, rod):
@@ -148,18 +144,23 @@ class ParameterGradient(Elimination):
 
     @ti.func
     def edge(self, rod, at, remaining):
-        """The record of an edge: length, frame, and the coefficient of gravity on it, where ``remaining`` is the length of the
-        edges after it."""
+        """The record of an edge: length, frame, the coefficient of gravity on it, where ``remaining`` is the length of the
+        edges after it, and the forces of obstacles ``beyond`` its first vertex."""
         q = self.load4(rod.scratch, at)
         length = self.length_at(rod, at)
         return record(length=length, hang=self.hanging_weight(rod, length, remaining), t=tangent(q), m1=first_director(q),
-                      m2=second_director(q))
+                      m2=second_director(q), beyond=self.load3(rod.scratch, at + BEYOND * self.stride))
+
+    @ti.func
+    def pull_on(self, rod, edge, multiplier):
+        """The linear potential of an edge: of gravity, of obstacles and of λ."""
+        return plus(plus(scaled(rod.gravity, edge.hang), edge.beyond), multiplier)
 
     @ti.func
     def linear_change(self, rod, edge, column):
-        """∂g/∂θ of the linear potentials of an edge, gravity and λ: its last two numbers. With the lengths gravity's term grows
-        by their square, that of λ by the first power."""
-        grown = plus(scaled(rod.gravity, 2.0 * edge.hang), column.multiplier)
+        """∂g/∂θ of the linear potentials of an edge: its last two numbers. With the lengths gravity's term grows by their
+        square, those of obstacles and of λ by the first power."""
+        grown = plus(scaled(rod.gravity, edge.hang), self.pull_on(rod, edge, column.multiplier))
         change = plus(scaled(column.pull, edge.hang), scaled(grown, column.stretch))
         return linear_gradient(change, edge.length, edge.m1, edge.m2)
 
@@ -193,7 +194,7 @@ class ParameterGradient(Elimination):
             if e == rod.edges - 1:
                 w = column.turn_end
                 change.moment = change.end_moment
-            pull = plus(scaled(rod.gravity, edge.hang), column.multiplier)
+            pull = self.pull_on(rod, edge, column.multiplier)
             h = linear_hessian(pull, edge.length, edge.t, edge.m1, edge.m2)
             # Where a clamp holds the tangent, the moment g with which it does turns with it: dg = H w + ½ g × w.
             l1, l2 = linear_gradient(pull, edge.length, edge.m1, edge.m2)

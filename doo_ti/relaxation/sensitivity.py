@@ -24,6 +24,8 @@ dx_{i+1} = dx_i + l_i (dω_i × t_i). Parameters by name, and the columns each o
 
 With the shifts and the turns a rod follows its clamps. A straight, taut rod cannot: these columns and ``length`` are NaN
 where it has no slack.
+
+Among obstacles, contacts that bear a force stay closed and the others open (:mod:`doo_ti.relaxation.contact_sensitivity`).
 """
 
 from collections.abc import Sequence
@@ -32,6 +34,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti import runtime
+from doo_ti.contact.itself import smallest_self_gap
 from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, smallest_rotation
 from doo_ti.relaxation import parameter_gradient as change
@@ -44,6 +47,8 @@ from doo_ti.types import Configuration, Solution
 CURVATURES = ("rest_curvature", "rest_curvature_per_joint", "modes")
 GRIPPERS = ("start_shift", "start_turn", "end_shift", "end_turn")
 OF_CLAMPS = ("length", *GRIPPERS)
+CLOSED = 2e-3
+"""Of a radius: two parts of a rod that are nearer to each other touch."""
 PARAMETERS = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "up", "gravity", *CURVATURES, *OF_CLAMPS)
 
 
@@ -87,7 +92,7 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     modes       (M, E−1, 2) where "modes" is among the parameters
     first, last of the rods of ``solution``: derivatives of all of them at once may be more than memory holds
 
-    Rods that have not converged, are not certified stable, or are infeasible come out as NaN. A round rod with both spins
+    Rods that have not converged, are not certified stable, are infeasible, or touch themselves come out as NaN. A round rod with both spins
     free keeps its first spin; along other motions that cost nothing (a weightless bow about its chord, a rod that hangs from a
     point about up) a rod does not move either.
 
@@ -96,7 +101,7 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     table = own_tables(solution, "sensitivity")
     _check(parameters, modes, table.edges)
     names, directions, along = parameter_directions(parameters, table.edges, table.up, modes)
-    usable = solution.converged & solution.stable
+    usable = solution.converged & solution.stable & ~_touch_themselves(solution)
     runtime.start()
     last = table.count if last is None else last
     vertices, rotations, loads, _, sound = run_sensitivity(solution, usable, directions, along, first, last)
@@ -113,6 +118,14 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
         loads[taut] = np.nan
     return Sensitivity(names, vertices, rotations, EndLoads.of(loads, table, first, last), sound,
                        solution.configuration.take(slice(first, last)))
+
+
+def _touch_themselves(solution: Solution) -> np.ndarray:
+    """(R,) rods that touch themselves, where they may."""
+    contact = solution.tables.contact
+    if contact is None or contact.surroundings.itself is None:
+        return np.zeros(solution.tables.count, dtype=bool)
+    return smallest_self_gap(solution.configuration.vertices, contact.radius) < CLOSED * contact.radius
 
 
 def gripper_jacobian(solution: Solution) -> Sensitivity:

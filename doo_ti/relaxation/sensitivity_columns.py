@@ -1,0 +1,231 @@
+"""The columns of the derivatives of rods at rest, one rod at a time: what :mod:`doo_ti.relaxation.sensitivity_kernel` computes.
+
+Everything about H is Newton's own. H is assembled and eliminated without shift; then for every column b = −∂g/∂θ runs through
+the factors, S dλ = Σ W_Aᵀ D⁻¹ W_b, and back-substitution gives dω.
+"""
+
+import taichi as ti
+
+from doo_ti.physics.quaternion import first_director, second_director, tangent
+from doo_ti.physics.tuples import minus, plus, products, record, repeated, scaled, variable
+from doo_ti.relaxation import chain
+from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.end_moments import FIRST, LAST, EndMoments
+from doo_ti.relaxation.parameter_gradient import BEYOND, NO_MODE
+
+INERTIA_OF_A_MINIMUM = 3.0
+TRACE = 1e-12
+"""Eigenvalues of H below this share of its largest diagonal entry are neutral motions, as the certificate has it."""
+
+# The loads of a rod: force and moment at its start, force and moment at its end.
+START_FORCE, START_MOMENT, END_FORCE, END_MOMENT, LOADS = 0, 3, 6, 9, 12
+
+
+@ti.data_oriented
+class SensitivityColumns(EndMoments):
+    """The work of a thread. ``tables`` is the record of the kernel's arrays.
+
+    A class that derives from this one and from an elimination adds ``schur_complement``, ``solve_column`` and ``started``, and,
+    where rods touch obstacles, what these change.
+    """
+
+    @ti.func
+    def work(self, tables, scratch: ti.template(), columns, threads, thread):
+        """Every rod of this thread, and ``columns`` columns for it."""
+        edges = tables.rest_length.shape[1]
+        head = thread
+        if ti.static(self.stride == 1):
+            head = thread * (self.parameters + self.items * edges)
+        index = thread
+        while index < tables.rods.shape[0]:
+            row = tables.rods[index, of.RESULT_ROW]
+            self.loading.load(tables, scratch, head, 0, index, 0.0)
+            rod = self.rods(tables, scratch, head, 0.0)
+            self.load_contacts(tables, rod, index)
+            unit = scratch[head + chain.OF_ENERGY_UNIT * self.stride]
+            self.load_forces(tables, rod, row, unit)
+            force = self.three(tables.results, row, of.FORCE)
+            multiplier = scaled(force, 0.0 - 1.0 / unit)
+            if columns == 0:
+                self.bend_pairs(rod)
+                tables.sound[row] = 1
+            else:
+                tables.sound[row] = ti.cast(self.certify(rod, multiplier) == INERTIA_OF_A_MINIMUM, ti.i32)
+            self.put_vector(tables.moments, row, 0, scaled(self.end_moment(rod, FIRST, multiplier), unit))
+            self.put_vector(tables.moments, row, 3, scaled(self.end_moment(rod, LAST, multiplier), unit))
+            schur = self.schur_complement(rod)
+            for p in range(columns):
+                column = self.column(tables, rod, index, p, multiplier)
+                self.hold_start(rod, column)
+                closure = self.assemble_column(rod, column)
+                change = self.solve_column(rod, column, schur, closure)
+                self.store_column(tables, rod, row, p, column)
+                self.store_loads(tables, rod, row, p, column, change)
+            index += threads
+
+    @ti.func
+    def put_vector(self, table: ti.template(), row, place: ti.template(), v):
+        """Three numbers into a table's row."""
+        for k in ti.static(range(3)):
+            table[row, place + k] = v[k]
+
+    @ti.func
+    def load_forces(self, tables, rod, row, unit):
+        """The forces of obstacles beyond every edge, those of row ``row`` of their table if it has any."""
+        at = rod.origin
+        for e in range(rod.edges):
+            for k in ti.static(range(3)):
+                force = 0.0 * unit
+                if tables.beyond.shape[1] == rod.edges:
+                    force = tables.beyond[row, e, k] / unit
+                rod.scratch[at + (BEYOND + k) * self.stride] = force
+            at += self.edge_stride
+
+    @ti.func
+    def certify(self, rod, multiplier):
+        """Eliminate H and leave its factors in scratch; returns the inertia.
+
+        A neutral motion shows when H is lowered a trace. Raised by one instead, H keeps the rod from moving along it.
+        """
+        none = 0.0 * rod.total
+        trace = TRACE * rod.scratch[rod.head + chain.OF_SCALE * self.stride]
+        shift = none - trace
+        inertia = none
+        for _ in range(2):
+            self.bend_pairs(rod)
+            inertia = self.eliminate(rod, shift, (none, none), multiplier, repeated(none, 3)).inertia
+            shift = ti.select(inertia == INERTIA_OF_A_MINIMUM, none, trace)
+        return inertia
+
+    @ti.func
+    def factors(self, rod, at):
+        """The factors of an edge's pivot block, and the two blocks of columns that go with it."""
+        return (
+            self.load6(rod.scratch, at + chain.PIVOTS * self.stride),
+            self.load9(rod.scratch, at + chain.ELIMINATED_NEXT * self.stride),
+            self.load9(rod.scratch, at + chain.ELIMINATED_BORDER * self.stride),
+        )
+
+    @ti.func
+    def first_changed(self, rod, column):
+        """The first edge that a column changes."""
+        first = 0
+        if column.local:
+            first = ti.max(rod.edges - 2, 0)
+        return first
+
+    @ti.func
+    def held_turn_of(self, rod, e, column):
+        """The rotation by which a clamp turns edge ``e``."""
+        held = variable(repeated(0.0 * rod.total, 3))
+        if e == 0:
+            held = column.turn_start
+        if e == rod.edges - 1:
+            held = column.turn_end
+        return held
+
+    @ti.func
+    def assemble_column(self, rod, column):
+        """∂g/∂θ of every edge, into the place of the step; returns ∂c/∂θ.
+
+        The turns of the edges that clamps hold are part of what changes.
+        """
+        zero = 0.0 * rod.total
+        change = record(pair=repeated(zero, 3), own=repeated(zero, 3), after=repeated(zero, 3), closure=repeated(zero, 3),
+                        moment=(zero, zero), end_moment=(zero, zero))
+        remaining = rod.total
+        at = rod.origin
+        first = self.first_changed(rod, column)
+        for _ in range(first):
+            remaining = remaining - self.length_at(rod, at)
+            self.store(rod.scratch, at + chain.ROTATION * self.stride, repeated(zero, 3))
+            at += self.edge_stride
+        for e in range(first, rod.edges):
+            remaining = remaining - self.length_at(rod, at)
+            edge = self.edge(rod, at, remaining)
+            l1, l2 = self.linear_change(rod, edge, column)
+            change.own = (zero, l1, l2)
+            change.after = repeated(zero, 3)
+            if e < rod.edges - 1 and (column.bends or column.mode != NO_MODE):
+                left, right = self.pair_change(rod, at, e, column)
+                change.pair = plus(change.pair, left)
+                change.after = right
+            if column.turned and (e == 0 or e >= rod.edges - 2):
+                self.turn_neighbours(rod, at, e, column, change)
+                self.turn_end(rod, edge, e, column, change)
+            if column.stretch != 0.0:
+                change.closure = plus(change.closure, scaled(edge.t, column.stretch * edge.length))
+            self.store(rod.scratch, at + chain.ROTATION * self.stride, plus(change.pair, change.own))
+            change.pair = change.after
+            at += self.edge_stride
+        return minus(change.closure, column.shift)
+
+    @ti.func
+    def right_of(self, rod, at, e, column, more):
+        """b of an edge: less ∂g/∂θ and what eliminating adds to it, ``more``; where a clamp holds the edge, and the identity
+        stands in H, the clamp's turn."""
+        changed = plus(self.rotation_at(rod, at), more)
+        return minus(self.held_turn_of(rod, e, column), products(self.freedom(rod, e), changed))
+
+    @ti.func
+    def moved_end(self, rod, at, x, stretch):
+        """x + l (dω × t + stretch t): what the end of an edge moves by, where its start moves by ``x``."""
+        q = self.load4(rod.scratch, at)
+        w = self.rotation_at(rod, at)
+        turned = minus(scaled(first_director(q), w[2]), scaled(second_director(q), w[1]))
+        moved = plus(turned, scaled(tangent(q), stretch))
+        return plus(x, scaled(moved, self.length_at(rod, at)))
+
+    @ti.func
+    def store_column(self, tables, rod, row, p, column):
+        """dω from the place of the step, and dx, into row ``row`` of the results."""
+        stretch = column.stretch
+        x = variable(self.started(rod, column))
+        at = rod.origin
+        for e in range(rod.edges):
+            for k in ti.static(range(3)):
+                tables.vertices[row, e, k, p] = x[k]
+                tables.rotations[row, e, k, p] = rod.scratch[at + (chain.ROTATION + k) * self.stride]
+            x = self.moved_end(rod, at, x, stretch)
+            at += self.edge_stride
+        for k in ti.static(range(3)):
+            tables.vertices[row, rod.edges, k, p] = x[k]
+
+    @ti.func
+    def store_loads(self, tables, rod, row, p, column, change):
+        """The change of the loads into row ``row`` of the results, where closure's multiplier changes by ``change``.
+
+        Both forces together carry the weight 2 μ L, less what obstacles carry; one of them alone where the other end is free.
+        """
+        unit = rod.scratch[rod.head + chain.OF_ENERGY_UNIT * self.stride]
+        pushed = self.pushed(rod, column)
+        weight = scaled(plus(column.pull, scaled(rod.gravity, column.stretch)), 2.0 * rod.total)
+        end = minus(scaled(weight, rod.released), change)
+        start = scaled(minus(plus(weight, pushed.all), end), 1.0 - rod.loose)
+        self.put_load(tables, row, p, START_FORCE, start, unit)
+        self.put_load(tables, row, p, START_MOMENT, self.moment_change(rod, FIRST, column, plus(change, pushed.first)), unit)
+        self.put_load(tables, row, p, END_FORCE, end, unit)
+        self.put_load(tables, row, p, END_MOMENT, self.moment_change(rod, LAST, column, plus(change, pushed.last)), unit)
+
+    @ti.func
+    def put_load(self, tables, row, p, place: ti.template(), v, unit):
+        """A force or a moment, in the rod's unit of energy, into column ``p`` of the loads."""
+        for k in ti.static(range(3)):
+            tables.loads[row, place + k, p] = v[k] * unit
+
+    # --- where rods touch obstacles: :class:`doo_ti.relaxation.contact_sensitivity.ContactSensitivity` ---
+
+    @ti.func
+    def load_contacts(self, tables, rod, index):
+        """Make the contacts of row ``index`` of the rods, just loaded, those of a rod at rest."""
+
+    @ti.func
+    def hold_start(self, rod, column):
+        """Make ``column`` one of a rod whose vertex 0 is free, if it is."""
+
+    @ti.func
+    def pushed(self, rod, column):
+        """By how much the forces of obstacles change, with the sign of a gradient: on ``all`` vertices, and on those after the
+        start of the ``first`` edge and of the ``last``."""
+        none = repeated(0.0 * rod.total, 3)
+        return record(all=none, first=none, last=none)

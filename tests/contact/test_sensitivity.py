@@ -1,0 +1,133 @@
+"""dΓ*/dΘ of rods that touch obstacles against rods relaxed again, and against the same rods seen from their other end."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doo_ti import Clamp, Configuration, Itself, Material, Newton, Plane, Sphere, end_clamps, end_loads, overhand_knot, relax
+from doo_ti.frames import rotation_matrix
+from doo_ti.relaxation.sensitivity import sensitivity, tilt_axes
+from tests.contact.clutter import OBSTACLES, RADIUS, sagging
+from tests.references.rods import clamps_at
+from tests.relaxation.rods import with_kinds
+
+SHARP = Newton(tolerance=1e-11, max_iterations=2000)
+UP = np.array([0.1, 0.05, 1.0]) / np.linalg.norm([0.1, 0.05, 1.0])
+LOADS = ("start_force", "start_moment", "end_force", "end_moment")
+
+
+@pytest.fixture
+def exact_gaps(monkeypatch):
+    """Rounds that close gaps to 1e-10 of a radius, so that differences of rods relaxed twice are exact."""
+    monkeypatch.setattr("doo_ti.relaxation.contact_table.GAP_TOLERANCE", 1e-10)
+
+
+def test_rods_relaxed_again_move_so(exact_gaps):
+    """Amid obstacles of all kinds, by central differences: places, and forces and moments at both ends."""
+    start, material, clamps = sagging(np.random.default_rng(5), 96)
+    among = dict(obstacles=OBSTACLES, radius=RADIUS, up=UP)
+    rest = relax(start, material, clamps, SHARP, **among)
+    found = sensitivity(rest, ("bend", "twist", "weight", "rest_curvature", "up", "start_turn", "end_shift", "length"))
+    touching = rest.contact.touching
+    considered = found.usable & touching.any(axis=1) & (rest.residual < 1e-9)
+    assert considered.sum() >= 40
+
+    def again(name, k, amount):
+        axis = amount * np.eye(3)[k]
+        m, c, lengths, up = material, clamps, start.rest_length, UP
+        if name == "bend":
+            m = Material(m.bend + amount * np.eye(2), m.twist, m.weight)
+        if name == "twist":
+            m = Material(m.bend, m.twist + amount, m.weight)
+        if name == "weight":
+            m = Material(m.bend, m.twist, m.weight + amount)
+        if name == "rest_curvature":
+            m = Material(m.bend, m.twist, m.weight, axis[:2])
+        if name == "up":
+            up = rotation_matrix((amount * tilt_axes(UP)[k])[None])[0] @ UP
+        if name == "start_turn":
+            c = replace(c, start_frame=rotation_matrix(np.tile(axis, (start.count, 1))) @ c.start_frame)
+        if name == "end_shift":
+            c = replace(c, end_position=c.end_position + axis)
+        if name == "length":
+            lengths = lengths * np.exp(amount)
+        begin = Configuration(c.start_position, rest.configuration.quaternions, lengths)
+        return relax(begin, m, c, replace(SHARP, first_shift=0.0), **among | {"up": up})
+
+    steps = {"bend": 20.0, "twist": 20.0, "weight": 1e-4, "rest_curvature": 1e-6, "end_shift": 1e-4, "length": 1e-6}
+    worst = []
+    for column, title in enumerate(found.columns):
+        name, _, k = title.rstrip("]").partition("[")
+        step = steps.get(name, 1e-5)
+        more, less = (again(name, int(k or 0), sign * step) for sign in (1, -1))
+        same = (more.contact.touching == touching).all(axis=1) & (less.contact.touching == touching).all(axis=1)
+        rows = considered & more.converged & less.converged & same
+        assert rows.sum() >= 0.9 * considered.sum(), title
+        pairs = [(found.vertices[rows][..., column], (more.configuration.vertices - less.configuration.vertices)[rows])]
+        loads = end_loads(more), end_loads(less)
+        pairs += [(getattr(found.loads, load)[rows][..., column], (getattr(loads[0], load) - getattr(loads[1], load))[rows])
+                  for load in LOADS]
+        for own, difference in pairs:
+            off = np.abs(own - difference / (2 * step)).reshape(rows.sum(), -1).max(axis=1)
+            off /= np.abs(own).reshape(rows.sum(), -1).max(axis=1)
+            # Some rods jump, or end where rounding limits them.
+            assert np.median(off) < 1e-5 and np.quantile(off, 0.85) < 1e-3, title
+            worst.append(np.median(off))
+    print(f"{considered.sum()} rods; largest median error of a column {max(worst):.1e}")
+
+
+def test_rods_seen_from_the_other_end_move_alike(monkeypatch):
+    """A rod held at one end on a slope and a ball: whether the free end is its first one or its last changes nothing."""
+    monkeypatch.setattr("doo_ti.relaxation.contact_table.GAP_TOLERANCE", 1e-7)
+    one = Configuration.straight(np.array([0.0, 0.0, 12.0]), np.array([1.0, 0.2, -0.1]), 100.0, 24)
+    among = dict(obstacles=[Plane((0, 0, 0), (0.05, 0.02, 1)), Sphere((60, 3, -8), 12.0)], radius=2.0)
+    material, common = Material(4e4, 3e4, 1.0), ("bend", "weight", "up", "gravity", "length")
+    own = relax(one, material, with_kinds(clamps_at(one), [(Clamp.FRAME, Clamp.FREE)]), **among)
+    w, x, y, z = np.moveaxis(own.configuration.quaternions[:, ::-1], -1, 0)
+    turned = Configuration(own.configuration.vertices[:, -1], np.stack([-y, -z, w, x], axis=-1), one.rest_length)
+    clamps = with_kinds(clamps_at(turned), [(Clamp.FREE, Clamp.FRAME)])
+    for solver in (Newton(), Newton(first_shift=0.0)):
+        other = relax(turned, material, clamps, solver, **among)
+        assert own.stable.all() and other.stable.all() and own.contact.touching.sum() >= 8
+        np.testing.assert_allclose(other.configuration.vertices[0, ::-1], own.configuration.vertices[0], atol=1e-8)
+        here = sensitivity(own, (*common, "start_shift", "start_turn"))
+        there = sensitivity(other, (*common, "end_shift", "end_turn"))
+        for a, b in ((here.vertices, there.vertices[:, ::-1]), (here.loads.start_force, there.loads.end_force),
+                     (here.loads.start_moment, there.loads.end_moment)):
+            size = np.abs(a).reshape(-1, a.shape[-1]).max(axis=0)
+            assert (np.abs(a - b).reshape(-1, a.shape[-1]).max(axis=0) < 1e-6 * np.maximum(size, 1e-9)).all()
+
+
+def test_loads_balance_weight_and_contact():
+    start, material, clamps = sagging(np.random.default_rng(5), 64)
+    rest = relax(start, material, clamps, obstacles=OBSTACLES, radius=RADIUS, up=UP)
+    loads, rows = end_loads(rest), rest.converged
+    weight = 2.0 * start.rest_length.sum() * UP
+    together = loads.start_force + loads.end_force + rest.contact.force.sum(axis=1)
+    assert np.abs(together - weight)[rows].max() < 1e-9 * np.abs(weight).max()
+    # Moments about the start: of the clamps, of the contacts, and of the weight of every vertex's half edges.
+    x = rest.configuration.vertices - rest.configuration.vertices[:, :1]
+    share = np.ones(x.shape[1])
+    share[[0, -1]] = 0.5
+    hanging = -2.0 * start.rest_length.mean() * share[:, None] * UP
+    moment = loads.start_moment + loads.end_moment + np.cross(x[:, -1], loads.end_force)
+    moment = moment + np.cross(x, rest.contact.force + hanging).sum(axis=1)
+    assert np.abs(moment)[rows].max() < 1e-6 * np.abs(loads.start_moment)[rows].max()
+
+
+def test_rods_that_touch_nothing_are_as_without_obstacles():
+    start, material, clamps = sagging(np.random.default_rng(5), 16)
+    here = sensitivity(relax(start, material, clamps))
+    below = sensitivity(relax(start, material, clamps, obstacles=[Plane((0, 0, -500), (0, 0, 1))], radius=RADIUS))
+    np.testing.assert_array_equal(here.vertices, below.vertices)
+    assert here.usable.any()
+
+
+def test_rods_that_touch_themselves_have_none():
+    knot = overhand_knot(200.0, 100, radius=1.0, loop=12.0)
+    rest = relax(knot, Material(1e5, 1e5, 0.0), end_clamps(knot, Clamp.TANGENT, Clamp.TANGENT), obstacles=[Itself()], radius=1.0)
+    assert rest.converged.all()
+    found = sensitivity(rest)
+    assert not found.usable.any() and np.isnan(found.vertices).all()
+    assert np.isfinite(end_loads(rest).start_force).all()
