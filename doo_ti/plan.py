@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.io.observations import LEAST_SIGMA_MM, MOST_SIGMA_MM, Observations
@@ -25,6 +26,7 @@ from doo_ti.refinement.priors import typical_scales
 from doo_ti.refinement.refine import FEWEST_EDGES, MOST_EDGES
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.unknowns import Theta, Unknowns
+from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import sensitivity
@@ -89,7 +91,7 @@ def planned(synthesis: Synthesis) -> Observations:
 
 def plan(
     configurations: Observations, grid: Grid, *, sigma: float, picks: int = 10, clamp_start: Clamp | None = None,
-    clamp_end: Clamp | None = None, measured=(),
+    clamp_end: Clamp | None = None, measured=(), surroundings: Surroundings = Surroundings(),
 ) -> Plan:
     """Rank ``configurations``, observed or planned, by how much measuring them would reduce the uncertainty of Θ.
 
@@ -98,10 +100,11 @@ def plan(
     sigma           label uncertainty, mm
     picks           K, configurations to rank, none twice
     measured        rows that are already measured: their information counts, and they are not ranked
+    surroundings    what the rods touch, with one row for all configurations or one for each
 
     Greedy Bayesian D-optimality: the next configuration maximises the mean over the cells of log det (prior precision +
     information) of the logarithms of the parameters that the grid varies, with a prior as wide as the grid; all other unknowns
-    of ``refine`` are integrated out. Raises InputError for wrong input.
+    of ``refine`` are integrated out. Raises InputError for wrong input, and for configurations inside obstacles.
     """
     clamps = observation_clamps(configurations, clamp_start, clamp_end)
     check_experiment(configurations, clamps, grid.axes[-1].values[-1], 0.0)
@@ -113,7 +116,7 @@ def plan(
                          f"give at most {MOST_RODS // configurations.count:,} cells: a plan needs no fine grid")
     parameters = ("bend", "twist", "weight") if grid.is_isotropic else ("bend_1", "bend_2", "twist", "weight")
     asked = _asked(grid, parameters)
-    moved = _moved(configurations, clamps, grid, parameters)
+    moved = _moved(configurations, clamps, grid, parameters, surroundings)
     marks = configurations.valid.sum(axis=1)[:, None]
     squares = np.einsum("gdpp->gdp", moved) / marks
     with np.errstate(invalid="ignore"):
@@ -121,7 +124,8 @@ def plan(
         total = np.sqrt(_median(squares[..., asked].sum(axis=-1)))
     sensed = np.isfinite(moved).all(axis=(2, 3))
     names = tuple(parameters[k] for k in asked)
-    information, prior = _information(replace(configurations, sigma=np.array(sigma)), clamps, grid, names)
+    seen = replace(configurations, sigma=np.array(sigma))
+    information, prior = _information(seen, clamps, grid, names, surroundings)
     order, volume = _greedy(information, prior, len(asked), list(measured), picks)
     return Plan(parameters, strength, total, order, volume, sensed.sum(axis=0), grid.size, information, prior, asked)
 
@@ -141,7 +145,7 @@ def _asked(grid: Grid, parameters: tuple[str, ...]) -> tuple[int, ...]:
     return asked
 
 
-def _moved(configurations: Observations, clamps, grid: Grid, parameters) -> np.ndarray:
+def _moved(configurations: Observations, clamps, grid: Grid, parameters, surroundings: Surroundings) -> np.ndarray:
     """(G, D, P, P) Jᵀ J over the valid marks, mm², NaN where a rod has no certified equilibrium."""
     index, turns = turn_hypotheses(configurations, clamps)
     if len(index) > configurations.count:
@@ -149,6 +153,8 @@ def _moved(configurations: Observations, clamps, grid: Grid, parameters) -> np.n
         turns = np.zeros(configurations.count, dtype=np.int64)
     starts = start_configuration(configurations, clamps, turns)
     count = configurations.count
+    if surroundings:
+        require_clear(configurations.source, surroundings, clamps, starts, np.arange(count))
     step = max(1, CHUNK_RODS // count)
     moved = np.empty((grid.size, count, len(parameters), len(parameters)))
     with progress() as bar:
@@ -157,7 +163,7 @@ def _moved(configurations: Observations, clamps, grid: Grid, parameters) -> np.n
             last = min(first + step, grid.size)
             cell, row = np.divmod(np.arange((last - first) * count), count)
             solution = relax(starts, grid.materials(slice(first, last)), clamps, Newton(), up=configurations.up,
-                             configuration_index=row, material_index=cell)
+                             configuration_index=row, material_index=cell, **surroundings.take(row).arguments)
             found = sensitivity(solution, parameters)
             values = _values(grid, slice(first, last), parameters)[cell]
             scaled = found.vertices * values[:, None, None] * configurations.valid[row][:, :, None, None]
@@ -181,10 +187,11 @@ def _median(values: np.ndarray) -> np.ndarray:
     return found
 
 
-def _information(seen: Observations, clamps, grid: Grid, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+def _information(seen: Observations, clamps, grid: Grid, names: tuple[str, ...], surroundings: Surroundings
+                 ) -> tuple[np.ndarray, np.ndarray]:
     """(C, D, U, U) of each configuration about the unknowns of ``refine``, and their prior (U, U), that of ``names`` as wide as
     the grid."""
-    rod = HeldRod(seen, clamps, int(np.clip(2 * seen.edges, FEWEST_EDGES, MOST_EDGES)))
+    rod = HeldRod(seen, clamps, int(np.clip(2 * seen.edges, FEWEST_EDGES, MOST_EDGES)), surroundings)
     unknowns = Unknowns(rod, names)
     comparison = Comparison.of(unknowns, with_frames=False)
     scales = typical_scales(rod.length, float(np.median(seen.rest_length)), set(), {"marks": 1.0})

@@ -32,6 +32,7 @@ def declare(add) -> None:
     parser.add_argument("--picks", metavar="K", help="how many configurations to rank (default 10)")
     parser.add_argument("--measured", metavar="I,I,…", help="row numbers, from 0, of the configurations already measured")
     given.add_clamps(parser)
+    given.add_obstacles(parser, "without friction; the rods of a scene begin where they would be without obstacles")
     loading.add_loading(parser)
     parser.add_argument("--out", metavar="FOLDER",
                         help="folder for plan.csv, plan.json and identifiability.png (default: not written)")
@@ -53,7 +54,7 @@ def run(options: Namespace, words: list[str]) -> int:
 
     clamp_start, clamp_end = given.clamps(options)
     found = plan(configurations, grid, sigma=sigma, picks=picks, clamp_start=clamp_start, clamp_end=clamp_end,
-                 measured=measured)
+                 measured=measured, surroundings=given.surroundings(options))
     loading.warn(configurations)
     summary = _summary(configurations, found, sigma)
     if out is not None:

@@ -12,6 +12,7 @@ from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.refine_text import summary_lines, summary_of
 from doo_ti.commands.results import note_theta, plain, save_json
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
 from doo_ti.io.files import read_content, write_whole
@@ -61,18 +62,21 @@ def declare(add) -> None:
                         help="a number per observation; those with the same number stay in one fold")
     given.add_clamps(parser, "the run's, else frame where the file gives one, else tangent")
     given.add_frame_weight(parser, "the run's, else 0")
+    given.add_obstacles(parser, "without friction; the run's, where it has any")
     loading.add_loading(parser)
     parser.add_argument("--out", metavar="F.json", help="file to write (default: none)")
 
 
 @dataclass(frozen=True)
 class Task:
-    """One source: its observations, their clamps, and the Θ to start from; the landscape of a run, or None."""
+    """One source: its observations, their clamps, the Θ to start from, what the rods touch, and the landscape of a run, or
+    None."""
 
     observations: Observations
     clamps: Clamps
     thetas: tuple
     frame_weight: float
+    surroundings: Surroundings
     landscape: "Landscape | None"
 
 
@@ -101,7 +105,7 @@ def run(options: Namespace, words: list[str]) -> int:
             with busy(f"cross-validating {task.observations.name} in {folds} folds"):
                 begin = replace(found.theta, rest_curvature=None)
                 held_out = refine_held_out(task.observations, task.clamps, begin, split, chosen)
-        summaries.append(summary_of(task.observations, found, held_out, density))
+        summaries.append(summary_of(task.observations, task.surroundings, found, held_out, density))
         picture = None if task.landscape is None else _draw(task.landscape, found)
         if not options.json:
             drawn = [] if picture is None else [f"  picture            {in_line(picture)}"]
@@ -141,11 +145,11 @@ def _draw(landscape, found) -> Path | None:
 def _task(options: Namespace, source: str, starts: int) -> Task:
     """The task of ``source``, a run's folder or a file of observations, checked."""
     if Path(source).is_dir():
-        observations, thetas, kinds, weight, landscape = _of_run(options, Path(source), starts)
+        observations, thetas, kinds, weight, around, landscape = _of_run(options, Path(source), starts)
     else:
         from doo_ti.refinement.fit import theta_of_cell
 
-        observations, landscape = loading.load(options, source), None
+        observations, around, landscape = loading.load(options, source), given.surroundings(options), None
         grid = given.single_cell(options, "give one, or refine the run of a sweep")
         thetas, kinds, weight = (theta_of_cell(grid, 0, observations.up),), (None, None), given.frame_weight(options)
     sigma = given.length("--sigma", options.sigma)
@@ -154,18 +158,18 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
     kinds = (kind if own is None else own for own, kind in zip(given.clamps(options), kinds, strict=True))
     clamps = observation_clamps(observations, *kinds)
     check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight)
-    task = Task(observations, clamps, thetas, weight, landscape)
+    task = Task(observations, clamps, thetas, weight, around, landscape)
     _check_model(_refinement_options(options, task), task)
     return task
 
 
 def _of_run(options: Namespace, run: Path, starts: int):
-    """(observations, the Θ of the lowest cells, kinds of clamps, frame weight, landscape) of a run's folder."""
+    """(observations, the Θ of the lowest cells, kinds of clamps, frame weight, obstacles, landscape) of a run's folder."""
     from doo_ti.learning.landscape import read_landscape
     from doo_ti.learning.run_folder import read_experiment
     from doo_ti.refinement.fit import lowest_cells, theta_of_cell
 
-    for name in (*given.MATERIAL, *loading.OF_FILES):
+    for name in (*given.MATERIAL, *loading.OF_FILES, "obstacles", "radius"):
         if getattr(options, name) is not None:
             raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", f"given, but {run} is the run of a sweep",
                              "leave it out, or name a file of observations")
@@ -173,8 +177,6 @@ def _of_run(options: Namespace, run: Path, starts: int):
     if experiment.options.objective != "static" or experiment.options.spins:
         raise InputError(run, "objective", "a sweep of Eq. 3, or with roll hypotheses",
                          "name a static sweep without --roll-hypotheses")
-    if experiment.options.surroundings:
-        raise InputError(run, "obstacles", "a sweep with obstacles, which refine cannot use", "take its intervals from learn")
     up = given.up(options)
     observations = experiment.observations if up is None else replace(experiment.observations, up=up)
     height = landscape.mean_distance
@@ -186,7 +188,7 @@ def _of_run(options: Namespace, run: Path, starts: int):
         raise InputError(run, "distance_mm", "no cell has an error", "look at the rods' status in cells/")
     thetas = tuple(theta_of_cell(experiment.grid, cell, observations.up) for cell in cells)
     return (observations, thetas, (experiment.options.clamp_start, experiment.options.clamp_end),
-            given.frame_weight(options, experiment.options.frame_weight), landscape)
+            given.frame_weight(options, experiment.options.frame_weight), experiment.options.surroundings, landscape)
 
 
 def _refinement_options(options: Namespace, task: Task):
@@ -207,7 +209,7 @@ def _refinement_options(options: Namespace, task: Task):
         tuple(names), None if options.clip == "unknown" else given.length("--clip", options.clip), curvature or "field",
         options.clamps, task.frame_weight,
         curvature_spread=spread, curvature_range=reach,
-        edges=given.whole("--edges", options.edges, 6), models=not options.no_models)
+        edges=given.whole("--edges", options.edges, 6), models=not options.no_models, surroundings=task.surroundings)
 
 
 def _check_model(chosen, task: Task) -> None:
@@ -216,7 +218,7 @@ def _check_model(chosen, task: Task) -> None:
     from doo_ti.refinement.refine import FEWEST_EDGES, check
     from doo_ti.refinement.unknowns import Unknowns
 
-    check(task.observations, chosen)
+    check(task.observations, task.clamps, chosen)
     rod = HeldRod(task.observations, task.clamps, FEWEST_EDGES)
     unknowns = Unknowns(rod, chosen.parameters, chosen.clip is None, chosen.curvature)
     unknowns.begun(task.thetas[0], unknowns.clip_prior)

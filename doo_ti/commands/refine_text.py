@@ -5,6 +5,8 @@ from dataclasses import asdict
 import numpy as np
 
 from doo_ti.commands.results import counted
+from doo_ti.contact.obstacle_arrays import described
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.observations import Observations
 from doo_ti.physical_units import stiffness
 from doo_ti.terminal import in_line
@@ -21,7 +23,7 @@ MODELS = {
 }
 
 
-def summary_of(observations: Observations, found, held_out, density: float | None) -> dict:
+def summary_of(observations: Observations, surroundings: Surroundings, found, held_out, density: float | None) -> dict:
     """A :class:`doo_ti.refinement.refine.Refinement` as JSON holds it.
 
     held_out  a :class:`doo_ti.refinement.folds.HeldOut`, or None
@@ -50,7 +52,7 @@ def summary_of(observations: Observations, found, held_out, density: float | Non
         "reaches_noise": found.adequacy.reaches_noise,
         "advice": [asdict(one) | {"option": _option(one.option)} for one in found.adequacy.advice],
         "models": [asdict(score) for score in found.scores],
-        "mesh_edges": found.mesh_edges, "mesh_correction_mm": found.mesh_error,
+        "obstacles": described(surroundings) if surroundings else None, "mesh_edges": found.mesh_edges, "mesh_correction_mm": found.mesh_error,
         "mean_distance_mm": found.mean_distance, "distance_mm": found.distance, "rods_used": int(found.used.sum()),
         "left_out": found.reasons, "misfits": np.flatnonzero(found.misfits), "converged": found.converged,
         "iterations": found.steps,
@@ -107,6 +109,9 @@ def summary_lines(summary: dict) -> list[str]:
         (turn_start, turn_end), (shift_start, shift_end) = errors["turn_deg"], errors["shift_mm"]
         lines.append(_line("clamp errors", f"{turn_start:.2g}° and {shift_start:.2g} mm (start), {turn_end:.2g}° and "
                                            f"{shift_end:.2g} mm (end); {errors['turn_scatter_deg']:.2g}° between observations"))
+    if summary["obstacles"] is not None:
+        touched = summary["obstacles"]
+        lines.append(_line("obstacles", f"{', '.join(touched['kinds'])}; rods of radius {touched['radius_mm']:g} mm"))
     lines.append(_line("distance", f"mean {summary['mean_distance_mm']:.4g} mm (Eq. 1)"))
     lines += [*_adequacy_lines(summary), *_rods_lines(summary), *_models_lines(summary)]
     if summary["held_out"] is not None:

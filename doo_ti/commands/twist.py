@@ -36,6 +36,7 @@ def declare(add) -> None:
     parser.add_argument("--regrasp", nargs="+", action="extend", default=[], metavar="INDEX",
                         help="observations before which the rod was released and grasped again; each starts a new φ")
     parser.add_argument("--picture", metavar="F.png", help="also draw the curves (default: no)")
+    given.add_obstacles(parser, "without friction")
     loading.add_loading(parser)
     parser.add_argument("--precision", choices=PRECISIONS, default="f32",
                         help="floating-point arithmetic (default f32, whose error is below that of labels)")
@@ -65,7 +66,7 @@ def run(options: Namespace, words: list[str]) -> int:
         offset = end_offsets(observations, group)
     loading.warn(observations)
     material = curved(options, grid.materials(), observations.rest_length)
-    search = TwistOptions(precision=options.precision)
+    search = TwistOptions(precision=options.precision, surroundings=given.surroundings(options))
     with progress() as bar:
         task = bar.add_task("twist", total=observations.count * len(search.angles), unit="rods")
 

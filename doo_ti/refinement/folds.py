@@ -66,8 +66,9 @@ def refine_held_out(observations: Observations, clamps: Clamps, theta: Theta, fo
     options, refinements = replace(options, intervals="covariance", models=False), []
     for k in np.unique(fold):
         inside, outside = np.flatnonzero(fold != k), np.flatnonzero(fold == k)
-        found = refine(observations.take(inside), clamps.take(inside), theta, options)
-        error[outside], sound[outside] = _predicted(found, observations.take(outside), clamps.take(outside), options)
+        within, beyond = (replace(options, surroundings=options.surroundings.take(rows)) for rows in (inside, outside))
+        found = refine(observations.take(inside), clamps.take(inside), theta, within)
+        error[outside], sound[outside] = _predicted(found, observations.take(outside), clamps.take(outside), beyond)
         refinements.append(found)
     return HeldOut(fold, tuple(refinements), error, sound)
 
@@ -76,7 +77,8 @@ def _predicted(found: Refinement, observations: Observations, clamps: Clamps, op
                ) -> tuple[np.ndarray, np.ndarray]:
     """(D,) Eq. 1 in mm of observations that ``found`` was not fitted to, each rod relaxed from its observation, and (D,) bool
     whether it is converged and stable. The clamps' errors in a single observation are unknown here, and taken as zero."""
-    rod = HeldRod(observations, clamps, 2 * found.mesh_edges if found.mesh_error is not None else found.mesh_edges)
+    edges = 2 * found.mesh_edges if found.mesh_error is not None else found.mesh_edges
+    rod = HeldRod(observations, clamps, edges, options.surroundings)
     unknowns = unknowns_of(rod, options)
     values = replace(found.estimate.values, scatter=np.zeros((observations.count, POSE)))
     solution = rod.relaxed(unknowns.material(values), values.clip, unknowns.pose(values), options.solver, values.theta.up)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.frames import rotation_matrix
 from doo_ti.io.observations import Observations
 from doo_ti.relaxation.newton import Newton
@@ -79,11 +80,13 @@ class HeldRod:
     observations  the marks
     clamps        of the ends, at the outer marks, as reported
     edges         N of the mesh
+    surroundings  what the rods touch, with one row for all observations or one for each
     """
 
     observations: Observations
     clamps: Clamps
     edges: int
+    surroundings: Surroundings = Surroundings()
 
     @property
     def mark_place(self) -> np.ndarray:
@@ -163,13 +166,15 @@ class HeldRod:
         if any_turn and seen.total_twist is not None and len(index) == len(rows):
             index, turns = np.repeat(index, 3), np.repeat(turns, 3) + np.tile([0, -1, 1], len(turns))
         starts = start_configuration(seen.take(index), clamps.take(index), turns)
-        solution = relax(starts, material, clamps.take(index), solver, up=up)
+        around = self.surroundings.take(rows[index])
+        solution = relax(starts, material, clamps.take(index), solver, up=up, **around.arguments)
         if len(index) == len(rows):
             return solution
         apart = self.marks(solution, clip) - np.nan_to_num(self.observations.vertices[rows][index])
         error = np.where(self.observations.valid[rows][index], (apart**2).sum(axis=-1), 0.0).sum(axis=1)
         best = choose_hypothesis(index, error, solution.converged & solution.stable)
-        return relax(starts.take(best), material, clamps.take(index[best]), solver, up=up)
+        around = self.surroundings.take(rows[index[best]])
+        return relax(starts.take(best), material, clamps.take(index[best]), solver, up=up, **around.arguments)
 
     def followed(self, solution: Solution, material: Material, clip: np.ndarray, pose: np.ndarray, solver: Newton,
                  up: np.ndarray) -> Solution:
@@ -179,7 +184,7 @@ class HeldRod:
         begin = Configuration(clamps.start_position, solution.configuration.quaternions, lengths)
         if (np.asarray(self.clamps.start) == Clamp.FREE).any():
             begin = replace(begin, start=solution.configuration.start)
-        return relax(begin, material, clamps, replace(solver, first_shift=0.0), up=up)
+        return relax(begin, material, clamps, replace(solver, first_shift=0.0), up=up, **self.surroundings.arguments)
 
     def marks(self, solution: Solution, clip: np.ndarray) -> np.ndarray:
         """(R, M, 3) places of the marks of relaxed rods, mm."""

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.io.observations import Observations
 from doo_ti.refinement.adequacy import Adequacy, Score, adequacy, fitted_variant, scores
@@ -27,9 +28,11 @@ from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.priors import Scales, typical_scales
 from doo_ti.refinement.residuals import Comparison, mark_distance
 from doo_ti.refinement.unknowns import Theta, Unknowns, Values
+from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.short_repr import short_repr
+from doo_ti.start import start_configuration, turn_hypotheses
 from doo_ti.types import Clamp, Clamps, Configuration, Solution, Status
 
 FEWEST_EDGES, MOST_EDGES = 24, 400
@@ -63,6 +66,7 @@ class RefinementOptions:
     iterations        largest number of steps
     intervals         "profile", or "covariance", which takes no extra time
     models            whether other models are fitted and compared
+    surroundings      what the rods touch, without friction; with one row for all observations or one for each
     """
 
     __repr__ = short_repr
@@ -79,6 +83,7 @@ class RefinementOptions:
     iterations: int = 60
     intervals: str = "profile"
     models: bool = False
+    surroundings: Surroundings = Surroundings()
 
 
 @dataclass(frozen=True)
@@ -142,7 +147,8 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
     theta   Θ and direction of gravity at the start of the fit; of several starts the best is continued
 
     Rods that do not converge, are unstable, infeasible or far from their marks are left out; their number is in the result.
-    Raises InputError for options that do not fit the observations or each other, and where no rod is left.
+    Raises InputError for options that do not fit the observations or each other, for rods inside obstacles, and where no rod is
+    left.
     """
     thetas = (theta,) if isinstance(theta, Theta) else tuple(theta)
     fit, fitted = _fitted(observations, clamps, thetas, options)
@@ -162,9 +168,9 @@ def unknowns_of(rod: HeldRod, options: RefinementOptions) -> Unknowns:
 
 def _fitted(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...], options: RefinementOptions):
     """The fit on its first mesh, from the best of ``thetas``."""
-    check(observations, options)
+    check(observations, clamps, options)
     edges = options.edges or int(np.clip(2 * observations.edges, FEWEST_EDGES, MOST_EDGES))
-    rod = HeldRod(observations, clamps, edges)
+    rod = HeldRod(observations, clamps, edges, options.surroundings)
     unknowns = unknowns_of(rod, options)
     scales = _scales(unknowns, options)
     comparison = Comparison.of(unknowns, options.frame_weight > 0)
@@ -207,8 +213,8 @@ def _simpler(fit: Fit, fitted: Fitted) -> tuple[Fit, Fitted]:
     return replace(exact, rods=None), replace(found, steps=found.steps + fitted.steps)
 
 
-def check(observations: Observations, options: RefinementOptions) -> None:
-    """Raise InputError for options that do not fit the observations or each other."""
+def check(observations: Observations, clamps: Clamps, options: RefinementOptions) -> None:
+    """Raise InputError for options that do not fit the observations or each other, and for rods inside obstacles."""
     if options.frame_weight > 0 and observations.frames is None:
         raise InputError(observations.source, "frames", "missing, but a frame weight is given", "use a frame weight of zero")
     if options.clip is not None and not 0 < options.clip < 0.25 * observations.rest_length.sum():
@@ -221,6 +227,11 @@ def check(observations: Observations, options: RefinementOptions) -> None:
             raise InputError("refine", name, f"{value!r} is unknown", f"give one of {', '.join(known)}")
     if options.edges is not None and not 6 <= options.edges <= 4 * MOST_EDGES:
         raise InputError("refine", "edges", f"{options.edges}", f"give 6 to {4 * MOST_EDGES}")
+    if options.surroundings:
+        index, turns = turn_hypotheses(observations, clamps)
+        held = clamps.take(index)
+        starts = start_configuration(observations.take(index), held, turns)
+        require_clear(observations.source, options.surroundings.take(index), held, starts, index)
 
 
 def _scales(unknowns: Unknowns, options: RefinementOptions) -> Scales:
@@ -308,4 +319,5 @@ def relaxed_on(unknowns: Unknowns, values: Values, solution: Solution, before: H
     clamps = rod.mesh_clamps(values.clip, unknowns.pose(values))
     start = np.where(np.isfinite(clamps.start_position), clamps.start_position, solution.configuration.start)
     begin = Configuration(start, between, np.full(rod.edges, mesh.edge))
-    return relax(begin, unknowns.material(values), clamps, replace(solver, first_shift=0.0), up=values.theta.up)
+    return relax(begin, unknowns.material(values), clamps, replace(solver, first_shift=0.0), up=values.theta.up,
+                 **rod.surroundings.arguments)

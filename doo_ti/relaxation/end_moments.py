@@ -62,8 +62,8 @@ class EndMoments(ParameterGradient):
 
     @ti.func
     def moment_change(self, rod, end: ti.template(), column, change):
-        """The derivative of an end's moment, in the world, by a column whose rotations lie in the place of the step and by which
-        λ, with the forces of obstacles beyond the edge, changes by ``change``.
+        """The derivative of an end's moment, in the world, by a column whose rotations lie in the place of the step and by
+        which λ, with the forces of obstacles beyond the edge, changes by ``change``.
 
         In the edge's axes g + Aλ changes by H w + ½ g × w with the edge's own rotation w, and those axes turn by w.
         """

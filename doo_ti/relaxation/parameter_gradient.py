@@ -22,8 +22,9 @@ BEND, TWIST, MODE, PULL, TIMES_WEIGHT, STRETCH = 0, 3, 4, 5, 8, 9
 SHIFT, TURN_START, TURN_END, MOVE, DIRECTION_COLUMNS = 10, 13, 16, 19, 22
 NO_MODE = -1
 
-# Items of an edge after those of chain: curvature and twist at the vertex where it ends, kept because eliminating writes over the
-# place where chain has them; and the sum of the forces of obstacles on all vertices after its first, with the sign of a gradient.
+# Items of an edge after those of chain: curvature and twist at the vertex where it ends, kept because eliminating writes over
+# the place where chain has them; and the sum of the forces of obstacles on all vertices after its first, with the sign of a
+# gradient.
 KEPT, BEYOND, FIRST_FREE_ITEM = chain.GENERAL_ITEMS, chain.GENERAL_ITEMS + 8, chain.GENERAL_ITEMS + 11
 KEPT_ITEMS = FIRST_FREE_ITEM - KEPT
 
@@ -160,7 +161,7 @@ class ParameterGradient(chain.Chain):
     def linear_change(self, rod, edge, column):
         """∂g/∂θ of the linear potentials of an edge: its last two numbers. With the lengths gravity's term grows by their
         square, those of obstacles and of λ by the first power."""
-        grown = plus(scaled(rod.gravity, edge.hang), self.pull_on(rod, edge, column.multiplier))
+        grown = plus(plus(scaled(rod.gravity, 2.0 * edge.hang), edge.beyond), column.multiplier)
         change = plus(scaled(column.pull, edge.hang), scaled(grown, column.stretch))
         return linear_gradient(change, edge.length, edge.m1, edge.m2)
 

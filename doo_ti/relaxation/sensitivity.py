@@ -92,9 +92,9 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     modes       (M, E−1, 2) where "modes" is among the parameters
     first, last of the rods of ``solution``: derivatives of all of them at once may be more than memory holds
 
-    Rods that have not converged, are not certified stable, are infeasible, or touch themselves come out as NaN. A round rod with both spins
-    free keeps its first spin; along other motions that cost nothing (a weightless bow about its chord, a rod that hangs from a
-    point about up) a rod does not move either.
+    Rods that have not converged, are not certified stable, are infeasible, or touch themselves come out as NaN. A round rod
+    with both spins free keeps its first spin; along other motions that cost nothing (a weightless bow about its chord, a rod
+    that hangs from a point about up) a rod does not move either.
 
     Raises InputError for unknown or repeated parameters, modes of another shape, and for rods under an external energy.
     """

@@ -45,7 +45,7 @@ class SensitivityColumns(EndMoments):
             unit = scratch[head + chain.OF_ENERGY_UNIT * self.stride]
             self.load_forces(tables, rod, row, unit)
             force = self.three(tables.results, row, of.FORCE)
-            multiplier = scaled(force, 0.0 - 1.0 / unit)
+            multiplier = (0.0 - force[0] / unit, 0.0 - force[1] / unit, 0.0 - force[2] / unit)
             if columns == 0:
                 self.bend_pairs(rod)
                 tables.sound[row] = 1

@@ -1,4 +1,4 @@
-"""The kernels behind :mod:`doo_ti.relaxation.sensitivity`: the certificate's factors, and right-hand sides one after the other."""
+"""The kernels behind :mod:`doo_ti.relaxation.sensitivity`, for rods that touch nothing and for those at obstacles."""
 
 from dataclasses import dataclass
 from functools import cache, partial
@@ -210,9 +210,9 @@ def contact_sensitivity_kernel(stride: int, block: int, known: frozenset[int]):
 
     @ti.kernel
     def solve_in_contact(
-        start: table1, rest_length: table2, clamp: table2, material: table2, up0: ti.f64, up1: ti.f64, up2: ti.f64, rods: index2,
-        frames: table1, results: table2, beyond: table3, directions: table2, modes: table3, columns: ti.i32, threads: ti.i32,
-        scratch: table1, vertices: table4, rotations: table4, loads: table3, moments: table2, sound: index1,
+        start: table1, rest_length: table2, clamp: table2, material: table2, up0: ti.f64, up1: ti.f64, up2: ti.f64,
+        rods: index2, frames: table1, results: table2, beyond: table3, directions: table2, modes: table3, columns: ti.i32,
+        threads: ti.i32, scratch: table1, vertices: table4, rotations: table4, loads: table3, moments: table2, sound: index1,
         # The same as above, and of obstacles as :func:`.contact_kernel` has them:
         obstacles: table3, kinds: index1, grids: table1, radius: table1, memory: table4,
     ):

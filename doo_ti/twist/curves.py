@@ -11,11 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.frames import angle_about, matrix_from_quaternion, smallest_rotation
 from doo_ti.io.arrays import frame_columns, read_arrays
 from doo_ti.io.observations import Observations
 from doo_ti.metric import distance
+from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.start import observation_clamps, start_configuration
@@ -33,6 +35,7 @@ class TwistCurves:
     first         (K + 1,) rows at which groups begin, and N
     offset        (N,) τ, rad
     solver, precision  as :func:`doo_ti.relaxation.relax.relax` takes them
+    surroundings  what the rods touch, with one row for all observations or one for each
     advance       called with the number of rods done
     """
 
@@ -45,12 +48,14 @@ class TwistCurves:
     offset: np.ndarray
     solver: Newton
     precision: str
+    surroundings: Surroundings
     advance: Callable[[int], None]
 
     @classmethod
     def of(cls, observations: Observations, material: Material, group, offset, solver: Newton, precision: str,
-           advance: Callable[[int], None]) -> "TwistCurves":
-        """Raises InputError where arguments do not match, and for a rod that is not round while its first roll is unknown."""
+           surroundings: Surroundings, advance: Callable[[int], None]) -> "TwistCurves":
+        """Raises InputError where arguments do not match, for a rod that is not round while its first roll is unknown, and for
+        rods inside obstacles."""
         count = observations.count
         group = np.arange(count) if group is None else np.asarray(group)
         offset = np.zeros(count) if offset is None else np.asarray(offset, dtype=np.float64)
@@ -67,9 +72,11 @@ class TwistCurves:
             raise InputError(observations.source, "start_frame", "missing, and the rod is not round",
                              "give start_frame, or an isotropic material")
         free, clamps = without_twist(observations)
+        if surroundings:
+            require_clear(observations.source, surroundings, clamps, free, np.arange(count))
         first = np.append(np.flatnonzero(steps), count)
         return cls(replace(observations, frames=None), material, free, clamps, group, first, offset, solver, precision,
-                   advance)
+                   surroundings, advance)
 
     @property
     def count(self) -> int:
@@ -100,7 +107,7 @@ class TwistCurves:
         held = replace(self.clamps.take(rows), end_frame=last)
         solution = relax(turned, self.material, held, self.solver, up=self.observations.up,
                          precision=self.precision, configuration_index=np.arange(len(rows)),
-                         material_index=rows % self.material.count)
+                         material_index=rows % self.material.count, **self.surroundings.take(rows).arguments)
         off = distance(solution.configuration, self.observations, rows)
         self.advance(len(rows))
         unsound = ~(solution.converged & solution.stable)

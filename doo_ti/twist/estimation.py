@@ -19,6 +19,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.io.observations import Observations
 from doo_ti.relaxation.newton import Newton
@@ -53,6 +54,7 @@ class TwistOptions:
                  least. It is calibrated: with 2 it contains the true angle of 95 % of simulated rods (docs/twist.md)
     apart        a minimum is ambiguous if the interval contains angles farther off than this, rad
     solver, precision  as :func:`doo_ti.relaxation.relax.relax` takes them
+    surroundings what the rods touch, without friction; with one row for all observations or one for each
     """
 
     span: float = 2 * np.pi
@@ -63,6 +65,7 @@ class TwistOptions:
     apart: float = np.pi / 3
     solver: Newton = Newton()
     precision: str = "f32"
+    surroundings: Surroundings = Surroundings()
 
     def __post_init__(self) -> None:
         for name in ("span", "step"):
@@ -130,9 +133,11 @@ def estimate_twist(
     offset        (N,) τ in rad, from :func:`doo_ti.twist.curves.end_offsets`; zero by default
     advance       called with the number of rods relaxed since the last call; N·F for the samples, and more to refine minima
 
-    Raises InputError where the arguments do not match, and for a rod that is not round while the start's roll is unknown.
+    Raises InputError where the arguments do not match, for a rod that is not round while the start's roll is unknown, and for
+    rods inside obstacles.
     """
-    curves = TwistCurves.of(observations, material, group, offset, options.solver, options.precision, advance)
+    curves = TwistCurves.of(observations, material, group, offset, options.solver, options.precision, options.surroundings,
+                            advance)
     angles = options.angles
     objective, unsound = curves.at(np.arange(curves.count), np.tile(angles, (curves.count, 1)))
     value = np.where((unsound == 0) & np.isfinite(objective), objective, np.inf)

@@ -126,7 +126,8 @@ def test_rods_that_touch_nothing_are_as_without_obstacles():
 
 def test_rods_that_touch_themselves_have_none():
     knot = overhand_knot(200.0, 100, radius=1.0, loop=12.0)
-    rest = relax(knot, Material(1e5, 1e5, 0.0), end_clamps(knot, Clamp.TANGENT, Clamp.TANGENT), obstacles=[Itself()], radius=1.0)
+    clamps = end_clamps(knot, Clamp.TANGENT, Clamp.TANGENT)
+    rest = relax(knot, Material(1e5, 1e5, 0.0), clamps, obstacles=[Itself()], radius=1.0)
     assert rest.converged.all()
     found = sensitivity(rest)
     assert not found.usable.any() and np.isnan(found.vertices).all()

@@ -1,0 +1,85 @@
+"""Ropes that lie on a table: with the table their parameters are found, without it not."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doo_ti import Clamp, InputError, Plane, RefinementOptions, refine
+from doo_ti.cli import main
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.grid import Axis, Grid
+from doo_ti.io.observations import save_observations
+from doo_ti.plan import plan
+from doo_ti.start import observation_clamps
+from tools.table_study import GUESS, TABLE, specimen
+
+SIMPLE = RefinementOptions(curvature="none", clamps="exact")
+TABLE_FILE = """
+[[obstacles]]
+kind = "plane"
+point = [0, 0, 0]
+normal = [0, 0, 1]
+"""
+
+
+@pytest.fixture(scope="module")
+def rope():
+    return specimen(2012)
+
+
+def test_the_intervals_contain_the_truth(rope):
+    observations, truth = rope
+    found = refine(observations, observation_clamps(observations), GUESS, replace(SIMPLE, surroundings=TABLE))
+    assert found.converged and found.used.all() and found.mean_distance < 0.2
+    for name, value in truth.items():
+        parameter = found.estimate.parameter(name)
+        print(f"{name}: {parameter.low:.4g} .. {parameter.high:.4g}, true {value:.4g}")
+        assert parameter.low < value < parameter.high < 1.4 * parameter.low
+
+
+def test_without_the_table_they_do_not(rope):
+    observations, truth = rope
+    found = refine(observations, observation_clamps(observations), GUESS, replace(SIMPLE, intervals="covariance"))
+    assert found.mean_distance > 2.0 or found.used.sum() < 5
+
+
+def test_the_command_takes_the_table(rope, tmp_path, capsys):
+    observations, truth = rope
+    save_observations(tmp_path / "rope.npz", observations)
+    (tmp_path / "table.toml").write_text(TABLE_FILE)
+    words = ["refine", str(tmp_path / "rope.npz"), "--bend", "3e5", "--twist", "3e5", "--rest-curvature", "none", "--clamps",
+             "exact", "--no-models", "--json"]
+    assert main([*words, "--obstacles", str(tmp_path / "table.toml"), "--radius", "2"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    bend = next(one for one in found["parameters"] if one["name"] == "bend")
+    assert bend["low"] < truth["bend"] < bend["high"]
+    assert found["obstacles"]["kinds"] == ["plane"] and found["obstacles"]["radius_mm"] == 2.0
+    for more, message in ((["--radius", "2"], "--radius: given without --obstacles"),
+                          (["--obstacles", str(tmp_path / "table.toml")], "--radius: missing beside --obstacles"),
+                          (["--obstacles", str(tmp_path / "table.toml"), "--radius", "40"], "inside a Plane")):
+        assert main([*words, *more]) == 2
+        error = capsys.readouterr().err
+        assert message in error and error.count("\n") == 1
+
+
+def test_rods_inside_obstacles_are_refused(rope):
+    observations, _ = rope
+    deep = Surroundings([Plane((0, 0, 10), (0, 0, 1))], 2.0)
+    with pytest.raises(InputError, match="rod 3 is .* mm inside a Plane"):
+        refine(observations, observation_clamps(observations), GUESS, RefinementOptions(surroundings=deep))
+
+
+def test_a_plan_with_the_table_is_another(rope):
+    """Ropes on a table are narrowed down by what their span leaves free of it."""
+    observations, truth = rope
+    grid = Grid((Axis("bend", np.array([0.7, 1.4]) * truth["bend"]), Axis("twist", [truth["twist"]])))
+    given = dict(sigma=0.1, picks=3, clamp_start=Clamp.FRAME, clamp_end=Clamp.FRAME)
+    on_table, without = plan(observations, grid, surroundings=TABLE, **given), plan(observations, grid, **given)
+    assert (on_table.sensed == on_table.cells).sum() >= 6
+    # Without the table the ropes hang, and their shapes say much more about the weight that bends them.
+    assert not np.allclose(on_table.strength, without.strength, rtol=0.2)
+    assert on_table.volume[-1] < on_table.volume[0] <= 1.0
+    first = plan(observations.take(np.array([0])), grid, surroundings=TABLE, **(given | {"picks": 1}))
+    np.testing.assert_allclose(first.strength[0], on_table.strength[0], rtol=1e-6)
