@@ -227,8 +227,7 @@ class GroupContacts(SelfContacts):
         slow = due & (most > SLOW_TIES * before) & (most > allowed)
         rod.scratch[head + TIE_STIFFNESS * self.stride] = ti.select(slow, ti.min(STIFFER_TIES * stiffness, limit), stiffness)
         rod.scratch[head + TIE_MISS * self.stride] = ti.select(due, most, before)
-        if ti.static(self.rub):
-            self.set_item(rod, WORK, due, self.friction_work(rod))
+        self.set_item(rod, WORK, due, self.friction_work(rod))
         return largest_of(change, ti.select(due, most / allowed * self.item(rod, TOLERANCE), zero))
 
     # --- into scratch and out of it ---
@@ -243,8 +242,7 @@ class GroupContacts(SelfContacts):
         if tables.barrier == 0:
             self.put(scratch, base + PHASE * self.stride, slot, FINE)
         self.load_apart(tables, scratch, slot, row)
-        if ti.static(self.rub):
-            self.load_previous(tables, scratch, slot, row, unit)
+        self.load_previous(tables, scratch, slot, row, unit)
         head = base + self_contact_items(edges, tables.kinds.shape[0]) * self.stride
         total = scale.total
         self.put(scratch, head + TIE_STIFFNESS * self.stride, slot, FIRST_TIE_STIFFNESS * scale.bend / (total * total * total))

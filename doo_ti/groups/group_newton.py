@@ -68,9 +68,9 @@ class GroupTables:
 
 
 @cache
-def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[int], rub: bool):
-    """The kernel, compiled on first use, for one kind of number and obstacles of those kinds, with friction if they ``rub``."""
-    sweep = GroupElimination(number, stride, GroupContacts(number, stride, obstacles, rub))
+def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[int]):
+    """The kernel, compiled on first use, for one kind of number and obstacles of those kinds."""
+    sweep = GroupElimination(number, stride, GroupContacts(number, stride, obstacles, rub=True))
     loop = NewtonLoop(sweep, sweep.functions)
     loop.trace = TRACE
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
@@ -86,7 +86,7 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
         barrier: ti.i32, begins: index1, ties: index2, targets: table3, free: table3, burden: table3, apart: index2,
         places: table3,  # [group, rod, 3] mm: where the rods begin, the first left out, in and out
         tie_forces: table3,  # [group, tie, 6] force, energy per mm, and moment in the axes of the later edge, in and out
-        previous: table3,  # [group, vertex, 3] mm, at the moment before; without friction not read
+        previous: table3,  # [group, vertex, 3] mm, at the moment before
         touches: index2,  # [group, vertex] out
         works: table1,  # [group] of friction, out
     ):
@@ -118,9 +118,9 @@ class GroupState:
     friction_work: np.ndarray
 
 
-def run_groups(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray | None):
-    """Relax all feasible groups: (N, E, 4) frames and (N, LOADED_RESULTS), NaN and UNTOUCHED in infeasible rows; with friction
-    where ``previous`` (N, V, 3) mm says where the vertices were at the moment before.
+def run_groups(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray):
+    """Relax all feasible groups: (N, E, 4) frames and (N, LOADED_RESULTS), NaN and UNTOUCHED in infeasible rows. Friction acts
+    from ``previous`` (N, V, 3) mm on, where the vertices were at the moment before.
 
     Groups whose solver stalls, as it can in tight knots with friction, are relaxed once more from their start with the other
     first shift, which leads through other shapes. Their iterations are those of both attempts.
@@ -143,7 +143,7 @@ def run_groups(table: GroupTables, options: Newton, state: GroupState, previous:
     return frames, results
 
 
-def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray | None, rows: np.ndarray,
+def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray, rows: np.ndarray,
             frames: np.ndarray, results: np.ndarray) -> None:
     """Relax the groups ``rows`` into ``frames`` and ``results``."""
     if not len(rows):
@@ -152,7 +152,7 @@ def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np
     rods = of.rod_rows(rows, rows % len(table.material), rows, rows, np.zeros_like(rows))
     contact, nothing = table.contact, Nothing()
     number, threads, stride, block = layout_for(len(rows), 64, True)
-    kernel = group_kernel(number, stride, block, contact.known, previous is not None)
+    kernel = group_kernel(number, stride, block, contact.known)
     items = chain.LOADED_PARAMETERS + (chain.item_count(False) + FORCE_ITEMS) * edges
     items += self_contact_items(edges, len(contact.kinds)) + group_items(edges, state.places.shape[1], len(table.ties))
     scratch, queue = buffers(number, threads, items)
@@ -160,5 +160,5 @@ def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy_row(table.up, options, 64),
         threads, scratch, queue, frames.reshape(-1), results, nothing.numbers(), nothing.field(),
         *contact.arguments(contact.forces), int(table.barrier), table.begins, table.ties, table.targets, table.free,
-        table.burden, table.apart, state.places, state.tie_forces, np.zeros((1, 1, 3)) if previous is None else previous,
-        state.touch, state.friction_work)
+        table.burden, table.apart, state.places, state.tie_forces, previous, state.touch,
+        state.friction_work)

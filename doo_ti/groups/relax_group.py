@@ -116,7 +116,9 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
         tie_forces = np.zeros((group.count, len(table.ties), 6)) if before is None else _forces(group, before)
         touch = np.zeros((group.count, table.start.shape[1] + 1), dtype=np.int32)
         state = GroupState(table.begins_at.copy(), tie_forces, touch, np.zeros(group.count))
-        previous = _previous(group, before) if before is not None and table.contact.surroundings.rub else None
+        if before is None:  # friction acts on the way from there
+            table = replace(table, contact=table.contact.smooth)
+        previous = _previous(group, before) if before is not None else np.zeros((*touch.shape, 3))
         frames, results = run_groups(table, PATIENT if solver is None else solver, state, previous)
         return _solution(group, table, frames, results, state)
 

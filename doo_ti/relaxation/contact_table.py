@@ -74,6 +74,13 @@ class ContactTable:
         self.memory[rows] = 0.0
         return replace(self, itself=True)
 
+    @property
+    def smooth(self) -> "ContactTable":
+        """The table without friction."""
+        obstacles = self.obstacles.copy()
+        obstacles[..., FRICTION] = 0.0
+        return replace(self, obstacles=obstacles, self_friction=np.zeros_like(self.self_friction))
+
     def contacts(self, vertices: np.ndarray, force: np.ndarray) -> Contacts:
         """The contacts of rods at ``vertices`` (R, V, 3) that bear ``force`` (R, V, 3)."""
         return Contacts(force, vertices, self.surroundings)
