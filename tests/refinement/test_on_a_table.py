@@ -64,6 +64,24 @@ def test_the_command_takes_the_table(rope, tmp_path, capsys):
         assert message in error and error.count("\n") == 1
 
 
+def test_a_run_with_a_table_is_refined_with_it(rope, tmp_path, capsys):
+    observations, truth = rope
+    save_observations(tmp_path / "rope.npz", observations)
+    (tmp_path / "table.toml").write_text(TABLE_FILE)
+    around = ["--obstacles", str(tmp_path / "table.toml"), "--radius", "2"]
+    run = str(tmp_path / "run")
+    assert main(["sweep", str(tmp_path / "rope.npz"), "--bend", "5e4:2e5:3", "--twist", "5e4", *around, "--out", run,
+                 "--precision", "f64"]) == 0
+    capsys.readouterr()
+    words = ["refine", run, "--starts", "1", "--rest-curvature", "none", "--clamps", "exact", "--no-models"]
+    assert main([*words, "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    bend = next(one for one in found["parameters"] if one["name"] == "bend")
+    assert bend["low"] < truth["bend"] < bend["high"] and found["obstacles"]["radius_mm"] == 2.0
+    assert main([*words, *around]) == 2
+    assert "--obstacles: given, but" in capsys.readouterr().err
+
+
 def test_rods_inside_obstacles_are_refused(rope):
     observations, _ = rope
     deep = Surroundings([Plane((0, 0, 10), (0, 0, 1))], 2.0)

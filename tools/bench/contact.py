@@ -3,8 +3,8 @@
 Heavy rods of 33 edges, both ends held, on a table with two pegs in their way, NumPy in to NumPy out. *laid down*: from straight
 starts that do not meet their clamps; *moved on*: from rest on the table, with other weights and far ends moved by up to a tenth
 of the span; *out of reach*: as these, with the table and the pegs far away; *alone* and *its own obstacle*: as these, without
-them, and where no rod may pass through itself. Ratios are to a NumPy workload timed in the same
-round; ``--check`` and ``--write`` are those of the benchmark of relaxations.
+them, and where no rod may pass through itself; *Jacobians*: derivatives of these rods, at rest, by the poses of both grippers.
+Ratios are to a NumPy workload timed in the same round; ``--check`` and ``--write`` are those of the benchmark of relaxations.
 """
 
 import sys
@@ -16,10 +16,10 @@ import numpy as np
 if not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from doo_ti import Capsule, Clamp, Clamps, Configuration, Itself, Material, Plane, relax  # noqa: E402
+from doo_ti import Capsule, Clamp, Clamps, Configuration, Itself, Material, Plane, gripper_jacobian, relax  # noqa: E402
 from doo_ti.bench.cases import Case, Outcome  # noqa: E402
 from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_product  # noqa: E402
-from doo_ti.types import Status  # noqa: E402
+from doo_ti.types import Solution, Status  # noqa: E402
 from tools.bench.against_baseline import Benchmark, run  # noqa: E402
 
 BASELINE = Path(__file__).with_name("contact.json")
@@ -77,6 +77,26 @@ class Specimens:
         kept = np.resize(np.flatnonzero(found.status != Status.INFEASIBLE), self.count)
         return start.take(kept), other.take(kept), held.take(kept)
 
+    def resting(self, among: list) -> Solution:
+        """Those moved on, at rest."""
+        rods, material, clamps = self.moved_on
+        return relax(rods, material, clamps, obstacles=among, radius=RADIUS)
+
+    @cached_property
+    def on_table(self) -> Solution:
+        """Among the obstacles."""
+        return self.resting(obstacles())
+
+    @cached_property
+    def alone(self) -> Solution:
+        """Without them."""
+        return self.resting([])
+
+    def derived(self, which: str) -> Outcome:
+        """The derivatives of the rods at rest of that name."""
+        usable = gripper_jacobian(getattr(self, which)).usable
+        return Outcome(float(usable.sum()), float(usable.mean()))
+
     def relaxed(self, which: str, precision: str, among: list) -> Outcome:
         """Relax the rods of that name once ``among`` obstacles."""
         rods, material, clamps = getattr(self, which)
@@ -88,12 +108,14 @@ class Specimens:
 
 def cases(rods: Specimens) -> list[Case]:
     """The timed cases."""
-    return [Case(f"{name}, {precision}", "rods/s", partial(rods.relaxed, which, precision, among))
-            for name, which, among in (
-                ("laid down", "laid_down", obstacles()), ("moved on", "moved_on", obstacles()),
-                ("out of reach", "moved_on", obstacles(1e4)), ("alone", "moved_on", []),
-                ("its own obstacle", "moved_on", [Itself()]))
-            for precision in ("f32", "f64")]
+    return [*(Case(f"{name}, {precision}", "rods/s", partial(rods.relaxed, which, precision, among))
+              for name, which, among in (
+                  ("laid down", "laid_down", obstacles()), ("moved on", "moved_on", obstacles()),
+                  ("out of reach", "moved_on", obstacles(1e4)), ("alone", "moved_on", []),
+                  ("its own obstacle", "moved_on", [Itself()]))
+              for precision in ("f32", "f64")),
+            Case("Jacobians, moved on", "rods/s", partial(rods.derived, "on_table")),
+            Case("Jacobians, alone", "rods/s", partial(rods.derived, "alone"))]
 
 
 def main(arguments: list[str]) -> int:
