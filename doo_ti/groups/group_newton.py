@@ -10,7 +10,7 @@ import taichi as ti
 from doo_ti import runtime
 from doo_ti.groups.group_contacts import GroupContacts
 from doo_ti.groups.group_elimination import GroupElimination
-from doo_ti.groups.layout import TRACE, group_items
+from doo_ti.groups.layout import group_items
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import record
 from doo_ti.relaxation import chain
@@ -72,7 +72,6 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
     """The kernel, compiled on first use, for one kind of number and obstacles of those kinds."""
     sweep = GroupElimination(number, stride, GroupContacts(number, stride, obstacles, rub=True))
     loop = NewtonLoop(sweep, sweep.functions)
-    loop.trace = TRACE
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
     index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
 

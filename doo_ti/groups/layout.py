@@ -23,8 +23,6 @@ FIRST_TIE_STIFFNESS, MOST_TIE_STIFFNESS = 1e4, 1e7
 """κ of ties at first and at most, over B/L³."""
 SLOW_TIES, STIFFER_TIES = 0.05, 10.0
 """Where a round leaves more than that share of the miss before, κ grows by so much."""
-TRACE = 1e-9
-"""Of H's largest diagonal entry, added to all: more than what κ leaves of the zero that a neutral motion has."""
 TIE_TOLERANCE = 1e-10
 """Of the longest rod: how far tied points may be apart."""
 

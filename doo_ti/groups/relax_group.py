@@ -23,10 +23,8 @@ from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupState, GroupTables, run_groups
 from doo_ti.groups.group_tables import group_tables
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.types import Configuration, Status, unit_up
-
-PATIENT = Newton(max_iterations=1000)
 
 
 @dataclass(frozen=True)
@@ -119,7 +117,8 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
         if before is None:  # friction acts on the way from there
             table = replace(table, contact=table.contact.smooth)
         previous = _previous(group, before) if before is not None else np.zeros((*touch.shape, 3))
-        frames, results = run_groups(table, PATIENT if solver is None else solver, state, previous)
+        options = Newton(max_iterations=MOST_IN_CONTACT) if solver is None else solver
+        frames, results = run_groups(table, options, state, previous)
         return _solution(group, table, frames, results, state)
 
 

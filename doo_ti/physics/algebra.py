@@ -68,6 +68,24 @@ def factor(m):
 
 
 @ti.func
+def factor_in_turn(m):
+    """The same of a matrix whose entries may differ by many powers of ten, pivot by pivot: products of small ones would be lost
+    in what :func:`factor` adds to them."""
+    tiny = 1e-30
+    i1 = 1.0 / (m[0] + tiny)
+    l21, l31 = m[1] * i1, m[2] * i1
+    d2 = m[3] - l21 * m[1] + tiny
+    below = m[4] - l31 * m[1]
+    i2 = 1.0 / d2
+    l32 = below * i2
+    d3 = m[5] - l31 * m[2] - l32 * below + tiny
+    one = 0.0 * m[0] + 1.0
+    none = 0.0 * m[0]
+    negative = ti.select(i1 < 0.0, one, none) + ti.select(d2 < 0.0, one, none) + ti.select(d3 < 0.0, one, none)
+    return (i1, i2, 1.0 / d3, l21, l31, l32, negative)
+
+
+@ti.func
 def _same_sign(a, b):
     one = 0.0 * a + 1.0
     return ti.select(((a > 0.0) & (b > 0.0)) | ((a < 0.0) & (b < 0.0)), one, 0.0 * a)

@@ -56,9 +56,9 @@ SOFT = 0.1
 """Of a radius: at first κ gives way by that under such a force."""
 TIGHT = 0.3
 """Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does."""
-EARLY_ROTATION, EARLY_STIFFER, MOST_EARLY = 3e-2, 7.0, 12.0
-"""A step in which every edge turns by less than that, rad, settles forces; κ is from then on at least so many times the first;
-and at most so many steps of a rod do so."""
+EARLY_ROTATION, EARLY_SHIFT, EARLY_STIFFER, MOST_EARLY = 3e-2, 1e-3, 7.0, 12.0
+"""A step in which every edge turns by less than that, rad, settles forces, unless a larger shift, over H's largest diagonal
+entry, makes it small; κ is from then on at least so many times the first; and at most so many steps of a rod do so."""
 STIFFER, SLOW, STIFFEST = 5.0, 0.3, 1e6
 """κ grows by so much where a round leaves more than that share of the change of the round before, up to so many times the
 first."""

@@ -6,7 +6,7 @@ rotation has to.
 
 import taichi as ti
 
-from doo_ti.physics.algebra import factor
+from doo_ti.physics.algebra import factor_in_turn
 from doo_ti.physics.tuples import (
     against,
     backward,
@@ -26,6 +26,9 @@ from doo_ti.physics.tuples import (
 from doo_ti.relaxation.chain import LOADED_PARAMETERS, OF_DRIFT, OF_DRIFT_FACTORS, OF_DRIFT_STANDING, OF_DRIFT_STEP
 from doo_ti.relaxation.contact_layout import END_CURVATURES, END_EXCESS, END_GRADIENT, ENERGY, MAGNITUDE
 from doo_ti.relaxation.elimination import Elimination, held_pivot
+
+LEAST_HOLD = 1e-6
+"""Over the cube of the rod's length, B being about one: the least stiffness with which a free vertex 0 is held in its place."""
 
 
 @ti.data_oriented
@@ -96,7 +99,9 @@ class LooseStart(Elimination):
             found.magnitude = found.magnitude + self.contacts.item(rod, MAGNITUDE)
         moment = scaled(force, loose * rod.total)
         self.observe_moment(found, moment)
-        f = factor(held_pivot(on_diagonal(beyond.cc, shift / (rod.total * rod.total)), free))
+        # Nothing else may hold vertex 0 in some direction, as on a table along it.
+        held = LEAST_HOLD / (rod.total * rod.total * rod.total)
+        f = factor_in_turn(held_pivot(on_diagonal(beyond.cc, ti.max(shift / (rod.total * rod.total), held)), free))
         found.negative = found.negative + f[6]
         wr = forward(f, scaled(negated(c), loose))
         wa = forward_rows(f, scaled(border.c, loose))

@@ -4,7 +4,15 @@ import taichi as ti
 
 from doo_ti.physics.tuples import chosen, dot, plus, record, scaled, variable
 from doo_ti.relaxation import newton_policy as fixed
-from doo_ti.relaxation.contact_layout import CROSSING, EARLY_ROTATION, SETTLED, SETTLING, TOLERANCE, WALL
+from doo_ti.relaxation.contact_layout import (
+    CROSSING,
+    EARLY_ROTATION,
+    EARLY_SHIFT,
+    SETTLED,
+    SETTLING,
+    TOLERANCE,
+    WALL,
+)
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.types import Status
 
@@ -41,8 +49,9 @@ class NewtonTrip:
         self.still = 0.0 if single else fixed.STILL
         self.vague = 1e30 if single else fixed.VAGUE
         # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a small part of
-        # H's scale on the diagonal makes it positive. f32 cannot distinguish them from soft saddles and leaves them to f64.
-        self.trace = 0.0 if single else 1e-12
+        # H's scale on the diagonal makes it positive, in contact a larger one, since κ makes rounding larger. f32 cannot
+        # distinguish them from soft saddles and leaves them to f64.
+        self.trace = 0.0 if single else fixed.TRACE_IN_CONTACT if self.touches else fixed.TRACE
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
         self.stalled, self.not_finite, self.infeasible = map(int, (Status.STALLED, Status.NOT_FINITE, Status.INFEASIBLE))
         self.growth, self.first_shift = (  # of the shift, where a step is rejected
@@ -256,7 +265,8 @@ class NewtonTrip:
         at_rest = place.small & place.settled & (late | stuck)
         if ti.static(self.touches):
             entered = self.sweep.contacts.enter(rod, fresh, judged.stands & (lane.energy > WALL))
-            ready = (lane.trying > 0.5) & (lane.escaping < 0.5) & (lane.longest < EARLY_ROTATION) & ~entered & ~lost
+            near = (lane.longest < EARLY_ROTATION) & (lane.shift <= EARLY_SHIFT * lane.scale)
+            ready = (lane.trying > 0.5) & (lane.escaping < 0.5) & near & ~entered & ~lost
             early = self.sweep.contacts.settle_early(rod, lane, ready)
             calm = place.calm & ~entered & ~place.leaving & ~early
             ended, at_rest, stuck = ended & ~early, at_rest & ~early, stuck & ~early

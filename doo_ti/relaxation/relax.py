@@ -20,7 +20,7 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.external import External
 from doo_ti.relaxation.input_tables import tables, under
-from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.relaxation.self_approach import approach_in_relaxation
 from doo_ti.relaxation.tables import Tables
 from doo_ti.types import Clamps, Configuration, Material, Solution, Status, unit_up
@@ -54,8 +54,9 @@ def relax(
     clamps                 C: S of them, one for each start. None with a Solution: the same rods again, from the end of
                            that call or, where they failed, from their first start; clamps, gravity, lengths and the external
                            energy stay the same and only the material changes, which takes half the iterations
-    solver                 ``Newton()`` (default), ``Newton.careful()`` or the paper's ``Descent()``. Without clamps only
-                           Newton, by default without a first shift, which stays closest to the branch
+    solver                 ``Newton()`` (default, with obstacles that of 1000 iterations), ``Newton.careful()`` or the paper's
+                           ``Descent()``. Without clamps only Newton, by default without a first shift, which stays closest to
+                           the branch
     up                     (3,) direction against gravity, (0, 0, 1) unless given
     precision              "f64"; "f32": f64 finishes the rods that f32 cannot; "f32 only": these stay unfinished; or "mixed":
                            f32 first, then f64 continues all rods to the f64 tolerance.
@@ -77,7 +78,9 @@ def relax(
     """
     once_more = isinstance(x0, Solution) and clamps is None
     if solver is None:
-        solver = Newton(first_shift=0.0) if once_more else Newton()
+        touches = len(obstacles) > 0 or once_more and x0.tables is not None and x0.tables.contact is not None
+        solver = Newton(max_iterations=MOST_IN_CONTACT) if touches else Newton()
+        solver = replace(solver, first_shift=0.0) if once_more else solver
     _check_options(solver, precision, external, obstacles, once_more)
     with np.errstate(all="ignore"):  # a rod that is not finite has a status; NumPy need not warn
         if once_more:

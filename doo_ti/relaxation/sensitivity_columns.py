@@ -11,11 +11,10 @@ from doo_ti.physics.tuples import minus, plus, products, record, repeated, scale
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.end_moments import FIRST, LAST, EndMoments
+from doo_ti.relaxation.newton_policy import TRACE, TRACE_IN_CONTACT
 from doo_ti.relaxation.parameter_gradient import BEYOND, NO_MODE
 
 INERTIA_OF_A_MINIMUM = 3.0
-TRACE = 1e-12
-"""Eigenvalues of H below this share of its largest diagonal entry are neutral motions, as the certificate has it."""
 
 # The loads of a rod: force and moment at its start, force and moment at its end.
 START_FORCE, START_MOMENT, END_FORCE, END_MOMENT, LOADS = 0, 3, 6, 9, 12
@@ -88,7 +87,7 @@ class SensitivityColumns(EndMoments):
         A neutral motion shows when H is lowered a trace. Raised by one instead, H keeps the rod from moving along it.
         """
         none = 0.0 * rod.total
-        trace = TRACE * rod.scratch[rod.head + chain.OF_SCALE * self.stride]
+        trace = (TRACE_IN_CONTACT if ti.static(self.touches) else TRACE) * rod.scratch[rod.head + chain.OF_SCALE * self.stride]
         shift = none - trace
         inertia = none
         for _ in range(2):

@@ -1,0 +1,51 @@
+"""Ropes that are held at one end and fall onto a floor or a slope: nothing else holds them in their place along it."""
+
+import numpy as np
+import pytest
+
+from doo_ti import Clamp, Clamps, Configuration, Material, Newton, Plane, relax
+from doo_ti.types import Status
+
+LENGTH, EDGES, RADIUS, COUNT = 200.0, 40, 1.0, 60
+HELD = [(Clamp.FRAME, Clamp.FREE), (Clamp.POSITION, Clamp.FREE), (Clamp.FREE, Clamp.FRAME), (Clamp.FREE, Clamp.POSITION)]
+
+
+def released(kinds: tuple[Clamp, Clamp]) -> tuple[Configuration, Material, Clamps]:
+    """Straight ropes at random heights, directions and stiffnesses, to be let go at one end."""
+    random = np.random.default_rng(2011)
+    direction = random.normal(size=(COUNT, 3))
+    direction[:, 2] = 0.3 * np.abs(direction[:, 2])
+    height = random.uniform(20, 150, COUNT)
+    each = [Configuration.straight(np.array([0.0, 0.0, z]), along, LENGTH, EDGES)
+            for z, along in zip(height, direction, strict=True)]
+    rods = Configuration(np.concatenate([one.start for one in each]), np.concatenate([one.quaternions for one in each]),
+                         each[0].rest_length)
+    x, frames = rods.vertices, rods.frames
+    material = Material(10 ** random.uniform(3, 6, COUNT), 10 ** random.uniform(3, 6, COUNT))
+    return rods, material, Clamps(*kinds, x[:, 0], x[:, -1], frames[:, 0], frames[:, -1])
+
+
+@pytest.mark.parametrize("kinds", HELD, ids=lambda kinds: f"{kinds[0].name} {kinds[1].name}")
+@pytest.mark.parametrize("slope, share", [(0.0, 0.98), (0.1, 0.95)])
+def test_ropes_come_to_rest(kinds, slope, share):
+    rods, material, clamps = released(kinds)
+    found = relax(rods, material, clamps, obstacles=[Plane((0, 0, -5), (slope, 0.3 * slope, 1))], radius=RADIUS)
+    feasible = found.status != Status.INFEASIBLE
+    print(f"{found.converged[feasible].mean():.3f} converge, {np.median(found.iterations[feasible]):.0f} iterations")
+    assert feasible.mean() > 0.9 and found.converged[feasible].mean() >= share
+    assert found.stable[found.converged].all() and found.contact.touching[found.converged].any(axis=1).mean() > 0.7
+    assert found.contact.gap[found.converged].min() > -1e-3 * RADIUS
+
+
+@pytest.mark.parametrize("first_shift", [0.0, 0.05])
+def test_a_rope_that_hangs_over_a_floor_by_its_far_end_moves_with_it(first_shift):
+    """From rest and without a first shift, as predictions follow a branch: at first nothing holds the free end."""
+    rods, material, clamps = released((Clamp.FREE, Clamp.FRAME))
+    floor = dict(obstacles=[Plane((0, 0, -5), (0, 0, 1))], radius=RADIUS)
+    rest = relax(rods, material, clamps, **floor)
+    rows = np.flatnonzero(rest.converged & rest.contact.touching.any(axis=1))
+    assert len(rows) > 40
+    held = clamps.take(rows)
+    held.end_position[:, 0] += 1.0
+    found = relax(rest.configuration.take(rows), material.take(rows), held, Newton(first_shift=first_shift), **floor)
+    assert found.converged.mean() > 0.97 and np.median(found.iterations) < 60
