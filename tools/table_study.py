@@ -1,9 +1,10 @@
 """Parameters of ropes that lie on a table: ``python tools/table_study.py [--specimens N] [--seed S]``.
 
-Draws ropes with random bend and twist stiffness, held at both ends above a table on which they lie, in eight configurations
-each, with noise on the marks; they are relaxed with edges of 2 mm, the fit's have about 5 mm. Each is fitted by ``refine``
-with the table and without it. Prints a Markdown table: how many 95 % intervals contain the truth, the median of the estimate over the
-truth, and the median width of the intervals. Exit code 1 where fewer than nine tenths of those with the table do.
+Draws ropes with random bend and twist stiffness, held at both ends above a table on which they lie, in eight
+configurations each, with noise on the marks; they are relaxed with edges of 2 mm, the fit's have about 5 mm. Each is
+fitted by ``refine`` with the table and without it. Prints a Markdown table: how many 95 % intervals contain the
+truth, the median of the estimate over the truth, and the median width of the intervals. Exit code 1 where fewer than
+nine tenths of those with the table do.
 """
 
 import argparse
