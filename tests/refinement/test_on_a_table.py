@@ -90,14 +90,13 @@ def test_rods_inside_obstacles_are_refused(rope):
 
 
 def test_a_plan_with_the_table_is_another(rope):
-    """Ropes on a table are narrowed down by what their span leaves free of it."""
     observations, truth = rope
+    observations = observations.take(np.arange(3))
     grid = Grid((Axis("bend", np.array([0.7, 1.4]) * truth["bend"]), Axis("twist", [truth["twist"]])))
-    given = dict(sigma=0.1, picks=3, clamp_start=Clamp.FRAME, clamp_end=Clamp.FRAME)
+    given = dict(sigma=0.1, picks=2, clamp_start=Clamp.FRAME, clamp_end=Clamp.FRAME)
     on_table, without = plan(observations, grid, surroundings=TABLE, **given), plan(observations, grid, **given)
-    assert (on_table.sensed == on_table.cells).sum() >= 6
-    # Without the table the ropes hang, and their shapes say much more about the weight that bends them.
+    assert (on_table.sensed == on_table.cells).all() and on_table.volume[-1] < on_table.volume[0] <= 1.0
+    # Without the table the ropes hang: another part of them bends under their weight.
     assert not np.allclose(on_table.strength, without.strength, rtol=0.2)
-    assert on_table.volume[-1] < on_table.volume[0] <= 1.0
     first = plan(observations.take(np.array([0])), grid, surroundings=TABLE, **(given | {"picks": 1}))
     np.testing.assert_allclose(first.strength[0], on_table.strength[0], rtol=1e-6)
