@@ -6,7 +6,7 @@ rotation has to.
 
 import taichi as ti
 
-from doo_ti.physics.algebra import factor_in_turn
+from doo_ti.physics.algebra import absolute, factor_in_turn
 from doo_ti.physics.tuples import (
     against,
     backward,
@@ -99,9 +99,9 @@ class LooseStart(Elimination):
             found.magnitude = found.magnitude + self.contacts.item(rod, MAGNITUDE)
         moment = scaled(force, loose * rod.total)
         self.observe_moment(found, moment)
-        # Nothing else may hold vertex 0 in some direction, as on a table along it.
-        held = LEAST_HOLD / (rod.total * rod.total * rod.total)
-        f = factor_in_turn(held_pivot(on_diagonal(beyond.cc, ti.max(shift / (rod.total * rod.total), held)), free))
+        d = on_diagonal(beyond.cc, shift / (rod.total * rod.total))
+        held = (self.at_least_held(rod, d[0]), d[1], d[2], self.at_least_held(rod, d[3]), d[4], self.at_least_held(rod, d[5]))
+        f = factor_in_turn(held_pivot(held, free))
         found.negative = found.negative + f[6]
         wr = forward(f, scaled(negated(c), loose))
         wa = forward_rows(f, scaled(border.c, loose))
@@ -111,6 +111,13 @@ class LooseStart(Elimination):
         self.store(rod.scratch, at, wr)
         kept = wa + (f[0], f[1], f[2], f[3], f[4], f[5])
         self.store(rod.scratch, rod.head + OF_DRIFT_FACTORS * self.stride, kept)
+
+    @ti.func
+    def at_least_held(self, rod, stiffness):
+        """A stiffness against moving vertex 0 in some direction, or a small one where nothing holds it, as on a table along
+        that."""
+        least = LEAST_HOLD / (rod.total * rod.total * rod.total)
+        return ti.select(absolute(stiffness) < least, least, stiffness)
 
     @ti.func
     def solved_start(self, rod, change):
