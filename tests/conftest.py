@@ -14,7 +14,8 @@ from doo_ti.physics.number import Number  # noqa: E402
 
 SEED = 2011
 LONG_KERNELS = ("tests/contact/", "tests/groups/", "tests/commands/test_contact.py", "tests/commands/test_group.py",
-                "tests/commands/test_knots.py", "tests/dynamics/test_energies.py",
+                "tests/commands/test_knots.py", "tests/dynamics/test_energies.py", "tests/refinement/test_on_a_table.py",
+                "tests/twist/test_on_a_table.py",
                 "tests/examples/test_examples.py::test_example[12_", "tests/examples/test_examples.py::test_example[13_")
 """Tests that use the kernels of contact, which take up to a minute to compile."""
 

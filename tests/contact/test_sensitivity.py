@@ -25,13 +25,13 @@ def exact_gaps(monkeypatch):
 
 def test_rods_relaxed_again_move_so(exact_gaps):
     """Amid obstacles of all kinds, by central differences: places, and forces and moments at both ends."""
-    start, material, clamps = sagging(np.random.default_rng(5), 96)
+    start, material, clamps = sagging(np.random.default_rng(5), 48)
     among = dict(obstacles=OBSTACLES, radius=RADIUS, up=UP)
     rest = relax(start, material, clamps, SHARP, **among)
     found = sensitivity(rest, ("bend", "twist", "weight", "rest_curvature", "up", "start_turn", "end_shift", "length"))
     touching = rest.contact.touching
     considered = found.usable & touching.any(axis=1) & (rest.residual < 1e-9)
-    assert considered.sum() >= 40
+    assert considered.sum() >= 25
 
     def again(name, k, amount):
         axis = amount * np.eye(3)[k]
