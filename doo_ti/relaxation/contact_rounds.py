@@ -117,8 +117,12 @@ class ContactRounds(ContactEnergy):
         and at least what rounding of places makes of the forces."""
         noise = self.rounding * self.item(rod, STIFFNESS) * rod.longest * rod.total * rod.total
         rough = ti.select(self.behind(rod), 0.0 * given + ROUGHEST, 0.0 * given + ROUGHER)
-        settles = self.item(rod, PHASE) > ti.static(0.5 * (ROUGH + FINE))
-        return ti.select(settles, ti.max(given, rough), given) + noise
+        return ti.select(self.settled(rod), given, ti.max(given, rough)) + noise
+
+    @ti.func
+    def settled(self, rod):
+        """The lanes whose rods are in their final rounds."""
+        return self.item(rod, PHASE) < ti.static(0.5 * (ROUGH + FINE))
 
     @ti.func
     def enter(self, rod, fresh, pushed):
@@ -137,14 +141,14 @@ class ContactRounds(ContactEnergy):
         """End a round where a lane's rod ``rests`` under the forces of its contacts or, while these still change, is ``calm``
         to a rougher tolerance; returns the lanes in which another round follows, those that have ``entered`` one included."""
         zero = 0.0 * rod.total
-        phase = self.item(rod, PHASE)
-        due = (rests | (calm & (phase > ti.static(0.5 * (ROUGH + FINE))))) & (lane.active > 0.5)
+        settled = self.settled(rod)
+        due = (rests | (calm & ~settled)) & (lane.active > 0.5)
         again = due | entered
         behind = self.behind(rod)
         if self.some(due, zero):
             close = self.settle(rod, due) <= self.item(rod, TOLERANCE)
             self.set_item(rod, PHASE, due & close & ~behind, zero + FINE)
-            again = entered | (due & ~(close & (phase < ti.static(0.5 * (ROUGH + FINE)))))
+            again = entered | (due & ~(close & settled))
         # The next trip evaluates the rod where it is, under the new forces.
         choose(lane, again, trying=zero, closing=zero, escaping=zero, step_scale=zero, best=zero + 1e30, idle_trips=zero,
                aimless=zero, returned=zero)
@@ -165,7 +169,7 @@ class ContactRounds(ContactEnergy):
             last = settled & (change <= self.item(rod, TOLERANCE))
             self.set_item(rod, PHASE, last, zero + FINE)
             choose(lane, settled, best=zero + 1e30, idle_trips=zero, aimless=zero)
-            rough = ~self.behind(rod) & (self.item(rod, PHASE) > ti.static(0.5 * (ROUGH + FINE)))
+            rough = ~self.behind(rod) & ~self.settled(rod)
             settles = ready & rough & (self.item(rod, EARLY) < MOST_EARLY)
             rod.scratch[rod.contacts + SETTLING * self.stride] = ti.select(settles, stiffness, zero)
             self.set_item(rod, EARLY, settles, self.item(rod, EARLY) + 1.0)
