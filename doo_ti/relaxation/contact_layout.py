@@ -62,6 +62,8 @@ entry, makes it small; κ is from then on at least so many times the first; and 
 STIFFER, SLOW, STIFFEST = 5.0, 0.3, 1e6
 """κ grows by so much where a round leaves more than that share of the change of the round before, up to so many times the
 first."""
+OPEN = 0.01
+"""Of a radius: a round that changes a gap by more has left it open."""
 SECANT = 0.3
 """After the barrier κ is that share of the barrier's largest force over its gap."""
 BARRIER_SHARE = 1 / 16

@@ -27,6 +27,7 @@ from doo_ti.relaxation.contact_layout import (
     NORMAL,
     NORMAL_BETWEEN,
     OFFSET,
+    OPEN,
     PHASE,
     PLACE,
     PLACE_BETWEEN,
@@ -123,6 +124,13 @@ class ContactRounds(ContactEnergy):
     def settled(self, rod):
         """The lanes whose rods are in their final rounds."""
         return self.item(rod, PHASE) < ti.static(0.5 * (ROUGH + FINE))
+
+    @ti.func
+    def shows_saddles(self, rod):
+        """The lanes in which a rod at rest with a wrong inertia is at a saddle: the final rounds, and those whose last one has
+        left gaps open, as where a straight rod is pushed against a wall."""
+        change = self.item(rod, CHANGE)
+        return self.settled(rod) | ((change > OPEN * self.item(rod, RADIUS)) & (change < 1e29))
 
     @ti.func
     def enter(self, rod, fresh, pushed):

@@ -197,7 +197,7 @@ class NewtonTrip:
         at_saddle = calm & bare & wrong
         if ti.static(self.touches):
             # While forces are rough a neutral motion is not yet one, and may look like the way off a saddle.
-            at_saddle = at_saddle & self.sweep.contacts.settled(rod)
+            at_saddle = at_saddle & self.sweep.contacts.shows_saddles(rod)
         # Beside a saddle a rod may make no progress though its residual is not yet small.
         aimless = wrong & (lane.aimless > fixed.PATIENCE_AT_SADDLE) & (lane.escaping < 0.5) & (lane.closing < 0.5)
         limit = ti.cast(tables.policy[fixed.ESCAPES], self.scalar)
