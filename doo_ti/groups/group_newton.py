@@ -21,6 +21,7 @@ from doo_ti.relaxation.external import Nothing
 from doo_ti.relaxation.loaded_elimination import FORCE_ITEMS
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.newton_loop import NewtonLoop
+from doo_ti.relaxation.newton_policy import TRACE_IN_CONTACT
 from doo_ti.relaxation.newton_policy import UP
 from doo_ti.relaxation.pair_layout import self_contact_items
 from doo_ti.types import Status
@@ -72,6 +73,7 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
     """The kernel, compiled on first use, for one kind of number and obstacles of those kinds."""
     sweep = GroupElimination(number, stride, GroupContacts(number, stride, obstacles, rub=True))
     loop = NewtonLoop(sweep, sweep.functions)
+    loop.trace = TRACE_IN_CONTACT
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
     index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
 

@@ -69,7 +69,10 @@ NONE, STICKS, SLIPS = map(int, Touch)
 
 @ti.data_oriented
 class Contacts(ContactRounds):
-    """The contacts from one instant to the next, and on their way into scratch and out of it."""
+    """The contacts from one instant to the next, and on their way into scratch and out of it. ``itself``: rods may touch
+    themselves, or each other."""
+
+    itself = False
 
     # --- from one instant to the next ---
 

@@ -51,7 +51,8 @@ class NewtonTrip:
         # Neutral motions, a weightless bow about its chord, have an eigenvalue that is rounding of either sign: a small part of
         # H's scale on the diagonal makes it positive, in contact a larger one, since κ makes rounding larger. f32 cannot
         # distinguish them from soft saddles and leaves them to f64.
-        self.trace = 0.0 if single else fixed.TRACE_IN_CONTACT if self.touches else fixed.TRACE
+        self.among_obstacles = self.touches and not sweep.contacts.itself
+        self.trace = 0.0 if single else fixed.TRACE_IN_CONTACT if self.among_obstacles else fixed.TRACE
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
         self.stalled, self.not_finite, self.infeasible = map(int, (Status.STALLED, Status.NOT_FINITE, Status.INFEASIBLE))
         self.growth, self.first_shift = (  # of the shift, where a step is rejected
@@ -195,7 +196,7 @@ class NewtonTrip:
         # Where rounding limits the residual, the size of the next step bounds the error of the shape.
         settled = lane.longest <= self.shape_tolerance
         at_saddle = calm & bare & wrong
-        if ti.static(self.touches):
+        if ti.static(self.among_obstacles):
             # While forces are rough a neutral motion is not yet one, and may look like the way off a saddle.
             at_saddle = at_saddle & self.sweep.contacts.shows_saddles(rod)
         # Beside a saddle a rod may make no progress though its residual is not yet small.

@@ -32,6 +32,8 @@ from doo_ti.relaxation.self_contact_energy import SelfContactEnergy
 class SelfContacts(SelfContactEnergy):
     """The contacts with obstacles and those of the rod with itself."""
 
+    itself = True
+
     # --- steps ---
 
     @ti.func
