@@ -21,8 +21,7 @@ from doo_ti.relaxation.external import Nothing
 from doo_ti.relaxation.loaded_elimination import FORCE_ITEMS
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.newton_loop import NewtonLoop
-from doo_ti.relaxation.newton_policy import TRACE_IN_CONTACT
-from doo_ti.relaxation.newton_policy import UP
+from doo_ti.relaxation.newton_policy import TRACE_IN_CONTACT, UP
 from doo_ti.relaxation.pair_layout import self_contact_items
 from doo_ti.types import Status
 
