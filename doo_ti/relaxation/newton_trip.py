@@ -235,12 +235,13 @@ class NewtonTrip:
             far = (lane.longest > fixed.COARSE_ROTATION) & ~place.small & (lane.escaping < 0.5)
             lane.coarse = ti.select(far, one, zero)
         cap = ti.min(one, ti.cast(tables.policy[fixed.ROTATION_LIMIT], self.scalar) / (lane.longest + 1e-30))
-        if ti.static(self.touches):
+        if ti.static(self.among_obstacles):
             # A rod that nothing holds yet, such as one above a table, would take a step without end: its H needs a shift.
             boundless = (cap < fixed.LEAST_SHARE) & (lane.trying > 0.5) & (lane.escaping < 0.5)
             larger = ti.max(self.growth * lane.shift, self.first_shift * lane.scale)
             lane.shift = ti.select(boundless, larger, lane.shift)
             lane.trying = ti.select(boundless, zero, lane.trying)
+        if ti.static(self.touches):
             cap = ti.select((lane.rejects > 0.5) & (lane.rejects < 1.5), fixed.PART * cap, cap)
         lane.heading = ti.select(searching, ti.select(slope > 0.0, 0.0 - one, one), lane.heading)
         leap = lane.heading * fixed.ESCAPE_ROTATION / ((1.0 + lane.rejects) * (1.0 + lane.rejects) * (lane.longest + 1e-30))
@@ -269,7 +270,8 @@ class NewtonTrip:
         at_rest = place.small & place.settled & (late | stuck)
         if ti.static(self.touches):
             entered = self.sweep.contacts.enter(rod, fresh, judged.stands & (lane.energy > WALL))
-            near = (lane.longest < EARLY_ROTATION) & (lane.shift <= EARLY_SHIFT * lane.scale)
+            most = ti.static(EARLY_SHIFT if self.among_obstacles else 1e30)
+            near = (lane.longest < EARLY_ROTATION) & (lane.shift <= most * lane.scale)
             ready = (lane.trying > 0.5) & (lane.escaping < 0.5) & near & ~entered & ~lost
             early = self.sweep.contacts.settle_early(rod, lane, ready)
             calm = place.calm & ~entered & ~place.leaving & ~early
