@@ -56,7 +56,7 @@ def run(options: Namespace, words: list[str]) -> int:
     material = curved(options, grid.materials(), observations.rest_length)
     index, turns = turn_hypotheses(observations, clamps)
     observed, held = observations.take(index), clamps.take(index)
-    # Among obstacles F allows Newton's method more iterations where it is given none.
+    # Without a solver relax allows more iterations among obstacles.
     solver = None if surroundings else given.solver(options.solver)
     with busy(f"relaxing {observed.count} rods (kernels are compiled once on a machine)"):
         solution = relax_rods(start_configuration(observed, held, turns), material, held, solver,

@@ -160,5 +160,4 @@ def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy_row(table.up, options, 64),
         threads, scratch, queue, frames.reshape(-1), results, nothing.numbers(), nothing.field(),
         *contact.arguments(contact.forces), int(table.barrier), table.begins, table.ties, table.targets, table.free,
-        table.burden, table.apart, state.places, state.tie_forces, previous, state.touch,
-        state.friction_work)
+        table.burden, table.apart, state.places, state.tie_forces, previous, state.touch, state.friction_work)

@@ -115,8 +115,9 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
         touch = np.zeros((group.count, table.start.shape[1] + 1), dtype=np.int32)
         state = GroupState(table.begins_at.copy(), tie_forces, touch, np.zeros(group.count))
         if before is None:  # friction acts on the way from there
-            table = replace(table, contact=table.contact.smooth)
-        previous = _previous(group, before) if before is not None else np.zeros((*touch.shape, 3))
+            table, previous = replace(table, contact=table.contact.smooth), np.zeros((*touch.shape, 3))
+        else:
+            previous = _previous(group, before)
         options = Newton(max_iterations=MOST_IN_CONTACT) if solver is None else solver
         frames, results = run_groups(table, options, state, previous)
         return _solution(group, table, frames, results, state)

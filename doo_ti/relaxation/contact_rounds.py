@@ -127,8 +127,8 @@ class ContactRounds(ContactEnergy):
 
     @ti.func
     def shows_saddles(self, rod):
-        """The lanes in which a rod at rest with a wrong inertia is at a saddle: the final rounds, and those whose last one has
-        left gaps open, as where a straight rod is pushed against a wall."""
+        """The lanes in which a wrong inertia at rest means a saddle: in the final rounds, and wherever the last round has left
+        a gap open. A straight rod that is pushed end-on against a wall never closes its gap before it bends."""
         change = self.item(rod, CHANGE)
         return self.settled(rod) | ((change > OPEN * self.item(rod, RADIUS)) & (change < 1e29))
 

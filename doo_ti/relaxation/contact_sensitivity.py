@@ -1,8 +1,9 @@
 """The derivatives of rods at rest that touch obstacles (docs/contact.md).
 
-A contact that bears a force stays closed, and one without stays open. So H has the contacts that bear one with their forces λ
-in the second derivatives of φ, and instead of the constraint g = 0 a stiffness κ, :data:`STIFF` times that of an edge: the
-derivatives are wrong by that share. Where a contact begins or ends, those to one side are meant.
+A contact that bears a force stays closed, and one without stays open. So H includes the contacts that bear a force: their λ
+in the second derivatives of φ, and a large stiffness κ in place of the constraint g = 0. With κ :data:`STIFF` times the
+stiffness of an edge the derivatives are off by about one part in so many. Where a contact is about to begin or end, they hold
+to one side only.
 
 With the displacements ξ of vertices that a column prescribes, the derivative of the energy of an edge's contacts is K ξ; its
 blocks are kept while H is eliminated.
@@ -12,7 +13,7 @@ import taichi as ti
 
 from doo_ti.physics.closure import linear_gradient
 from doo_ti.physics.number import Number
-from doo_ti.physics.quaternion import first_director, second_director, tangent
+from doo_ti.physics.quaternion import first_director, second_director
 from doo_ti.physics.tuples import (
     against,
     applied,
@@ -45,7 +46,7 @@ LEAST_FORCE = 1e-6
 """Of the force to expect of a contact: one that bears less does not count."""
 
 # Items of an edge: the blocks of K, by the displacement of the edge's start, by both, and by that of its end beyond its start;
-# and the displacement of its start.
+# and the displacement of its start that a column prescribes.
 CURVATURE, CURVATURE_S, CURVATURE_SS, MOVED, LAST_ITEM = (FIRST_FREE_ITEM + k for k in (0, 6, 15, 21, 24))
 
 
@@ -130,27 +131,13 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
                 plus(applied(transposed(mixed), before), applied(full(kss), along)))
 
     @ti.func
-    def displace(self, rod, x, stretch):
-        """Keep the displacement of every edge's start, where vertex 0 moves by ``x`` and edges turn by what lies in the place
-        of the step; returns that of the far end."""
-        moved = variable(x)
-        at = rod.origin
-        for _ in range(rod.edges):
-            self.store(rod.scratch, at + MOVED * self.stride, moved)
-            moved = self.moved_end(rod, at, moved, stretch)
-            at += self.edge_stride
-        return moved
-
-    @ti.func
     def prescribe(self, rod, column):
         """Keep the displacements that the column prescribes, of clamps and of lengths; returns that of the far end."""
         moved = variable(column.move)
         at = rod.origin
         for e in range(rod.edges):
             self.store(rod.scratch, at + MOVED * self.stride, moved)
-            q, held = self.load4(rod.scratch, at), self.held_turn_of(rod, e, column)
-            turned = minus(scaled(first_director(q), held[2]), scaled(second_director(q), held[1]))
-            moved = plus(moved, scaled(plus(turned, scaled(tangent(q), column.stretch)), self.length_at(rod, at)))
+            moved = self.end_of_turned(rod, at, moved, self.held_turn_of(rod, e, column), column.stretch)
             at += self.edge_stride
         return moved
 
@@ -185,10 +172,9 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
     @ti.func
     def solve_start(self, rod, column, c):
         """W_b of a free vertex 0 into its place, where the rest of the rod pulls it by ``c``; returns W_λᵀ D⁻¹ W_b."""
-        weight = scaled(plus(column.pull, scaled(rod.gravity, column.stretch)), 2.0 * rod.total)
         kept = rod.head + chain.OF_DRIFT_FACTORS * self.stride
         d = self.load6(rod.scratch, kept + 9 * self.stride)
-        wb = forward(d, scaled(negated(plus(c, weight)), rod.loose))
+        wb = forward(d, scaled(negated(plus(c, self.weight_change(rod, column))), rod.loose))
         self.store(rod.scratch, rod.head + chain.OF_DRIFT_STEP * self.stride, wb)
         return against(d, self.load9(rod.scratch, kept), wb)
 
@@ -200,10 +186,8 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
         at = rod.origin
         for e in range(rod.edges):
             self.add_force(rod, at, change)
-            q = self.load4(rod.scratch, at)
             w = products(self.freedom(rod, e), self.solved_edge(rod, at, x, w))
-            turned = minus(scaled(first_director(q), w[2]), scaled(second_director(q), w[1]))
-            x = plus(x, scaled(turned, self.length_at(rod, at)))
+            x = self.end_of_turned(rod, at, x, w, 0.0 * rod.total)
             at += self.edge_stride
 
     @ti.func
@@ -213,14 +197,14 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
         return plus(column.move, scaled(drift, rod.loose))
 
     @ti.func
-    def pushed(self, rod, column):
-        """By how much the forces of obstacles change, with the sign of a gradient."""
+    def pushed(self, tables, rod, row, p):
+        """By how much the forces of obstacles change with column ``p``, with the sign of a gradient."""
         zero = 0.0 * rod.total
-        after = variable(self.displace(rod, self.started(rod, column), column.stretch))
+        after = variable(self.stored_move(tables, row, rod.edges, p))
         every, first, last = variable(repeated(zero, 3)), variable(repeated(zero, 3)), variable(repeated(zero, 3))
         at = rod.origin + (rod.edges - 1) * self.edge_stride
         for back in range(rod.edges):
-            before = self.load3(rod.scratch, at + MOVED * self.stride)
+            before = self.stored_move(tables, row, rod.edges - 1 - back, p)
             whole, own = self.pushes(rod, at, before, after)
             first = plus(every, own)
             if back == 0:
@@ -229,3 +213,8 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
             after = before
             at -= self.edge_stride
         return record(all=every, first=first, last=last)
+
+    @ti.func
+    def stored_move(self, tables, row, vertex, p):
+        """What a vertex moves by with column ``p``, from the results."""
+        return (tables.vertices[row, vertex, 0, p], tables.vertices[row, vertex, 1, p], tables.vertices[row, vertex, 2, p])

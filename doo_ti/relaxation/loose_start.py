@@ -114,8 +114,8 @@ class LooseStart(Elimination):
 
     @ti.func
     def at_least_held(self, rod, stiffness):
-        """A stiffness against moving vertex 0 in some direction, or a small one where nothing holds it, as on a table along
-        that."""
+        """The stiffness that holds vertex 0 in some direction, or a small one where nothing does: along a table, for
+        example."""
         least = LEAST_HOLD / (rod.total * rod.total * rod.total)
         return ti.select(absolute(stiffness) < least, least, stiffness)
 

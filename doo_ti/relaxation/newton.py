@@ -25,7 +25,7 @@ from doo_ti.relaxation.pair_layout import self_contact_items
 from doo_ti.relaxation.self_contacts import SelfContacts
 
 MOST_IN_CONTACT = 1000
-"""Iterations allowed per rod where nothing is said of the solver and rods may touch something: on a slope they slide far."""
+"""Iterations allowed per rod where no solver is given and rods may touch something: on a slope they slide far."""
 
 
 @dataclass(frozen=True)

@@ -197,7 +197,7 @@ class NewtonTrip:
         settled = lane.longest <= self.shape_tolerance
         at_saddle = calm & bare & wrong
         if ti.static(self.among_obstacles):
-            # While forces are rough a neutral motion is not yet one, and may look like the way off a saddle.
+            # While forces are rough, a motion that will turn out to be neutral may have a negative eigenvalue.
             at_saddle = at_saddle & self.sweep.contacts.shows_saddles(rod)
         # Beside a saddle a rod may make no progress though its residual is not yet small.
         aimless = wrong & (lane.aimless > fixed.PATIENCE_AT_SADDLE) & (lane.escaping < 0.5) & (lane.closing < 0.5)

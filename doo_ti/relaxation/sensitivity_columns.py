@@ -168,12 +168,21 @@ class SensitivityColumns(EndMoments):
 
     @ti.func
     def moved_end(self, rod, at, x, stretch):
-        """x + l (dω × t + stretch t): what the end of an edge moves by, where its start moves by ``x``."""
+        """What the end of an edge moves by, where its start moves by ``x`` and the edge turns by its part of the step."""
+        return self.end_of_turned(rod, at, x, self.rotation_at(rod, at), stretch)
+
+    @ti.func
+    def end_of_turned(self, rod, at, x, w, stretch):
+        """x + l (w × t + stretch t), of an edge that turns by ``w`` in its own axes."""
         q = self.load4(rod.scratch, at)
-        w = self.rotation_at(rod, at)
         turned = minus(scaled(first_director(q), w[2]), scaled(second_director(q), w[1]))
         moved = plus(turned, scaled(tangent(q), stretch))
         return plus(x, scaled(moved, self.length_at(rod, at)))
+
+    @ti.func
+    def weight_change(self, rod, column):
+        """Of the force 2 μ L up that holds the rod's weight."""
+        return scaled(plus(column.pull, scaled(rod.gravity, column.stretch)), 2.0 * rod.total)
 
     @ti.func
     def store_column(self, tables, rod, row, p, column):
@@ -197,8 +206,8 @@ class SensitivityColumns(EndMoments):
         Both forces together carry the weight 2 μ L, less what obstacles carry; one of them alone where the other end is free.
         """
         unit = rod.scratch[rod.head + chain.OF_ENERGY_UNIT * self.stride]
-        pushed = self.pushed(rod, column)
-        weight = scaled(plus(column.pull, scaled(rod.gravity, column.stretch)), 2.0 * rod.total)
+        pushed = self.pushed(tables, rod, row, p)
+        weight = self.weight_change(rod, column)
         end = minus(scaled(weight, rod.released), change)
         start = scaled(minus(plus(weight, pushed.all), end), 1.0 - rod.loose)
         self.put_load(tables, row, p, START_FORCE, start, unit)
@@ -223,8 +232,8 @@ class SensitivityColumns(EndMoments):
         """Make ``column`` one of a rod whose vertex 0 is free, if it is."""
 
     @ti.func
-    def pushed(self, rod, column):
-        """By how much the forces of obstacles change, with the sign of a gradient: on ``all`` vertices, and on those after the
-        start of the ``first`` edge and of the ``last``."""
+    def pushed(self, tables, rod, row, p):
+        """By how much the forces of obstacles change with column ``p``, which is in the results, with the sign of a gradient:
+        on ``all`` vertices, and on those after the start of the ``first`` edge and of the ``last``."""
         none = repeated(0.0 * rod.total, 3)
         return record(all=none, first=none, last=none)

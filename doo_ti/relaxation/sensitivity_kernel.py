@@ -1,7 +1,7 @@
 """The kernels behind :mod:`doo_ti.relaxation.sensitivity`, for rods that touch nothing and for those at obstacles."""
 
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import taichi as ti
@@ -89,12 +89,18 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
     count, edges, columns = last - first, table.edges, len(directions)
     found = _Found(of.room(count, edges + 1, 3, columns), of.room(count, edges, 3, columns), of.room(count, LOADS, columns),
                    np.empty((count, 6)), np.zeros(count, dtype=np.int32))
-    wanted = usable[first:last]
+    # Those of f32 are unit quaternions to seven digits.
+    frames = solution.configuration.quaternions[first:last]
+    frames = frames / np.sqrt(np.einsum("rek,rek->re", frames, frames))[..., None]
+    results = np.zeros((count, of.LOADED_RESULTS))
+    results[:, of.FORCE : of.FORCE + 3] = np.nan_to_num(solution.end_force[first:last])
+    results[:, of.DRIFT :] = solution.configuration.start[first:last] - table.anchor[table.configuration_index[first:last]]
+    # Kernels take no arrays without entries.
     given = np.ascontiguousarray(directions) if columns else np.zeros((1, DIRECTION_COLUMNS))
-    call = partial(_launch, solution, found, given, np.ascontiguousarray(modes), columns, first, last)
+    state = (frames.reshape(-1), results, _beyond(table, first, last), given, np.ascontiguousarray(modes), columns)
     touching = _touching(table, first, last) if columns else np.zeros(count, dtype=bool)
-    call(first + np.flatnonzero(wanted & ~touching), None)
-    call(first + np.flatnonzero(wanted & touching), table.contact)
+    for rods, contact in ((~touching, None), (touching, table.contact)):
+        _launch(table, first, last, np.flatnonzero(usable[first:last] & rods), contact, state, found)
     lost = found.sound == 0
     for array in (found.vertices, found.rotations, found.loads, found.moments):
         array[lost] = np.nan
@@ -121,41 +127,32 @@ def _touching(table: Tables, first: int, last: int) -> np.ndarray:
     return loose | (table.contact.forces[first:last] != 0.0).any(axis=(1, 2))
 
 
-def _launch(solution: Solution, found: _Found, directions: np.ndarray, modes: np.ndarray, columns: int, first: int, last: int,
-            rows: np.ndarray, contact: ContactTable | None) -> None:
-    """One launch over the rods ``rows``, which touch obstacles where ``contact`` is their table."""
-    table = solution.tables
-    rods = table.continued(np.ones(table.count, dtype=bool), rows)
+def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: ContactTable | None, state: tuple,
+            found: _Found) -> None:
+    """One launch over the rods ``rows``, counted from ``first``, which touch obstacles where ``contact`` is their table;
+    ``state``: what the kernels are given of all rods, from their frames to the number of columns."""
+    rods = table.continued(np.ones(table.count, dtype=bool), first + rows)
     if not len(rods):
         return
     rods[:, of.RESULT_ROW] -= first
     edges, on_cpu = table.edges, runtime.start() == "cpu"
     threads = min(len(rods), runtime.thread_count() if on_cpu else MOST_THREADS_ON_A_GPU)
     stride, block = (1, 1) if on_cpu else (threads, 64)
-    # Those of f32 are unit quaternions to seven digits.
-    frames = solution.configuration.quaternions[first:last]
-    frames = frames / np.sqrt(np.einsum("rek,rek->re", frames, frames))[..., None]
-    results = np.zeros((last - first, of.LOADED_RESULTS))
-    results[:, of.FORCE : of.FORCE + 3] = np.nan_to_num(solution.end_force[first:last])
-    # Kernels take no arrays without entries.
     arrays = (found.vertices, found.rotations, found.loads)
-    if not columns:
+    if not found.vertices.shape[-1]:
         arrays = tuple(np.empty((1,) * array.ndim) for array in arrays)
-    per_rod, per_edge, numbers = chain.PARAMETERS, chain.GENERAL_ITEMS + KEPT_ITEMS, 0
-    kernel, outer = sensitivity_kernel(stride, block), ()
-    if contact is not None:
-        per_rod, per_edge = chain.LOADED_PARAMETERS, chain.GENERAL_ITEMS + Kept.items + FORCE_ITEMS
-        numbers = contact_items(edges, len(contact.kinds))
+    if contact is None:
+        kernel, outer = sensitivity_kernel(stride, block), ()
+        items = chain.PARAMETERS + (chain.GENERAL_ITEMS + KEPT_ITEMS) * edges
+    else:
         kernel = contact_sensitivity_kernel(stride, block, contact.known)
-        anchor = table.anchor[table.configuration_index[first:last]]
-        results[:, of.DRIFT :] = solution.configuration.start[first:last] - anchor
         obstacles, radius = (array if len(array) == 1 else array[first:last] for array in (contact.obstacles, contact.radius))
         outer = (obstacles, contact.kinds, contact.grids, radius, contact.memory[first:last])
-    items = per_rod + per_edge * edges + numbers
+        items = chain.LOADED_PARAMETERS + (chain.GENERAL_ITEMS + Kept.items + FORCE_ITEMS) * edges
+        items += contact_items(edges, len(contact.kinds))
     kernel(
-        table.start.reshape(-1), table.rest_length, table.clamp, table.material, *table.up, rods, frames.reshape(-1), results,
-        _beyond(table, first, last), directions, modes, columns, threads, np.zeros(threads * items), *arrays, found.moments,
-        found.sound, *outer)
+        table.start.reshape(-1), table.rest_length, table.clamp, table.material, *table.up, rods, *state, threads,
+        np.zeros(threads * items), *arrays, found.moments, found.sound, *outer)
 
 
 def _beyond(table: Tables, first: int, last: int) -> np.ndarray:

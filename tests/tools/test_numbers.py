@@ -23,7 +23,7 @@ GIVEN = {
     "README.md": ["with a 95 % interval", "rest curvature with 95 % intervals"],
     "cables.md": ["six slowest stretches of 1.5 s"],
     "cameras.md": ["Limits: file size 1 MB", "a standard deviation of a focal length above 5 % is refused", "default 0.5 px"],
-    "chain.md": ["to 1e-7 of it, is taut", "10⁻¹² of the largest entry, of rods in contact 10⁻⁹, is added",
+    "chain.md": ["to 1e-7 of it, is taut", "10⁻¹² of the largest entry, of rods among obstacles and of groups 10⁻⁹, is added",
                  "The first shift δ on the diagonal is 0.05",
                  "f32 ends at a residual of 10⁻⁴"],
     "contact.md": ["or those of the step before by 30 %", "next step would be below 10⁻¹⁰ rad"],
