@@ -8,7 +8,8 @@ that of the loop, of a circle fitted to its lower two thirds. Between the knots 
 friction F h²/B = ε⁴/2 + μ 0.492 ε³ where the knot is pulled tighter: by quasi-static steps, until all of its strands slip.
 
 Strands touch along some 15 ε R, much of it single places far apart. A knot is first relaxed with edges that are fine in the
-braid, and then once more with edges that are fine wherever it touches.
+braid, and then once more with edges that are fine wherever it touches. Without weight a knot may slide along its rod, and turn
+about the line through its ends, at no cost: a weight of a hundredth of the tension holds it.
 
 A plectoneme (Clauvelin, Audoly and Neukirch 2009): a rod is turned at one end; where it has coiled up, with the angle α of its
 strands to the axis of the coil, F h²/B = sin³α (cos α tan 2α − ½ sin α). Its link, by twist and writhe, is the turns it was
@@ -39,12 +40,16 @@ from doo_ti.types import Clamp, Clamps, Configuration, Solution  # noqa: E402
 from tests.contact.topology import determinant, link  # noqa: E402
 
 BEND, RADIUS = 1e5, 1.0
-KNOTS = (0.0125, 0.02, 0.05, 0.07, 0.1, 0.15, 0.2)
+KNOTS = (0.0125, 0.02, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4)
 """ε to begin with."""
-FINEST, TOUCHING, GROWTH, COARSEST = 0.16, 7.6, 0.12, 0.08
-"""Edges of the second mesh have the length FINEST ε R up to TOUCHING ε R from the middle of the braid. Further away they grow
-by GROWTH times the distance from there, to COARSEST R."""
-PULLED, RUB, STEPS, DRAWN = (0.0125, 0.02), 0.1, 4, 0.5
+WEIGHT = 0.01
+"""Of the tension that theory expects at that ε: the rod's weight."""
+UP = (0.0, 1.0, 0.0)
+"""Away from the loop."""
+FINEST, SHORTEST, TOUCHING, GROWTH, COARSEST = 0.16, 1.0, 7.6, 0.12, 0.08
+"""Edges of the second mesh have the length FINEST ε R, but at least SHORTEST radii, up to TOUCHING ε R from the middle of the
+braid. Further away they grow by GROWTH times the distance from there, to COARSEST R."""
+PULLED, RUB, STEPS, DRAWN = (0.0125, 0.2, 0.4), 0.1, 4, 0.5
 """ε of the knots that are pulled tighter, the coefficient of friction, the number of steps, and the rod that both ends together
 are pulled by, over ε R."""
 
@@ -65,23 +70,24 @@ def fitted_radius(vertices: np.ndarray, guess: float) -> float:
     return guess
 
 
-def tied(begin: float, edges: int) -> tuple[Solution, Clamps, float]:
-    """A knot without friction, at rest, its clamps and the radius of its loop, mm; ``edges`` of its first mesh."""
+def tied(begin: float, edges: int) -> tuple[Solution, Material, Clamps, float]:
+    """A knot without friction, at rest, its material, its clamps and the radius of its loop, mm; ``edges`` of its first mesh."""
     loop = RADIUS / begin**2
     length = 2.0 * np.pi * 1.1 * loop + 7.0 * np.sqrt(2.0) * loop
+    material = Material(BEND, BEND, WEIGHT * 0.5 * begin**4 * BEND / (RADIUS**2 * length))
     # The first mesh only shows where the knot touches itself: it need not have come to rest.
-    first, _ = relaxed(overhand_knot(length, edges, radius=RADIUS, loop=loop))
-    found, clamps = relaxed(rod_along(*finely_divided(first, loop)))
-    if not found.converged[0] or determinant(found.configuration.vertices[0]) != 3:
-        raise SystemExit(f"the knot of ε {begin} has not converged, or come undone")
-    return found, clamps, fitted_radius(found.configuration.vertices[0], loop)
+    first, _ = relaxed(overhand_knot(length, edges, radius=RADIUS, loop=loop), material)
+    found, clamps = relaxed(rod_along(*finely_divided(first, loop)), material)
+    if not (found.converged[0] and found.stable[0]) or determinant(found.configuration.vertices[0]) != 3:
+        raise SystemExit(f"the knot of ε {begin} has not converged to a minimum, or come undone")
+    return found, material, clamps, fitted_radius(found.configuration.vertices[0], loop)
 
 
-def relaxed(rod: Configuration) -> tuple[Solution, Clamps]:
+def relaxed(rod: Configuration, material: Material) -> tuple[Solution, Clamps]:
     """A rod whose ends may turn about their tangents, relaxed."""
     clamps = end_clamps(rod, Clamp.TANGENT, Clamp.TANGENT)
     patient = Newton(max_iterations=3000)
-    return relax(rod, Material(BEND, BEND, 0.0), clamps, patient, obstacles=[Itself()], radius=RADIUS), clamps
+    return relax(rod, material, clamps, patient, up=UP, obstacles=[Itself()], radius=RADIUS), clamps
 
 
 def finely_divided(knot: Solution, loop: float) -> tuple[np.ndarray, np.ndarray]:
@@ -94,7 +100,8 @@ def finely_divided(knot: Solution, loop: float) -> tuple[np.ndarray, np.ndarray]
     place = np.linspace(0.0, arc[-1], 200_001)
     unit = np.sqrt(RADIUS * loop)  # ε R
     beyond = np.maximum(np.abs(place[:, None] - braid).min(axis=1) - TOUCHING * unit, 0.0)
-    size = np.minimum(FINEST * unit + GROWTH * beyond, COARSEST * loop)
+    finest = max(FINEST * unit, SHORTEST * RADIUS)
+    size = np.minimum(finest + GROWTH * beyond, max(COARSEST * loop, finest))
     number = np.concatenate([[0.0], np.cumsum(place[1] * 2.0 / (size[1:] + size[:-1]))])
     ends = np.interp(np.linspace(0.0, number[-1], int(np.ceil(number[-1])) + 1), number, place)
     return CubicSpline(arc, vertices)(place[::10]), np.diff(ends)
@@ -106,7 +113,7 @@ def knots(edges: int) -> None:
           "|---|---|---|---|---|---|")
     for begin in KNOTS:
         began = time.process_time()
-        found, _, loop = tied(begin, edges)
+        found, _, _, loop = tied(begin, edges)
         epsilon = np.sqrt(RADIUS / loop)
         force, pressed = force_and_pressure(found.end_force, found.contact.force)
         gap = 1.0 + found.contact.gap[0] / (2.0 * RADIUS)
@@ -127,14 +134,14 @@ def friction(edges: int) -> None:
           "smallest gap over the diameter | s |\n|---|---|---|---|---|---|")
     for begin in PULLED:
         began = time.process_time()
-        knot, clamps, loop = tied(begin, edges)
+        knot, material, clamps, loop = tied(begin, edges)
         share = np.linspace(0.0, 1.0, STEPS + 1)
         way = 0.5 * DRAWN * np.sqrt(RADIUS * loop) * share[None, :, None] * clamps.start_frame[:, None, :, 0]
         ends = clamps.start_position[:, None] - way, clamps.end_position[:, None] + way
         held = [np.repeat(frame[:, None], STEPS + 1, axis=1) for frame in (clamps.start_frame, clamps.end_frame)]
         grippers = Grippers(Clamp.TANGENT, Clamp.TANGENT, *ends, *held)
-        moved = simulate(knot.configuration, Material(BEND, BEND, 0.0), grippers, Dynamics(density=1.0),
-                         Stepping(10.0, quasi_static=True), obstacles=[Itself(friction=RUB)], radius=RADIUS)
+        moved = simulate(knot.configuration, material, grippers, Dynamics(density=1.0), Stepping(10.0, quasi_static=True),
+                         up=UP, obstacles=[Itself(friction=RUB)], radius=RADIUS)
         if not moved.converged[0]:
             raise SystemExit(f"the knot of ε {begin} has not converged with friction")
         places = moved.positions[0]

@@ -237,6 +237,14 @@ class ContactRounds(ContactEnergy):
         return largest_of(change, ti.select(due & ~behind, found.rubbed / stiffness, zero))
 
     @ti.func
+    def soften(self, rod, where):
+        """Make κ smaller, down to the first, in the lanes ``where`` a step was refused; returns those in which it was larger."""
+        stiffness, first = self.item(rod, STIFFNESS), self.item(rod, FIRST_STIFFNESS)
+        softer = where & ~self.behind(rod) & (stiffness > first)
+        self.set_item(rod, STIFFNESS, softer, ti.max(stiffness / STIFFER, first))
+        return softer
+
+    @ti.func
     def note_force(self, rod, found, gap, old, new):
         """Take the change of a contact's force, and what the barrier says about κ, into ``found``."""
         found.secant = largest_of(found.secant, new / ti.max(gap + self.item(rod, OFFSET), 1e-3 * self.item(rod, RADIUS)))

@@ -43,7 +43,6 @@ class NewtonTrip:
         self.scalar = number.scalar
         single = number.bits == 32
         self.rounding = 2e-6 if single else 1e-10
-        self.patience = fixed.PATIENCE_32 if single else fixed.PATIENCE
         self.shape_tolerance = fixed.SHAPE_TOLERANCE_32 if single else 1e30
         self.closure_tolerance = 1e-7 if single else 1e-12
         self.still = 0.0 if single else fixed.STILL
@@ -52,6 +51,8 @@ class NewtonTrip:
         # H's scale on the diagonal makes it positive, in contact a larger one, since κ makes rounding larger. f32 cannot
         # distinguish them from soft saddles and leaves them to f64.
         self.among_obstacles = self.touches and not sweep.contacts.itself
+        patience = fixed.PATIENCE_IN_CONTACT if self.among_obstacles else fixed.PATIENCE
+        self.patience = fixed.PATIENCE_32 if single else patience
         self.trace = 0.0 if single else fixed.TRACE_IN_CONTACT if self.among_obstacles else fixed.TRACE
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
         self.stalled, self.not_finite, self.infeasible = map(int, (Status.STALLED, Status.NOT_FINITE, Status.INFEASIBLE))
@@ -93,7 +94,7 @@ class NewtonTrip:
         if self.largest(ti.select(judged.uphill, one, zero)) > 0.5:
             self.sweep.restore(rod, ti.select(judged.uphill, one, zero))
         lane.longest = self.sweep.substitute(rod, found)
-        self.keep(lane, found, miss, multiplier, judged, next_shift)
+        self.keep(rod, lane, found, miss, multiplier, judged, next_shift)
         place = self.judge_place(tables, rod, lane, found.inertia, judged)
         self.plan(tables, rod, lane, judged, place, searching, found.slope)
         self.end(tables, rod, lane, judged, place)
@@ -143,7 +144,7 @@ class NewtonTrip:
             notable=(after < before - fixed.NOTABLE * lane.magnitude) & downhill)
 
     @ti.func
-    def keep(self, lane, found, miss, multiplier, judged, next_shift):
+    def keep(self, rod, lane, found, miss, multiplier, judged, next_shift):
         """Update the lane after its step: from the new frames where it is accepted, with a larger shift where it led uphill."""
         zero, one = self.constant(0.0), self.constant(1.0)
         lane.energy = ti.select(judged.stands, found.energy, lane.energy)
@@ -158,6 +159,9 @@ class NewtonTrip:
         if ti.static(self.touches):
             # First a part of the same step: where contacts begin and end, the energy is not quadratic.
             stiffer = stiffer & (lane.rejects > 0.5)
+        if ti.static(self.among_obstacles):
+            # Then the same step under weaker contacts: along curved obstacles a large κ leaves room for short steps only.
+            stiffer = stiffer & ~self.sweep.contacts.soften(rod, stiffer)
         lane.shift = ti.select(stiffer, ti.max(self.growth * lane.shift, self.first_shift * lane.scale), lane.shift)
         lane.rejects = ti.select(judged.downhill, zero, lane.rejects + ti.select(judged.uphill, one, zero))
         lane.escaping = ti.select(judged.downhill, zero, lane.escaping)

@@ -1,13 +1,16 @@
-"""Ropes that are held at one end and fall onto a floor or a slope: nothing else holds them in their place along it."""
+"""Ropes that are held at one end and fall onto a floor, a slope or an obstacle: nothing else holds them in their place
+along it."""
 
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, Configuration, Material, Newton, Plane, relax
+from doo_ti import Box, Capsule, Clamp, Clamps, Configuration, Material, Newton, Plane, Sphere, relax
 from doo_ti.types import Status
 
 LENGTH, EDGES, RADIUS, COUNT = 200.0, 40, 1.0, 60
 HELD = [(Clamp.FRAME, Clamp.FREE), (Clamp.POSITION, Clamp.FREE), (Clamp.FREE, Clamp.FRAME), (Clamp.FREE, Clamp.POSITION)]
+
+THINGS = {"peg": Capsule((40, -200, 15), (40, 200, 15), 8.0), "box": Box((0, 0, -5), (60, 60, 15)), "sphere": Sphere((60, 10, 0), 20.0)}
 
 
 def released(kinds: tuple[Clamp, Clamp]) -> tuple[Configuration, Material, Clamps]:
@@ -35,6 +38,18 @@ def test_ropes_come_to_rest(kinds, slope, share):
     assert feasible.mean() > 0.9 and found.converged[feasible].mean() >= share
     assert found.stable[found.converged].all() and found.contact.touching[found.converged].any(axis=1).mean() > 0.7
     assert found.contact.gap[found.converged].min() > -1e-3 * RADIUS
+
+
+@pytest.mark.parametrize("kinds", HELD[:3], ids=lambda kinds: f"{kinds[0].name} {kinds[1].name}")
+@pytest.mark.parametrize("thing", THINGS)
+def test_ropes_come_to_rest_over_things(kinds, thing):
+    """They slide along them and across the floor, in valleys of the energy that are curved and almost flat."""
+    rods, material, clamps = released(kinds)
+    found = relax(rods, material, clamps, obstacles=[Plane((0, 0, -20), (0, 0, 1)), THINGS[thing]], radius=RADIUS)
+    feasible = found.status != Status.INFEASIBLE
+    print(f"{found.converged[feasible].mean():.3f} converge, {np.median(found.iterations[feasible]):.0f} iterations")
+    assert feasible.mean() > 0.9 and found.converged[feasible].mean() >= 0.93
+    assert found.stable[found.converged].all() and found.contact.gap[found.converged].min() > -1e-3 * RADIUS
 
 
 def test_f64_finishes_what_f32_cannot():
