@@ -71,7 +71,7 @@ def fitted_radius(vertices: np.ndarray, guess: float) -> float:
 
 
 def tied(begin: float, edges: int) -> tuple[Solution, Material, Clamps, float]:
-    """A knot without friction, at rest, its material, its clamps and the radius of its loop, mm; ``edges`` of its first mesh."""
+    """A knot at rest without friction, its material, its clamps and the radius of its loop, mm; ``edges`` of its first mesh."""
     loop = RADIUS / begin**2
     length = 2.0 * np.pi * 1.1 * loop + 7.0 * np.sqrt(2.0) * loop
     material = Material(BEND, BEND, WEIGHT * 0.5 * begin**4 * BEND / (RADIUS**2 * length))

@@ -238,7 +238,7 @@ class ContactRounds(ContactEnergy):
 
     @ti.func
     def soften(self, rod, where):
-        """Make κ smaller, down to the first, in the lanes ``where`` a step was refused; returns those in which it was larger."""
+        """Make κ smaller, down to the first, in the lanes ``where`` a step was refused; returns those in which it had grown."""
         stiffness, first = self.item(rod, STIFFNESS), self.item(rod, FIRST_STIFFNESS)
         softer = where & ~self.behind(rod) & (stiffness > first)
         self.set_item(rod, STIFFNESS, softer, ti.max(stiffness / STIFFER, first))

@@ -1,5 +1,5 @@
-"""Ropes that are held at one end and fall onto a floor, a slope or an obstacle: nothing else holds them in their place
-along it."""
+"""Ropes that are held at one end and fall onto a floor, a slope or an obstacle: nothing else holds them in their
+place along it."""
 
 import numpy as np
 import pytest
@@ -9,8 +9,8 @@ from doo_ti.types import Status
 
 LENGTH, EDGES, RADIUS, COUNT = 200.0, 40, 1.0, 60
 HELD = [(Clamp.FRAME, Clamp.FREE), (Clamp.POSITION, Clamp.FREE), (Clamp.FREE, Clamp.FRAME), (Clamp.FREE, Clamp.POSITION)]
-
-THINGS = {"peg": Capsule((40, -200, 15), (40, 200, 15), 8.0), "box": Box((0, 0, -5), (60, 60, 15)), "sphere": Sphere((60, 10, 0), 20.0)}
+THINGS = {"peg": Capsule((40, -200, 15), (40, 200, 15), 8.0), "box": Box((0, 0, -5), (60, 60, 15)),
+          "sphere": Sphere((60, 10, 0), 20.0)}
 
 
 def released(kinds: tuple[Clamp, Clamp]) -> tuple[Configuration, Material, Clamps]:
