@@ -18,6 +18,9 @@ LONG_KERNELS = ("tests/contact/", "tests/groups/", "tests/commands/test_contact.
                 "tests/twist/test_on_a_table.py",
                 "tests/examples/test_examples.py::test_example[12_", "tests/examples/test_examples.py::test_example[13_")
 """Tests that use the kernels of contact, which take up to a minute to compile."""
+IMAGE_KERNELS = ("tests/perception/", "tests/vision/reprojection/", "tests/commands/test_perceive.py",
+                 "tests/commands/test_track.py")
+"""Tests that use the kernels of rods on images."""
 
 
 def pytest_report_header() -> str:
@@ -44,13 +47,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log):
-    """Among several processes: one runs all tests of a file, and one those that share the long kernels, which it compiles
-    once."""
+    """Among several processes: one runs all tests of a file, and one those that share kernels which take long to compile, so
+    that each is compiled once."""
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduling(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            return "long kernels" if nodeid.startswith(LONG_KERNELS) else nodeid.partition("::")[0]
+            for name, tests in (("long kernels", LONG_KERNELS), ("image kernels", IMAGE_KERNELS)):
+                if nodeid.startswith(tests):
+                    return name
+            return nodeid.partition("::")[0]
 
     return Scheduling(config, log)
 
@@ -77,7 +83,7 @@ def shipped_data() -> Path:
     return Path(__file__).parent / "data"
 
 
-@pytest.fixture(params=["shipped_data", pytest.param("shared_data", marks=pytest.mark.thorough)])
+@pytest.fixture(params=["shipped_data", pytest.param("shared_data", marks=pytest.mark.slow)])
 def laboratory(request) -> Path:
-    """A folder with ``lab_a`` and ``images_a``: the shipped one, and in the full run that of the development data too."""
+    """A folder with ``lab_a`` and ``images_a``: the shipped one, and with ``-m slow`` that of the development data too."""
     return request.getfixturevalue(request.param)

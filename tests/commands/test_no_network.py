@@ -81,8 +81,15 @@ def test_the_guard_ends_what_opens_a_socket(tmp_path):
 @pytest.mark.thorough
 def test_no_command_opens_a_socket(tmp_path):
     save_observations(tmp_path / "o.npz", small_lab())
-    words = [f"relax o.npz {MATERIAL} --out F.npz", "convert o.npz o.csv",
-             "sweep o.npz --bend 2e5:8e5:3 --workers 2 --out run", "learn run", "figures run --out figures",
+    words = [f"relax o.npz {MATERIAL} --out F.npz", "sweep o.npz --bend 2e5:8e5:3 --workers 2 --out run", "learn run"]
+    done = guarded(COMMANDS, *words, folder=tmp_path)
+    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+
+
+@pytest.mark.slow
+def test_no_other_command_opens_a_socket(tmp_path):
+    save_observations(tmp_path / "o.npz", small_lab())
+    words = ["convert o.npz o.csv", "sweep o.npz --bend 2e5:8e5:3 --out run", "figures run --out figures",
              f"refine o.npz {MATERIAL} --parameters bend", f"twist o.npz {MATERIAL} --out phi.npz"]
     done = guarded(COMMANDS, *words, folder=tmp_path)
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
