@@ -19,7 +19,8 @@ LONG_KERNELS = ("tests/contact/", "tests/groups/", "tests/commands/test_contact.
                 "tests/examples/test_examples.py::test_example[12_", "tests/examples/test_examples.py::test_example[13_")
 """Tests that use the kernels of contact, which take up to a minute to compile."""
 IMAGE_KERNELS = ("tests/perception/", "tests/vision/reprojection/", "tests/commands/test_perceive.py",
-                 "tests/commands/test_track.py")
+                 "tests/commands/test_track.py", "tests/examples/test_examples.py::test_example[04_",
+                 "tests/examples/test_examples.py::test_example[08_")
 """Tests that use the kernels of rods on images."""
 
 
