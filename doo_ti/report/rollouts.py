@@ -101,7 +101,8 @@ def _draw_energies(plot, time: np.ndarray, energies: dict[str, np.ndarray], name
                   ls="--" if label in ("dissipated", "work", "unaccounted") else "-")
     plot.set_xlabel("time [s]")
     plot.set_ylabel(literal(f"energy of {name} [mm²]"), fontsize=9)
-    plot.legend(fontsize=8, frameon=False, ncols=4)
+    plot.legend(fontsize=8, frameon=False, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), handlelength=1.6,
+                columnspacing=1.2)
 
 
 def save_animation(path: Path, name: str, names: list[str], positions: np.ndarray, recorded: np.ndarray | None, rate: float,
