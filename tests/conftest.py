@@ -13,15 +13,15 @@ import pytest  # noqa: E402
 from doo_ti.physics.number import Number  # noqa: E402
 
 SEED = 2011
-LONG_KERNELS = ("tests/contact/", "tests/groups/", "tests/commands/test_contact.py", "tests/commands/test_group.py",
+SHARED_KERNELS = {
+    "contact": ("tests/contact/", "tests/groups/", "tests/commands/test_contact.py", "tests/commands/test_group.py",
                 "tests/commands/test_knots.py", "tests/dynamics/test_energies.py", "tests/refinement/test_on_a_table.py",
                 "tests/twist/test_on_a_table.py",
-                "tests/examples/test_examples.py::test_example[12_", "tests/examples/test_examples.py::test_example[13_")
-"""Tests that use the kernels of contact, which take up to a minute to compile."""
-IMAGE_KERNELS = ("tests/perception/", "tests/vision/reprojection/", "tests/commands/test_perceive.py",
-                 "tests/commands/test_track.py", "tests/examples/test_examples.py::test_example[04_",
-                 "tests/examples/test_examples.py::test_example[08_")
-"""Tests that use the kernels of rods on images."""
+                "tests/examples/test_examples.py::test_example[12_", "tests/examples/test_examples.py::test_example[13_"),
+    "images": ("tests/perception/", "tests/vision/reprojection/", "tests/commands/test_perceive.py",
+               "tests/commands/test_track.py",
+               "tests/examples/test_examples.py::test_example[04_", "tests/examples/test_examples.py::test_example[08_")}
+"""Tests that use the same kernels, which take up to a minute to compile."""
 
 
 def pytest_report_header() -> str:
@@ -54,10 +54,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log):
 
     class Scheduling(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            for name, tests in (("long kernels", LONG_KERNELS), ("image kernels", IMAGE_KERNELS)):
-                if nodeid.startswith(tests):
-                    return name
-            return nodeid.partition("::")[0]
+            sharing = (name for name, tests in SHARED_KERNELS.items() if nodeid.startswith(tests))
+            return next(sharing, nodeid.partition("::")[0])
 
     return Scheduling(config, log)
 

@@ -73,6 +73,12 @@ def guarded(script: str, *arguments: str, folder: Path) -> subprocess.CompletedP
                           env=environment)
 
 
+def open_no_socket(words: list[str], folder: Path) -> None:
+    """Commands of ``doo-ti`` succeed in ``folder`` under the guard."""
+    done = guarded(COMMANDS, *words, folder=folder)
+    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+
+
 def test_the_guard_ends_what_opens_a_socket(tmp_path):
     done = guarded("import socket\nsocket.socketpair()\nprint('here', flush=True)\nsocket.socket()\n", folder=tmp_path)
     assert done.stdout == "here\n" and done.returncode < 0
@@ -82,8 +88,7 @@ def test_the_guard_ends_what_opens_a_socket(tmp_path):
 def test_no_command_opens_a_socket(tmp_path):
     save_observations(tmp_path / "o.npz", small_lab())
     words = [f"relax o.npz {MATERIAL} --out F.npz", "sweep o.npz --bend 2e5:8e5:3 --workers 2 --out run", "learn run"]
-    done = guarded(COMMANDS, *words, folder=tmp_path)
-    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+    open_no_socket(words, tmp_path)
 
 
 @pytest.mark.slow
@@ -91,8 +96,7 @@ def test_no_other_command_opens_a_socket(tmp_path):
     save_observations(tmp_path / "o.npz", small_lab())
     words = ["convert o.npz o.csv", "sweep o.npz --bend 2e5:8e5:3 --out run", "figures run --out figures",
              f"refine o.npz {MATERIAL} --parameters bend", f"twist o.npz {MATERIAL} --out phi.npz"]
-    done = guarded(COMMANDS, *words, folder=tmp_path)
-    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+    open_no_socket(words, tmp_path)
 
 
 @pytest.mark.slow
@@ -109,8 +113,7 @@ def test_no_command_on_images_opens_a_socket(tmp_path, pictures, rng, monkeypatc
              f"predict {ROOT}/scenes/motion/pulled_straight.toml --out m.npz --recording m.rrd --picture m.png",
              f"calibrate {pictures}/views.csv --board {TEXT} --out rig.yaml", "plan lab.toml --twist 4e5",
              " ".join([*prepared(tmp_path, rows_of(wavy_vertices(rng, count=2, marks=8), rng)), "--out", "marks.npz"])]
-    done = guarded(COMMANDS, *words, folder=tmp_path)
-    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+    open_no_socket(words, tmp_path)
 
 
 def connections(folder: Path, *words: str, **environment: str) -> tuple[int, list[str]]:
