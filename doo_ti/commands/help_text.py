@@ -46,7 +46,8 @@ EXAMPLES = {
         "simulate scenes/motion/hanging_cables.toml --out hanging.npz --animation hanging.gif", "eight cables"), (
         "simulate motion.npz --theta theta.json --out predicted.npz --recording predicted.rrd", "recorded grippers")),
     "identify": ("dynamics", ("identify motion.npz --out theta.json", "a rod from recorded motion"),
-                 ("identify motion.npz --folds 4 --out theta.json", "with the error on recordings not used for the fit")),
+                 ("identify motion.npz --obstacles table.toml --radius 2 --fit friction,bend_damping --out theta.json",
+                  "of a rod that is moved on a table")),
     "synth": ("observations", ("synth scenes/vicryl.toml --out vicryl.npz", "simulated observations"),
               ("synth scenes/vicryl.toml --images lab --rig scenes/rig.yaml", "rendered images, and the true rods")),
     "convert": ("observations", ("convert marks.csv marks.npz", "from a table to arrays"),

@@ -13,7 +13,7 @@ from doo_ti.errors import InputError
 from doo_ti.terminal import in_line, progress
 
 MOST_LISTED = 8
-FITTED = ("bend_damping", "drag", "quadratic_drag", "twist_ratio", "marker_share")
+FITTED = ("bend_damping", "drag", "quadratic_drag", "twist_ratio", "marker_share", "friction")
 
 
 def declare(add) -> None:
@@ -36,13 +36,14 @@ def declare(add) -> None:
                         "those (default 0)")
     parser.add_argument("--robust", metavar="MM", default="5", help="differences beyond count linearly (default 5)")
     parser.add_argument("--substeps", metavar="N", default="1", help="time steps from one frame to the next (default 1)")
+    given.add_obstacles(parser, "with friction, the file's or, with --fit friction, one coefficient for all of them")
     loading.add_recordings(parser, "the file's, else 0,0,1")
     parser.add_argument("--picture", metavar="F.png", help="also draw predictions and errors over time (default: no)")
 
 
 def run(options: Namespace, words: list[str]) -> int:
     """Identify Θ; writes it and prints parameters with intervals and errors."""
-    from doo_ti.dynamics.identify import IdentifyOptions, identify_from_guesses
+    from doo_ti.dynamics.identify import IdentifyOptions, guesses, identify_from_guesses, require_clear_grippers
     from doo_ti.dynamics.recorded import RecordedMotion
 
     out = given.output_file(options.out, ".json")
@@ -50,14 +51,20 @@ def run(options: Namespace, words: list[str]) -> int:
     fitted = tuple(filter(None, options.fit.split(",")))
     if unknown := next((name for name in fitted if name not in FITTED), None):
         raise InputError(given.SOURCE, "--fit", f"{unknown!r} is unknown", f"give some of {', '.join(FITTED)}")
+    surroundings = given.surroundings(options)
+    if "friction" in fitted and not surroundings.bodies:
+        raise InputError(given.SOURCE, "--fit", "friction without obstacles", "give --obstacles and --radius, or leave it out")
     chosen = IdentifyOptions(given.whole("--modes", options.modes, 0, 12), fitted,
                              delta=given.length("--robust", options.robust),
-                             substeps=given.whole("--substeps", options.substeps, 1, 1000))
+                             substeps=given.whole("--substeps", options.substeps, 1, 1000), surroundings=surroundings,
+                             smoothing=loading.smoothing(options))
     folds = given.whole("--folds", options.folds, 0)
     bend = given.positive("--bend", options.bend, "mm³")
     motion = RecordedMotion.together(loading.recordings(options, options.motions), options.motions)
     up = given.world_up(options) if options.up is not None or motion.up is None else motion.up
     stills = _stills(options, motion)
+    if surroundings:
+        require_clear_grippers(chosen.rollouts(motion, guesses(motion, chosen, bend, up)[0]))
     if folds == 1 or folds > motion.count:
         raise InputError(given.SOURCE, "--folds", f"{folds} for {motion.count} recordings", "give 0, or from 2 to their number")
     with progress(keep=True) as bar:
@@ -72,9 +79,10 @@ def run(options: Namespace, words: list[str]) -> int:
         found = fit(motion, "all recordings")
     if found.failed.all():
         raise RuntimeError(f"no recording could be rolled out, from {len(motion.names)}; give a higher --bend to begin with")
-    summary = _summary(found, motion, held_out, out)
+    summary = _summary(found, motion, held_out, chosen.rollouts(motion, found.theta), out)
     save_json(out, {"doo_ti": "theta", **summary["theta"], **{key: summary[key] for key in (
-        "parameters", "error_mm", "mean_error_mm", "median_error_mm", "failed", "held_out", "stills", "glitches")}})
+        "parameters", "error_mm", "mean_error_mm", "median_error_mm", "smoothing", "failed", "inside_mm", "held_out", "stills",
+        "glitches")}})
     if picture is not None:
         _draw(picture, found, motion, chosen)
     report(options, summary, lambda: _lines(summary, motion))
@@ -83,7 +91,7 @@ def run(options: Namespace, words: list[str]) -> int:
 
 def _stills(options: Namespace, motion) -> list:
     """The observations at rest of the rod in ``motion``, with their noise, checked."""
-    from doo_ti.dynamics.recorded import roll_reference
+    from doo_ti.dynamics.layout import roll_reference
     from doo_ti.dynamics.stills import Stills
     from doo_ti.io.observations import load_observations
 
@@ -92,24 +100,25 @@ def _stills(options: Namespace, motion) -> list:
         raise InputError(given.SOURCE, "--still-noise", "given without --still", "give both")
     found = [load_observations(path, given.up(options)) for path in options.still]
     for one in found:
-        Stills.of(one, roll_reference(motion), motion.edge_lengths().sum())
+        Stills.of(one, roll_reference(motion), motion.edge_lengths().sum(), given.surroundings(options))
     return found if noise is None else [replace(one, sigma=np.array(noise)) for one in found]
 
 
 def _held_out(motion, folds: int, chosen, fit) -> np.ndarray:
     """(R,) error of each recording under the Θ of the others, mm."""
-    from doo_ti.dynamics.identify import mean_error, predicted
+    from doo_ti.dynamics.rollouts import mean_error
 
     error = np.full(motion.count, np.nan)
     for fold in range(folds):
         out = np.arange(motion.count) % folds == fold
         theta = fit(motion.take(np.flatnonzero(~out)), f"fold {fold + 1} of {folds}").theta
         rest = motion.take(np.flatnonzero(out))
-        error[out] = mean_error(predicted(rest, [theta], chosen)[0][:, 0], rest.positions)[:, 2:].mean(axis=1)
+        positions = chosen.rollouts(rest, theta).predicted([theta])[0][:, 0]
+        error[out] = mean_error(positions, rest.positions)[:, 2:].mean(axis=1)
     return error
 
 
-def _summary(found, motion, held_out, out: Path) -> dict:
+def _summary(found, motion, held_out, rollouts, out: Path) -> dict:
     from doo_ti.dynamics.theta import save_form
 
     sound = found.error[~found.failed]
@@ -125,6 +134,8 @@ def _summary(found, motion, held_out, out: Path) -> dict:
         "stills": {"count": len(found.still_error), "left_out": int(np.isnan(found.still_error).sum()),
                    "mean_error_mm": np.nanmean(found.still_error) if np.isfinite(found.still_error).any() else None},
         "failed": [name for name, failed in zip(motion.names, found.failed, strict=True) if failed], "held_out": held,
+        "inside_mm": {name: depth for name, depth in zip(motion.names, rollouts.depth, strict=True) if depth > 0},
+        "smoothing": rollouts.layout.smoothing,
         "iterations": found.iterations, "glitches": motion.glitches(), "out": str(out)}
 
 
@@ -137,8 +148,9 @@ def _lines(summary: dict, motion) -> list[str]:
     rest = np.asarray(summary["theta"]["rest_curvature_per_mm"])
     if rest.any():
         lines.append(f"  rest curvature  {np.sqrt((rest**2).sum(axis=1).mean()):.3g} 1/mm root mean square along the rod")
+    begun = "two frames" if summary["smoothing"] == 1 else f"{summary['smoothing']} frames, smoothed"
     lines.append(f"  error           mean {summary['mean_error_mm']:.4g} mm, median {summary['median_error_mm']:.4g} mm over "
-                 "recordings, rolled out from their first two frames")
+                 f"recordings, rolled out from their first {begun}")
     if (still := summary["stills"])["count"]:
         error = "none was usable" if still["mean_error_mm"] is None else f"mean distance {still['mean_error_mm']:.4g} mm"
         lines.append(f"  at rest         {still['count']} still frames, {still['left_out']} left out; {error}")
@@ -147,14 +159,20 @@ def _lines(summary: dict, motion) -> list[str]:
                      f"{held['median_error_mm']:.4g} mm")
     if summary["failed"]:
         lines.append(f"  failed          {', '.join(map(in_line, summary['failed'][:MOST_LISTED]))}: left out")
+    if inside := summary["inside_mm"]:
+        named = ", ".join(map(in_line, list(inside)[:MOST_LISTED]))
+        lines.append(f"  inside          the grippers of {named} hold the rod up to {max(inside.values()):.3g} mm inside an "
+                     "obstacle: correct its place, or give a smaller --radius")
     lines += [f"  glitch          {in_line(line)}" for line in shortened(summary["glitches"], MOST_LISTED, "and {} more")]
     return [*lines, f"  written to {in_line(summary['out'])}"]
 
 
 def _draw(picture: Path, found, motion, chosen) -> None:
-    from doo_ti.dynamics.identify import predicted
     from doo_ti.report.rollouts import save_rollout
+    from doo_ti.report.touched import Touched
 
     picture.parent.mkdir(parents=True, exist_ok=True)
-    positions, _ = predicted(motion, [found.theta], chosen)
-    save_rollout(picture, "identified", list(motion.names), positions[:, 0], motion.positions, motion.rate, found.theta.up)
+    positions, _, _, simulation = chosen.rollouts(motion, found.theta).simulated(found.theta)
+    touched = Touched(chosen.surroundings, positions, simulation.contact_force) if chosen.surroundings else None
+    save_rollout(picture, "identified", list(motion.names), positions, motion.positions, motion.rate, found.theta.up,
+                 touched=touched)

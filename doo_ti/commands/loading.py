@@ -54,6 +54,18 @@ def add_recordings(parser: ArgumentParser, default_up: str) -> None:
     given.add_up(group, default_up)
     group.add_argument("--fill-gaps", action="store_true",
                        help="take markers that were not seen from lines between the frames around")
+    parser.add_argument("--smoothing", metavar="FRAMES", help="odd number of frames through which parabolas are fitted for the "
+                        "start and the grippers; 1: as recorded (default: 1, among obstacles those of 0.09 s)")
+
+
+def smoothing(options: Namespace) -> int | None:
+    """What ``--smoothing`` gives."""
+    from doo_ti.dynamics.layout import require_smoothing
+
+    frames = given.whole("--smoothing", options.smoothing, 1, 999)
+    if frames is not None:
+        require_smoothing(given.SOURCE, "--smoothing", frames)
+    return frames
 
 
 def add_rate(parser) -> None:

@@ -109,8 +109,9 @@ def _shown(kind: str, text: str) -> Path:
 
 
 def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _Simulated:
-    from doo_ti.dynamics.identify import simulated_recordings
+    from doo_ti.dynamics.identify import IdentifyOptions
     from doo_ti.dynamics.parameters import Stepping
+    from doo_ti.dynamics.rollouts import Rollouts
     from doo_ti.dynamics.theta import load_theta
 
     if options.theta is None:
@@ -126,9 +127,9 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
     stepping = Stepping(motion.rate, **changes)
     with progress() as bar:
         task = bar.add_task("simulating", total=motion.count * (motion.positions.shape[1] - 2), unit="rods x frames")
-        positions, status, energies, found = simulated_recordings(
-            motion, theta, stepping, progress=lambda done: bar.update(task, completed=motion.count * done),
-            surroundings=surroundings)
+        rollouts = Rollouts.of(motion, theta, stepping, IdentifyOptions.end, surroundings, loading.smoothing(options))
+        positions, status, energies, found = rollouts.simulated(
+            theta, progress=lambda done: bar.update(task, completed=motion.count * done))
     return _Simulated(Path(options.source).stem, list(motion.names), positions, status, motion.rate, theta.up,
                       motion.positions, tuple(motion.glitches()), motion.alone, energies, found.substeps,
                       None if stepping.tolerance is None else found.error, stepping.tolerance, surroundings,
@@ -149,7 +150,7 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
     from doo_ti.dynamics.simulate import simulate
     from doo_ti.relaxation.relax import relax
 
-    for name in ("theta", "fill_gaps", "rate", *loading.OF_FILES):
+    for name in ("theta", "fill_gaps", "rate", "smoothing", *loading.OF_FILES):
         if getattr(options, name):
             raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", "given, but a scene has its own rods", "leave it out")
     scene = load_dynamic_scene(options.source)
@@ -203,7 +204,7 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
                     "above_tolerance": int((~(found.step_error <= found.tolerance)).sum()),
                     "step_error_mm": {name: value for name, value in zip(found.names, found.step_error, strict=True)}}
     if found.recorded is not None:
-        from doo_ti.dynamics.identify import mean_error
+        from doo_ti.dynamics.rollouts import mean_error
 
         arrays["error_mm"] = mean_error(found.positions, found.recorded)
         each = arrays["error_mm"][:, 2:].mean(axis=1)

@@ -87,6 +87,10 @@ class Obstacle:
         return self._with(points | {
             name: (rotation @ value).reshape(-1, *self.shapes[name]) for name, value in columns.items()})
 
+    def rubbing(self, friction: ArrayLike) -> "Obstacle":
+        """The obstacle with another coefficient of friction, or (R,)."""
+        return self._with({"friction": friction})
+
     def _with(self, values: dict[str, np.ndarray]) -> "Obstacle":
         """The same with other values of some fields."""
         return replace(self, **values)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from doo_ti.contact.itself import Itself, smallest_self_gap
 from doo_ti.contact.moving import Moving
@@ -63,6 +64,11 @@ class Surroundings:
         """Those of the rods ``rows``."""
         radius = self.radius if np.size(self.radius) < 2 else np.asarray(self.radius)[rows]
         return Surroundings([obstacle.take(rows) for obstacle in self.obstacles], radius)
+
+    def rubbing(self, friction: ArrayLike) -> "Surroundings":
+        """Those with another coefficient of friction, or (R,), against all but the rod itself; nothing that moves."""
+        return replace(self, obstacles=[obstacle if isinstance(obstacle, Itself) else obstacle.rubbing(friction)
+                                        for obstacle in self.obstacles])
 
     def steps_for(self, shift: np.ndarray | None) -> np.ndarray | int:
         """(N,) steps in which clamps are to move by ``shift`` (N, 3) mm: a step begins with the rods as they were, moved with

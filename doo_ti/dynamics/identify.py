@@ -6,26 +6,32 @@ Marks of still frames join the sum with the weight σ²_motion/σ²_still, σ_mo
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.dynamics.parameters import Direction, MovingStart, Stepping
-from doo_ti.dynamics.recorded import RecordedMotion, Rollout, roll_reference, rollout
-from doo_ti.dynamics.simulate import simulate
+from doo_ti.dynamics.layout import require_smoothing, roll_reference
+from doo_ti.dynamics.parameters import Stepping
+from doo_ti.dynamics.recorded import RecordedMotion
+from doo_ti.dynamics.rollouts import Nearby, Rollouts
 from doo_ti.dynamics.stills import Stills
-from doo_ti.dynamics.theta import MotionTheta, Unknowns, simulated
-from doo_ti.dynamics.trajectory import Trajectory
+from doo_ti.dynamics.theta import MotionTheta, Unknowns
+from doo_ti.errors import InputError
 from doo_ti.io.observations import Observations
 from doo_ti.short_repr import short_repr
 from doo_ti.types import Clamp, Status
 
 STEP = 1e-6
 """Of an entry of p, for differences of material and dynamics."""
-GUESSES = (3e-4, 3e-3, 3e-2, 0.3)
-"""Bend stiffness over weight and the cube of the length."""
+LONG_STEP = 5e-3
+"""The same for differences of rollouts: they are off by the tolerance of gaps and average over contacts that begin."""
+BENDS = (3e-4, 3e-3, 3e-2, 0.3)
+"""Bend stiffness over weight and the cube of the length, to begin with."""
+FRICTIONS = (0.1, 0.3, 0.6)
+"""Coefficients to begin with."""
 
 
 @dataclass(frozen=True)
@@ -33,13 +39,18 @@ class IdentifyOptions:
     """How Θ is found.
 
     modes         Legendre modes of the rest curvature in each direction
-    fitted        parameters besides bend and the rest curvature
+    fitted        parameters besides bend and the rest curvature; friction only with obstacles
     horizons      frames that are rolled out, one fit after the other: short ones find the region, long ones the parameters
     delta         mm, beyond which a difference counts linearly
     substeps      time steps between frames
     scheme        of :func:`.simulate`
     iterations    most of each fit
     end           what the far gripper holds
+    surroundings  what the rods touch, with one row for all recordings or one for each; nothing that moves
+    smoothing     odd number of frames through which parabolas are fitted for the start and the grippers; 1: as recorded; None:
+                  among obstacles those of 0.09 s, else 1
+
+    Raises InputError for obstacles that move, for friction without any, and for an even number of frames.
     """
 
     modes: int = 7
@@ -50,86 +61,26 @@ class IdentifyOptions:
     scheme: str = "bdf2"
     iterations: int = 20
     end: Clamp = Clamp.FRAME
+    surroundings: Surroundings = Surroundings()
+    smoothing: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.surroundings.moves:
+            raise InputError("IdentifyOptions", "surroundings", "a Moving obstacle", "give obstacles that rest")
+        if "friction" in self.fitted and not self.surroundings.bodies:
+            raise InputError("IdentifyOptions", "fitted", "friction without obstacles", "give `surroundings`, or leave it out")
+        if self.smoothing is not None:
+            require_smoothing("IdentifyOptions", "smoothing", self.smoothing)
 
     @property
     def rounds(self) -> int:
         """Most iterations of all fits."""
         return self.iterations * len(self.horizons)
 
-
-def predicted(motion: RecordedMotion, thetas: list[MotionTheta], options: IdentifyOptions, begun: Rollout | None = None):
-    """((R, G, T, V, 3) positions of the recordings under each Θ, (R, G, T) status): frames 0 and 1 and the grippers' vertices
-    as given, the rest predicted; NaN where a rod failed. ``begun`` is the layout of ``motion`` where that is known."""
-    at, found = _rolled_out(motion, thetas, options, begun)
-    return _shown(motion, len(thetas), at, found)
-
-
-def simulated_recordings(motion: RecordedMotion, theta: MotionTheta, stepping: Stepping, end: Clamp = IdentifyOptions.end,
-                         progress=None, surroundings: Surroundings = Surroundings()):
-    """(positions (R, T, V, 3), status (R, T), energies (R, T) by name, the simulation itself) of the recordings under one Θ, as
-    :func:`predicted`. Energies are NaN in frame 0: the simulation begins at frame 1. ``stepping`` has the rate of the
-    recordings. Contact forces (R, T, V, 3), :class:`.Touch` (R, T, V) and work of friction (R, T) in the simulation are those
-    at the recordings' frames, and zero in frames 0 and 1."""
-    begun = rollout(motion, theta.rest_length, theta.reference, end=end)
-    material, dynamics = simulated([theta])
-    found = simulate(MovingStart(begun.start, begun.velocity, 0.5 / begun.rate), material, begun.grippers, dynamics,
-                     replace(stepping, detailed=True), up=theta.up, progress=progress, **surroundings.arguments)
-    positions, status = (value[:, 0] for value in _shown(motion, 1, begun.steps[:, 1:] - 1, found))
-    rods = np.arange(motion.count)[:, None]
-    energies = {name: np.concatenate([np.full((motion.count, 1), np.nan), value[rods, begun.steps]], axis=1)
-                for name, value in ({} if found.detail is None else found.detail.energies).items()}
-    if surroundings:
-        for name in ("contact_force", "friction_work", "touch"):
-            value = getattr(found, name)[rods, begun.steps[:, 1:] - 1]
-            found = replace(found, **{name: np.concatenate([np.zeros_like(value[:, :1])] * 2 + [value], axis=1)})
-    return positions, status, energies, found
-
-
-def _shown(motion: RecordedMotion, each: int, at: np.ndarray, found: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """((R, G, T, V, 3) positions, (R, G, T) status) of a simulation of every recording under G = ``each`` Θ, as
-    :func:`predicted` has them."""
-    count = motion.count
-    rods = np.arange(count)[:, None]
-    positions = np.repeat(motion.positions[:, None], each, axis=1)
-    inner = found.positions.reshape(count, each, -1, *motion.positions.shape[2:])
-    for g in range(each):
-        positions[:, g, 2:, 2:-2] = inner[rods, g, at][:, :, 2:-2]
-    status = np.zeros(positions.shape[:3], dtype=np.int8)
-    status[:, :, 2:] = np.moveaxis(found.status.reshape(count, each, -1)[rods, :, at], 2, 1)
-    return positions, status
-
-
-def differentiated(motion: RecordedMotion, theta: MotionTheta, directions: list[Direction], options: IdentifyOptions,
-                   begun: Rollout | None = None):
-    """(positions (R, T − 2, V − 4, 3), their derivatives along P directions (R, P, T − 2, V − 4, 3), status (R, T − 2)) of what
-    :func:`predicted` predicts."""
-    at, found = _rolled_out(motion, [theta], options, begun, directions=directions)
-    rods = np.arange(motion.count)[:, None]
-    slopes = np.moveaxis(found.slopes[rods, at, :, 2:-2], 2, 1)
-    return found.positions[rods, at, 2:-2], slopes, found.status[rods, at]
-
-
-def _laid_out(motion: RecordedMotion, theta: MotionTheta, options: IdentifyOptions) -> Rollout:
-    """The layout of ``motion``, the same for every Θ of one rod."""
-    return rollout(motion, theta.rest_length, theta.reference, end=options.end)
-
-
-def _rolled_out(motion: RecordedMotion, thetas: list[MotionTheta], options: IdentifyOptions, begun: Rollout | None,
-                **more) -> tuple[np.ndarray, Trajectory]:
-    """((R, T − 2) frame of the simulation for each that is predicted, the simulation of every recording under every Θ)."""
-    begun = begun or _laid_out(motion, thetas[0], options)
-    count, each = motion.count, len(thetas)
-    pairs = np.repeat(np.arange(count), each), np.tile(np.arange(each), count)
-    material, dynamics = simulated(thetas)
-    start = MovingStart(begun.start, begun.velocity, 0.5 / begun.rate)
-    stepping = Stepping(begun.rate, options.substeps, options.scheme)
-    found = simulate(start, material, begun.grippers, dynamics, stepping, up=thetas[0].up, pairs=pairs, **more)
-    return begun.steps[:, 1:] - 1, found
-
-
-def mean_error(positions: np.ndarray, recorded: np.ndarray) -> np.ndarray:
-    """(R, T) mm: mean of |difference| over all markers and coordinates (L1), positions (R, T, V, 3)."""
-    return np.abs(positions - recorded).mean(axis=(-1, -2))
+    def rollouts(self, motion: RecordedMotion, theta: MotionTheta) -> Rollouts:
+        """How recordings of the rod of ``theta`` are rolled out."""
+        stepping = Stepping(motion.rate, self.substeps, self.scheme)
+        return Rollouts.of(motion, theta, stepping, self.end, self.surroundings, self.smoothing)
 
 
 @dataclass(frozen=True)
@@ -172,6 +123,9 @@ def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOption
     report  called with the horizon, the iteration and the mean error in mm
     stills  sets of shapes of the same rod at rest, which count as well
     """
+    if "friction" in options.fitted and begin.friction is None:
+        raise InputError("identify", "begin", "no friction, which is to be fitted", "give a MotionTheta with `friction`")
+    require_clear_grippers(options.rollouts(motion, begin))
     unknowns = Unknowns(begin, options.modes, options.fitted)
     p = unknowns.vector(begin)
     made = 0
@@ -189,21 +143,38 @@ def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOption
                       np.concatenate([np.zeros(0), *(part.error for part in still)]))
 
 
+def guesses(motion: RecordedMotion, options: IdentifyOptions, bend: float | None, up: ArrayLike) -> list[MotionTheta]:
+    """Θ to begin with: several values of bend stiffness, or ``bend``, with several of friction where that is fitted."""
+    lengths, reference, up = motion.edge_lengths(), roll_reference(motion), np.asarray(up, dtype=np.float64)
+    bends = [bend] if bend is not None else [share * lengths.sum() ** 3 for share in BENDS]
+    frictions = FRICTIONS if "friction" in options.fitted else (None,)
+    return [MotionTheta(guess, 1.0, 0.03, 0.2, 1e-5, 0.0, np.zeros((2, 0)), lengths, reference, up, friction)
+            for guess, friction in product(bends, frictions)]
+
+
+def require_clear_grippers(rollouts: Rollouts) -> None:
+    """Raise InputError where the grippers of no recording hold the rod outside the obstacles."""
+    depth = rollouts.depth
+    if (depth > 0).all():
+        raise InputError("identify", "surroundings", f"the grippers of all recordings hold the rod up to {depth.max():.3g} mm "
+                         "inside an obstacle", "correct the obstacle's place, or give a smaller radius")
+
+
 def identify_from_guesses(motion: RecordedMotion, options: IdentifyOptions, bend: float | None = None,
                           up: ArrayLike = (0.0, 0.0, 1.0), report: Callable[[int, int, float], None] | None = None,
                           stills: Sequence[Observations] = ()) -> Identified:
-    """:func:`identify` from the best of several guesses of bend stiffness on the shortest horizon, or from ``bend``."""
-    lengths, reference = motion.edge_lengths(), roll_reference(motion)
-    at_rest = [Stills.of(observations, reference, lengths.sum()) for observations in stills]
-    guesses = [bend] if bend is not None else [share * lengths.sum() ** 3 for share in GUESSES]
-    thetas = [MotionTheta(guess, 1.0, 0.03, 0.2, 1e-5, 0.0, np.zeros((2, 0)), lengths, reference,
-                          np.asarray(up, dtype=np.float64)) for guess in guesses]
+    """:func:`identify` from the best of the :func:`guesses` on the shortest horizon."""
+    thetas = guesses(motion, options, bend, up)
+    begin = thetas[0]
+    at_rest = [Stills.of(one, begin.reference, begin.rest_length.sum(), options.surroundings) for one in stills]
     best = 0
     if len(thetas) > 1:
         part = motion.until(min(options.horizons) + 2)
-        positions, _ = predicted(part, thetas, options)
+        positions, _ = options.rollouts(part, begin).predicted(thetas)
         error = np.abs(positions - part.positions[:, None]).mean(axis=(2, 3, 4))
-        best = int(np.argmin(np.nanmedian(error, axis=0)))
+        usable = np.isfinite(error).any(axis=0)
+        if usable.any():
+            best = int(np.flatnonzero(usable)[np.argmin(np.nanmedian(error[:, usable], axis=0))])
     return identify(motion, thetas[best], options, report, at_rest)
 
 
@@ -226,18 +197,17 @@ class _Fit:
     def __init__(self, motion: RecordedMotion, unknowns: Unknowns, options: IdentifyOptions, stills: Sequence[Stills] = ()):
         self.motion, self.unknowns, self.options, self.stills = motion, unknowns, options, stills
         self.seen = motion.positions[:, 2:, 2:-2]
-        self.begun = _laid_out(motion, unknowns.begin, options)
+        self.rollouts = options.rollouts(motion, unknowns.begin)
 
     def residuals(self, vectors) -> tuple[np.ndarray, np.ndarray]:
         """((R, G, T − 2, V − 4, 3) mm, (R, G, T) status) under each p."""
-        positions, status = predicted(self.motion, [self.unknowns.theta(p) for p in vectors], self.options,
-                                      begun=self.begun)
+        positions, status = self.rollouts.predicted([self.unknowns.theta(p) for p in vectors])
         return positions[:, :, 2:, 2:-2] - self.seen[:, None], status
 
     def linearised(self, p):
         """(residuals (R, …) at p, their slopes (R, P, …), status (R, T − 2))."""
         directions = [self.direction(p, k) for k in range(len(p))]
-        positions, slopes, status = differentiated(self.motion, self.unknowns.theta(p), directions, self.options, self.begun)
+        positions, slopes, status = self.rollouts.differentiated(self.unknowns.theta(p), directions)
         return positions - self.seen, slopes, status
 
     @staticmethod
@@ -269,12 +239,12 @@ class _Fit:
             total += self.cost(np.sqrt(part.weight) * apart[part.used, None]).sum()
         return total
 
-    def direction(self, p, entry: int) -> Direction:
+    def direction(self, p, entry: int) -> Nearby:
         """Along one entry of p, within its bounds."""
-        before, after = p.copy(), p.copy()
-        before[entry] = max(p[entry] - STEP, self.unknowns.lower[entry])
-        after[entry] = min(p[entry] + STEP, self.unknowns.upper[entry])
-        return Direction(*(simulated([self.unknowns.theta(q)]) for q in (before, after)), after[entry] - before[entry])
+        before, after, step = p.copy(), p.copy(), STEP if self.rollouts.through_steps else LONG_STEP
+        before[entry] = max(p[entry] - step, self.unknowns.lower[entry])
+        after[entry] = min(p[entry] + step, self.unknowns.upper[entry])
+        return Nearby(self.unknowns.theta(before), self.unknowns.theta(after), after[entry] - before[entry])
 
     def cost(self, residual: np.ndarray) -> np.ndarray:
         """(R,) Σ ρ of each recording, mm²; infinite where it failed."""

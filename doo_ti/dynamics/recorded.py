@@ -7,14 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.dynamics.grippers import Grippers
 from doo_ti.errors import InputError
-from doo_ti.frames import bishop_frames, edge_frames, quaternion_from_matrix, tangent_from_quaternion
 from doo_ti.io.motion_recording import read_recording
-from doo_ti.relaxation.external import Springs
-from doo_ti.relaxation.relax import relax
 from doo_ti.short_repr import short_repr
-from doo_ti.types import Clamp, Clamps, Configuration, Material, Rows
+from doo_ti.types import Rows
 
 LEAST_JUMP, LARGEST_MISFIT, SMALLEST_JUMP = 1.7, 0.2, 10.0
 """Frames are missing where the gripper markers together move by more than the first times their usual move; where what that
@@ -28,12 +24,8 @@ LARGEST_TURN = np.radians(60.0)
 FINE, SWAPPED, LOST = 0, 1, 2
 MOST_CONFUSED = 50
 """Frames after which such a turn is taken as real."""
-LARGEST_REACH = 0.999
-"""Share of the rod's length between grippers, at most: beyond, the far gripper is moved back."""
 MOST_MM = 1e6
 """From the origin."""
-FIT_STIFFNESS = 0.01
-"""Of a rod that is fitted to markers, over that of the springs to them and the cube of an edge: it hardly resists."""
 GRIPPED = (0, 1, -2, -1)
 """Vertices of the first and last edge."""
 
@@ -223,122 +215,3 @@ def confused_frames(positions: np.ndarray) -> np.ndarray:
         confused[:, t] = np.where(lost, LOST, np.where(swapped, SWAPPED, FINE))
         believed = np.where(lost[..., None], believed, np.where(swapped[..., None], -direction[:, t], direction[:, t]))
     return confused
-
-
-def _believable(held: np.ndarray, confused: np.ndarray, elapsed: np.ndarray) -> np.ndarray:
-    """Gripper markers (R, T, 4, 3), changed back where ``confused`` (R, T, 2) says they are swapped, and on lines between the
-    frames around where they are lost."""
-    result, instants = held.copy(), np.cumsum(elapsed, axis=1)
-    for end in range(2):
-        pair = slice(2 * end, 2 * end + 2)
-        swapped = confused[:, :, end] == SWAPPED
-        result[swapped, pair] = held[swapped, pair][:, ::-1]
-        for r in np.flatnonzero((confused[:, :, end] == LOST).any(axis=1)):
-            good = confused[r, :, end] != LOST
-            for marker, axis in np.ndindex(2, 3):
-                column = result[r, :, 2 * end + marker, axis]
-                result[r, :, 2 * end + marker, axis] = np.interp(instants[r], instants[r, good], column[good])
-    return result
-
-
-def _within_reach(held: np.ndarray, rest_length: np.ndarray) -> np.ndarray:
-    """Gripper markers (R, T, 4, 3) with the far gripper moved towards the near one where the rod would not reach it."""
-    first, last = held[:, :, 1] - held[:, :, 0], held[:, :, 3] - held[:, :, 2]
-    first = first * (rest_length[0] / np.linalg.norm(first, axis=-1, keepdims=True))
-    last = last * (rest_length[-1] / np.linalg.norm(last, axis=-1, keepdims=True))
-    line = held[:, :, 3] - last - held[:, :, 0] - first
-    span = np.linalg.norm(line, axis=-1, keepdims=True)
-    excess = np.maximum(span - LARGEST_REACH * rest_length[1:-1].sum(), 0.0) / span
-    result = held.copy()
-    result[:, :, 2:] -= (excess * line)[:, :, None]
-    return result
-
-
-@dataclass(frozen=True)
-class Rollout:
-    """A recorded motion as a simulation begins it: from frames 0 and 1.
-
-    start     R rods at frame 1
-    velocity  (R, V, 3) mm/s there
-    grippers  at every step from frame 1 on, missing frames included
-    steps     (R, T − 1) the step of each frame from 1 on
-    rate      steps per second
-    """
-
-    start: Configuration
-    velocity: np.ndarray
-    grippers: Grippers
-    steps: np.ndarray
-    rate: float
-
-
-def roll_reference(motion: RecordedMotion) -> np.ndarray:
-    """(3,) the coordinate axis most across the first edges where the recordings begin."""
-    first = motion.positions[:, 1, 1] - motion.positions[:, 1, 0]
-    direction = first / np.linalg.norm(first, axis=-1, keepdims=True)
-    return np.eye(3)[int(np.argmin((direction**2).mean(axis=0)))]
-
-
-def rollout(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarray, end: Clamp = Clamp.TANGENT) -> Rollout:
-    """Lay out the recordings of ``motion`` for :func:`doo_ti.dynamics.simulate.simulate`.
-
-    rest_length  (E,) mm
-    reference    (3,) direction towards which m1 of the first edge points at frame 1
-    end          what the far gripper holds
-    """
-    believed = _believable(motion.positions[:, :, GRIPPED], motion.confused, motion.elapsed)
-    held = _within_reach(believed[:, 1:], rest_length)
-    expanded, steps = _with_missing(held, motion.elapsed[:, 1:])
-    first = edge_frames(expanded[:, :, 1] - expanded[:, :, 0], np.broadcast_to(reference, (motion.count, 3)))
-    first_two = motion.positions[:, :2].copy()
-    first_two[:, :, GRIPPED] = believed[:, :2]
-    x = first_two[:, 1].copy()
-    velocity = (x - first_two[:, 0]) * motion.rate / motion.elapsed[:, 1, None, None]
-    x[:, GRIPPED] = held[:, 0]
-    # Without twist at the start.
-    frames = bishop_frames(_fitted_tangents(x, rest_length, first[:, 0]), first[:, 0, :, 1])
-    last = edge_frames(expanded[:, :, 3] - expanded[:, :, 2], frames[:, -1, :, 1])
-    grippers = Grippers(Clamp.FRAME, end, expanded[:, :, 0], expanded[:, :, 3], first, last)
-    start = Configuration(x[:, 0].copy(), quaternion_from_matrix(frames), rest_length)
-    return Rollout(start, velocity, grippers, steps, motion.rate)
-
-
-def _fitted_tangents(markers: np.ndarray, rest_length: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """(R, E, 3) tangents of rods whose edges have their lengths, whose ends are where the grippers are, and which are otherwise
-    as near as possible to ``markers`` (R, V, 3); ``first`` (R, 3, 3) is the frame of the first edge.
-
-    A rod that did not end in its gripper would be thrown there within the first time step. Where there is none: as the markers
-    show it.
-    """
-    edges = np.diff(markers, axis=1)
-    tangents = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-    seen = Configuration(markers[:, 0], quaternion_from_matrix(bishop_frames(tangents, first[..., 1])), rest_length)
-    clamps = Clamps(Clamp.TANGENT, Clamp.TANGENT, markers[:, 0], markers[:, -1], first, seen.frames[:, -1])
-    stiff = FIT_STIFFNESS * rest_length.mean() ** 3
-    springs = Springs(markers, np.ones(markers.shape[:2]))
-    found = relax(seen, Material(stiff, stiff, 0.0), clamps, up=(0.0, 0.0, 1.0), precision="f64", external=springs,
-                  external_index=np.arange(len(markers)))
-    return np.where(found.converged[:, None, None], tangent_from_quaternion(found.configuration.quaternions), tangents)
-
-
-def _with_missing(held: np.ndarray, elapsed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """((R, steps, 4, 3) gripper markers at every step, (R, T) step of each frame) from (R, T, 4, 3), the last position held
-    where a recording is shorter: cubics through frames that are missing, with the velocities on either side."""
-    count, frames = held.shape[:2]
-    since = elapsed.copy()
-    since[:, 0] = 0
-    steps = np.cumsum(since, axis=1)
-    total = int(steps[:, -1].max()) + 1
-    result = np.repeat(held[:, -1:], total, axis=1)
-    for r in range(count):
-        result[r, steps[r]] = held[r]
-    for r, t in np.argwhere(since > 1):
-        n = int(since[r, t])
-        here, there = held[r, t - 1], held[r, t]
-        before = (here - held[r, t - 2]) / max(1, since[r, t - 1]) if t > 1 else (there - here) / n
-        after = (held[r, t + 1] - there) / since[r, t + 1] if t + 1 < frames else (there - here) / n
-        u = (np.arange(1, n) / n)[:, None, None]
-        result[r, steps[r, t - 1] + 1 : steps[r, t]] = (
-            (1 + 2 * u) * (1 - u) ** 2 * here + u**2 * (3 - 2 * u) * there
-            + n * (u * (1 - u) ** 2 * before + u**2 * (u - 1) * after))
-    return result, steps

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial import legendre
 
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.theta import MotionTheta, Unknowns, rest_places
 from doo_ti.errors import InputError
 from doo_ti.io.observations import Observations
@@ -30,14 +31,17 @@ class Stills:
     clamps        where frames are given, these; else at the start a frame whose m1 points towards the roll reference, as in
                   recordings, and at the end a tangent
     start         where relaxations begin
+    surroundings  what the rods touch, without friction, with one row for all or one for each
     """
 
     observations: Observations
     clamps: Clamps
     start: Configuration
+    surroundings: Surroundings = Surroundings()
 
     @classmethod
-    def of(cls, observations: Observations, reference: np.ndarray, length: float) -> "Stills":
+    def of(cls, observations: Observations, reference: np.ndarray, length: float,
+           surroundings: Surroundings = Surroundings()) -> "Stills":
         """The stills of a rod of that ``length``, mm. Raises InputError for rods of another length, first edges along the
         reference, and whatever cannot be relaxed."""
         own = float(observations.rest_length.sum())
@@ -48,7 +52,7 @@ class Stills:
             observations = replace(observations, start_frame=_rolled(observations, reference))
         clamps = observation_clamps(observations)
         check_experiment(observations, clamps, 1.0, 0.0)
-        return cls(observations, clamps, start_configuration(observations, clamps))
+        return cls(observations, clamps, start_configuration(observations, clamps), surroundings)
 
     @property
     def count(self) -> int:
@@ -59,7 +63,7 @@ class Stills:
         """F of the D rods under Θ; markers count as weight that is spread evenly."""
         rest = theta.rest_curvature_at(self.observations.rest_length)
         material = Material(theta.bend, theta.bend * theta.twist_ratio, 1.0, rest[None])
-        return relax(self.start, material, self.clamps, up=theta.up, precision="f64")
+        return relax(self.start, material, self.clamps, up=theta.up, precision="f64", **self.surroundings.arguments)
 
     def residuals(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
         """((D, V, 3) mm, zero at marks that were not seen, (D,) whether the rod is at a stable minimum)."""

@@ -13,6 +13,8 @@ from doo_ti.io.files import MOST_TEXT_BYTES, read_content
 from doo_ti.short_repr import short_repr
 from doo_ti.types import LARGEST, Material, unit_up
 
+FRICTION = "friction"
+"""Its name in a file, where one may be left out."""
 FILE_KEYS = {"bend": "bend_mm3", "twist_ratio": "twist_ratio", "bend_damping": "bend_damping_s", "drag": "drag_per_s",
              "quadratic_drag": "quadratic_drag_per_mm", "marker_share": "marker_share"}
 """Numbers of Θ and their names in a file."""
@@ -32,6 +34,7 @@ class MotionTheta:
     rest_length     (E,) mm
     reference       (3,) towards which m1 of the first edge points where a recording begins
     up              (3,) unit vector against gravity
+    friction        coefficient against all obstacles that do not belong to the rod; None: as these state
     """
 
     __repr__ = short_repr
@@ -46,6 +49,7 @@ class MotionTheta:
     rest_length: np.ndarray
     reference: np.ndarray
     up: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    friction: float | None = None
 
     @property
     def rest_curvature(self) -> np.ndarray:
@@ -69,7 +73,7 @@ def save_form(theta: MotionTheta) -> dict:
     return {key: getattr(theta, name) for name, key in FILE_KEYS.items()} | {
         "twist_mm3": theta.bend * theta.twist_ratio, "weight": 1.0, "rest_curvature_modes_per_mm": theta.rest,
         "rest_curvature_per_mm": theta.rest_curvature, "rest_length_mm": theta.rest_length,
-        "roll_reference": theta.reference, "up": theta.up}
+        "roll_reference": theta.reference, "up": theta.up, FRICTION: theta.friction}
 
 
 def load_theta(path: str | Path) -> MotionTheta:
@@ -93,8 +97,9 @@ def load_theta(path: str | Path) -> MotionTheta:
         raise InputError(path, "rest_length_mm", "not the lengths of four edges or more", "give positive lengths in mm")
     if not np.linalg.norm(reference) > 0:
         raise InputError(path, "roll_reference", "no direction", "give three numbers, not all zero")
+    friction = None if content.get(FRICTION) is None else float(_numbers(path, content, FRICTION, ()))
     return MotionTheta(**numbers, rest=modes, rest_length=length, reference=reference,
-                       up=unit_up(_numbers(path, content, "up", (3,)), str(path)))
+                       up=unit_up(_numbers(path, content, "up", (3,)), str(path)), friction=friction)
 
 
 def _numbers(path, content: dict, key: str, shape: tuple, positive: bool = False) -> np.ndarray:
@@ -134,8 +139,10 @@ class Unknowns:
     lower, upper  (P,) bounds of p
     """
 
-    UNITS = {"bend_damping": "s", "drag": "1/s", "quadratic_drag": "1/mm", "marker_share": "", "twist_ratio": ""}
-    SIZES = {"bend_damping": 0.03, "drag": 0.3, "quadratic_drag": 1e-4, "marker_share": 0.3, "twist_ratio": 1.0}
+    UNITS = {"bend_damping": "s", "drag": "1/s", "quadratic_drag": "1/mm", "marker_share": "", "twist_ratio": "",
+             "friction": ""}
+    SIZES = {"bend_damping": 0.03, "drag": 0.3, "quadratic_drag": 1e-4, "marker_share": 0.3, "twist_ratio": 1.0,
+             "friction": 0.3}
     """The change of a parameter for a change of one in its entry of p."""
     CURVATURE = 1e-3
     """The same for the coefficients of the rest curvature, 1/mm."""

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti.dynamics.identify import IdentifyOptions, identify, predicted
+from doo_ti.dynamics.identify import IdentifyOptions, identify
 from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.dynamics.theta import MotionTheta
 from tests.dynamics.recordings import RATE, recorded
@@ -20,7 +20,7 @@ GUESS = replace(TRUE, bend=5e6, twist_ratio=0.7, bend_damping=0.02, drag=0.2, qu
 def rolled_out(rng, count: int, noise: float) -> RecordedMotion:
     """``count`` recordings of 80 frames as the rollout under TRUE has them from their first two frames, with noise."""
     settled = RecordedMotion.of(recorded(rng, TRUE, count, 80, 0.0), RATE)
-    positions, status = predicted(settled, [TRUE], OPTIONS)
+    positions, status = OPTIONS.rollouts(settled, TRUE).predicted([TRUE])
     assert (status == 0).all()
     return RecordedMotion.of(positions[:, 0] + noise * rng.normal(size=positions[:, 0].shape), RATE)
 
@@ -30,7 +30,7 @@ def test_what_was_simulated_is_predicted(rng):
     theta = replace(TRUE, rest=np.zeros((2, 0)))
     motion = RecordedMotion.of(recorded(rng, theta, 4, 80, 0.0), RATE)
     assert motion.glitches() == []
-    positions, status = predicted(motion, [theta], OPTIONS)
+    positions, status = OPTIONS.rollouts(motion, theta).predicted([theta])
     apart = np.abs(positions[:, 0] - motion.positions).max()
     moved = np.abs(motion.positions[:, :, 4] - motion.positions[:, :1, 4]).max()
     print(f"off by {apart:.2f} mm of up to {moved:.0f} mm moved")

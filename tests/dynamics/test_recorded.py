@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from doo_ti.dynamics.recorded import FINE, LARGEST_REACH, LOST, SWAPPED, RecordedMotion, elapsed_steps, rollout
+from doo_ti.dynamics.layout import LARGEST_REACH, lay_out
+from doo_ti.dynamics.recorded import FINE, LOST, SWAPPED, RecordedMotion, elapsed_steps
 from doo_ti.errors import InputError
 from tests.dynamics.recordings import RATE, carried
 
@@ -23,7 +24,7 @@ def test_missing_frames_are_found_and_bridged(rng, speed):
     motion = RecordedMotion.of(shown, RATE)
     np.testing.assert_array_equal(motion.elapsed, expected)
     assert len(motion.glitches()) == 12 and (motion.confused == FINE).all()
-    begun = rollout(motion, motion.edge_lengths(), REFERENCE)
+    begun = lay_out(motion, motion.edge_lengths(), REFERENCE)
     for r in range(12):
         np.testing.assert_array_equal(begun.steps[r], kept[r][1:] - 1)
         steps = kept[r][-1]
@@ -50,7 +51,7 @@ def test_swapped_markers_are_changed_back(rng):
     np.testing.assert_array_equal(motion.confused, expected)
     assert (motion.elapsed == 1).all() and len(motion.glitches()) == 3
     lengths = np.full(7, 40.0)
-    mended, clean = (rollout(m, lengths, REFERENCE) for m in (motion, RecordedMotion.of(whole, RATE)))
+    mended, clean = (lay_out(m, lengths, REFERENCE) for m in (motion, RecordedMotion.of(whole, RATE)))
     for name in ("start_position", "end_position", "start_frame", "end_frame"):
         np.testing.assert_allclose(getattr(mended.grippers, name), getattr(clean.grippers, name), atol=1e-9)
     np.testing.assert_allclose(mended.start.vertices, clean.start.vertices, atol=1e-9)
@@ -64,7 +65,7 @@ def test_lost_markers_are_taken_from_the_frames_around(rng):
     shown[0, 40:46, 1] = whole[0, 40:46, 0] + across
     motion = RecordedMotion.of(shown, RATE)
     assert (motion.confused[0, 40:46, 0] == LOST).all() and np.sum(motion.confused != FINE) == 6
-    begun = rollout(motion, np.full(7, 40.0), REFERENCE)
+    begun = lay_out(motion, np.full(7, 40.0), REFERENCE)
     assert np.abs(begun.grippers.start_position[0] - whole[0, 1:, 0]).max() < 2.0
     edge = whole[0, 1:, 1] - whole[0, 1:, 0]
     along = np.sum(begun.grippers.start_frame[0, :, :, 0] * edge, axis=-1) / np.linalg.norm(edge, axis=-1)
@@ -78,7 +79,7 @@ def test_grippers_stay_within_reach(rng):
     away = np.where((np.arange(60) >= 25) & (np.arange(60) < 31), 60.0, 0.0)
     shown[0, :, -2:] += (away[:, None] * chord / np.linalg.norm(chord, axis=-1, keepdims=True))[:, None]
     lengths = np.full(7, 40.0)
-    held = rollout(RecordedMotion.of(shown, RATE), lengths, REFERENCE).grippers
+    held = lay_out(RecordedMotion.of(shown, RATE), lengths, REFERENCE).grippers
     first, last = held.start_frame[0, :, :, 0] * 40.0, held.end_frame[0, :, :, 0] * 40.0
     span = np.linalg.norm(held.end_position[0] - last - held.start_position[0] - first, axis=-1)
     assert span.max() <= LARGEST_REACH * 200.0 * (1 + 1e-12)

@@ -84,6 +84,8 @@ def _recipes() -> tuple[Recipe, ...]:
         ("simulate recorded.npz --theta theta.json --out out/F.npz --json", 4),
         ("simulate recorded.npz --theta theta.json --out out/F.npz --substeps 2 --scheme euler --fill-gaps", 1),
         ("identify recorded.npz --modes 1 --bend 1e6 --out out/F.json", 1),
+        ("identify recorded.npz --modes 0 --fit friction --bend 1e6 --smoothing 3 --obstacles table.toml --radius 1 "
+         "--out out/F.json", 0.5),
         ("identify recorded.npz recorded.npz --modes 0 --fit drag --folds 2 --out out/F.json --json", 0.5),
         ("relax rods.npz --theta theta.json --out out/F.npz", 1),
         (f"twist rods.npz {MADE_OF} --out out/F.npz --picture out/F.png", 0.5),

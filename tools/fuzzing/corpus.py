@@ -7,6 +7,7 @@ groups.npz pairs.csv offsets.npz .csv      what goes with them
 path.npz path.csv marks_path.npz           motions
 tied.toml                                  a scene of a group
 swing.toml recorded.npz theta.json         rods in motion: a scene, a recording of two rods, what identify makes of it
+table.toml                                 an obstacle
 run dynamic_run ribbon_run                 folders of finished sweeps
 rig.yaml images/ frames.csv lengths.txt .npz   cameras, sets of images with SETS.csv and truth, a video, a rod
 marks.csv labels.csv                       labelled marks
@@ -78,6 +79,12 @@ weld = true
 kind = "plane"
 point = [0, 0, -30]
 normal = [0, 0, 1]
+"""
+TABLE = """[[obstacles]]
+kind = "plane"
+point = [0, 0, -60]
+normal = [0, 0, 1]
+friction = 0.2
 """
 SWING = """rate_hz = 50
 duration_s = 0.1
@@ -199,6 +206,7 @@ def _moving() -> None:
     noise = np.random.default_rng(SEED).normal(0, 0.02, (2, *positions.shape[1:]))
     np.savez("recorded.npz", positions_mm=positions + noise, rate_hz=50.0, recording=np.array(["a", "b"]))
     _command("identify", "recorded.npz", "--modes", "1", "--bend", "1e6", "--out", "theta.json")
+    Path("table.toml").write_text(TABLE)
 
 
 def _images() -> None:

@@ -1,0 +1,199 @@
+"""Θ and friction from recordings of rods that are moved about on a table."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doo_ti.cli import main
+from doo_ti.contact.moving import Moving
+from doo_ti.contact.obstacles import Plane
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.dynamics.grippers import Grippers
+from doo_ti.dynamics.identify import IdentifyOptions, identify, identify_from_guesses
+from doo_ti.dynamics.parameters import Stepping
+from doo_ti.dynamics.recorded import RecordedMotion
+from doo_ti.dynamics.rollouts import Nearby
+from doo_ti.dynamics.simulate import simulate
+from doo_ti.dynamics.stills import Stills
+from doo_ti.dynamics.theta import MotionTheta, Unknowns, load_theta, save_form, simulated
+from doo_ti.errors import InputError
+from doo_ti.frames import bishop_frames, quaternion_from_matrix, rotation_matrix
+from doo_ti.io.observations import Observations
+from doo_ti.types import Clamp, Configuration
+
+RATE, COUNT, FRAMES, SETTLING = 100.0, 6, 150, 60
+RADIUS, HEIGHT, EDGE, EDGES = 4.0, 12.0, 40.0, 12  # mm
+TABLE = Plane((0, 0, 0), (0, 0, 1))
+TRUE = MotionTheta(
+    bend=2e6, twist_ratio=1.0, bend_damping=0.03, drag=0.3, quadratic_drag=1e-4, marker_share=0.0, rest=np.zeros((2, 0)),
+    rest_length=np.full(EDGES, EDGE), reference=np.array([0.0, 0.0, 1.0]), friction=0.35)
+OPTIONS = IdentifyOptions(modes=0, fitted=("bend_damping", "friction"), surroundings=Surroundings([TABLE], RADIUS))
+AS_RECORDED = replace(OPTIONS, smoothing=1)
+GUESS = replace(TRUE, bend=4e6, bend_damping=0.01, friction=0.6)
+
+
+def swings(rng, size: float, axes: int) -> np.ndarray:
+    """(COUNT, SETTLING + FRAMES, axes) ways that grow out of rest within half a second."""
+    times = np.maximum(np.arange(SETTLING + FRAMES) - SETTLING, 0)[:, None] / RATE
+    ramp = (times / 0.3) ** 2 / (1.0 + (times / 0.3) ** 2)
+    rates, phases, sizes = (rng.uniform(low, high, (COUNT, 1, axes)) for low, high in ((2, 6), (0, 6), (-size, size)))
+    return ramp * sizes * np.sin(rates * times + phases)
+
+
+def recorded(rng) -> RecordedMotion:
+    """Arcs whose ends are held just above the table, and carried about."""
+    bent = rng.uniform(0.9, 1.5, (COUNT, 1)) * rng.choice([-1.0, 1.0], (COUNT, 1)) * np.linspace(-1.0, 1.0, EDGES)
+    bent[:, [0, -1]] = bent[:, [1, -2]]
+    tangents = np.stack([np.cos(bent), np.sin(bent), 0.0 * bent], axis=-1)
+    up = np.broadcast_to(TRUE.reference, (COUNT, 3))
+    frames = bishop_frames(tangents, up)
+    start = Configuration(HEIGHT * up, quaternion_from_matrix(frames), TRUE.rest_length)
+    together, ways = np.pad(swings(rng, 100.0, 2), ((0, 0), (0, 0), (0, 1))), []
+    for end in (0, -1):
+        apart = np.pad(swings(rng, 15.0, 2), ((0, 0), (0, 0), (0, 1)))
+        turn = rotation_matrix(swings(rng, 0.5, 1) * TRUE.reference)
+        ways += [start.vertices[:, None, end] + together + apart, turn @ frames[:, None, end]]
+    material, dynamics = simulated([TRUE])
+    grippers = Grippers(Clamp.FRAME, Clamp.FRAME, ways[0], ways[2], ways[1], ways[3])
+    found = simulate(start, material, grippers, dynamics, Stepping(RATE), obstacles=[TABLE.rubbing(TRUE.friction)],
+                     radius=RADIUS)
+    assert found.converged.all()
+    slid = np.linalg.norm(found.positions[:, -1, 6] - found.positions[:, SETTLING, 6], axis=-1)
+    print(f"the middles slide by {slid.min():.0f} to {slid.max():.0f} mm")
+    motion = RecordedMotion.of(found.positions[:, SETTLING - 1 :], RATE)
+    # As they move from where their first two frames show them.
+    positions, status = AS_RECORDED.rollouts(motion, TRUE).predicted([TRUE])
+    assert (status == 0).all() and np.abs(positions[:, 0] - motion.positions).max() < 0.2
+    return RecordedMotion.of(positions[:, 0], RATE)
+
+
+@pytest.fixture(scope="module")
+def motion() -> RecordedMotion:
+    return recorded(np.random.default_rng(2011))
+
+
+def test_friction_and_stiffness_are_found(motion):
+    found = identify(motion, GUESS, AS_RECORDED)
+    off = [getattr(found.theta, name) / getattr(TRUE, name) - 1 for name in ("bend", "bend_damping", "friction")]
+    print("off by {:+.2%} in bend, {:+.2%} in damping, {:+.2%} in friction".format(*off), f"{found.iterations} iterations, "
+          f"markers by {found.error.max():.1e} mm")
+    assert not found.failed.any() and np.abs(off).max() < 1e-3 and found.error.max() < 1e-3
+
+
+def test_friction_and_stiffness_are_found_in_noise(motion, rng):
+    """0.3 mm at every marker, those of the grippers included, whose noise shakes the rod loose unless it is smoothed."""
+    noisy = RecordedMotion.of(motion.positions + 0.3 * rng.normal(size=motion.positions.shape), RATE)
+    found = identify_from_guesses(noisy, OPTIONS)
+    rows = {row["name"]: row for row in found.parameters()}
+    for name, off in (("bend", 0.05), ("bend_damping", 0.1), ("friction", 0.05)):
+        row = rows[name]
+        print(f"{name} {row['value']:.4g} [{row['low']:.4g}, {row['high']:.4g}], {getattr(TRUE, name):.4g} in truth")
+        assert row["value"] == pytest.approx(getattr(TRUE, name), rel=off)
+    shaken = identify_from_guesses(noisy, AS_RECORDED)
+    print(f"friction as recorded: {shaken.theta.friction:.3f}")
+    assert abs(found.theta.friction - TRUE.friction) < abs(shaken.theta.friction - TRUE.friction)
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth(rng):
+    """Of ten sets of six recordings, with 0.3 mm at every marker."""
+    inside, off = [], []
+    for _ in range(10):
+        motion = recorded(rng)
+        motion = RecordedMotion.of(motion.positions + 0.3 * rng.normal(size=motion.positions.shape), RATE)
+        rows = {row["name"]: row for row in identify_from_guesses(motion, OPTIONS).parameters()}
+        truth = {name: getattr(TRUE, name) for name in ("bend", "friction")}
+        inside.append([(rows[name]["low"] or 0.0) <= truth[name] <= rows[name]["high"] for name in truth])
+        off.append([rows[name]["value"] / truth[name] - 1.0 for name in truth])
+    largest = np.abs(off).max(axis=0)
+    print(f"{np.mean(inside):.0%} of the intervals contain the truth; off by at most {largest[0]:.1%} in bend, "
+          f"{largest[1]:.1%} in friction, {np.median(np.abs(off)):.1%} in the median")
+    assert np.mean(inside) > 0.7 and (largest < 0.15).all()
+
+
+def test_differences_of_rollouts_are_those_of_any_step(motion):
+    """Ten times the step gives the same slopes, but where contacts begin."""
+    fitted = Unknowns(TRUE, 0, OPTIONS.fitted)
+    rollouts, p = OPTIONS.rollouts(motion.until(60), TRUE), fitted.vector(TRUE)
+    slopes = []
+    for step in (5e-3, 5e-2):
+        nearby = [along(fitted, p, entry, step) for entry in range(len(p))]
+        positions, found, status = rollouts.differentiated(TRUE, nearby)
+        assert (status == 0).all() and positions.shape == found[:, 0].shape
+        slopes.append(found)
+    square = [np.sum(value**2, axis=(0, 2, 3, 4)) for value in (slopes[0] - slopes[1], slopes[0])]
+    off = np.sqrt(square[0] / square[1])
+    print("slopes differ by", off)
+    assert (off < 0.1).all()
+
+
+def along(fitted: Unknowns, p: np.ndarray, entry: int, step: float) -> Nearby:
+    """The direction of one entry of p, over twice the step."""
+    away = step * np.eye(len(p))[entry]
+    return Nearby(fitted.theta(p - away), fitted.theta(p + away), 2 * step)
+
+
+def test_still_frames_lie_on_the_table(motion):
+    """Their derivatives are differences, with the contacts that bear a force."""
+    seen = Observations(motion.positions[:3, 0], rest_length=TRUE.rest_length)
+    stills = Stills.of(seen, TRUE.reference, TRUE.rest_length.sum(), OPTIONS.surroundings)
+    unknowns = Unknowns(TRUE, 1, ())
+    solution = stills.rested(TRUE)
+    assert (solution.contact.force[..., 2] > 0).any(axis=1).all() and stills.residuals(solution)[1].all()
+    slopes, p = stills.slopes(TRUE, solution, unknowns), unknowns.vector(TRUE)
+    for k in range(len(p)):
+        step = 1e-4 * np.eye(len(p))[k]
+        ahead, behind = (stills.residuals(stills.rested(unknowns.theta(q)))[0] for q in (p + step, p - step))
+        difference = (ahead - behind) / 2e-4
+        assert np.abs(slopes[:, k] - difference).max() < 0.02 * np.abs(difference).max() + 1e-3, unknowns.names[k]
+
+
+def test_what_cannot_be_is_one_line(motion):
+    with pytest.raises(InputError, match="friction without obstacles"):
+        IdentifyOptions(fitted=("friction",))
+    with pytest.raises(InputError, match="obstacles that rest"):
+        IdentifyOptions(surroundings=Surroundings([Moving(TABLE, np.zeros((4, 3)))], RADIUS))
+    with pytest.raises(InputError, match="odd number"):
+        IdentifyOptions(smoothing=4)
+    with pytest.raises(InputError, match="no friction"):
+        identify(motion, replace(GUESS, friction=None), OPTIONS)
+    high = replace(OPTIONS, surroundings=Surroundings([Plane((0, 0, 8.5), (0, 0, 1))], RADIUS))
+    with pytest.raises(InputError, match=r"hold the rod up to 0\.5\d* mm inside"):
+        identify(motion, GUESS, high)
+
+
+def test_commands_take_the_table_and_the_friction(motion, tmp_path, capsys):
+    np.savez(tmp_path / "dragged.npz", positions_mm=motion.positions, rate_hz=RATE)
+    (tmp_path / "table.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n')
+    among = ["--obstacles", str(tmp_path / "table.toml"), "--radius", str(RADIUS)]
+    source, out = str(tmp_path / "dragged.npz"), tmp_path / "theta.json"
+    fit = ["identify", source, "--modes", "0", "--fit", "bend_damping,friction", "--out", str(out)]
+    assert main([*fit, "--smoothing", "1", "--picture", str(tmp_path / "fit.png"), *among]) == 0
+    assert "friction        0.3" in capsys.readouterr().out and (tmp_path / "fit.png").exists()
+    assert load_theta(out).friction == pytest.approx(TRUE.friction, rel=0.02)
+
+    def error(theta) -> float:
+        other, made = tmp_path / "other.json", tmp_path / "f.npz"
+        other.write_text(json.dumps(theta))
+        assert main(["simulate", source, "--theta", str(other), "--out", str(made), *among]) == 0
+        return float(np.load(made)["error_mm"].mean())
+
+    written = json.loads(out.read_text())
+    without = {key: value for key, value in written.items() if key != "friction"}
+    assert error(written) < 0.1 < error(written | {"friction": 0.1}) < error(without)
+    for more in (fit, [*fit, *among, "--smoothing", "4"], [*fit, *among[:2], "--radius", "20"]):
+        capsys.readouterr()
+        assert main(more) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_theta_keeps_its_friction(tmp_path):
+    for theta in (TRUE, replace(TRUE, friction=None)):
+        form = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in save_form(theta).items()}
+        (tmp_path / "theta.json").write_text(json.dumps(form))
+        assert load_theta(tmp_path / "theta.json").friction == theta.friction
+    (tmp_path / "theta.json").write_text(json.dumps(form | {"friction": -0.1}))
+    with pytest.raises(InputError, match="friction"):
+        load_theta(tmp_path / "theta.json")
