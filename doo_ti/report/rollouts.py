@@ -12,13 +12,19 @@ MOST_RODS = 6
 """In a picture, those of the largest, the median and the smallest errors."""
 STILLS = 9
 """Positions of a rod in a picture."""
+FLAT = 3.0
+"""Of what is seen from above: the depth of a view from the side over its height."""
 ANIMATED, FRAMES_PER_SECOND, MOST_FRAMES = 8, 25, 250
 RECORDED, PREDICTED = "#9a9a9a", "#c2410c"
 
 
-def _side_view(rods: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """(2, 3) horizontal and vertical direction of the view."""
-    return upright_basis(rods.reshape(len(rods), -1, 3), up)[[0, 2]]
+def _view(rods: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, str]:
+    """(2, 3) directions of a picture of (R, T, V, 3) rods, and from where that is: from the side or, if they are flat, as on a
+    table, from above."""
+    places = rods.reshape(len(rods), -1, 3)
+    basis = upright_basis(places, up)
+    _, depth, height = np.nanstd((places - np.nanmean(places, axis=1, keepdims=True)) @ basis.T, axis=(0, 1))
+    return (basis[[0, 1]], "from above") if depth > FLAT * height else (basis[[0, 2]], "from the side")
 
 
 def chosen(positions: np.ndarray, recorded: np.ndarray | None, most: int) -> np.ndarray:
@@ -44,7 +50,7 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
     heights = [1.0] * lines + [0.75] * plots
     grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
     shown = positions[rows]
-    axes = _side_view(shown if recorded is None else recorded[rows], up)
+    axes, view = _view(shown if recorded is None else recorded[rows], up)
     frames = np.linspace(0, positions.shape[1] - 1, min(STILLS, positions.shape[1])).round().astype(int)
     for k, row in enumerate(rows):
         plot = figure.add_subplot(grid[k // columns, k % columns])
@@ -66,7 +72,7 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
         first = {name: value[rows[0]] for name, value in energies.items()}
         _draw_energies(figure.add_subplot(grid[-1, :]), time, first, names[rows[0]])
     last = (positions.shape[1] - 1) / rate
-    title = f"{name}: {len(frames)} of {positions.shape[1]} frames from 0 to {last:.3g} s, seen from the side"
+    title = f"{name}: {len(frames)} of {positions.shape[1]} frames from 0 to {last:.3g} s, seen {view}"
     figure.suptitle(literal(title) + ("" if touched is None else f"\nblue: {touched.legend}, at the end"), fontsize=10)
     fit_titles(figure)
     figure.savefig(path, dpi=PICTURE_DPI, metadata={"Software": None})
@@ -112,7 +118,7 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
     from PIL import Image
 
     rows = chosen(positions, recorded, ANIMATED)
-    axes = _side_view(positions[rows], up)
+    axes, _ = _view(positions[rows], up)
     every = max(1, round(rate / FRAMES_PER_SECOND), -(-positions.shape[1] // MOST_FRAMES))
     frames = range(0, positions.shape[1], every)
     flat = positions[rows] @ axes.T

@@ -1,0 +1,20 @@
+"""From where rods in motion are shown."""
+
+import numpy as np
+import pytest
+
+from doo_ti.report.rollouts import save_rollout
+
+
+@pytest.mark.parametrize(("height", "view"), [(2.0, "from above"), (60.0, "from the side")])
+@pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, 1.0, 0.0)])
+def test_flat_rods_are_shown_from_above(tmp_path, monkeypatch, height, view, up):
+    shown = []
+    monkeypatch.setattr("doo_ti.report.rollouts.literal", lambda text: shown.append(text) or text)
+    s = np.linspace(0, np.pi, 12)
+    shifts = np.linspace(0, 20, 5)[None, :, None]
+    across = 60 * np.sin(s) + shifts
+    curve = np.stack([100 * np.cos(s) + 0 * shifts, across, height * np.sin(3 * s) + 0 * shifts], axis=-1)
+    rods = curve if up[2] else curve[..., [0, 2, 1]]
+    save_rollout(tmp_path / "f.png", "rods", ["a"], rods, None, 10.0, np.array(up))
+    assert any(f"seen {view}" in text for text in shown)
