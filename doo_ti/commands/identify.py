@@ -19,7 +19,8 @@ FITTED = ("bend_damping", "drag", "quadratic_drag", "twist_ratio", "marker_share
 def declare(add) -> None:
     parser = given.command(add, "identify", run, "learn bend stiffness, damping, drag and rest curvature from recorded motion")
     parser.add_argument("motions", nargs="+", metavar="MOTION",
-                        help=f"recorded markers of one rod: {loading.RECORDINGS}; the first and last edges are the grippers")
+                        help=f"recorded markers of one rod: {loading.RECORDINGS}; the first and last edges are the grippers, "
+                        "or with --free-end the first")
     parser.add_argument("--out", required=True, metavar="THETA.json", help="file to write")
     parser.add_argument("--still", nargs="+", default=[], metavar="OBS",
                         help="also observations of the same rod at rest: .npz, .csv or .parquet, marked from the same end")

@@ -54,6 +54,7 @@ def add_recordings(parser: ArgumentParser, default_up: str) -> None:
     given.add_up(group, default_up)
     group.add_argument("--fill-gaps", action="store_true",
                        help="take markers that were not seen from lines between the frames around")
+    parser.add_argument("--free-end", action="store_true", help="no gripper holds the last edge of a recording")
     parser.add_argument("--smoothing", metavar="FRAMES", help="odd number of frames through which parabolas are fitted for the "
                         "start and the grippers; 1: as recorded (default: 1, among obstacles those of 0.09 s)")
 
@@ -79,7 +80,7 @@ def recordings(options: Namespace, sources: list[str]) -> list["RecordedMotion"]
     from doo_ti.dynamics.recorded import RecordedMotion
 
     rate, named = given.positive("--rate", options.rate, "frames per second"), columns(options)
-    return [RecordedMotion.load(path, options.fill_gaps, options.unit, named, rate) for path in sources]
+    return [RecordedMotion.load(path, options.fill_gaps, options.unit, named, rate, options.free_end) for path in sources]
 
 
 def columns(options: Namespace) -> dict[str, str] | list[str] | None:

@@ -150,7 +150,7 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
     from doo_ti.dynamics.simulate import simulate
     from doo_ti.relaxation.relax import relax
 
-    for name in ("theta", "fill_gaps", "rate", "smoothing", *loading.OF_FILES):
+    for name in ("theta", "fill_gaps", "rate", "smoothing", "free_end", *loading.OF_FILES):
         if getattr(options, name):
             raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", "given, but a scene has its own rods", "leave it out")
     scene = load_dynamic_scene(options.source)

@@ -45,7 +45,7 @@ class IdentifyOptions:
     substeps      time steps between frames
     scheme        of :func:`.simulate`
     iterations    most of each fit
-    end           what the far gripper holds
+    end           what the far gripper holds, where the recordings have one
     surroundings  what the rods touch, with one row for all recordings or one for each; nothing that moves
     smoothing     odd number of frames through which parabolas are fitted for the start and the grippers; 1: as recorded; None:
                   among obstacles those of 0.09 s, else 1
@@ -196,13 +196,13 @@ class _Fit:
 
     def __init__(self, motion: RecordedMotion, unknowns: Unknowns, options: IdentifyOptions, stills: Sequence[Stills] = ()):
         self.motion, self.unknowns, self.options, self.stills = motion, unknowns, options, stills
-        self.seen = motion.positions[:, 2:, 2:-2]
+        self.seen = motion.positions[:, 2:, motion.predicted]
         self.rollouts = options.rollouts(motion, unknowns.begin)
 
     def residuals(self, vectors) -> tuple[np.ndarray, np.ndarray]:
-        """((R, G, T − 2, V − 4, 3) mm, (R, G, T) status) under each p."""
+        """((R, G, T − 2, W, 3) mm of the W vertices that are predicted, (R, G, T) status) under each p."""
         positions, status = self.rollouts.predicted([self.unknowns.theta(p) for p in vectors])
-        return positions[:, :, 2:, 2:-2] - self.seen[:, None], status
+        return positions[:, :, 2:, self.motion.predicted] - self.seen[:, None], status
 
     def linearised(self, p):
         """(residuals (R, …) at p, their slopes (R, P, …), status (R, T − 2))."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.dynamics.grippers import Grippers
-from doo_ti.dynamics.recorded import GRIPPED, LOST, SWAPPED, RecordedMotion
+from doo_ti.dynamics.recorded import LOST, SWAPPED, RecordedMotion
 from doo_ti.errors import InputError, require_whole
 from doo_ti.frames import bishop_frames, edge_frames, quaternion_from_matrix, tangent_from_quaternion
 from doo_ti.relaxation.external import Springs
@@ -19,10 +19,10 @@ FIT_STIFFNESS = 0.01
 
 
 def _believable(held: np.ndarray, confused: np.ndarray, elapsed: np.ndarray) -> np.ndarray:
-    """Gripper markers (R, T, 4, 3), changed back where ``confused`` (R, T, 2) says they are swapped, and on lines between the
-    frames around where they are lost."""
+    """Gripper markers (R, T, 4, 3), or of one gripper, changed back where ``confused`` (R, T, 2) says they are swapped, and on
+    lines between the frames around where they are lost."""
     result, instants = held.copy(), np.cumsum(elapsed, axis=1)
-    for end in range(2):
+    for end in range(held.shape[2] // 2):
         pair = slice(2 * end, 2 * end + 2)
         swapped = confused[:, :, end] == SWAPPED
         result[swapped, pair] = held[swapped, pair][:, ::-1]
@@ -77,11 +77,12 @@ class Layout:
 
     @property
     def held(self) -> np.ndarray:
-        """(R, 4 · steps, 3) mm: where the grippers hold the ends of the first and the last edge."""
+        """(R, 2 · steps, 3) mm, or twice as many: where the grippers hold the ends of the first and the last edge."""
         grippers, lengths = self.grippers, self.start.rest_length
-        first, last = grippers.start_frame[..., 0], grippers.end_frame[..., 0]
-        return np.concatenate([grippers.start_position, grippers.start_position + lengths[0] * first,
-                               grippers.end_position, grippers.end_position - lengths[-1] * last], axis=1)
+        places = [grippers.start_position, grippers.start_position + lengths[0] * grippers.start_frame[..., 0]]
+        if grippers.end != Clamp.FREE:
+            places += [grippers.end_position, grippers.end_position - lengths[-1] * grippers.end_frame[..., 0]]
+        return np.concatenate(places, axis=1)
 
 
 def roll_reference(motion: RecordedMotion) -> np.ndarray:
@@ -97,23 +98,25 @@ def lay_out(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarr
 
     rest_length  (E,) mm
     reference    (3,) direction towards which m1 of the first edge points at frame 1
-    end          what the far gripper holds
+    end          what the far gripper holds, if there is one
     smoothing    odd number of frames through which parabolas are fitted for the start and the grippers; 1: as recorded
     """
-    believed = _believable(motion.positions[:, :, GRIPPED], motion.confused, motion.elapsed)
-    held = _within_reach(believed[:, 1:], rest_length)
+    end = Clamp.FREE if motion.free_end else end
+    believed = _believable(motion.positions[:, :, motion.gripped], motion.confused, motion.elapsed)
+    held = believed[:, 1:] if motion.free_end else _within_reach(believed[:, 1:], rest_length)
     expanded, steps = _with_missing(held, motion.elapsed[:, 1:])
     if smoothing > 1:
         expanded = _smoothed(expanded, smoothing)
     first = edge_frames(expanded[:, :, 1] - expanded[:, :, 0], np.broadcast_to(reference, (motion.count, 3)))
     whole = motion.positions.copy()
-    whole[:, :, GRIPPED] = believed
+    whole[:, :, motion.gripped] = believed
     x, velocity = _first_state(whole, motion.elapsed, motion.rate, smoothing)
-    x[:, GRIPPED] = expanded[:, 0]
+    x[:, motion.gripped] = expanded[:, 0]
     # Without twist at the start.
-    frames = bishop_frames(_fitted_tangents(x, rest_length, first[:, 0]), first[:, 0, :, 1])
-    last = edge_frames(expanded[:, :, 3] - expanded[:, :, 2], frames[:, -1, :, 1])
-    grippers = Grippers(Clamp.FRAME, end, expanded[:, :, 0], expanded[:, :, 3], first, last)
+    frames = bishop_frames(_fitted_tangents(x, rest_length, first[:, 0], motion.free_end), first[:, 0, :, 1])
+    # Of an end that is free anything.
+    last = first if motion.free_end else edge_frames(expanded[:, :, 3] - expanded[:, :, 2], frames[:, -1, :, 1])
+    grippers = Grippers(Clamp.FRAME, end, expanded[:, :, 0], expanded[:, :, -1], first, last)
     start = Configuration(x[:, 0].copy(), quaternion_from_matrix(frames), rest_length)
     return Layout(start, velocity, 0.5 / motion.rate if smoothing == 1 else 0.0, grippers, steps, motion.rate, smoothing)
 
@@ -137,7 +140,7 @@ def _smoothed(path: np.ndarray, frames: int) -> np.ndarray:
     return savgol_filter(path, width, 2, axis=1) if width > 2 else path
 
 
-def _fitted_tangents(markers: np.ndarray, rest_length: np.ndarray, first: np.ndarray) -> np.ndarray:
+def _fitted_tangents(markers: np.ndarray, rest_length: np.ndarray, first: np.ndarray, free_end: bool) -> np.ndarray:
     """(R, E, 3) tangents of rods whose edges have their lengths, whose ends are where the grippers are, and which are otherwise
     as near as possible to ``markers`` (R, V, 3); ``first`` (R, 3, 3) is the frame of the first edge.
 
@@ -147,7 +150,8 @@ def _fitted_tangents(markers: np.ndarray, rest_length: np.ndarray, first: np.nda
     edges = np.diff(markers, axis=1)
     tangents = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
     seen = Configuration(markers[:, 0], quaternion_from_matrix(bishop_frames(tangents, first[..., 1])), rest_length)
-    clamps = Clamps(Clamp.TANGENT, Clamp.TANGENT, markers[:, 0], markers[:, -1], first, seen.frames[:, -1])
+    end = Clamp.FREE if free_end else Clamp.TANGENT
+    clamps = Clamps(Clamp.TANGENT, end, markers[:, 0], markers[:, -1], first, seen.frames[:, -1])
     stiff = FIT_STIFFNESS * rest_length.mean() ** 3
     springs = Springs(markers, np.ones(markers.shape[:2]))
     found = relax(seen, Material(stiff, stiff, 0.0), clamps, up=(0.0, 0.0, 1.0), precision="f64", external=springs,

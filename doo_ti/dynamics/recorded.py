@@ -1,4 +1,4 @@
-"""Recorded motion: markers along rods held by grippers: where a simulation starts, and what it is compared with."""
+"""Recorded motion: markers along rods held by grippers, and what is wrong with them (docs/dynamics.md)."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,14 +27,14 @@ MOST_CONFUSED = 50
 MOST_MM = 1e6
 """From the origin."""
 GRIPPED = (0, 1, -2, -1)
-"""Vertices of the first and last edge."""
+"""Vertices of the first and last edge: where the end is free, the first two of them."""
 
 
 @dataclass(frozen=True)
 class RecordedMotion:
     """R rods of V markers at T frames.
 
-    positions  (R, T, V, 3) mm; the first and last edges are held by grippers
+    positions  (R, T, V, 3) mm; the first and last edges are held by grippers, or the first alone
     rate       frames per second
     names      (R,) of the recordings
     elapsed    (R, T) steps of 1/rate since the frame before: more than one where frames are missing from the recording
@@ -42,6 +42,7 @@ class RecordedMotion:
                frames around, from which the gripper is then taken
     alone      the one recording came without an axis for several
     up         (3,) direction against gravity that the file states, or None
+    free_end   no gripper holds the last edge
 
     Raises InputError for shapes that do not fit and numbers that are not finite.
     """
@@ -55,10 +56,11 @@ class RecordedMotion:
     confused: np.ndarray
     alone: bool = False
     up: np.ndarray | None = None
+    free_end: bool = False
 
     @classmethod
-    def of(cls, positions: ArrayLike, rate: float, names: Iterable[object] | None = None,
-           source: str = "motion") -> "RecordedMotion":
+    def of(cls, positions: ArrayLike, rate: float, names: Iterable[object] | None = None, source: str = "motion",
+           free_end: bool = False) -> "RecordedMotion":
         """With ``elapsed`` found from how the grippers move."""
         positions = np.asarray(positions, dtype=np.float64)
         alone = positions.ndim == 3
@@ -76,11 +78,15 @@ class RecordedMotion:
         if (np.abs(positions) > MOST_MM).any():
             raise InputError(source, "positions_mm", f"up to {np.abs(positions).max():.3g} mm from the origin", "give mm")
         names = tuple(str(k) for k in (range(len(positions)) if names is None else names))
-        return cls(positions, float(rate), names, elapsed_steps(positions), confused_frames(positions), alone)
+        held = GRIPPED[: 2 if free_end else 4]
+        confused = confused_frames(positions)
+        confused[:, :, len(held) // 2 :] = FINE
+        return cls(positions, float(rate), names, elapsed_steps(positions[:, :, held]), confused, alone, free_end=free_end)
 
     @classmethod
     def load(cls, path: str | Path, fill_gaps: bool = False, unit: str | None = None,
-             columns: Mapping[str, str] | Sequence[str] | None = None, rate: float | None = None) -> "RecordedMotion":
+             columns: Mapping[str, str] | Sequence[str] | None = None, rate: float | None = None,
+             free_end: bool = False) -> "RecordedMotion":
         """The recordings of a file (:mod:`doo_ti.io.motion_recording`): npz, motion capture, the public cable data.
 
         fill_gaps             positions that are not finite are taken from lines between the frames around
@@ -92,7 +98,7 @@ class RecordedMotion:
         positions = found.positions
         if fill_gaps and positions.ndim in (3, 4):
             positions = _filled(positions if positions.ndim == 4 else positions[None], path).reshape(positions.shape)
-        return replace(cls.of(positions, found.rate, found.names, str(path)), up=found.up)
+        return replace(cls.of(positions, found.rate, found.names, str(path), free_end), up=found.up)
 
     @classmethod
     def together(cls, parts: list["RecordedMotion"], sources: list[str]) -> "RecordedMotion":
@@ -111,7 +117,8 @@ class RecordedMotion:
         names = tuple(f"{Path(source).stem} {name}" if several else name
                       for part, source in zip(parts, sources, strict=True) for name in part.names)
         return cls(np.concatenate([part.positions for part in cut]), first.rate, names,
-                   np.concatenate([part.elapsed for part in cut]), np.concatenate([part.confused for part in cut]), up=first.up)
+                   np.concatenate([part.elapsed for part in cut]), np.concatenate([part.confused for part in cut]), up=first.up,
+                   free_end=first.free_end)
 
     @property
     def count(self) -> int:
@@ -123,11 +130,22 @@ class RecordedMotion:
         """E."""
         return self.positions.shape[2] - 1
 
+    @property
+    def gripped(self) -> tuple[int, ...]:
+        """The vertices that grippers hold."""
+        return GRIPPED[: 2 if self.free_end else 4]
+
+    @property
+    def predicted(self) -> slice:
+        """The other vertices."""
+        return slice(2, None if self.free_end else -2)
+
     def take(self, rows: Rows) -> "RecordedMotion":
         """The recordings named by ``rows``."""
         rows = np.atleast_1d(rows)
-        return RecordedMotion(self.positions[rows], self.rate, tuple(np.array(self.names)[rows]), self.elapsed[rows],
-                              self.confused[rows], up=self.up)
+        names = tuple(np.array(self.names)[rows])
+        return replace(self, positions=self.positions[rows], names=names, elapsed=self.elapsed[rows],
+                       confused=self.confused[rows], alone=False)
 
     def until(self, frames: int) -> "RecordedMotion":
         """The first ``frames`` frames."""
@@ -162,13 +180,13 @@ def _filled(positions: np.ndarray, path: str | Path) -> np.ndarray:
     return result
 
 
-def elapsed_steps(positions: np.ndarray) -> np.ndarray:
-    """(R, T) steps since the frame before, from (R, T, V, 3) positions.
+def elapsed_steps(held: np.ndarray) -> np.ndarray:
+    """(R, T) steps since the frame before, from the positions of gripper markers (R, T, 4, 3), or of one gripper.
 
     A capture that loses frames leaves a jump: all markers of the grippers move by the same multiple n of what they do in the
-    frames around, in the same directions. With moves d of the four and the median u of their moves around, n = Σ d·u / Σ u·u.
+    frames around, in the same directions. With moves d of all and the median u of their moves around, n = Σ d·u / Σ u·u.
     """
-    moves = np.diff(positions[:, :, GRIPPED], axis=1)  # (R, T − 1, 4, 3)
+    moves = np.diff(held, axis=1)
     around = np.full((2 * NEIGHBOURS, *moves.shape), np.nan)
     for k, offset in enumerate([*range(-NEIGHBOURS, 0), *range(1, NEIGHBOURS + 1)]):
         if abs(offset) < moves.shape[1]:
@@ -184,7 +202,7 @@ def elapsed_steps(positions: np.ndarray) -> np.ndarray:
     all_moves = np.sum(moves**2, axis=(-2, -1))
     lost = (number > LEAST_JUMP) & (left < LARGEST_MISFIT * all_moves) & (all_moves > SMALLEST_JUMP**2)
     lost &= all_moves > LEAST_JUMP**2 * fastest
-    steps = np.ones(positions.shape[:2], dtype=np.int64)
+    steps = np.ones(held.shape[:2], dtype=np.int64)
     steps[:, 1:][lost] = np.clip(np.rint(number[lost]), 1, MOST_LOST).astype(np.int64)
     return steps
 

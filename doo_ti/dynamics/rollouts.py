@@ -102,20 +102,20 @@ class Rollouts:
         return positions, status, energies, found
 
     def differentiated(self, theta: MotionTheta, directions: Sequence[Nearby]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(positions (R, T − 2, V − 4, 3), their derivatives along P directions (R, P, T − 2, V − 4, 3), status (R, T − 2)) of
-        what :meth:`predicted` predicts."""
+        """(positions (R, T − 2, W, 3), their derivatives along P directions (R, P, T − 2, W, 3), status (R, T − 2)) of the W
+        vertices that :meth:`predicted` predicts."""
         if not self.through_steps:
             return self._differences(theta, directions)
         along = [Direction(simulated([one.before]), simulated([one.after]), one.distance) for one in directions]
         found = self._rolled_out([theta], directions=along)
-        rods, at = np.arange(self.motion.count)[:, None], self._at
-        slopes = np.moveaxis(found.slopes[rods, at, :, 2:-2], 2, 1)
-        return found.positions[rods, at, 2:-2], slopes, found.status[rods, at]
+        rods, at, vertices = np.arange(self.motion.count)[:, None], self._at, self.motion.predicted
+        slopes = np.moveaxis(found.slopes[rods, at, :, vertices], 2, 1)
+        return found.positions[rods, at, vertices], slopes, found.status[rods, at]
 
     def _differences(self, theta: MotionTheta, directions: Sequence[Nearby]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same by differences; the status is the worst of all rollouts."""
         positions, status = self.predicted([theta, *(one.before for one in directions), *(one.after for one in directions)])
-        positions, count = positions[:, :, 2:, 2:-2], len(directions)
+        positions, count = positions[:, :, 2:, self.motion.predicted], len(directions)
         distance = np.array([one.distance for one in directions]).reshape(-1, 1, 1, 1)
         slopes = (positions[:, 1 + count :] - positions[:, 1 : 1 + count]) / distance
         return positions[:, 0], slopes, status[:, :, 2:].max(axis=1)
@@ -144,7 +144,7 @@ class Rollouts:
         positions = np.repeat(motion.positions[:, None], each, axis=1)
         inner = found.positions.reshape(motion.count, each, -1, *motion.positions.shape[2:])
         for g in range(each):
-            positions[:, g, 2:, 2:-2] = inner[rods, g, at][:, :, 2:-2]
+            positions[:, g, 2:, motion.predicted] = inner[rods, g, at][:, :, motion.predicted]
         status = np.zeros(positions.shape[:3], dtype=np.int8)
         status[:, :, 2:] = np.moveaxis(found.status.reshape(motion.count, each, -1)[rods, :, at], 2, 1)
         return positions, status

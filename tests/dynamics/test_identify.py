@@ -76,3 +76,15 @@ def test_intervals_of_parameters_are_those_of_the_vector(rng):
         assert (row["low"] is None or row["low"] <= row["value"]) and row["value"] <= row["high"]
     np.testing.assert_allclose([rows[f"rest_curvature_{1 + k // 2}_{k % 2}"]["value"] for k in range(4)],
                                found.theta.rest.ravel(), rtol=1e-12)
+
+
+def test_theta_is_found_of_rods_with_a_free_end(rng):
+    """From recordings that one gripper shakes; the last two markers count as well."""
+    free = RecordedMotion.of(recorded(rng, TRUE, 4, 80, 0.0), RATE, free_end=True)
+    assert free.glitches() == [] and free.predicted == slice(2, None)
+    positions, status = OPTIONS.rollouts(free, TRUE).predicted([TRUE])
+    assert (status == 0).all() and np.abs(positions[:, 0] - free.positions)[:, -1, -1].max() > 20.0
+    found = identify(RecordedMotion.of(positions[:, 0], RATE, free_end=True), GUESS, OPTIONS)
+    apart = np.abs(found.vector - found.unknowns.vector(TRUE)).max()
+    print(f"p off by {apart:.1e}, markers by {found.error.max():.1e} mm, {found.iterations} iterations")
+    assert not found.failed.any() and apart < 1e-4

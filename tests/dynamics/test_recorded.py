@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti.dynamics.layout import LARGEST_REACH, lay_out
-from doo_ti.dynamics.recorded import FINE, LOST, SWAPPED, RecordedMotion, elapsed_steps
+from doo_ti.dynamics.recorded import FINE, GRIPPED, LOST, SWAPPED, RecordedMotion, elapsed_steps
 from doo_ti.errors import InputError
 from tests.dynamics.recordings import RATE, carried
 
@@ -129,7 +129,7 @@ def test_grippers_that_start_and_stop_at_once_are_no_jumps():
     positions = np.zeros((1, 40, 6, 3))
     positions[..., 0] = 50.0 * np.arange(6)
     positions[..., 1] += 20.0 * np.clip(np.arange(40) - 10, 0, 15)[None, :, None]
-    assert (elapsed_steps(positions) == 1).all()
+    assert (elapsed_steps(positions[:, :, GRIPPED]) == 1).all()
     shortened = np.delete(positions, [14, 15, 16], axis=1)
-    np.testing.assert_array_equal(np.argwhere(elapsed_steps(shortened) > 1), [[0, 14]])
-    assert elapsed_steps(shortened)[0, 14] == 4
+    np.testing.assert_array_equal(np.argwhere(elapsed_steps(shortened[:, :, GRIPPED]) > 1), [[0, 14]])
+    assert elapsed_steps(shortened[:, :, GRIPPED])[0, 14] == 4
