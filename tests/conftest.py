@@ -17,7 +17,8 @@ SHARED_KERNELS = {
     "contact": ("tests/contact/", "tests/groups/", "tests/commands/test_contact.py", "tests/commands/test_group.py",
                 "tests/commands/test_knots.py", "tests/dynamics/test_energies.py", "tests/refinement/test_on_a_table.py",
                 "tests/twist/test_on_a_table.py",
-                "tests/examples/test_examples.py::test_example[12_", "tests/examples/test_examples.py::test_example[13_"),
+                "tests/examples/test_examples.py::test_example[12_", "tests/examples/test_examples.py::test_example[13_",
+                "tests/examples/test_examples.py::test_example[14_"),
     "images": ("tests/perception/", "tests/vision/reprojection/", "tests/commands/test_perceive.py",
                "tests/commands/test_track.py",
                "tests/examples/test_examples.py::test_example[04_", "tests/examples/test_examples.py::test_example[08_")}

@@ -113,9 +113,10 @@ class RecordedMotion:
                 raise InputError(source, "up", "differs from that of the first file", "convert both files, with one --up")
         frames = min(part.positions.shape[1] for part in parts)
         cut = [part.until(frames) for part in parts]
-        several = len(parts) > 1
-        names = tuple(f"{Path(source).stem} {name}" if several else name
-                      for part, source in zip(parts, sources, strict=True) for name in part.names)
+        names = first.names
+        if len(parts) > 1:
+            names = tuple(Path(source).stem + (f" {name}" if part.count > 1 else "")
+                          for part, source in zip(parts, sources, strict=True) for name in part.names)
         return cls(np.concatenate([part.positions for part in cut]), first.rate, names,
                    np.concatenate([part.elapsed for part in cut]), np.concatenate([part.confused for part in cut]), up=first.up,
                    free_end=first.free_end)

@@ -117,6 +117,7 @@ def test_files_and_gaps(rng, tmp_path):
         RecordedMotion.together([one, RecordedMotion.of(positions, 2 * RATE)], ["first", "second"])
     both = RecordedMotion.together([one, RecordedMotion.of(positions[:, :20], RATE)], ["first", "second"])
     assert both.positions.shape == (3, 20, 8, 3) and both.take([0, 2]).count == 2
+    assert both.names == ("first", "second 0", "second 1")
 
 
 def _with(positions, value):
