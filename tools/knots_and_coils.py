@@ -9,7 +9,8 @@ friction F h²/B = ε⁴/2 + μ 0.492 ε³ where the knot is pulled tighter: by 
 
 Strands touch along some 15 ε R, much of it single places far apart. A knot is first relaxed with edges that are fine in the
 braid, and then once more with edges that are fine wherever it touches. Without weight a knot may slide along its rod, and turn
-about the line through its ends, at no cost: a weight of a fiftieth of the tension, or little more, holds it.
+about the line through its ends, at no cost: a weight of a fiftieth of the tension, or little more, holds it, and with friction
+a tenth.
 
 A plectoneme (Clauvelin, Audoly and Neukirch 2009): a rod is turned at one end; where it has coiled up, with the angle α of its
 strands to the axis of the coil, F h²/B = sin³α (cos α tan 2α − ½ sin α). Its link, by twist and writhe, is the turns it was
@@ -42,14 +43,14 @@ from tests.contact.topology import determinant, link  # noqa: E402
 BEND, RADIUS = 1e5, 1.0
 KNOTS = (0.0125, 0.02, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4)
 """ε to begin with."""
-WEIGHT = 0.02
-"""Of the tension that the limit gives at that ε: the rod's weight, 2 μ L."""
+WEIGHT, WEIGHT_RUBBED = 0.02, 0.1
+"""Of the tension that the limit gives at that ε: the rod's weight, 2 μ L, without friction and with."""
 UP = (0.0, 1.0, 0.0)
 """Away from the loop."""
 FINEST, SHORTEST, TOUCHING, GROWTH, COARSEST = 0.16, 1.0, 7.6, 0.12, 0.08
 """Edges of the second mesh have the length FINEST ε R, but at least SHORTEST radii, up to TOUCHING ε R from the middle of the
 braid. Further away they grow by GROWTH times the distance from there, to COARSEST R."""
-PULLED, RUB, STEPS, DRAWN = (0.0125, 0.2, 0.4), 0.1, 4, 0.5
+PULLED, RUB, STEPS, DRAWN = (0.0125, 0.05, 0.1, 0.2, 0.3, 0.4), 0.1, 12, 0.15
 """ε of the knots that are pulled tighter, the coefficient of friction, the number of steps, and the rod that both ends together
 are pulled by, over ε R."""
 
@@ -70,11 +71,11 @@ def fitted_radius(vertices: np.ndarray, guess: float) -> float:
     return guess
 
 
-def tied(begin: float, edges: int) -> tuple[Solution, Material, Clamps, float]:
+def tied(begin: float, edges: int, weight: float) -> tuple[Solution, Material, Clamps, float]:
     """A knot at rest without friction, its material, its clamps and the radius of its loop, mm; ``edges`` of its first mesh."""
     loop = RADIUS / begin**2
     length = 2.0 * np.pi * 1.1 * loop + 7.0 * np.sqrt(2.0) * loop
-    material = Material(BEND, BEND, 0.5 * WEIGHT * 0.5 * begin**4 * BEND / (RADIUS**2 * length))
+    material = Material(BEND, BEND, 0.5 * weight * 0.5 * begin**4 * BEND / (RADIUS**2 * length))
     # The first mesh only shows where the knot touches itself: it need not have come to rest.
     first, _ = relaxed(overhand_knot(length, edges, radius=RADIUS, loop=loop), material)
     found, clamps = relaxed(rod_along(*finely_divided(first, loop)), material)
@@ -113,7 +114,7 @@ def knots(edges: int) -> None:
           "|---|---|---|---|---|---|")
     for begin in KNOTS:
         began = time.process_time()
-        found, _, _, loop = tied(begin, edges)
+        found, _, _, loop = tied(begin, edges, WEIGHT)
         epsilon = np.sqrt(RADIUS / loop)
         force, pressed = force_and_pressure(found.end_force, found.contact.force)
         gap = 1.0 + found.contact.gap[0] / (2.0 * RADIUS)
@@ -134,7 +135,7 @@ def friction(edges: int) -> None:
           "smallest gap over the diameter | s |\n|---|---|---|---|---|---|")
     for begin in PULLED:
         began = time.process_time()
-        knot, material, clamps, loop = tied(begin, edges)
+        knot, material, clamps, loop = tied(begin, edges, WEIGHT_RUBBED)
         share = np.linspace(0.0, 1.0, STEPS + 1)
         way = 0.5 * DRAWN * np.sqrt(RADIUS * loop) * share[None, :, None] * clamps.start_frame[:, None, :, 0]
         ends = clamps.start_position[:, None] - way, clamps.end_position[:, None] + way

@@ -103,10 +103,11 @@ def lay_out(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarr
     """
     end = Clamp.FREE if motion.free_end else end
     believed = _believable(motion.positions[:, :, motion.gripped], motion.confused, motion.elapsed)
-    held = believed[:, 1:] if motion.free_end else _within_reach(believed[:, 1:], rest_length)
-    expanded, steps = _with_missing(held, motion.elapsed[:, 1:])
+    expanded, steps = _with_missing(believed[:, 1:], motion.elapsed[:, 1:])
     if smoothing > 1:
         expanded = _smoothed(expanded, smoothing)
+    if not motion.free_end:
+        expanded = _within_reach(expanded, rest_length)
     first = edge_frames(expanded[:, :, 1] - expanded[:, :, 0], np.broadcast_to(reference, (motion.count, 3)))
     whole = motion.positions.copy()
     whole[:, :, motion.gripped] = believed
