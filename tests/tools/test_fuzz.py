@@ -69,6 +69,8 @@ LINE = "doo-ti: a.npz: vertices_mm: missing; give it\n"
         (1, "", LINE, ""),
         (1, "no rod converged\n", "", ""),
         (0, "", "silk ━━━━ 6/6 cells\n", ""),
+        (0, "", "doo-ti: warning: path.csv: far away\n", ""),
+        (2, "", "doo-ti: warning: path.csv: far away\n", "0 lines"),
         (3, "", LINE, "exit code 3"),
         (-11, "", "", "exit code -11"),
         (2, "", LINE + LINE, "2 lines at exit 2"),

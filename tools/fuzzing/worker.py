@@ -24,6 +24,8 @@ from tools.fuzzing.options import spoilt
 
 PROGRESS = re.compile(r"━|\d+/\d+ \w+ .*:")
 """Of the bar that some commands leave on the standard error."""
+WARNING = "doo-ti: warning: "
+"""Of lines that may come before any end."""
 OPTIONS_SHARE, TWICE_SHARE, UNSEALED_SHARE = 0.3, 0.3, 0.5
 """Of cases, where the options are changed; of changed values, where another change follows; of runs, whose sums are left
 out."""
@@ -142,7 +144,7 @@ def _asked_for(name: str, words: list[str], there: bool) -> bool:
 
 def judged(code: int | None, out: str, err: str, as_json: bool) -> str:
     """The problem with the end of a command; empty where there is none."""
-    lines = [line for line in err.splitlines() if not PROGRESS.search(line)]
+    lines = [line for line in err.splitlines() if not PROGRESS.search(line) and not line.startswith(WARNING)]
     ours = [line for line in lines if line.startswith("doo-ti: ")]
     if "Traceback" in err:
         return "traceback: " + lines[-1][:200]
