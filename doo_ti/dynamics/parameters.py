@@ -16,7 +16,7 @@ GRAVITY = 9806.65
 
 RATES = {"euler": 1.0, "bdf2": 1.5}
 """Schemes, with a of their time derivative D u = (a/h) (u − y)."""
-MOST_RATE = 1e7
+LEAST_RATE, MOST_RATE = 1e-9, 1e7
 """Instants per second."""
 LEAST_WAY = 1 / 8
 """Of the way to the next instant: the shortest quasi-static step, where longer ones fail."""
@@ -59,8 +59,8 @@ class Stepping:
 
     def __post_init__(self) -> None:
         require_number("Stepping", "rate", self.rate)
-        if not 0 < self.rate <= MOST_RATE:
-            raise InputError("Stepping", "rate", f"{self.rate}", f"give instants per second, above zero, at most {MOST_RATE:g}")
+        if not LEAST_RATE <= self.rate <= MOST_RATE:
+            raise InputError("Stepping", "rate", f"{self.rate}", f"give instants per second, {LEAST_RATE:g} to {MOST_RATE:g}")
         require_whole("Stepping", "substeps", self.substeps, 1)
         require_whole("Stepping", "most_substeps", self.most_substeps, 1)
         if self.tolerance is not None:

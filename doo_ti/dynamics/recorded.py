@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.dynamics.parameters import LEAST_RATE, MOST_RATE
 from doo_ti.errors import InputError
 from doo_ti.io.motion_recording import read_recording
 from doo_ti.short_repr import short_repr
@@ -24,8 +25,8 @@ LARGEST_TURN = np.radians(60.0)
 FINE, SWAPPED, LOST = 0, 1, 2
 MOST_CONFUSED = 50
 """Frames after which such a turn is taken as real."""
-MOST_MM = 1e6
-"""From the origin."""
+LEAST_MM, MOST_MM = 1e-6, 1e6
+"""Between neighbouring markers, and from the origin."""
 GRIPPED = (0, 1, -2, -1)
 """Vertices of the first and last edge: where the end is free, the first two of them."""
 
@@ -73,15 +74,23 @@ class RecordedMotion:
         if len(wrong):
             raise InputError(source, "positions_mm", f"not finite in {len(wrong)} frames, first recording {wrong[0, 0]}, "
                              f"frame {wrong[0, 1]}", "have them filled (`fill_gaps`), or leave those recordings out")
-        if not (np.isfinite(rate) and rate > 0):
-            raise InputError(source, "rate_hz", f"{rate}", "give frames per second")
+        if not LEAST_RATE <= rate <= MOST_RATE:
+            raise InputError(source, "rate_hz", f"{rate}", f"give frames per second, {LEAST_RATE:g} to {MOST_RATE:g}")
         if (np.abs(positions) > MOST_MM).any():
             raise InputError(source, "positions_mm", f"up to {np.abs(positions).max():.3g} mm from the origin", "give mm")
         names = tuple(str(k) for k in (range(len(positions)) if names is None else names))
         held = GRIPPED[: 2 if free_end else 4]
         confused = confused_frames(positions)
         confused[:, :, len(held) // 2 :] = FINE
-        return cls(positions, float(rate), names, elapsed_steps(positions[:, :, held]), confused, alone, free_end=free_end)
+        lost = np.argwhere((confused == LOST).all(axis=1))
+        if len(lost):
+            raise InputError(source, "positions_mm", f"the markers of the {('start', 'end')[lost[0, 1]]} gripper in recording "
+                             f"{lost[0, 0]} do not say where it points", "give the two markers of each held edge apart")
+        found = cls(positions, float(rate), names, elapsed_steps(positions[:, :, held]), confused, alone, free_end=free_end)
+        same = np.flatnonzero(~(found.edge_lengths() > LEAST_MM))
+        if len(same):
+            raise InputError(source, "positions_mm", f"markers {same[0]} and {same[0] + 1} coincide", "leave one of them out")
+        return found
 
     @classmethod
     def load(cls, path: str | Path, fill_gaps: bool = False, unit: str | None = None,

@@ -37,8 +37,10 @@ def literal(text: str) -> str:
 
 def limits_around(points: np.ndarray, half: float, least: float) -> np.ndarray:
     """(2, 2) limits to the right and up around (..., 2) points: from their middle to either side ``half`` of their extent, and
-    at least the share ``least`` of the larger extent."""
-    low, high = (edge(points.reshape(-1, 2), axis=0) for edge in (np.nanmin, np.nanmax))
+    at least the share ``least`` of the larger extent; around the origin where no point is finite."""
+    points = points.reshape(-1, 2)
+    points = points[np.isfinite(points).all(axis=1)]
+    low, high = (edge(axis=0) if len(points) else np.full(2, side) for edge, side in ((points.min, -1.0), (points.max, 1.0)))
     middle, reach = 0.5 * (low + high), np.maximum(half * (high - low), least * max(high - low))
     return np.stack([middle - reach, middle + reach], axis=-1)
 

@@ -90,7 +90,8 @@ def test_grippers_stay_within_reach(rng):
 
 @pytest.mark.parametrize("change", [
     lambda p: (p[..., :2], RATE), lambda p: (p[:, :2], RATE), lambda p: (p[:, :, :4], RATE), lambda p: (p[0, 0], RATE),
-    lambda p: (p, 0.0), lambda p: (p, np.nan), lambda p: (p * 1e6, RATE), lambda p: (_with(p, np.nan), RATE),
+    lambda p: (p, 0.0), lambda p: (p, 5e-324), lambda p: (p, np.nan), lambda p: (p * 5e-324, RATE),
+    lambda p: (p[:, :, [0, 0, 2, 3, 4, 5]], RATE), lambda p: (p * 1e6, RATE), lambda p: (_with(p, np.nan), RATE),
     lambda p: (_with(p, np.inf), RATE)])
 def test_recordings_that_are_refused(rng, change):
     with pytest.raises(InputError):
