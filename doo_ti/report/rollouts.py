@@ -22,6 +22,7 @@ def _view(rods: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, str]:
     """(2, 3) directions of a picture of (R, T, V, 3) rods, and from where that is: from the side or, if they are flat, as on a
     table, from above."""
     places = rods.reshape(len(rods), -1, 3)
+    places = places[np.isfinite(places).any(axis=(1, 2))] if np.isfinite(places).any() else np.zeros((1, 1, 3))
     basis = upright_basis(places, up)
     _, depth, height = np.nanstd((places - np.nanmean(places, axis=1, keepdims=True)) @ basis.T, axis=(0, 1))
     return (basis[[0, 1]], "from above") if depth > FLAT * height else (basis[[0, 2]], "from the side")
