@@ -135,3 +135,23 @@ def test_grippers_that_start_and_stop_at_once_are_no_jumps():
     shortened = np.delete(positions, [14, 15, 16], axis=1)
     np.testing.assert_array_equal(np.argwhere(elapsed_steps(shortened[:, :, GRIPPED]) > 1), [[0, 14]])
     assert elapsed_steps(shortened[:, :, GRIPPED])[0, 14] == 4
+
+
+def test_smoothing_keeps_parabolas_and_takes_noise_away(rng):
+    """Of the grippers' ways, of the first places and of the first velocities."""
+    times = np.arange(60) / RATE
+    rod = carried(rng, 1, 1, 8)[:, 0]
+    velocity, acceleration = np.array([300.0, -200.0, 50.0]), np.array([-1800.0, 800.0, 1200.0])
+    way = np.outer(times, velocity) + np.outer(0.5 * times**2, acceleration)
+    exact = rod[:, None] + way[:, None]
+    noisy = exact + 0.3 * rng.normal(size=exact.shape)
+    lengths = np.full(7, 40.0)
+    true, smooth, rough = (lay_out(RecordedMotion.of(positions, RATE), lengths, REFERENCE, smoothing=frames)
+                           for positions, frames in ((exact, 9), (noisy, 9), (noisy, 1)))
+    np.testing.assert_allclose(true.grippers.start_position[0], exact[0, 1:, 0], atol=1e-9)
+    np.testing.assert_allclose(true.velocity[0], np.tile(velocity + acceleration / RATE, (8, 1)), atol=1e-6)
+    off = [np.std(found.grippers.start_position[0] - exact[0, 1:, 0]) for found in (smooth, rough)]
+    speed = [np.std(found.velocity - true.velocity) for found in (smooth, rough)]
+    print(f"grippers off by {off[0]:.2f} instead of {off[1]:.2f} mm, velocities by {speed[0]:.0f} instead of {speed[1]:.0f} mm/s")
+    assert off[0] < 0.65 * off[1] and speed[0] < 0.3 * speed[1]
+    assert true.velocity_age == 0.0 and rough.velocity_age == 0.5 / RATE
