@@ -92,9 +92,8 @@ def run(options: Namespace, words: list[str]) -> int:
                     (".png", options.picture, "--picture"), (".rrd", options.recording, "--recording"))}
     between = given.whole("--steps-between", options.between, 1)
     sub_step = _sub_step(options)
-    task = _scene(options) if Path(options.source).suffix == ".toml" else _observed(options, out)
-    task = task if between is None else replace(task, between=between)
-    task = _with_inertia(options, task) if is_dynamic(options) else _with_friction(task, sub_step)
+    task = _scene(options, between) if Path(options.source).suffix == ".toml" else _observed(options, out, between)
+    task = _with_inertia(options, task) if is_dynamic(options) else _with_history(task, sub_step)
     rods, intervals = len(task.names), (task.path.moments - 1) * task.between
     if rods * intervals * task.start.edges * 32 > MOST_BYTES:
         raise InputError(given.SOURCE, "--steps-between", f"{rods} rods at {intervals + 1} moments are too many to hold",
@@ -140,12 +139,13 @@ def _with_inertia(options: Namespace, task: _Task) -> _Task:
     return replace(task, dynamics=losses(options), stepping=stepping(options, rate))
 
 
-def _with_friction(task: _Task, sub_step: float) -> _Task:
-    """The task in quasi-static steps where an obstacle has friction, which depends on the step before: as many between the
-    returned states as their motion needs."""
-    if not task.surroundings.rub:
+def _with_history(task: _Task, sub_step: float) -> _Task:
+    """The task in quasi-static steps where an obstacle has friction, which depends on the step before, or moves: as many
+    between the returned states as its motion and that of the clamps need."""
+    if not (task.surroundings.rub or task.surroundings.moves):
         return task
-    from doo_ti.dynamics.parameters import Dynamics, Stepping
+    from doo_ti.dynamics.obstacle_path import needed_substeps
+    from doo_ti.dynamics.parameters import LEAST_WAY, Dynamics, Stepping
     from doo_ti.motion.path import motion_between
 
     motions = len(task.clamps.start_position)
@@ -153,6 +153,8 @@ def _with_friction(task: _Task, sub_step: float) -> _Task:
              for k in range(task.path.moments - 1)]
     needed = max(np.maximum(part.needed_steps(task.start.rest_length, sub_step),
                             task.surroundings.steps_for(part.start_shift)).max() for part in parts) / task.between
+    # Obstacles are measured along straight ways between the states; the cubics of substeps may be steeper.
+    needed = max(needed, 2 * needed_substeps(task.surroundings, LEAST_WAY, task.start))
     stepping = Stepping(1.0, int(np.clip(np.ceil(needed), 1, MOST_STEPS)), "euler", quasi_static=True)
     return replace(task, dynamics=Dynamics(density=1.0), stepping=stepping)
 
@@ -166,7 +168,7 @@ def _sub_step(options: Namespace) -> float:
     return np.radians(given_degrees[0])
 
 
-def _scene(options: Namespace) -> _Task:
+def _scene(options: Namespace, between: int | None) -> _Task:
     from doo_ti.contact.obstacle_file import obstacles_of
     from doo_ti.io.motion_scene import load_motion_scene
 
@@ -180,12 +182,13 @@ def _scene(options: Namespace) -> _Task:
     theta = {"material_name": np.array(scene.names), "bend": scene.material.bend[:, 0], "twist": scene.material.twist[:, 0],
              "weight": scene.material.weight}
     _check_reach(scene.path, scene.clamps, float(scene.start.rest_length.sum()))
-    own = Surroundings(obstacles_of(scene.source, scene.obstacles), scene.radius)
-    return _Task(scene.name, scene.start, scene.clamps, scene.path, scene.material, list(scene.names), theta, scene.between,
+    between = scene.between if between is None else between
+    own = Surroundings(obstacles_of(scene.source, scene.obstacles, scene.path.states(between)), scene.radius)
+    return _Task(scene.name, scene.start, scene.clamps, scene.path, scene.material, list(scene.names), theta, between,
                  np.array([0.0, 0.0, 1.0]) if up is None else up, surroundings=given.scene_surroundings(options, own))
 
 
-def _observed(options: Namespace, out: Path) -> _Task:
+def _observed(options: Namespace, out: Path, between: int | None) -> _Task:
     if options.motion is None:
         raise InputError(given.SOURCE, "--motion", "missing", "name a file of poses, or give a scene of motion")
     grid, surroundings = given.grid(options), given.surroundings(options)
@@ -208,7 +211,7 @@ def _observed(options: Namespace, out: Path) -> _Task:
     start = _settled(observations, clamps, materials, surroundings)
     cells, rows = np.divmod(np.arange(materials.count * observations.count), observations.count)
     names = [f"cell {cell}, " * (materials.count > 1) + f"observation {row}" for cell, row in zip(cells, rows, strict=True)]
-    return _Task(observations.name, start, clamps, path, materials, names, grid.cell_values(), 1, observations.up,
+    return _Task(observations.name, start, clamps, path, materials, names, grid.cell_values(), between or 1, observations.up,
                  np.where(observations.valid[..., None], observations.vertices, np.nan),
                  loaded=(loading.rod_line(observations),), surroundings=surroundings)
 
@@ -268,7 +271,7 @@ def _arrays(task: _Task, prediction) -> dict[str, np.ndarray]:
     """What the file holds; docs/twist.md."""
     per_material = {name: np.asarray(value)[prediction.material] for name, value in task.theta.items()}
     if task.surroundings:
-        gap = [task.surroundings.smallest_gap(rods) for rods in prediction.vertices]
+        gap = [task.surroundings.at(k).smallest_gap(rods) for k, rods in enumerate(prediction.vertices)]
         per_material |= {"contact_force": prediction.contact_force, "smallest_gap_mm": np.stack(gap)}
     return {
         "time_s": prediction.time, "vertices_mm": prediction.vertices, "energy": prediction.energy, "status": prediction.status,
@@ -286,7 +289,7 @@ def _lines(task: _Task, prediction, result: dict) -> list[str]:
     lost = np.flatnonzero(~prediction.followed[-1])
     how = f"{int(prediction.stable.sum())} of {count * moments} certified stable"
     if task.dynamics is not None:
-        how = (f"with friction, {task.stepping.substeps} steps between states" if task.stepping.quasi_static else
+        how = (f"{task.stepping.substeps} quasi-static steps between states" if task.stepping.quasi_static else
                f"with inertia, {task.stepping.rate * task.between:.4g} states/s")
     lines = [f"{task.name}: {count} rod{'s' * (count > 1)} of {task.start.edges} edges at {moments} moments",
              f"  status      {counted(status_counts(prediction.status))}; {how}",

@@ -121,7 +121,7 @@ def _obstacle(source, key: str, row, time: np.ndarray | None) -> Obstacle | Movi
     if motion and (time is None or kind is Itself):
         what = "the rod itself" if kind is Itself else "an obstacle that stands still here"
         raise InputError(source, f"{key}.{next(iter(motion))}", f"given for {what}",
-                         "leave it out: bodies in scenes of doo-ti simulate may move")
+                         "leave it out: bodies in scenes of simulate and predict may move")
     if kind is DistanceGrid:
         found = _grid(source, key, checked(source, key, row, _Grid))
     else:

@@ -34,7 +34,7 @@ def obstacle_path(surroundings: Surroundings, stepping: Stepping, instants: int,
                 raise InputError("simulate", "obstacles", f"a {name} moves at {body.instants} instants, the grippers at "
                                  f"{instants}", "give the same instants")
             rotation, shift = _refined(body, stepping.substeps)
-            _check_speed(body.obstacle, rotation, shift, surroundings, stepping, start)
+            _check_speed(body.obstacle, _largest_move(body.obstacle, rotation, shift, start), surroundings, stepping)
             turned, moved = since_first(rotation, shift)
             poses[:, :, number, :POSE_SHIFT], poses[:, :, number, POSE_SHIFT:] = quaternion_from_matrix(turned), moved
     return poses
@@ -49,10 +49,20 @@ def _refined(body: Moving, parts: int) -> tuple[np.ndarray, np.ndarray]:
     return rotation, about(body.pivot[:, None], rotation, cubic(body.shift, share))
 
 
-def _check_speed(obstacle: Obstacle, rotation: np.ndarray, shift: np.ndarray, surroundings: Surroundings, stepping: Stepping,
-                 start: Configuration) -> None:
-    """Raise InputError where the surface of an obstacle moves so far in one step that a rod which it touched would be deep
-    inside."""
+def needed_substeps(surroundings: Surroundings, least_way: float, start: Configuration) -> int:
+    """Time steps from one instant to the next that the obstacles need which move, where a step makes ``least_way`` of its way
+    at once, at least."""
+    moves = [_largest_move(body.obstacle, *body.path, start) for body in surroundings.bodies if isinstance(body, Moving)]
+    return max([1] + [int(np.ceil(move / _most_move(surroundings, least_way))) for move in moves])
+
+
+def _most_move(surroundings: Surroundings, least_way: float) -> float:
+    """mm by which an obstacle may move in a time step: no rod that it touches is deep inside then."""
+    return SHALLOW * float(np.min(surroundings.radius)) / least_way
+
+
+def _largest_move(obstacle: Obstacle, rotation: np.ndarray, shift: np.ndarray, start: Configuration) -> float:
+    """mm by which the surface of an obstacle moves at most from one instant to the next, out of itself."""
     if obstacle.kind == PLANE:
         # What counts is how far the plane moves where the rods are.
         own, axes, _, _ = obstacle.placed
@@ -63,11 +73,16 @@ def _check_speed(obstacle: Obstacle, rotation: np.ndarray, shift: np.ndarray, su
     else:
         places = (rotation[:, :, None] @ _outline(obstacle)[:, None, :, :, None])[..., 0] + shift[:, :, None]
         moved = np.linalg.norm(np.diff(places, axis=1), axis=-1)
-    most = SHALLOW * float(np.min(surroundings.radius)) / stepping.least_way
-    if moved.max() > most:
-        raise InputError("simulate", "obstacles", f"a {type(obstacle).__name__} moves by {moved.max():.3g} mm in a time step; "
+    return float(moved.max())
+
+
+def _check_speed(obstacle: Obstacle, move: float, surroundings: Surroundings, stepping: Stepping) -> None:
+    """Raise InputError where an obstacle moves too far in one step."""
+    most = _most_move(surroundings, stepping.least_way)
+    if move > most:
+        raise InputError("simulate", "obstacles", f"a {type(obstacle).__name__} moves by {move:.3g} mm in a time step; "
                          f"rods of radius {np.min(surroundings.radius):g} mm allow {most:.3g} mm",
-                         f"give {int(np.ceil(stepping.substeps * moved.max() / most))} `substeps`")
+                         f"give {int(np.ceil(stepping.substeps * move / most))} `substeps`")
 
 
 def _outline(obstacle: Obstacle) -> np.ndarray:

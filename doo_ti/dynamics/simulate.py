@@ -17,7 +17,7 @@ from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.obstacle_path import obstacle_path
 from doo_ti.dynamics.parameters import GRAVITY, RATES, Direction, Dynamics, MovingStart, Stepping, vertex_lengths
 from doo_ti.dynamics.self_contact import kept_apart
-from doo_ti.dynamics.trajectory import Trajectory, joined, summed
+from doo_ti.dynamics.trajectory import Trajectory, joined
 from doo_ti.errors import InputError
 from doo_ti.frames import (
     quaternion_product,
@@ -281,7 +281,8 @@ class _Motion:
         time = np.array([self.step, factor, (factor - 1.0) / factor, self.stepping.least_way, self.watched])
         frames = (self.grippers.instants - 1) // self.substeps
         numbers_a_frame = 3 * table.count * (table.edges + 1) * (1 if slopes is None else 1 + slopes.count)
-        at_once = max(1, min(frames, NUMBERS_AT_ONCE // numbers_a_frame))
+        # A rod's forces on itself are not remembered: where a launch ends must not depend on how many rods there are.
+        at_once = frames if self.touching else max(1, min(frames, NUMBERS_AT_ONCE // numbers_a_frame))
 
         def launch(first: int, last: int, every: int):
             path = clamp_path(self.grippers, self.start, slice(first, last))
@@ -313,19 +314,18 @@ class _Motion:
             outcome[..., END_FORCE:FRICTION_WORK], self.stepping.rate, memory,
             np.full(table.count, self.substeps), np.full(table.count, np.nan),
             None if slopes is None else joined(changes), None if account is None else account.detail(status),
-            None if forces[0] is None else joined(forces), summed([part[..., FRICTION_WORK] for part in outcomes]),
+            None if forces[0] is None else joined(forces), outcome[..., FRICTION_WORK],
             None if touches[0] is None else joined(touches))
 
 
 def _step_by_step(launch, first: int, last: int, memory: Memory, account: Account):
     """What one launch of the steps from ``first`` to ``last`` returns, of launches of one step, which ``account`` sees."""
-    trips = moment = work = 0
+    trips = moment = 0
     for step in range(first, last):
         positions, outcome, changes, forces, touches = launch(step, step + 1, 1)
         account.see(memory, outcome[:, 0, END_FORCE:FRICTION_WORK], 0.0 if forces is None else forces[:, 0], step + 1 == last)
         trips, moment = trips + outcome[..., TRIPS], np.maximum(moment, outcome[..., MOMENT])
-        work = work + outcome[..., FRICTION_WORK]
-    outcome[..., TRIPS], outcome[..., MOMENT], outcome[..., FRICTION_WORK] = trips, moment, work
+    outcome[..., TRIPS], outcome[..., MOMENT] = trips, moment
     return positions, outcome, changes, forces, touches
 
 

@@ -67,15 +67,6 @@ class Trajectory:
         return self.status[:, -1] == Status.CONVERGED
 
 
-def summed(parts: list[np.ndarray]) -> np.ndarray:
-    """(R, F) sums since the start, of several launches that each began at zero."""
-    before = 0.0
-    for part in parts:
-        part += before
-        before = part[:, -1:]
-    return joined(parts)
-
-
 def joined(parts: list[np.ndarray]) -> np.ndarray:
     """The frames of several launches; a copy only where there are several."""
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)

@@ -99,6 +99,10 @@ class ClampPath:
         """T."""
         return len(self.time)
 
+    def states(self, between: int) -> np.ndarray:
+        """((T − 1) between + 1,) s of the states that a prediction returns, ``between`` of them for each interval."""
+        return np.interp(np.arange(between * (self.moments - 1) + 1) / between, np.arange(self.moments), self.time)
+
     @property
     def count(self) -> int:
         """N."""

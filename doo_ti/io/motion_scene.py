@@ -21,7 +21,7 @@
     end_direction = [1, 0, 0]          # of the last edge
     end_rotation_deg = 0.0             # of the last edge about itself, whole turns included
 
-    [[obstacles]]                      # none or more, see doo_ti/contact/obstacle_file.py
+    [[obstacles]]                      # none or more, which may move, see doo_ti/contact/obstacle_file.py
     kind = "sphere"
     centre = [50, 0, -20]
     radius = 15.0

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.grippers import Grippers
@@ -31,7 +32,7 @@ EVEN = 1e-3
 def predict_moving(
     configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, dynamics: Dynamics, stepping: Stepping,
     *, between: int = 1, up: ArrayLike = (0.0, 0.0, 1.0), advance: Callable[[int], None] = lambda rods: None,
-    obstacles: Sequence[Obstacle] = (), radius: ArrayLike | None = None,
+    obstacles: Sequence[Obstacle | Moving] = (), radius: ArrayLike | None = None,
 ) -> Prediction:
     """As :func:`doo_ti.prediction.predict.predict`, with inertia: rods at rest at the path's first moment, then carried along
     it at the speed that the rate gives it.
@@ -40,15 +41,15 @@ def predict_moving(
     stepping  rate: moments of the path per second; the time steps are between the states that are returned. Quasi-static steps
               have friction without inertia
     between   number of returned states per interval of the path; clamps move between its moments on cubics
-    obstacles, radius  as in :func:`doo_ti.dynamics.simulate.simulate`, with friction; on the way to the path's first moment
-              there is none
+    obstacles, radius  as in :func:`doo_ti.dynamics.simulate.simulate`, with friction; a :class:`.Moving` has the instants of
+              the states that are returned. On the way to the path's first moment there is no friction, and nothing moves
 
     In what is returned ``stable`` says that all steps have converged, since a rod in motion is at no minimum; ``energy`` is
     without the kinetic energy, and ``jumps`` are counted only on the way to the first moment. Raises InputError where numbers
     of rods and motions do not match, and for a far frame that turns by half a turn or more from one moment to the next.
     """
     _, rods, (first, held, jumps) = begun(configuration, material, clamps, path, LARGEST_TURN, up, Newton(), "f64",
-                                         Surroundings(obstacles, radius))
+                                         Surroundings(obstacles, radius).at(0))
     rows = np.arange(len(rods)) % len(clamps.start_position)
     grippers = _grippers(path, held).refined(between)
     pairs = np.arange(len(rods)), rods
@@ -70,9 +71,7 @@ def predict_moving(
     for k in range(grippers.instants - 1):
         turned.append(turned[-1] + rotation_about_rod(motion_between(grippers.at(k), grippers.at(k + 1)))[rows])
 
-    time = np.arange(grippers.instants) / rate + path.time[0]
-    if stepping.quasi_static:
-        time = np.interp(np.arange(grippers.instants) / between, np.arange(path.moments), path.time)
+    time = path.states(between) if stepping.quasi_static else np.arange(grippers.instants) / rate + path.time[0]
 
     def with_first(before, after):
         return np.concatenate([before[None], np.moveaxis(after, 1, 0)])

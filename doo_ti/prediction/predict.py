@@ -122,9 +122,7 @@ def predict(
         for part in range(between):
             film.keep(*travel.go(film.configuration, _part(motion, part / between, (part + 1) / between)))
             advance(len(rods))
-    share = np.arange(between * (path.moments - 1) + 1) / between
-    time = np.interp(share, np.arange(path.moments), path.time)
-    return film.developed(time, configuration.rest_length, rods, np.arange(len(rods)) % motions)
+    return film.developed(path.states(between), configuration.rest_length, rods, np.arange(len(rods)) % motions)
 
 
 def begun(configuration: Configuration, material: Material, clamps: Clamps, path: ClampPath, sub_step: float, up,

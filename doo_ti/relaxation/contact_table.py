@@ -101,7 +101,7 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     for obstacle in obstacles:
         if isinstance(obstacle, Moving):
             raise InputError("contact", "obstacles", f"a Moving {type(obstacle.obstacle).__name__}",
-                             "give it to simulate, or Moving.at(0) here")
+                             "give it to simulate or predict_moving, or Moving.at(0) here")
         if not isinstance(obstacle, Obstacle):
             raise InputError("contact", "obstacles", f"{type(obstacle).__name__}", "give Plane(...), Sphere(...) and the like")
         if obstacle.count not in (1, count):

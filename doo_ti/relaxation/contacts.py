@@ -45,6 +45,7 @@ from doo_ti.relaxation.contact_layout import (
     RETRIED,
     ROOM,
     ROUGH,
+    RUBBED_PLACE,
     SETTLING,
     SOFT,
     STAGE,
@@ -65,6 +66,9 @@ from doo_ti.relaxation.contact_layout import (
 from doo_ti.relaxation.contact_rounds import ContactRounds
 
 NONE, STICKS, SLIPS = map(int, Touch)
+CARRIED_ON = ((FORCE_BETWEEN, FIRST_STIFFNESS), (FRICTION_BETWEEN, STIFFNESS), (FRICTION_BETWEEN + 1, LARGEST),
+              (FRICTION_BETWEEN + 2, WAY), (RUBBED_PLACE, WORK))
+"""Items of the edge before vertex 0, which there is not, and those of the rod that memory has in their place."""
 
 
 @ti.data_oriented
@@ -184,19 +188,18 @@ class Contacts(ContactRounds):
         for v in range(tables.rest_length.shape[1] + 1):
             for k in ti.static(range(3)):
                 self.put(scratch, first + v * size + (PREVIOUS + k) * self.stride, slot, tables.places[row, v, k] / unit)
-        # The first step of a motion knows no forces, all others κ of the step before.
+        # The first step of a motion knows no forces. All others continue as if no launch had ended before them.
         stiffness = ti.cast(self.get(scratch, tables.contacts + STIFFNESS * self.stride, slot), ti.f64) + INERT * inertia
-        phase = ti.cast(self.first_phase, ti.f64)
-        if tables.memory[row, 0, 0, FORCE_BETWEEN] > 0.0:
-            stiffness, phase = tables.memory[row, 0, 0, FORCE_BETWEEN], ROUGH
         for item in ti.static((STIFFNESS, FIRST_STIFFNESS)):
             self.put(scratch, tables.contacts + item * self.stride, slot, stiffness)
-        self.put(scratch, tables.contacts + PHASE * self.stride, slot, phase)
-        self.put(scratch, tables.contacts + WORK * self.stride, slot, 0.0)
-        for item in ti.static((LARGEST, VISCOSITY, EASED)):
-            self.put(scratch, tables.contacts + item * self.stride, slot, 0.0)
-        self.put(scratch, tables.contacts + WAY_MADE * self.stride, slot, 0.0)
+        self.put(scratch, tables.contacts + PHASE * self.stride, slot, self.first_phase)
         self.put(scratch, tables.contacts + WAY * self.stride, slot, 1.0)
+        for item in ti.static((WORK, LARGEST, VISCOSITY, EASED, WAY_MADE)):
+            self.put(scratch, tables.contacts + item * self.stride, slot, 0.0)
+        if tables.memory[row, 0, 0, FORCE_BETWEEN] > 0.0:
+            self.put(scratch, tables.contacts + PHASE * self.stride, slot, ROUGH)
+            for pair in ti.static(CARRIED_ON):
+                self.put(scratch, tables.contacts + pair[1] * self.stride, slot, tables.memory[row, 0, 0, pair[0]])
         for k in ti.static(range(3)):
             self.put(scratch, tables.contacts + (MULTIPLIER + k) * self.stride, slot, tables.results[row, of.FORCE + k])
 
@@ -241,8 +244,9 @@ class Contacts(ContactRounds):
                     self.put(scratch, contact + k * self.stride, slot, 0.0)
                 for k in range(tables.memory.shape[3]):
                     self.put(scratch, contact + k * self.stride, slot, tables.memory[row, v, o, k])
-                if v == 0:  # memory has κ there
-                    self.put(scratch, contact + FORCE_BETWEEN * self.stride, slot, 0.0)
+                if v == 0:  # memory has other numbers there
+                    for pair in ti.static(CARRIED_ON):
+                        self.put(scratch, contact + pair[0] * self.stride, slot, 0.0)
         self.load_pairs(tables, scratch, slot, row)
 
     @ti.func
@@ -299,7 +303,19 @@ class Contacts(ContactRounds):
                 contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
                 for k in range(tables.memory.shape[3]):
                     tables.memory[row, v, o, k] = self.get(scratch, contact + k * self.stride, slot)
-        tables.memory[row, 0, 0, FORCE_BETWEEN] = self.get(scratch, tables.contacts + FIRST_STIFFNESS * self.stride, slot)
+        self.carry_on(tables, scratch, slot, row, CARRIED_ON[:1])
+
+    @ti.func
+    def unload_motion(self, tables, scratch: ti.template(), slot, row):
+        """The same of a rod in motion, with what its next step begins with."""
+        self.unload(tables, scratch, slot, row)
+        self.carry_on(tables, scratch, slot, row, CARRIED_ON[1:])
+
+    @ti.func
+    def carry_on(self, tables, scratch: ti.template(), slot, row, pairs: ti.template()):
+        """Those items of the lane's rod into row ``row`` of the memory."""
+        for pair in ti.static(pairs):
+            tables.memory[row, 0, 0, pair[0]] = self.get(scratch, tables.contacts + pair[1] * self.stride, slot)
 
     # --- of a rod that may also touch itself, :class:`doo_ti.relaxation.self_contacts.SelfContacts` ---
 

@@ -33,7 +33,7 @@ from doo_ti.relaxation.time_sweep import (
 # Columns of the clamps at an instant: the point the chain hangs from, the far point from there, mm, the first and last frame.
 PATH_ANCHOR, PATH_TARGET, PATH_ENDS, PATH_COLUMNS = 0, 3, 6, 14
 # Columns of the outcome of a frame: the status, iterations of all its steps and the largest residual, and the force of the far
-# clamp at its end; the work that friction has done since the launch began; and where that is noted one if the rod's link has
+# clamp at its end; the work that friction has done since the motion began; and where that is noted one if the rod's link has
 # changed in a step.
 STATE, TRIPS, MOMENT, END_FORCE, FRICTION_WORK, RELINKED, OUTCOMES = 0, 1, 2, 3, 6, 7, 8
 
@@ -279,7 +279,7 @@ class TimeLoop(NewtonLoop):
             else:
                 self.loading.store_motion(tables, scratch, head, slot, row)
                 if ti.static(self.touches):
-                    self.sweep.contacts.unload(tables, scratch, slot, row)
+                    self.sweep.contacts.unload_motion(tables, scratch, slot, row)
                 for k in ti.static(range(3)):
                     tables.results[row, of.FORCE + k] = self.lane(lane.multiplier[k], slot)
                 self.store_slopes(tables, scratch, slot, row)

@@ -1,8 +1,11 @@
 """Obstacles that move: only how rod and obstacle move against each other counts, and a belt drags a rod by its friction."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from doo_ti.cli import main
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Capsule, Cylinder, Plane
 from doo_ti.contact.touch import Touch
@@ -12,7 +15,9 @@ from doo_ti.dynamics.scene import load_dynamic_scene
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.errors import InputError
 from doo_ti.frames import rotation_matrix
+from doo_ti.io.motion_file import ClampPath
 from doo_ti.material import Material
+from doo_ti.prediction.moving import predict_moving
 from doo_ti.relaxation.contact_table import GAP_TOLERANCE
 from doo_ti.relaxation.relax import relax
 from doo_ti.rods import hanging, straight_rod
@@ -70,6 +75,20 @@ def test_a_peg_that_turns_is_a_rope_that_turns_the_other_way():
     np.testing.assert_allclose(pushed.friction_work, drawn.friction_work, rtol=1e-3)
 
 
+@pytest.mark.parametrize("stepping", [QUASI_STATIC, Stepping(20.0, 2), Stepping(20.0, 2, precision="f32")],
+                         ids=("quasi-static", "f64", "f32"))
+def test_one_launch_is_as_many(stepping):
+    """Every step in a launch of its own, as ``detailed`` makes them: the same bits, though a rope that slips has a larger κ."""
+    rope, material, clamps = a_rope(1.0)
+    way = 0.5 * np.stack([12 * np.sin(2 * TIME) * TIME, 4 * TIME**2, 35 * TIME], axis=-1)
+    grippers = held(clamps, STILL[0], -way)
+    once, often = (simulate(rope, material, grippers, DYNAMICS, replace(stepping, detailed=detailed), obstacles=[PEG],
+                            radius=RADIUS) for detailed in (False, True))
+    assert once.converged.all() and once.friction_work[0, -1] > 0.0
+    for name in ("positions", "iterations", "contact_force", "friction_work", "touch"):
+        np.testing.assert_array_equal(getattr(once, name), getattr(often, name), err_msg=name)
+
+
 def test_a_belt_drags_a_rod_along():
     """A free rod on a belt that starts at once is drawn along by μ g until it is as fast."""
     rod = straight_rod(60.0, 6, (0.0, 0.0, RADIUS), (1.0, 0.0, 0.0))
@@ -122,6 +141,65 @@ def test_wrong_motions_are_one_line():
                                ("Moving: obstacle", ("a peg", np.zeros((4, 3))))):
         with pytest.raises(InputError, match=problem):
             Moving(*arguments)
+
+
+def test_predictions_have_obstacles_that_move():
+    """Those of the states that are returned; the same as in a simulation."""
+    rope, material, clamps = a_rope(1.0)
+    way = np.stack([12 * np.sin(2 * TIME) * TIME, 4 * TIME**2, 35 * TIME], axis=-1)
+    path = ClampPath(np.array([0.0, 1.0]), np.repeat(clamps.start_position[None], 2, axis=0))
+    found = predict_moving(rope, material, clamps, path, DYNAMICS, replace(QUASI_STATIC, rate=1.0), between=INSTANTS - 1,
+                           obstacles=[Moving(PEG, way)], radius=RADIUS)
+    pushed = simulate(rope, material, held(clamps, STILL[0], 0 * way), DYNAMICS, QUASI_STATIC, obstacles=[Moving(PEG, way)],
+                      radius=RADIUS)
+    assert found.followed.all() and len(found.time) == INSTANTS
+    np.testing.assert_allclose(found.vertices[1:, 0], pushed.positions[0], atol=1e-9)
+    np.testing.assert_allclose(found.contact_force[1:, 0], pushed.contact_force[0], atol=1e-6)
+
+
+PREDICTED = """
+between = 10
+[rod]
+length_mm = 120.0
+edges = 24
+radius_mm = 2.0
+[materials.rope]
+bend = 2e4
+twist = 2e4
+[[moments]]
+time_s = 0.0
+end_position_mm = [100, 0, 0]
+[[moments]]
+time_s = 1.0
+[[obstacles]]
+kind = "cylinder"
+start = [50, 50, -60]
+end = [50, 150, -60]
+radius = 10.0
+friction = 0.3
+[[obstacles.moments]]
+time_s = 0.5
+shift = [0, -100, 0]
+[[obstacles.moments]]
+time_s = 1.0
+shift = [0, -100, 40]
+"""
+
+
+def test_scenes_of_predict_state_motions(tmp_path, capsys):
+    """Steps are as many as the fastest obstacle needs, or an error says how many that is."""
+    path, out = tmp_path / "scene.toml", tmp_path / "f.npz"
+    path.write_text(PREDICTED, encoding="utf-8")
+    assert main(["predict", str(path), "--out", str(out), "--picture", str(tmp_path / "f.png")]) == 0
+    assert "11 converged" in (printed := capsys.readouterr().out) and "quasi-static steps" in printed
+    with np.load(out) as found:
+        gap, height = found["smallest_gap_mm"][:, 0], found["vertices_mm"][:, 0, :, 2]
+    assert gap.min() > -RADIUS * GAP_TOLERANCE - 1e-9 and (height[-1] - height[0]).max() > 15.0
+    assert main(["predict", str(path), "--out", str(out), "--dynamic", "--rate", "1"]) == 2
+    assert "substeps" in capsys.readouterr().err
+    path.write_text(PREDICTED.replace("moments]]\ntime_s = 0.5", "moments]]\ntime_s = 1e30"), encoding="utf-8")
+    assert main(["predict", str(path), "--out", str(out)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 SCENE = """

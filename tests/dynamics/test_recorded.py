@@ -152,6 +152,7 @@ def test_smoothing_keeps_parabolas_and_takes_noise_away(rng):
     np.testing.assert_allclose(true.velocity[0], np.tile(velocity + acceleration / RATE, (8, 1)), atol=1e-6)
     off = [np.std(found.grippers.start_position[0] - exact[0, 1:, 0]) for found in (smooth, rough)]
     speed = [np.std(found.velocity - true.velocity) for found in (smooth, rough)]
-    print(f"grippers off by {off[0]:.2f} instead of {off[1]:.2f} mm, velocities by {speed[0]:.0f} instead of {speed[1]:.0f} mm/s")
+    print(f"grippers off by {off[0]:.2f} instead of {off[1]:.2f} mm, first velocities by {speed[0]:.0f} instead of "
+          f"{speed[1]:.0f} mm/s")
     assert off[0] < 0.65 * off[1] and speed[0] < 0.3 * speed[1]
     assert true.velocity_age == 0.0 and rough.velocity_age == 0.5 / RATE
