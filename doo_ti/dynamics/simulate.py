@@ -281,8 +281,7 @@ class _Motion:
         time = np.array([self.step, factor, (factor - 1.0) / factor, self.stepping.least_way, self.watched])
         frames = (self.grippers.instants - 1) // self.substeps
         numbers_a_frame = 3 * table.count * (table.edges + 1) * (1 if slopes is None else 1 + slopes.count)
-        # A rod's forces on itself are not remembered: where a launch ends must not depend on how many rods there are.
-        at_once = frames if self.touching else max(1, min(frames, NUMBERS_AT_ONCE // numbers_a_frame))
+        at_once = max(1, min(frames, NUMBERS_AT_ONCE // numbers_a_frame))
 
         def launch(first: int, last: int, every: int):
             path = clamp_path(self.grippers, self.start, slice(first, last))
@@ -296,6 +295,8 @@ class _Motion:
             account = Account(losses, self.stepping.scheme, self.step, self.held()[table.configuration_index], memory,
                               bool(self.surroundings))
             at_once = 1
+        if self.touching and (account is not None or at_once < frames):
+            table = replace(table, contact=table.contact.for_launches)
         parts = []
         for first in range(0, frames, at_once):
             last = min(frames, first + at_once)

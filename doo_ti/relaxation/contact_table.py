@@ -1,7 +1,7 @@
 """The obstacles of many rods as tables, and which of the rods can reach any (docs/contact.md)."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError, real_array
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import REMEMBERED, REMEMBERED_IN_MOTION, contact_items
-from doo_ti.relaxation.pair_layout import self_contact_items
+from doo_ti.relaxation.pair_layout import CARRIED, self_contact_items
 from doo_ti.types import Clamp, Clamps, Configuration
 
 GAP_TOLERANCE = 2e-4
@@ -33,6 +33,7 @@ class ContactTable:
     surroundings  as they were given
     self_friction  (1 or R,) the rods' coefficients of friction on themselves
     itself     whether the kernel is the one for rods that touch themselves
+    pair_memory  (R, P, CARRIED) of their P pairs of edges, from launch to launch; one number where there is one launch
     """
 
     obstacles: np.ndarray
@@ -45,6 +46,7 @@ class ContactTable:
     surroundings: Surroundings
     self_friction: np.ndarray
     itself: bool = False
+    pair_memory: np.ndarray = field(default_factory=lambda: np.zeros((1, 1, 1)))
 
     @property
     def rubs(self) -> bool:
@@ -73,6 +75,12 @@ class ContactTable:
                            forces=np.zeros(self.forces.shape))
         self.memory[rows] = 0.0
         return replace(self, itself=True)
+
+    @property
+    def for_launches(self) -> "ContactTable":
+        """The table of rods that touch themselves, for a motion in several launches."""
+        edges = self.memory.shape[1] - 1
+        return replace(self, pair_memory=np.zeros((len(self.near), edges * (edges - 1) // 2, CARRIED)))
 
     @property
     def smooth(self) -> "ContactTable":

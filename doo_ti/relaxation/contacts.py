@@ -200,6 +200,7 @@ class Contacts(ContactRounds):
             self.put(scratch, tables.contacts + PHASE * self.stride, slot, ROUGH)
             for pair in ti.static(CARRIED_ON):
                 self.put(scratch, tables.contacts + pair[1] * self.stride, slot, tables.memory[row, 0, 0, pair[0]])
+            self.load_carried_pairs(tables, scratch, slot, row)
         for k in ti.static(range(3)):
             self.put(scratch, tables.contacts + (MULTIPLIER + k) * self.stride, slot, tables.results[row, of.FORCE + k])
 
@@ -310,6 +311,7 @@ class Contacts(ContactRounds):
         """The same of a rod in motion, with what its next step begins with."""
         self.unload(tables, scratch, slot, row)
         self.carry_on(tables, scratch, slot, row, CARRIED_ON[1:])
+        self.carry_pairs(tables, scratch, slot, row)
 
     @ti.func
     def carry_on(self, tables, scratch: ti.template(), slot, row, pairs: ti.template()):
@@ -331,6 +333,14 @@ class Contacts(ContactRounds):
     @ti.func
     def load_pairs(self, tables, scratch: ti.template(), slot, row):
         """Begin lane ``slot`` without forces between edges."""
+
+    @ti.func
+    def load_carried_pairs(self, tables, scratch: ti.template(), slot, row):
+        """What the launch before has left of edges, into lane ``slot``."""
+
+    @ti.func
+    def carry_pairs(self, tables, scratch: ti.template(), slot, row):
+        """What the next launch needs of edges, from lane ``slot``."""
 
     @ti.func
     def pair_touch(self, tables, scratch: ti.template(), slot, vertex):

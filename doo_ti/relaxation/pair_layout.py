@@ -15,8 +15,8 @@ LOAD, PULL, MOVE, ARC, VERTEX_ITEMS = 0, 3, 6, 9, 10
 # both and the gradient of the distance; and, in a group, one where they may touch.
 FORCE, FRICTION, RUBBED_NORMAL, RUBBED_PLACES, DISTANCE, DISTANCE_STANDING, PLACES, NORMAL, APART, PAIR_ITEMS = (
     0, 1, 4, 7, 9, 10, 11, 13, 16, 17)
-REMEMBERED = 9
-"""Items of a pair that last from one step to the next."""
+REMEMBERED, CARRIED = 9, 11
+"""Items of a pair that last from one step to the next, and from one launch to the next."""
 # Then the dense matrix of the Newton system, the rows of its lower triangle one after the other; three rows that are being
 # eliminated, place by place; the inverse pivots; and the right-hand side with the three columns of closure, row by row.
 

@@ -8,6 +8,7 @@ from doo_ti.relaxation.contact_layout import APPROACH, OFFSET, RADIUS, SLACK, ST
 from doo_ti.relaxation.contacts import NONE
 from doo_ti.relaxation.pair_distance import pair_weights
 from doo_ti.relaxation.pair_layout import (
+    CARRIED,
     COEFFICIENT,
     DISTANCE,
     DISTANCE_STANDING,
@@ -173,6 +174,23 @@ class SelfContacts(SelfContactEnergy):
                 self.put(scratch, at + k * self.stride, slot, 0.0)
             self.put(scratch, at + DISTANCE * self.stride, slot, 1e30)
             self.put(scratch, at + DISTANCE_STANDING * self.stride, slot, 1e30)
+
+    @ti.func
+    def load_carried_pairs(self, tables, scratch: ti.template(), slot, row):
+        """What the launch before has left of edges, into lane ``slot``."""
+        first, pairs = self.first_pair(tables), tables.pair_memory.shape[1]
+        for number in range(ti.select(pairs > 1, pairs, 0)):
+            for k in ti.static(range(CARRIED)):
+                self.put(scratch, first + (number * PAIR_ITEMS + k) * self.stride, slot, tables.pair_memory[row, number, k])
+
+    @ti.func
+    def carry_pairs(self, tables, scratch: ti.template(), slot, row):
+        """What the next launch needs of edges, from lane ``slot``."""
+        first, pairs = self.first_pair(tables), tables.pair_memory.shape[1]
+        for number in range(ti.select(pairs > 1, pairs, 0)):
+            for k in ti.static(range(CARRIED)):
+                value = self.get(scratch, first + (number * PAIR_ITEMS + k) * self.stride, slot)
+                tables.pair_memory[row, number, k] = value
 
     @ti.func
     def pair_touch(self, tables, scratch: ti.template(), slot, vertex):

@@ -99,6 +99,7 @@ def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int
         self_friction: table1,
         touches: index2,  # [row · frame, vertex] out
         poses: table4,  # [1 or row, 1 + step, obstacle, POSE_COLUMNS] of obstacles that move, else anything
+        pair_memory: table3,  # [row, pair of edges, CARRIED] in and out, or one number
     ):
         ti.loop_config(block_dim=block)
         for thread in range(threads):
@@ -111,7 +112,7 @@ def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int
                 time=time, steps=steps, every=every, frames_before=frames_before, places=places, positions=positions,
                 outcome=outcome, contacts=contacts, obstacles=obstacles, kinds=obstacle_kinds, grids=grids, radius=radius,
                 tolerance=gap_tolerance, memory=memory, forces=forces, self_friction=self_friction, touches=touches,
-                poses=poses)
+                poses=poses, pair_memory=pair_memory)
             loop.work(tables, scratch, threads, thread)
 
     return runtime.compiled_briefly(make_steps), sweep.items, sweep.parameters

@@ -6,6 +6,9 @@ import taichi as ti
 
 from doo_ti import runtime
 from doo_ti.contact.itself import Itself, edge_distance, smallest_self_gap
+from doo_ti.dynamics.grippers import Grippers
+from doo_ti.dynamics.parameters import Dynamics, Stepping
+from doo_ti.dynamics.simulate import simulate
 from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_product
 from doo_ti.knots import overhand_knot, rod_along
@@ -156,6 +159,24 @@ def test_a_knot_stays_and_its_forces_balance(knotted):
     pull = np.linalg.lstsq(far.T, gradient[free], rcond=None)[0]
     assert np.abs(gradient[free] - far.T @ pull).max() * 160.0 / STIFFNESS < 1e-7
     assert np.allclose(pull, solution.end_force[0], rtol=1e-6, atol=1e-6 * np.abs(pull).max())
+
+
+@pytest.mark.thorough
+def test_a_knot_is_pulled_in_one_launch_as_in_many(knotted):
+    """Every step in a launch of its own, as ``detailed`` makes them: the same bits, with friction."""
+    clamps, knot = knotted
+    material = Material(STIFFNESS, STIFFNESS, 1.0)
+    start, share = knot.configuration, np.linspace(0.0, 1.0, 6)[None, :, None]
+    way = 2.0 * share * clamps.start_frame[:, None, :, 0]
+    held = [np.repeat(frame[:, None], 6, axis=1) for frame in (clamps.start_frame, clamps.end_frame)]
+    grippers = Grippers(Clamp.TANGENT, Clamp.TANGENT, clamps.start_position[:, None] - way, clamps.end_position[:, None] + way,
+                        *held)
+    once, often = (simulate(start, material, grippers, Dynamics(density=1.0), stepping, obstacles=[Itself(friction=0.1)],
+                            radius=RADIUS)
+                   for stepping in (Stepping(10.0, quasi_static=True, detailed=detailed) for detailed in (False, True)))
+    assert once.converged.all() and once.friction_work[0, -1] > 0.0
+    for name in ("positions", "iterations", "contact_force", "friction_work", "touch"):
+        np.testing.assert_array_equal(getattr(once, name), getattr(often, name), err_msg=name)
 
 
 @pytest.mark.thorough
