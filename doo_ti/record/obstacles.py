@@ -14,14 +14,23 @@ def log_obstacles(stream, entity: str, when: list, touched: Touched, offset: np.
     ``when``."""
     for row, move in enumerate(offset):
         for number, (given, _, vertices, triangles, normals) in enumerate(touched.meshes(row, 0)):
-            own, corners = f"{entity}/{row}/{number}", vertices[triangles].reshape(-1, 3)
+            own, corners = f"{entity}/{row}/{number}", _outward(vertices[triangles], normals).reshape(-1, 3)
             if isinstance(given, Moving):
                 rotation, shift = since_first(*given.path)
                 stream.send_columns(own, when, rerun.Transform3D.columns(mat3x3=rotation[0], translation=shift[0] + move))
             else:
                 corners = corners + move
             stream.log(own, rerun.Mesh3D(
-                vertex_positions=corners, vertex_normals=np.repeat(normals, 3, axis=0), albedo_factor=OBSTACLE), static=True)
+                vertex_positions=corners, vertex_normals=np.repeat(normals, 3, axis=0), albedo_factor=OBSTACLE,
+                # A table does not hide from below what lies on it.
+                face_rendering=rerun.components.MeshFaceRendering.Front), static=True)
+
+
+def _outward(corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Triangles (M, 3, 3) with their corners in the sense of their outward ``normals`` (M, 3)."""
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    turned = (across * normals).sum(axis=-1) < 0.0
+    return np.where(turned[:, None, None], corners[:, ::-1], corners)
 
 
 def log_forces(stream, entity: str, when: list, touched: Touched, offset: np.ndarray) -> None:

@@ -12,7 +12,7 @@ import rerun.blueprint as blueprint
 from doo_ti.record.obstacles import log_forces, log_obstacles
 from doo_ti.record.stream import OBSERVED, drawn_strips, front_view, log_up, panels, recording
 from doo_ti.report import distinct_colors
-from doo_ti.report.grid_view import Observed, grid_view
+from doo_ti.report.grid_view import Observed, facing, grid_view
 from doo_ti.report.touched import Touched
 
 SIMULATED = (255, 140, 60)
@@ -31,7 +31,8 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
     rods = positions[:MOST_RODS]
     count, frames = rods.shape[:2]
     seen = None if recorded is None else recorded[:MOST_RODS]
-    grid = grid_view(Observed((rods if seen is None else seen).reshape(count, -1, 3), up=up))
+    places = (rods if seen is None else seen).reshape(count, -1, 3)
+    grid = grid_view(Observed(places, up=facing(places, up)[0]))
     title = f"Rods, mm: orange simulated{', white recorded' * (seen is not None)}"
     views = [front_view(grid, "world", title if touched is None else f"{title}, blue {touched.legend}", 1.8)]
     if seen is not None:
@@ -41,7 +42,7 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
     layout = blueprint.Blueprint(blueprint.Vertical(*views, row_shares=[2, 1, 1][: len(views)]), *panels("time"))
     when = [rerun.TimeColumn("time", duration=np.arange(frames) / rate)]
     with recording(path, f"rollout {name}", name, layout) as stream:
-        log_up(stream, "world", grid.basis[2])
+        log_up(stream, "world", up)
         for entity, shown, color, width in (("observations", seen, OBSERVED, 0.7), ("rods", rods, SIMULATED, 1.2)):
             if shown is None:
                 continue

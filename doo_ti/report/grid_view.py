@@ -10,6 +10,8 @@ import numpy as np
 from doo_ti.io.observations import Observations
 from doo_ti.short_repr import short_repr
 
+FLAT = 3.0
+"""Of what is seen from above: the depth of a view from the side over its height."""
 UNITS = {"mm": " mm", "deg": "°"}
 
 
@@ -96,6 +98,14 @@ def upright_basis(vertices: np.ndarray, up) -> np.ndarray:
     right = np.linalg.eigh(spread.T @ spread - 1e-9 * (1 + np.sum(spread**2)) * np.outer(up, up))[1][:, -1]
     right = -right if right @ np.nansum(vertices[:, -1] - vertices[:, 0], axis=0) < 0 else right
     return np.stack([right, np.cross(up, right), up])
+
+
+def facing(vertices: np.ndarray, up) -> tuple[np.ndarray, str]:
+    """What points up in a view of rods (D, V, 3), and from where that is: from the side or, if they are flat, as on a table,
+    from above."""
+    basis = upright_basis(vertices, up)
+    _, depth, height = np.nanstd((vertices - np.nanmean(vertices, axis=1, keepdims=True)) @ basis.T, axis=(0, 1))
+    return (basis[1], "from above") if depth > FLAT * height else (basis[2], "from the side")
 
 
 def label_table(first, second) -> tuple | None:

@@ -5,27 +5,23 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.report.canvas import PICTURE_DPI, fit_titles, limits_around, literal, new_figure
-from doo_ti.report.grid_view import upright_basis
+from doo_ti.report.grid_view import facing, upright_basis
 from doo_ti.report.touched import Touched
 
 MOST_RODS = 6
 """In a picture, those of the largest, the median and the smallest errors."""
 STILLS = 9
 """Positions of a rod in a picture."""
-FLAT = 3.0
-"""Of what is seen from above: the depth of a view from the side over its height."""
 ANIMATED, FRAMES_PER_SECOND, MOST_FRAMES = 8, 25, 250
 RECORDED, PREDICTED = "#9a9a9a", "#c2410c"
 
 
 def _view(rods: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, str]:
-    """(2, 3) directions of a picture of (R, T, V, 3) rods, and from where that is: from the side or, if they are flat, as on a
-    table, from above."""
+    """(2, 3) directions of a picture of (R, T, V, 3) rods, and from where that is."""
     places = rods.reshape(len(rods), -1, 3)
     places = places[np.isfinite(places).any(axis=(1, 2))] if np.isfinite(places).any() else np.zeros((1, 1, 3))
-    basis = upright_basis(places, up)
-    _, depth, height = np.nanstd((places - np.nanmean(places, axis=1, keepdims=True)) @ basis.T, axis=(0, 1))
-    return (basis[[0, 1]], "from above") if depth > FLAT * height else (basis[[0, 2]], "from the side")
+    upward, view = facing(places, up)
+    return upright_basis(places, upward)[[0, 2]], view
 
 
 def chosen(positions: np.ndarray, recorded: np.ndarray | None, most: int) -> np.ndarray:
