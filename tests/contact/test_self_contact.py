@@ -161,7 +161,7 @@ def test_a_knot_stays_and_its_forces_balance(knotted):
     assert np.allclose(pull, solution.end_force[0], rtol=1e-6, atol=1e-6 * np.abs(pull).max())
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_a_knot_is_pulled_in_one_launch_as_in_many(knotted):
     """Every step in a launch of its own, as ``detailed`` makes them: the same bits, with friction."""
     clamps, knot = knotted
