@@ -18,7 +18,9 @@ from doo_ti.cli import main
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPTS = [path for path in sorted((ROOT / "docs" / "examples").glob("[0-9][0-9]_*.*")) if path.suffix in (".py", ".sh")]
 DEFAULT = ("01_hang_a_rope.py",)
-"""Of the default run; the full run has all."""
+"""Of the default run; the full run has all but those that take long."""
+LONG = ("10_cluster.py",)
+"""It starts a cluster of processes, as tests of the full run do too."""
 SHIM = """#!/bin/bash
 printf '%s\\0' "$PWD" "$@" > {requests}
 read -r code < {answers}
@@ -66,7 +68,8 @@ def run_shell(script: Path, folder: Path) -> int:
 
 @pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize("script", [
-    pytest.param(path, marks=() if path.name in DEFAULT else pytest.mark.thorough, id=path.name) for path in SCRIPTS])
+    pytest.param(path, id=path.name, marks=() if path.name in DEFAULT else pytest.mark.slow if path.name in LONG else
+                 pytest.mark.thorough) for path in SCRIPTS])
 def test_example(script, folder, monkeypatch):
     monkeypatch.setattr(sys, "argv", [str(script)])
     if script.suffix == ".sh":

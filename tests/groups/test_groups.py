@@ -168,7 +168,7 @@ def test_points_apart_are_drawn_together_as_far_as_they_can_be():
     assert not apart.converged[0] and apart.closure[0] > 0.1
 
 
-@pytest.mark.thorough
+@pytest.mark.slow  # the kernel for packs of groups takes 40 s to compile
 def test_a_group_relaxes_alone_as_among_others():
     group = a_y(20, 50.0)
     together = relax_group(group, radius=0.5)
