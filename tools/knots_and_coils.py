@@ -9,8 +9,8 @@ friction F h²/B = ε⁴/2 + μ 0.492 ε³ where the knot is pulled tighter: by 
 
 Strands touch along some 15 ε R, much of it single places far apart. A knot is first relaxed with edges that are fine in the
 braid, and then once more with edges that are fine wherever it touches. Without weight a knot may slide along its rod, and turn
-about the line through its ends, at no cost: a weight of a fiftieth of the tension, or little more, holds it, and with friction
-a tenth.
+about the line through its ends, at no cost: a weight of a fiftieth of the tension, or little more, holds it; some with friction
+need a tenth.
 
 A plectoneme (Clauvelin, Audoly and Neukirch 2009): a rod is turned at one end; where it has coiled up, with the angle α of its
 strands to the axis of the coil, F h²/B = sin³α (cos α tan 2α − ½ sin α). Its link, by twist and writhe, is the turns it was
@@ -43,16 +43,17 @@ from tests.contact.topology import determinant, link  # noqa: E402
 BEND, RADIUS = 1e5, 1.0
 KNOTS = (0.0125, 0.02, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4)
 """ε to begin with."""
-WEIGHT, WEIGHT_RUBBED = 0.02, 0.1
-"""Of the tension that the limit gives at that ε: the rod's weight, 2 μ L, without friction and with."""
+WEIGHT = 0.02
+"""Of the tension that the limit gives at that ε: the rod's weight, 2 μ L."""
 UP = (0.0, 1.0, 0.0)
 """Away from the loop."""
 FINEST, SHORTEST, TOUCHING, GROWTH, COARSEST = 0.16, 1.0, 7.6, 0.12, 0.08
 """Edges of the second mesh have the length FINEST ε R, but at least SHORTEST radii, up to TOUCHING ε R from the middle of the
 braid. Further away they grow by GROWTH times the distance from there, to COARSEST R."""
-PULLED, RUB, STEPS, DRAWN = (0.0125, 0.05, 0.1, 0.2, 0.3, 0.4), 0.1, 12, 0.15
-"""ε of the knots that are pulled tighter, the coefficient of friction, the number of steps, and the rod that both ends together
-are pulled by, over ε R."""
+PULLED = {0.0125: WEIGHT, 0.05: 0.1, 0.1: 0.1, 0.2: WEIGHT, 0.3: WEIGHT, 0.4: WEIGHT}
+"""ε of the knots that are pulled tighter, and their weights: lighter ones of ε 0.05 and 0.1 turn while their strands rub."""
+RUB, STEPS, DRAWN = 0.1, 12, 0.15
+"""The coefficient of friction, the number of steps, and the rod that both ends together are pulled by, over ε R."""
 
 
 def arc_length(vertices: np.ndarray) -> np.ndarray:
@@ -133,9 +134,9 @@ def friction(edges: int) -> None:
     """Print the table of knots that are pulled tighter while their strands rub."""
     print(f"\n|  ε | edges | F h²/B over ε⁴/2 + {RUB:g} · 0.492 ε³, by step | P h²/B over 0.492 ε³, last | "
           "smallest gap over the diameter | s |\n|---|---|---|---|---|---|")
-    for begin in PULLED:
+    for begin, weight in PULLED.items():
         began = time.process_time()
-        knot, material, clamps, loop = tied(begin, edges, WEIGHT_RUBBED)
+        knot, material, clamps, loop = tied(begin, edges, weight)
         share = np.linspace(0.0, 1.0, STEPS + 1)
         way = 0.5 * DRAWN * np.sqrt(RADIUS * loop) * share[None, :, None] * clamps.start_frame[:, None, :, 0]
         ends = clamps.start_position[:, None] - way, clamps.end_position[:, None] + way
