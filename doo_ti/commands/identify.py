@@ -63,9 +63,8 @@ def run(options: Namespace, words: list[str]) -> int:
     bend = given.positive("--bend", options.bend, "mm³")
     motion = RecordedMotion.together(loading.recordings(options, options.motions), options.motions)
     up = given.world_up(options) if options.up is not None or motion.up is None else motion.up
-    stills = _stills(options, motion)
-    if surroundings:
-        require_clear_grippers(chosen.rollouts(motion, guesses(motion, chosen, bend, up)[0]))
+    stills = _stills(options, motion, surroundings)
+    require_clear_grippers(motion, guesses(motion, chosen, bend, up)[0], chosen)
     if folds == 1 or folds > motion.count:
         raise InputError(given.SOURCE, "--folds", f"{folds} for {motion.count} recordings", "give 0, or from 2 to their number")
     with progress(keep=True) as bar:
@@ -80,17 +79,18 @@ def run(options: Namespace, words: list[str]) -> int:
         found = fit(motion, "all recordings")
     if found.failed.all():
         raise RuntimeError(f"no recording could be rolled out, from {len(motion.names)}; give a higher --bend to begin with")
-    summary = _summary(found, motion, held_out, chosen.rollouts(motion, found.theta), out)
+    rollouts = chosen.rollouts(motion, found.theta)
+    summary = _summary(found, motion, held_out, rollouts, out)
     save_json(out, {"doo_ti": "theta", **summary["theta"], **{key: summary[key] for key in (
         "parameters", "error_mm", "mean_error_mm", "median_error_mm", "smoothing", "failed", "inside_mm", "held_out", "stills",
         "glitches")}})
     if picture is not None:
-        _draw(picture, found, motion, chosen)
+        _draw(picture, found, rollouts)
     report(options, summary, lambda: _lines(summary, motion))
     return 0
 
 
-def _stills(options: Namespace, motion) -> list:
+def _stills(options: Namespace, motion, surroundings) -> list:
     """The observations at rest of the rod in ``motion``, with their noise, checked."""
     from doo_ti.dynamics.layout import roll_reference
     from doo_ti.dynamics.stills import Stills
@@ -101,7 +101,7 @@ def _stills(options: Namespace, motion) -> list:
         raise InputError(given.SOURCE, "--still-noise", "given without --still", "give both")
     found = [load_observations(path, given.up(options)) for path in options.still]
     for one in found:
-        Stills.of(one, roll_reference(motion), motion.edge_lengths().sum(), given.surroundings(options))
+        Stills.of(one, roll_reference(motion), motion.edge_lengths().sum(), surroundings)
     return found if noise is None else [replace(one, sigma=np.array(noise)) for one in found]
 
 
@@ -168,12 +168,13 @@ def _lines(summary: dict, motion) -> list[str]:
     return [*lines, f"  written to {in_line(summary['out'])}"]
 
 
-def _draw(picture: Path, found, motion, chosen) -> None:
+def _draw(picture: Path, found, rollouts) -> None:
     from doo_ti.report.rollouts import save_rollout
     from doo_ti.report.touched import Touched
 
     picture.parent.mkdir(parents=True, exist_ok=True)
-    positions, _, _, simulation = chosen.rollouts(motion, found.theta).simulated(found.theta)
-    touched = Touched(chosen.surroundings, positions, simulation.contact_force) if chosen.surroundings else None
+    motion, surroundings = rollouts.motion, rollouts.surroundings
+    positions, _, _, simulation = rollouts.simulated(found.theta)
+    touched = Touched(surroundings, positions, simulation.contact_force) if surroundings else None
     save_rollout(picture, "identified", list(motion.names), positions, motion.positions, motion.rate, found.theta.up,
                  touched=touched)

@@ -1,4 +1,5 @@
-"""What ``--theta`` and ``--dynamic`` give the commands: rest curvature, and the damping, drag and time steps of moving rods."""
+"""What ``--theta`` and ``--dynamic`` give the commands: rest curvature, and friction, damping, drag and time steps of moving
+rods."""
 
 from argparse import Namespace
 from dataclasses import replace
@@ -6,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from doo_ti.commands import options as given
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.types import Material
 
@@ -58,6 +60,16 @@ def losses(options: Namespace, markers: bool = True):
     own = {name: given.positive(f"--{name.replace('_', '-')}", getattr(options, name), unit) for name, unit in LOSSES.items()
            if getattr(options, name) is not None}
     return replace(found, **own)
+
+
+def rubbed(options: Namespace, surroundings: Surroundings) -> Surroundings:
+    """The surroundings with the friction that ``--theta`` states, if it does."""
+    if options.theta is None:
+        return surroundings
+    from doo_ti.dynamics.theta import load_theta
+
+    friction = load_theta(options.theta).friction
+    return surroundings if friction is None else surroundings.rubbing(friction)
 
 
 def curved(options: Namespace, material: Material, rest_length: np.ndarray, moving: bool = False) -> Material:

@@ -217,18 +217,7 @@ def surroundings(options: Namespace) -> Surroundings:
         raise InputError(SOURCE, "--radius", "missing beside --obstacles", "give the radius of the rods in mm")
     if getattr(options, "solver", "newton") != "newton":
         raise InputError(SOURCE, "--solver", f"{options.solver} given beside --obstacles", "leave it out")
-    found = Surroundings(load_obstacles(options.obstacles), radius)
-    friction = _friction_of_theta(options)
-    return found if friction is None else found.rubbing(friction)
-
-
-def _friction_of_theta(options: Namespace) -> float | None:
-    """The friction that ``--theta`` states, or None."""
-    if getattr(options, "theta", None) is None:
-        return None
-    from doo_ti.dynamics.theta import load_theta
-
-    return load_theta(options.theta).friction
+    return Surroundings(load_obstacles(options.obstacles), radius)
 
 
 def scene_surroundings(options: Namespace, found: Surroundings) -> Surroundings:

@@ -9,7 +9,7 @@ import numpy as np
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.drawn_predictions import draw_prediction
-from doo_ti.commands.moving_rods import add_dynamic, curved, is_dynamic, losses, stepping
+from doo_ti.commands.moving_rods import add_dynamic, curved, is_dynamic, losses, rubbed, stepping
 from doo_ti.commands.results import RODS, contact_lines, contact_summary, counted, report, save_arrays, shortened
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
@@ -191,7 +191,7 @@ def _scene(options: Namespace, between: int | None) -> _Task:
 def _observed(options: Namespace, out: Path, between: int | None) -> _Task:
     if options.motion is None:
         raise InputError(given.SOURCE, "--motion", "missing", "name a file of poses, or give a scene of motion")
-    grid, surroundings = given.grid(options), given.surroundings(options)
+    grid, surroundings = given.grid(options), rubbed(options, given.surroundings(options))
     observations = loading.load(options, options.source)
     for source in (options.source, options.motion):
         given.refuse_overwriting(out, source)

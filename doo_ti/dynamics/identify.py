@@ -125,7 +125,7 @@ def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOption
     """
     if "friction" in options.fitted and begin.friction is None:
         raise InputError("identify", "begin", "no friction, which is to be fitted", "give a MotionTheta with `friction`")
-    require_clear_grippers(options.rollouts(motion, begin))
+    require_clear_grippers(motion, begin, options)
     unknowns = Unknowns(begin, options.modes, options.fitted)
     p = unknowns.vector(begin)
     made = 0
@@ -152,9 +152,11 @@ def guesses(motion: RecordedMotion, options: IdentifyOptions, bend: float | None
             for guess, friction in product(bends, frictions)]
 
 
-def require_clear_grippers(rollouts: Rollouts) -> None:
-    """Raise InputError where the grippers of no recording hold the rod outside the obstacles."""
-    depth = rollouts.depth
+def require_clear_grippers(motion: RecordedMotion, theta: MotionTheta, options: IdentifyOptions) -> None:
+    """Raise InputError where, in every recording, the grippers hold the rod of ``theta`` inside an obstacle."""
+    if not options.surroundings:
+        return
+    depth = options.rollouts(motion, theta).depth
     if (depth > 0).all():
         raise InputError("identify", "surroundings", f"the grippers of all recordings hold the rod up to {depth.max():.3g} mm "
                          "inside an obstacle", "correct the obstacle's place, or give a smaller radius")

@@ -60,7 +60,6 @@ class Layout:
 
     start         R rods at frame 1
     velocity      (R, V, 3) mm/s there
-    velocity_age  s before frame 1 for which it holds
     grippers      at every step from frame 1 on, missing frames included
     steps         (R, T − 1) the step of each frame from 1 on
     rate          steps per second
@@ -69,11 +68,15 @@ class Layout:
 
     start: Configuration
     velocity: np.ndarray
-    velocity_age: float
     grippers: Grippers
     steps: np.ndarray
     rate: float
     smoothing: int
+
+    @property
+    def velocity_age(self) -> float:
+        """s before frame 1 for which the velocity holds: a difference of two frames is that of the middle between them."""
+        return 0.5 / self.rate if self.smoothing == 1 else 0.0
 
     @property
     def held(self) -> np.ndarray:
@@ -115,11 +118,11 @@ def lay_out(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarr
     x[:, motion.gripped] = expanded[:, 0]
     # Without twist at the start.
     frames = bishop_frames(_fitted_tangents(x, rest_length, first[:, 0], motion.free_end), first[:, 0, :, 1])
-    # Of an end that is free anything.
+    # A free end does not read its frames.
     last = first if motion.free_end else edge_frames(expanded[:, :, 3] - expanded[:, :, 2], frames[:, -1, :, 1])
     grippers = Grippers(Clamp.FRAME, end, expanded[:, :, 0], expanded[:, :, -1], first, last)
     start = Configuration(x[:, 0].copy(), quaternion_from_matrix(frames), rest_length)
-    return Layout(start, velocity, 0.5 / motion.rate if smoothing == 1 else 0.0, grippers, steps, motion.rate, smoothing)
+    return Layout(start, velocity, grippers, steps, motion.rate, smoothing)
 
 
 def _first_state(positions: np.ndarray, elapsed: np.ndarray, rate: float, smoothing: int) -> tuple[np.ndarray, np.ndarray]:

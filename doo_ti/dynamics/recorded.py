@@ -28,7 +28,7 @@ MOST_CONFUSED = 50
 LEAST_MM, MOST_MM = 1e-6, 1e6
 """Between neighbouring markers, and from the origin."""
 GRIPPED = (0, 1, -2, -1)
-"""Vertices of the first and last edge: where the end is free, the first two of them."""
+"""Vertices of the first and last edge."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class RecordedMotion:
     @classmethod
     def of(cls, positions: ArrayLike, rate: float, names: Iterable[object] | None = None, source: str = "motion",
            free_end: bool = False) -> "RecordedMotion":
-        """With ``elapsed`` found from how the grippers move."""
+        """With ``elapsed`` found from how the grippers move; ``free_end``: no gripper holds the last edge."""
         positions = np.asarray(positions, dtype=np.float64)
         alone = positions.ndim == 3
         if alone:
@@ -79,7 +79,7 @@ class RecordedMotion:
         if (np.abs(positions) > MOST_MM).any():
             raise InputError(source, "positions_mm", f"up to {np.abs(positions).max():.3g} mm from the origin", "give mm")
         names = tuple(str(k) for k in (range(len(positions)) if names is None else names))
-        held = GRIPPED[: 2 if free_end else 4]
+        held = gripped_vertices(free_end)
         confused = confused_frames(positions)
         confused[:, :, len(held) // 2 :] = FINE
         lost = np.argwhere((confused == LOST).all(axis=1))
@@ -100,6 +100,7 @@ class RecordedMotion:
 
         fill_gaps             positions that are not finite are taken from lines between the frames around
         unit, columns, rate   as of :func:`doo_ti.io.motion_recording.read_recording`
+        free_end              no gripper holds the last edge
 
         Raises InputError for files that cannot be read, and as the class does.
         """
@@ -126,9 +127,8 @@ class RecordedMotion:
         if len(parts) > 1:
             names = tuple(Path(source).stem + (f" {name}" if part.count > 1 else "")
                           for part, source in zip(parts, sources, strict=True) for name in part.names)
-        return cls(np.concatenate([part.positions for part in cut]), first.rate, names,
-                   np.concatenate([part.elapsed for part in cut]), np.concatenate([part.confused for part in cut]), up=first.up,
-                   free_end=first.free_end)
+        joined = {name: np.concatenate([getattr(part, name) for part in cut]) for name in ("positions", "elapsed", "confused")}
+        return replace(cut[0], names=names, **joined)
 
     @property
     def count(self) -> int:
@@ -143,7 +143,7 @@ class RecordedMotion:
     @property
     def gripped(self) -> tuple[int, ...]:
         """The vertices that grippers hold."""
-        return GRIPPED[: 2 if self.free_end else 4]
+        return gripped_vertices(self.free_end)
 
     @property
     def predicted(self) -> slice:
@@ -176,6 +176,11 @@ class RecordedMotion:
                 lines.append(f"recording {self.names[r]}, {len(frames)} frames from {frames[0]} to {frames[-1]}: the two "
                              f"markers of the {('start', 'end')[end]} gripper {problem}")
         return lines
+
+
+def gripped_vertices(free_end: bool) -> tuple[int, ...]:
+    """The vertices that grippers hold: of both ends, or of the first alone."""
+    return GRIPPED[:2] if free_end else GRIPPED
 
 
 def _filled(positions: np.ndarray, path: str | Path) -> np.ndarray:

@@ -19,7 +19,7 @@ from doo_ti.relaxation.contact_table import GAP_TOLERANCE
 from doo_ti.types import Clamp
 
 SMOOTHED = 0.09
-"""s."""
+"""s, over which recordings among obstacles are smoothed."""
 NUMBERS_AT_ONCE = 16_000_000
 """Numbers of positions that a simulation returns."""
 
@@ -52,10 +52,12 @@ class Rollouts:
     @classmethod
     def of(cls, motion: RecordedMotion, theta: MotionTheta, stepping: Stepping, end: Clamp,
            surroundings: Surroundings = Surroundings(), smoothing: int | None = None) -> "Rollouts":
-        """Those of the rod of ``theta``, of which lengths and roll count, with an ``end`` that the far gripper holds so.
+        """The rollouts of a motion.
 
-        smoothing  as of :func:`.lay_out`; None: 1, and among obstacles as many frames as make :data:`SMOOTHED`: noise of a
-                   gripper shakes the rod, which then slips where it would have stuck
+        theta      of the rod; only its lengths and its roll reference are read
+        end        what the far gripper holds, if there is one
+        smoothing  as of :func:`.lay_out`; None: 1, but among obstacles the frames of :data:`SMOOTHED`: noise of a gripper
+                   shakes the rod, which then slips where it would have stuck
         """
         if smoothing is None:
             smoothing = 2 * int(0.5 * SMOOTHED * motion.rate) + 1 if surroundings else 1

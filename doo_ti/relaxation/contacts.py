@@ -68,7 +68,7 @@ from doo_ti.relaxation.contact_rounds import ContactRounds
 NONE, STICKS, SLIPS = map(int, Touch)
 CARRIED_ON = ((FORCE_BETWEEN, FIRST_STIFFNESS), (FRICTION_BETWEEN, STIFFNESS), (FRICTION_BETWEEN + 1, LARGEST),
               (FRICTION_BETWEEN + 2, WAY), (RUBBED_PLACE, WORK))
-"""Items of the edge before vertex 0, which there is not, and those of the rod that memory has in their place."""
+"""No edge ends at vertex 0. Where memory would have these items of it, it has these items of the rod."""
 
 
 @ti.data_oriented
