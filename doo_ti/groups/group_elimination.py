@@ -100,7 +100,7 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
                     energy = energy + self.energy_of(bent, s)
             before = q
             at += self.edge_stride
-        return energy, energy, repeated(zero, 3), repeated(zero, 3)
+        return energy, energy, repeated(zero, 3), repeated(zero, 3), (zero, zero)
 
     # --- the energies of places ---
 

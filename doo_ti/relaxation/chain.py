@@ -272,7 +272,8 @@ class Chain:
         """Turn the stepped frames onto closure by the minimum-norm rotation of :meth:`step`, and evaluate them.
 
         Returns energy (gravity from vertex 0 or the far point), its magnitude (sum of absolute terms, the scale of its
-        rounding), what closure is left, and the least-squares multiplier λ = −(AᵀA)⁻¹ Aᵀ g, with AᵀA from before the closing.
+        rounding), what closure is left, the least-squares multiplier λ = −(AᵀA)⁻¹ Aᵀ g, with AᵀA from before the closing, and
+        the smallest t·target of an edge, before closing and after.
         This loop and that of :meth:`step` compute all that edges do not wait for each other for, so that the processor works on
         several at a time; in the elimination each edge waits for the one before.
         """
@@ -284,12 +285,14 @@ class Chain:
         lever1, lever2 = variable(repeated(zero, 3)), variable(repeated(zero, 3))  # its l m1 and l m2
         carry1, carry2 = (zero, zero)  # its gradient so far
         remaining = rod.total
+        unclosed, closed = (zero + 1e30, zero + 1e30)
         some_taut = self.largest(1.0 - rod.free[4]) > 0.5
         at = rod.origin
         for e in range(rod.edges):
             raw = self.load4(rod.scratch, at)
             length = rod.scratch[at + LENGTH * self.stride]
-            rotation = variable(closing_rotation(length, tangent(raw), x))
+            raw_tangent = tangent(raw)
+            rotation = variable(closing_rotation(length, raw_tangent, x))
             levers = length
             if e == 0 or e == rod.edges - 1 or some_taut:
                 tilt = self.freedom(rod, e)[1]
@@ -315,6 +318,8 @@ class Chain:
             l1, l2 = linear_gradient(pull, levers, m1, m2)
             carry1, carry2 = (right1 + l1, right2 + l2)
             reached, lost = self.summed(reached, lost, scaled(t, length))
+            unclosed = ti.min(unclosed, dot(raw_tangent, rod.target))
+            closed = ti.min(closed, dot(t, rod.target))
             before = q
             at += self.edge_stride
         moment = minus(plus(moment, scaled(lever1, carry2)), scaled(lever2, carry1))
@@ -323,7 +328,7 @@ class Chain:
             potential = potential + self.lifted_start(rod)
         miss = scaled(minus(reached, rod.target), rod.closed)
         fit, minors = solve_symmetric(normal, moment)
-        return energy + potential, energy + magnitude, miss, negated(scaled(fit, rod.closed))
+        return energy + potential, energy + magnitude, miss, negated(scaled(fit, rod.closed)), (unclosed, closed)
 
     @ti.func
     def _bend(self, rod, at, before, q):

@@ -2,7 +2,7 @@
 
 import taichi as ti
 
-from doo_ti.physics.tuples import choose, record, repeated
+from doo_ti.physics.tuples import choose, dot, record, repeated
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import newton_policy as fixed
 from doo_ti.relaxation import tables as of
@@ -67,7 +67,7 @@ class NewtonLoop(NewtonTrip):
             change=repeated(zero, 3), longest=one, shift=zero, scale=one, step_scale=zero, coarse=zero, fresh=zero,
             trying=zero, closing=zero, share=one, returned=zero, troubled=zero, escaping=zero, escapes=zero, rounds=zero,
             heading=one, best=zero, idle_trips=zero, aimless=zero, rejects=zero, trips=zero, status=zero, stable=zero,
-            lengths_known=zero, active=zero, finished=one)
+            lengths_known=zero, along=zero, active=zero, finished=one)
 
     @ti.func
     def store(self, tables, scratch: ti.template(), head, slot, lane, rod):
@@ -97,6 +97,10 @@ class NewtonLoop(NewtonTrip):
             miss = (self.lane(lane.miss[0], slot), self.lane(lane.miss[1], slot), self.lane(lane.miss[2], slot))
             squares = miss[0] ** 2 + miss[1] ** 2 + miss[2] ** 2
             tables.results[row, of.CLOSURE] = ti.sqrt(squares) / total
+            at = head + chain.OF_TARGET * self.stride
+            target = self.loading.lane_place(scratch, at, slot)
+            along = self.lane(lane.along, slot) * self.get(scratch, head + chain.OF_CLOSED * self.stride, slot)
+            tables.results[row, of.ALONG] = along / (ti.sqrt(dot(target, target)) + 1e-30)
         if ti.static(self.sweep.moves_start):
             for k in ti.static(range(3)):
                 drift = ti.cast(self.get(scratch, head + (chain.OF_DRIFT + k) * self.stride, slot), ti.f64)
@@ -130,7 +134,7 @@ class NewtonLoop(NewtonTrip):
         choose(
             lane, begun, shift=shift, fresh=one, best=self.constant(1e30), step_scale=zero, trips=zero, idle_trips=zero,
             aimless=zero, rejects=zero, trying=zero, closing=zero, share=one, returned=zero, troubled=zero, escaping=zero,
-            escapes=zero)
+            escapes=zero, along=self.constant(1e30))
         lane.finished = zero
 
     @ti.func

@@ -25,6 +25,7 @@ class NewtonTrip:
     in the lanes (:class:`.Chain`); and ``lane``, the state of each lane's rod and its next step:
 
     energy, magnitude, miss, multiplier  of the accepted frames; ``residual`` their largest moment
+    along                                the smallest t·target of an edge at the start and in all accepted frames
     change, longest                      δλ and the largest rotation of the step, rad
     shift, scale                         added to the diagonal of H, and H's largest diagonal entry
     step_scale                           share of the step that is taken
@@ -84,7 +85,7 @@ class NewtonTrip:
         searching = (lane.escaping > 0.5) & (lane.trying < 0.5)
         noise = ti.select(searching & (lane.rounds < 0.5), 1e-3 * lane.scale, zero)
         echo = ti.select(searching & (lane.rounds > 0.5), lane.scale / (lane.longest + 1e-30), zero)
-        energy, magnitude, miss, fitted = self.sweep.close(rod, x, normal)
+        energy, magnitude, miss, fitted, lowest = self.sweep.close(rod, x, normal)
         multiplier = self.multiplier(lane, fitted)
         diagonal = ti.select(next_shift > 0.0, next_shift, self.trace * lane.scale)
         found = self.sweep.eliminate(rod, diagonal, (noise, echo), multiplier, miss)
@@ -94,7 +95,8 @@ class NewtonTrip:
         if self.largest(ti.select(judged.uphill, one, zero)) > 0.5:
             self.sweep.restore(rod, ti.select(judged.uphill, one, zero))
         lane.longest = self.sweep.substitute(rod, found)
-        self.keep(rod, lane, found, miss, multiplier, judged, next_shift)
+        along = ti.select(lane.fresh > 0.5, ti.min(lowest[0], lowest[1]), lowest[1])
+        self.keep(rod, lane, found, miss, along, multiplier, judged, next_shift)
         place = self.judge_place(tables, rod, lane, found.inertia, judged)
         self.plan(tables, rod, lane, judged, place, searching, found.slope)
         self.end(tables, rod, lane, judged, place)
@@ -144,12 +146,13 @@ class NewtonTrip:
             notable=(after < before - fixed.NOTABLE * lane.magnitude) & downhill)
 
     @ti.func
-    def keep(self, rod, lane, found, miss, multiplier, judged, next_shift):
+    def keep(self, rod, lane, found, miss, along, multiplier, judged, next_shift):
         """Update the lane after its step: from the new frames where it is accepted, with a larger shift where it led uphill."""
         zero, one = self.constant(0.0), self.constant(1.0)
         lane.energy = ti.select(judged.stands, found.energy, lane.energy)
         lane.magnitude = ti.select(judged.stands, found.magnitude, lane.magnitude)
         lane.miss = chosen(judged.stands, miss, lane.miss)
+        lane.along = ti.select(judged.stands, ti.min(lane.along, along), lane.along)
         lane.multiplier = chosen(judged.stands, multiplier, lane.multiplier)
         lane.scale = ti.select(judged.stands, found.scale, lane.scale)
         lane.residual = ti.select(judged.stands, found.moment, lane.residual)

@@ -21,7 +21,7 @@ from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.external import External
 from doo_ti.relaxation.input_tables import tables, under
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
-from doo_ti.relaxation.self_approach import approach_in_relaxation
+from doo_ti.relaxation.self_approach import approach_in_relaxation, stays_in_order
 from doo_ti.relaxation.tables import Tables
 from doo_ti.types import Clamps, Configuration, Material, Solution, Status, unit_up
 
@@ -143,9 +143,10 @@ def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | Non
     rows = np.flatnonzero(feasible & (short | (precision == "mixed")))
     if len(rows):
         usable = (results[:, of.STATUS] == CONVERGED) | (results[:, of.STATUS] == STALLED)
-        before = results[rows, of.ITERATIONS]
+        before, along = results[rows, of.ITERATIONS], results[rows, of.ALONG]
         batch.continue_newton(table, replace(solver, first_shift=0.0), 64, frames, results, rows, usable)
         results[rows, of.ITERATIONS] += before
+        results[rows, of.ALONG] = np.where(usable[rows], np.minimum(results[rows, of.ALONG], along), results[rows, of.ALONG])
         bits[rows] = 64
     return frames, results, bits
 
@@ -159,7 +160,8 @@ def _touch_themselves(table: Tables, solver: Newton, frames, results, bits) -> T
     if contact.forces.flags.writeable:  # of an earlier call with these tables
         contact.forces[~contact.near] = 0.0
     index = table.configuration_index
-    rows, turned = approach_in_relaxation(table.start, index, frames, table.rest_length, contact.radius)
+    rods = np.flatnonzero(~stays_in_order(table, results))
+    rows, turned = approach_in_relaxation(table.start, index, frames, table.rest_length, contact.radius, rods)
     if len(turned):
         rows = np.sort(np.append(rows, turned[table.spins_held[index[turned]]]))
     rows = rows[results[rows, of.STATUS] != INFEASIBLE]
@@ -198,7 +200,7 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
         reached = configuration.take(taut).vertices[:, -1] - clamp[:, of.ANCHOR : of.ANCHOR + 3]
         missed = reached - clamp[:, of.TARGET : of.TARGET + 3]
         results[taut, of.CLOSURE] = np.linalg.norm(missed, axis=1) / clamp[:, of.TOTAL]
-        results[taut, of.FORCE : of.RESULTS] = np.nan
+        results[taut, of.FORCE : of.ALONG] = np.nan
     hanging = np.flatnonzero(table.released[index])
     if len(hanging):
         ends = configuration.take(hanging).vertices[:, -1]
@@ -211,7 +213,7 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
         iterations=results[:, of.ITERATIONS].astype(np.int32),
         status=status,
         stable=stable,
-        end_force=results[:, of.FORCE : of.RESULTS],
+        end_force=results[:, of.FORCE : of.ALONG],
         precision=bits.astype(np.int8),
         tables=table,
     )

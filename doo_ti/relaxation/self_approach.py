@@ -7,6 +7,9 @@ between them. A rod is divided into blocks of edges, on which two bounds show th
   apart as the cosine of its angle times the arc between them;
 - places of other blocks are as far apart as the middles of the two blocks less half their lengths.
 
+Rods whose edges all point along the line through their ends, at the start and after every step of the relaxation, are not looked
+at: on the straight way between two such shapes their places stay in the same order along that line.
+
 The way of rods for which they do not is followed edge by edge (:mod:`doo_ti.relaxation.closest_approach`).
 
 A rod may also have passed through itself and come back. Where both its ends are held its linking number shows it: the twist of
@@ -26,11 +29,17 @@ from doo_ti.physics.angle import passed_half_turn, turned_about_own_tangent
 from doo_ti.physics.number import Number
 from doo_ti.physics.quaternion import tangent
 from doo_ti.physics.tuples import dot, itemwise, minus, plus, record, repeated, scaled, variable
+from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import layout_for, scratch_for
 from doo_ti.relaxation.closest_approach import AFTER, ARC, BEFORE, ENOUGH, VERTEX_ITEMS, ClosestApproach, least_distance
+from doo_ti.relaxation.tables import Tables
 
 APART, TOUCHING, TURNED = 0, 1, 2
 """Flags: a rod stays apart from itself, may touch itself, or does not but its link changes."""
+START, ROD = 0, 1
+"""Columns of a rod's rows: among starts, and among rods."""
+RADIUS, NEAR, ARC_BETWEEN, LIMITS = 0, 1, 2, 3
+"""Of a rod, mm: its radius, the distance at which two places touch, and the rod between any two edges that count."""
 BLOCKS = 8
 ROUNDING = 1e-5
 """Of a rod's length, by which f32 may be off."""
@@ -62,29 +71,31 @@ class SelfApproach:
         for pack in range((rods + self.width - 1) // self.width):
             if pack % threads == thread:
                 # The last pack has its last rod several times.
-                own = variable([ti.min(pack * self.width + slot, rods - 1) for slot in ti.static(range(self.width))])
+                place = [ti.min(pack * self.width + slot, rods - 1) for slot in ti.static(range(self.width))]
+                starts = variable([tables.rows[place[slot], START] for slot in ti.static(range(self.width))])
+                own = variable([tables.rows[place[slot], ROD] for slot in ti.static(range(self.width))])
                 turns = self.constant(0.0)
                 if ti.static(self.by_frames):
-                    turns = self.load_frames(tables, own, scratch, head)
+                    turns = self.load_frames(tables, starts, own, scratch, head)
                 else:
-                    self.load_places(tables, own, scratch, head)
+                    self.load_places(tables, starts, own, scratch, head)
                 room = self.room(tables, own, scratch, head)
                 for slot in range(self.width):
                     rod = pack * self.width + slot
                     if rod < rods:
                         flag = ti.select(ti.abs(self.lane(turns, slot)) < 0.5, APART, TURNED)
                         if not self.lane(room, slot) > 0.0:
-                            if self.touches(tables, scratch, head, slot, rod):
+                            if self.touches(tables, scratch, head, slot, tables.rows[rod, ROD]):
                                 flag = TOUCHING
                         tables.flags[rod] = flag
 
     @ti.func
     def touches(self, tables, scratch: ti.template(), head, slot, row):
         """Whether the rod in a lane touches itself on its way, edge by edge."""
-        radius = tables.radius[ti.min(row, tables.radius.shape[0] - 1)]
-        near = tables.near[ti.min(row, tables.near.shape[0] - 1)]
-        rod = record(scratch=scratch, head=head, slot=slot, edges=tables.edges, near=near, enough=ENOUGH * radius,
-                     least_arc=LEAST_ARC * radius)
+        at = ti.min(row, tables.limits.shape[0] // LIMITS - 1) * LIMITS
+        radius = tables.limits[at + RADIUS]
+        rod = record(scratch=scratch, head=head, slot=slot, edges=tables.edges, near=tables.limits[at + NEAR],
+                     enough=ENOUGH * radius, least_arc=LEAST_ARC * radius)
         return self.ways.touches(rod)
 
     # --- from tables into scratch ---
@@ -97,14 +108,10 @@ class SelfApproach:
             for k in ti.static(range(count))])
 
     @ti.func
-    def of_rod(self, table: ti.template(), own):
-        """The numbers of all lanes in a table of one or one for each rod."""
-        return self.gather(table, [ti.min(own[slot], table.shape[0] - 1) for slot in ti.static(range(self.width))])
-
-    @ti.func
-    def starts(self, tables, own):
-        """The rows of all lanes among starts and lengths."""
-        return variable([tables.rows[own[slot]] for slot in ti.static(range(self.width))])
+    def limit(self, tables, own, column: ti.template()):
+        """A column of the limits of the rods in all lanes."""
+        last = tables.limits.shape[0] // LIMITS - 1
+        return self.numbers(tables.limits, [ti.min(own[slot], last) for slot in ti.static(range(self.width))], LIMITS, column, 1)[0]
 
     @ti.func
     def length(self, tables, starts, e):
@@ -123,9 +130,8 @@ class SelfApproach:
         scratch[at + ARC * self.stride] = arc
 
     @ti.func
-    def load_frames(self, tables, own, scratch: ti.template(), head):
+    def load_frames(self, tables, starts, own, scratch: ti.template(), head):
         """The vertices of rods that are given by frames; returns by how many turns the link changes."""
-        starts = self.starts(tables, own)
         zero = self.constant(0.0)
         rod = record(old=repeated(zero, 3), new=repeated(zero, 3), arc=zero, turns=zero, last=repeated(zero, 2))
         self.store_vertex(scratch, head, rod.old, rod.new, rod.arc)
@@ -143,9 +149,8 @@ class SelfApproach:
         return rod.turns
 
     @ti.func
-    def load_places(self, tables, own, scratch: ti.template(), head):
+    def load_places(self, tables, starts, own, scratch: ti.template(), head):
         """The vertices of rods that are given by places, from where the first one is before."""
-        starts = self.starts(tables, own)
         size, arc = (tables.edges + 1) * 3, self.constant(0.0)
         first = self.numbers(tables.before, own, size, 0, 3)
         for v in range(tables.edges + 1):
@@ -178,8 +183,8 @@ class SelfApproach:
         edges = tables.edges
         size = (edges + BLOCKS - 1) // BLOCKS
         count = (edges + size - 1) // size
-        near, radius = self.of_rod(tables.near, own), self.of_rod(tables.radius, own)
-        least_arc = self.of_rod(tables.least_arc, own)
+        near, radius = self.limit(tables, own, NEAR), self.limit(tables, own, RADIUS)
+        least_arc = self.limit(tables, own, ARC_BETWEEN)
         # Stricter than the search edge by edge: a rod's result is the same whether or not that follows, which depends on the
         # lengths of all rods of the call.
         near = near + ENOUGH * radius + ROUNDING * self.arc(scratch, head, 0, edges)
@@ -220,57 +225,78 @@ class SelfApproach:
 def _kernel(number: Number, stride: int, block: int, by_frames: bool):
     """The kernel of rods that are given by frames, or by places."""
     bounds = SelfApproach(number, stride, by_frames)
-    numbers, indices = (ti.types.ndarray(dtype=kind, ndim=1) for kind in (ti.f64, ti.i32))
+    numbers = ti.types.ndarray(dtype=ti.f64, ndim=1)
 
     @ti.kernel
     def approach(
         before: numbers,  # [start · edge · 4] frames, or [rod · vertex · 3] mm
         after: numbers,  # [rod · edge · 4] or [rod · vertex · 3]
-        rows: indices,  # [rod] start and, where not all have the same, lengths
+        rows: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [place, (START, ROD)]: START is also that of lengths that differ
         lengths: numbers,  # [1 or row · edge] mm
-        radius: numbers,  # [1 or rod] mm
-        near: numbers,  # [1 or rod] mm, the distance at which two places touch
-        least_arc: numbers,  # [1 or rod] mm of rod that is between any two edges that count
+        limits: numbers,  # [1 or rod · LIMITS] mm
         edges: ti.i32,
         threads: ti.i32,
         scratch: ti.types.ndarray(dtype=number.type, ndim=1),
-        flags: indices,  # [rod] out, APART, TOUCHING or TURNED
+        flags: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [place] out, APART, TOUCHING or TURNED
     ):
         ti.loop_config(block_dim=block)
         for thread in range(threads):
-            tables = record(before=before, after=after, rows=rows, lengths=lengths, radius=radius, near=near,
-                            least_arc=least_arc, edges=edges, flags=flags)
+            tables = record(before=before, after=after, rows=rows, lengths=lengths, limits=limits, edges=edges, flags=flags)
             bounds.work(tables, scratch, threads, thread)
 
     return approach
 
 
 def _approach(by_frames: bool, before, after, rows, rest_length, radius, more) -> np.ndarray:
-    """(R,) APART, TOUCHING or TURNED, of rods that touch where they come nearer to themselves than two radii and ``more``."""
-    count, edges = len(rows), rest_length.shape[1]
-    number, threads, stride, block = layout_for(count, 32)
+    """(N,) APART, TOUCHING or TURNED, of the N rods of ``rows``, that touch where they come nearer to themselves than two radii
+    and ``more``."""
+    edges = rest_length.shape[1]
+    number, threads, stride, block = layout_for(len(rows), 32)
     scratch = scratch_for(number, threads * (edges + 1) * VERTEX_ITEMS)
-    # Between two edges that count lie whole edges: the fewest that are longer than LEAST_ARC.
-    fewest = np.floor(LEAST_ARC * radius / rest_length.max()) + 1.0
-    least_arc = np.maximum(LEAST_ARC * radius, fewest * rest_length.min())
-    flags = np.zeros(count, dtype=np.int32)
+    near = 2.0 * radius + more
+    limits = np.empty((len(near), LIMITS))
+    limits[:, RADIUS], limits[:, NEAR] = radius, near
+    limits[:, ARC_BETWEEN] = _arc_between(radius, rest_length.min(), rest_length.max())
+    flags = np.zeros(len(rows), dtype=np.int32)
     _kernel(number, stride, block, by_frames)(
-        before.reshape(-1), after.reshape(-1), rows, rest_length.reshape(-1), radius, 2.0 * radius + more, least_arc, edges,
-        threads, scratch, flags)
+        before.reshape(-1), after.reshape(-1), rows, rest_length.reshape(-1), limits.reshape(-1), edges, threads, scratch, flags)
     return flags
+
+
+def _arc_between(radius, shortest, longest):
+    """mm of a rod with edges of these lengths that is between any two of them that count."""
+    # Between them lie whole edges: the fewest that are longer than LEAST_ARC.
+    fewest = np.floor(LEAST_ARC * radius / longest) + 1.0
+    return np.maximum(LEAST_ARC * radius, fewest * shortest)
+
+
+def stays_in_order(table: Tables, results: np.ndarray) -> np.ndarray:
+    """(R,) rods whose edges all point along the line through their ends from the start to the end of their relaxation.
+
+    On the whole way two places are then at least as far apart along that line as the smallest cosine times the arc between them.
+    """
+    lengths, radius, index = table.rest_length, table.contact.radius, table.configuration_index
+    shortest, longest, total = lengths.min(axis=1), lengths.max(axis=1), lengths.sum(axis=1)
+    if len(lengths) > 1:
+        shortest, longest, total = shortest[index], longest[index], total[index]
+    least = ((2.0 + ENOUGH) * radius + ROUNDING * total) / _arc_between(radius, shortest, longest)
+    return results[:, of.ALONG] > least
 
 
 @runtime.exclusive
 def approach_in_relaxation(start: np.ndarray, start_row: np.ndarray, frames: np.ndarray, rest_length: np.ndarray,
-                           radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which rods, by row, may touch themselves between their start, row ``start_row`` (R,) of ``start`` (S, E, 4), and their
-    ``frames`` (R, E, 4), also those whose frames are not finite; and which others have turned by whole turns, which only rods
-    with an end that may turn do without passing through themselves."""
-    rows = np.ascontiguousarray(start_row, dtype=np.int32)
+                           radius: np.ndarray, rods: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the rows ``rods`` may touch themselves between their start, row ``start_row`` (R,) of ``start`` (S, E, 4), and
+    their ``frames`` (R, E, 4), also those whose frames are not finite; and which others have turned by whole turns, which only
+    rods with an end that may turn do without passing through themselves."""
+    if not len(rods):
+        return rods, rods
+    rows = np.empty((len(rods), 2), dtype=np.int32)
+    rows[:, START], rows[:, ROD] = start_row[rods], rods
     flags = _approach(True, start, frames, rows, rest_length, radius, 0.0)
     found = np.flatnonzero(flags)
     touching = flags[found] == TOUCHING
-    return found[touching], found[~touching]
+    return rods[found[touching]], rods[found[~touching]]
 
 
 @runtime.exclusive
@@ -282,7 +308,7 @@ def approach_in_motion(before: np.ndarray, after: np.ndarray, length_row: np.nda
     The way between is not straight there: rods are found too that come as near to touching as a quarter of the largest way of a
     vertex.
     """
-    rows = np.ascontiguousarray(length_row, dtype=np.int32)
+    rows = np.stack([length_row, np.arange(len(after))], axis=1).astype(np.int32)
     before, after = np.ascontiguousarray(before), np.ascontiguousarray(after)
     more = BENT * np.sqrt(((after - before) ** 2).sum(axis=-1).max(axis=1))
     flags = _approach(False, before, after, rows, rest_length, radius, more)

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from doo_ti import Clamp, Clamps, Configuration, Itself, Material, relax
 from doo_ti.contact.itself import smallest_self_gap
-from doo_ti.frames import quaternion_of_turn, quaternion_product, vertices_from_quaternions
-from doo_ti.relaxation.self_approach import approach_in_motion, approach_in_relaxation
+from doo_ti.frames import matrix_from_quaternion, quaternion_of_turn, quaternion_product, vertices_from_quaternions
+from doo_ti.relaxation.self_approach import approach_in_motion, approach_in_relaxation, stays_in_order
 
 COUNT, INSTANTS = 64, 80
 
@@ -32,7 +33,7 @@ def test_rods_that_touch_on_their_way_are_found_and_no_others(rng, edges, radius
     shares = np.linspace(0.0, 1.0, INSTANTS)
     gap = np.min([smallest_self_gap(before + share * (after - before), own) for share in shares], axis=0)
     rows = np.arange(COUNT)
-    touching, turned = approach_in_relaxation(start, rows, frames, lengths, own)
+    touching, turned = approach_in_relaxation(start, rows, frames, lengths, own, rows)
     near = approach_in_motion(before, after, rows, lengths, own)
     still = approach_in_motion(after, after, rows, lengths, own)
     found = np.isin(rows, touching)
@@ -50,10 +51,10 @@ def test_a_rod_is_found_alone_as_among_others(rng):
     start, frames = bent(rng, 33), bent(rng, 33)
     lengths, radius = 3.0 * rng.uniform(0.7, 1.3, (COUNT, 33)), rng.uniform(0.5, 2.0, COUNT)
     rows = np.arange(COUNT)
-    touching, turned = approach_in_relaxation(start, rows, frames, lengths, radius)
+    touching, turned = approach_in_relaxation(start, rows, frames, lengths, radius, rows)
     for row in rows:
         own = slice(row, row + 1)
-        alone, whole = approach_in_relaxation(start[own], rows[:1], frames[own], lengths[own], radius[own])
+        alone, whole = approach_in_relaxation(start[own], rows[:1], frames[own], lengths[own], radius[own], rows[:1])
         assert (len(alone), len(whole)) == ((touching == row).sum(), (turned == row).sum())
 
 
@@ -62,8 +63,37 @@ def test_rods_that_are_not_finite_are_found_after_relaxations_and_not_in_motions
     frames = np.tile([1.0, 0.0, 0.0, 0.0], (2, 10, 1))
     lost = frames.copy()
     lost[1, 4] = np.nan
-    np.testing.assert_array_equal(approach_in_relaxation(frames, rows, lost, lengths, radius)[0], [1])
+    np.testing.assert_array_equal(approach_in_relaxation(frames, rows, lost, lengths, radius, rows)[0], [1])
     places = vertices_from_quaternions(np.zeros(3), frames, lengths)
     gone = places.copy()
     gone[1] = np.nan
     assert not approach_in_motion(places, gone, rows, lengths, radius).any()
+
+
+@pytest.mark.parametrize("edges, radius", [(20, 3.0), (40, 1.0)])
+@pytest.mark.parametrize("precision", ["f32", "f64", "mixed"])
+def test_rods_that_stay_in_order_are_apart_and_have_not_turned(rng, edges, radius, precision, monkeypatch):
+    """Those are not looked at: that they would not be found is what makes it allowed."""
+    lengths = 100.0 / edges * rng.uniform(0.8, 1.2, edges)
+    frames = bent(rng, edges)
+    frames[::2] = [1.0, 0.0, 0.0, 0.0]
+    start = Configuration(np.zeros((COUNT, 3)), frames, lengths)
+    reach = rng.uniform(0.6, 0.98, (COUNT, 1)) * lengths.sum() * [1.0, 0.0, 0.0]
+    ends = [matrix_from_quaternion(quaternion_of_turn(0.3 * rng.normal(size=(COUNT, 3)))) for _ in range(2)]
+    clamps = Clamps(Clamp.FRAME, Clamp.FRAME, np.zeros((COUNT, 3)), reach, *ends)
+    material = Material(1e5 * np.ones(COUNT), 1e5, rng.uniform(0.0, 10.0, COUNT))
+    seen = []
+
+    def remember(table, results):
+        seen.append((table, stays_in_order(table, results)))
+        return seen[-1][1]
+
+    monkeypatch.setattr("doo_ti.relaxation.relax.stays_in_order", remember)
+    solution = relax(start, material, clamps, obstacles=[Itself()], radius=radius, precision=precision)
+    table, in_order = seen[0]
+    assert 0.1 < in_order.mean() < 0.9, in_order.mean()
+    every, index = np.arange(COUNT), table.configuration_index
+    touching, turned = approach_in_relaxation(
+        table.start, index, solution.configuration.quaternions, table.rest_length, table.contact.radius, every)
+    assert not in_order[touching].any() and not in_order[turned].any()
+    assert (solution.contact.gap[in_order] > 0.0).all()
