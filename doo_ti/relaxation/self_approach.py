@@ -7,8 +7,8 @@ between them. A rod is divided into blocks of edges, on which two bounds show th
   apart as the cosine of its angle times the arc between them;
 - places of other blocks are as far apart as the middles of the two blocks less half their lengths.
 
-Rods whose edges all point along the line through their ends, at the start and after every step of the relaxation, are not looked
-at: on the straight way between two such shapes their places stay in the same order along that line.
+Rods whose edges all point along the line through their ends, at the start and after every step of the relaxation, are not
+searched: on the straight way between two such shapes their places stay in the same order along that line.
 
 The way of rods for which they do not is followed edge by edge (:mod:`doo_ti.relaxation.closest_approach`).
 
@@ -111,7 +111,8 @@ class SelfApproach:
     def limit(self, tables, own, column: ti.template()):
         """A column of the limits of the rods in all lanes."""
         last = tables.limits.shape[0] // LIMITS - 1
-        return self.numbers(tables.limits, [ti.min(own[slot], last) for slot in ti.static(range(self.width))], LIMITS, column, 1)[0]
+        rows = [ti.min(own[slot], last) for slot in ti.static(range(self.width))]
+        return self.numbers(tables.limits, rows, LIMITS, column, 1)[0]
 
     @ti.func
     def length(self, tables, starts, e):
@@ -259,7 +260,8 @@ def _approach(by_frames: bool, before, after, rows, rest_length, radius, more) -
     limits[:, ARC_BETWEEN] = _arc_between(radius, rest_length.min(), rest_length.max())
     flags = np.zeros(len(rows), dtype=np.int32)
     _kernel(number, stride, block, by_frames)(
-        before.reshape(-1), after.reshape(-1), rows, rest_length.reshape(-1), limits.reshape(-1), edges, threads, scratch, flags)
+        before.reshape(-1), after.reshape(-1), rows, rest_length.reshape(-1), limits.reshape(-1), edges, threads, scratch,
+        flags)
     return flags
 
 
@@ -273,7 +275,7 @@ def _arc_between(radius, shortest, longest):
 def stays_in_order(table: Tables, results: np.ndarray) -> np.ndarray:
     """(R,) rods whose edges all point along the line through their ends from the start to the end of their relaxation.
 
-    On the whole way two places are then at least as far apart along that line as the smallest cosine times the arc between them.
+    On the whole way two places are then as far apart along it as the smallest cosine times the arc between them, or more.
     """
     lengths, radius, index = table.rest_length, table.contact.radius, table.configuration_index
     shortest, longest, total = lengths.min(axis=1), lengths.max(axis=1), lengths.sum(axis=1)
