@@ -69,7 +69,11 @@ def rubbed(options: Namespace, surroundings: Surroundings) -> Surroundings:
     from doo_ti.dynamics.theta import load_theta
 
     friction = load_theta(options.theta).friction
-    return surroundings if friction is None else surroundings.rubbing(friction)
+    if friction is None:
+        return surroundings
+    use = "that of all obstacles" if surroundings.bodies else "ignored without obstacles"
+    options.theta_note = f"{options.theta_note}; its friction of {friction:.3g} is {use}"
+    return surroundings.rubbing(friction)
 
 
 def curved(options: Namespace, material: Material, rest_length: np.ndarray, moving: bool = False) -> Material:

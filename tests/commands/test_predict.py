@@ -190,3 +190,14 @@ def test_rest_curvature_of_a_theta(folder, capsys):
     np.testing.assert_allclose(written(folder / "r.npz")["vertices_mm"], expected.configuration.vertices, atol=1e-9)
     assert main([*command[:3], str(theta_file(folder, 130.0)), *command[4:]]) == 2
     assert "rest_length_mm" in capsys.readouterr().err
+
+
+def test_the_friction_of_theta_is_named(folder, capsys):
+    theta = theta_file(folder, friction=0.3)
+    command = ["predict", str(folder / "seen.npz"), "--motion", str(folder / "marks.npz"), "--theta", str(theta),
+               "--out", str(folder / "f.npz")]
+    assert main(command) == 0
+    assert "markers are ignored; its friction of 0.3 is ignored without obstacles" in capsys.readouterr().err
+    (folder / "far.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, -900, 0]\nnormal = [0, 1, 0]\n')
+    assert main([*command, "--obstacles", str(folder / "far.toml"), "--radius", "1"]) == 0
+    assert "its friction of 0.3 is that of all obstacles" in capsys.readouterr().err
