@@ -1,4 +1,4 @@
-"""``doo-ti group``: rods that touch each other or are tied together, at rest or along a motion without inertia."""
+"""``doo-ti group``: rods that touch each other or are tied together, at rest or along a motion."""
 
 import sys
 from argparse import Namespace
@@ -49,7 +49,7 @@ def run(options: Namespace, words: list[str]) -> int:
     with progress() as bar:
         task = bar.add_task(f"{scene.name} (kernels are compiled once on a machine)", total=len(scene.time), unit="moments")
         try:
-            for solution in follow_group(scene.group, scene.clamps, up=up, **scene.surroundings.arguments):
+            for solution in follow_group(scene.group, scene.clamps, up=up, **scene.arguments):
                 moments.append(solution)
                 bar.advance(task)
         except InputError as error:
@@ -119,7 +119,7 @@ def _summary(scene: "GroupScene", moments: "list[GroupSolution]", out: Path) -> 
         "ties": len(scene.group.ties), "moments": len(moments),
         "status": status_counts(status),
         "failed_s": [float(time) for time, value in zip(scene.time, status, strict=True) if value != Status.CONVERGED],
-        "stable": int(sum(moment.stable[0] for moment in moments)), "energy": last.energy[0],
+        "stable": int(sum(moment.stable[0] for moment in moments)), "energy": last.energy[0], "kinetic": last.kinetic[0],
         "closure": np.max(closure[np.isfinite(closure)], initial=0.0),
         "smallest_gap_mm": np.min(gap[np.isfinite(gap)], initial=np.inf),
         "held_force": {name: value for name, value in forces.items() if value},
@@ -137,8 +137,9 @@ def _lines(scene: "GroupScene", moments: "list[GroupSolution]", summary: dict) -
         failed = ", ".join(f"{time:g}" for time in summary["failed_s"][:MOST_LISTED])
         lines.append(f"  failed at   {failed} s{' and later' * (len(summary['failed_s']) > MOST_LISTED)}")
     if np.isfinite(summary["energy"]):
-        lines.append(f"  energy      {summary['energy']:.6g} mm²" + " at the end" * (count > 1) + "; ties and ends miss their "
-                     f"places by at most {summary['closure']:.1e} of the longest rod")
+        moving = f" and {summary['kinetic']:.4g} mm² kinetic" if scene.dynamics is not None else ""
+        lines.append(f"  energy      {summary['energy']:.6g} mm²{moving}" + " at the end" * (count > 1) + "; ties and ends "
+                     f"miss their places by at most {summary['closure']:.1e} of the longest rod")
     if np.isfinite(summary["smallest_gap_mm"]):
         lines.append(f"  contact     smallest gap {summary['smallest_gap_mm']:.2g} mm")
     if scene.surroundings.rub:

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.dynamics.parameters import RATES
+from doo_ti.dynamics.parameters import RATES, Dynamics, vertex_lengths
 from doo_ti.dynamics.trajectory import Detail
 from doo_ti.frames import quaternion_of_turn, quaternion_product, rotation_vector, tangent_from_quaternion
 from doo_ti.relaxation.time_steps import Memory, curvatures
-from doo_ti.types import Status
+from doo_ti.relaxation.time_sweep import DRAG, DRAG_BY_SPEED, INERTIA, LOAD, SPRING, SPRING_POINT
+from doo_ti.types import Material, Status
 
 STORED = ("kinetic", "gravity", "bending", "twist", "springs")
 """Parts of the energy that a rod has at an instant."""
@@ -51,6 +52,19 @@ class Losses:
     spring_point: np.ndarray
     up: np.ndarray
 
+    @classmethod
+    def of(cls, material: Material, dynamics: Dynamics, rows: np.ndarray, length: np.ndarray, numbers: np.ndarray, rate: float,
+           up: np.ndarray) -> "Losses":
+        """Those of rods with the materials ``rows`` (R,), edges of ``length`` (R, E) and :func:`.vertex_numbers` (R, V, -), at
+        the ``rate`` a/h of a step."""
+        rest = np.zeros((material.count, 1, 2)) if material.rest_curvature is None else material.rest_curvature
+        damping = [dynamics.column(name, material.count)[rows] for name in ("bend_damping", "twist_damping")]
+        weight = 2.0 * material.weight[rows, None] * vertex_lengths(length) + numbers[..., LOAD - INERTIA]
+        drag, by_speed = (numbers[..., column - INERTIA] / rate for column in (DRAG, DRAG_BY_SPEED))
+        mass = numbers[..., 0] / rate**2
+        return cls(length, material.bend[rows], material.twist[rows], rest[rows], *damping, weight, mass, drag, by_speed,
+                   numbers[..., SPRING - INERTIA], numbers[..., SPRING_POINT - INERTIA :], up)
+
     @property
     def pair_length(self) -> np.ndarray:
         """(R, E − 1) l̄ of the joints."""
@@ -72,11 +86,15 @@ class Losses:
         bent = 0.5 * self.pair_length[..., None] * self.rest
         return np.concatenate([bent, bent, np.zeros_like(bent[..., :1])], axis=-1)
 
+    def elastic(self, strains: np.ndarray) -> np.ndarray:
+        """(R, E − 1, 5) energy of the joints at ``strains``, of bending but for the last, which is of twisting."""
+        strains = strains - self.rest_strains()
+        return 0.5 * strains * self.stresses(strains)
+
     def stored(self, memory: Memory, strains: np.ndarray) -> dict[str, np.ndarray]:
         """(R,) energies of each of STORED; ``strains`` are those of the memory."""
         place, velocity = memory.places[..., :3], memory.places[..., 6:9]
-        strains = strains - self.rest_strains()
-        work = 0.5 * strains * self.stresses(strains)
+        work = self.elastic(strains)
         apart = ((place - self.spring_point) ** 2).sum(axis=-1)
         return {
             "kinetic": (0.5 * self.mass * (velocity**2).sum(axis=-1)).sum(axis=-1),
@@ -111,7 +129,7 @@ class Account:
         self.scheme = rate / step, (rate - 1.0) / rate
         self._flows = {name: np.zeros(len(held)) for name in FLOWS}
         self._forces, self._contact, self._instants = None, 0.0, []
-        self._strains = _strains(memory.frames_before), _strains(memory.frames)
+        self._strains = joint_strains(memory.frames_before), joint_strains(memory.frames)
         self._keep(memory)
         self._store(memory)
 
@@ -129,7 +147,7 @@ class Account:
         """The step that led to ``memory``, with the force (R, 3) of the far clamp at its end, where the start is held too, and
         those of ``contact`` (R, V, 3) on the vertices."""
         older, last = self._strains
-        now = _strains(memory.frames)
+        now = joint_strains(memory.frames)
         rate, extrapolation = self.scheme
         rates = rate * (now - last - extrapolation * (last - older))
         forces = self._gripper_forces(memory, end_force, contact, now, rates)
@@ -197,7 +215,7 @@ class Account:
                       energies)
 
 
-def _strains(frames: np.ndarray) -> np.ndarray:
+def joint_strains(frames: np.ndarray) -> np.ndarray:
     """(R, J, 5) of the joints of (R, J + 1, 4) frames: κ = (κb·m2, −κb·m1) of the left frame and of the right one, and the
     twist m."""
     x1, x2, y1, y2, turn = np.moveaxis(curvatures(frames), -1, 0)
@@ -209,5 +227,5 @@ def _joint_moment(frames: np.ndarray, stress: np.ndarray, edge: int) -> np.ndarr
     the derivative of its energy by a turn of that edge, by differences of the strains."""
     turned = np.repeat(frames[None], len(TURNS), axis=0)
     turned[:, :, edge] = quaternion_product(TURNS[:, None], frames[:, edge])
-    sides = _strains(turned.reshape(-1, 2, 4)).reshape(3, 2, len(frames), 5)
+    sides = joint_strains(turned.reshape(-1, 2, 4)).reshape(3, 2, len(frames), 5)
     return -((sides[:, 0] - sides[:, 1]) * stress).sum(axis=-1).T / (2.0 * SMALL_TURN)

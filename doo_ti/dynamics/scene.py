@@ -61,6 +61,7 @@ from msgspec import Meta
 from doo_ti.contact.obstacle_file import obstacles_of
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.grippers import Grippers
+from doo_ti.dynamics.inertia_keys import InertiaKeys
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.errors import InputError
 from doo_ti.frames import quaternion_product, smallest_rotation
@@ -116,15 +117,10 @@ class _Rod(Table):
     knot_finer: Positive | None = None
 
 
-class _Material(Table):
+class _Material(InertiaKeys, kw_only=True):
     bend: Positive
     twist: Positive | None = None
     weight: NotNegative = 1.0
-    density: Positive | None = None
-    bend_damping_s: NotNegative = 0.0
-    twist_damping_s: NotNegative = 0.0
-    drag_per_s: NotNegative = 0.0
-    quadratic_drag_per_mm: NotNegative = 0.0
 
 
 class _Clamps(Table):
@@ -174,14 +170,11 @@ def _materials(path: Path, table: dict) -> tuple[Material, Dynamics]:
 
     def column(name):
         return np.array([getattr(one, name) for one in found])
-    bend, weight = column("bend"), column("weight")
-    density = np.array([one.weight if one.density is None else one.density for one in found])
-    if not (density > 0).all():
-        raise InputError(path, f"materials.{list(table)[int(np.argmin(density))]}.density", "missing for a rod without weight",
-                         "give its mass per length over that of a rod of weight 1")
-    material = Material(bend, np.array([one.bend if one.twist is None else one.twist for one in found]), weight)
-    return material, Dynamics(density, column("bend_damping_s"), column("twist_damping_s"), column("drag_per_s"),
-                              column("quadratic_drag_per_mm"))
+    material = Material(column("bend"), np.array([one.bend if one.twist is None else one.twist for one in found]),
+                        column("weight"))
+    each = [one.dynamics(path, f"materials.{name}", one.weight) for name, one in zip(table, found, strict=True)]
+    return material, Dynamics(*(np.array([getattr(own, name) for own in each]) for name in (
+        "density", "bend_damping", "twist_damping", "drag", "quadratic_drag")))
 
 
 def _grippers(path: Path, file: _File, clamps: _Clamps, start: Configuration, time: np.ndarray) -> Grippers:

@@ -15,8 +15,9 @@ from doo_ti.dynamics.clamp_path import clamp_path
 from doo_ti.dynamics.energies import Account, Losses
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.obstacle_path import obstacle_path
-from doo_ti.dynamics.parameters import GRAVITY, RATES, Direction, Dynamics, MovingStart, Stepping, vertex_lengths
+from doo_ti.dynamics.parameters import RATES, Direction, Dynamics, MovingStart, Stepping
 from doo_ti.dynamics.self_contact import kept_apart
+from doo_ti.dynamics.step_terms import damping_shares, stiffened, vertex_numbers
 from doo_ti.dynamics.trajectory import Trajectory, joined
 from doo_ti.errors import InputError
 from doo_ti.frames import (
@@ -40,15 +41,12 @@ from doo_ti.relaxation.time_loop import (
 from doo_ti.relaxation.time_slopes import NUMBERS, REMEMBERED
 from doo_ti.relaxation.time_steps import Memory, Slopes, make_steps, slope_memory
 from doo_ti.relaxation.time_sweep import (
-    DRAG,
-    DRAG_BY_SPEED,
     INERTIA,
     LOAD,
     PLACE_2,
     SPRING,
     SPRING_POINT,
     VELOCITY_1,
-    VERTEX_ITEMS,
 )
 from doo_ti.types import Clamp, Configuration, Material, Status, unit_up
 
@@ -143,26 +141,10 @@ class _Motion:
         external = Springs(np.zeros((1, vertices, 3)), np.zeros((1, vertices)))
         still = self.surroundings.at(0)
         obstacles = still.obstacles if self.touching else still.bodies
-        table = tables(self.start, self._stiffened(factor), self.first, self.up, *self.pairs, external, None,
-                       obstacles, self.surroundings.radius, in_motion=True)
+        material = stiffened(self.material, self.dynamics, factor / self.step)
+        table = tables(self.start, material, self.first, self.up, *self.pairs, external, None, obstacles,
+                       self.surroundings.radius, in_motion=True)
         return replace(table, contact=table.contact.touching(np.arange(table.count))) if self.touching else table
-
-    def _stiffened(self, factor: float) -> Material:
-        """The material with the stiffness and the rest curvature that damping adds."""
-        m = self.material
-        if not self.dynamics.is_damped:
-            return m
-        shares = self._shares(factor)
-        stiffer = 1.0 / (1.0 - shares)
-        rest = np.zeros((1, 1, 2)) if m.rest_curvature is None else m.rest_curvature
-        return Material(m.bend * stiffer[:, :1, None, None], m.twist * stiffer[:, 1:], m.weight,
-                        rest * (1.0 - shares[:, :1, None]))
-
-    def _shares(self, factor: float) -> np.ndarray:
-        """(G, 2) shares of rest curvature and twist that damping adds, r = τ a/h / (1 + τ a/h)."""
-        tau = np.stack([self.dynamics.column(name, self.material.count) for name in ("bend_damping", "twist_damping")], axis=1)
-        stiffening = tau * factor / self.step
-        return stiffening / (1.0 + stiffening)
 
     def numbers(self, table: Tables, factor: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(numbers (N, V, -), shares (N, 2), (R,) row of each rod), see :func:`.make_steps`."""
@@ -173,22 +155,10 @@ class _Motion:
         of_material = table.material_index if of_rod else np.arange(rows)
         if len(lengths) > 1:
             lengths = lengths[table.configuration_index]
-        share = vertex_lengths(lengths)
-        count = self.material.count
-        weight = self.material.weight[of_material]
-        density = weight if self.dynamics.density is None else self.dynamics.column("density", count)[of_material]
-        if not (density > 0).all():
-            raise InputError("simulate", "density", "zero, since the material has no weight", "give Dynamics(density=...)")
-        point = self.dynamics.point_masses(count, vertices)[of_material]
-        mass = 2.0 * density[:, None] / GRAVITY * share
         rate = factor / self.step
-        numbers = np.zeros((rows, vertices, VERTEX_ITEMS - INERTIA))
-        numbers[..., 0] = (mass + 2.0 * density[:, None] / GRAVITY * point) * rate**2
-        numbers[..., DRAG - INERTIA] = mass * self.dynamics.column("drag", count)[of_material, None] * rate
-        numbers[..., DRAG_BY_SPEED - INERTIA] = mass * self.dynamics.column("quadratic_drag", count)[of_material, None] * rate
+        numbers = vertex_numbers("simulate", self.material, self.dynamics, lengths, of_material, rate)
         if self.stepping.quasi_static:
-            numbers[...] = 0.0
-        numbers[..., LOAD - INERTIA] = 2.0 * weight[:, None] * point
+            numbers[..., : LOAD - INERTIA] = 0.0
         if self.springs is not None:
             if self.springs.vertices != vertices or self.springs.count not in (1, table.count):
                 shape = f"{self.springs.points.shape}"
@@ -196,7 +166,7 @@ class _Motion:
             numbers[..., SPRING - INERTIA] = self.springs.stiffness
             numbers[..., SPRING_POINT - INERTIA :] = self.springs.points
         index = np.arange(table.count) if of_rod else table.material_index
-        return numbers, self._shares(factor)[of_material], index
+        return numbers, damping_shares(self.dynamics, self.material.count, rate)[of_material], index
 
     def slopes(self, table: Tables, factor: float, directions: Sequence[Direction], memory: np.ndarray) -> Slopes | None:
         """How what the kernel is given changes along ``directions``; ``memory`` is how what the rods remember does."""
@@ -216,7 +186,7 @@ class _Motion:
         other = copy(self)
         other.material, other.dynamics = material, dynamics
         numbers, shares, _ = other.numbers(table, factor)
-        return under(table, other._stiffened(factor)).material, numbers[..., :NUMBERS], shares
+        return under(table, stiffened(material, dynamics, factor / self.step)).material, numbers[..., :NUMBERS], shares
 
     def begin(self, start: MovingStart, directions: Sequence[Direction]) -> tuple[Memory, np.ndarray]:
         """The memory of rods that start so, and its derivatives.
@@ -261,16 +231,9 @@ class _Motion:
 
     def losses(self, table: Tables, numbers: np.ndarray, factor: float) -> Losses:
         """What the energies of the rods are computed from; ``numbers`` (R, V, -) are those of each rod."""
-        m, rods, count = self.material, table.material_index, self.material.count
         length = table.rest_length if len(table.rest_length) == 1 else table.rest_length[table.configuration_index]
         length = np.broadcast_to(length, (table.count, table.edges))
-        rest = np.zeros((count, 1, 2)) if m.rest_curvature is None else m.rest_curvature
-        damping = [self.dynamics.column(name, count)[rods] for name in ("bend_damping", "twist_damping")]
-        weight = 2.0 * m.weight[rods, None] * vertex_lengths(length) + numbers[..., LOAD - INERTIA]
-        h = self.step / factor
-        drag, by_speed = (numbers[..., column - INERTIA] * h for column in (DRAG, DRAG_BY_SPEED))
-        return Losses(length, m.bend[rods], m.twist[rods], rest[rods], *damping, weight, numbers[..., 0] * h**2, drag, by_speed,
-                      numbers[..., SPRING - INERTIA], numbers[..., SPRING_POINT - INERTIA :], self.up)
+        return Losses.of(self.material, self.dynamics, table.material_index, length, numbers, factor / self.step, self.up)
 
     def run(self, memory: Memory, progress, directions: Sequence[Direction], remembered: np.ndarray) -> Trajectory:
         """All steps, in launches of bounded size."""

@@ -23,6 +23,8 @@ from doo_ti.groups.layout import (
     REST,
     SLOW_TIES,
     SPIN,
+    SPRING,
+    SPRING_POINT,
     STIFFER_TIES,
     TARGET,
     THICKER,
@@ -150,16 +152,20 @@ class GroupContacts(SelfContacts):
             place = self.load3(rod.scratch, at + BEGIN * self.stride)
             self.store(rod.scratch, at + BEGIN * self.stride, chosen(lost > 0.5, standing, place))
 
-    # --- weight and ties ---
+    # --- weight, springs and ties ---
 
     @ti.func
     def hang(self, rod):
-        """Add the weight of all vertices to the energy and to the gradient."""
+        """Add the weight of all vertices and their springs to the energy, the gradient and the second derivatives."""
         for v in range(rod.edges + 1):
-            weight = scaled(rod.gravity, rod.scratch[self.group_vertex(rod, v) + WEIGHT * self.stride])
-            energy = dot(weight, minus(self.place(rod, v), rod.anchor))
-            self.add(rod, ENERGY, (energy, absolute(energy)))
-            self.add_load(rod, v, weight)
+            at, place = self.group_vertex(rod, v), self.place(rod, v)
+            weight = scaled(rod.gravity, rod.scratch[at + WEIGHT * self.stride])
+            height, stiffness = dot(weight, minus(place, rod.anchor)), rod.scratch[at + SPRING * self.stride]
+            stretch = minus(place, self.load3(rod.scratch, at + SPRING_POINT * self.stride))
+            stored = 0.5 * stiffness * dot(stretch, stretch)
+            self.add(rod, ENERGY, (height + stored, absolute(height) + stored))
+            self.add_load(rod, v, plus(weight, scaled(stretch, stiffness)))
+            self.add_diagonal(rod, v, scaled(identity(0.0 * stiffness), stiffness))
 
     @ti.func
     def missed(self, rod, k):
@@ -248,6 +254,8 @@ class GroupContacts(SelfContacts):
         self.put(scratch, head + TIE_STIFFNESS * self.stride, slot, FIRST_TIE_STIFFNESS * scale.bend / (total * total * total))
         self.put(scratch, head + TIE_MISS * self.stride, slot, 1e30)
         self.put(scratch, head + UNIT * self.stride, slot, unit)
+        force_unit = stiffness_scale(tables.material, tables.clamp, tables.rods[rod, of.MATERIAL_ROW],
+                                     tables.rods[rod, of.CLAMP_ROW]) / (unit * unit)
         at = head + GROUP_HEAD * self.stride
         for e in range(edges):
             for k in ti.static(range(2)):
@@ -258,14 +266,15 @@ class GroupContacts(SelfContacts):
             self.put(scratch, vertex + WEIGHT * self.stride, slot, tables.burden[row, v, 0] / unit)
             self.put(scratch, vertex + HELD * self.stride, slot, tables.burden[row, v, 1])
             self.put(scratch, vertex + THICKER * self.stride, slot, tables.burden[row, v, 2] / unit)
+            for k in ti.static(range(3)):
+                self.put(scratch, vertex + (SPRING_POINT + k) * self.stride, slot, tables.burden[row, v, 3 + k] / unit)
+            self.put(scratch, vertex + SPRING * self.stride, slot, tables.burden[row, v, 6] * unit / force_unit)
         at += (edges + 1) * GROUP_VERTEX_ITEMS * self.stride
         for g in range(rods):
             for k in ti.static(range(3)):
                 item = at + (g * GROUP_ROD_ITEMS + BEGIN + k) * self.stride
                 self.put(scratch, item, slot, tables.places[row, g, k] / unit)
         at += rods * GROUP_ROD_ITEMS * self.stride
-        force_unit = stiffness_scale(tables.material, tables.clamp, tables.rods[rod, of.MATERIAL_ROW],
-                                     tables.rods[rod, of.CLAMP_ROW]) / (unit * unit)
         for t in range(ties):
             tie = at + t * TIE_ITEMS * self.stride
             for k in ti.static(range(3)):

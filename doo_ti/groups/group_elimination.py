@@ -8,6 +8,7 @@ vertices behind an edge end with its rod.
 import taichi as ti
 
 from doo_ti.groups.group_contacts import GroupContacts
+from doo_ti.groups.joint_rest import JOINT_ITEMS, LEFT, RIGHT, TWIST, JointRest
 from doo_ti.groups.layout import BEGIN, BEGIN_STEP, MOMENT, SPIN, TILT, TIP
 from doo_ti.groups.welds import Welds
 from doo_ti.physics.algebra import largest_of
@@ -32,10 +33,10 @@ from doo_ti.physics.tuples import (
     transposed,
     variable,
 )
+from doo_ti.relaxation import chain
 from doo_ti.relaxation.chain import LENGTH, OF_DRIFT_STEP, ROTATION, STANDING, Chain
 from doo_ti.relaxation.dense_elimination import DenseElimination, symmetric_sum, turned_block
 from doo_ti.relaxation.elimination import held_pivot
-from doo_ti.relaxation.external import Nothing
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 from doo_ti.relaxation.pair_layout import LOAD, MOVE
 
@@ -45,7 +46,15 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
     """The chain of a group. No rod is closed: ties hold their far ends."""
 
     def __init__(self, number, stride: int, contacts: GroupContacts):
-        super().__init__(number, False, stride, Nothing, True, contacts)
+        super().__init__(number, False, stride, JointRest, True, contacts)
+        self.joint_rest = chain.item_count(False)
+
+    @ti.func
+    def rest(self, scratch: ti.template(), at):
+        """u̅ of the left frame and of the right one, and m̅."""
+        own = [scratch[at + (self.joint_rest + k) * self.stride] for k in ti.static(range(JOINT_ITEMS))]
+        rest1, rest2 = scratch[at + chain.REST * self.stride], scratch[at + (chain.REST + 1) * self.stride]
+        return ((rest1 + own[LEFT], rest2 + own[LEFT + 1]), (rest1 + own[RIGHT], rest2 + own[RIGHT + 1]), own[TWIST])
 
     @ti.func
     def rods(self, tables, scratch: ti.template(), head, coarse):

@@ -10,6 +10,7 @@ import taichi as ti
 from doo_ti import runtime
 from doo_ti.groups.group_contacts import GroupContacts
 from doo_ti.groups.group_elimination import GroupElimination
+from doo_ti.groups.joint_rest import JointRest
 from doo_ti.groups.layout import group_items
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import record
@@ -17,7 +18,6 @@ from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import UNTOUCHED, buffers, layout_for, policy_row
 from doo_ti.relaxation.contact_table import ContactTable
-from doo_ti.relaxation.external import Nothing
 from doo_ti.relaxation.loaded_elimination import FORCE_ITEMS
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.newton_loop import NewtonLoop
@@ -42,8 +42,10 @@ class GroupTables:
                  a weld the edges at both, the later first, else -1
     targets      (N, K, 8) the place, mm; one where there is this tie; and the rest rotation of a weld, a quaternion
     free         (N, E, 2) one where an edge may spin, and tilt; of a break twice whether the rod behind it may leave its begin
-    burden       (N, V, 3) weight of a vertex as the length that the material's weight multiplies, mm; one where it is held; and
-                 by how much its rod is thicker than the thinnest, mm of radius
+    burden       (N, V, 7) weight of a vertex as the length that the material's weight multiplies, mm; one where it is held; by
+                 how much its rod is thicker than the thinnest, mm of radius; and of a spring its point, mm, and its stiffness,
+                 energy over mm²
+    rest         (1 or N, E, JOINT_ITEMS) rest curvature and twist besides the material's, of the joint where an edge begins
     apart        (1 or N, pairs) int32: one where two edges may touch, pair j (j − 1)/2 + i of i < j
     radii        (1 or N, G) mm
     feasible     (N,) bool
@@ -62,6 +64,7 @@ class GroupTables:
     targets: np.ndarray
     free: np.ndarray
     burden: np.ndarray
+    rest: np.ndarray
     apart: np.ndarray
     radii: np.ndarray
     feasible: np.ndarray
@@ -149,15 +152,15 @@ def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np
     if not len(rows):
         return
     edges = table.start.shape[1]
-    rods = of.rod_rows(rows, rows % len(table.material), rows, rows, np.zeros_like(rows))
-    contact, nothing = table.contact, Nothing()
+    rods = of.rod_rows(rows, rows % len(table.material), rows, rows, rows % len(table.rest))
+    contact, joints = table.contact, JointRest(table.rest)
     number, threads, stride, block = layout_for(len(rows), 64, True)
     kernel = group_kernel(number, stride, block, contact.known)
-    items = chain.LOADED_PARAMETERS + (chain.item_count(False) + FORCE_ITEMS) * edges
+    items = chain.LOADED_PARAMETERS + (chain.item_count(False) + joints.items + FORCE_ITEMS) * edges
     items += self_contact_items(edges, len(contact.kinds)) + group_items(edges, state.places.shape[1], len(table.ties))
     scratch, queue = buffers(number, threads, items)
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy_row(table.up, options, 64),
-        threads, scratch, queue, frames.reshape(-1), results, nothing.numbers(), nothing.field(),
+        threads, scratch, queue, frames.reshape(-1), results, joints.numbers(), joints.field(),
         *contact.arguments(contact.forces), int(table.barrier), table.begins, table.ties, table.targets, table.free,
         table.burden, table.apart, state.places, state.tie_forces, previous, state.touch, state.friction_work)

@@ -8,6 +8,7 @@ from doo_ti.frames import quaternion_product, vertices_from_quaternions
 from doo_ti.groups.apart import connected, edges_apart, smallest_gap
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
+from doo_ti.groups.joint_rest import JOINT_ITEMS
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_kinds, rest_lengths
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, clamp_table
@@ -78,11 +79,12 @@ def _edge_by_edge(table: np.ndarray, edges: int) -> np.ndarray:
     return np.concatenate([table[:, : of.STIFFNESS], along.reshape(len(table), -1)], axis=1)
 
 
-def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool) -> GroupTables:
+def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool, moving: bool = False) -> GroupTables:
     """The tables of a group; with ``contact`` its rods touch each other and themselves, where ``radius`` is given. The radius
     of its contacts is that of the thinnest rod.
 
-    Raises InputError as ``relax`` does, and for rods with weight that nothing holds.
+    Raises InputError as ``relax`` does and, unless the rods are ``moving`` with inertia, where they have weight and nothing
+    holds them.
     """
     bodies = [obstacle for obstacle in obstacles if not isinstance(obstacle, Itself)]
     itself = next((obstacle for obstacle in obstacles if isinstance(obstacle, Itself)), Itself())
@@ -93,7 +95,8 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool)
         except InputError as wrong:
             field = f"{wrong.source}.{wrong.field}"
             raise InputError(f"relax_group: rod {number}", field, wrong.problem, wrong.remedy) from None
-    _check_held(group, members)
+    if not moving:
+        _check_held(group, members)
     lengths = _joined([member.lengths for member in members], 0.0)
     begins = np.zeros(lengths.shape[1], dtype=np.int32)
     begins[group.first_vertices[1:-1] - 1] = np.arange(1, len(members))
@@ -108,7 +111,8 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool)
     require_margin(bodies, radii.max())
     table = contact_table([*bodies, itself], radii.min(axis=1), group.count, lengths.shape[1], clamp, np.arange(group.count))
     thicker = group.at_vertices(radii - table.radius[:, None])
-    burden = np.concatenate([burden, np.broadcast_to(thicker, burden.shape[:2])[..., None]], axis=-1)
+    still = np.zeros((*burden.shape[:2], 4))  # no springs
+    burden = np.concatenate([burden, np.broadcast_to(thicker, burden.shape[:2])[..., None], still], axis=-1)
     touch = contact and radius is not None
     ties, targets = _ties(group, members)
     apart = edges_apart(group, lengths, begins, radii, touch)
@@ -120,8 +124,9 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool)
     return GroupTables(
         start=_joined([member.start for member in members], 1.0), rest_length=lengths, clamp=clamp,
         material=material, up=up, contact=table.touching(np.arange(group.count)), barrier=touch or bool(bodies), begins=begins,
-        begins_at=begins_at, ties=ties, targets=targets, free=np.ascontiguousarray(free), burden=burden, apart=apart,
-        radii=radii, feasible=np.all([member.feasible for member in members], axis=0) & ~crossing)
+        begins_at=begins_at, ties=ties, targets=targets, free=np.ascontiguousarray(free), burden=burden,
+        rest=np.zeros((1, lengths.shape[1], JOINT_ITEMS)), apart=apart, radii=radii,
+        feasible=np.all([member.feasible for member in members], axis=0) & ~crossing)
 
 
 def _hold_spins(group: Group, members: list[Member], free: np.ndarray) -> None:

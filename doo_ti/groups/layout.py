@@ -11,9 +11,9 @@ TIE_STIFFNESS, TIE_MISS, UNIT, GROUP_HEAD = 0, 1, 2, 3
 # Of an edge, whether it may spin and tilt, and the gradient of its welds; of a break the first two say whether the rod behind
 # it may move its first vertex.
 SPIN, TILT, MOMENT, GROUP_EDGE_ITEMS = 0, 1, 2, 5
-# Of a vertex its weight, a length that gravity multiplies; one where a clamp holds it; and by how much its rod is thicker than
-# the thinnest.
-WEIGHT, HELD, THICKER, GROUP_VERTEX_ITEMS = 0, 1, 2, 3
+# Of a vertex its weight, a length that gravity multiplies; one where a clamp holds it; by how much its rod is thicker than the
+# thinnest; and the point and the stiffness of a spring.
+WEIGHT, HELD, THICKER, SPRING_POINT, SPRING, GROUP_VERTEX_ITEMS = 0, 1, 2, 3, 6, 7
 # Of a rod where it begins, also before the step, the step of that place, and where the rod ends.
 BEGIN, BEGIN_STANDING, BEGIN_STEP, TIP, GROUP_ROD_ITEMS = 0, 3, 6, 9, 12
 # Of a tie the place that it holds a vertex at, its force, and one where there is this tie; of a weld the rest rotation, its

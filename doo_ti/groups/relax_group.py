@@ -22,6 +22,7 @@ from doo_ti.groups.apart import smallest_gap
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupState, GroupTables, run_groups
 from doo_ti.groups.group_tables import group_tables
+from doo_ti.groups.inertia import GroupMotion
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.types import Configuration, Status, unit_up
@@ -33,6 +34,7 @@ class GroupSolution:
 
     group          the input, with the relaxed rods for its starts
     energy         (N,) of all rods, and of what ties carry, gravity measured from z = 0
+    kinetic        (N,) their kinetic energy, zero without inertia
     residual       (N,) the largest moment left on a free edge times the length of the longest rod, over the largest eigenvalue
                    of B (no unit)
     closure        (N,) the most by which a tie or the end of a rod misses its place, over that length, or a weld its rotation,
@@ -52,6 +54,7 @@ class GroupSolution:
 
     group: Group
     energy: np.ndarray
+    kinetic: np.ndarray
     residual: np.ndarray
     closure: np.ndarray
     iterations: np.ndarray
@@ -81,7 +84,6 @@ class GroupSolution:
                 f"stable)")
 
 
-@runtime.exclusive
 def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | None = None,
                 obstacles: Sequence[Obstacle] = (), radius: ArrayLike | None = None, contact: bool = True,
                 before: GroupSolution | None = None) -> GroupSolution:
@@ -104,13 +106,22 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
 
     Raises InputError for inputs that do not match.
     """
+    return relaxed(group, solver, up, obstacles, radius, contact, before)
+
+
+@runtime.exclusive
+def relaxed(group: Group, solver: Newton | None, up: ArrayLike | None, obstacles: Sequence[Obstacle], radius: ArrayLike | None,
+            contact: bool, before: GroupSolution | None, motion: GroupMotion | None = None) -> GroupSolution:
+    """:func:`relax_group`, or the first moment or a time step of groups in ``motion``, which then remembers where it led to."""
     if not isinstance(group, Group):
         raise InputError("relax_group", "group", f"a {type(group).__name__}", "give a Group")
     if not isinstance(solver, Newton | None):
         raise InputError("relax_group", "solver", f"{solver!r}", "give Newton() or Newton.careful()")
     with np.errstate(all="ignore"):  # a group that is not finite has a status; NumPy need not warn
-        table = group_tables(group, unit_up((0.0, 0.0, 1.0) if up is None else up, "relax_group"), list(obstacles), radius,
-                             contact)
+        up = unit_up((0.0, 0.0, 1.0) if up is None else up, "relax_group")
+        table = group_tables(group if motion is None else motion.stiffened(group), up, list(obstacles), radius, contact,
+                             motion is not None and motion.moves)
+        table = table if motion is None else motion.into(table)
         tie_forces = np.zeros((group.count, len(table.ties), 6)) if before is None else _forces(group, before)
         touch = np.zeros((group.count, table.start.shape[1] + 1), dtype=np.int32)
         state = GroupState(table.begins_at.copy(), tie_forces, touch, np.zeros(group.count))
@@ -120,7 +131,23 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
             previous = _previous(group, before)
         options = Newton(max_iterations=MOST_IN_CONTACT) if solver is None else solver
         frames, results = run_groups(table, options, state, previous)
-        return _solution(group, table, frames, results, state)
+        solution = _solution(group, table, frames, results, state)
+        return solution if motion is None else _moved(solution, table, motion)
+
+
+def _moved(solution: GroupSolution, table: GroupTables, motion: GroupMotion) -> GroupSolution:
+    """The solution of a time step with the energies of the rods, without what the step adds."""
+    motion.remember(solution.rods)
+    elastic, kinetic = motion.energies()
+    places = np.concatenate([rod.vertices for rod in solution.rods], axis=1)
+    gravity = (_weights(table) * (places @ table.up)).sum(axis=1)
+    lost = np.isnan(gravity)
+    return replace(solution, energy=elastic + gravity, kinetic=np.where(lost, np.nan, kinetic))
+
+
+def _weights(table: GroupTables) -> np.ndarray:
+    """(N, V) energy per mm by which the weight pulls at each vertex."""
+    return table.material[:, of.WEIGHT, None] * table.burden[..., 0]
 
 
 def _previous(group: Group, before: GroupSolution) -> np.ndarray:
@@ -166,11 +193,12 @@ def _solution(group: Group, table: GroupTables, frames, results, state: GroupSta
         rods.append(Configuration(places[:, number].copy(), own, np.array(rod.rest_length, dtype=np.float64)))
     vertices = np.concatenate([rod.vertices for rod in rods], axis=1)
     contact_force = np.where(lost[:, None, None], np.nan, table.contact.forces)
-    weight = table.material[:, of.WEIGHT, None] * table.burden[..., 0]
+    weight = _weights(table)
     height = (clamp[:, of.ANCHOR : of.ANCHOR + 3] * up).sum(axis=1)
     ties, far = table.ties, len(group.ties)
     starts = far + len(rods)
-    pull = contact_force - weight[..., None] * up
+    springs = table.burden[..., 6:] * (table.burden[..., 3:6] - vertices)  # of inertia and drag
+    pull = contact_force - weight[..., None] * up + springs
     miss = np.zeros((group.count, len(ties)))
     for number, (vertex, other) in enumerate(ties[:, :2]):
         force = tie_forces[:, number, :3] * table.targets[:, number, 3:4]
@@ -180,8 +208,8 @@ def _solution(group: Group, table: GroupTables, frames, results, state: GroupSta
             pull[:, other] += force
             held_at = vertices[:, other]
         miss[:, number] = np.linalg.norm(vertices[:, vertex] - held_at, axis=1) * table.targets[:, number, 3]
-    relaxed, moment = replace(group, rods=tuple(rods)), np.zeros((group.count, far, 3))
-    for number, (late, early) in _welded_frames(relaxed).items():
+    result, moment = replace(group, rods=tuple(rods)), np.zeros((group.count, far, 3))
+    for number, (late, early) in _welded_frames(result).items():
         moment[:, number] = -_sign(group)[number] * np.einsum("nij,nj->ni", late, tie_forces[:, number, 3:])
         rest = matrix_from_quaternion(table.targets[:, number, 4:])
         apart = np.einsum("nji,njk->nik", late, early) - rest
@@ -193,7 +221,7 @@ def _solution(group: Group, table: GroupTables, frames, results, state: GroupSta
         for rod, radius in zip(rods, table.radii.T, strict=True):
             gap = np.minimum(gap, Surroundings(table.contact.surroundings.bodies, radius).smallest_gap(rod.vertices))
     return GroupSolution(
-        group=relaxed, energy=results[:, of.ENERGY] + weight.sum(axis=1) * height,
+        group=result, energy=results[:, of.ENERGY] + weight.sum(axis=1) * height, kinetic=np.where(lost, np.nan, 0.0),
         residual=results[:, of.RESIDUAL], closure=np.where(lost, np.nan, miss.max(axis=1) / clamp[:, of.TOTAL]),
         iterations=results[:, of.ITERATIONS].astype(np.int32), status=status,
         stable=(results[:, of.STABLE] == 1) & (status == Status.CONVERGED),

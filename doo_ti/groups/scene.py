@@ -2,13 +2,20 @@
 
     name = "wire harness"
     radius_mm = 2.0                    # of the rods, needed with obstacles (without it rods do not touch each other)
-    rate_hz = 10                       # moments per second of a motion without inertia,
+    rate_hz = 10                       # moments per second of a motion,
     duration_s = 2.0                   # and how long it lasts (both left out: one relaxation)
+    dynamic = true                     # the rods have inertia; from each moment to the next is a time step (false)
+    scheme = "bdf2"                    # of the time steps, or "euler"
 
     [materials.wire]                   # one or more
     bend = 2e5                         # mm³, or a matrix [[A1, A12], [A12, A2]]
     twist = 1.5e5                      # mm³ (the same as a bend that is a number)
     weight = 1.0                       # (1)
+    density = 1.0                      # with inertia: mass per length over that of a rod of weight 1 (the weight)
+    bend_damping_s = 0.01              # (0)
+    twist_damping_s = 0.01             # (0)
+    drag_per_s = 0.1                   # (0)
+    quadratic_drag_per_mm = 1e-5       # (0)
 
     [rods.trunk]                       # one or more, in the order in which they are numbered
     material = "wire"                  # (the only one)
@@ -43,13 +50,15 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import UNSET, Meta, UnsetType
 
 from doo_ti.contact.obstacle_file import obstacles_of
 from doo_ti.contact.surroundings import Surroundings
+from doo_ti.dynamics.inertia_keys import InertiaKeys
+from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.errors import InputError
 from doo_ti.groups.group import Group, Tie
 from doo_ti.io.clamp_moments import ClampName, end_paths
@@ -76,6 +85,8 @@ class GroupScene:
     time          (T,) s; one moment where there is no motion
     rate          moments per second
     surroundings  the obstacles, and the radius of the rods, one or (1, G), where they touch each other
+    dynamics      G of them, or None without inertia
+    scheme        of the time steps
     """
 
     name: str
@@ -85,6 +96,14 @@ class GroupScene:
     time: np.ndarray
     rate: float
     surroundings: Surroundings
+    dynamics: list[Dynamics] | None = None
+    scheme: str = "bdf2"
+
+    @property
+    def arguments(self) -> dict:
+        """What :func:`.follow_group` takes besides the group and its clamps."""
+        inertia = {} if self.dynamics is None else {"dynamics": self.dynamics, "rate": self.rate, "scheme": self.scheme}
+        return self.surroundings.arguments | inertia
 
 
 class _File(Table):
@@ -94,11 +113,13 @@ class _File(Table):
     radius_mm: Positive | None = None
     rate_hz: Positive | None = None
     duration_s: Positive | None = None
+    dynamic: bool = False
+    scheme: Literal["bdf2", "euler"] = "bdf2"
     ties: list = []
     obstacles: list = []
 
 
-class _Material(Table):
+class _Material(InertiaKeys, kw_only=True):
     bend: NumberOrMatrix
     twist: Positive | None = None
     weight: NotNegative = 1.0
@@ -130,8 +151,10 @@ def load_group_scene(path: str | Path) -> GroupScene:
     path = Path(path)
     file = checked(path, "", read_toml(path)[0], _File)
     time = _times(path, file)
-    found = {name: _material(path, f"materials.{name}", table) for name, table in file.materials.items()}
-    rods, materials, clamps, radii = [], [], [], []
+    found = {name: _material(path, f"materials.{name}", table, file.dynamic) for name, table in file.materials.items()}
+    if file.dynamic and len(time) == 1:
+        raise InputError(path, "rate_hz", "missing beside dynamic", "give it and duration_s")
+    rods, materials, dynamics, clamps, radii = [], [], [], [], []
     for name, table in file.rods.items():
         key = f"rods.{name}"
         rod = checked(path, key, table, _Rod)
@@ -141,7 +164,9 @@ def load_group_scene(path: str | Path) -> GroupScene:
         material = next(iter(found)) if rod.material is None else rod.material
         rods.append(start)
         radii.append(file.radius_mm if rod.radius_mm is None else rod.radius_mm)
-        materials.append(found[_known(path, f"{key}.material", material, found)])
+        own = found[_known(path, f"{key}.material", material, found)]
+        materials.append(own[0])
+        dynamics.append(own[1])
         clamps.append(_clamps(path, key, rod, start, time))
     if (count := sum(rod.edges for rod in rods)) > MOST_OF_ALL:
         raise InputError(path, "rods", f"{count} edges in all", f"give at most {MOST_OF_ALL:,}")
@@ -156,7 +181,8 @@ def load_group_scene(path: str | Path) -> GroupScene:
                          "give the radius of the rods")
     radius = radii[0] if len(set(radii)) == 1 else np.array([radii])
     return GroupScene(in_line(path.stem if file.name is None else file.name), tuple(map(in_line, file.rods)), group, moments,
-                      time, file.rate_hz or 1.0, Surroundings(obstacles_of(path, file.obstacles), radius))
+                      time, file.rate_hz or 1.0, Surroundings(obstacles_of(path, file.obstacles), radius),
+                      dynamics if file.dynamic else None, file.scheme)
 
 
 def _known(path: Path, key: str, name: str, names) -> str:
@@ -176,15 +202,16 @@ def _times(path: Path, file: _File) -> np.ndarray:
     return instants(path, file.rate_hz, file.duration_s, MOST_MOMENTS, "moments")
 
 
-def _material(path: Path, key: str, table) -> Material:
+def _material(path: Path, key: str, table, moves: bool) -> tuple[Material, Dynamics | None]:
     found = checked(path, key, table, _Material)
     if found.twist is None and not isinstance(found.bend, float):
         raise InputError(path, f"{key}.twist", "missing beside a matrix", "give the twist stiffness in mm³")
     bend = found.bend if isinstance(found.bend, float) else np.array([found.bend])
     try:
-        return Material(bend, found.bend if found.twist is None else found.twist, found.weight)
+        material = Material(bend, found.bend if found.twist is None else found.twist, found.weight)
     except InputError as error:
         raise InputError(path, f"{key}.{error.field}", error.problem, error.remedy) from None
+    return material, found.dynamics(path, key, found.weight) if moves else None
 
 
 def _start(path: Path, key: str, rod: _Rod) -> Configuration:

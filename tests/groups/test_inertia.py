@@ -1,0 +1,195 @@
+"""Groups with inertia: as single rods where nothing ties them, and by the momentum that they have."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doo_ti.contact.obstacles import Plane
+from doo_ti.dynamics.grippers import Grippers
+from doo_ti.dynamics.parameters import GRAVITY, Dynamics, MovingStart, Stepping, vertex_lengths
+from doo_ti.dynamics.simulate import simulate
+from doo_ti.errors import InputError
+from doo_ti.groups.follow import follow_group
+from doo_ti.groups.group import Group, Tie
+from doo_ti.groups.relax_group import relax_group
+from doo_ti.relaxation.newton import Newton
+from doo_ti.rods import end_clamps, straight_rod
+from doo_ti.types import Clamp, Clamps, Material
+
+MATERIAL = Material(3e5, 2e5, rest_curvature=np.array([2e-3, -1e-3]))
+LOSSES = Dynamics(bend_damping=0.02, twist_damping=0.01, drag=0.3, quadratic_drag=1e-4, point_mass=2.0)
+RATE, MOMENTS = 100.0, 30
+EXACT = Newton(tolerance=1e-9, max_iterations=1000)
+
+
+def shaken(rod, start, end, moments: int = MOMENTS) -> list[Clamps]:
+    """Clamps of a rod whose start moves to and fro, and whose far end turns about itself."""
+    places, frames = rod.vertices[:, [0, -1]], rod.frames[:, [0, -1]]
+    if end != Clamp.FREE:
+        places[:, 1] -= 0.3 * (places[:, 1] - places[:, 0])
+    held = []
+    for moment in range(moments):
+        aside = [8.0 * np.sin(0.3 * moment), 0.0, 0.0]
+        far = places[:, 1] + np.multiply(0.5, aside)
+        held.append(Clamps(start, end, places[:, 0] + aside, far, frames[:, 0], frames[:, 1]))
+    return held
+
+
+def path_of(clamps: list[Clamps]) -> Grippers:
+    """The same for a single rod."""
+    names = ("start_position", "end_position", "start_frame", "end_frame")
+    return Grippers(clamps[0].start, clamps[0].end, *(np.stack([getattr(held, name) for held in clamps], 1) for name in names))
+
+
+def places(solutions) -> np.ndarray:
+    """(T, all vertices, 3) of the first group."""
+    return np.array([np.concatenate([rod.vertices[0] for rod in solution.rods]) for solution in solutions])
+
+
+@pytest.mark.parametrize("scheme", ["bdf2", "euler"])
+@pytest.mark.parametrize("end", [Clamp.FREE, Clamp.TANGENT])
+def test_rods_that_are_not_tied_move_as_each_alone(scheme, end):
+    """With all losses, and another material for the second: against `simulate`, to 1e-6 of the length."""
+    rods = [straight_rod(100.0, 20, (0, 0, 0), (0.5, 0, -1.0)), straight_rod(80.0, 16, (0, 200, 0), (0, 0.2, -1.0))]
+    materials = [MATERIAL, Material(1e5, 1e5, 0.5)]
+    dynamics = [LOSSES, Dynamics(density=1.5, drag=0.1)]
+    clamps = [shaken(rod, Clamp.FRAME, end) for rod in rods]
+    moments = [list(held) for held in zip(*clamps, strict=True)]
+    found = list(follow_group(Group(rods, materials, moments[0]), moments, EXACT, dynamics=dynamics, rate=RATE, scheme=scheme))
+    assert all(moment.converged.all() for moment in found)
+    kinetic = potential = 0.0
+    for number, held in enumerate(clamps):
+        start = MovingStart(found[0].rods[number], smooth=False)
+        stepping = Stepping(RATE, scheme=scheme, detailed=True)
+        alone = simulate(start, materials[number], path_of(held), dynamics[number], stepping)
+        own = np.array([moment.rods[number].vertices[0] for moment in found[1:]])
+        length = rods[number].rest_length.sum()
+        assert np.abs(own - alone.positions[0]).max() < 1e-7 * length
+        if end != Clamp.FREE:
+            forces = np.array([moment.end_force[0, number] for moment in found[1:]])
+            assert np.abs(forces - alone.end_force[0]).max() < 1e-4 * np.abs(forces).max()
+        energies = alone.detail.energies
+        kinetic += energies["kinetic"][0]
+        potential += sum(energies[name][0] for name in ("bending", "twist", "gravity"))
+    assert np.allclose([moment.kinetic[0] for moment in found], kinetic, rtol=1e-4, atol=1e-6 * kinetic.max())
+    own = np.array([moment.energy[0] for moment in found])
+    assert np.abs(own - own[0] - potential + potential[0]).max() < 1e-5 * np.abs(own - own[0]).max()
+
+
+def harness(count: int = 1) -> Group:
+    """Three ropes that hang from three points and are tied, with a weight, at their other ends."""
+    corners = np.array([[0.0, 0.0, 0.0], [80.0, 0.0, 10.0], [40.0, 70.0, 0.0]])
+    middle = corners.mean(axis=0) - [0.0, 0.0, 25.0]
+    rods = [straight_rod(60.0, 12, corner, middle - corner) for corner in corners]
+    rods = [replace(rod, start=np.repeat(rod.start, count, 0), quaternions=np.repeat(rod.quaternions, count, 0))
+            for rod in rods]
+    return Group(rods, [Material(1e5, 8e4), Material(1e5, 8e4, 0.5), Material(2e5, 8e4)],
+                 [end_clamps(rod, Clamp.POSITION, Clamp.FREE) for rod in rods],
+                 [Tie((0, -1), (1, -1), weight=5.0), Tie((2, -1), (0, -1))])
+
+
+def masses(group: Group, materials) -> np.ndarray:
+    """(all vertices,) energy over (mm/s)²."""
+    found = np.concatenate([2.0 * material.weight[0] * vertex_lengths(rod.rest_length)
+                            for rod, material in zip(group.rods, materials, strict=True)])
+    for tie, (vertex, _) in zip(group.ties, group.tied, strict=True):
+        found[vertex] += tie.weight
+    return found / GRAVITY
+
+
+def test_clamps_change_the_momentum():
+    """Ropes tied at a weight, whose grippers move: the force of all clamps is what the momentum gains, and the weight."""
+    group = harness()
+    moments = [[replace(held, start_position=held.start_position + [[6.0 * np.sin(0.25 * moment + number), 0.0, moment / 10]])
+                for number, held in enumerate(group.clamps)] for moment in range(MOMENTS)]
+    found = list(follow_group(group, moments, EXACT, dynamics=Dynamics(), rate=RATE))
+    assert all(moment.converged[0] and moment.closure[0] < 1e-9 for moment in found)
+    mass = masses(group, group.each_material)
+    x = places(found)
+    last = before = x[0]
+    v = old = np.zeros_like(last)
+    for now, moment in zip(x[1:], found[1:], strict=True):
+        speed = RATE * (1.5 * (now - last) - 0.5 * (last - before))
+        gain = RATE * (mass @ (1.5 * (speed - v) - 0.5 * (v - old)))
+        clamps = moment.start_force[0].sum(axis=0) + moment.end_force[0].sum(axis=0)
+        assert np.abs(clamps - gain - [0.0, 0.0, mass.sum() * GRAVITY]).max() < 1e-5 * mass.sum() * GRAVITY
+        assert abs(moment.kinetic[0] - 0.5 * (mass @ (speed**2).sum(axis=-1))) < 1e-9 * moment.kinetic[0]
+        before, last, old, v = last, now, v, speed
+
+
+def test_energy_is_conserved_to_second_order():
+    """The same ropes, one of which is let go at the second moment."""
+    group = harness()
+    freed = [*group.clamps[:2], end_clamps(group.rods[2], Clamp.FREE, Clamp.FREE)]
+    losses = []
+    for finer in (1, 2):
+        steps = 12 * finer
+        moments = list(follow_group(group, [group.clamps, *[freed] * steps], EXACT, dynamics=Dynamics(), rate=800.0 * finer))
+        assert all(moment.converged[0] for moment in moments)
+        losses.append(moments[0].energy[0] - moments[-1].energy[0] - moments[-1].kinetic[0])
+        assert moments[-1].kinetic[0] > 30.0 * losses[-1] > 0.0
+    assert losses[1] < 0.5 * losses[0]
+
+
+def test_rods_that_collide_keep_their_momentum():
+    """A weightless rod that clamps have thrown hits another one, which nothing holds."""
+    thrown, hit = straight_rod(60.0, 12, (0, 0, 0), (1, 0, 0)), straight_rod(60.0, 12, (30, 7, -20), (0, 0, 1))
+    group = Group([thrown, hit], Material(2e4, 2e4, 0.0), [end_clamps(rod, Clamp.FRAME, Clamp.FREE) for rod in (thrown, hit)])
+    held, still = group.clamps
+    free = end_clamps(hit, Clamp.FREE, Clamp.FREE)
+    moments = [[held, still]]
+    for moment in range(1, 4):
+        shift = [[0.0, moment, 0.0]]
+        moments.append([replace(held, start_position=held.start_position + shift), free])
+    moments += [[free, free]] * 30
+    found = list(follow_group(group, moments, EXACT, dynamics=Dynamics(density=1.0), rate=200.0, scheme="euler", radius=1.5))
+    assert all(moment.converged[0] for moment in found)
+    mass = np.tile(2.0 / GRAVITY * vertex_lengths(thrown.rest_length), 2)
+    momentum = np.diff(places(found), axis=0).transpose(0, 2, 1) @ mass * 200.0
+    assert np.abs(momentum[4:] - momentum[3]).max() < 1e-4 * np.linalg.norm(momentum[3])
+    gap, moved = np.array([moment.gap[0] for moment in found]), found[-1].rods[1].vertices - hit.vertices
+    assert gap.min() > -1e-3 * 1.5 and (gap < 0.01).any() and moved[..., 1].mean() > 1.0
+
+
+def test_a_group_moves_among_others_as_alone():
+    group = harness(3)
+    rods = [replace(rod, start=rod.start + [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [2.0, 0.0, 0.0]]) for rod in group.rods]
+    group = replace(group, rods=rods)
+    moments = [[replace(held, start_position=rod.start + [[2.0 * moment, 0.0, 0.0]]) for held, rod in zip(
+        [end_clamps(rod, Clamp.POSITION, Clamp.FREE) for rod in rods], rods, strict=True)] for moment in range(4)]
+    options = {"dynamics": LOSSES, "rate": RATE,
+               "radius": 1.0, "contact": False, "obstacles": [Plane((0, 0, -32), (0, 0, 1), friction=0.3)]}
+    together = list(follow_group(group, moments, **options))
+    own = np.array([1])
+    alone = list(follow_group(group.take(own), [[held.take(own) for held in moment] for moment in moments], **options))
+    for every, one in zip(together, alone, strict=True):
+        assert all(np.array_equal(rod.vertices[1], single.vertices[0])
+                   for rod, single in zip(every.rods, one.rods, strict=True))
+        assert every.kinetic[1] == one.kinetic[0] and np.array_equal(every.tie_force[1], one.tie_force[0])
+    assert np.abs(together[-1].contact_force[0]).max() > 0.0
+
+
+def test_at_rest_a_group_stays_there():
+    """Point masses pull from the first moment on."""
+    group = harness()
+    rest = relax_group(group, EXACT)
+    for dynamics in (replace(LOSSES, point_mass=0.0), LOSSES):
+        moments = list(follow_group(group, [group.clamps] * 4, EXACT, dynamics=dynamics, rate=RATE))
+        assert np.abs(places(moments[1:]) - places(moments[:1])).max() < 1e-5 and moments[-1].kinetic[0] < 1e-6
+        assert abs(moments[-1].energy[0] - moments[0].energy[0]) < 1e-7 * abs(rest.energy[0])
+        assert (np.abs(places(moments[:1]) - places([rest])).max() < 1e-5) == (dynamics is not LOSSES)
+
+
+def test_what_does_not_match_is_named():
+    group = harness()
+    moments = [group.clamps] * 2
+    for options, message in (
+            ({"dynamics": Dynamics()}, "rate: missing beside dynamics"), ({"rate": 10.0}, "dynamics: missing beside rate"),
+            ({"dynamics": Dynamics(), "rate": -1.0}, "rate"), ({"dynamics": [Dynamics()], "rate": 10.0}, "1 for 3 rods"),
+            ({"dynamics": 3.0, "rate": 10.0}, "a float"), ({"dynamics": Dynamics(), "rate": 10.0, "scheme": "rk4"}, "rk4"),
+            ({"dynamics": Dynamics(drag=[0.1, 0.2]), "rate": 10.0}, "2 rows for rod 0"),
+            ({"dynamics": Dynamics(density=0.0), "rate": 10.0}, "rod 0: density"),
+            ({"dynamics": Dynamics(point_mass=np.ones((1, 5))), "rate": 10.0}, "5 vertices")):
+        with pytest.raises(InputError, match=message):
+            list(follow_group(group, moments, **options))
