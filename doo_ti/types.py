@@ -213,9 +213,7 @@ class Solution:
     def __post_init__(self) -> None:
         table = getattr(self.tables, "contact", None)
         if self.contact_force is None and table is not None:
-            # A copy: relaxing these rods again changes the tables. Zeros of rods out of reach are never written to.
-            forces = table.forces.copy() if table.forces.flags.writeable else table.forces
-            object.__setattr__(self, "contact_force", forces)
+            object.__setattr__(self, "contact_force", table.forces)
 
     @property
     def contact(self) -> Any:

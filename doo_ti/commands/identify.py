@@ -130,7 +130,9 @@ def _summary(found, motion, held_out, rollouts, out: Path) -> dict:
                 "standard_error_mm": finite.std(ddof=1) / np.sqrt(len(finite)), "median_error_mm": np.median(finite)}
     return {
         "recordings": motion.count, "frames": motion.positions.shape[1], "theta": save_form(found.theta),
-        "parameters": found.parameters(), "error_mm": dict(zip(motion.names, found.error, strict=True)),
+        "parameters": found.parameters(),
+        "not_fitted": {name: getattr(found.theta, name) for name in FITTED[:4] if name not in found.unknowns.fitted},
+        "error_mm": dict(zip(motion.names, found.error, strict=True)),
         "mean_error_mm": sound.mean() if len(sound) else np.nan, "median_error_mm": np.median(sound) if len(sound) else np.nan,
         "stills": {"count": len(found.still_error), "left_out": int(np.isnan(found.still_error).sum()),
                    "mean_error_mm": np.nanmean(found.still_error) if np.isfinite(found.still_error).any() else None},
@@ -141,11 +143,16 @@ def _summary(found, motion, held_out, rollouts, out: Path) -> dict:
 
 
 def _lines(summary: dict, motion) -> list[str]:
+    from doo_ti.dynamics.theta import Unknowns
+
     lines = [f"{summary['recordings']} recordings of {motion.edges} edges, {summary['frames']} frames at {motion.rate:g}/s"]
     for entry in summary["parameters"]:
         if not entry["name"].startswith("rest_curvature"):
             low, high = ("0" if entry["low"] is None else f"{entry['low']:.3g}"), f"{entry['high']:.3g}"
             lines.append(f"  {entry['name']:<16}{entry['value']:.4g} {entry['unit']}  [{low}, {high}] 95 %")
+    if summary["not_fitted"]:
+        held = ", ".join(f"{name} {value:g} {Unknowns.UNITS[name]}".strip() for name, value in summary["not_fitted"].items())
+        lines.append(f"  not fitted      {held}")
     rest = np.asarray(summary["theta"]["rest_curvature_per_mm"])
     if rest.any():
         lines.append(f"  rest curvature  {np.sqrt((rest**2).sum(axis=1).mean()):.3g} 1/mm root mean square along the rod")

@@ -41,7 +41,7 @@ class Moving:
         if not isinstance(self.obstacle, Obstacle) or isinstance(self.obstacle, Itself):
             raise InputError("Moving", "obstacle", f"{type(self.obstacle).__name__}",
                              "give Plane(...), Sphere(...) and the like")
-        own = np.mean([getattr(self.obstacle, name) for name in self.obstacle.points], axis=0)
+        own = np.mean(np.broadcast_arrays(*(getattr(self.obstacle, name) for name in self.obstacle.points)), axis=0)
         shift = _rows("shift", self.shift, (3,), 1)
         still = np.broadcast_to(np.eye(3), (1, shift.shape[1], 3, 3))
         rotation = still if self.rotation is None else _rows("rotation", self.rotation, (3, 3), 1)

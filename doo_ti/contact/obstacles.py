@@ -77,8 +77,8 @@ class Obstacle:
 
     def take(self, rows: ArrayLike) -> "Obstacle":
         """Those of the rods ``rows``; one that all share as it is."""
-        names = self.shapes
-        return self._with({name: value[rows] for name in names if len(value := getattr(self, name)) > 1})
+        own = {name: value[rows] for name in self.shapes if len(value := getattr(self, name)) > 1}
+        return self._with(own) if own else self
 
     def moved(self, rotation: np.ndarray, shift: np.ndarray) -> "Obstacle":
         """The obstacle with every place x of it at ``rotation`` (rows, 3, 3) x + ``shift`` (rows, 3) mm."""
@@ -312,10 +312,12 @@ def _require_direction(name: str, field: str, value: np.ndarray, what: str = "of
 
 
 def require_rotation(name: str, rotation: np.ndarray) -> None:
-    """Raise InputError unless every matrix is orthonormal."""
+    """Raise InputError unless every matrix is a rotation."""
     off = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max()
-    if off > 1e-6:
+    if not off <= 1e-6:
         raise InputError(name, "rotation", f"off a rotation by {off:.2g}", "give a 3×3 rotation matrix")
+    if not (np.linalg.det(rotation) > 0).all():
+        raise InputError(name, "rotation", "a reflection", "give a 3×3 rotation matrix, whose determinant is 1")
 
 
 def _axes_about(direction: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """The obstacles around rods, with the rods' radius, and the gaps between them (docs/contact.md). Axes: R rods, V vertices."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,11 +9,29 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.itself import Itself, smallest_self_gap
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Obstacle
+from doo_ti.errors import InputError, real_array
 
 PLACES = 8
 """Of an edge, both ends included, at which its gap is measured."""
 SHALLOW, MOST_STEPS = 0.5, 10_000
 """Of a radius; and the most steps that are taken for it."""
+
+
+def obstacle_list(source: str, obstacles, moving: bool = False) -> list[Obstacle | Moving]:
+    """``obstacles`` as a list. Raises InputError, naming ``source``, for anything else, for a :class:`.Moving` one unless they
+    may be ``moving``, and for more than one :class:`.Itself`."""
+    if isinstance(obstacles, Obstacle | Moving | str) or not isinstance(obstacles, Iterable):
+        raise InputError(source, "obstacles", f"a {type(obstacles).__name__}", "give a list: [Plane(...), ...]")
+    found = list(obstacles)
+    for obstacle in found:
+        if isinstance(obstacle, Moving) and not moving:
+            raise InputError(source, "obstacles", f"a Moving {type(obstacle.obstacle).__name__}",
+                             "give it to simulate or predict_moving, or Moving.at(0) here")
+        if not isinstance(obstacle, Obstacle | Moving):
+            raise InputError(source, "obstacles", f"{type(obstacle).__name__}", "give Plane(...), Sphere(...) and the like")
+    if sum(isinstance(obstacle, Itself) for obstacle in found) > 1:
+        raise InputError(source, "obstacles", "Itself more than once", "give it once")
+    return found
 
 
 @dataclass(frozen=True)
@@ -26,6 +44,28 @@ class Surroundings:
 
     obstacles: Sequence[Obstacle | Moving] = ()
     radius: np.ndarray | float | None = None
+
+    @classmethod
+    def checked(cls, source: str, obstacles, radius, count: int, moving: bool = False) -> "Surroundings":
+        """The surroundings of ``count`` rods, some of them ``moving`` if they may. Raises InputError, naming ``source``, as
+        :func:`obstacle_list` does, where numbers of rows do not match, and for a ``radius`` that is missing or not positive.
+        """
+        obstacles = obstacle_list(source, obstacles, moving)
+        for obstacle in obstacles:
+            if obstacle.count not in (1, count):
+                name = type(getattr(obstacle, "obstacle", obstacle)).__name__
+                raise InputError(source, "obstacles", f"{obstacle.count} rows of {name} for {count} rods",
+                                 "give one, or one for each rod")
+        if radius is None:
+            if obstacles:
+                raise InputError(source, "radius", "missing beside obstacles", "give the rod's radius in mm")
+            return cls()
+        radius = real_array(source, "radius", radius, "give mm, or one for each rod").astype(np.float64).reshape(-1)
+        if len(radius) not in (1, count):
+            raise InputError(source, "radius", f"{len(radius)} for {count} rods", "give one, or one for each rod")
+        if not ((radius > 0) & (radius < np.inf)).all():
+            raise InputError(source, "radius", f"{radius.min():g}", "give a positive radius in mm, or one for each rod")
+        return cls(obstacles, radius)
 
     def __bool__(self) -> bool:
         return len(self.obstacles) > 0

@@ -95,8 +95,8 @@ def simulate(
     given = begin.configuration, material, grippers, dynamics
     direction = unit_up(up, "simulate")
 
-    surroundings = Surroundings(obstacles, radius)
     index = paired_rows(begin.configuration.count, material.count, *((None, None) if pairs is None else pairs))
+    surroundings = Surroundings.checked("simulate", obstacles, radius, len(index[0]), moving=True)
     many = springs is not None and springs.count == len(index[0]) > 1
 
     def moved(stepping: Stepping, rows: np.ndarray, progress=None, touching: bool = False) -> tuple[Trajectory, np.ndarray]:

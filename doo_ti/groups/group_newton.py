@@ -138,7 +138,7 @@ def run_groups(table: GroupTables, options: Newton, state: GroupState, previous:
     if len(stalled):
         for part in fields(state):
             getattr(state, part.name)[stalled] = getattr(begun, part.name)[stalled]
-        table.contact.memory[stalled] = 0.0
+        table.contact.memory[stalled], results[stalled, of.DRIFT:] = 0.0, 0.0
         spent = results[stalled, of.ITERATIONS]
         other = replace(options, first_shift=0.0 if options.first_shift else Newton().first_shift)
         _launch(table, other, state, previous, stalled, frames, results)

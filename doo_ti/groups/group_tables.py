@@ -38,7 +38,8 @@ class Member:
         self.feasible = found != INFEASIBLE
         frames = np.ascontiguousarray(start.quaternions, dtype=np.float64)
         straight = np.where(found == STRAIGHT, found, 0)
-        self.start = of.whole_start(projectable(frames, self.lengths, self.clamp, straight, up, bodies), self.clamp)
+        self.start = of.whole_start(projectable(frames, self.lengths, self.clamp, straight, up, bodies, np.arange(count)),
+                                    self.clamp)
         self.begin = np.array(start.start, dtype=np.float64)
         self.places = np.where(self.held[..., None], np.stack([clamps.start_position, clamps.end_position], axis=1), 0.0)
         away = np.linalg.norm(self.places[:, 0] - self.begin, axis=1) > AT_ITS_CLAMP * self.clamp[:, of.TOTAL]
@@ -105,7 +106,7 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool,
     _hold_spins(group, members, free)
     material, burden = _materials(group, members)
     clamp = _clamps(members, material)
-    if radius is None and bodies:
+    if radius is None and obstacles:
         raise InputError("relax_group", "radius", "missing beside obstacles", "give the rods' radius in mm")
     radii = group.radii(1.0 if radius is None else radius)
     require_margin(bodies, radii.max())

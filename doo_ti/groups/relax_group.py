@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from doo_ti import runtime
 from doo_ti.contact.obstacles import Obstacle
-from doo_ti.contact.surroundings import Surroundings
+from doo_ti.contact.surroundings import Surroundings, obstacle_list
 from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion
 from doo_ti.groups.apart import smallest_gap
@@ -119,7 +119,8 @@ def relaxed(group: Group, solver: Newton | None, up: ArrayLike | None, obstacles
         raise InputError("relax_group", "solver", f"{solver!r}", "give Newton() or Newton.careful()")
     with np.errstate(all="ignore"):  # a group that is not finite has a status; NumPy need not warn
         up = unit_up((0.0, 0.0, 1.0) if up is None else up, "relax_group")
-        table = group_tables(group if motion is None else motion.stiffened(group), up, list(obstacles), radius, contact,
+        stiff = group if motion is None else motion.stiffened(group)
+        table = group_tables(stiff, up, obstacle_list("relax_group", obstacles), radius, contact,
                              motion is not None and motion.moves)
         table = table if motion is None else motion.into(table)
         tie_forces = np.zeros((group.count, len(table.ties), 6)) if before is None else _forces(group, before)

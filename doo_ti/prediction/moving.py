@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Obstacle
-from doo_ti.contact.surroundings import Surroundings
+from doo_ti.contact.surroundings import Surroundings, obstacle_list
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
@@ -49,7 +49,7 @@ def predict_moving(
     of rods and motions do not match, and for a far frame that turns by half a turn or more from one moment to the next.
     """
     _, rods, (first, held, jumps) = begun(configuration, material, clamps, path, LARGEST_TURN, up, Newton(), "f64",
-                                         Surroundings(obstacles, radius).at(0))
+                                         Surroundings(obstacle_list("predict_moving", obstacles, True), radius).at(0))
     rows = np.arange(len(rods)) % len(clamps.start_position)
     grippers = _grippers(path, held).refined(between)
     pairs = np.arange(len(rods)), rods

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.contact.obstacles import Obstacle
-from doo_ti.contact.surroundings import Surroundings
+from doo_ti.contact.surroundings import Surroundings, obstacle_list
 from doo_ti.errors import InputError
 from doo_ti.frames import angle_about, matrix_from_quaternion, smallest_rotation, total_twist, vertices_from_quaternions
 from doo_ti.io.motion_file import ClampPath
@@ -107,14 +107,18 @@ def predict(
     precision      of the returned states, as in :func:`doo_ti.relaxation.relax.relax`; sub-steps run in f32, or f64 if this is
                    "f64"
     advance        called with the number of rods at each moment, (T − 1)·between·R in all
-    obstacles, radius  as in :func:`doo_ti.relaxation.relax.relax`, without friction; for that there is
+    obstacles, radius  as in :func:`doo_ti.relaxation.relax.relax`, without friction and at rest; for others there is
                    :func:`doo_ti.prediction.moving.predict_moving` with quasi-static steps
 
     A rod that fails keeps that status at all later moments; the next interval begins at its last configuration. Raises
     InputError where numbers of rods and motions do not match.
     """
+    surroundings = Surroundings(obstacle_list("predict", obstacles), radius)
+    if surroundings.rub:
+        raise InputError("predict", "obstacles", "with friction, which depends on the way",
+                         "give predict_moving with quasi-static steps, or obstacles without friction")
     travel, rods, (solution, held, jumps) = begun(configuration, material, clamps, path, sub_step, up, solver or Newton(),
-                                                  precision, Surroundings(obstacles, radius))
+                                                  precision, surroundings)
     motions = len(clamps.start_position)
     film = _Film(solution, jumps, held)
     for moment in range(path.moments - 1):
@@ -163,15 +167,14 @@ def predict_step(
 
     The number of sub-steps of a rod depends on its own motion. A rod that does not converge in one of them keeps that status.
     """
-    if len(obstacles) and radius is None:
-        raise InputError("predict_step", "radius", "missing beside obstacles", "give the rod's radius in mm")
     count = len(goal.start_position)
+    surroundings = Surroundings.checked("predict_step", obstacles, radius, count)
     rows = np.zeros(count, dtype=np.int64)
     motion = motion_between(clamps.take(rows), goal, None if rotation is None else np.broadcast_to(rotation, count))
     still = {f"{end}_{part}": None for end in ("start", "end") for part in ("shift", "turn")
              if not getattr(motion, f"{end}_{part}").any()}
     journey = Journey(replace(motion, **still), material, sub_step, configuration.rest_length, up, precision=precision,
-                      surroundings=Surroundings(obstacles, radius))
+                      surroundings=surroundings)
     solution, jumps = journey.end(configuration.take(rows), watch)
     return solution, jumps if watch else None
 

@@ -60,8 +60,10 @@ def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution
 
 def continue_newton(table: Tables, options: newton.Newton, bits: int, frames, results, rows, usable) -> None:
     """Relax the rods ``rows`` further, in place: from their ``frames`` where ``usable`` (R,), else from their starts."""
+    again = rows[~usable[rows]]
+    results[again, of.DRIFT:] = 0.0
     if table.contact is not None:
-        table.contact.forget(rows[~usable[rows]])
+        table.contact.forget(again)
     _launch_newton(table, table.start, table.continued(usable, rows), options, bits, frames, results)
 
 

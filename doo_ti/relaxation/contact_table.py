@@ -7,10 +7,9 @@ import numpy as np
 
 from doo_ti.contact.contacts import Contacts
 from doo_ti.contact.distance_grid import DistanceGrid, grid_table
-from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import FRICTION, GRID, OBSTACLE_COLUMNS, Obstacle
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.errors import InputError, real_array
+from doo_ti.errors import InputError
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contact_layout import REMEMBERED, REMEMBERED_IN_MOTION, contact_items
 from doo_ti.relaxation.pair_layout import CARRIED, self_contact_items
@@ -68,6 +67,11 @@ class ContactTable:
         """What a kernel is given of contacts, which writes ``forces``."""
         return (self.obstacles, self.kinds, self.grids, self.radius, GAP_TOLERANCE, self.memory, forces, self.self_friction)
 
+    def copy(self) -> "ContactTable":
+        """The table with a memory and forces of its own, which a launch changes."""
+        forces = self.forces.copy() if self.forces.flags.writeable else self.forces
+        return replace(self, memory=self.memory.copy(), forces=forces)
+
     def touching(self, rows: np.ndarray) -> "ContactTable":
         """The table as the kernel of rods that touch themselves takes it; the rods ``rows`` have touched nothing yet."""
         if not len(self.memory):
@@ -105,23 +109,8 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
 
     Raises InputError where numbers of rows do not match or ``radius`` is missing or not positive.
     """
-    obstacles = list(obstacles)
-    for obstacle in obstacles:
-        if isinstance(obstacle, Moving):
-            raise InputError("contact", "obstacles", f"a Moving {type(obstacle.obstacle).__name__}",
-                             "give it to simulate or predict_moving, or Moving.at(0) here")
-        if not isinstance(obstacle, Obstacle):
-            raise InputError("contact", "obstacles", f"{type(obstacle).__name__}", "give Plane(...), Sphere(...) and the like")
-        if obstacle.count not in (1, count):
-            raise InputError("contact", "obstacles", f"{obstacle.count} rows of {type(obstacle).__name__} for {count} rods",
-                             "give one, or one for each rod")
-    if radius is None:
-        raise InputError("contact", "radius", "missing beside obstacles", "give the rod's radius in mm")
-    radius = real_array("contact", "radius", radius, "give mm, or one for each rod").astype(np.float64).reshape(-1)
-    if len(radius) not in (1, count) or not ((radius > 0) & (radius < np.inf)).all():
-        raise InputError("contact", "radius", f"{radius.min():g}" if len(radius) in (1, count) and len(radius) else
-                         f"{len(radius)} for {count} rods", "give a positive radius in mm, or one for each rod")
-    surroundings = Surroundings(obstacles, radius)
+    surroundings = Surroundings.checked("contact", obstacles, radius, count)
+    radius = surroundings.radius
     obstacles = surroundings.bodies
     require_margin(obstacles, radius.max())
     rows = count if any(obstacle.count > 1 for obstacle in obstacles) else 1

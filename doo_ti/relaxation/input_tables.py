@@ -1,7 +1,7 @@
 """The input of ``relax`` as tables: materials row by row, and starts that can be projected onto closure (§III-B)."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -22,6 +22,12 @@ from doo_ti.relaxation.contact_table import contact_table
 from doo_ti.relaxation.external import External
 from doo_ti.relaxation.tables import FREE, Tables, outer_edges, rod_rows, room, whole_start
 from doo_ti.types import Clamps, Configuration, Material
+
+BOWS = tuple((half_waves, aside, sign) for half_waves in (1, 2, 3, 4, 6, 8, 12, 16) for aside in (False, True)
+             for sign in (1.0, -1.0))
+"""Shapes in which a straight rod is bowed, see :meth:`_Arches.bowed`: the widest first."""
+EDGES_OF_A_HALF_WAVE = 3
+"""At least."""
 
 
 def tables(
@@ -52,7 +58,7 @@ def tables(
         _loosen(clamp, kinds, configuration, clamps)
     contact = contact_table(obstacles, radius, rods, edges, clamp, index_c, in_motion) if obstacles else None
     start = projectable(np.ascontiguousarray(configuration.quaternions, dtype=np.float64), lengths, clamp, found, up,
-                         () if contact is None else contact.surroundings.bodies)
+                        () if contact is None else contact.surroundings.bodies, index_c)
     feasible = found != INFEASIBLE
     sound = feasible[index_c]
     all_rods = rod_rows(index_c, index_m, np.arange(rods), index_c, index_e)
@@ -94,7 +100,8 @@ def under(table: Tables, material: Material, index=None) -> Tables:
     stiffness = material_table(material, isotropic, table.edges)
     rods = table.rods.copy()
     rods[:, of.MATERIAL_ROW] = rows[rods[:, of.RESULT_ROW]]
-    return replace(table, material=stiffness, isotropic=isotropic, material_index=rows, rods=rods,
+    contact = None if table.contact is None else table.contact.copy()
+    return replace(table, material=stiffness, isotropic=isotropic, material_index=rows, rods=rods, contact=contact,
                    weight_per_length=material.weight_per_length)
 
 
@@ -128,34 +135,44 @@ def material_table(material: Material, isotropic: bool, edges: int) -> np.ndarra
 
 
 def projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, found: np.ndarray, up: np.ndarray,
-                 obstacles: Sequence[Obstacle]) -> np.ndarray:
-    """Starts that can be projected: those ``found`` (S,) STRAIGHT are bowed, the other way where that is into an obstacle,
-    those found TAUT made straight. Where starts are changed ``clamp`` is, too, in place."""
+                obstacles: Sequence[Obstacle], index: np.ndarray) -> np.ndarray:
+    """Starts that can be projected: those ``found`` (S,) STRAIGHT are bowed, in the first of :data:`BOWS` that is inside no
+    obstacle or, where all are, in the first; those found TAUT made straight. ``index`` (R,) is the start of each rod: obstacles
+    may belong to single rods. Where starts are changed ``clamp`` is, too, in place."""
     slack, taut = np.flatnonzero(found == STRAIGHT), np.flatnonzero(found == TAUT)
     if len(slack):
-        rows, whole, axis, slope = _arches(start, lengths, clamp, slack, up)
-        bowed = _turned(whole, axis, slope)
-        sunk = np.flatnonzero(_inside(bowed, lengths, clamp, rows, obstacles))
-        if len(sunk):
-            other = _turned(whole[sunk], axis[sunk], -slope[sunk])
-            clear = ~_inside(other, lengths, clamp, rows[sunk], obstacles)
-            bowed[sunk[clear]] = other[clear]
-        start = _changed(start, clamp, rows, bowed)
+        arches = _arches(start, lengths, clamp, slack, up)
+        bowed = arches.bowed(*BOWS[0])
+        sunk = np.flatnonzero(_inside(bowed, lengths, clamp, arches.rows, obstacles, index))
+        for bow in BOWS[1:]:
+            if not len(sunk) or EDGES_OF_A_HALF_WAVE * bow[0] > start.shape[1]:
+                break
+            tried = arches.take(sunk)
+            frames = tried.bowed(*bow)
+            inside = _inside(frames, lengths, clamp, tried.rows, obstacles, index)
+            bowed[sunk[~inside]] = frames[~inside]
+            sunk = sunk[inside]
+        start = _changed(start, clamp, arches.rows, bowed)
     if len(taut):
         start = _stretched(start, lengths, clamp, taut)
     return start
 
 
-def _inside(frames, lengths, clamp, rows, obstacles: Sequence[Obstacle]) -> np.ndarray:
+def _inside(frames, lengths, clamp, rows, obstacles: Sequence[Obstacle], index: np.ndarray) -> np.ndarray:
     """(N,) whether a vertex of the starts ``rows``, if they had these frames (N, E, 4), is inside an obstacle that all rods
-    share."""
+    share, or one of a rod with that start."""
     inside = np.zeros(len(rows), dtype=bool)
-    shared = [obstacle for obstacle in obstacles if obstacle.count == 1]
-    if shared:
-        anchor = clamp[rows, of.ANCHOR : of.ANCHOR + 3]
-        vertices = vertices_from_quaternions(anchor, frames, _rows(lengths, rows))
-        for obstacle in shared:
+    if not obstacles or not len(rows):
+        return inside
+    vertices = vertices_from_quaternions(clamp[rows, of.ANCHOR : of.ANCHOR + 3], frames, _rows(lengths, rows))
+    rods = np.flatnonzero(np.isin(index, rows))
+    of_rod = np.searchsorted(rows, index[rods])
+    for obstacle in obstacles:
+        if obstacle.count == 1:
             inside |= (obstacle.distance(vertices)[0] < 0).any(axis=1)
+        else:
+            sunk = (obstacle.take(rods).distance(vertices[of_rod])[0] < 0).any(axis=1)
+            inside[of_rod[sunk]] = True
     return inside
 
 
@@ -174,13 +191,41 @@ def _rows(lengths: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return lengths[np.zeros_like(rows) if len(lengths) == 1 else rows]
 
 
-def _arches(start, lengths, clamp, rows, up) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """How to bow those of the slack rods ``rows`` that cannot be projected as they are: free edges in one straight line have no
-    first-order way to bring the far end closer.
+@dataclass(frozen=True)
+class _Arches:
+    """How to bow N straight rods to the chord that their clamps need.
 
-    Returns their rows (N,), their frames (N, E, 4), the axis (N, 3) to turn these about, and by how much (N, E), rad: to the
-    needed chord, against ``up``, or towards m1 where the line is upright.
+    rows   (N,) starts, ascending
+    whole  (N, E, 4) frames
+    axis   (N, 3) about which the edges turn
+    slope  (N,) of a sine arch at its ends, rad
+    place  (N, E) of the free edges along it, from 0 to 1
+    free   (N, E) one where an edge may tilt
     """
+
+    rows: np.ndarray
+    whole: np.ndarray
+    axis: np.ndarray
+    slope: np.ndarray
+    place: np.ndarray
+    free: np.ndarray
+
+    def take(self, rows: np.ndarray) -> "_Arches":
+        return _Arches(*(getattr(self, entry.name)[rows] for entry in fields(self)))
+
+    def bowed(self, half_waves: int, aside: bool, sign: float) -> np.ndarray:
+        """(N, E, 4) frames in the shape of so many half waves, in the plane of the first or ``aside``, square to that."""
+        axis = self.axis
+        if aside:
+            axis = np.cross(tangent_from_quaternion(self.whole[:, self.whole.shape[1] // 2]), axis)
+        # Of slope a cos(π n s/L) the chord is L (1 − a²/4) for any n.
+        angle = sign * self.slope[:, None] * np.cos(np.pi * half_waves * self.place) * self.free
+        return quaternion_product(quaternion_about(np.broadcast_to(axis[:, None], (*angle.shape, 3)), angle), self.whole)
+
+
+def _arches(start, lengths, clamp, rows, up) -> _Arches:
+    """Those of the slack rods ``rows`` that cannot be projected as they are: free edges in one straight line have no
+    first-order way to bring the far end closer. The first bow is against ``up``, or towards m1 where the line is upright."""
     edges, own = start.shape[1], _rows(lengths, rows)
     ends, _, span, reach = _free_part(own, clamp[rows])
     tilting = np.ones((len(rows), edges))
@@ -195,16 +240,8 @@ def _arches(start, lengths, clamp, rows, up) -> tuple[np.ndarray, np.ndarray, np
     upright = np.linalg.norm(axis, axis=-1, keepdims=True) < 1e-3
     axis = np.where(upright, middle[..., 2], axis)
     axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
-    # A sine arch of slope a cos(π s/L) has the chord L (1 − a²/4).
     place = (np.cumsum(tilting, axis=1) - 0.5) / tilting.sum(axis=1, keepdims=True)
-    slope = np.minimum(2 * np.sqrt(1 - share), 1.0)[:, None] * np.cos(np.pi * place) * tilting
-    return rows, whole, -axis, slope
-
-
-def _turned(frames: np.ndarray, axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Frames (N, E, 4) turned about an axis (N, 3) by angles (N, E), rad."""
-    turn = quaternion_about(np.broadcast_to(axis[:, None], (*angle.shape, 3)), angle)
-    return quaternion_product(turn, frames)
+    return _Arches(rows, whole, -axis, np.minimum(2 * np.sqrt(1 - share), 1.0), place, tilting)
 
 
 def _stretched(start, lengths, clamp, rows) -> np.ndarray:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from doo_ti import runtime
 from doo_ti.contact.obstacles import Obstacle
+from doo_ti.contact.surroundings import obstacle_list
 from doo_ti.errors import InputError
 from doo_ti.relaxation import batch
 from doo_ti.relaxation import tables as of
@@ -76,6 +77,7 @@ def relax(
     Energies include the constant μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods have the
     status INFEASIBLE and NaN everywhere else.
     """
+    obstacles = obstacle_list("relax", obstacles)
     once_more = isinstance(x0, Solution) and clamps is None
     if solver is None:
         touches = len(obstacles) > 0 or once_more and x0.tables is not None and x0.tables.contact is not None

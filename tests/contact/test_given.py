@@ -1,0 +1,147 @@
+"""What functions are given of obstacles: rows that do not match, missing radii, and what is no obstacle."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doo_ti import (
+    Capsule,
+    Clamp,
+    Clamps,
+    Dynamics,
+    Grippers,
+    Group,
+    Itself,
+    Material,
+    Moving,
+    Newton,
+    Plane,
+    Sphere,
+    Stepping,
+    end_clamps,
+    end_loads,
+    hanging,
+    predict,
+    relax,
+    relax_group,
+    simulate,
+    straight_rod,
+)
+from doo_ti.contact.obstacles import Box
+from doo_ti.errors import InputError
+from doo_ti.io.motion_file import ClampPath
+
+FLOOR = Plane((0, 0, -10), (0, 0, 1))
+MATERIAL = Material(1e5, 1e5)
+
+
+def simulated(count: int = 4, **around):
+    """Rods whose grippers stay where they are."""
+    rods, clamps = hanging(100.0, 12, start=np.zeros((count, 3)), end=(70, 0, 0))
+    ends = (np.repeat(part[:, None], 3, axis=1) for part in (
+        clamps.start_position, clamps.end_position, rods.frames[:, 0], rods.frames[:, -1]))
+    return simulate(rods, MATERIAL, Grippers(Clamp.POSITION, Clamp.POSITION, *ends), Dynamics(), Stepping(100.0), **around)
+
+
+@pytest.mark.parametrize("rows", [3, 6])
+def test_rows_that_do_not_match_the_rods(rows):
+    spheres = Sphere(np.tile([0.0, 500.0, 0.0], (rows, 1)), 5.0)
+    with pytest.raises(InputError, match=f"obstacles: {rows} rows of Sphere for 4 rods"):
+        simulated(obstacles=[spheres], radius=1.0)
+    with pytest.raises(InputError, match=f"obstacles: {rows} rows of Sphere for 4 rods"):
+        simulated(obstacles=[Moving(spheres, np.zeros((3, 3)))], radius=1.0)
+    with pytest.raises(InputError, match=f"radius: {rows} for 4 rods"):
+        simulated(obstacles=[FLOOR], radius=np.ones(rows))
+
+
+@pytest.mark.parametrize("obstacles", [[Itself()], [FLOOR], [Moving(FLOOR, np.zeros((3, 3)))]])
+@pytest.mark.parametrize("radius, problem", [(None, "missing beside obstacles"), (-1.0, "-1"), (np.nan, "nan")])
+def test_a_radius_that_is_none(obstacles, radius, problem):
+    with pytest.raises(InputError, match=f"radius: {problem}"):
+        simulated(obstacles=obstacles, radius=radius)
+    rod = straight_rod(60.0, 10)
+    if not isinstance(obstacles[0], Moving) and radius is None:
+        with pytest.raises(InputError, match="radius: missing"):
+            relax_group(Group([rod], MATERIAL, [end_clamps(rod, Clamp.FRAME, Clamp.FREE)]), obstacles=obstacles)
+
+
+@pytest.mark.parametrize("wrong, problem", [(FLOOR, "a Plane; give a list"), (None, "a NoneType"), (["x"], "str; give Plane"),
+                                            ([Itself(), Itself()], "Itself more than once")])
+def test_what_is_no_list_of_obstacles(wrong, problem):
+    rod = straight_rod(60.0, 10)
+    held = end_clamps(rod, Clamp.FRAME, Clamp.FREE)
+    for call in (lambda: relax(rod, MATERIAL, held, obstacles=wrong, radius=1.0),
+                 lambda: simulated(obstacles=wrong, radius=1.0),
+                 lambda: relax_group(Group([rod], MATERIAL, [held]), obstacles=wrong, radius=1.0)):
+        with pytest.raises(InputError, match=f"obstacles: {problem}"):
+            call()
+
+
+def test_prediction_refuses_friction():
+    rod = straight_rod(60.0, 10)
+    path = ClampPath(time=np.arange(2.0), end_position=np.zeros((2, 1, 3)))
+    with pytest.raises(InputError, match="obstacles: with friction"):
+        predict(rod, MATERIAL, end_clamps(rod, Clamp.FRAME, Clamp.FREE), path, obstacles=[replace(FLOOR, friction=0.3)],
+                radius=1.0)
+
+
+def test_reflections_are_no_rotations():
+    mirror = np.diag([1.0, 1.0, -1.0])
+    with pytest.raises(InputError, match="rotation: a reflection"):
+        Box((0, 0, 0), (1, 1, 1), mirror)
+    with pytest.raises(InputError, match="rotation: a reflection"):
+        Moving(FLOOR, np.zeros((2, 3)), np.stack([np.eye(3), mirror]))
+
+
+def test_a_moving_capsule_of_which_one_end_has_rows():
+    body = Capsule((0, 0, 0), [[0, 0, 4], [0, 2, 4]], 1.0)
+    np.testing.assert_allclose(Moving(body, np.zeros((2, 3))).pivot, [[0, 0, 2], [0, 1, 2]])
+
+
+def test_relaxing_again_leaves_the_first_solution_as_it_was():
+    rods, clamps = hanging(100.0, 20, start=np.zeros((3, 3)), end=(50, 0, 0))
+    first = relax(rods, MATERIAL, clamps, obstacles=[Plane((0, 0, -36), (0, 0, 1))], radius=1.0)
+    loads, force = end_loads(first).start_force.copy(), first.contact_force.copy()
+    assert (force != 0).any()
+    heavy = relax(first, Material(1e5, 1e5, 3.0))
+    again = relax(first, Material(1e5, 1e5, 3.0))
+    np.testing.assert_array_equal(end_loads(first).start_force, loads)
+    np.testing.assert_array_equal(first.contact_force, force)
+    np.testing.assert_array_equal(heavy.configuration.vertices, again.configuration.vertices)
+
+
+def test_f64_restarts_from_the_start():
+    """A rod that f32 could not finish begins in f64 where it was given, though vertex 0 is free."""
+    rod = straight_rod(100.0, 20, (0, 0, 30), (1, 0, 0))
+    held = end_clamps(rod, Clamp.FREE, Clamp.POSITION)
+    held.end_position[:, 1] += 60.0
+    few = Newton(max_iterations=4)
+    single = relax(rod, MATERIAL, held, few, obstacles=[FLOOR], radius=1.0, precision="f32")
+    double = relax(rod, MATERIAL, held, Newton(max_iterations=4, first_shift=0.0), obstacles=[FLOOR], radius=1.0)
+    assert not single.converged[0] and single.precision[0] == 64
+    np.testing.assert_array_equal(single.configuration.vertices, double.configuration.vertices)
+
+
+def test_obstacles_of_single_rods_are_as_shared_ones():
+    """In which way a straight start is bowed does not depend on how the obstacle is given."""
+    rod = straight_rod(100.0, 20)
+    held = Clamps(Clamp.POSITION, Clamp.POSITION, rod.start, np.array([[70.0, 0, 0]]), rod.frames[:, 0], rod.frames[:, -1])
+    for side in (-12.0, 12.0):
+        centre = np.array([35.0, 0.0, side])
+        alone = relax(rod, MATERIAL, held, obstacles=[Sphere(centre, 8.0)], radius=1.0)
+        two, ends = rod.take([0, 0]), held.take([0, 0])
+        both = relax(two, MATERIAL, ends, obstacles=[Sphere(np.stack([centre, centre + [0, 300, 0]]), 8.0)], radius=1.0)
+        assert alone.status[0] == both.status[0]
+        np.testing.assert_array_equal(alone.configuration.vertices[0], both.configuration.vertices[0])
+
+
+@pytest.mark.parametrize("push", [1.0, 3.0, 12.0])
+def test_a_straight_start_has_room_in_a_channel(push):
+    """Between four planes it is bowed in more and lower waves: no wide arch fits."""
+    rod = straight_rod(90.0, 45)
+    held = end_clamps(rod, Clamp.FRAME, Clamp.FRAME)
+    held.end_position[:, 0] -= push
+    walls = [Plane(np.multiply(-8.0, normal), normal) for normal in ((0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))]
+    found = relax(rod, MATERIAL, held, obstacles=walls, radius=0.7)
+    assert found.converged[0] and found.contact.gap[0] > -1e-3
