@@ -57,8 +57,8 @@ def losses(options: Namespace, markers: bool = True):
     if options.theta is not None:
         theta = load_theta(options.theta)
         found = simulated([theta if markers else replace(theta, marker_share=0.0)])[1]
-    own = {name: given.positive(f"--{name.replace('_', '-')}", getattr(options, name), unit) for name, unit in LOSSES.items()
-           if getattr(options, name) is not None}
+    own = {name: given.not_negative(f"--{name.replace('_', '-')}", getattr(options, name), unit)
+           for name, unit in LOSSES.items() if getattr(options, name) is not None}
     return replace(found, **own)
 
 

@@ -261,6 +261,17 @@ def positive(option: str, text: str | None, unit: str = "") -> float | None:
     return value
 
 
+def not_negative(option: str, text: str | None, unit: str = "") -> float | None:
+    """A number from zero up, or None."""
+    if text is None:
+        return None
+    wanted = f"a number{' of ' * bool(unit)}{unit} from zero up"
+    value = _decimal(option, text, wanted)
+    if value < 0:
+        raise InputError(SOURCE, option, f"{text!r} is negative", f"give {wanted}")
+    return value
+
+
 def length(option: str, text: str | None) -> float | None:
     """A positive number of mm, or None."""
     return positive(option, text, "mm")

@@ -19,7 +19,7 @@ from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.dynamics.rollouts import Nearby, Rollouts
 from doo_ti.dynamics.stills import Stills
 from doo_ti.dynamics.theta import MotionTheta, Unknowns
-from doo_ti.errors import InputError
+from doo_ti.errors import InputError, require_whole
 from doo_ti.io.observations import Observations
 from doo_ti.short_repr import short_repr
 from doo_ti.types import Clamp, Status
@@ -50,7 +50,8 @@ class IdentifyOptions:
     smoothing     odd number of frames through which parabolas are fitted for the start and the grippers; 1: as recorded; None:
                   among obstacles those of 0.09 s, else 1
 
-    Raises InputError for obstacles that move, for friction without any, and for an even number of frames.
+    Raises InputError for numbers out of range, unknown parameters, obstacles that move, friction without any, and an even
+    number of frames.
     """
 
     modes: int = 7
@@ -65,6 +66,15 @@ class IdentifyOptions:
     smoothing: int | None = None
 
     def __post_init__(self) -> None:
+        require_whole("IdentifyOptions", "modes", self.modes, 0)
+        require_whole("IdentifyOptions", "iterations", self.iterations, 1)
+        if unknown := [name for name in self.fitted if name not in Unknowns.SIZES]:
+            raise InputError("IdentifyOptions", "fitted", f"{unknown[0]!r} is unknown",
+                             f"give some of {', '.join(Unknowns.SIZES)}")
+        if not self.horizons or min(self.horizons) < 1:
+            raise InputError("IdentifyOptions", "horizons", f"{self.horizons}", "give numbers of frames, 1 or more")
+        if not self.delta > 0:
+            raise InputError("IdentifyOptions", "delta", f"{self.delta}", "give mm above zero")
         if self.surroundings.moves:
             raise InputError("IdentifyOptions", "surroundings", "a Moving obstacle", "give obstacles that rest")
         if "friction" in self.fitted and not self.surroundings.bodies:

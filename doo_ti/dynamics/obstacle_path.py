@@ -62,13 +62,16 @@ def _most_move(surroundings: Surroundings, least_way: float) -> float:
 
 
 def _largest_move(obstacle: Obstacle, rotation: np.ndarray, shift: np.ndarray, start: Configuration) -> float:
-    """mm by which the surface of an obstacle moves at most from one instant to the next, out of itself."""
+    """mm by which the surface of an obstacle moves at most from one instant to the next, along its outward normal."""
     if obstacle.kind == PLANE:
         # What counts is how far the plane moves where the rods are.
         own, axes, _, _ = obstacle.placed
         normal = (rotation @ axes[:, None, :, 2, None])[..., 0]
         point = (rotation @ own[:, None, :, None])[..., 0] + shift
-        height = normal @ start.vertices.reshape(-1, 3).T - (normal * point).sum(axis=-1)[..., None]
+        # A plane of each rod counts where that rod is.
+        level = (normal * point).sum(axis=-1)
+        places = start.vertices if len(level) == start.count else start.vertices.reshape(1, -1, 3)
+        height = normal @ np.swapaxes(places, -1, -2) - level[..., None]
         moved = np.abs(np.diff(height, axis=1))
     else:
         places = (rotation[:, :, None] @ _outline(obstacle)[:, None, :, :, None])[..., 0] + shift[:, :, None]

@@ -131,7 +131,9 @@ class _Motion:
         self.grippers = grippers.refined(stepping.substeps)
         self.pairs, self.surroundings, self.touching = pairs, surroundings, touching
         self.first = _spread(grippers.at(0), start.count)
-        self.poses = obstacle_path(surroundings, stepping, grippers.instants, start) if surroundings.moves else None
+        self.poses = None
+        if surroundings.moves:
+            self.poses = obstacle_path(surroundings, stepping, grippers.instants, start.take(pairs[0]))
         self.watched = surroundings.itself is not None and not touching
         self.relinked = np.zeros(0, dtype=bool)
 
@@ -284,12 +286,13 @@ class _Motion:
 
 def _step_by_step(launch, first: int, last: int, memory: Memory, account: Account):
     """What one launch of the steps from ``first`` to ``last`` returns, of launches of one step, which ``account`` sees."""
-    trips = moment = 0
+    trips = moment = relinked = 0
     for step in range(first, last):
         positions, outcome, changes, forces, touches = launch(step, step + 1, 1)
         account.see(memory, outcome[:, 0, END_FORCE:FRICTION_WORK], 0.0 if forces is None else forces[:, 0], step + 1 == last)
         trips, moment = trips + outcome[..., TRIPS], np.maximum(moment, outcome[..., MOMENT])
-    outcome[..., TRIPS], outcome[..., MOMENT] = trips, moment
+        relinked = np.maximum(relinked, outcome[..., RELINKED])
+    outcome[..., TRIPS], outcome[..., MOMENT], outcome[..., RELINKED] = trips, moment, relinked
     return positions, outcome, changes, forces, touches
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti import runtime
-from doo_ti.contact.obstacles import Obstacle
-from doo_ti.contact.surroundings import obstacle_list
+from doo_ti.contact.obstacles import Obstacle, Ring
+from doo_ti.contact.surroundings import Surroundings, obstacle_list
 from doo_ti.errors import InputError
 from doo_ti.relaxation import batch
 from doo_ti.relaxation import tables as of
@@ -30,6 +30,8 @@ from doo_ti.types import Clamps, Configuration, Material, Solution, Status, unit
 CONVERGED, STALLED, INFEASIBLE = (int(status) for status in (Status.CONVERGED, Status.STALLED, Status.INFEASIBLE))
 PRECISIONS = ("f32", "f64", "mixed")
 F32_ONLY = "f32 only"
+INSIDE, PARTS = 1e-2, 4
+"""Radii by which an edge of a rod that has converged may be inside a ring; and into how many parts it is divided for that."""
 
 
 @runtime.exclusive
@@ -173,6 +175,21 @@ def _touch_themselves(table: Tables, solver: Newton, frames, results, bits) -> T
     return table
 
 
+def _cut_by_rings(table: Tables, configuration: Configuration, status: np.ndarray) -> np.ndarray:
+    """Rows of the converged rods that are inside a ring between two vertices: an edge that spans a ring's hole is near to the
+    ring twice, and only one place of an edge touches."""
+    contact = table.contact
+    rings = [] if contact is None else [body for body in contact.surroundings.bodies if isinstance(body, Ring)]
+    rows = np.flatnonzero(contact.near & (status == CONVERGED)) if rings else np.zeros(0, dtype=np.int64)
+    if not len(rows):
+        return rows
+    around, x = Surroundings(rings, contact.radius).take(rows), configuration.take(rows).vertices
+    # Rods with shorter edges: gaps are measured at some places of each.
+    share = np.linspace(0.0, 1.0, PARTS, endpoint=False)[:, None]
+    finer = (x[:, :-1, None] + share * np.diff(x, axis=1)[:, :, None]).reshape(len(rows), -1, 3)
+    return rows[around.smallest_gap(np.concatenate([finer, x[:, -1:]], axis=1)) < -INSIDE * around.radius]
+
+
 def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.ndarray) -> Solution:
     index, up = table.configuration_index, table.up
     anchor = table.anchor
@@ -207,6 +224,8 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
     if len(hanging):
         ends = configuration.take(hanging).vertices[:, -1]
         start[hanging] = 2 * start[hanging] - ends
+    cut = _cut_by_rings(table, configuration, status)
+    status[cut], stable[cut] = Status.STALLED, False
     return Solution(
         configuration=configuration,
         energy=energy,

@@ -207,7 +207,7 @@ class TimeLoop(NewtonLoop):
         self.differentiate(tables, rod, time, up, ti.select(done, one, zero))
         if ti.static(self.touches):
             once_more = once_more | self.sweep.contacts.renew(rod, done & (lane.status < 0.5), least, lane.multiplier)
-        repeats = ti.select(once_more, one, zero)
+        repeats, made = ti.select(once_more, one, zero), ti.select(done, one, zero)
         if tables.time[WATCHED] > 0.0:
             self.sweep.watch(rod)
         self.sweep.remember(rod, time, done)
@@ -220,6 +220,8 @@ class TimeLoop(NewtonLoop):
                     row = tables.rods[tables.queue[supply.places + slot], of.RESULT_ROW]
                     frame = tables.queue[steps_made + slot] // tables.every
                     tables.outcome[row, frame, TRIPS] += self.lane(lane.trips, slot)
+                    if self.lane(made, slot) > 0.5:  # a part of its step
+                        self.note_link(tables, scratch, head, slot, row, frame)
                 elif self.lane(lane.active, slot) > 0.5:
                     step = tables.queue[steps_made + slot]
                     again = self.conclude(tables, scratch, head, slot, lane, tables.queue[supply.places + slot], step)
@@ -243,6 +245,14 @@ class TimeLoop(NewtonLoop):
                                            tables.queue[steps_made + slot])
 
     @ti.func
+    def note_link(self, tables, scratch: ti.template(), head, slot, row, frame):
+        """Note where the link of the rod in lane ``slot`` has changed in what it has just made."""
+        if tables.time[WATCHED] > 0.0:
+            change = self.get(scratch, head + (self.sweep.time_parameters + OF_RELINKED) * self.stride, slot)
+            if not ti.abs(change) < 0.5:
+                tables.outcome[row, frame, RELINKED] = 1.0
+
+    @ti.func
     def conclude(self, tables, scratch: ti.template(), head, slot, lane, rod, step):
         """Report the step that the rod in lane ``slot`` has made; returns one where it is to make another."""
         row, edges = tables.rods[rod, of.RESULT_ROW], tables.rest_length.shape[1]
@@ -253,10 +263,7 @@ class TimeLoop(NewtonLoop):
         moment = ti.cast(self.lane(lane.residual, slot) * total, ti.f64)
         tables.outcome[row, frame, TRIPS] += self.lane(lane.trips, slot)
         tables.outcome[row, frame, MOMENT] = ti.max(tables.outcome[row, frame, MOMENT], moment)
-        if tables.time[WATCHED] > 0.0:
-            change = self.get(scratch, head + (self.sweep.time_parameters + OF_RELINKED) * self.stride, slot)
-            if not ti.abs(change) < 0.5:
-                tables.outcome[row, frame, RELINKED] = 1.0
+        self.note_link(tables, scratch, head, slot, row, frame)
         again = 0
         if status == self.converged:
             if (step + 1) % tables.every == 0:

@@ -2,7 +2,7 @@
 Axes: T moments, V vertices of a rod."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +43,9 @@ class GroupMotion:
     @classmethod
     def of(cls, moments: Sequence[GroupSolution], row: int, surroundings: Surroundings | None) -> "GroupMotion":
         """The group ``row`` of solutions."""
-        around, group = Surroundings() if surroundings is None else surroundings, moments[0].group
+        group, around = moments[0].group, Surroundings()
+        if surroundings is not None:  # the radius may be that of each rod of a group
+            around = replace(surroundings, obstacles=[body.take(np.array([row])) for body in surroundings.obstacles])
         rods = [[rod.vertices[row] for rod in moment.rods] for moment in moments]
         force = np.array([np.concatenate([part[row] for part in moment.contact_force]) for moment in moments])
         radii = None if around.radius is None else group.radii_in(row, around.radius)

@@ -17,6 +17,7 @@ from doo_ti import (
     Moving,
     Newton,
     Plane,
+    Ring,
     Sphere,
     Stepping,
     end_clamps,
@@ -29,7 +30,9 @@ from doo_ti import (
     straight_rod,
 )
 from doo_ti.contact.obstacles import Box
+from doo_ti.dynamics.identify import IdentifyOptions
 from doo_ti.errors import InputError
+from doo_ti.frames import matrix_from_quaternion, quaternion_of_turn
 from doo_ti.io.motion_file import ClampPath
 
 FLOOR = Plane((0, 0, -10), (0, 0, 1))
@@ -145,3 +148,41 @@ def test_a_straight_start_has_room_in_a_channel(push):
     walls = [Plane(np.multiply(-8.0, normal), normal) for normal in ((0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))]
     found = relax(rod, MATERIAL, held, obstacles=walls, radius=0.7)
     assert found.converged[0] and found.contact.gap[0] > -1e-3
+
+
+@pytest.mark.parametrize("edges", [10, 30])
+def test_no_rod_that_has_converged_is_inside_a_ring(rng, edges):
+    """Also where an edge is twice as long as the ring's hole is wide: such a rod is stalled."""
+    count = 60
+    rod = straight_rod(60.0, edges).take([0] * count)
+    rod = replace(rod, start=np.stack([np.zeros(count), rng.uniform(-4, 4, count), rng.uniform(8, 16, count)], -1))
+    held = end_clamps(rod, Clamp.FRAME, Clamp.FRAME)
+    held.end_position[:, 0] -= rng.uniform(1, 15, count)
+    ring, radius = Ring((27, 0, 0), (0, 0, 1), 3.0, 0.6), 0.3
+    found = relax(rod, Material(10 ** rng.uniform(2.5, 4.5, count), 1e4), held, obstacles=[ring], radius=radius)
+    x, share = found.configuration.vertices, np.linspace(0.0, 1.0, 60)[:, None]
+    places = (x[:, :-1, None] + share * np.diff(x, axis=1)[:, :, None]).reshape(count, -1, 3)
+    gap = ring.distance(places)[0].min(axis=1) - radius
+    assert (gap[found.converged] > -0.05 * radius).all() and not found.stable[~found.converged].any()
+    assert found.converged.mean() > (0.7 if edges == 10 else 0.95)
+
+
+def test_moving_planes_of_single_rods_count_where_these_are():
+    """Two rods a metre apart, each with a table that tilts about it: neither limits the other's step."""
+    begin = np.array([[0.0, 0, 0], [1000.0, 0, 0]])
+    rods, clamps = hanging(100.0, 12, start=begin, end=begin + [70.0, 0, 0])
+    tables = Plane(rods.vertices[:, 0] - [0, 0, 60.0], (0, 0, 1))
+    tilt = quaternion_of_turn(np.outer(0.004 * np.arange(3.0), [0, 1.0, 0]))
+    ends = (np.repeat(part[:, None], 3, axis=1) for part in (
+        clamps.start_position, clamps.end_position, rods.frames[:, 0], rods.frames[:, -1]))
+    found = simulate(rods, MATERIAL, Grippers(Clamp.POSITION, Clamp.POSITION, *ends), Dynamics(), Stepping(100.0), radius=1.0,
+                     obstacles=[Moving(tables, np.zeros((3, 3)), matrix_from_quaternion(tilt))])
+    assert (found.status == 0).all()
+
+
+@pytest.mark.parametrize("wrong, problem", [
+    ({"iterations": 0}, "iterations: 0"), ({"horizons": ()}, "horizons"), ({"fitted": ("mass",)}, "'mass' is unknown"),
+    ({"delta": -1.0}, "delta: -1"), ({"modes": -1}, "modes: -1")])
+def test_options_of_identify(wrong, problem):
+    with pytest.raises(InputError, match=problem):
+        IdentifyOptions(**wrong)
