@@ -64,6 +64,14 @@ class _Parser(argparse.ArgumentParser):
         """The names of this command's options."""
         return [name for action in self._actions for name in action.option_strings if action.help != argparse.SUPPRESS]
 
+    def accepted(self) -> set[str]:
+        """The names of this command's options, also of those that are not shown."""
+        return {name for action in self._actions for name in action.option_strings}
+
+    def command(self, name: str) -> "_Parser":
+        """Of the program: the parser of a command."""
+        return next(action for action in self._actions if isinstance(action, argparse._SubParsersAction)).choices[name]
+
     def meanings(self) -> dict[str, str]:
         """Of the program: its commands, and what each does."""
         commands = next(action for action in self._actions if isinstance(action, argparse._SubParsersAction))
@@ -106,21 +114,35 @@ def _run(argv: list[str]) -> int:
         meant = nearest(argv[0], meanings)
         remedy = f"did you mean {meant}? See doo-ti help" if meant else "see doo-ti help"
         raise InputError("doo-ti", argv[0], "unknown command", remedy)
+    words = _joined(argv)
     try:
-        options, unknown = parser.parse_known_args(_joined(argv))
+        options, unknown = parser.parse_known_args(words)
     except SystemExit as stop:  # --help
         return int(stop.code or 0)
+    except InputError as error:
+        # What is missing may only be misspelt.
+        if error.problem != "missing" or argv[0] not in meanings:
+            raise
+        command = parser.command(argv[0])
+        names = [word.split("=")[0] for word in words if word.startswith("--")]
+        if wrong := next((name for name in names if name not in command.accepted()), None):
+            raise _unexpected(command, wrong) from None
+        raise
     if unknown:
-        option = next((word for word in unknown if word.startswith("-")), unknown[0])
-        kind = "unknown option" if option.startswith("-") else "unexpected argument"
-        prog, word = f"{parser.prog} {options.command}", option.split("=")[0]
-        meant = nearest(word, options.parser.options()) if word.startswith("--") else None
-        raise InputError(prog, word, kind, f"did you mean {meant}? See {prog} --help" if meant else f"see {prog} --help")
+        raise _unexpected(options.parser, next((word for word in unknown if word.startswith("-")), unknown[0]))
     check_architecture()
     try:
         return options.run(options, ["doo-ti", *argv])
     except InputError as error:
         raise options.parser.in_options(error) from None
+
+
+def _unexpected(command: _Parser, word: str) -> InputError:
+    """The error for a ``word`` that the command does not take."""
+    kind, name = "unknown option" if word.startswith("-") else "unexpected argument", word.split("=")[0]
+    meant = nearest(name, command.options()) if name.startswith("--") else None
+    help_line = f"see {command.prog} --help"
+    return InputError(command.prog, name, kind, f"did you mean {meant}? S{help_line[1:]}" if meant else help_line)
 
 
 def _again(argv: list[str]) -> str:
@@ -130,7 +152,8 @@ def _again(argv: list[str]) -> str:
 
 def _report(problem: object, code: int) -> int:
     # One line whatever the message holds.
-    print(visible(f"doo-ti: {' '.join((str(problem) or type(problem).__name__).split())}"), file=sys.stderr)
+    text = " ".join((str(problem) or type(problem).__name__).split())
+    print(visible(f"doo-ti: {text.removeprefix('doo-ti:').removeprefix('doo-ti ').lstrip()}"), file=sys.stderr)
     return code
 
 

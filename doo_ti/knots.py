@@ -66,7 +66,8 @@ def overhand_knot(length: float, edges: int, *, radius: float, loop: float, fine
 
     The loop, of radius ``loop``, ends in two strands that are laid around each other with three half turns, and go on as the
     two ends of the rod. Where they are, edges are ``finer`` times shorter than elsewhere; unless given, as much as they
-    have to be.
+    have to be. ``length`` is that of the curve along which the rod is laid: edges are chords of it, and the rod itself is
+    some 0.5 % shorter.
 
     Raises InputError for lengths that are not positive, edges that are too few for the strands, and a rod that is too short for
     its knot.

@@ -1,5 +1,6 @@
 """``doo-ti group``: rods that touch each other or are tied together, at rest or along a motion."""
 
+import re
 import sys
 from argparse import Namespace
 from dataclasses import fields
@@ -53,7 +54,9 @@ def run(options: Namespace, words: list[str]) -> int:
                 moments.append(solution)
                 bar.advance(task)
         except InputError as error:
-            raise InputError(options.scene, error.field, error.problem, error.remedy) from None
+            of_rod = re.fullmatch(r"\w+: rod (\d+)", error.source)
+            field = f"rods.{scene.names[int(of_rod[1])]}.{error.field}" if of_rod else error.field
+            raise InputError(options.scene, field, error.problem, error.remedy) from None
         except KeyboardInterrupt:
             if not moments:
                 raise
@@ -122,7 +125,7 @@ def _summary(scene: "GroupScene", moments: "list[GroupSolution]", out: Path) -> 
         "stable": int(sum(moment.stable[0] for moment in moments)), "energy": last.energy[0], "kinetic": last.kinetic[0],
         "closure": np.max(closure[np.isfinite(closure)], initial=0.0),
         "smallest_gap_mm": np.min(gap[np.isfinite(gap)], initial=np.inf),
-        "held_force": {name: value for name, value in forces.items() if value},
+        "held_force": {name: value for name, value in forces.items() if value > 0},
         "tie_force": np.linalg.norm(last.tie_force[0], axis=-1),
         "friction_work": np.nansum([moment.friction_work[0] for moment in moments]),
         "sticks": int((touch == Touch.STICKS).sum()), "slips": int((touch == Touch.SLIPS).sum()), "out": str(out)}
@@ -147,8 +150,9 @@ def _lines(scene: "GroupScene", moments: "list[GroupSolution]", summary: dict) -
                      f"{summary['slips']} slip")
     largest = sorted(summary["held_force"].items(), key=lambda pair: -pair[1])[:MOST_LISTED]
     if largest:
-        lines.append("  clamps      " + "; ".join(f"{in_line(name)} {force:.4g}" for name, force in largest) + " mm²/mm")
-    if summary["ties"]:
+        held = "; ".join(f"{in_line(name)} {force:.4g}" for name, force in largest)
+        lines.append(f"  forces      of clamps: {held} mm²/mm")
+    if summary["ties"] and np.isfinite(summary["tie_force"]).all():
         lines.append("  ties        " + "; ".join(f"{force:.4g}" for force in summary["tie_force"][:MOST_LISTED])
                      + "; …" * (summary["ties"] > MOST_LISTED) + " mm²/mm")
     return [*lines, f"  written to {in_line(summary['out'])}"]

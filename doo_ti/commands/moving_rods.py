@@ -76,6 +76,14 @@ def rubbed(options: Namespace, surroundings: Surroundings) -> Surroundings:
     return surroundings.rubbing(friction)
 
 
+def require_length(source, theta, length: float) -> None:
+    """Raise InputError, naming the file ``source`` of ``theta``, where that is of a rod of another ``length``, mm."""
+    own = float(np.sum(theta.rest_length))
+    if abs(length - own) > MOST_STRETCH * own:
+        raise InputError(source, "rest_length_mm", f"{own:.4g} mm in all, the rods are {length:.4g} mm long",
+                         "give the theta of this rod, or the unit of the lengths")
+
+
 def curved(options: Namespace, material: Material, rest_length: np.ndarray, moving: bool = False) -> Material:
     """The material with what ``--theta`` says of its rest curvature, at the joints of rods of ``rest_length`` (E,), and of rods
     that move of its own weight, that of markers apart. Raises InputError where the rod has another length."""
@@ -84,10 +92,7 @@ def curved(options: Namespace, material: Material, rest_length: np.ndarray, movi
     from doo_ti.dynamics.theta import load_theta
 
     theta = load_theta(options.theta)
-    length, own = float(np.sum(rest_length)), float(np.sum(theta.rest_length))
-    if abs(length - own) > MOST_STRETCH * own:
-        raise InputError(options.theta, "rest_length_mm", f"{own:.4g} mm in all, the rods are {length:.4g} mm long",
-                         "give the theta of this rod")
+    require_length(options.theta, theta, float(np.sum(rest_length)))
     weight = material.weight * (1.0 - theta.marker_share) if moving else material.weight
     rest = theta.rest_curvature_at(rest_length) if theta.rest.any() else None
     return Material(material.bend, material.twist, weight, None if rest is None else rest[None])

@@ -18,6 +18,8 @@ from doo_ti.commands.results import (
     theta_of,
     theta_text,
 )
+from doo_ti.contact.surroundings import Surroundings
+from doo_ti.errors import InputError
 from doo_ti.grid import Grid
 from doo_ti.io.observations import Observations
 from doo_ti.learning.objective import status_counts
@@ -59,10 +61,12 @@ def run(options: Namespace, words: list[str]) -> int:
     # Without a solver relax allows more iterations among obstacles.
     solver = None if surroundings else given.solver(options.solver)
     with busy(f"relaxing {observed.count} rods (kernels are compiled once on a machine)"):
-        solution = relax_rods(start_configuration(observed, held, turns), material, held, solver,
-                              up=observations.up, precision=options.precision, **surroundings.arguments)
+        start = start_configuration(observed, held, turns)
+        solution = relax_rods(start, material, held, solver, up=observations.up, precision=options.precision,
+                              **surroundings.arguments)
     relaxed = solution.configuration
     error = distance(relaxed, observations, index, frame_weight)
+    error[solution.status == Status.INFEASIBLE] = np.nan
     best = choose_hypothesis(index, error, solution.converged & solution.stable)
     configuration = relaxed.take(best)
     result = {"vertices_mm": configuration.vertices, "frames": configuration.frames, "distance_mm": error[best],
@@ -74,9 +78,23 @@ def run(options: Namespace, words: list[str]) -> int:
         result["smallest_gap_mm"] = surroundings.smallest_gap(result["vertices_mm"])
         contact = contact_summary(surroundings, result["contact_force"], result["smallest_gap_mm"], result["status"])
     save_arrays(out, result)
-    summary = _summary(observations, grid, result, out) | contact
+    inside = _inside(surroundings, held, start, index, np.flatnonzero(solution.status == Status.INFEASIBLE))
+    summary = _summary(observations, grid, result, out) | contact | {"infeasible_reason": inside}
     report(options, summary, lambda: _lines(observations, grid, result, summary))
     return 0 if (result["status"] == Status.CONVERGED).any() else 1
+
+
+def _inside(surroundings: Surroundings, clamps, start, index: np.ndarray, rows: np.ndarray) -> str | None:
+    """What of the first of the ``rows`` is inside an obstacle, and by how much; None where nothing is."""
+    from doo_ti.relaxation.contact_table import require_clear
+
+    if not surroundings or not len(rows):
+        return None
+    try:
+        require_clear("relax", surroundings.take(rows), clamps.take(rows), start.take(rows), index[rows])
+    except InputError as error:
+        return error.problem
+    return None
 
 
 def _summary(observations: Observations, grid: Grid, result: dict, out: Path) -> dict:
@@ -91,12 +109,15 @@ def _summary(observations: Observations, grid: Grid, result: dict, out: Path) ->
 
 
 def _lines(observations: Observations, grid: Grid, result: dict, summary: dict) -> list[str]:
-    lines = [f"{observations.name}: {observations.count} rods of {observations.edges} edges",
+    rods = f"{observations.count} rod{'s' * (observations.count != 1)}"
+    lines = [f"{observations.name}: {rods} of {observations.edges} edges",
              loading.rod_line(observations), f"  material    {theta_text(theta_of(grid), grid.is_isotropic)}",
              f"  status      {counted(summary['status'])}; {summary['stable']} certified stable"]
     if np.isfinite(summary["mean_distance_mm"]):
         lines.append(f"  distance    mean {summary['mean_distance_mm']:.4g} mm, largest {summary['largest_distance_mm']:.4g} "
                      f"mm at observation {int(np.nanargmax(result['distance_mm']))} (Eq. 1)")
     lines += contact_lines(summary, observations.count)
+    if summary["infeasible_reason"]:
+        lines.append(f"  infeasible  {summary['infeasible_reason']}")
     return [*lines, f"  iterations  median {summary['median_iterations']:.0f}, most {int(result['iterations'].max())}",
             f"  written to {in_line(summary['out'])}"]

@@ -138,8 +138,9 @@ def contact_lines(summary: dict, rods: int) -> list[str]:
     found = summary.get("contact")
     if found is None:
         return []
-    return [f"  contact     {found['touching']} of {rods} rods touch an obstacle; smallest gap {found['smallest_gap_mm']:.2g} "
-            f"mm; {found['infeasible']} infeasible"]
+    gap = "" if np.isnan(found["smallest_gap_mm"]) else f"; smallest gap {found['smallest_gap_mm']:.2g} mm"
+    return [f"  contact     {found['touching']} of {rods} rods touch an obstacle{gap}; {found['infeasible']} "
+            "infeasible"]
 
 
 def peak_memory() -> int:

@@ -8,6 +8,7 @@ import numpy as np
 
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
+from doo_ti.commands.moving_rods import require_length
 from doo_ti.commands.results import RODS, contact_lines, contact_summary, counted, report, save_arrays, shortened
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
@@ -122,6 +123,7 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
     if motion.edges != len(theta.rest_length):
         raise InputError(options.theta, "rest_length_mm", f"{len(theta.rest_length)} edges, {in_line(options.source)} has "
                          f"{motion.edges}", "give the theta of this rod")
+    require_length(options.theta, theta, float(motion.edge_lengths().sum()))
     own_up = up if options.up is not None else motion.up
     theta = theta if own_up is None else replace(theta, up=own_up)
     stepping = Stepping(motion.rate, **changes)
@@ -170,8 +172,12 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
     with progress() as bar:
         task = bar.add_task(scene.name, total=count * (grippers.instants - 1), unit="rods x frames")
         stepping = replace(scene.stepping, detailed=True, **changes)
-        found = simulate(start, scene.material, grippers, scene.dynamics, stepping, up=up, pairs=pairs,
-                         progress=lambda done: bar.update(task, completed=count * done), **surroundings.arguments)
+        try:
+            found = simulate(start, scene.material, grippers, scene.dynamics, stepping, up=up, pairs=pairs,
+                             progress=lambda done: bar.update(task, completed=count * done), **surroundings.arguments)
+        except InputError as error:
+            own = error.field == "obstacles" and options.obstacles is None
+            raise InputError(options.source if own else error.source, error.field, error.problem, error.remedy) from None
     first = start.vertices[pairs[0]]
     positions = np.concatenate([first[:, None], found.positions], axis=1)
     status = np.concatenate([np.zeros((count, 1), dtype=np.int8), found.status], axis=1)
@@ -195,8 +201,10 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
                "status": status_counts(last), "failed": [name for name, value in zip(found.names, last, strict=True) if value],
                "out": str(out)}
     if found.contact:
-        summary |= contact_summary(found.surroundings, found.contact["contact_force"], found.contact["smallest_gap_mm"],
-                                   found.status)
+        gap = found.contact["smallest_gap_mm"].copy()
+        if found.recorded is not None:
+            gap[:, :2] = np.nan  # as recorded
+        summary |= contact_summary(found.surroundings, found.contact["contact_force"], gap, found.status)
     if found.step_error is not None:
         arrays["step_error_mm"] = found.step_error
         used, rods = np.unique(found.substeps, return_counts=True)
@@ -223,6 +231,10 @@ def _lines(found: _Simulated, summary: dict) -> list[str]:
              f"  status      {counted(summary['status'])} at the end"]
     if summary["failed"]:
         lines.append(f"  failed      {', '.join(map(in_line, summary['failed'][:MOST_LISTED]))}: no positions from there on")
+        first = found.status.argmax(axis=1)
+        if found.contact and (found.status[np.arange(len(first)), first] == Status.INFEASIBLE).any():
+            lines.append("  infeasible  a gripper holds a rod in an obstacle, or moves it into one by more than its radius in "
+                         "a time step: check their places, or give more --substeps")
     lines += contact_lines(summary, len(found.names))
     if found.contact:
         work = found.contact["friction_work"][:, -1]

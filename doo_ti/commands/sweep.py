@@ -116,6 +116,8 @@ def _searches(options: Namespace) -> list[_Search]:
 
 
 def _search(options: Namespace, source: str, run: Path) -> _Search:
+    if not Path(source).exists():
+        raise InputError(source, "file", "no such file", "name a scene or observations")
     if Path(source).suffix == ".toml":
         scene = load_scene(source)
     else:

@@ -60,7 +60,7 @@ def run_convert(options: Namespace, words: list[str]) -> int:
     if options.rate is not None:
         raise InputError(given.SOURCE, "--rate", "given without --motion", "give both")
     observations = loading.load(options, options.observations)
-    rows = np.arange(observations.count)[_selected(options.select)]
+    rows = np.arange(observations.count)[_selected(options.select, observations.count)]
     rows = rows[observations.valid[rows].all(axis=1)] if options.complete else rows
     if not len(rows):
         raise InputError(options.observations, "observations", "none is left", "select others, or leave --complete out")
@@ -80,7 +80,7 @@ def _convert_motion(options: Namespace, out: Path) -> int:
     source = Path(options.observations)
     found = read_recording(source, options.unit, loading.columns(options), given.positive("--rate", options.rate, "per second"))
     up = given.world_up(options) if options.up is not None or found.up is None else found.up
-    positions = found.positions[_selected(options.select)]
+    positions = found.positions[_selected(options.select, len(found.positions))]
     save_arrays(out, {"positions_mm": positions, "rate_hz": np.float64(found.rate), "up": up})
     gaps = int((~np.isfinite(positions)).any(axis=-1).sum())
     print(f"{len(positions)} frames of {positions.shape[1]} markers at {found.rate:g}/s, {gaps} positions missing, written to "
@@ -88,8 +88,8 @@ def _convert_motion(options: Namespace, out: Path) -> int:
     return 0
 
 
-def _selected(text: str | None) -> slice:
-    """The rows of ``--select``; a step takes every so many-th."""
+def _selected(text: str | None, count: int) -> slice:
+    """The rows of ``--select``, of ``count``; a step takes every so many-th."""
     parts = [] if text is None else text.split(":")
     try:
         first, last, step = [int(part) if part else None for part in [*parts, "", "", ""][:3]]
@@ -97,6 +97,8 @@ def _selected(text: str | None) -> slice:
         first, last, step = 0, 0, 0
     if text is not None and len(parts) not in (2, 3) or step is not None and step < 1:
         raise InputError(given.SOURCE, "--select", f"{text!r}", "give FROM:TO or FROM:TO:STEP, whole numbers")
+    if last is not None and last > count or first is not None and first >= count > 0:
+        raise InputError(given.SOURCE, "--select", f"{text!r}, there are {count}", f"give rows from 0 up to {count}")
     return slice(first, last, step)
 
 

@@ -19,6 +19,8 @@ from doo_ti.terminal import in_line, progress
 AHEAD = 16
 """Frames whose thread is detected while one is tracked."""
 MOST_LISTED = 30
+LEAST_SHOWN = 0.01
+"""px: the error is measured against the smoothed image, whose noise is more than what is below."""
 
 
 def declare(add) -> None:
@@ -134,8 +136,9 @@ def _lines(summary: dict) -> list[str]:
     for key, words in (("seeded", "by Algorithm 1"), ("lost", "in which the rod is lost")):
         names = summary[key]
         listed = ", ".join(names[:MOST_LISTED]) + f" and {len(names) - MOST_LISTED} more" * (len(names) > MOST_LISTED)
-        lines.append(f"  {key:<11} {len(names)} frames {words}{': ' * bool(len(names))}{listed}")
+        lines.append(f"  {key:<11} {len(names)} frame{'s' * (len(names) != 1)} {words}{': ' * bool(len(names))}{listed}")
     if summary["camera_error_px"] is not None:
-        lines.append(f"  images      {summary['camera_error_px']:.2f} px off on average; {summary['stable']} rods "
-                     "certified stable")
+        off = summary["camera_error_px"]
+        lines.append(f"  images      {f'{off:.2f}' if off >= LEAST_SHOWN else f'less than {LEAST_SHOWN}'} px off on average; "
+                     f"{summary['stable']} rods certified stable")
     return lines + [f"  written to  {in_line(path)}" for path in summary["written"]]

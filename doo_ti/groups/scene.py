@@ -149,7 +149,11 @@ class _Tie(Table):
 def load_group_scene(path: str | Path) -> GroupScene:
     """The scene of a TOML file. Raises InputError for unreadable files, unknown keys and names, wrong types and values."""
     path = Path(path)
-    file = checked(path, "", read_toml(path)[0], _File)
+    values = read_toml(path)[0]
+    if "rods" not in values and {"rod", "grid", "clamps"} & values.keys():
+        raise InputError(path, "rods", "missing: this is a scene of another command",
+                         "give it to doo-ti simulate, predict or sweep")
+    file = checked(path, "", values, _File)
     time = _times(path, file)
     found = {name: _material(path, f"materials.{name}", table, file.dynamic) for name, table in file.materials.items()}
     if file.dynamic and len(time) == 1:

@@ -42,6 +42,8 @@ def read_toml(path: Path) -> tuple[dict, bytes]:
     content = read_content(path, MOST_TEXT_BYTES, "name a readable scene")
     try:
         return tomllib.loads(content.decode()), content
+    except UnicodeDecodeError:
+        raise InputError(path, "file", "not text", "name a TOML file") from None
     except (ValueError, RecursionError) as error:
         raise InputError(path, "file", f"not TOML ({error})", "correct the scene") from None
 
@@ -65,6 +67,8 @@ def checked(source, key: str, value, kind):
         raise InputError(source, _below(key, about_key["key"]), "missing", f"add {about_key['key']}")
     if about_key:
         raise unknown_key(source, _below(key, about_key["key"]), kind.__struct_fields__)
+    if isinstance(value, dict) and (kind is list or get_origin(kind) is list or list in get_args(kind)):
+        raise InputError(source, key, "one table, in single brackets", f"write [[{key}]]")
     shown = repr(value)
     problem = f"{shown[:80] + '…' * (len(shown) > 80)} is not allowed"
     raise InputError(source, key, problem, _remedy(found["problem"], kind))

@@ -124,7 +124,8 @@ class Unknowns:
         names = self.parameters
         for name in names:
             if name not in PARAMETERS:
-                raise InputError("refine", "parameters", f"{name!r} is unknown", f"use {', '.join(PARAMETERS)}")
+                raise InputError("refine", "parameters", f"{name!r} is unknown",
+                                 f"use {', '.join(PARAMETERS).replace('_', '-')}")
         for other in ("bend_1", "bend_2", "bend_12"):
             if "bend" in names and other in names:
                 raise InputError("refine", "parameters", f"both bend and {other}", "give one of them")

@@ -1,5 +1,6 @@
 """Rods in motion: pictures of them beside what was recorded, of errors over time, and animations. Axes: R rods, T frames."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,10 @@ MOST_RODS = 6
 STILLS = 9
 """Positions of a rod in a picture."""
 ANIMATED, FRAMES_PER_SECOND, MOST_FRAMES = 8, 25, 250
+VIEWS = 36
+"""Directions from which a motion may be seen."""
+LEAST_MOTION, WORTH_TURNING = 1e-4, 3.0
+"""Of the rods' size squared, below which motion is not looked at; and how much more has to be seen to turn the view."""
 RECORDED, PREDICTED = "#9a9a9a", "#c2410c"
 
 
@@ -21,7 +26,27 @@ def _view(rods: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, str]:
     places = rods.reshape(len(rods), -1, 3)
     places = places[np.isfinite(places).any(axis=(1, 2))] if np.isfinite(places).any() else np.zeros((1, 1, 3))
     upward, view = facing(places, up)
-    return upright_basis(places, upward)[[0, 2]], view
+    return _turned(upright_basis(places, upward), rods)[[0, 2]], view
+
+
+def _turned(basis: np.ndarray, rods: np.ndarray) -> np.ndarray:
+    """The ``basis`` (3, 3) of a view turned about its upward axis so that both the shapes of (R, T, V, 3) rods and their motion
+    are seen."""
+    flat = rods @ basis[:2].T
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of rods without places
+        parts = flat - np.nanmean(flat, axis=2, keepdims=True), flat - np.nanmean(flat, axis=1, keepdims=True)
+    shape, motion = (np.einsum("rtvi,rtvj->ij", part, part) for part in map(np.nan_to_num, parts))
+    if np.trace(motion) < LEAST_MOTION * np.trace(shape):
+        return basis
+    angle = np.linspace(0.0, np.pi, VIEWS, endpoint=False)
+    across = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    seen = np.einsum("ai,ij,aj->a", across, shape, across) * np.einsum("ai,ij,aj->a", across, motion, across)
+    best = int(seen.argmax())
+    if seen[best] < WORTH_TURNING * seen[0]:
+        return basis
+    right = across[best] @ basis[:2]
+    return np.stack([right, np.cross(basis[2], right), basis[2]])
 
 
 def chosen(positions: np.ndarray, recorded: np.ndarray | None, most: int) -> np.ndarray:

@@ -159,6 +159,23 @@ def test_files_that_are_not_there(capsys, tmp_path):
     refused(capsys, tmp_path, ["view", str(tmp_path / "absent")], "absent", "no such file")
 
 
+def test_what_is_missing_may_be_misspelt(capsys, tmp_path):
+    refused(capsys, tmp_path, ["relax", "rods.npz", *MATERIAL, "--outt", str(tmp_path / "F.npz")],
+            "doo-ti: relax: --outt: unknown option; did you mean --out?")
+
+
+def test_a_table_that_should_be_a_list(capsys, tmp_path):
+    (tmp_path / "table.toml").write_text('[obstacles]\nkind = "plane"\n')
+    argv = ["relax", "rods.npz", *MATERIAL, "--obstacles", str(tmp_path / "table.toml"), "--radius", "1"]
+    refused(capsys, tmp_path, [*argv, "--out", str(tmp_path / "F.npz")],
+            "obstacles: one table, in single brackets; write [[obstacles]]")
+
+
+def test_a_scene_of_another_command(capsys, tmp_path):
+    refused(capsys, tmp_path, ["group", "scenes/motion/whip.toml", "--out", str(tmp_path / "F.npz")],
+            "this is a scene of another command")
+
+
 # ---- options: replacements in a valid command line, and the words of the message
 
 OPTIONS = {

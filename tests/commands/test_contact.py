@@ -56,8 +56,10 @@ def test_relax_writes_forces_and_gaps_and_counts_infeasible_rods(folder, tmp_pat
     assert main([*words, "--out", str(tmp_path / "f.npz")]) == 0
     assert "contact     1 of 4 rods touch an obstacle; smallest gap " in (printed := capsys.readouterr().out)
     assert "mm; 2 infeasible" in printed and "2 converged, 2 infeasible" in printed
+    assert "infeasible  the c" in printed and "mm inside a Plane" in printed
     found = written(tmp_path / "f.npz")
     assert found["contact_force"].shape == (4, 11, 3) and found["status"].tolist() == [0, 0, 4, 4]
+    assert np.isnan(found["distance_mm"]).tolist() == [False, False, True, True]
     assert found["contact_force"][0, :, 2].max() > 1 and not found["contact_force"][1:].any()
     assert abs(found["smallest_gap_mm"][0]) < 5e-4 and found["smallest_gap_mm"][1] > 10
     assert main([*words, "--out", str(tmp_path / "f.npz"), "--json"]) == 0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.report.rollouts import save_animation, save_rollout
+from doo_ti.report.rollouts import _view, save_animation, save_rollout
 
 
 @pytest.mark.parametrize(("height", "view"), [(2.0, "from above"), (60.0, "from the side")])
@@ -24,3 +24,15 @@ def test_an_animation_without_a_rod_is_empty(tmp_path):
     """A rod that could not begin has no positions."""
     save_animation(tmp_path / "f.gif", "rods", ["a"], np.full((1, 4, 7, 3), np.nan), None, 10.0, np.array([0.0, 0.0, 1.0]))
     assert (tmp_path / "f.gif").stat().st_size > 0
+
+
+def test_motion_across_the_rods_is_seen():
+    """Rods along x that swing along y are seen at an angle; at rest, and if they swing along x, from the front."""
+    s, t = np.linspace(0, np.pi, 30), np.linspace(0, 6, 40)[:, None]
+    still = 0 * t * s
+    shape = np.stack([100 * s + still, still, -50 * np.sin(s) + still], axis=-1)[None]
+    swing = 60 * np.sin(t)[..., None] * np.sin(s)[None, :, None]
+    for way, turned in (((0, 1, 0), True), ((1, 0, 0), False), ((0, 0, 0), False)):
+        axes, _ = _view(shape + (swing * way)[None], np.array([0.0, 0, 1]))
+        assert (abs(axes[0, 0]) < 0.9) == turned
+        np.testing.assert_allclose(axes[1], [0, 0, 1])
