@@ -67,7 +67,7 @@ def run(options: Namespace, words: list[str]) -> int:
     about = {"name": scene.name, "names": scene.names, "surroundings": scene.surroundings, "rate": scene.rate, "up": up}
     _draw(moments, picture, recording, about)
     summary = _summary(scene, moments, out)
-    report(options, summary, lambda: _lines(scene, moments, summary))
+    report(options, summary, lambda: _lines(scene, summary))
     return 0 if moments[-1].converged[0] else 1
 
 
@@ -131,7 +131,7 @@ def _summary(scene: "GroupScene", moments: "list[GroupSolution]", out: Path) -> 
         "sticks": int((touch == Touch.STICKS).sum()), "slips": int((touch == Touch.SLIPS).sum()), "out": str(out)}
 
 
-def _lines(scene: "GroupScene", moments: "list[GroupSolution]", summary: dict) -> list[str]:
+def _lines(scene: "GroupScene", summary: dict) -> list[str]:
     count, rods = summary["moments"], summary["rods"]
     lines = [f"{in_line(scene.name)}: {rods} rod{'s' * (rods > 1)} of {summary['edges']} edges in all, {summary['ties']} tie"
              f"{'s' * (summary['ties'] != 1)}" + f", {count} moments in {scene.time[-1]:.3g} s" * (count > 1),

@@ -271,8 +271,8 @@ def _arrays(task: _Task, prediction) -> dict[str, np.ndarray]:
     """What the file holds; docs/twist.md."""
     per_material = {name: np.asarray(value)[prediction.material] for name, value in task.theta.items()}
     if task.surroundings:
-        gap = [task.surroundings.at(k).smallest_gap(rods) for k, rods in enumerate(prediction.vertices)]
-        per_material |= {"contact_force": prediction.contact_force, "smallest_gap_mm": np.stack(gap)}
+        per_material |= {"contact_force": prediction.contact_force,
+                         "smallest_gap_mm": task.surroundings.smallest_gaps(prediction.vertices)}
     return {
         "time_s": prediction.time, "vertices_mm": prediction.vertices, "energy": prediction.energy, "status": prediction.status,
         "stable": prediction.stable, "followed": prediction.followed, "jumps": prediction.jumps,

@@ -162,8 +162,8 @@ def _adequacy_lines(summary: dict) -> list[str]:
     lines += [_line("try", f"{one['option']} ({one['meaning']}: twice the log evidence rises by {one['gain']:.3g})")
               for one in summary["advice"][:2]]
     if not summary["reaches_noise"] and not summary["advice"]:
-        lines.append(_line("try", "no option explains it. Noise of the two outer marks of an end, which say how the rod is held, "
-                                  "has this effect; else check the misfits, --sigma, and how the marks were made"))
+        lines.append(_line("try", "no option explains it. Noise of the two outer marks of an end, which say how the rod is "
+                                  "held, has this effect; else check the misfits, --sigma, and how the marks were made"))
     return lines
 
 

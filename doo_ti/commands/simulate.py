@@ -143,7 +143,7 @@ def _contact(surroundings: Surroundings, positions: np.ndarray, force, work, tou
     (R, T), and what sticks and slips (R, T, V)."""
     if not surroundings:
         return {}
-    gap = np.stack([surroundings.at(frame).smallest_gap(positions[:, frame]) for frame in range(positions.shape[1])], axis=1)
+    gap = surroundings.smallest_gaps(np.swapaxes(positions, 0, 1)).T
     return {"contact_force": force, "smallest_gap_mm": gap, "friction_work": work, "touch": touch}
 
 

@@ -17,7 +17,7 @@ SHALLOW, MOST_STEPS = 0.5, 10_000
 """Of a radius; and the most steps that are taken for it."""
 
 
-def obstacle_list(source: str, obstacles, moving: bool = False) -> list[Obstacle | Moving]:
+def obstacle_list(source: str, obstacles: Iterable[Obstacle | Moving], moving: bool = False) -> list[Obstacle | Moving]:
     """``obstacles`` as a list. Raises InputError, naming ``source``, for anything else, for a :class:`.Moving` one unless they
     may be ``moving``, and for more than one :class:`.Itself`."""
     if isinstance(obstacles, Obstacle | Moving | str) or not isinstance(obstacles, Iterable):
@@ -46,7 +46,8 @@ class Surroundings:
     radius: np.ndarray | float | None = None
 
     @classmethod
-    def checked(cls, source: str, obstacles, radius, count: int, moving: bool = False) -> "Surroundings":
+    def checked(cls, source: str, obstacles: Iterable[Obstacle | Moving], radius: ArrayLike | None, count: int,
+                moving: bool = False) -> "Surroundings":
         """The surroundings of ``count`` rods, some of them ``moving`` if they may. Raises InputError, naming ``source``, as
         :func:`obstacle_list` does, where numbers of rows do not match, and for a ``radius`` that is missing or not positive.
         """
@@ -117,6 +118,10 @@ class Surroundings:
             return 1
         steps = np.ceil(np.linalg.norm(shift, axis=-1) / (SHALLOW * np.min(self.radius)))
         return np.minimum(steps, MOST_STEPS).astype(np.int64)
+
+    def smallest_gaps(self, instants: Iterable[np.ndarray]) -> np.ndarray:
+        """(T, R) :meth:`smallest_gap` of rods (R, V, 3) at each instant of a motion, with obstacles where they are then."""
+        return np.stack([self.at(number).smallest_gap(vertices) for number, vertices in enumerate(instants)])
 
     def smallest_gap(self, vertices: np.ndarray) -> np.ndarray:
         """(R,) mm between the surface of each rod (R, V, 3) and the nearest obstacle, itself if it is one, the least along the

@@ -79,8 +79,8 @@ def simulate(
     pairs       (R,) rows of start and of material that make up each rod; by default they pair one to one, a single row with
                 every row of the other
     directions  P parameters to differentiate the positions by, in f64
-    obstacles   what the rods may touch but not enter, with friction where it states a coefficient; with f64 or f32 and without
-                directions. A :class:`.Moving` has the instants of the grippers
+    obstacles   what the rods may touch but not enter, with friction where it states a coefficient; without directions. A
+                :class:`.Moving` has the instants of the grippers
     radius      of the rods, mm, one or (R,), with obstacles
     progress    called with the number of frames that are done
 
@@ -209,7 +209,7 @@ class _Motion:
         feasible = table.feasible[index]
         status = np.where(feasible, int(Status.CONVERGED), int(Status.INFEASIBLE)).astype(np.int8)
         if start.smooth and not self.stepping.quasi_static:
-            trial = _memory(frames, x, v, a, table, trial_step, status.copy())
+            trial = _memory(frames, x, v, a, trial_step, status.copy())
             numbers, shares, rows = trial_motion.numbers(table, 1.0)
             table.external_index[:] = rows
             path = clamp_path(self.grippers, self.start, slice(ahead - 1, ahead))
@@ -223,8 +223,8 @@ class _Motion:
             da = remembered[..., VELOCITY_1 : VELOCITY_1 + 3] / trial_step
             da[trial.status != Status.CONVERGED] = 0.0
             remembered = slope_memory(
-                lambda change: _memory(frames, x, v + age * change, a + change, table, self.step, status), da)
-        return _memory(frames, x, v, a, table, self.step, status), remembered
+                lambda change: _memory(frames, x, v + age * change, a + change, self.step, status), da)
+        return _memory(frames, x, v, a, self.step, status), remembered
 
     def held(self) -> np.ndarray:
         """(S, 2) whether a gripper holds the start, and the end."""
@@ -302,7 +302,7 @@ def _newton(quasi_static: bool = False) -> Newton:
     return Newton(first_shift=0.0) if quasi_static else Newton(first_shift=0.0, max_escapes=0)
 
 
-def _memory(frames, x, v, a, table: Tables, h: float, status) -> Memory:
+def _memory(frames, x, v, a, h: float, status) -> Memory:
     """The memory of rods at places ``x`` with velocities ``v`` and accelerations ``a``, all (R, V, 3)."""
     places = np.concatenate([x, x - h * v + 0.5 * h**2 * a, v, v - h * a], axis=-1)
     edges = np.diff(places[..., PLACE_2 : PLACE_2 + 3], axis=1)

@@ -15,7 +15,7 @@ class Detail:
 
     quaternions  (R, F + 1, E, 4) frames
     velocities   (R, F + 1, V, 3) mm/s
-    energies     (R, F + 1) by name, mm²: see :meth:`doo_ti.dynamics.energies.Account.table`
+    energies     (R, F + 1) by name, mm²: see :meth:`doo_ti.dynamics.energies.Account.detail`
     """
 
     quaternions: np.ndarray
@@ -25,9 +25,9 @@ class Detail:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """R rods at F frames.
+    """R rods at F frames. From where a rod failed its positions are NaN, and its forces and work zero.
 
-    positions   (R, F, V, 3) mm; NaN from where a rod failed
+    positions   (R, F, V, 3) mm
     status      (R, F) Status; a rod that failed keeps its status to the end
     iterations  (R, F) Newton iterations of all steps since the frame before
     residual    (R, F) the largest residual of those steps

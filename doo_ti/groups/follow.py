@@ -10,7 +10,7 @@ from doo_ti.contact.obstacles import Obstacle
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.errors import InputError
 from doo_ti.groups.group import Group
-from doo_ti.groups.inertia import GroupMotion
+from doo_ti.groups.inertia import MovingGroups
 from doo_ti.groups.relax_group import GroupSolution, relaxed
 from doo_ti.relaxation.newton import Newton
 from doo_ti.types import Clamps, Configuration
@@ -39,7 +39,7 @@ def follow_group(group: Group, clamps: Sequence[Sequence[Clamps]], solver: Newto
     if (dynamics is None) != (rate is None):
         missing, other = ("rate", "dynamics") if rate is None else ("dynamics", "rate")
         raise InputError("follow_group", missing, f"missing beside {other}", "give both, or neither")
-    motion = None if dynamics is None else GroupMotion(group, dynamics, Stepping(rate, scheme=scheme).step, scheme)
+    motion = None if dynamics is None else MovingGroups(group, dynamics, Stepping(rate, scheme=scheme).step, scheme)
     before = None
     for held in clamps:
         group = replace(group, clamps=held)

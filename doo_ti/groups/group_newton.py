@@ -16,7 +16,7 @@ from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import record
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.batch import UNTOUCHED, buffers, layout_for, policy_row
+from doo_ti.relaxation.batch import UNTOUCHED, buffers, fitting, layout_for, policy_row
 from doo_ti.relaxation.contact_table import ContactTable
 from doo_ti.relaxation.loaded_elimination import FORCE_ITEMS
 from doo_ti.relaxation.newton import Newton
@@ -155,9 +155,10 @@ def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np
     rods = of.rod_rows(rows, rows % len(table.material), rows, rows, rows % len(table.rest))
     contact, joints = table.contact, JointRest(table.rest)
     number, threads, stride, block = layout_for(len(rows), 64, True)
-    kernel = group_kernel(number, stride, block, contact.known)
     items = chain.LOADED_PARAMETERS + (chain.item_count(False) + joints.items + FORCE_ITEMS) * edges
     items += self_contact_items(edges, len(contact.kinds)) + group_items(edges, state.places.shape[1], len(table.ties))
+    threads, stride = fitting(threads, stride, items)
+    kernel = group_kernel(number, stride, block, contact.known)
     scratch, queue = buffers(number, threads, items)
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy_row(table.up, options, 64),

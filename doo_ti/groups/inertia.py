@@ -22,7 +22,7 @@ from doo_ti.relaxation.time_sweep import DRAG, DRAG_BY_SPEED, INERTIA, LOAD
 from doo_ti.types import Configuration
 
 
-class GroupMotion:
+class MovingGroups:
     """N groups at their last two instants. The first that they remember is one at rest; before that they do not move.
 
     group     the groups, with their own materials

@@ -22,7 +22,7 @@ from doo_ti.groups.apart import smallest_gap
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupState, GroupTables, run_groups
 from doo_ti.groups.group_tables import group_tables
-from doo_ti.groups.inertia import GroupMotion
+from doo_ti.groups.inertia import MovingGroups
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.types import Configuration, Status, unit_up
@@ -111,7 +111,7 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
 
 @runtime.exclusive
 def relaxed(group: Group, solver: Newton | None, up: ArrayLike | None, obstacles: Sequence[Obstacle], radius: ArrayLike | None,
-            contact: bool, before: GroupSolution | None, motion: GroupMotion | None = None) -> GroupSolution:
+            contact: bool, before: GroupSolution | None, motion: MovingGroups | None = None) -> GroupSolution:
     """:func:`relax_group`, or the first moment or a time step of groups in ``motion``, which then remembers where it led to."""
     if not isinstance(group, Group):
         raise InputError("relax_group", "group", f"a {type(group).__name__}", "give a Group")
@@ -136,7 +136,7 @@ def relaxed(group: Group, solver: Newton | None, up: ArrayLike | None, obstacles
         return solution if motion is None else _moved(solution, table, motion)
 
 
-def _moved(solution: GroupSolution, table: GroupTables, motion: GroupMotion) -> GroupSolution:
+def _moved(solution: GroupSolution, table: GroupTables, motion: MovingGroups) -> GroupSolution:
     """The solution of a time step with the energies of the rods, without what the step adds."""
     motion.remember(solution.rods)
     elastic, kinetic = motion.energies()

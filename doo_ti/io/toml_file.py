@@ -43,7 +43,7 @@ def read_toml(path: Path) -> tuple[dict, bytes]:
     try:
         return tomllib.loads(content.decode()), content
     except UnicodeDecodeError:
-        raise InputError(path, "file", "not text", "name a TOML file") from None
+        raise InputError(path, "file", "not TOML (not even text)", "name a TOML file") from None
     except (ValueError, RecursionError) as error:
         raise InputError(path, "file", f"not TOML ({error})", "correct the scene") from None
 

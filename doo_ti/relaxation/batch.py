@@ -112,16 +112,17 @@ def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int
     # An external energy has no serial kernel, because it takes long to compile.
     serial = block == 1 and table.count <= number.width and external is None
     any_ends = contact is not None or external is not None and bool((table.clamp[:, [of.CLOSED, of.LOOSE]] > 0).any())
-    if contact is None:
-        kernel = newton.newton_kernel(number, table.isotropic, stride, block, serial, kind, any_ends)
-    else:
-        kernel = newton.contact_kernel(number, table.isotropic, stride, block, kind, contact.known, contact.itself)
     per_edge = chain.item_count(table.isotropic) + (0 if external is None else external.items + FORCE_ITEMS * any_ends)
     per_rod = chain.LOADED_PARAMETERS + external.start_items if any_ends else chain.PARAMETERS
     items = per_rod + per_edge * table.edges
     if contact is not None:
         items += contact.items(table.edges, len(contact.kinds))
         outer += contact.arguments(contact.forces)
+    threads, stride = fitting(threads, stride, items)
+    if contact is None:
+        kernel = newton.newton_kernel(number, table.isotropic, stride, block, serial, kind, any_ends)
+    else:
+        kernel = newton.contact_kernel(number, table.isotropic, stride, block, kind, contact.known, contact.itself)
     scratch, queue = buffers(number, threads, items)
     policy = policy_row(table.up, options, bits, moving)
     kernel(
@@ -194,6 +195,12 @@ def layout_for(rods: int, bits: int, alone: bool = False) -> tuple[Number, int, 
         return number, max(1, min(runtime.thread_count(), -(-rods // number.width))), 1, 1
     threads = min(max(rods, 1), 1 << 16)
     return Number(1, bits), threads, threads, 64
+
+
+def fitting(threads: int, stride: int, items: int) -> tuple[int, int]:
+    """As many of the threads, and the stride of their scratch, as have ``items`` numbers each that 32 bits can count."""
+    fewer = max(1, min(threads, of.MOST_NUMBERS // items))
+    return fewer, stride if stride == 1 else fewer
 
 
 def scratch_for(number: Number, size: int):

@@ -104,8 +104,8 @@ class ContactTable:
 
 def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int, clamp: np.ndarray, index: np.ndarray,
                   in_motion: bool = False) -> ContactTable:
-    """The table of ``count`` rods of ``edges`` edges, whose rows of ``clamp`` are ``index``; rods ``in_motion`` remember
-    their friction, and all of them are near.
+    """The table of ``count`` rods of ``edges`` edges, whose rows of ``clamp`` are ``index``. ``in_motion``: the memory also
+    holds friction, and every rod counts as near.
 
     Raises InputError where numbers of rows do not match or ``radius`` is missing or not positive.
     """

@@ -99,7 +99,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
         clamp: table2,  # [configuration, CLAMP_COLUMNS]
         material: table2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
         rods: index2,  # [rod, ROD_COLUMNS]
-        policy: table1,  # [POLICY_COLUMNS] of :mod:`doo_ti.relaxation.newton_loop`
+        policy: table1,  # [POLICY_COLUMNS] of :mod:`doo_ti.relaxation.newton_policy`
         threads: ti.i32,
         scratch: ti.types.ndarray(dtype=number.type, ndim=1),
         queue: index1,  # [NEXT, TRIPS, LANES + thread · lane] zero

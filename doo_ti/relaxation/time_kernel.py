@@ -45,7 +45,7 @@ def time_kernel(number: Number, isotropic: bool, stride: int, block: int):
         numbers: table3,  # [numbers, vertex, VERTEX_ITEMS − INERTIA]
         shares: table2,  # [numbers, 2] of rest curvature and of rest twist that damping makes
         rods: index2,  # [rod, ROD_COLUMNS]
-        policy: table1,  # [POLICY_COLUMNS] of :mod:`doo_ti.relaxation.newton`
+        policy: table1,  # [POLICY_COLUMNS] of :mod:`doo_ti.relaxation.newton_policy`
         time: table1,  # [TIME_COLUMNS] of :mod:`doo_ti.relaxation.time_sweep`
         steps: ti.i32,
         every: ti.i32,

@@ -9,9 +9,8 @@ from doo_ti import runtime
 from doo_ti.frames import quaternion_product
 from doo_ti.relaxation import newton
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.batch import buffers, layout_for
+from doo_ti.relaxation.batch import layout_for, policy_row, scratch_for
 from doo_ti.relaxation.loading import LANES
-from doo_ti.relaxation.newton_policy import CLOSING_DISTANCE
 from doo_ti.relaxation.tables import Tables, room
 from doo_ti.relaxation.time_kernel import slope_items, time_contact_kernel, time_kernel, time_slope_kernel
 from doo_ti.relaxation.time_loop import OUTCOMES, STATE
@@ -135,16 +134,13 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
             kernel, items, parameters = time_slope_kernel(stride, block, number.width)
             more = slopes.material, slopes.numbers, slopes.shares, slopes.memory, position_slopes
             size = parameters + items * table.edges + slope_items(table.edges, slopes.count)
-        scratch, _ = buffers(number, threads, size)
+        scratch = scratch_for(number, threads * size)
         queue = np.zeros(LANES + 2 * threads * number.width, dtype=np.int32)
         results = np.zeros((table.count, of.LOADED_RESULTS))
         results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:] = memory.multiplier, memory.drift
-        policy = np.array([
-            *table.up, options.tolerance or newton.TOLERANCES[bits], options.max_iterations, options.first_shift,
-            options.max_rotation, options.max_escapes, CLOSING_DISTANCE])
-        kernel(table.rest_length, table.clamp, path, table.material, numbers, shares, rods, policy, time, steps, every, threads,
-               scratch, queue, memory.frames.reshape(-1), memory.frames_before.reshape(-1), memory.places, results, positions,
-               outcome, *more)
+        kernel(table.rest_length, table.clamp, path, table.material, numbers, shares, rods,
+               policy_row(table.up, options, bits), time, steps, every, threads, scratch, queue, memory.frames.reshape(-1),
+               memory.frames_before.reshape(-1), memory.places, results, positions, outcome, *more)
         memory.multiplier[:], memory.drift[:] = results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:]
         memory.status[:] = outcome[:, -1, STATE].astype(memory.status.dtype)
     if slopes is not None:

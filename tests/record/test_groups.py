@@ -19,7 +19,7 @@ def test_rods_ties_and_forces_are_shown(tmp_path, rng):
     rods = [straight_rod(60.0, 6), straight_rod(40.0, 4, start=(0.0, 20.0, 0.0), direction=(0.0, 1.0, 0.0))]
     group = Group(rods, Material(1e5, 1e5), [end_clamps(rod) for rod in rods], [Tie((0, 3), (1, 0))])
     none, forces = np.zeros((1, 2, 3)), tuple(rng.normal(size=rod.vertices.shape) for rod in rods)
-    good = GroupSolution(group, *np.zeros((3, 1)), np.ones(1, int), np.zeros(1, int), np.ones(1, bool), np.zeros((1, 1, 3)),
+    good = GroupSolution(group, *np.zeros((4, 1)), np.ones(1, int), np.zeros(1, int), np.ones(1, bool), np.zeros((1, 1, 3)),
                          np.zeros((1, 1, 3)), none, none, forces, tuple(np.zeros((1, len(each[0]))) for each in forces),
                          np.zeros(1), np.zeros(1))
     moments = [good, replace(good, status=np.array([Status.STALLED]))]
