@@ -54,6 +54,8 @@ BENDING_LOADS = 20.0
 """The forces to expect are the weight of an edge and so many B/L²."""
 SOFT = 0.1
 """Of a radius: at first κ gives way by that under such a force."""
+THROUGH = 0.4
+"""Of the way to the middle of an obstacle: at first κ gives way by that, at most, under the weight of the whole rod."""
 TIGHT = 0.3
 """Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does."""
 EARLY_ROTATION, EARLY_SHIFT, EARLY_STIFFER, MOST_EARLY = 3e-2, 1e-3, 7.0, 12.0

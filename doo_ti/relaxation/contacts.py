@@ -53,6 +53,7 @@ from doo_ti.relaxation.contact_layout import (
     STRENGTH,
     THICKER,
     THINNER,
+    THROUGH,
     TURN,
     TURN_BEFORE,
     VERTEX_ITEMS,
@@ -216,12 +217,16 @@ class Contacts(ContactRounds):
         count, vertices = tables.kinds.shape[0], tables.rest_length.shape[1] + 1
         radius = tables.radius[ti.min(row, tables.radius.shape[0] - 1)] / unit
         force = BENDING_LOADS * scale.bend / (scale.total * scale.total) + scale.weight * scale.length
+        thinnest = ti.cast(1e30, ti.f64)
+        for o in range(count):
+            thinnest = ti.min(thinnest, tables.obstacles[own, o, DEPTH] / unit)
+        whole = BENDING_LOADS * scale.bend / (scale.total * scale.total) + scale.weight * scale.total
+        stiffness = ti.max(force / (SOFT * radius), whole / (THROUGH * (radius + thinnest)))
         strength = BARRIER_SHARE * force * radius
-        viscosity = VISCOUS * (BENDING_LOADS * scale.bend / (scale.total * scale.total) + scale.weight * scale.total) / (
-            scale.total * vertices * unit * unit)
+        viscosity = VISCOUS * whole / (scale.total * vertices * unit * unit)
         tolerance = ti.max(tables.tolerance * radius, 10.0 * self.rounding * scale.total)
-        head = (radius, force / (SOFT * radius), tolerance, 1e30, self.first_phase, 0.0, strength, 0.0,
-                CLOSE * radius + 0.5 * scale.longest, force / (SOFT * radius), 0.0, 0.0, strength)
+        head = (radius, stiffness, tolerance, 1e30, self.first_phase, 0.0, strength, 0.0,
+                CLOSE * radius + 0.5 * scale.longest, stiffness, 0.0, 0.0, strength)
         for k in ti.static(range(len(head))):
             self.put(scratch, base + k * self.stride, slot, head[k])
         self.put(scratch, base + FIRST_VISCOSITY * self.stride, slot, viscosity)

@@ -188,3 +188,15 @@ def test_moving_planes_of_single_rods_count_where_these_are():
 def test_options_of_identify(wrong, problem):
     with pytest.raises(InputError, match=problem):
         IdentifyOptions(**wrong)
+
+
+@pytest.mark.parametrize("wire", [0.5, 0.275, 0.05])
+def test_limp_ropes_over_a_wire_of_any_thickness(rng, wire):
+    """The same zone that centrelines may not enter, however wire and rod share it."""
+    count = 40
+    rope = straight_rod(100.0, 40).take([0] * count)
+    place = np.stack([np.zeros(count), rng.uniform(-3, 3, count), rng.uniform(5, 40, count)], -1)
+    rope = replace(rope, start=place)
+    found = relax(rope, Material(10 ** rng.uniform(2.5, 4, count), 1e5), end_clamps(rope, Clamp.FRAME, Clamp.FREE),
+                  obstacles=[Capsule((50, -300, 0), (50, 300, 0), wire)], radius=0.55 - wire)
+    assert found.converged.all() and (found.contact_force != 0).any(axis=(1, 2)).mean() > 0.5
