@@ -26,7 +26,7 @@ GIVEN = {
     "chain.md": ["to 1e-7 of it, is taut", "10⁻¹² of the largest entry, of rods among obstacles and of groups 10⁻⁹, is added",
                  "The first shift δ on the diagonal is 0.05",
                  "f32 ends at a residual of 10⁻⁴"],
-    "contact.md": ["or those of the step before by 30 %", "next step would be below 10⁻¹⁰ rad"],
+    "contact.md": ["or the forces of the step before by 30 %", "next step would be below 10⁻¹⁰ rad"],
     "dynamics.md": ["moved back to 99.9 % of its reach"],
     "forces.md": ["they are mN and 10⁻⁶ N m"],
     "learning.md": ["The ± is over the configurations of one specimen", "± is the standard error, sd/√n"],
