@@ -145,6 +145,7 @@ def along(fitted: Unknowns, p: np.ndarray, entry: int, step: float) -> Nearby:
     return Nearby(fitted.theta(p - away), fitted.theta(p + away), 2 * step)
 
 
+@pytest.mark.slow
 def test_still_frames_lie_on_the_table(motion):
     """Their derivatives are differences, with the contacts that bear a force."""
     seen = Observations(motion.positions[:3, 0], rest_length=TRUE.rest_length)
