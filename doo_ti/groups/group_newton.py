@@ -126,7 +126,8 @@ def run_groups(table: GroupTables, options: Newton, state: GroupState, previous:
     from ``previous`` (N, V, 3) mm on, where the vertices were at the moment before.
 
     Groups whose solver stalls, as it can in tight knots with friction, are relaxed once more from their start with the other
-    first shift, which leads through other shapes. Their iterations are those of both attempts.
+    first shift, which leads through other shapes, and vertex 0 of the first rod from where the first attempt left it. Their
+    iterations are those of both attempts.
     """
     count, edges = table.start.shape[:2]
     frames = np.full((count, edges, 4), np.nan)
@@ -138,7 +139,7 @@ def run_groups(table: GroupTables, options: Newton, state: GroupState, previous:
     if len(stalled):
         for part in fields(state):
             getattr(state, part.name)[stalled] = getattr(begun, part.name)[stalled]
-        table.contact.memory[stalled], results[stalled, of.DRIFT:] = 0.0, 0.0
+        table.contact.memory[stalled] = 0.0
         spent = results[stalled, of.ITERATIONS]
         other = replace(options, first_shift=0.0 if options.first_shift else Newton().first_shift)
         _launch(table, other, state, previous, stalled, frames, results)

@@ -79,7 +79,7 @@ def test_predict_carries_rods_over_a_table(folder, tmp_path, capsys, table):
              str(folder / table), "--radius", "2", "--out", str(tmp_path / "f.npz")]
     assert main([*words, "--picture", str(tmp_path / "f.png"), "--recording", str(tmp_path / "f.rrd")]) == 0
     printed = capsys.readouterr().out
-    assert "contact     1 of 1 rods touch" in printed and ("with friction" in printed) == (table == "rough.toml")
+    assert "contact     1 of 1 rods touch" in printed and ("quasi-static steps" in printed) == (table == "rough.toml")
     found = written(tmp_path / "f.npz")
     assert found["followed"].all() and found["time_s"].tolist() == [0, 1, 3]
     assert found["contact_force"].shape == (3, 1, 11, 3) and (found["contact_force"][..., 2].max(axis=-1) > 1).all()
