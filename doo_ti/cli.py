@@ -70,12 +70,14 @@ class _Parser(argparse.ArgumentParser):
 
     def command(self, name: str) -> "_Parser":
         """Of the program: the parser of a command."""
-        return next(action for action in self._actions if isinstance(action, argparse._SubParsersAction)).choices[name]
+        return self._commands().choices[name]
+
+    def _commands(self) -> argparse._SubParsersAction:
+        return next(action for action in self._actions if isinstance(action, argparse._SubParsersAction))
 
     def meanings(self) -> dict[str, str]:
         """Of the program: its commands, and what each does."""
-        commands = next(action for action in self._actions if isinstance(action, argparse._SubParsersAction))
-        return {choice.dest: choice.help for choice in commands._choices_actions}
+        return {choice.dest: choice.help for choice in self._commands()._choices_actions}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

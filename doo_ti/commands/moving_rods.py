@@ -72,7 +72,7 @@ def rubbed(options: Namespace, surroundings: Surroundings) -> Surroundings:
     if friction is None:
         return surroundings
     use = "that of all obstacles" if surroundings.bodies else "ignored without obstacles"
-    options.theta_note = f"{options.theta_note}; its friction of {friction:.3g} is {use}"
+    options.friction_note = f"; its friction of {friction:.3g} is {use}"
     return surroundings.rubbing(friction)
 
 

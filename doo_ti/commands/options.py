@@ -252,23 +252,23 @@ def whole(option: str, text: str | None, minimum: int, most: int | None = None) 
 
 def positive(option: str, text: str | None, unit: str = "") -> float | None:
     """A positive number, or None."""
-    if text is None:
-        return None
     wanted = f"a positive number{' of ' * bool(unit)}{unit}"
-    value = _decimal(option, text, wanted)
-    if value <= 0:
-        raise InputError(SOURCE, option, f"{text!r} is not a positive number", f"give {wanted}")
-    return value
+    return _fitting(option, text, wanted, lambda value: value > 0, "is not a positive number")
 
 
 def not_negative(option: str, text: str | None, unit: str = "") -> float | None:
     """A number from zero up, or None."""
+    wanted = f"a number{' of ' * bool(unit)}{unit} from zero up"
+    return _fitting(option, text, wanted, lambda value: value >= 0, "is negative")
+
+
+def _fitting(option: str, text: str | None, wanted: str, fits: Callable[[float], bool], problem: str) -> float | None:
+    """A number that ``fits``, or None. Raises InputError with that ``problem`` for others."""
     if text is None:
         return None
-    wanted = f"a number{' of ' * bool(unit)}{unit} from zero up"
     value = _decimal(option, text, wanted)
-    if value < 0:
-        raise InputError(SOURCE, option, f"{text!r} is negative", f"give {wanted}")
+    if not fits(value):
+        raise InputError(SOURCE, option, f"{text!r} {problem}", f"give {wanted}")
     return value
 
 

@@ -135,7 +135,7 @@ def _with_inertia(options: Namespace, task: _Task) -> _Task:
         if np.array_equal(task.path.time, np.arange(task.path.moments)):
             raise InputError(given.SOURCE, "--rate", "missing, and the motion has no times", "give its moments per second")
         rate = rate_of(task.path)
-    options.theta_note = options.theta_note.replace(given.SHAPE_ONLY, given.EVERYTHING)
+    options.theta_note = given.EVERYTHING
     return replace(task, dynamics=losses(options), stepping=stepping(options, rate))
 
 

@@ -66,7 +66,8 @@ def run(options: Namespace, words: list[str]) -> int:
                               **surroundings.arguments)
     relaxed = solution.configuration
     error = distance(relaxed, observations, index, frame_weight)
-    error[solution.status == Status.INFEASIBLE] = np.nan
+    infeasible = np.flatnonzero(solution.status == Status.INFEASIBLE)
+    error[infeasible] = np.nan
     best = choose_hypothesis(index, error, solution.converged & solution.stable)
     configuration = relaxed.take(best)
     result = {"vertices_mm": configuration.vertices, "frames": configuration.frames, "distance_mm": error[best],
@@ -78,7 +79,7 @@ def run(options: Namespace, words: list[str]) -> int:
         result["smallest_gap_mm"] = surroundings.smallest_gap(result["vertices_mm"])
         contact = contact_summary(surroundings, result["contact_force"], result["smallest_gap_mm"], result["status"])
     save_arrays(out, result)
-    inside = _inside(surroundings, held, start, index, np.flatnonzero(solution.status == Status.INFEASIBLE))
+    inside = _inside(surroundings, held, start, index, infeasible)
     summary = _summary(observations, grid, result, out) | contact | {"infeasible_reason": inside}
     report(options, summary, lambda: _lines(observations, grid, result, summary))
     return 0 if (result["status"] == Status.CONVERGED).any() else 1

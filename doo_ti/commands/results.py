@@ -92,7 +92,7 @@ def report(options: Namespace, summary, lines: Callable[[], list[str]]) -> None:
 def note_theta(options: Namespace) -> None:
     """Say in one line, where ``--theta`` is given, what of the file the command has used."""
     if getattr(options, "theta", None) and getattr(options, "theta_note", None):
-        print(f"{in_line(options.theta)}: {options.theta_note}", file=sys.stderr)
+        print(f"{in_line(options.theta)}: {options.theta_note}{getattr(options, 'friction_note', '')}", file=sys.stderr)
 
 
 def theta_text(theta: dict, isotropic: bool) -> str:

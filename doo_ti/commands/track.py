@@ -20,7 +20,7 @@ AHEAD = 16
 """Frames whose thread is detected while one is tracked."""
 MOST_LISTED = 30
 LEAST_SHOWN = 0.01
-"""px: the error is measured against the smoothed image, whose noise is more than what is below."""
+"""px: smaller errors are less than the noise of the smoothed images."""
 
 
 def declare(add) -> None:

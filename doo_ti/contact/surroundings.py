@@ -123,10 +123,10 @@ class Surroundings:
         """(T, R) :meth:`smallest_gap` of rods (R, V, 3) at each instant of a motion, with obstacles where they are then."""
         return np.stack([self.at(number).smallest_gap(vertices) for number, vertices in enumerate(instants)])
 
-    def smallest_gap(self, vertices: np.ndarray) -> np.ndarray:
+    def smallest_gap(self, vertices: np.ndarray, places: int = PLACES) -> np.ndarray:
         """(R,) mm between the surface of each rod (R, V, 3) and the nearest obstacle, itself if it is one, the least along the
-        rod, measured at :data:`PLACES` of each edge; negative inside an obstacle, NaN for a rod without places."""
-        share = np.linspace(0.0, 1.0, PLACES)[:, None]
+        rod, measured at ``places`` of each edge; negative inside an obstacle, NaN for a rod without places."""
+        share = np.linspace(0.0, 1.0, places)[:, None]
         points = vertices[:, :-1, None] + share * np.diff(vertices, axis=1)[:, :, None]
         points = points.reshape(len(vertices), -1, 3)
         least = np.full(len(vertices), np.inf)

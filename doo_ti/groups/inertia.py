@@ -49,7 +49,13 @@ class MovingGroups:
         for tie, (vertex, _) in zip(group.ties, group.tied, strict=True):
             self.numbers[:, vertex, 0] += tie.weight / GRAVITY * self.rate**2
         self.moves = False
-        self.places = self.velocities = self.strains = ()
+        place, bent = self._seen(group.rods)
+        self._rest_at(place, bent)
+
+    def _rest_at(self, place: np.ndarray, bent: list[np.ndarray]) -> None:
+        """Make both instants those of groups at rest there, with these strains."""
+        self.places, self.velocities = (place, place), (np.zeros_like(place), np.zeros_like(place))
+        self.strains = [(own, own) for own in bent]
 
     def stiffened(self, group: Group) -> Group:
         """These groups with the stiffness that damping adds."""
@@ -99,19 +105,16 @@ class MovingGroups:
     def remember(self, rods: Sequence[Configuration]) -> None:
         """Make ``rods`` the last instant. Groups that have no place stay where they were, at rest."""
         place, bent = self._seen(rods)
-        if not self.moves:
-            self.moves = True
-            start, straight = self._seen(self.group.rods)
-            place = np.where(np.isnan(place), start, place)
-            self.places, self.velocities = (place, place), (np.zeros_like(place), np.zeros_like(place))
-            self.strains = [(np.where(np.isnan(own), first, own),) * 2 for own, first in zip(bent, straight, strict=True)]
-            return
         lost = np.isnan(place).any(axis=(1, 2))[:, None, None]
-        last = self.places[0]
         velocity = np.where(lost, 0.0, self.rate * (place - self._extrapolated(self.places)))
-        self.velocities = velocity, np.where(lost, 0.0, self.velocities[0])
-        self.places = np.where(lost, last, place), last
-        self.strains = [(np.where(lost, own[0], now), own[0]) for own, now in zip(self.strains, bent, strict=True)]
+        last, place = self.places[0], np.where(lost, self.places[0], place)
+        bent = [np.where(lost, own[0], now) for own, now in zip(self.strains, bent, strict=True)]
+        if self.moves:
+            self.places, self.velocities = (place, last), (velocity, np.where(lost, 0.0, self.velocities[0]))
+            self.strains = [(now, own[0]) for own, now in zip(self.strains, bent, strict=True)]
+        else:
+            self._rest_at(place, bent)
+        self.moves = True
 
     def energies(self) -> tuple[np.ndarray, np.ndarray]:
         """((N,) of bending and twisting, (N,) kinetic), mm², at the last instant."""

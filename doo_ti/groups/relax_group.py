@@ -140,10 +140,9 @@ def _moved(solution: GroupSolution, table: GroupTables, motion: MovingGroups) ->
     """The solution of a time step with the energies of the rods, without what the step adds."""
     motion.remember(solution.rods)
     elastic, kinetic = motion.energies()
-    places = np.concatenate([rod.vertices for rod in solution.rods], axis=1)
-    gravity = (_weights(table) * (places @ table.up)).sum(axis=1)
-    lost = np.isnan(gravity)
-    return replace(solution, energy=elastic + gravity, kinetic=np.where(lost, np.nan, kinetic))
+    gravity = (_weights(table) * (motion.places[0] @ table.up)).sum(axis=1)
+    lost = np.isnan(solution.kinetic)
+    return replace(solution, energy=np.where(lost, np.nan, elastic + gravity), kinetic=np.where(lost, np.nan, kinetic))
 
 
 def _weights(table: GroupTables) -> np.ndarray:

@@ -216,11 +216,11 @@ class Contacts(ContactRounds):
         own = ti.min(row, tables.obstacles.shape[0] - 1)
         count, vertices = tables.kinds.shape[0], tables.rest_length.shape[1] + 1
         radius = tables.radius[ti.min(row, tables.radius.shape[0] - 1)] / unit
-        force = BENDING_LOADS * scale.bend / (scale.total * scale.total) + scale.weight * scale.length
+        bending = BENDING_LOADS * scale.bend / (scale.total * scale.total)
+        force, whole = bending + scale.weight * scale.length, bending + scale.weight * scale.total
         thinnest = ti.cast(1e30, ti.f64)
         for o in range(count):
             thinnest = ti.min(thinnest, tables.obstacles[own, o, DEPTH] / unit)
-        whole = BENDING_LOADS * scale.bend / (scale.total * scale.total) + scale.weight * scale.total
         stiffness = ti.max(force / (SOFT * radius), whole / (THROUGH * (radius + thinnest)))
         strength = BARRIER_SHARE * force * radius
         viscosity = VISCOUS * whole / (scale.total * vertices * unit * unit)

@@ -1,7 +1,7 @@
 """The input of ``relax`` as tables: materials row by row, and starts that can be projected onto closure (§III-B)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -142,14 +142,13 @@ def projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, found
     slack, taut = np.flatnonzero(found == STRAIGHT), np.flatnonzero(found == TAUT)
     if len(slack):
         arches = _arches(start, lengths, clamp, slack, up)
-        bowed = arches.bowed(*BOWS[0])
+        bowed = arches.bowed(slice(None), *BOWS[0])
         sunk = np.flatnonzero(_inside(bowed, lengths, clamp, arches.rows, obstacles, index))
         for bow in BOWS[1:]:
             if not len(sunk) or EDGES_OF_A_HALF_WAVE * bow[0] > start.shape[1]:
                 break
-            tried = arches.take(sunk)
-            frames = tried.bowed(*bow)
-            inside = _inside(frames, lengths, clamp, tried.rows, obstacles, index)
+            frames = arches.bowed(sunk, *bow)
+            inside = _inside(frames, lengths, clamp, arches.rows[sunk], obstacles, index)
             bowed[sunk[~inside]] = frames[~inside]
             sunk = sunk[inside]
         start = _changed(start, clamp, arches.rows, bowed)
@@ -210,17 +209,15 @@ class _Arches:
     place: np.ndarray
     free: np.ndarray
 
-    def take(self, rows: np.ndarray) -> "_Arches":
-        return _Arches(*(getattr(self, entry.name)[rows] for entry in fields(self)))
-
-    def bowed(self, half_waves: int, aside: bool, sign: float) -> np.ndarray:
-        """(N, E, 4) frames in the shape of so many half waves, in the plane of the first or ``aside``, square to that."""
-        axis = self.axis
+    def bowed(self, which, half_waves: int, aside: bool, sign: float) -> np.ndarray:
+        """(-, E, 4) frames of the rods ``which`` in the shape of so many half waves, in the plane of the first or ``aside``,
+        perpendicular to that."""
+        whole, axis = self.whole[which], self.axis[which]
         if aside:
-            axis = np.cross(tangent_from_quaternion(self.whole[:, self.whole.shape[1] // 2]), axis)
+            axis = np.cross(tangent_from_quaternion(whole[:, whole.shape[1] // 2]), axis)
         # Of slope a cos(π n s/L) the chord is L (1 − a²/4) for any n.
-        angle = sign * self.slope[:, None] * np.cos(np.pi * half_waves * self.place) * self.free
-        return quaternion_product(quaternion_about(np.broadcast_to(axis[:, None], (*angle.shape, 3)), angle), self.whole)
+        angle = sign * self.slope[which, None] * np.cos(np.pi * half_waves * self.place[which]) * self.free[which]
+        return quaternion_product(quaternion_about(np.broadcast_to(axis[:, None], (*angle.shape, 3)), angle), whole)
 
 
 def _arches(start, lengths, clamp, rows, up) -> _Arches:

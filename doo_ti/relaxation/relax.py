@@ -30,8 +30,8 @@ from doo_ti.types import Clamps, Configuration, Material, Solution, Status, unit
 CONVERGED, STALLED, INFEASIBLE = (int(status) for status in (Status.CONVERGED, Status.STALLED, Status.INFEASIBLE))
 PRECISIONS = ("f32", "f64", "mixed")
 F32_ONLY = "f32 only"
-INSIDE, PARTS = 1e-2, 4
-"""Radii by which an edge of a rod that has converged may be inside a ring; and into how many parts it is divided for that."""
+INSIDE, CLOSE_PLACES = 1e-2, 29
+"""Radii by which an edge of a rod that has converged may be inside a ring; and places of it that are measured for that."""
 
 
 @runtime.exclusive
@@ -183,11 +183,8 @@ def _cut_by_rings(table: Tables, configuration: Configuration, status: np.ndarra
     rows = np.flatnonzero(contact.near & (status == CONVERGED)) if rings else np.zeros(0, dtype=np.int64)
     if not len(rows):
         return rows
-    around, x = Surroundings(rings, contact.radius).take(rows), configuration.take(rows).vertices
-    # Rods with shorter edges: gaps are measured at some places of each.
-    share = np.linspace(0.0, 1.0, PARTS, endpoint=False)[:, None]
-    finer = (x[:, :-1, None] + share * np.diff(x, axis=1)[:, :, None]).reshape(len(rows), -1, 3)
-    return rows[around.smallest_gap(np.concatenate([finer, x[:, -1:]], axis=1)) < -INSIDE * around.radius]
+    around = Surroundings(rings, contact.radius).take(rows)
+    return rows[around.smallest_gap(configuration.take(rows).vertices, CLOSE_PLACES) < -INSIDE * around.radius]
 
 
 def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.ndarray) -> Solution:
