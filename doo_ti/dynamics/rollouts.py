@@ -15,7 +15,7 @@ from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.dynamics.theta import MotionTheta, simulated
 from doo_ti.dynamics.trajectory import Trajectory
-from doo_ti.relaxation.contact_table import GAP_TOLERANCE
+from doo_ti.relaxation.contact_layout import GAP_TOLERANCE
 from doo_ti.types import Clamp
 
 SMOOTHED = 0.09

@@ -28,7 +28,7 @@ from doo_ti.frames import (
 from doo_ti.relaxation.checked_input import paired_rows
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.input_tables import tables, under
-from doo_ti.relaxation.newton import Newton
+from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.relaxation.tables import Tables, whole_start
 from doo_ti.relaxation.time_loop import (
     END_FORCE,
@@ -250,7 +250,7 @@ class _Motion:
 
         def launch(first: int, last: int, every: int):
             path = clamp_path(self.grippers, self.start, slice(first, last))
-            newton = _newton(self.stepping.quasi_static)
+            newton = _newton(self.stepping.quasi_static, self.touching)
             poses = None if self.poses is None else np.ascontiguousarray(self.poses[:, first : last + 1])
             return make_steps(table, memory, path, numbers, shares, time, every, newton, bits, slopes, poses)
 
@@ -296,10 +296,13 @@ def _step_by_step(launch, first: int, last: int, memory: Memory, account: Accoun
     return positions, outcome, changes, forces, touches
 
 
-def _newton(quasi_static: bool = False) -> Newton:
+def _newton(quasi_static: bool, touching: bool) -> Newton:
     """Of a time step: from where the rod would go by itself, undamped, and never off a saddle, unless nothing but its energy
-    decides where it goes."""
-    return Newton(first_shift=0.0) if quasi_static else Newton(first_shift=0.0, max_escapes=0)
+    decides where it goes. A quasi-static step that takes long is divided instead; one with inertia cannot be."""
+    if quasi_static:
+        return Newton(first_shift=0.0)
+    limit = MOST_IN_CONTACT if touching else Newton.max_iterations
+    return Newton(max_iterations=limit, first_shift=0.0, max_escapes=0)
 
 
 def _memory(frames, x, v, a, h: float, status) -> Memory:

@@ -11,12 +11,9 @@ from doo_ti.contact.obstacles import FRICTION, GRID, OBSTACLE_COLUMNS, Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import REMEMBERED, REMEMBERED_IN_MOTION, contact_items
+from doo_ti.relaxation.contact_layout import GAP_TOLERANCE, REMEMBERED, REMEMBERED_IN_MOTION, contact_items
 from doo_ti.relaxation.pair_layout import CARRIED, self_contact_items
 from doo_ti.types import Clamp, Clamps, Configuration
-
-GAP_TOLERANCE = 2e-4
-"""Of a rod's radius: how far a gap may be off, or a force over the stiffness κ. In f32 at least 2e-6 of the length."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +60,9 @@ class ContactTable:
         where there are any, since kernels with them take longer to compile."""
         return frozenset(range(GRID)) | frozenset(np.minimum(self.kinds, GRID).tolist())
 
-    def arguments(self, forces: np.ndarray) -> tuple:
+    def arguments(self, forces: np.ndarray, gap_tolerance: float) -> tuple:
         """What a kernel is given of contacts, which writes ``forces``."""
-        return (self.obstacles, self.kinds, self.grids, self.radius, GAP_TOLERANCE, self.memory, forces, self.self_friction)
+        return (self.obstacles, self.kinds, self.grids, self.radius, gap_tolerance, self.memory, forces, self.self_friction)
 
     def copy(self) -> "ContactTable":
         """The table with a memory and forces of its own, which a launch changes."""

@@ -5,6 +5,7 @@ import pytest
 
 from doo_ti.contact.obstacles import Ring, Sphere
 from doo_ti.relaxation.external import Springs
+from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.types import Clamp, Clamps, Material
 from tests.contact.elastica import CURVATURE, X, along, arc, solved
@@ -36,7 +37,7 @@ def reference():
     return TENSION * tangent - press * outward, place
 
 
-def errors(obstacle, edges: int) -> tuple[float, float, float]:
+def errors(obstacle, edges: int, solver: Newton | None = None) -> tuple[float, float, float]:
     """Of the shape over the length, and relative ones of the whole force and of the force per length on the arc."""
     force, place = reference()
     pull = np.linalg.norm(force)
@@ -49,7 +50,7 @@ def errors(obstacle, edges: int) -> tuple[float, float, float]:
     start = along(place(np.linspace(-HALF, HALF, 4001)) * (1.0 + 6.0 * (HALF / edges / ARC) ** 2), edges, 2 * HALF)
     frame = np.eye(3)[None]
     clamps = Clamps(Clamp.POSITION, Clamp.FREE, exact[:1], exact[-1:], frame, frame)
-    found = relax(start, Material(BEND, BEND, weight=1e-9), clamps, obstacles=[obstacle], radius=RADIUS,
+    found = relax(start, Material(BEND, BEND, weight=1e-9), clamps, solver, obstacles=[obstacle], radius=RADIUS,
                   external=Springs(points, stiffness))
     assert found.converged.all() and found.stable.all()
     pushed = found.contact_force[0]
@@ -62,6 +63,7 @@ def errors(obstacle, edges: int) -> tuple[float, float, float]:
 @pytest.mark.parametrize("obstacle", [Sphere((0, 0, 0), ROUND), Ring((0, 0, 4 * ROUND), (1, 0, 0), 4 * ROUND, ROUND)],
                          ids=("sphere", "ring"))
 def test_the_shape_and_the_forces_are_those_of_an_elastica(obstacle):
-    coarse, fine = (np.array(errors(obstacle, edges)) for edges in (40, 160))
-    assert (fine < [1e-4, 1e-3, 5e-3]).all()
+    assert (np.array(errors(obstacle, 160)) < [1e-4, 1e-3, 5e-3]).all()
+    exact = Newton(max_iterations=1000, gap_tolerance=1e-6)  # the usual tolerance shows in shapes that are so exact
+    coarse, fine = (np.array(errors(obstacle, edges, exact)) for edges in (40, 160))
     assert (coarse[:2] / fine[:2] > 9.0).all(), "nearly second order in the length of an edge"

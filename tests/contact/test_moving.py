@@ -18,7 +18,7 @@ from doo_ti.frames import rotation_matrix
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.material import Material
 from doo_ti.prediction.moving import predict_moving
-from doo_ti.relaxation.contact_table import GAP_TOLERANCE
+from doo_ti.relaxation.contact_layout import GAP_TOLERANCE
 from doo_ti.relaxation.relax import relax
 from doo_ti.rods import hanging, straight_rod
 from doo_ti.types import Clamp

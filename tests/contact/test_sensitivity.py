@@ -12,18 +12,13 @@ from tests.contact.clutter import OBSTACLES, RADIUS, sagging
 from tests.references.rods import clamps_at
 from tests.relaxation.rods import with_kinds
 
-SHARP = Newton(tolerance=1e-11, max_iterations=2000)
+SHARP = Newton(tolerance=1e-11, max_iterations=2000, gap_tolerance=1e-10)
+"""So that differences of rods relaxed twice are exact."""
 UP = np.array([0.1, 0.05, 1.0]) / np.linalg.norm([0.1, 0.05, 1.0])
 LOADS = ("start_force", "start_moment", "end_force", "end_moment")
 
 
-@pytest.fixture
-def exact_gaps(monkeypatch):
-    """Rounds that close gaps to 1e-10 of a radius, so that differences of rods relaxed twice are exact."""
-    monkeypatch.setattr("doo_ti.relaxation.contact_table.GAP_TOLERANCE", 1e-10)
-
-
-def test_rods_relaxed_again_move_so(exact_gaps):
+def test_rods_relaxed_again_move_so():
     """Amid obstacles of all kinds, by central differences: places, and forces and moments at both ends."""
     start, material, clamps = sagging(np.random.default_rng(5), 48)
     among = dict(obstacles=OBSTACLES, radius=RADIUS, up=UP)
@@ -77,17 +72,17 @@ def test_rods_relaxed_again_move_so(exact_gaps):
     print(f"{considered.sum()} rods; largest median error of a column {max(worst):.1e}")
 
 
-def test_rods_seen_from_the_other_end_move_alike(monkeypatch):
+def test_rods_seen_from_the_other_end_move_alike():
     """A rod held at one end on a slope and a ball: whether the free end is its first one or its last changes nothing."""
-    monkeypatch.setattr("doo_ti.relaxation.contact_table.GAP_TOLERANCE", 1e-7)
+    close = Newton(max_iterations=1000, gap_tolerance=1e-7)
     one = Configuration.straight(np.array([0.0, 0.0, 12.0]), np.array([1.0, 0.2, -0.1]), 100.0, 24)
     among = dict(obstacles=[Plane((0, 0, 0), (0.05, 0.02, 1)), Sphere((60, 3, -8), 12.0)], radius=2.0)
     material, common = Material(4e4, 3e4, 1.0), ("bend", "weight", "up", "gravity", "length")
-    own = relax(one, material, with_kinds(clamps_at(one), [(Clamp.FRAME, Clamp.FREE)]), **among)
+    own = relax(one, material, with_kinds(clamps_at(one), [(Clamp.FRAME, Clamp.FREE)]), close, **among)
     w, x, y, z = np.moveaxis(own.configuration.quaternions[:, ::-1], -1, 0)
     turned = Configuration(own.configuration.vertices[:, -1], np.stack([-y, -z, w, x], axis=-1), one.rest_length)
     clamps = with_kinds(clamps_at(turned), [(Clamp.FREE, Clamp.FRAME)])
-    for solver in (Newton(), Newton(first_shift=0.0)):
+    for solver in (close, replace(close, first_shift=0.0)):
         other = relax(turned, material, clamps, solver, **among)
         assert own.stable.all() and other.stable.all() and own.contact.touching.sum() >= 8
         np.testing.assert_allclose(other.configuration.vertices[0, ::-1], own.configuration.vertices[0], atol=1e-8)
