@@ -216,7 +216,7 @@ class _Motion:
             slopes = trial_motion.slopes(table, 1.0, directions, remembered)
             time = np.array([trial_step, 1.0, 0.0, 1.0, 0.0])
             poses = None if self.poses is None else np.ascontiguousarray(self.poses[:, [0, ahead]])
-            make_steps(table, trial, path, numbers, shares, time, 1, _newton(), 64, slopes, poses)
+            make_steps(table, trial, path, numbers, shares, time, 1, _newton(False, self.touching), 64, slopes, poses)
             moved = trial.places[..., VELOCITY_1 : VELOCITY_1 + 3]
             a = np.where((trial.status == Status.CONVERGED)[:, None, None], (moved - v) / trial_step, 0.0)
             v = v + age * a
