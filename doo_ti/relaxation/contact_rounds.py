@@ -193,29 +193,30 @@ class ContactRounds(ContactEnergy):
         radius, stiffness, behind = self.item(rod, RADIUS), self.item(rod, STIFFNESS), self.behind(rod)
         # Friction settles no sooner with a larger κ.
         found = record(change=zero, secant=zero, largest=zero, rubbed=zero)
+        some_behind = self.some(due & behind, zero)
         for v in range(rod.edges + 1):
             at = self.vertex(rod, v)
             for o in range(rod.obstacles):
                 contact = self.contact(at, o)
-                for k in ti.static(range(2)):
-                    old = rod.scratch[contact + (FORCE + k) * self.stride]
-                    gap = rod.scratch[contact + (VALUE_BETWEEN if k else VALUE) * self.stride] - radius
-                    if ti.static(k == 1):
-                        # Of an edge that is far away the nearest point is not known any more.
-                        known = variable((zero > 1.0,))
-                        if self.is_edge_close(rod, v, o):
-                            known = ((rod.scratch[contact + WEIGHT * self.stride] > 0.0) | (
-                                rod.scratch[contact + SAGGING * self.stride] > 0.0),)
-                        else:
-                            rod.scratch[contact + SAGGING * self.stride] = zero
-                        gap = ti.select(known[0], gap, zero + 1e6)
-                    pushed = self.barrier(rod, gap).push
-                    new = ti.select(behind, pushed, ti.max(old - stiffness * gap, zero))
-                    if ti.static(k == 1):
-                        new, late = self.settle_between(rod, v, o, due, gap, new)
-                        found.change = largest_of(found.change, ti.select(behind, zero, late))
-                    self.note_force(rod, found, gap, old, new)
-                    rod.scratch[contact + (FORCE + k) * self.stride] = ti.select(due, new, old)
+                if self.is_close(rod, contact) or self.is_edge_close(rod, v, o):
+                    for k in ti.static(range(2)):
+                        old = rod.scratch[contact + (FORCE + k) * self.stride]
+                        gap = rod.scratch[contact + (VALUE_BETWEEN if k else VALUE) * self.stride] - radius
+                        if ti.static(k == 1):
+                            # Of an edge that is far away the nearest point is not known any more.
+                            known = (rod.scratch[contact + WEIGHT * self.stride] > 0.0) | (
+                                rod.scratch[contact + SAGGING * self.stride] > 0.0)
+                            gap = ti.select(known & (v > 0), gap, zero + 1e6)
+                        new = ti.max(old - stiffness * gap, zero)
+                        if some_behind:
+                            new = ti.select(behind, self.barrier(rod, gap).push, new)
+                        if ti.static(k == 1):
+                            new, late = self.settle_between(rod, v, o, due, gap, new)
+                            found.change = largest_of(found.change, ti.select(behind, zero, late))
+                        self.note_force(rod, found, gap, old, new, some_behind)
+                        rod.scratch[contact + (FORCE + k) * self.stride] = ti.select(due, new, old)
+                else:
+                    self.settle_far(rod, contact, due, found)
                 if ti.static(self.rub):
                     found.rubbed = largest_of(found.rubbed, self.settle_friction(rod, v, o, due))
         self.settle_pairs(rod, due, found)
@@ -245,9 +246,26 @@ class ContactRounds(ContactEnergy):
         return softer
 
     @ti.func
-    def note_force(self, rod, found, gap, old, new):
-        """Take the change of a contact's force, and what the barrier says about κ, into ``found``."""
-        found.secant = largest_of(found.secant, new / ti.max(gap + self.item(rod, OFFSET), 1e-3 * self.item(rod, RADIUS)))
+    def settle_far(self, rod, contact, due, found):
+        """New forces where neither a vertex nor the edge that ends there is close to the obstacle in any lane."""
+        zero = 0.0 * rod.total
+        ends, between = contact + FORCE * self.stride, contact + FORCE_BETWEEN * self.stride
+        old, active = rod.scratch[ends], rod.scratch[contact + ACTIVE * self.stride]
+        gap = rod.scratch[contact + VALUE * self.stride] - self.item(rod, RADIUS)
+        new = ti.select(self.behind(rod), zero, ti.max(old - self.item(rod, STIFFNESS) * gap, zero))
+        self.note_force(rod, found, gap, old, new, False)
+        self.note_force(rod, found, gap, rod.scratch[between], zero, False)
+        rod.scratch[ends] = ti.select(due, new, old)
+        rod.scratch[between] = ti.select(due, zero, rod.scratch[between])
+        rod.scratch[contact + ACTIVE * self.stride] = ti.select(due, zero, active)
+        rod.scratch[contact + SAGGING * self.stride] = zero
+
+    @ti.func
+    def note_force(self, rod, found, gap, old, new, some_behind):
+        """Take the change of a contact's force, and what the barrier says about κ if ``some_behind``, into ``found``."""
+        if some_behind:
+            least = 1e-3 * self.item(rod, RADIUS)
+            found.secant = largest_of(found.secant, new / ti.max(gap + self.item(rod, OFFSET), least))
         found.change = largest_of(found.change, absolute(new - old))
         found.largest = largest_of(found.largest, new)
 
