@@ -65,6 +65,7 @@ from doo_ti.relaxation.contact_layout import (
     VALUE,
     WALL,
     WEIGHT,
+    YIELD,
 )
 from doo_ti.relaxation.contact_places import ContactPlaces
 
@@ -116,10 +117,13 @@ class ContactEnergy(ContactPlaces):
                     some = 1
                 if self.is_close(rod, contact):
                     self.add_vertex(rod, o, at, contact)
-                between, low = self.touched_between(rod, o, index, start, edge, some)
-                room = ti.min(room, low)
-                if between:
-                    some = 2
+                if self.may_bridge(rod, o):
+                    between, low = self.touched_between(rod, o, index, start, edge, some)
+                    room = ti.min(room, low)
+                    if between:
+                        some = 2
+                else:
+                    room = ti.min(room, self.room_beside(rod, o, contact, previous))
             else:
                 value = ti.min(rod.scratch[previous + VALUE * self.stride], rod.scratch[contact + VALUE * self.stride])
                 room = ti.min(room, value - self.item(rod, RADIUS))
@@ -136,6 +140,13 @@ class ContactEnergy(ContactPlaces):
                     self.rub_between(rod, o, index, contact, active)
         rod.scratch[at + ROOM * self.stride] = room
         return some
+
+    @ti.func
+    def room_beside(self, rod, o, contact, previous):
+        """The room of an edge that is nowhere nearer to obstacle ``o`` than at its ends."""
+        least = ti.min(rod.scratch[previous + VALUE * self.stride], rod.scratch[contact + VALUE * self.stride])
+        depth = rod.scratch[self.obstacle(rod, o) + DEPTH * self.stride]
+        return ti.select(self.close_lanes(rod, least), least + depth, least - self.item(rod, RADIUS))
 
     @ti.func
     def touched_start(self, rod, index):
@@ -287,9 +298,9 @@ class ContactEnergy(ContactPlaces):
         stiffness = self.item(rod, STIFFNESS)
         push = ti.max(force - stiffness * gap, 0.0 * gap)
         acting = ti.select(push > 0.0, stiffness, 0.0 * gap)
-        energy = 0.5 * push * push / stiffness
-        behind = self.behind(rod)
-        if self.some(behind, 0.0 * gap):
+        energy = 0.5 * push * push * self.item(rod, YIELD)
+        if self.some_behind(rod):
+            behind = self.behind(rod)
             wall = self.barrier(rod, gap)
             push, acting = ti.select(behind, wall.push, push), ti.select(behind, wall.stiffness, acting)
             energy = ti.select(behind, wall.energy, energy)
@@ -339,8 +350,13 @@ class ContactEnergy(ContactPlaces):
             settles = counts & (stiffness > 0.0)
             new = ti.select(settles, ti.max(old - stiffness * gap, 0.0 * gap), old)
             rod.scratch[at] = new
-            settled, change = rod.contacts + SETTLED * self.stride, absolute(new - old) / stiffness
-            rod.scratch[settled] = largest_of(rod.scratch[settled], ti.select(settles, change, 0.0 * gap))
+            settled = rod.contacts + SETTLED * self.stride
+            rod.scratch[settled] = largest_of(rod.scratch[settled], absolute(new - old))
+
+    @ti.func
+    def settled_gap(self, rod):
+        """By how much the step changed a gap by settling forces, in the lanes where it did."""
+        return self.item(rod, SETTLED) / self.item(rod, SETTLING)
 
     @ti.func
     def known_force(self, rod, at, push):

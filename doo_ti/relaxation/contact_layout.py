@@ -14,13 +14,15 @@ FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH, WAY_MADE, WAY, MULTIPLIER, LARGE
     9, 10, 11, 12, 13, 14, 15, 18, 19, 20, 21)
 # And sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts and
 # its magnitude; the square of the largest share of its way to the middle of an obstacle that a vertex has made in this step;
-# the least φ, the least gap where no clamp holds the rod, and by how much the step changed a gap by settling forces. Then
-# the κ with which the step settles forces, zero where it does not, and how many steps have done so. And of one edge the
+# the least φ, the least gap where no clamp holds the rod, and by how much the step changed a force by settling forces. Then
+# the κ with which the step settles forces, zero where it does not, and how many steps have done so; one number for all rods of
+# the pack, whether a barrier keeps any of them away from obstacles; and 1/κ. And of one edge the
 # derivatives of the energy of its contacts between its ends, as :meth:`.LoadedElimination.load` returns them, and how much of
 # the first two is not of known forces; and those by the place of the vertex where it ends of the energy of the contacts there.
-ENERGY, MAGNITUDE, CROSSING, DEEPEST, CLOSEST, SETTLED, SETTLING, EARLY = 22, 23, 24, 25, 26, 27, 28, 29
-GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, EXCESS, EXCESS_S = 30, 33, 36, 42, 51, 57, 60
-END_GRADIENT, END_CURVATURES, END_EXCESS, HEAD = 63, 66, 72, 75
+ENERGY, MAGNITUDE, CROSSING, DEEPEST, CLOSEST, SETTLED, SETTLING, EARLY, SOME_BEHIND, YIELD = (
+    22, 23, 24, 25, 26, 27, 28, 29, 30, 31)
+GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, EXCESS, EXCESS_S = 32, 35, 38, 44, 53, 59, 62
+END_GRADIENT, END_CURVATURES, END_EXCESS, HEAD = 65, 68, 74, 77
 # Phases of a rod: it has just been loaded and begins with a barrier; this keeps it away from obstacles and finds out where it
 # will touch them; rounds to a rough tolerance of its moments; rounds to the final one.
 LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0

@@ -3,6 +3,7 @@
 import taichi as ti
 
 from doo_ti.contact.distance import Distance
+from doo_ti.contact.obstacles import PLANE
 from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.tuples import applied, choose, chosen, dot, full, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contact_layout import (
@@ -30,10 +31,13 @@ from doo_ti.relaxation.contact_layout import (
     ROUGH,
     RUBBED_PLACE,
     SEARCHES,
+    SOME_BEHIND,
     STANDING,
+    STIFFNESS,
     TOLERANCE,
     VALUE,
     VERTEX_ITEMS,
+    YIELD,
 )
 
 
@@ -73,6 +77,11 @@ class ContactPlaces:
         return self.item(rod, PHASE) > ti.static(0.5 * (BARRIER + ROUGH))
 
     @ti.func
+    def some_behind(self, rod):
+        """Whether it does so in some lane of the pack."""
+        return self.get(rod.scratch, rod.contacts + SOME_BEHIND * self.stride, 0) > 0.5
+
+    @ti.func
     def some(self, condition, zero):
         """Whether a condition holds in some lane."""
         return self.largest(ti.select(condition, zero + 1.0, zero)) > 0.5
@@ -97,10 +106,13 @@ class ContactPlaces:
 
     @ti.func
     def begin(self, rod):
-        """Begin the sums over all vertices."""
+        """Begin the sums over all vertices, and compute what they all need."""
         zero = 0.0 * rod.total
         most = zero + 1e30
         self.store(rod.scratch, rod.contacts + ENERGY * self.stride, (zero, zero, zero, most, most, zero))
+        some_behind = self.largest(ti.select(self.behind(rod), zero + 1.0, zero))
+        self.put(rod.scratch, rod.contacts + SOME_BEHIND * self.stride, 0, some_behind)
+        rod.scratch[rod.contacts + YIELD * self.stride] = 1.0 / self.item(rod, STIFFNESS)
 
     @ti.func
     def add(self, rod, item: ti.template(), values):
@@ -167,6 +179,11 @@ class ContactPlaces:
         """Whether an end of the edge to vertex ``index`` is close to obstacle ``o`` in some lane; no edge ends at vertex 0."""
         at, before = self.vertex(rod, index), self.vertex(rod, index - 1)
         return index > 0 and (self.is_close(rod, self.contact(at, o)) or self.is_close(rod, self.contact(before, o)))
+
+    @ti.func
+    def may_bridge(self, rod, o):
+        """Whether an edge can be nearer to obstacle ``o`` between its ends than at both."""
+        return rod.kinds[o] != ti.static(PLANE)
 
     @ti.func
     def is_any_close(self, rod, at):

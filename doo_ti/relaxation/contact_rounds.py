@@ -42,7 +42,6 @@ from doo_ti.relaxation.contact_layout import (
     RUBBED_PLACE,
     SAGGING,
     SECANT,
-    SETTLED,
     SETTLING,
     SLACK,
     SLOW,
@@ -100,7 +99,7 @@ class ContactRounds(ContactEnergy):
                     normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
                     share = (0.0 - APPROACH) * dot(normal, move) / ti.max(gap, 1e-6 * radius)
                     most = ti.select(self.close_lanes(rod, value), ti.max(most, share), most)
-                if self.is_edge_close(rod, index, o):
+                if self.may_bridge(rod, o) and self.is_edge_close(rod, index, o):
                     weight = rod.scratch[contact + WEIGHT * self.stride]
                     s = rod.scratch[contact + PLACE_BETWEEN * self.stride]
                     between = plus(before, scaled(minus(move, before), s))
@@ -171,7 +170,7 @@ class ContactRounds(ContactEnergy):
         zero = 0.0 * rod.total
         early = variable((zero > 1.0,))
         if ti.static(self.settles_early):
-            stiffness, change = self.item(rod, STIFFNESS), self.item(rod, SETTLED)
+            stiffness, change = self.item(rod, STIFFNESS), self.settled_gap(rod)
             settled = self.item(rod, SETTLING) > 0.0
             self.set_item(rod, CHANGE, settled, change)
             last = settled & (change <= self.item(rod, TOLERANCE))
@@ -199,22 +198,9 @@ class ContactRounds(ContactEnergy):
             for o in range(rod.obstacles):
                 contact = self.contact(at, o)
                 if self.is_close(rod, contact) or self.is_edge_close(rod, v, o):
-                    for k in ti.static(range(2)):
-                        old = rod.scratch[contact + (FORCE + k) * self.stride]
-                        gap = rod.scratch[contact + (VALUE_BETWEEN if k else VALUE) * self.stride] - radius
-                        if ti.static(k == 1):
-                            # Of an edge that is far away the nearest point is not known any more.
-                            known = (rod.scratch[contact + WEIGHT * self.stride] > 0.0) | (
-                                rod.scratch[contact + SAGGING * self.stride] > 0.0)
-                            gap = ti.select(known & (v > 0), gap, zero + 1e6)
-                        new = ti.max(old - stiffness * gap, zero)
-                        if some_behind:
-                            new = ti.select(behind, self.barrier(rod, gap).push, new)
-                        if ti.static(k == 1):
-                            new, late = self.settle_between(rod, v, o, due, gap, new)
-                            found.change = largest_of(found.change, ti.select(behind, zero, late))
-                        self.note_force(rod, found, gap, old, new, some_behind)
-                        rod.scratch[contact + (FORCE + k) * self.stride] = ti.select(due, new, old)
+                    self.settle_vertex(rod, contact, due, some_behind, found)
+                    if self.may_bridge(rod, o):
+                        self.settle_edge(rod, v, o, contact, due, some_behind, found)
                 else:
                     self.settle_far(rod, contact, due, found)
                 if ti.static(self.rub):
@@ -244,6 +230,37 @@ class ContactRounds(ContactEnergy):
         softer = where & ~self.behind(rod) & (stiffness > first)
         self.set_item(rod, STIFFNESS, softer, ti.max(stiffness / STIFFER, first))
         return softer
+
+    @ti.func
+    def settle_vertex(self, rod, contact, due, some_behind, found):
+        """The new force of the contact of a vertex."""
+        old = rod.scratch[contact + FORCE * self.stride]
+        gap = rod.scratch[contact + VALUE * self.stride] - self.item(rod, RADIUS)
+        new = self.settled_force(rod, old, gap, some_behind)
+        self.note_force(rod, found, gap, old, new, some_behind)
+        rod.scratch[contact + FORCE * self.stride] = ti.select(due, new, old)
+
+    @ti.func
+    def settle_edge(self, rod, index, o, contact, due, some_behind, found):
+        """That of the edge to vertex ``index``; none ends at vertex 0."""
+        zero = 0.0 * rod.total
+        old = rod.scratch[contact + FORCE_BETWEEN * self.stride]
+        # Where the edge does not bridge the obstacle its nearest point is not known.
+        sagging, weight = rod.scratch[contact + SAGGING * self.stride], rod.scratch[contact + WEIGHT * self.stride]
+        known = ((weight > 0.0) | (sagging > 0.0)) & (index > 0)
+        gap = ti.select(known, rod.scratch[contact + VALUE_BETWEEN * self.stride] - self.item(rod, RADIUS), zero + 1e6)
+        new, late = self.settle_between(rod, index, o, due, gap, self.settled_force(rod, old, gap, some_behind))
+        found.change = largest_of(found.change, ti.select(self.behind(rod), zero, late))
+        self.note_force(rod, found, gap, old, new, some_behind)
+        rod.scratch[contact + FORCE_BETWEEN * self.stride] = ti.select(due, new, old)
+
+    @ti.func
+    def settled_force(self, rod, old, gap, some_behind):
+        """max(0, λ − κ g), or what the barrier exerts."""
+        new = ti.max(old - self.item(rod, STIFFNESS) * gap, 0.0 * gap)
+        if some_behind:
+            new = ti.select(self.behind(rod), self.barrier(rod, gap).push, new)
+        return new
 
     @ti.func
     def settle_far(self, rod, contact, due, found):

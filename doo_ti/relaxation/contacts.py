@@ -46,6 +46,7 @@ from doo_ti.relaxation.contact_layout import (
     ROOM,
     ROUGH,
     RUBBED_PLACE,
+    SAGGING,
     SETTLING,
     SOFT,
     STAGE,
@@ -245,7 +246,8 @@ class Contacts(ContactRounds):
             self.put(scratch, at + PUSHED * self.stride, 0, 1.0)
             for o in range(count):
                 contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
-                self.put(scratch, contact + WEIGHT * self.stride, slot, 0.0)
+                for item in ti.static((WEIGHT, SAGGING)):
+                    self.put(scratch, contact + item * self.stride, slot, 0.0)
                 for k in ti.static(range(REMEMBERED, REMEMBERED_IN_MOTION) if self.rub else (ACTIVE,)):
                     self.put(scratch, contact + k * self.stride, slot, 0.0)
                 for k in range(tables.memory.shape[3]):

@@ -8,7 +8,6 @@ from doo_ti.relaxation.contact_layout import (
     CROSSING,
     EARLY_ROTATION,
     EARLY_SHIFT,
-    SETTLED,
     SETTLING,
     TOLERANCE,
     WALL,
@@ -194,7 +193,7 @@ class NewtonTrip:
         if ti.static(self.touches):
             # The residual of a step that settles forces does not say how far gaps are open.
             contacts = self.sweep.contacts
-            unsettled = contacts.item(rod, SETTLED) > contacts.item(rod, TOLERANCE)
+            unsettled = contacts.settled_gap(rod) > contacts.item(rod, TOLERANCE)
             small = small & ~((contacts.item(rod, SETTLING) > 0.0) & unsettled)
         wrong = ((inertia < 2.5) | (inertia > 3.5)) & judged.stands
         right = (inertia > 2.5) & (inertia < 3.5) & judged.stands
