@@ -1,6 +1,6 @@
 """Signed distance of a point to an obstacle inside kernels, with its gradient n and second derivatives (docs/contact.md).
 
-All obstacles but boxes are bodies of revolution. In the half plane of a point, with e_r away from the axis and e_z along it,
+Cylinders and rings are bodies of revolution. In the half plane of a point, with e_r away from the axis and e_z along it,
 n = n_r e_r + n_z e_z, and with k the curvature of the profile's parallel curve through the point
 
     ∇∇φ = k (e_r e_rᵀ + e_z e_zᵀ − n nᵀ) + (n_r/ρ) (I − e_r e_rᵀ − e_z e_zᵀ).
@@ -68,7 +68,7 @@ class Distance:
         self.stride, self.tiny = stride, TINY
         self.has_plane, self.has_box, self.has_capsule, self.has_ring, self.has_cylinder, self.has_grid = (
             kind in kinds for kind in (PLANE, BOX, CAPSULE, RING, CYLINDER, GRID))
-        self.has_revolved = bool(kinds - {PLANE, BOX, GRID})
+        self.has_revolved = self.has_ring or self.has_cylinder
         self.lookup = GridLookup(number)
 
     @ti.func
@@ -100,14 +100,17 @@ class Distance:
         if ti.static(self.has_grid):
             if kind >= ti.static(GRID):
                 self.grid(scratch, grids, at, kind - GRID, away, seen)
+        if ti.static(self.has_capsule):
+            if kind == ti.static(CAPSULE):
+                self.capsule(scratch, at, away, seen)
         if ti.static(self.has_revolved):
-            if kind != ti.static(BOX) and kind != ti.static(PLANE) and kind < ti.static(GRID):
+            if kind == ti.static(RING) or kind == ti.static(CYLINDER):
                 self.revolved(scratch, at, kind, away, seen)
         return seen
 
     @ti.func
     def revolved(self, scratch: ti.template(), at, kind, away, seen):
-        """A capsule, a cylinder or a ring."""
+        """A cylinder or a ring."""
         axis = self.load3(scratch, at + (AXES + 6) * self.stride)
         z = dot(away, axis)
         zero, one = 0.0 * z, 0.0 * z + 1.0
@@ -116,13 +119,6 @@ class Distance:
         outward = scaled(flat, 1.0 / radial)
         a, b = scratch[at + SIZES * self.stride], scratch[at + (SIZES + 1) * self.stride]
         profile = record(value=z, r=zero, z=one, bend=zero, around=zero)
-        if ti.static(self.has_capsule):
-            if kind == ti.static(CAPSULE):
-                beyond = z - ti.min(ti.max(z, 0.0 - b), b)
-                length = ti.sqrt(radial * radial + beyond * beyond)
-                profile.value, profile.r, profile.z = length - a, radial / length, beyond / length
-                profile.around = 1.0 / length
-                profile.bend = ti.select(absolute(z) >= b, 1.0 / length, zero)
         if ti.static(self.has_ring):
             if kind == ti.static(RING):
                 self.rim(profile, radial - a, z, radial)
@@ -146,6 +142,20 @@ class Distance:
         bent = minus(scaled(meridian, profile.bend - profile.around), scaled(outer(seen.normal), profile.bend))
         seen.curvature = (bent[0] + profile.around, bent[1], bent[2], bent[3] + profile.around, bent[4],
                           bent[5] + profile.around)
+
+    @ti.func
+    def capsule(self, scratch: ti.template(), at, away, seen):
+        """A capsule: all around the nearest point of its axis. Between its ends that point moves along the axis."""
+        axis = self.load3(scratch, at + (AXES + 6) * self.stride)
+        a, b = scratch[at + SIZES * self.stride], scratch[at + (SIZES + 1) * self.stride]
+        z = dot(away, axis)
+        from_axis = minus(away, scaled(axis, ti.min(ti.max(z, 0.0 - b), b)))
+        length = ti.sqrt(dot(from_axis, from_axis) + self.tiny)
+        bend = 1.0 / length
+        seen.value, seen.normal = length - a, scaled(from_axis, bend)
+        along = ti.select(absolute(z) < b, bend, 0.0 * bend)
+        bent = plus(scaled(outer(seen.normal), bend), scaled(outer(axis), along))
+        seen.curvature = (bend - bent[0], 0.0 - bent[1], 0.0 - bent[2], bend - bent[3], 0.0 - bent[4], bend - bent[5])
 
     @ti.func
     def rim(self, profile, beside, above, radial):
