@@ -7,6 +7,9 @@ The gap at a place x of the rod is g = φ(x) − r ≥ 0. With forces λ ≥ 0 t
 and a round ends with λ ← max(0, λ − κ g). Rounds change nothing any more where every gap is closed or bears no force: there the
 force is exact for any κ, and no rod is inside an obstacle by more than the tolerance.
 
+Where a step was refused, most often because it met contacts that its derivatives did not have, the derivatives of the next one
+have these contacts, (λ − κ g)²/2κ, though they do not push yet. Energy and residual have not.
+
 A rod touches an obstacle at its vertices and, where an edge bridges it, at the point of the edge that is nearest to it. That
 point moves along the edge with the step: φ* = min_s φ(x + s p) has the derivatives n and s n by x and by p, and second
 derivatives lower than those at a fixed s by v vᵀ/φ_ss, v = (H p, n + s H p), φ_ss = pᵀH p, H = ∇∇φ.
@@ -33,6 +36,8 @@ from doo_ti.relaxation.contact_layout import (
     ENERGY,
     EXCESS,
     EXCESS_S,
+    EXPECTED,
+    EXPECTING,
     FORCE,
     FORCE_BETWEEN,
     FORCE_END,
@@ -49,6 +54,8 @@ from doo_ti.relaxation.contact_layout import (
     PHASE,
     PLACE_BETWEEN,
     PUSHED,
+    PUSHES,
+    PUSHES_BETWEEN,
     RADIUS,
     ROOM,
     ROOM_STANDING,
@@ -60,6 +67,7 @@ from doo_ti.relaxation.contact_layout import (
     SAGGING,
     SETTLED,
     SETTLING,
+    SOME_EXPECTING,
     STIFFNESS,
     STRENGTH,
     VALUE,
@@ -78,11 +86,13 @@ def outer_product(a, b) -> tuple:
 
 @ti.data_oriented
 class ContactEnergy(ContactPlaces):
-    """The energy of the contacts of the rods in a pack, in a motion with friction if they ``rub``."""
+    """The energy of the contacts of the rods in a pack, in a motion with friction if they ``rub``. ``expects``: steps that are
+    refused are tried again with the contacts they have met."""
 
-    def __init__(self, number, stride: int, kinds: frozenset[int], rub: bool = False, moves: bool = False):
+    def __init__(self, number, stride: int, kinds: frozenset[int], rub: bool = False, moves: bool = False,
+                 expects: bool = False):
         super().__init__(number, stride, kinds, moves)
-        self.rub, self.first_phase, self.settles_early = rub, ROUGH, not rub
+        self.rub, self.first_phase, self.settles_early, self.expects = rub, ROUGH, not rub, expects
 
     @ti.func
     def touched(self, rod, index, start, end):
@@ -334,6 +344,8 @@ class ContactEnergy(ContactPlaces):
         pushed = self.push(rod, ti.select(close, rod.scratch[contact + FORCE * self.stride], zero),
                            value - self.item(rod, RADIUS))
         self.add(rod, ENERGY, (pushed.energy, pushed.push * rod.total))
+        self.expect(rod, contact + PUSHES * self.stride, rod.scratch[contact + FORCE * self.stride],
+                    value - self.item(rod, RADIUS), close, pushed)
         pull = scaled(normal, 0.0 - pushed.push)
         known = self.known_force(rod, contact + FORCE * self.stride, pushed.push)
         if ti.static(self.settles_early):
@@ -361,12 +373,29 @@ class ContactEnergy(ContactPlaces):
     @ti.func
     def known_force(self, rod, at, push):
         """The force of a contact in the residual and in the second derivatives of φ: in a step that settles forces the settled
-        λ, at ``at`` in scratch, where the contact pushes at all; otherwise its whole ``push``. The difference, −κ g, only
-        closes the gap."""
+        λ, at ``at`` in scratch, where the contact pushes at all; otherwise its whole ``push``, or none where it is only
+        expected. The difference, −κ g, only closes the gap."""
+        known = variable((push,))
         if ti.static(self.settles_early):
-            return ti.select((self.item(rod, SETTLING) > 0.0) & (push > 0.0), rod.scratch[at], push)
-        else:
-            return push
+            known = (ti.select((self.item(rod, SETTLING) > 0.0) & (push > 0.0), rod.scratch[at], push),)
+        if ti.static(self.expects):
+            known = (ti.max(known[0], 0.0 * push),)
+        return known[0]
+
+    @ti.func
+    def expect(self, rod, at, force, gap, counts, pushed):
+        """Give a contact that ``counts`` but does not push the derivatives as if it did, where it pushed in the step that was
+        just refused, as ``at`` in scratch says, which is renewed. ``pushed``: as :meth:`push` has it."""
+        if ti.static(self.expects):
+            zero, before = 0.0 * gap, rod.scratch[at]
+            pushes = counts & (pushed.push > 0.0)
+            rod.scratch[at] = ti.select(pushes, zero + 1.0, zero)
+            if self.common(rod, SOME_EXPECTING) > 0.5:
+                stiffness, some = self.item(rod, STIFFNESS), rod.contacts + EXPECTED * self.stride
+                expected = counts & ~pushes & (before > 0.5) & (self.item(rod, EXPECTING) > 0.5)
+                pushed.push = ti.select(expected, force - stiffness * gap, pushed.push)
+                pushed.stiffness = ti.select(expected, stiffness, pushed.stiffness)
+                rod.scratch[some] = ti.select(expected, zero + 1.0, rod.scratch[some])
 
     @ti.func
     def rub_vertex(self, rod, o, at, contact):
@@ -427,13 +456,15 @@ class ContactEnergy(ContactPlaces):
         self.settle_now(rod, contact + FORCE_BETWEEN * self.stride, gap, counts)
         pushed = self.push(rod, rod.scratch[contact + FORCE_BETWEEN * self.stride], gap)
         self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(counts, gap, zero + 1e30))
+        own = ti.select(counts, pushed.energy, zero)
+        self.expect(rod, contact + PUSHES_BETWEEN * self.stride, rod.scratch[contact + FORCE_BETWEEN * self.stride], gap,
+                    counts, pushed)
         force, stiffness = ti.select(counts, weight * pushed.push, zero), ti.select(counts, weight * pushed.stiffness, zero)
         known = self.known_force(rod, contact + FORCE_BETWEEN * self.stride, force)
         if ti.static(self.settles_early):
             excess = scaled(normal, known - force)
             self.add(rod, EXCESS, excess + scaled(excess, s))
-        own = ti.select(counts, pushed.energy, zero)
-        self.add(rod, ENERGY, (weight * own, force * rod.total))
+        self.add(rod, ENERGY, (weight * own, ti.max(force, zero) * rod.total))
         turned = applied(full(seen.curvature), edge)
         across = plus(normal, scaled(turned, s))
         slide = known / seen.bend

@@ -15,32 +15,37 @@ FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH, WAY_MADE, WAY, MULTIPLIER, LARGE
 # And sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts and
 # its magnitude; the square of the largest share of its way to the middle of an obstacle that a vertex has made in this step;
 # the least φ, the least gap where no clamp holds the rod, and by how much the step changed a force by settling forces. Then
-# the κ with which the step settles forces, zero where it does not, and how many steps have done so; one number for all rods of
-# the pack, whether a barrier keeps any of them away from obstacles; and 1/κ. And of one edge the
+# the κ with which the step settles forces, zero where it does not, and how many steps have done so; 1/κ; one where the step
+# before was refused, and one where the derivatives therefore have a contact that does not push (:meth:`.ContactEnergy.expect`);
+# and, one number each for all rods of the pack, whether a barrier keeps any away from obstacles, whether the step of any was
+# refused, and the length of the longest edge. And of one edge the
 # derivatives of the energy of its contacts between its ends, as :meth:`.LoadedElimination.load` returns them, and how much of
 # the first two is not of known forces; and those by the place of the vertex where it ends of the energy of the contacts there.
-ENERGY, MAGNITUDE, CROSSING, DEEPEST, CLOSEST, SETTLED, SETTLING, EARLY, SOME_BEHIND, YIELD = (
-    22, 23, 24, 25, 26, 27, 28, 29, 30, 31)
-GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, EXCESS, EXCESS_S = 32, 35, 38, 44, 53, 59, 62
-END_GRADIENT, END_CURVATURES, END_EXCESS, HEAD = 65, 68, 74, 77
+ENERGY, MAGNITUDE, CROSSING, DEEPEST, CLOSEST, SETTLED, SETTLING, EARLY, YIELD, EXPECTING, EXPECTED = (
+    22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32)
+SOME_BEHIND, SOME_EXPECTING, LONGEST_EDGE = 33, 34, 35
+GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, EXCESS, EXCESS_S = 36, 39, 42, 48, 57, 63, 66
+END_GRADIENT, END_CURVATURES, END_EXCESS, HEAD = 69, 72, 78, 81
 # Phases of a rod: it has just been loaded and begins with a barrier; this keeps it away from obstacles and finds out where it
 # will touch them; rounds to a rough tolerance of its moments; rounds to the final one.
 LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0
 # Items of a vertex: its place; the least room of the edge that ends there, which is how far it is from the middle of an
 # obstacle; both also from before the step; the forces on that edge's end and on its start; of a motion the place at the
 # instant before; the least φ of all obstacles; and, one number each for all rods of the pack, how far the nearest obstacle is
-# from being close, and whether there are forces. Its contacts follow.
+# from being close, and whether there are forces. Its contacts follow. The number of items of a vertex with its contacts is odd:
+# with a power of two all vertices would share a few lines of the processor's cache.
 PLACE, STANDING, ROOM, ROOM_STANDING, FORCE_END, FORCE_START, PREVIOUS, LEAST, NEAREST_OF_ALL, PUSHED, VERTEX_ITEMS = (
-    0, 3, 6, 7, 8, 11, 14, 17, 18, 19, 20)
+    0, 3, 6, 7, 8, 11, 14, 17, 18, 19, 21)
 # Items of the contact of a vertex and the edge that ends there with an obstacle: λ of both, and the friction on both; for
 # friction, where a round does not change them, the normal at the vertex, the place on the edge and the normal there; one where
 # rounds have the contact of the edge; of the vertex φ, its normal and ∇∇φ; of the edge the nearest point s, φ* and its normal,
-# the weight of its contact, and by how much it is nearer there than at its ends; and, one number for all rods of the pack, how
-# far the nearest is from being close.
+# the weight of its contact, and by how much it is nearer there than at its ends; one number for all rods of the pack, how far
+# the nearest is from being close; and, of both, one where it has pushed in the last trip.
 FORCE, FORCE_BETWEEN, FRICTION, FRICTION_BETWEEN, RUBBED_NORMAL, RUBBED_PLACE, RUBBED_NORMAL_BETWEEN, ACTIVE = (
     0, 1, 2, 5, 8, 11, 12, 15)
-VALUE, NORMAL, CURVATURE, PLACE_BETWEEN, VALUE_BETWEEN, NORMAL_BETWEEN, WEIGHT, SAGGING, NEAREST, CONTACT_ITEMS = (
-    16, 17, 20, 26, 27, 28, 31, 32, 33, 34)
+VALUE, NORMAL, CURVATURE, PLACE_BETWEEN, VALUE_BETWEEN, NORMAL_BETWEEN, WEIGHT, SAGGING, NEAREST = (
+    16, 17, 20, 26, 27, 28, 31, 32, 33)
+PUSHES, PUSHES_BETWEEN, CONTACT_ITEMS = 34, 35, 36
 # Items of an obstacle: its columns; and of one that moves its turn and its shift from where it was at first, now and at the
 # last instant, and by which turn, column after column, and shift a place of it has moved since then.
 TURN, SHIFT, TURN_BEFORE, SHIFT_BEFORE, CARRY, CARRIED, OBSTACLE_ITEMS = (

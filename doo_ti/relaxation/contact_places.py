@@ -16,8 +16,11 @@ from doo_ti.relaxation.contact_layout import (
     CURVATURE,
     DEEPEST,
     ENERGY,
+    EXPECTED,
+    EXPECTING,
     HEAD,
     LEAST,
+    LONGEST_EDGE,
     NEAREST,
     NEAREST_OF_ALL,
     NORMAL,
@@ -32,6 +35,7 @@ from doo_ti.relaxation.contact_layout import (
     RUBBED_PLACE,
     SEARCHES,
     SOME_BEHIND,
+    SOME_EXPECTING,
     STANDING,
     STIFFNESS,
     TOLERANCE,
@@ -79,7 +83,7 @@ class ContactPlaces:
     @ti.func
     def some_behind(self, rod):
         """Whether it does so in some lane of the pack."""
-        return self.get(rod.scratch, rod.contacts + SOME_BEHIND * self.stride, 0) > 0.5
+        return self.common(rod, SOME_BEHIND) > 0.5
 
     @ti.func
     def some(self, condition, zero):
@@ -110,9 +114,21 @@ class ContactPlaces:
         zero = 0.0 * rod.total
         most = zero + 1e30
         self.store(rod.scratch, rod.contacts + ENERGY * self.stride, (zero, zero, zero, most, most, zero))
-        some_behind = self.largest(ti.select(self.behind(rod), zero + 1.0, zero))
-        self.put(rod.scratch, rod.contacts + SOME_BEHIND * self.stride, 0, some_behind)
         rod.scratch[rod.contacts + YIELD * self.stride] = 1.0 / self.item(rod, STIFFNESS)
+        rod.scratch[rod.contacts + EXPECTED * self.stride] = zero
+        self.put_common(rod, SOME_BEHIND, ti.select(self.behind(rod), zero + 1.0, zero))
+        self.put_common(rod, SOME_EXPECTING, self.item(rod, EXPECTING))
+        self.put_common(rod, LONGEST_EDGE, rod.longest)
+
+    @ti.func
+    def put_common(self, rod, item: ti.template(), value):
+        """Make an item that is one number for all rods of the pack the largest of theirs."""
+        self.put(rod.scratch, rod.contacts + item * self.stride, 0, self.largest(value))
+
+    @ti.func
+    def common(self, rod, item: ti.template()):
+        """That number."""
+        return self.get(rod.scratch, rod.contacts + item * self.stride, 0)
 
     @ti.func
     def add(self, rod, item: ti.template(), values):
@@ -138,7 +154,7 @@ class ContactPlaces:
         away = minus(place, standing)
         crossing = rod.contacts + CROSSING * self.stride
         rod.scratch[crossing] = largest_of(rod.scratch[crossing], dot(away, away) * self.nearness(rod, index, at))
-        longest = self.largest(rod.longest)
+        longest = self.common(rod, LONGEST_EDGE)
         least, nearest_of_all = 0.0 * rod.total + 1e30, 0.0 * longest + 1e30
         for o in range(rod.obstacles):
             contact = self.contact(at, o)

@@ -13,6 +13,8 @@ from doo_ti.relaxation.contact_layout import (
     CLOSEST,
     EARLY,
     EARLY_STIFFER,
+    EXPECTED,
+    EXPECTING,
     FINE,
     FIRST_STIFFNESS,
     FORCE,
@@ -89,6 +91,7 @@ class ContactRounds(ContactEnergy):
         radius = self.item(rod, RADIUS)
         slack = ti.select(behind, self.item(rod, OFFSET), SLACK * radius)
         floor = ti.select(behind, zero - 1e30, zero)
+        # The largest share, as a fraction: a division for each contact would take longer than the rest.
         most = zero
         if self.is_any_close(rod, at) or (index > 0 and self.is_any_close(rod, self.vertex(rod, index - 1))):
             for o in range(rod.obstacles):
@@ -108,6 +111,12 @@ class ContactRounds(ContactEnergy):
                     share = (0.0 - APPROACH) * dot(away, between) / ti.max(gap, 1e-6 * radius)
                     most = ti.select(weight > 0.0, ti.max(most, share), most)
         return ti.max(dot(move, move) * self.nearness(rod, index, at), most * most)
+
+    @ti.func
+    def take_share(self, most, part, whole, counts):
+        """Take the share part/whole into the largest, where it ``counts``."""
+        larger = counts & (part * most.whole > most.part * whole)
+        most.part, most.whole = ti.select(larger, part, most.part), ti.select(larger, whole, most.whole)
 
     # --- rounds ---
 
@@ -222,6 +231,17 @@ class ContactRounds(ContactEnergy):
         self.set_item(rod, STRENGTH, due & behind & ~last, WEAKER * self.item(rod, STRENGTH))
         self.set_item(rod, STAGE, due & behind, 1.0 + self.item(rod, STAGE))
         return largest_of(change, ti.select(due & ~behind, found.rubbed / stiffness, zero))
+
+    @ti.func
+    def expected(self, rod):
+        """The lanes in which the derivatives have a contact that does not push (:meth:`.ContactEnergy.expect`)."""
+        return self.item(rod, EXPECTED) > 0.5
+
+    @ti.func
+    def note_refused(self, rod, where):
+        """Have the next trip expect contacts in the lanes ``where`` a step was refused, and no others."""
+        zero = 0.0 * rod.total
+        rod.scratch[rod.contacts + EXPECTING * self.stride] = ti.select(where & ~self.behind(rod), zero + 1.0, zero)
 
     @ti.func
     def soften(self, rod, where):

@@ -16,6 +16,7 @@ from doo_ti.relaxation.contact_layout import (
     CONTACT_ITEMS,
     EARLY,
     EASED,
+    EXPECTING,
     FIRST_STIFFNESS,
     FIRST_STRENGTH,
     FIRST_VISCOSITY,
@@ -40,6 +41,8 @@ from doo_ti.relaxation.contact_layout import (
     PHASE,
     PREVIOUS,
     PUSHED,
+    PUSHES,
+    PUSHES_BETWEEN,
     REMEMBERED,
     REMEMBERED_IN_MOTION,
     RETRIED,
@@ -231,7 +234,7 @@ class Contacts(ContactRounds):
         for k in ti.static(range(len(head))):
             self.put(scratch, base + k * self.stride, slot, head[k])
         self.put(scratch, base + FIRST_VISCOSITY * self.stride, slot, viscosity)
-        for item in ti.static((SETTLING, EARLY)):
+        for item in ti.static((SETTLING, EARLY, EXPECTING)):
             self.put(scratch, base + item * self.stride, slot, 0.0)
         for o in range(count):
             at = base + (HEAD + o * OBSTACLE_ITEMS) * self.stride
@@ -246,7 +249,7 @@ class Contacts(ContactRounds):
             self.put(scratch, at + PUSHED * self.stride, 0, 1.0)
             for o in range(count):
                 contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
-                for item in ti.static((WEIGHT, SAGGING)):
+                for item in ti.static((WEIGHT, SAGGING, PUSHES, PUSHES_BETWEEN)):
                     self.put(scratch, contact + item * self.stride, slot, 0.0)
                 for k in ti.static(range(REMEMBERED, REMEMBERED_IN_MOTION) if self.rub else (ACTIVE,)):
                     self.put(scratch, contact + k * self.stride, slot, 0.0)

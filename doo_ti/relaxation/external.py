@@ -25,12 +25,13 @@ class ExternalFunctions(NamedTuple):
               of end − start, and the second derivatives by shift and shift, by shift and change (nine numbers, row by row),
               by change and change; symmetric ones as (11, 12, 13, 22, 23, 33).
               Where ``coarse`` is one the rod is far from rest, and K better positive semidefinite than exact.
+              None where there is no energy.
     load_start, evaluate_start  the same of vertex 0, whose energy no edge carries, with ``start_items`` of its own:
               (scratch, at, slot, numbers, row, scale), and (scratch, at, place) giving (E, γ, K); None where it has none
     """
 
     load: Callable
-    evaluate: Callable
+    evaluate: Callable | None
     load_start: Callable | None = None
     evaluate_start: Callable | None = None
 
@@ -195,15 +196,8 @@ class Nothing:
         """On the device."""
         import taichi as ti
 
-        from doo_ti.physics.tuples import repeated
-
         @ti.func
         def load(scratch: ti.template(), at, slot, numbers: ti.template(), row, edge, scale):
             pass
 
-        @ti.func
-        def evaluate(scratch: ti.template(), at, numbers: ti.template(), field: ti.template(), start, end, coarse):
-            none = 0.0 * start[0]
-            return none, repeated(none, 3), repeated(none, 3), repeated(none, 6), repeated(none, 9), repeated(none, 6)
-
-        return ExternalFunctions(load, evaluate)
+        return ExternalFunctions(load, None)

@@ -63,6 +63,7 @@ class LoadedElimination(LooseStart):
         self.functions = external.functions(number, stride, item_count(isotropic))
         self.force_columns = item_count(isotropic) + external.items
         self.moves_start = any_ends
+        self.is_loaded = self.functions.evaluate is not None
         self.pulls_start = self.functions.evaluate_start is not None
         self.parameters = LOADED_PARAMETERS + external.start_items if any_ends else PARAMETERS
         self.contacts, self.touches = contacts, contacts is not None
@@ -169,16 +170,20 @@ class LoadedElimination(LooseStart):
         """The external energy of an edge (:class:`doo_ti.relaxation.external.ExternalFunctions`) and that of its contacts: the
         value goes to ``found``, and the record of the derivatives is returned; ``known`` and ``known_s`` are the gradients
         without what only closes gaps (:meth:`.ContactEnergy.known_force`)."""
-        unit = rod.length_unit  # the energy is a function of places in mm
-        value, gradient, gradient_s, curvature, curvature_s, curvature_ss = self.functions.evaluate(
-            rod.scratch, at, rod.numbers, rod.field, scaled(start, unit), scaled(end, unit), rod.coarse)
-        found.energy = found.energy + value
-        found.magnitude = found.magnitude + absolute(value)
-        square = unit * unit
-        load = record(
-            gradient=scaled(gradient, unit), gradient_s=scaled(gradient_s, unit), curvature=scaled(curvature, square),
-            curvature_s=scaled(curvature_s, square), curvature_ss=scaled(curvature_ss, square), known=scaled(gradient, unit),
-            known_s=scaled(gradient_s, unit))
+        none = repeated(0.0 * rod.total, 9)
+        load = record(gradient=none[:3], gradient_s=none[:3], curvature=none[:6], curvature_s=none, curvature_ss=none[:6],
+                      known=none[:3], known_s=none[:3])
+        if ti.static(self.is_loaded):
+            unit = rod.length_unit  # the energy is a function of places in mm
+            value, gradient, gradient_s, curvature, curvature_s, curvature_ss = self.functions.evaluate(
+                rod.scratch, at, rod.numbers, rod.field, scaled(start, unit), scaled(end, unit), rod.coarse)
+            found.energy = found.energy + value
+            found.magnitude = found.magnitude + absolute(value)
+            square = unit * unit
+            load.gradient, load.gradient_s = scaled(gradient, unit), scaled(gradient_s, unit)
+            load.known, load.known_s = load.gradient, load.gradient_s
+            load.curvature, load.curvature_s = scaled(curvature, square), scaled(curvature_s, square)
+            load.curvature_ss = scaled(curvature_ss, square)
         if ti.static(self.touches):
             some = self.contacts.touched(rod, edge + 1, start, end)
             if some > 0:

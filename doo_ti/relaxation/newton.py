@@ -147,7 +147,7 @@ def contact_kernel(number: Number, isotropic: bool, stride: int, block: int, ext
     if itself:
         sweep = DenseLoadedElimination(number, isotropic, stride, external, True, SelfContacts(number, stride, obstacles))
     else:
-        sweep = LoadedElimination(number, isotropic, stride, external, True, Contacts(number, stride, obstacles))
+        sweep = LoadedElimination(number, isotropic, stride, external, True, Contacts(number, stride, obstacles, expects=True))
     size = self_contact_items if itself else contact_items
     loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))

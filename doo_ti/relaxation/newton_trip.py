@@ -51,6 +51,7 @@ class NewtonTrip:
         # H's scale on the diagonal makes it positive, in contact a larger one, since κ makes rounding larger. f32 cannot
         # distinguish them from soft saddles and leaves them to f64.
         self.among_obstacles = self.touches and not sweep.contacts.itself
+        self.expects = self.touches and sweep.contacts.expects
         patience = fixed.PATIENCE_IN_CONTACT if self.among_obstacles else fixed.PATIENCE
         self.patience = fixed.PATIENCE_32 if single else patience
         self.trace = 0.0 if single else fixed.TRACE_IN_CONTACT if self.among_obstacles else fixed.TRACE
@@ -198,10 +199,12 @@ class NewtonTrip:
         wrong = ((inertia < 2.5) | (inertia > 3.5)) & judged.stands
         right = (inertia > 2.5) & (inertia < 3.5) & judged.stands
         calm = small & (lane.escaping < 0.5) & judged.stands
-        bare = (lane.shift <= 0.0) & (lane.coarse < 0.5)
+        altered = (lane.shift > 0.0) | (lane.coarse > 0.5)
+        if ti.static(self.expects):
+            altered = altered | self.sweep.contacts.expected(rod)
         # Where rounding limits the residual, the size of the next step bounds the error of the shape.
         settled = lane.longest <= self.shape_tolerance
-        at_saddle = calm & bare & wrong
+        at_saddle = calm & ~altered & wrong
         if ti.static(self.among_obstacles):
             # While forces are rough, a motion that will turn out to be neutral may have a negative eigenvalue.
             at_saddle = at_saddle & self.sweep.contacts.shows_saddles(rod)
@@ -211,8 +214,8 @@ class NewtonTrip:
         leaving = (at_saddle & (lane.escapes < limit)) | (aimless & (limit > 0.0))
         return record(
             gap=gap, small=small, calm=calm, settled=settled, right=right, wrong=wrong,
-            at_minimum=calm & bare & right & settled, at_saddle=at_saddle, leaving=leaving,
-            resting=at_saddle & (lane.escapes >= limit), certify=calm & ((lane.shift > 0.0) | (lane.coarse > 0.5)))
+            at_minimum=calm & ~altered & right & settled, at_saddle=at_saddle, leaving=leaving,
+            resting=at_saddle & (lane.escapes >= limit), certify=calm & altered)
 
     @ti.func
     def plan(self, tables, rod, lane, judged, place, searching, slope):
@@ -248,7 +251,12 @@ class NewtonTrip:
             lane.shift = ti.select(boundless, larger, lane.shift)
             lane.trying = ti.select(boundless, zero, lane.trying)
         if ti.static(self.touches):
-            cap = ti.select((lane.rejects > 0.5) & (lane.rejects < 1.5), fixed.PART * cap, cap)
+            part = (lane.rejects > 0.5) & (lane.rejects < 1.5)
+            if ti.static(self.expects):
+                # With the contacts that the refused step has met, the step is another one.
+                part = part & ~self.sweep.contacts.expected(rod)
+                self.sweep.contacts.note_refused(rod, judged.uphill)
+            cap = ti.select(part, fixed.PART * cap, cap)
         lane.heading = ti.select(searching, ti.select(slope > 0.0, 0.0 - one, one), lane.heading)
         leap = lane.heading * fixed.ESCAPE_ROTATION / ((1.0 + lane.rejects) * (1.0 + lane.rejects) * (lane.longest + 1e-30))
         lane.step_scale = ti.select(lane.trying > 0.5, ti.select(lane.escaping > 0.5, leap, cap), zero)
