@@ -127,7 +127,7 @@ class ContactEnergy(ContactPlaces):
                     some = 1
                 if self.is_close(rod, contact):
                     self.add_vertex(rod, o, at, contact)
-                if self.may_bridge(rod, o):
+                if self.is_curved(rod, o):
                     between, low = self.touched_between(rod, o, index, start, edge, some)
                     room = ti.min(room, low)
                     if between:
@@ -336,8 +336,6 @@ class ContactEnergy(ContactPlaces):
     def add_vertex(self, rod, o, at, contact):
         """Add a contact of the vertex where the edge ends."""
         normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
-        bent = (self.load3(rod.scratch, contact + CURVATURE * self.stride)
-                + self.load3(rod.scratch, contact + (CURVATURE + 3) * self.stride))
         value, zero = rod.scratch[contact + VALUE * self.stride], 0.0 * rod.total
         close = self.close_lanes(rod, value)
         self.settle_now(rod, contact + FORCE * self.stride, value - self.item(rod, RADIUS), close)
@@ -351,7 +349,11 @@ class ContactEnergy(ContactPlaces):
         if ti.static(self.settles_early):
             self.add(rod, END_EXCESS, scaled(normal, known - pushed.push))
         self.add(rod, END_GRADIENT, pull)
-        self.add(rod, END_CURVATURES, minus(scaled(outer(normal), pushed.stiffness), scaled(bent, known)))
+        self.add(rod, END_CURVATURES, scaled(outer(normal), pushed.stiffness))
+        if self.is_curved(rod, o):
+            bent = (self.load3(rod.scratch, contact + CURVATURE * self.stride)
+                    + self.load3(rod.scratch, contact + (CURVATURE + 3) * self.stride))
+            self.add(rod, END_CURVATURES, scaled(bent, 0.0 - known))
 
     @ti.func
     def settle_now(self, rod, at, gap, counts):

@@ -167,7 +167,8 @@ class ContactPlaces:
             least, nearest_of_all = ti.min(least, value), ti.min(nearest_of_all, nearest)
             if nearest < longest:
                 self.store(rod.scratch, contact + NORMAL * self.stride, seen.normal)
-                self.store(rod.scratch, contact + CURVATURE * self.stride, seen.curvature)
+                if self.is_curved(rod, o):
+                    self.store(rod.scratch, contact + CURVATURE * self.stride, seen.curvature)
                 gap, held = value - self.item(rod, RADIUS), self.held(rod, index) > 0.5
                 self.lower(rod.scratch, rod.contacts + DEEPEST * self.stride, seen.value)
                 self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(held, 0.0 * gap + 1e30, gap))
@@ -197,8 +198,8 @@ class ContactPlaces:
         return index > 0 and (self.is_close(rod, self.contact(at, o)) or self.is_close(rod, self.contact(before, o)))
 
     @ti.func
-    def may_bridge(self, rod, o):
-        """Whether an edge can be nearer to obstacle ``o`` between its ends than at both."""
+    def is_curved(self, rod, o):
+        """Whether obstacle ``o`` is no plane: an edge can then be nearer to it between its ends than at both."""
         return rod.kinds[o] != ti.static(PLANE)
 
     @ti.func

@@ -102,7 +102,7 @@ class ContactRounds(ContactEnergy):
                     normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
                     share = (0.0 - APPROACH) * dot(normal, move) / ti.max(gap, 1e-6 * radius)
                     most = ti.select(self.close_lanes(rod, value), ti.max(most, share), most)
-                if self.may_bridge(rod, o) and self.is_edge_close(rod, index, o):
+                if self.is_curved(rod, o) and self.is_edge_close(rod, index, o):
                     weight = rod.scratch[contact + WEIGHT * self.stride]
                     s = rod.scratch[contact + PLACE_BETWEEN * self.stride]
                     between = plus(before, scaled(minus(move, before), s))
@@ -208,7 +208,7 @@ class ContactRounds(ContactEnergy):
                 contact = self.contact(at, o)
                 if self.is_close(rod, contact) or self.is_edge_close(rod, v, o):
                     self.settle_vertex(rod, contact, due, some_behind, found)
-                    if self.may_bridge(rod, o):
+                    if self.is_curved(rod, o):
                         self.settle_edge(rod, v, o, contact, due, some_behind, found)
                 else:
                     self.settle_far(rod, contact, due, found)
