@@ -54,7 +54,7 @@ class ContactPlaces:
     def __init__(self, number, stride: int, kinds: frozenset[int], moves: bool = False):
         lanes = number.lanes()
         self.put, self.get, self.largest = lanes.put, lanes.get, lanes.largest
-        self.stride, self.moves = stride, moves
+        self.stride, self.moves, self.bits = stride, moves, number.bits
         self.distance = Distance(number, stride, kinds)
         self.load3 = self.distance.load3
         # What the places of vertices are wrong by, as a share of the rod's length.

@@ -21,6 +21,8 @@ from doo_ti.relaxation.contact_layout import (
     FORCE_BETWEEN,
     FRICTION,
     FRICTION_BETWEEN,
+    HOPELESS,
+    HOPELESS_32,
     LARGEST,
     LEAST_OFFSET,
     LOADED,
@@ -242,6 +244,12 @@ class ContactRounds(ContactEnergy):
         """Have the next trip expect contacts in the lanes ``where`` a step was refused, and no others."""
         zero = 0.0 * rod.total
         rod.scratch[rod.contacts + EXPECTING * self.stride] = ti.select(where & ~self.behind(rod), zero + 1.0, zero)
+
+    @ti.func
+    def jammed(self, rod):
+        """The lanes in which forces have grown beyond all bounds: no place that the rod can get to is outside the obstacles."""
+        most = ti.static(HOPELESS_32 if self.bits == 32 else HOPELESS)
+        return self.item(rod, LARGEST) > most * self.item(rod, FIRST_STIFFNESS) * self.item(rod, RADIUS)
 
     @ti.func
     def soften(self, rod, where):

@@ -234,7 +234,7 @@ class Contacts(ContactRounds):
         for k in ti.static(range(len(head))):
             self.put(scratch, base + k * self.stride, slot, head[k])
         self.put(scratch, base + FIRST_VISCOSITY * self.stride, slot, viscosity)
-        for item in ti.static((SETTLING, EARLY, EXPECTING)):
+        for item in ti.static((SETTLING, EARLY, EXPECTING, LARGEST)):
             self.put(scratch, base + item * self.stride, slot, 0.0)
         for o in range(count):
             at = base + (HEAD + o * OBSTACLE_ITEMS) * self.stride

@@ -278,6 +278,8 @@ class NewtonTrip:
         late = lane.trips >= ti.cast(tables.policy[fixed.ITERATION_LIMIT], self.scalar)
         stuck = lane.idle_trips > self.patience
         lost = judged.broken | ~(lane.residual == lane.residual)
+        if ti.static(self.touches):
+            stuck = stuck | self.sweep.contacts.jammed(rod)
         lane.status = ti.select(stuck, self.constant(self.stalled), self.constant(self.limit))
         lane.status = ti.select(lost, self.constant(self.not_finite), lane.status)
         # At rest, though a neutral motion leaves the certificate undecided: converged, not certified.

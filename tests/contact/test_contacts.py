@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Capsule, Clamp, Clamps, Configuration, InputError, Material, Newton, Plane, predict, predict_step, relax
+from doo_ti.frames import rotation_matrix
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.types import Solution, Status
 
@@ -105,3 +106,15 @@ def test_a_clamp_that_holds_the_middle_of_an_edge_in_a_peg_is_infeasible(clamp, 
     assert peg.distance(rod.vertices[:, :2])[0].min() > 1.0
     found = relax(rod, Material(1e5, 1e5), clamps, up=(0.0, 1.0, 0.0), obstacles=[peg], radius=1.0)
     assert found.status[0] == status
+
+
+@pytest.mark.parametrize("precision", ["f32", "f64"])
+def test_a_rod_that_is_too_short_to_get_round_a_peg_is_stalled_before_its_forces_overflow(precision):
+    """Held on a table so that it lies across the peg, which is much higher than the rod could reach."""
+    rod = Configuration.straight(np.zeros(3), np.array([1.0, 0.0, 0.0]), 99.0, 33)
+    start, end = (rotation_matrix(np.array([[0.0, 0.0, angle]])) @ rod.frames[:, 0] for angle in (-0.562, -0.0415))
+    clamps = Clamps(Clamp.FRAME, Clamp.FRAME, np.array([[0.0, -2.73, 1.02]]), np.array([[91.03, 7.07, 1.02]]), start, end)
+    pegs = [Capsule((x, y, -5.0), (x, y, 60.0), 4.0) for x, y in ((33.0, 8.0), (66.0, -8.0))]
+    found = relax(rod, Material(1.04e5, 1.04e5, 6.17), clamps, precision=precision, obstacles=[TABLE, *pegs], radius=1.0)
+    assert found.status[0] == Status.STALLED and found.iterations[0] < 400
+    assert np.isfinite(found.contact_force).all()
