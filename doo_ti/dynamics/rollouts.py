@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from doo_ti.contact.gap_tolerance import GAP_TOLERANCE
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.layout import Layout, lay_out
 from doo_ti.dynamics.parameters import Direction, MovingStart, Stepping
@@ -15,7 +16,6 @@ from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.dynamics.simulate import simulate
 from doo_ti.dynamics.theta import MotionTheta, simulated
 from doo_ti.dynamics.trajectory import Trajectory
-from doo_ti.relaxation.contact_layout import GAP_TOLERANCE
 from doo_ti.types import Clamp
 
 SMOOTHED = 0.09

@@ -216,7 +216,8 @@ class _Motion:
             slopes = trial_motion.slopes(table, 1.0, directions, remembered)
             time = np.array([trial_step, 1.0, 0.0, 1.0, 0.0])
             poses = None if self.poses is None else np.ascontiguousarray(self.poses[:, [0, ahead]])
-            make_steps(table, trial, path, numbers, shares, time, 1, _newton(False, bool(self.surroundings)), 64, slopes, poses)
+            newton = _newton(self.stepping, bool(self.surroundings))
+            make_steps(table, trial, path, numbers, shares, time, 1, newton, 64, slopes, poses)
             moved = trial.places[..., VELOCITY_1 : VELOCITY_1 + 3]
             a = np.where((trial.status == Status.CONVERGED)[:, None, None], (moved - v) / trial_step, 0.0)
             v = v + age * a
@@ -250,7 +251,7 @@ class _Motion:
 
         def launch(first: int, last: int, every: int):
             path = clamp_path(self.grippers, self.start, slice(first, last))
-            newton = _newton(self.stepping.quasi_static, bool(self.surroundings))
+            newton = _newton(self.stepping, bool(self.surroundings))
             poses = None if self.poses is None else np.ascontiguousarray(self.poses[:, first : last + 1])
             return make_steps(table, memory, path, numbers, shares, time, every, newton, bits, slopes, poses)
 
@@ -296,13 +297,13 @@ def _step_by_step(launch, first: int, last: int, memory: Memory, account: Accoun
     return positions, outcome, changes, forces, touches
 
 
-def _newton(quasi_static: bool, in_contact: bool) -> Newton:
+def _newton(stepping: Stepping, in_contact: bool) -> Newton:
     """Of a time step: from where the rod would go by itself, undamped, and never off a saddle, unless nothing but its energy
     decides where it goes. A quasi-static step that takes long is divided instead; one with inertia cannot be."""
-    if quasi_static:
-        return Newton(first_shift=0.0)
-    limit = MOST_IN_CONTACT if in_contact else Newton.max_iterations
-    return Newton(max_iterations=limit, first_shift=0.0, max_escapes=0)
+    newton = Newton(first_shift=0.0, gap_tolerance=stepping.gap_tolerance)
+    if stepping.quasi_static:
+        return newton
+    return replace(newton, max_iterations=MOST_IN_CONTACT if in_contact else newton.max_iterations, max_escapes=0)
 
 
 def _memory(frames, x, v, a, h: float, status) -> Memory:

@@ -53,8 +53,6 @@ TURN, SHIFT, TURN_BEFORE, SHIFT_BEFORE, CARRY, CARRIED, OBSTACLE_ITEMS = (
 REMEMBERED, REMEMBERED_IN_MOTION = 2, 16
 """Items of a contact that last from one relaxation to the next, and from one step to the next."""
 
-GAP_TOLERANCE = 2e-4
-"""Of a rod's radius: how far a gap may be off, or a force over the stiffness κ, unless the solver says another."""
 SEARCHES = 24
 """Evaluations, at most, to find the point of an edge that is nearest to an obstacle."""
 SAG = 0.1

@@ -11,10 +11,11 @@ from functools import cache
 import taichi as ti
 
 from doo_ti import runtime
+from doo_ti.contact.gap_tolerance import GAP_TOLERANCE, require_gap_tolerance
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import record
-from doo_ti.relaxation.contact_layout import GAP_TOLERANCE, contact_items
+from doo_ti.relaxation.contact_layout import contact_items
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.dense_elimination import DenseElimination
 from doo_ti.relaxation.elimination import Elimination
@@ -26,8 +27,6 @@ from doo_ti.relaxation.self_contacts import SelfContacts
 
 MOST_IN_CONTACT = 1000
 """Iterations allowed per rod where no solver is given and rods may touch something: on a slope they slide far."""
-LEAST_GAP_TOLERANCE = 1e-10
-"""Smaller ones are below rounding."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +39,8 @@ class Newton:
                     descent more closely and takes more iterations (``careful``).
     max_rotation    largest turn of any edge in one step, rad
     max_escapes     how often a rod may leave a saddle it has converged to
-    gap_tolerance   of a rod's radius: how far the gap at a contact may be off; in f32 at least 2e-6 of the length. Shapes and
-                    forces of contacts are as exact as gaps: with edges shorter than about a radius a smaller one pays
+    gap_tolerance   of a rod's radius: how far the gap at a contact may be off; in f32 at least 2e-6 of the length. Forces of
+                    single contacts are the more exact, the smaller it is, above all those of stiff rods with short edges
     """
 
     tolerance: float | None = None
@@ -52,7 +51,7 @@ class Newton:
     gap_tolerance: float = GAP_TOLERANCE
 
     def __post_init__(self) -> None:
-        for name in ("first_shift", "max_rotation", "gap_tolerance", *(() if self.tolerance is None else ("tolerance",))):
+        for name in ("first_shift", "max_rotation", *(() if self.tolerance is None else ("tolerance",))):
             require_number("Newton", name, getattr(self, name))
         if self.tolerance is not None and not self.tolerance > 0:
             raise InputError("Newton", "tolerance", f"{self.tolerance} is not positive", "give a positive number")
@@ -60,9 +59,7 @@ class Newton:
             require_whole("Newton", name, getattr(self, name), least)
         if not 0 < self.max_rotation <= 1:
             raise InputError("Newton", "max_rotation", f"{self.max_rotation}", "give radians above 0, at most 1")
-        if not LEAST_GAP_TOLERANCE <= self.gap_tolerance <= 0.1:
-            raise InputError("Newton", "gap_tolerance", f"{self.gap_tolerance:g} of the radius is not allowed",
-                             f"give a number from {LEAST_GAP_TOLERANCE:g} to 0.1")
+        require_gap_tolerance("Newton", self.gap_tolerance)
         if not 0 <= self.first_shift < float("inf"):
             raise InputError("Newton", "first_shift", f"{self.first_shift}", "give a finite number from zero up")
 

@@ -7,11 +7,12 @@ import numpy as np
 import taichi as ti
 
 from doo_ti import runtime
+from doo_ti.contact.gap_tolerance import GAP_TOLERANCE
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import against, forward, negated, plus, record, repeated, symmetric_gram, variable
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_layout import GAP_TOLERANCE, contact_items
+from doo_ti.relaxation.contact_layout import contact_items
 from doo_ti.relaxation.contact_sensitivity import ContactSensitivity, Kept
 from doo_ti.relaxation.contact_table import ContactTable
 from doo_ti.relaxation.elimination import Elimination

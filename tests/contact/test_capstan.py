@@ -56,7 +56,7 @@ def tensions(obstacle, angle: float, pitch: float, edges: int = 60) -> tuple[flo
     return np.linalg.norm(drawn), np.linalg.norm(held)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("degrees, friction", [(90, 0.1), (90, 0.5), (180, 0.3), (360, 0.1), (360, 0.5), (720, 0.3),
                                                (720, 0.5)])
 def test_the_tensions_are_apart_by_the_capstan_equation(degrees, friction):
@@ -67,7 +67,7 @@ def test_the_tensions_are_apart_by_the_capstan_equation(degrees, friction):
     assert abs(drawn / held / np.exp(friction * angle) - 1.0) < 0.02
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("degrees, friction", [(60, 0.3), (90, 0.3), (120, 0.2)])
 def test_pulled_through_a_ring_too(degrees, friction):
     angle = np.deg2rad(degrees)

@@ -65,7 +65,7 @@ def test_at_rest_on_a_smooth_slope():
     check(found.configuration.vertices[0], found.contact_force[0], 0.0, HELD, 1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_drawn_up_a_slope_with_friction():
     path = (HELD + np.linspace(0.0, DRAWN, INSTANTS)[:, None] * UPHILL)[None]
     frames = np.broadcast_to(np.eye(3), (1, INSTANTS, 3, 3)).copy()

@@ -59,7 +59,7 @@ def errors(obstacle, edges: int, solver: Newton | None = None) -> tuple[float, f
             np.linalg.norm(pushed.sum(axis=0) / (-2 * force[1]) - [0.0, 0.0, 1.0]), abs(middle * ARC / TENSION - 1.0))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("obstacle", [Sphere((0, 0, 0), ROUND), Ring((0, 0, 4 * ROUND), (1, 0, 0), 4 * ROUND, ROUND)],
                          ids=("sphere", "ring"))
 def test_the_shape_and_the_forces_are_those_of_an_elastica(obstacle):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti.cli import main
+from doo_ti.contact.gap_tolerance import GAP_TOLERANCE
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Capsule, Cylinder, Plane
 from doo_ti.contact.touch import Touch
@@ -18,7 +19,6 @@ from doo_ti.frames import rotation_matrix
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.material import Material
 from doo_ti.prediction.moving import predict_moving
-from doo_ti.relaxation.contact_layout import GAP_TOLERANCE
 from doo_ti.relaxation.relax import relax
 from doo_ti.rods import hanging, straight_rod
 from doo_ti.types import Clamp

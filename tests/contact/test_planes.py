@@ -85,14 +85,14 @@ def errors(case: tuple, edges: int) -> tuple[float, float, float]:
     return found.end_force[0, 0] / thrust - 1.0, pushed / (lift - lift_after) - 1.0, off.max() / HEIGHT
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_pressed_against_a_plane_it_touches_at_its_middle():
     coarse, fine = (np.abs(errors(SYMMETRIC, edges)) for edges in (80, 160))
     assert (fine < 5e-3).all()
     assert (coarse / fine > 3.5).all(), "second order in the length of an edge"
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_pressed_more_it_touches_beside_its_middle():
     """The vertices that touch are up to an edge beside the contact of a smooth rod."""
     thrust, _, shape = np.abs(errors(BESIDE, 160))
@@ -125,8 +125,11 @@ def bend_errors(edges: int, solver: Newton | None = None) -> tuple[float, float]
     return found.configuration.curvature.max() * DISTANCE / TWO_POINTS - 1.0, pushed / force - 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_bend_between_planes_has_the_curvature_and_force_of_two_point_bending():
-    coarse, fine = (np.abs(bend_errors(edges)) for edges in (80, 160))
+    curvature, force = np.abs(bend_errors(160))
+    # Legs that lie along the planes are stiff: what gaps are off by shows in the force.
+    assert curvature < 1e-3 and force < 0.02
+    coarse, fine = (np.abs(bend_errors(edges, EXACT)) for edges in (80, 160))
     assert (fine < 1e-3).all()
     assert (coarse / fine > 3.0).all(), "second order in the length of an edge"

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from doo_ti import Clamp, Configuration, Itself, Material, Newton, Plane, Sphere, end_clamps, end_loads, overhand_knot, relax
 from doo_ti.frames import rotation_matrix

@@ -12,8 +12,10 @@ from doo_ti.types import Clamp, Configuration
 
 SLOPE, LENGTH, EDGES, RADIUS, RATE, INSTANTS = np.deg2rad(20.0), 40.0, 6, 1.0, 200.0, 41
 
+STEPPING = Stepping(RATE)
 
-def on_slope(frictions):
+
+def on_slope(frictions, stepping: Stepping = STEPPING):
     """The motion of rods across slopes with these coefficients of friction, from rest."""
     up = np.array([-np.sin(SLOPE), 0.0, np.cos(SLOPE)])
     one = Configuration.straight(np.array([0.0, 0.0, RADIUS]), np.array([0.0, 1.0, 0.0]), LENGTH, EDGES)
@@ -22,7 +24,7 @@ def on_slope(frictions):
     x, frames = rods.vertices, rods.frames
     ends = [np.repeat(place[:, None], INSTANTS, 1) for place in (x[:, 0], x[:, -1], frames[:, 0], frames[:, -1])]
     plane = Plane((0, 0, 0), (0, 0, 1), friction=np.array(frictions))
-    return simulate(rods, Material(1e7, 1e7), Grippers(Clamp.FREE, Clamp.FREE, *ends), Dynamics(), Stepping(RATE), up=up,
+    return simulate(rods, Material(1e7, 1e7), Grippers(Clamp.FREE, Clamp.FREE, *ends), Dynamics(), stepping, up=up,
                     obstacles=[plane], radius=RADIUS)
 
 

@@ -1,6 +1,7 @@
 """A bowed rope on a table of which one end is pushed: what moves slips, what stays where it is sticks."""
 
 import numpy as np
+
 from doo_ti.contact.obstacles import Plane
 from doo_ti.contact.touch import Touch
 from doo_ti.dynamics.grippers import Grippers

@@ -6,6 +6,7 @@ from threading import Thread
 import numpy as np
 import pytest
 
+from doo_ti.dynamics.parameters import Stepping
 from doo_ti.errors import InputError
 from doo_ti.io.observations import Observations
 from doo_ti.metric import distance
@@ -30,6 +31,7 @@ OPTIONS = {
     "no escapes": lambda: Newton(max_escapes=None), "escapes below zero": lambda: Newton(max_escapes=-1),
     "a flag of iterations": lambda: Newton(max_iterations=True), "text": lambda: Newton(tolerance="x"),
     "no shift": lambda: Newton(first_shift=None), "an endless shift": lambda: Newton(first_shift=np.inf),
+    "gaps without tolerance": lambda: Newton(gap_tolerance=0.0), "gaps of a radius": lambda: Stepping(100.0, gap_tolerance=1.0),
     "descent without end": lambda: Descent(max_iterations=2**31), "descent to nothing": lambda: Descent(tolerance=None),
     "no materials": lambda: Material([], 1.0), "a number too large": lambda: Material(10**400, 1.0),
     "twist of three axes": lambda: Material(1.0, np.ones((2, 3, 2))),

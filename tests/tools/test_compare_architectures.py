@@ -13,7 +13,8 @@ def test_a_case_leaves_what_it_found_and_how_long_it_took(tmp_path, monkeypatch)
     monkeypatch.setitem(compare_architectures.CASES, "numbers", prepared)
     one("numbers", 4, 2, tmp_path / "found.npz")
     found = np.load(tmp_path / "found.npz")
-    assert (found["values"] == np.arange(12.0).reshape(4, 3)).all() and found["converged"].all() and (found["seconds"] > 0).all()
+    assert (found["values"] == np.arange(12.0).reshape(4, 3)).all()
+    assert found["converged"].all() and (found["seconds"] > 0).all()
 
 
 def test_other_minima_are_counted_apart():

@@ -1,0 +1,15 @@
+"""How far the gap at a contact may be off (docs/contact.md)."""
+
+from doo_ti.errors import InputError, require_number
+
+GAP_TOLERANCE = 2e-4
+"""Of a rod's radius, unless another is given: a gap may be off by that, or a force by that times the stiffness κ."""
+LEAST, MOST = 1e-10, 0.1
+"""Smaller ones are below rounding."""
+
+
+def require_gap_tolerance(source: str, value: float) -> None:
+    """Raise InputError, naming ``source``, unless ``value`` may be given."""
+    require_number(source, "gap_tolerance", value)
+    if not LEAST <= value <= MOST:
+        raise InputError(source, "gap_tolerance", f"{value:g} of the radius is not allowed", f"give {LEAST:g} to {MOST:g}")
