@@ -174,5 +174,7 @@ def _near(obstacles: Sequence[Obstacle], radius: np.ndarray, clamps: np.ndarray,
     if obstacles:
         centre, reach = centre[index], reach[index] + radius
     for obstacle in obstacles:
+        if near.all():
+            break
         near = near | ~(obstacle.distance(centre[:, None])[0][:, 0] > reach)
     return near

@@ -2,8 +2,9 @@
 
 Heavy rods of 33 edges, both ends held, on a table with two pegs in their way, NumPy in to NumPy out. *laid down*: from straight
 starts that do not meet their clamps; *moved on*: from rest on the table, with other weights and far ends moved by up to a tenth
-of the span; *out of reach*: as these, with the table and the pegs far away; *alone* and *its own obstacle*: as these, without
-them, and where no rod may pass through itself; *Jacobians*: derivatives of these rods, at rest, by the poses of both grippers.
+of the span; *other material*: these solutions relaxed again, with other stiffness and weight; *out of reach*: moved on, with
+the table and the pegs far away; *alone* and *its own obstacle*: without them, and where no rod may pass through itself;
+*Jacobians*: derivatives of these rods, at rest, by the poses of both grippers.
 Ratios are to a NumPy workload timed in the same round; ``--check`` and ``--write`` are those of the benchmark of relaxations.
 """
 
@@ -77,6 +78,14 @@ class Specimens:
         kept = np.resize(np.flatnonzero(found.status != Status.INFEASIBLE), self.count)
         return start.take(kept), other.take(kept), held.take(kept)
 
+    def other_material(self, precision: str) -> Outcome:
+        """Relax those at rest among the obstacles again, with stiffness and weight up to a quarter larger or smaller."""
+        random, rest = np.random.default_rng(SEED + 2), self.on_table
+        stiffness, weight = 1.25 ** random.uniform(-1, 1, (2, self.count))
+        _, material, _ = self.moved_on
+        bend = material.bend[:, 0, 0, 0] * stiffness
+        return _outcome(relax(rest, Material(bend, bend, material.weight * weight), precision=precision))
+
     def resting(self, among: list) -> Solution:
         """Those moved on, at rest."""
         rods, material, clamps = self.moved_on
@@ -100,10 +109,13 @@ class Specimens:
     def relaxed(self, which: str, precision: str, among: list) -> Outcome:
         """Relax the rods of that name once ``among`` obstacles."""
         rods, material, clamps = getattr(self, which)
-        found = relax(rods, material, clamps, precision=precision, obstacles=among, radius=RADIUS)
-        done = found.converged
-        return Outcome(float(done.sum()), float(done.mean()), float(found.stable.mean()),
-                       float(np.max(found.residual[done], initial=0.0)), found.iterations)
+        return _outcome(relax(rods, material, clamps, precision=precision, obstacles=among, radius=RADIUS))
+
+
+def _outcome(found: Solution) -> Outcome:
+    done = found.converged
+    return Outcome(float(done.sum()), float(done.mean()), float(found.stable.mean()),
+                   float(np.max(found.residual[done], initial=0.0)), found.iterations)
 
 
 def cases(rods: Specimens) -> list[Case]:
@@ -113,6 +125,8 @@ def cases(rods: Specimens) -> list[Case]:
                   ("laid down", "laid_down", obstacles()), ("moved on", "moved_on", obstacles()),
                   ("out of reach", "moved_on", obstacles(1e4)), ("alone", "moved_on", []),
                   ("its own obstacle", "moved_on", [Itself()]))
+              for precision in ("f32", "f64")),
+            *(Case(f"other material, {precision}", "rods/s", partial(rods.other_material, precision))
               for precision in ("f32", "f64")),
             Case("Jacobians, moved on", "rods/s", partial(rods.derived, "on_table")),
             Case("Jacobians, alone", "rods/s", partial(rods.derived, "alone"))]
