@@ -58,6 +58,7 @@ from doo_ti.relaxation.contact_layout import (
     THICKER,
     THINNER,
     THROUGH,
+    TIGHT,
     TURN,
     TURN_BEFORE,
     VERTEX_ITEMS,
@@ -234,7 +235,7 @@ class Contacts(ContactRounds):
         for k in ti.static(range(len(head))):
             self.put(scratch, base + k * self.stride, slot, head[k])
         self.put(scratch, base + FIRST_VISCOSITY * self.stride, slot, viscosity)
-        for item in ti.static((SETTLING, EARLY, EXPECTING, LARGEST)):
+        for item in ti.static((SETTLING, EARLY, EXPECTING)):
             self.put(scratch, base + item * self.stride, slot, 0.0)
         for o in range(count):
             at = base + (HEAD + o * OBSTACLE_ITEMS) * self.stride
@@ -243,6 +244,7 @@ class Contacts(ContactRounds):
                 factor = ti.select(is_length, 1.0 / unit, ti.cast(1.0, ti.f64))
                 self.put(scratch, at + k * self.stride, slot, tables.obstacles[own, o, k] * factor)
         first = base + (HEAD + count * OBSTACLE_ITEMS) * self.stride
+        largest = ti.cast(0.0, ti.f64)
         for v in range(vertices):
             at = first + v * (VERTEX_ITEMS + count * CONTACT_ITEMS) * self.stride
             self.put(scratch, at + ROOM * self.stride, slot, 1e30)
@@ -255,9 +257,15 @@ class Contacts(ContactRounds):
                     self.put(scratch, contact + k * self.stride, slot, 0.0)
                 for k in range(tables.memory.shape[3]):
                     self.put(scratch, contact + k * self.stride, slot, tables.memory[row, v, o, k])
-                if v == 0:  # memory has other numbers there
+                largest = ti.max(largest, tables.memory[row, v, o, FORCE])
+                if v > 0:
+                    largest = ti.max(largest, tables.memory[row, v, o, FORCE_BETWEEN])
+                else:  # memory has other numbers there
                     for pair in ti.static(CARRIED_ON):
                         self.put(scratch, contact + pair[0] * self.stride, slot, 0.0)
+        # A rod that begins with large forces would slip into the obstacle if κ gave way as if it had none.
+        self.put(scratch, base + LARGEST * self.stride, slot, largest)
+        self.put(scratch, base + STIFFNESS * self.stride, slot, ti.max(stiffness, largest / (TIGHT * radius)))
         self.load_pairs(tables, scratch, slot, row)
 
     @ti.func
