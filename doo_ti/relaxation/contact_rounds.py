@@ -254,9 +254,10 @@ class ContactRounds(ContactEnergy):
     @ti.func
     def soften(self, rod, where):
         """Make κ smaller, down to the first, in the lanes ``where`` a step was refused; returns those in which it had grown."""
-        stiffness, first = self.item(rod, STIFFNESS), self.item(rod, FIRST_STIFFNESS)
-        softer = where & ~self.behind(rod) & (stiffness > first)
-        self.set_item(rod, STIFFNESS, softer, ti.max(stiffness / STIFFER, first))
+        stiffness = self.item(rod, STIFFNESS)
+        least = ti.max(self.item(rod, FIRST_STIFFNESS), self.tight(rod))
+        softer = where & ~self.behind(rod) & (stiffness > least)
+        self.set_item(rod, STIFFNESS, softer, ti.max(stiffness / STIFFER, least))
         return softer
 
     @ti.func
@@ -317,8 +318,12 @@ class ContactRounds(ContactEnergy):
     @ti.func
     def tighten(self, rod, where):
         """Make κ so large that it gives way by no more than a part of the radius under the largest force."""
-        least = self.item(rod, LARGEST) / (TIGHT * self.item(rod, RADIUS))
-        self.set_item(rod, STIFFNESS, where, ti.max(self.item(rod, STIFFNESS), least))
+        self.set_item(rod, STIFFNESS, where, ti.max(self.item(rod, STIFFNESS), self.tight(rod)))
+
+    @ti.func
+    def tight(self, rod):
+        """The κ that gives way by a part of the radius under the largest force."""
+        return self.item(rod, LARGEST) / (TIGHT * self.item(rod, RADIUS))
 
     @ti.func
     def settle_between(self, rod, index, o, due, gap, force):
