@@ -63,8 +63,9 @@ SOFT = 0.1
 """Of a radius: at first κ gives way by that under such a force."""
 THROUGH = 0.4
 """Of the way to the middle of an obstacle: at first κ gives way by that, at most, under the weight of the whole rod."""
-TIGHT = 0.3
-"""Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does."""
+TIGHT, SOFTEST = 0.3, 1.0
+"""Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does; and where a step
+was refused, so that the rod does not slip into the obstacle."""
 EARLY_ROTATION, EARLY_SHIFT, EARLY_STIFFER, MOST_EARLY = 3e-2, 1e-3, 7.0, 12.0
 """A step in which every edge turns by less than that, rad, settles forces, unless a larger shift, over H's largest diagonal
 entry, makes it small; κ is from then on at least so many times the first; and at most so many steps of a rod do so."""

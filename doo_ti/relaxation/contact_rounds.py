@@ -49,6 +49,7 @@ from doo_ti.relaxation.contact_layout import (
     SETTLING,
     SLACK,
     SLOW,
+    SOFTEST,
     STAGE,
     STAGES,
     STANDING,
@@ -253,9 +254,10 @@ class ContactRounds(ContactEnergy):
 
     @ti.func
     def soften(self, rod, where):
-        """Make κ smaller, down to the first, in the lanes ``where`` a step was refused; returns those in which it had grown."""
+        """Make κ smaller, down to the first or to what bears the forces, in the lanes ``where`` a step was refused; returns
+        those in which it had grown."""
         stiffness = self.item(rod, STIFFNESS)
-        least = ti.max(self.item(rod, FIRST_STIFFNESS), self.tight(rod))
+        least = ti.max(self.item(rod, FIRST_STIFFNESS), self.bearing(rod, SOFTEST))
         softer = where & ~self.behind(rod) & (stiffness > least)
         self.set_item(rod, STIFFNESS, softer, ti.max(stiffness / STIFFER, least))
         return softer
@@ -318,12 +320,12 @@ class ContactRounds(ContactEnergy):
     @ti.func
     def tighten(self, rod, where):
         """Make κ so large that it gives way by no more than a part of the radius under the largest force."""
-        self.set_item(rod, STIFFNESS, where, ti.max(self.item(rod, STIFFNESS), self.tight(rod)))
+        self.set_item(rod, STIFFNESS, where, ti.max(self.item(rod, STIFFNESS), self.bearing(rod, TIGHT)))
 
     @ti.func
-    def tight(self, rod):
-        """The κ that gives way by a part of the radius under the largest force."""
-        return self.item(rod, LARGEST) / (TIGHT * self.item(rod, RADIUS))
+    def bearing(self, rod, share: ti.template()):
+        """The κ that gives way by that share of the radius under the largest force."""
+        return self.item(rod, LARGEST) / (share * self.item(rod, RADIUS))
 
     @ti.func
     def settle_between(self, rod, index, o, due, gap, force):
