@@ -26,6 +26,7 @@ from doo_ti.relaxation.contact_layout import (
     ACTIVE,
     BARRIER,
     CLOSEST,
+    COMPLIANCE,
     CURVATURE,
     CURVATURES,
     CURVATURES_S,
@@ -73,7 +74,6 @@ from doo_ti.relaxation.contact_layout import (
     VALUE,
     WALL,
     WEIGHT,
-    YIELD,
 )
 from doo_ti.relaxation.contact_places import ContactPlaces
 
@@ -308,7 +308,7 @@ class ContactEnergy(ContactPlaces):
         stiffness = self.item(rod, STIFFNESS)
         push = ti.max(force - stiffness * gap, 0.0 * gap)
         acting = ti.select(push > 0.0, stiffness, 0.0 * gap)
-        energy = 0.5 * push * push * self.item(rod, YIELD)
+        energy = 0.5 * push * push * self.item(rod, COMPLIANCE)
         if self.some_behind(rod):
             behind = self.behind(rod)
             wall = self.barrier(rod, gap)

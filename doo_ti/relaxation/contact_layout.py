@@ -21,7 +21,7 @@ FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH, WAY_MADE, WAY, MULTIPLIER, LARGE
 # refused, and the length of the longest edge. And of one edge the
 # derivatives of the energy of its contacts between its ends, as :meth:`.LoadedElimination.load` returns them, and how much of
 # the first two is not of known forces; and those by the place of the vertex where it ends of the energy of the contacts there.
-ENERGY, MAGNITUDE, CROSSING, DEEPEST, CLOSEST, SETTLED, SETTLING, EARLY, YIELD, EXPECTING, EXPECTED = (
+ENERGY, MAGNITUDE, CROSSING, DEEPEST, CLOSEST, SETTLED, SETTLING, EARLY, COMPLIANCE, EXPECTING, EXPECTED = (
     22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32)
 SOME_BEHIND, SOME_EXPECTING, LONGEST_EDGE = 33, 34, 35
 GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, EXCESS, EXCESS_S = 36, 39, 42, 48, 57, 63, 66

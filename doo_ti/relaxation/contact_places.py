@@ -11,6 +11,7 @@ from doo_ti.relaxation.contact_layout import (
     CARRIED,
     CARRY,
     CLOSEST,
+    COMPLIANCE,
     CONTACT_ITEMS,
     CROSSING,
     CURVATURE,
@@ -41,7 +42,6 @@ from doo_ti.relaxation.contact_layout import (
     TOLERANCE,
     VALUE,
     VERTEX_ITEMS,
-    YIELD,
 )
 
 
@@ -114,7 +114,7 @@ class ContactPlaces:
         zero = 0.0 * rod.total
         most = zero + 1e30
         self.store(rod.scratch, rod.contacts + ENERGY * self.stride, (zero, zero, zero, most, most, zero))
-        rod.scratch[rod.contacts + YIELD * self.stride] = 1.0 / self.item(rod, STIFFNESS)
+        rod.scratch[rod.contacts + COMPLIANCE * self.stride] = 1.0 / self.item(rod, STIFFNESS)
         rod.scratch[rod.contacts + EXPECTED * self.stride] = zero
         self.put_common(rod, SOME_BEHIND, ti.select(self.behind(rod), zero + 1.0, zero))
         self.put_common(rod, SOME_EXPECTING, self.item(rod, EXPECTING))

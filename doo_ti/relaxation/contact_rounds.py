@@ -94,7 +94,6 @@ class ContactRounds(ContactEnergy):
         radius = self.item(rod, RADIUS)
         slack = ti.select(behind, self.item(rod, OFFSET), SLACK * radius)
         floor = ti.select(behind, zero - 1e30, zero)
-        # The largest share, as a fraction: a division for each contact would take longer than the rest.
         most = zero
         if self.is_any_close(rod, at) or (index > 0 and self.is_any_close(rod, self.vertex(rod, index - 1))):
             for o in range(rod.obstacles):
@@ -114,12 +113,6 @@ class ContactRounds(ContactEnergy):
                     share = (0.0 - APPROACH) * dot(away, between) / ti.max(gap, 1e-6 * radius)
                     most = ti.select(weight > 0.0, ti.max(most, share), most)
         return ti.max(dot(move, move) * self.nearness(rod, index, at), most * most)
-
-    @ti.func
-    def take_share(self, most, part, whole, counts):
-        """Take the share part/whole into the largest, where it ``counts``."""
-        larger = counts & (part * most.whole > most.part * whole)
-        most.part, most.whole = ti.select(larger, part, most.part), ti.select(larger, whole, most.whole)
 
     # --- rounds ---
 
