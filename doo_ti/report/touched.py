@@ -14,8 +14,9 @@ from doo_ti.contact.surroundings import Surroundings
 PLANE_COLOR, OBSTACLE, FORCE = "#eceef2", "#c9ced8", "#1d4ed8"
 FAINT = 0.25
 """Of an obstacle that has moved on."""
-LONG, MOST_SHORTER = 0.2, 0.95
-"""Of the size of the scene: the length of an arrow; that share of all forces has shorter ones."""
+LONG, MOST_SHORTER, LONGEST = 0.2, 0.95, 0.3
+"""Of the size of the scene: the length of an arrow; that share of all forces has shorter ones; and the most at the last frame,
+which pictures show."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,8 @@ class Touched:
         force = np.linalg.norm(self.force, axis=-1)
         if not (force > 0).any():
             return 1.0
-        wanted = LONG * self._box[1] / np.quantile(force[force > 0], MOST_SHORTER)
+        wanted = self._box[1] * min(LONG / np.quantile(force[force > 0], MOST_SHORTER),
+                                    LONGEST / max(np.nanmax(force[:, -1], initial=0.0), 1e-300))
         power = 10.0 ** np.floor(np.log10(wanted))
         return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= wanted * (1 + 1e-9)))
 
