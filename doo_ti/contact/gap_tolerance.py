@@ -5,7 +5,7 @@ from doo_ti.errors import InputError, require_number
 GAP_TOLERANCE = 2e-4
 """Of a rod's radius, unless another is given: a gap may be off by that, or a force by that times the stiffness κ."""
 LEAST, MOST = 1e-10, 0.1
-"""Smaller ones are below rounding."""
+"""What may be given; smaller ones are below rounding."""
 
 
 def require_gap_tolerance(source: str, value: float) -> None:

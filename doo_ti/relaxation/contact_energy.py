@@ -386,8 +386,8 @@ class ContactEnergy(ContactPlaces):
 
     @ti.func
     def expect(self, rod, at, force, gap, counts, pushed):
-        """Give a contact that ``counts`` but does not push the derivatives as if it did, where it pushed in the step that was
-        just refused, as ``at`` in scratch says, which is renewed. ``pushed``: as :meth:`push` has it."""
+        """After a refused step, add to the derivatives a contact that pushed where the step ended and does not push now.
+        ``at``: where scratch notes whether it pushes, renewed here; ``pushed``: the result of :meth:`push`, changed here."""
         if ti.static(self.expects):
             zero, before = 0.0 * gap, rod.scratch[at]
             pushes = counts & (pushed.push > 0.0)

@@ -73,8 +73,8 @@ STIFFER, SLOW, STIFFEST = 5.0, 0.3, 1e6
 """κ grows by so much where a round leaves more than that share of the change of the round before, up to so many times the
 first."""
 HOPELESS, HOPELESS_32 = 1e11, 1e7
-"""Times the first κ and the radius: a force that only a rod has which cannot get out of an obstacle; in f32, after which f64
-takes over, less."""
+"""Times the first κ and the radius: larger contact forces mean that the rod cannot get out of an obstacle. In f32 the limit is
+lower, and f64 continues."""
 OPEN = 0.01
 """Of a radius: a round that changes a gap by more has left it open."""
 SECANT = 0.3

@@ -197,15 +197,14 @@ class ContactRounds(ContactEnergy):
         radius, stiffness, behind = self.item(rod, RADIUS), self.item(rod, STIFFNESS), self.behind(rod)
         # Friction settles no sooner with a larger κ.
         found = record(change=zero, secant=zero, largest=zero, rubbed=zero)
-        some_behind = self.some(due & behind, zero)
         for v in range(rod.edges + 1):
             at = self.vertex(rod, v)
             for o in range(rod.obstacles):
                 contact = self.contact(at, o)
                 if self.is_close(rod, contact) or self.is_edge_close(rod, v, o):
-                    self.settle_vertex(rod, contact, due, some_behind, found)
+                    self.settle_vertex(rod, contact, due, found)
                     if self.is_curved(rod, o):
-                        self.settle_edge(rod, v, o, contact, due, some_behind, found)
+                        self.settle_edge(rod, v, o, contact, due, found)
                 else:
                     self.settle_far(rod, contact, due, found)
                 if ti.static(self.rub):
@@ -256,16 +255,16 @@ class ContactRounds(ContactEnergy):
         return softer
 
     @ti.func
-    def settle_vertex(self, rod, contact, due, some_behind, found):
+    def settle_vertex(self, rod, contact, due, found):
         """The new force of the contact of a vertex."""
         old = rod.scratch[contact + FORCE * self.stride]
         gap = rod.scratch[contact + VALUE * self.stride] - self.item(rod, RADIUS)
-        new = self.settled_force(rod, old, gap, some_behind)
-        self.note_force(rod, found, gap, old, new, some_behind)
+        new = self.settled_force(rod, old, gap)
+        self.note_force(rod, found, gap, old, new)
         rod.scratch[contact + FORCE * self.stride] = ti.select(due, new, old)
 
     @ti.func
-    def settle_edge(self, rod, index, o, contact, due, some_behind, found):
+    def settle_edge(self, rod, index, o, contact, due, found):
         """That of the edge to vertex ``index``; none ends at vertex 0."""
         zero = 0.0 * rod.total
         old = rod.scratch[contact + FORCE_BETWEEN * self.stride]
@@ -273,16 +272,16 @@ class ContactRounds(ContactEnergy):
         sagging, weight = rod.scratch[contact + SAGGING * self.stride], rod.scratch[contact + WEIGHT * self.stride]
         known = ((weight > 0.0) | (sagging > 0.0)) & (index > 0)
         gap = ti.select(known, rod.scratch[contact + VALUE_BETWEEN * self.stride] - self.item(rod, RADIUS), zero + 1e6)
-        new, late = self.settle_between(rod, index, o, due, gap, self.settled_force(rod, old, gap, some_behind))
+        new, late = self.settle_between(rod, index, o, due, gap, self.settled_force(rod, old, gap))
         found.change = largest_of(found.change, ti.select(self.behind(rod), zero, late))
-        self.note_force(rod, found, gap, old, new, some_behind)
+        self.note_force(rod, found, gap, old, new)
         rod.scratch[contact + FORCE_BETWEEN * self.stride] = ti.select(due, new, old)
 
     @ti.func
-    def settled_force(self, rod, old, gap, some_behind):
+    def settled_force(self, rod, old, gap):
         """max(0, λ − κ g), or what the barrier exerts."""
         new = ti.max(old - self.item(rod, STIFFNESS) * gap, 0.0 * gap)
-        if some_behind:
+        if self.some_behind(rod):
             new = ti.select(self.behind(rod), self.barrier(rod, gap).push, new)
         return new
 
@@ -294,17 +293,17 @@ class ContactRounds(ContactEnergy):
         old, active = rod.scratch[ends], rod.scratch[contact + ACTIVE * self.stride]
         gap = rod.scratch[contact + VALUE * self.stride] - self.item(rod, RADIUS)
         new = ti.select(self.behind(rod), zero, ti.max(old - self.item(rod, STIFFNESS) * gap, zero))
-        self.note_force(rod, found, gap, old, new, False)
-        self.note_force(rod, found, gap, rod.scratch[between], zero, False)
+        self.note_force(rod, found, gap, old, new)
+        self.note_force(rod, found, gap, rod.scratch[between], zero)
         rod.scratch[ends] = ti.select(due, new, old)
         rod.scratch[between] = ti.select(due, zero, rod.scratch[between])
         rod.scratch[contact + ACTIVE * self.stride] = ti.select(due, zero, active)
         rod.scratch[contact + SAGGING * self.stride] = zero
 
     @ti.func
-    def note_force(self, rod, found, gap, old, new, some_behind):
-        """Take the change of a contact's force, and what the barrier says about κ if ``some_behind``, into ``found``."""
-        if some_behind:
+    def note_force(self, rod, found, gap, old, new):
+        """Take the change of a contact's force, and what the barrier says about κ, into ``found``."""
+        if self.some_behind(rod):
             least = 1e-3 * self.item(rod, RADIUS)
             found.secant = largest_of(found.secant, new / ti.max(gap + self.item(rod, OFFSET), least))
         found.change = largest_of(found.change, absolute(new - old))

@@ -39,8 +39,8 @@ class Newton:
                     descent more closely and takes more iterations (``careful``).
     max_rotation    largest turn of any edge in one step, rad
     max_escapes     how often a rod may leave a saddle it has converged to
-    gap_tolerance   of a rod's radius: how far the gap at a contact may be off; in f32 at least 2e-6 of the length. Forces of
-                    single contacts are the more exact, the smaller it is, above all those of stiff rods with short edges
+    gap_tolerance   of a rod's radius: how far the gap at a contact may be off; in f32 at least 2e-6 of the length. A smaller
+                    value makes the forces of single contacts more exact, above all those of stiff rods with short edges
     """
 
     tolerance: float | None = None

@@ -152,8 +152,9 @@ def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | Non
         batch.continue_newton(table, finer, 64, frames, results, rows, usable)
         # Where f32 has stalled inside an obstacle f64 cannot begin there.
         inside = rows[usable[rows] & (results[rows, of.STATUS] == INFEASIBLE)]
-        usable[inside] = False
-        batch.continue_newton(table, finer, 64, frames, results, inside, usable)
+        if len(inside):
+            usable[inside] = False
+            batch.continue_newton(table, finer, 64, frames, results, inside, usable)
         results[rows, of.ITERATIONS] += before
         results[rows, of.ALONG] = np.where(usable[rows], np.minimum(results[rows, of.ALONG], along), results[rows, of.ALONG])
         bits[rows] = 64

@@ -98,7 +98,6 @@ class SelfContacts(SelfContactEnergy):
         """New forces between edges in the lanes that are ``due``: their largest change to ``found``."""
         zero, radius = 0.0 * rod.total, self.item(rod, RADIUS)
         stiffness, behind = self.item(rod, STIFFNESS), self.behind(rod)
-        some_behind = self.some(due & behind, zero)
         for j in range(2, rod.edges):
             for i in range(j - 1):
                 at = self.pair(rod, i, j)
@@ -107,7 +106,7 @@ class SelfContacts(SelfContactEnergy):
                 if self.some((gap < radius) | (old > 0.0), zero):
                     gap = ti.min(gap, 4.0 * radius)
                     new = ti.select(behind, self.barrier(rod, gap).push, ti.max(old - stiffness * gap, zero))
-                    self.note_force(rod, found, gap, old, new, some_behind)
+                    self.note_force(rod, found, gap, old, new)
                     rod.scratch[at + FORCE * self.stride] = ti.select(due, new, old)
                     if ti.static(self.rub):
                         found.rubbed = largest_of(found.rubbed, self.settle_pair_friction(rod, i, j, at, due))

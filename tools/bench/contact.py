@@ -78,13 +78,17 @@ class Specimens:
         kept = np.resize(np.flatnonzero(found.status != Status.INFEASIBLE), self.count)
         return start.take(kept), other.take(kept), held.take(kept)
 
-    def other_material(self, precision: str) -> Outcome:
-        """Relax those at rest among the obstacles again, with stiffness and weight up to a quarter larger or smaller."""
+    def relaxed_again(self, precision: str) -> Solution:
+        """Those at rest among the obstacles, relaxed again with stiffness and weight up to a quarter larger or smaller."""
         random, rest = np.random.default_rng(SEED + 2), self.on_table
         stiffness, weight = 1.25 ** random.uniform(-1, 1, (2, self.count))
         _, material, _ = self.moved_on
         bend = material.bend[:, 0, 0, 0] * stiffness
-        return _outcome(relax(rest, Material(bend, bend, material.weight * weight), precision=precision))
+        return relax(rest, Material(bend, bend, material.weight * weight), precision=precision)
+
+    def other_material(self, precision: str) -> Outcome:
+        """Relax them so once."""
+        return _outcome(self.relaxed_again(precision))
 
     def resting(self, among: list) -> Solution:
         """Those moved on, at rest."""
