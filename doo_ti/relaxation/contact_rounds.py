@@ -293,8 +293,8 @@ class ContactRounds(ContactEnergy):
         old, active = rod.scratch[ends], rod.scratch[contact + ACTIVE * self.stride]
         gap = rod.scratch[contact + VALUE * self.stride] - self.item(rod, RADIUS)
         new = ti.select(self.behind(rod), zero, ti.max(old - self.item(rod, STIFFNESS) * gap, zero))
-        self.note_force(rod, found, gap, old, new)
-        self.note_force(rod, found, gap, rod.scratch[between], zero)
+        self.note_change(found, old, new)
+        self.note_change(found, rod.scratch[between], zero)
         rod.scratch[ends] = ti.select(due, new, old)
         rod.scratch[between] = ti.select(due, zero, rod.scratch[between])
         rod.scratch[contact + ACTIVE * self.stride] = ti.select(due, zero, active)
@@ -306,6 +306,11 @@ class ContactRounds(ContactEnergy):
         if self.some_behind(rod):
             least = 1e-3 * self.item(rod, RADIUS)
             found.secant = largest_of(found.secant, new / ti.max(gap + self.item(rod, OFFSET), least))
+        self.note_change(found, old, new)
+
+    @ti.func
+    def note_change(self, found, old, new):
+        """Take the change of a contact's force into ``found``."""
         found.change = largest_of(found.change, absolute(new - old))
         found.largest = largest_of(found.largest, new)
 
