@@ -72,7 +72,7 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
 
     @ti.func
     def step(self, rod, scale, moving, before):
-        """Frames Q (1, scale ω/2) and the rods' begins; nothing has to be closed."""
+        """Frames turned by scale ω, and the rods' begins; nothing has to be closed."""
         zero = 0.0 * scale
         none = repeated(zero, 3)
         stepping = (scale > 0.0) | (scale < 0.0)
@@ -84,7 +84,7 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
             w = chosen(stepping, scaled(rotation, scale), none)
             standing = self.load4(rod.scratch, at)
             self.store(rod.scratch, at + STANDING * self.stride, standing)
-            self.store(rod.scratch, at, turned_in_body(standing, w))
+            self.store(rod.scratch, at, turned_in_body(standing, w, rod.spins_first))
             at += self.edge_stride
         for g in range(1, rod.rods):
             member = self.contacts.member(rod, g)
@@ -226,11 +226,12 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
         t, m1, m2 = tangent(q), first_director(q), second_director(q)
         length = rod.scratch[at + LENGTH * self.stride]
         l1, l2 = linear_gradient(force, length, m1, m2)
-        lh = linear_hessian(force, length, t, m1, m2)
+        straighten = linear_hessian(force, length, t)
         welded = self.load3(rod.scratch, self.contacts.edge(rod, e) + MOMENT * self.stride)
         g = plus((slope[0], slope[1] + l1, slope[2] + l2), welded)
-        h = (bent[0], bent[1] + lh[0], bent[2] + lh[1], bent[3] + lh[2], bent[4], bent[5] + lh[2])
-        return g, h, closure_rows(length, m1, m2)
+        # The second derivatives of welds are by rotation vectors: what spinning before tilting makes of them is added here.
+        h = (bent[0], bent[1] - 0.5 * welded[2], bent[2] + 0.5 * welded[1], bent[3] + straighten, bent[4], bent[5] + straighten)
+        return g, self.second_derivatives(rod, h, g), closure_rows(length, m1, m2)
 
     @ti.func
     def assemble_row(self, rod, line, free, across):

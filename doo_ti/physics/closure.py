@@ -15,9 +15,9 @@ def linear_gradient(c, length, m1, m2):
 
 
 @ti.func
-def linear_hessian(c, length, t, m1, m2):
-    """∂²(l c·t)/∂w² = [[0, c1/2, c2/2], [c1/2, −ct, 0], [c2/2, 0, −ct]]: given as (c1/2, c2/2, −ct)."""
-    return (0.5 * length * dot(c, m1), 0.5 * length * dot(c, m2), 0.0 - length * dot(c, t))
+def linear_hessian(c, length, t):
+    """∂²(l c·t)/∂w²: −l c·t for both tilts, and zero for all else, spin included."""
+    return 0.0 - length * dot(c, t)
 
 
 @ti.func

@@ -9,8 +9,9 @@ and m = 2 atan2(q1, q0) is the twist. With l̄ = l_left + l_right and u = ω −
 
     E = (½/l̄) Σ_{left, right} uᵀ B u + β m²/l̄.
 
-Derivatives are with respect to body rotations (a, Ω = w2 + i w3) of the two frames; c = e^{im}/s. The twist enters the
-first and second variations through Im and Re of X Ω̄ and Y Ω̄, because a frame that tilts carries its twist along.
+Derivatives are by the spin a of each frame about its tangent and its tilt Ω = w2 + i w3, the spin made first
+(:func:`.spun_and_tilted`); c = e^{im}/s. The twist enters the variations through X Ω̄ and Y Ω̄, because a frame that tilts
+carries its twist along. Spins change nothing but the twist of an isotropic rod: their second derivatives are 2b ∇m ∇mᵀ.
 
 Two variants of the same energy: isotropic (B = αI, ω̄ = 0), and any symmetric positive definite B per edge with rest
 curvature. Stiffness is passed as a tuple: isotropic (α/l̄, β/l̄), general (B_left, B_right, 1/l̄, β/l̄, u̅) with
@@ -69,16 +70,16 @@ def isotropic_hessian(x, y, inverse, turn, m, stiffness):
     yrr, yri, yii = y[0] * y[0], y[0] * y[1], y[1] * y[1]
     left = (
         b2,
-        ht * x[0] + k * x[1],
-        ht * x[1] - k * x[0],
+        b2 * x[1],
+        0.0 - b2 * x[0],
         h * xrr + t * xri + k * xii + hn,
         (h - k) * xri - ht * (xrr - xii),
         h * xii - t * xri + k * xrr + hn,
     )
     right = (
         b2,
-        ht * y[0] - k * y[1],
-        ht * y[1] + k * y[0],
+        0.0 - b2 * y[1],
+        b2 * y[0],
         h * yrr - t * yri + k * yii + hn,
         (h - k) * yri + ht * (yrr - yii),
         h * yii + t * yri + k * yrr + hn,
@@ -261,10 +262,8 @@ def general_hessian(x, y, inverse, turn, m, stiffness):
     cy = _times(c_bar, y)
     left = (
         _bend_form(b_left, f, dx[0], dx[0]) + b2 - _inner(mu, x),
-        _bend_form(b_left, f, dx[0], dx[1]) + b2 * x[1] + 0.75 * _inner_i(mu, xx) + 0.25 * mu[1]
-        - 0.25 * _inner_i(nu, c_bar) + h * x[0],
-        _bend_form(b_left, f, dx[0], dx[2]) - b2 * x[0] + 0.75 * _inner(mu, xx) - 0.25 * mu[0]
-        + 0.25 * _inner(nu, c_bar) + h * x[1],
+        _bend_form(b_left, f, dx[0], dx[1]) + b2 * x[1] + 0.5 * (mu[1] + _inner_i(mu, xx)),
+        _bend_form(b_left, f, dx[0], dx[2]) - b2 * x[0] - 0.5 * (mu[0] - _inner(mu, xx)),
         _bend_form(b_left, f, dx[1], dx[1]) + _bend_form(b_right, f, dy[0], dy[0]) + b2 * x[1] * x[1]
         + 0.5 * (_inner(mu, x) + _inner(mu, xxx) + _inner(nu, cx_bar)) + h * xx[1],
         _bend_form(b_left, f, dx[1], dx[2]) + _bend_form(b_right, f, dy[0], dy[1]) - b2 * x[0] * x[1]
@@ -274,10 +273,8 @@ def general_hessian(x, y, inverse, turn, m, stiffness):
     )
     right = (
         _bend_form(b_right, f, dy[2], dy[2]) + b2 - _inner(nu, y),
-        _bend_form(b_right, f, dy[2], dy[3]) - b2 * y[1] - 0.75 * _inner_i(nu, yy) - 0.25 * nu[1]
-        + 0.25 * _inner_i(mu, c) + h * y[0],
-        _bend_form(b_right, f, dy[2], dy[4]) + b2 * y[0] - 0.75 * _inner(nu, yy) + 0.25 * nu[0]
-        - 0.25 * _inner(mu, c) + h * y[1],
+        _bend_form(b_right, f, dy[2], dy[3]) - b2 * y[1] - 0.5 * (nu[1] + _inner_i(nu, yy)),
+        _bend_form(b_right, f, dy[2], dy[4]) + b2 * y[0] + 0.5 * (nu[0] - _inner(nu, yy)),
         _bend_form(b_left, f, dx[3], dx[3]) + _bend_form(b_right, f, dy[3], dy[3]) + b2 * y[1] * y[1]
         + 0.5 * (_inner(nu, y) + _inner(nu, yyy) + _inner(mu, cy_bar)) - h * yy[1],
         _bend_form(b_left, f, dx[3], dx[4]) + _bend_form(b_right, f, dy[3], dy[4]) - b2 * y[0] * y[1]

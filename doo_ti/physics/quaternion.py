@@ -64,9 +64,16 @@ def rotated(q, x):
 
 
 @ti.func
-def turned_in_body(q, w):
-    """q (1, w/2) normalised: turned by the rotation vector w given in q's own axes, to second order."""
-    a, b, c = 0.5 * w[0], 0.5 * w[1], 0.5 * w[2]
+def turned_in_body(q, w, spins_first):
+    """q turned by w in its own axes, angles to second order.
+
+    Where ``spins_first`` is zero, by the rotation vector w: q (1, w/2) normalised. Where it is one, q spins about its tangent
+    by w[0] and then tilts about w[1] m1 + w[2] m2 of before: q (1, 0, w[1]/2, w[2]/2) (1, w[0]/2, 0, 0) normalised. The tangent
+    then goes where the tilt takes it, however far the frame spins.
+    """
+    a, r, s = 0.5 * w[0], 0.5 * w[1], 0.5 * w[2]
+    mixed = spins_first * a
+    b, c = r + mixed * s, s - mixed * r
     return normalised((
         q[0] - q[1] * a - q[2] * b - q[3] * c, q[1] + q[0] * a + q[2] * c - q[3] * b,
         q[2] + q[0] * b + q[3] * a - q[1] * c, q[3] + q[0] * c + q[1] * b - q[2] * a))

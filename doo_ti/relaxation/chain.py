@@ -122,7 +122,7 @@ class Chain:
             obstacles=tables.kinds.shape[0],
             target=self.load3(scratch, head + OF_TARGET * self.stride),
             length_unit=scratch[head + OF_LENGTH_UNIT * self.stride],
-            closed=scratch[head + OF_CLOSED * self.stride],
+            closed=scratch[head + OF_CLOSED * self.stride], spins_first=0.0 * scratch[head + OF_CLOSED * self.stride],
             free=self.load4(scratch, head + OF_FREE * self.stride) + (scratch[head + (OF_FREE + 4) * self.stride],),
             released=scratch[head + OF_RELEASED * self.stride],
             total=scratch[head + OF_TOTAL * self.stride],
@@ -139,6 +139,27 @@ class Chain:
         if ti.static(self.moves_start):
             loose = scratch[head + OF_LOOSE * self.stride]
         return loose
+
+    @ti.func
+    def spinning_first(self, rod, far):
+        """One where a step is to turn frames by spins that are made before tilts, zero where by rotation vectors; ``far``: one
+        where a rod is far from rest.
+
+        Tilts alone decide where vertices go: with spins first, clamps and obstacles are met as well by a step in which frames
+        also spin. With rotation vectors a part of the rod that turns as a whole keeps its shape, which is what most steps of
+        rods with a free end do, and neutral motions near rest.
+        """
+        one = far
+        if ti.static(not self.touches):
+            one = far * rod.closed
+        return one
+
+    @ti.func
+    def second_derivatives(self, rod, h, g):
+        """H of an edge by w as a step turns it, from ``h`` with spins made first and the gradient ``g``: with rotation vectors
+        the second derivative by spin and tilt is the mean of both orders."""
+        half = 0.5 * (1.0 - rod.spins_first)
+        return (h[0], h[1] + half * g[2], h[2] - half * g[1], h[3], h[4], h[5])
 
     @ti.func
     def stiffness(self, scratch: ti.template(), left, right, material):
@@ -225,9 +246,9 @@ class Chain:
 
     @ti.func
     def step(self, rod, scale, moving, before):
-        """Frames Q (1, scale ω/2), and x of the projection that puts them back on closure, both only where ``moving``; and AᵀA
-        over the edges that may tilt. Where rods may touch something, a step that is not taken whole leaves its share of what
-        they missed ``before``."""
+        """Frames turned by scale ω (:meth:`spinning_first`), and x of the projection that puts them back on closure, both only
+        where ``moving``; and AᵀA over the edges that may tilt. Where rods may touch something, a step that is not taken whole
+        leaves its share of what they missed ``before``."""
         zero = 0.0 * scale
         stepping = (scale > 0.0) | (scale < 0.0)
         reached, lost = variable(repeated(zero, 3)), variable(repeated(zero, 3))
@@ -241,7 +262,7 @@ class Chain:
             w = chosen(stepping, scaled(rotation, scale), repeated(zero, 3))
             standing = self.load4(rod.scratch, at)
             self.store(rod.scratch, at + STANDING * self.stride, standing)
-            q = turned_in_body(standing, w)
+            q = turned_in_body(standing, w, rod.spins_first)
             self.store(rod.scratch, at, q)
             length = rod.scratch[at + LENGTH * self.stride]
             t = tangent(q)

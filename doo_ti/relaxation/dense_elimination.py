@@ -185,7 +185,7 @@ class DenseElimination(DenseFactors):
             pull = plus(scaled(rod.gravity, self.hanging_weight(rod, length, beyond)), force)
             beyond = beyond + length
             l1, l2 = linear_gradient(pull, length, m1, m2)
-            lh = linear_hessian(pull, length, t, m1, m2)
+            straighten = linear_hessian(pull, length, t)
             u = variable(repeated(zero, 9))
             h_before, g_before = variable(repeated(zero, 6)), variable(repeated(zero, 3))
             if e > 0:
@@ -195,7 +195,7 @@ class DenseElimination(DenseFactors):
                 g, h = plus(g, right), plus(h, h_right)
                 h_before, g_before, u = h_left, left, across
             g = (g[0], g[1] + l1, g[2] + l2)
-            h = (h[0], h[1] + lh[0], h[2] + lh[1], h[3] + lh[2], h[4], h[5] + lh[2])
+            h = self.second_derivatives(rod, (h[0], h[1], h[2], h[3] + straighten, h[4], h[5] + straighten), g)
             self.assemble_edge(rod, e, at, g, h, u, closure_rows(length, m1, m2), (shift, search), found)
             h, g = h_before, g_before
             at -= self.edge_stride

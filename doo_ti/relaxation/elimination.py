@@ -79,9 +79,9 @@ class Elimination(Chain):
             remaining = remaining - length
             c = plus(scaled(rod.gravity, self.hanging_weight(rod, length, remaining)), multiplier)
             l1, l2 = linear_gradient(c, length, m1, m2)
-            lh = linear_hessian(c, length, t, m1, m2)
+            straighten = linear_hessian(c, length, t)
             g = (g[0], g[1] + l1, g[2] + l2)
-            h = (h[0], h[1] + lh[0], h[2] + lh[1], h[3] + lh[2], h[4], h[5] + lh[2])
+            h = (h[0], h[1], h[2], h[3] + straighten, h[4], h[5] + straighten)
             u = variable(repeated(zero, 9))
             h_next, g_next = variable(repeated(zero, 6)), variable(repeated(zero, 3))
             if e < rod.edges - 1:
@@ -89,6 +89,7 @@ class Elimination(Chain):
                 left, right, h_left, h_right, across = self.derivatives(self.bent(rod.scratch, at), stiffness)
                 g, h = plus(g, left), plus(h, h_left)
                 h_next, g_next, u = h_right, right, across
+            h = self.second_derivatives(rod, h, g)
             a = variable(minus(closure_rows(length * rod.closed, m1, m2), ea))
             b = variable(minus(negated(g), er))
             if searching:

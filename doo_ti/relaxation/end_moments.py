@@ -7,7 +7,7 @@ the clamped vertex: the energy grows by it times the angle by which the clamp tu
 import taichi as ti
 
 from doo_ti.physics.closure import linear_gradient, linear_hessian
-from doo_ti.physics.tuples import applied, cross, full, minus, plus, scaled, transposed, variable
+from doo_ti.physics.tuples import applied, full, plus, scaled, transposed, variable
 from doo_ti.relaxation.parameter_gradient import NO_MODE, ParameterGradient
 
 FIRST, LAST = 0, 1
@@ -65,7 +65,8 @@ class EndMoments(ParameterGradient):
         """The derivative of an end's moment, in the world, by a column whose rotations lie in the place of the step and by
         which λ, with the forces of obstacles beyond the edge, changes by ``change``.
 
-        In the edge's axes g + Aλ changes by H w + ½ g × w with the edge's own rotation w, and those axes turn by w.
+        H has the second derivatives by spins that are made before tilts: with the edge's own rotation w and G = g + Aλ the
+        moment changes by H w + (G2 w1 − G1 w2, ½ G0 w2, −½ G0 w1), seen from the edge's axes as they were.
         """
         at, joint_at, joint, remaining = self.end_places(rod, end)
         bent, s = self.kept_pair(rod, joint_at)
@@ -79,10 +80,10 @@ class EndMoments(ParameterGradient):
             found = plus(found, self.own_part(end, explicit_left, explicit_right))
         edge = self.edge(rod, at, remaining)
         w = self.own_part(end, w0, w1)
-        h = linear_hessian(self.pull_on(rod, edge, column.multiplier), edge.length, edge.t, edge.m1, edge.m2)
+        straighten = linear_hessian(self.pull_on(rod, edge, column.multiplier), edge.length, edge.t)
         l1, l2 = self.linear_change(rod, edge, column)
         c1, c2 = linear_gradient(change, edge.length, edge.m1, edge.m2)
-        bent_by_pull = (h[0] * w[1] + h[1] * w[2], h[0] * w[0] + h[2] * w[1], h[1] * w[0] + h[2] * w[2])
-        found = plus(plus(found, bent_by_pull), (0.0 * l1, l1 + c1, l2 + c2))
-        turned = scaled(cross(self.body_moment(rod, end, column.multiplier), w), 0.5)
-        return self.in_world(edge, minus(found, turned))
+        found = plus(found, (0.0 * l1, l1 + c1 + straighten * w[1], l2 + c2 + straighten * w[2]))
+        g = self.body_moment(rod, end, column.multiplier)
+        turned = (g[2] * w[1] - g[1] * w[2], 0.5 * g[0] * w[2], 0.0 - 0.5 * g[0] * w[1])
+        return self.in_world(edge, plus(found, turned))

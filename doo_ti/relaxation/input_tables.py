@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.contact.obstacles import Obstacle
+from doo_ti.contact.obstacles import Obstacle, Plane
 from doo_ti.errors import InputError
 from doo_ti.frames import (
     matrix_from_quaternion,
@@ -28,6 +28,8 @@ BOWS = tuple((half_waves, aside, sign) for half_waves in (1, 2, 3, 4, 6, 8, 12, 
 """Shapes in which a straight rod is bowed, see :meth:`_Arches.bowed`: the widest first."""
 EDGES_OF_A_HALF_WAVE = 3
 """At least."""
+PLACES_BETWEEN = np.arange(1, 8) / 8
+"""Of an edge, that are outside all obstacles where it is bowed."""
 
 
 def tables(
@@ -158,8 +160,8 @@ def projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, found
 
 
 def _inside(frames, lengths, clamp, rows, obstacles: Sequence[Obstacle], index: np.ndarray) -> np.ndarray:
-    """(N,) whether a vertex of the starts ``rows``, if they had these frames (N, E, 4), is inside an obstacle that all rods
-    share, or one of a rod with that start."""
+    """(N,) whether the starts ``rows``, if they had these frames (N, E, 4), go into an obstacle that all rods share, or into
+    one of a rod with that start."""
     inside = np.zeros(len(rows), dtype=bool)
     if not obstacles or not len(rows):
         return inside
@@ -168,10 +170,25 @@ def _inside(frames, lengths, clamp, rows, obstacles: Sequence[Obstacle], index: 
     of_rod = np.searchsorted(rows, index[rods])
     for obstacle in obstacles:
         if obstacle.count == 1:
-            inside |= (obstacle.distance(vertices)[0] < 0).any(axis=1)
+            inside |= _goes_into(obstacle, vertices)
         else:
-            sunk = (obstacle.take(rods).distance(vertices[of_rod])[0] < 0).any(axis=1)
-            inside[of_rod[sunk]] = True
+            inside[of_rod[_goes_into(obstacle.take(rods), vertices[of_rod])]] = True
+    return inside
+
+
+def _goes_into(obstacle: Obstacle, vertices: np.ndarray) -> np.ndarray:
+    """(N,) whether a vertex (N, V, 3), or a place between two, is inside an obstacle, or each inside its row of that."""
+    value = obstacle.distance(vertices)[0]
+    inside = (value < 0).any(axis=1)
+    if isinstance(obstacle, Plane):
+        return inside
+    # A distance grows no faster than the place: other edges are too far away.
+    along = np.diff(vertices, axis=1)
+    short = value[:, :-1] + value[:, 1:] < np.linalg.norm(along, axis=-1)
+    rows, edges = np.nonzero(short & ~inside[:, None])
+    places = vertices[rows, edges, None] + PLACES_BETWEEN[:, None] * along[rows, edges, None]
+    deep = (obstacle.take(rows).distance(places)[0] < 0).any(axis=1)
+    inside[rows[deep]] = True
     return inside
 
 

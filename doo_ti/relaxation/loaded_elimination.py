@@ -120,7 +120,7 @@ class LoadedElimination(LooseStart):
             own, force = plus(weight, load.gradient_s), plus(plus(weight, load.known_s), beyond.force)
             l1, l2 = linear_gradient(force, length, m1, m2)
             r1, r2 = linear_gradient(plus(own, beyond.c), length, m1, m2)
-            lh = linear_hessian(force, length, t, m1, m2)
+            straighten = linear_hessian(force, length, t)
             # The pair with the edge before: its right block is this edge's, its left one is for the edge before.
             u = variable(repeated(zero, 9))
             h_before, g_before = variable(repeated(zero, 6)), variable(repeated(zero, 3))
@@ -133,8 +133,9 @@ class LoadedElimination(LooseStart):
             rows = closure_rows(length, m1, m2)
             a1, a2 = row(rows, 1), row(rows, 2)
             k = load.curvature_ss
-            h = (h[0], h[1] + lh[0], h[2] + lh[1], h[3] + lh[2] + quadratic(k, a1, a1), h[4] + quadratic(k, a1, a2),
-                 h[5] + lh[2] + quadratic(k, a2, a2))
+            h = (h[0], h[1], h[2], h[3] + straighten + quadratic(k, a1, a1), h[4] + quadratic(k, a1, a2),
+                 h[5] + straighten + quadratic(k, a2, a2))
+            h = self.second_derivatives(rod, h, (g[0], g[1] + l1, g[2] + l2))
             d = variable(self.condensed(h, shift, beyond, a1, a2))
             zz = variable(self.coupled(beyond, load, a1, a2))
             b = variable((0.0 - g[0] - beyond.f[0], 0.0 - g[1] - r1 - beyond.f[1], 0.0 - g[2] - r2 - beyond.f[2]))

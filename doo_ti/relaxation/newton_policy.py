@@ -14,6 +14,7 @@ DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # the same once a step was re
 SHORTENED, PART, NEARER, LEAST_SHARE = 0.8, 0.3, 0.98, 1e-4
 STILL, BY_ROUNDING = 1e-10, 1e3  # rad: a smaller step is rounding, and by how much the residual then may exceed its tolerance
 VAGUE = 1e3  # tolerances: above them a step that raises the energy, even by less than rounding, may not raise the residual
+FAR_FROM_REST = 1e-3  # residual, above which frames spin before they tilt
 TRACE, TRACE_IN_CONTACT = 1e-12, 1e-9  # eigenvalues that are smaller, over H's largest diagonal entry, are neutral motions
 CLOSING_DISTANCE = 0.1  # edge lengths: above it a step only projects
 ESCAPE_ROTATION = 0.1  # rad

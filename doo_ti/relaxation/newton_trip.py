@@ -31,6 +31,7 @@ class NewtonTrip:
     trying, closing, escaping            flags: the step is judged by its energy; it only closes; it leaves a saddle
     rounds, heading, escapes             of leaving a saddle: inverse iterations made, the way taken, saddles left so far
     share                                of a step that only closes: less where it would carry the rod through an obstacle
+    spins_first                          one where the step is in spins that are made before tilts
     best, idle_trips, aimless            the smallest residual so far, trips without progress and without notable progress
     """
 
@@ -67,12 +68,16 @@ class NewtonTrip:
         if ti.static(self.has_coarse):
             lane.coarse = ti.max(lane.coarse, lane.fresh)
         rod = self.sweep.rods(tables, scratch, head, lane.coarse)
+        rod.spins_first = lane.spins_first
         # Take the step, and judge it afterwards. The factorisation at its end has the shift that follows a good step.
         moving = ti.max(lane.trying, ti.max(lane.fresh, lane.closing))
         if ti.static(self.touches):
             # Where the rod may touch something, its start is looked at before it moves.
             moving = ti.max(lane.trying, lane.closing * lane.share)
         x, normal = self.sweep.step(rod, lane.step_scale, moving, lane.miss)
+        far = (lane.fresh > 0.5) | (lane.residual * rod.total > fixed.FAR_FROM_REST)
+        lane.spins_first = self.sweep.spinning_first(rod, ti.select(far, one, zero))
+        rod.spins_first = lane.spins_first
         decay = ti.select(lane.troubled > 0.5, self.constant(fixed.DECAY_TROUBLED), self.constant(fixed.DECAY))
         if ti.static(self.touches):
             # A smaller shift makes a step larger, which is of no use where it could not be taken whole.

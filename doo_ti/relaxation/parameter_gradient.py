@@ -8,7 +8,7 @@ themselves and to their neighbours is part of the derivative.
 import taichi as ti
 
 from doo_ti.physics import pair
-from doo_ti.physics.closure import linear_gradient, linear_hessian
+from doo_ti.physics.closure import linear_gradient
 from doo_ti.physics.quaternion import first_director, second_director, tangent
 from doo_ti.physics.tuples import applied, dot, minus, plus, record, repeated, scaled, transposed, variable
 from doo_ti.relaxation import chain
@@ -167,7 +167,13 @@ class ParameterGradient(chain.Chain):
 
     @ti.func
     def turn_neighbours(self, rod, at, e, column, change):
-        """Add what the turns of the first edge and the last do through their pairs to ``change`` (:meth:`turn_end`)."""
+        """Add what the turns of the first edge and the last do through their pairs to ``change``, a record:
+
+        pair, own, after     of ∂g/∂θ: what pairs add to this edge, its own potentials, what pairs add to the edge after
+        closure              ∂c/∂θ, summed
+
+        An edge's own potentials and its tilt leave its spin in balance, where the clamp leaves that free.
+        """
         if e < rod.edges - 1 and (e == 0 or e == rod.edges - 2):
             bent, s = self.kept_pair(rod, at)
             left, right, h_left, h_right, across = self.derivatives(bent, s)
@@ -175,32 +181,17 @@ class ParameterGradient(chain.Chain):
                 w = column.turn_start
                 change.after = plus(change.after, applied(transposed(across), w))
                 change.own = (change.own[0] + h_left[1] * w[1] + h_left[2] * w[2], change.own[1], change.own[2])
-                change.moment = (left[1], left[2])
             if e == rod.edges - 2:
                 w = column.turn_end
                 change.pair = plus(change.pair, applied(across, w))
                 change.after = (change.after[0] + h_right[1] * w[1] + h_right[2] * w[2], change.after[1], change.after[2])
-                change.end_moment = (right[1], right[2])
 
     @ti.func
     def turn_end(self, rod, edge, e, column, change):
-        """Add what the turn of the first edge or the last does to itself and to closure to ``change``, a record:
-
-        pair, own, after     of ∂g/∂θ: what pairs add to this edge, its own potentials, what pairs add to the edge after
-        closure              ∂c/∂θ, summed
-        moment, end_moment   of the pair beside the first edge and beside the last, about m1 and m2
-        """
+        """Add what the turn of the first edge or the last does to closure to ``change`` (:meth:`turn_neighbours`)."""
         if e == 0 or e == rod.edges - 1:
             w = variable(column.turn_start)
             if e == rod.edges - 1:
                 w = column.turn_end
-                change.moment = change.end_moment
-            pull = self.pull_on(rod, edge, column.multiplier)
-            h = linear_hessian(pull, edge.length, edge.t, edge.m1, edge.m2)
-            # Where a clamp holds the tangent, the moment g with which it does turns with it: dg = H w + ½ g × w.
-            l1, l2 = linear_gradient(pull, edge.length, edge.m1, edge.m2)
-            g1, g2 = change.moment[0] + l1, change.moment[1] + l2
-            own = change.own
-            change.own = (own[0] + h[0] * w[1] + h[1] * w[2] + 0.5 * (g1 * w[2] - g2 * w[1]), own[1], own[2])
             moved = minus(scaled(edge.m1, w[2]), scaled(edge.m2, w[1]))
             change.closure = plus(change.closure, scaled(moved, edge.length))

@@ -130,8 +130,7 @@ class SensitivityColumns(EndMoments):
         The turns of the edges that clamps hold are part of what changes.
         """
         zero = 0.0 * rod.total
-        change = record(pair=repeated(zero, 3), own=repeated(zero, 3), after=repeated(zero, 3), closure=repeated(zero, 3),
-                        moment=(zero, zero), end_moment=(zero, zero))
+        change = record(pair=repeated(zero, 3), own=repeated(zero, 3), after=repeated(zero, 3), closure=repeated(zero, 3))
         remaining = rod.total
         at = rod.origin
         first = self.first_changed(rod, column)

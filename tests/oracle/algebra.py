@@ -47,8 +47,14 @@ def directors(q):
 
 
 def body_rotated(q, w):
-    """normalise(Q ⊗ (1, w/2)): the body rotation w of docs/chain.md."""
+    """normalise(Q ⊗ (1, w/2)): the rotation vector w of docs/chain.md."""
     return normalise(product(q, [1.0, *scale(0.5, w)]))
+
+
+def spun_and_tilted(q, w):
+    """Q spun about its tangent by w_0, then tilted by (w_1, w_2), as in docs/chain.md: normalise(Q ⊗ tilt ⊗ spin)."""
+    spin, *tilt = scale(0.5, w)
+    return normalise(product(product(q, [1.0, 0.0, *tilt]), [1.0, spin, 0.0, 0.0]))
 
 
 def transport(source, target, vector):

@@ -1,12 +1,13 @@
 """A whole rod as a chain of frames: energy, and dense gradient and Hessian in body rotations (docs/chain.md)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from doo_ti.types import Configuration, Material
-from tests.oracle.algebra import add, directors, scale
+from tests.oracle.algebra import add, body_rotated, directors, scale
 from tests.oracle.pair import linear_gradient_hessian, pair_gradient_hessian, pair_parts
 
 
@@ -14,7 +15,8 @@ from tests.oracle.pair import linear_gradient_hessian, pair_gradient_hessian, pa
 class Rod:
     """What stays fixed while one rod moves.
 
-    rest_length (E,), bend (E, 2, 2), twist (E−1,), weight a number, rest_curvature (E−1, 2), up (3,).
+    rest_length (E,), bend (E, 2, 2), twist (E−1,), weight a number, rest_curvature (E−1, 2), up (3,); turned: how the unknowns
+    turn a frame, in which second derivatives away from an equilibrium differ.
     """
 
     rest_length: np.ndarray
@@ -23,6 +25,7 @@ class Rod:
     weight: float
     rest_curvature: np.ndarray
     up: np.ndarray
+    turned: Callable = body_rotated
 
     @property
     def edges(self) -> int:
@@ -77,7 +80,7 @@ def chain_derivatives(rod: Rod, quaternions: np.ndarray) -> tuple[np.ndarray, np
     gradient, hessian = np.zeros(3 * rod.edges), np.zeros((3 * rod.edges, 3 * rod.edges))
     pairs = pair_gradient_hessian(
         quaternions[:-1], quaternions[1:], rod.rest_length[:-1], rod.rest_length[1:],
-        rod.bend[:-1], rod.bend[1:], rod.twist, rod.rest_curvature,
+        rod.bend[:-1], rod.bend[1:], rod.twist, rod.rest_curvature, rod.turned,
     )
     for i in range(rod.edges - 1):
         block = slice(3 * i, 3 * i + 6)
@@ -89,7 +92,7 @@ def chain_derivatives(rod: Rod, quaternions: np.ndarray) -> tuple[np.ndarray, np
 
 def linear_derivatives(rod: Rod, quaternions: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(3E,) gradient and (3E, 3E) block-diagonal Hessian of Σ l c·t, force c (3,) or per edge (E, 3)."""
-    gradient, blocks = linear_gradient_hessian(force, quaternions, rod.rest_length)
+    gradient, blocks = linear_gradient_hessian(force, quaternions, rod.rest_length, rod.turned)
     return gradient.ravel(), block_diag(*blocks)
 
 

@@ -99,11 +99,11 @@ def free_variables(rod: Rod, ends: Ends) -> np.ndarray:
     return np.flatnonzero(free)
 
 
-def moved(state: State, free: np.ndarray, step: np.ndarray) -> State:
-    """The state after a step in its free variables."""
+def moved(state: State, free: np.ndarray, step: np.ndarray, turned=body_rotated) -> State:
+    """The state after a step in its free variables, of which rotations are made by ``turned``."""
     full = np.zeros(3 + state.quaternions.size // 4 * 3)
     full[free] = step
-    rotated = body_rotated(list(state.quaternions.T), list(full[3:].reshape(-1, 3).T))
+    rotated = turned(list(state.quaternions.T), list(full[3:].reshape(-1, 3).T))
     return State(state.start + full[:3], np.array(rotated).T)
 
 

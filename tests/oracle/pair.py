@@ -50,8 +50,8 @@ def pair_energy(q0, q1, l0, l1, bend0, bend1, twist, rest=None):
     return sum(pair_parts(_components(q0), _components(q1), l0, l1, np.asarray(bend0), np.asarray(bend1), twist, rest))
 
 
-def pair_gradient_hessian(q0, q1, l0, l1, bend0, bend1, twist, rest=None):
-    """(..., 6) gradient and (..., 6, 6) Hessian of :func:`pair_energy` in the body rotations (w0, w1)."""
+def pair_gradient_hessian(q0, q1, l0, l1, bend0, bend1, twist, rest=None, turned=body_rotated):
+    """(..., 6) gradient and (..., 6, 6) Hessian of :func:`pair_energy` in the body rotations (w0, w1), made by ``turned``."""
     rest = np.zeros(2) if rest is None else np.asarray(rest)
     values = [np.asarray(a, dtype=np.float64) for a in (l0, l1, twist)]
     shape = np.broadcast_shapes(
@@ -65,18 +65,19 @@ def pair_gradient_hessian(q0, q1, l0, l1, bend0, bend1, twist, rest=None):
     frames = []
     for quaternion, rotation in ((q0, w[:3]), (q1, w[3:])):
         parts = [np.broadcast_to(part, shape)[..., None, None] for part in _components(quaternion)]
-        frames.append(body_rotated(parts, rotation))
+        frames.append(turned(parts, rotation))
     energy = sum(pair_parts(*frames, widen[0], widen[1], *matrices, widen[2], rests))
     return gradient_and_hessian(energy, shape, 6)
 
 
-def linear_gradient_hessian(force, quaternion, length):
-    """(..., 3) gradient and (..., 3, 3) Hessian of c·t·l in the body rotation of Q (..., 4); c (..., 3), l (...,)."""
+def linear_gradient_hessian(force, quaternion, length, turned=body_rotated):
+    """(..., 3) gradient and (..., 3, 3) Hessian of c·t·l in the body rotation of Q (..., 4), made by ``turned``; c (..., 3),
+    l (...,)."""
     force, length = np.asarray(force, dtype=np.float64), np.asarray(length, dtype=np.float64)
     shape = np.broadcast_shapes(force.shape[:-1], np.shape(quaternion)[:-1], length.shape)
     c = [np.broadcast_to(force[..., k], shape)[..., None, None] for k in range(3)]
     parts = [np.broadcast_to(part, shape)[..., None, None] for part in _components(quaternion)]
-    tangent = directors(body_rotated(parts, seeds(3, like=len(shape))))[0]
+    tangent = directors(turned(parts, seeds(3, like=len(shape))))[0]
     energy = dot(c, tangent) * np.broadcast_to(length, shape)[..., None, None]
     return gradient_and_hessian(energy, shape, 3)
 

@@ -200,7 +200,7 @@ def test_pair_derivatives_in_hard_places_against_complex_step(rng, joint):
 
 
 def test_linear_derivatives_are_those_of_the_design(rng):
-    """gradient l (0, −c·m2, c·m1), Hessian [[0, c1/2, c2/2], [c1/2, −ct, 0], [c2/2, 0, −ct]] (docs/chain.md)."""
+    """gradient l (0, −c·m2, c·m1), Hessian by rotation vectors [[0, c1/2, c2/2], [c1/2, −ct, 0], [c2/2, 0, −ct]]."""
     force, quaternion = rng.normal(size=(5, 3)), random_state(rng, edges=5).quaternions
     length = rng.uniform(1, 4, 5)
     gradient, hessian = linear_gradient_hessian(force, quaternion, length)
