@@ -147,10 +147,12 @@ class Chain:
 
         Tilts alone decide where vertices go: with spins first, clamps and obstacles are met as well by a step in which frames
         also spin. With rotation vectors a part of the rod that turns as a whole keeps its shape, which is what most steps of
-        rods with a free end do, and neutral motions near rest.
+        rods with a free end do, of ribbons, where spin and tilt go together, and neutral motions near rest.
         """
-        one = far
-        if ti.static(not self.touches):
+        one = 0.0 * far
+        if ti.static(self.touches):
+            one = far
+        elif ti.static(self.isotropic):
             one = far * rod.closed
         return one
 
