@@ -95,6 +95,14 @@ class ContactTable:
         """The contacts of rods at ``vertices`` (R, V, 3) that bear ``force`` (R, V, 3)."""
         return Contacts(force, vertices, self.surroundings)
 
+    def begin_with(self, before: "ContactTable | None", rods: np.ndarray) -> None:
+        """Make the rods (R,) of a table with the same obstacles begin with the forces with which they have ended there."""
+        if (before is None or before.memory.shape != self.memory.shape or not np.array_equal(before.kinds, self.kinds)
+                or not np.array_equal(before.obstacles, self.obstacles)):
+            return
+        rows = np.flatnonzero(rods & self.near & before.near)
+        self.memory[rows] = before.memory[rows]
+
     def forget(self, rows: np.ndarray) -> None:
         """Make the rods ``rows`` ones that have touched nothing yet."""
         self.memory[rows[self.near[rows]]] = 0.0

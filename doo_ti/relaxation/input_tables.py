@@ -1,35 +1,25 @@
 """The input of ``relax`` as tables: materials row by row, and starts that can be projected onto closure (§III-B)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from doo_ti.contact.obstacles import Obstacle, Plane
+from doo_ti.contact.obstacles import Obstacle
 from doo_ti.errors import InputError
 from doo_ti.frames import (
-    matrix_from_quaternion,
-    quaternion_about,
     quaternion_product,
     smallest_rotation,
     tangent_from_quaternion,
-    vertices_from_quaternions,
 )
 from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.bows import bowed_among, straight_rods
 from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_kinds, external_rows, paired_rows, rest_lengths
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, TAUT, TAUT_SLACK, clamp_table
 from doo_ti.relaxation.contact_table import contact_table
 from doo_ti.relaxation.external import External
 from doo_ti.relaxation.tables import FREE, Tables, outer_edges, rod_rows, room, whole_start
 from doo_ti.types import Clamps, Configuration, Material
-
-BOWS = tuple((half_waves, aside, sign) for half_waves in (1, 2, 3, 4, 6, 8, 12, 16) for aside in (False, True)
-             for sign in (1.0, -1.0))
-"""Shapes in which a straight rod is bowed, see :meth:`_Arches.bowed`: the widest first."""
-EDGES_OF_A_HALF_WAVE = 3
-"""At least."""
-PLACES_BETWEEN = np.arange(1, 8) / 8
-"""Of an edge, that are outside all obstacles where it is bowed."""
 
 
 def tables(
@@ -138,58 +128,15 @@ def material_table(material: Material, isotropic: bool, edges: int) -> np.ndarra
 
 def projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, found: np.ndarray, up: np.ndarray,
                 obstacles: Sequence[Obstacle], index: np.ndarray) -> np.ndarray:
-    """Starts that can be projected: those ``found`` (S,) STRAIGHT are bowed, in the first of :data:`BOWS` that is inside no
-    obstacle or, where all are, in the first; those found TAUT made straight. ``index`` (R,) is the start of each rod: obstacles
-    may belong to single rods. Where starts are changed ``clamp`` is, too, in place."""
+    """Starts that can be projected: those ``found`` (S,) STRAIGHT are bowed (:mod:`doo_ti.relaxation.bows`), those found TAUT
+    made straight. ``index`` (R,) is the start of each rod: obstacles may belong to single rods. Where starts are changed
+    ``clamp`` is, too, in place."""
     slack, taut = np.flatnonzero(found == STRAIGHT), np.flatnonzero(found == TAUT)
     if len(slack):
-        arches = _arches(start, lengths, clamp, slack, up)
-        bowed = arches.bowed(slice(None), *BOWS[0])
-        sunk = np.flatnonzero(_inside(bowed, lengths, clamp, arches.rows, obstacles, index))
-        for bow in BOWS[1:]:
-            if not len(sunk) or EDGES_OF_A_HALF_WAVE * bow[0] > start.shape[1]:
-                break
-            frames = arches.bowed(sunk, *bow)
-            inside = _inside(frames, lengths, clamp, arches.rows[sunk], obstacles, index)
-            bowed[sunk[~inside]] = frames[~inside]
-            sunk = sunk[inside]
-        start = _changed(start, clamp, arches.rows, bowed)
+        start = _bowed(start, lengths, clamp, slack, up, obstacles, index)
     if len(taut):
         start = _stretched(start, lengths, clamp, taut)
     return start
-
-
-def _inside(frames, lengths, clamp, rows, obstacles: Sequence[Obstacle], index: np.ndarray) -> np.ndarray:
-    """(N,) whether the starts ``rows``, if they had these frames (N, E, 4), go into an obstacle that all rods share, or into
-    one of a rod with that start."""
-    inside = np.zeros(len(rows), dtype=bool)
-    if not obstacles or not len(rows):
-        return inside
-    vertices = vertices_from_quaternions(clamp[rows, of.ANCHOR : of.ANCHOR + 3], frames, _rows(lengths, rows))
-    rods = np.flatnonzero(np.isin(index, rows))
-    of_rod = np.searchsorted(rows, index[rods])
-    for obstacle in obstacles:
-        if obstacle.count == 1:
-            inside |= _goes_into(obstacle, vertices)
-        else:
-            inside[of_rod[_goes_into(obstacle.take(rods), vertices[of_rod])]] = True
-    return inside
-
-
-def _goes_into(obstacle: Obstacle, vertices: np.ndarray) -> np.ndarray:
-    """(N,) whether a vertex (N, V, 3), or a place between two, is inside an obstacle, or each inside its row of that."""
-    value = obstacle.distance(vertices)[0]
-    inside = (value < 0).any(axis=1)
-    if isinstance(obstacle, Plane):
-        return inside
-    # A distance grows no faster than the place: other edges are too far away.
-    along = np.diff(vertices, axis=1)
-    short = value[:, :-1] + value[:, 1:] < np.linalg.norm(along, axis=-1)
-    rows, edges = np.nonzero(short & ~inside[:, None])
-    places = vertices[rows, edges, None] + PLACES_BETWEEN[:, None] * along[rows, edges, None]
-    deep = (obstacle.take(rows).distance(places)[0] < 0).any(axis=1)
-    inside[rows[deep]] = True
-    return inside
 
 
 def _free_part(lengths: np.ndarray, clamp: np.ndarray):
@@ -207,39 +154,8 @@ def _rows(lengths: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return lengths[np.zeros_like(rows) if len(lengths) == 1 else rows]
 
 
-@dataclass(frozen=True)
-class _Arches:
-    """How to bow N straight rods to the chord that their clamps need.
-
-    rows   (N,) starts, ascending
-    whole  (N, E, 4) frames
-    axis   (N, 3) about which the edges turn
-    slope  (N,) of a sine arch at its ends, rad
-    place  (N, E) of the free edges along it, from 0 to 1
-    free   (N, E) one where an edge may tilt
-    """
-
-    rows: np.ndarray
-    whole: np.ndarray
-    axis: np.ndarray
-    slope: np.ndarray
-    place: np.ndarray
-    free: np.ndarray
-
-    def bowed(self, which, half_waves: int, aside: bool, sign: float) -> np.ndarray:
-        """(-, E, 4) frames of the rods ``which`` in the shape of so many half waves, in the plane of the first or ``aside``,
-        perpendicular to that."""
-        whole, axis = self.whole[which], self.axis[which]
-        if aside:
-            axis = np.cross(tangent_from_quaternion(whole[:, whole.shape[1] // 2]), axis)
-        # Of slope a cos(π n s/L) the chord is L (1 − a²/4) for any n.
-        angle = sign * self.slope[which, None] * np.cos(np.pi * half_waves * self.place[which]) * self.free[which]
-        return quaternion_product(quaternion_about(np.broadcast_to(axis[:, None], (*angle.shape, 3)), angle), whole)
-
-
-def _arches(start, lengths, clamp, rows, up) -> _Arches:
-    """Those of the slack rods ``rows`` that cannot be projected as they are: free edges in one straight line have no
-    first-order way to bring the far end closer. The first bow is against ``up``, or towards m1 where the line is upright."""
+def _bowed(start, lengths, clamp, rows, up, obstacles: Sequence[Obstacle], index: np.ndarray) -> np.ndarray:
+    """Starts of which the slack rods ``rows`` are bowed where their free edges are in one straight line."""
     edges, own = start.shape[1], _rows(lengths, rows)
     ends, _, span, reach = _free_part(own, clamp[rows])
     tilting = np.ones((len(rows), edges))
@@ -247,15 +163,14 @@ def _arches(start, lengths, clamp, rows, up) -> _Arches:
     whole = whole_start(start[rows], clamp[rows])
     chord = np.linalg.norm(((own * tilting)[..., None] * tangent_from_quaternion(whole)).sum(axis=1), axis=-1)
     straight = chord > reach * (1 - TAUT_SLACK)
-    rows, tilting, whole = rows[straight], tilting[straight], whole[straight]
-    share = (span / reach)[straight]
-    middle = matrix_from_quaternion(whole[:, edges // 2])
-    axis = np.cross(-up, middle[..., 0])
-    upright = np.linalg.norm(axis, axis=-1, keepdims=True) < 1e-3
-    axis = np.where(upright, middle[..., 2], axis)
-    axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
-    place = (np.cumsum(tilting, axis=1) - 0.5) / tilting.sum(axis=1, keepdims=True)
-    return _Arches(rows, whole, -axis, np.minimum(2 * np.sqrt(1 - share), 1.0), place, tilting)
+    straight &= np.isin(rows, index)
+    rows, share = rows[straight], (span / reach)[straight]
+    anchor = clamp[rows, of.ANCHOR : of.ANCHOR + 3]
+    rods = straight_rods(whole[straight], own[straight], anchor, tilting[straight], share, up)
+    # Of rods that share a start but not their obstacles the first decides.
+    first = np.unique(index, return_index=True)[1][np.searchsorted(np.unique(index), rows)]
+    frames = bowed_among(rods, [obstacle.take(first) for obstacle in obstacles])
+    return _changed(start, clamp, rows, frames)
 
 
 def _stretched(start, lengths, clamp, rows) -> np.ndarray:

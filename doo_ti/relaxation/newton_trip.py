@@ -44,6 +44,7 @@ class NewtonTrip:
         self.scalar = number.scalar
         single = number.bits == 32
         self.rounding = 2e-6 if single else 1e-10
+        self.closure_rounding = 0.0 if single else 1e-15  # of a rod's length
         self.shape_tolerance = fixed.SHAPE_TOLERANCE_32 if single else 1e30
         self.closure_tolerance = 1e-7 if single else 1e-12
         self.still = 0.0 if single else fixed.STILL
@@ -125,6 +126,9 @@ class NewtonTrip:
         before = lane.energy + dot(multiplier, lane.miss)
         after = found.energy + dot(multiplier, miss)
         noise_level = self.rounding * lane.magnitude
+        if ti.static(self.closure_rounding > 0.0):
+            # The force on a rod that is almost taut is so large that its product with what rounding leaves of c counts.
+            noise_level = noise_level + self.closure_rounding * rod.total * ti.sqrt(dot(multiplier, multiplier))
         finite = found.energy == found.energy
         downhill = (lane.trying > 0.5) & (after <= before + noise_level)
         moved = lane.trying > 0.5

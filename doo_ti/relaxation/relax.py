@@ -52,7 +52,8 @@ def relax(
 ) -> Solution:
     """Γ̃ = F(Γ, E_Θ, C): relax R rods from their starts down to constrained minima of E_Θ (§III-D).
 
-    x0                     Γ: S starts; or the Solution of an earlier call
+    x0                     Γ: S starts; or the Solution of an earlier call, whose rods begin where they have ended and, among
+                           the same obstacles, with the contact forces that they have there
     material               Θ: G materials
     clamps                 C: S of them, one for each start. None with a Solution: the same rods again, from the end of
                            that call or, where they failed, from their first start; clamps, gravity, lengths and the external
@@ -94,6 +95,8 @@ def relax(
             start = x0.configuration if isinstance(x0, Solution) else x0
             table = tables(start, material, clamps, unit_up((0.0, 0.0, 1.0) if up is None else up, "relax"),
                            configuration_index, material_index, external, external_index, obstacles, radius)
+            if isinstance(x0, Solution) and table.contact is not None and configuration_index is None:
+                table.contact.begin_with(None if x0.tables is None else x0.tables.contact, x0.converged)
         if isinstance(solver, Descent):
             frames, results, bits = _descent(table, solver, precision)
         else:

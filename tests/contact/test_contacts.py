@@ -3,10 +3,23 @@
 import numpy as np
 import pytest
 
-from doo_ti import Capsule, Clamp, Clamps, Configuration, InputError, Material, Newton, Plane, predict, predict_step, relax
-from doo_ti.frames import rotation_matrix
+from doo_ti import (
+    Capsule,
+    Clamp,
+    Clamps,
+    Configuration,
+    InputError,
+    Material,
+    Newton,
+    Plane,
+    predict,
+    predict_step,
+    relax,
+    rod_along,
+)
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.types import Solution, Status
+from tools.bench import contact as pegs
 from tools.bench.contact import Specimens
 
 TABLE, RADIUS = Plane((0, 0, 0), (0, 0, 1)), 2.0
@@ -111,12 +124,13 @@ def test_a_clamp_that_holds_the_middle_of_an_edge_in_a_peg_is_infeasible(clamp, 
 
 @pytest.mark.parametrize("precision", ["f32", "f64"])
 def test_a_rod_that_is_too_short_to_get_round_a_peg_is_stalled_before_its_forces_overflow(precision):
-    """Held on a table so that it lies across the peg, which is much higher than the rod could reach."""
-    rod = Configuration.straight(np.zeros(3), np.array([1.0, 0.0, 0.0]), 99.0, 33)
-    start, end = (rotation_matrix(np.array([[0.0, 0.0, angle]])) @ rod.frames[:, 0] for angle in (-0.562, -0.0415))
-    clamps = Clamps(Clamp.FRAME, Clamp.FRAME, np.array([[0.0, -2.73, 1.02]]), np.array([[91.03, 7.07, 1.02]]), start, end)
-    pegs = [Capsule((x, y, -5.0), (x, y, 60.0), 4.0) for x, y in ((33.0, 8.0), (66.0, -8.0))]
-    found = relax(rod, Material(1.04e5, 1.04e5, 6.17), clamps, precision=precision, obstacles=[TABLE, *pegs], radius=1.0)
+    """It lies round the peg, and its ends are then drawn further apart than that allows."""
+    x = np.linspace(0.0, 96.0, 200)
+    rod = rod_along(np.stack([x, 12.0 * np.sin(np.pi * x / 96.0) ** 2, np.full(200, 1.02)], axis=1), 33)
+    far = rod.start + [[rod.rest_length.sum() - 0.1, 0.0, 0.0]]
+    clamps = Clamps(Clamp.POSITION, Clamp.POSITION, rod.start, far, rod.frames[:, 0], rod.frames[:, -1])
+    peg = Capsule((48.0, 0.0, -5.0), (48.0, 0.0, 60.0), 4.0)
+    found = relax(rod, Material(1e5, 1e5, 6.0), clamps, precision=precision, obstacles=[TABLE, peg], radius=1.0)
     assert found.status[0] == Status.STALLED and found.iterations[0] < 400
     assert np.isfinite(found.contact_force).all()
 
@@ -131,3 +145,17 @@ def test_rods_at_rest_are_relaxed_again_with_other_material(precision):
     assert found.converged[rest.converged].mean() > 0.9995 and np.median(found.iterations) < 12
     gaps = found.contact.gap[found.converged]
     assert gaps.min() > -1e-3
+
+
+def test_a_solution_among_the_same_obstacles_begins_with_its_forces():
+    """From where it is it would have to find them again; among other obstacles it does."""
+    rods, material, clamps = Specimens(64).laid_down
+    around = dict(obstacles=pegs.obstacles(), radius=pegs.RADIUS)
+    rest = relax(rods, material, clamps, **around)
+    again, without = (relax(start, material, clamps, **around) for start in (rest, rest.configuration))
+    print(f"{again.iterations.mean():.1f} iterations with forces, {without.iterations.mean():.1f} without")
+    assert again.converged.all() and again.iterations.mean() < 0.6 * without.iterations.mean()
+    assert np.abs(again.configuration.vertices - rest.configuration.vertices).max() < 2e-3 * pegs.RADIUS
+    lower = dict(obstacles=pegs.obstacles(0.5), radius=pegs.RADIUS)
+    lowered, expected = (relax(start, material, clamps, **lower) for start in (rest, rest.configuration))
+    np.testing.assert_array_equal(lowered.configuration.quaternions, expected.configuration.quaternions)

@@ -103,7 +103,7 @@ def test_energy_is_that_of_the_returned_shape(rng, precision):
         energy, size = energy_of(rod_of(start, material, row, up=up), state)
         errors.append(abs(solution.energy[row] - energy) / size)
     print(f"{precision}: energies within {max(errors):.1e} of the sum of their terms")
-    assert max(errors) < (1e-13 if precision == "f64" else 2e-6)
+    assert max(errors) < (1e-13 if precision == "f64" else 4e-6)
 
 
 def spoiled(start: Configuration, clamps: Clamps, how: str) -> tuple[Configuration, Clamps, Status]:

@@ -25,7 +25,7 @@ GIVEN = {
     "cameras.md": ["Limits: file size 1 MB", "a standard deviation of a focal length above 5 % is refused", "default 0.5 px"],
     "chain.md": ["to 1e-7 of it, is taut", "10⁻¹² of the largest entry, of rods among obstacles and of groups 10⁻⁹, is added",
                  "The first shift δ on the diagonal is 0.05",
-                 "f32 ends at a residual of 10⁻⁴"],
+                 "f32 ends at a residual of 10⁻⁴", "near rest (residual below 10⁻³)"],
     "contact.md": ["or the forces of the step before by 30 %", "next step would be below 10⁻¹⁰ rad"],
     "dynamics.md": ["moved back to 99.9 % of its reach"],
     "forces.md": ["they are mN and 10⁻⁶ N m"],

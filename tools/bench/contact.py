@@ -2,9 +2,9 @@
 
 Heavy rods of 33 edges, both ends held, on a table with two pegs in their way, NumPy in to NumPy out. *laid down*: from straight
 starts that do not meet their clamps; *moved on*: from rest on the table, with other weights and far ends moved by up to a tenth
-of the span; *other material*: these solutions relaxed again, with other stiffness and weight; *out of reach*: moved on, with
-the table and the pegs far away; *alone* and *its own obstacle*: without them, and where no rod may pass through itself;
-*Jacobians*: derivatives of these rods, at rest, by the poses of both grippers.
+of the span, ``relax(solution, material, clamps, …)``; *other material*: these solutions relaxed again, with other stiffness and
+weight; *out of reach*: moved on, with the table and the pegs far away; *alone* and *its own obstacle*: without them, and where
+no rod may pass through itself; *Jacobians*: derivatives of these rods, at rest, by the poses of both grippers.
 Ratios are to a NumPy workload timed in the same round; ``--check`` and ``--write`` are those of the benchmark of relaxations.
 """
 
@@ -62,7 +62,7 @@ class Specimens:
         return rods.take(kept), material.take(kept), clamps.take(kept)
 
     @cached_property
-    def moved_on(self) -> tuple[Configuration, Material, Clamps]:
+    def moved_on(self) -> tuple[Solution, Material, Clamps]:
         """Rods at rest, whose weights and far ends then change."""
         rods, material, clamps = self.laid_down
         random = np.random.default_rng(SEED + 1)
@@ -76,7 +76,8 @@ class Specimens:
         # Not those whose far end is moved into a peg.
         found = relax(start, other, held, obstacles=obstacles(), radius=RADIUS)
         kept = np.resize(np.flatnonzero(found.status != Status.INFEASIBLE), self.count)
-        return start.take(kept), other.take(kept), held.take(kept)
+        rest = relax(start.take(kept), material.take(kept), clamps.take(kept), obstacles=obstacles(), radius=RADIUS)
+        return rest, other.take(kept), held.take(kept)
 
     def relaxed_again(self, precision: str) -> Solution:
         """Those at rest among the obstacles, relaxed again with stiffness and weight up to a quarter larger or smaller."""

@@ -1,0 +1,178 @@
+"""Which bow of a straight rod passes through no obstacle: the kernel behind :mod:`doo_ti.relaxation.bows`."""
+
+from functools import cache
+
+import taichi as ti
+
+from doo_ti.contact.distance import Distance
+from doo_ti.contact.obstacles import OBSTACLE_COLUMNS, PLANE
+from doo_ti.physics.number import Number
+from doo_ti.physics.tuples import cross, dot, minus, plus, record, scaled, variable
+
+# Columns of a try: the number of half waves; whether it lies aside; to which side; the largest slope, rad; and one where the
+# way from the straight line is followed.
+HALF_WAVES, ASIDE, SIGN, SLOPE, FOLLOWED, TRY_COLUMNS = 0, 1, 2, 3, 4, 5
+MIDWAY = 0.4
+"""Of a bow's slope: the shape through which its way from the straight line is followed."""
+PLACES = 8
+"""Of an edge, and of the way of a vertex, that are to be outside all obstacles."""
+FROM_THERE = 0.9
+"""Of the distance from an obstacle at which a vertex starts: to that it may come near, however long edges are."""
+NONE = -1
+
+
+@ti.data_oriented
+class BowSearch:
+    """The search, one rod at a time, among obstacles of some ``kinds``. Its functions take the record ``tables`` of the
+    kernel's arguments, and a rod's row ``r`` in them."""
+
+    def __init__(self, kinds: frozenset[int]):
+        number = Number(1, 32)
+        self.distance, self.scalar = Distance(number, 1, kinds), number.scalar
+
+    @ti.func
+    def three(self, table: ti.template(), r, k):
+        return (table[r, k, 0], table[r, k, 1], table[r, k, 2])
+
+    @ti.func
+    def value(self, tables, r, o, x):
+        """φ of obstacle ``o`` at ``x``."""
+        row = ti.min(r, tables.obstacles.shape[0] // (tables.kinds.shape[0] * OBSTACLE_COLUMNS) - 1)
+        at = (row * tables.kinds.shape[0] + o) * OBSTACLE_COLUMNS
+        return self.distance.measure(tables.obstacles, tables.grids, at, tables.kinds[o], x).value
+
+    @ti.func
+    def nears(self, tables, r, o, start, end, both, least):
+        """Whether the straight line between two places, whose φ is ``both`` together, comes nearer to an obstacle than
+        ``least``."""
+        along, room, nearer = minus(end, start), both - 2.0 * least, False
+        # φ grows no faster than the place: a short line stays away.
+        if room < 0.0 or dot(along, along) > room * room:
+            for k in range(1, PLACES):
+                if not nearer:
+                    nearer = self.value(tables, r, o, plus(start, scaled(along, k / PLACES))) < least
+        return nearer
+
+    @ti.func
+    def passes(self, tables, r, o, start, end, length):
+        """Whether a vertex on its way comes so near to an obstacle that an edge of that ``length`` may pass through it."""
+        first, last = self.value(tables, r, o, start), self.value(tables, r, o, end)
+        least = ti.min(0.5 * length, FROM_THERE * first)
+        return last < least or self.nears(tables, r, o, start, end, first + last, least)
+
+    @ti.func
+    def bent(self, tables, r, e, half_waves, slope, across):
+        """An edge of a bow, whose edges turn in the plane of the line and of ``across``."""
+        angle = slope * ti.cos(ti.math.pi * half_waves * tables.place[r, e]) * tables.free[r, e]
+        t, length = self.three(tables.tangents, r, e), tables.lengths[r, e]
+        aside = across[0] * t[0] + across[1] * t[1] + across[2] * t[2]
+        flat = minus(across, scaled(t, aside))
+        return plus(scaled(t, length * ti.cos(angle)), scaled(flat, length * ti.sin(angle)))
+
+    @ti.func
+    def fits(self, tables, r, number, is_sunk):
+        """Whether a try of a rod, whose straight line ``is_sunk``, is outside all obstacles and, if it is followed, passes
+        through none."""
+        edges, fine = tables.lengths.shape[1], True
+        followed = tables.tries[number, FOLLOWED] > 0.5
+        if followed and is_sunk:
+            fine = False
+        half_waves = tables.tries[number, HALF_WAVES]
+        slope = ti.min(tables.slope[r], tables.tries[number, SLOPE])
+        t = self.three(tables.tangents, r, edges // 2)
+        axis = variable((tables.axis[r, 0], tables.axis[r, 1], tables.axis[r, 2]))
+        if tables.tries[number, ASIDE] > 0.5:
+            axis = cross(t, axis)
+        across = scaled(cross(axis, t), tables.tries[number, SIGN])
+        begin = (tables.anchor[r, 0], tables.anchor[r, 1], tables.anchor[r, 2])
+        way = record(line=begin, midway=begin, end=begin, last=begin, last_midway=begin)
+        v = 0
+        while v <= edges and fine:
+            length = ti.cast(0.0, self.scalar)
+            if v > 0:
+                e = v - 1
+                length = tables.lengths[r, e]
+                way.last, way.last_midway = way.end, way.midway
+                way.end = plus(way.end, self.bent(tables, r, e, half_waves, slope, across))
+                if followed:
+                    way.line = plus(way.line, scaled(self.three(tables.tangents, r, e), length))
+                    way.midway = plus(way.midway, self.bent(tables, r, e, half_waves, MIDWAY * slope, across))
+            o = 0
+            while o < tables.kinds.shape[0] and fine:
+                fine = self.is_outside(tables, r, o, way.last, way.end, length)
+                if fine and followed:
+                    fine = self.is_outside(tables, r, o, way.last_midway, way.midway, length)
+                    if fine and v > 0 and tables.kinds[o] != ti.static(PLANE):
+                        fine = not (self.passes(tables, r, o, way.line, way.midway, length)
+                                    or self.passes(tables, r, o, way.midway, way.end, length))
+                o += 1
+            v += 1
+        return fine
+
+    @ti.func
+    def is_outside(self, tables, r, o, last, x, length):
+        """Whether vertex ``x`` and the edge of that ``length`` from the ``last`` one are."""
+        value = self.value(tables, r, o, x)
+        outside = value >= 0.0
+        if outside and value < length and tables.kinds[o] != ti.static(PLANE):
+            outside = not self.nears(tables, r, o, last, x, value + self.value(tables, r, o, last), 0.0)
+        return outside
+
+    @ti.func
+    def is_sunk(self, tables, r):
+        """Whether the straight line goes into an obstacle."""
+        x = variable((tables.anchor[r, 0], tables.anchor[r, 1], tables.anchor[r, 2]))
+        last = variable(x)
+        outside, length, v = True, ti.cast(0.0, self.scalar), 0
+        while v <= tables.lengths.shape[1] and outside:
+            if v > 0:
+                length = tables.lengths[r, v - 1]
+                last = x
+                x = plus(x, scaled(self.three(tables.tangents, r, v - 1), length))
+            for o in range(tables.kinds.shape[0]):
+                if outside:
+                    outside = self.is_outside(tables, r, o, last, x, length)
+            v += 1
+        return not outside
+
+    @ti.func
+    def search(self, tables, r):
+        """The first try that fits, or NONE."""
+        is_sunk = self.is_sunk(tables, r)
+        found, number = NONE, 0
+        while found == NONE and number < tables.tries.shape[0]:
+            if self.fits(tables, r, number, is_sunk):
+                found = number
+            number += 1
+        return found
+
+
+@cache
+def bow_kernel(kinds: frozenset[int]):
+    """The kernel for obstacles of some kinds."""
+    search = BowSearch(kinds)
+    f32 = [ti.types.ndarray(dtype=ti.f32, ndim=ndim) for ndim in range(1, 4)]
+
+    @ti.kernel
+    def choose(
+        anchor: f32[1],  # [rod, 3] mm
+        tangents: f32[2],  # [rod, edge, 3] of the straight lines
+        axis: f32[1],  # [rod, 3] about which the edges of the first bow turn
+        lengths: f32[1],  # [rod, edge] mm
+        place: f32[1],  # [rod, edge] of the free edges along the rod
+        free: f32[1],  # [rod, edge] one where it may tilt
+        slope: f32[0],  # [rod] that closes it, rad
+        tries: f32[1],  # [try, TRY_COLUMNS]
+        obstacles: f32[0],  # [1 or rod · obstacle · column]
+        kinds: ti.types.ndarray(dtype=ti.i32, ndim=1),
+        grids: ti.types.ndarray(dtype=ti.f64, ndim=1),
+        threads: ti.i32,
+        chosen: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [rod] out: a try, or NONE
+    ):
+        for thread in range(threads):
+            tables = record(anchor=anchor, tangents=tangents, axis=axis, lengths=lengths, place=place, free=free, slope=slope,
+                            tries=tries, obstacles=obstacles, kinds=kinds, grids=grids)
+            for k in range((chosen.shape[0] - thread + threads - 1) // threads):
+                chosen[thread + k * threads] = search.search(tables, thread + k * threads)
+
+    return choose

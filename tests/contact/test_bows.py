@@ -1,0 +1,77 @@
+"""Straight rods between clamps that need slack: how they are bowed among obstacles, and where they come to rest."""
+
+import numpy as np
+import pytest
+
+from doo_ti import Box, Capsule, Clamp, Clamps, Configuration, Material, Plane, relax
+from doo_ti.relaxation.bows import STEEPEST, slope_of_chord
+
+TABLE = Plane((0, 0, 0), (0, 0, 1))
+
+
+def slack_rods(heights, spans, aside, length: float, edges: int, kind: Clamp) -> tuple[Configuration, Clamps]:
+    """Straight rods along x at these heights, whose far ends are clamped ``spans`` mm from the near ones and ``aside``."""
+    one = Configuration.straight(np.zeros(3), np.array([1.0, 0.0, 0.0]), length, edges)
+    start = np.stack([0 * heights, 0 * heights, heights], axis=1)
+    rods = Configuration(start, np.repeat(one.quaternions, len(heights), 0), one.rest_length)
+    frames = rods.frames
+    return rods, Clamps(kind, kind, start, start + np.stack([spans, aside, 0 * spans], axis=1), frames[:, 0], frames[:, -1])
+
+
+def test_slope_of_chord():
+    """The chord of a rod of slope a cos(π s/L), by its mean cosine."""
+    share = np.linspace(0.15, 1.0, 18)
+    s = (np.arange(4000) + 0.5) / 4000
+    chord = np.cos(slope_of_chord(share)[:, None] * np.cos(np.pi * s)).mean(axis=1)
+    print(f"chords off by {np.abs(chord - share).max():.1e}")
+    assert np.abs(chord - share).max() < 1e-4
+    assert (slope_of_chord(np.array([0.0, 0.05])) == STEEPEST).all()
+
+
+@pytest.mark.parametrize("kind", [Clamp.POSITION, Clamp.FRAME], ids=["hinged", "clamped"])
+def test_ropes_with_slack_come_to_rest_on_a_table(rng, kind):
+    """Ropes of 300 mm, a third to five sixths of that between their ends, from 5 to 60 mm above the table."""
+    count = 48
+    heights, spans, aside = rng.uniform(5, 60, count), rng.uniform(100, 250, count), rng.uniform(-50, 50, count)
+    rods, clamps = slack_rods(heights, spans, aside, 300.0, 40, kind)
+    bend = 10 ** rng.uniform(3, 5, count)
+    found = relax(rods, Material(bend, bend), clamps, obstacles=[TABLE], radius=2.0)
+    print(f"{found.converged.mean():.3f} converged in {found.iterations.mean():.0f} iterations")
+    assert found.converged.all() and found.stable.all() and (found.contact.gap > -4e-4).all()
+    assert found.iterations.mean() < 80
+
+
+def test_a_rod_does_not_fall_through_a_thin_peg():
+    """It would sag far below a peg that crosses below its middle."""
+    heights = np.array([6.0, 9.0, 12.0])
+    rods, clamps = slack_rods(heights, np.full(3, 80.0), np.zeros(3), 100.0, 33, Clamp.FRAME)
+    peg = Capsule((40, -60, 0), (40, 60, 0), 1.5)
+    found = relax(rods, Material(1e4, 1e4), clamps, obstacles=[peg], radius=1.0)
+    assert found.converged.all()
+    for x in found.configuration.vertices:
+        assert np.interp(40.0, x[:, 0], x[:, 2]) > 2.4
+
+
+def test_each_rod_has_its_own_obstacles(rng):
+    """Tables at a height of their own give every rod the shape that it has alone."""
+    rods, clamps = slack_rods(np.full(4, 30.0), np.full(4, 70.0), np.zeros(4), 100.0, 33, Clamp.FRAME)
+    points = np.stack([np.zeros(4), np.zeros(4), np.array([0.0, 20.0, 28.5, -500.0])], axis=1)
+    together = relax(rods, Material(1e4, 1e4), clamps, obstacles=[Plane(points, (0, 0, 1))], radius=1.0)
+    assert together.converged.all()
+    for row in range(4):
+        one = np.array([row])
+        table = Plane(points[row], (0, 0, 1))
+        alone = relax(rods.take(one), Material(1e4, 1e4), clamps.take(one), obstacles=[table], radius=1.0)
+        np.testing.assert_array_equal(alone.configuration.quaternions[0], together.configuration.quaternions[row])
+
+
+def test_no_edge_begins_across_the_corner_of_a_box(rng):
+    """Rods of 5 mm edges over boxes of 5 to 7 mm."""
+    count = 128
+    spans, aside = rng.uniform(110, 140, count), rng.uniform(-15, 15, count)
+    rods, clamps = slack_rods(np.full(count, 25.0), spans, aside, 150.0, 30, Clamp.FRAME)
+    bend = 10 ** rng.uniform(3.5, 5, count)
+    boxes = [Box((35, -4, 10), (6, 6, 12)), Box((70, 5, 12), (7, 7, 20)), Box((100, -3, 8), (5, 30, 6))]
+    found = relax(rods, Material(bend, bend), clamps, obstacles=boxes, radius=1.0)
+    print(f"{found.converged.mean():.3f} converged")
+    assert found.converged.mean() > 0.97
