@@ -38,8 +38,8 @@ class Member:
         self.feasible = found != INFEASIBLE
         frames = np.ascontiguousarray(start.quaternions, dtype=np.float64)
         straight = np.where(found == STRAIGHT, found, 0)
-        self.start = of.whole_start(projectable(frames, self.lengths, self.clamp, straight, up, bodies, np.arange(count)),
-                                    self.clamp)
+        bowed = projectable(frames, self.lengths, self.clamp, straight, up, bodies, np.arange(count), beside_others=True)
+        self.start = of.whole_start(bowed, self.clamp)
         self.begin = np.array(start.start, dtype=np.float64)
         self.places = np.where(self.held[..., None], np.stack([clamps.start_position, clamps.end_position], axis=1), 0.0)
         away = np.linalg.norm(self.places[:, 0] - self.begin, axis=1) > AT_ITS_CLAMP * self.clamp[:, of.TOTAL]

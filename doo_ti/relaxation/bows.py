@@ -17,10 +17,9 @@ from doo_ti.contact.obstacles import GRID, OBSTACLE_COLUMNS, Obstacle
 from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_product, tangent_from_quaternion
 from doo_ti.relaxation.bow_kernel import ASIDE, HALF_WAVES, NONE, SIGN, SLOPE, bow_kernel
 
-BESIDE = (False, 1.0), (True, 1.0), (True, -1.0)
-UPRIGHT = (False, -1.0)
-"""Directions of a bow: whether it lies aside, perpendicular to the plane of the first, and to which side. An arch against
-gravity would have to fall over."""
+DOWN, SIDEWAYS, UPRIGHT = (False, 1.0), ((True, 1.0), (True, -1.0)), (False, -1.0)
+"""Directions of a bow: whether it lies aside, perpendicular to the plane of the first, and to which side. An upright arch would
+have to fall over."""
 NUMBERS = (1, 2, 3, 4, 6, 8, 12, 16)
 """Of half waves."""
 EDGES_OF_A_HALF_WAVE = 3
@@ -108,17 +107,21 @@ def straight_rods(whole, lengths, anchor, tilting, share, up) -> Straight:
 
 
 @runtime.exclusive
-def bowed_among(rods: Straight, obstacles: Sequence[Obstacle]) -> np.ndarray:
+def bowed_among(rods: Straight, obstacles: Sequence[Obstacle], beside_others: bool) -> np.ndarray:
     """(N, E, 4) frames of bows that pass through no obstacle, of one row or N, on their way from the straight line: wide ones,
     where there is no room slight ones. Where the line is inside an obstacle, or no bow has room, of one that only ends inside
-    none; where there is none either, of the first."""
+    none; where there is none either, of the first. Rods ``beside_others`` make an upright arch before they go aside, where
+    these may be.
+    """
+    directions = (DOWN, UPRIGHT, *SIDEWAYS) if beside_others else (DOWN, *SIDEWAYS, UPRIGHT)
+    wide = directions if beside_others else directions[:-1]
     tries = np.array([
-        *((1, *direction, STEEPEST, True) for direction in BESIDE),
-        *((1, *direction, SLIGHT, followed) for followed in (True, False) for direction in (*BESIDE, UPRIGHT)),
-        *((number, *direction, STEEPEST, False) for number in NUMBERS for direction in (*BESIDE, UPRIGHT)
+        *((1, *direction, STEEPEST, True) for direction in wide),
+        *((1, *direction, SLIGHT, followed) for followed in (True, False) for direction in directions),
+        *((number, *direction, STEEPEST, False) for number in NUMBERS for direction in directions
           if EDGES_OF_A_HALF_WAVE * number <= rods.whole.shape[1])])
     chosen = np.full(rods.count, NONE)
-    if obstacles and rods.count:
+    if obstacles:
         chosen = _chosen(rods, obstacles, tries)
     return rods.bowed(tries[np.where(chosen == NONE, 0, chosen)])
 

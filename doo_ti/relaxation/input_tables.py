@@ -127,13 +127,14 @@ def material_table(material: Material, isotropic: bool, edges: int) -> np.ndarra
 
 
 def projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, found: np.ndarray, up: np.ndarray,
-                obstacles: Sequence[Obstacle], index: np.ndarray) -> np.ndarray:
+                obstacles: Sequence[Obstacle], index: np.ndarray, beside_others: bool = False) -> np.ndarray:
     """Starts that can be projected: those ``found`` (S,) STRAIGHT are bowed (:mod:`doo_ti.relaxation.bows`), those found TAUT
-    made straight. ``index`` (R,) is the start of each rod: obstacles may belong to single rods. Where starts are changed
-    ``clamp`` is, too, in place."""
+    made straight. ``index`` (R,) is the start of each rod: obstacles may belong to single rods; ``beside_others``: they are
+    rods of groups. Where starts are changed ``clamp`` is, too, in place.
+    """
     slack, taut = np.flatnonzero(found == STRAIGHT), np.flatnonzero(found == TAUT)
     if len(slack):
-        start = _bowed(start, lengths, clamp, slack, up, obstacles, index)
+        start = _bowed(start, lengths, clamp, slack, up, obstacles, index, beside_others)
     if len(taut):
         start = _stretched(start, lengths, clamp, taut)
     return start
@@ -154,7 +155,7 @@ def _rows(lengths: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return lengths[np.zeros_like(rows) if len(lengths) == 1 else rows]
 
 
-def _bowed(start, lengths, clamp, rows, up, obstacles: Sequence[Obstacle], index: np.ndarray) -> np.ndarray:
+def _bowed(start, lengths, clamp, rows, up, obstacles: Sequence[Obstacle], index: np.ndarray, beside_others) -> np.ndarray:
     """Starts of which the slack rods ``rows`` are bowed where their free edges are in one straight line."""
     edges, own = start.shape[1], _rows(lengths, rows)
     ends, _, span, reach = _free_part(own, clamp[rows])
@@ -164,12 +165,14 @@ def _bowed(start, lengths, clamp, rows, up, obstacles: Sequence[Obstacle], index
     chord = np.linalg.norm(((own * tilting)[..., None] * tangent_from_quaternion(whole)).sum(axis=1), axis=-1)
     straight = chord > reach * (1 - TAUT_SLACK)
     straight &= np.isin(rows, index)
+    if not straight.any():
+        return start
     rows, share = rows[straight], (span / reach)[straight]
     anchor = clamp[rows, of.ANCHOR : of.ANCHOR + 3]
     rods = straight_rods(whole[straight], own[straight], anchor, tilting[straight], share, up)
     # Of rods that share a start but not their obstacles the first decides.
     first = np.unique(index, return_index=True)[1][np.searchsorted(np.unique(index), rows)]
-    frames = bowed_among(rods, [obstacle.take(first) for obstacle in obstacles])
+    frames = bowed_among(rods, [obstacle.take(first) for obstacle in obstacles], beside_others)
     return _changed(start, clamp, rows, frames)
 
 
