@@ -138,7 +138,7 @@ class NewtonTrip:
             passable = self.sweep.contacts.item(rod, CROSSING) < 1.0
             # Far from closure the Lagrangian says little.
             missed, misses = dot(lane.miss, lane.miss), dot(miss, miss)
-            reaching = (missed > (fixed.CLOSING_DISTANCE * rod.longest) ** 2) & (misses < fixed.NEARER * missed)
+            reaching = (missed > (fixed.REACHING_DISTANCE * rod.longest) ** 2) & (misses < fixed.NEARER * missed)
             # Nor does it across a change of forces.
             settling = (lane.trying > 0.5) & (self.sweep.contacts.item(rod, SETTLING) > 0.0) & finite
             # A step that raises the residual, and the energy by no more than rounding, is refused: where a contact begins,
