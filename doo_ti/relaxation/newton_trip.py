@@ -54,7 +54,7 @@ class NewtonTrip:
         # distinguish them from soft saddles and leaves them to f64.
         self.among_obstacles = self.touches and not sweep.contacts.itself
         self.expects = self.touches and sweep.contacts.expects
-        patience = fixed.PATIENCE_IN_CONTACT if self.among_obstacles else fixed.PATIENCE
+        patience = fixed.PATIENCE_IN_CONTACT if self.touches else fixed.PATIENCE
         self.patience = fixed.PATIENCE_32 if single else patience
         self.trace = 0.0 if single else fixed.TRACE_IN_CONTACT if self.among_obstacles else fixed.TRACE
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)

@@ -73,10 +73,10 @@ def test_rods_that_fail_or_never_agree_are_reported(rng):
 
 @pytest.mark.slow
 def test_mixed_precision_repeats_what_f32_stops(rng):
-    rods, grippers = swung(rng, 60)
+    rods, grippers = swung(rng, 300)
     exact, single, mixed = (moved(rods, grippers, precision=one) for one in ("f64", "f32", "mixed"))
     stopped = ~single.converged
-    print(f"{stopped.sum()} of 60 stop in f32")
+    print(f"{stopped.sum()} of 300 stop in f32")
     assert stopped.any() and (single.status[stopped, -1] == Status.STALLED).all() and mixed.converged.all()
     np.testing.assert_array_equal(mixed.positions[stopped], exact.positions[stopped])
     np.testing.assert_array_equal(mixed.positions[~stopped], single.positions[~stopped])
