@@ -67,7 +67,7 @@ class NewtonLoop(NewtonTrip):
             change=repeated(zero, 3), longest=one, shift=zero, scale=one, step_scale=zero, coarse=zero, fresh=zero,
             trying=zero, closing=zero, share=one, returned=zero, troubled=zero, escaping=zero, escapes=zero, rounds=zero,
             heading=one, best=zero, idle_trips=zero, aimless=zero, rejects=zero, trips=zero, status=zero, stable=zero,
-            lengths_known=zero, along=zero, spins_first=zero, active=zero, finished=one)
+            lengths_known=zero, along=zero, begun=zero, arrived=zero, spins_first=zero, active=zero, finished=one)
 
     @ti.func
     def store(self, tables, scratch: ti.template(), head, slot, lane, rod):
@@ -99,7 +99,10 @@ class NewtonLoop(NewtonTrip):
             tables.results[row, of.CLOSURE] = ti.sqrt(squares) / total
             at = head + chain.OF_TARGET * self.stride
             target = self.loading.lane_place(scratch, at, slot)
-            along = self.lane(lane.along, slot) * self.get(scratch, head + chain.OF_CLOSED * self.stride, slot)
+            along = self.lane(lane.along, slot)
+            if along > 0.0:
+                along = ti.min(self.lane(lane.begun, slot), self.lane(lane.arrived, slot))
+            along *= self.get(scratch, head + chain.OF_CLOSED * self.stride, slot)
             tables.results[row, of.ALONG] = along / (ti.sqrt(dot(target, target)) + 1e-30)
         if ti.static(self.sweep.moves_start):
             for k in ti.static(range(3)):

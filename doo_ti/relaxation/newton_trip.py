@@ -24,7 +24,7 @@ class NewtonTrip:
     in the lanes (:class:`.Chain`); and ``lane``, the state of each lane's rod and its next step:
 
     energy, magnitude, miss, multiplier  of the accepted frames; ``residual`` their largest moment
-    along                                the smallest t·target of an edge at the start and in all accepted frames
+    begun, arrived, along                the smallest t·target of an edge at the start, in the accepted frames, in all of them
     change, longest                      δλ and the largest rotation of the step, rad
     shift, scale                         added to the diagonal of H, and H's largest diagonal entry
     step_scale                           share of the step that is taken
@@ -101,8 +101,7 @@ class NewtonTrip:
         if self.largest(ti.select(judged.uphill, one, zero)) > 0.5:
             self.sweep.restore(rod, ti.select(judged.uphill, one, zero))
         lane.longest = self.sweep.substitute(rod, found)
-        along = ti.select(lane.fresh > 0.5, ti.min(lowest[0], lowest[1]), lowest[1])
-        self.keep(rod, lane, found, miss, along, multiplier, judged, next_shift)
+        self.keep(rod, lane, found, miss, lowest, multiplier, judged, next_shift)
         place = self.judge_place(tables, rod, lane, found.inertia, judged)
         self.plan(tables, rod, lane, judged, place, searching, found.slope)
         self.end(tables, rod, lane, judged, place)
@@ -155,13 +154,15 @@ class NewtonTrip:
             notable=(after < before - fixed.NOTABLE * lane.magnitude) & downhill)
 
     @ti.func
-    def keep(self, rod, lane, found, miss, along, multiplier, judged, next_shift):
+    def keep(self, rod, lane, found, miss, lowest, multiplier, judged, next_shift):
         """Update the lane after its step: from the new frames where it is accepted, with a larger shift where it led uphill."""
         zero, one = self.constant(0.0), self.constant(1.0)
         lane.energy = ti.select(judged.stands, found.energy, lane.energy)
         lane.magnitude = ti.select(judged.stands, found.magnitude, lane.magnitude)
         lane.miss = chosen(judged.stands, miss, lane.miss)
-        lane.along = ti.select(judged.stands, ti.min(lane.along, along), lane.along)
+        lane.begun = ti.select(lane.fresh > 0.5, lowest[0], lane.begun)
+        lane.arrived = ti.select(judged.stands, lowest[1], lane.arrived)
+        lane.along = ti.select(judged.stands, ti.min(lane.along, lowest[1]), lane.along)
         lane.multiplier = chosen(judged.stands, multiplier, lane.multiplier)
         lane.scale = ti.select(judged.stands, found.scale, lane.scale)
         lane.residual = ti.select(judged.stands, found.moment, lane.residual)

@@ -7,8 +7,8 @@ between them. A rod is divided into blocks of edges, on which two bounds show th
   apart as the cosine of its angle times the arc between them;
 - places of other blocks are as far apart as the middles of the two blocks less half their lengths.
 
-Rods whose edges all point along the line through their ends, at the start and after every step of the relaxation, are not
-searched: on the straight way between two such shapes their places stay in the same order along that line.
+Rods whose edges all point along the line through their ends after every step of the relaxation, and enough so at its start and
+its end, are not searched: on the straight way between two such shapes their places stay in the same order along that line.
 
 The way of rods for which they do not is followed edge by edge (:mod:`doo_ti.relaxation.closest_approach`).
 
@@ -273,10 +273,9 @@ def _arc_between(radius, shortest, longest):
 
 
 def stays_in_order(table: Tables, results: np.ndarray) -> np.ndarray:
-    """(R,) rods whose edges all point along the line through their ends from the start to the end of their relaxation.
-
-    On the whole way two places are then as far apart along it as the smallest cosine times the arc between them, or more.
-    """
+    """(R,) rods whose edges all point along the line through their ends from the start to the end of their relaxation, at both
+    so much that on the straight way between two places are as far apart along the line as the smallest cosine times the arc
+    between them, or more. No step leads from one such shape to another through itself."""
     lengths, radius, index = table.rest_length, table.contact.radius, table.configuration_index
     shortest, longest, total = lengths.min(axis=1), lengths.max(axis=1), lengths.sum(axis=1)
     if len(lengths) > 1:

@@ -35,8 +35,8 @@ CLAMP_ROW, MATERIAL_ROW, RESULT_ROW, START_ROW, EXTERNAL_ROW, ROD_COLUMNS = 0, 1
 FROM_RESULTS = -1
 
 # Columns of a rod's results; the force −λ that holds its far end has three, and ALONG is the smallest cosine of an edge to the
-# line through the rod's ends, from the start to the end of the relaxation. Under an external energy there are three more, how
-# far vertex 0 has moved from the anchor, mm: in where a rod starts, and out.
+# line through the rod's ends, at the start and at the end of the relaxation, or on the way where it is negative there. Under an
+# external energy there are three more, how far vertex 0 has moved from the anchor, mm: in where a rod starts, and out.
 ENERGY, RESIDUAL, CLOSURE, ITERATIONS, STATUS, STABLE, FORCE, ALONG, RESULTS = 0, 1, 2, 3, 4, 5, 6, 9, 10
 DRIFT, LOADED_RESULTS = RESULTS, RESULTS + 3
 
