@@ -10,7 +10,7 @@ and m = 2 atan2(q1, q0) is the twist. With l̄ = l_left + l_right and u = ω −
     E = (½/l̄) Σ_{left, right} uᵀ B u + β m²/l̄.
 
 Derivatives are by the spin a of each frame about its tangent and its tilt Ω = w2 + i w3, the spin made first
-(:func:`.spun_and_tilted`); c = e^{im}/s. The twist enters the variations through X Ω̄ and Y Ω̄, because a frame that tilts
+(:func:`.turned_in_body`); c = e^{im}/s. The twist enters the variations through X Ω̄ and Y Ω̄, because a frame that tilts
 carries its twist along. Spins change nothing but the twist of an isotropic rod: their second derivatives are 2b ∇m ∇mᵀ.
 
 Two variants of the same energy: isotropic (B = αI, ω̄ = 0), and any symmetric positive definite B per edge with rest
