@@ -7,7 +7,6 @@ from doo_ti.bench import cases as timed
 from doo_ti.bench import clock, peak
 from doo_ti.bench.cases import Case, Measurement, Outcome, Specimens, cases, measure
 from doo_ti.relaxation import batch
-from doo_ti.relaxation.newton import TOLERANCES
 
 RODS = 48
 
@@ -36,7 +35,7 @@ def test_a_case_does_what_it_counts(specimens, reference, number):
     found = measure(case, reference, 1)
     assert found.per_second > 0 and found.ratio > 0
     assert found.converged == found.stable == 1.0
-    assert found.residual <= TOLERANCES[32]
+    assert found.residual <= timed.COARSE.tolerance
     assert 0 < found.busy <= 1
     assert found.iterations == pytest.approx(np.average(np.arange(len(found.histogram)), weights=found.histogram))
     assert min(found.gflops.values()) > 0
