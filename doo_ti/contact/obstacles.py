@@ -5,6 +5,7 @@
 All lengths are in mm. Every field may have one row for all rods or, with a leading axis (R,), a row for each rod.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
@@ -341,3 +342,11 @@ def _to_core(beside: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.nda
     """Distance and normal where ``beside`` is the vector from the nearest point of the core, the obstacle's skeleton."""
     away = np.linalg.norm(beside, axis=-1)
     return away - radius[..., 0], beside / np.maximum(away, 1e-300)[..., None]
+
+
+def obstacle_table(obstacles: Sequence[Obstacle]) -> np.ndarray:
+    """(1 or R, M, OBSTACLE_COLUMNS) the numbers of M obstacles as the kernels have them, of one row or R each."""
+    table = np.empty((max((obstacle.count for obstacle in obstacles), default=1), len(obstacles), OBSTACLE_COLUMNS))
+    for place, obstacle in enumerate(obstacles):
+        table[:, place] = obstacle.numbers()
+    return table

@@ -17,7 +17,7 @@ MIDWAY = 0.4
 PLACES = 8
 """Of an edge, and of the way of a vertex, that are to be outside all obstacles."""
 FROM_THERE = 0.9
-"""Of the distance from an obstacle at which a vertex starts: to that it may come near, however long edges are."""
+"""A vertex may always come as near to an obstacle as that share of its distance at the start of its way."""
 NONE = -1
 
 
@@ -65,20 +65,14 @@ class BowSearch:
         """An edge of a bow, whose edges turn in the plane of the line and of ``across``."""
         angle = slope * ti.cos(ti.math.pi * half_waves * tables.place[r, e]) * tables.free[r, e]
         t, length = self.three(tables.tangents, r, e), tables.lengths[r, e]
-        aside = across[0] * t[0] + across[1] * t[1] + across[2] * t[2]
-        flat = minus(across, scaled(t, aside))
+        flat = minus(across, scaled(t, dot(across, t)))
         return plus(scaled(t, length * ti.cos(angle)), scaled(flat, length * ti.sin(angle)))
 
     @ti.func
-    def fits(self, tables, r, number, is_sunk):
-        """Whether a try of a rod, whose straight line ``is_sunk``, is outside all obstacles and, if it is followed, passes
-        through none."""
+    def fits(self, tables, r, number, slope, followed):
+        """Whether a try of that slope is outside all obstacles and, where it is ``followed``, passes through none."""
         edges, fine = tables.lengths.shape[1], True
-        followed = tables.tries[number, FOLLOWED] > 0.5
-        if followed and is_sunk:
-            fine = False
         half_waves = tables.tries[number, HALF_WAVES]
-        slope = ti.min(tables.slope[r], tables.tries[number, SLOPE])
         t = self.three(tables.tangents, r, edges // 2)
         axis = variable((tables.axis[r, 0], tables.axis[r, 1], tables.axis[r, 2]))
         if tables.tries[number, ASIDE] > 0.5:
@@ -119,30 +113,17 @@ class BowSearch:
         return outside
 
     @ti.func
-    def is_sunk(self, tables, r):
-        """Whether the straight line goes into an obstacle."""
-        x = variable((tables.anchor[r, 0], tables.anchor[r, 1], tables.anchor[r, 2]))
-        last = variable(x)
-        outside, length, v = True, ti.cast(0.0, self.scalar), 0
-        while v <= tables.lengths.shape[1] and outside:
-            if v > 0:
-                length = tables.lengths[r, v - 1]
-                last = x
-                x = plus(x, scaled(self.three(tables.tangents, r, v - 1), length))
-            for o in range(tables.kinds.shape[0]):
-                if outside:
-                    outside = self.is_outside(tables, r, o, last, x, length)
-            v += 1
-        return not outside
-
-    @ti.func
     def search(self, tables, r):
         """The first try that fits, or NONE."""
-        is_sunk = self.is_sunk(tables, r)
+        # Of no slope a try is the straight line, the way from which can be followed only if it is outside.
+        clear = self.fits(tables, r, 0, 0.0 * tables.slope[r], False)
         found, number = NONE, 0
         while found == NONE and number < tables.tries.shape[0]:
-            if self.fits(tables, r, number, is_sunk):
-                found = number
+            followed = tables.tries[number, FOLLOWED] > 0.5
+            slope = ti.min(tables.slope[r], tables.tries[number, SLOPE])
+            if clear or not followed:
+                if self.fits(tables, r, number, slope, followed):
+                    found = number
             number += 1
         return found
 

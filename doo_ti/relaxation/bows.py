@@ -6,14 +6,14 @@ which they pass through none either, brings them the rest of the way.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from doo_ti import runtime
 from doo_ti.contact.distance_grid import grid_table
-from doo_ti.contact.obstacles import GRID, OBSTACLE_COLUMNS, Obstacle
+from doo_ti.contact.obstacles import GRID, Obstacle, obstacle_table
 from doo_ti.frames import matrix_from_quaternion, quaternion_about, quaternion_product, tangent_from_quaternion
 from doo_ti.relaxation.bow_kernel import ASIDE, HALF_WAVES, NONE, SIGN, SLOPE, bow_kernel
 
@@ -69,19 +69,10 @@ class Straight:
     place: np.ndarray
     free: np.ndarray
 
-    @property
-    def count(self) -> int:
-        """N."""
-        return len(self.whole)
-
     @cached_property
     def tangents(self) -> np.ndarray:
         """(N, E, 3)."""
         return tangent_from_quaternion(self.whole)
-
-    def take(self, rows: np.ndarray) -> "Straight":
-        """Some of them."""
-        return replace(self, **{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
     def bowed(self, bows: np.ndarray) -> np.ndarray:
         """(N, E, 4) frames of a bow each (N, TRY_COLUMNS), its slope the one that closes the rod, or less."""
@@ -120,7 +111,7 @@ def bowed_among(rods: Straight, obstacles: Sequence[Obstacle], beside_others: bo
         *((1, *direction, SLIGHT, followed) for followed in (True, False) for direction in directions),
         *((number, *direction, STEEPEST, False) for number in NUMBERS for direction in directions
           if EDGES_OF_A_HALF_WAVE * number <= rods.whole.shape[1])])
-    chosen = np.full(rods.count, NONE)
+    chosen = np.full(len(rods.whole), NONE)
     if obstacles:
         chosen = _chosen(rods, obstacles, tries)
     return rods.bowed(tries[np.where(chosen == NONE, 0, chosen)])
@@ -130,13 +121,10 @@ def _chosen(rods: Straight, obstacles: Sequence[Obstacle], tries: np.ndarray) ->
     """(N,) the first of the ``tries`` (K, TRY_COLUMNS) that fits, or NONE."""
     runtime.start()
     kinds, grids = grid_table(obstacles)
-    count = max(obstacle.count for obstacle in obstacles)
-    table = np.empty((count, len(obstacles), OBSTACLE_COLUMNS), dtype=np.float32)
-    for place, obstacle in enumerate(obstacles):
-        table[:, place] = obstacle.numbers()
-    chosen = np.empty(rods.count, dtype=np.int32)
+    chosen = np.empty(len(rods.whole), dtype=np.int32)
     known = frozenset(np.minimum(kinds, GRID).tolist())
     single = (np.ascontiguousarray(value, dtype=np.float32) for value in (
-        rods.anchor, rods.tangents, rods.axis, rods.lengths, rods.place, rods.free, rods.slope, tries, table.reshape(-1)))
-    bow_kernel(known)(*single, kinds, grids, min(rods.count, MOST_THREADS), chosen)
+        rods.anchor, rods.tangents, rods.axis, rods.lengths, rods.place, rods.free, rods.slope, tries,
+        obstacle_table(obstacles).reshape(-1)))
+    bow_kernel(known)(*single, kinds, grids, min(len(chosen), MOST_THREADS), chosen)
     return chosen

@@ -145,9 +145,9 @@ class Chain:
         """One where a step is to turn frames by spins that are made before tilts, zero where by rotation vectors; ``far``: one
         where a rod is far from rest.
 
-        Tilts alone decide where vertices go: with spins first, clamps and obstacles are met as well by a step in which frames
-        also spin. With rotation vectors a part of the rod that turns as a whole keeps its shape, which is what most steps of
-        rods with a free end do, of ribbons, where spin and tilt go together, and neutral motions near rest.
+        Tilts alone move vertices. With spins first this holds for large steps too, so that a step meets clamps and obstacles as
+        well as its linear model says. With rotation vectors a part of the rod that turns as a whole keeps its shape, which is
+        what most steps of rods with a free end do, of ribbons, where spin and tilt go together, and neutral motions near rest.
         """
         one = 0.0 * far
         if ti.static(self.touches):

@@ -8,7 +8,7 @@ import numpy as np
 from doo_ti.contact.contacts import Contacts
 from doo_ti.contact.distance_grid import DistanceGrid, grid_table
 from doo_ti.contact.gap_tolerance import GAP_TOLERANCE
-from doo_ti.contact.obstacles import FRICTION, GRID, OBSTACLE_COLUMNS, Obstacle
+from doo_ti.contact.obstacles import FRICTION, GRID, Obstacle, obstacle_table
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.relaxation import tables as of
@@ -119,10 +119,6 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     radius = surroundings.radius
     obstacles = surroundings.bodies
     require_margin(obstacles, radius.max())
-    rows = count if any(obstacle.count > 1 for obstacle in obstacles) else 1
-    table = np.empty((rows, len(obstacles), OBSTACLE_COLUMNS))
-    for place, obstacle in enumerate(obstacles):
-        table[:, place] = obstacle.numbers()
     # Grippers may carry any rod to an obstacle.
     near = np.ones(count, dtype=bool) if in_motion else _near(obstacles, radius, clamp, index)
     # Where no rod is near, nothing is written to either before rods touch themselves.
@@ -131,7 +127,7 @@ def contact_table(obstacles: Sequence[Obstacle], radius, count: int, edges: int,
     forces = np.broadcast_to(0.0, (count, edges + 1, 3)) if not rows else np.zeros((count, edges + 1, 3))
     kinds, grids = grid_table(obstacles)
     return ContactTable(
-        obstacles=table, kinds=kinds, grids=grids, radius=radius, near=near, memory=memory, forces=forces,
+        obstacles=obstacle_table(obstacles), kinds=kinds, grids=grids, radius=radius, near=near, memory=memory, forces=forces,
         surroundings=surroundings,
         self_friction=np.zeros(1) if surroundings.itself is None else surroundings.itself.friction)
 

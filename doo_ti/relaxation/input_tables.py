@@ -7,11 +7,7 @@ import numpy as np
 
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.errors import InputError
-from doo_ti.frames import (
-    quaternion_product,
-    smallest_rotation,
-    tangent_from_quaternion,
-)
+from doo_ti.frames import quaternion_product, smallest_rotation, tangent_from_quaternion
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.bows import bowed_among, straight_rods
 from doo_ti.relaxation.checked_input import check_material, check_shapes, clamp_kinds, external_rows, paired_rows, rest_lengths
@@ -164,14 +160,15 @@ def _bowed(start, lengths, clamp, rows, up, obstacles: Sequence[Obstacle], index
     whole = whole_start(start[rows], clamp[rows])
     chord = np.linalg.norm(((own * tilting)[..., None] * tangent_from_quaternion(whole)).sum(axis=1), axis=-1)
     straight = chord > reach * (1 - TAUT_SLACK)
-    straight &= np.isin(rows, index)
     if not straight.any():
         return start
+    # Of rods that share a start but not their obstacles the first decides; starts without rods are left.
+    used, firsts = np.unique(index, return_index=True)
+    straight &= np.isin(rows, used)
     rows, share = rows[straight], (span / reach)[straight]
     anchor = clamp[rows, of.ANCHOR : of.ANCHOR + 3]
     rods = straight_rods(whole[straight], own[straight], anchor, tilting[straight], share, up)
-    # Of rods that share a start but not their obstacles the first decides.
-    first = np.unique(index, return_index=True)[1][np.searchsorted(np.unique(index), rows)]
+    first = firsts[np.searchsorted(used, rows)]
     frames = bowed_among(rods, [obstacle.take(first) for obstacle in obstacles], beside_others)
     return _changed(start, clamp, rows, frames)
 
