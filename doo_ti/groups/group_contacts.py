@@ -184,7 +184,7 @@ class GroupContacts(SelfContacts):
             active = rod.scratch[at + ACTIVE * self.stride]
             miss, force = self.missed(rod, k), self.load3(rod.scratch, at + TIE_FORCE * self.stride)
             work, stretch = active * dot(force, miss), 0.5 * active * stiffness * dot(miss, miss)
-            self.add(rod, ENERGY, (work + stretch, absolute(work) + stretch))
+            self.add_penalty(rod, work + stretch, absolute(work) + stretch)
             pull = scaled(plus(force, scaled(miss, stiffness)), active)
             block = scaled(identity(0.0 * stiffness), active * stiffness)
             self.add_load(rod, first, pull)

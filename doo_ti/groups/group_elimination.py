@@ -263,6 +263,7 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
         self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, x)
         self.store(rod.scratch, self.contacts.own_vertex(rod, 0) + MOVE * self.stride, x)
         longest = dot(x, x) / (rod.total * rod.total)
+        turns = 0.0 * longest
         at = rod.origin
         for e in range(rod.edges):
             w = self.solution(rod, e + 1)
@@ -280,7 +281,8 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
                 change = scaled(minus(scaled(first_director(q), w[2]), scaled(second_director(q), w[1])), length)
                 longest = largest_of(longest, self.contacts.approach(rod, e + 1, x, plus(x, change)))
                 x = plus(x, change)
-                longest = self.longer(longest, w)
+                turns = self.longer(turns, w)
             self.store(rod.scratch, self.contacts.own_vertex(rod, e + 1) + MOVE * self.stride, x)
             at += self.edge_stride
-        return ti.sqrt(largest_of(longest, self.contacts.approach_itself(rod)))
+        self.contacts.note_turns(rod, ti.sqrt(turns))
+        return ti.sqrt(largest_of(largest_of(longest, turns), self.contacts.approach_itself(rod)))

@@ -164,5 +164,6 @@ def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy_row(table.up, options, 64),
         threads, scratch, queue, frames.reshape(-1), results, joints.numbers(), joints.field(),
-        *contact.arguments(contact.forces, options.gap_tolerance), int(table.barrier), table.begins, table.ties, table.targets,
-        table.free, table.burden, table.apart, state.places, state.tie_forces, previous, state.touch, state.friction_work)
+        *contact.arguments(contact.forces, options.gap_tolerance, settles=False), int(table.barrier), table.begins, table.ties,
+        table.targets, table.free, table.burden, table.apart, state.places, state.tie_forces, previous, state.touch,
+        state.friction_work)

@@ -34,7 +34,6 @@ from doo_ti.physics.tuples import (
     traced,
     variable,
 )
-from doo_ti.relaxation.contact_layout import ENERGY
 
 
 @traced
@@ -108,7 +107,7 @@ class Welds:
         p = plus(moment, scaled(u, stiffness))
         self.store(rod.scratch, at + TURNED * self.stride, u)
         work, stretch = dot(moment, u), 0.5 * stiffness * dot(u, u)
-        self.contacts.add(rod, ENERGY, (work + stretch, absolute(work) + stretch))
+        self.contacts.add_penalty(rod, work + stretch, absolute(work) + stretch)
         columns = (tangent(rest), first_director(rest), second_director(rest))
         before, after = plus(scaled(p, s), cross(v, p)), minus(scaled(p, s), cross(v, p))
         self.contacts.add_to(rod.scratch, self.contacts.edge(rod, late) + MOMENT * self.stride, negated(before))

@@ -117,7 +117,7 @@ def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int
     items = per_rod + per_edge * table.edges
     if contact is not None:
         items += contact.items(table.edges, len(contact.kinds))
-        outer += contact.arguments(contact.forces, options.gap_tolerance)
+        outer += contact.arguments(contact.forces, options.gap_tolerance, not contact.itself)
     threads, stride = fitting(threads, stride, items)
     if contact is None:
         kernel = newton.newton_kernel(number, table.isotropic, stride, block, serial, kind, any_ends)

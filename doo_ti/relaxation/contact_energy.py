@@ -34,7 +34,6 @@ from doo_ti.relaxation.contact_layout import (
     END_CURVATURES,
     END_EXCESS,
     END_GRADIENT,
-    ENERGY,
     EXCESS,
     EXCESS_S,
     EXPECTED,
@@ -341,7 +340,7 @@ class ContactEnergy(ContactPlaces):
         self.settle_now(rod, contact + FORCE * self.stride, value - self.item(rod, RADIUS), close)
         pushed = self.push(rod, ti.select(close, rod.scratch[contact + FORCE * self.stride], zero),
                            value - self.item(rod, RADIUS))
-        self.add(rod, ENERGY, (pushed.energy, pushed.push * rod.total))
+        self.add_penalty(rod, pushed.energy, pushed.push * rod.total)
         self.expect(rod, contact + PUSHES * self.stride, rod.scratch[contact + FORCE * self.stride],
                     value - self.item(rod, RADIUS), close, pushed)
         pull = scaled(normal, 0.0 - pushed.push)
@@ -405,7 +404,7 @@ class ContactEnergy(ContactPlaces):
         across = self.load3(rod.scratch, contact + RUBBED_NORMAL * self.stride)
         friction = self.load3(rod.scratch, contact + FRICTION * self.stride)
         rubbed = self.rubbed(rod, self.limit(rod, o, contact, FORCE), friction, across, self.slid(rod, at, o))
-        self.add(rod, ENERGY, (rubbed.energy, dot(rubbed.pull, rubbed.pull) / self.item(rod, STIFFNESS)))
+        self.add_penalty(rod, rubbed.energy, dot(rubbed.pull, rubbed.pull) / self.item(rod, STIFFNESS))
         self.add(rod, END_GRADIENT, rubbed.pull)
         self.add(rod, END_CURVATURES, rubbed.stiffness)
 
@@ -418,7 +417,7 @@ class ContactEnergy(ContactPlaces):
         friction = self.load3(rod.scratch, contact + FRICTION_BETWEEN * self.stride)
         rubbed = self.rubbed(rod, self.limit(rod, o, contact, FORCE_BETWEEN), friction, away, u)
         pull, bent = chosen(counts, rubbed.pull, repeated(zero, 3)), chosen(counts, rubbed.stiffness, repeated(zero, 6))
-        self.add(rod, ENERGY, (ti.select(counts, rubbed.energy, zero), dot(pull, pull) / self.item(rod, STIFFNESS)))
+        self.add_penalty(rod, ti.select(counts, rubbed.energy, zero), dot(pull, pull) / self.item(rod, STIFFNESS))
         self.add(rod, GRADIENT, pull + scaled(pull, s))
         self.add(rod, CURVATURES, bent + scaled(full(bent), s) + scaled(bent, s * s))
 
@@ -466,7 +465,7 @@ class ContactEnergy(ContactPlaces):
         if ti.static(self.settles_early):
             excess = scaled(normal, known - force)
             self.add(rod, EXCESS, excess + scaled(excess, s))
-        self.add(rod, ENERGY, (weight * own, ti.max(force, zero) * rod.total))
+        self.add_penalty(rod, weight * own, ti.max(force, zero) * rod.total)
         turned = applied(full(seen.curvature), edge)
         across = plus(normal, scaled(turned, s))
         slide = known / seen.bend

@@ -12,20 +12,21 @@ from doo_ti.physics.tuples import picked
 RADIUS, STIFFNESS, TOLERANCE, CHANGE, PHASE, OFFSET, STRENGTH, STAGE, REACH = 0, 1, 2, 3, 4, 5, 6, 7, 8
 FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH, WAY_MADE, WAY, MULTIPLIER, LARGEST, VISCOSITY, FIRST_VISCOSITY, EASED = (
     9, 10, 11, 12, 13, 14, 15, 18, 19, 20, 21)
-# And sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts and
-# its magnitude; the square of the largest share of its way to the middle of an obstacle that a vertex has made in this step;
-# the least φ, the least gap where no clamp holds the rod, and by how much the step changed a force by settling forces. Then
-# the κ with which the step settles forces, zero where it does not, and how many steps have done so; 1/κ; one where the step
-# before was refused, and one where the derivatives therefore have a contact that does not push (:meth:`.ContactEnergy.expect`);
-# and, one number each for all rods of the pack, whether a barrier keeps any away from obstacles, whether the step of any was
-# refused, and the length of the longest edge. And of one edge the
-# derivatives of the energy of its contacts between its ends, as :meth:`.LoadedElimination.load` returns them, and how much of
-# the first two is not of known forces; and those by the place of the vertex where it ends of the energy of the contacts there.
-ENERGY, MAGNITUDE, CROSSING, DEEPEST, CLOSEST, SETTLED, SETTLING, EARLY, COMPLIANCE, EXPECTING, EXPECTED = (
-    22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32)
-SOME_BEHIND, SOME_EXPECTING, LONGEST_EDGE = 33, 34, 35
-GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, EXCESS, EXCESS_S = 36, 39, 42, 48, 57, 63, 66
-END_GRADIENT, END_CURVATURES, END_EXCESS, HEAD = 69, 72, 78, 81
+# And sums, which are kept here because a loop over obstacles has no room for them in registers: the energy of all contacts, its
+# magnitude, and the part of it that only makes gaps close, which is no energy of the rod; the square of the largest share of
+# its way to the middle of an obstacle that a vertex has made in this step; the least φ, the least gap where no clamp holds the
+# rod, and by how much the step changed a force by settling forces. Then the κ with which the step settles forces, zero where it
+# does not, and how many steps have done so; 1/κ; one where the step before was refused, and one where the derivatives therefore
+# have a contact that does not push (:meth:`.ContactEnergy.expect`); the largest rotation of the next step; that part of the
+# energy at the accepted frames; and, one number each for all rods of the pack, whether a barrier keeps any away from obstacles,
+# whether the step of any was refused, and the length of the longest edge. And of one edge the derivatives of the energy of its
+# contacts between its ends, as :meth:`.LoadedElimination.load` returns them, and how much of the first two is not of known
+# forces; and those by the place of the vertex where it ends of the energy of the contacts there.
+ENERGY, MAGNITUDE, PENALTY, CROSSING, DEEPEST, CLOSEST, SETTLED, SETTLING, EARLY, COMPLIANCE, EXPECTING, EXPECTED = (
+    22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33)
+TURNS, PENALTY_KEPT, SOME_BEHIND, SOME_EXPECTING, LONGEST_EDGE = 34, 35, 36, 37, 38
+GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, EXCESS, EXCESS_S = 39, 42, 45, 51, 60, 66, 69
+END_GRADIENT, END_CURVATURES, END_EXCESS, HEAD = 72, 75, 81, 84
 # Phases of a rod: it has just been loaded and begins with a barrier; this keeps it away from obstacles and finds out where it
 # will touch them; rounds to a rough tolerance of its moments; rounds to the final one.
 LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0
@@ -66,9 +67,10 @@ THROUGH = 0.4
 TIGHT, SOFTEST = 0.3, 1.0
 """Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does; and where a step
 was refused, so that the rod does not slip into the obstacle."""
-EARLY_ROTATION, EARLY_SHIFT, EARLY_STIFFER, MOST_EARLY = 3e-2, 1e-3, 7.0, 12.0
+EARLY_ROTATION, EARLY_SHIFT, EARLY_STIFFER, EARLY_STIFFER_32, MOST_EARLY = 3e-2, 1e-3, 20.0, 4.0, 12.0
 """A step in which every edge turns by less than that, rad, settles forces, unless a larger shift, over H's largest diagonal
-entry, makes it small; κ is from then on at least so many times the first; and at most so many steps of a rod do so."""
+entry, makes it small; κ is from then on at least so many times the first, fewer in f32, where it makes rounding larger; and at
+most so many steps of a rod do so."""
 STIFFER, SLOW, STIFFEST = 5.0, 0.3, 1e6
 """κ grows by so much where a round leaves more than that share of the change of the round before, up to so many times the
 first."""
@@ -91,9 +93,9 @@ CLOSE = 4.0
 """Radii: what is further from an obstacle than that, and half an edge, is not close."""
 LEAST_OFFSET = 0.05
 """Of a radius: the smallest gap of a rod's start, as the barrier sees it."""
-APPROACH = 0.75
-"""A whole step may take 0.6 over that of a gap."""
-SLACK = 0.1
+APPROACH = 0.65
+"""A whole step may take the largest rotation, 0.6 rad, over that of a gap."""
+SLACK = 0.3
 """Of a radius: by so much more it may in rounds."""
 ROUGHEST, ROUGHER = 1e-2, 3e-3
 """The residual to reach under the barrier, and until the forces of contacts have settled."""

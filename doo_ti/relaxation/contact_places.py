@@ -26,6 +26,8 @@ from doo_ti.relaxation.contact_layout import (
     NEAREST_OF_ALL,
     NORMAL,
     OBSTACLE_ITEMS,
+    PENALTY,
+    PENALTY_KEPT,
     PHASE,
     PLACE,
     PREVIOUS,
@@ -40,6 +42,7 @@ from doo_ti.relaxation.contact_layout import (
     STANDING,
     STIFFNESS,
     TOLERANCE,
+    TURNS,
     VALUE,
     VERTEX_ITEMS,
 )
@@ -113,7 +116,7 @@ class ContactPlaces:
         """Begin the sums over all vertices, and compute what they all need."""
         zero = 0.0 * rod.total
         most = zero + 1e30
-        self.store(rod.scratch, rod.contacts + ENERGY * self.stride, (zero, zero, zero, most, most, zero))
+        self.store(rod.scratch, rod.contacts + ENERGY * self.stride, (zero, zero, zero, zero, most, most, zero))
         rod.scratch[rod.contacts + COMPLIANCE * self.stride] = 1.0 / self.item(rod, STIFFNESS)
         rod.scratch[rod.contacts + EXPECTED * self.stride] = zero
         self.put_common(rod, SOME_BEHIND, ti.select(self.behind(rod), zero + 1.0, zero))
@@ -141,6 +144,21 @@ class ContactPlaces:
     def lower(self, scratch: ti.template(), at, value):
         """Take a value into a minimum."""
         scratch[at] = ti.min(scratch[at], value)
+
+    @ti.func
+    def add_penalty(self, rod, energy, magnitude):
+        """Add to the energy of all contacts some that only makes gaps close."""
+        self.add(rod, ENERGY, (energy, magnitude, energy))
+
+    @ti.func
+    def note_accepted(self, rod, where):
+        """Keep that energy in the lanes ``where`` a step was accepted."""
+        self.set_item(rod, PENALTY_KEPT, where, self.item(rod, PENALTY))
+
+    @ti.func
+    def note_turns(self, rod, longest):
+        """Keep the largest rotation of the next step."""
+        rod.scratch[rod.contacts + TURNS * self.stride] = longest
 
     # --- what a rod is near to ---
 

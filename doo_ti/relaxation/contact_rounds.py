@@ -13,6 +13,7 @@ from doo_ti.relaxation.contact_layout import (
     CLOSEST,
     EARLY,
     EARLY_STIFFER,
+    EARLY_STIFFER_32,
     EXPECTED,
     EXPECTING,
     FINE,
@@ -120,9 +121,13 @@ class ContactRounds(ContactEnergy):
     def tolerance(self, rod, given):
         """The residual that a rod is to reach where ``given`` is that of one without contact: more while its rounds are rough,
         and at least what rounding of places makes of the forces."""
-        noise = self.rounding * self.item(rod, STIFFNESS) * rod.longest * rod.total * rod.total
         rough = ti.select(self.behind(rod), 0.0 * given + ROUGHEST, 0.0 * given + ROUGHER)
-        return ti.select(self.settled(rod), given, ti.max(given, rough)) + noise
+        return self.final_tolerance(rod, ti.select(self.settled(rod), given, ti.max(given, rough)))
+
+    @ti.func
+    def final_tolerance(self, rod, given):
+        """That of a rod in its final rounds."""
+        return given + self.rounding * self.item(rod, STIFFNESS) * rod.longest * rod.total * rod.total
 
     @ti.func
     def settled(self, rod):
@@ -167,27 +172,31 @@ class ContactRounds(ContactEnergy):
         return again
 
     @ti.func
-    def settle_early(self, rod, lane, ready):
+    def settle_early(self, rod, lane, ready, rests):
         """Let the next step settle forces in the lanes that are ``ready`` and whose rounds are rough: forces then change as
         soon as the step has moved the rod, so that no trip only evaluates the rod under new forces. Where the forces that this
-        step settled changed by no more than the tolerance, the final rounds begin. Returns the lanes of both kinds, in which
-        the rod needs another trip."""
+        step settled changed by no more than the tolerance, the rod is done if it ``rests`` under them, else the final rounds
+        begin. Returns the lanes of both kinds in which the rod needs another trip, and those in which it is done."""
         zero = 0.0 * rod.total
-        early = variable((zero > 1.0,))
+        early, done = variable((zero > 1.0,)), variable((zero > 1.0,))
         if ti.static(self.settles_early):
             stiffness, change = self.item(rod, STIFFNESS), self.settled_gap(rod)
+            stiffer = ti.static(EARLY_STIFFER_32 if self.bits == 32 else EARLY_STIFFER)
             settled = self.item(rod, SETTLING) > 0.0
             self.set_item(rod, CHANGE, settled, change)
-            last = settled & (change <= self.item(rod, TOLERANCE))
+            within = settled & (change <= self.item(rod, TOLERANCE))
+            if ti.static(self.bits == 32):  # in f64 another step makes forces far more exact
+                done = (within & rests,)
+            last = within & ~done[0]
             self.set_item(rod, PHASE, last, zero + FINE)
             choose(lane, settled, best=zero + 1e30, idle_trips=zero, aimless=zero)
             rough = ~self.behind(rod) & ~self.settled(rod)
-            settles = ready & rough & (self.item(rod, EARLY) < MOST_EARLY)
+            settles = ready & rough & ~done[0] & (self.item(rod, EARLY) < MOST_EARLY)
             rod.scratch[rod.contacts + SETTLING * self.stride] = ti.select(settles, stiffness, zero)
             self.set_item(rod, EARLY, settles, self.item(rod, EARLY) + 1.0)
-            self.set_item(rod, STIFFNESS, settles, ti.max(stiffness, EARLY_STIFFER * self.item(rod, FIRST_STIFFNESS)))
+            self.set_item(rod, STIFFNESS, settles, ti.max(stiffness, stiffer * self.item(rod, FIRST_STIFFNESS)))
             early = (settles | last,)
-        return early[0]
+        return early[0], done[0]
 
     @ti.func
     def settle(self, rod, due):

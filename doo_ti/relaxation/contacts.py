@@ -49,7 +49,6 @@ from doo_ti.relaxation.contact_layout import (
     ROOM,
     ROUGH,
     RUBBED_PLACE,
-    SAGGING,
     SETTLING,
     SOFT,
     STAGE,
@@ -66,7 +65,6 @@ from doo_ti.relaxation.contact_layout import (
     VISCOUS,
     WAY,
     WAY_MADE,
-    WEIGHT,
     WORK,
 )
 from doo_ti.relaxation.contact_rounds import ContactRounds
@@ -251,17 +249,22 @@ class Contacts(ContactRounds):
             self.put(scratch, at + PUSHED * self.stride, 0, 1.0)
             for o in range(count):
                 contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
-                for item in ti.static((WEIGHT, SAGGING, PUSHES, PUSHES_BETWEEN)):
+                for item in ti.static((PUSHES, PUSHES_BETWEEN) if self.expects else ()):
                     self.put(scratch, contact + item * self.stride, slot, 0.0)
                 for k in ti.static(range(REMEMBERED, REMEMBERED_IN_MOTION) if self.rub else (ACTIVE,)):
                     self.put(scratch, contact + k * self.stride, slot, 0.0)
-                for k in range(tables.memory.shape[3]):
-                    self.put(scratch, contact + k * self.stride, slot, tables.memory[row, v, o, k])
-                largest = ti.max(largest, tables.memory[row, v, o, FORCE])
+                force, between = tables.memory[row, v, o, FORCE], tables.memory[row, v, o, FORCE_BETWEEN]
+                largest = ti.max(largest, force)
                 if v > 0:
-                    largest = ti.max(largest, tables.memory[row, v, o, FORCE_BETWEEN])
+                    largest = ti.max(largest, between)
                 else:  # memory has other numbers there
-                    for pair in ti.static(CARRIED_ON):
+                    between = 0.0
+                self.put(scratch, contact + FORCE * self.stride, slot, force)
+                self.put(scratch, contact + FORCE_BETWEEN * self.stride, slot, between)
+                for k in range(REMEMBERED, tables.memory.shape[3]):
+                    self.put(scratch, contact + k * self.stride, slot, tables.memory[row, v, o, k])
+                if v == 0:
+                    for pair in ti.static(CARRIED_ON[1:]):
                         self.put(scratch, contact + pair[0] * self.stride, slot, 0.0)
         # A rod that begins with large forces would slip into the obstacle if κ gave way as if it had none.
         self.put(scratch, base + LARGEST * self.stride, slot, largest)
@@ -320,7 +323,9 @@ class Contacts(ContactRounds):
             at = first + v * (VERTEX_ITEMS + tables.kinds.shape[0] * CONTACT_ITEMS) * self.stride
             for o in range(tables.kinds.shape[0]):
                 contact = at + (VERTEX_ITEMS + o * CONTACT_ITEMS) * self.stride
-                for k in range(tables.memory.shape[3]):
+                for k in ti.static((FORCE, FORCE_BETWEEN)):
+                    tables.memory[row, v, o, k] = self.get(scratch, contact + k * self.stride, slot)
+                for k in range(REMEMBERED, tables.memory.shape[3]):
                     tables.memory[row, v, o, k] = self.get(scratch, contact + k * self.stride, slot)
         self.carry_on(tables, scratch, slot, row, CARRIED_ON[:1])
 

@@ -250,7 +250,7 @@ class LoadedElimination(LooseStart):
         or the largest share of the way to the middle of an obstacle, if that is more."""
         zero = 0.0 * rod.total
         w, x = variable(repeated(zero, 3)), variable(repeated(zero, 3))
-        longest = zero
+        longest, turns = zero, zero
         if ti.static(self.moves_start):
             x = self.solved_start(rod, found.change)
             longest = dot(x, x) / (rod.total * rod.total)
@@ -266,9 +266,11 @@ class LoadedElimination(LooseStart):
             if ti.static(self.touches):
                 longest = largest_of(longest, self.contacts.approach(rod, e + 1, x, plus(x, change)))
             x = plus(x, change)
-            longest = self.longer(longest, w)
+            turns = self.longer(turns, w)
             at += self.edge_stride
-        return ti.sqrt(longest)
+        if ti.static(self.touches):
+            self.contacts.note_turns(rod, ti.sqrt(turns))
+        return ti.sqrt(largest_of(longest, turns))
 
     @ti.func
     def add_force(self, rod, at, change):

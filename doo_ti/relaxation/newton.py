@@ -11,7 +11,7 @@ from functools import cache
 import taichi as ti
 
 from doo_ti import runtime
-from doo_ti.contact.gap_tolerance import GAP_TOLERANCE, require_gap_tolerance
+from doo_ti.contact.gap_tolerance import require_gap_tolerance
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import record
@@ -40,7 +40,8 @@ class Newton:
     max_rotation    largest turn of any edge in one step, rad
     max_escapes     how often a rod may leave a saddle it has converged to
     gap_tolerance   of a rod's radius: how far the gap at a contact may be off; in f32 at least 2e-6 of the length. A smaller
-                    value makes the forces of single contacts more exact, above all those of stiff rods with short edges
+                    value makes the forces of single contacts more exact, above all those of stiff rods with short edges.
+                    None: 2e-5, and 2e-4 for rods that may touch themselves or each other and where there is friction
     """
 
     tolerance: float | None = None
@@ -48,7 +49,7 @@ class Newton:
     first_shift: float = 0.05
     max_rotation: float = 0.6
     max_escapes: int = 3
-    gap_tolerance: float = GAP_TOLERANCE
+    gap_tolerance: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("first_shift", "max_rotation", *(() if self.tolerance is None else ("tolerance",))):
@@ -59,7 +60,8 @@ class Newton:
             require_whole("Newton", name, getattr(self, name), least)
         if not 0 < self.max_rotation <= 1:
             raise InputError("Newton", "max_rotation", f"{self.max_rotation}", "give radians above 0, at most 1")
-        require_gap_tolerance("Newton", self.gap_tolerance)
+        if self.gap_tolerance is not None:
+            require_gap_tolerance("Newton", self.gap_tolerance)
         if not 0 <= self.first_shift < float("inf"):
             raise InputError("Newton", "first_shift", f"{self.first_shift}", "give a finite number from zero up")
 

@@ -6,6 +6,7 @@ from doo_ti.physics.tuples import choose, dot, record, repeated
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import newton_policy as fixed
 from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.contact_layout import PENALTY_KEPT
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.loading import LANES, NEXT, TRIPS, Loading
 from doo_ti.relaxation.newton_trip import NewtonTrip
@@ -89,7 +90,11 @@ class NewtonLoop(NewtonTrip):
             unit = ti.cast(self.get(scratch, head + chain.OF_ENERGY_UNIT * self.stride, slot), ti.f64)
             length_unit = ti.cast(self.get(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot), ti.f64)
             total = self.get(scratch, head + chain.OF_TOTAL * self.stride, slot)
-            tables.results[row, of.ENERGY] = ti.cast(self.lane(lane.energy, slot), ti.f64) * unit
+            energy = ti.cast(self.lane(lane.energy, slot), ti.f64)
+            if ti.static(self.touches):
+                # λ²/2κ at a contact is no energy of the rod, and depends on κ.
+                energy -= self.get(scratch, tables.contacts + PENALTY_KEPT * self.stride, slot)
+            tables.results[row, of.ENERGY] = energy * unit
             tables.results[row, of.RESIDUAL] = self.lane(lane.residual, slot) * total
             for k in ti.static(range(3)):
                 force = 0.0 - ti.cast(self.lane(lane.multiplier[k], slot), ti.f64)

@@ -10,6 +10,7 @@ from doo_ti.relaxation.contact_layout import (
     EARLY_SHIFT,
     SETTLING,
     TOLERANCE,
+    TURNS,
     WALL,
 )
 from doo_ti.relaxation.elimination import Elimination
@@ -158,6 +159,8 @@ class NewtonTrip:
         """Update the lane after its step: from the new frames where it is accepted, with a larger shift where it led uphill."""
         zero, one = self.constant(0.0), self.constant(1.0)
         lane.energy = ti.select(judged.stands, found.energy, lane.energy)
+        if ti.static(self.touches):
+            self.sweep.contacts.note_accepted(rod, judged.stands)
         lane.magnitude = ti.select(judged.stands, found.magnitude, lane.magnitude)
         lane.miss = chosen(judged.stands, miss, lane.miss)
         lane.begun = ti.select(lane.fresh > 0.5, lowest[0], lane.begun)
@@ -196,9 +199,11 @@ class NewtonTrip:
         gap = ti.sqrt(dot(lane.miss, lane.miss))
         tolerance = self.tolerance(tables, rod)
         at_rest = lane.residual * rod.total <= tolerance
+        turns = lane.longest
         if ti.static(self.touches):
+            turns = self.sweep.contacts.item(rod, TURNS)
             # Large forces on a limp rod: rounding limits the residual, and the next step bounds the error of the shape.
-            still = (lane.longest <= self.still) & (lane.shift <= 0.0)
+            still = (turns <= self.still) & (lane.shift <= 0.0)
             at_rest = at_rest | (still & (lane.residual * rod.total <= fixed.BY_ROUNDING * tolerance))
         small = at_rest & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
         if ti.static(self.touches):
@@ -213,7 +218,7 @@ class NewtonTrip:
         if ti.static(self.expects):
             altered = altered | self.sweep.contacts.expected(rod)
         # Where rounding limits the residual, the size of the next step bounds the error of the shape.
-        settled = lane.longest <= self.shape_tolerance
+        settled = turns <= self.shape_tolerance
         at_saddle = calm & ~altered & wrong
         if ti.static(self.among_obstacles):
             # While forces are rough, a motion that will turn out to be neutral may have a negative eigenvalue.
@@ -299,10 +304,12 @@ class NewtonTrip:
             most = ti.static(EARLY_SHIFT if self.among_obstacles else 1e30)
             near = (lane.longest < EARLY_ROTATION) & (lane.shift <= most * lane.scale)
             ready = (lane.trying > 0.5) & (lane.escaping < 0.5) & near & ~entered & ~lost
-            early = self.sweep.contacts.settle_early(rod, lane, ready)
-            calm = place.calm & ~entered & ~place.leaving & ~early
+            given = self.constant(0.0) + ti.cast(tables.policy[fixed.TOLERANCE], self.scalar)
+            exact = lane.residual * rod.total <= self.sweep.contacts.final_tolerance(rod, given)
+            early, done = self.sweep.contacts.settle_early(rod, lane, ready, place.at_minimum & exact & ~entered)
+            calm = place.calm & ~entered & ~place.leaving & ~early & ~done
             ended, at_rest, stuck = ended & ~early, at_rest & ~early, stuck & ~early
-            goes_on = self.sweep.contacts.end_round(rod, lane, calm, (ended | at_rest) & ~entered, entered)
+            goes_on = self.sweep.contacts.end_round(rod, lane, calm, (ended | at_rest) & ~entered & ~done, entered)
             ended, at_rest, stuck = ended & ~goes_on, at_rest & ~goes_on, stuck & ~goes_on
             blocked = self.sweep.contacts.blocked(rod, fresh, lane.miss)
             lane.status = ti.select(blocked, self.constant(self.infeasible), lane.status)

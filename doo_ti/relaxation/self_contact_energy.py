@@ -13,7 +13,6 @@ from doo_ti.relaxation.contact_layout import (
     CLOSEST,
     CROSSING,
     DEEPEST,
-    ENERGY,
     LOADED,
     PLACE,
     RADIUS,
@@ -187,7 +186,7 @@ class SelfContactEnergy(Contacts):
         self.lower(rod.scratch, rod.contacts + CLOSEST * self.stride, ti.select(held, zero + 1e30, gap))
         pushed = self.push(rod, rod.scratch[at + FORCE * self.stride], gap)
         push, stiffness = ti.select(near, pushed.push, zero), ti.select(near, pushed.stiffness, zero)
-        self.add(rod, ENERGY, (ti.select(near, pushed.energy, zero), push * rod.total))
+        self.add_penalty(rod, ti.select(near, pushed.energy, zero), push * rod.total)
         if self.some((push > 0.0) | (stiffness > 0.0), zero):
             weights = pair_weights(seen.s, seen.t)
             self.store(rod.scratch, self.end(rod, 0), weights + pair_slopes(weights, seen, p, q))
@@ -290,7 +289,7 @@ class SelfContactEnergy(Contacts):
             pull = chosen(acting, rubbed.pull, repeated(zero, 3))
             bent = chosen(acting, rubbed.stiffness, repeated(zero, 6))
             square = ti.select(acting, dot(pull, pull), zero) / self.item(rod, STIFFNESS)
-            self.add(rod, ENERGY, (ti.select(acting, rubbed.energy, zero), square))
+            self.add_penalty(rod, ti.select(acting, rubbed.energy, zero), square)
             weights = pair_weights(rod.scratch[at + RUBBED_PLACES * self.stride],
                                    rod.scratch[at + (RUBBED_PLACES + 1) * self.stride])
             self.store(rod.scratch, self.end(rod, 0), weights)

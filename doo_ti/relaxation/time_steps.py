@@ -125,7 +125,8 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
             kernel, items, parameters = time_contact_kernel(
                 number, table.isotropic, stride, block, contact.known, contact.rubs, contact.itself, poses is not None)
             poses = np.zeros((1, 1, 1, 1)) if poses is None else poses
-            more = *contact.arguments(forces, options.gap_tolerance), touches, poses, contact.pair_memory
+            settles = not (contact.rubs or contact.itself)
+            more = *contact.arguments(forces, options.gap_tolerance, settles), touches, poses, contact.pair_memory
             size = parameters + items * table.edges + contact.items(table.edges, len(contact.kinds))
         elif slopes is None:
             kernel, items, parameters = time_kernel(number, table.isotropic, stride, block)

@@ -80,7 +80,9 @@ def errors(case: tuple, edges: int) -> tuple[float, float, float]:
     held = 0.5 * edge  # the clamp of a discrete rod is the middle of the edge that it holds
     (_, thrust, lift, _, lift_after), place = buckled(LENGTH - shorter - edge, LENGTH - edge, first)
     x, s = found.configuration.vertices[0, 1:-1], edge * np.arange(1, edges) - held
-    off = np.hypot(*(x[:, [0, 2]].T - place(s) - [[held], [0.0]]))
+    # Where it touches on the far side of its middle, it is the mirror image.
+    both = x[:, [0, 2]], (np.array([LENGTH - shorter, 0.0]) + x[:, [0, 2]] * [-1.0, 1.0])[::-1]
+    off = min((np.hypot(*(one.T - place(s) - [[held], [0.0]])) for one in both), key=np.max)
     pushed = found.contact_force[0, :, 2].sum()
     return found.end_force[0, 0] / thrust - 1.0, pushed / (lift - lift_after) - 1.0, off.max() / HEIGHT
 

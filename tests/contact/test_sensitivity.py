@@ -73,7 +73,7 @@ def test_rods_relaxed_again_move_so():
 
 def test_rods_seen_from_the_other_end_move_alike():
     """A rod held at one end on a slope and a ball: whether the free end is its first one or its last changes nothing."""
-    close = Newton(max_iterations=1000, gap_tolerance=1e-7)
+    close = Newton(max_iterations=1000, gap_tolerance=1e-8)
     one = Configuration.straight(np.array([0.0, 0.0, 12.0]), np.array([1.0, 0.2, -0.1]), 100.0, 24)
     among = dict(obstacles=[Plane((0, 0, 0), (0.05, 0.02, 1)), Sphere((60, 3, -8), 12.0)], radius=2.0)
     material, common = Material(4e4, 3e4, 1.0), ("bend", "weight", "up", "gravity", "length")

@@ -16,6 +16,7 @@ from doo_ti.material import Material
 from doo_ti.rods import end_clamps, straight_rod
 from doo_ti.types import Clamp, Configuration
 from tests.contact.topology import linking
+from tests.oracle.chain_form import chain_energy, rod_of
 
 RADIUS, STIFFNESS = 1.0, 1e5
 WEIGHTLESS = Material(STIFFNESS, STIFFNESS, 0.0)
@@ -42,6 +43,8 @@ def test_crossed_rods_press_against_each_other(radii):
     solution = relax_group(Group(rods, WEIGHTLESS, clamps), radius=[radii])
     assert solution.converged[0] and solution.stable[0]
     assert abs(solution.gap[0]) < 1e-3 * RADIUS
+    energy = sum(sum(chain_energy(rod_of(one, WEIGHTLESS), one.start[0], one.quaternions[0])) for one in solution.rods)
+    assert solution.energy[0] == pytest.approx(energy, rel=1e-10)
     force = np.array([part[0].sum(axis=0) for part in solution.contact_force])
     assert np.abs(force.sum(axis=0)).max() < 1e-9 * np.abs(force).max()
     expected = depth / (compliance(5.0, 72.5) + compliance(5.0, 62.5))
