@@ -71,6 +71,9 @@ EARLY_ROTATION, EARLY_SHIFT, EARLY_STIFFER, EARLY_STIFFER_32, MOST_EARLY = 3e-2,
 """A step in which every edge turns by less than that, rad, settles forces, unless a larger shift, over H's largest diagonal
 entry, makes it small; κ is from then on at least so many times the first, fewer in f32, where it makes rounding larger; and at
 most so many steps of a rod do so."""
+DEEP = 0.5
+"""Of a radius: where a vertex is deeper inside an obstacle, such a step does not make κ larger, and half as deep not more than
+twofold."""
 STIFFER, SLOW, STIFFEST = 5.0, 0.3, 1e6
 """κ grows by so much where a round leaves more than that share of the change of the round before, up to so many times the
 first."""
@@ -93,10 +96,10 @@ CLOSE = 4.0
 """Radii: what is further from an obstacle than that, and half an edge, is not close."""
 LEAST_OFFSET = 0.05
 """Of a radius: the smallest gap of a rod's start, as the barrier sees it."""
-APPROACH = 0.65
+APPROACH = 0.75
 """A whole step may take the largest rotation, 0.6 rad, over that of a gap."""
-SLACK = 0.3
-"""Of a radius: by so much more it may in rounds."""
+SLACK, SLACK_OF_SHARP = 0.3, 0.1
+"""Of a radius: by so much more it may in rounds, and where an obstacle has edges, past which a rod could slip."""
 ROUGHEST, ROUGHER = 1e-2, 3e-3
 """The residual to reach under the barrier, and until the forces of contacts have settled."""
 

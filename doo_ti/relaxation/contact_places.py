@@ -3,7 +3,7 @@
 import taichi as ti
 
 from doo_ti.contact.distance import Distance
-from doo_ti.contact.obstacles import PLANE
+from doo_ti.contact.obstacles import BOX, CYLINDER, GRID, PLANE
 from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.tuples import applied, choose, chosen, dot, full, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contact_layout import (
@@ -219,6 +219,12 @@ class ContactPlaces:
     def is_curved(self, rod, o):
         """Whether obstacle ``o`` is no plane: an edge can then be nearer to it between its ends than at both."""
         return rod.kinds[o] != ti.static(PLANE)
+
+    @ti.func
+    def is_sharp(self, rod, o):
+        """Whether obstacle ``o`` may have edges: a box, a cylinder or a grid."""
+        kind = rod.kinds[o]
+        return kind == ti.static(BOX) or kind == ti.static(CYLINDER) or kind >= ti.static(GRID)
 
     @ti.func
     def is_any_close(self, rod, at):

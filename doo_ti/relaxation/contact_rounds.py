@@ -11,6 +11,7 @@ from doo_ti.relaxation.contact_layout import (
     BARRIER,
     CHANGE,
     CLOSEST,
+    DEEP,
     EARLY,
     EARLY_STIFFER,
     EARLY_STIFFER_32,
@@ -49,6 +50,7 @@ from doo_ti.relaxation.contact_layout import (
     SECANT,
     SETTLING,
     SLACK,
+    SLACK_OF_SHARP,
     SLOW,
     SOFTEST,
     STAGE,
@@ -93,13 +95,14 @@ class ContactRounds(ContactEnergy):
         at = self.vertex(rod, index)
         behind = self.behind(rod)
         radius = self.item(rod, RADIUS)
-        slack = ti.select(behind, self.item(rod, OFFSET), SLACK * radius)
         floor = ti.select(behind, zero - 1e30, zero)
         most = zero
         if self.is_any_close(rod, at) or (index > 0 and self.is_any_close(rod, self.vertex(rod, index - 1))):
             for o in range(rod.obstacles):
                 contact = self.contact(at, o)
                 value = rod.scratch[contact + VALUE * self.stride]
+                slack = ti.select(self.is_sharp(rod, o), SLACK_OF_SHARP, SLACK) * radius
+                slack = ti.select(behind, self.item(rod, OFFSET), slack)
                 if self.is_close(rod, contact):
                     gap = ti.max(value - radius, floor) + slack
                     normal = self.load3(rod.scratch, contact + NORMAL * self.stride)
@@ -194,7 +197,11 @@ class ContactRounds(ContactEnergy):
             settles = ready & rough & ~done[0] & (self.item(rod, EARLY) < MOST_EARLY)
             rod.scratch[rod.contacts + SETTLING * self.stride] = ti.select(settles, stiffness, zero)
             self.set_item(rod, EARLY, settles, self.item(rod, EARLY) + 1.0)
-            self.set_item(rod, STIFFNESS, settles, ti.max(stiffness, stiffer * self.item(rod, FIRST_STIFFNESS)))
+            # Deep in an obstacle a much larger κ would throw the rod out of it.
+            radius = self.item(rod, RADIUS)
+            depth = ti.max(0.0 - self.item(rod, CLOSEST), 1e-3 * radius)
+            larger = ti.min(stiffer * self.item(rod, FIRST_STIFFNESS), DEEP * radius / depth * stiffness)
+            self.set_item(rod, STIFFNESS, settles, ti.max(stiffness, larger))
             early = (settles | last,)
         return early[0], done[0]
 

@@ -30,6 +30,8 @@ from doo_ti.types import Clamps, Configuration, Material, Solution, Status, unit
 CONVERGED, STALLED, INFEASIBLE = (int(status) for status in (Status.CONVERGED, Status.STALLED, Status.INFEASIBLE))
 PRECISIONS = ("f32", "f64", "mixed")
 F32_ONLY = "f32 only"
+ITERATIONS_32 = 300
+"""After which f64 takes over from f32, which can repeat the same few steps without end."""
 INSIDE, CLOSE_PLACES = 1e-2, 29
 """Radii by which an edge of a rod that has converged may be inside a ring; and places of it that are measured for that."""
 
@@ -140,7 +142,10 @@ def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | Non
     if precision == "f64":
         frames, results = batch.run_newton(table, solver, 64, begin)
         return frames, results, np.full(len(results), 64)
-    coarse = replace(solver, tolerance=None) if precision == "mixed" else solver
+    coarse = solver
+    if precision != F32_ONLY:
+        coarse = replace(solver, max_iterations=min(solver.max_iterations, ITERATIONS_32),
+                         tolerance=None if precision == "mixed" else solver.tolerance)
     frames, results = batch.run_newton(table, coarse, 32, begin)
     bits = np.full(len(results), 32)
     if precision == F32_ONLY:
