@@ -262,8 +262,8 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
         x = variable(self.solution(rod, 0))
         self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, x)
         self.store(rod.scratch, self.contacts.own_vertex(rod, 0) + MOVE * self.stride, x)
-        longest = dot(x, x) / (rod.total * rod.total)
-        turns = 0.0 * longest
+        size = dot(x, x) / (rod.total * rod.total)
+        longest = size
         at = rod.origin
         for e in range(rod.edges):
             w = self.solution(rod, e + 1)
@@ -272,7 +272,7 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
                 self.store(rod.scratch, self.contacts.member(rod, following) + BEGIN_STEP * self.stride, w)
                 self.store(rod.scratch, at + ROTATION * self.stride, repeated(0.0 * longest, 3))
                 x = w
-                longest = largest_of(longest, dot(x, x) / (rod.total * rod.total))
+                size = largest_of(size, dot(x, x) / (rod.total * rod.total))
                 longest = largest_of(longest, self.contacts.approach(rod, e + 1, x, x))
             else:
                 self.store(rod.scratch, at + ROTATION * self.stride, w)
@@ -281,8 +281,8 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
                 change = scaled(minus(scaled(first_director(q), w[2]), scaled(second_director(q), w[1])), length)
                 longest = largest_of(longest, self.contacts.approach(rod, e + 1, x, plus(x, change)))
                 x = plus(x, change)
-                turns = self.longer(turns, w)
+                size = self.longer(size, w)
             self.store(rod.scratch, self.contacts.own_vertex(rod, e + 1) + MOVE * self.stride, x)
             at += self.edge_stride
-        self.contacts.note_turns(rod, ti.sqrt(turns))
-        return ti.sqrt(largest_of(largest_of(longest, turns), self.contacts.approach_itself(rod)))
+        self.contacts.note_step_size(rod, ti.sqrt(size))
+        return ti.sqrt(largest_of(largest_of(longest, size), self.contacts.approach_itself(rod)))

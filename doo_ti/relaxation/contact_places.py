@@ -40,9 +40,9 @@ from doo_ti.relaxation.contact_layout import (
     SOME_BEHIND,
     SOME_EXPECTING,
     STANDING,
+    STEP_SIZE,
     STIFFNESS,
     TOLERANCE,
-    TURNS,
     VALUE,
     VERTEX_ITEMS,
 )
@@ -156,9 +156,10 @@ class ContactPlaces:
         self.set_item(rod, PENALTY_KEPT, where, self.item(rod, PENALTY))
 
     @ti.func
-    def note_turns(self, rod, longest):
-        """Keep the largest rotation of the next step."""
-        rod.scratch[rod.contacts + TURNS * self.stride] = longest
+    def note_step_size(self, rod, size):
+        """Keep the largest rotation of the next step, or the share of the rod's length by which it moves vertex 0, if that is
+        more. The share of its way that it takes to an obstacle does not count."""
+        rod.scratch[rod.contacts + STEP_SIZE * self.stride] = size
 
     # --- what a rod is near to ---
 

@@ -268,8 +268,8 @@ class DenseElimination(DenseFactors):
         x = variable(self.solution(rod, 0))
         self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, x)
         self.store(rod.scratch, self.contacts.own_vertex(rod, 0) + MOVE * self.stride, x)
-        longest = dot(x, x) / (rod.total * rod.total)
-        turns = 0.0 * longest
+        size = dot(x, x) / (rod.total * rod.total)
+        longest = size
         at = rod.origin
         for e in range(rod.edges):
             w = self.solution(rod, e + 1)
@@ -280,7 +280,7 @@ class DenseElimination(DenseFactors):
             longest = largest_of(longest, self.contacts.approach(rod, e + 1, x, plus(x, change)))
             x = plus(x, change)
             self.store(rod.scratch, self.contacts.own_vertex(rod, e + 1) + MOVE * self.stride, x)
-            turns = self.longer(turns, w)
+            size = self.longer(size, w)
             at += self.edge_stride
-        self.contacts.note_turns(rod, ti.sqrt(turns))
-        return ti.sqrt(largest_of(largest_of(longest, turns), self.contacts.approach_itself(rod)))
+        self.contacts.note_step_size(rod, ti.sqrt(size))
+        return ti.sqrt(largest_of(largest_of(longest, size), self.contacts.approach_itself(rod)))

@@ -250,10 +250,10 @@ class LoadedElimination(LooseStart):
         or the largest share of the way to the middle of an obstacle, if that is more."""
         zero = 0.0 * rod.total
         w, x = variable(repeated(zero, 3)), variable(repeated(zero, 3))
-        longest, turns = zero, zero
+        longest, size = zero, zero
         if ti.static(self.moves_start):
             x = self.solved_start(rod, found.change)
-            longest = dot(x, x) / (rod.total * rod.total)
+            size = dot(x, x) / (rod.total * rod.total)
         at = rod.origin
         for e in range(rod.edges):
             if ti.static(self.moves_start):
@@ -266,11 +266,11 @@ class LoadedElimination(LooseStart):
             if ti.static(self.touches):
                 longest = largest_of(longest, self.contacts.approach(rod, e + 1, x, plus(x, change)))
             x = plus(x, change)
-            turns = self.longer(turns, w)
+            size = self.longer(size, w)
             at += self.edge_stride
         if ti.static(self.touches):
-            self.contacts.note_turns(rod, ti.sqrt(turns))
-        return ti.sqrt(largest_of(longest, turns))
+            self.contacts.note_step_size(rod, ti.sqrt(size))
+        return ti.sqrt(largest_of(longest, size))
 
     @ti.func
     def add_force(self, rod, at, change):

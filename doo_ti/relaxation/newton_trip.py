@@ -9,8 +9,8 @@ from doo_ti.relaxation.contact_layout import (
     EARLY_ROTATION,
     EARLY_SHIFT,
     SETTLING,
+    STEP_SIZE,
     TOLERANCE,
-    TURNS,
     WALL,
 )
 from doo_ti.relaxation.elimination import Elimination
@@ -199,11 +199,11 @@ class NewtonTrip:
         gap = ti.sqrt(dot(lane.miss, lane.miss))
         tolerance = self.tolerance(tables, rod)
         at_rest = lane.residual * rod.total <= tolerance
-        turns = lane.longest
+        size = lane.longest
         if ti.static(self.touches):
-            turns = self.sweep.contacts.item(rod, TURNS)
+            size = self.sweep.contacts.item(rod, STEP_SIZE)
             # Large forces on a limp rod: rounding limits the residual, and the next step bounds the error of the shape.
-            still = (turns <= self.still) & (lane.shift <= 0.0)
+            still = (size <= self.still) & (lane.shift <= 0.0)
             at_rest = at_rest | (still & (lane.residual * rod.total <= fixed.BY_ROUNDING * tolerance))
         small = at_rest & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
         if ti.static(self.touches):
@@ -218,7 +218,7 @@ class NewtonTrip:
         if ti.static(self.expects):
             altered = altered | self.sweep.contacts.expected(rod)
         # Where rounding limits the residual, the size of the next step bounds the error of the shape.
-        settled = turns <= self.shape_tolerance
+        settled = size <= self.shape_tolerance
         at_saddle = calm & ~altered & wrong
         if ti.static(self.among_obstacles):
             # While forces are rough, a motion that will turn out to be neutral may have a negative eigenvalue.
