@@ -4,7 +4,7 @@ from doo_ti.errors import InputError, require_number
 
 GAP_TOLERANCE = 2e-4
 """Of a rod's radius, unless another is given: a gap may be off by that, or a force by that times the stiffness κ."""
-GAP_TOLERANCE_OF_OBSTACLES = 2e-5
+GAP_TOLERANCE_OF_OBSTACLES = 1e-5
 """The same in ``relax`` of rods that may touch obstacles only, whose forces settle with the steps and so at little cost."""
 LEAST, MOST = 1e-10, 0.1
 """What may be given; smaller ones are below rounding."""

@@ -67,10 +67,13 @@ THROUGH = 0.4
 TIGHT, SOFTEST = 0.3, 1.0
 """Of a radius: the most by which κ gives way under the largest force, so that forces end where contact does; and where a step
 was refused, so that the rod does not slip into the obstacle."""
-EARLY_ROTATION, EARLY_SHIFT, EARLY_STIFFER, EARLY_STIFFER_32, MOST_EARLY = 3e-2, 1e-3, 20.0, 4.0, 12.0
+EARLY_ROTATION, EARLY_SHIFT, EARLY_STIFFER, MOST_EARLY = 3e-2, 1e-3, 7.0, 12.0
 """A step in which every edge turns by less than that, rad, settles forces, unless a larger shift, over H's largest diagonal
-entry, makes it small; κ is from then on at least so many times the first, fewer in f32, where it makes rounding larger; and at
-most so many steps of a rod do so."""
+entry, makes it small; κ is from then on at least so many times the first; and at most so many steps of a rod do so."""
+ALMOST, ALMOST_STIFFER = 5e-3, 40.0
+"""Of a radius: once such a step has changed gaps by less, κ is in f64 at least so many times the first."""
+FOLLOWED = 0.7
+"""Where such a step leaves a large residual and more than that share of the change of the one before, the next settles none."""
 DEEP = 0.5
 """Of a radius: where a vertex is deeper inside an obstacle, such a step does not make κ larger, and half as deep not more than
 twofold."""

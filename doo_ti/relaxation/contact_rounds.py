@@ -7,6 +7,8 @@ from doo_ti.physics.tuples import choose, chosen, dot, minus, plus, record, repe
 from doo_ti.relaxation.contact_energy import ContactEnergy
 from doo_ti.relaxation.contact_layout import (
     ACTIVE,
+    ALMOST,
+    ALMOST_STIFFER,
     APPROACH,
     BARRIER,
     CHANGE,
@@ -14,11 +16,11 @@ from doo_ti.relaxation.contact_layout import (
     DEEP,
     EARLY,
     EARLY_STIFFER,
-    EARLY_STIFFER_32,
     EXPECTED,
     EXPECTING,
     FINE,
     FIRST_STIFFNESS,
+    FOLLOWED,
     FORCE,
     FORCE_BETWEEN,
     FRICTION,
@@ -183,9 +185,10 @@ class ContactRounds(ContactEnergy):
         zero = 0.0 * rod.total
         early, done = variable((zero > 1.0,)), variable((zero > 1.0,))
         if ti.static(self.settles_early):
-            stiffness, change = self.item(rod, STIFFNESS), self.settled_gap(rod)
-            stiffer = ti.static(EARLY_STIFFER_32 if self.bits == 32 else EARLY_STIFFER)
+            stiffness, change, radius = self.item(rod, STIFFNESS), self.settled_gap(rod), self.item(rod, RADIUS)
             settled = self.item(rod, SETTLING) > 0.0
+            # The rod has not followed its forces, and might never if they changed again at once.
+            behind = settled & (lane.residual * rod.total > ROUGHER) & (change > FOLLOWED * self.item(rod, CHANGE))
             self.set_item(rod, CHANGE, settled, change)
             within = settled & (change <= self.item(rod, TOLERANCE))
             if ti.static(self.bits == 32):  # in f64 another step makes forces far more exact
@@ -194,11 +197,13 @@ class ContactRounds(ContactEnergy):
             self.set_item(rod, PHASE, last, zero + FINE)
             choose(lane, settled, best=zero + 1e30, idle_trips=zero, aimless=zero)
             rough = ~self.behind(rod) & ~self.settled(rod)
-            settles = ready & rough & ~done[0] & (self.item(rod, EARLY) < MOST_EARLY)
+            settles = ready & rough & ~done[0] & ~behind & (self.item(rod, EARLY) < MOST_EARLY)
             rod.scratch[rod.contacts + SETTLING * self.stride] = ti.select(settles, stiffness, zero)
             self.set_item(rod, EARLY, settles, self.item(rod, EARLY) + 1.0)
+            stiffer = zero + EARLY_STIFFER
+            if ti.static(self.bits == 64):  # in f32 so large a κ would make rounding large
+                stiffer = ti.select(settled & (change < ALMOST * radius), zero + ALMOST_STIFFER, stiffer)
             # Deep in an obstacle a much larger κ would throw the rod out of it.
-            radius = self.item(rod, RADIUS)
             depth = ti.max(0.0 - self.item(rod, CLOSEST), 1e-3 * radius)
             larger = ti.min(stiffer * self.item(rod, FIRST_STIFFNESS), DEEP * radius / depth * stiffness)
             self.set_item(rod, STIFFNESS, settles, ti.max(stiffness, larger))
