@@ -17,11 +17,11 @@ FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH, WAY_MADE, WAY, MULTIPLIER, LARGE
 # its way to the middle of an obstacle that a vertex has made in this step; the least φ, the least gap where no clamp holds the
 # rod, and by how much the step changed a force by settling forces. Then the κ with which the step settles forces, zero where it
 # does not, and how many steps have done so; 1/κ; one where the step before was refused, and one where the derivatives therefore
-# have a contact that does not push (:meth:`.ContactEnergy.expect`); the size of the next step; that part of the
-# energy at the accepted frames; and, one number each for all rods of the pack, whether a barrier keeps any away from obstacles,
-# whether the step of any was refused, and the length of the longest edge. And of one edge the derivatives of the energy of its
-# contacts between its ends, as :meth:`.LoadedElimination.load` returns them, and how much of the first two is not of known
-# forces; and those by the place of the vertex where it ends of the energy of the contacts there.
+# have a contact that does not push (:meth:`.ContactEnergy.expect`); the size of the next step; that part of the energy at the
+# accepted frames; and, one number each for all rods of the pack, whether a barrier keeps any away from obstacles, whether the
+# step of any was refused, and the length of the longest edge. And of one edge the derivatives of the energy of its contacts
+# between its ends, as :meth:`.LoadedElimination.load` returns them, and how much of the first two is not of known forces; and
+# those by the place of the vertex where it ends of the energy of the contacts there.
 ENERGY, MAGNITUDE, PENALTY, CROSSING, DEEPEST, CLOSEST, SETTLED, SETTLING, EARLY, COMPLIANCE, EXPECTING, EXPECTED = (
     22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33)
 STEP_SIZE, PENALTY_KEPT, SOME_BEHIND, SOME_EXPECTING, LONGEST_EDGE = 34, 35, 36, 37, 38

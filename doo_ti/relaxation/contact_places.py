@@ -319,7 +319,9 @@ class ContactPlaces:
             # A lane that has found its point keeps it while others go on.
             going = ti.select(here & bridging & (absolute(step - s[0]) > self.place_rounding), zero + 1.0, zero)
             s = (step,)
-        found.bend = ti.select(bridging, found.bend, zero + 1e30)
+        # Inside a box φ may have a kink there and no curvature: the point then stays at the kink.
+        curved = found.bend > 1e-9 * ti.sqrt(dot(edge, edge))
+        found.bend = ti.select(bridging & curved, found.bend, zero + 1e30)
         return found
 
     @ti.func

@@ -188,7 +188,7 @@ class ContactRounds(ContactEnergy):
             stiffness, change, radius = self.item(rod, STIFFNESS), self.settled_gap(rod), self.item(rod, RADIUS)
             settled = self.item(rod, SETTLING) > 0.0
             # The rod has not followed its forces, and might never if they changed again at once.
-            behind = settled & (lane.residual * rod.total > ROUGHER) & (change > FOLLOWED * self.item(rod, CHANGE))
+            lagging = settled & (lane.residual * rod.total > ROUGHER) & (change > FOLLOWED * self.item(rod, CHANGE))
             self.set_item(rod, CHANGE, settled, change)
             within = settled & (change <= self.item(rod, TOLERANCE))
             if ti.static(self.bits == 32):  # in f64 another step makes forces far more exact
@@ -197,7 +197,7 @@ class ContactRounds(ContactEnergy):
             self.set_item(rod, PHASE, last, zero + FINE)
             choose(lane, settled, best=zero + 1e30, idle_trips=zero, aimless=zero)
             rough = ~self.behind(rod) & ~self.settled(rod)
-            settles = ready & rough & ~done[0] & ~behind & (self.item(rod, EARLY) < MOST_EARLY)
+            settles = ready & rough & ~done[0] & ~lagging & (self.item(rod, EARLY) < MOST_EARLY)
             rod.scratch[rod.contacts + SETTLING * self.stride] = ti.select(settles, stiffness, zero)
             self.set_item(rod, EARLY, settles, self.item(rod, EARLY) + 1.0)
             stiffer = zero + EARLY_STIFFER

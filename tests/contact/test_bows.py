@@ -7,6 +7,7 @@ from doo_ti import Box, Capsule, Clamp, Clamps, Configuration, Material, Plane, 
 from doo_ti.relaxation.bows import STEEPEST, slope_of_chord
 
 TABLE = Plane((0, 0, 0), (0, 0, 1))
+BOXES = [Box((35, -4, 10), (6, 6, 12)), Box((70, 5, 12), (7, 7, 20)), Box((100, -3, 8), (5, 30, 6))]
 
 
 def slack_rods(heights, spans, aside, length: float, edges: int, kind: Clamp) -> tuple[Configuration, Clamps]:
@@ -71,7 +72,21 @@ def test_no_edge_begins_across_the_corner_of_a_box(rng):
     spans, aside = rng.uniform(110, 140, count), rng.uniform(-15, 15, count)
     rods, clamps = slack_rods(np.full(count, 25.0), spans, aside, 150.0, 30, Clamp.FRAME)
     bend = 10 ** rng.uniform(3.5, 5, count)
-    boxes = [Box((35, -4, 10), (6, 6, 12)), Box((70, 5, 12), (7, 7, 20)), Box((100, -3, 8), (5, 30, 6))]
-    found = relax(rods, Material(bend, bend), clamps, obstacles=boxes, radius=1.0)
+    found = relax(rods, Material(bend, bend), clamps, obstacles=BOXES, radius=1.0)
     print(f"{found.converged.mean():.3f} converged")
     assert found.converged.mean() > 0.97
+
+
+@pytest.mark.parametrize("seed, row", [(12, 24), (13, 87), (15, 117)])
+def test_an_edge_pushed_into_a_box_comes_out_again(seed, row):
+    """On their way these rods are pushed into the thin box so far that their centreline is inside, between two of its faces:
+    there φ has a kink along the rod's edge, and no curvature."""
+    random = np.random.default_rng(seed)
+    starts = random.uniform(-10, 10, 128)
+    ahead = np.stack([random.uniform(110, 140, 128), random.uniform(-15, 15, 128), random.uniform(-5, 5, 128)], -1)
+    bend = 10 ** random.uniform(3.5, 5, 128)[row]
+    rod = Configuration.straight(np.array([0.0, starts[row], 25.0]), np.array([1.0, 0.0, 0.0]), 150.0, 30)
+    frames = rod.frames
+    clamps = Clamps(Clamp.FRAME, Clamp.FRAME, rod.start, rod.start + ahead[row], frames[:, 0], frames[:, -1])
+    found = relax(rod, Material(bend, bend), clamps, obstacles=BOXES, radius=1.0)
+    assert found.converged[0] and found.stable[0]
