@@ -68,7 +68,7 @@ class NewtonLoop(NewtonTrip):
             change=repeated(zero, 3), longest=one, shift=zero, scale=one, step_scale=zero, coarse=zero, fresh=zero,
             trying=zero, closing=zero, share=one, returned=zero, troubled=zero, escaping=zero, escapes=zero, rounds=zero,
             heading=one, best=zero, idle_trips=zero, aimless=zero, rejects=zero, trips=zero, status=zero, stable=zero,
-            lengths_known=zero, along=zero, begun=zero, arrived=zero, spins_first=zero, active=zero, finished=one)
+            lengths_known=zero, along=zero, begun=zero, arrived=zero, spins_first=zero, strays=zero, active=zero, finished=one)
 
     @ti.func
     def store(self, tables, scratch: ti.template(), head, slot, lane, rod):
@@ -142,7 +142,7 @@ class NewtonLoop(NewtonTrip):
         choose(
             lane, begun, shift=shift, fresh=one, best=self.constant(1e30), step_scale=zero, trips=zero, idle_trips=zero,
             aimless=zero, rejects=zero, trying=zero, closing=zero, share=one, returned=zero, troubled=zero, escaping=zero,
-            escapes=zero, along=self.constant(1e30))
+            escapes=zero, strays=zero, along=self.constant(1e30))
         lane.finished = zero
 
     @ti.func

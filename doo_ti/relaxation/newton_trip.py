@@ -31,6 +31,7 @@ class NewtonTrip:
     step_scale                           share of the step that is taken
     trying, closing, escaping            flags: the step is judged by its energy; it only closes; it leaves a saddle
     rounds, heading, escapes             of leaving a saddle: inverse iterations made, the way taken, saddles left so far
+    strays                               how often the rod has been sent off without being at rest at a saddle
     share                                of a step that only closes: less where it would carry the rod through an obstacle
     spins_first                          one where the step is in spins that are made before tilts
     best, idle_trips, aimless            the smallest residual so far, trips without progress and without notable progress
@@ -226,7 +227,7 @@ class NewtonTrip:
         # Beside a saddle a rod may make no progress though its residual is not yet small.
         aimless = wrong & (lane.aimless > fixed.PATIENCE_AT_SADDLE) & (lane.escaping < 0.5) & (lane.closing < 0.5)
         limit = ti.cast(tables.policy[fixed.ESCAPES], self.scalar)
-        leaving = (at_saddle | aimless) & (lane.escapes < limit)
+        leaving = (at_saddle & (lane.escapes < limit)) | (aimless & (limit > 0.0) & (lane.strays < fixed.MOST_STRAYS))
         return record(
             gap=gap, small=small, calm=calm, settled=settled, right=right, wrong=wrong,
             at_minimum=calm & ~altered & right & settled, at_saddle=at_saddle, leaving=leaving,
@@ -238,9 +239,8 @@ class NewtonTrip:
         zero, one = self.constant(0.0), self.constant(1.0)
         lane.escaping = ti.select(place.leaving, one, lane.escaping)
         lane.shift = ti.select(place.leaving, zero, lane.shift)
-        # A rod that makes no progress could otherwise look for a way off a saddle without end.
-        left = ti.select(place.at_saddle, one, fixed.PART_OF_SADDLE * one)
-        lane.escapes = ti.select(place.leaving, lane.escapes + left, lane.escapes)
+        lane.escapes = ti.select(place.leaving & place.at_saddle, lane.escapes + 1.0, lane.escapes)
+        lane.strays = ti.select(place.leaving & ~place.at_saddle, lane.strays + 1.0, lane.strays)
         lane.closing = ti.select(place.gap > ti.cast(tables.policy[fixed.CLOSING], self.scalar) * rod.longest, one, zero)
         if ti.static(self.touches):
             # A step that only closes does not know obstacles: it would carry the rod into them.
