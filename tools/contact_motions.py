@@ -38,8 +38,8 @@ TABLE = Plane((0, 0, 0), (0, 0, 1), friction=0.2)
 PEGS = (((30, -18), 2.0), ((50, -25), 3.0), ((70, -18), 2.0))
 """Places of upright pegs, mm, and their radii."""
 HEIGHT = 120.0
-"""Of the pegs, mm: no rod gets over them. One that snaps over the top of a peg from one frame to the next could not be told from
-one that has passed through it."""
+"""Of the pegs, mm: no rod gets over them. One that snaps over the top of a peg from one frame to the next could not be told
+from one that has passed through it."""
 AT_ONCE = 1000
 SLIP = 9
 """Edges from an end: how far a loop may slide along the rod within a frame."""
