@@ -263,7 +263,7 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
         self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, x)
         self.store(rod.scratch, self.contacts.own_vertex(rod, 0) + MOVE * self.stride, x)
         size = dot(x, x) / (rod.total * rod.total)
-        longest = size
+        longest = 0.0 * size
         at = rod.origin
         for e in range(rod.edges):
             w = self.solution(rod, e + 1)
@@ -284,5 +284,5 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
                 size = self.longer(size, w)
             self.store(rod.scratch, self.contacts.own_vertex(rod, e + 1) + MOVE * self.stride, x)
             at += self.edge_stride
-        self.contacts.note_step_size(rod, ti.sqrt(size))
-        return ti.sqrt(largest_of(largest_of(longest, size), self.contacts.approach_itself(rod)))
+        longest = largest_of(largest_of(longest, size), self.contacts.approach_itself(rod))
+        return ti.sqrt(longest), ti.sqrt(size)

@@ -17,16 +17,16 @@ FIRST_STIFFNESS, WORK, RETRIED, FIRST_STRENGTH, WAY_MADE, WAY, MULTIPLIER, LARGE
 # its way to the middle of an obstacle that a vertex has made in this step; the least φ, the least gap where no clamp holds the
 # rod, and by how much the step changed a force by settling forces. Then the κ with which the step settles forces, zero where it
 # does not, and how many steps have done so; 1/κ; one where the step before was refused, and one where the derivatives therefore
-# have a contact that does not push (:meth:`.ContactEnergy.expect`); the size of the next step; that part of the energy at the
-# accepted frames; and, one number each for all rods of the pack, whether a barrier keeps any away from obstacles, whether the
+# have a contact that does not push (:meth:`.ContactEnergy.expect`); that part of the energy at the accepted frames; and, one
+# number each for all rods of the pack, whether a barrier keeps any away from obstacles, whether the
 # step of any was refused, and the length of the longest edge. And of one edge the derivatives of the energy of its contacts
 # between its ends, as :meth:`.LoadedElimination.load` returns them, and how much of the first two is not of known forces; and
 # those by the place of the vertex where it ends of the energy of the contacts there.
 ENERGY, MAGNITUDE, PENALTY, CROSSING, DEEPEST, CLOSEST, SETTLED, SETTLING, EARLY, COMPLIANCE, EXPECTING, EXPECTED = (
     22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33)
-STEP_SIZE, PENALTY_KEPT, SOME_BEHIND, SOME_EXPECTING, LONGEST_EDGE = 34, 35, 36, 37, 38
-GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, EXCESS, EXCESS_S = 39, 42, 45, 51, 60, 66, 69
-END_GRADIENT, END_CURVATURES, END_EXCESS, HEAD = 72, 75, 81, 84
+PENALTY_KEPT, SOME_BEHIND, SOME_EXPECTING, LONGEST_EDGE = 34, 35, 36, 37
+GRADIENT, GRADIENT_S, CURVATURES, CURVATURES_S, CURVATURES_SS, EXCESS, EXCESS_S = 38, 41, 44, 50, 59, 65, 68
+END_GRADIENT, END_CURVATURES, END_EXCESS, HEAD = 71, 74, 80, 83
 # Phases of a rod: it has just been loaded and begins with a barrier; this keeps it away from obstacles and finds out where it
 # will touch them; rounds to a rough tolerance of its moments; rounds to the final one.
 LOADED, BARRIER, ROUGH, FINE = 3.0, 2.0, 1.0, 0.0
@@ -73,10 +73,10 @@ entry, makes it small; κ is from then on at least so many times the first; and 
 ALMOST, ALMOST_STIFFER = 5e-3, 40.0
 """Of a radius: once such a step has changed gaps by less, κ is in f64 at least so many times the first."""
 FOLLOWED = 0.7
-"""Where such a step leaves a large residual and more than that share of the change of the one before, the next settles none."""
+"""If such a step leaves a residual above ROUGHER and changes gaps by more than that share of what the one before did, the rod
+has not followed its forces yet, and the next step settles none."""
 DEEP = 0.5
-"""Of a radius: where a vertex is deeper inside an obstacle, such a step does not make κ larger, and half as deep not more than
-twofold."""
+"""Of a radius: if a vertex is so deep inside an obstacle, such a step leaves κ as it is; at half that depth κ may double."""
 STIFFER, SLOW, STIFFEST = 5.0, 0.3, 1e6
 """κ grows by so much where a round leaves more than that share of the change of the round before, up to so many times the
 first."""
@@ -100,9 +100,10 @@ CLOSE = 4.0
 LEAST_OFFSET = 0.05
 """Of a radius: the smallest gap of a rod's start, as the barrier sees it."""
 APPROACH = 0.75
-"""A whole step may take the largest rotation, 0.6 rad, over that of a gap."""
+"""A step is taken whole if it shortens no gap by more than that gap times max_rotation over this: by 0.8 of it by default."""
 SLACK, SLACK_OF_SHARP = 0.3, 0.1
-"""Of a radius: by so much more it may in rounds, and where an obstacle has edges, past which a rod could slip."""
+"""Of a radius: what is added to a gap for that in rounds, in which a rod may be pressed into an obstacle; and where the
+obstacle has edges, past which the rod could slip."""
 ROUGHEST, ROUGHER = 1e-2, 3e-3
 """The residual to reach under the barrier, and until the forces of contacts have settled."""
 

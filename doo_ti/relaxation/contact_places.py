@@ -40,7 +40,6 @@ from doo_ti.relaxation.contact_layout import (
     SOME_BEHIND,
     SOME_EXPECTING,
     STANDING,
-    STEP_SIZE,
     STIFFNESS,
     TOLERANCE,
     VALUE,
@@ -147,19 +146,13 @@ class ContactPlaces:
 
     @ti.func
     def add_penalty(self, rod, energy, magnitude):
-        """Add to the energy of all contacts some that only makes gaps close."""
+        """Add to the energy of all contacts a part that only makes gaps close, and is no energy of the rod."""
         self.add(rod, ENERGY, (energy, magnitude, energy))
 
     @ti.func
     def note_accepted(self, rod, where):
-        """Keep that energy in the lanes ``where`` a step was accepted."""
+        """Keep the sum of those parts in the lanes ``where`` a step was accepted."""
         self.set_item(rod, PENALTY_KEPT, where, self.item(rod, PENALTY))
-
-    @ti.func
-    def note_step_size(self, rod, size):
-        """Keep the largest rotation of the next step, or the share of the rod's length by which it moves vertex 0, if that is
-        more. The share of its way that it takes to an obstacle does not count."""
-        rod.scratch[rod.contacts + STEP_SIZE * self.stride] = size
 
     # --- what a rod is near to ---
 

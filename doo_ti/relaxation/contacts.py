@@ -253,12 +253,9 @@ class Contacts(ContactRounds):
                     self.put(scratch, contact + item * self.stride, slot, 0.0)
                 for k in ti.static(range(REMEMBERED, REMEMBERED_IN_MOTION) if self.rub else (ACTIVE,)):
                     self.put(scratch, contact + k * self.stride, slot, 0.0)
-                force, between = tables.memory[row, v, o, FORCE], tables.memory[row, v, o, FORCE_BETWEEN]
-                largest = ti.max(largest, force)
-                if v > 0:
-                    largest = ti.max(largest, between)
-                else:  # memory has other numbers there
-                    between = 0.0
+                # No edge ends at vertex 0: memory has other numbers there.
+                force, between = tables.memory[row, v, o, FORCE], ti.select(v > 0, tables.memory[row, v, o, FORCE_BETWEEN], 0.0)
+                largest = ti.max(largest, ti.max(force, between))
                 self.put(scratch, contact + FORCE * self.stride, slot, force)
                 self.put(scratch, contact + FORCE_BETWEEN * self.stride, slot, between)
                 for k in range(REMEMBERED, tables.memory.shape[3]):

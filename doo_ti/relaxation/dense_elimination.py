@@ -262,14 +262,13 @@ class DenseElimination(DenseFactors):
 
     @ti.func
     def substitute(self, rod, found):
-        """ω = L⁻ᵀ D⁻¹ L⁻¹ (b − A δλ); returns the largest rotation, rad, or the largest share of the way to an obstacle or to
-        another part of the rod, if that is more."""
+        """ω = L⁻ᵀ D⁻¹ L⁻¹ (b − A δλ), as :meth:`.LoadedElimination.substitute`, with the way to other parts of the rod too."""
         self.solve_backward(rod, found.change)
         x = variable(self.solution(rod, 0))
         self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, x)
         self.store(rod.scratch, self.contacts.own_vertex(rod, 0) + MOVE * self.stride, x)
         size = dot(x, x) / (rod.total * rod.total)
-        longest = size
+        longest = 0.0 * size
         at = rod.origin
         for e in range(rod.edges):
             w = self.solution(rod, e + 1)
@@ -282,5 +281,5 @@ class DenseElimination(DenseFactors):
             self.store(rod.scratch, self.contacts.own_vertex(rod, e + 1) + MOVE * self.stride, x)
             size = self.longer(size, w)
             at += self.edge_stride
-        self.contacts.note_step_size(rod, ti.sqrt(size))
-        return ti.sqrt(largest_of(largest_of(longest, size), self.contacts.approach_itself(rod)))
+        longest = largest_of(largest_of(longest, size), self.contacts.approach_itself(rod))
+        return ti.sqrt(longest), ti.sqrt(size)

@@ -133,7 +133,8 @@ class Elimination(Chain):
 
     @ti.func
     def substitute(self, rod, found):
-        """Back-substitution ω = L⁻ᵀ D⁻¹ (W_r − W_A δλ − W_U ω_next); returns the largest rotation, rad."""
+        """Back-substitution ω = L⁻ᵀ D⁻¹ (W_r − W_A δλ − W_U ω_next). Returns how large the step is for one that may be taken
+        whole, and its size: here both are the largest rotation, rad."""
         zero = 0.0 * rod.total
         w = variable(repeated(zero, 3))
         longest = zero
@@ -142,7 +143,8 @@ class Elimination(Chain):
             w = self.solved_edge(rod, at, found.change, w)
             longest = self.longer(longest, w)
             at -= self.edge_stride
-        return ti.sqrt(longest)
+        size = ti.sqrt(longest)
+        return size, size
 
     # --- shared with the elimination under an external energy ---
 

@@ -246,8 +246,9 @@ class LoadedElimination(LooseStart):
 
     @ti.func
     def substitute(self, rod, found):
-        """ω = L⁻ᵀ D⁻¹ (W_r − W_λ δλ − W_Z ξ − W_U ω_before) from the start on; returns the largest rotation, rad,
-        or the largest share of the way to the middle of an obstacle, if that is more."""
+        """ω = L⁻ᵀ D⁻¹ (W_r − W_λ δλ − W_Z ξ − W_U ω_before) from the start on, as :meth:`.Elimination.substitute`. The size of
+        the step is the largest rotation or the share of the rod's length by which vertex 0 moves, if that is more; for one that
+        may be taken whole it is as large as the largest share of the way to the middle of an obstacle, if that is more."""
         zero = 0.0 * rod.total
         w, x = variable(repeated(zero, 3)), variable(repeated(zero, 3))
         longest, size = zero, zero
@@ -268,9 +269,7 @@ class LoadedElimination(LooseStart):
             x = plus(x, change)
             size = self.longer(size, w)
             at += self.edge_stride
-        if ti.static(self.touches):
-            self.contacts.note_step_size(rod, ti.sqrt(size))
-        return ti.sqrt(largest_of(longest, size))
+        return ti.sqrt(largest_of(longest, size)), ti.sqrt(size)
 
     @ti.func
     def add_force(self, rod, at, change):

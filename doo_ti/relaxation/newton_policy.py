@@ -25,7 +25,7 @@ PATIENCE, PATIENCE_IN_CONTACT = 25, 100  # trips without progress; sliding ropes
 PATIENCE_32 = 16  # the same in f32, after which f64 takes over
 NOTABLE = 1e-8  # of the energy's magnitude, which locked-in twist may dominate
 PATIENCE_AT_SADDLE = 8  # trips without noteworthy progress where the inertia is wrong
-MOST_STRAYS = 24.0  # how often a rod leaves because of that, which it could otherwise do without end
+MOST_STRAYS = 24.0  # how often a rod leaves a saddle because of that; without a limit it could go on doing so
 
 # Columns of what a launch is given besides its tables: the unit vector up, the options of Newton, and above how many edge
 # lengths from closure a step only closes.

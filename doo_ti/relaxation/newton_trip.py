@@ -9,7 +9,6 @@ from doo_ti.relaxation.contact_layout import (
     EARLY_ROTATION,
     EARLY_SHIFT,
     SETTLING,
-    STEP_SIZE,
     TOLERANCE,
     WALL,
 )
@@ -26,12 +25,12 @@ class NewtonTrip:
 
     energy, magnitude, miss, multiplier  of the accepted frames; ``residual`` their largest moment
     begun, arrived, along                the smallest t·target of an edge at the start, in the accepted frames, in all of them
-    change, longest                      δλ and the largest rotation of the step, rad
+    change, longest                      δλ, and how large the step is for one that may be taken whole, rad
     shift, scale                         added to the diagonal of H, and H's largest diagonal entry
     step_scale                           share of the step that is taken
     trying, closing, escaping            flags: the step is judged by its energy; it only closes; it leaves a saddle
     rounds, heading, escapes             of leaving a saddle: inverse iterations made, the way taken, saddles left so far
-    strays                               how often the rod has been sent off without being at rest at a saddle
+    strays                               how often the rod has left a saddle without having come to rest there
     share                                of a step that only closes: less where it would carry the rod through an obstacle
     spins_first                          one where the step is in spins that are made before tilts
     best, idle_trips, aimless            the smallest residual so far, trips without progress and without notable progress
@@ -102,9 +101,10 @@ class NewtonTrip:
         judged = self.judge_step(tables, rod, lane, found, miss)
         if self.largest(ti.select(judged.uphill, one, zero)) > 0.5:
             self.sweep.restore(rod, ti.select(judged.uphill, one, zero))
-        lane.longest = self.sweep.substitute(rod, found)
+        longest, size = self.sweep.substitute(rod, found)
+        lane.longest = longest
         self.keep(rod, lane, found, miss, lowest, multiplier, judged, next_shift)
-        place = self.judge_place(tables, rod, lane, found.inertia, judged)
+        place = self.judge_place(tables, rod, lane, found.inertia, size, judged)
         self.plan(tables, rod, lane, judged, place, searching, found.slope)
         self.end(tables, rod, lane, judged, place)
 
@@ -195,14 +195,13 @@ class NewtonTrip:
             return given
 
     @ti.func
-    def judge_place(self, tables, rod, lane, inertia, judged):
-        """Judge where the rod is: a record of flags. The elimination, at the new frames, says nothing about restored ones."""
+    def judge_place(self, tables, rod, lane, inertia, size, judged):
+        """Judge where the rod is, from which the next step would have that ``size``: a record of flags. The elimination, at the
+        new frames, says nothing about restored ones."""
         gap = ti.sqrt(dot(lane.miss, lane.miss))
         tolerance = self.tolerance(tables, rod)
         at_rest = lane.residual * rod.total <= tolerance
-        size = lane.longest
         if ti.static(self.touches):
-            size = self.sweep.contacts.item(rod, STEP_SIZE)
             # Large forces on a limp rod: rounding limits the residual, and the next step bounds the error of the shape.
             still = (size <= self.still) & (lane.shift <= 0.0)
             at_rest = at_rest | (still & (lane.residual * rod.total <= fixed.BY_ROUNDING * tolerance))
