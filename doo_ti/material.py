@@ -129,16 +129,17 @@ class Material:
         return Material(self.bend[index], self.twist[index], self.weight[index], rest, newton)
 
     @property
+    def isotropic(self) -> np.ndarray:
+        """(R,) bool: uniform B = αI and β along the rod, straight at rest: the case with the shorter formulas."""
+        first = self.bend[:, :1, 0, 0]
+        rows = ((self.bend[..., 0, 0] == first) & (self.bend[..., 1, 1] == first) & (self.bend[..., 0, 1] == 0)).all(axis=1)
+        rows = rows & (self.twist == self.twist[:, :1]).all(axis=1)
+        return rows if self.rest_curvature is None else rows & (self.rest_curvature == 0).all(axis=(1, 2))
+
+    @property
     def is_isotropic(self) -> bool:
-        """Uniform B = αI and β along every rod, straight at rest: the case with the shorter formulas."""
-        b = self.bend
-        return bool(
-            self.rest_curvature is None
-            and b.shape[1] == 1
-            and self.twist.shape[1] == 1
-            and (b[..., 0, 1] == 0).all()
-            and (b[..., 0, 0] == b[..., 1, 1]).all()
-        )
+        """Whether all rows are isotropic."""
+        return bool(self.isotropic.all())
 
 
 def _finite(name: str, value) -> np.ndarray:

@@ -146,6 +146,9 @@ class _Motion:
         material = stiffened(self.material, self.dynamics, factor / self.step)
         table = tables(self.start, material, self.first, self.up, *self.pairs, external, None, obstacles,
                        self.surroundings.radius, in_motion=True)
+        # Damping gives joints a rest shape of their own, which the kernel of isotropic rods does not know.
+        undamped = (damping_shares(self.dynamics, material.count, factor / self.step) == 0).all(axis=1)
+        table = replace(table, isotropic=table.isotropic & undamped)
         return replace(table, contact=table.contact.touching(np.arange(table.count))) if self.touching else table
 
     def numbers(self, table: Tables, factor: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -258,7 +258,7 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
 
     @ti.func
     def substitute(self, rod, found):
-        self.solve_backward(rod, found.change)
+        decrement = self.solve_backward(rod, found.change)
         x = variable(self.solution(rod, 0))
         self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, x)
         self.store(rod.scratch, self.contacts.own_vertex(rod, 0) + MOVE * self.stride, x)
@@ -285,4 +285,4 @@ class GroupElimination(Welds, DenseElimination, LoadedElimination):
             self.store(rod.scratch, self.contacts.own_vertex(rod, e + 1) + MOVE * self.stride, x)
             at += self.edge_stride
         longest = largest_of(largest_of(longest, size), self.contacts.approach_itself(rod))
-        return ti.sqrt(longest), ti.sqrt(size)
+        return ti.sqrt(longest), ti.sqrt(size), decrement

@@ -47,7 +47,7 @@ class Member:
         fixed = self.held[:, 0] & ~away
         self.begin[fixed] = self.places[fixed, 0]
         self.loose = 1.0 - fixed
-        self.material = _edge_by_edge(material_table(material, False, start.edges), start.edges)
+        self.material = _edge_by_edge(material_table(material, start.edges), start.edges)
 
     @property
     def free(self) -> np.ndarray:
@@ -182,6 +182,7 @@ def _materials(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndar
     every = np.array([np.broadcast_to(member.material[:, : of.STIFFNESS], (rows, of.STIFFNESS)) for member in members])
     head = every.max(axis=0)
     edges = [member.material[:, of.STIFFNESS:].reshape(len(member.material), -1, of.STIFFNESS_COLUMNS) for member in members]
+    head[:, of.SOFTEST] = every[..., of.SOFTEST].min(axis=0)
     head[:, of.ROUND] = 0.0
     pull = np.concatenate([np.repeat(member.weights, group.count // len(member.weights), axis=0) for member in members], axis=1)
     for tie, (vertex, _) in zip(group.ties, group.tied, strict=True):

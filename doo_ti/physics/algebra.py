@@ -44,13 +44,13 @@ def solve_symmetric(m, b):
 
 
 @ti.func
-def factor(m):
+def factor(m, tiny):
     """M = L D Lᵀ of a symmetric 3×3: (1/d1, 1/d2, 1/d3, l21, l31, l32, negative pivots).
 
     Products first, d2 = p2/d1 and d3 = p3/(d1 p2), so that the three divisions do not wait for each other: every edge of a
-    chain waits for the factors of the edge before.
+    chain waits for the factors of the edge before. ``tiny``, against a pivot that is exactly zero, is less than the fourth
+    power of what is small in M.
     """
-    tiny = 1e-30  # against a pivot that is exactly zero
     d1 = m[0] + tiny
     p2 = m[0] * m[3] - m[1] * m[1] + tiny
     below = m[0] * m[4] - m[1] * m[2]

@@ -227,6 +227,12 @@ def on_diagonal(m, s) -> tuple:
     return (m[0] + s, m[1], m[2], m[3] + s, m[4], m[5] + s)
 
 
+@traced
+def shifted(m, spin, tilt) -> tuple:
+    """M + diag(spin, tilt, tilt) of a symmetric M."""
+    return (m[0] + spin, m[1], m[2], m[3] + tilt, m[4], m[5] + tilt)
+
+
 @picked
 def full(s) -> tuple:
     """A symmetric matrix row by row."""
@@ -312,6 +318,12 @@ def gram(f, a, b) -> tuple:
 def symmetric_gram(f, a) -> tuple:
     """A D⁻¹ Aᵀ, symmetric."""
     return tuple(_weighted(f, a[i : i + 3], a[j : j + 3]) for i in (0, 3, 6) for j in (0, 3, 6) if i <= j)
+
+
+@traced
+def squared(f, a):
+    """aᵀ D⁻¹ a."""
+    return _weighted(f, a, a)
 
 
 @traced

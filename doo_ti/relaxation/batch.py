@@ -102,17 +102,23 @@ def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int
         near = contact.near[rods[:, of.RESULT_ROW]]
         _launch_newton(replace(table, contact=None), start, rods[~near], options, bits, frames, results, moving)
         rods = rods[near]
-    if not len(rods):
-        return
+    for isotropic, any_ends, part in table.by_kernel(rods):
+        _launch_kernel(table, isotropic, any_ends, start, part, policy_row(table.up, options, bits, moving), options, bits,
+                       frames, results)
+
+
+def _launch_kernel(table: Tables, isotropic: bool, any_ends: bool, start, rods, policy: np.ndarray, options: newton.Newton,
+                   bits: int, frames, results) -> None:
+    """:func:`_launch_newton` over rods of one kernel."""
+    contact = table.contact
     number, threads, stride, block = layout_for(len(rods), bits, contact is not None and contact.itself)
-    external = table.external if contact is None or table.external is not None else Nothing()
+    external = Nothing() if table.external is None and any_ends else table.external
     kind = None if external is None else type(external)
     outer = () if external is None else (external.numbers(), external.field())
     # Decided by the rods of the call, not of this launch: the few rods that a large call leaves to f64 need no second kernel.
     # An external energy has no serial kernel, because it takes long to compile.
     serial = block == 1 and table.count <= number.width and external is None
-    any_ends = contact is not None or external is not None and bool((table.clamp[:, [of.CLOSED, of.LOOSE]] > 0).any())
-    per_edge = chain.item_count(table.isotropic) + (0 if external is None else external.items + FORCE_ITEMS * any_ends)
+    per_edge = chain.item_count(isotropic) + (0 if external is None else external.items + FORCE_ITEMS * any_ends)
     per_rod = chain.LOADED_PARAMETERS + external.start_items if any_ends else chain.PARAMETERS
     items = per_rod + per_edge * table.edges
     if contact is not None:
@@ -120,11 +126,10 @@ def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int
         outer += contact.arguments(contact.forces, options.gap_tolerance, not contact.itself)
     threads, stride = fitting(threads, stride, items)
     if contact is None:
-        kernel = newton.newton_kernel(number, table.isotropic, stride, block, serial, kind, any_ends)
+        kernel = newton.newton_kernel(number, isotropic, stride, block, serial, kind, any_ends)
     else:
-        kernel = newton.contact_kernel(number, table.isotropic, stride, block, kind, contact.known, contact.itself)
+        kernel = newton.contact_kernel(number, isotropic, stride, block, kind, contact.known, contact.itself)
     scratch, queue = buffers(number, threads, items)
-    policy = policy_row(table.up, options, bits, moving)
     kernel(
         start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy, threads, scratch, queue,
         frames.reshape(-1), results, *outer)

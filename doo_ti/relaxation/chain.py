@@ -28,14 +28,19 @@ ISOTROPIC_ITEMS = 37
 BEND = 37
 TWIST = 40
 REST = 41
-GENERAL_ITEMS = 43
+SHIFT_SHARES = 43  # of a spin and of a tilt
+GENERAL_ITEMS = 45
+
+EASILY_TWISTED = 1e-2
+"""β over α, below which twisting is much easier than bending."""
 
 # Parameters of the rods of a pack, before the items of their edges (see :class:`Chain`).
 OF_TARGET, OF_CLOSED, OF_FREE, OF_RELEASED, OF_TOTAL, OF_LONGEST = 0, 3, 4, 9, 10, 11
-OF_ENERGY_UNIT, OF_STIFFNESS, OF_GRAVITY, OF_ANCHOR, OF_SCALE, OF_LENGTH_UNIT, PARAMETERS = 12, 13, 15, 18, 21, 22, 23
+OF_ENERGY_UNIT, OF_STIFFNESS, OF_GRAVITY, OF_ANCHOR, OF_SCALE, OF_LENGTH_UNIT = 12, 13, 15, 18, 21, 22
+OF_SOFTEST, OF_SHIFT_SHARES, PARAMETERS = 23, 24, 26
 # And those of rods whose vertex 0 may move: the flag, how far it has moved, its place before the step, its step, and what
 # the substitution needs of its elimination.
-OF_LOOSE, OF_DRIFT, OF_DRIFT_STANDING, OF_DRIFT_STEP, OF_DRIFT_FACTORS, LOADED_PARAMETERS = 23, 24, 27, 30, 33, 48
+OF_LOOSE, OF_DRIFT, OF_DRIFT_STANDING, OF_DRIFT_STEP, OF_DRIFT_FACTORS, LOADED_PARAMETERS = 26, 27, 30, 33, 36, 51
 
 
 def item_count(isotropic: bool) -> int:
@@ -58,6 +63,9 @@ class Chain:
     loose                   one where vertex 0 is free to move (:class:`.LooseStart`)
     total, longest          length of the rod and of its longest edge
     stiffness               (α, β) of isotropic rods, unused otherwise
+    softest                 the smallest eigenvalue of B anywhere along the rod, or β where that is less
+    stiffest_joint          about the largest entry that bending and twisting have on the diagonal of H
+    shift_shares            (spin, tilt) of isotropic rods, of others those of their softest part: see :meth:`shifts`
     gravity                 μ times the unit vector up
     anchor                  the point that the chain hangs from
     length_unit             of all these lengths, mm; energies have a unit of their own (:meth:`.Loading.load`)
@@ -81,6 +89,7 @@ class Chain:
         self.twist_angle = twist_angle_function(number)
         # What makes AᵀA regular: a share of its trace, and where that is zero a number whose cube is not.
         self.regular, self.least = (1e-6, 1e-12) if number.bits == 32 else (1e-13, 1e-30)
+        self.tiny = 1e-30 if number.bits == 32 else 1e-100  # see :func:`.factor`
 
     # --- access to scratch ---
 
@@ -128,6 +137,8 @@ class Chain:
             total=scratch[head + OF_TOTAL * self.stride],
             longest=scratch[head + OF_LONGEST * self.stride],
             stiffness=(scratch[head + OF_STIFFNESS * self.stride], scratch[head + (OF_STIFFNESS + 1) * self.stride]),
+            softest=scratch[head + OF_SOFTEST * self.stride], stiffest_joint=scratch[head + OF_SCALE * self.stride],
+            shift_shares=(scratch[head + OF_SHIFT_SHARES * self.stride], scratch[head + (OF_SHIFT_SHARES + 1) * self.stride]),
             gravity=self.load3(scratch, head + OF_GRAVITY * self.stride),
             anchor=self.load3(scratch, head + OF_ANCHOR * self.stride), numbers=tables.numbers, field=tables.field,
             coarse=coarse)
@@ -147,13 +158,15 @@ class Chain:
 
         Tilts alone move vertices. With spins first this holds for large steps too, so that a step meets clamps and obstacles as
         well as its linear model says. With rotation vectors a part of the rod that turns as a whole keeps its shape, which is
-        what most steps of rods with a free end do, of ribbons, where spin and tilt go together, and neutral motions near rest.
+        what most steps of rods with a free end do, of ribbons, where spin and tilt go together, and neutral motions near rest;
+        but their second derivatives mix spins with unbalanced moments of bending, which little twist stiffness does not bear.
         """
         one = 0.0 * far
         if ti.static(self.touches):
             one = far
         elif ti.static(self.isotropic):
-            one = far * rod.closed
+            easily_twisted = ti.select(rod.stiffness[1] < EASILY_TWISTED * rod.stiffness[0], 0.0 * far + 1.0, 0.0 * far)
+            one = far * ti.max(rod.closed, easily_twisted)
         return one
 
     @ti.func
@@ -162,6 +175,16 @@ class Chain:
         the second derivative by spin and tilt is the mean of both orders."""
         half = 0.5 * (1.0 - rod.spins_first)
         return (h[0], h[1] + half * g[2], h[2] - half * g[1], h[3], h[4], h[5])
+
+    @ti.func
+    def shifts(self, rod, at, shift):
+        """``shift`` of a spin and of a tilt of the edge ``at``: at most a large multiple of what is stiff there, so that the
+        soft parts of a rod with a stiff one still move."""
+        if ti.static(self.isotropic):
+            return (shift * rod.shift_shares[0], shift * rod.shift_shares[1])
+        else:
+            shares = at + SHIFT_SHARES * self.stride
+            return (shift * rod.scratch[shares], shift * rod.scratch[shares + self.stride])
 
     @ti.func
     def stiffness(self, scratch: ti.template(), left, right, material):

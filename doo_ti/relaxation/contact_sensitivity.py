@@ -182,11 +182,12 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
     def substitute_column(self, rod, change):
         """Back-substitution from vertex 0 on. The turns of held edges are prescribed: they do not count as displacements."""
         w = variable(repeated(0.0 * rod.total, 3))
-        x = variable(self.solved_start(rod, change))
+        start, decrement = self.solved_start(rod, change)
+        x = variable(start)
         at = rod.origin
         for e in range(rod.edges):
-            self.add_force(rod, at, change)
-            w = products(self.freedom(rod, e), self.solved_edge(rod, at, x, w))
+            right = self.less_displaced(rod, at, self.without_multiplier(rod, at, change), x)
+            w = products(self.freedom(rod, e), self.solved_edge(rod, at, right, w))
             x = self.end_of_turned(rod, at, x, w, 0.0 * rod.total)
             at += self.edge_stride
 

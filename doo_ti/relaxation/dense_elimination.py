@@ -31,6 +31,7 @@ from doo_ti.physics.tuples import (
     row,
     row_scaled,
     scaled,
+    shifted,
     traced,
     transposed,
     variable,
@@ -217,7 +218,8 @@ class DenseElimination(DenseFactors):
         whole = (h[0], h[1], h[2], h[3] + dot(a1, w1), h[4] + dot(a1, w2), h[5] + dot(a2, w2))
         b, along = self.stirred(rod, at, e, negated(g), g, search)
         found.slope = found.slope + along
-        self.store_diagonal(rod, e + 1, held_pivot(on_diagonal(whole, shift), free))
+        spin, tilt = self.shifts(rod, at, shift)
+        self.store_diagonal(rod, e + 1, held_pivot(shifted(whole, spin, tilt), free))
         self.store_side(rod, e + 1, products(free, b), scaled(rows, free[1] * rod.closed))
 
     @ti.func
@@ -249,8 +251,8 @@ class DenseElimination(DenseFactors):
         slope = scaled(plus(whole, scaled(rod.gravity, 2.0 * rod.total)), loose)
         self.observe_moment(found, scaled(slope, rod.total))
         d = self.load_diagonal(rod, 0)
-        shifted = on_diagonal(d, shift / (rod.total * rod.total))
-        self.store_diagonal(rod, 0, held_pivot(shifted, (loose, loose, loose)))
+        shifted_start = on_diagonal(d, self.shift_of_start(rod, shift))
+        self.store_diagonal(rod, 0, held_pivot(shifted_start, (loose, loose, loose)))
         self.store_side(rod, 0, negated(slope), scaled(identity(0.0 * loose), loose * rod.closed))
 
     @ti.func
@@ -263,7 +265,7 @@ class DenseElimination(DenseFactors):
     @ti.func
     def substitute(self, rod, found):
         """ω = L⁻ᵀ D⁻¹ L⁻¹ (b − A δλ), as :meth:`.LoadedElimination.substitute`, with the way to other parts of the rod too."""
-        self.solve_backward(rod, found.change)
+        decrement = self.solve_backward(rod, found.change)
         x = variable(self.solution(rod, 0))
         self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, x)
         self.store(rod.scratch, self.contacts.own_vertex(rod, 0) + MOVE * self.stride, x)
@@ -282,4 +284,4 @@ class DenseElimination(DenseFactors):
             size = self.longer(size, w)
             at += self.edge_stride
         longest = largest_of(largest_of(longest, size), self.contacts.approach_itself(rod))
-        return ti.sqrt(longest), ti.sqrt(size)
+        return ti.sqrt(longest), ti.sqrt(size), decrement

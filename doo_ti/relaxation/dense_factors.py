@@ -88,7 +88,7 @@ class DenseFactors:
                     rod.scratch[lines[r] + k * self.stride] = low[r]
                 rest = (rest[0] - own[0] * low[0], rest[1] - own[0] * low[1], rest[2] - own[0] * low[2],
                         rest[3] - own[1] * low[1], rest[4] - own[1] * low[2], rest[5] - own[2] * low[2])
-            f = factor(rest)
+            f = factor(rest, self.tiny)
             found.negative = found.negative + f[6]
             for r in ti.static(range(3)):
                 rod.scratch[self.pivot(rod, 3 * p + r)] = f[r]
@@ -139,12 +139,16 @@ class DenseFactors:
 
     @ti.func
     def solve_backward(self, rod, change):
-        """L⁻ᵀ D⁻¹ of the right-hand side of the step less those of closure times ``change``, in its place."""
+        """L⁻ᵀ D⁻¹ of the right-hand side of the step less those of closure times ``change``, in its place. Returns the Newton
+        decrement."""
         size = unknowns(rod.edges)
+        decrement = 0.0 * rod.total
         for line in range(size):
             y = self.load4(rod.scratch, self.side(rod, line))
             closed = y[0] - y[1] * change[0] - y[2] * change[1] - y[3] * change[2]
-            rod.scratch[self.side(rod, line)] = closed * rod.scratch[self.pivot(rod, line)]
+            solved = closed * rod.scratch[self.pivot(rod, line)]
+            decrement = decrement + closed * solved
+            rod.scratch[self.side(rod, line)] = solved
         for back in range(size):
             line = size - 1 - back
             solved = rod.scratch[self.side(rod, line)]
@@ -152,6 +156,7 @@ class DenseFactors:
             for k in range(line):
                 place = self.side(rod, k)
                 rod.scratch[place] = rod.scratch[place] - solved * rod.scratch[at + k * self.stride]
+        return decrement
 
     @ti.func
     def solution(self, rod, block):

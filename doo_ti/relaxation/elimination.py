@@ -33,6 +33,8 @@ from doo_ti.physics.tuples import (
     repeated,
     row_scaled,
     scaled,
+    shifted,
+    squared,
     symmetric_gram,
     transposed,
     variable,
@@ -95,14 +97,15 @@ class Elimination(Chain):
             if searching:
                 b, along = self.stirred(rod, at, e, b, g, search)
                 found.slope = found.slope + along
-            d = variable(minus(on_diagonal(h, shift), ee))
+            spin, tilt = self.shifts(rod, at, shift)
+            d = variable(minus(shifted(h, spin, tilt), ee))
             if e == 0 or e >= rod.edges - 2 or some_taut:
                 free, after = self.freedom(rod, e), self.freedom(rod, e + 1)
                 g, b, a = products(free, g), products(free, b), row_scaled(a, free)
                 h = (free[0] * h[0], h[1], h[2], free[1] * h[3], h[4], free[2] * h[5])
                 d, u = held_pivot(d, free), column_scaled(row_scaled(u, free), after)
             self.observe(found, g, h)
-            f = factor(d)
+            f = factor(d, self.tiny)
             found.negative = found.negative + f[6]
             wr, wu, wa = forward(f, b), forward_rows(f, transposed(u)), forward_rows(f, transposed(a))
             self.store_eliminated(rod, at, f, wr, wu, wa)
@@ -134,17 +137,20 @@ class Elimination(Chain):
     @ti.func
     def substitute(self, rod, found):
         """Back-substitution ω = L⁻ᵀ D⁻¹ (W_r − W_A δλ − W_U ω_next). Returns how large the step is for one that may be taken
-        whole, and its size: here both are the largest rotation, rad."""
+        whole, its size, here both the largest rotation, rad, and the Newton decrement ωᵀHω, twice the energy that the step is
+        expected to gain."""
         zero = 0.0 * rod.total
         w = variable(repeated(zero, 3))
-        longest = zero
+        longest, decrement = (zero, zero)
         at = rod.origin + (rod.edges - 1) * self.edge_stride
         for _ in range(rod.edges):
-            w = self.solved_edge(rod, at, found.change, w)
+            right = self.without_border(rod, at, ELIMINATED_BORDER, found.change)
+            decrement = decrement + squared(self.load3(rod.scratch, at + PIVOTS * self.stride), right)
+            w = self.solved_edge(rod, at, right, w)
             longest = self.longer(longest, w)
             at -= self.edge_stride
         size = ti.sqrt(longest)
-        return size, size
+        return size, size, decrement
 
     # --- shared with the elimination under an external energy ---
 
@@ -175,13 +181,17 @@ class Elimination(Chain):
         self.store(rod.scratch, at + ELIMINATED_BORDER * self.stride, border)
 
     @ti.func
-    def solved_edge(self, rod, at, border, w):
-        """ω = L⁻ᵀ D⁻¹ (W_r − W_border border − W_U ω_neighbour) of an edge, into its place."""
-        f = self.load6(rod.scratch, at + PIVOTS * self.stride)
+    def without_border(self, rod, at, columns: ti.template(), border):
+        """W_r − W_border border of an edge, whose columns W_border begin at item ``columns``."""
         right = self.load3(rod.scratch, at + ROTATION * self.stride)
+        return minus_combination(right, self.load9(rod.scratch, at + columns * self.stride), border)
+
+    @ti.func
+    def solved_edge(self, rod, at, right, w):
+        """ω = L⁻ᵀ D⁻¹ (``right`` − W_U ω_neighbour) of an edge, into its place."""
+        f = self.load6(rod.scratch, at + PIVOTS * self.stride)
         wu = self.load9(rod.scratch, at + ELIMINATED_NEXT * self.stride)
-        wb = self.load9(rod.scratch, at + ELIMINATED_BORDER * self.stride)
-        rotation = backward(f, minus_combination(minus_combination(right, wb, border), wu, w))
+        rotation = backward(f, minus_combination(right, wu, w))
         self.store(rod.scratch, at + ROTATION * self.stride, rotation)
         return rotation
 

@@ -17,6 +17,9 @@ from doo_ti.relaxation.external import External
 from doo_ti.relaxation.tables import FREE, Tables, outer_edges, rod_rows, room, whole_start
 from doo_ti.types import Clamps, Configuration, Material
 
+UNEVEN = 1e3
+"""Of the largest stiffness of a rod to its smallest, above which it is relaxed with evener ones first (:func:`evened`)."""
+
 
 def tables(
     configuration: Configuration, material: Material, clamps: Clamps, up: np.ndarray,
@@ -40,7 +43,6 @@ def tables(
     kinds = clamp_kinds(clamps, count)
     floating = not kinds.any(axis=1).all()
     check_material(material, edges, floating and external is None)
-    isotropic = material.is_isotropic
     clamp, found = clamp_table(configuration, lengths, kinds, clamps)
     if (external is not None or obstacles) and (kinds[:, 0] == FREE).any():
         _loosen(clamp, kinds, configuration, clamps)
@@ -51,10 +53,10 @@ def tables(
     sound = feasible[index_c]
     all_rods = rod_rows(index_c, index_m, np.arange(rods), index_c, index_e)
     return Tables(
-        start=start, rest_length=lengths, clamp=clamp, material=material_table(material, isotropic, edges),
-        isotropic=isotropic, rods=all_rods if sound.all() else all_rods[sound], feasible=feasible, configuration_index=index_c,
-        material_index=index_m, external_index=index_e, external=external, up=up, floating=floating,
-        contact=contact, weight_per_length=material.weight_per_length)
+        start=start, rest_length=lengths, clamp=clamp, material=material_table(material, edges),
+        isotropic=material.isotropic, rods=all_rods if sound.all() else all_rods[sound], feasible=feasible,
+        configuration_index=index_c, material_index=index_m, external_index=index_e, external=external, up=up,
+        floating=floating, contact=contact, weight_per_length=material.weight_per_length)
 
 
 def _loosen(clamp: np.ndarray, kinds: np.ndarray, configuration: Configuration, clamps: Clamps) -> None:
@@ -84,16 +86,15 @@ def under(table: Tables, material: Material, index=None) -> Tables:
     if rows.shape != (table.count,):
         raise InputError("relax", "material_index", f"shape {rows.shape}", f"give ({table.count},) row numbers")
     _, rows = paired_rows(len(table.start), material.count, table.configuration_index, rows)
-    isotropic = material.is_isotropic
-    stiffness = material_table(material, isotropic, table.edges)
+    stiffness = material_table(material, table.edges)
     rods = table.rods.copy()
     rods[:, of.MATERIAL_ROW] = rows[rods[:, of.RESULT_ROW]]
     contact = None if table.contact is None else table.contact.copy()
-    return replace(table, material=stiffness, isotropic=isotropic, material_index=rows, rods=rods, contact=contact,
+    return replace(table, material=stiffness, isotropic=material.isotropic, material_index=rows, rods=rods, contact=contact,
                    weight_per_length=material.weight_per_length)
 
 
-def material_table(material: Material, isotropic: bool, edges: int) -> np.ndarray:
+def material_table(material: Material, edges: int) -> np.ndarray:
     """(G, STIFFNESS + 1 or E · STIFFNESS_COLUMNS): see the columns' names. Raises InputError where that is too large."""
     bend, twist, rest = material.bend, material.twist, material.rest_curvature
     uniform = bend.shape[1] == twist.shape[1] == 1 and (rest is None or rest.shape[1] == 1)
@@ -107,19 +108,47 @@ def material_table(material: Material, isotropic: bool, edges: int) -> np.ndarra
     joints = along[:, 1:] if along.shape[1] > 1 else along  # no joint is where the first edge begins
     first, second, mixed = bend[..., 0, 0], bend[..., 1, 1], bend[..., 0, 1]
     along[..., of.BEND], along[..., of.BEND + 1], along[..., of.BEND + 2] = first, second, mixed
+    along[:, 0, of.TWIST] = twist[:, 0]  # where the kernel of isotropic rods, whose stiffness is uniform, finds it
     joints[..., of.TWIST] = twist
-    largest, table[:, of.ROUND] = first, 1.0
-    if not isotropic:
-        half, apart = 0.5 * (first + second), 0.5 * (first - second)
-        largest = half + np.hypot(apart, mixed)
-        table[:, of.ROUND] = ((apart == 0) & (mixed == 0)).all(axis=1)
+    half, apart = 0.5 * (first + second), 0.5 * (first - second)
+    largest = half + np.hypot(apart, mixed)
+    table[:, of.ROUND] = ((apart == 0) & (mixed == 0)).all(axis=1)
     if rest is not None:
         joints[..., of.REST : of.REST + 2] = rest
         table[:, of.ROUND] *= (rest == 0).all(axis=(1, 2))
     table[:, of.WEIGHT] = material.weight
     table[:, of.LARGEST_BEND] = largest.max(axis=1)
     table[:, of.STIFFEST] = np.maximum(table[:, of.LARGEST_BEND], twist.max(axis=1))
+    smallest = (first * second - mixed**2) / largest
+    table[:, of.SOFTEST] = np.minimum(smallest.min(axis=1), twist.min(axis=1))
     return table
+
+
+def evened(table: Tables, most: float) -> tuple[Tables, np.ndarray]:
+    """The same rods with every stiffness of uneven ones within a factor ``most`` of their smallest bending stiffness, and the
+    rows of the results (-,) of the rods that this changes."""
+    stiffest, softest = table.material[:, of.STIFFEST], table.material[:, of.SOFTEST]
+    uneven = (stiffest > UNEVEN * softest) & (stiffest > most * softest)
+    changed = uneven[table.material_index]
+    if not changed.any():
+        return table, np.zeros(0, dtype=np.int64)
+    material = table.material.copy()
+    rows = material[uneven]
+    along = rows[:, of.STIFFNESS :].reshape(len(rows), -1, of.STIFFNESS_COLUMNS)
+    bend = along[..., [of.BEND, of.BEND + 2, of.BEND + 2, of.BEND + 1]].reshape(*along.shape[:2], 2, 2)
+    values, axes = np.linalg.eigh(bend)
+    smallest = values.min(axis=(1, 2))
+    values = np.minimum(values, most * smallest[:, None, None])
+    bend = np.einsum("...ik,...k,...jk->...ij", axes, values, axes)
+    along[..., of.BEND], along[..., of.BEND + 1], along[..., of.BEND + 2] = bend[..., 0, 0], bend[..., 1, 1], bend[..., 0, 1]
+    twist = along[..., of.TWIST]
+    along[..., of.TWIST] = np.where(twist > 0, np.clip(twist, smallest[:, None] / most, smallest[:, None] * most), 0.0)
+    rows[:, of.STIFFNESS :] = along.reshape(len(rows), -1)
+    rows[:, of.LARGEST_BEND] = values.max(axis=(1, 2))
+    rows[:, of.STIFFEST] = np.minimum(rows[:, of.STIFFEST], most * smallest)
+    rows[:, of.SOFTEST] = np.maximum(rows[:, of.SOFTEST], smallest / most)
+    material[uneven] = rows
+    return replace(table, material=material), np.flatnonzero(changed & table.feasible[table.configuration_index])
 
 
 def projectable(start: np.ndarray, lengths: np.ndarray, clamp: np.ndarray, found: np.ndarray, up: np.ndarray,

@@ -36,12 +36,21 @@ from doo_ti.physics.tuples import (
     repeated,
     row,
     scaled,
+    squared,
     symmetric_gram,
     times_transposed,
     transposed,
     variable,
 )
-from doo_ti.relaxation.chain import LENGTH, LOADED_PARAMETERS, PARAMETERS, ROTATION, item_count
+from doo_ti.relaxation.chain import (
+    ELIMINATED_BORDER,
+    LENGTH,
+    LOADED_PARAMETERS,
+    PARAMETERS,
+    PIVOTS,
+    ROTATION,
+    item_count,
+)
 from doo_ti.relaxation.contacts import Contacts
 from doo_ti.relaxation.elimination import held_pivot
 from doo_ti.relaxation.loose_start import LooseStart
@@ -136,7 +145,7 @@ class LoadedElimination(LooseStart):
             h = (h[0], h[1], h[2], h[3] + straighten + quadratic(k, a1, a1), h[4] + quadratic(k, a1, a2),
                  h[5] + straighten + quadratic(k, a2, a2))
             h = self.second_derivatives(rod, h, (g[0], g[1] + l1, g[2] + l2))
-            d = variable(self.condensed(h, shift, beyond, a1, a2))
+            d = variable(self.condensed(h, self.shifts(rod, at, shift), beyond, a1, a2))
             zz = variable(self.coupled(beyond, load, a1, a2))
             b = variable((0.0 - g[0] - beyond.f[0], 0.0 - g[1] - r1 - beyond.f[1], 0.0 - g[2] - r2 - beyond.f[2]))
             g = (g[0], g[1] + l1, g[2] + l2)
@@ -149,7 +158,7 @@ class LoadedElimination(LooseStart):
                 h = (free[0] * h[0], h[1], h[2], free[1] * h[3], h[4], free[2] * h[5])
                 zz, u = column_scaled(zz, free), column_scaled(u, free)
             self.observe(found, g, h)
-            f = factor(d)
+            f = factor(d, self.tiny)
             found.negative = found.negative + f[6]
             wr, wz, wu = forward(f, b), forward_rows(f, zz), forward_rows(f, u)
             self.store_eliminated(rod, at, f, wr, wu, wz)
@@ -199,18 +208,18 @@ class LoadedElimination(LooseStart):
         (:class:`doo_ti.relaxation.contact_sensitivity.ContactSensitivity`)."""
 
     @ti.func
-    def condensed(self, h, shift, beyond, a1, a2):
-        """The edge's diagonal block with what lies beyond: H + shift + F + A Z + Zᵀ Aᵀ + A C Aᵀ."""
+    def condensed(self, h, shifts, beyond, a1, a2):
+        """The edge's diagonal block with what lies beyond: H + shifts + F + A Z + Zᵀ Aᵀ + A C Aᵀ."""
         turned = transposed(beyond.z)
         row1, row2 = applied(turned, a1), applied(turned, a2)
         o, c = beyond.ff, beyond.cc
         return (
-            h[0] + shift + o[0],
+            h[0] + shifts[0] + o[0],
             h[1] + o[1] + row1[0],
             h[2] + o[2] + row2[0],
-            h[3] + shift + o[3] + 2.0 * row1[1] + quadratic(c, a1, a1),
+            h[3] + shifts[1] + o[3] + 2.0 * row1[1] + quadratic(c, a1, a1),
             h[4] + o[4] + row1[2] + row2[1] + quadratic(c, a1, a2),
-            h[5] + shift + o[5] + 2.0 * row2[2] + quadratic(c, a2, a2),
+            h[5] + shifts[1] + o[5] + 2.0 * row2[2] + quadratic(c, a2, a2),
         )
 
     @ti.func
@@ -251,15 +260,16 @@ class LoadedElimination(LooseStart):
         may be taken whole it is as large as the largest share of the way to the middle of an obstacle, if that is more."""
         zero = 0.0 * rod.total
         w, x = variable(repeated(zero, 3)), variable(repeated(zero, 3))
-        longest, size = zero, zero
+        longest, size, decrement = (zero, zero, zero)
         if ti.static(self.moves_start):
-            x = self.solved_start(rod, found.change)
+            start, decrement = self.solved_start(rod, found.change)
+            x = start
             size = dot(x, x) / (rod.total * rod.total)
         at = rod.origin
         for e in range(rod.edges):
-            if ti.static(self.moves_start):
-                self.add_force(rod, at, found.change)
-            w = self.solved_edge(rod, at, x, w)
+            right = variable(self.without_multiplier(rod, at, found.change))
+            decrement = decrement + squared(self.load3(rod.scratch, at + PIVOTS * self.stride), right)
+            w = self.solved_edge(rod, at, self.less_displaced(rod, at, right, x), w)
             q = self.load4(rod.scratch, at)
             length = rod.scratch[at + LENGTH * self.stride]
             m1, m2 = first_director(q), second_director(q)
@@ -269,11 +279,17 @@ class LoadedElimination(LooseStart):
             x = plus(x, change)
             size = self.longer(size, w)
             at += self.edge_stride
-        return ti.sqrt(largest_of(longest, size)), ti.sqrt(size)
+        return ti.sqrt(largest_of(longest, size)), ti.sqrt(size), decrement
 
     @ti.func
-    def add_force(self, rod, at, change):
-        """W_r − W_λ δλ in the place of W_r."""
-        right = self.load3(rod.scratch, at + ROTATION * self.stride)
-        columns = self.load9(rod.scratch, at + self.force_columns * self.stride)
-        self.store(rod.scratch, at + ROTATION * self.stride, minus_combination(right, columns, change))
+    def without_multiplier(self, rod, at, change):
+        """W_r − W_λ δλ of an edge."""
+        if ti.static(self.moves_start):
+            return self.without_border(rod, at, self.force_columns, change)
+        else:
+            return self.load3(rod.scratch, at + ROTATION * self.stride)
+
+    @ti.func
+    def less_displaced(self, rod, at, right, x):
+        """``right`` − W_Z ξ of an edge whose first vertex moves by ξ."""
+        return minus_combination(right, self.load9(rod.scratch, at + ELIMINATED_BORDER * self.stride), x)

@@ -6,6 +6,7 @@ from doo_ti.physics.quaternion import normalised, tangent, transported
 from doo_ti.physics.tuples import dot, record
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.newton_policy import MOST_SHIFT
 
 REFERENCE_LENGTH = 99.0
 """mm: rods of about this length are computed in mm, others in units in which they have it."""
@@ -189,7 +190,7 @@ class Loading:
         """B, β and ω̄ l̄/2 of material g into lane ``slot``, stiffness times ``scale``."""
         at = origin
         for e in range(tables.rest_length.shape[1]):
-            column = ti.min(of.STIFFNESS + e * of.STIFFNESS_COLUMNS, tables.material.shape[1] - of.STIFFNESS_COLUMNS)
+            column = self.stiffness_column(tables, e)
             for k in ti.static(range(3)):
                 self.put(scratch, at + (chain.BEND + k) * self.stride, slot, tables.material[g, column + (of.BEND + k)] * scale)
             if e > 0:
@@ -198,7 +199,30 @@ class Loading:
                 for k in ti.static(range(2)):
                     rest = 0.5 * both * tables.material[g, column + (of.REST + k)]
                     self.put(scratch, at + (chain.REST + k) * self.stride, slot, rest)
+            for k in ti.static(range(2)):
+                share = self.shift_share(tables, row, g, e, k)
+                self.put(scratch, at + (chain.SHIFT_SHARES + k) * self.stride, slot, share)
             at += self.edge_stride
+
+    @ti.func
+    def shift_share(self, tables, row, g, e, tilt: ti.template()):
+        """The share of a shift that an edge's spin or ``tilt`` has: all of it, unless that is more than MOST_SHIFT times what
+        is stiff in it at its two joints."""
+        stiff = ti.cast(0.0, ti.f64)
+        last = tables.rest_length.shape[1] - 1
+        for beside in ti.static(range(-1 if tilt else 0, 2)):
+            column = self.stiffness_column(tables, ti.min(ti.max(e + beside, 0 if tilt else 1), last))
+            own = tables.material[g, column + of.TWIST]
+            if ti.static(tilt):
+                b = (tables.material[g, column], tables.material[g, column + 1], tables.material[g, column + 2])
+                own = (b[0] * b[1] - b[2] * b[2]) / ti.max(b[0] + b[1], 1e-300)  # between half the smaller eigenvalue and it
+            stiff = ti.max(stiff, own)
+        return ti.min(1.0, MOST_SHIFT * stiff / tables.material[g, of.STIFFEST])
+
+    @ti.func
+    def stiffness_column(self, tables, e):
+        """Where the stiffness of edge ``e`` begins in a row of the materials."""
+        return ti.min(of.STIFFNESS + e * of.STIFFNESS_COLUMNS, tables.material.shape[1] - of.STIFFNESS_COLUMNS)
 
     @ti.func
     def load_parameters(self, tables, scratch: ti.template(), head, slot, s, g, divisor, unit):
@@ -222,6 +246,12 @@ class Loading:
         self.put(scratch, head + chain.OF_LENGTH_UNIT * self.stride, slot, unit)
         bend, twist = tables.material[g, of.STIFFNESS + of.BEND], tables.material[g, of.STIFFNESS + of.TWIST]
         self.put_items(scratch, head + chain.OF_STIFFNESS * self.stride, slot, (bend / divisor, twist / divisor))
+        self.put(scratch, head + chain.OF_SOFTEST * self.stride, slot, tables.material[g, of.SOFTEST] / divisor)
+        if ti.static(not self.isotropic):
+            bend, twist = tables.material[g, of.SOFTEST], tables.material[g, of.SOFTEST]
+        most = MOST_SHIFT / tables.material[g, of.STIFFEST]
+        shares = (ti.min(1.0, most * twist), ti.min(1.0, most * bend))
+        self.put_items(scratch, head + chain.OF_SHIFT_SHARES * self.stride, slot, shares)
         # A first guess of H's largest diagonal entry.
         guess = 4.0 * tables.material[g, of.STIFFEST] / divisor / (tables.clamp[s, of.SHORTEST_PAIR] / unit)
         self.put(scratch, head + chain.OF_SCALE * self.stride, slot, guess)

@@ -20,6 +20,7 @@ from doo_ti.physics.tuples import (
     on_diagonal,
     plus,
     scaled,
+    squared,
     symmetric_gram,
     variable,
 )
@@ -99,7 +100,7 @@ class LooseStart(Elimination):
             found.magnitude = found.magnitude + self.contacts.item(rod, MAGNITUDE)
         moment = scaled(force, loose * rod.total)
         self.observe_moment(found, moment)
-        d = on_diagonal(beyond.cc, shift / (rod.total * rod.total))
+        d = on_diagonal(beyond.cc, self.shift_of_start(rod, shift))
         held = (self.at_least_held(rod, d[0]), d[1], d[2], self.at_least_held(rod, d[3]), d[4], self.at_least_held(rod, d[5]))
         f = factor_in_turn(held_pivot(held, free))
         found.negative = found.negative + f[6]
@@ -113,18 +114,24 @@ class LooseStart(Elimination):
         self.store(rod.scratch, rod.head + OF_DRIFT_FACTORS * self.stride, kept)
 
     @ti.func
+    def shift_of_start(self, rod, shift):
+        """``shift`` of the place of vertex 0."""
+        return shift * rod.shift_shares[1] / (rod.total * rod.total)
+
+    @ti.func
     def at_least_held(self, rod, stiffness):
         """The stiffness that holds vertex 0 in some direction, or a small one where nothing does: along a table, for
         example."""
-        least = LEAST_HOLD / (rod.total * rod.total * rod.total)
+        least = LEAST_HOLD * rod.shift_shares[1] / (rod.total * rod.total * rod.total)
         return ti.select(absolute(stiffness) < least, least, stiffness)
 
     @ti.func
     def solved_start(self, rod, change):
-        """ξ = L⁻ᵀ D⁻¹ (W_c − W_λ δλ) of vertex 0, into its place."""
+        """(ξ = L⁻ᵀ D⁻¹ (W_c − W_λ δλ) of vertex 0, also into its place; its part in the Newton decrement)."""
         right = self.load3(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride)
         kept = rod.head + OF_DRIFT_FACTORS * self.stride
         y = minus_combination(right, self.load9(rod.scratch, kept), change)
-        shift = backward(self.load6(rod.scratch, kept + 9 * self.stride), y)
+        f = self.load6(rod.scratch, kept + 9 * self.stride)
+        shift = backward(f, y)
         self.store(rod.scratch, rod.head + OF_DRIFT_STEP * self.stride, shift)
-        return shift
+        return shift, squared(f, y)

@@ -6,6 +6,7 @@ SHAPE_TOLERANCE_32 = 1e-4
 # The policy's fixed numbers (shifts are over the largest diagonal entry of H).
 SHIFT_WRONG_INERTIA = 0.01
 SHIFT_REJECTED, SHIFT_REJECTED_IN_CONTACT, GROWTH_IN_CONTACT = 1e-5, 1e-3, 10.0
+MOST_SHIFT = 1e3  # times what is stiff at an edge: no shift is larger there
 DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # each accepted step multiplies the shift by DECAY, below NEGLIGIBLE it is zero;
 DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # the same once a step was refused or the inertia was wrong
 # Of rods that may touch something: a step of which a smaller share was taken does not make the shift smaller; the part of it
@@ -16,6 +17,10 @@ STILL, BY_ROUNDING = 1e-10, 1e3  # rad: a smaller step is rounding, and by how m
 VAGUE = 1e3  # tolerances: above them a step that raises the energy, even by less than rounding, may not raise the residual
 FAR_FROM_REST = 1e-3  # residual, above which frames spin before they tilt
 TRACE, TRACE_IN_CONTACT = 1e-12, 1e-9  # eigenvalues that are smaller, over H's largest diagonal entry, are neutral motions
+# The Newton decrement of a rod at rest, in f64: at most the energy of its softest part, bent over all its length by so many
+# tolerances, rad; and what rounding makes of the magnitude of the energy.
+TURN_LEFT, DECREMENT_ROUNDING = 100.0, 1e-18
+MOMENT_ROUNDING = 4e-15  # of the stiffest joint: a residual may be what rounding makes of its strain
 CLOSING_DISTANCE = 0.3  # edge lengths: above it a step only projects
 REACHING_DISTANCE = 0.1  # and above it, among obstacles, a step may be taken because it brings the far end closer
 ESCAPE_ROTATION = 0.1  # rad

@@ -2,6 +2,7 @@
 
 import taichi as ti
 
+from doo_ti.physics.algebra import absolute
 from doo_ti.physics.tuples import chosen, dot, plus, record, scaled, variable
 from doo_ti.relaxation import newton_policy as fixed
 from doo_ti.relaxation.contact_layout import (
@@ -43,7 +44,7 @@ class NewtonTrip:
         self.largest, self.lane, self.with_lane, self.constant, self.get = (
             lanes.largest, lanes.lane, lanes.with_lane, lanes.constant, lanes.get)
         self.scalar = number.scalar
-        single = number.bits == 32
+        self.single = single = number.bits == 32
         self.rounding = 2e-6 if single else 1e-10
         self.closure_rounding = 0.0 if single else 1e-15  # of a rod's length
         self.shape_tolerance = fixed.SHAPE_TOLERANCE_32 if single else 1e30
@@ -101,10 +102,10 @@ class NewtonTrip:
         judged = self.judge_step(tables, rod, lane, found, miss)
         if self.largest(ti.select(judged.uphill, one, zero)) > 0.5:
             self.sweep.restore(rod, ti.select(judged.uphill, one, zero))
-        longest, size = self.sweep.substitute(rod, found)
+        longest, size, decrement = self.sweep.substitute(rod, found)
         lane.longest = longest
         self.keep(rod, lane, found, miss, lowest, multiplier, judged, next_shift)
-        place = self.judge_place(tables, rod, lane, found.inertia, size, judged)
+        place = self.judge_place(tables, rod, lane, found.inertia, size, decrement, judged)
         self.plan(tables, rod, lane, judged, place, searching, found.slope)
         self.end(tables, rod, lane, judged, place)
 
@@ -195,9 +196,9 @@ class NewtonTrip:
             return given
 
     @ti.func
-    def judge_place(self, tables, rod, lane, inertia, size, judged):
-        """Judge where the rod is, from which the next step would have that ``size``: a record of flags. The elimination, at the
-        new frames, says nothing about restored ones."""
+    def judge_place(self, tables, rod, lane, inertia, size, decrement, judged):
+        """Judge where the rod is, from which the next step would have that ``size`` and Newton ``decrement``: a record of
+        flags. The elimination, at the new frames, says nothing about restored ones."""
         gap = ti.sqrt(dot(lane.miss, lane.miss))
         tolerance = self.tolerance(tables, rod)
         at_rest = lane.residual * rod.total <= tolerance
@@ -205,6 +206,12 @@ class NewtonTrip:
             # Large forces on a limp rod: rounding limits the residual, and the next step bounds the error of the shape.
             still = (size <= self.still) & (lane.shift <= 0.0)
             at_rest = at_rest | (still & (lane.residual * rod.total <= fixed.BY_ROUNDING * tolerance))
+        if ti.static(not self.single):
+            # The residual is measured by the stiffest part of a rod: what the next step would gain bounds the error of others.
+            turn = fixed.TURN_LEFT * tolerance
+            enough = turn * turn * rod.softest / rod.total + fixed.DECREMENT_ROUNDING * lane.magnitude
+            rounded = lane.residual <= fixed.MOMENT_ROUNDING * rod.stiffest_joint
+            at_rest = (at_rest | rounded) & (absolute(decrement) <= enough)
         small = at_rest & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
         if ti.static(self.touches):
             # The residual of a step that settles forces does not say how far gaps are open.

@@ -18,20 +18,24 @@ from doo_ti.contact.surroundings import Surroundings, obstacle_list
 from doo_ti.errors import InputError
 from doo_ti.relaxation import batch
 from doo_ti.relaxation import tables as of
+from doo_ti.relaxation.clear_start import move_out
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.external import External
-from doo_ti.relaxation.input_tables import tables, under
+from doo_ti.relaxation.input_tables import evened, tables, under
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.relaxation.self_approach import approach_in_relaxation, stays_in_order
 from doo_ti.relaxation.tables import Tables
 from doo_ti.types import Clamps, Configuration, Material, Solution, Status, unit_up
 
 # Plain integers: NumPy compares them ten times faster than members of an enumeration.
-CONVERGED, STALLED, INFEASIBLE = (int(status) for status in (Status.CONVERGED, Status.STALLED, Status.INFEASIBLE))
+CONVERGED, STALLED, LIMIT, INFEASIBLE = (
+    int(status) for status in (Status.CONVERGED, Status.STALLED, Status.ITERATION_LIMIT, Status.INFEASIBLE))
 PRECISIONS = ("f32", "f64", "mixed")
 F32_ONLY = "f32 only"
 ITERATIONS_32 = 300
 """After which f64 takes over from f32, which can repeat the same few steps without end."""
+RATIOS = (1e2, 1e4, 1e6, 1e8)
+"""Of the stiffness of uneven rods, one after the other."""
 INSIDE, CLOSE_PLACES = 1e-2, 29
 """Radii by which an edge of a rod that has converged may be inside a ring; and places of it that are measured for that."""
 
@@ -75,8 +79,9 @@ def relax(
                            as before
     obstacles, radius      what the rods may touch but not enter, and their radius in mm, one or (R,): the rod, edges of that
                            thickness, ends outside all of them to 2e-4 of its radius (in f32 to 2e-6 of its length, if that is
-                           more). Every obstacle has one row, or R. A start whose centreline is inside one, or whose clamps
-                           are, is INFEASIBLE. Friction acts only in motions. See ``Solution.contact``
+                           more). Every obstacle has one row, or R. A start inside one is moved out of it first; a rod whose
+                           clamps are inside, or whose start cannot be moved out, is INFEASIBLE. Friction acts only in
+                           motions. See ``Solution.contact``
 
     Clamped frames replace the first and last frame of the start. Inputs are not modified, results are float64.
     Energies include the constant μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods have the
@@ -103,6 +108,7 @@ def relax(
             frames, results, bits = _descent(table, solver, precision)
         else:
             frames, results, bits = _newton(table, solver, precision, x0 if once_more else None)
+            _relax_moved_out(table, solver, frames, results, bits)
             table = _touch_themselves(table, solver, frames, results, bits)
         return _solution(table, frames, results, bits)
 
@@ -139,20 +145,25 @@ def _descent(table: Tables, solver: Descent, precision: str):
 
 def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | None):
     """(frames, results, bits per rod) of one precision after the other, from the starts or from the end of ``begin``."""
+    evener, uneven = (table, np.zeros(0, dtype=np.int64)) if begin is not None else evened(table, RATIOS[0])
     if precision == "f64":
-        frames, results = batch.run_newton(table, solver, 64, begin)
+        frames, results = batch.run_newton(evener, solver, 64, begin)
+        _with_ratios(table, solver, 64, frames, results, uneven)
         return frames, results, np.full(len(results), 64)
     coarse = solver
     if precision != F32_ONLY:
         coarse = replace(solver, max_iterations=min(solver.max_iterations, ITERATIONS_32),
                          tolerance=None if precision == "mixed" else solver.tolerance)
-    frames, results = batch.run_newton(table, coarse, 32, begin)
+    frames, results = batch.run_newton(evener, coarse, 32, begin)
     bits = np.full(len(results), 32)
     if precision == F32_ONLY:
+        _with_ratios(table, solver, 32, frames, results, uneven)
         return frames, results, bits
+    _with_ratios(table, solver, 64, frames, results, uneven)
+    bits[uneven] = 64
     feasible = results[:, of.STATUS] != INFEASIBLE
     short = (results[:, of.STATUS] != CONVERGED) | (results[:, of.STABLE] == 0)
-    rows = np.flatnonzero(feasible & (short | (precision == "mixed")))
+    rows = np.flatnonzero(feasible & (short | (precision == "mixed")) & (bits == 32))
     if len(rows):
         usable = (results[:, of.STATUS] == CONVERGED) | (results[:, of.STATUS] == STALLED)
         before, along = results[rows, of.ITERATIONS], results[rows, of.ALONG]
@@ -167,6 +178,33 @@ def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | Non
         results[rows, of.ALONG] = np.where(usable[rows], np.minimum(results[rows, of.ALONG], along), results[rows, of.ALONG])
         bits[rows] = 64
     return frames, results, bits
+
+
+def _with_ratios(table: Tables, solver: Newton, bits: int, frames: np.ndarray, results: np.ndarray, rows: np.ndarray) -> None:
+    """Relax the rods ``rows`` further, in place, which have relaxed with stiffness made even to RATIOS[0]: with one ratio after
+    the other, up to their own.
+
+    Bent and twisted the soft way a rod that is stiff the other way follows a narrow, curved valley of its energy in small
+    steps; from its minimum under a smaller ratio the next one is a few steps away.
+    """
+    for ratio in (*RATIOS[1:], np.inf):
+        if not len(rows):
+            return
+        evener, later = evened(table, ratio)
+        spent, along = results[rows, of.ITERATIONS], results[rows, of.ALONG]
+        usable = np.isin(results[:, of.STATUS], (CONVERGED, STALLED, LIMIT))
+        batch.continue_newton(evener, solver, bits, frames, results, rows, usable)
+        results[rows, of.ITERATIONS] += spent
+        results[rows, of.ALONG] = np.where(usable[rows], np.minimum(results[rows, of.ALONG], along), results[rows, of.ALONG])
+        rows = later
+
+
+def _relax_moved_out(table: Tables, solver: Newton, frames: np.ndarray, results: np.ndarray, bits: np.ndarray) -> None:
+    """Relax the rods, in place, that began inside an obstacle from starts that are moved out of it, where there are any."""
+    rows = np.zeros(0, dtype=np.int64) if table.contact is None else move_out(table, frames, results)
+    if len(rows):
+        batch.continue_newton(table, solver, 64, frames, results, rows, np.ones(table.count, dtype=bool))
+        bits[rows] = 64
 
 
 def _touch_themselves(table: Tables, solver: Newton, frames, results, bits) -> Tables:
@@ -218,6 +256,7 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
     rest_length = table.rest_length[0].copy() if len(table.rest_length) == 1 else table.rest_length[index]
     configuration = Configuration(start, frames, rest_length)
     status, stable = results[:, of.STATUS].astype(np.int8), results[:, of.STABLE] == 1
+    frames[status == INFEASIBLE], start[status == INFEASIBLE] = np.nan, np.nan
     # The kernels compute relative to the anchor and do not read its place.
     lost = ~np.isfinite(anchor).all(axis=1)
     if lost.any():

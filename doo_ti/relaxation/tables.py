@@ -23,10 +23,10 @@ FREE, POSITION, TANGENT, FRAME = (int(kind) for kind in Clamp)
 TARGET, CLOSED, SPIN_START, SPIN_END, TILT_START, TILT_END, TILT_INNER, RELEASED = 0, 3, 4, 5, 6, 7, 8, 9
 TOTAL, LONGEST, SHORTEST_PAIR, HANGING, ANCHOR, LOOSE, ENDS, CLAMP_COLUMNS = 10, 11, 12, 13, 14, 17, 18, 26
 
-# Columns of a material: weight μ, the largest eigenvalue of B, that or β where it is more, one where the rod looks the same
-# from all sides, so that it may spin about itself at no cost; and its stiffness, once or edge by edge: B as (11, 22, 12), and
-# of the inner vertex where the edge begins β and ω̄.
-WEIGHT, LARGEST_BEND, STIFFEST, ROUND, STIFFNESS = 0, 1, 2, 3, 4
+# Columns of a material: weight μ, the largest eigenvalue of B, that or β where it is more, the smallest eigenvalue of B or β
+# where that is less, one where the rod looks the same from all sides, so that it may spin about itself at no cost; and its
+# stiffness, once or edge by edge: B as (11, 22, 12), and of the inner vertex where the edge begins β and ω̄.
+WEIGHT, LARGEST_BEND, STIFFEST, SOFTEST, ROUND, STIFFNESS = 0, 1, 2, 3, 4, 5
 BEND, TWIST, REST, STIFFNESS_COLUMNS = 0, 3, 4, 6
 
 # Columns of a rod: its row of the clamps, of the materials, of the results, of the starts, or FROM_RESULTS where it starts
@@ -73,7 +73,7 @@ class Tables:
     """What the kernels read, all float64 and C-contiguous but ``rods``.
 
     start (S, E, 4) frames as given, of any length, whose ends the clamps turn to what they hold; rest_length (1 or S, E);
-    clamp (S, CLAMP_COLUMNS); material (G, STIFFNESS + 1 or E · STIFFNESS_COLUMNS), isotropic: all of them are;
+    clamp (S, CLAMP_COLUMNS); material (G, STIFFNESS + 1 or E · STIFFNESS_COLUMNS), isotropic (G,) bool, the kernel of each;
     rods (feasible ones, ROD_COLUMNS) int32, each from its start; feasible (S,) bool;
     configuration_index, material_index and external_index (R,), infeasible rods included; external the external energy,
     or None; up (3,); floating: some rod has both ends free; contact (a ``ContactTable``) with obstacles, or None;
@@ -84,7 +84,7 @@ class Tables:
     rest_length: np.ndarray
     clamp: np.ndarray
     material: np.ndarray
-    isotropic: bool
+    isotropic: np.ndarray
     rods: np.ndarray
     feasible: np.ndarray
     configuration_index: np.ndarray
@@ -139,6 +139,21 @@ class Tables:
         rows = rods[:, RESULT_ROW]
         rods[:, START_ROW] = np.where(usable[rows], rows, FROM_RESULTS)
         return rods
+
+    def by_kernel(self, rods: np.ndarray) -> list[tuple[bool, bool, np.ndarray]]:
+        """``rods`` (-, ROD_COLUMNS) parted by the kernel that takes them: (isotropic, any_ends, rods). A rod's own material and
+        clamps decide, so that its result does not depend on the others of a call. A rod whose vertex 0 is loose always needs a
+        kernel that moves it, ``any_ends``."""
+        isotropic, ends = self.isotropic[rods[:, MATERIAL_ROW]], self.clamp[rods[:, CLAMP_ROW], LOOSE] > 0
+        if self.contact is not None:
+            ends[:] = True
+        elif self.external is not None:
+            ends |= self.clamp[rods[:, CLAMP_ROW], CLOSED] > 0
+        kind = 2 * isotropic + ends
+        first = kind[0] if len(kind) else 0
+        if (kind == first).all():  # as nearly always
+            return [(bool(first & 2), bool(first & 1), rods)] if len(kind) else []
+        return [(bool(one & 2), bool(one & 1), rods[kind == one]) for one in np.unique(kind)]
 
     def restarted(self, frames: np.ndarray) -> "Tables":
         """The same rods with a start each, ``frames`` (R, E, 4); infeasible ones keep what they had."""
