@@ -22,25 +22,32 @@ LEAST_ACROSS = 1e-6
 """Of the direction against gravity, across a chord: below, the chord is vertical and any plane does."""
 
 
-def straight_rod(length: float, edges: int, start: ArrayLike = (0.0, 0.0, 0.0), direction: ArrayLike = (1.0, 0.0, 0.0)
-                 ) -> Configuration:
-    """One straight rod without twist, ``length`` mm long, from ``start`` (3,) mm in ``direction`` (3,) of any length. Raises
-    InputError for a length that is not positive, fewer than two edges or no direction."""
+def straight_rod(length: float, edges: int, start: ArrayLike = (0.0, 0.0, 0.0), direction: ArrayLike = (1.0, 0.0, 0.0), *,
+                 vertex_clamps: bool = False) -> Configuration:
+    """One straight rod without twist, ``length`` mm long, from ``start`` (3,) mm in ``direction`` (3,) of any length.
+
+    vertex_clamps  with an edge of length zero before the first of the ``edges`` and after the last: clamps of both ends then act
+                   at the end vertices, not half an edge further in (:class:`~doo_ti.types.Clamps`)
+
+    Raises InputError for a length that is not positive, fewer than two edges or no direction.
+    """
     length = _lengths("straight_rod", length, edges)
     if len(length) > 1:
         raise InputError("straight_rod", "length", f"{len(length)} lengths", "give one number of mm")
-    return Configuration.straight(_points("straight_rod", "start", start)[0], _direction("straight_rod", direction),
-                                  float(length[0]), edges)
+    rod = Configuration.straight(_points("straight_rod", "start", start)[0], _direction("straight_rod", direction),
+                                 float(length[0]), edges)
+    return _with_end_edges(rod) if vertex_clamps else rod
 
 
 def hanging(length: ArrayLike, edges: int, start: ArrayLike, end: ArrayLike, *, clamp: Clamp = Clamp.POSITION,
-            up: ArrayLike = (0.0, 0.0, 1.0)) -> tuple[Configuration, Clamps]:
+            up: ArrayLike = (0.0, 0.0, 1.0), vertex_clamps: bool = False) -> tuple[Configuration, Clamps]:
     """R ropes that hang between two points, ready for ``relax``: the start Γ, an arc that sags, and the clamps C.
 
     length      mm; one number, or (R,)
     start, end  (R, 3) or (3,) mm; one row serves all
     clamp       how both ends are held: POSITION, as by knots; TANGENT or FRAME: also in the directions that the arc has there
     up          (3,) direction against gravity; give ``relax`` the same
+    vertex_clamps  as in :func:`straight_rod`
 
     Points further apart than the rope is long are no error: ``relax`` reports such a rope as infeasible. Raises InputError for
     lengths and points that are not finite numbers.
@@ -65,6 +72,7 @@ def hanging(length: ArrayLike, edges: int, start: ArrayLike, end: ArrayLike, *, 
     frames = bishop_frames(tangents, across(tangents[:, 0]))
     rest_length = np.repeat(length[:, None] / edges, edges, axis=1)
     rope = Configuration(start.copy(), quaternion_from_matrix(frames), rest_length if len(length) > 1 else rest_length[0])
+    rope = _with_end_edges(rope) if vertex_clamps else rope
     held = end_clamps(rope, clamp, clamp)
     return rope, Clamps(held.start, held.end, held.start_position, end.copy(), held.start_frame, held.end_frame)
 
@@ -74,6 +82,14 @@ def end_clamps(configuration: Configuration, start: Clamp = Clamp.FRAME, end: Cl
     vertices, frames = configuration.vertices, configuration.frames
     ends = (vertices[:, 0], vertices[:, -1], frames[:, 0], frames[:, -1])
     return Clamps(Clamp(start), Clamp(end), *(values.copy() for values in ends))
+
+
+def _with_end_edges(rods: Configuration) -> Configuration:
+    """The rods with an edge of length zero at each end, in the direction of the edge there."""
+    frames, lengths = rods.quaternions, rods.rest_length
+    none = np.zeros_like(lengths[..., :1])
+    return Configuration(rods.start, np.concatenate([frames[:, :1], frames, frames[:, -1:]], axis=1),
+                         np.concatenate([none, lengths, none], axis=-1))
 
 
 def _arc_angle(share: np.ndarray, edges: int) -> np.ndarray:

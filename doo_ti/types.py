@@ -76,7 +76,7 @@ class Configuration:
 
     start        (R, 3) position of vertex 0, mm
     quaternions  (R, E, 4) material frame of each edge, scalar first: t, m1, m2 are the columns of its rotation
-    rest_length  (E,) or (R, E), mm
+    rest_length  (E,) or (R, E), mm; zero for a first or last edge that only has a direction, see :class:`Clamps`
     """
 
     start: np.ndarray
@@ -149,6 +149,10 @@ class Clamps:
     start, end                    Clamp, one for all rods or (R,) of them
     start_position, end_position  (R, 3) mm; unused where the end is free
     start_frame, end_frame        (R, 3, 3) columns t, m1, m2; only t counts for a tangent clamp; unused below that
+
+    A clamp that holds a direction holds the end edge, so that the rod begins to bend at that edge's middle: it acts there, half an
+    edge from the end vertex, and forces and deflections converge with the first order of the edge. Where the end edge has a
+    ``rest_length`` of zero the clamp acts at the end vertex itself, with second order (``straight_rod(…, vertex_clamps=True)``).
     """
 
     start: np.ndarray

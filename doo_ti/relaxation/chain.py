@@ -88,7 +88,7 @@ class Chain:
         self.largest = number.lanes().largest
         self.twist_angle = twist_angle_function(number)
         # What makes AᵀA regular: a share of its trace, and where that is zero a number whose cube is not.
-        self.regular, self.least = (1e-6, 1e-12) if number.bits == 32 else (1e-13, 1e-30)
+        self.regular, self.least = (1e-6, 1e-12) if number.bits == 32 else (1e-16, 1e-30)
         self.tiny = 1e-30 if number.bits == 32 else 1e-100  # see :func:`.factor`
 
     # --- access to scratch ---

@@ -31,7 +31,8 @@ def check_shapes(configuration: Configuration, clamps: Clamps) -> None:
 
 
 def rest_lengths(configuration: Configuration) -> np.ndarray:
-    """(1 or S, E) rest lengths. Raises InputError where they do not match or are not positive."""
+    """(1 or S, E) rest lengths. Raises InputError where they do not match or are not positive; those of the first and of the last
+    edge may be zero, where at least two others are between them."""
     count, edges = configuration.count, configuration.edges
     lengths = real_array("configuration", "rest_length", configuration.rest_length, "give positive lengths in mm")
     # A copy: the result must not change when the caller's array does.
@@ -40,8 +41,13 @@ def rest_lengths(configuration: Configuration) -> np.ndarray:
         lengths = lengths[None]
     if lengths.shape not in ((1, edges), (count, edges)):
         raise InputError("configuration", "rest_length", f"shape {lengths.shape}", f"give ({edges},) or ({count}, {edges})")
-    if lengths.size and not (lengths.min() > 0 and lengths.max() < np.inf):
-        raise InputError("configuration", "rest_length", f"{lengths.min():g}", "give positive lengths in mm")
+    wrong = ~((lengths > 0) & (lengths < np.inf))
+    wrong[:, [0, -1]] &= lengths[:, [0, -1]] != 0
+    if wrong.any():
+        raise InputError("configuration", "rest_length", f"{lengths[wrong][0]:g}",
+                         "give positive lengths in mm; only the first and the last edge may have none")
+    if ((lengths > 0).sum(axis=1) < 2).any():
+        raise InputError("configuration", "rest_length", "fewer than two edges with a length", "give more edges")
     return lengths
 
 

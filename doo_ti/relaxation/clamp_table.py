@@ -185,8 +185,13 @@ class ClampReader:
         free = minus(minus(line, scaled(tangent(first), held_first)), scaled(tangent(last), held_last))
         slack = 1.0 - ti.sqrt(dot(free, free)) / (size.total - held_first - held_last)
         found = SOUND
-        # With at least two free edges the far point can move in three directions.
-        if (slack >= -1e-12) & (tilts[0] + tilts[1] >= 4.0 - edges):
+        # With at least two free edges the far point can move in three directions; an edge without length moves nothing.
+        tilting = ti.cast(edges - 2, ti.f64)
+        if tables.rest_length[length, 0] > 0.0:
+            tilting += tilts[0]
+        if tables.rest_length[length, edges - 1] > 0.0:
+            tilting += tilts[1]
+        if (slack >= -1e-12) & (tilting >= 2.0):
             # Straight rods have their inner edges in line: comparing two of them excludes most other rods.
             inner, middle = frame_of(tables.start, s, ti.min(1, edges - 1)), frame_of(tables.start, s, edges // 2)
             apart = minus(tangent(inner), tangent(middle))

@@ -12,11 +12,12 @@ DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # the same once a step was re
 # Of rods that may touch something: a step of which a smaller share was taken does not make the shift smaller; the part of it
 # that is tried after it was refused; the square of what a step towards closure leaves of the miss at most; and the share below
 # which a step is too large to be shortened.
+CUT = 0.1  # a step of which a smaller share may be taken does not make the shift smaller
 SHORTENED, PART, NEARER, LEAST_SHARE = 0.8, 0.3, 0.98, 1e-4
 STILL, BY_ROUNDING = 1e-10, 1e3  # rad: a smaller step is rounding, and by how much the residual then may exceed its tolerance
 VAGUE = 1e3  # tolerances: above them a step that raises the energy, even by less than rounding, may not raise the residual
 FAR_FROM_REST = 1e-3  # residual, above which frames spin before they tilt
-TRACE, TRACE_IN_CONTACT = 1e-12, 1e-9  # eigenvalues that are smaller, over H's largest diagonal entry, are neutral motions
+TRACE, TRACE_IN_CONTACT = 1e-9, 1e-9  # eigenvalues that are smaller, over H's largest diagonal entry, are neutral motions
 # The Newton decrement of a rod at rest, in f64: at most the energy of its softest part, bent over all its length by so many
 # tolerances, rad; and what rounding makes of the magnitude of the energy.
 TURN_LEFT, DECREMENT_ROUNDING = 100.0, 1e-18

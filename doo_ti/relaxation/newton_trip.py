@@ -82,9 +82,9 @@ class NewtonTrip:
         lane.spins_first = self.sweep.spinning_first(rod, ti.select(far, one, zero))
         rod.spins_first = lane.spins_first
         decay = ti.select(lane.troubled > 0.5, self.constant(fixed.DECAY_TROUBLED), self.constant(fixed.DECAY))
-        if ti.static(self.touches):
-            # A smaller shift makes a step larger, which is of no use where it could not be taken whole.
-            decay = ti.select(lane.step_scale < fixed.SHORTENED, self.constant(1.0), decay)
+        # A smaller shift makes a step larger, which is of no use where it could not be taken whole.
+        shortened = ti.static(fixed.SHORTENED if self.touches else fixed.CUT)
+        decay = ti.select(lane.step_scale < shortened, self.constant(1.0), decay)
         least = ti.select(lane.troubled > 0.5, self.constant(fixed.NEGLIGIBLE_TROUBLED), self.constant(fixed.NEGLIGIBLE))
         negligible = least * lane.scale
         smaller = ti.select(decay * lane.shift > negligible, decay * lane.shift, zero)

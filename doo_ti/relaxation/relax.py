@@ -105,6 +105,8 @@ def relax(
             if isinstance(x0, Solution) and table.contact is not None and configuration_index is None:
                 table.contact.begin_with(None if x0.tables is None else x0.tables.contact, x0.converged)
         if isinstance(solver, Descent):
+            if (table.rest_length == 0).any():
+                raise InputError("relax", "solver", "Descent cannot use edges without length", "give Newton()")
             frames, results, bits = _descent(table, solver, precision)
         else:
             frames, results, bits = _newton(table, solver, precision, x0 if once_more else None)
