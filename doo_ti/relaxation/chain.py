@@ -64,7 +64,6 @@ class Chain:
     total, longest          length of the rod and of its longest edge
     stiffness               (α, β) of isotropic rods, unused otherwise
     softest                 the smallest eigenvalue of B anywhere along the rod, or β where that is less
-    stiffest_joint          about the largest entry that bending and twisting have on the diagonal of H
     shift_shares            (spin, tilt) of isotropic rods, of others those of their softest part: see :meth:`shifts`
     gravity                 μ times the unit vector up
     anchor                  the point that the chain hangs from
@@ -137,7 +136,7 @@ class Chain:
             total=scratch[head + OF_TOTAL * self.stride],
             longest=scratch[head + OF_LONGEST * self.stride],
             stiffness=(scratch[head + OF_STIFFNESS * self.stride], scratch[head + (OF_STIFFNESS + 1) * self.stride]),
-            softest=scratch[head + OF_SOFTEST * self.stride], stiffest_joint=scratch[head + OF_SCALE * self.stride],
+            softest=scratch[head + OF_SOFTEST * self.stride],
             shift_shares=(scratch[head + OF_SHIFT_SHARES * self.stride], scratch[head + (OF_SHIFT_SHARES + 1) * self.stride]),
             gravity=self.load3(scratch, head + OF_GRAVITY * self.stride),
             anchor=self.load3(scratch, head + OF_ANCHOR * self.stride), numbers=tables.numbers, field=tables.field,

@@ -17,11 +17,12 @@ SHORTENED, PART, NEARER, LEAST_SHARE = 0.8, 0.3, 0.98, 1e-4
 STILL, BY_ROUNDING = 1e-10, 1e3  # rad: a smaller step is rounding, and by how much the residual then may exceed its tolerance
 VAGUE = 1e3  # tolerances: above them a step that raises the energy, even by less than rounding, may not raise the residual
 FAR_FROM_REST = 1e-3  # residual, above which frames spin before they tilt
-TRACE, TRACE_IN_CONTACT = 1e-9, 1e-9  # eigenvalues that are smaller, over H's largest diagonal entry, are neutral motions
+# Eigenvalues that are smaller, over H's largest diagonal entry, are neutral motions; of a rod that nothing touches only once it
+# is at rest, since what is added to the diagonal for that makes steps less exact.
+TRACE, TRACE_AT_REST, TRACE_IN_CONTACT = 1e-12, 1e-9, 1e-9
 # The Newton decrement of a rod at rest, in f64: at most the energy of its softest part, bent over all its length by so many
 # tolerances, rad; and what rounding makes of the magnitude of the energy.
-TURN_LEFT, DECREMENT_ROUNDING = 100.0, 1e-18
-MOMENT_ROUNDING = 4e-15  # of the stiffest joint: a residual may be what rounding makes of its strain
+TURN_LEFT, DECREMENT_ROUNDING = 300.0, 1e-18
 CLOSING_DISTANCE = 0.3  # edge lengths: above it a step only projects
 REACHING_DISTANCE = 0.1  # and above it, among obstacles, a step may be taken because it brings the far end closer
 ESCAPE_ROTATION = 0.1  # rad

@@ -59,6 +59,7 @@ class NewtonTrip:
         patience = fixed.PATIENCE_IN_CONTACT if self.touches else fixed.PATIENCE
         self.patience = fixed.PATIENCE_32 if single else patience
         self.trace = 0.0 if single else fixed.TRACE_IN_CONTACT if self.among_obstacles else fixed.TRACE
+        self.trace_at_rest = 0.0 if single else fixed.TRACE_AT_REST
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
         self.stalled, self.not_finite, self.infeasible = map(int, (Status.STALLED, Status.NOT_FINITE, Status.INFEASIBLE))
         self.growth, self.first_shift = (  # of the shift, where a step is rejected
@@ -95,7 +96,9 @@ class NewtonTrip:
         echo = ti.select(searching & (lane.rounds > 0.5), lane.scale / (lane.longest + 1e-30), zero)
         energy, magnitude, miss, fitted, lowest = self.sweep.close(rod, x, normal)
         multiplier = self.multiplier(lane, fitted)
-        diagonal = ti.select(next_shift > 0.0, next_shift, self.trace * lane.scale)
+        rested = (lane.fresh < 0.5) & (lane.residual * rod.total <= self.tolerance(tables, rod))
+        trace = ti.select(rested, self.constant(self.trace_at_rest), self.constant(self.trace))
+        diagonal = ti.select(next_shift > 0.0, next_shift, trace * lane.scale)
         found = self.sweep.eliminate(rod, diagonal, (noise, echo), multiplier, miss)
         found.energy += energy
         found.magnitude += magnitude
@@ -105,7 +108,7 @@ class NewtonTrip:
         longest, size, decrement = self.sweep.substitute(rod, found)
         lane.longest = longest
         self.keep(rod, lane, found, miss, lowest, multiplier, judged, next_shift)
-        place = self.judge_place(tables, rod, lane, found.inertia, size, decrement, judged)
+        place = self.judge_place(tables, rod, lane, found.inertia, (size, decrement, rested), judged)
         self.plan(tables, rod, lane, judged, place, searching, found.slope)
         self.end(tables, rod, lane, judged, place)
 
@@ -196,9 +199,12 @@ class NewtonTrip:
             return given
 
     @ti.func
-    def judge_place(self, tables, rod, lane, inertia, size, decrement, judged):
-        """Judge where the rod is, from which the next step would have that ``size`` and Newton ``decrement``: a record of
-        flags. The elimination, at the new frames, says nothing about restored ones."""
+    def judge_place(self, tables, rod, lane, inertia, step, judged):
+        """Judge where the rod is: a record of flags. The elimination, at the new frames, says nothing about restored ones.
+
+        step: of the next one its size and its Newton decrement, and whether the rod had come to rest before this one.
+        """
+        size, decrement, rested = step
         gap = ti.sqrt(dot(lane.miss, lane.miss))
         tolerance = self.tolerance(tables, rod)
         at_rest = lane.residual * rod.total <= tolerance
@@ -210,8 +216,7 @@ class NewtonTrip:
             # The residual is measured by the stiffest part of a rod: what the next step would gain bounds the error of others.
             turn = fixed.TURN_LEFT * tolerance
             enough = turn * turn * rod.softest / rod.total + fixed.DECREMENT_ROUNDING * lane.magnitude
-            rounded = lane.residual <= fixed.MOMENT_ROUNDING * rod.stiffest_joint
-            at_rest = (at_rest | rounded) & (absolute(decrement) <= enough)
+            at_rest = at_rest & (absolute(decrement) <= enough)
         small = at_rest & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
         if ti.static(self.touches):
             # The residual of a step that settles forces does not say how far gaps are open.
@@ -226,6 +231,8 @@ class NewtonTrip:
             altered = altered | self.sweep.contacts.expected(rod)
         # Where rounding limits the residual, the size of the next step bounds the error of the shape.
         settled = size <= self.shape_tolerance
+        doubtful = calm & ~altered & wrong & ~rested
+        wrong = wrong & ~doubtful
         at_saddle = calm & ~altered & wrong
         if ti.static(self.among_obstacles):
             # While forces are rough, a motion that will turn out to be neutral may have a negative eigenvalue.
@@ -234,10 +241,12 @@ class NewtonTrip:
         aimless = wrong & (lane.aimless > fixed.PATIENCE_AT_SADDLE) & (lane.escaping < 0.5) & (lane.closing < 0.5)
         limit = ti.cast(tables.policy[fixed.ESCAPES], self.scalar)
         leaving = (at_saddle & (lane.escapes < limit)) | (aimless & (limit > 0.0) & (lane.strays < fixed.MOST_STRAYS))
+        # After a refused step a shifted one comes first: from the same frames the same step would be refused again.
+        certify = calm & altered & (lane.rejects < 0.5)
         return record(
-            gap=gap, small=small, calm=calm, settled=settled, right=right, wrong=wrong,
+            gap=gap, small=small, calm=calm, settled=settled, right=right, wrong=wrong, doubtful=doubtful,
             at_minimum=calm & ~altered & right & settled, at_saddle=at_saddle, leaving=leaving,
-            resting=at_saddle & (lane.escapes >= limit), certify=calm & altered)
+            resting=at_saddle & (lane.escapes >= limit), certify=certify)
 
     @ti.func
     def plan(self, tables, rod, lane, judged, place, searching, slope):
@@ -257,7 +266,7 @@ class NewtonTrip:
         lane.rounds = ti.select((lane.escaping > 0.5) & place.right & ~place.leaving, lane.rounds + 1.0, lane.rounds)
         lane.rounds = ti.select(place.leaving, zero, lane.rounds)
         unready = (lane.escaping > 0.5) & (lane.rounds <= fixed.ESCAPE_ROUNDS)
-        held = place.certify | place.leaving | place.wrong | unready | (lane.closing > 0.5) | judged.uphill
+        held = place.certify | place.leaving | place.wrong | place.doubtful | unready | (lane.closing > 0.5) | judged.uphill
         lane.trying = ti.select(held, zero, one)
         lane.troubled = ti.select(judged.uphill | (place.wrong & (lane.closing < 0.5)), one, lane.troubled)
         floor = ti.select(lane.escaping > 0.5, fixed.NEGLIGIBLE_TROUBLED * lane.scale, fixed.SHIFT_WRONG_INERTIA * lane.scale)
