@@ -21,8 +21,9 @@ FAR_FROM_REST = 1e-3  # residual, above which frames spin before they tilt
 # is at rest, since what is added to the diagonal for that makes steps less exact.
 TRACE, TRACE_AT_REST, TRACE_IN_CONTACT = 1e-12, 1e-9, 1e-9
 # The Newton decrement of a rod at rest, in f64: at most the energy of its softest part, bent over all its length by so many
-# tolerances, rad; and what rounding makes of the magnitude of the energy.
-TURN_LEFT, DECREMENT_ROUNDING = 300.0, 1e-18
+# tolerances, rad; that of a motion that is softer by the factor NEUTRAL than bending it so; and what rounding makes of the
+# magnitude of the energy.
+TURN_LEFT, NEUTRAL, DECREMENT_ROUNDING = 300.0, 1e-5, 1e-18
 CLOSING_DISTANCE = 0.3  # edge lengths: above it a step only projects
 REACHING_DISTANCE = 0.1  # and above it, among obstacles, a step may be taken because it brings the far end closer
 ESCAPE_ROTATION = 0.1  # rad

@@ -215,7 +215,8 @@ class NewtonTrip:
         if ti.static(not self.single):
             # The residual is measured by the stiffest part of a rod: what the next step would gain bounds the error of others.
             turn = fixed.TURN_LEFT * tolerance
-            enough = turn * turn * rod.softest / rod.total + fixed.DECREMENT_ROUNDING * lane.magnitude
+            enough = (turn * turn + fixed.NEUTRAL * size * size) * rod.softest / rod.total
+            enough = enough + fixed.DECREMENT_ROUNDING * lane.magnitude
             at_rest = at_rest & (absolute(decrement) <= enough)
         small = at_rest & (gap <= self.closure_tolerance * rod.total) & ~judged.broken
         if ti.static(self.touches):
