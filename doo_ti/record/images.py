@@ -22,6 +22,7 @@ from doo_ti.record.stream import (
     recording,
     space_view,
 )
+from doo_ti.report.extent import box, widest
 from doo_ti.report.reprojections import BEST, DETECTED, RUNNER_UP, TRUTH, SeenRod
 from doo_ti.vision.cameras.camera import Camera
 from doo_ti.vision.cameras.rig import Rig
@@ -134,7 +135,7 @@ def _growth_layout(rig: Rig, places: list[str], rods: list[SeenRod], up: np.ndar
     """A tab for each set: the rods in space, near and among the cameras, and the cameras' images."""
     tabs = []
     for place, seen in zip(places, rods, strict=True):
-        middle, size = seen.best.mean(axis=0), np.ptp(seen.best, axis=0).max()
+        middle, size = seen.best.mean(axis=0), widest(*box(seen.best))
         toward = np.mean([camera.centre for camera in rig.cameras], axis=0) - middle
         toward = toward / np.linalg.norm(toward) + 0.3 * up / np.linalg.norm(up)
         space = space_view("Hypotheses: best and kept blue, pruned red", f"world/{place}",
@@ -153,7 +154,8 @@ def _growth_layout(rig: Rig, places: list[str], rods: list[SeenRod], up: np.ndar
 
 def _bounds(detected: np.ndarray, margin: float = 40.0) -> blueprint.VisualBounds2D:
     """Limits of an image view when opened: those of the thread."""
-    (left, top), (right, bottom) = detected.min(axis=0) - margin, detected.max(axis=0) + margin
+    low, high = box(detected)
+    (left, top), (right, bottom) = low - margin, high + margin
     return blueprint.VisualBounds2D(x_range=[left, right], y_range=[top, bottom])
 
 

@@ -10,6 +10,7 @@ import rerun.blueprint as blueprint
 from doo_ti.record.obstacles import log_forces, log_obstacles
 from doo_ti.record.stream import FAILED, OBSERVED, drawn_strips, entity_name, log_up, log_view, panels, recording, space_view
 from doo_ti.report import MovingRods, Ribbons, distinct_colors
+from doo_ti.report.extent import box, widest
 
 GRIPPER = (120, 120, 130)
 MOST_CURVES = 12
@@ -68,7 +69,7 @@ def _log_held(stream, rods: MovingRods, when: list[rerun.TimeColumn]) -> None:
 
 def _motion_layout(rods: MovingRods, titles: list[str]) -> blueprint.Blueprint:
     """Rods on the left, seen from the front and a little above; curves, jumps and text on the right."""
-    low, high = np.nanmin(rods.vertices, axis=(0, 1, 2)), np.nanmax(rods.vertices, axis=(0, 1, 2))
+    low, high = box(rods.vertices.reshape(-1, 3))
     middle, size = 0.5 * (low + high), max(np.linalg.norm(high - low), 1.0)
     _, into, up = rods.basis
     blue = "" if rods.touched is None else f"; blue: {rods.touched.legend}"
@@ -131,9 +132,10 @@ def _normals(sides: np.ndarray) -> np.ndarray:
 
 def _ribbon_layout(ribbons: list[Ribbons], basis: np.ndarray) -> blueprint.Blueprint:
     """The ribbons from the front and above, and the text of the term; it opens on the last step."""
-    points = np.stack([kind.sides for kind in ribbons])
-    low, high = np.nanmin(points, axis=(0, 2, 3)), np.nanmax(points, axis=(0, 2, 3))
-    middle, size = np.median(0.5 * (low + high), axis=0), np.linalg.norm(high - low, axis=-1).max()
+    points = np.stack([kind.sides for kind in ribbons], axis=1)
+    low, high = box(points.reshape(len(points), -1, 3))
+    middle = np.median(0.5 * (low + high), axis=0)
+    size = max(np.linalg.norm(high - low, axis=-1).max(), widest(low, high))
     position = middle - 0.9 * size * (basis[1] - 0.35 * basis[2] - 0.35 * basis[0])
     view = space_view("Ribbons, mm", "world", (position, middle, basis[2]))
     text = blueprint.TextDocumentView(name="Ribbons", origin="summary")

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from doo_ti.report.extent import box, widest
+
 PICTURE_INCHES, PICTURE_DPI = (8.0, 6.0), 200
 """1600 × 1200 pixels."""
 VIEWER_DPI = 80
@@ -38,10 +40,8 @@ def literal(text: str) -> str:
 def limits_around(points: np.ndarray, half: float, least: float) -> np.ndarray:
     """(2, 2) limits to the right and up around (..., 2) points: from their middle to either side ``half`` of their extent, and
     at least the share ``least`` of the larger extent; around the origin where no point is finite."""
-    points = points.reshape(-1, 2)
-    points = points[np.isfinite(points).all(axis=1)]
-    low, high = (edge(axis=0) if len(points) else np.full(2, side) for edge, side in ((points.min, -1.0), (points.max, 1.0)))
-    middle, reach = 0.5 * (low + high), np.maximum(half * (high - low), least * max(high - low))
+    low, high = box(points.reshape(-1, 2))
+    middle, reach = 0.5 * (low + high), np.maximum(half * (high - low), least * widest(low, high))
     return np.stack([middle - reach, middle + reach], axis=-1)
 
 

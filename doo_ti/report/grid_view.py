@@ -8,10 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from doo_ti.io.observations import Observations
+from doo_ti.report.extent import box, deviations, widest
 from doo_ti.short_repr import short_repr
 
 FLAT = 3.0
 """Of what is seen from above: the depth of a view from the side over its height."""
+SLENDER = 0.1
+"""Of the larger extent of observations: the least width of a column."""
 UNITS = {"mm": " mm", "deg": "°"}
 
 
@@ -72,9 +75,10 @@ def grid_view(observed: Observed) -> GridView:
     """
     vertices, basis = observed.vertices, upright_basis(observed.vertices, observed.up)
     local = vertices @ basis.T
-    low, high = np.nanmin(local, axis=1), np.nanmax(local, axis=1)
+    low, high = box(local)
     size = (high - low).max(axis=0)
-    pitch = np.array([1.12 * size[0], 0.0, -1.1 * size[2] - 0.1 * size[0]])
+    width = max(size[0], SLENDER * widest(low[:, [0, 2]], high[:, [0, 2]]))
+    pitch = np.array([1.12 * width, 0.0, -1.1 * size[2] - 0.1 * width])
     column, row, titles, meaning = _places(observed.labels, len(vertices), abs(pitch[2]) / pitch[0])
     # Centred in its column and about the plane; its lowest point at the bottom of its row.
     anchor = np.stack([0.5 * (low + high)[:, 0], 0.5 * (low + high)[:, 1], low[:, 2]], axis=-1)
@@ -92,8 +96,8 @@ def grid_view(observed: Observed) -> GridView:
 def upright_basis(vertices: np.ndarray, up) -> np.ndarray:
     """(3, 3) rows: the main horizontal direction of rods (D, V, 3), the direction into that plane, up."""
     up = np.asarray(up, float) / np.linalg.norm(up)
-    spread = vertices - np.nanmean(vertices, axis=1, keepdims=True)
-    spread = np.nan_to_num(spread - (spread @ up)[..., None] * up).reshape(-1, 3)
+    spread = deviations(vertices)
+    spread = (spread - (spread @ up)[..., None] * up).reshape(-1, 3)
     # Up is a null direction of the spread; the small term keeps it last where the marks lie on one vertical line.
     right = np.linalg.eigh(spread.T @ spread - 1e-9 * (1 + np.sum(spread**2)) * np.outer(up, up))[1][:, -1]
     right = -right if right @ np.nansum(vertices[:, -1] - vertices[:, 0], axis=0) < 0 else right
@@ -104,7 +108,7 @@ def facing(vertices: np.ndarray, up) -> tuple[np.ndarray, str]:
     """What points up in a view of rods (D, V, 3), and from where that is: from the side or, if they are flat, as on a table,
     from above."""
     basis = upright_basis(vertices, up)
-    _, depth, height = np.nanstd((vertices - np.nanmean(vertices, axis=1, keepdims=True)) @ basis.T, axis=(0, 1))
+    _, depth, height = np.std(deviations(vertices) @ basis.T, axis=(0, 1))
     return (basis[1], "from above") if depth > FLAT * height else (basis[2], "from the side")
 
 

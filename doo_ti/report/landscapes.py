@@ -164,15 +164,17 @@ def _leave_inner_labels(axes, at_left: bool, at_bottom: bool) -> None:
 
 
 def _multiples(plane: LandscapePlane) -> np.ndarray:
-    """The values over the smallest one."""
-    return plane.values / (plane.values[plane.minimum] if plane.minimum is not None else 1.0)
+    """The values over the smallest one, in mm where that is zero."""
+    least = plane.values[plane.minimum] if plane.minimum is not None else 0.0
+    return plane.values / (least if least > 0 else 1.0)
 
 
 def _common_norm(planes: list[LandscapePlane]):
     """One colour scale for several landscapes, in multiples of their minima, up to the largest of the flattest one."""
     from matplotlib.colors import LogNorm
 
-    largest = [np.nanmax(_multiples(plane)) for plane in planes if plane.minimum is not None]
+    multiples = [_multiples(plane) for plane in planes if plane.minimum is not None]
+    largest = [np.max(values, where=np.isfinite(values), initial=1.0) for values in multiples]
     return LogNorm(1.0, max(min(largest, default=2.0), 2.0))
 
 

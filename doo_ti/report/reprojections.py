@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.report.canvas import literal, new_figure, save_figure
+from doo_ti.report.extent import box, widest
 from doo_ti.vision.cameras.rig import Rig
 
 BEST, RUNNER_UP, TRUTH, DETECTED = "#2f7bff", "#ff2e4d", "#ffd400", "#00c08b"
@@ -87,9 +88,9 @@ def _draw_image(axes, camera, seen: SeenRod, column: int) -> None:
     axes.plot(*detected.T, ".", color=DETECTED, markersize=2.6, markeredgewidth=0, zorder=2)
     axes.annotate(literal(camera.name), (0.02, 0.03), xycoords="axes fraction", fontsize=8, color="white")
     around = np.concatenate([detected] + [pixels for pixels, _ in projected])
-    around = around[np.isfinite(around).all(axis=1)]
-    low = np.maximum(around.min(axis=0) - MARGIN_PX, -0.5)
-    high = np.minimum(around.max(axis=0) + MARGIN_PX, (width - 0.5, height - 0.5))
+    corner = np.array([width - 0.5, height - 0.5])
+    low, high = box(np.clip(around, -0.5, corner))
+    low, high = np.maximum(low - MARGIN_PX, -0.5), np.minimum(high + MARGIN_PX, corner)
     axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
     axes.tick_params(labelsize=6, length=2, pad=1)
     axes.locator_params(nbins=5)
@@ -102,8 +103,8 @@ def _draw_space(axes, seen: SeenRod, up: np.ndarray) -> None:
     for _, curve, color in seen.rods:
         axes.plot(*(curve @ frame.T).T, color=color, linewidth=WIDTHS[color])
     axes.scatter(*(seen.best[0] @ frame.T), color="#202020", s=10)
-    low, high = points.min(axis=0), points.max(axis=0)
-    half = 0.5 * np.maximum(high - low, 0.2 * (high - low).max()) * 1.05
+    low, high = box(points)
+    half = 0.5 * np.maximum(high - low, 0.2 * widest(low, high)) * 1.05
     middle = 0.5 * (low + high)
     axes.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]),
              zlim=(middle[2] - half[2], middle[2] + half[2]))

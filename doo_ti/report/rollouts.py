@@ -1,11 +1,11 @@
 """Rods in motion: pictures of them beside what was recorded, of errors over time, and animations. Axes: R rods, T frames."""
 
-import warnings
 from pathlib import Path
 
 import numpy as np
 
 from doo_ti.report.canvas import PICTURE_DPI, fit_titles, limits_around, literal, new_figure
+from doo_ti.report.extent import deviations
 from doo_ti.report.grid_view import facing, upright_basis
 from doo_ti.report.touched import Touched
 
@@ -33,10 +33,7 @@ def _turned(basis: np.ndarray, rods: np.ndarray) -> np.ndarray:
     """The ``basis`` (3, 3) of a view turned about its upward axis so that both the shapes of (R, T, V, 3) rods and their motion
     are seen."""
     flat = rods @ basis[:2].T
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of rods without places
-        parts = flat - np.nanmean(flat, axis=2, keepdims=True), flat - np.nanmean(flat, axis=1, keepdims=True)
-    shape, motion = (np.einsum("rtvi,rtvj->ij", part, part) for part in map(np.nan_to_num, parts))
+    shape, motion = (np.einsum("rtvi,rtvj->ij", part, part) for part in (deviations(flat, axis) for axis in (2, 1)))
     if np.trace(motion) < LEAST_MOTION * np.trace(shape):
         return basis
     angle = np.linspace(0.0, np.pi, VIEWS, endpoint=False)
@@ -115,8 +112,9 @@ def _draw_stills(plot, positions: np.ndarray, recorded: np.ndarray | None) -> No
 def _draw_errors(plot, time: np.ndarray, error: np.ndarray) -> None:
     """Errors (R, T) of all rods, and their median."""
     plot.plot(time, error.T, color=PREDICTED, lw=0.5, alpha=0.35)
-    plot.plot(time, np.nanmedian(error, axis=0), color="black", lw=1.6, label="median")
-    plot.set_ylim(0, max(1.0, 1.1 * np.nanquantile(error, 0.99)))
+    known = np.isfinite(error).any(axis=0)
+    plot.plot(time[known], np.nanmedian(error[:, known], axis=0), color="black", lw=1.6, label="median")
+    plot.set_ylim(0, max(1.0, 1.1 * np.quantile(error[np.isfinite(error)], 0.99) if known.any() else 0.0))
     plot.set_xlabel("time [s]")
     plot.set_ylabel("mean |difference| [mm]")
     plot.legend(fontsize=8, frameon=False)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.report.canvas import literal, new_figure, save_figure
+from doo_ti.report.extent import box
 from doo_ti.report.touched import Touched
 
 MOST_RODS, COLUMNS = 12, 4
@@ -46,7 +47,9 @@ class MovingRods:
     def basis(self) -> np.ndarray:
         """(3, 3) rows right, along the mean line between the ends, into the picture, and up."""
         up = np.asarray(self.up, float) / np.linalg.norm(self.up)
-        chord = np.nanmean(self.vertices[..., -1, :] - self.vertices[..., 0, :], axis=(0, 1))
+        chords = self.vertices[..., -1, :] - self.vertices[..., 0, :]
+        chords = chords[np.isfinite(chords).all(axis=-1)]
+        chord = chords.sum(axis=0) / max(len(chords), 1)
         right = chord - (chord @ up) * up
         if not np.linalg.norm(right) > 1e-6 * (np.linalg.norm(chord) + 1e-9):
             right = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
@@ -104,10 +107,10 @@ def _draw_moments(axes, flat: np.ndarray, time: np.ndarray, moments: np.ndarray,
 
 
 def _limits(flat: np.ndarray) -> np.ndarray:
-    """(2, 2) limits to the right and up, mm, around (..., 2) points: at least a third as high as wide."""
-    low, high = (edge(flat.reshape(-1, 2), axis=0) for edge in (np.nanmin, np.nanmax))
+    """(2, 2) limits to the right and up, mm, around (..., 2) points: at least a third as high as wide, and as wide as high."""
+    low, high = box(flat.reshape(-1, 2))
     half = 0.5 * (high - low) + 3.0
-    half[1] = max(half[1], half[0] / 3)
+    half = np.maximum(half, half.max() / 3)
     middle = 0.5 * (low + high)
     return np.stack([middle - half, middle + half], axis=-1)
 
@@ -206,11 +209,11 @@ def _label_view(axes, name: str) -> None:
 
 
 def _frames(points: np.ndarray, views: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Middle, and width and height in mm, of (..., 3) points in each view; all views are equally wide."""
-    flat = [(points @ view.T)[..., [0, 2]].reshape(-1, 2) for view in views]
-    low, high = (np.array([edge(plane, axis=0) for plane in flat]) for edge in (np.nanmin, np.nanmax))
+    """Middle, and width and height in mm, of (..., 3) points in each view; all views are equally wide, at least a third of
+    their heights."""
+    low, high = box(np.stack([(points @ view.T)[..., [0, 2]].reshape(-1, 2) for view in views]))
     sizes = high - low + [8.0, 10.0]
-    sizes[:, 0] = sizes[:, 0].max()
+    sizes[:, 0] = max(sizes[:, 0].max(), sizes[:, 1].max() / 3)
     return 0.5 * (low + high), sizes
 
 

@@ -10,6 +10,7 @@ from doo_ti.contact.meshes import mesh
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import PLANE, Obstacle
 from doo_ti.contact.surroundings import Surroundings
+from doo_ti.report.extent import box, widest
 
 PLANE_COLOR, OBSTACLE, FORCE = "#eceef2", "#c9ced8", "#1d4ed8"
 FAINT = 0.25
@@ -35,8 +36,8 @@ class Touched:
     @cached_property
     def _box(self) -> tuple[np.ndarray, float]:
         """Centre (3,) and size of where the rods are."""
-        low, high = np.nanmin(self.positions, axis=(0, 1, 2)), np.nanmax(self.positions, axis=(0, 1, 2))
-        return 0.5 * (low + high), float(np.linalg.norm(high - low))
+        low, high = box(self.positions.reshape(-1, 3))
+        return 0.5 * (low + high), max(float(np.linalg.norm(high - low)), widest(low, high))
 
     def meshes(self, row: int, frame: int, kinds: tuple[type, ...] = (Obstacle, Moving)
                ) -> Iterator[tuple[Obstacle | Moving, int, np.ndarray, np.ndarray, np.ndarray]]:
