@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.frames import matrix_from_quaternion
-from doo_ti.io.files import write_whole
 from doo_ti.types import Clamp
 
 
@@ -28,7 +27,7 @@ def draw_prediction(task, prediction, arrays: dict[str, np.ndarray], pictures: d
     rods = MovingRods(prediction.time, arrays["vertices_mm"], task.names, prediction.jumps, prediction.followed, task.up,
                       _gripper_lines(task, prediction, arrays["vertices_mm"]), marks, touched)
     if pictures[".png"] is not None:
-        write_whole(pictures[".png"], lambda file: motions_picture(file, rods, title=task.name))
+        motions_picture(pictures[".png"], rods, title=task.name)
     if pictures[".rrd"] is not None:
         from doo_ti.record import record_motion
 

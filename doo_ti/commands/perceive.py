@@ -12,7 +12,6 @@ from doo_ti.commands import options as given
 from doo_ti.commands.results import RODS, counted, report, save_arrays, shortened
 from doo_ti.commands.seen_rods import GUESSED_BEND, RECORDED, PerceptionTask, perception_task
 from doo_ti.errors import InputError
-from doo_ti.io.files import write_whole
 from doo_ti.learning.objective import status_counts
 from doo_ti.terminal import in_line, progress
 from doo_ti.types import Status
@@ -170,7 +169,7 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
         picture = out.with_suffix(".png")
         rods = [seen(row) for row in there[:MOST_SETS]]
         left_out = task.sets.count - len(rods)
-        write_whole(picture, lambda file: reprojections_picture(file, rig, rods, up=task.up, left_out=left_out))
+        reprojections_picture(picture, rig, rods, up=task.up, left_out=left_out)
         written.append(picture)
     if (there < task.recorded).any():
         from doo_ti.record import record_perception

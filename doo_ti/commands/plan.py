@@ -12,7 +12,7 @@ from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.results import report, save_json
 from doo_ti.errors import InputError
-from doo_ti.io.files import write_text, write_whole
+from doo_ti.io.files import write_text
 from doo_ti.io.observations import Observations
 from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.terminal import in_line
@@ -119,8 +119,8 @@ def _write(out: Path, configurations: Observations, found, summary: dict) -> Non
                          *(f"{value:.6g}" for value in (*found.strength[row], found.total[row])), found.sensed[row],
                          rank[row] or ""])
     write_text(out / "plan.csv", table.getvalue())
-    write_whole(out / "identifiability.png", lambda file: identifiability_picture(
-        file, found.parameters, found.strength, rank, configurations.end_distance, configurations.end_rotation))
+    identifiability_picture(out / "identifiability.png", found.parameters, found.strength, rank, configurations.end_distance,
+                            configurations.end_rotation)
 
 
 def _lines(configurations: Observations, found, sigma: float) -> list[str]:

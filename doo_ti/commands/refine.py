@@ -15,7 +15,7 @@ from doo_ti.commands.results import note_theta, plain, save_json
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
 from doo_ti.io.arrays import read_npz
-from doo_ti.io.files import read_content, write_whole
+from doo_ti.io.files import read_content
 from doo_ti.io.observations import Observations
 from doo_ti.start import check_experiment, observation_clamps
 from doo_ti.terminal import busy, in_line
@@ -136,9 +136,8 @@ def _draw(landscape, found) -> Path | None:
     if "twist_ratio" in free:
         outline[:, free.index("twist_ratio")] /= outline[:, 1 - free.index("twist_ratio")]
     path = landscape.run / "refined.png"
-    write_whole(path, lambda file: landscape_picture(
-        file, plane_of(landscape), title=f"{landscape.name}: the grid's error, and the 95 % region of the refined model",
-        region=outline))
+    landscape_picture(path, plane_of(landscape), region=outline,
+                      title=f"{landscape.name}: the grid's error, and the 95 % region of the refined model")
     return path
 
 

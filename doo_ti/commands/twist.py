@@ -120,9 +120,9 @@ def _draw(path: Path, observations: Observations, estimate) -> None:
     names = [f"{_rows(estimate, k)}: {np.degrees(estimate.phi[k]):.0f}°, {_word(estimate.verdict[k])}"
              for k in range(min(MOST_CURVES, len(estimate.phi)))]
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, lambda file: angle_curves_picture(
-        file, np.degrees(estimate.angles), estimate.objective, phi=np.degrees(estimate.phi), low=np.degrees(estimate.low),
-        high=np.degrees(estimate.high), names=names, unsound=estimate.unsound, title=f"{observations.name}: Eq. 4"))
+    angle_curves_picture(
+        path, np.degrees(estimate.angles), estimate.objective, phi=np.degrees(estimate.phi), low=np.degrees(estimate.low),
+        high=np.degrees(estimate.high), names=names, unsound=estimate.unsound, title=f"{observations.name}: Eq. 4")
 
 
 def _word(verdict: int) -> str:

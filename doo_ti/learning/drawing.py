@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.errors import InterruptedRunError
-from doo_ti.io.files import write_whole
 from doo_ti.learning.cells import settled, sub_steps
 from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.hypotheses import started
@@ -38,7 +37,7 @@ def draw(folder: Path, experiment: Experiment, overview: Overview, identity: str
     title = f"{observations.name}: {overview.objective} error over {terms}{remark}"
     plane = plane_of(overview)
     if grid.varying:
-        write_whole(folder / "landscape.png", lambda file: landscape_picture(file, plane, title=title))
+        landscape_picture(folder / "landscape.png", plane, title=title)
     theta = {name: float(value[0]) for name, value in grid.cell_values(np.array([best])).items()}
     record_sweep(
         folder / "run.rrd", run_id=identity[:32], name=title,

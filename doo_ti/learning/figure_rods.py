@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from doo_ti.grid import Axis, Grid
-from doo_ti.io.files import write_whole
 from doo_ti.learning.cells import relax_cells
 from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.landscape import Landscape
@@ -215,7 +214,7 @@ def draw_regimes(stem: Path, name: str, experiment: Experiment, landscape: Lands
     if lost := [str(found.number) for found in regimes if not found.sound[term]]:
         title += f"\nno certified minimum in regime {', '.join(lost)}"
     picture, recording = stem.with_suffix(".png"), stem.with_suffix(".rrd")
-    write_whole(picture, lambda file: ribbons_picture(file, ribbons, term, basis=basis, title=title))
+    ribbons_picture(picture, ribbons, term, basis=basis, title=title)
     record_ribbons(recording, run_id=_run_id([found.ribbons.vertices for found in regimes]), name=f"{name}: regimes",
                    ribbons=ribbons, observation=seen, rank=rank, basis=basis,
                    texts=[_regime_text(names[k], regimes, k) for k in range(len(seen))])

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.io.files import write_whole
 from doo_ti.learning.drawing import plane_of
 from doo_ti.learning.experiment import Experiment
 from doo_ti.learning.figure_rods import Cells, cells_to_record, draw_regimes, record_figure
@@ -113,14 +112,12 @@ def draw_landscapes(study: Study, out: Path) -> list[dict]:
     seconds of each file."""
     out.mkdir(parents=True, exist_ok=True)
     began, path = time.monotonic(), out / "landscapes.png"
-    write_whole(path, lambda file: landscapes_picture(
-        file, [study.panels], title=f"{study.title}{OWN_SCALE * (len(study.landscapes) > 1)}"))
+    landscapes_picture(path, [study.panels], title=f"{study.title}{OWN_SCALE * (len(study.landscapes) > 1)}")
     files = [_file(path, began)]
     if study.by_distance:
         began, path = time.monotonic(), out / "end_distances.png"
         rows = study.by_distance if len(study.by_distance) > 1 else _in_rows(study.by_distance[0])
-        write_whole(path, lambda file: landscapes_picture(
-            file, rows, title=f"{study.title} by end distance", marks=MARKS, relative=True))
+        landscapes_picture(path, rows, title=f"{study.title} by end distance", marks=MARKS, relative=True)
         files.append(_file(path, began))
     return files
 

@@ -4,10 +4,12 @@ libvulkan1``."""
 import subprocess
 import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from rerun.experimental import ViewerClient
 
 from doo_ti.errors import InterruptedRunError
+from doo_ti.io.files import write_whole
 from doo_ti.record.viewer import end_viewer, free_port, start_viewer
 
 
@@ -23,7 +25,10 @@ def save_screenshot(path: str | Path, picture: str | Path, size: tuple[int, int]
         client = _connect(viewer, port)
         client.run_command("ui.toggle_top_panel")
         time.sleep(12)  # until the viewer's notices disappear and its plots are drawn
-        client.save_screenshot(str(Path(picture).resolve()))
+        # The viewer writes a file by its name.
+        with TemporaryDirectory() as folder:
+            client.save_screenshot(str(Path(folder) / "view.png"))
+            write_whole(Path(picture), lambda file: file.write((Path(folder) / "view.png").read_bytes()))
     finally:
         end_viewer(viewer)
 

@@ -1,7 +1,11 @@
 """What all pictures and recordings share: figures, ticks, how values are written, and the colours of distances."""
 
+import os
+from pathlib import Path
+
 import numpy as np
 
+from doo_ti.io.files import write_whole
 from doo_ti.report.extent import box, widest
 
 PICTURE_INCHES, PICTURE_DPI = (8.0, 6.0), 200
@@ -46,9 +50,12 @@ def limits_around(points: np.ndarray, half: float, least: float) -> np.ndarray:
 
 
 def save_figure(figure, path_or_buffer) -> None:
-    """Write a figure as a PNG, its titles as large as fit."""
+    """Write a figure as a PNG, its titles as large as fit; a file appears when it is complete."""
     fit_titles(figure)
-    figure.canvas.print_png(path_or_buffer)
+    if isinstance(path_or_buffer, (str, os.PathLike)):
+        write_whole(Path(path_or_buffer), figure.canvas.print_png)
+    else:
+        figure.canvas.print_png(path_or_buffer)
 
 
 def fit_titles(figure) -> None:

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.report.canvas import PICTURE_DPI, fit_titles, limits_around, literal, new_figure
+from doo_ti.io.files import write_whole
+from doo_ti.report.canvas import fit_titles, limits_around, literal, new_figure, save_figure
 from doo_ti.report.extent import deviations
 from doo_ti.report.grid_view import facing, upright_basis
 from doo_ti.report.touched import Touched
@@ -93,8 +94,7 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
     last = (positions.shape[1] - 1) / rate
     title = f"{name}: {len(frames)} of {positions.shape[1]} frames from 0 to {last:.3g} s, seen {view}"
     figure.suptitle(literal(title) + ("" if touched is None else f"\nblue: {touched.legend}, at the end"), fontsize=10)
-    fit_titles(figure)
-    figure.savefig(path, dpi=PICTURE_DPI, metadata={"Software": None})
+    save_figure(figure, path)
 
 
 def _draw_stills(plot, positions: np.ndarray, recorded: np.ndarray | None) -> None:
@@ -180,4 +180,5 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
         images.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3]))
     if path.suffix == ".gif":
         images = [image.quantize(32, dither=Image.Dither.NONE) for image in images]
-    images[0].save(path, save_all=True, append_images=images[1:], duration=round(1000 * every / rate), loop=0)
+    write_whole(path, lambda file: images[0].save(file, path.suffix[1:], save_all=True, append_images=images[1:],
+                                                  duration=round(1000 * every / rate), loop=0))
