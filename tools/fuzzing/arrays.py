@@ -83,7 +83,7 @@ def spoil_npz(path: Path, chance: random.Random) -> tuple[str, str]:
     if way in ("values", "shape", "type"):
         change = {"values": spoilt_values, "shape": spoilt_shape, "type": spoilt_type}[way]
         arrays[key], described = change(arrays[key], chance)
-        np.savez(path, **arrays)
+        _write_npz(path, arrays)
         return "values" if way == "values" else "structure", f"{key}: {described}"
     if way == "drop":
         del arrays[key]
@@ -94,10 +94,19 @@ def spoil_npz(path: Path, chance: random.Random) -> tuple[str, str]:
     elif way == "foreign":
         other = chance.choice(sorted(arrays))
         arrays[key], way = arrays[other], f"{other} in its place"
-    np.savez(path, **arrays)
+    _write_npz(path, arrays)
     if way in ("twice", "header", "member"):
         way = _spoil_archive(path, key, chance)
     return "structure", f"{key}: {way}"
+
+
+def _write_npz(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """What np.savez writes, without the time, so that the same case is the same file."""
+    with zipfile.ZipFile(path, "w") as archive:
+        for key, array in arrays.items():
+            member = io.BytesIO()
+            np.lib.format.write_array(member, np.asanyarray(array))
+            archive.writestr(zipfile.ZipInfo(f"{key}.npy"), member.getvalue())
 
 
 def _spoil_archive(path: Path, key: str, chance: random.Random) -> str:
@@ -122,19 +131,17 @@ def _spoil_archive(path: Path, key: str, chance: random.Random) -> str:
     }
     described = chance.choice(sorted(headers))
     way = chance.choice(("instead", "instead", "beside", "elsewhere", "method"))
-    with (
-        warnings.catch_warnings(),
-        zipfile.ZipFile(
-            path, "w", chance.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA))
-        ) as archive,
-    ):
+    packed = chance.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA))
+    written = [(member, headers[described] if member == name and way == "instead" else content)
+               for member, content in members.items()]
+    if way == "beside":
+        written.append((name, headers[described]))
+    elif way == "elsewhere":
+        written.append((chance.choice(("../" + name, "/tmp/" + name, "a/" + name, "vertices_mm", "\x1b[2J.npy")), good))
+    with warnings.catch_warnings(), zipfile.ZipFile(path, "w") as archive:
         warnings.simplefilter("ignore")  # that a name is there twice
-        for member, content in members.items():
-            archive.writestr(member, headers[described] if member == name and way == "instead" else content)
-        if way == "beside":
-            archive.writestr(name, headers[described])
-        elif way == "elsewhere":
-            archive.writestr(chance.choice(("../" + name, "/tmp/" + name, "a/" + name, "vertices_mm", "\x1b[2J.npy")), good)
+        for member, content in written:
+            archive.writestr(zipfile.ZipInfo(member), content, packed)
     if way == "method":
         content = path.read_bytes().replace(
             b"PK\x01\x02\x14\x00\x14\x00\x00\x00\x00\x00", b"PK\x01\x02\x14\x00\x14\x00\x01\x00\x63\x00"
