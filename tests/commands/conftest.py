@@ -8,15 +8,16 @@ import pytest
 
 from doo_ti import cli
 
+TESTS = str(Path(__file__).parents[1])
 opened: list[str] = []
 
 
 def _watch(event: str, arguments: tuple) -> None:
     if event == "open" and isinstance(arguments[0], (str, os.PathLike)) and arguments[2] & (os.O_WRONLY | os.O_RDWR):
-        frame = sys._getframe()
-        while frame is not None and frame.f_code.co_filename != cli.__file__:
+        frame = sys._getframe(1)
+        while frame is not None and not frame.f_code.co_filename.startswith((cli.__file__, TESTS)):
             frame = frame.f_back
-        if frame is not None:
+        if frame is not None and frame.f_code.co_filename == cli.__file__:  # not what stands in for a part of the command
             opened.append(os.path.abspath(arguments[0]))
 
 
