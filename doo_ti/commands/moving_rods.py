@@ -47,6 +47,23 @@ def stepping(options: Namespace, rate: float):
                     tolerance=given.length("--tolerance", options.tolerance))
 
 
+def step_summary(names: list[str], substeps: np.ndarray, error: np.ndarray, tolerance: float) -> dict:
+    """What the summaries say of the time steps (R,) of rods whose ``error`` (R,) was estimated."""
+    used, rods = np.unique(substeps, return_counts=True)
+    return {"substeps": {str(n): int(rod) for n, rod in zip(used, rods, strict=True)},
+            "above_tolerance": int((~(error <= tolerance)).sum()), "step_error_mm": dict(zip(names, error, strict=True))}
+
+
+def step_lines(summary: dict, between: str) -> list[str]:
+    """:func:`step_summary` as text; ``between`` says from where to where the steps are counted. Nothing without an estimate."""
+    if "step_error_mm" not in summary:
+        return []
+    error = np.array(list(summary["step_error_mm"].values()))
+    steps = ", ".join(f"{n} for {rods}" for n, rods in summary["substeps"].items())
+    return [f"  time steps  {steps} rods {between}; estimated error: median {np.median(error):.3g}, largest "
+            f"{error.max():.3g} mm, above the tolerance in {summary['above_tolerance']} rods"]
+
+
 def losses(options: Namespace, markers: bool = True):
     """Damping and drag, of ``--theta`` but for what the options give; and, unless that is counted as the rod's, its mass of
     markers."""

@@ -9,7 +9,16 @@ import numpy as np
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
 from doo_ti.commands.drawn_predictions import draw_prediction
-from doo_ti.commands.moving_rods import add_dynamic, curved, is_dynamic, losses, rubbed, stepping
+from doo_ti.commands.moving_rods import (
+    add_dynamic,
+    curved,
+    is_dynamic,
+    losses,
+    rubbed,
+    step_lines,
+    step_summary,
+    stepping,
+)
 from doo_ti.commands.results import RODS, contact_lines, contact_summary, counted, report, save_arrays, shortened
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.errors import InputError
@@ -279,6 +288,7 @@ def _arrays(task: _Task, prediction) -> dict[str, np.ndarray]:
         "iterations": prediction.iterations, "residual": prediction.residual, "end_force": prediction.end_force,
         "total_twist_deg": np.degrees(prediction.total_twist), "end_rotation_deg": np.degrees(prediction.end_rotation),
         "observation": prediction.motion, "rest_length_mm": prediction.rest_length, **per_material,
+        **({} if prediction.step_error is None else {"substeps": prediction.substeps, "step_error_mm": prediction.step_error}),
     }
 
 
@@ -294,6 +304,7 @@ def _lines(task: _Task, prediction, result: dict) -> list[str]:
     lines = [f"{task.name}: {count} rod{'s' * (count > 1)} of {task.start.edges} edges at {moments} moments",
              f"  status      {counted(status_counts(prediction.status))}; {how}",
              *contact_lines(_contact(task, prediction, result), count),
+             *step_lines(_steps(task, prediction), "from one state to the next"),
              f"  far clamp   at the end turned about the rod by {_range(result['end_rotation_deg'][-1])}, total twist "
              f"{_range(result['total_twist_deg'][-1])}"]
     rods = f"to another branch, {len(np.unique(jumps[:, 1]))} of {count} rods" if len(jumps) else "all stayed on their branch"
@@ -316,6 +327,12 @@ def _contact(task: _Task, prediction, result: dict) -> dict:
         result["contact_force"], result["smallest_gap_mm"], prediction.status)))
 
 
+def _steps(task: _Task, prediction) -> dict:
+    if prediction.step_error is None:
+        return {}
+    return step_summary(task.names, prediction.substeps, prediction.step_error, task.stepping.tolerance)
+
+
 def _range(degrees: np.ndarray) -> str:
     finite = degrees[np.isfinite(degrees)]
     if not len(finite):
@@ -331,4 +348,5 @@ def _summary(task: _Task, prediction, result: dict, out: Path) -> dict:
         "rods": len(task.names), "moments": len(prediction.time), "edges": task.start.edges,
         "status": status_counts(prediction.status), "stable": int(prediction.stable.sum()),
         "followed": int(prediction.followed[-1].sum()), "falls": falls, "end_rotation_deg": result["end_rotation_deg"][-1],
-        "total_twist_deg": result["total_twist_deg"][-1], "out": str(out), **_contact(task, prediction, result)}
+        "total_twist_deg": result["total_twist_deg"][-1], "out": str(out), **_contact(task, prediction, result),
+        **_steps(task, prediction)}

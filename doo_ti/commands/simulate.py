@@ -8,7 +8,7 @@ import numpy as np
 
 from doo_ti.commands import loading
 from doo_ti.commands import options as given
-from doo_ti.commands.moving_rods import require_length
+from doo_ti.commands.moving_rods import require_length, step_lines, step_summary
 from doo_ti.commands.results import RODS, contact_lines, contact_summary, counted, report, save_arrays, shortened
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
@@ -207,10 +207,7 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
         summary |= contact_summary(found.surroundings, found.contact["contact_force"], gap, found.status)
     if found.step_error is not None:
         arrays["step_error_mm"] = found.step_error
-        used, rods = np.unique(found.substeps, return_counts=True)
-        summary |= {"substeps": {str(n): int(rod) for n, rod in zip(used, rods, strict=True)},
-                    "above_tolerance": int((~(found.step_error <= found.tolerance)).sum()),
-                    "step_error_mm": {name: value for name, value in zip(found.names, found.step_error, strict=True)}}
+        summary |= step_summary(found.names, found.substeps, found.step_error, found.tolerance)
     if found.recorded is not None:
         from doo_ti.dynamics.rollouts import mean_error
 
@@ -241,10 +238,7 @@ def _lines(found: _Simulated, summary: dict) -> list[str]:
         touch = found.contact["touch"][:, -1]
         lines.append(f"  friction    takes {np.nanmin(work):.3g} to {np.nanmax(work):.3g} mm² in all; at the end "
                      f"{(touch == Touch.STICKS).sum()} vertices stick, {(touch == Touch.SLIPS).sum()} slip")
-    if found.step_error is not None:
-        steps = ", ".join(f"{n} for {rods}" for n, rods in summary["substeps"].items())
-        lines.append(f"  time steps  {steps} rods a frame; estimated error: median {np.median(found.step_error):.3g}, largest "
-                     f"{found.step_error.max():.3g} mm, above the tolerance in {summary['above_tolerance']} rods")
+    lines += step_lines(summary, "a frame")
     if found.recorded is not None:
         lines.append(f"  error       mean {summary['mean_error_mm']:.4g} mm, median {summary['median_error_mm']:.4g} mm over "
                      "recordings (mean |difference| over markers and coordinates, grippers' included)")

@@ -86,7 +86,8 @@ def predict_moving(
         end_force=with_first(first.end_force, found.end_force),
         jumps=np.concatenate([jumps[None], np.zeros((grippers.instants - 1, len(rows)), dtype=jumps.dtype)]),
         end_rotation=np.stack(turned), material=rods, motion=rows,
-        contact_force=None if found.contact_force is None else with_first(first.contact_force, found.contact_force))
+        contact_force=None if found.contact_force is None else with_first(first.contact_force, found.contact_force),
+        substeps=found.substeps, step_error=None if stepping.tolerance is None else found.error)
 
 
 def rate_of(path: ClampPath) -> float:

@@ -49,6 +49,8 @@ class Prediction:
     end_rotation  (T, R) rad by which the far clamp has turned the rod about its tangent, whole turns included
     material, motion  (R,) rows
     contact_force  (T, R, V, 3) of obstacles on the vertices, mm (energy per mm); None without obstacles
+    substeps      (R,) time steps from one moment to the next, of rods with inertia or friction; else None
+    step_error    (R,) mm, estimated error of the time steps, where a tolerance was given; else None
     """
 
     __repr__ = short_repr
@@ -68,6 +70,8 @@ class Prediction:
     material: np.ndarray
     motion: np.ndarray
     contact_force: np.ndarray | None = None
+    substeps: np.ndarray | None = None
+    step_error: np.ndarray | None = None
 
     @property
     def vertices(self) -> np.ndarray:

@@ -163,8 +163,18 @@ def test_rods_with_inertia(folder, capsys):
     assert found.keys() == still.keys() and (found["status"] == 0).all()
     np.testing.assert_allclose(found["vertices_mm"][0], still["vertices_mm"][0], atol=1e-3)
     assert np.abs(found["vertices_mm"][::2] - still["vertices_mm"]).max() > 0.1
-    assert main([*command, "--dynamic", "--rate", "2000", "--bend-damping", "0.2", "--tolerance", "0.1"]) == 0
-    assert np.abs(written(folder / "f.npz")["vertices_mm"] - found["vertices_mm"][::2]).max() > 0.01
+    with_tolerance = [*command, "--dynamic", "--rate", "2000", "--bend-damping", "0.2", "--tolerance", "0.1"]
+    assert main(with_tolerance) == 0
+    adapted = written(folder / "f.npz")
+    assert np.abs(adapted["vertices_mm"] - found["vertices_mm"][::2]).max() > 0.01
+    assert adapted["substeps"].shape == adapted["step_error_mm"].shape == (2,)
+    assert (adapted["substeps"] >= 2).all() and (adapted["step_error_mm"] <= 0.1).all()
+    printed = capsys.readouterr().out
+    assert "above the tolerance in 0 rods" in printed and f"largest {adapted['step_error_mm'].max():.3g} mm" in printed
+    assert main([*with_tolerance, "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["above_tolerance"] == 0 and sum(summary["substeps"].values()) == 2
+    np.testing.assert_allclose(list(summary["step_error_mm"].values()), adapted["step_error_mm"])
 
 
 @pytest.mark.parametrize(("motion", "more", "field"), [
