@@ -24,6 +24,8 @@ from doo_ti.types import Clamps
 if TYPE_CHECKING:  # it reads Parquet
     from doo_ti.learning.landscape import Landscape
 
+REFINED = "refined.json"
+"""In the folder of a run, with its picture beside it."""
 STARTS = 3
 LEAST = 1e-6
 """Least spread and range of a rest curvature, in 1/mm and mm; the largest is the inverse."""
@@ -64,19 +66,21 @@ def declare(add) -> None:
     given.add_frame_weight(parser, "the run's, else 0")
     given.add_obstacles(parser, "without friction; the run's, where it has any")
     loading.add_loading(parser)
-    parser.add_argument("--out", metavar="F.json", help="file to write (default: none)")
+    parser.add_argument("--out", metavar="F.json",
+                        help=f"file for the results of all sources (default: those of a run in RUN/{REFINED} only)")
 
 
 @dataclass(frozen=True)
 class Task:
-    """One source: its observations, their clamps, the Θ to start from, what the rods touch, and the landscape of a run, or
-    None."""
+    """One source: its observations, their clamps, the Θ to start from, what the rods touch, the linear density in g/m and the
+    landscape of a run, or None."""
 
     observations: Observations
     clamps: Clamps
     thetas: tuple
     frame_weight: float
     surroundings: Surroundings
+    density: float | None
     landscape: "Landscape | None"
 
 
@@ -84,7 +88,6 @@ def run(options: Namespace, words: list[str]) -> int:
     """Θ of least χ² for each source, the best of several starts, and how well the observations determine it."""
     out = None if options.out is None else given.output_file(options.out, ".json")
     starts, folds = given.whole("--starts", options.starts, 1) or STARTS, given.whole("--folds", options.folds, 2)
-    density = given.positive("--linear-density", options.linear_density, "g/m")
     tasks = [_task(options, source, starts) for source in options.sources]
     groups = [read_groups(options.groups, task.observations) for task in tasks]
 
@@ -105,12 +108,14 @@ def run(options: Namespace, words: list[str]) -> int:
             with busy(f"cross-validating {task.observations.name} in {folds} folds"):
                 begin = replace(found.theta, rest_curvature=None)
                 held_out = refine_held_out(task.observations, task.clamps, begin, split, chosen)
-        summaries.append(summary_of(task.observations, task.surroundings, found, held_out, density))
-        picture = None if task.landscape is None else _draw(task.landscape, found)
+        summaries.append(summary_of(task.observations, task.surroundings, found, held_out, task.density))
+        written = [] if task.landscape is None else _kept(task.landscape, found, summaries[-1])
         if not options.json:
-            drawn = [] if picture is None else [f"  picture            {in_line(picture)}"]
             first, *rest = summary_lines(summaries[-1])
-            print("\n".join([first, loading.rod_line(task.observations), *rest, *drawn]))
+            kept = [f"  {'written to':<18} {in_line(path)}" for path in written]
+            if not written and out is None:
+                kept = [f"  {'written to':<18} no file: give --out F.json to keep this"]
+            print("\n".join([first, loading.rod_line(task.observations), *rest, *kept]))
     if out is not None:
         save_json(out, summaries)
     if options.json:
@@ -121,9 +126,16 @@ def run(options: Namespace, words: list[str]) -> int:
     return 0
 
 
-def _draw(landscape, found) -> Path | None:
-    """RUN/refined.png: the landscape with the joint 95 % region; none where the grid has not two of the learned
-    parameters."""
+def _kept(landscape, found, summary: dict) -> list[Path]:
+    """Write the result into the folder of its run, as --json prints it, and its picture; returns the files."""
+    path = landscape.run / REFINED
+    save_json(path, [summary])
+    picture = _draw(landscape, found, path.with_suffix(".png"))
+    return [path, picture] if picture else [path]
+
+
+def _draw(landscape, found, path: Path) -> Path | None:
+    """The landscape with the joint 95 % region; none where the grid has not two of the learned parameters."""
     from doo_ti.learning.drawing import plane_of
     from doo_ti.report import landscape_picture
 
@@ -135,7 +147,6 @@ def _draw(landscape, found) -> Path | None:
     outline = estimate.region(*pair)
     if "twist_ratio" in free:
         outline[:, free.index("twist_ratio")] /= outline[:, 1 - free.index("twist_ratio")]
-    path = landscape.run / "refined.png"
     landscape_picture(path, plane_of(landscape), region=outline,
                       title=f"{landscape.name}: the grid's error, and the 95 % region of the refined model")
     return path
@@ -143,8 +154,10 @@ def _draw(landscape, found) -> Path | None:
 
 def _task(options: Namespace, source: str, starts: int) -> Task:
     """The task of ``source``, a run's folder or a file of observations, checked."""
+    density = given.positive("--linear-density", options.linear_density, "g/m")
     if Path(source).is_dir():
         observations, thetas, kinds, weight, around, landscape = _of_run(options, Path(source), starts)
+        density = run_density(Path(source)) if density is None else density
     else:
         from doo_ti.refinement.fit import theta_of_cell
 
@@ -157,9 +170,17 @@ def _task(options: Namespace, source: str, starts: int) -> Task:
     kinds = (kind if own is None else own for own, kind in zip(given.clamps(options), kinds, strict=True))
     clamps = observation_clamps(observations, *kinds)
     check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight)
-    task = Task(observations, clamps, thetas, weight, around, landscape)
+    task = Task(observations, clamps, thetas, weight, around, density, landscape)
     _check_model(_refinement_options(options, task), task)
     return task
+
+
+def run_density(run: Path) -> float | None:
+    """The linear density in g/m that the sweep of a run was given."""
+    from doo_ti.learning.summary import DENSITY, read_summary
+
+    density = read_summary(run).get(DENSITY)
+    return float(density) if isinstance(density, (int, float)) and 0 < density < np.inf else None
 
 
 def _of_run(options: Namespace, run: Path, starts: int):

@@ -93,6 +93,10 @@ def summary_lines(summary: dict) -> list[str]:
     lines = [f"{in_line(summary['material'])}: {summary['rods_used']} of {summary['observations']} observations, {steps}"]
     lines += [_line(parameter["name"], interval_text(**{k: parameter[k] for k in ("value", "low", "high", "unit")}))
               for parameter in summary["parameters"] if not parameter["name"].startswith("up[")]
+    if not summary["converged"]:
+        lines.insert(1, _line("stopped", "before its optimum: values and intervals may be far off. Begin elsewhere (--starts N "
+                              "of a run, else other --bend and --twist), or with fewer unknowns (--clip MM, --clamps exact, "
+                              "--rest-curvature none, fewer --parameters)"))
     if "up[0]" in summary["unknowns"]:
         x, y, z = summary["theta"]["up"]
         lines.append(_line("up", f"({x:.4f}, {y:.4f}, {z:.4f}), tilted by {summary['tilt_deg']:.2g}° from the given direction"))

@@ -77,7 +77,8 @@ def run(options: Namespace, words: list[str]) -> int:
     began, summaries, relaxed = time.monotonic(), [], []
     for search in searches:
         before = _stamps(search.run)
-        summary = sweep(search.run, search.observations, search.grid, options=search.options, pairs=search.pairs, command=words)
+        summary = sweep(search.run, search.observations, search.grid, options=search.options, pairs=search.pairs, command=words,
+                        linear_density=search.density)
         summaries.append(summary)
         now = _stamps(search.run)
         finished_before = now[SUMMARY] == before.get(SUMMARY)
@@ -170,7 +171,6 @@ def _lines(search: _Search, summary: dict, finished_before: bool, made_again: li
     lines.append(f"  {'finished before in' if finished_before else 'written to'} {in_line(search.run)}")
     if search.options.objective == "static" and not search.options.spins and not search.options.surroundings:
         more = " --parameters bend" if rolls else "" if search.grid.is_isotropic else RIBBON_PARAMETERS
-        more += "" if search.density is None else f" --linear-density {search.density:g}"
         lines.append(f"  intervals   doo-ti refine {in_line(shlex.quote(str(search.run)))}{more}")
     return lines
 

@@ -21,6 +21,8 @@ SOURCES = ("frames.py", "metric.py", "motion", "physics", "relaxation", "runtime
            "learning/cells.py", "learning/experiment.py", "learning/hypotheses.py", "learning/pairs.py")
 """Files and folders of the package that cells depend on."""
 SUMMARY, SEAL = "summary.json", "sha256"
+DENSITY = "linear_density_g_per_m"
+"""Key of the summary: the rod's linear density, where it was given."""
 REMADE = ("landscape.png", "run.rrd", "observations.npz", "pairs.csv", "obstacles.npz")
 """Files that a sweep can write again from its cells and its input."""
 

@@ -30,7 +30,7 @@ from doo_ti.learning.hypotheses import Hypotheses
 from doo_ti.learning.landscape import gather_overview
 from doo_ti.learning.pairs import Pairs
 from doo_ti.learning.run_folder import claim, finished, identity_of, provenance
-from doo_ti.learning.summary import write_summary
+from doo_ti.learning.summary import DENSITY, write_summary
 from doo_ti.learning.workers import ThisProcess, Workers, started_workers
 from doo_ti.start import check_experiment
 from doo_ti.terminal import progress
@@ -41,22 +41,24 @@ MOST_RODS = 1_000_000_000
 
 
 def sweep(run: Path | str, observations: Observations, grid: Grid, *, options: SweepOptions = SweepOptions(),
-          pairs: Pairs | None = None, command: Sequence[str] = ()) -> dict[str, object]:
+          pairs: Pairs | None = None, command: Sequence[str] = (), linear_density: float | None = None) -> dict[str, object]:
     """Relax ``observations`` under every cell of ``grid`` (Eq. 2 or 3), store the rods in the folder ``run``, and return the
     summary; an unfinished sweep in ``run`` is resumed.
 
     options  objective, clamps, solver, precision, workers (:class:`doo_ti.learning.experiment.SweepOptions`)
     pairs    the terms of Eq. 3; by default the paper's (footnote 7), from the labels of the observations
     command  the words of the command, for the provenance and the message that says how to resume
+    linear_density  g/m of the rod, kept in the summary for results in N m²; cells do not depend on it
 
     Raises InputError as :class:`doo_ti.learning.experiment.Experiment` does, where ``run`` contains another sweep and where
     the Dask scheduler does not answer; InterruptedRunError where a chunk fails: the chunks stored before are kept.
     """
     with started_workers(options.workers, options.scheduler) as workers:
-        return _swept(Path(run), Experiment(observations, grid, options, pairs), workers, command)
+        return _swept(Path(run), Experiment(observations, grid, options, pairs), workers, command, linear_density)
 
 
-def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, command: list[str]) -> dict:
+def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, command: list[str],
+           linear_density: float | None) -> dict:
     """The sweep, its chunks relaxed by ``workers``."""
     began = time.monotonic()
     observations, grid = experiment.observations, experiment.grid
@@ -91,6 +93,7 @@ def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, co
         summary = {
             **overview.as_dict(), "observations": observations.count,
             **({} if experiment.pairs is None else {"pairs": experiment.pairs.count}), "hypotheses": resolution,
+            **({} if linear_density is None else {DENSITY: linear_density}),
             "timing": {"relaxed_rods": rods * sum(last - first for first, last in left), "loading_s": loading,
                        "relaxation_s": seconds},
             "provenance": provenance(experiment, identity, command),

@@ -54,7 +54,7 @@ def swept(monkeypatch) -> list:
     """Replaces the sweep; keeps its arguments."""
     calls = []
 
-    def sweep(run, observations, grid, *, options, pairs, command):
+    def sweep(run, observations, grid, *, options, pairs, command, linear_density):
         calls.append((run, observations, grid, options, command))
         write_run(run, grid, np.linspace(2, 1, grid.size)[:, None] + np.zeros(observations.count), observations.name)
         return {**gather_overview(run, grid, observations.name, None).as_dict(), "gaps": [np.nan], "hypotheses": None,

@@ -1,6 +1,7 @@
 """``doo-ti refine``: from observations and from a sweep's folder, as text and as JSON, and refused input."""
 
 import json
+from functools import partialmethod
 
 import numpy as np
 import pytest
@@ -59,16 +60,42 @@ def test_observations_for_a_person(observed, capsys):
     out = capsys.readouterr().out
     for words in ("rod: 16 of 16 observations", "95 % intervals", "rest curvature", "noise", "EI over weight", "held out"):
         assert words in out
-    assert "N m²" not in out
+    assert "N m²" not in out and "--out F.json" in out
+
+
+def test_a_fit_that_stopped_says_what_to_do(observed, capsys, monkeypatch):
+    """After a single step it has not converged."""
+    from doo_ti.refinement import fit
+
+    monkeypatch.setattr(fit.Fit, "run", partialmethod(_few_steps, fit.Fit.run))
+    argv = ["refine", str(observed), "--bend", "4e5", "--twist", "2e3", "--clip", "2", "--no-models"]
+    assert main([*argv, "--rest-curvature", "none", "--clamps", "exact"]) == 0
+    out = capsys.readouterr().out
+    assert "NOT converged" in out and "--starts N" in out and "--clamps exact" in out
+
+
+def _few_steps(fit, run, state, steps, held=None):
+    return run(fit, state, 1, held)
 
 
 @pytest.mark.thorough
 def test_a_run_s_best_cells(observed, tmp_path, capsys):
     run = tmp_path / "run"
-    assert main(["sweep", str(observed), "--bend", "1e4:1e5:4", "--twist-ratio", "0.3:3:3", "--out", str(run)]) == 0
+    assert main(["sweep", str(observed), "--bend", "1e4:1e5:4", "--twist-ratio", "0.3:3:3", "--linear-density", "2",
+                 "--out", str(run)]) == 0
     capsys.readouterr()
-    assert main(["refine", str(run), "--sigma", "0.05", "--starts", "2", "--no-models", "--json"]) == 0
+    command = ["refine", str(run), "--sigma", "0.05", "--starts", "2", "--no-models"]
+    assert main([*command, "--json"]) == 0
     (found,) = json.loads(capsys.readouterr().out)
+    assert json.loads((run / "refined.json").read_text()) == [found]
+    bend = found["parameters"][0]["value"]
+    assert found["stiffness"]["EI_Nm2"][0] == pytest.approx(bend / 2 * 2e-3 * 9.80665e-9), "the sweep's linear density"
+    assert main([*command, "--linear-density", "4", "--out", str(tmp_path / "found.json")]) == 0
+    printed = capsys.readouterr().out
+    assert all(str(path) in printed for path in (run / "refined.json", run / "refined.png", tmp_path / "found.json"))
+    (again,) = json.loads((tmp_path / "found.json").read_text())
+    assert json.loads((run / "refined.json").read_text()) == [again]
+    assert again["stiffness"]["EI_Nm2"][0] == pytest.approx(2 * found["stiffness"]["EI_Nm2"][0])
     assert abs(found["parameters"][0]["value"] / BEND - 1) < 0.4
     assert found["material"] == "rod" and (run / "refined.png").stat().st_size > 10_000
     assert main(["refine", str(run), "--bend", "1e4"]) == 2
