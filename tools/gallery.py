@@ -1,8 +1,9 @@
-"""Run the examples and keep a picture of each, for the gallery in docs/examples.
+"""Run the examples and keep a picture of each, for the gallery in docs/examples; it states which script has drawn it.
 
     python tools/gallery.py [NUMBER…]
 """
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -11,12 +12,18 @@ import tempfile
 from pathlib import Path
 
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "docs" / "examples"
 PICTURES = {"02": "runs/cable/landscape.png", "04": "thread.png", "07": "runs/ribbon/landscape.png",
             "10": "runs/cluster/landscape.png"}
 """What an example draws under another name than its own."""
 WIDTH, COLOURS = 640, 128
+DRAWN_BY = "sha256 of the script"
+
+
+def digest(script: Path) -> str:
+    return hashlib.sha256(script.read_bytes().replace(b"\r\n", b"\n")).hexdigest()
 
 
 def main(numbers: list[str]) -> None:
@@ -28,7 +35,9 @@ def main(numbers: list[str]) -> None:
             subprocess.run([program, str(script)], cwd=folder, check=True, env=os.environ | {"MPLBACKEND": "Agg"})
             picture = Image.open(Path(folder) / PICTURES.get(script.name[:2], f"{script.stem}.png")).convert("RGB")
         picture.thumbnail((WIDTH, WIDTH))
-        picture.quantize(COLOURS).save(script.with_suffix(".png"), optimize=True)
+        about = PngInfo()
+        about.add_text(DRAWN_BY, digest(script))
+        picture.quantize(COLOURS).save(script.with_suffix(".png"), optimize=True, pnginfo=about)
 
 
 if __name__ == "__main__":

@@ -12,8 +12,10 @@ from contextlib import chdir
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from doo_ti.cli import main
+from tools.gallery import DRAWN_BY, digest
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPTS = [path for path in sorted((ROOT / "docs" / "examples").glob("[0-9][0-9]_*.*")) if path.suffix in (".py", ".sh")]
@@ -27,6 +29,13 @@ read -r code < {answers}
 exit "$code"
 """
 """The doo-ti of shell scripts: asks this process to run the command, and takes its exit code."""
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
+def test_the_picture_is_of_the_script_as_it_is(script):
+    """Else ``python tools/gallery.py NUMBER`` draws it again."""
+    with Image.open(script.with_suffix(".png")) as picture:
+        assert picture.text.get(DRAWN_BY) == digest(script)
 
 
 @pytest.fixture
