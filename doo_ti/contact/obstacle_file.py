@@ -53,6 +53,8 @@ from doo_ti.io.toml_file import Finite, NotNegative, Positive, Rotation, Table, 
 
 KINDS = {kind.__name__.lower(): kind for kind in (Plane, Sphere, Capsule, Cylinder, Ring, Box, Itself)} | {"grid": DistanceGrid}
 GRID_KEYS = ("values", "spacing", "origin")
+MOST_POSES = 1_000_000
+"""Moving obstacles times instants of the motion."""
 _TYPES = {(): Finite, (3,): Vector, (3, 3): Rotation}
 
 
@@ -108,6 +110,10 @@ def load_obstacles(path: str | Path) -> list[Obstacle]:
 def obstacles_of(source, rows: list, time: np.ndarray | None = None) -> list[Obstacle | Moving]:
     """The obstacles of ``[[obstacles]]`` in the file ``source``; those that move at the instants ``time`` (T,) s of a motion,
     if there are any. Raises InputError as :func:`load_obstacles` does."""
+    moving = sum(isinstance(row, dict) and "moments" in row for row in rows)
+    if time is not None and moving * len(time) > MOST_POSES:
+        raise InputError(source, "obstacles", f"{moving} that move at {len(time):,} instants",
+                         f"give fewer, or at most {MOST_POSES // moving:,} instants")
     return [_obstacle(source, f"obstacles[{number}]", row, time) for number, row in enumerate(rows)]
 
 

@@ -71,6 +71,8 @@ from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, Material
 MOST_MOMENTS, MOST_EDGES, MOST_POINTS = 100_000, 1000, 10_000
 MOST_OF_ALL = 2000
 """Edges of all rods: the memory of their Newton system grows with the square, to half a gigabyte."""
+MOST_HELD = 200_000
+"""Rods times moments."""
 SAMPLES = 40
 """Of a curve, for each edge of the rod along it."""
 
@@ -158,6 +160,9 @@ def load_group_scene(path: str | Path) -> GroupScene:
     found = {name: _material(path, f"materials.{name}", table, file.dynamic) for name, table in file.materials.items()}
     if file.dynamic and len(time) == 1:
         raise InputError(path, "rate_hz", "missing beside dynamic", "give it and duration_s")
+    if len(time) * len(file.rods) > MOST_HELD:
+        raise InputError(path, "duration_s", f"{len(time):,} moments of {len(file.rods)} rods",
+                         f"give at most {MOST_HELD // len(file.rods):,} moments")
     rods, materials, dynamics, clamps, radii = [], [], [], [], []
     for name, table in file.rods.items():
         key = f"rods.{name}"

@@ -6,6 +6,7 @@ The caller states which keys are known, the shape of an entry, and the columns t
 """
 
 import io
+import math
 import zipfile
 import zlib
 from difflib import get_close_matches
@@ -22,6 +23,8 @@ from doo_ti.types import LARGEST
 AXES = ("x", "y", "z")
 MOST_UNPACKED_BYTES = 1 << 30
 """Of the arrays or columns of a file."""
+MOST_UNPACKED_RATIO = 1100
+"""Of these bytes to those of the file: what NumPy compresses shrinks to a thousandth at best."""
 NEARLY = 0.88
 """Least similarity of two keys (difflib) at which one counts as a misspelling of the other."""
 # What reading a damaged npz may raise.
@@ -45,34 +48,54 @@ def read_npz(path: Path, content: bytes, known: tuple[str, ...]) -> dict[str, np
     Raises InputError for whatever is not an npz of plain arrays, and for a misspelt key.
     """
     remedy = "write it with numpy.savez from plain numeric arrays"
+    if content[:6] == b"\x93NUMPY":
+        raise InputError(path, "file", "holds one bare array, not named ones", remedy)
     try:
-        archive = np.load(io.BytesIO(content), allow_pickle=False)
+        archive = zipfile.ZipFile(io.BytesIO(content))
     except _UNREADABLE as error:
         kind = "truncated" if content[:2] == b"PK" else "pickled" if content[:1] == b"\x80" else "not an npz"
         raise InputError(path, "file", f"{kind} file ({first_line(error)})", remedy) from None
-    if not isinstance(archive, np.lib.npyio.NpzFile):
-        raise InputError(path, "file", "holds one bare array, not named ones", remedy)
     keys = {}
     with archive:
-        large = sum(entry.file_size for entry in archive.zip.infolist() if entry.filename.removesuffix(".npy") in known)
-        if large > MOST_UNPACKED_BYTES:
-            raise InputError(path, "file", f"unpacks to {large:,} bytes", f"give arrays of at most {MOST_UNPACKED_BYTES:,}")
-        if len(set(archive.files)) < len(archive.files):
-            raise InputError(path, max(archive.files, key=archive.files.count), "the key is there twice", remedy)
+        entries = [(entry.filename.removesuffix(".npy"), entry) for entry in archive.infolist()]
+        members = dict(entries)
+        if len(members) < len(entries):
+            name, _ = next(entry for entry in entries if members[entry[0]] is not entry[1])
+            raise InputError(path, name, "the key is there twice", remedy)
+        check_unpacked(path, content, sum(entry.file_size for name, entry in entries if name in known))
         for key in known:
-            if key not in archive:
+            if key not in members:
                 # Files may hold unknown keys, but one that is nearly a known key is a mistake.
-                if alike := get_close_matches(key, set(archive.files) - set(known), 1, NEARLY):
+                if alike := get_close_matches(key, members.keys() - set(known), 1, NEARLY):
                     raise InputError(path, alike[0], "unknown key", f"name it {key}, or otherwise if it is something else")
                 continue
             try:
-                value = archive[key]
+                keys[key] = _member(archive, members[key])
             except _UNREADABLE as error:
                 raise InputError(path, key, f"cannot be read ({first_line(error)})", remedy) from None
-            if not isinstance(value, np.ndarray):
-                raise InputError(path, key, "is not an array", remedy)
-            keys[key] = value
     return keys
+
+
+def _member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
+    """An array of an npz. Raises an error unless it is as long as its header says, before there is an array of that size."""
+    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError("compressed as NumPy does not")
+    with archive.open(entry) as file:
+        version = np.lib.format.read_magic(file)
+        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read_header(file)
+        size = entry.file_size - file.tell()
+        if not dtype.itemsize or not dtype.hasobject and math.prod(shape) * dtype.itemsize != size:
+            raise ValueError(f"{size} bytes for shape {str(shape)[:80]} of {dtype}")
+        file.seek(0)
+        return np.lib.format.read_array(file, allow_pickle=False)
+
+
+def check_unpacked(path: Path, content: bytes, size: int) -> None:
+    """Raise InputError where the bytes of a file unpack to a size that is too large, or that no data of its size unpack to."""
+    most = min(MOST_UNPACKED_BYTES, MOST_UNPACKED_RATIO * len(content))
+    if size > most:
+        raise InputError(path, "file", f"unpacks to {size:,} bytes", f"give arrays of at most {most:,}")
 
 
 def read_arrays(path: Path, known: dict[str, tuple[tuple[int, ...], tuple[str, ...]]], only_npz=()) -> dict[str, np.ndarray]:

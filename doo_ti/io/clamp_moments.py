@@ -19,7 +19,7 @@ from typing import Literal
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.frames import edge_frames, turned_about_tangent
+from doo_ti.frames import matrix_from_quaternion, quaternion_product, smallest_rotation, turned_about_tangent
 from doo_ti.io.keyframes import between_moments
 from doo_ti.io.toml_file import Finite, NotNegative, Table, Vector
 from doo_ti.types import Configuration
@@ -55,7 +55,7 @@ def end_paths(source, key: str, rows: list, start: Configuration, time: np.ndarr
     rows   the moments, the value of ``key`` in the file ``source``
     start  the rod: where its ends are as long as no moment says otherwise
 
-    While its direction changes, an end turns about it only by its ``turns`` (:func:`.edge_frames`). Raises InputError as
+    While its direction changes, an end turns about it only by its ``turns``. Raises InputError as
     :func:`.between_moments` does, and where a direction reverses from one moment to the next.
     """
     vertices, frames = start.vertices[0], start.frames[0]
@@ -64,10 +64,30 @@ def end_paths(source, key: str, rows: list, start: Configuration, time: np.ndarr
     paths = between_moments(source, key, rows, Moment, first, time)
     held = {}
     for end, edge in (("start", 0), ("end", -1)):
-        try:
-            along, = edge_frames(paths[f"{end}_direction"][None], frames[None, edge, :, 1])
-        except InputError:
+        length = np.linalg.norm(paths[f"{end}_direction"], axis=-1, keepdims=True)
+        if not (length > 0).all():
             raise InputError(source, key, f"{end}_direction reverses from one moment to the next",
-                             "give a moment with a direction in between") from None
+                             "give a moment with a direction in between")
+        along = _transported(paths[f"{end}_direction"] / length, frames[edge, :, 1])
         held[end] = turned_about_tangent(along, 2 * np.pi * paths[f"{end}_turns"])
     return EndPaths(paths["start_position_mm"], paths["end_position_mm"], held["start"], held["end"])
+
+
+def _transported(directions: np.ndarray, m1: np.ndarray) -> np.ndarray:
+    """(T, 3, 3) frames along unit ``directions`` (T, 3), from one with that ``m1`` (3,) by the smallest rotation from each to
+    the next. Products are formed in √T parts of √T instants, all parts at once: there may be a million instants."""
+    count = len(directions)
+    size = int(np.ceil(np.sqrt(count)))
+    turn = np.zeros((size * size, 4))
+    turn[:, 0] = 1.0
+    turn[1:count] = smallest_rotation(directions[:-1], directions[1:])
+    parts = turn.reshape(size, size, 4)
+    for k in range(1, size):
+        parts[:, k] = quaternion_product(parts[:, k], parts[:, k - 1])
+    for k in range(1, size):
+        parts[k] = quaternion_product(parts[k], parts[k - 1, -1])
+    turn = turn[:count]
+    across = matrix_from_quaternion(turn / np.linalg.norm(turn, axis=-1, keepdims=True)) @ m1
+    across -= np.sum(across * directions, axis=-1, keepdims=True) * directions
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    return np.stack([directions, across, np.cross(directions, across)], axis=-1)

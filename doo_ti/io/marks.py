@@ -13,6 +13,7 @@ Labels to partition by come from another CSV file: ``observation`` and any of ``
 Axes: C cameras, D observations, V vertices, S sides: one, or both edges of a ribbon; N rows of the file.
 """
 
+import math
 import os
 import re
 from dataclasses import dataclass
@@ -26,6 +27,8 @@ from doo_ti.io.csv_table import CsvTable, read_csv
 COLUMNS = ("observation", "camera", "mark", "u_px", "v_px")
 LABELS = {"end_distance_mm": "end_distance", "end_rotation_deg": "end_rotation", "total_twist_deg": "total_twist"}
 FEWEST_MARKS = 3
+MOST_UNLABELLED = 100
+"""Marks of all observations and cameras for each that is labelled."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,10 @@ def read_marks(path: str | os.PathLike[str], rig) -> Marks:
         table.refuse(name, outside, f"is outside the images of {seen.name}, {seen.width} x {seen.height} px in the rig",
                      "label images of that size")
     place = (camera, observation, vertex, side)
-    shape = len(rig.cameras), len(names), vertex.max() + 1, 2 if is_ribbon else 1
+    shape = len(rig.cameras), len(names), int(vertex.max()) + 1, 2 if is_ribbon else 1
+    if math.prod(shape) > MOST_UNLABELLED * table.count:
+        raise InputError(path, "mark", f"{table.count} labels of {shape[2]} marks in {len(names)} observations",
+                         "number the marks alike in all observations")
     again = np.ones(table.count, dtype=bool)
     again[np.unique(np.ravel_multi_index(place, shape), return_index=True)[1]] = False
     row = int(np.argmax(again))

@@ -19,20 +19,20 @@ OTHER_ROTATIONS = ("euler", "axisangle", "xyaxes", "zaxis")
 REMEDY = "give a model with a cable, as MuJoCo's documentation describes it"
 DENSITY = 1000.0
 """kg/m³, MuJoCo's default."""
+MOST_POINTS = 200_000
+"""Of all cables that are stated by their count: a few characters of the file."""
 
 
 def read_mujoco(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
     """The cables of a model, all or those whose ``prefix`` or ``name`` is in ``names``. Raises InputError for files that are no
     model, for models without a cable and for poses in other forms than ``pos`` and ``quat``."""
-    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
-        raise InputError(path, "file", "declares a document type", "leave the declaration out")
     try:
-        root = ElementTree.fromstring(content)
-    except (ElementTree.ParseError, ValueError) as error:
+        root = ElementTree.fromstring(content, ElementTree.XMLParser(target=_Tree()))
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: an unknown encoding
         raise InputError(path, "file", f"is not XML ({error})", REMEDY) from None
     found: dict[str, tuple] = {}
     for world in root.iter("worldbody"):
-        _gather(path, world, np.zeros(3), np.eye(3), found)
+        _gather(path, world, found)
     if not found:
         raise InputError(path, "worldbody", "has no cable", REMEDY)
     chosen = [found[name] for name in chosen_names(path, "prefix", list(found), names)]
@@ -44,42 +44,65 @@ def read_mujoco(path: Path, content: bytes, names: list[str] | None = None) -> C
                   facts=facts.pop() if len(facts) == 1 else "")
 
 
-def _gather(path: Path, body, position: np.ndarray, rotation: np.ndarray, found: dict) -> None:
-    """Add the cables (points (V, 3), facts) below ``body``, whose pose in the world is given, by name."""
-    for child in body:
+class _Tree(ElementTree.TreeBuilder):
+    """Without declarations of entities, which can expand without end."""
+
+    def doctype(self, name, public, system):
+        raise ValueError("it declares a document type")
+
+
+def _gather(path: Path, world, found: dict) -> None:
+    """Add the cables (points (V, 3), facts) of a model by name."""
+    elements = [(child, np.zeros(3), np.eye(3)) for child in reversed(world)]  # with the poses of the bodies around them
+    while elements:
+        child, position, rotation = elements.pop()
         if child.tag not in ("body", "frame", "composite", "flexcomp"):
             continue
         if child.tag == "composite" and child.get("type") != "cable" or child.tag == "flexcomp" and (
                 child.get("dim", "2"), child.get("type", "grid")) != ("1", "grid"):
             continue
-        own = next((name for name in OTHER_ROTATIONS if child.get(name)), None)
-        if own is not None:
-            raise InputError(path, own, f"of a {child.tag}", "give its rotation as quat")
-        place = "offset" if child.tag == "composite" else "pos"
-        here = position + rotation @ _vector(path, child, place, "0 0 0", 3)
-        quaternion = _vector(path, child, "quat", "1 0 0 0", 4)
-        if not np.linalg.norm(quaternion) > 0:
-            raise InputError(path, "quat", "of no length", "give a rotation")
-        turned = rotation @ matrix_from_quaternion(quaternion / np.linalg.norm(quaternion))
+        here, turned = _pose(path, child, position, rotation)
         if child.tag in ("body", "frame"):
-            _gather(path, child, here, turned, found)
-        else:
-            name = child.get("prefix") or child.get("name") or f"cable {len(found)}"
-            points = _of_composite(path, child) if child.tag == "composite" else _of_flex(path, child)
-            found[name] = here + points @ turned.T, _facts(path, child)
+            elements += [(inner, here, turned) for inner in reversed(child)]
+            continue
+        name = child.get("prefix") or child.get("name") or f"cable {len(found)}"
+        if name in found:
+            raise InputError(path, name, "the cable is there twice", "give each a prefix or a name of its own")
+        points = _of_composite(path, child, found) if child.tag == "composite" else _of_flex(path, child, found)
+        found[name] = here + points @ turned.T, _facts(path, child)
 
 
-def _of_composite(path: Path, element) -> np.ndarray:
+def _pose(path: Path, child, position: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Position (3,) and rotation (3, 3) in the world of an element in a body with that pose."""
+    own = next((name for name in OTHER_ROTATIONS if child.get(name)), None)
+    if own is not None:
+        raise InputError(path, own, f"of a {child.tag}", "give its rotation as quat")
+    here = position + rotation @ _vector(path, child, "offset" if child.tag == "composite" else "pos", "0 0 0", 3)
+    quaternion = _vector(path, child, "quat", "1 0 0 0", 4)
+    if not np.linalg.norm(quaternion) > 0:
+        raise InputError(path, "quat", "of no length", "give a rotation")
+    return here, rotation @ matrix_from_quaternion(quaternion / np.linalg.norm(quaternion))
+
+
+def _count(path: Path, element, default: str, found: dict) -> int:
+    """The number of points of a cable beside those ``found``."""
+    count = _vector(path, element, "count", default, None)[0]
+    before = sum(len(points) for points, _ in found.values())
+    if not 3 <= count <= MOST_POINTS - before:
+        beside = f" beside {before:,} of other cables" if before else ""
+        raise InputError(path, "count", f"{count:.0f} points{beside}", f"give three or more, at most {MOST_POINTS:,} in all")
+    return int(count)
+
+
+def _of_composite(path: Path, element, found: dict) -> np.ndarray:
     """(V, 3) m in the coordinates of the element."""
     if element.get("vertex"):
         points = _vector(path, element, "vertex", "", None)
         if len(points) % 3:
             raise InputError(path, "vertex", f"{len(points)} numbers", "give three for each point")
         return points.reshape(-1, 3)
-    count = int(_vector(path, element, "count", "0", None)[0])
+    count = _count(path, element, "0", found)
     size = np.resize(_vector(path, element, "size", "1 0 0", None), 3)
-    if not 3 <= count <= 100_000:
-        raise InputError(path, "count", f"{count} points", "give three or more")
     share, points = np.arange(count) / (count - 1), np.zeros((count, 3))
     shapes = {"s": size[0] * share, "cos(s)": size[1] * np.cos(np.pi * size[2] * share),
               "sin(s)": size[1] * np.sin(np.pi * size[2] * share), "0": 0.0 * share}
@@ -90,11 +113,9 @@ def _of_composite(path: Path, element) -> np.ndarray:
     return points
 
 
-def _of_flex(path: Path, element) -> np.ndarray:
+def _of_flex(path: Path, element, found: dict) -> np.ndarray:
     """(V, 3) m: a line along x, its middle at the origin."""
-    count = int(_vector(path, element, "count", "10 1 1", None)[0])
-    if not 3 <= count <= 100_000:
-        raise InputError(path, "count", f"{count} points", "give three or more")
+    count = _count(path, element, "10 1 1", found)
     spacing = _vector(path, element, "spacing", "0.02 0.02 0.02", None)[0]
     return np.outer((np.arange(count) - (count - 1) / 2) * spacing, [1.0, 0.0, 0.0])
 

@@ -15,6 +15,7 @@ another unit, x_m or x_cm, or none, x, which is mm; without ``vertex`` rows are 
 there is one. Names are known in any case. Other columns are ignored.
 """
 
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
@@ -22,7 +23,7 @@ from typing import BinaryIO
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.io.arrays import AXES, MOST_UNPACKED_BYTES, first_line, frame_columns, given_columns
+from doo_ti.io.arrays import AXES, check_unpacked, first_line, frame_columns, given_columns
 from doo_ti.io.csv_table import parse_csv
 from doo_ti.io.curves import UNITS_IN_MM
 
@@ -152,27 +153,28 @@ def _parquet_columns(path: Path, content: bytes, renamed) -> tuple[dict[str, np.
     import pyarrow.parquet
 
     try:
-        _check_unpacked(path, pyarrow.parquet.read_metadata(pyarrow.BufferReader(content)))
-        table = pyarrow.parquet.read_table(pyarrow.BufferReader(content))
-        names = table.column_names
+        file = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(content))
+        metadata, names = file.metadata, file.schema_arrow.names
     except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise InputError(path, "file", f"is not a Parquet table ({first_line(error)})", "write one row per vertex") from None
-    twice = next((name for name in names if names.count(name) > 1), None)
+        raise _no_table(path, error) from None
+    twice = next((name for name, count in Counter(names).items() if count > 1), None)
     if twice is not None:
         raise InputError(path, twice, "the column is there twice", "keep one of them")
-    if table.num_rows == 0:
+    if metadata.num_rows == 0:
         raise InputError(path, "file", "holds no rows", "write one row per vertex")
+    check_unpacked(path, content, max(8 * metadata.num_rows * metadata.num_columns, sum(
+        metadata.row_group(group).total_byte_size for group in range(metadata.num_row_groups))))
     named = _named(path, names, renamed)
+    try:
+        table = file.read(list({column for column, _ in named.values()}))
+    except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise _no_table(path, error) from None
     return ({name: factor * _parquet_numbers(path, column, table.column(column)) for name, (column, factor) in named.items()},
             lambda row: f"row {row + 1}", named[_POSITION[0]][1])
 
 
-def _check_unpacked(path: Path, metadata) -> None:
-    """Raise InputError where the columns of a Parquet file are large, however small they are packed."""
-    large = max(8 * metadata.num_rows * metadata.num_columns,
-                sum(metadata.row_group(group).total_byte_size for group in range(metadata.num_row_groups)))
-    if large > MOST_UNPACKED_BYTES:
-        raise InputError(path, "file", f"unpacks to {large:,} bytes", f"give columns of at most {MOST_UNPACKED_BYTES:,}")
+def _no_table(path: Path, error: Exception) -> InputError:
+    return InputError(path, "file", f"is not a Parquet table ({first_line(error)})", "write one row per vertex")
 
 
 def _parquet_numbers(path: Path, name: str, column) -> np.ndarray:

@@ -16,98 +16,102 @@ from doo_ti.errors import InputError
 from doo_ti.frames import matrix_from_quaternion, rotation_matrix
 from doo_ti.types import LARGEST
 
-_QUOTED = r'"""[\s\S]*?"""|"(?:\\.|[^"\\\n])*"' + r"|'(?:\\.|[^'\\\n])*'|@[^@\n]*@|#[^\n]*"
-_TOKEN, _IN_PARENTHESES = re.compile(_QUOTED + "|[{}]"), re.compile(_QUOTED + "|[()]")
+_TOKEN = re.compile(
+    r'"""(?:[^"\\]|\\[\s\S]|"(?!""))*+"""|"(?:[^"\\\n]|\\.)*+"|' r"'(?:[^'\\\n]|\\.)*+'|@@@(?:[^@]|@(?!@@))*+@@@|@[^@\n]*+@"
+    r"|#[^\n]*+|[{}()\[\]=]|[\"'@]")
+_WORD = re.compile(r"\s*([^\s\"'@#()\[\]{}=;,]++)")
 _HEADER = re.compile(r"\b(?:def|over|class)(?:\s+(\w+))?\s*$")
-_ORDER = re.compile(r"\bxformOpOrder\s*=\s*\[([^\]]*)\]")
-_VALUE = r"\s*=\s*(\(\s*(?:\([^()]*\)[\s,]*)+\)|\([^()]*\)|[^\s()]+)"
 _RESET, _INVERT = "!resetXformStack!", "!invert!"
-_LONGEST_HEADER = 200
-"""Characters before a prim's name in which its type is looked for."""
+_LONGEST = 200
+"""Characters before a name or an equals sign in which its statement is looked for."""
+MOST_DEEP = 100
+MOST_IN_OPERATION = 2000
+"""Characters of the value of an operation: sixteen numbers need fewer."""
 
 
 @dataclass
 class Prim:
-    """A prim: its type, its name, the text between its braces without that of other prims in it, and the prim around it."""
+    """A prim: its type, its name, the prim around it, and the texts of its values by their names; those of time samples are
+    called NAME.timeSamples. The outermost one is the file itself; its values are the metadata of the stage."""
 
-    kind: str
-    name: str
-    parent: "Prim | None"
-    pieces: list[str] = field(default_factory=list)
-
-    @property
-    def text(self) -> str:
-        return " ".join(self.pieces)
+    kind: str = ""
+    name: str = ""
+    parent: "Prim | None" = None
+    values: dict[str, str] = field(default_factory=dict)
+    matrix: np.ndarray | None = None
 
     @property
     def path(self) -> str:
-        return f"{'' if self.parent is None else self.parent.path}/{self.name}"
+        return "" if self.parent is None else f"{self.parent.path}/{self.name}"
 
 
-def prims(text: str) -> list[Prim]:
-    """All prims of a file, each after the one around it."""
-    found: list[Prim] = []
-    scopes: list[Prim | None] = []  # of the open braces: the prim that they belong to, or None of values
-    named, place, begin = None, 0, 0
-    while token := _TOKEN.search(text, place):
-        place = token.end()
-        owner = next((scope for scope in reversed(scopes) if scope is not None), None)
-        if token[0][0] == '"':
-            if header := _HEADER.search(text, max(0, token.start() - _LONGEST_HEADER), token.start()):
-                named = Prim(header[1] or "", token[0].strip('"'), owner)
-                place = _behind_parentheses(text, place)
-        elif token[0] == "{":
-            if named is not None:
-                if owner is not None:
-                    owner.pieces.append(text[begin : token.start()])
-                found.append(named)
-                begin = place
-            scopes.append(named)
-            named = None
-        elif token[0] == "}" and scopes:
-            closed = scopes.pop()
-            if closed is not None:
-                closed.pieces.append(text[begin : token.start()])
-                begin = place
+def prims(path: Path, text: str) -> list[Prim]:
+    """The file itself and all prims in it, each after the one around it. Raises InputError for a quote that is not closed, and
+    for prims that are nested deeper than :data:`MOST_DEEP`."""
+    found = [Prim()]
+    scopes = [found[0]]  # of the open braces: the prim that they belong to
+    named = name = None  # the prim whose braces come next, and what the next value is called
+    begin, opened, depth = 0, 0, 0  # of the statement; of the value or metadata in brackets, and how deep these are nested
+    for token in _TOKEN.finditer(text):
+        sign = token[0]
+        if sign in ("\"", "'", "@"):
+            raise InputError(path, f"line {text.count(chr(10), 0, token.start()) + 1}", f"{sign} is not closed", "correct it")
+        if depth:
+            depth += (sign in "([{") - (sign in ")]}")
+            if not depth:
+                if name is not None:
+                    scopes[-1].values[name] = text[opened : token.end()]
+                name, begin = None, token.end()
+        elif sign == "=":
+            statement = text[max(begin, token.start() - _LONGEST) : token.start()].split()
+            name = statement[-1] if statement and "variantSet" not in statement else None
+            if name is not None and (word := _WORD.match(text, token.end())):
+                scopes[-1].values[name] = word[1]
+                name, begin = None, word.end()
+        elif sign in "([{":
+            is_stage = sign == "(" and name is None and named is None and len(scopes) == 1
+            if sign == "{" and name is None or is_stage:
+                if named is not None:
+                    found.append(named)
+                scopes.append(scopes[-1] if named is None else named)
+                if len(scopes) > MOST_DEEP:
+                    raise InputError(path, "file", f"nested deeper than {MOST_DEEP} prims", "export the rod alone")
+                named, begin = None, token.end()
+            else:
+                opened, depth = token.start(), 1
+        elif sign in ")]}":
+            scopes = scopes[:-1] if len(scopes) > 1 else scopes
+            begin = token.end()
+        elif sign[0] in "\"'" and name is not None:
+            scopes[-1].values[name] = sign
+            name, begin = None, token.end()
+        elif sign[0] == '"':
+            if header := _HEADER.search(text, max(begin, token.start() - _LONGEST), token.start()):
+                named = Prim(header[1] or "", sign.strip('"'), scopes[-1])
+                begin = token.end()
     return found
-
-
-def _behind_parentheses(text: str, place: int) -> int:
-    """The place behind the parentheses that begin at ``place``, if any do."""
-    begin = re.compile(r"\s*\(").match(text, place)
-    if begin is None:
-        return place
-    place, depth = begin.end(), 1
-    while depth and (token := _IN_PARENTHESES.search(text, place)):
-        place = token.end()
-        depth += {"(": 1, ")": -1}.get(token[0], 0)
-    return place
 
 
 def placement(path: Path, prim: Prim) -> np.ndarray:
     """(4, 4) from points of ``prim`` to the world. Raises InputError for operations that are unknown, change over time or are
     not finite."""
-    matrix = np.eye(4)
-    while prim is not None:
+    if prim.matrix is None:
         local, alone = _local(path, prim)
-        matrix = local @ matrix
-        prim = None if alone else prim.parent
-    if not (np.abs(matrix) <= LARGEST).all():
-        raise InputError(path, "xformOp", "not finite", "give finite numbers")
-    return matrix
+        prim.matrix = local if alone or prim.parent is None else placement(path, prim.parent) @ local
+        if not (np.abs(prim.matrix) <= LARGEST).all():
+            raise InputError(path, "xformOp", "not finite", "give finite numbers")
+    return prim.matrix
 
 
 def _local(path: Path, prim: Prim) -> tuple[np.ndarray, bool]:
     """(4, 4) from the prim to the one around it, and whether the transforms around it do not count."""
-    order = _ORDER.search(prim.text)
-    words = [] if order is None else re.findall(r'"([^"]*)"', order[1])
     matrix, alone = np.eye(4), False
-    for word in words:
+    for word in re.findall(r'"([^"\n]*+)"', prim.values.get("xformOpOrder", "")):
         if word == _RESET:
             matrix, alone = np.eye(4), True
             continue
         name = word.removeprefix(_INVERT)
-        one = _operation(path, name, prim.text)
+        one = _operation(path, name, prim.values)
         if name != word:
             if not np.isfinite(np.linalg.cond(one)):
                 raise InputError(path, name, "has no inverse", "correct it")
@@ -116,21 +120,21 @@ def _local(path: Path, prim: Prim) -> tuple[np.ndarray, bool]:
     return matrix, alone
 
 
-def _operation(path: Path, name: str, text: str) -> np.ndarray:
+def _operation(path: Path, name: str, values: dict[str, str]) -> np.ndarray:
     """(4, 4) of one operation."""
-    value = re.search(rf"{re.escape(name)}{_VALUE}", text)
+    value = values.get(name)
     if value is None:
-        changing = re.search(rf"{re.escape(name)}\.timeSamples", text)
+        changing = f"{name}.timeSamples" in values
         raise InputError(path, name, "changes over time" if changing else "has no value",
                          "apply the transforms to the points, and export again")
     kind = name.split(":")[1] if ":" in name else name
     try:
-        numbers = np.array([float(word) for word in re.findall(r"[^\s(),]+", value[1])])
+        numbers = np.array([float(word) for word in re.findall(r"[^\s(),]+", value[:MOST_IN_OPERATION])])
     except ValueError:
         numbers = np.array([])
     make, count = _KINDS.get(kind, (None, 0))
-    if make is None or len(numbers) != count or not np.isfinite(numbers).all():
-        raise InputError(path, name, f"{value[1][:40]!r}", f"give finite numbers to some of {', '.join(_KINDS)}")
+    if make is None or len(numbers) != count or len(value) > MOST_IN_OPERATION or not np.isfinite(numbers).all():
+        raise InputError(path, name, f"{value[:40]!r}", f"give finite numbers to some of {', '.join(_KINDS)}")
     return make(numbers)
 
 

@@ -168,9 +168,15 @@ def test_a_grid_of_a_mesh(folder):
     near = np.abs(np.linalg.norm(points, axis=-1) - BALL) < 3
     off = grid.distance(points + [0, 0, 10])[0] - np.linalg.norm(points, axis=-1) + BALL
     assert np.abs(off[near]).max() < 0.1, "the mesh is that far inside the ball"
-    for name, message in (("broken.stl", "broken.stl: "), ("none.stl", "none.stl: file: no such file")):
-        with pytest.raises(InputError, match=re.escape(message)):
+    whole = (folder / "ball.stl").read_bytes()
+    for name, content in (("half.stl", whole[: len(whole) // 2]), ("text.obj", b"v 0 0 \xff\xfe\x81"), ("ball.zip", b"PK")):
+        (folder / name).write_bytes(content)
+    for name, message in (("broken.stl", "broken.stl: "), ("half.stl", "half.stl: file: 32,042 bytes where its header says"),
+                          ("text.obj", "text.obj: file: no mesh ("), ("ball.zip", "suffix '.zip' is not"),
+                          ("none.stl", "none.stl: file: no such file")):
+        with pytest.raises(InputError, match=re.escape(message)) as caught:
             DistanceGrid.from_mesh(folder / name, 1.0)
+        assert "charset" not in str(caught.value)
     with pytest.raises(InputError, match="mesh: not a closed surface"):
         DistanceGrid.from_mesh((surface.vertices, surface.faces[1:]), 4.0)
     for arguments, message in (((0.0,), "spacing: 0; give"), ((1e-3,), "spacing: 0.001 mm makes"), ((4.0, -1.0), "margin: -1")):

@@ -13,7 +13,7 @@ import pytest
 
 from doo_ti.commands.refine import read_groups
 from doo_ti.errors import InputError
-from doo_ti.io import arrays, observation_tables
+from doo_ti.io import arrays
 from doo_ti.io.arrays import read_arrays
 from doo_ti.io.files import read_content
 from doo_ti.io.marks import read_labels
@@ -67,7 +67,7 @@ def test_an_npz_that_unpacks_to_more_than_the_bound(tmp_path, monkeypatch):
 
 def test_a_table_that_unpacks_to_more_than_the_bound(tmp_path, monkeypatch):
     save_observations(tmp_path / "small.parquet", small_lab())
-    monkeypatch.setattr(observation_tables, "MOST_UNPACKED_BYTES", 10_000)
+    monkeypatch.setattr(arrays, "MOST_UNPACKED_BYTES", 10_000)
     with pytest.raises(InputError, match="unpacks to"):
         load_observations(tmp_path / "small.parquet")
 

@@ -95,3 +95,21 @@ def test_wrong_transforms_are_named(tmp_path, old, new, word):
     (tmp_path / "x.usda").write_text(SCENE.replace(old, new))
     with pytest.raises(InputError, match=word):
         load_observations(tmp_path / "x.usda", columns=["/World/left/rope"])
+
+
+@pytest.mark.parametrize("axis, up", [("X", [1, 0, 0]), ("Y", [0, 1, 0]), ("Z", [0, 0, 1])])
+def test_the_axis_that_points_up(tmp_path, axis, up):
+    (tmp_path / "x.usda").write_text(SCENE.replace('upAxis = "Z"', f'upAxis = "{axis}"  # not upAxis = "Z"'))
+    assert load_observations(tmp_path / "x.usda", columns=["/World/left/rope"]).up.tolist() == up
+
+
+@pytest.mark.parametrize("old, new, word", [
+    ('upAxis = "Z"', 'upAxis = "W"', "upAxis"),
+    ('def Xform "right"', 'def Xform "left"', "/World/left/rope: the prim is there twice"),
+    ("int[] curveVertexCounts = [3]", 'string note = "open\nint[] curveVertexCounts = [3]', "line 22: \" is not closed"),
+])
+def test_wrong_scenes_are_named(tmp_path, old, new, word):
+    assert old in SCENE
+    (tmp_path / "x.usda").write_text(SCENE.replace(old, new))
+    with pytest.raises(InputError, match=word):
+        load_observations(tmp_path / "x.usda")

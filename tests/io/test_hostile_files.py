@@ -1,0 +1,230 @@
+"""Small files that would cost much, and damaged ones, of every format: each is read or refused in one line, in bounded memory.
+
+They are read in a process of their own, whose memory and processor time are limited, so that a reader that fails the test takes
+neither those of this one.
+"""
+
+import io
+import multiprocessing
+import pickle
+import struct
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+import pytest
+
+from doo_ti.errors import InputError
+from tests.io.test_formats import CABLE, MARKS, motive, nexus, table, usda
+
+resource = pytest.importorskip("resource", reason="the memory of a process is limited on Unix only")
+ROOT = Path(__file__).parents[2]
+MOST_BYTES, MOST_ADDRESSES, MOST_SECONDS = 1 << 30, 8 << 30, 300
+DAMAGED = 60
+"""Copies of each good file."""
+
+
+def npz(shape: str, content: bytes = bytes(192), method: int = zipfile.ZIP_STORED) -> bytes:
+    """An npz whose header may say anything."""
+    header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}}}".ljust(117) + "\n"
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", method) as archive:
+        archive.writestr("vertices_mm.npy", b"\x93NUMPY\1\0" + struct.pack("<H", len(header)) + header.encode() + content)
+    return file.getvalue()
+
+
+def parquet(rows: int) -> bytes:
+    """Points that are all alike, any number of which take no space."""
+    file = io.BytesIO()
+    pyarrow.parquet.write_table(pyarrow.table(dict.fromkeys("xyz", np.ones(rows))), file, compression="zstd",
+                                row_group_size=rows, data_page_size=1 << 30, max_rows_per_page=rows)
+    return file.getvalue()
+
+
+def nested(depth: int) -> bytes:
+    """A pickled tuple of tuples of …: each holds the one before it twice."""
+    return b"\x80\x04)" + b"".join(b"q%ch%ch%c\x86" % (n, n, n) for n in range(depth))
+
+
+def scene(**changed) -> str:
+    keys = {"rate_hz": "10.0", "duration_s": "1.0", "rod": "{ length_mm = 100.0, edges = 20 }", "obstacles": "[]",
+            "materials": "{ a = { bend = 1e5 } }", "moments": "[]"} | changed
+    return "\n".join(f"{key} = {value}" for key, value in keys.items() if value)
+
+
+SPHERES = "[" + ", ".join(['{ kind = "sphere", centre = [0, 0, 0], radius = 1.0, moments = [{ time_s = 0.0 }] }'] * 80) + "]"
+RODS = "{" + ", ".join(f"r{n} = {{ edges = 4, length_mm = 9.0 }}" for n in range(200)) + "}"
+LONG = '<composite type="cable" prefix="{}" count="100000"/>'
+CURVES = """#usda 1.0
+def BasisCurves "a" {
+int[] curveVertexCounts = [3]
+point3f[] points = [(0, 0, 0), (1, 0, 0), (2, 1, 0)]
+double3 xformOp:translate = (1, 2, 3)
+uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+"""
+MODEL = "<mujoco><worldbody>{}</worldbody></mujoco>"
+ENTITIES = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 9}">' for n in range(1, 10))
+HEAVY = b"ply\nformat binary_little_endian 1.0\nelement vertex 2000000000\nproperty float x\nelement face 2000000000\n" \
+        b"property list uint int vertex_indices\nend_header\n"
+TETRAHEDRON = """ply
+format ascii 1.0
+element vertex 4
+property float x
+property float y
+property float z
+element face 4
+property list uchar int vertex_indices
+end_header
+"""
+THIN = "{ length_mm = 9.0, edges = 4, radius_mm = 1.0 }"
+
+
+def small() -> dict[str, bytes]:
+    """Files that would cost much."""
+    large = bytes(60_000_000)
+    times = "[" + ", ".join(f"{{ time_s = {n}.0 }}" for n in range(90)) + "]"
+    texts = {
+        "wide.csv": ",".join(f"c{n}" for n in range(2000)) + "\n", "keys.toml": "a." * 4000 + "a = 1",
+        "sparse.csv": "observation,vertex,x,y,z\n" + "".join(f"{n},{9 ** (n % 15)},0,0,{n}\n" for n in range(500)),
+        "sparse_marks.csv": "observation,camera,mark,u_px,v_px\n" + "".join(f"{n},left,{n},1,1\n" for n in range(600)),
+        "cables.xml": MODEL.format("".join(LONG.format(n) for n in range(180))), "deep.xml": "<mujoco>" + "<body>" * 1600,
+        "deep_bodies.xml": MODEL.format("<body>" * 700 + LONG.format(1) + "</body>" * 700), "lines.txt": "1 2 3\n\n" * 1400,
+        "deep.usda": "#usda 1.0\n" + 'def Xform "a" {\n' * 600, "braces.usda": "#usda 1.0\n" + "{" * 9000,
+        "quotes.usda": "#usda 1.0\n" + '"\\' * 4900, "lists.usda": CURVES + "points = [" * 900,
+        "order.usda": CURVES.replace('translate"]', 'translate"' + ', "xformOp:translate"' * 450 + "]"),
+        "deep.toml": "a = " + "[" * 9000, "deep.json": "[" * 9000, "deep.yaml": "a: " + "[" * 9000,
+        "digits.json": '{"bend_mm3": ' + "9" * 9000 + "}", "points.obj": "v 0 0 0\nv 1 0 0\nv 0 1 0\n",
+        "index.obj": "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 2000000000\n", "frames.toml": scene(duration_s="100000.0"),
+        "moving.toml": scene(duration_s="100000.0", obstacles=SPHERES, rod=THIN),
+        "group.toml": scene(duration_s="9999.0", rod="", moments="", obstacles="", rods=RODS),
+        "between.toml": "between = 100000\n" + scene(rate_hz="", duration_s="", obstacles=SPHERES, rod=THIN, moments=times,
+                                                     materials="{ a = { bend = 1e5, twist = 1e5 } }")}
+    return {name: text.encode() for name, text in texts.items()} | {
+        "put.pkl": b"\x80\x02]r\xff\xff\xff\x7f.", "put_text.pkl": b"]p999999999\n.",
+        "bytes.pkl": b"\x80\x04\x8e" + b"\xff" * 7,
+        "text.pkl": nested(60) + b"\x8c\x05numpy\x8c\x05dtype\x93q\x64h\x3b\x85R.",
+        "hash.pkl": nested(60) + b"q\x64}h\x64Ns.",
+        "again.pkl": pickle.dumps([np.zeros((50, 3, 9))] * 900, 4), "shape.npz": npz("(3000000000, 4, 3)"),
+        "bzip2.npz": npz("(625000, 4, 3)", large, zipfile.ZIP_BZIP2),
+        "lzma.npz": npz("(625000, 4, 3)", large, zipfile.ZIP_LZMA),
+        "rows.parquet": parquet(10_000_000), "damaged.stl": b"solid \xe9\xff" + bytes(range(256)),
+        "entities.xml": f'<!DOCTYPE m [<!ENTITY a0 "{"x" * 900}">{ENTITIES}]><mujoco>&a9;</mujoco>'.encode("utf-16"),
+        "count.stl": bytes(80) + b"\xff" * 4 + bytes(50), "elements.ply": HEAVY + b"\xff" * 40,
+        "charset.obj": b"v 0 0 \xff\xfe\x81\n"}
+
+
+CORNERS, FACES = np.array([[0.0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]]), [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
+
+
+def good() -> dict[str, bytes]:
+    """Whole files, to be damaged."""
+    archive, columns = io.BytesIO(), io.BytesIO()
+    np.savez(archive, vertices_mm=MARKS, positions_mm=MARKS, rate_hz=10.0, valid=np.ones((2, 4), dtype=bool))
+    names = {name: MARKS[..., k].ravel() for k, name in enumerate(("x", "y", "z"))}
+    pyarrow.parquet.write_table(pyarrow.table({"observation": [0] * 4 + [1] * 4, **names}), columns)
+    triangles = [struct.pack("<12fH", 0, 0, 0, *CORNERS[face].ravel(), 0) for face in FACES]
+    corners = "".join("%g %g %g\n" % tuple(corner) for corner in CORNERS)
+    texts = {
+        "a.csv": table(MARKS, "observation,vertex,x,y,z"), "b.csv": motive(MARKS, "Meters"), "c.csv": nexus(MARKS),
+        "a.txt": corners, "a.usda": usda(MARKS, 'upAxis = "Z"'), "b.usda": CURVES, "a.xml": CABLE,
+        "a.toml": scene(obstacles=SPHERES), "a.yaml": (ROOT / "scenes/rig.yaml").read_text(),
+        "a.obj": "".join(f"v {line}\n" for line in corners.splitlines()) + "".join("f %d %d %d\n" % (a + 1, b + 1, c + 1)
+                                                                                for a, b, c in FACES),
+        "a.ply": TETRAHEDRON + corners + "".join("3 %d %d %d\n" % tuple(face) for face in FACES)}
+    return {name: text.encode() for name, text in texts.items()} | {
+        "a.npz": archive.getvalue(), "a.parquet": columns.getvalue(), "a.pkl": pickle.dumps(list(MARKS), 4),
+        "a.stl": bytes(80) + struct.pack("<I", 4) + b"".join(triangles)}
+
+
+def damaged(content: bytes, rng) -> bytes:
+    """Bytes changed, cut out, repeated and cut off."""
+    words = [b"nan", b"1e400", b"-1", b"", b",", b"\n", b"[" * 400, b"(" * 400, b"99999999999", b"\0", b"\xff", b'"',
+             b"\xff\xff\xff\x7f"]
+    content = bytearray(content)
+    for _ in range(rng.integers(1, 5)):
+        at, length = rng.integers(len(content) + 1), rng.integers(0, 40)
+        content[at : at + length] = words[rng.integers(len(words))] if rng.random() < 0.7 else content[: rng.integers(50)]
+    return bytes(content[: rng.integers(1, len(content))] if rng.random() < 0.1 else content) or b" "
+
+
+def readers() -> dict[str, list]:
+    """Whatever reads a file with that suffix."""
+    from doo_ti.contact.distance_grid import DistanceGrid
+    from doo_ti.contact.obstacle_file import load_obstacles, obstacles_of
+    from doo_ti.dynamics.scene import load_dynamic_scene
+    from doo_ti.dynamics.theta import load_theta
+    from doo_ti.groups.scene import load_group_scene
+    from doo_ti.io.marks import read_labels, read_marks
+    from doo_ti.io.motion_file import load_path
+    from doo_ti.io.motion_recording import read_recording
+    from doo_ti.io.motion_scene import load_motion_scene
+    from doo_ti.io.observations import load_observations
+    from doo_ti.io.pickled_arrays import read_pickled_array
+    from doo_ti.io.scene import load_scene
+    from doo_ti.learning.summary import read_table
+    from doo_ti.vision.cameras.rig import load_rig
+    from doo_ti.vision.cameras.views import read_views
+    from doo_ti.vision.detection.images import load_sets
+
+    def read_motion_scene(path):
+        found = load_motion_scene(path)
+        obstacles_of(path, found.obstacles, found.path.states(found.between))
+
+    rig = load_rig(ROOT / "scenes/rig.yaml")
+    curves = [load_observations, lambda path: read_recording(path, rate=10.0)]
+    mesh = [lambda path: DistanceGrid.from_mesh(path, 3.0)]
+    return {
+        ".csv": [*curves, load_path, lambda path: read_marks(path, rig), lambda path: read_labels(path, ("a",)), read_views,
+                 lambda path: load_sets(path, rig)],
+        ".npz": [*curves, load_path], ".json": [load_theta, read_table], ".yaml": [load_rig], ".pkl": [read_pickled_array],
+        ".toml": [load_scene, read_motion_scene, load_dynamic_scene, load_group_scene, load_obstacles],
+        ".stl": mesh, ".ply": mesh, ".obj": mesh, **dict.fromkeys((".parquet", ".xml", ".usda", ".txt"), curves)}
+
+
+def read_all(folder: Path, answers) -> None:
+    """Read every file in the folder in every way, and send what went wrong: the file, and an error or bytes of memory."""
+    by_suffix = readers()
+    most = MOST_ADDRESSES + resource.getpagesize() * int(Path("/proc/self/statm").read_text().split()[0])
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    resource.setrlimit(resource.RLIMIT_CPU, (MOST_SECONDS, MOST_SECONDS))
+    wrong, before = [], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for path in sorted(folder.iterdir()):
+        for number, read in enumerate(by_suffix[path.suffix]):
+            try:
+                read(path)
+            except InputError as error:
+                if "\n" in str(error):
+                    wrong.append((path.name, number, str(error)))
+            except BaseException as error:
+                wrong.append((path.name, number, repr(error)[:300]))
+            most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+            if 1024 * (most - before) > MOST_BYTES:
+                wrong.append((path.name, number, f"{most - before} KiB"))
+                before = most
+    answers.send(wrong)
+
+
+@pytest.mark.parametrize("kind", ["small", pytest.param("damaged", marks=pytest.mark.thorough)])
+def test_files_are_read_or_refused_in_bounded_memory(tmp_path, rng, kind):
+    pytest.importorskip("trimesh")
+    if kind == "small":
+        files = small()
+    else:
+        files = {f"{number}_{name}": damaged(content, rng) for name, content in good().items() for number in range(DAMAGED)}
+    for name, content in files.items():
+        assert len(content) <= 20_000, name
+        (tmp_path / name).write_bytes(content)
+    process = multiprocessing.get_context("spawn")
+    answers, theirs = process.Pipe(duplex=False)
+    child = process.Process(target=read_all, args=(tmp_path, theirs))
+    child.start()
+    theirs.close()
+    try:
+        wrong = answers.recv()
+    except EOFError:
+        wrong = "the process ended"
+    child.join()
+    assert not wrong and not child.exitcode
