@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.errors import InputError
-from doo_ti.io.csv_table import csv_rows
+from doo_ti.io.csv_table import csv_rows, number_in
 from doo_ti.io.curves import UNITS_IN_MM, Curves, chosen_names
 
 MOTIVE_UNITS = {"meters": "m", "centimeters": "cm", "millimeters": "mm"}
@@ -32,15 +32,15 @@ def is_motive(content: bytes) -> bool:
 def is_nexus(content: bytes) -> bool:
     """Whether these bytes are a CSV file of Vicon Nexus: one line says only ``Trajectories``."""
     lines = content[: 1 << 16].lstrip(b"\xef\xbb\xbf").splitlines()
-    return any(line.strip(b' ,"') == b"Trajectories" for line in lines)
+    return any(line.strip(b' ,;\t"') == b"Trajectories" for line in lines)
 
 
 def read_motive(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
     """The markers of a Motive file. Raises InputError for files without markers, and for names that they do not have."""
-    rows = csv_rows(path, content, REMEDY)
+    rows, decimal = csv_rows(path, content, REMEDY)
     about = dict(zip(rows[0][1][::2], rows[0][1][1::2], strict=False))
-    unit = UNITS_IN_MM[MOTIVE_UNITS.get(about.get("Length Units", "Meters").strip().lower(), "m")]
-    rate = _number(path, 1, about.get("Export Frame Rate") or about.get("Capture Frame Rate") or "")
+    unit = _unit(path, "Length Units", MOTIVE_UNITS, about.get("Length Units", "Meters").strip().lower())
+    rate = _number(path, decimal, 1, about.get("Export Frame Rate") or about.get("Capture Frame Rate") or "")
     header = next((row for row, (_, cells) in enumerate(rows) if cells and cells[0].strip() == "Frame"), None)
     if header is None:
         raise InputError(path, "Frame", "no row begins with it", REMEDY)
@@ -55,30 +55,30 @@ def read_motive(path: Path, content: bytes, names: list[str] | None = None) -> C
         ours = name in names if names is not None else what == "Marker" and not name.startswith("Unlabeled")
         if kind in ("Position", "") and axis in ("X", "Y", "Z") and ours:
             columns.setdefault(name, []).append(column)
-    return Curves(_points(path, rows[header + 1 :], columns, names), unit, (0.0, 1.0, 0.0), rate)
+    return Curves(_points(path, decimal, rows[header + 1 :], columns, names), unit, (0.0, 1.0, 0.0), rate)
 
 
 def read_nexus(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
     """The markers of a Nexus file. Raises InputError for files without markers, and for names that they do not have. A name may
     leave out the subject."""
-    rows = csv_rows(path, content, REMEDY)
+    rows, decimal = csv_rows(path, content, REMEDY)
     begin = next((row for row, (_, cells) in enumerate(rows) if cells and cells[0].strip() == "Trajectories"), len(rows))
     if len(rows) < begin + 6:
         raise InputError(path, "Trajectories", "no rows below it", REMEDY)
-    rate = _number(path, rows[begin + 1][0], _cell(rows[begin + 1][1], 0))
+    rate = _number(path, decimal, rows[begin + 1][0], _cell(rows[begin + 1][1], 0))
     labels, units = rows[begin + 2][1], rows[begin + 4][1]
     columns: dict[str, list[int]] = {}
     for column in range(2, len(labels)):
         if name := _cell(labels, column):
             short = name.partition(":")[2] or name
-            columns[short if names is not None and name not in names else name] = [column, column + 1, column + 2]
+            columns.setdefault(short if names is not None and name not in names else name, []).extend(range(column, column + 3))
     rest = rows[begin + 5 :]
     end = next((row for row, (_, cells) in enumerate(rest) if not any(map(str.strip, cells))), len(rest))
-    unit = UNITS_IN_MM.get(_cell(units, 2) or "mm", 1.0)
-    return Curves(_points(path, rest[:end], columns, names), unit, rate=rate)
+    unit = _unit(path, "Trajectories", {name: name for name in UNITS_IN_MM}, _cell(units, 2) or "mm")
+    return Curves(_points(path, decimal, rest[:end], columns, names), unit, rate=rate)
 
 
-def _points(path: Path, rows: list, columns: dict[str, list[int]], names: list[str] | None) -> np.ndarray:
+def _points(path: Path, decimal: str, rows: list, columns: dict[str, list[int]], names: list[str] | None) -> np.ndarray:
     """(T, V, 3) the positions of the markers in ``columns``, all or those of the ``names``; NaN where a marker was not seen."""
     order = chosen_names(path, "Name", list(columns), names)
     if len(order) < 3:
@@ -87,23 +87,27 @@ def _points(path: Path, rows: list, columns: dict[str, list[int]], names: list[s
     if short is not None:
         raise InputError(path, short, f"{len(columns[short])} columns of a position", "give markers of different names")
     chosen = [column for name in order for column in columns[name]]
-    points = np.array([[_number(path, line, _cell(cells, column)) for column in chosen]
+    points = np.array([[_number(path, decimal, line, _cell(cells, column)) for column in chosen]
                        for line, cells in rows if any(map(str.strip, cells))])
     if not len(points):
         raise InputError(path, "Frame", "no frames", REMEDY)
     return points.reshape(len(points), -1, 3)
 
 
+def _unit(path: Path, field: str, known: dict[str, str], name: str) -> float:
+    """mm in the unit that the file calls ``name``."""
+    if name not in known:
+        raise InputError(path, field, f"{name[:40]!r} is not a known unit of length", f"export in one of {', '.join(known)}")
+    return UNITS_IN_MM[known[name]]
+
+
 def _cell(cells: list[str], column: int) -> str:
     return cells[column].strip() if column < len(cells) else ""
 
 
-def _number(path: Path, line: int, cell: str) -> float:
+def _number(path: Path, decimal: str, line: int, cell: str) -> float:
     """The number in a cell, NaN where it is empty."""
-    try:
-        value = float(cell or "nan")
-    except ValueError:
-        value = np.inf
+    value = number_in(cell or "nan", decimal)
     if np.isinf(value):
         raise InputError(path, f"line {line}", f"{cell!r} is not a finite number", REMEDY)
     return value

@@ -3,9 +3,15 @@
 A message names file, column, the cell's text, its line (the header is line 1) and the remedy:
 
     sets.csv: seed_y: 'x' in line 2 is not a finite number; give decimal numbers
+
+Cells are between commas, or between the semicolons or tabs that spreadsheets write where decimals are behind a comma: if any
+cell of such a file is a number with a comma, all numbers have one. Text is UTF-8, UTF-16 with its mark, or of Windows.
 """
 
 import csv
+import re
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
+from collections import Counter
 from dataclasses import dataclass
 from io import StringIO
 from itertools import pairwise
@@ -19,6 +25,9 @@ from doo_ti.io.files import MOST_TEXT_BYTES, read_content
 EMPTY = frozenset({"", "na", "n/a", "nan", "null"})
 """Texts for a missing number, in lower case."""
 TRUTH = {"true": "1", "false": "0"}
+SEPARATORS = ",;\t"
+_QUOTED = re.compile(r'"[^"\n]*"')
+_WITH_COMMA = re.compile(r'(?:^|[;\t"]) *[-+]?\d*,\d+(?:[eE][-+]?\d+)? *(?:$|[\r;\t"])', re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -27,11 +36,13 @@ class CsvTable:
 
     columns  name: N texts
     lines    N: the line of the file on which a row ends
+    decimal  the sign before decimals
     """
 
     path: Path
     columns: dict[str, list[str]]
     lines: list[int]
+    decimal: str = "."
 
     @property
     def count(self) -> int:
@@ -41,7 +52,7 @@ class CsvTable:
     def rows(self, chosen: np.ndarray) -> "CsvTable":
         """The rows that are ``chosen`` (N,)."""
         columns = {name: [cells[row] for row in np.flatnonzero(chosen)] for name, cells in self.columns.items()}
-        return CsvTable(self.path, columns, [self.lines[row] for row in np.flatnonzero(chosen)])
+        return CsvTable(self.path, columns, [self.lines[row] for row in np.flatnonzero(chosen)], self.decimal)
 
     def refuse(self, name: str, wrong: np.ndarray, problem: str, remedy: str) -> None:
         """Raise InputError for the first cell of column ``name`` that is ``wrong`` (N,), if there is one."""
@@ -54,8 +65,10 @@ class CsvTable:
         cells = self.columns[name]
         try:
             values = np.array([float(cell or "nan") if may_be_empty else float(cell) for cell in cells])
-        except ValueError:  # the slower way, which accepts more spellings and does not stop at cells that are no number
-            values = np.array([_number(cell, may_be_empty) for cell in cells])
+        except ValueError:
+            values = None
+        if values is None or self.decimal != ".":  # the slower way, which accepts more spellings and stops at no cell
+            values = np.array([_number(cell, may_be_empty, self.decimal) for cell in cells])
         allowed = np.isfinite(values) | (np.isnan(values) if may_be_empty else False)
         self.refuse(name, ~allowed, "is not a finite number", "give decimal numbers")
         return values
@@ -68,12 +81,19 @@ class CsvTable:
         return values.astype(np.int64)
 
 
-def _number(cell: str, may_be_empty: bool) -> float:
+def _number(cell: str, may_be_empty: bool, decimal: str) -> float:
     """The number in a cell, NaN where it is missing and may be, infinity where there is none."""
     if may_be_empty and cell.lower() in EMPTY:
         return np.nan
+    return number_in(TRUTH.get(cell.lower(), cell) if may_be_empty else cell, decimal)
+
+
+def number_in(cell: str, decimal: str = ".") -> float:
+    """The number in a cell with that sign before decimals; infinity where there is none."""
+    if decimal != ".":
+        cell = "" if "." in cell else cell.replace(decimal, ".")
     try:
-        return float(TRUTH.get(cell.lower(), cell) if may_be_empty else cell)
+        return float(cell)
     except ValueError:
         return np.inf
 
@@ -95,31 +115,56 @@ def read_csv(path: Path, needed: tuple[str, ...], optional: tuple[str, ...] | No
                      short_lines=short_lines)
 
 
-def csv_rows(path: Path, content: bytes, remedy: str) -> list[tuple[int, list[str]]]:
-    """Each line of a CSV file: (its number from 1, its cells). Raises InputError, with that ``remedy``, for bytes that are not
-    CSV, and for cells that hold a line break, as after a quote that is not closed."""
+def decoded(content: bytes, errors: str = "strict") -> str:
+    """The text of a file that a spreadsheet may have written. Raises UnicodeDecodeError for what is no text, if ``errors`` are
+    strict."""
+    if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        return content.decode("utf-16", errors)
     try:
-        reader = csv.reader(StringIO(content.decode("utf-8-sig"), newline=""), strict=True)
+        return content.decode("utf-8-sig", errors)
+    except UnicodeDecodeError:
+        return content.decode("cp1252")
+
+
+def csv_rows(path: Path, content: bytes, remedy: str) -> tuple[list[tuple[int, list[str]]], str]:
+    """Each line of a CSV file, (its number from 1, its cells), and the sign before decimals. Raises InputError, with that
+    ``remedy``, for bytes that are not CSV, and for cells that hold a line break, as after a quote that is not closed."""
+    try:
+        text = decoded(content)
+        separator = _separator(text)
+        reader = csv.reader(StringIO(text, newline=""), strict=True, delimiter=separator)
         ends = [(reader.line_num, row) for row in reader]  # the line on which each row ends
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, "file", f"is not a CSV table ({str(error)[:80]})", remedy) from None
     for (before, _), (line, _) in pairwise([(0, []), *ends]):
         if line > before + 1:
             raise InputError(path, f"line {line}", "a line break within a cell", "close the quote")
-    return ends
+    if ends and "".join(ends[0][1]).strip() == "sep=":  # by which spreadsheets are told the separator
+        ends = ends[1:]
+    return ends, "," if separator != "," and _WITH_COMMA.search(text) else "."
+
+
+def _separator(text: str) -> str:
+    """Of the cells: that of the first line that has any."""
+    for line in StringIO(text):
+        unquoted = _QUOTED.sub("", line)
+        if any(sign in unquoted for sign in SEPARATORS):
+            return max(SEPARATORS, key=unquoted.count)
+    return ","
 
 
 def parse_csv(path: Path, content: bytes, needed: tuple[str, ...], optional: tuple[str, ...] | None = None, *,
               form: str | None = None, short_lines: bool = False) -> CsvTable:
     """The table in the bytes of a CSV file, as :func:`read_csv` reads it; ``path`` names it in messages."""
     remedy = f"give the columns {form or ', '.join(needed)}"
-    rows = [(line, row) for line, row in csv_rows(path, content, remedy) if any(row) and any(map(str.strip, row))]
+    lines, decimal = csv_rows(path, content, remedy)
+    rows = [(line, row) for line, row in lines if any(row) and any(map(str.strip, row))]
     names = [name.strip() for name in rows[0][1]] if rows else []
     for name in needed:
         if name not in names:
             raise InputError(path, name, "the column is missing", remedy)
-    for name in names:
-        if names.count(name) > 1:
+    for name, count in Counter(names).items():
+        if count > 1:
             raise InputError(path, name or "header", f"the column {name!r} is there twice", "keep one of them")
         if optional is not None and name not in (*needed, *optional):
             raise InputError(path, name or "header", f"unknown column {name!r}", remedy)
@@ -133,4 +178,4 @@ def parse_csv(path: Path, content: bytes, needed: tuple[str, ...], optional: tup
     columns = {name: list(cells) for name, cells in zip(names, zip(*(row for _, row in rows[1:]), strict=True), strict=True)}
     if any(byte in content for byte in (b" ", b"\t")):
         columns = {name: [cell.strip() for cell in cells] for name, cells in columns.items()}
-    return CsvTable(path, columns, [line for line, _ in rows[1:]])
+    return CsvTable(path, columns, [line for line, _ in rows[1:]], decimal)

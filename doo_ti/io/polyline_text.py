@@ -1,23 +1,29 @@
-"""Plain polylines: numbers in lines, without names of columns, between commas or spaces.
+"""Plain polylines: numbers in lines, without names of columns, between commas, spaces, tabs or semicolons; also with decimals
+behind a comma, where something else separates them.
 
     three numbers in a line    a point; an empty line begins the next curve
     more, three for each point a whole curve in a line
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
 
 from doo_ti.errors import InputError
+from doo_ti.io.csv_table import decoded
 from doo_ti.io.curves import Curves, checked_points
 
 FORM = "give lines of X Y Z, with an empty line between curves, or all numbers of a curve in one line"
 
+_DECIMAL = re.compile(r"[-+]?\d+(?:,\d+)?(?:[eE][-+]?\d+)?")
+"""A number with decimals behind a comma, or a whole one."""
+
 
 def is_polyline(content: bytes) -> bool:
     """Whether the first line with text holds nothing but numbers."""
-    first = next((line for line in content[: 1 << 16].splitlines() if line.strip() and not line.startswith(b"#")), b"")
-    return _numbers(first.decode(errors="replace")) is not None
+    text = decoded(content[: 1 << 16], "replace")
+    return _numbers(next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")) is not None
 
 
 def read_polylines(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
@@ -25,7 +31,11 @@ def read_polylines(path: Path, content: bytes, names: list[str] | None = None) -
     if names is not None:
         raise InputError(path, "columns", "the file has no names", "leave `columns` out")
     lines, breaks = [], [0]
-    for number, text in enumerate(content.decode(errors="replace").splitlines(), start=1):
+    try:
+        whole = decoded(content)
+    except UnicodeDecodeError:
+        raise InputError(path, "file", "is no text", FORM) from None
+    for number, text in enumerate(whole.splitlines(), start=1):
         text = text.partition("#")[0].strip()
         if not text:
             breaks += [len(lines)] * (len(lines) > breaks[-1])
@@ -46,7 +56,12 @@ def read_polylines(path: Path, content: bytes, names: list[str] | None = None) -
 
 def _numbers(text: str) -> list[float] | None:
     """The numbers of a line, or None where there is anything else."""
+    words = text.replace(";", " ").split()
+    if len(words) % 3 == 0 and all(map(_DECIMAL.fullmatch, words)) and "," in text:
+        words = [word.replace(",", ".") for word in words]
+    else:
+        words = text.replace(",", " ").replace(";", " ").split()
     try:
-        return [float(word) for word in text.replace(",", " ").replace(";", " ").split()] or None
+        return [float(word) for word in words] or None
     except ValueError:
         return None

@@ -26,6 +26,28 @@ def test_short_lines_where_they_are_allowed(tmp_path):
     assert parse_csv(tmp_path / "x.csv", b"a,b\n1\n", ("a",), short_lines=True).columns == {"a": ["1"], "b": [""]}
 
 
+SPREADSHEET = "name;x;maße\nsilk;1,5;-2e-3\n\"a;b\";-,25;3,0\n"
+
+
+@pytest.mark.parametrize("content", [
+    SPREADSHEET.encode(), SPREADSHEET.encode("utf-8-sig"), SPREADSHEET.encode("cp1252"), SPREADSHEET.encode("utf-16"),
+    b"sep=;\r\n" + SPREADSHEET.encode("cp1252"), SPREADSHEET.replace(";", "\t").replace("a\tb", "a;b").encode("utf-16")])
+def test_spreadsheets_with_decimal_commas(tmp_path, content):
+    """As they are written where decimals are behind a comma: cells between semicolons or tabs, in several encodings."""
+    table = parse_csv(tmp_path / "x.csv", content, ("name", "x", "maße"))
+    assert table.columns["name"] == ["silk", "a;b"]
+    np.testing.assert_array_equal(table.numbers("x"), [1.5, -0.25])
+    np.testing.assert_array_equal(table.rows(np.array([False, True])).numbers("maße"), [3.0])
+
+
+def test_points_and_commas_before_decimals_are_not_mixed(tmp_path):
+    """1.234 beside 1,5 is one thousand, or a mistake."""
+    table = parse_csv(tmp_path / "x.csv", b"x;y\n1,5;1.234\n", ("x", "y"))
+    with pytest.raises(InputError, match="y: '1.234' in line 2"):
+        table.numbers("y")
+    np.testing.assert_array_equal(parse_csv(tmp_path / "x.csv", b"x;y\n1.5;1.234\n", ("x",)).numbers("y"), [1.234])
+
+
 WRONG = {
     "not text": (b"\xff\xfe\xfa", "file"), "no rows": (b"a,b\n", "file"), "empty": (b"", "a"), "missing": (b"a\n1\n", "b"),
     "unknown": (b"a,b,d\n1,2,3\n", "d"), "twice": (b"a,b,b\n1,2,3\n", "b"), "long line": (b"a,b\n1,2\n1,2,3\n", "line 3"),

@@ -48,6 +48,11 @@ def table(points: np.ndarray, names: str, number: bool = True) -> str:
     return "\n".join([names, *rows]) + "\n"
 
 
+def german(text: str) -> str:
+    """As spreadsheets write it where decimals are behind a comma."""
+    return text.replace(",", ";").replace(".", ",")
+
+
 FILES = {
     "motive.csv": (motive(MARKS / 1000, "Meters"), (0, 1, 0)),
     "motive_mm.csv": (motive(MARKS, "Millimeters"), (0, 1, 0)),
@@ -59,6 +64,12 @@ FILES = {
     "lines.csv": ("\n".join(" ".join(map(repr, rod.ravel().tolist())) for rod in MARKS), (0, 0, 1)),
     "metres.csv": (table(MARKS / 1000, "observation,vertex,x_m,y_m,z_m"), (0, 0, 1)),
     "bare.csv": (table(MARKS, "observation,vertex,x,y,z"), (0, 0, 1)),
+    "spreadsheet.csv": (german(table(MARKS / 1000, "observation,vertex,x_m,y_m,z_m")), (0, 0, 1)),
+    "motive_german.csv": (german(motive(MARKS / 1000, "Meters")), (0, 1, 0)),
+    "nexus_german.csv": (german(nexus(MARKS)), (0, 0, 1)),
+    "lines_german.csv": ("\n\n".join("\n".join(german("%r,%r,%r" % tuple(mark)) for mark in rod) for rod in MARKS.tolist()),
+                         (0, 0, 1)),
+    "lines_german.txt": ("\n".join(" ".join(map(repr, rod.ravel().tolist())).replace(".", ",") for rod in MARKS), (0, 0, 1)),
     "sample.usda": (usda(MARKS, "metersPerUnit = 0.001").replace(
         "point3f[] points = [", "point3f[] points.timeSamples = { 0: [").replace(")]", ")] }"), (0, 1, 0)),
 }
@@ -166,6 +177,9 @@ def test_files_that_are_refused(tmp_path):
         "y.txt": ("1 2 3\n4 5 6\n7 8 9\n\n1 2 3", "points"), "z.txt": ("1 2 3\n4 5 nan\n7 8 9", "finite"),
         "x.csv": (motive(MARKS[:, :2], "Meters"), "2 markers"),
         "y.csv": (motive(MARKS, "Meters").replace("Frame,T", "T"), "Frame"),
+        "u.xml": (CABLE.replace('prefix="v"', 'prefix="a"'), "a: the cable is there twice"),
+        "v.csv": (motive(MARKS, "Inches"), "inches"), "u.csv": (nexus(MARKS).replace("mm", "in"), "'in'"),
+        "t.csv": (nexus(MARKS).replace("M2", "M1"), "Rope:M1"),
         "z.csv": (nexus(MARKS).replace("10.0", "ten", 1), "ten"), "w.csv": ("a,b\n1,2\n", "x_mm"),
     }
     for name, (text, word) in cases.items():
