@@ -81,8 +81,8 @@ def _check_reach(observations: Observations) -> None:
                          f"{length:.4g} mm long", "choose an origin nearby")
     if (away > MOST_LENGTHS * length).any():
         d, v = np.unravel_index(np.argmax(away), away.shape)
-        raise InputError(observations.source, "vertices_mm", f"vertex {v} of observation {d} is {away[d, v]:.4g} mm away from "
-                         f"the first one, and the rod {length:.4g} mm long",
+        raise InputError(observations.source, "vertices_mm", f"vertex {v} of observation {observations.labels[d]} is "
+                         f"{away[d, v]:.4g} mm away from the first one, and the rod {length:.4g} mm long",
                          "correct it, or rest_length_mm, or mark it false in valid")
     both = observations.valid[:, 1:] & observations.valid[:, :-1]
     steps = np.linalg.norm(np.diff(np.where(observations.valid[..., None], observations.vertices, first), axis=1), axis=-1)
@@ -101,8 +101,8 @@ def check_feasible(observations: Observations, clamps: Clamps) -> None:
         others = f" (and {len(bad) - 1} more observations)" if len(bad) > 1 else ""
         raise InputError(
             observations.source, "vertices_mm",
-            f"the clamps of observation {worst} are {excess[worst]:.4g} mm further apart than the rod between them "
-            f"reaches{others}", "correct the end vertices or frames, or rest_length_mm",
+            f"the clamps of observation {observations.labels[worst]} are {excess[worst]:.4g} mm further apart than the rod "
+            f"between them reaches{others}", "correct the end vertices or frames, or rest_length_mm",
         )
 
 
@@ -225,7 +225,8 @@ def _check_clamp(observations: Observations, end: str, kind: Clamp, has_frame: b
         missing = np.flatnonzero(~observations.valid[:, vertex])
         if len(missing):
             raise InputError(observations.source, "valid",
-                             f"vertex {vertex} of observation {missing[0]} is missing, but the {end} clamp rests on it",
+                             f"vertex {vertex} of observation {observations.labels[missing[0]]} is missing, but the {end} "
+                             "clamp rests on it",
                              f"leave the observation out, or give `clamp_{end}` free")
 
 

@@ -87,7 +87,7 @@ def _named(configurations: Observations, row: int) -> str:
     """``54 mm, 120°``, or the observation's number."""
     labels = ((configurations.end_distance, " mm"), (configurations.end_rotation, "°"))
     parts = [f"{values[row]:g}{unit}" for values, unit in labels if values is not None]
-    return ", ".join(parts) or f"observation {row}"
+    return ", ".join(parts) or f"observation {configurations.labels[row]}"
 
 
 def _summary(configurations: Observations, found, sigma: float) -> dict:

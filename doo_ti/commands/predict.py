@@ -50,7 +50,7 @@ class _Task:
     names  R of the rods, material by material
     theta  columns of the file that state the G materials
     marks  (N, V, 3) mm, observed; None where nothing was
-    loaded lines about the observations
+    loaded lines about the observations, and (N,) what the file calls them
     """
 
     name: str
@@ -66,6 +66,7 @@ class _Task:
     dynamics: object = None  # Dynamics of rods with inertia
     stepping: object = None  # Stepping, with them, or quasi-static for friction
     loaded: tuple[str, ...] = ()
+    labels: np.ndarray | None = None
     surroundings: Surroundings = Surroundings()
 
 
@@ -108,7 +109,7 @@ def run(options: Namespace, words: list[str]) -> int:
         raise InputError(given.SOURCE, "--steps-between", f"{rods} rods at {intervals + 1} moments are too many to hold",
                          "give fewer materials, observations or moments")
     if task.marks is not None and not options.relative:
-        _warn_of_distance(task.path, task.clamps, float(task.start.rest_length.sum()))
+        _warn_of_distance(task.path, task.clamps, float(task.start.rest_length.sum()), task.labels)
 
     with progress() as bar:
         shown = bar.add_task(task.name, total=rods * intervals, unit="rods x moments")
@@ -219,10 +220,11 @@ def _observed(options: Namespace, out: Path, between: int | None) -> _Task:
     materials = curved(options, grid.materials(), observations.rest_length, options.dynamic)
     start = _settled(observations, clamps, materials, surroundings)
     cells, rows = np.divmod(np.arange(materials.count * observations.count), observations.count)
-    names = [f"cell {cell}, " * (materials.count > 1) + f"observation {row}" for cell, row in zip(cells, rows, strict=True)]
+    names = [f"cell {cell}, " * (materials.count > 1) + f"observation {observations.labels[row]}"
+             for cell, row in zip(cells, rows, strict=True)]
     return _Task(observations.name, start, clamps, path, materials, names, grid.cell_values(), between or 1, observations.up,
                  np.where(observations.valid[..., None], observations.vertices, np.nan),
-                 loaded=(loading.rod_line(observations),), surroundings=surroundings)
+                 loaded=(loading.rod_line(observations),), labels=observations.labels, surroundings=surroundings)
 
 
 def _check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
@@ -236,7 +238,7 @@ def _check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
                              f"{length:.4g} mm long", "correct the positions")
 
 
-def _warn_of_distance(path: ClampPath, clamps: Clamps, length: float) -> None:
+def _warn_of_distance(path: ClampPath, clamps: Clamps, length: float, labels: np.ndarray) -> None:
     """Print a warning where the path begins farther from the clamps than :data:`FAR_OFF` of the rod: displacements, perhaps, or
     the path of another rod."""
     first = path.at(0, clamps)
@@ -244,7 +246,7 @@ def _warn_of_distance(path: ClampPath, clamps: Clamps, length: float) -> None:
         off = np.linalg.norm(getattr(first, name) - getattr(clamps, name), axis=-1)
         if off.max() > FAR_OFF * length:
             warn(f"{path.source}: {name}_mm: the motion begins {off.max():.4g} mm from the clamp of observation "
-                 f"{off.argmax()}; give --relative where these are displacements")
+                 f"{labels[off.argmax()]}; give --relative where these are displacements")
             return
 
 

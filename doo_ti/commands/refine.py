@@ -47,7 +47,8 @@ def declare(add) -> None:
     parser.add_argument("--sigma", metavar="MM", help="label uncertainty (default: the file's, else learned)")
     model = parser.add_argument_group("the model of the experiment")
     model.add_argument("--clip", metavar="MM|unknown", default="unknown",
-                       help="length of rod that a clip holds, from the outer mark on (default: unknown, which is learned)")
+                       help="length of rod that a clip holds, from the outer mark on; 0: it ends at that mark "
+                       "(default: unknown, which is learned)")
     model.add_argument("--rest-curvature", choices=CURVATURES, default=None,
                        help="curvature of the unloaded rod (default: field, a smooth function along the rod)")
     model.add_argument("--clamps", choices=("auto", "loose", "exact"), default="auto",
@@ -225,9 +226,9 @@ def _refinement_options(options: Namespace, task: Task):
     for option, value in (("--curvature-spread", spread), ("--curvature-range", reach)):
         if value is not None and not LEAST <= value <= 1 / LEAST:
             raise InputError(given.SOURCE, option, f"{value:g}", f"give {LEAST:g} to {1 / LEAST:g}")
+    clip = None if options.clip == "unknown" else given.not_negative("--clip", options.clip, "mm")
     return RefinementOptions(
-        tuple(names), None if options.clip == "unknown" else given.length("--clip", options.clip), curvature or "field",
-        options.clamps, task.frame_weight,
+        tuple(names), clip, curvature or "field", options.clamps, task.frame_weight,
         curvature_spread=spread, curvature_range=reach,
         edges=given.whole("--edges", options.edges, 6), models=not options.no_models, surroundings=task.surroundings)
 

@@ -55,7 +55,7 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
         "obstacles": described(surroundings) if surroundings else None, "mesh_edges": found.mesh_edges,
         "mesh_correction_mm": found.mesh_error,
         "mean_distance_mm": found.mean_distance, "distance_mm": found.distance, "rods_used": int(found.used.sum()),
-        "left_out": found.reasons, "misfits": np.flatnonzero(found.misfits), "converged": found.converged,
+        "left_out": found.reasons, "misfits": observations.labels[np.flatnonzero(found.misfits)], "converged": found.converged,
         "iterations": found.steps,
         "regions": [{"parameters": pair, "outline": estimate.region(*pair)} for pair in pairs],
         "held_out": None if held_out is None else {

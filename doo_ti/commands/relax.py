@@ -116,7 +116,7 @@ def _lines(observations: Observations, grid: Grid, result: dict, summary: dict) 
              f"  status      {counted(summary['status'])}; {summary['stable']} certified stable"]
     if np.isfinite(summary["mean_distance_mm"]):
         lines.append(f"  distance    mean {summary['mean_distance_mm']:.4g} mm, largest {summary['largest_distance_mm']:.4g} "
-                     f"mm at observation {int(np.nanargmax(result['distance_mm']))} (Eq. 1)")
+                     f"mm at observation {observations.labels[np.nanargmax(result['distance_mm'])]} (Eq. 1)")
     lines += contact_lines(summary, observations.count)
     if summary["infeasible_reason"]:
         lines.append(f"  infeasible  {summary['infeasible_reason']}")

@@ -81,7 +81,7 @@ def run(options: Namespace, words: list[str]) -> int:
         save_arrays(out, result)
     else:
         out.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(out, lambda file: write_columns(file, _columns(result)))
+        write_whole(out, lambda file: write_columns(file, _columns(observations, result)))
     if picture is not None:
         _draw(picture, observations, estimate)
     summary = _summary(observations, grid, estimate, result, out)
@@ -100,16 +100,16 @@ def _arrays(estimate) -> dict[str, np.ndarray]:
     }
 
 
-def _columns(result: dict) -> dict[str, np.ndarray]:
+def _columns(observations: Observations, result: dict) -> dict[str, np.ndarray]:
     """What a CSV file holds of them: a row per observation, with the values of its group."""
     own = {name: result[name] for name in ("group", "offset_deg", "total_twist_deg")}
     shared = {name: result[name][result["group"]] for name in ("phi_deg", "least_mm", "verdict", "low_deg", "high_deg")}
-    return {"observation": np.arange(len(result["group"])), **own, **shared}
+    return {"observation": observations.labels, **own, **shared}
 
 
-def _rows(estimate, group: int) -> str:
+def _rows(observations: Observations, estimate, group: int) -> str:
     """``observations 6 to 11``."""
-    rows = np.flatnonzero(estimate.group == group)
+    rows = observations.labels[estimate.group == group]
     return f"observation {rows[0]}" if len(rows) == 1 else f"observations {rows[0]} to {rows[-1]}"
 
 
@@ -117,7 +117,7 @@ def _draw(path: Path, observations: Observations, estimate) -> None:
     from doo_ti.report import angle_curves_picture
     from doo_ti.report.identifiability import MOST_CURVES
 
-    names = [f"{_rows(estimate, k)}: {np.degrees(estimate.phi[k]):.0f}°, {_word(estimate.verdict[k])}"
+    names = [f"{_rows(observations, estimate, k)}: {np.degrees(estimate.phi[k]):.0f}°, {_word(estimate.verdict[k])}"
              for k in range(min(MOST_CURVES, len(estimate.phi)))]
     path.parent.mkdir(parents=True, exist_ok=True)
     angle_curves_picture(
@@ -149,18 +149,18 @@ def _lines(observations: Observations, grid: Grid, estimate, summary: dict) -> l
         f"  material    {theta_text(theta_of(grid), grid.is_isotropic)}",
         f"  verdicts    {counted(summary['verdicts'])}; {summary['unsound_rods']} of {rods} rods on the curves have no "
         "certified minimum",
-        *shortened([_group_line(estimate, k) for k in range(len(estimate.phi))], MOST_LISTED,
+        *shortened([_group_line(observations, estimate, k) for k in range(len(estimate.phi))], MOST_LISTED,
                    f"  and {{}} more, which {in_line(Path(summary['out']).name)} holds"),
         f"  written to {in_line(summary['out'])}"]
 
 
-def _group_line(estimate, k: int) -> str:
+def _group_line(observations: Observations, estimate, k: int) -> str:
     phi, low, high = (np.degrees(values[k]) for values in (estimate.phi, estimate.low, estimate.high))
     if np.isnan(phi):
-        return f"  {_rows(estimate, k)}: {_word(estimate.verdict[k])}, no rod found an equilibrium"
+        return f"  {_rows(observations, estimate, k)}: {_word(estimate.verdict[k])}, no rod found an equilibrium"
     others = zip(np.degrees(estimate.minima[k][1:]), estimate.minima_objective[k][1:], strict=True)
     rivals = "".join(f"; also {other:.0f}°, {value:.3g} mm" for other, value in others if np.isfinite(other))
     together = int((estimate.group == k).sum())
     least = f"{estimate.least[k]:.3g} mm" if together == 1 else f"Σ {estimate.least[k]:.3g} mm over {together} rods"
-    return (f"  {_rows(estimate, k)}: φ = {phi:.1f}°, {least}, {_word(estimate.verdict[k])} (95 %: "
+    return (f"  {_rows(observations, estimate, k)}: φ = {phi:.1f}°, {least}, {_word(estimate.verdict[k])} (95 %: "
             f"{low:.0f}° to {high:.0f}°){rivals}")

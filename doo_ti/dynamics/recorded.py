@@ -44,6 +44,7 @@ class RecordedMotion:
     alone      the one recording came without an axis for several
     up         (3,) direction against gravity that the file states, or None
     free_end   no gripper holds the last edge
+    frames     (T,) what the file calls the frames, for messages
 
     Raises InputError for shapes that do not fit and numbers that are not finite.
     """
@@ -58,10 +59,11 @@ class RecordedMotion:
     alone: bool = False
     up: np.ndarray | None = None
     free_end: bool = False
+    frames: np.ndarray | None = None
 
     @classmethod
     def of(cls, positions: ArrayLike, rate: float, names: Iterable[object] | None = None, source: str = "motion",
-           free_end: bool = False) -> "RecordedMotion":
+           free_end: bool = False, frames: np.ndarray | None = None) -> "RecordedMotion":
         """With ``elapsed`` found from how the grippers move; ``free_end``: no gripper holds the last edge."""
         positions = np.asarray(positions, dtype=np.float64)
         alone = positions.ndim == 3
@@ -70,10 +72,11 @@ class RecordedMotion:
         if positions.ndim != 4 or positions.shape[-1] != 3 or positions.shape[2] < 5 or positions.shape[1] < 3:
             raise InputError(source, "positions_mm", f"shape {positions.shape}",
                              "give (R, T, V, 3) or (T, V, 3), three frames and five markers at least")
+        frames = np.arange(positions.shape[1]) if frames is None else frames
         wrong = np.argwhere(~np.isfinite(positions).all(axis=(2, 3)))
         if len(wrong):
             raise InputError(source, "positions_mm", f"not finite in {len(wrong)} frames, first recording {wrong[0, 0]}, "
-                             f"frame {wrong[0, 1]}", "have them filled (`fill_gaps`), or leave those recordings out")
+                             f"frame {frames[wrong[0, 1]]}", "have them filled (`fill_gaps`), or leave those recordings out")
         if not LEAST_RATE <= rate <= MOST_RATE:
             raise InputError(source, "rate_hz", f"{rate}", f"give frames per second, {LEAST_RATE:g} to {MOST_RATE:g}")
         if (np.abs(positions) > MOST_MM).any():
@@ -86,7 +89,8 @@ class RecordedMotion:
         if len(lost):
             raise InputError(source, "positions_mm", f"the markers of the {('start', 'end')[lost[0, 1]]} gripper in recording "
                              f"{lost[0, 0]} do not say where it points", "give the two markers of each held edge apart")
-        found = cls(positions, float(rate), names, elapsed_steps(positions[:, :, held]), confused, alone, free_end=free_end)
+        found = cls(positions, float(rate), names, elapsed_steps(positions[:, :, held]), confused, alone, free_end=free_end,
+                    frames=frames)
         same = np.flatnonzero(~(found.edge_lengths() > LEAST_MM))
         if len(same):
             raise InputError(source, "positions_mm", f"markers {same[0]} and {same[0] + 1} coincide", "leave one of them out")
@@ -108,7 +112,7 @@ class RecordedMotion:
         positions = found.positions
         if fill_gaps and positions.ndim in (3, 4):
             positions = _filled(positions if positions.ndim == 4 else positions[None], path).reshape(positions.shape)
-        return replace(cls.of(positions, found.rate, found.names, str(path), free_end), up=found.up)
+        return replace(cls.of(positions, found.rate, found.names, str(path), free_end, found.frames), up=found.up)
 
     @classmethod
     def together(cls, parts: list["RecordedMotion"], sources: list[str]) -> "RecordedMotion":
@@ -160,7 +164,7 @@ class RecordedMotion:
     def until(self, frames: int) -> "RecordedMotion":
         """The first ``frames`` frames."""
         return replace(self, positions=self.positions[:, :frames], elapsed=self.elapsed[:, :frames],
-                       confused=self.confused[:, :frames], alone=False)
+                       confused=self.confused[:, :frames], frames=self.frames[:frames], alone=False)
 
     def edge_lengths(self) -> np.ndarray:
         """(E,) median lengths of the edges, mm."""
@@ -168,13 +172,13 @@ class RecordedMotion:
 
     def glitches(self) -> list[str]:
         """What is wrong with the recordings, one line each."""
-        lines = [f"recording {self.names[r]}, frame {t}: {self.elapsed[r, t] - 1} frames are missing before it"
+        lines = [f"recording {self.names[r]}, frame {self.frames[t]}: {self.elapsed[r, t] - 1} frames are missing before it"
                  for r, t in np.argwhere(self.elapsed > 1)]
         for kind, problem in ((SWAPPED, "are swapped"), (LOST, "contradict the frames around")):
             for r, end in np.argwhere((self.confused == kind).any(axis=1)):
                 frames = np.flatnonzero(self.confused[r, :, end] == kind)
-                lines.append(f"recording {self.names[r]}, {len(frames)} frames from {frames[0]} to {frames[-1]}: the two "
-                             f"markers of the {('start', 'end')[end]} gripper {problem}")
+                lines.append(f"recording {self.names[r]}, {len(frames)} frames from {self.frames[frames[0]]} to "
+                             f"{self.frames[frames[-1]]}: the two markers of the {('start', 'end')[end]} gripper {problem}")
         return lines
 
 

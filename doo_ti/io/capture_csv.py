@@ -55,7 +55,8 @@ def read_motive(path: Path, content: bytes, names: list[str] | None = None) -> C
         ours = name in names if names is not None else what == "Marker" and not name.startswith("Unlabeled")
         if kind in ("Position", "") and axis in ("X", "Y", "Z") and ours:
             columns.setdefault(name, []).append(column)
-    return Curves(_points(path, decimal, rows[header + 1 :], columns, names), unit, (0.0, 1.0, 0.0), rate)
+    points, labels = _points(path, decimal, rows[header + 1 :], columns, names)
+    return Curves(points, unit, (0.0, 1.0, 0.0), rate, labels=labels)
 
 
 def read_nexus(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
@@ -75,11 +76,14 @@ def read_nexus(path: Path, content: bytes, names: list[str] | None = None) -> Cu
     rest = rows[begin + 5 :]
     end = next((row for row, (_, cells) in enumerate(rest) if not any(map(str.strip, cells))), len(rest))
     unit = _unit(path, "Trajectories", {name: name for name in UNITS_IN_MM}, _cell(units, 2) or "mm")
-    return Curves(_points(path, decimal, rest[:end], columns, names), unit, rate=rate)
+    points, labels = _points(path, decimal, rest[:end], columns, names)
+    return Curves(points, unit, rate=rate, labels=labels)
 
 
-def _points(path: Path, decimal: str, rows: list, columns: dict[str, list[int]], names: list[str] | None) -> np.ndarray:
-    """(T, V, 3) the positions of the markers in ``columns``, all or those of the ``names``; NaN where a marker was not seen."""
+def _points(path: Path, decimal: str, rows: list, columns: dict[str, list[int]],
+            names: list[str] | None) -> tuple[np.ndarray, np.ndarray | None]:
+    """(T, V, 3) the positions of the markers in ``columns``, all or those of the ``names``, NaN where a marker was not seen;
+    and (T,) the numbers of the frames, None where they are not whole numbers that rise."""
     order = chosen_names(path, "Name", list(columns), names)
     if len(order) < 3:
         raise InputError(path, "Name", f"{len(order)} markers", "name three or more along the rod, in their order")
@@ -87,11 +91,13 @@ def _points(path: Path, decimal: str, rows: list, columns: dict[str, list[int]],
     if short is not None:
         raise InputError(path, short, f"{len(columns[short])} columns of a position", "give markers of different names")
     chosen = [column for name in order for column in columns[name]]
-    points = np.array([[_number(path, decimal, line, _cell(cells, column)) for column in chosen]
-                       for line, cells in rows if any(map(str.strip, cells))])
+    frames = [(line, cells) for line, cells in rows if any(map(str.strip, cells))]
+    points = np.array([[_number(path, decimal, line, _cell(cells, column)) for column in chosen] for line, cells in frames])
+    texts = [_cell(cells, 0) for _, cells in frames]
+    labels = np.array(texts, dtype=np.int64) if all(text.isdecimal() and len(text) < 16 for text in texts) else None
     if not len(points):
         raise InputError(path, "Frame", "no frames", REMEDY)
-    return points.reshape(len(points), -1, 3)
+    return points.reshape(len(points), -1, 3), labels if labels is not None and (np.diff(labels) > 0).all() else None
 
 
 def _unit(path: Path, field: str, known: dict[str, str], name: str) -> float:

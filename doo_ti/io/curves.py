@@ -26,6 +26,7 @@ class Curves:
     unit    mm in one unit of length, as the file states it
     up      (3,) direction against gravity in the coordinates of the file
     rate    frames per second, where the curves are the frames of one recording, else None
+    labels  (D,) whole numbers that the file gives the curves, or None
     facts   what else the file states about the rod, for the user: ``EI 0.98 N m²``
     """
 
@@ -34,12 +35,15 @@ class Curves:
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     rate: float | None = None
     facts: str = ""
+    labels: np.ndarray | None = None
 
     def keys(self) -> dict[str, np.ndarray]:
         """The keys of the npz format; frames in which fewer than two points were seen are left out."""
         seen = np.isfinite(self.points).all(axis=-1)
         kept = seen.sum(axis=1) >= 2
         keys = {"vertices_mm": self.points[kept] * self.unit, "up": np.array(self.up)}
+        if self.labels is not None:
+            keys["observation"] = self.labels[kept]
         return keys if seen[kept].all() else keys | {"valid": seen[kept]}
 
 

@@ -18,7 +18,7 @@ from doo_ti.io.capture_csv import is_motive, is_nexus, read_motive, read_nexus
 from doo_ti.io.curves import Curves
 from doo_ti.io.files import MOST_BYTES, MOST_TEXT_BYTES, read_content
 from doo_ti.io.mujoco_xml import read_mujoco
-from doo_ti.io.observation_tables import KEYS_IN_TABLES, RENAMED, read_table
+from doo_ti.io.observation_tables import KEYS_IN_TABLES, LABELS, RENAMED, read_table
 from doo_ti.io.polyline_text import is_polyline, read_polylines
 from doo_ti.io.usd_text import read_usd
 
@@ -52,7 +52,7 @@ def read_keys(path: Path, columns=None) -> tuple[bytes, dict[str, np.ndarray]]:
     if path.suffix == ".npz":
         if columns is not None:
             raise InputError(path, "columns", "an npz has keys", "leave `columns` out")
-        return content, read_npz(path, content, tuple(KEYS_IN_TABLES))
+        return content, read_npz(path, content, (*KEYS_IN_TABLES, LABELS))
     return content, read_table(path, content, _renamed(path, columns))
 
 

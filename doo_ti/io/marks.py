@@ -45,6 +45,12 @@ class Marks:
     source: str
 
     @property
+    def labels(self) -> np.ndarray:
+        """(D,) the names, as whole numbers where all are."""
+        whole = all(re.fullmatch(r"0|[1-9]\d{0,14}", name) for name in self.names)
+        return np.array(self.names, dtype=np.int64 if whole else np.str_)
+
+    @property
     def is_ribbon(self) -> bool:
         return self.pixels.shape[3] == 2
 

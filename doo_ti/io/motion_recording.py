@@ -23,6 +23,9 @@ from doo_ti.io.formats import read_curves
 from doo_ti.io.observations import load_observations
 from doo_ti.types import unit_up
 
+MOST_LEFT_OUT = 10
+"""Frames in all for each that is there."""
+
 
 @dataclass(frozen=True)
 class MotionRecording:
@@ -32,12 +35,14 @@ class MotionRecording:
     rate       frames per second
     names      (R,), or None
     up         (3,) unit vector against gravity, or None where the file states none
+    frames     (T,) what the file calls the frames, or None: 0, 1, …
     """
 
     positions: np.ndarray
     rate: float
     names: list | None = None
     up: np.ndarray | None = None
+    frames: np.ndarray | None = None
 
 
 def read_recording(path: str | Path, unit: str | None = None, columns: Mapping[str, str] | Sequence[str] | None = None,
@@ -59,12 +64,30 @@ def read_recording(path: str | Path, unit: str | None = None, columns: Mapping[s
     curves = read_curves(path, columns)
     if curves is not None and curves.rate is not None:
         factor = curves.unit if unit is None else UNITS_IN_MM[unit]
-        return MotionRecording(factor * curves.points, rate or curves.rate, up=np.array(curves.up))
+        labels = np.arange(len(curves.points)) if curves.labels is None else curves.labels
+        frames, points = _every_frame(path, labels, curves.points)
+        return MotionRecording(factor * points, rate or curves.rate, up=np.array(curves.up), frames=frames)
     if rate is None:
         raise InputError(path, "rate", "the file states no frames per second", "give `rate`")
     observations = load_observations(path, None, unit, columns)
-    positions = np.where(observations.valid[..., None], observations.vertices, np.nan)
-    return MotionRecording(positions, rate, up=observations.up)
+    frames, positions = _every_frame(path, observations.labels, observations.vertices)
+    return MotionRecording(positions, rate, up=observations.up, frames=frames)
+
+
+def _every_frame(path: Path, labels: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The numbers of all frames (T,) and their positions (T, V, 3), NaN in those that the file leaves out: frames are as far
+    apart as the numbers that it has allow, so that 2, 4, 8 lack 6."""
+    if labels.dtype.kind not in "iu" or len(labels) < 2:
+        return labels, positions
+    step = np.gcd.reduce(np.diff(labels))
+    place = (labels - labels[0]) // step
+    count = int(place[-1]) + 1
+    if count > MOST_LEFT_OUT * len(labels):
+        raise InputError(path, "observation", f"frames {labels[0]} to {labels[-1]}, of which {len(labels)} are there",
+                         "number the frames from one to the next")
+    whole = np.full((count, *positions.shape[1:]), np.nan)
+    whole[place] = positions
+    return labels[0] + step * np.arange(count), whole
 
 
 def _of_arrays(path: Path, rate: float | None) -> MotionRecording:

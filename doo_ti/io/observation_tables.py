@@ -2,12 +2,12 @@
 
 A table has one row per vertex:
 
-    observation, vertex        whole numbers, vertices 0 … E, or 1 … V, of each observation once, rows in any order
-    x_mm, y_mm, z_mm           the vertex; empty where it is missing
+    observation, vertex        whole numbers, vertices 0 … E, or 1 … V, of each observation at most once, rows in any order
+    x_mm, y_mm, z_mm           the vertex; empty, NaN, or without a row where it is missing
     valid, sigma_mm            of the vertex
     rest_length_mm, frame_*    of the edge from this vertex to the next, empty at vertex E
     end_distance_mm, end_rotation_deg, total_twist_deg, start_frame_*, end_frame_*
-                               of the observation: at its vertex 0, the other rows repeat it or are empty
+                               of the observation: in one of its rows, the others repeat it or are empty
     up_x, up_y, up_z           of the file
 
 The nine columns of a frame end in t_x, m1_x, m2_x, t_y, …, m2_z. Only the position is required, and its columns may state
@@ -45,6 +45,10 @@ KEYS_IN_TABLES = {
 _SHARED = ("rest_length_mm", "up")
 _POSITION = KEYS_IN_TABLES["vertices_mm"][2]
 _COLUMNS = ("observation", "vertex", *(name for _, _, names in KEYS_IN_TABLES.values() for name in names))
+LABELS = "observation"
+"""Key of the npz format: what messages call the observations."""
+MOST_ABSENT = 100
+"""Marks of all observations for each row."""
 RENAMED = ("observation", "vertex", *AXES, "valid", "sigma_mm", "rest_length_mm")
 """What a user may say is in a column of another name."""
 
@@ -61,7 +65,9 @@ def read_table(path: Path, content: bytes, renamed: dict[str, str] | None = None
     columns, place, unit = (_csv_columns if path.suffix == ".csv" else _parquet_columns)(path, content, renamed or {})
     count = len(columns[_POSITION[0]])
     columns.setdefault("observation", np.zeros(count))
-    columns.setdefault("vertex", _counted(columns["observation"]))
+    in_order = "vertex" not in columns
+    if in_order:
+        columns["vertex"] = _counted(columns["observation"])
     rows = {}
     for name in ("observation", "vertex"):
         values = columns[name]
@@ -69,18 +75,26 @@ def read_table(path: Path, content: bytes, renamed: dict[str, str] | None = None
         if len(bad):
             raise InputError(path, name, f"{values[bad[0]]:g} in {place(bad[0])} is not a whole number", "give whole numbers")
         rows[name] = values.astype(np.int64)
-    order, shape = _row_order(path, **rows)
-    keys = {"unit": unit}
+    labels, row = _rows_of(path, **rows)
+    if in_order and (row < 0).any():
+        label = labels[(row < 0).any(axis=1)][0]
+        raise InputError(path, "vertex", f"missing, and observation {label} has fewer rows than others",
+                         "give the column vertex, or a row for every vertex")
+    keys = {"unit": unit, LABELS: labels}
     for key, (owner, value_shape, names) in KEYS_IN_TABLES.items():
         if given_columns(path, names, columns):
-            values = np.stack([columns[name][order].reshape(shape) for name in names], axis=-1)
-            keys[key] = _of_owner(path, key, owner, values).reshape((*_lead(owner, shape), *value_shape))
+            values = np.stack([np.where(row < 0, np.nan, columns[name][row]) for name in names], axis=-1)
+            lead = _lead(owner, row.shape)
+            keys[key] = _of_owner(path, key, owner, values, labels).reshape((*lead, *value_shape))
     for key in _SHARED:
         if key in keys:
-            keys[key] = _agreed(path, key, keys[key])
+            keys[key] = _agreed(path, key, keys[key], labels)
+    if "valid" in keys:
+        unseen = np.isnan(keys["vertices_mm"]).any(axis=-1) & np.isnan(keys["valid"])
+        keys["valid"] = np.where(unseen, 0.0, keys["valid"])
     sigma = keys.get("sigma_mm")
-    if sigma is not None and np.isfinite(sigma).all() and np.ptp(sigma) == 0:
-        keys["sigma_mm"] = sigma.flat[0]
+    if sigma is not None and len(np.unique(sigma[~np.isnan(sigma)])) == 1:
+        keys["sigma_mm"] = np.nanmax(sigma)
     return keys
 
 
@@ -91,7 +105,10 @@ def write_table(file: BinaryIO, suffix: str, keys: dict[str, np.ndarray]) -> Non
     import pyarrow.parquet
 
     count, marks = keys["vertices_mm"].shape[:2]
-    columns = {"observation": np.repeat(np.arange(count), marks), "vertex": np.tile(np.arange(marks), count)}
+    labels = keys.get(LABELS, np.arange(count))
+    if labels.dtype.kind not in "iu" or len(np.unique(labels)) < count:
+        labels = np.arange(count)
+    columns = {"observation": np.repeat(labels, marks), "vertex": np.tile(np.arange(marks), count)}
     for key, (owner, value_shape, names) in KEYS_IN_TABLES.items():
         if key not in keys:
             continue
@@ -191,20 +208,23 @@ def _parquet_numbers(path: Path, name: str, column) -> np.ndarray:
     return column.cast("int8" if types.is_boolean(kind) else kind).cast("float64", safe=False).to_numpy()
 
 
-def _row_order(path, observation: np.ndarray, vertex: np.ndarray) -> tuple[np.ndarray, tuple[int, int]]:
-    """The rows sorted by observation, then vertex, and (D, V)."""
+def _rows_of(path, observation: np.ndarray, vertex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(D,) the labels of the observations, which rise, and (D, V) the row of each vertex, −1 where it has none."""
     vertex = vertex - (vertex.min() == 1)  # some programs count from one
-    order = np.lexsort((vertex, observation))
-    labels, count = np.unique(observation, return_counts=True)
+    labels, place = np.unique(observation, return_inverse=True)
     marks = int(vertex.max()) + 1
-    expected = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
-    wrong = np.flatnonzero(vertex[order] != expected)
-    if len(wrong) or (count != marks).any():
-        label = observation[order][wrong[0]] if len(wrong) else labels[np.argmax(count != marks)]
-        raise InputError(path, "vertex", f"observation {label} has other rows than vertices 0 to {marks - 1}, or 1 to {marks}, "
-                         "once each",
-                         "give one row per vertex, with empty coordinates and valid = 0 where the mark is missing")
-    return order, (len(labels), marks)
+    if vertex.min() < 0:
+        raise InputError(path, "vertex", f"{vertex.min()} of observation {observation[vertex.argmin()]}", "count from 0, or 1")
+    if len(labels) * marks > MOST_ABSENT * len(vertex):
+        raise InputError(path, "vertex", f"{marks - 1} of observation {observation[vertex.argmax()]}, and {len(vertex)} rows "
+                         f"of {len(labels)} observations in all", "number the marks from 0 along the rod, without gap")
+    flat, row = place * marks + vertex, np.full(len(labels) * marks, -1)
+    row[flat] = np.arange(len(flat))
+    twice = np.flatnonzero(row[flat] != np.arange(len(flat)))
+    if len(twice):
+        raise InputError(path, "vertex", f"{vertex[twice[0]]} of observation {observation[twice[0]]} is there twice",
+                         "give each vertex of an observation one row")
+    return labels, row.reshape(len(labels), marks)
 
 
 def _lead(owner: str, shape: tuple[int, int]) -> tuple[int, ...]:
@@ -213,25 +233,26 @@ def _lead(owner: str, shape: tuple[int, int]) -> tuple[int, ...]:
     return {"vertex": (count, marks), "edge": (count, marks - 1), "observation": (count,)}[owner]
 
 
-def _of_owner(path, key: str, owner: str, values: np.ndarray) -> np.ndarray:
+def _of_owner(path, key: str, owner: str, values: np.ndarray, labels: np.ndarray) -> np.ndarray:
     """(D, V, n) cells of the table to the values of the owners, each kept once."""
     if owner == "vertex":
         return values
     if owner == "edge":
         return values[:, :-1]
-    first = values[:, :1]
+    first = np.take_along_axis(values, np.argmin(np.isnan(values), axis=1)[:, None], axis=1)
     differs = np.argwhere((values != first) & ~np.isnan(values))
     if len(differs):
         d, v, _ = differs[0]
-        raise InputError(path, key, f"observation number {d} has another value at vertex {v} than at vertex 0",
+        raise InputError(path, key, f"observation {labels[d]} has another value at vertex {v} than before",
                          "repeat the observation's value, or leave the other rows empty")
     return first[:, 0]
 
 
-def _agreed(path, key: str, values: np.ndarray) -> np.ndarray:
-    """The value that all observations share."""
-    differs = np.flatnonzero((values != values[0]).reshape(len(values), -1).any(axis=1) & ~np.isnan(values).all())
+def _agreed(path, key: str, values: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """The value that all observations share; NaN where none has one."""
+    first = np.take_along_axis(values, np.argmin(np.isnan(values), axis=0)[None], axis=0)
+    differs = np.argwhere((values != first) & ~np.isnan(values))
     if len(differs):
-        raise InputError(path, key, f"observation number {differs[0]} has another value than observation 0",
+        raise InputError(path, key, f"observation {labels[differs[0][0]]} has another value than those before",
                          "give the same value in all observations of a file")
-    return values[0]
+    return first[0]

@@ -28,7 +28,7 @@ from doo_ti.types import LARGEST, Rows
 KEYS = {
     "vertices": "vertices_mm", "valid": "valid", "rest_length": "rest_length_mm", "start_frame": "start_frame",
     "end_frame": "end_frame", "frames": "frames", "total_twist": "total_twist_deg", "up": "up", "sigma": "sigma_mm",
-    "end_distance": "end_distance_mm", "end_rotation": "end_rotation_deg",
+    "end_distance": "end_distance_mm", "end_rotation": "end_rotation_deg", "labels": "observation",
 }
 LENGTHS = ("vertices", "rest_length", "sigma", "end_distance")
 """Fields in mm."""
@@ -40,8 +40,8 @@ LEAST_SIGMA_MM, MOST_SIGMA_MM = 1e-9, 1e6
 class Observations:
     """D observed configurations Γ^d of one rod, and how its ends were held.
 
-    vertices     (D, V, 3) mm; any value, NaN too, at a mark that is not valid
-    valid        (D, V) bool: marks that were seen; all of them by default
+    vertices     (D, V, 3) mm; NaN at marks that are not valid, whatever was given there
+    valid        (D, V) bool: marks that were seen; by default those without NaN
     rest_length  (E,) mm; by default the median over D of the observed edge lengths
     start_frame  (D, 3, 3) columns t, m1, m2 of the first edge, or None: tangent as observed, roll unknown
     end_frame    the same for the last edge
@@ -53,6 +53,7 @@ class Observations:
     name         name of the rod, used as the label of its material
     source       where it comes from, for messages
     sha256       hex digest of the file's bytes, or ""
+    labels       (D,) whole numbers or texts: what the file calls each observation, for messages; 0, 1, … by default
 
     Raises InputError, naming ``source``, the file's key, the value and the remedy, for whatever breaks these shapes,
     for values that are not finite at valid marks, rest lengths that are not positive, coinciding neighbours, and
@@ -73,13 +74,14 @@ class Observations:
     name: str = "observations"
     source: str = "observations"
     sha256: str = ""
+    labels: np.ndarray | None = None
 
     if TYPE_CHECKING:  # what it takes; the fields are the arrays that it makes of them
         def __init__(self, vertices: ArrayLike, valid: ArrayLike | None = None, rest_length: ArrayLike | None = None,
                      start_frame: ArrayLike | None = None, end_frame: ArrayLike | None = None, frames: ArrayLike | None = None,
                      total_twist: ArrayLike | None = None, up: ArrayLike = (0.0, 0.0, 1.0), sigma: ArrayLike | None = None,
                      end_distance: ArrayLike | None = None, end_rotation: ArrayLike | None = None, name: str = "observations",
-                     source: str = "observations", sha256: str = "") -> None: ...
+                     source: str = "observations", sha256: str = "", labels: ArrayLike | None = None) -> None: ...
 
     def __repr__(self) -> str:
         length = self.rest_length.sum()
@@ -91,7 +93,9 @@ class Observations:
         if count < 1 or marks < 3:
             raise self._error("vertices", f"shape {vertices.shape} holds no rod", "give D >= 1 rods of V >= 3 marks")
         size = {"D": count, "V": marks, "E": marks - 1}
-        self._set(vertices=vertices, valid=self._checked_valid(vertices))
+        self._set(labels=self._checked_labels(count))
+        valid = self._checked_valid(vertices)
+        self._set(vertices=np.where(valid[..., None], vertices, np.nan), valid=valid)
         self._check_neighbours()
         self._set(rest_length=self._checked_rest_length(size), up=self._checked_up(), sigma=self._checked_sigma(size))
         for name, axes in (("start_frame", ("D", 3, 3)), ("end_frame", ("D", 3, 3)), ("frames", ("D", "E", 3, 3))):
@@ -115,7 +119,7 @@ class Observations:
 
     def take(self, index: Rows) -> "Observations":
         """The observations named by ``index``, in that order and as often."""
-        per_observation = ("vertices", "valid", "start_frame", "end_frame", "frames", "total_twist", "end_distance",
+        per_observation = ("vertices", "valid", "labels", "start_frame", "end_frame", "frames", "total_twist", "end_distance",
                            "end_rotation")
         taken = {name: getattr(self, name)[index] for name in per_observation if getattr(self, name) is not None}
         if self.sigma is not None and self.sigma.ndim:
@@ -146,17 +150,22 @@ class Observations:
         bad = np.argwhere(~(np.abs(array) <= LARGEST) & needed)
         if len(bad):
             at = bad[0].tolist()
-            raise self._error(name, f"{array[tuple(at)]} at {at}", "give finite numbers")
+            where = f"observation {self.labels[at[0]]}, vertex {at[1]}" if name == "vertices" else str(at)
+            remedy = "give finite numbers" + ", or false in `valid` where a mark is missing" * (name == "vertices")
+            raise self._error(name, f"{array[tuple(at)]} at {where}", remedy)
         return array
+
+    def _checked_labels(self, count: int) -> np.ndarray:
+        labels = np.arange(count) if self.labels is None else np.array(self.labels)
+        if labels.shape != (count,) or labels.dtype.kind not in "iuU":
+            raise self._error("labels", f"shape {labels.shape} of {labels.dtype}", f"make it ({count},) whole numbers or texts")
+        return labels
 
     def _checked_valid(self, vertices: np.ndarray) -> np.ndarray:
         if self.valid is None:
-            bad = np.argwhere(~(np.abs(vertices) <= LARGEST).all(axis=-1))
-            if len(bad):
-                d, v = bad[0]
-                raise self._error("vertices", f"{vertices[d, v].tolist()} at observation {d}, vertex {v}",
-                                  "give finite numbers, or mark missing vertices false in `valid` (D, V)")
-            return np.ones(vertices.shape[:2], dtype=bool)
+            missing = np.isnan(vertices).any(axis=-1)
+            self._finite("vertices", vertices, ~missing[..., None])
+            return self._with_enough(~missing)
         valid = real_array(self.source, "valid", self.valid, "store booleans", "biuf")
         if not np.isin(valid, (0, 1)).all():
             raise self._error("valid", f"dtype {valid.dtype} with other values than true and false", "store booleans")
@@ -164,9 +173,13 @@ class Observations:
             raise self._error("valid", f"shape {valid.shape}", f"make it (D, V) = {vertices.shape[:2]}")
         valid = valid.astype(bool)
         self._finite("vertices", vertices, valid[..., None])
+        return self._with_enough(valid)
+
+    def _with_enough(self, valid: np.ndarray) -> np.ndarray:
         few = np.flatnonzero(valid.sum(axis=1) < 2)
         if len(few):
-            raise self._error("valid", f"observation {few[0]} has fewer than two valid marks", "leave it out")
+            field = "vertices" if self.valid is None else "valid"
+            raise self._error(field, f"observation {self.labels[few[0]]} has fewer than two valid marks", "leave it out")
         return valid
 
     def _check_neighbours(self) -> None:
@@ -177,7 +190,7 @@ class Observations:
         apart = (self.vertices[:, 1:] != previous).any(axis=-1) | ~self.valid[:, 1:] | (before < 0)
         if not apart.all():
             d, v = np.argwhere(~apart)[0]
-            raise self._error("vertices", f"vertices {before[d, v]} and {v + 1} of observation {d} coincide at "
+            raise self._error("vertices", f"vertices {before[d, v]} and {v + 1} of observation {self.labels[d]} coincide at "
                               f"{self.vertices[d, v + 1].tolist()}", "correct them, or mark one false in `valid`")
 
     def _checked_rest_length(self, size: dict[str, int]) -> np.ndarray:
@@ -271,7 +284,7 @@ def _check_turns(observations: Observations) -> None:
     most = 180.0 * (observations.edges - 1)
     bad = np.flatnonzero(np.abs(observations.total_twist) > most)
     if len(bad):
-        hint = f"{observations.total_twist[bad[0]]:g} of observation {bad[0]}"
+        hint = f"{observations.total_twist[bad[0]]:g} of observation {observations.labels[bad[0]]}"
         raise InputError(observations.source, "total_twist_deg", hint,
                          f"give degrees; {observations.edges} edges hold at most {most:g}")
 
@@ -286,6 +299,8 @@ def save_observations(path: str | os.PathLike[str], observations: Observations) 
     keys = {KEYS[field.name]: getattr(observations, field.name) for field in fields(observations) if field.name in KEYS}
     if observations.valid.all():
         keys["valid"] = None
+    if np.array_equal(observations.labels, np.arange(observations.count)):
+        keys["observation"] = None
     if observations.total_twist is not None:
         keys["total_twist_deg"] = np.degrees(observations.total_twist)
     keys = {key: value for key, value in keys.items() if value is not None}

@@ -93,12 +93,12 @@ def _correlation(rows: np.ndarray, counts: np.ndarray) -> float:
 
 def _advice(fit: Fit, fitted: Fitted) -> tuple[Advice, ...]:
     gains = ((option, meaning, fitted.posterior.value - _evidence(fit, fitted, unknowns))
-             for option, meaning, unknowns in _extensions(fit.unknowns))
+             for option, meaning, unknowns in _extensions(fit.unknowns, fitted.state.values.clip))
     return tuple(sorted((Advice(*one) for one in gains if one[-1] > WORTH), key=lambda one: -one.gain))
 
 
-def _extensions(unknowns: Unknowns):
-    """(option, meaning, unknowns) of each extension."""
+def _extensions(unknowns: Unknowns, clip: np.ndarray):
+    """(option, meaning, unknowns) of each extension. Unknown lengths of clips are factors: of zero there are none to try."""
 
     def with_parameters(*names):
         return f"parameters={','.join(name.replace('_', '-') for name in names)}", replace(unknowns, parameters=names)
@@ -110,7 +110,7 @@ def _extensions(unknowns: Unknowns):
     if "bend" in names and _held_by_frames(unknowns):
         option, extended = with_parameters("bend_1", "bend_2", "bend_12", *(name for name in names if name != "bend"))
         yield option, "a section that is not round", extended
-    if not unknowns.clips and unknowns.rod.clamped.any():
+    if not unknowns.clips and unknowns.rod.clamped.any() and clip.all():
         yield "clip=unknown", "clips of another length", replace(unknowns, clips=True)
     if unknowns.curvature != "field":
         yield "rest_curvature=field", "rest curvature that varies along the rod", replace(unknowns, curvature="field")
@@ -183,7 +183,9 @@ def fitted_variant(fit: Fit, fitted: Fitted, unknowns: Unknowns, steps: int = ST
     """The fit of the model ``unknowns`` to what ``fit`` compares, from the values and sizes at the end of ``fitted``."""
     before = fitted.state.values
     lengths = unknowns.rod.observations.rest_length
-    clip = before.clip if unknowns.clips else 0.5 * np.array([lengths[0], lengths[-1]])
+    clip = 0.5 * np.array([lengths[0], lengths[-1]])
+    if unknowns.clips:
+        clip = np.where(before.clip > 0, before.clip, unknowns.clip_prior)
     same_field = unknowns.curvature == fit.unknowns.curvature
     values = replace(before, clip=clip, curvature=before.curvature if same_field else np.zeros((len(unknowns.knots), 2)),
                      constant=before.constant * unknowns.clamps, scatter=before.scatter * unknowns.clamps)

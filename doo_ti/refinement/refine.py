@@ -55,7 +55,8 @@ class RefinementOptions:
     parameters        learned parameters of Θ, from :data:`doo_ti.refinement.unknowns.PARAMETERS`; the others are fixed. Bend,
                       twist and weight are determined only up to a common factor, so one of them should be fixed: usually
                       weight
-    clip              length that a clip holds from the outer mark on, mm, the same at both ends; None: unknown
+    clip              length that a clip holds from the outer mark on, mm, the same at both ends; 0: it ends at that
+                      mark; None: unknown
     curvature         rest curvature: "field", "uniform" along the rod, or "none"
     clamps            "loose": they may be off their reported poses; "exact"; or "auto": exact if the evidence is for it
     frame_weight      w_m of Eq. 1 in mm; where it is positive measured frames are compared too
@@ -217,9 +218,9 @@ def check(observations: Observations, clamps: Clamps, options: RefinementOptions
     """Raise InputError for options that do not fit the observations or each other, and for rods inside obstacles."""
     if options.frame_weight > 0 and observations.frames is None:
         raise InputError(observations.source, "frames", "missing, but a frame weight is given", "use a frame weight of zero")
-    if options.clip is not None and not 0 < options.clip < 0.25 * observations.rest_length.sum():
+    if options.clip is not None and not 0 <= options.clip < 0.25 * observations.rest_length.sum():
         raise InputError(observations.source, "clip", f"{options.clip:g} mm of a rod of {observations.rest_length.sum():g} mm",
-                         "give a positive length below a quarter of the rod's")
+                         "give a length from zero up, below a quarter of the rod's")
     for name, value, known in (("curvature", options.curvature, ("field", "uniform", "none")),
                                ("clamps", options.clamps, ("auto", "loose", "exact")),
                                ("intervals", options.intervals, ("profile", "covariance"))):

@@ -26,6 +26,7 @@ class Observed:
     labels    {"end_distance_mm": (D,), "end_rotation_deg": (D,)}, those that are known: the first makes the columns of the grid
               view, the second its rows
     up        (3,) direction against gravity
+    numbers   (D,) what the file calls the observations, or None: 0, 1, …
     """
 
     __repr__ = short_repr
@@ -33,19 +34,22 @@ class Observed:
     vertices: np.ndarray
     labels: dict[str, np.ndarray] = field(default_factory=dict)
     up: np.ndarray = (0.0, 0.0, 1.0)
+    numbers: np.ndarray | None = None
 
     @classmethod
     def of(cls, observations: Observations) -> "Observed":
         labels = {"end_distance_mm": observations.end_distance, "end_rotation_deg": observations.end_rotation}
         return cls(np.where(observations.valid[..., None], observations.vertices, np.nan),
-                   {label: values for label, values in labels.items() if values is not None}, observations.up)
+                   {label: values for label, values in labels.items() if values is not None}, observations.up,
+                   observations.labels)
 
     @property
     def names(self) -> list[str]:
         """``observation 13: 42 mm 60°`` for each of the D observations."""
         values = [[_quantity(label, value) for value in column] for label, column in self.labels.items()]
+        numbers = range(len(self.vertices)) if self.numbers is None else self.numbers
         return [" ".join([f"observation {d}:", *parts]) if parts else f"observation {d}"
-                for d, parts in enumerate(zip(*values, strict=True) if values else [()] * len(self.vertices))]
+                for d, parts in zip(numbers, zip(*values, strict=True) if values else [()] * len(self.vertices), strict=True)]
 
 
 @dataclass(frozen=True)

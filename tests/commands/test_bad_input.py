@@ -61,7 +61,7 @@ KEYS = {
     "misshapen vertices": (changed("vertices_mm", lambda v: v[0]), "vertices_mm", "shape (9, 3)"),
     "misshapen frame": (changed("end_frame", lambda f: f[:, :2]), "end_frame", "shape (3, 2, 3)"),
     "misshapen twist": (changed("total_twist_deg", lambda t: t[:1]), "total_twist_deg", "shape (1,)"),
-    "NaN": (changed("vertices_mm", lambda v: np.where(v == v[1, 4, 0], np.nan, v)), "vertices_mm",
+    "infinite": (changed("vertices_mm", lambda v: np.where(v == v[1, 4, 0], np.inf, v)), "vertices_mm",
             "observation 1, vertex 4"),
     "negative rest length": (changed("rest_length_mm", lambda x: x * np.where(np.arange(8) == 2, -1, 1)),
                              "rest_length_mm", "edge 2"),

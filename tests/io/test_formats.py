@@ -5,6 +5,7 @@ import pytest
 
 from doo_ti.errors import InputError
 from doo_ti.io.formats import read_curves
+from doo_ti.io.motion_recording import read_recording
 from doo_ti.io.observations import load_observations
 
 MARKS = np.array([[[0.0, 10, 0], [30, 5, 1], [60, 5, 0], [90, 10, 2]], [[0.0, 10, 0], [25, 0, 1], [55, 0, 0], [80, 10, 2]]])
@@ -141,6 +142,22 @@ def test_markers_that_were_not_seen(tmp_path):
     observations = load_observations(tmp_path / "x.csv")
     np.testing.assert_array_equal(observations.valid, [[True] * 4, [True, True, False, True], [True] * 4])
     assert np.isnan(read_curves(tmp_path / "x.csv").points[3]).all()  # a recording keeps its frames
+
+
+def test_frames_keep_the_numbers_of_the_file(tmp_path):
+    """Of a recording also those that it leaves out are there, without markers."""
+    (tmp_path / "x.csv").write_text(nexus(MARKS))
+    assert load_observations(tmp_path / "x.csv").labels.tolist() == [1, 2]
+    rods = np.concatenate([MARKS, MARKS[:1] + 1.0])
+    head, *rows = table(rods, "frame,vertex,x,y,z").splitlines()
+    cells = [row.split(",") for row in rows]
+    (tmp_path / "y.csv").write_text("\n".join([head, *(",".join([str((4, 6, 10)[int(d)]), *rest]) for d, *rest in cells)]))
+    found = read_recording(tmp_path / "y.csv", columns={"observation": "frame"}, rate=10.0)
+    assert found.frames.tolist() == [4, 6, 8, 10] and np.isnan(found.positions[2]).all()
+    np.testing.assert_array_equal(found.positions[[0, 1, 3]], rods)
+    (tmp_path / "z.csv").write_text((tmp_path / "y.csv").read_text().replace("\n10,", "\n100001,"))
+    with pytest.raises(InputError, match="frames 4 to 100001"):
+        read_recording(tmp_path / "z.csv", columns={"observation": "frame"}, rate=10.0)
 
 
 CABLE = """<mujoco><worldbody><body name="b" pos="1 2 3" quat="0.70710678118 0 0 0.70710678118">

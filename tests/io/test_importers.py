@@ -62,14 +62,18 @@ def change(columns: dict, name: str, row: int, value) -> None:
 
 WRONG = {
     "missing column": (lambda c: c.pop("y_mm"), "y_mm", "the column is missing"),
-    "missing vertex": (lambda c: [values.pop(5) for values in c.values()], "vertex", "observation 1"),
     "vertex twice": (lambda c: change(c, "vertex", 2, 1), "vertex", "observation 0"),
     "negative vertex": (lambda c: change(c, "vertex", 0, -1), "vertex", "observation 0"),
     "half a vertex": (lambda c: change(c, "vertex", 2, 1.5), "vertex", "not a whole number"),
     "text": (lambda c: c.update(x_mm=["three"] * 8), "x_mm", "'three' in"),
-    "empty coordinate": (lambda c: change(c, "z_mm", 6, None), "vertices_mm", "observation 1, vertex 2"),
-    "labels that differ": (lambda c: change(c, "total_twist_deg", 6, 11.0), "total_twist_deg", "observation number 1"),
-    "lengths that differ": (lambda c: change(c, "rest_length_mm", 5, 4.0), "rest_length_mm", "observation number 1"),
+    "hardly any mark": (lambda c: [change(c, "x_mm", row, None) for row in (4, 5, 6)], "vertices_mm", "observation 1"),
+    "infinite": (lambda c: change(c, "x_mm", 6, np.inf), None, "inf"),
+    "valid without a place": (lambda c: (c.update(valid=[1] * 8), change(c, "x_mm", 6, None)), "vertices_mm",
+                              "observation 1, vertex 2"),
+    "vertex far beyond": (lambda c: change(c, "vertex", 7, 10**12), "vertex", "1000000000000"),
+    "fewer rows": (lambda c: (c.pop("vertex"), [values.pop() for values in c.values()]), "vertex", "observation 1"),
+    "labels that differ": (lambda c: change(c, "total_twist_deg", 6, 11.0), "total_twist_deg", "observation 1"),
+    "lengths that differ": (lambda c: change(c, "rest_length_mm", 5, 4.0), "rest_length_mm", "observation 1"),
     "half a frame": (lambda c: c.update(start_frame_t_x=[1.0] * 8), "start_frame_m1_x", "missing beside"),
     "negative length": (lambda c: c.update(rest_length_mm=[-3.0] * 8), "rest_length_mm", "-3 mm"),
 }
@@ -86,8 +90,52 @@ def test_wrong_tables_are_named(tmp_path, rng, case, suffix):
     writer(pyarrow.table(columns), str(path))
     with pytest.raises(InputError) as caught:
         load_observations(path)
-    assert (caught.value.source, caught.value.field) == (str(path), field)
+    assert caught.value.source == str(path) and caught.value.field == (field or caught.value.field)
     assert problem in caught.value.problem
+
+
+def remove(columns: dict) -> None:
+    """The rows of two marks: the first of one observation, the last of the other."""
+    for values in columns.values():
+        del values[7], values[0]
+
+
+GAPS = {"no row": remove, "empty": lambda c: [change(c, f"{axis}_mm", row, None) for row in (0, 7) for axis in "xyz"],
+        "one coordinate": lambda c: [change(c, "y_mm", row, None) for row in (0, 7)],
+        "nan": lambda c: [change(c, "y_mm", row, np.nan) for row in (0, 7)],
+        "no row, valid": lambda c: (c.update(valid=[1] * 8), remove(c)),
+        "empty, valid": lambda c: (c.update(valid=[None, *[1] * 6, None]), GAPS["one coordinate"](c))}
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("case", GAPS)
+def test_marks_may_be_missing_in_any_usual_way(tmp_path, rng, case, suffix):
+    """Without a column `valid`, or beside it; values of an observation are in the rows that are left."""
+    columns = table(rng)
+    whole = np.stack([np.reshape(columns[f"{axis}_mm"], (2, 4)) for axis in "xyz"], axis=-1)
+    GAPS[case](columns)
+    path = tmp_path / f"gaps{suffix}"
+    (pyarrow.csv.write_csv if suffix == ".csv" else pyarrow.parquet.write_table)(pyarrow.table(columns), str(path))
+    found = load_observations(path)
+    np.testing.assert_array_equal(found.valid, [[False, True, True, True], [True, True, True, False]])
+    assert np.isnan(found.vertices[~found.valid]).all() and (found.vertices[found.valid] == whole[found.valid]).all()
+    np.testing.assert_allclose(found.total_twist, np.radians([10, 10]))
+    np.testing.assert_array_equal(found.rest_length, 3.0)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_observations_keep_what_the_file_calls_them(tmp_path, rng, suffix):
+    """In messages, and in files that are written from them."""
+    columns = table(rng) | {"observation": [8] * 4 + [3] * 4}
+    path = tmp_path / f"frames{suffix}"
+    (pyarrow.csv.write_csv if suffix == ".csv" else pyarrow.parquet.write_table)(pyarrow.table(columns), str(path))
+    found = load_observations(path)
+    assert found.labels.tolist() == [3, 8] and found.take([1]).labels.tolist() == [8]
+    for other in (".npz", ".csv", ".parquet"):
+        save_observations(tmp_path / f"again{other}", found)
+        assert load_observations(tmp_path / f"again{other}").labels.tolist() == [3, 8]
+    with pytest.raises(InputError, match="vertices 0 and 1 of observation 8 coincide"):
+        Observations(np.where(np.arange(2)[:, None, None] == 1, 0.0, found.vertices), labels=found.labels)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

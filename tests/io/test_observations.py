@@ -59,7 +59,8 @@ def test_defaults(rng):
     np.testing.assert_allclose(observations.rest_length, np.median(lengths, axis=0))
     assert observations.valid.all() and observations.valid.shape == vertices.shape[:2]
     np.testing.assert_array_equal(observations.up, [0, 0, 1])
-    others = [name for name in KEYS if name not in ("vertices", "valid", "rest_length", "up")]
+    others = [name for name in KEYS if name not in ("vertices", "valid", "rest_length", "up", "labels")]
+    assert observations.labels.tolist() == [0, 1, 2, 3, 4]
     assert all(getattr(observations, name) is None for name in others)
 
 
@@ -164,16 +165,19 @@ def test_missing_key_is_named(tmp_path):
         load_observations(tmp_path / "bad.npz")
 
 
-def test_nan_needs_valid(rng):
+def test_nan_is_a_missing_mark(rng, tmp_path):
+    """Unless `valid` says that it is there; and a mark that is not valid is nowhere, whatever the file says."""
     vertices = wavy_vertices(rng)
     vertices[1, 3, 2] = np.nan
-    with pytest.raises(InputError, match="observation 1, vertex 3; .*valid"):
-        Observations(vertices)
     valid = np.ones((3, 9), dtype=bool)
-    with pytest.raises(InputError, match=r"nan at \[1, 3, 2\]"):
+    with pytest.raises(InputError, match="nan at observation 1, vertex 3"):
         Observations(vertices, valid)
     valid[1, 3] = False
-    assert Observations(vertices, valid).count == 3
+    np.savez(tmp_path / "x.npz", vertices_mm=vertices)
+    for found in (Observations(vertices), Observations(vertices, valid), load_observations(tmp_path / "x.npz"),
+                  Observations(np.where(valid[..., None], vertices, 0.0), valid)):
+        np.testing.assert_array_equal(found.valid, valid)
+        np.testing.assert_array_equal(found.vertices, np.where(valid[..., None], vertices, np.nan))
 
 
 def test_coinciding_neighbours_are_named_across_missing_marks(rng):

@@ -54,6 +54,18 @@ def test_noise_free_straight_rods_between_known_clips_give_their_theta_back(rng)
     assert out.theta.twist == pytest.approx(truth.twist, rel=1e-4)
 
 
+def test_clips_that_end_at_the_outer_marks(rng):
+    """Of length zero; beside them a model of clips of unknown length is tried, which begins elsewhere."""
+    observations, truth = own_mesh(rng, count=6)
+    options = RefinementOptions(clip=0.0, curvature="none", clamps="exact", edges=14, intervals="covariance", models=True)
+    out = refine(observations, observation_clamps(observations), Theta(truth.bend, truth.twist), options)
+    assert out.converged and np.isfinite(out.mean_distance)
+    scores = {score.model: score.difference for score in out.scores}
+    assert np.isfinite(scores["clips"]) and scores["clips"] > 0, "these clips hold half an edge"
+    with pytest.raises(InputError, match="clip"):
+        refine(observations, observation_clamps(observations), Theta(truth.bend, truth.twist), replace(options, clip=-1.0))
+
+
 def test_uniform_curvature_and_up_come_back(rng):
     up = np.array([0.05, -0.08, 1.0]) / np.sqrt(1.0089)
     observations, truth = own_mesh(rng, rest_curvature=np.array([4e-3, -2e-3]), up=up)

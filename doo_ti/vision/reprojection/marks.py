@@ -54,7 +54,7 @@ def observe(marks: Marks, points: Points, rest_length: float | None = None, up=(
                          "label them in two images or more, or give `rest_length`")
     lengths = None if rest_length is None else np.full(shape[1] - 1, rest_length)
     observations = Observations(position.mean(axis=2), valid, lengths, up=up, sigma=np.sqrt(variance.sum(axis=-1)) / shape[2],
-                                name=name, source=marks.source, **labels)
+                                name=name, source=marks.source, labels=marks.labels, **labels)
     filled = np.zeros((shape[0], shape[1] - 1), dtype=bool)
     if marks.is_ribbon:
         frames, filled = _ribbon_frames(observations, position[:, :, 1] - position[:, :, 0], marks)

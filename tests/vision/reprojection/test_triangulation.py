@@ -309,7 +309,7 @@ def test_wrong_files_of_marks(tmp_path):
         read_marks(tmp_path / "none.csv", around())
     with pytest.raises(InputError, match="v_px: "):
         read_marks(written(tmp_path, [("a", "cam0", 0, 1)], "observation,camera,mark,u_px\n"), around())
-    for content, field in ((b"", "observation"), (b"\xff\xfe\x00\x01", "file"),
+    for content, field in ((b"", "observation"), (b"\xff\xfe\x00", "file"),
                            (b"observation,camera,mark,u_px,v_px\na,b\n", "line 2")):
         (tmp_path / "bad.csv").write_bytes(content)
         with pytest.raises(InputError) as caught:
