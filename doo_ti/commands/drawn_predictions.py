@@ -23,7 +23,7 @@ def draw_prediction(task, prediction, arrays: dict[str, np.ndarray], pictures: d
 
     marks = None if task.marks is None else task.marks[prediction.motion]
     touched = None if not task.surroundings else Touched(task.surroundings, *(
-        np.swapaxes(arrays[name], 0, 1) for name in ("vertices_mm", "contact_force")))
+        np.swapaxes(arrays[name], 0, 1) for name in ("vertices_mm", "contact_force")), task.newtons)
     rods = MovingRods(prediction.time, arrays["vertices_mm"], task.names, prediction.jumps, prediction.followed, task.up,
                       _gripper_lines(task, prediction, arrays["vertices_mm"]), marks, touched)
     if pictures[".png"] is not None:

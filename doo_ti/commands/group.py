@@ -64,7 +64,8 @@ def run(options: Namespace, words: list[str]) -> int:
             raise InterruptedRunError(f"interrupted: {len(moments)} of {len(scene.time)} moments are in {in_line(out)}; the "
                                       "same command starts from the beginning") from None
     save_arrays(out, _arrays(scene, moments))
-    about = {"name": scene.name, "names": scene.names, "surroundings": scene.surroundings, "rate": scene.rate, "up": up}
+    about = {"name": scene.name, "names": scene.names, "surroundings": scene.surroundings, "rate": scene.rate, "up": up,
+             "newton": scene.newton}
     _draw(moments, picture, recording, about)
     summary = _summary(scene, moments, out)
     report(options, summary, lambda: _lines(scene, summary))

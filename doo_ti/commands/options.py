@@ -16,7 +16,7 @@ from doo_ti.errors import InputError
 from doo_ti.grid import UNITS, Axis, Grid, parse_axes, parse_axis
 from doo_ti.io.formats import checked_suffix
 from doo_ti.io.scene import CLAMPS, PRECISIONS
-from doo_ti.physical_units import bend_or_twist, weight_per_length
+from doo_ti.physical_units import bend_or_twist, force_in_newton, weight_per_length
 from doo_ti.types import LARGEST, Clamp, unit_up
 
 SOURCE = "command line"
@@ -157,6 +157,14 @@ def _physical_axes(options: Namespace) -> list[Axis]:
         axis = parse_axis(f"--{physical}", text, SOURCE)
         axes.append(Axis(name, bend_or_twist(axis.values, weight_per_length(density)), axis.log))
     return axes
+
+
+def newtons(options: Namespace, weight) -> np.ndarray | None:
+    """N in the unit of force of rods of ``weight`` (G,), by ``--linear-density``; None without it."""
+    density = positive("--linear-density", options.linear_density, "g/m")
+    if density is None or not np.all(np.asarray(weight) > 0):
+        return None
+    return force_in_newton(1.0, weight_per_length(density), weight)
 
 
 def single_cell(options: Namespace, remedy: str = "give one number") -> Grid:

@@ -50,7 +50,8 @@ class _Task:
     names  R of the rods, material by material
     theta  columns of the file that state the G materials
     marks  (N, V, 3) mm, observed; None where nothing was
-    loaded lines about the observations, and (N,) what the file calls them
+    loaded, labels  lines about the observations, and (N,) what the file calls them
+    newtons  (R,) N in the unit of force, or None
     """
 
     name: str
@@ -67,6 +68,7 @@ class _Task:
     stepping: object = None  # Stepping, with them, or quasi-static for friction
     loaded: tuple[str, ...] = ()
     labels: np.ndarray | None = None
+    newtons: np.ndarray | None = None
     surroundings: Surroundings = Surroundings()
 
 
@@ -182,7 +184,7 @@ def _scene(options: Namespace, between: int | None) -> _Task:
     from doo_ti.contact.obstacle_file import obstacles_of
     from doo_ti.io.motion_scene import load_motion_scene
 
-    for name in ("motion", "theta", *given.MATERIAL, "clamp_start", "clamp_end", *loading.OF_FILES):
+    for name in ("motion", "theta", *given.MATERIAL, "linear_density", "clamp_start", "clamp_end", *loading.OF_FILES):
         if getattr(options, name) is not None:
             raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", "given, but the scene has it",
                              "leave it out, or give observations")
@@ -195,7 +197,8 @@ def _scene(options: Namespace, between: int | None) -> _Task:
     between = scene.between if between is None else between
     own = Surroundings(obstacles_of(scene.source, scene.obstacles, scene.path.states(between)), scene.radius)
     return _Task(scene.name, scene.start, scene.clamps, scene.path, scene.material, list(scene.names), theta, between,
-                 np.array([0.0, 0.0, 1.0]) if up is None else up, surroundings=given.scene_surroundings(options, own))
+                 np.array([0.0, 0.0, 1.0]) if up is None else up, surroundings=given.scene_surroundings(options, own),
+                 newtons=scene.newtons)
 
 
 def _observed(options: Namespace, out: Path, between: int | None) -> _Task:
@@ -218,13 +221,14 @@ def _observed(options: Namespace, out: Path, between: int | None) -> _Task:
     loading.warn(observations)
     _check_reach(path, clamps, float(observations.rest_length.sum()))
     materials = curved(options, grid.materials(), observations.rest_length, options.dynamic)
-    start = _settled(observations, clamps, materials, surroundings)
+    start, newtons = _settled(observations, clamps, materials, surroundings), given.newtons(options, materials.weight)
     cells, rows = np.divmod(np.arange(materials.count * observations.count), observations.count)
     names = [f"cell {cell}, " * (materials.count > 1) + f"observation {observations.labels[row]}"
              for cell, row in zip(cells, rows, strict=True)]
     return _Task(observations.name, start, clamps, path, materials, names, grid.cell_values(), between or 1, observations.up,
                  np.where(observations.valid[..., None], observations.vertices, np.nan),
-                 loaded=(loading.rod_line(observations),), labels=observations.labels, surroundings=surroundings)
+                 loaded=(loading.rod_line(observations),), labels=observations.labels, surroundings=surroundings,
+                 newtons=None if newtons is None else np.repeat(newtons, observations.count))
 
 
 def _check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:

@@ -43,6 +43,7 @@ class _Simulated:
     tolerance: float | None = None
     surroundings: Surroundings = Surroundings()
     contact: dict[str, np.ndarray] = field(default_factory=dict)  # (R, T, ...) arrays of contact, with obstacles
+    newtons: np.ndarray | None = None  # (R,) N in the unit of force
 
 
 def declare(add) -> None:
@@ -50,6 +51,8 @@ def declare(add) -> None:
     parser.add_argument("source", metavar="MOTION|SCENE.toml",
                         help=f"recorded markers, the first and last edges on the grippers: {loading.RECORDINGS}; or a scene")
     parser.add_argument("--theta", metavar="THETA.json", help="the rod, as doo-ti identify writes it; needed for MOTION")
+    parser.add_argument("--linear-density", metavar="G_PER_M", help="mass per length of the rod in g/m: arrows of contact "
+                        "forces are then in N (default: the scene's)")
     parser.add_argument("--out", required=True, metavar="F.npz|F.csv", help="file to write")
     parser.add_argument("--substeps", metavar="N", help="time steps from one frame to the next (default: 1, or the scene's)")
     parser.add_argument("--tolerance", metavar="MM", help="estimate the error of the time steps, and double them for each rod "
@@ -135,7 +138,8 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
     return _Simulated(Path(options.source).stem, list(motion.names), positions, status, motion.rate, theta.up,
                       motion.positions, tuple(motion.glitches()), motion.alone, energies, found.substeps,
                       None if stepping.tolerance is None else found.error, stepping.tolerance, surroundings,
-                      _contact(surroundings, positions, found.contact_force, found.friction_work, found.touch))
+                      _contact(surroundings, positions, found.contact_force, found.friction_work, found.touch),
+                      given.newtons(options, np.full(motion.count, 1.0 - theta.marker_share)))
 
 
 def _contact(surroundings: Surroundings, positions: np.ndarray, force, work, touch) -> dict[str, np.ndarray]:
@@ -156,6 +160,8 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
         if getattr(options, name):
             raise InputError(given.SOURCE, f"--{name.replace('_', '-')}", "given, but a scene has its own rods", "leave it out")
     scene = load_dynamic_scene(options.source)
+    if options.linear_density is not None and scene.newtons is not None:
+        raise InputError(given.SOURCE, "--linear-density", "given, but the scene has it", "leave it out")
     surroundings = given.scene_surroundings(options, scene.surroundings)
     count = scene.material.count
     pairs = np.zeros(count, dtype=np.int64), np.arange(count)
@@ -189,7 +195,8 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
     return _Simulated(scene.name, list(scene.names), positions, status, stepping.rate, up,
                       energies={} if found.detail is None else found.detail.energies, substeps=found.substeps,
                       step_error=None if stepping.tolerance is None else found.error, tolerance=stepping.tolerance,
-                      surroundings=surroundings, contact=contact)
+                      surroundings=surroundings, contact=contact,
+                      newtons=given.newtons(options, scene.material.weight) if scene.newtons is None else scene.newtons)
 
 
 def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
@@ -251,7 +258,7 @@ def _draw(found: _Simulated, shown: dict[str, Path]) -> None:
     if shown and found.contact:
         from doo_ti.report.touched import Touched
 
-        touched = Touched(found.surroundings, found.positions, found.contact["contact_force"])
+        touched = Touched(found.surroundings, found.positions, found.contact["contact_force"], found.newtons)
     energies = {name: found.energies[name] for name in SPLIT} if found.energies else None
     if "picture" in shown:
         from doo_ti.report.rollouts import save_rollout

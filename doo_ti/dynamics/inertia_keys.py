@@ -4,10 +4,13 @@ from pathlib import Path
 
 from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.errors import InputError
-from doo_ti.io.toml_file import NotNegative, Positive, Table
+from doo_ti.io.material_keys import MaterialKeys
+from doo_ti.io.toml_file import NotNegative, Positive
 
 
-class InertiaKeys(Table, kw_only=True):
+class InertiaKeys(MaterialKeys, kw_only=True):
+    """Those of the material, and these."""
+
     density: Positive | None = None
     bend_damping_s: NotNegative = 0.0
     twist_damping_s: NotNegative = 0.0

@@ -18,9 +18,9 @@
     knot_finer = 4.0                   # edges in the knot, where it touches itself, are so many times shorter (as needed)
 
     [materials.rope]                   # one or more, all in the same motion
-    bend = 6e5                         # mm³
-    twist = 8e5                        # mm³ (the same as bend)
-    weight = 1.0                       # (1)
+    bend = 6e5                         # mm³, or EI in N m²: doo_ti/io/material_keys.py; not a matrix
+    twist = 8e5
+    weight = 1.0
     density = 1.0                      # mass per length over that of a rod of weight 1 (the weight)
     bend_damping_s = 0.01              # (0)
     twist_damping_s = 0.01             # (0)
@@ -67,8 +67,9 @@ from doo_ti.errors import InputError
 from doo_ti.frames import quaternion_product, smallest_rotation
 from doo_ti.io.clamp_moments import ClampName, end_paths
 from doo_ti.io.keyframes import instants
+from doo_ti.io.material_keys import newtons, stated_material
 from doo_ti.io.motion_scene import rod_radius
-from doo_ti.io.toml_file import Finite, NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction
+from doo_ti.io.toml_file import Finite, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.knots import overhand_knot
 from doo_ti.terminal import in_line
 from doo_ti.types import Clamp, Configuration, Material
@@ -78,7 +79,8 @@ MOST_FRAMES = 1_000_000
 
 @dataclass(frozen=True)
 class DynamicScene:
-    """A scene, checked: one rod ``start``, relaxed first where ``at_rest``, under G materials called ``names``."""
+    """A scene, checked: one rod ``start``, relaxed first where ``at_rest``, under G materials called ``names``; ``newtons``
+    (G,) are N in the unit of force of each, or None."""
 
     name: str
     names: tuple[str, ...]
@@ -89,6 +91,7 @@ class DynamicScene:
     grippers: Grippers
     stepping: Stepping
     surroundings: Surroundings
+    newtons: np.ndarray | None = None
 
 
 class _File(Table):
@@ -118,9 +121,8 @@ class _Rod(Table):
 
 
 class _Material(InertiaKeys, kw_only=True):
-    bend: Positive
-    twist: Positive | None = None
-    weight: NotNegative = 1.0
+    bend: Positive | None = None
+    EI: Positive | None = None
 
 
 class _Clamps(Table):
@@ -142,11 +144,11 @@ def load_dynamic_scene(path: str | Path) -> DynamicScene:
     start = _start(path, rod, unit_direction(path, "rod.direction", rod.direction))
     grippers = _grippers(path, file, clamps, start, time)
     names = tuple(map(in_line, file.materials))
-    material, dynamics = _materials(path, file.materials)
+    material, dynamics, in_newton = _materials(path, file.materials)
     surroundings = Surroundings(obstacles_of(path, file.obstacles, time), rod_radius(path, file.obstacles, rod.radius_mm))
     return DynamicScene(in_line(path.stem if file.name is None else file.name), names, start, rod.at_rest, material, dynamics,
                         grippers, Stepping(file.rate_hz, file.substeps, file.scheme, quasi_static=file.quasi_static),
-                        surroundings)
+                        surroundings, in_newton)
 
 
 def _start(path: Path, rod: _Rod, direction: np.ndarray) -> Configuration:
@@ -165,16 +167,13 @@ def _start(path: Path, rod: _Rod, direction: np.ndarray) -> Configuration:
                          knot.rest_length)
 
 
-def _materials(path: Path, table: dict) -> tuple[Material, Dynamics]:
-    found = [checked(path, f"materials.{name}", values, _Material) for name, values in table.items()]
-
-    def column(name):
-        return np.array([getattr(one, name) for one in found])
-    material = Material(column("bend"), np.array([one.bend if one.twist is None else one.twist for one in found]),
-                        column("weight"))
-    each = [one.dynamics(path, f"materials.{name}", one.weight) for name, one in zip(table, found, strict=True)]
+def _materials(path: Path, table: dict) -> tuple[Material, Dynamics, np.ndarray | None]:
+    keys = {f"materials.{name}": checked(path, f"materials.{name}", values, _Material) for name, values in table.items()}
+    found = [stated_material(path, key, one) for key, one in keys.items()]
+    material = Material(*(np.array([getattr(one, field) for one in found]) for field in ("bend", "twist", "weight")))
+    each = [one.dynamics(path, key, own.weight) for (key, one), own in zip(keys.items(), found, strict=True)]
     return material, Dynamics(*(np.array([getattr(own, name) for own in each]) for name in (
-        "density", "bend_damping", "twist_damping", "drag", "quadratic_drag")))
+        "density", "bend_damping", "twist_damping", "drag", "quadratic_drag"))), newtons(found)
 
 
 def _grippers(path: Path, file: _File, clamps: _Clamps, start: Configuration, time: np.ndarray) -> Grippers:

@@ -8,9 +8,9 @@
     scheme = "bdf2"                    # of the time steps, or "euler"
 
     [materials.wire]                   # one or more
-    bend = 2e5                         # mm³, or a matrix [[A1, A12], [A12, A2]]
-    twist = 1.5e5                      # mm³ (the same as a bend that is a number)
-    weight = 1.0                       # (1)
+    bend = 2e5                         # mm³, or, of all materials, EI in N m² (doo_ti/io/material_keys.py): the first one
+    twist = 1.5e5                      # then has a weight of 1, to which the weight of ties and density are relative
+    weight = 1.0
     density = 1.0                      # with inertia: mass per length over that of a rod of weight 1 (the weight)
     bend_damping_s = 0.01              # (0)
     twist_damping_s = 0.01             # (0)
@@ -63,7 +63,8 @@ from doo_ti.errors import InputError
 from doo_ti.groups.group import Group, Tie
 from doo_ti.io.clamp_moments import ClampName, end_paths
 from doo_ti.io.keyframes import instants
-from doo_ti.io.toml_file import NotNegative, NumberOrMatrix, Positive, Table, Vector, checked, read_toml, unit_direction
+from doo_ti.io.material_keys import StatedMaterial, newtons, stated_material
+from doo_ti.io.toml_file import NotNegative, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.knots import rod_along
 from doo_ti.terminal import in_line
 from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, Material
@@ -73,6 +74,7 @@ MOST_OF_ALL = 2000
 """Edges of all rods: the memory of their Newton system grows with the square, to half a gigabyte."""
 MOST_HELD = 200_000
 """Rods times moments."""
+SAME_UNIT = 1e-6
 SAMPLES = 40
 """Of a curve, for each edge of the rod along it."""
 
@@ -89,6 +91,7 @@ class GroupScene:
     surroundings  the obstacles, and the radius of the rods, one or (1, G), where they touch each other
     dynamics      G of them, or None without inertia
     scheme        of the time steps
+    newton        N in the unit of force, where the materials state their mass per length, or None
     """
 
     name: str
@@ -100,6 +103,7 @@ class GroupScene:
     surroundings: Surroundings
     dynamics: list[Dynamics] | None = None
     scheme: str = "bdf2"
+    newton: float | None = None
 
     @property
     def arguments(self) -> dict:
@@ -119,12 +123,6 @@ class _File(Table):
     scheme: Literal["bdf2", "euler"] = "bdf2"
     ties: list = []
     obstacles: list = []
-
-
-class _Material(InertiaKeys, kw_only=True):
-    bend: NumberOrMatrix
-    twist: Positive | None = None
-    weight: NotNegative = 1.0
 
 
 class _Rod(Table):
@@ -157,7 +155,7 @@ def load_group_scene(path: str | Path) -> GroupScene:
                          "give it to doo-ti simulate, predict or sweep")
     file = checked(path, "", values, _File)
     time = _times(path, file)
-    found = {name: _material(path, f"materials.{name}", table, file.dynamic) for name, table in file.materials.items()}
+    found, newton = _materials(path, file.materials, file.dynamic)
     if file.dynamic and len(time) == 1:
         raise InputError(path, "rate_hz", "missing beside dynamic", "give it and duration_s")
     if len(time) * len(file.rods) > MOST_HELD:
@@ -191,7 +189,7 @@ def load_group_scene(path: str | Path) -> GroupScene:
     radius = radii[0] if len(set(radii)) == 1 else np.array([radii])
     return GroupScene(in_line(path.stem if file.name is None else file.name), tuple(map(in_line, file.rods)), group, moments,
                       time, file.rate_hz or 1.0, Surroundings(obstacles_of(path, file.obstacles), radius),
-                      dynamics if file.dynamic else None, file.scheme)
+                      dynamics if file.dynamic else None, file.scheme, newton)
 
 
 def _known(path: Path, key: str, name: str, names) -> str:
@@ -211,16 +209,30 @@ def _times(path: Path, file: _File) -> np.ndarray:
     return instants(path, file.rate_hz, file.duration_s, MOST_MOMENTS, "moments")
 
 
-def _material(path: Path, key: str, table, moves: bool) -> tuple[Material, Dynamics | None]:
-    found = checked(path, key, table, _Material)
-    if found.twist is None and not isinstance(found.bend, float):
-        raise InputError(path, f"{key}.twist", "missing beside a matrix", "give the twist stiffness in mm³")
-    bend = found.bend if isinstance(found.bend, float) else np.array([found.bend])
+def _materials(path: Path, tables: dict, moves: bool) -> tuple[dict[str, tuple[Material, Dynamics | None]], float | None]:
+    """The materials by their names, and N in their common unit of force, or None."""
+    keys = {name: checked(path, f"materials.{name}", table, InertiaKeys) for name, table in tables.items()}
+    first = next(iter(keys.values()))
+    odd = next((name for name, one in keys.items() if (one.EI is None) != (first.EI is None)), None)
+    if odd is not None:
+        raise InputError(path, f"materials.{odd}", "in other units than the first material",
+                         "state all by bend, or all by EI and linear_density")
+    stated = {name: stated_material(path, f"materials.{name}", one, first.linear_density if first.EI is not None else None)
+              for name, one in keys.items()}
+    found = {name: (_material(path, f"materials.{name}", one),
+                    keys[name].dynamics(path, f"materials.{name}", one.weight) if moves else None)
+             for name, one in stated.items()}
+    units = newtons(list(stated.values()))
+    if units is not None and np.ptp(units) > SAME_UNIT * units[0]:
+        raise InputError(path, "materials", "weights and linear densities that are not proportional", "correct them")
+    return found, None if units is None else float(units[0])
+
+
+def _material(path: Path, key: str, stated: StatedMaterial) -> Material:
     try:
-        material = Material(bend, found.bend if found.twist is None else found.twist, found.weight)
+        return Material(stated.bend[None], stated.twist, stated.weight)
     except InputError as error:
         raise InputError(path, f"{key}.{error.field}", error.problem, error.remedy) from None
-    return material, found.dynamics(path, key, found.weight) if moves else None
 
 
 def _start(path: Path, key: str, rod: _Rod) -> Configuration:

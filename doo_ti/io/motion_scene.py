@@ -9,9 +9,9 @@
     radius_mm = 0.5                    # needed with obstacles
 
     [materials.vicryl]                 # one or more, all under the same motion
-    bend = 6e5                         # mm³, or a matrix [[A1, A12], [A12, A2]]
-    twist = 8e5                        # mm³
-    weight = 1.0                       # (1)
+    bend = 6e5                         # mm³, or EI in N m²: doo_ti/io/material_keys.py
+    twist = 8e5
+    weight = 1.0
 
     [[moments]]                        # two or more; omitted quantities stay as they were
     time_s = 0.0
@@ -47,8 +47,9 @@ from doo_ti.frames import (
     quaternion_product,
     smallest_rotation,
 )
+from doo_ti.io.material_keys import MaterialKeys, newtons, stated_material
 from doo_ti.io.motion_file import ClampPath
-from doo_ti.io.toml_file import Finite, NumberOrMatrix, Positive, Table, Vector, checked, read_toml, unit_direction
+from doo_ti.io.toml_file import Finite, Positive, Table, Vector, checked, read_toml, unit_direction
 from doo_ti.terminal import in_line
 from doo_ti.types import LARGEST, Clamp, Clamps, Configuration, Material
 
@@ -61,6 +62,7 @@ class MotionScene:
 
     names      G of the materials
     material   G rows
+    newtons    (G,) N in the unit of force of each material, or None
     start      one rod, straight, and ``clamps`` that hold it there
     path       where the clamps go
     between    moments kept from one to the next
@@ -77,6 +79,7 @@ class MotionScene:
     source: str
     obstacles: list
     radius: float | None
+    newtons: np.ndarray | None = None
 
 
 class _File(Table):
@@ -96,12 +99,6 @@ class _Rod(Table):
     radius_mm: Positive | None = None
 
 
-class _Material(Table):
-    bend: NumberOrMatrix
-    twist: Finite
-    weight: Finite = 1.0
-
-
 class _Moment(Table):
     """One moment; omitted quantities stay as at the moment before."""
 
@@ -118,12 +115,12 @@ def load_motion_scene(path: str | os.PathLike[str]) -> MotionScene:
     path = Path(path)
     file = checked(path, "", read_toml(path)[0], _File)
     rod = checked(path, "rod", file.rod, _Rod)
-    names, material = _materials(path, file.materials)
+    names, material, in_newton = _materials(path, file.materials)
     moments = _moments(path, file.moments, rod.length_mm)
     start, clamps = _straight(moments, rod.length_mm, rod.edges)
     return MotionScene(name=in_line(path.stem if file.name is None else file.name), names=names, material=material, start=start,
                        clamps=clamps, path=_path(moments, clamps, str(path)), between=file.between, source=str(path),
-                       obstacles=file.obstacles, radius=rod_radius(path, file.obstacles, rod.radius_mm))
+                       obstacles=file.obstacles, radius=rod_radius(path, file.obstacles, rod.radius_mm), newtons=in_newton)
 
 
 def rod_radius(path: Path, obstacles: list, radius: float | None) -> float | None:
@@ -133,14 +130,18 @@ def rod_radius(path: Path, obstacles: list, radius: float | None) -> float | Non
     return radius
 
 
-def _materials(path: Path, table: dict) -> tuple[tuple[str, ...], Material]:
-    found = [checked(path, f"materials.{name}", values, _Material) for name, values in table.items()]
-    bend = [one.bend * np.eye(2) if isinstance(one.bend, float) else np.array(one.bend) for one in found]
+def _materials(path: Path, table: dict) -> tuple[tuple[str, ...], Material, np.ndarray | None]:
+    found = []
+    for name, values in table.items():
+        keys = checked(path, f"materials.{name}", values, MaterialKeys)
+        if keys.twist is None and keys.GJ is None:
+            raise InputError(path, f"materials.{name}.{'twist' if keys.EI is None else 'GJ'}", "missing", "add it")
+        found.append(stated_material(path, f"materials.{name}", keys))
     try:
-        material = Material(np.array(bend), np.array([one.twist for one in found]), np.array([one.weight for one in found]))
+        material = Material(*(np.array([getattr(one, field) for one in found]) for field in ("bend", "twist", "weight")))
     except InputError as error:
         raise InputError(path, f"materials: {error.field}", error.problem, error.remedy) from None
-    return tuple(map(in_line, table)), material
+    return tuple(map(in_line, table)), material, newtons(found)
 
 
 def _moments(path: Path, rows: list, length: float) -> dict[str, np.ndarray]:

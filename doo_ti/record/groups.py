@@ -20,14 +20,14 @@ TIE = (255, 255, 255)
 
 def record_group(path: Path, moments: Sequence[GroupSolution], *, name: str, names: Sequence[str] | None = None,
                  surroundings: Surroundings | None = None, row: int = 0, rate: float = 1.0,
-                 up: Sequence[float] = (0.0, 0.0, 1.0)) -> None:
+                 up: Sequence[float] = (0.0, 0.0, 1.0), newton: float | None = None) -> None:
     """Record the group ``row`` at T moments, ``rate`` of them a second, on the timeline ``time``.
 
     ``world/rods`` has an entity for each rod, by its number and its name where there are ``names``: as thick as it is where
     ``surroundings`` say so, in red at moments that have not converged; ``world/ties`` the tied points; ``world/obstacles`` and
-    ``world/forces`` what rods touch, and what that exerts.
+    ``world/forces`` what rods touch, and what that exerts, in N where ``newton`` says how many their unit of force has.
     """
-    seen = GroupMotion.of(moments, row, surroundings)
+    seen = GroupMotion.of(moments, row, surroundings, newton)
     grid = grid_view(Observed(seen.vertices.reshape(1, -1, 3), up=up))
     layout = blueprint.Blueprint(front_view(grid, "world", f"Rods, mm: blue {seen.touched.legend}", 1.8), *panels("time"))
     frames, count = len(seen.rods), len(seen.rods[0])

@@ -41,15 +41,16 @@ class GroupMotion:
     touched: Touched
 
     @classmethod
-    def of(cls, moments: Sequence[GroupSolution], row: int, surroundings: Surroundings | None) -> "GroupMotion":
-        """The group ``row`` of solutions."""
+    def of(cls, moments: Sequence[GroupSolution], row: int, surroundings: Surroundings | None,
+           newton: float | None = None) -> "GroupMotion":
+        """The group ``row`` of solutions, ``newton`` N in their unit of force."""
         group, around = moments[0].group, Surroundings()
         if surroundings is not None:  # the radius may be that of each rod of a group
             around = replace(surroundings, obstacles=[body.take(np.array([row])) for body in surroundings.obstacles])
         rods = [[rod.vertices[row] for rod in moment.rods] for moment in moments]
         force = np.array([np.concatenate([part[row] for part in moment.contact_force]) for moment in moments])
         radii = None if around.radius is None else group.radii_in(row, around.radius)
-        touched = Touched(around, np.array([np.concatenate(own) for own in rods])[None], force[None])
+        touched = Touched(around, np.array([np.concatenate(own) for own in rods])[None], force[None], newton)
         return cls(rods, group.tied[:, 0], np.array([moment.converged[row] for moment in moments]), radii, touched)
 
     @property
@@ -60,10 +61,11 @@ class GroupMotion:
 
 def save_group(path: Path, moments: Sequence[GroupSolution], *, name: str, names: Sequence[str],
                surroundings: Surroundings | None = None, row: int = 0, rate: float = 1.0,
-               up: Sequence[float] = (0.0, 0.0, 1.0)) -> None:
+               up: Sequence[float] = (0.0, 0.0, 1.0), newton: float | None = None) -> None:
     """Write a picture of the group ``row`` at T moments, ``rate`` of them a second: the last with its ties, obstacles and
-    contact forces, some earlier ones faintly; of a motion also the forces of the clamps. ``names`` are the rods'."""
-    seen = GroupMotion.of(moments, row, surroundings)
+    contact forces, some earlier ones faintly; of a motion also the forces of the clamps. ``names`` are the rods';
+    ``newton`` is N in their unit of force, for arrows of N."""
+    seen = GroupMotion.of(moments, row, surroundings, newton)
     radii = np.zeros(len(names)) if seen.radii is None else seen.radii
     basis = upright_basis(seen.vertices.reshape(1, -1, 3), up)
     # Rows right, into the picture and up.

@@ -27,11 +27,18 @@ class Touched:
     surroundings  the obstacles
     positions     (R, T, V, 3) mm of the rods
     force         (R, T, V, 3) on their vertices, energy (mm²) per mm
+    newtons       (R,) N in that unit, for arrows of N, or None
     """
 
     surroundings: Surroundings
     positions: np.ndarray
     force: np.ndarray
+    newtons: np.ndarray | None = None
+
+    @cached_property
+    def _shown(self) -> np.ndarray:
+        """(R, T, V, 3) the forces in the unit of the arrows."""
+        return self.force if self.newtons is None else self.force * np.reshape(self.newtons, (-1, 1, 1, 1))
 
     @cached_property
     def _box(self) -> tuple[np.ndarray, float]:
@@ -52,8 +59,8 @@ class Touched:
 
     @cached_property
     def arrow_scale(self) -> float:
-        """mm that a force of 1 is long: a round number."""
-        force = np.linalg.norm(self.force, axis=-1)
+        """mm that a force of 1 is long in their unit: a round number."""
+        force = np.linalg.norm(self._shown, axis=-1)
         if not (force > 0).any():
             return 1.0
         wanted = self._box[1] * min(LONG / np.quantile(force[force > 0], MOST_SHORTER),
@@ -64,11 +71,11 @@ class Touched:
     @property
     def legend(self) -> str:
         """What the arrows say."""
-        return f"contact forces (an arrow of 10 mm: {10 / self.arrow_scale:g} mm²/mm)"
+        return f"contact forces (an arrow of 10 mm: {10 / self.arrow_scale:g} {'mm²/mm' if self.newtons is None else 'N'})"
 
     def arrows(self, row: int, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """Origins and vectors (N, 3) in mm of the forces on a rod at a frame."""
-        force, places = self.force[row, frame], self.positions[row, frame]
+        force, places = self._shown[row, frame], self.positions[row, frame]
         shown = np.isfinite(places).all(axis=-1) & (np.nan_to_num(force) != 0).any(axis=-1)
         return places[shown], self.arrow_scale * force[shown]
 
