@@ -62,7 +62,7 @@ def distance(configuration: Configuration, observations: Observations, index: Ar
     return result
 
 
-@ti.kernel
+@runtime.kernel
 def _compare(
     start: ti.types.ndarray(dtype=ti.f64, ndim=2),  # [rod, 3]
     quaternions: ti.types.ndarray(dtype=ti.f64, ndim=3),  # [rod, edge, 4]

@@ -11,7 +11,7 @@ from contextlib import redirect_stdout, suppress
 from functools import wraps
 from io import StringIO
 from pathlib import Path
-from threading import RLock
+from threading import RLock, get_ident
 from typing import ParamSpec, TypeVar
 
 from doo_ti.errors import InputError
@@ -31,6 +31,7 @@ _architecture: str | None = None
 _begun = False
 _forked = False
 _one_at_a_time = RLock()
+_holder: int | None = None
 
 
 def _after_fork() -> None:
@@ -85,11 +86,35 @@ def exclusive(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _
     kernels' memory. A call takes all processors by itself."""
     @wraps(function)
     def alone(*arguments: _Arguments.args, **options: _Arguments.kwargs) -> _Result:
+        global _holder
         _refuse_forked()
         with _one_at_a_time:
-            return function(*arguments, **options)
+            before, _holder = _holder, get_ident()
+            try:
+                return function(*arguments, **options)
+            finally:
+                _holder = before
 
     return alone
+
+
+def kernel(function: Callable[_Arguments, None]) -> Callable[_Arguments, None]:
+    """``function`` as a kernel of Taichi: the one door to kernels.
+
+    A launch raises RuntimeError unless its thread is in an :func:`exclusive` function: one that could meet a launch of another
+    thread fails at once and always, also where there is no other thread.
+    """
+    import taichi as ti
+
+    compiled = ti.kernel(function)
+
+    @wraps(function)
+    def launch(*arguments: _Arguments.args, **options: _Arguments.kwargs) -> None:
+        if _holder != get_ident():
+            raise RuntimeError(f"the kernel {function.__name__} is launched outside of runtime.exclusive")
+        compiled(*arguments, **options)
+
+    return launch
 
 
 def compiled_briefly(kernel: Callable[_Arguments, None]) -> Callable[_Arguments, None]:

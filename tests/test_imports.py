@@ -170,3 +170,10 @@ def test_every_room_is_installed():
     named = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["packages"]
     rooms = {".".join(file.parent.relative_to(ROOT).parts) for file in PACKAGE.rglob("*.py")}
     assert set(named) == rooms
+
+
+def test_one_door_to_kernels():
+    """``runtime.kernel``, which refuses a launch that another thread's could meet."""
+    makers = [name for name, path in MODULES.items() for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+              if isinstance(node, ast.Attribute) and node.attr == "kernel" and getattr(node.value, "id", "") == "ti"]
+    assert makers == ["runtime"]

@@ -25,6 +25,7 @@ def peak_gflops(known: dict[str, float] | None = None) -> dict[str, float]:
     return {name: max(rate, (known or {}).get(name, 0.0)) for name, rate in rates.items()}
 
 
+@runtime.exclusive
 def _measured(number: Number) -> float:
     threads = runtime.thread_count()
     kernel, sums = _chains(number), ti.ndarray(number.type, threads)
@@ -43,7 +44,7 @@ def _chains(number: Number):
     """The kernel: on every thread CHAINS values, independent of each other, each turned ``trips`` times into value · a + b."""
     scalar, constant = number.scalar, number.lanes().constant
 
-    @ti.kernel
+    @runtime.kernel
     def chains(
         threads: ti.i32,
         trips: ti.i32,

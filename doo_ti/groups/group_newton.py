@@ -79,7 +79,7 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
     index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
 
-    @ti.kernel
+    @runtime.kernel
     def newton_of_groups(
         start: table1, rest_length: table2, clamp: table2, material: table2, rods: index2, policy: table1, threads: ti.i32,
         scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, results: table2,
@@ -147,6 +147,7 @@ def run_groups(table: GroupTables, options: Newton, state: GroupState, previous:
     return frames, results
 
 
+@runtime.exclusive
 def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray, rows: np.ndarray,
             frames: np.ndarray, results: np.ndarray) -> None:
     """Relax the groups ``rows`` into ``frames`` and ``results``."""

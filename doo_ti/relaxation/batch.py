@@ -31,7 +31,6 @@ _scratch: dict = {}
 _queues: dict[Number, np.ndarray] = {}
 
 
-@runtime.exclusive
 def run_newton(table: Tables, options: newton.Newton, bits: int, begin: Solution | None = None, moving: bool = True):
     """Relax every feasible rod from its start, or from where it ended in ``begin``: (R, E, 4) frames and (R, RESULTS), NaN and
     UNTOUCHED in infeasible rows.
@@ -91,6 +90,7 @@ def pack_trips(bits: int) -> tuple[int, int]:
     return int(queue[TRIPS]), number.width
 
 
+@runtime.exclusive
 def _launch_newton(table: Tables, start, rods, options: newton.Newton, bits: int, frames, results, moving: bool = True) -> None:
     """One launch over ``rods``, whose starts are rows of ``start`` (-, E, 4) or of ``frames``."""
     contact = table.contact
@@ -142,6 +142,7 @@ def policy_row(up: np.ndarray, options: newton.Newton, bits: int, moving: bool =
         options.max_rotation, options.max_escapes, CLOSING_DISTANCE if moving else -1.0])
 
 
+@runtime.exclusive
 def run_descent(table: Tables, options: descent.Descent, bits: int):
     """Relax every feasible rod by the paper's scheme, from its start projected onto closure; as :func:`run_newton`.
 

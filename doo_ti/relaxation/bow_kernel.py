@@ -4,6 +4,7 @@ from functools import cache
 
 import taichi as ti
 
+from doo_ti import runtime
 from doo_ti.contact.distance import Distance
 from doo_ti.contact.obstacles import OBSTACLE_COLUMNS, PLANE
 from doo_ti.physics.number import Number
@@ -134,7 +135,7 @@ def bow_kernel(kinds: frozenset[int]):
     search = BowSearch(kinds)
     f32 = [ti.types.ndarray(dtype=ti.f32, ndim=ndim) for ndim in range(1, 4)]
 
-    @ti.kernel
+    @runtime.kernel
     def choose(
         anchor: f32[1],  # [rod, 3] mm
         tangents: f32[2],  # [rod, edge, 3] of the straight lines

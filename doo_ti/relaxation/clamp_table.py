@@ -210,7 +210,7 @@ def clamp_kernel(serial: bool, block: int):
     reader = ClampReader()
     table2, table3 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (2, 3))
 
-    @ti.kernel
+    @runtime.kernel
     def read_clamps(
         kinds: ti.types.ndarray(dtype=ti.i32, ndim=2),  # [start, 2]
         origin: table2,  # [start, 3] mm
@@ -234,6 +234,7 @@ def clamp_kernel(serial: bool, block: int):
     return read_clamps
 
 
+@runtime.exclusive
 def clamp_table(configuration: Configuration, lengths: np.ndarray, kinds: np.ndarray, clamps: Clamps):
     """((S, CLAMP_COLUMNS) table, see the columns' names, and (S,) whether each start can be relaxed as it is, one of SOUND,
     INFEASIBLE, STRAIGHT and TAUT).

@@ -14,6 +14,7 @@ from functools import cache
 
 import taichi as ti
 
+from doo_ti import runtime
 from doo_ti.errors import InputError, require_number, require_whole
 from doo_ti.physics.number import Number
 from doo_ti.physics.tuples import chosen, put_lane, record, repeated
@@ -215,7 +216,7 @@ def descent_kernel(number: Number, stride: int, block: int):
     loop = DescentLoop(number, stride)
     table2, table3 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (2, 3))
 
-    @ti.kernel
+    @runtime.kernel
     def descent(
         vertices: table3,  # [configuration, vertex, 3] mm from the anchor
         directors: table3,  # [configuration, edge, 3] m1

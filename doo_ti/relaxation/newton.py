@@ -99,7 +99,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
     index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
     field = ti.types.ndarray(dtype=ti.f32, ndim=1)
 
-    @ti.kernel
+    @runtime.kernel
     def newton(
         start: table1,  # [start · edge · 4]
         rest_length: table2,  # [1 or configuration, edge] mm
@@ -121,7 +121,7 @@ def newton_kernel(number: Number, isotropic: bool, stride: int, block: int, seri
                             contacts=0, kinds=queue, grids=material)
             loop.work(tables, scratch, threads, thread)
 
-    @ti.kernel
+    @runtime.kernel
     def newton_under_load(
         start: table1, rest_length: table2, clamp: table2, material: table2, rods: index2, policy: table1, threads: ti.i32,
         scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, results: table2,
@@ -153,7 +153,7 @@ def contact_kernel(number: Number, isotropic: bool, stride: int, block: int, ext
     index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
     field = ti.types.ndarray(dtype=ti.f32, ndim=1)
 
-    @ti.kernel
+    @runtime.kernel
     def newton_in_contact(
         start: table1, rest_length: table2, clamp: table2, material: table2, rods: index2, policy: table1, threads: ti.i32,
         scratch: ti.types.ndarray(dtype=number.type, ndim=1), queue: index1, frames: table1, results: table2,

@@ -228,7 +228,7 @@ def _kernel(number: Number, stride: int, block: int, by_frames: bool):
     bounds = SelfApproach(number, stride, by_frames)
     numbers = ti.types.ndarray(dtype=ti.f64, ndim=1)
 
-    @ti.kernel
+    @runtime.kernel
     def approach(
         before: numbers,  # [start · edge · 4] frames, or [rod · vertex · 3] mm
         after: numbers,  # [rod · edge · 4] or [rod · vertex · 3]

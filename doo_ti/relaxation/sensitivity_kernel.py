@@ -128,6 +128,7 @@ def _touching(table: Tables, first: int, last: int) -> np.ndarray:
     return loose | (table.contact.forces[first:last] != 0.0).any(axis=(1, 2))
 
 
+@runtime.exclusive
 def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: ContactTable | None, state: tuple,
             found: _Found) -> None:
     """One launch over the rods ``rows``, counted from ``first``, which touch obstacles where ``contact`` is their table;
@@ -171,7 +172,7 @@ def sensitivity_kernel(stride: int, block: int):
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
     index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
 
-    @ti.kernel
+    @runtime.kernel
     def solve(
         start: table1, rest_length: table2, clamp: table2, material: table2,  # as the Newton kernel has them
         up0: ti.f64, up1: ti.f64, up2: ti.f64,
@@ -206,7 +207,7 @@ def contact_sensitivity_kernel(stride: int, block: int, known: frozenset[int]):
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
     index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
 
-    @ti.kernel
+    @runtime.kernel
     def solve_in_contact(
         start: table1, rest_length: table2, clamp: table2, material: table2, up0: ti.f64, up1: ti.f64, up2: ti.f64,
         rods: index2, frames: table1, results: table2, beyond: table3, directions: table2, modes: table3, columns: ti.i32,

@@ -7,6 +7,7 @@ and G materials, not D·G of each.
 import sys
 from dataclasses import dataclass, replace
 from math import prod
+from threading import Lock
 
 import numpy as np
 
@@ -49,6 +50,7 @@ SMALLEST = 1 << 14
 """Numbers below which an array takes no pages of its own."""
 
 pool: list[np.ndarray] = []
+_pool_lock = Lock()
 
 
 def room(*shape: int) -> np.ndarray:
@@ -57,15 +59,16 @@ def room(*shape: int) -> np.ndarray:
     size = prod(shape)
     if size < SMALLEST:
         return np.empty(shape)
-    for kept in pool:
-        # Held by the pool, by this loop and by the call only.
-        if size <= kept.size <= 2 * size and sys.getrefcount(kept) == 3:
-            return kept[:size].reshape(shape)
-    fresh = np.empty(size)
-    pool.append(fresh)
-    while sum(kept.nbytes for kept in pool) > POOLED_BYTES:
-        pool.pop(0)
-    return fresh.reshape(shape)
+    with _pool_lock:
+        for kept in pool:
+            # Held by the pool, by this loop and by the call only.
+            if size <= kept.size <= 2 * size and sys.getrefcount(kept) == 3:
+                return kept[:size].reshape(shape)
+        fresh = np.empty(size)
+        pool.append(fresh)
+        while sum(kept.nbytes for kept in pool) > POOLED_BYTES:
+            pool.pop(0)
+        return fresh.reshape(shape)
 
 
 @dataclass(frozen=True)

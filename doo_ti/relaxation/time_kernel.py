@@ -36,7 +36,7 @@ def time_kernel(number: Number, isotropic: bool, stride: int, block: int):
     table1, table2, table3 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3))
     index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
 
-    @ti.kernel
+    @runtime.kernel
     def make_steps(
         rest_length: table2,  # [1 or configuration, edge] mm
         clamp: table2,  # [configuration, CLAMP_COLUMNS]
@@ -87,7 +87,7 @@ def time_contact_kernel(number: Number, isotropic: bool, stride: int, block: int
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
     index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
 
-    @ti.kernel
+    @runtime.kernel
     def make_steps(
         rest_length: table2, clamp: table2, path: table3, material: table2, numbers: table3, shares: table2, rods: index2,
         policy: table1, time: table1, steps: ti.i32, every: ti.i32, threads: ti.i32,
@@ -128,7 +128,7 @@ def time_slope_kernel(stride: int, block: int, width: int):
     table1, table2, table3, table4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for size in (1, 2, 3, 4))
     index1, index2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
 
-    @ti.kernel
+    @runtime.kernel
     def make_steps(
         rest_length: table2, clamp: table2, path: table3, material: table2, numbers: table3, shares: table2, rods: index2,
         policy: table1, time: table1, steps: ti.i32, every: ti.i32, threads: ti.i32,

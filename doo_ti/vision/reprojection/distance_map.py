@@ -138,7 +138,7 @@ def _look_around(pieces: ti.template(), nearest: ti.template(), values: ti.templ
             _compare(pieces, nearest, values, here, start + b * width + a, left + i, top + j)
 
 
-@ti.kernel
+@runtime.kernel
 def _search(
     pieces: ti.types.ndarray(dtype=ti.f32, ndim=2),  # [point, x y and direction]
     first: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [window + 1]

@@ -171,7 +171,7 @@ def score_kernel(number: Number, block: int, bits: int):
     """The compiled-on-first-use kernel for one kind of number, ``block`` threads in a block, and vertices of ``bits`` bits."""
     scoring, width = Scoring(number), number.width
 
-    @ti.kernel
+    @runtime.kernel
     def scored(
         vertices: ti.types.ndarray(dtype=ti.f32 if bits == 32 else ti.f64, ndim=3),  # [hypothesis, vertex, 3] mm
         set_index: ti.types.ndarray(dtype=ti.i32, ndim=1),  # [hypothesis]
