@@ -95,7 +95,7 @@ def simulate(
     given = begin.configuration, material, grippers, dynamics
     direction = unit_up(up, "simulate")
 
-    index = paired_rows(begin.configuration.count, material.count, *((None, None) if pairs is None else pairs))
+    index = paired_rows(begin.configuration.count, material.count, *((None, None) if pairs is None else pairs), "simulate")
     surroundings = Surroundings.checked("simulate", obstacles, radius, len(index[0]), moving=True)
     many = springs is not None and springs.count == len(index[0]) > 1
 

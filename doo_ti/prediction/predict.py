@@ -170,7 +170,12 @@ def predict_step(
     obstacles, radius  as in :func:`doo_ti.relaxation.relax.relax`, for K rods; without friction
 
     The number of sub-steps of a rod depends on its own motion. A rod that does not converge in one of them keeps that status.
+    Raises InputError where there is more than one rod or material.
     """
+    for name, rows in (("configuration", configuration.count), ("material", material.count),
+                       ("clamps", len(clamps.start_position))):
+        if rows != 1:
+            raise InputError("predict_step", name, f"{rows} rows", "give one; only `goal` has a row for each motion")
     count = len(goal.start_position)
     surroundings = Surroundings.checked("predict_step", obstacles, radius, count)
     rows = np.zeros(count, dtype=np.int64)

@@ -77,24 +77,37 @@ def clamp_kinds(clamps: Clamps, count: int) -> np.ndarray:
     return kinds
 
 
-def paired_rows(configurations: int, materials: int, configuration_index, material_index) -> tuple[np.ndarray, np.ndarray]:
-    """The two index vectors, (R,) each; without them tables are paired one to one, a single row with every row."""
-    if configuration_index is None and material_index is None:
+def paired_rows(configurations: int, materials: int, configuration_index, material_index, function: str = "relax"
+                ) -> tuple[np.ndarray, np.ndarray]:
+    """The two index vectors, (R,) each. Tables without one are paired one to one with the rods that the other makes, without
+    either with each other; a single row with every row. Raises InputError, naming ``function``."""
+    first = None if configuration_index is None else _row_numbers("configuration_index", configuration_index, function)
+    second = None if material_index is None else _row_numbers("material_index", material_index, function)
+    if first is None and second is None:
         if configurations != materials and 1 not in (configurations, materials):
-            raise InputError("relax", "material", f"{materials} rows for {configurations} rods", "give one, or one per rod")
+            raise InputError(function, "material", f"{materials} rows for {configurations} rods", "give one, or one per rod")
         count = min(configurations, materials) and max(configurations, materials)
         return np.arange(count) % max(configurations, 1), np.arange(count) % max(materials, 1)
-    first = _row_numbers("configuration_index", 0 if configuration_index is None else configuration_index)
-    second = _row_numbers("material_index", 0 if material_index is None else material_index)
-    if first.shape != second.shape:
+    if first is None:
+        first = _one_each("configuration", configurations, second, "configuration_index", function)
+    elif second is None:
+        second = _one_each("material", materials, first, "material_index", function)
+    elif first.shape != second.shape:
         if first.size != 1 and second.size != 1:
-            raise InputError("relax", "material_index", f"shape {second.shape} beside {first.shape} of configuration_index",
+            raise InputError(function, "material_index", f"shape {second.shape} beside {first.shape} of configuration_index",
                              "give (R,) row numbers both")
         first, second = np.broadcast_arrays(first, second)
     for name, index, size in (("configuration_index", first, configurations), ("material_index", second, materials)):
         if index.ndim != 1 or (index.size and (index.min() < 0 or index.max() >= size)):
-            raise InputError("relax", name, f"not a vector of rows below {size}", "give (R,) row numbers")
+            raise InputError(function, name, f"not a vector of rows below {size}", "give (R,) row numbers")
     return np.ascontiguousarray(first), np.ascontiguousarray(second)
+
+
+def _one_each(name: str, rows: int, other: np.ndarray, missing: str, function: str) -> np.ndarray:
+    """Of the shape of the ``other`` index, row k of a table for rod k, or its single row."""
+    if rows not in (1, other.size):
+        raise InputError(function, name, f"{rows} rows for {other.size} rods", f"give one, one per rod, or {missing}")
+    return (np.arange(other.size) % rows).reshape(other.shape)
 
 
 def external_rows(external: External | None, index, count: int, edges: int) -> np.ndarray:
@@ -109,15 +122,15 @@ def external_rows(external: External | None, index, count: int, edges: int) -> n
         if external.count not in (1, count):
             raise InputError("relax", "external", f"{external.count} rows for {count} rods", "give one, or one for each rod")
         return np.arange(count) % external.count
-    rows = _row_numbers("external_index", index)
+    rows = _row_numbers("external_index", index, "relax")
     if rows.shape != (count,) or (rows.size and (rows.min() < 0 or rows.max() >= external.count)):
         raise InputError("relax", "external_index", f"not {count} rows below {external.count}", "give (R,) row numbers")
     return rows
 
 
-def _row_numbers(name: str, value) -> np.ndarray:
+def _row_numbers(name: str, value, function: str) -> np.ndarray:
     """``value`` as an int64 array. Raises InputError for anything but whole numbers."""
-    rows = real_array("relax", name, value, "give (R,) row numbers")
+    rows = real_array(function, name, value, "give (R,) row numbers")
     if rows.size and rows.dtype.kind not in "iu":
-        raise InputError("relax", name, f"dtype {rows.dtype}", "give whole row numbers")
+        raise InputError(function, name, f"dtype {rows.dtype}", "give whole row numbers")
     return rows.astype(np.int64)

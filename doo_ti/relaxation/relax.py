@@ -73,8 +73,8 @@ def relax(
                            ``Solution.precision`` is the arithmetic that finished a rod
     external               an energy at the vertices besides the rod's own, with Newton only; it also moves vertex 0 where the
                            start is free
-    configuration_index,   (R,) start (with its clamps), material and external energy of each rod, as row numbers. Without
-    material_index,        them rows are paired one to one, and a single row is paired with all. Where clamps are None, only
+    configuration_index,   (R,) start (with its clamps), material and external energy of each rod, as row numbers. A table
+    material_index,        without them has a row for each rod, or a single one for all. Where clamps are None, only
     external_index         ``material_index``: by default one row for each rod, one for all, or as many rows as before, paired
                            as before
     obstacles, radius      what the rods may touch but not enter, and their radius in mm, one or (R,): the rod, edges of that

@@ -161,6 +161,15 @@ def test_numbers_that_do_not_match_are_named():
         predict(rods, MATERIAL, clamps, path)
 
 
+def test_candidate_motions_are_those_of_one_rod():
+    rods, clamps = bows(MATERIAL)
+    one, held = rods.take([0]), clamps.take([0])
+    for name, given in (("configuration", (rods, MATERIAL, held)), ("material", (one, Material([6e5, 7e5], 8e5), held)),
+                        ("clamps", (one, MATERIAL, clamps))):
+        with pytest.raises(InputError, match=f"predict_step: {name}: 2 rows"):
+            predict_step(*given, clamps)
+
+
 def test_spin_free_ends_go_along_with_their_tangents():
     rods, clamps = bows(MATERIAL)
     held = replace(clamps, start=Clamp.TANGENT, end=Clamp.TANGENT)

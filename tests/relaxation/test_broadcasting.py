@@ -90,7 +90,7 @@ def test_own_rest_lengths_for_each_rod(rng, rods):
 
 
 def test_pairs_of_rows(rods):
-    """Rows may come in any order and as often as they like; one index alone pairs with row 0 of the other table."""
+    """Rows may come in any order and as often as they like."""
     start, clamps = rods
     material = Material([1e5, 2e5, 5e5], 1e5, 1.0)
     rows, cells = np.array([5, 0, 3, 3, 1]), np.array([2, 0, 1, 0, 2])
@@ -105,6 +105,17 @@ def test_pairs_of_rows(rods):
     assert_same(every, slice(None), named, slice(None))
     none = relax(start, material, clamps, configuration_index=[], material_index=[])
     assert len(none.energy) == 0 and none.configuration.vertices.shape == (0, EDGES + 1, 3)
+
+
+def test_one_index_alone_leaves_the_rows_of_the_other_table_one_to_one(rods):
+    start, clamps = rods
+    material, rows = Material(np.linspace(1e5, 5e5, COUNT), 1e5, 1.0), np.arange(COUNT)[::-1]
+    turned = relax(start, material, clamps, configuration_index=rows)
+    assert_same(turned, slice(None), relax(start.take(rows), material, clamps.take(rows)), slice(None))
+    turned = relax(start, material, clamps, material_index=rows)
+    assert_same(turned, slice(None), relax(start, material.take(rows), clamps), slice(None))
+    for index in ({"configuration_index": [0, 1]}, {"material_index": [0, 1]}, {"material_index": [2]}):
+        assert "rows for" in str(refused(lambda: relax(start, material, clamps, **index)))
 
 
 def test_length_of_up_does_not_matter(rods):
