@@ -65,6 +65,12 @@ class Clamp(IntEnum):
     FRAME = 3
 
 
+def picked(values: np.ndarray, index: Rows) -> np.ndarray:
+    """The rows named by ``index`` in an array of their own, for a slice too."""
+    rows = values[index]
+    return rows.copy() if rows.base is not None else rows
+
+
 def sticky(before: np.ndarray, status: np.ndarray) -> np.ndarray:
     """(R,) sticky status of rods relaxed several times: the first status that is not CONVERGED, else CONVERGED."""
     return np.where(before == Status.CONVERGED, status, before)
@@ -72,7 +78,8 @@ def sticky(before: np.ndarray, status: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Configuration:
-    """Γ = (V, E, M) of §III-A for R rods, kept as a chain of frames so that edge lengths hold exactly.
+    """Γ = (V, E, M) of §III-A for R rods, kept as a chain of frames so that edge lengths hold exactly. It refers to the arrays
+    it is given; functions copy what their results keep.
 
     start        (R, 3) position of vertex 0, mm
     quaternions  (R, E, 4) material frame of each edge, scalar first: t, m1, m2 are the columns of its rotation
@@ -121,9 +128,9 @@ class Configuration:
         return f"Configuration({counted(self.count, 'rod')} of {counted(self.edges, 'edge')}, {length} long)"
 
     def take(self, index: Rows) -> "Configuration":
-        """The rods named by ``index``, in that order."""
-        lengths = self.rest_length if self.rest_length.ndim == 1 else self.rest_length[index]
-        return Configuration(self.start[index], self.quaternions[index], lengths)
+        """The rods named by ``index``, in that order, in arrays of their own."""
+        lengths = self.rest_length.copy() if self.rest_length.ndim == 1 else picked(self.rest_length, index)
+        return Configuration(picked(self.start, index), picked(self.quaternions, index), lengths)
 
     @classmethod
     def straight(cls, start: np.ndarray, direction: np.ndarray, length: float, edges: int) -> "Configuration":
@@ -136,7 +143,7 @@ class Configuration:
         """The rods of several, one after the other; their lengths are shared where all have the same."""
         first = parts[0].rest_length
         shared = all(part.rest_length.ndim == 1 and np.array_equal(part.rest_length, first) for part in parts)
-        lengths = first if shared else np.concatenate(
+        lengths = first.copy() if shared else np.concatenate(
             [np.broadcast_to(part.rest_length, (part.count, part.edges)) for part in parts])
         starts, frames = ([getattr(part, name) for part in parts] for name in ("start", "quaternions"))
         return cls(np.concatenate(starts), np.concatenate(frames), lengths)
@@ -171,14 +178,11 @@ class Clamps:
         return f"Clamps({counted(len(self.start_position), 'rod')}: start {start}, end {end})"
 
     def take(self, index: Rows) -> "Clamps":
-        """The clamps of the rods named by ``index``, in that order."""
-        def pick(kind: ArrayLike) -> np.ndarray:
-            kind = np.asarray(kind)
-            return kind if kind.ndim == 0 else kind[index]
+        """The clamps of the rods named by ``index``, in that order, in arrays of their own."""
+        kinds = (np.array(kind) for kind in (self.start, self.end))
         return Clamps(
-            pick(self.start), pick(self.end), self.start_position[index], self.end_position[index],
-            self.start_frame[index], self.end_frame[index],
-        )
+            *(kind if kind.ndim == 0 else kind[index] for kind in kinds), picked(self.start_position, index),
+            picked(self.end_position, index), picked(self.start_frame, index), picked(self.end_frame, index))
 
 
 @dataclass(frozen=True)
@@ -243,8 +247,9 @@ class Solution:
         return f"Solution({of_edges}: {', '.join(counts)}; {int(self.stable.sum())} certified stable)"
 
     def take(self, index: Rows) -> "Solution":
-        """The rods named by ``index``, in that order, without their input."""
-        return Solution(self.configuration.take(index), **{name: value[index] for name, value in self.per_rod.items()})
+        """The rods named by ``index``, in that order and in arrays of their own, without their input."""
+        rows = {name: picked(value, index) for name, value in self.per_rod.items()}
+        return Solution(self.configuration.take(index), **rows)
 
     @property
     def per_rod(self) -> dict[str, np.ndarray]:

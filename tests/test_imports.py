@@ -14,8 +14,8 @@ PACKAGE = ROOT / "doo_ti"
 
 # From the bottom up: a module imports from layers below its own, never from beside it.
 LAYERS = [
-    {"errors", "interruption", "short_repr", "terminal"},
-    {"frames", "physical_units"},
+    {"argument_rules", "errors", "interruption", "short_repr", "terminal"},
+    {"arguments", "frames", "physical_units"},
     {"material"},
     {"types"},
     {"grid", "knots", "rods"},

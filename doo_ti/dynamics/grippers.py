@@ -1,5 +1,6 @@
 """Grippers: what holds the ends of rods at every instant of a motion (§III-B, moving)."""
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,6 +44,8 @@ class Grippers:
                                  "give positions (S, T, 3) and frames (S, T, 3, 3) at two instants or more")
             self._check(name, value)
             object.__setattr__(self, name, value)
+        for name in ("start", "end"):
+            object.__setattr__(self, name, copy(getattr(self, name)))
 
     def _check(self, name: str, value: np.ndarray) -> None:
         """Raise InputError where a position or frame that is held is not finite, or a frame no rotation."""

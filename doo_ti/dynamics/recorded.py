@@ -65,7 +65,7 @@ class RecordedMotion:
     def of(cls, positions: ArrayLike, rate: float, names: Iterable[object] | None = None, source: str = "motion",
            free_end: bool = False, frames: np.ndarray | None = None) -> "RecordedMotion":
         """With ``elapsed`` found from how the grippers move; ``free_end``: no gripper holds the last edge."""
-        positions = np.asarray(positions, dtype=np.float64)
+        positions = np.array(positions, dtype=np.float64)
         alone = positions.ndim == 3
         if alone:
             positions = positions[None]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.polynomial import legendre
 
+from doo_ti.arguments import owning
 from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.errors import InputError
 from doo_ti.io.files import MOST_TEXT_BYTES, read_content
@@ -20,6 +21,7 @@ FILE_KEYS = {"bend": "bend_mm3", "twist_ratio": "twist_ratio", "bend_damping": "
 """Numbers of Θ and their names in a file."""
 
 
+@owning
 @dataclass(frozen=True)
 class MotionTheta:
     """Θ of a rod in motion; stiffness is relative to the weight per length of rod and markers together.

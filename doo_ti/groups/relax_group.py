@@ -208,7 +208,8 @@ def _solution(group: Group, table: GroupTables, frames, results, state: GroupSta
             pull[:, other] += force
             held_at = vertices[:, other]
         miss[:, number] = np.linalg.norm(vertices[:, vertex] - held_at, axis=1) * table.targets[:, number, 3]
-    result, moment = replace(group, rods=tuple(rods)), np.zeros((group.count, far, 3))
+    held_so = tuple(clamps.take(np.arange(group.count)) for clamps in group.clamps)
+    result, moment = replace(group, rods=tuple(rods), clamps=held_so), np.zeros((group.count, far, 3))
     for number, (late, early) in _welded_frames(result).items():
         moment[:, number] = -_sign(group)[number] * np.einsum("nij,nj->ni", late, tie_forces[:, number, 3:])
         rest = matrix_from_quaternion(table.targets[:, number, 4:])

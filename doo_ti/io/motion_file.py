@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.arguments import owning
 from doo_ti.errors import InputError
 from doo_ti.frames import (
     FRAME_TOLERANCE,
@@ -53,6 +54,7 @@ MOST_MM = 1e6
 MOST_TURNS = 1000.0
 
 
+@owning
 @dataclass(frozen=True)
 class ClampPath:
     """Poses of both clamps of N rods, or of one motion for all, at T moments; None: it does not move.

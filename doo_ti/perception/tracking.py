@@ -136,7 +136,7 @@ class Tracker:
                  search: PerceptionOptions = PerceptionOptions(), options: TrackingOptions = TrackingOptions(),
                  inertia: Inertia | None = None, surroundings: Surroundings = Surroundings()) -> None:
         self._rig, self._material, self._search, self._options = rig, material, search, options
-        self._rest_length = np.asarray(rest_length, dtype=np.float64)
+        self._rest_length = np.array(rest_length, dtype=np.float64)
         self._up = np.asarray(up, dtype=np.float64) / np.linalg.norm(up)
         self._inertia, self._surroundings = inertia, surroundings
         self._last: _Rod | None = None

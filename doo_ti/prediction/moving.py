@@ -79,7 +79,7 @@ def predict_moving(
     return Prediction(
         time=time,
         start=with_first(first.configuration.vertices[:, 0], found.positions[:, :, 0]),
-        quaternions=np.moveaxis(found.detail.quaternions, 1, 0), rest_length=configuration.rest_length,
+        quaternions=np.moveaxis(found.detail.quaternions, 1, 0), rest_length=configuration.rest_length.copy(),
         energy=first.energy + (stored - stored[:, :1]).T, residual=with_first(first.residual, found.residual),
         iterations=with_first(first.iterations, found.iterations), status=np.concatenate([first.status[None], status]),
         stable=np.concatenate([first.stable[None], status == Status.CONVERGED]),

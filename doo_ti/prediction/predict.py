@@ -239,7 +239,7 @@ class _Film:
         if solutions[0].contact_force is not None:
             reported["contact_force"] = np.stack([solution.contact_force for solution in solutions])
         shapes = [solution.configuration for solution in solutions]
-        return Prediction(time=time, start=np.stack([shape.start for shape in shapes]), rest_length=rest_length,
+        return Prediction(time=time, start=np.stack([shape.start for shape in shapes]), rest_length=rest_length.copy(),
                           quaternions=np.stack([shape.quaternions for shape in shapes]), jumps=np.stack(jumps),
                           end_rotation=np.stack(rotation), material=material, motion=motion, **reported)
 

@@ -100,8 +100,9 @@ class Springs:
             raise InputError("Springs", "points", "not finite", "give finite points, and stiffness 0 where there is none")
         if not (np.isfinite(stiffness).all() and (stiffness >= 0).all()):
             raise InputError("Springs", "stiffness", "negative or not finite", "give zero or more")
-        object.__setattr__(self, "points", points)
-        object.__setattr__(self, "stiffness", stiffness)
+        for name, value in (("points", points), ("stiffness", stiffness)):
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
 
     @property
     def count(self) -> int:

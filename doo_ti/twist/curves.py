@@ -57,8 +57,8 @@ class TwistCurves:
         """Raises InputError where arguments do not match, for a rod that is not round while its first roll is unknown, and for
         rods inside obstacles."""
         count = observations.count
-        group = np.arange(count) if group is None else np.asarray(group)
-        offset = np.zeros(count) if offset is None else np.asarray(offset, dtype=np.float64)
+        group = np.arange(count) if group is None else np.array(group)
+        offset = np.zeros(count) if offset is None else np.array(offset, dtype=np.float64)
         steps = np.diff(group, prepend=-1) if group.shape == (count,) else np.array([-1])
         if group.dtype.kind not in "iu" or steps[0] != 1 or not np.isin(steps, (0, 1)).all():
             raise InputError(observations.source, "group", "not 0, 0, …, 1, …, one for each observation",
