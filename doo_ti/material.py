@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.errors import InputError, real_array
-from doo_ti.physical_units import bend_or_twist
+from doo_ti.physical_units import bend_or_twist, force_in_newton
 from doo_ti.short_repr import counted, span_text
 
 Rows = ArrayLike | slice
@@ -115,6 +115,18 @@ class Material:
     @property
     def count(self) -> int:
         return len(self.weight)
+
+    @property
+    def newton(self) -> np.ndarray | None:
+        """(R,) N that the rods' unit of force, mm² of energy per mm, is. None where their weight per length is not known."""
+        return None if self.weight_per_length is None else force_in_newton(1.0, self.weight_per_length, self.weight)
+
+    def with_unit(self, newton: np.ndarray) -> "Material":
+        """The same material relative to other weights: its unit of force is ``newton`` (1 or R,) N. Needs a weight per
+        length."""
+        ratio = self.newton / newton
+        return Material(self.bend * ratio[:, None, None, None], self.twist * ratio[:, None], self.weight * ratio,
+                        self.rest_curvature, self.weight_per_length)
 
     def __repr__(self) -> str:
         bend, twist = (span_text(value, "mm³") for value in (self.bend[..., [0, 1], [0, 1]], self.twist))

@@ -26,7 +26,7 @@ def stiffened(material: Material, dynamics: Dynamics, rate: float) -> Material:
     stiffer = 1.0 / (1.0 - shares)
     rest = np.zeros((1, 1, 2)) if material.rest_curvature is None else material.rest_curvature
     return Material(material.bend * stiffer[:, :1, None, None], material.twist * stiffer[:, 1:], material.weight,
-                    rest * (1.0 - shares[:, :1, None]))
+                    rest * (1.0 - shares[:, :1, None]), material.weight_per_length)
 
 
 def vertex_numbers(source: str, material: Material, dynamics: Dynamics, lengths: np.ndarray, rows: np.ndarray,

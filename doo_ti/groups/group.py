@@ -16,7 +16,8 @@ class Tie:
     """Two vertices that stay at one place.
 
     first, second  (rod, vertex), from 0; a vertex below 0 counts from the rod's end
-    weight         of what sits at the tie, a connector, in the unit of all forces: energy (mm²) per mm
+    weight         of what sits at the tie, a connector, in the unit of all forces: energy (mm²) per mm, or N over the
+                   :attr:`.Material.newton` of the group's first material
     weld           whether the edges that begin there, at a rod's last vertex the one that ends there, also keep the rotation
                    that they have to each other at the start; otherwise the rods turn freely there
 
@@ -45,11 +46,13 @@ class Group:
     """N groups of G rods, what :func:`.relax_group` takes.
 
     rods       G starts, each with the N groups' rods of that place: N rows. They need not have equally many edges
-    materials  G of them, with one row or N; or one for all rods
+    materials  G of them, with one row or N; or one for all rods. Either all have a weight per length in N/m, or none. All
+               forces and energies of the group are then in the unit of its first material, which is ``group.newton`` N
     clamps     G of them, with N rows
     ties       K of them; the groups have the same
 
-    Raises InputError where numbers of rods or rows do not match, or a tie names a vertex that does not exist.
+    Raises InputError where numbers of rods or rows do not match, a tie names a vertex that does not exist, or some materials
+    have a weight per length and others not.
     """
 
     rods: Sequence[Configuration]
@@ -69,13 +72,17 @@ class Group:
             if name != "ties" and len(values) != len(self.rods):
                 raise InputError("Group", name, f"{len(values)} for {len(self.rods)} rods", "give one for each rod of a group")
         rows = self.rods[0].count
-        for rod, (start, material) in enumerate(zip(self.rods, self.each_material, strict=True)):
+        for rod, (start, material) in enumerate(zip(self.rods, self._given, strict=True)):
             if start.count != rows:
                 raise InputError("Group", "rods", f"{start.count} rows of rod {rod}, {rows} of rod 0",
                                  "give one row for each group")
             if material.count not in (1, rows):
                 raise InputError("Group", "materials", f"{material.count} rows of rod {rod} for {rows} groups",
                                  "give one, or one for each group")
+            if (material.newton is None) != (self.newton is None):
+                with_it, without = (0, rod) if material.newton is None else (rod, 0)
+                raise InputError("Group", "materials", f"that of rod {with_it} has a weight per length in N/m, that of rod "
+                                 f"{without} is relative to weight", "give all of them with a weight per length, or none")
         for number, tie in enumerate(self.ties):
             self._check_tie(number, tie)
 
@@ -104,9 +111,25 @@ class Group:
         return self.rods[0].count
 
     @property
-    def each_material(self) -> list[Material]:
-        """G of them."""
+    def _given(self) -> list[Material]:
         return [self.materials] * len(self.rods) if isinstance(self.materials, Material) else list(self.materials)
+
+    @property
+    def newton(self) -> np.ndarray | None:
+        """(1 or N,) N that the unit of all forces is. None where weights per length are not known."""
+        return self._given[0].newton
+
+    @property
+    def each_material(self) -> list[Material]:
+        """G of them, all in the unit of the first."""
+        if self.newton is None:
+            return self._given
+        return [material.with_unit(self.newton) for material in self._given]
+
+    @property
+    def units(self) -> list[np.ndarray]:
+        """G times (1 or N,) the units of energy in which the materials are given, over that of the first."""
+        return [np.ones(1) if self.newton is None else material.newton / self.newton for material in self._given]
 
     @property
     def first_vertices(self) -> np.ndarray:

@@ -26,7 +26,7 @@ class MovingGroups:
     """N groups at their last two instants. The first that they remember is one at rest; before that they do not move.
 
     group     the groups, with their own materials
-    dynamics  one for all rods, or G of them
+    dynamics  one for all rods, or G of them, whose densities are relative to the weight of their own material
     step      h, s
     scheme    "bdf2" or "euler"
 
@@ -140,4 +140,5 @@ def _each(dynamics: Dynamics | Sequence[Dynamics], group: Group) -> list[Dynamic
         if own.count not in (1, material.count):
             raise InputError("follow_group", "dynamics", f"{own.count} rows for rod {rod}, its material has {material.count}",
                              "give one, or as many")
-    return list(found)
+    return [own if own.density is None else replace(own, density=own.density * unit)
+            for own, unit in zip(found, group.units, strict=True)]

@@ -30,7 +30,8 @@ from doo_ti.types import Configuration, Status, unit_up
 
 @dataclass(frozen=True)
 class GroupSolution:
-    """The result of :func:`relax_group`: one entry per group. Forces are energy (mm²) per mm, as those of ``Solution``.
+    """The result of :func:`relax_group`: one entry per group. Forces are energy (mm²) per mm, as those of ``Solution``; times
+    ``group.newton`` they are in N, where weights per length are known, and moments times 1e-3 ``group.newton`` in N m.
 
     group          the input, with the relaxed rods for its starts
     energy         (N,) of all rods, and of what ties carry, gravity measured from z = 0
