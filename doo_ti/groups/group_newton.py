@@ -112,45 +112,56 @@ def group_kernel(number: Number, stride: int, block: int, obstacles: frozenset[i
 
 @dataclass(frozen=True)
 class GroupState:
-    """What a launch changes in place, N rows each: ``places`` (N, G, 3) mm, where the rods begin; ``tie_forces`` (N, K, 6);
-    and where it writes the :class:`.Touch` of vertices (N, V) and the work of friction (N,), energy in mm²."""
+    """All that a launch changes, in place, N rows each: ``frames`` (N, E, 4) and ``results`` (N, LOADED_RESULTS), NaN and
+    UNTOUCHED of infeasible groups; ``places`` (N, G, 3) mm, where the rods begin; ``tie_forces`` (N, K, 6); the ``memory`` and
+    the ``forces`` (N, V, 3) of contacts, those of the table; the :class:`.Touch` of vertices (N, V); and the work of friction
+    (N,), energy in mm²."""
 
+    frames: np.ndarray
+    results: np.ndarray
     places: np.ndarray
     tie_forces: np.ndarray
+    memory: np.ndarray
+    forces: np.ndarray
     touch: np.ndarray
     friction_work: np.ndarray
 
+    @classmethod
+    def at_start(cls, table: GroupTables, tie_forces: np.ndarray) -> "GroupState":
+        """That of groups at their start, with these forces of their ties."""
+        count, edges = table.start.shape[:2]
+        results = np.zeros((count, of.LOADED_RESULTS))
+        results[~table.feasible, : of.RESULTS] = UNTOUCHED
+        return cls(np.full((count, edges, 4), np.nan), results, table.begins_at.copy(), tie_forces, table.contact.memory,
+                   table.contact.forces, np.zeros((count, edges + 1), dtype=np.int32), np.zeros(count))
 
-def run_groups(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray):
-    """Relax all feasible groups: (N, E, 4) frames and (N, LOADED_RESULTS), NaN and UNTOUCHED in infeasible rows. Friction acts
-    from ``previous`` (N, V, 3) mm on, where the vertices were at the moment before.
+    def reset(self, start: "GroupState", rows: np.ndarray) -> None:
+        """Make the groups ``rows`` those of ``start`` again."""
+        for part in fields(self):
+            getattr(self, part.name)[rows] = getattr(start, part.name)[rows]
+
+
+def run_groups(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray) -> None:
+    """Relax all feasible groups, in place. Friction acts from ``previous`` (N, V, 3) mm on, where the vertices were at the
+    moment before.
 
     Groups whose solver stalls, as it can in tight knots with friction, are relaxed once more from their start with the other
-    first shift, which leads through other shapes, and vertex 0 of the first rod from where the first attempt left it. Their
-    iterations are those of both attempts.
+    first shift, which leads through other shapes. Their iterations are those of both attempts.
     """
-    count, edges = table.start.shape[:2]
-    frames = np.full((count, edges, 4), np.nan)
-    results = np.zeros((count, of.LOADED_RESULTS))
-    results[~table.feasible, : of.RESULTS] = UNTOUCHED
-    begun = deepcopy(state)
-    _launch(table, options, state, previous, np.flatnonzero(table.feasible), frames, results)
-    stalled = np.flatnonzero(results[:, of.STATUS] == Status.STALLED)
+    start = deepcopy(state)
+    _launch(table, options, state, previous, np.flatnonzero(table.feasible))
+    stalled = np.flatnonzero(state.results[:, of.STATUS] == Status.STALLED)
     if len(stalled):
-        for part in fields(state):
-            getattr(state, part.name)[stalled] = getattr(begun, part.name)[stalled]
-        table.contact.memory[stalled] = 0.0
-        spent = results[stalled, of.ITERATIONS]
+        spent = state.results[stalled, of.ITERATIONS]
+        state.reset(start, stalled)
         other = replace(options, first_shift=0.0 if options.first_shift else Newton().first_shift)
-        _launch(table, other, state, previous, stalled, frames, results)
-        results[stalled, of.ITERATIONS] += spent
-    return frames, results
+        _launch(table, other, state, previous, stalled)
+        state.results[stalled, of.ITERATIONS] += spent
 
 
 @runtime.exclusive
-def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray, rows: np.ndarray,
-            frames: np.ndarray, results: np.ndarray) -> None:
-    """Relax the groups ``rows`` into ``frames`` and ``results``."""
+def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np.ndarray, rows: np.ndarray) -> None:
+    """Relax the groups ``rows``."""
     if not len(rows):
         return
     edges = table.start.shape[1]
@@ -164,7 +175,7 @@ def _launch(table: GroupTables, options: Newton, state: GroupState, previous: np
     scratch, queue = buffers(number, threads, items)
     kernel(
         table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy_row(table.up, options, 64),
-        threads, scratch, queue, frames.reshape(-1), results, joints.numbers(), joints.field(),
-        *contact.arguments(contact.forces, options.gap_tolerance, settles=False), int(table.barrier), table.begins, table.ties,
+        threads, scratch, queue, state.frames.reshape(-1), state.results, joints.numbers(), joints.field(),
+        *contact.arguments(state.forces, options.gap_tolerance, settles=False), int(table.barrier), table.begins, table.ties,
         table.targets, table.free, table.burden, table.apart, state.places, state.tie_forces, previous, state.touch,
         state.friction_work)

@@ -125,15 +125,13 @@ def relaxed(group: Group, solver: Newton | None, up: ArrayLike | None, obstacles
                              motion is not None and motion.moves)
         table = table if motion is None else motion.into(table)
         tie_forces = np.zeros((group.count, len(table.ties), 6)) if before is None else _forces(group, before)
-        touch = np.zeros((group.count, table.start.shape[1] + 1), dtype=np.int32)
-        state = GroupState(table.begins_at.copy(), tie_forces, touch, np.zeros(group.count))
+        state = GroupState.at_start(table, tie_forces)
         if before is None:  # friction acts on the way from there
-            table, previous = replace(table, contact=table.contact.smooth), np.zeros((*touch.shape, 3))
+            table, previous = replace(table, contact=table.contact.smooth), np.zeros_like(state.forces)
         else:
             previous = _previous(group, before)
-        options = Newton(max_iterations=MOST_IN_CONTACT) if solver is None else solver
-        frames, results = run_groups(table, options, state, previous)
-        solution = _solution(group, table, frames, results, state)
+        run_groups(table, Newton(max_iterations=MOST_IN_CONTACT) if solver is None else solver, state, previous)
+        solution = _solution(group, table, state)
         return solution if motion is None else _moved(solution, table, motion)
 
 
@@ -181,8 +179,9 @@ def _sign(group: Group) -> np.ndarray:
     return np.where(group.tied[:, :1] > group.tied[:, 1:], -1.0, 1.0)
 
 
-def _solution(group: Group, table: GroupTables, frames, results, state: GroupState) -> GroupSolution:
+def _solution(group: Group, table: GroupTables, state: GroupState) -> GroupSolution:
     clamp, up, places, tie_forces = table.clamp, table.up, state.places, state.tie_forces
+    frames, results = state.frames, state.results
     status = results[:, of.STATUS].astype(np.int8)
     lost = (status == Status.INFEASIBLE) | (status == Status.NOT_FINITE)
     places[:, 0] = clamp[:, of.ANCHOR : of.ANCHOR + 3] + results[:, of.DRIFT:]
@@ -193,7 +192,7 @@ def _solution(group: Group, table: GroupTables, frames, results, state: GroupSta
         own = np.ascontiguousarray(frames[:, first[number] : first[number] + rod.edges])
         rods.append(Configuration(places[:, number].copy(), own, np.array(rod.rest_length, dtype=np.float64)))
     vertices = np.concatenate([rod.vertices for rod in rods], axis=1)
-    contact_force = np.where(lost[:, None, None], np.nan, table.contact.forces)
+    contact_force = np.where(lost[:, None, None], np.nan, state.forces)
     weight = _weights(table)
     height = (clamp[:, of.ANCHOR : of.ANCHOR + 3] * up).sum(axis=1)
     ties, far = table.ties, len(group.ties)
