@@ -1,10 +1,12 @@
 """Where the clamps are during a motion, as the kernels read it (docs/dynamics.md)."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.frames import quaternion_from_matrix, smallest_rotation
-from doo_ti.relaxation.time_loop import PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_TARGET
+from doo_ti.relaxation.time_loading import PATH_ANCHOR, PATH_COLUMNS, PATH_ENDS, PATH_TARGET
 from doo_ti.types import Clamp, Configuration
 
 
@@ -25,6 +27,32 @@ def clamp_path(grippers: Grippers, start: Configuration, steps: slice) -> np.nda
         if (kind >= Clamp.TANGENT).any():
             path[..., column : column + 4] = _frames(frames[:, after], kind)
     return path
+
+
+def refined_within_reach(grippers: Grippers, parts: int, rest_length: np.ndarray) -> Grippers:
+    """:meth:`.Grippers.refined` for rods of ``rest_length`` (E,) or (S, E) mm. Where a rod reaches from one gripper to the
+    other at two neighbouring instants it does so between them: the far gripper does not go as far as a cubic would that is bent
+    by a gripper which stops where the rod is taut."""
+    if grippers.count == 1 and rest_length.ndim == 2:
+        grippers = grippers.take(np.zeros(len(rest_length), dtype=np.int64))
+    fine = grippers.refined(parts)
+    held = [np.broadcast_to(np.asarray(kind), (grippers.count,)) for kind in (grippers.start, grippers.end)]
+    closed = (held[0] != Clamp.FREE) & (held[1] != Clamp.FREE)
+    if parts == 1 or not closed.any():
+        return fine
+    line = fine.end_position - fine.start_position
+    reach = np.broadcast_to(rest_length.sum(axis=-1), (fine.count,))[:, None]
+    for kind, frames, edge in ((held[0], fine.start_frame, 0), (held[1], fine.end_frame, -1)):
+        length = np.where(kind >= Clamp.TANGENT, rest_length[..., edge], 0.0)[:, None]
+        line = line - np.where(length[..., None] > 0, length[..., None] * frames[..., 0], 0.0)
+        reach = reach - length
+    excess = 1.0 - reach / np.maximum(np.linalg.norm(line, axis=-1), reach)
+    beyond = excess[:, ::parts] > 0
+    between = np.repeat(beyond[:, :-1] | beyond[:, 1:], parts, axis=1)
+    excess[:, :-1][between | ~closed[:, None]] = 0.0
+    excess[:, ::parts] = 0.0
+    return replace(fine, end_position=np.where(excess[..., None] > 0, fine.end_position - excess[..., None] * line,
+                                               fine.end_position))
 
 
 def _frames(frames: np.ndarray, kinds: np.ndarray) -> np.ndarray:

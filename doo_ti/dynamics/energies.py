@@ -116,6 +116,8 @@ class Losses:
 class Account:
     """The energies of R rods as they move, at every instant, and what has flown since the first.
 
+    The grippers' work on a taut rod, on which their forces are not determined, is what the rod gains and loses.
+
     losses  what the rods are made of
     scheme  of the steps, h = ``step`` in s
     held    (R, 2) bool: whether a gripper holds the start, and the end
@@ -130,6 +132,7 @@ class Account:
         self._flows = {name: np.zeros(len(held)) for name in FLOWS}
         self._forces, self._contact, self._instants = None, 0.0, []
         self._strains = joint_strains(memory.frames_before), joint_strains(memory.frames)
+        self._stored = sum(losses.stored(memory, self._strains[1]).values())
         self._keep(memory)
         self._store(memory)
 
@@ -151,7 +154,8 @@ class Account:
         rate, extrapolation = self.scheme
         rates = rate * (now - last - extrapolation * (last - older))
         forces = self._gripper_forces(memory, end_force, contact, now, rates)
-        before = forces if self._forces is None else self._forces
+        before = forces if self._forces is None else [
+            np.where(np.isnan(old), new, old) for old, new in zip(self._forces, forces, strict=True)]
         frames, places = self._before
         ends = [0, -1]
         moves = memory.places[:, ends, :3] - places[:, ends]
@@ -159,7 +163,10 @@ class Account:
         work = sum((0.5 * (a + b) * way).sum(axis=(1, 2)) for a, b, way in zip(before, forces, (moves, turns), strict=True))
         mean = 0.5 * (self._contact + contact)
         taken = -(mean * (memory.places[..., :3] - places)).sum(axis=(1, 2))
-        new = self.losses.dissipated(memory, now - last, self.step) | {"work": work, "contact": taken}
+        new = self.losses.dissipated(memory, now - last, self.step) | {"contact": taken}
+        stored = sum(self.losses.stored(memory, now).values())
+        new["work"] = np.where(np.isnan(work), stored - self._stored + sum(new.values()), work)
+        self._stored = stored
         self._flows = {name: self._flows[name] + new[name] for name in FLOWS}
         self._forces, self._contact, self._strains = forces, contact, (last, now)
         self._keep(memory)

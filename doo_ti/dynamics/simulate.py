@@ -11,7 +11,7 @@ from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.adaptive import adapted
-from doo_ti.dynamics.clamp_path import clamp_path
+from doo_ti.dynamics.clamp_path import clamp_path, refined_within_reach
 from doo_ti.dynamics.energies import Account, Losses
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.obstacle_path import obstacle_path
@@ -84,7 +84,8 @@ def simulate(
     radius      of the rods, mm, one or (R,), with obstacles
     progress    called with the number of frames that are done
 
-    Returns the T − 1 later instants. A rod whose step fails stops alone. Raises InputError for inputs that do not match.
+    Returns the T − 1 later instants. A rod whose step fails stops alone; one whose grippers are further apart than it is long
+    is infeasible from that instant on. Raises InputError for inputs that do not match.
     """
     begin = start if isinstance(start, MovingStart) else MovingStart(start)
     for name, value, plain in (("precision", stepping.precision, "f64"), ("tolerance", stepping.tolerance, None)):
@@ -128,7 +129,7 @@ class _Motion:
                              "give one, or as many")
         self.start, self.material, self.dynamics, self.springs, self.up = start, material, dynamics, springs, up
         self.stepping, self.substeps, self.step = stepping, stepping.substeps, stepping.step
-        self.grippers = grippers.refined(stepping.substeps)
+        self.grippers = refined_within_reach(grippers, stepping.substeps, start.rest_length)
         self.pairs, self.surroundings, self.touching = pairs, surroundings, touching
         self.first = _spread(grippers.at(0), start.count)
         self.poses = None

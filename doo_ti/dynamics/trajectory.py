@@ -31,7 +31,8 @@ class Trajectory:
     status      (R, F) Status; a rod that failed keeps its status to the end
     iterations  (R, F) Newton iterations of all steps since the frame before
     residual    (R, F) the largest residual of those steps
-    end_force   (R, F, 3) force of the far clamp on the rod, mm (energy in mm² per mm), zero where an end is free
+    end_force   (R, F, 3) force of the far clamp on the rod, mm (energy in mm² per mm), zero where an end is free, NaN where the
+                rod is taut: its tension is not determined
     rate        frames per second
     memory      frames, positions and velocities at the last two instants
     substeps    (R,) time steps from one frame to the next

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.moving import Moving
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Surroundings, obstacle_list
+from doo_ti.dynamics.clamp_path import refined_within_reach
 from doo_ti.dynamics.grippers import Grippers
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
@@ -51,7 +52,8 @@ def predict_moving(
     _, rods, (first, held, jumps) = begun(configuration, material, clamps, path, LARGEST_TURN, up, Newton(), "f64",
                                          Surroundings(obstacle_list("predict_moving", obstacles, True), radius).at(0))
     rows = np.arange(len(rods)) % len(clamps.start_position)
-    grippers = _grippers(path, held).refined(between)
+    lengths = configuration.rest_length if configuration.rest_length.ndim == 1 else configuration.rest_length[: rows.max() + 1]
+    grippers = refined_within_reach(_grippers(path, held), between, lengths)
     pairs = np.arange(len(rods)), rods
     rate = stepping.rate * between
     done = 0

@@ -25,6 +25,8 @@ BOTH, NOT_THE_FIRST, NOT_THE_LAST = range(3)
 # Slack over the reach below which a rod is taut: its straight line misses a clamp by 1e-5 mm at most if it is 99 mm long. f64
 # cannot resolve the bow of a smaller slack.
 TAUT_SLACK = 1e-7
+# By so much of the reach a span may exceed it.
+ROUNDING = 1e-12
 FEW = 512
 """Up to so many starts are read on the caller's thread: to wake another takes as long."""
 
@@ -191,7 +193,7 @@ class ClampReader:
             tilting += tilts[0]
         if tables.rest_length[length, edges - 1] > 0.0:
             tilting += tilts[1]
-        if (slack >= -1e-12) & (tilting >= 2.0):
+        if (slack >= -ROUNDING) & (tilting >= 2.0):
             # Straight rods have their inner edges in line: comparing two of them excludes most other rods.
             inner, middle = frame_of(tables.start, s, ti.min(1, edges - 1)), frame_of(tables.start, s, edges // 2)
             apart = minus(tangent(inner), tangent(middle))

@@ -134,14 +134,14 @@ class Contacts(ContactRounds):
         return work + self.pair_work(rod)
 
     @ti.func
-    def retry(self, rod, failed, blocked, least):
+    def retry(self, rod, failed, blocked, bowed, least):
         """Prepare a step that has failed for another try, which knows no forces and begins with the barrier; returns the lanes
-        in which there is one. A second try, and a first one that would begin inside an obstacle (``blocked``), makes half the
-        way, down to ``least`` of that to the next instant. Where that fails too there is no equilibrium near, and the rod
-        goes to another one against viscosity."""
+        in which there is one. A second try, and a first one that would begin inside an obstacle (``blocked``), though not one
+        in which a straight rod was ``bowed``, makes half the way, down to ``least`` of that to the next instant. Where that
+        fails too there is no equilibrium near, and the rod goes to another one against viscosity."""
         zero = 0.0 * rod.total
         viscosity = self.item(rod, VISCOSITY)
-        again = failed & (self.item(rod, RETRIED) < 0.5) & ~blocked & (viscosity <= 0.0)
+        again = failed & (self.item(rod, RETRIED) < 0.5) & (bowed | ~blocked) & (viscosity <= 0.0)
         quasi_static = least < 0.9
         shortest = ti.select(blocked, LEAST_BLOCKED * least, least)
         shorter = failed & ~again & (self.item(rod, WAY) > 1.5 * shortest) & quasi_static & ((viscosity <= 0.0) | blocked)

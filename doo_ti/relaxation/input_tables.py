@@ -47,10 +47,10 @@ def tables(
     if (external is not None or obstacles) and (kinds[:, 0] == FREE).any():
         _loosen(clamp, kinds, configuration, clamps)
     contact = contact_table(obstacles, radius, rods, edges, clamp, index_c, in_motion) if obstacles else None
-    quaternions = room(*configuration.quaternions.shape)
-    quaternions[...] = configuration.quaternions  # a copy: failed rods start from it again, whatever becomes of the caller's
-    start = projectable(quaternions, lengths, clamp, found, up, () if contact is None else contact.surroundings.bodies,
-                        index_c)
+    start = room(*configuration.quaternions.shape)
+    start[...] = configuration.quaternions  # a copy: failed rods start from it again, whatever becomes of the caller's
+    if not in_motion:  # there every instant is judged by itself
+        start = projectable(start, lengths, clamp, found, up, () if contact is None else contact.surroundings.bodies, index_c)
     feasible = found != INFEASIBLE
     sound = feasible[index_c]
     all_rods = rod_rows(index_c, index_m, np.arange(rods), index_c, index_e)

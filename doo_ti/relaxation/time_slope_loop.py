@@ -48,6 +48,7 @@ class TimeSlopeLoop(TimeLoop):
         waited = ti.select(waits, one, zero)
         status, trips = lane.status + zero, lane.trips + zero
         self.trip(tables, scratch, head, lane)
+        self.refuse(scratch, head, lane)
         lane.finished = ti.max(lane.finished, waited)
         lane.status = ti.select(waited > 0.5, status, lane.status)
         lane.trips = ti.select(waited > 0.5, trips, lane.trips)

@@ -31,8 +31,8 @@ PLACE_1, PLACE_2, VELOCITY_1, VELOCITY_2, INERTIA, DRAG, DRAG_BY_SPEED, LOAD, SP
 # begins the rest curvature of its left and its right frame and its rest twist, for the step being made.
 FRAME_1, FRAME_2, REST_LEFT, REST_RIGHT, REST_TWIST, EDGE_ITEMS = 20, 24, 28, 30, 32, 33
 # Parameters of a rod: shares of the rest curvature and twist that damping makes, the sum of the inertia κ of all vertices, by
-# how much its link has changed, and the items of vertex 0.
-OF_BEND_SHARE, OF_TWIST_SHARE, OF_INERTIA, OF_RELINKED, OF_VERTEX = 0, 1, 2, 3, 4
+# how much its link has changed, how its clamps reach (:mod:`.clamp_table`), and the items of vertex 0.
+OF_BEND_SHARE, OF_TWIST_SHARE, OF_INERTIA, OF_RELINKED, OF_REACH, OF_VERTEX = 0, 1, 2, 3, 4, 5
 PARAMETERS = OF_VERTEX + VERTEX_ITEMS
 
 # What a launch is given after the policy of Newton: the step h in s, a and b above, and the least share of the clamps' way
