@@ -2,6 +2,7 @@
 
 import taichi as ti
 
+from doo_ti.physical_units import STANDARD_GRAVITY
 from doo_ti.physics.tuples import chosen, plus, put_lane, record, repeated, scaled
 from doo_ti.relaxation import chain
 from doo_ti.relaxation import tables as of
@@ -29,8 +30,10 @@ from doo_ti.relaxation.time_sweep import (
 # changed in a step.
 STATE, TRIPS, MOMENT, END_FORCE, FRICTION_WORK, RELINKED, OUTCOMES = 0, 1, 2, 3, 6, 7, 8
 
-POSITION_ROUNDING = 1e-6
-"""Of the rod's length, in f32: what a step may be wrong by in every position."""
+ROUNDING = {32: 2.5e-7, 64: 1e-15}
+"""By bits: of the rod's length in every position, and of one in every curvature times length, what a step may be wrong by."""
+RESOLVED = 3e-3
+"""Of the force of the acceleration of gravity, whatever the rod weighs: a step that rounds more than that is not resolved."""
 
 
 @ti.data_oriented
@@ -190,13 +193,22 @@ class TimeLoop(NewtonLoop):
 
     @ti.func
     def tolerance(self, tables, rod):
-        """The largest residual of a step: in f32 at least what rounding of positions makes of the inertia of the whole rod."""
-        given = self.constant(0.0) + ti.cast(tables.policy[TOLERANCE], self.scalar)
+        """The largest residual of a step: that of a rod at rest or, where its mass times the acceleration of gravity means
+        smaller moments, that share of these; and what rounding makes of its stiffness and inertia. Negative, so that the step
+        stalls, where that is too much."""
+        zero = self.constant(0.0)
+        given = zero + ti.cast(tables.policy[TOLERANCE], self.scalar)
         inertia = rod.scratch[rod.head + (self.sweep.time_parameters + OF_INERTIA) * self.stride]
-        length = rod.total * rod.length_unit
+        moment = inertia * rod.length_unit * rod.total  # of a force that moves the rod by 1 mm in the step, over its lever
+        interval = tables.time[STEP] / tables.time[RATE]
+        weight = ti.cast(ti.static(1e3 * STANDARD_GRAVITY) * interval * interval, self.scalar) * moment * rod.longest
+        weight = ti.select(inertia > 0.0, weight, zero + 1.0)
+        lever = ti.select(rod.loose > 0.5, rod.total, rod.longest)  # of the forces on a vertex 0 that is free, the rod's length
+        rounding = ti.static(ROUNDING[self.number_bits]) * (rod.edges + moment * lever * rod.total * rod.length_unit)
+        given = given * ti.min(weight, zero + 1.0)
         if ti.static(self.touches):
             given = self.sweep.contacts.tolerance(rod, given)
-        return given + ti.static(POSITION_ROUNDING if self.number_bits == 32 else 0.0) * inertia * length * length * rod.total
+        return ti.select(rounding > ti.static(RESOLVED) * weight, zero - 1.0, given + rounding)
 
     @ti.func
     def multiplier(self, lane, fitted):
