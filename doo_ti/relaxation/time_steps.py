@@ -119,17 +119,20 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
     if slopes is not None:
         position_slopes = room(table.count * frames, slopes.count, table.edges + 1, 3)
         position_slopes[...] = np.nan
-    if len(rods):
-        number, threads, stride, block = layout_for(len(rods), bits, contact is not None and contact.itself)
+    moves = poses is not None
+    poses = poses if moves else np.zeros((1, 1, 1, 1))
+    results = np.zeros((table.count, of.LOADED_RESULTS))
+    results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:] = memory.multiplier, memory.drift
+    for isotropic, _, part in table.by_kernel(rods):
+        number, threads, stride, block = layout_for(len(part), bits, contact is not None and contact.itself)
         if contact is not None:
             kernel, items, parameters = time_contact_kernel(
-                number, table.isotropic, stride, block, contact.known, contact.rubs, contact.itself, poses is not None)
-            poses = np.zeros((1, 1, 1, 1)) if poses is None else poses
+                number, isotropic, stride, block, contact.known, contact.rubs, contact.itself, moves)
             settles = not (contact.rubs or contact.itself)
             more = *contact.arguments(forces, options.gap_tolerance, settles), touches, poses, contact.pair_memory
             size = parameters + items * table.edges + contact.items(table.edges, len(contact.kinds))
         elif slopes is None:
-            kernel, items, parameters = time_kernel(number, table.isotropic, stride, block)
+            kernel, items, parameters = time_kernel(number, isotropic, stride, block)
             more, size = (), parameters + items * table.edges
         else:
             kernel, items, parameters = time_slope_kernel(stride, block, number.width)
@@ -137,11 +140,10 @@ def make_steps(table: Tables, memory: Memory, path: np.ndarray, numbers: np.ndar
             size = parameters + items * table.edges + slope_items(table.edges, slopes.count)
         scratch = scratch_for(number, threads * size)
         queue = np.zeros(LANES + 2 * threads * number.width, dtype=np.int32)
-        results = np.zeros((table.count, of.LOADED_RESULTS))
-        results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:] = memory.multiplier, memory.drift
-        kernel(table.rest_length, table.clamp, path, table.material, numbers, shares, rods,
+        kernel(table.rest_length, table.clamp, path, table.material, numbers, shares, part,
                policy_row(table.up, options, bits), time, steps, every, threads, scratch, queue, memory.frames.reshape(-1),
                memory.frames_before.reshape(-1), memory.places, results, positions, outcome, *more)
+    if len(rods):
         memory.multiplier[:], memory.drift[:] = results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:]
         memory.status[:] = outcome[:, -1, STATE].astype(memory.status.dtype)
     if slopes is not None:
